@@ -1,0 +1,68 @@
+# What there is to do here. Everything runs in a virtual environment of its own, .venv, made when it is needed first:
+#   make demo     draw a small survey, process it, compare the cloud with the true bed
+#   make test     the tests
+#   make check    style
+#   make bench    the benchmarks that take minutes at most
+#   make clean    remove the demo and what tools left; make distclean: the environment too
+# PYTHON=python3.12 chooses the interpreter; otherwise the first of 3.11 to 3.13 that is found.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/ready
+DEMO := .demo/survey
+RUN := $(DEMO)/bathynerf
+TRUTH := $(DEMO)/truth
+BOUNDS = $$($(BIN)/python -c 'import tomllib; print(*tomllib.load(open("$(DEMO)/survey.toml", "rb"))["area"]["bounds"])')
+
+# An environment that was moved or copied with its folder is set up again: its paths are those of the old place.
+ifneq ($(shell cat $(READY) 2>/dev/null),$(CURDIR))
+.PHONY: $(READY)
+endif
+
+.PHONY: help install demo test check format bench clean distclean
+
+help:
+	@sed -n '2,/^$$/s/^# \{0,1\}//p' Makefile
+
+install: $(READY)
+
+$(READY): pyproject.toml constraints.txt scripts/setup.sh
+	@scripts/setup.sh $(VENV)
+	@printf '%s' '$(CURDIR)' > $@
+
+demo: $(READY)
+	@echo "Drawing the survey of the demo into $(DEMO)"
+	@$(BIN)/python -m survey.drawn $(DEMO)
+	@$(BIN)/bathynerf process $(DEMO) --reference $(TRUTH)/reference.ply --visible $(TRUTH)/visible.ply
+	@echo
+	@echo "The cloud against the true bed, in the bounds of survey.toml, nothing aligned or shifted:"
+	@$(BIN)/bathynerf compare $(RUN)/cloud.las $(TRUTH)/reference.ply --visible $(TRUTH)/visible.ply \
+	    --bounds $(BOUNDS)
+	@echo
+	@echo "Cloud:   $(CURDIR)/$(RUN)/cloud.las"
+	@echo "Report:  $(CURDIR)/$(RUN)/report.html"
+
+test: $(READY)
+	@$(BIN)/python -m pytest
+
+check: $(READY)
+	@$(BIN)/python -m ruff check .
+	@$(BIN)/python -m ruff format --check .
+
+format: $(READY)
+	@$(BIN)/python -m ruff check --fix .
+	@$(BIN)/python -m ruff format .
+
+bench: $(READY)
+	@for file in benchmarks/bench_*.py; do echo "$$file"; $(BIN)/python "$$file"; done
+
+clean:
+	rm -rf .demo build dist .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +
+
+distclean: clean
+	rm -rf $(VENV) *.egg-info

@@ -1,0 +1,35 @@
+"""Fixtures shared by all tests: fixed seeds and the folder of external surveys."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20260101)
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """The external surveys: $BATHYNERF_DATA, else ../shared/data beside the repository, else skip."""
+    root = Path(__file__).resolve().parent.parent
+    folder = Path(os.environ.get("BATHYNERF_DATA", root.parent / "shared" / "data"))
+    if not folder.is_dir():
+        pytest.skip(f"no survey data at {folder}; set BATHYNERF_DATA to the folder that has it")
+    return folder
+
+
+@pytest.fixture(scope="session", params=["cpu", "torch", pytest.param("cuda", marks=pytest.mark.gpu)])
+def device(request):
+    """Each device that the kernels of `fields` run on: Dr.Jit on LLVM (skipped without), torch, Dr.Jit on CUDA."""
+    from fields.device import choose_device
+
+    chosen = choose_device(request.param)
+    if request.param == "cpu" and chosen.name != "llvm":
+        pytest.skip(f"Dr.Jit does not run on this CPU: {chosen.reason}")
+    return chosen

@@ -1,0 +1,116 @@
+"""Pinhole cameras over water: pixel to bent ray, point under water to pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from refract.paths import BentPaths, trace
+from refract.projection import EXACT_STEPS, crossing_point
+from refract.surfaces import FlatWater
+
+# Poses in files carry six to nine digits; a matrix worse than this is not a rotation but a mistake.
+_ROTATION_TOLERANCE = 1e-5
+
+# 0.29 of 100 px is 29 px, although the product rounds to 28.999999999999996.
+_WHOLE_PIXEL = 1e-9
+
+
+def _is_rotation(matrix: np.ndarray) -> bool:
+    finite = bool(np.isfinite(matrix).all())
+    return (
+        finite
+        and bool(np.abs(matrix @ matrix.T - np.eye(3)).max() < _ROTATION_TOLERANCE)
+        and bool(np.linalg.det(matrix) > 0.0)
+    )
+
+
+@dataclass(frozen=True)
+class PinholeCamera:
+    """A distortion-free camera in the local frame.
+
+    Attributes
+    ----------
+    centre : (3,) float64 [m], local
+    cam_from_local : (3, 3) float64
+        Rotation; camera axes are x right, y down, z forward.
+    fx, fy, cx, cy : [px]
+        The centre of the first pixel is at (0.5, 0.5).
+    width, height : [px]
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, the centre is not finite, `cam_from_local` is no right-handed rotation, or a
+        focal length or the image size is not positive.
+    """
+
+    centre: np.ndarray
+    cam_from_local: np.ndarray
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+
+    def __post_init__(self):
+        centre = np.asarray(self.centre, dtype=np.float64)
+        rotation = np.asarray(self.cam_from_local, dtype=np.float64)
+        object.__setattr__(self, "centre", centre)
+        object.__setattr__(self, "cam_from_local", rotation)
+        if centre.shape != (3,) or rotation.shape != (3, 3):
+            raise ValueError(f"expected a centre (3,) and a rotation (3, 3), got {centre.shape} and {rotation.shape}")
+        if not (np.isfinite(centre).all() and _is_rotation(rotation)):
+            raise ValueError(
+                f"expected a finite centre and a right-handed rotation, got {centre} and {rotation.tolist()}"
+            )
+        if not (self.fx > 0.0 and self.fy > 0.0 and self.width >= 1 and self.height >= 1):
+            raise ValueError(
+                f"expected positive focal lengths and at least one pixel, got fx {self.fx}, fy {self.fy}, "
+                f"{self.width} x {self.height} px"
+            )
+
+    def scaled(self, factor: float) -> PinholeCamera:
+        """The same camera with an image ``factor`` times as wide and high, rounded down to whole pixels.
+
+        The whole view is kept: both axes scale by the ratio of whole pixels, which may differ a little from
+        `factor` and from each other.
+        """
+        width, height = (int(size * factor + _WHOLE_PIXEL) for size in (self.width, self.height))
+        sx, sy = width / self.width, height / self.height
+        return replace(
+            self,
+            fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy, width=width, height=height,
+        )  # fmt: skip
+
+    def pixel_centres(self) -> np.ndarray:
+        """Pixel coordinates (height, width, 2) of all pixel centres, img frame [px]."""
+        u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
+        return np.stack([u, v], axis=-1)
+
+    def directions(self, pixels) -> np.ndarray:
+        """Unit directions of view (..., 3), local, through pixels (..., 2) [px]; other shapes: ValueError."""
+        pixels = np.asarray(pixels, dtype=np.float64)
+        if pixels.ndim == 0 or pixels.shape[-1] != 2:
+            raise ValueError(f"expected pixels of shape (..., 2), got {pixels.shape}")
+        x = (pixels[..., 0] - self.cx) / self.fx
+        y = (pixels[..., 1] - self.cy) / self.fy
+        rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ self.cam_from_local
+        return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+
+    def paths(self, pixels, water: FlatWater | None) -> BentPaths:
+        """Bent paths of pixels (..., 2) [px]; see `refract.paths.trace`."""
+        return trace(self.centre, self.directions(pixels), water)
+
+    def project(self, points, water: FlatWater | None, *, steps: int = EXACT_STEPS) -> np.ndarray:
+        """Pixels (..., 2) [px] at which points (..., 3) [m], local, appear through the water.
+
+        NaN for points behind the camera; pixels outside the image are returned as they are. `steps` as in
+        `refract.crossing_point`.
+        """
+        points = np.asarray(points, dtype=np.float64)
+        seen = (crossing_point(points, self.centre, water, steps=steps) - self.centre) @ self.cam_from_local.T
+        z = np.where(seen[..., 2] > 0.0, seen[..., 2], np.nan)
+        return np.stack([self.fx * seen[..., 0] / z + self.cx, self.fy * seen[..., 1] / z + self.cy], axis=-1)

@@ -1,0 +1,94 @@
+"""Laws of the optics that must hold for every survey that can be thought of, on generated ones."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from refract import FlatWater, PinholeCamera, bend, crossing_point, trace
+
+# The same examples every time; no deadline, because the first example pays for imports.
+always = settings(max_examples=100, deadline=None, derandomize=True)
+EPS = np.finfo(np.float64).eps
+angles = st.floats(0.0, math.radians(89.9))
+turns = st.floats(0.0, 2.0 * math.pi)
+indices = st.floats(1.0, 1.6)
+heights = st.floats(-3.0, 4.0).map(lambda power: 10.0**power)
+depths = st.one_of(st.just(0.0), st.floats(-9.0, 3.0).map(lambda power: 10.0**power))
+slopes = st.floats(-1.0, 1.0)
+normals = st.tuples(slopes, slopes).map(lambda s: np.array(FlatWater((0, 0, 0), 1.0, *s).normal))
+
+
+def leaning(normal, angle, turn):
+    """Unit ray that falls toward the plane of `normal` at `angle` [rad] to it."""
+    helper = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.7 else np.array([0.0, 1.0, 0.0])
+    along = np.cross(normal, helper)
+    along /= np.linalg.norm(along)
+    across = np.cross(normal, along)
+    return math.sin(angle) * (math.cos(turn) * along + math.sin(turn) * across) - math.cos(angle) * normal
+
+
+@always
+@given(angles, turns, normals, indices)
+def test_bend_keeps_length_plane_and_side_and_scales_the_sine(angle, turn, normal, n_water):
+    ray = leaning(normal, angle, turn)
+    bent = bend(ray, normal, n_from=1.0, n_to=n_water)
+    assert abs(np.linalg.norm(bent) - 1.0) < 16 * EPS
+    assert bent @ normal < 0.0
+    np.testing.assert_allclose(np.cross(ray, normal), n_water * np.cross(bent, normal), atol=16 * EPS)
+
+
+@always
+@given(angles, turns, normals, indices)
+def test_every_way_through_the_surface_leads_back(angle, turn, normal, n_water):
+    ray = leaning(normal, angle, turn)
+    back = bend(-bend(ray, normal, n_from=1.0, n_to=n_water), -normal, n_from=n_water, n_to=1.0)
+    assert np.linalg.norm(back + ray) < 32 * EPS / math.cos(angle)
+
+
+@always
+@given(angles, turns, indices, heights, depths)
+def test_project_after_trace_returns_the_ray(angle, turn, n_water, height, depth):
+    water, centre = FlatWater((0.0, 0.0, 0.0), n_water), np.array([0.0, 0.0, height])
+    ray = leaning(np.array([0.0, 0.0, 1.0]), angle, turn)
+    bed = trace(centre, ray, water).at_height(-depth, water)
+    seen = crossing_point(bed, centre, water) - centre
+    assert np.linalg.norm(np.cross(seen, ray)) < 1e-12 * np.linalg.norm(seen)
+
+
+@always
+@given(st.floats(-90, 90), st.floats(0, 70), indices, st.floats(1.0, 200.0), st.floats(-20.0, 20.0), slopes, slopes)
+def test_pixels_come_back_from_wet_and_dry_ground(heading, tilt, n_water, height, ground, slope_x, slope_y):
+    water = FlatWater((5.0, -3.0, 0.0), n_water, 0.1 * slope_x, 0.1 * slope_y)
+    heading, tilt = math.radians(heading), math.radians(tilt)
+    forward = np.array([math.sin(tilt) * math.cos(heading), math.sin(tilt) * math.sin(heading), -math.cos(tilt)])
+    right = np.array([math.sin(heading), -math.cos(heading), 0.0])
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    camera = PinholeCamera([1.0, 2.0, height + 2.0], rotation, 800.0, 800.0, 320.0, 240.0, 640, 480)
+    pixels = camera.pixel_centres()[::60, ::60]
+    points = camera.paths(pixels, water).at_height(ground, water)
+    back = camera.project(points, water)
+    met = np.isfinite(points).all(axis=-1)
+    # Crossings up to 1e5 m away when a pixel looks along the surface, of coordinates in float64.
+    assert np.abs(back - pixels)[met].max(initial=0.0) < 1e-6
+
+
+@always
+@given(st.floats(0.0, 500.0), heights, depths, indices)
+def test_the_crossing_lies_between_straight_line_and_foot_of_the_point(way, height, depth, n_water):
+    water, centre = FlatWater((0.0, 0.0, 0.0), n_water), np.array([0.0, 0.0, height])
+    x = crossing_point(np.array([way, 0.0, -depth]), centre, water)[0]
+    straight = way * height / (height + depth)
+    assert straight - 4 * EPS * way <= x <= way * (1.0 + 4 * EPS)
+
+
+@always
+@given(st.floats(0.0, 100.0), st.floats(1.0, 100.0), st.floats(0.0, 20.0), st.floats(1e-3, 5.0), indices)
+def test_deeper_points_cross_nearer_to_the_camera(way, height, depth, more, n_water):
+    water, centre = FlatWater((0.0, 0.0, 0.0), n_water), np.array([0.0, 0.0, height])
+    points = np.array([[way, 0.0, -depth], [way, 0.0, -depth - more]])
+    x = crossing_point(points, centre, water)[:, 0]
+    assert x[1] <= x[0] + 4 * EPS * way

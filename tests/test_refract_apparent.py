@@ -1,0 +1,136 @@
+"""Apparent depth: closed forms against pairs of traced rays and against the caustic."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from slow_reference import meeting_of_lines
+
+from refract import (
+    FlatWater,
+    apparent_depth,
+    apparent_depth_tangential,
+    crossing_point,
+    tangential_shift,
+    trace,
+    true_depth,
+)
+
+CLOSED = 1e-12  # relative: coordinates of some 10 m, depths of 3 m, a few dozen roundings
+N, H, DEPTH = 1.333, 12.0, 3.0
+WATER = FlatWater((0.0, 0.0, 0.0), N)
+ANGLES_DEG = [5.0, 10.0, 20.0, 30.0, 40.0, 45.0, 60.0, 75.0]
+
+
+def camera_and_ray(angle):
+    """A camera at x < 0 that sees the bed point (0, 0, -DEPTH) at incidence `angle` [rad], and its ray."""
+    ray = np.array([math.sin(angle), 0.0, -math.cos(angle)])
+    way = trace(np.array([0.0, 0.0, H]), ray, WATER).at_height(-DEPTH, WATER)[0]
+    return np.array([-way, 0.0, H]), ray
+
+
+@pytest.mark.parametrize("angle_deg", ANGLES_DEG)
+def test_rays_from_opposite_sides_meet_at_the_sagittal_depth(angle_deg):
+    angle = math.radians(angle_deg)
+    centre, ray = camera_and_ray(angle)
+    mirror = np.array([-1.0, 1.0, 1.0])
+    met = meeting_of_lines([centre, centre * mirror], [ray, ray * mirror])
+    assert -met[2] == pytest.approx(apparent_depth(DEPTH, angle, n_water=N), rel=CLOSED)
+    assert abs(met[0]) < CLOSED
+
+
+@pytest.mark.parametrize("angle_deg", [15.0, 45.0])
+def test_a_ring_of_cameras_meets_where_a_pair_does(angle_deg):
+    angle = math.radians(angle_deg)
+    centre, ray = camera_and_ray(angle)
+    turns = [
+        np.array([[math.cos(a), -math.sin(a), 0], [math.sin(a), math.cos(a), 0], [0, 0, 1]])
+        for a in np.linspace(0, 2 * math.pi, 5, endpoint=False)
+    ]
+    met = meeting_of_lines([r @ centre for r in turns], [r @ ray for r in turns])
+    np.testing.assert_allclose(met, [0.0, 0.0, -apparent_depth(DEPTH, angle, n_water=N)], atol=1e-11)
+
+
+@pytest.mark.parametrize("angle_deg", ANGLES_DEG)
+def test_the_caustic_lies_at_the_tangential_depth_and_shift(angle_deg):
+    """Neighbouring rays of one vertical plane touch where ``x(s) + z s`` is stationary, s the slope in air."""
+    angle = math.radians(angle_deg)
+    camera_x = torch.tensor(camera_and_ray(angle)[0][0], dtype=torch.float64, requires_grad=True)
+    centre = torch.stack([camera_x, camera_x * 0.0, camera_x * 0.0 + H])
+    bed = torch.tensor([0.0, 0.0, -DEPTH], dtype=torch.float64)
+    crossing = crossing_point(bed, centre, WATER)[0]
+    slope = (crossing - camera_x) / H
+    d_crossing = torch.autograd.grad(crossing, camera_x, retain_graph=True)[0]
+    d_slope = torch.autograd.grad(slope, camera_x)[0]
+    depth = (-d_crossing / d_slope).item()
+    x, slope = crossing.detach().item(), slope.detach().item()
+    assert slope == pytest.approx(math.tan(angle), rel=CLOSED)
+    assert depth == pytest.approx(apparent_depth_tangential(DEPTH, angle, n_water=N), rel=CLOSED)
+    # Toward the camera, which stands at negative x; metres are subtracted to leave as little as a millimetre.
+    assert -(x + depth * slope) == pytest.approx(tangential_shift(DEPTH, angle, n_water=N), abs=CLOSED * H)
+
+
+@pytest.mark.parametrize(
+    ("angle_deg", "sagittal", "tangential", "shift", "small_angle"),
+    [
+        (0, 0.7502, 0.7502, 0.0, 1.000),
+        (10, 0.7451, 0.7351, 0.0018, 0.9933),
+        (20, 0.7294, 0.6894, 0.0145, 0.9722),
+        (30, 0.7009, 0.6117, 0.0515, 0.9342),
+        (40, 0.6560, 0.5016, 0.1296, 0.8744),
+        (45, 0.6258, 0.4354, 0.1904, 0.8341),
+        (60, 0.4934, 0.2134, 0.4849, 0.6577),
+    ],
+)
+def test_published_table_for_fresh_water(angle_deg, sagittal, tangential, shift, small_angle):
+    angle, rounded = math.radians(angle_deg), 5.1e-5
+    assert apparent_depth(1.0, angle, n_water=N) == pytest.approx(sagittal, abs=rounded)
+    assert apparent_depth_tangential(1.0, angle, n_water=N) == pytest.approx(tangential, abs=rounded)
+    assert tangential_shift(1.0, angle, n_water=N) == pytest.approx(shift, abs=rounded)
+    assert N * apparent_depth(1.0, angle, n_water=N) == pytest.approx(small_angle, abs=rounded)
+
+
+@pytest.mark.parametrize(
+    ("angle_deg", "factor"), [(5, 1.337), (10, 1.344), (15, 1.356), (20, 1.373), (25, 1.397), (30, 1.429)]
+)
+def test_published_factors_for_an_index_of_1_335(angle_deg, factor):
+    assert true_depth(1.0, math.radians(angle_deg), n_water=1.335) == pytest.approx(factor, abs=6e-4)
+
+
+def test_straight_rays_always_make_the_bed_too_shallow():
+    angle = np.radians(np.linspace(0.1, 89.0, 500))
+    sagittal = apparent_depth(DEPTH, angle, n_water=N)
+    tangential = apparent_depth_tangential(DEPTH, angle, n_water=N)
+    assert (tangential < sagittal).all()
+    assert (sagittal < DEPTH / N).all()
+    assert (tangential_shift(DEPTH, angle, n_water=N) > 0.0).all()
+
+
+def test_true_depth_undoes_apparent_depth():
+    angle = np.radians(np.linspace(0.0, 89.0, 500))
+    back = true_depth(apparent_depth(DEPTH, angle, n_water=N), angle, n_water=N)
+    np.testing.assert_allclose(back, DEPTH, rtol=CLOSED)
+
+
+def test_nadir_and_index_one_are_exact():
+    for form in (apparent_depth, apparent_depth_tangential):
+        assert form(DEPTH, 0.0, n_water=N) == pytest.approx(DEPTH / N, rel=1e-15)
+        np.testing.assert_allclose(form(DEPTH, np.radians(ANGLES_DEG), n_water=1.0), DEPTH, rtol=CLOSED)
+    assert tangential_shift(DEPTH, 0.0, n_water=N) == 0.0
+
+
+def test_torch_takes_gradients_through_the_closed_forms():
+    depth = torch.tensor(3.0, dtype=torch.float64, requires_grad=True)
+    angle = torch.tensor(0.5, dtype=torch.float64, requires_grad=True)
+    for form in (apparent_depth, apparent_depth_tangential, tangential_shift, true_depth):
+        expected = float(form(3.0, 0.5, n_water=N))
+        assert form(depth, angle, n_water=N).detach().item() == pytest.approx(expected, rel=1e-15)
+        assert torch.autograd.gradcheck(lambda d, a, form=form: form(d, a, n_water=N), (depth, angle))
+
+
+def test_the_index_cannot_be_taken_for_an_angle():
+    with pytest.raises(TypeError):
+        apparent_depth(DEPTH, 0.3, N)

@@ -1,0 +1,133 @@
+"""Pinhole cameras: half pixels, scaling, and the round trip from pixel to bed and back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from refract import FlatWater, PinholeCamera
+
+PIXEL = 1e-6  # the promise: project after paths; measured worst 3e-13 px
+FLIP = np.diag([1.0, -1.0, -1.0])  # camera x east, y south, z down: a nadir view, north up
+
+
+def nadir_camera(**changes) -> PinholeCamera:
+    numbers = {
+        "centre": [3.0, -2.0, 30.0], "cam_from_local": FLIP, "fx": 900.0, "fy": 910.0,
+        "cx": 250.0, "cy": 195.0, "width": 512, "height": 384,
+    }  # fmt: skip
+    return PinholeCamera(**(numbers | changes))
+
+
+def oblique_camera(tilt_deg: float, heading_deg: float) -> PinholeCamera:
+    turn = Rotation.from_euler("zx", [heading_deg, tilt_deg], degrees=True).as_matrix()
+    return nadir_camera(cam_from_local=FLIP @ turn.T)
+
+
+def test_the_first_pixel_centre_is_at_one_half():
+    pixels = nadir_camera().pixel_centres()
+    assert pixels.shape == (384, 512, 2)
+    np.testing.assert_array_equal(pixels[0, 0], [0.5, 0.5])
+    np.testing.assert_array_equal(pixels[383, 511], [511.5, 383.5])
+
+
+def test_the_principal_point_looks_along_the_axis_and_axes_point_as_agreed():
+    camera = nadir_camera()
+    np.testing.assert_allclose(camera.directions([250.0, 195.0]), [0.0, 0.0, -1.0], atol=1e-16)
+    right, down = camera.directions([[251.0, 195.0], [250.0, 196.0]])
+    assert right[0] == pytest.approx(1 / 900, rel=1e-5)  # to the right of the image: east
+    assert down[1] == pytest.approx(-1 / 910, rel=1e-5)  # down the image: south
+    np.testing.assert_allclose(
+        camera.project([[4.0, -2.0, 0.0], [3.0, -1.0, 0.0]], None), [[280.0, 195.0], [250.0, 195.0 - 910 / 30]]
+    )
+
+
+@pytest.mark.parametrize(
+    "water",
+    [None, FlatWater((0.0, 0.0, 1.0), 1.0), FlatWater((5.0, 1.0, 1.0), 1.34, 0.004, -0.03)],
+    ids=["dry", "index one", "tilted"],
+)
+@pytest.mark.parametrize("tilt_deg", [0.0, 25.0, 50.0])
+def test_a_pixel_comes_back_from_every_height_of_its_path(water, tilt_deg):
+    camera = oblique_camera(tilt_deg, heading_deg=33.0)
+    pixels = camera.pixel_centres()[::37, ::41]
+    path = camera.paths(pixels, water)
+    for height in (5.0, 1e-9, 0.0, -1e-9, -1.0, -12.0):
+        back = camera.project(path.at_height(height, water), water)
+        assert np.abs(back - pixels).max() < PIXEL
+
+
+def test_index_one_projects_like_no_water_at_all(rng):
+    camera = oblique_camera(20.0, 100.0)
+    points = np.concatenate([rng.uniform(-9, 9, (200, 2)), rng.uniform(-5, 0, (200, 1))], axis=-1)
+    wet = camera.project(points, FlatWater((0.0, 0.0, 0.5), 1.0))
+    np.testing.assert_allclose(wet, camera.project(points, None), atol=1e-11)  # 1000 px of 2e-16 each, times 50
+
+
+def test_water_pulls_the_image_of_the_bed_away_from_the_nadir():
+    camera = nadir_camera()
+    bed = np.array([13.0, -2.0, -3.0])
+    seen = camera.project(bed, FlatWater((0.0, 0.0, 0.0), 1.333))
+    dry = camera.project(bed, None)
+    assert seen[0] > dry[0] + 1.0
+    assert seen[1] == pytest.approx(dry[1], abs=PIXEL)
+
+
+def test_points_behind_the_camera_are_nan_and_alone():
+    camera = nadir_camera()
+    points = np.array([[3.0, -2.0, 31.0], [3.0, -2.0, 30.0], [3.0, -2.0, 29.0]])
+    np.testing.assert_array_equal(np.isnan(camera.project(points, None)).all(axis=-1), [True, True, False])
+
+
+def test_pixels_outside_the_image_are_returned_as_they_are():
+    u, v = nadir_camera().project(np.array([53.0, -2.0, 0.0]), None)
+    assert u == pytest.approx(250.0 + 900.0 * 50.0 / 30.0)
+    assert v == pytest.approx(195.0)
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.25, 2.0, 0.3])
+def test_a_scaled_camera_sees_the_same_things_at_scaled_pixels(rng, factor):
+    camera, water = oblique_camera(15.0, 200.0), FlatWater((0.0, 0.0, 1.0), 1.333)
+    small = camera.scaled(factor)
+    assert (small.width, small.height) == (int(512 * factor), int(384 * factor))
+    points = rng.uniform([-9, -9, -4], [9, 9, 3], (300, 3))
+    ratio = np.array([small.width / 512, small.height / 384])
+    np.testing.assert_allclose(
+        small.project(points, water), camera.project(points, water) * ratio, rtol=1e-12, atol=1e-9
+    )
+    # A pixel of half the image covers two by two: their common corner is its centre.
+    if factor == 0.5:
+        np.testing.assert_allclose(small.directions([0.5, 0.5]), camera.directions([1.0, 1.0]), atol=1e-15)
+
+
+def test_scaling_rounds_down_but_not_past_a_whole_pixel():
+    camera = nadir_camera(width=100, height=50)
+    assert camera.scaled(0.29).width == 29  # 100 * 0.29 is 28.999999999999996
+    assert camera.scaled(0.295).width == 29
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"centre": [1.0, 2.0]}, r"\(2,\)"),
+        ({"cam_from_local": np.eye(4)}, r"\(4, 4\)"),
+        ({"centre": [1.0, np.nan, 2.0]}, "finite centre"),
+        ({"cam_from_local": np.diag([1.0, 1.0, -1.0])}, "right-handed"),
+        ({"cam_from_local": 1.01 * np.eye(3)}, "rotation"),
+        ({"cam_from_local": np.full((3, 3), np.nan)}, "rotation"),
+        ({"fx": 0.0}, r"fx 0\.0"),
+        ({"fy": np.nan}, "fy nan"),
+        ({"width": 0}, "0 x 384"),
+    ],
+)
+def test_impossible_cameras_are_refused_with_what_was_found(changes, words):
+    with pytest.raises(ValueError, match=words):
+        nadir_camera(**changes)
+
+
+def test_wrong_shapes_are_named():
+    with pytest.raises(ValueError, match=r"\(3,\)"):
+        nadir_camera().directions(np.zeros(3))
+    with pytest.raises(ValueError, match=r"\(4, 2\)"):
+        nadir_camera().project(np.zeros((4, 2)), None)

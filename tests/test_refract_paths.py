@@ -1,0 +1,229 @@
+"""Bent paths: both legs, their crossing, heights along them, and rays that never meet the water."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from refract import BentPaths, FlatWater, trace
+
+EPS = np.finfo(np.float64).eps
+LENGTH_M = 1e-12  # coordinates of up to 100 m: 70 units in the last place
+LEVEL = FlatWater((0.0, 0.0, 2.0), 1.333)
+TILTED = FlatWater((10.0, -4.0, 2.0), 1.34, 0.05, -0.12)
+CENTRE = np.array([1.0, 2.0, 37.0])
+
+
+def falling_rays(rng, count=500, steepest=80.0):
+    incidence, azimuth = np.radians(rng.uniform(0, steepest, count)), rng.uniform(0, 2 * np.pi, count)
+    sine = np.sin(incidence)
+    return np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), -np.cos(incidence)], axis=-1)
+
+
+def above_plane(points, water):
+    return -water.depth(points)
+
+
+@pytest.mark.parametrize("water", [LEVEL, TILTED])
+def test_crossing_lies_on_the_surface_and_on_the_air_leg(rng, water):
+    path = trace(CENTRE, falling_rays(rng), water)
+    assert path.wet.all()
+    assert np.abs(water.depth(path.crossing)).max() < LENGTH_M
+    # an incidence of up to 87 deg to the tilted plane: crossings 600 m away
+    reached = path.origin + path.air_length[:, None] * path.air_direction
+    np.testing.assert_allclose(path.crossing, reached, atol=LENGTH_M)
+    height = water.height(path.crossing[:, 0], path.crossing[:, 1])
+    np.testing.assert_allclose(path.crossing[:, 2], height, atol=LENGTH_M)
+
+
+@pytest.mark.parametrize("water", [LEVEL, TILTED])
+def test_both_legs_meet_at_the_crossing(rng, water):
+    path = trace(CENTRE, falling_rays(rng, steepest=60.0), water)
+    np.testing.assert_allclose(path.at_height(0.0, water), path.crossing, atol=LENGTH_M)
+    np.testing.assert_allclose(path.at(path.air_length), path.crossing, atol=LENGTH_M)
+    for tiny in (1e-9, 1e-6):
+        above, below = path.at_height(tiny, water), path.at_height(-tiny, water)
+        # 60 deg and a tilt of 7 deg: a height h takes at most h / cos(67 deg) of path
+        assert np.linalg.norm(above - path.crossing, axis=-1).max() < 3 * tiny + LENGTH_M
+        assert np.linalg.norm(below - path.crossing, axis=-1).max() < 3 * tiny + LENGTH_M
+
+
+@pytest.mark.parametrize("water", [LEVEL, TILTED, None])
+def test_heights_are_measured_along_the_normal_of_the_plane(rng, water):
+    path = trace(CENTRE, falling_rays(rng, steepest=60.0), water)
+    for height in (30.0, 0.5, 0.0, -0.5, -14.0):
+        points = path.at_height(height, water)
+        found = above_plane(points, water) if water is not None else points[:, 2]
+        np.testing.assert_allclose(found, height, atol=LENGTH_M)
+
+
+def test_heights_may_differ_per_ray_and_rays_per_height(rng):
+    path = trace(CENTRE, falling_rays(rng, count=4), LEVEL)
+    heights = np.array([[3.0], [-3.0]])
+    points = path.at_height(heights, LEVEL)
+    assert points.shape == (2, 4, 3)
+    np.testing.assert_array_equal(points[1], path.at_height(-3.0, LEVEL))
+    single = trace(CENTRE, falling_rays(rng, count=1)[0], LEVEL)
+    assert single.at_height(np.linspace(-5, 5, 11), LEVEL).shape == (11, 3)
+
+
+def test_path_length_runs_through_both_legs(rng):
+    path = trace(CENTRE, falling_rays(rng, steepest=60.0), LEVEL)
+    t = rng.uniform(0.0, 90.0, 500)
+    points = path.at(t)
+    first = np.minimum(t, path.air_length)
+    np.testing.assert_allclose(
+        points,
+        CENTRE + first[:, None] * path.air_direction + (t - first)[:, None] * path.water_direction,
+        atol=LENGTH_M,
+    )
+    np.testing.assert_array_equal(points[:, 2] < 2.0, t > path.air_length)
+    step = np.linalg.norm(path.at(t + 0.25) - points, axis=-1)
+    assert step.max() < 0.25 + LENGTH_M  # a chord across the bend is shorter
+    whole = (t + 0.25 < path.air_length) | (t > path.air_length)
+    np.testing.assert_allclose(step[whole], 0.25, atol=LENGTH_M)
+
+
+def test_wet_legs_obey_snell_at_a_tilted_plane(rng):
+    path = trace(CENTRE, falling_rays(rng, steepest=60.0), TILTED)
+    normal = np.array(TILTED.normal)
+    in_air = np.linalg.norm(np.cross(path.air_direction, normal), axis=-1)
+    in_water = np.linalg.norm(np.cross(path.water_direction, normal), axis=-1)
+    np.testing.assert_allclose(in_air, 1.34 * in_water, atol=8 * EPS)
+
+
+def test_index_one_is_the_dry_path_to_the_last_bit(rng):
+    rays = falling_rays(rng)
+    wet, dry = trace(CENTRE, rays, FlatWater((0.0, 0.0, 2.0), 1.0)), trace(CENTRE, rays, None)
+    np.testing.assert_array_equal(wet.water_direction, dry.water_direction)
+    t = rng.uniform(0.0, 90.0, 500)
+    # Two legs add up in two roundings of coordinates of 100 m.
+    np.testing.assert_allclose(wet.at(t), dry.at(t), atol=4 * 100.0 * EPS)
+
+
+@pytest.mark.parametrize("ray", [[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [1.0, 0.0, 0.0], [1.0, 0.0, -1e-14]])
+def test_rays_that_never_meet_the_water_stay_straight_and_dry(ray):
+    path = trace(CENTRE, np.array(ray), FlatWater((0.0, 0.0, 2.0), 1.333))
+    assert not path.wet
+    assert path.air_length == np.inf
+    assert np.isnan(path.crossing).all()
+    np.testing.assert_array_equal(path.water_direction, ray)
+    np.testing.assert_array_equal(path.at(50.0), CENTRE + 50.0 * np.array(ray))
+    assert np.isnan(path.at_height(-1.0, LEVEL)).all()
+
+
+def test_a_ray_that_looks_up_reaches_the_heights_above_it():
+    path = trace(CENTRE, np.array([0.6, 0.0, 0.8]), LEVEL)
+    np.testing.assert_allclose(path.at_height(39.0, LEVEL), [4.0, 2.0, 41.0], atol=LENGTH_M)
+
+
+def test_heights_behind_the_camera_are_nan(rng):
+    path = trace(CENTRE, falling_rays(rng), LEVEL)
+    assert np.isnan(path.at_height(35.001, LEVEL)).all()
+    np.testing.assert_array_equal(path.at_height(35.0, LEVEL), np.broadcast_to(CENTRE, (500, 3)))
+
+
+def test_grazing_rays_cross_far_away_and_stay_finite():
+    delta = np.array([1e-3, 1e-6, 1e-9])
+    ray = np.stack([np.cos(delta), np.zeros(3), -np.sin(delta)], axis=-1)
+    path = trace(CENTRE, ray, LEVEL)
+    assert path.wet.all()
+    np.testing.assert_allclose(path.air_length, 35.0 / np.sin(delta), rtol=1e-12)
+    critical = math.asin(1.0 / 1.333)
+    np.testing.assert_allclose(path.water_direction[1:, 0], math.sin(critical), rtol=1e-11)
+
+
+@pytest.mark.parametrize("z", [2.0, 1.5, -8.0])
+def test_a_camera_under_water_has_one_straight_wet_leg(rng, z):
+    centre = np.array([1.0, 2.0, z])
+    rays = falling_rays(rng)
+    path = trace(centre, rays, LEVEL)
+    assert path.wet.all()
+    np.testing.assert_array_equal(path.crossing, np.broadcast_to(centre, (500, 3)))
+    np.testing.assert_array_equal(path.air_length, 0.0)
+    np.testing.assert_array_equal(path.water_direction, rays)
+    np.testing.assert_allclose(path.at(3.0), centre + 3.0 * rays, atol=LENGTH_M)
+    points = path.at_height(-12.0, LEVEL)
+    np.testing.assert_allclose(points[:, 2], -10.0, atol=LENGTH_M)
+    assert np.linalg.norm(np.cross(points - centre, rays), axis=-1).max() < 10 * LENGTH_M
+
+
+def test_origins_and_directions_broadcast(rng):
+    centres = rng.normal(size=(5, 1, 3)) + CENTRE
+    path = trace(centres, falling_rays(rng, count=7), LEVEL)
+    assert path.crossing.shape == (5, 7, 3)
+    assert path.air_length.shape == (5, 7)
+    empty = trace(CENTRE, np.zeros((0, 3)), LEVEL)
+    assert empty.at_height(-1.0, LEVEL).shape == (0, 3)
+
+
+def test_nan_stays_in_its_own_ray(rng):
+    rays = falling_rays(rng, count=3)
+    rays[1, 2] = np.nan
+    path = trace(CENTRE, rays, LEVEL)
+    np.testing.assert_array_equal(path.wet, [True, False, True])
+    np.testing.assert_array_equal(np.isfinite(path.at_height(-2.0, LEVEL)).all(axis=-1), [True, False, True])
+
+
+def test_torch_gradients_of_mixed_rays_are_finite(rng):
+    rays = torch.tensor(
+        np.concatenate([falling_rays(rng, count=3), [[0.6, 0.0, 0.8], [1.0, 0.0, 0.0]]]), requires_grad=True
+    )
+    origin = torch.tensor(CENTRE, requires_grad=True)
+    height = torch.tensor([-1.0, 0.0, 1.0, 40.0, 3.0], dtype=torch.float64, requires_grad=True)
+    path = trace(origin, rays, LEVEL)
+    total = path.at_height(height, LEVEL).nansum() + path.at(height + 50.0).sum()
+    total.backward()
+    for leaf in (rays, origin, height):
+        assert torch.isfinite(leaf.grad).all()
+    assert rays.grad[0].abs().min() > 0.0
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: trace(np.zeros(2), np.zeros((4, 3)), LEVEL),
+        lambda: trace(np.zeros((5, 3)), np.zeros((4, 3)), LEVEL),
+        lambda: trace(CENTRE, np.tile([0.0, 0.0, -1.0], (4, 1)), LEVEL).at_height(np.zeros(3), LEVEL),
+        lambda: trace(CENTRE, np.tile([0.0, 0.0, -1.0], (4, 1)), LEVEL).at(np.zeros(3)),
+    ],
+)
+def test_wrong_shapes_are_value_errors_that_name_them(call):
+    with pytest.raises(ValueError, match=r"\((2|3|5, 3),?\)"):
+        call()
+
+
+def test_paths_are_frozen():
+    path = trace(CENTRE, np.array([0.0, 0.0, -1.0]), LEVEL)
+    assert isinstance(path, BentPaths)
+    with pytest.raises(AttributeError):
+        path.wet = True
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"point": (0.0, 0.0)}, "three finite coordinates"),
+        ({"point": (0.0, 0.0, math.nan)}, "nan"),
+        ({"point": (0.0, 0.0, 0.0), "n_water": 0.75}, r"0\.75"),
+        ({"point": (0.0, 0.0, 0.0), "n_water": math.inf}, "finite index"),
+        ({"point": (0.0, 0.0, 0.0), "slope_x": math.nan}, "finite slopes"),
+    ],
+)
+def test_impossible_water_is_refused_with_what_was_expected(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        FlatWater(**arguments)
+
+
+def test_slopes_are_the_rise_per_metre_along_each_axis():
+    water = FlatWater((10.0, 20.0, 3.0), 1.333, 0.5, -0.25)
+    assert water.height(12.0, 24.0) == 3.0 + 1.0 - 1.0
+    np.testing.assert_allclose(np.linalg.norm(water.normal), 1.0, atol=2 * EPS)
+    on_plane = np.array([14.0, 20.0, 5.0])
+    assert water.depth(on_plane) == pytest.approx(0.0, abs=8 * EPS)
+    # One metre straight down is less than a metre along the normal.
+    assert water.depth(on_plane - [0.0, 0.0, 1.0]) == pytest.approx(1.0 / math.sqrt(1.3125), abs=16 * EPS)
+    np.testing.assert_array_equal(water.as_array(), [10.0, 20.0, 3.0, *water.normal, 1.333])

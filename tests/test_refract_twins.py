@@ -1,0 +1,222 @@
+"""One source, three libraries: torch and Dr.Jit against float64 numpy, and gradients against differences."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from refract import FlatWater, bend, crossing_point, kernels, trace
+
+EPS32 = np.finfo(np.float32).eps
+FOCAL_PX = 1750.0  # of a drone camera; one radian off the axis is this many pixels
+# Worst angle [rad] in float32 over the drone geometry below, and where it comes from; measured times two.
+BY_STEPS = {
+    2: 1.1e-5,  # the iteration: 5.5e-6 at 5 m over 15 m of water, 4.8e-8 rms
+    3: 4 * EPS32,  # rounding: 1.1e-7 and less
+    4: 4 * EPS32,
+}
+UP = (0.0, 0.0, 1.0)
+
+
+def drone_geometry(rng, count=20_000):
+    """Cameras 5 to 120 m over the water, beds 0 to 15 m under it, incidence to 50 deg: triples of float64.
+
+    Camera and point stand about local (0, 0), so that float32 keeps the digits that the test is about.
+    """
+    H, h = rng.uniform(5.0, 120.0, count), rng.uniform(0.0, 15.0, count)
+    angle, azimuth = np.radians(rng.uniform(0.0, 50.0, count)), rng.uniform(0.0, 2.0 * np.pi, count)
+    D = H * np.tan(angle) + h * np.sin(angle) / np.sqrt(1.333**2 - np.sin(angle) ** 2)
+    zero = np.zeros(count)
+    return (zero, zero, H), (D * np.cos(azimuth), D * np.sin(azimuth), -h)
+
+
+def view_error(crossing, reference, camera):
+    """Angles [rad] between the directions of view to two sets of crossings, triples of numpy arrays."""
+    seen, true = (np.stack(np.broadcast_arrays(*x), -1) - np.stack(camera, -1) for x in (crossing, reference))
+    cross = np.linalg.norm(np.cross(seen, true), axis=-1)
+    return cross / np.linalg.norm(seen, axis=-1) / np.linalg.norm(true, axis=-1)
+
+
+def as_torch(triple, dtype=torch.float32):
+    return tuple(torch.tensor(c, dtype=dtype) for c in triple)
+
+
+def as_numpy(triple):
+    return tuple(np.asarray(c, dtype=np.float64) for c in triple)
+
+
+@pytest.fixture(scope="module")
+def Float():
+    """Dr.Jit floats on LLVM, differentiable."""
+    drjit = pytest.importorskip("drjit", reason="Dr.Jit is not installed")
+    if not drjit.has_backend(drjit.JitBackend.LLVM):
+        pytest.skip("Dr.Jit finds no LLVM; install libllvm19 or set DRJIT_LIBLLVM_PATH")
+    from drjit.llvm.ad import Float as LLVMFloat
+
+    return LLVMFloat
+
+
+@pytest.mark.parametrize("steps", BY_STEPS)
+def test_torch_float32_crossings_agree_with_float64_numpy(rng, steps):
+    camera, point = drone_geometry(rng)
+    exact, _ = kernels.crossing_of_point(camera, point, (0.0, 0.0, 0.0), UP, 1.333, 16)
+    found, depth = kernels.crossing_of_point(as_torch(camera), as_torch(point), (0.0, 0.0, 0.0), UP, 1.333, steps)
+    assert found[0].dtype == torch.float32
+    assert view_error(as_numpy(found), exact, camera).max() < BY_STEPS[steps]
+    np.testing.assert_array_equal(depth.numpy(), np.float32(-point[2]))
+
+
+@pytest.mark.parametrize("steps", BY_STEPS)
+def test_drjit_float32_crossings_agree_with_float64_numpy(rng, Float, steps):
+    camera, point = drone_geometry(rng)
+    exact, _ = kernels.crossing_of_point(camera, point, (0.0, 0.0, 0.0), UP, 1.333, 16)
+    found, _ = kernels.crossing_of_point(
+        tuple(map(Float, camera)), tuple(map(Float, point)), (0.0, 0.0, 0.0), UP, 1.333, steps
+    )
+    assert view_error(as_numpy(found), exact, camera).max() < BY_STEPS[steps]
+
+
+def test_drjit_takes_water_as_opaque_numbers(rng, Float):
+    import drjit
+
+    camera, point = drone_geometry(rng, 1000)
+    water = FlatWater((0.5, -0.25, 0.125), 1.34, 0.02, -0.01)
+    numbers = [drjit.opaque(Float, float(v)) for v in water.as_array()]
+    found, _ = kernels.crossing_of_point(
+        tuple(map(Float, camera)), tuple(map(Float, point)), numbers[:3], numbers[3:6], numbers[6], 4
+    )
+    exact, _ = kernels.crossing_of_point(camera, point, water.point, water.normal, water.n_water, 16)
+    # The normal in float32 turns the plane by up to EPS32: twice the tolerance of a level one.
+    assert view_error(as_numpy(found), exact, camera).max() < 2 * BY_STEPS[4]
+
+
+@pytest.mark.parametrize("library", ["torch", "drjit"])
+def test_bent_rays_agree_with_float64_numpy(rng, request, library):
+    wrap = request.getfixturevalue("Float") if library == "drjit" else torch.tensor
+    ray = rng.normal(size=(10_000, 3)).astype(np.float32)
+    ray[:, 2] = -np.abs(ray[:, 2])
+    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
+    for n_from, n_to in ((1.0, 1.333), (1.333, 1.0)):
+        exact = np.stack(kernels.bend(tuple(ray.T.astype(np.float64)), UP, n_from, n_to), -1)
+        found = kernels.bend(tuple(wrap(np.ascontiguousarray(c)) for c in ray.T), UP, n_from, n_to)
+        found = np.stack(as_numpy(found), -1)
+        # Out of the water the cosine is the root of a small difference: its error grows as EPS / cosine.
+        cosine = np.where(np.isnan(exact[:, 2]), 1.0, -exact[:, 2])
+        firm = (cosine > 1e-2) & (np.isfinite(exact[:, 2]) == np.isfinite(found[:, 2]))
+        assert firm.mean() > 0.99
+        error = np.abs(found - exact)[firm & np.isfinite(exact[:, 2])].max(axis=-1)
+        assert (error * cosine[firm & np.isfinite(exact[:, 2])]).max() < 8 * EPS32
+
+
+def test_drjit_gradients_agree_with_torch(rng, Float):
+    import drjit
+
+    camera, point = drone_geometry(rng, 500)
+    as_leaves = tuple(Float(c) for c in point)
+    drjit.enable_grad(*as_leaves)
+    found, _ = kernels.crossing_of_point(tuple(map(Float, camera)), as_leaves, (0.0, 0.0, 0.0), UP, 1.333, 4)
+    drjit.backward(found[0] + 2.0 * found[1])
+    leaves = tuple(c.requires_grad_() for c in as_torch(point, torch.float64))
+    twin, _ = kernels.crossing_of_point(as_torch(camera, torch.float64), leaves, (0.0, 0.0, 0.0), UP, 1.333, 16)
+    (twin[0] + 2.0 * twin[1]).sum().backward()
+    for found_leaf, twin_leaf in zip(as_leaves, leaves, strict=True):
+        # Derivatives of order one, reached through some twenty float32 operations per step.
+        np.testing.assert_allclose(np.asarray(drjit.grad(found_leaf)), twin_leaf.grad.numpy(), atol=100 * EPS32)
+
+
+def test_drjit_drops_totally_reflected_rays_without_poisoning_gradients(Float):
+    import drjit
+
+    angle = np.radians([20.0, 60.0])
+    ray = tuple(Float(c) for c in (np.sin(angle), np.zeros(2), -np.cos(angle)))
+    drjit.enable_grad(*ray)
+    bent = kernels.bend(ray, UP, 1.333, 1.0)
+    np.testing.assert_array_equal(np.isnan(np.asarray(bent[0])), [False, True])
+    drjit.backward(drjit.select(drjit.isnan(bent[0]), 0.0, bent[0]))
+    gradient = np.asarray(drjit.grad(ray[0]))
+    assert gradient[0] > 1.0
+    assert gradient[1] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("offset", "depth"),
+    [(0.0, 3.0), (1e-9, 3.0), (1e-3, 3.0), (7.0, 3.0), (200.0, 3.0), (7.0, 1e-3), (0.0, 1e-3), (12.0, 400.0)],
+)
+def test_crossing_has_the_right_gradient_also_straight_below(offset, depth):
+    """Against central differences, in camera, point and index; offset 0 is normal incidence (D = 0)."""
+    camera = tuple(torch.tensor(v, dtype=torch.float64, requires_grad=True) for v in (1.0, 2.0, 30.0))
+    point = tuple(torch.tensor(v, dtype=torch.float64, requires_grad=True) for v in (1.0 + offset, 2.0, -depth))
+    index = torch.tensor(1.333, dtype=torch.float64, requires_grad=True)
+
+    def crossing(cx, cy, cz, px, py, pz, n):
+        found, _ = kernels.crossing_of_point((cx, cy, cz), (px, py, pz), (0.0, 0.0, 0.0), UP, n, 12)
+        return torch.stack(found)
+
+    step = 1e-6 * min(1.0, 100.0 * depth)  # smaller than the depth: the point must stay under water
+    assert torch.autograd.gradcheck(crossing, (*camera, *point, index), eps=step, atol=1e-6, rtol=1e-6)
+
+
+def test_straight_below_the_crossing_follows_the_point_by_its_share_in_air():
+    point = torch.tensor([0.0, 0.0, -3.0], dtype=torch.float64, requires_grad=True)
+    x = crossing_point(point, torch.tensor([0.0, 0.0, 30.0], dtype=torch.float64), FlatWater((0, 0, 0), 1.333))
+    (gradient,) = torch.autograd.grad(x[0], point)
+    np.testing.assert_allclose(gradient, [30.0 / (30.0 + 3.0 / 1.333), 0.0, 0.0], rtol=1e-14)
+
+
+@pytest.mark.parametrize("z", [0.0, -0.0, 2.0])
+def test_gradients_at_and_above_the_shoreline_are_those_of_a_straight_ray(z):
+    points = torch.tensor([[0.0, 0.0, z], [5.0, 1.0, z]], dtype=torch.float64, requires_grad=True)
+    camera = torch.tensor([0.0, 0.0, 30.0], dtype=torch.float64, requires_grad=True)
+    crossing_point(points, camera, FlatWater((0.0, 0.0, 0.0), 1.333)).sum().backward()
+    np.testing.assert_array_equal(points.grad, np.ones((2, 3)))
+    np.testing.assert_array_equal(camera.grad, np.zeros(3))
+
+
+@pytest.mark.parametrize("camera_z", [0.0, -1.0])
+def test_gradients_with_a_camera_in_the_water_are_finite(camera_z):
+    points = torch.tensor([[0.0, 0.0, -2.0], [5.0, 1.0, -2.0]], dtype=torch.float64, requires_grad=True)
+    camera = torch.tensor([0.0, 0.0, camera_z], dtype=torch.float64, requires_grad=True)
+    crossing_point(points, camera, FlatWater((0.0, 0.0, 0.0), 1.333)).sum().backward()
+    assert torch.isfinite(points.grad).all()
+    assert torch.isfinite(camera.grad).all()
+
+
+@pytest.mark.parametrize(
+    ("n_from", "n_to", "angle_deg"),
+    [(1.0, 1.333, a) for a in (0.0, 1e-6, 30.0, 48.0, 80.0, 89.0)]
+    + [(1.333, 1.0, a) for a in (0.0, 1e-6, 30.0, 48.0)]  # up to the critical angle, 48.6 deg
+    + [(1.333, 1.333, a) for a in (0.0, 30.0, 89.0)],
+)
+def test_bend_has_the_right_gradient_in_ray_normal_and_index(n_from, n_to, angle_deg):
+    angle = math.radians(angle_deg)
+    leaves = [
+        torch.tensor(v, dtype=torch.float64, requires_grad=True)
+        for v in ([math.sin(angle), 0.0, -math.cos(angle)], [0.0, 0.0, 1.0], n_from)
+    ]
+    # The kernel does not renormalise: it is differentiated as the function of three free components that it is.
+    assert torch.autograd.gradcheck(
+        lambda ray, normal, index: bend(ray, normal, n_from=index, n_to=n_to), leaves, eps=1e-7, atol=1e-5
+    )
+
+
+def test_torch_paths_agree_with_numpy(rng):
+    camera, point = drone_geometry(rng, 200)
+    ray = np.stack(point, -1) - np.stack(camera, -1)
+    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
+    water, centre = FlatWater((0.0, 0.0, 0.5), 1.34, 0.01, 0.02), np.stack(camera, -1)
+    there = trace(centre, ray, water)
+    twin = trace(torch.tensor(centre), torch.tensor(ray), water)
+    for height in (1.0, 0.0, -4.0):
+        np.testing.assert_allclose(twin.at_height(height, water).numpy(), there.at_height(height, water), atol=1e-12)
+    np.testing.assert_allclose(twin.at(torch.tensor(33.0)).numpy(), there.at(33.0), atol=1e-12)
+
+
+def test_numpy_cameras_mix_with_torch_points():
+    points = torch.tensor([[1.0, 2.0, -3.0]], dtype=torch.float32)
+    found = crossing_point(points, np.array([0.0, 0.0, 30.0]), FlatWater((0.0, 0.0, 0.0), 1.333))
+    assert torch.is_tensor(found)
+    assert found.dtype == torch.float32
+    assert found.shape == (1, 3)

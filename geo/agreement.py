@@ -1,0 +1,148 @@
+"""Whether two data sets are in the same system and at the same place, before anything is compared."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from pyproj import CRS
+from pyproj.crs import Datum
+
+from geo.crs import has_height, height_unit_m, horizontal_crs, vertical_crs
+from geo.errors import CRSMismatch, PlaceMismatch
+from geo.projection import MapProjection
+
+# Two statements of one system differ by rounded parameters, e.g. feet to nine digits (0.4 mm at 1,300 km),
+# and GRS 80 from WGS 84 by 0.1 mm; systems that differ in earnest do so by decimetres and more.
+_TOLERANCE_M = 0.001
+_SAMPLES_M = np.array([-2e5, 0.0, 3e5])
+
+
+def crs_difference(a: CRS, b: CRS) -> str | None:
+    """What distinguishes two CRSs, as words for a message; None if nothing that is known does.
+
+    A part that one of them leaves out (a vertical datum, the name of a datum) distinguishes nothing.
+    The preferred order of axes is ignored: coordinates are always easting, northing, height here.
+    """
+    if a.equals(b, ignore_axis_order=True):
+        return None
+    if _horizontal_differs(horizontal_crs(a), horizontal_crs(b)):
+        return f"{horizontal_crs(a).name} against {horizontal_crs(b).name}"
+    if not (has_height(a) and has_height(b)):
+        return None
+    names = [(v.name if (v := vertical_crs(crs)) else "ellipsoidal height") for crs in (a, b)]
+    axes = [crs.axis_info[2] for crs in (a, b)]
+    if abs(height_unit_m(a) - height_unit_m(b)) > 1e-9 or axes[0].direction != axes[1].direction:
+        names = [f"{name} ({axis.unit_name}, {axis.direction})" for name, axis in zip(names, axes, strict=True)]
+        return f"heights {names[0]} against {names[1]}"
+    if _vertical_differs(vertical_crs(a), vertical_crs(b)):
+        return f"heights {names[0]} against {names[1]}"
+    return None
+
+
+def same_crs(a: CRS, b: CRS) -> bool:
+    """Whether coordinates in both may be compared, as far as is known; see `crs_difference`."""
+    return crs_difference(a, b) is None
+
+
+def require_same_crs(a: CRS | None, b: CRS | None, a_name: str, b_name: str) -> None:
+    """Refuse two data sets whose CRSs are known and differ.
+
+    Raises
+    ------
+    CRSMismatch
+        Naming both and what differs.
+    """
+    difference = crs_difference(a, b) if a is not None and b is not None else None
+    if difference:
+        raise CRSMismatch(
+            f"{a_name} and {b_name} are in different coordinate reference systems: {difference}; convert one "
+            "to the system of the other first, with the grid of the vertical datum where heights differ."
+        )
+
+
+def require_same_place(a: np.ndarray, b: np.ndarray, a_name: str, b_name: str) -> None:
+    """Refuse two sets of points (N, 3) and (M, 3), in crs, whose horizontal boxes do not touch.
+
+    Raises
+    ------
+    PlaceMismatch
+        Naming both boxes, and swapped axes where that explains it.
+    """
+    box_a, box_b = _box(a), _box(b)
+    if _overlap(box_a, box_b):
+        return
+    mend = "check that both are in the same coordinate reference system and of the same place"
+    if _overlap(box_a, box_b[:, ::-1]):
+        mend = f"easting and northing seem to be swapped in one of them: swap them in {b_name}"
+    raise PlaceMismatch(
+        f"{a_name} (easting {_range(box_a[:, 0])}, northing {_range(box_a[:, 1])}) and {b_name} (easting "
+        f"{_range(box_b[:, 0])}, northing {_range(box_b[:, 1])}) do not overlap; {mend}."
+    )
+
+
+def _box(points: np.ndarray) -> np.ndarray:
+    """Lowest and highest easting and northing, (2, 2)."""
+    return np.array([points[:, :2].min(axis=0), points[:, :2].max(axis=0)])
+
+
+def _overlap(a: np.ndarray, b: np.ndarray) -> bool:
+    return bool((a[0] <= b[1]).all() and (b[0] <= a[1]).all())
+
+
+def _range(ends: np.ndarray) -> str:
+    return f"{ends[0]:.10g} to {ends[1]:.10g}"
+
+
+def _horizontal_differs(a: CRS, b: CRS) -> bool:
+    if a.is_geographic != b.is_geographic or _names_differ(a.datum, b.datum):
+        return True
+    return not np.allclose(_frame_numbers(a), _frame_numbers(b), rtol=0.0, atol=_TOLERANCE_M) or (
+        not a.is_geographic and _grids_differ(a, b)
+    )
+
+
+def _frame_numbers(crs: CRS) -> list[float]:
+    """Semi-axes [m], prime meridian [m on the equator] and unit (of 1000 m, or of a turn)."""
+    meridian = crs.prime_meridian.longitude * crs.prime_meridian.unit_conversion_factor
+    ellipsoid = crs.ellipsoid
+    return [
+        ellipsoid.semi_major_metre,
+        ellipsoid.semi_minor_metre,
+        meridian * ellipsoid.semi_major_metre,
+        1000.0 * crs.axis_info[0].unit_conversion_factor,
+    ]
+
+
+def _grids_differ(a: CRS, b: CRS) -> bool:
+    """Whether places around the origin of the grid of a have other coordinates in b.
+
+    Compared as numbers, because one projection is stated in many ways (EPSG, GDAL, ESRI).
+    """
+    unit = a.axis_info[0].unit_conversion_factor
+    false_origin = [
+        sum(p.value * p.unit_conversion_factor for p in a.coordinate_operation.params if word in p.name.lower())
+        for word in ("easting", "northing")
+    ]
+    x, y = np.meshgrid(*(origin + _SAMPLES_M for origin in false_origin))
+    in_a = np.stack([x / unit, y / unit, np.zeros_like(x)], axis=-1).reshape(-1, 3)
+    in_b = MapProjection(b.to_3d()).crs_from_geodetic(*MapProjection(a.to_3d()).geodetic_from_crs(in_a))
+    distances = np.linalg.norm(in_a - in_b, axis=-1) * unit
+    return not np.nanmax(distances, initial=np.inf if np.isnan(distances).all() else 0.0) <= _TOLERANCE_M
+
+
+def _vertical_differs(a: CRS | None, b: CRS | None) -> bool:
+    if a is None or b is None:
+        return (a is None) != (b is None)
+    return _names_differ(a.datum, b.datum)
+
+
+def _names_differ(a: Datum | None, b: Datum | None) -> bool:
+    """Whether two datums are known to be different ones."""
+    if a is None or b is None:
+        return False
+    code_a, code_b = (datum.to_json_dict().get("id") for datum in (a, b))
+    if code_a and code_b:
+        return code_a != code_b
+    words_a, words_b = (re.sub("[^a-z0-9]", "", d.name.lower().replace("ensemble", "")) for d in (a, b))
+    return words_a != words_b and not words_a.startswith("unknown") and not words_b.startswith("unknown")

@@ -1,0 +1,186 @@
+"""Coordinate reference systems: what a survey may be given in, and how it is written into a LAS file.
+
+A CRS of this project has a horizontal part (projected or geographic, axes east and north) and heights that
+count upwards, either above a vertical datum (compound) or above the ellipsoid (3D). Coordinates are always
+ordered easting or longitude, northing or latitude, height, whatever order the authority prefers; the order is
+fixed in one place, `geo.projection`.
+"""
+
+from __future__ import annotations
+
+import math
+
+from pyproj import CRS
+from pyproj.exceptions import CRSError, ProjError
+
+from geo.errors import MissingVerticalDatum, UnknownCRS, UnsupportedCRS
+
+_HORIZONTAL_KINDS = ("Projected CRS", "Geographic 2D CRS", "Geographic 3D CRS")
+_EXAMPLE = "EPSG:25832+5778"
+
+
+def parse_crs(text: str | CRS, *, where: str = "crs") -> CRS:
+    """A CRS from its EPSG code, WKT or PROJ string, fit for a survey.
+
+    Parameters
+    ----------
+    text : str or pyproj.CRS
+        For example ``"EPSG:25832+5778"`` (horizontal + vertical) or ``"EPSG:4979"`` (3D).
+    where : str
+        What the error names, for example ``"crs in survey.toml"``.
+
+    Raises
+    ------
+    UnknownCRS
+        If PROJ does not know it.
+    MissingVerticalDatum
+        If it has no vertical part.
+    UnsupportedCRS
+        If its third axis counts downwards (depths), its axes are not easting and northing, it is neither
+        projected nor geographic, or its projection has no WKT 1.
+    """
+    try:
+        crs = CRS.from_user_input(text)
+    except CRSError as error:
+        raise UnknownCRS(
+            f"{where} is {_short(text)}, which is no known coordinate reference system; give an EPSG code "
+            f'with a vertical part such as "{_EXAMPLE}", WKT or a PROJ string.'
+        ) from error
+    _require_fit(crs, text if isinstance(text, str) else crs.name, where)
+    wkt1(crs)  # a survey whose cloud cannot be written must not be processed first
+    return crs
+
+
+def _require_fit(crs: CRS, text: str, where: str) -> None:
+    """Refuse a CRS whose coordinates cannot be easting, northing and height."""
+    said = f"{where} is {_short(text)} ({crs.name})"
+    if crs.is_vertical and not crs.is_compound:
+        raise UnsupportedCRS(f'{said}, which has heights only; put the horizontal code before it, e.g. "{_EXAMPLE}".')
+    kind = horizontal_crs(crs).type_name
+    if kind not in _HORIZONTAL_KINDS:
+        raise UnsupportedCRS(
+            f"{said}, of kind {kind}; expected a projected or geographic CRS with heights, "
+            f'e.g. "{_EXAMPLE}" or "EPSG:4979".'
+        )
+    axes = crs.axis_info
+    if any(axis.direction == "west" for axis in axes[:2]):
+        raise UnsupportedCRS(
+            f"{said}, whose axes point {axes[0].direction} and {axes[1].direction}; expected easting and "
+            "northing: convert the coordinates to a CRS with these axes, e.g. the UTM zone."
+        )
+    if len(axes) < 3:
+        raise MissingVerticalDatum(f"{said}, which has no vertical part; {_vertical_mend(crs)}.")
+    if axes[2].direction != "up":
+        raise UnsupportedCRS(
+            f"{said}, whose third axis counts {axes[2].direction} ({axes[2].name}); give heights that count "
+            'upwards in the matching height CRS, e.g. "+5714" (MSL height) in place of "+5715" (MSL depth).'
+        )
+
+
+def _vertical_mend(crs: CRS) -> str:
+    code = crs.to_epsg()
+    mend = f'add a vertical CRS, e.g. "{_EXAMPLE}"'
+    geodetic = crs.geodetic_crs.to_3d().to_epsg() if code else None
+    if geodetic is None:
+        return mend
+    ellipsoidal = f"EPSG:{geodetic}" if crs.is_geographic else f"EPSG:{code}+{geodetic}"
+    return f'{mend}, or "{ellipsoidal}" if the heights are ellipsoidal'
+
+
+def _short(text: object) -> str:
+    words = " ".join(str(text).split())
+    return f'"{words}"' if len(words) <= 80 else f'"{words[:77]}..."'
+
+
+def _unbound(crs: CRS) -> CRS:
+    """The CRS itself where it comes with a transformation to WGS 84 attached (TOWGS84, nadgrids)."""
+    return _unbound(crs.source_crs) if crs.is_bound else crs
+
+
+def horizontal_crs(crs: CRS) -> CRS:
+    """The 2D horizontal part of a compound, 3D or 2D CRS."""
+    part = _unbound(crs)
+    if part.is_compound:
+        part = _unbound(part.sub_crs_list[0])
+    return part.to_2d() if part.is_projected or part.is_geographic else part
+
+
+def vertical_crs(crs: CRS) -> CRS | None:
+    """The vertical part of a compound CRS; None where heights are ellipsoidal (3D) or absent (2D)."""
+    part = _unbound(crs)
+    return _unbound(part.sub_crs_list[1]) if part.is_compound else None
+
+
+def has_height(crs: CRS) -> bool:
+    """Whether the CRS says what heights count from."""
+    return len(crs.axis_info) == 3
+
+
+def is_geographic(crs: CRS) -> bool:
+    """Whether horizontal coordinates are angles (longitude, latitude) rather than lengths."""
+    return horizontal_crs(crs).is_geographic
+
+
+def horizontal_unit(crs: CRS) -> float:
+    """One unit of easting in metres, or of longitude in radians."""
+    return horizontal_crs(crs).axis_info[0].unit_conversion_factor
+
+
+def height_unit_m(crs: CRS) -> float:
+    """One unit of height in metres: 1, or a foot."""
+    return crs.axis_info[2].unit_conversion_factor
+
+
+def angular_unit_rad(crs: CRS) -> float:
+    """Unit of longitude and latitude in the geographic system under a CRS: a degree, or a grad."""
+    return horizontal_crs(crs).geodetic_crs.axis_info[0].unit_conversion_factor
+
+
+def degrees_outside_area(crs: CRS, lon: float, lat: float) -> float:
+    """How far [deg] a longitude and latitude [rad] lie outside the area of use of a CRS.
+
+    Zero inside it, and where the area is not known. The longitude counts from the CRS's own prime meridian.
+    """
+    horizontal = horizontal_crs(crs)
+    area = horizontal.area_of_use
+    if area is None:
+        return 0.0
+    meridian = horizontal.prime_meridian
+    east = math.degrees(lon + meridian.longitude * meridian.unit_conversion_factor)
+    north = math.degrees(lat)
+    width = (area.east - area.west) % 360.0 or 360.0
+    beyond = (east - area.west) % 360.0
+    outside_lon = 0.0 if beyond <= width else min(beyond - width, 360.0 - beyond)
+    return max(outside_lon, area.south - north, north - area.north, 0.0)
+
+
+def wkt1(crs: CRS) -> str:
+    """The CRS as OGC WKT 1 (2001), the only dialect that LAS 1.4 admits.
+
+    A compound CRS becomes COMPD_CS. WKT 1 has no 3D systems, so ellipsoidal heights are written as a compound
+    with VERT_CS "Ellipsoid (metre)", as GDAL does, which PROJ reads back as 3D.
+
+    Raises
+    ------
+    UnsupportedCRS
+        If the CRS has a projection that WKT 1 cannot express.
+    """
+    try:
+        if has_height(crs) and not _unbound(crs).is_compound:
+            return _wkt1_of_3d(crs)
+        return _unbound(crs).to_wkt("WKT1_GDAL")
+    except (CRSError, ProjError) as error:
+        raise UnsupportedCRS(
+            f"the CRS {_short(crs.name)} cannot be written as WKT 1, which LAS 1.4 requires; process the "
+            "survey in a CRS of common EPSG codes, e.g. the UTM zone with a vertical part."
+        ) from error
+
+
+def _wkt1_of_3d(crs: CRS) -> str:
+    axis = crs.axis_info[2]
+    authority = ',AUTHORITY["EPSG","9001"]' if axis.unit_name == "metre" else ""
+    unit = f'UNIT["{axis.unit_name}",{axis.unit_conversion_factor:.15g}{authority}]'
+    vertical = f'VERT_CS["Ellipsoid ({axis.unit_name})",VERT_DATUM["Ellipsoid",2002],{unit},AXIS["Up",UP]]'
+    horizontal = horizontal_crs(crs)
+    name = f"{horizontal.name} + Ellipsoid ({axis.unit_name})"
+    return f'COMPD_CS["{name}",{horizontal.to_wkt("WKT1_GDAL")},{vertical}]'

@@ -1,0 +1,39 @@
+"""What can be wrong with coordinates and files: the user's errors of this room, each with its mend."""
+
+from __future__ import annotations
+
+
+class GeoError(ValueError):
+    """An error that the user can mend: a CRS, an origin or a file. The command line ends with exit code 2."""
+
+
+class UnknownCRS(GeoError):
+    """The text is no coordinate reference system that PROJ knows."""
+
+
+class MissingVerticalDatum(GeoError):
+    """The CRS says where easting and northing are counted from, but not the heights."""
+
+
+class UnsupportedCRS(GeoError):
+    """A CRS that is understood but cannot carry a survey: depths, westings, geocentric axes."""
+
+
+class CRSMismatch(GeoError):
+    """Two data sets are in different coordinate reference systems."""
+
+
+class PlaceMismatch(GeoError):
+    """A position, or a data set as a whole, is not where it should be."""
+
+
+class UnreadableFile(GeoError):
+    """A file is missing, cut short, or not what its name says."""
+
+
+class EmptyCloud(UnreadableFile):
+    """A file of points that has none."""
+
+
+class UnwritableFile(GeoError):
+    """A file could not be written: no room, no folder, no permission."""

@@ -1,0 +1,144 @@
+"""The local frame of a survey: topocentric east, north, up, in metres.
+
+`crs` -> geographic (the map projection undone) -> geocentric -> topocentric at the origin. Grid scale, height
+scale and meridian convergence are gone in `local`. Heights go in as they are given, as if they were above the
+ellipsoid: an undulation of 50 m changes scale by 8e-6, and no geoid grid is needed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from pyproj import CRS
+
+from geo.crs import degrees_outside_area, parse_crs
+from geo.ellipsoid import enu_from_geocentric, geocentric_from_geodetic, geodetic_from_geocentric
+from geo.errors import PlaceMismatch
+from geo.projection import MapProjection, nan_unless_finite
+
+# Half a step for differentiation along the grid axes. Rounding of geocentric metres gives 1e-9 / 10 rad,
+# curvature (10 m / 6.4e6 m)² = 2e-12 rad.
+_STEP_M = 10.0
+_EARTH_RADIUS_M = 6.371e6
+# Surveys are flown a few degrees outside a zone; swapped or shifted coordinates land far away.
+_AREA_MARGIN_DEG = 10.0
+
+
+@dataclass(frozen=True)
+class LocalFrame:
+    """A Cartesian frame that touches the Earth at one point of a survey.
+
+    Use one frame per thread: PROJ's transformations are not made to be shared between threads.
+
+    Parameters
+    ----------
+    crs : pyproj.CRS
+        Compound (horizontal + vertical) or 3D, see `geo.crs.parse_crs`.
+    origin : (easting or longitude, northing or latitude, height), in crs
+        Becomes (0, 0, 0).
+
+    Raises
+    ------
+    MissingVerticalDatum, UnsupportedCRS
+        As `geo.crs.parse_crs`.
+    PlaceMismatch
+        If the origin is not finite, not on the map, or more than 10 degrees outside the area that the CRS is
+        made for.
+    """
+
+    crs: CRS
+    origin: tuple[float, float, float]
+    _map: MapProjection = field(init=False, repr=False, compare=False)
+    _origin_lon: float = field(init=False, repr=False, compare=False)
+    _origin_geocentric: np.ndarray = field(init=False, repr=False, compare=False)
+    _local_from_geocentric: np.ndarray = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self):
+        def keep(name, value):
+            object.__setattr__(self, name, value)
+
+        keep("crs", parse_crs(self.crs))
+        keep("origin", tuple(float(v) for v in self.origin))
+        keep("_map", MapProjection(self.crs))
+        lon, lat, height = self._checked_origin()
+        keep("_origin_lon", lon)
+        keep("_origin_geocentric", geocentric_from_geodetic(lon, lat, height, a=self._map.a, b=self._map.b))
+        keep("_local_from_geocentric", enu_from_geocentric(lon, lat))
+
+    def local_from_crs(self, points) -> np.ndarray:
+        """Points (..., 3) in crs as (..., 3) float64 [m], local.
+
+        NaN where a point is not finite or not on the map.
+        """
+        lon, lat, height = self._map.geodetic_from_crs(_as_points(points))
+        xyz = geocentric_from_geodetic(lon, lat, height, a=self._map.a, b=self._map.b)
+        return (xyz - self._origin_geocentric) @ self._local_from_geocentric.T
+
+    def crs_from_local(self, points) -> np.ndarray:
+        """Points (..., 3) [m], local, as (..., 3) float64 in crs; NaN where a point is not finite.
+
+        The inverse of `local_from_crs` to 2e-8 m. Longitudes stay within half a turn of the origin, so that a
+        survey across the antimeridian stays in one piece.
+        """
+        xyz = nan_unless_finite(_as_points(points)) @ self._local_from_geocentric + self._origin_geocentric
+        lon, lat, height = geodetic_from_geocentric(xyz, a=self._map.a, b=self._map.b)
+        half_turns = np.round((lon - self._origin_lon) / (2.0 * math.pi))
+        return self._map.crs_from_geodetic(lon - 2.0 * math.pi * half_turns, lat, height)
+
+    def local_from_grid(self, point_crs) -> np.ndarray:
+        """Rotation (..., 3, 3) that turns the grid axes at points (..., 3) in crs into local axes.
+
+        Grid axes are the directions in which easting (longitude), northing (latitude) and height grow there;
+        the angles of photogrammetry are counted about them. The rotation holds the meridian convergence and
+        the curvature of the Earth between the point and the origin. NaN where a point is not on the map.
+
+        Notes
+        -----
+        Central differences of `local_from_crs` along the three coordinates, each scaled to unit length, and
+        of these the nearest rotation (polar decomposition by the singular values).
+        """
+        points = _as_points(point_crs)
+        steps = self._steps(points)
+        columns = np.swapaxes(
+            self.local_from_crs(points[..., None, :] + steps) - self.local_from_crs(points[..., None, :] - steps),
+            -1,
+            -2,
+        )
+        columns = columns / np.linalg.norm(columns, axis=-2, keepdims=True)
+        finite = np.isfinite(columns).all(axis=(-1, -2))[..., None, None]
+        u, _, vt = np.linalg.svd(np.where(finite, columns, np.eye(3)))
+        return np.where(finite, u @ vt, np.nan)
+
+    def _steps(self, points: np.ndarray) -> np.ndarray:
+        """Steps (..., 3, 3) of about `_STEP_M` along easting, northing and height, in units of crs."""
+        unit = self._map.horizontal_unit
+        east = np.full(points.shape[:-1], _STEP_M / unit)
+        north = east
+        if self._map.is_geographic:
+            north = east / _EARTH_RADIUS_M
+            east = north / np.maximum(np.cos(points[..., 1] * unit), 1e-6)
+        up = np.full_like(east, _STEP_M / self._map.height_unit_m)
+        return np.stack([east, north, up], axis=-1)[..., None] * np.eye(3)
+
+    def _checked_origin(self) -> tuple[float, float, float]:
+        """Longitude, latitude [rad] and height [m] of the origin, which must lie where the CRS applies."""
+        said = f"the origin {self.origin} in {self.crs.name}"
+        if len(self.origin) != 3 or not all(math.isfinite(v) for v in self.origin):
+            raise PlaceMismatch(f"{said} is not three finite numbers; give easting, northing and height.")
+        lon, lat, height = (float(v) for v in self._map.geodetic_from_crs(np.array(self.origin)))
+        order = "check the CRS, and that easting (or longitude) comes before northing (or latitude)."
+        if not (math.isfinite(lon) and abs(lat) <= 0.5 * math.pi):
+            raise PlaceMismatch(f"{said} is not on the map; {order}")
+        excess = degrees_outside_area(self.crs, lon, lat)
+        if excess > _AREA_MARGIN_DEG:
+            raise PlaceMismatch(f"{said} lies {excess:.0f} degrees outside the area that this CRS is made for; {order}")
+        return lon, lat, height
+
+
+def _as_points(points) -> np.ndarray:
+    points = np.asarray(points, dtype=np.float64)
+    if points.ndim == 0 or points.shape[-1] != 3:
+        raise ValueError(f"expected points of shape (..., 3), got {points.shape}")
+    return points

@@ -1,0 +1,207 @@
+"""Clouds as LAS 1.4 and LAZ: written for the client, read as results and references.
+
+Sources: ASPRS LAS 1.4 R16 and its topo-bathy profile (classes 40 and up).
+"""
+
+from __future__ import annotations
+
+import logging
+from importlib.metadata import version
+from pathlib import Path
+
+import laspy
+import numpy as np
+from laspy.vlrs.known import WktCoordinateSystemVlr
+from lazrs import LazrsError
+from pyproj import CRS
+
+from geo.crs import is_geographic, wkt1
+from geo.errors import EmptyCloud, GeoError, UnreadableFile, UnwritableFile
+from geo.files import existing_file, write_whole
+from geo.las_extra import add_extra_bytes, extra_of
+from geo.las_header import crs_of_header, length_fault
+from geo.shapes import Cloud
+
+POINT_FORMAT = 7
+CLASS_GROUND = 2
+CLASS_BATHYMETRIC = 40
+SCALE_LENGTH = 0.001
+SCALE_ANGLE = 1e-8
+_SUFFIXES = (".las", ".laz")
+
+# laspy reports damage to the log as well; what the user sees is the error that names the file.
+logging.getLogger("laspy").addHandler(logging.NullHandler())
+
+
+def write_cloud(
+    path: str | Path,
+    points_crs: np.ndarray,
+    crs: CRS,
+    *,
+    rgb: np.ndarray,
+    depth_m: np.ndarray,
+    std_m: np.ndarray,
+    num_views: np.ndarray,
+    incidence_deg: np.ndarray,
+    is_wet: np.ndarray,
+) -> None:
+    """Write a cloud as LAS 1.4, point format 7, whole or not at all; compressed if the suffix is .laz.
+
+    Coordinates are rounded to 0.001 of the unit of crs (1e-8 for longitude and latitude), with offsets in
+    whole units. An empty cloud is written as a valid file without points.
+
+    Parameters
+    ----------
+    path : .las or .laz
+    points_crs : (N, 3) float64, in crs
+        Finite: points without coordinates are left out by the caller, who also counts them.
+    crs : pyproj.CRS
+        Written as WKT 1, see `geo.crs.wkt1`.
+    rgb : (N, 3) uint8
+    depth_m, std_m : (N,) [m]
+        True depth below the water surface (negative above it) and standard deviation. NaN (no water, a single
+        view) is written as the declared "no data" value, which `read_cloud` turns back into NaN.
+    num_views : (N,) int
+    incidence_deg : (N,) [deg]
+        Angle between ray and surface normal in air; NaN as above.
+    is_wet : (N,) bool
+        Class 40 (bathymetric) where true, else 2 (ground).
+
+    Raises
+    ------
+    GeoError
+        If the suffix is neither, the cloud is too wide for the format, or the file cannot be written.
+    ValueError
+        If shapes differ or coordinates are not finite.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in _SUFFIXES:
+        raise UnwritableFile(f"cannot write {path}: its suffix must be .las or .laz.")
+    points = np.asarray(points_crs, dtype=np.float64)
+    extra = {"depth": depth_m, "std": std_m, "num_views": num_views, "incidence": incidence_deg}
+    _require_sound(points, {"rgb": rgb, "is_wet": is_wet} | extra)
+
+    header = _header(points, crs, path)
+    stored = add_extra_bytes(header, extra)
+    las = laspy.LasData(header)
+    las.points = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
+    las.x, las.y, las.z = points.T
+    las.return_number[:] = 1
+    las.number_of_returns[:] = 1
+    las.synthetic[:] = 1
+    las.classification[:] = np.where(np.asarray(is_wet, dtype=bool), CLASS_BATHYMETRIC, CLASS_GROUND)
+    # 257 maps 0..255 onto the whole of 0..65535.
+    las.red, las.green, las.blue = np.asarray(rgb, dtype=np.uint16).T * np.uint16(257)
+    for name, values in stored.items():
+        las[name] = values
+    _write(las, path)
+
+
+def _write(las: laspy.LasData, path: Path) -> None:
+    compress = path.suffix.lower() == ".laz"
+    with write_whole(path) as stream:
+        try:
+            writer = laspy.open(stream, mode="w", header=las.header, do_compress=compress, closefd=False)
+            with writer:
+                writer.write_points(las.points)
+        except LazrsError as error:
+            # The LAZ encoder hides the system's error.
+            raise UnwritableFile(
+                f"cannot write {path} ({_first_line(error)}); most likely no room is left on the disk: free "
+                "some or write elsewhere."
+            ) from error
+
+
+def _require_sound(points: np.ndarray, others: dict) -> None:
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"expected points of shape (N, 3), got {points.shape}")
+    for name, values in others.items():
+        expected = points.shape if name == "rgb" else points.shape[:1]
+        if np.shape(values) != expected:
+            raise ValueError(f"{name} has shape {np.shape(values)}, expected {expected}")
+    bad = int((~np.isfinite(points).all(axis=1)).sum())
+    if bad:
+        raise ValueError(f"{bad} of {len(points)} points have coordinates that are not finite; leave them out")
+
+
+def _header(points: np.ndarray, crs: CRS, path: Path) -> laspy.LasHeader:
+    header = laspy.LasHeader(version="1.4", point_format=POINT_FORMAT)
+    horizontal = SCALE_ANGLE if is_geographic(crs) else SCALE_LENGTH
+    header.scales = np.array([horizontal, horizontal, SCALE_LENGTH])
+    if len(points):
+        low, high = points.min(axis=0), points.max(axis=0)
+        header.offsets = np.floor(0.5 * (low + high))
+        if (np.maximum(high - header.offsets, header.offsets - low) / header.scales).max() >= 2**31 - 1:
+            raise GeoError(
+                f"cannot write {path}: the cloud reaches from {low} to {high}, more than LAS holds in steps "
+                f"of {header.scales}; some points lie far off, give [area] bounds to leave them out."
+            )
+    header.global_encoding.wkt = True
+    # Not header.add_crs, which writes WKT 2; LAS 1.4 asks for WKT 1.
+    header.vlrs.append(WktCoordinateSystemVlr(wkt1(crs)))
+    header.system_identifier = "bathynerf"
+    header.generating_software = f"bathynerf {version('bathynerf')}"[:32]
+    return header
+
+
+def read_cloud(path: str | Path) -> Cloud:
+    """Read LAS or LAZ, version 1.0 to 1.4, any point format.
+
+    Colours come as 8 bits, whether the file stores 8 or 16. The CRS is taken from WKT, else from GeoTIFF
+    keys; where there is none, or none that is understood, it is None and `Cloud.notes` says so.
+
+    Raises
+    ------
+    EmptyCloud
+        If the file has no points.
+    UnreadableFile
+        If it does not exist, is cut short, is no LAS, or gives coordinates that are not finite.
+    """
+    path = existing_file(path)
+    fault = length_fault(path)
+    if fault:
+        raise UnreadableFile(f"{path} cannot be read as LAS or LAZ: {fault}; copy or export it again.")
+    # laspy and its LAZ decoder answer damage with errors of many kinds (UnicodeDecodeError, IndexError,
+    # RuntimeError, MemoryError, ...): a damaged file is the one thing they all mean here.
+    try:
+        with path.open("rb") as stream, laspy.open(stream, closefd=False) as reader:
+            header = reader.header
+            las = reader.read() if header.point_count else None
+    except BaseException as error:
+        # A panic of the decoder (Rust) is no Exception; an interrupt by the user is not ours to keep.
+        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
+            raise
+        raise UnreadableFile(
+            f"{path} cannot be read as LAS or LAZ ({_first_line(error)}); it is damaged or cut short: copy or "
+            "export it again."
+        ) from error
+    if las is None:
+        raise EmptyCloud(f"{path} has no points; expected a cloud with at least one.")
+    with np.errstate(over="ignore", invalid="ignore"):
+        points = np.stack([las.x, las.y, las.z], axis=-1)
+    if not np.isfinite(points).all():
+        raise UnreadableFile(
+            f"{path} gives coordinates that are not finite (scales {header.scales}, offsets {header.offsets}); it is "
+            "damaged: copy or export it again."
+        )
+    crs, notes = crs_of_header(header, path)
+    return Cloud(
+        points=points,
+        rgb=_rgb(las),
+        crs=crs,
+        classification=np.asarray(las.classification, dtype=np.uint8),
+        extra=extra_of(las),
+        notes=notes,
+    )
+
+
+def _rgb(las: laspy.LasData) -> np.ndarray | None:
+    if "red" not in las.point_format.dimension_names:
+        return None
+    rgb = np.stack([las.red, las.green, las.blue], axis=-1)
+    # The upper byte is the colour, whether the writer multiplied by 256 or by 257.
+    return (rgb >> 8 if rgb.max() > 255 else rgb).astype(np.uint8)
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0][:100]

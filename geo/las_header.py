@@ -1,0 +1,93 @@
+"""The header of a LAS file: whether the file can be as long as it says, and the CRS that it states."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import laspy
+from laspy.vlrs.known import GeoKeyDirectoryVlr, WktCoordinateSystemVlr
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from geo.crs import has_height, horizontal_crs
+
+# Keys of GeoTIFF 1.1 (OGC 19-008r4).
+_MODEL, _GEOGRAPHIC, _PROJECTED, _LINEAR_UNIT, _VERTICAL = 1024, 2048, 3072, 3076, 4096
+_MODEL_PROJECTED = 1
+_EPSG_RANGE = range(1024, 32767)
+# The vertical codes 5001 to 5033 of GeoTIFF 1.0 are ellipsoids, not EPSG vertical systems.
+_OLD_VERTICAL = range(5001, 5034)
+_UNIT_M = {9001: 1.0, 9002: 0.3048, 9003: 1200.0 / 3937.0}
+_UNIT_TOLERANCE = 1e-9
+
+_SHORTEST_HEADER, _HEADER_1_4 = 227, 375
+_RECORD, _EXTENDED_RECORD = 54, 60
+_LAZ_BIT = 0x80
+
+
+def length_fault(path: Path) -> str | None:
+    """What in a LAS header cannot be true of a file this long; None if it can.
+
+    Asked before laspy reads: a damaged count of records would keep it busy for hours.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        head = stream.read(_HEADER_1_4)
+    if head[:4] != b"LASF":
+        return 'it does not begin with "LASF"'
+    if len(head) < _SHORTEST_HEADER:
+        return "its header is not complete"
+    header_size, start, records, point_format, length, count = struct.unpack_from("<HIIBHI", head, 94)
+    if (head[24], head[25]) >= (1, 4) and len(head) == _HEADER_1_4:
+        first_extended, extended, count = struct.unpack_from("<QIQ", head, 235)
+        if extended and first_extended + extended * _EXTENDED_RECORD > size:
+            return f"its header promises {extended} records after the points, for which it is too short"
+    if header_size + records * _RECORD > start or start > size:
+        return f"its header promises {records} records before the points, for which it is too short"
+    if not point_format & _LAZ_BIT and start + count * length > size:
+        return f"its header promises {count} points, of which it holds {max(size - start, 0) // max(length, 1)}"
+    return None
+
+
+def crs_of_header(header: laspy.LasHeader, path: Path) -> tuple[CRS | None, tuple[str, ...]]:
+    """The CRS of a LAS file and notes on what is missing: (None, why) where the file does not say.
+
+    Taken from OGC WKT, else from GeoTIFF keys. A CRS without a vertical part is returned as it is, with a note.
+    """
+    records = [*header.vlrs, *(header.evlrs or [])]
+    texts = [r.string for r in records if isinstance(r, WktCoordinateSystemVlr) and r.string.strip()]
+    tables = [r for r in records if isinstance(r, GeoKeyDirectoryVlr)]
+    if not texts and not tables:
+        return None, (f"{path} states no CRS.",)
+    try:
+        crs = CRS.from_wkt(texts[0]) if texts else _crs_of_keys(tables[0])
+    except CRSError as error:
+        return None, (f"{path} states a CRS that is not understood ({str(error)[:120]}).",)
+    if not has_height(crs):
+        return crs, (f"{path} states the CRS {crs.name} without a vertical part.",)
+    return crs, ()
+
+
+def _crs_of_keys(table: GeoKeyDirectoryVlr) -> CRS:
+    """The CRS of GeoTIFF keys; laspy's own reader takes user-defined projections for geographic coordinates.
+
+    Raises
+    ------
+    CRSError
+        If the keys name no EPSG code, or a unit that is not that of the code.
+    """
+    keys = {key.id: key.value_offset for key in table.geo_keys}
+    projected = keys.get(_MODEL, _MODEL_PROJECTED if _PROJECTED in keys else 0) == _MODEL_PROJECTED
+    code = keys.get(_PROJECTED if projected else _GEOGRAPHIC, 0)
+    if code not in _EPSG_RANGE:
+        raise CRSError(f"GeoTIFF keys with code {code}, which is user-defined")
+    crs = CRS.from_epsg(code)
+    unit = _UNIT_M.get(keys.get(_LINEAR_UNIT, 0))
+    own = horizontal_crs(crs).axis_info[0].unit_conversion_factor
+    if projected and unit is not None and abs(unit - own) > _UNIT_TOLERANCE:
+        raise CRSError(f"GeoTIFF keys with EPSG:{code} in another unit than its own")
+    vertical = keys.get(_VERTICAL, 0)
+    if vertical in _EPSG_RANGE and vertical not in _OLD_VERTICAL and not has_height(crs):
+        return CRS.from_user_input(f"EPSG:{code}+{vertical}")
+    return crs

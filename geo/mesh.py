@@ -1,0 +1,61 @@
+"""The surface or cloud that a result is compared with, read from PLY, OBJ, LAS or LAZ."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from geo.errors import EmptyCloud, UnreadableFile
+from geo.files import existing_file
+from geo.las import read_cloud
+from geo.obj import read_obj
+from geo.ply_reading import read_ply
+from geo.shapes import Cloud, Mesh
+
+_READERS = {".ply": read_ply, ".obj": read_obj, ".las": read_cloud, ".laz": read_cloud}
+
+
+def read_reference(path: str | Path) -> Mesh | Cloud:
+    """Read a mesh or cloud in crs coordinates, by the suffix of its name.
+
+    PLY and OBJ give a `Mesh` where they have faces, else a `Cloud`; LAS and LAZ give a `Cloud`. Coordinates
+    are float64 throughout.
+
+    Raises
+    ------
+    EmptyCloud
+        If the file has no points.
+    UnreadableFile
+        If it does not exist, has another suffix, is damaged, has coordinates that are not finite, or faces
+        that name vertices it does not have.
+    """
+    path = existing_file(path)
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        suffixes = ", ".join(_READERS)
+        raise UnreadableFile(f'{path} has the suffix "{path.suffix}"; export it as one of {suffixes}.')
+    shape = reader(path)
+    points = shape.vertices if isinstance(shape, Mesh) else shape.points
+    if not len(points):
+        raise EmptyCloud(f"{path} has no points; expected a mesh or a cloud with at least one.")
+    bad = int((~np.isfinite(points).all(axis=1)).sum())
+    if bad:
+        raise UnreadableFile(
+            f"{path} has {bad} of {len(points)} vertices whose coordinates are not finite; remove them and "
+            "export it again."
+        )
+    if isinstance(shape, Mesh):
+        _require_faces(shape, path)
+    return shape
+
+
+def _require_faces(mesh: Mesh, path: Path) -> None:
+    if not len(mesh.faces):
+        raise UnreadableFile(f"{path} has faces of fewer than three corners only; export it with triangles.")
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        face = int(np.flatnonzero(((mesh.faces < 0) | (mesh.faces >= len(mesh.vertices))).any(axis=1))[0])
+        raise UnreadableFile(
+            f"{path} has a face (triangle {face}) that names a vertex beyond its {len(mesh.vertices)}; it is "
+            "damaged: export it again."
+        )

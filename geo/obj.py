@@ -1,0 +1,59 @@
+"""Wavefront OBJ files read in full double precision: vertices and faces, all else is passed over."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from geo.errors import UnreadableFile
+from geo.files import existing_file
+from geo.shapes import Cloud, Mesh, triangulated
+
+
+def read_obj(path: str | Path) -> Mesh | Cloud:
+    """Read an OBJ file: a mesh if it has faces (polygons are cut into triangles), else a cloud.
+
+    Faces may count vertices from the first (1, 2, ...) or back from the last one so far (-1, -2, ...) and may
+    carry texture and normal numbers (``7/3/2``), which are passed over.
+
+    Raises
+    ------
+    UnreadableFile
+        If it does not exist, or a vertex or face line is not understood.
+    """
+    path = existing_file(path)
+    text = path.read_bytes().replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
+    vertex_lines, face_lines, vertices_before = [], [], []
+    for line in text.splitlines():
+        words = line.split(b"#", 1)[0].split()
+        if not words:
+            continue
+        if words[0] == b"v":
+            vertex_lines.append(words[1:4])
+        elif words[0] == b"f":
+            face_lines.append(words[1:])
+            vertices_before.append(len(vertex_lines))
+    try:
+        vertices = np.array(vertex_lines, dtype=bytes).astype(np.float64).reshape(-1, 3)
+    except ValueError as error:
+        raise UnreadableFile(
+            f"{path} has a vertex line that is not three numbers ({str(error)[:80]}); export it again."
+        ) from error
+    if not face_lines:
+        return Cloud(vertices)
+    return Mesh(vertices, _faces(face_lines, vertices_before, path))
+
+
+def _faces(lines: list[list[bytes]], vertices_before: list[int], path: Path) -> np.ndarray:
+    counts = np.array([len(words) for words in lines])
+    try:
+        numbers = np.array([word.split(b"/", 1)[0] for words in lines for word in words], dtype=bytes).astype(np.int64)
+    except ValueError as error:
+        raise UnreadableFile(
+            f"{path} has a face line that is not whole numbers ({str(error)[:80]}); export it again."
+        ) from error
+    before = np.repeat(vertices_before, counts)
+    # A face that names vertex 0, which is not there, becomes -1 and is refused with the others out of range.
+    corners = np.where(numbers < 0, before + numbers, numbers - 1)
+    return triangulated(counts, corners)

@@ -1,0 +1,84 @@
+"""Data in different systems or places are refused; the same system said in other words is not."""
+
+from __future__ import annotations
+
+import laspy
+import numpy as np
+import pytest
+from pyproj import CRS
+
+from geo.agreement import crs_difference, require_same_crs, require_same_place, same_crs
+from geo.crs import wkt1
+from geo.errors import CRSMismatch, PlaceMismatch
+
+SYSTEMS = [
+    "EPSG:25832+5778", "EPSG:4326+5773", "EPSG:4979", "EPSG:2230+6360", "EPSG:2193+7839", "EPSG:2180+9651",
+    "EPSG:32761+3855", "EPSG:27700+5701", "EPSG:4807+5720", "EPSG:32632+4979", "EPSG:3035+5730", "EPSG:3857+3855",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", SYSTEMS)
+def test_a_crs_is_the_same_after_wkt_1_and_differs_from_all_others(text):
+    again = CRS.from_wkt(wkt1(CRS(text)))
+    assert [other for other in SYSTEMS if same_crs(again, CRS(other))] == [text]
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "words"),
+    [
+        ("EPSG:25832+5778", "EPSG:25833+5778", "ETRS89 / UTM zone 32N against ETRS89 / UTM zone 33N"),
+        ("EPSG:25832+5778", "EPSG:32632+5778", "ETRS89 / UTM zone 32N against WGS 84 / UTM zone 32N"),
+        ("EPSG:25832+5778", "EPSG:25832+7837", "heights GHA height against DHHN2016 height"),
+        ("EPSG:25832+5778", "EPSG:25832+4937", "heights GHA height against ellipsoidal height"),
+        ("EPSG:26910+5703", "EPSG:26910+6360", r"heights NAVD88 height \(metre, up\) against NAVD88 height \(ftUS\)"),
+        ("EPSG:26910+5714", "EPSG:26910+5715", r"\(metre, up\) against MSL depth \(metre, down\)"),
+        ("EPSG:4326", "EPSG:32632", "WGS 84 against WGS 84 / UTM zone 32N"),
+        ("EPSG:4326", "EPSG:4258", "WGS 84 against ETRS89"),
+        ("EPSG:2994", "EPSG:2993", r"\(ft\) against .*\(m\)"),
+        ("EPSG:27572", "EPSG:27571", "Lambert zone II against .*Lambert zone I"),
+    ],
+)
+def test_what_differs_is_said_and_refused(a, b, words):
+    with pytest.raises(CRSMismatch, match=rf"cloud\.las and ref\.las are in different .*{words}.*; convert one"):
+        require_same_crs(CRS(a), CRS(b), "cloud.las", "ref.las")
+
+
+@pytest.mark.parametrize(
+    ("a", "b"),
+    [
+        ("EPSG:25832+5778", "EPSG:25832"),
+        ("EPSG:25832+5778", "+proj=utm +zone=32 +ellps=GRS80 +units=m"),
+        ("EPSG:32632+5773", "+proj=utm +zone=32 +datum=WGS84 +units=m"),
+        ("EPSG:7415", "EPSG:28992+5709"),
+    ],
+)
+def test_what_one_of_them_leaves_out_is_no_difference(a, b):
+    assert crs_difference(CRS(a), CRS(b)) is None
+    assert crs_difference(CRS(b), CRS(a)) is None
+    require_same_crs(CRS(a), None, "cloud.las", "ref.ply")
+    require_same_crs(None, None, "cloud.las", "ref.ply")
+
+
+@pytest.mark.parametrize(
+    ("name", "same", "other"),
+    [
+        ("autzen_trim.laz", "EPSG:2994", "EPSG:2992"),
+        ("test1_4.las", "EPSG:2903", "EPSG:2904"),
+        ("file_with_both_wkt_and_geotiff_vlrs.las", "EPSG:6880", "EPSG:6879"),
+        ("simple.copc.laz", "EPSG:2991+6360", "EPSG:2991+5703"),
+    ],
+)
+def test_systems_as_other_programs_write_them_are_recognised(data_dir, name, same, other):
+    with laspy.open(data_dir / "real/laspy_las" / name) as reader:
+        crs = reader.header.parse_crs()
+    assert crs_difference(crs, CRS(same)) is None
+    assert crs_difference(crs, CRS(other)) is not None
+
+
+def test_boxes_that_touch_are_at_the_same_place_and_others_are_refused():
+    here = np.array([[589000.0, 5194700.0, 2100.0], [589020.0, 5194750.0, 2105.0]])
+    require_same_place(here, here + np.array([20.0, 0.0, 900.0]), "cloud.las", "ref.ply")
+    with pytest.raises(PlaceMismatch, match=r"easting 589000 to 589020.*do not overlap; check that both"):
+        require_same_place(here, here + np.array([0.0, 1000.0, 0.0]), "cloud.las", "ref.ply")
+    with pytest.raises(PlaceMismatch, match=r"easting and northing seem to be swapped.*in ref\.ply"):
+        require_same_place(here, here[:, [1, 0, 2]], "cloud.las", "ref.ply")

@@ -1,0 +1,246 @@
+"""The local frame against closed forms, PROJ's own topocentric step, and poses that were made elsewhere."""
+
+from __future__ import annotations
+
+import copy
+import csv
+import math
+import pickle
+import tomllib
+
+import numpy as np
+import pytest
+from pyproj import CRS, Proj, Transformer
+from scipy.spatial.transform import Rotation
+
+from geo.crs import parse_crs
+from geo.ellipsoid import enu_from_geocentric, geocentric_from_geodetic, geodetic_from_geocentric
+from geo.errors import MissingVerticalDatum, PlaceMismatch
+from geo.frames import LocalFrame
+from geo.projection import MapProjection
+
+DEGREE = math.pi / 180.0
+WGS84_A, WGS84_B = 6378137.0, 6356752.314245179
+EPS_GEOCENTRIC_M = 1e-9  # spacing of float64 at 6.4e6 m
+# Measured worst case over PLACES: 1.4e-8 m (EPSG:5514, whose iteration in PROJ ends there).
+ROUND_TRIP_M = 2e-8
+# Differences of two points 20 m apart, each rounded to EPS_GEOCENTRIC_M in three coordinates.
+ROTATION_ERROR = 1e-9
+
+PLACES = {
+    "EPSG:25832+5778": (13.0, 47.0),
+    "EPSG:4979": (13.0, 47.0),
+    "EPSG:4326+5773": (179.9999, -80.0),
+    "EPSG:32733+5773": (15.0, -33.0),
+    "EPSG:32632+4979": (9.0, 0.0),
+    "EPSG:32661+3855": (30.0, 89.9999),
+    "EPSG:32761+3855": (-120.0, -75.0),
+    "EPSG:3031+3855": (60.0, -70.0),
+    "EPSG:2230+6360": (-117.0, 33.0),
+    "EPSG:2992+6360": (-120.0, 44.0),
+    "EPSG:27700+5701": (-3.0, 55.0),
+    "EPSG:2056+5728": (8.0, 47.0),
+    "EPSG:28992+5709": (5.0, 52.0),
+    "EPSG:4807+5720": (1.0, 47.0),
+    "EPSG:5514+5705": (15.0, 50.0),
+    "EPSG:3857+3855": (100.0, 60.0),
+    "EPSG:2193+7839": (173.0, -41.0),
+    "EPSG:3035+5730": (10.0, 50.0),
+    "EPSG:3375+5714": (102.0, 4.0),
+}
+
+
+def frame_at(text: str, height_m: float = 100.0) -> LocalFrame:
+    crs = parse_crs(text)
+    lon, lat = (value * DEGREE for value in PLACES[text])
+    if crs.prime_meridian.name == "Paris":
+        lon -= 2.5969213 * 0.9 * DEGREE  # in grads east of Greenwich
+    return LocalFrame(crs, tuple(MapProjection(crs).crs_from_geodetic(lon, lat, height_m)))
+
+
+def opk(omega, phi, kappa) -> np.ndarray:
+    return Rotation.from_euler("XYZ", [omega, phi, kappa], degrees=True).as_matrix()
+
+
+@pytest.mark.parametrize("text", PLACES)
+def test_crs_to_local_and_back_returns_to_the_same_point(text, rng):
+    frame = frame_at(text)
+    points = rng.uniform(-2000.0, 2000.0, (500, 3))
+    again = frame.local_from_crs(frame.crs_from_local(points))
+    np.testing.assert_allclose(again, points, rtol=0.0, atol=ROUND_TRIP_M)
+    np.testing.assert_allclose(frame.local_from_crs(frame.origin), 0.0, atol=ROUND_TRIP_M)
+
+
+@pytest.mark.parametrize("text", ["EPSG:25832+5778", "EPSG:4979", "EPSG:32733+5773", "EPSG:32761+3855"])
+def test_local_agrees_with_the_topocentric_step_of_proj(text, rng):
+    frame = frame_at(text)
+    points = frame.crs_from_local(rng.uniform(-500.0, 500.0, (100, 3)))
+    horizontal = frame.crs.sub_crs_list[0] if frame.crs.is_compound else frame.crs
+    geodetic = Transformer.from_crs(horizontal, horizontal.geodetic_crs, always_xy=True)
+    lon0, lat0 = geodetic.transform(*frame.origin[:2])
+    lon, lat = geodetic.transform(points[:, 0], points[:, 1])
+    ellps = f"+a={WGS84_A} +rf={horizontal.ellipsoid.inverse_flattening!r}"
+    topocentric = Transformer.from_pipeline(
+        "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad "
+        f"+step +proj=cart {ellps} "
+        f"+step +proj=topocentric {ellps} +lon_0={lon0!r} +lat_0={lat0!r} +h_0={frame.origin[2]!r}"
+    )
+    oracle = np.stack(topocentric.transform(lon, lat, points[:, 2]), axis=-1)
+    np.testing.assert_allclose(frame.local_from_crs(points), oracle, rtol=0.0, atol=ROUND_TRIP_M)
+
+
+def test_a_grid_metre_at_the_central_meridian_is_longer_by_scale_and_height():
+    lat, height = 47.0 * DEGREE, 2105.0
+    crs = parse_crs("EPSG:25832+5778")
+    frame = LocalFrame(crs, tuple(MapProjection(crs).crs_from_geodetic(9.0 * DEGREE, lat, height)))
+    e2 = 2 / 298.257222101 - 1 / 298.257222101**2
+    w2 = 1.0 - e2 * math.sin(lat) ** 2
+    normal, meridian = WGS84_A / math.sqrt(w2), WGS84_A * (1.0 - e2) / w2**1.5
+    east = frame.local_from_crs(np.add(frame.origin, [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]))
+    north = frame.local_from_crs(np.add(frame.origin, [[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]]))
+    up = frame.local_from_crs(np.add(frame.origin, [0.0, 0.0, 1.0]))
+    # Two grid metres apart, each end rounded to 1e-9 m.
+    np.testing.assert_allclose((east[0] - east[1])[0] / 2, (1.0 + height / normal) / 0.9996, rtol=0, atol=5e-9)
+    np.testing.assert_allclose((north[0] - north[1])[1] / 2, (1.0 + height / meridian) / 0.9996, rtol=0, atol=5e-9)
+    np.testing.assert_allclose(up, [0.0, 0.0, 1.0], rtol=0.0, atol=5e-9)
+    assert frame.origin[0] == pytest.approx(500000.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(("distance_m", "drop_m"), [(250.0, 0.0049), (500.0, 0.0196), (1000.0, 0.0785)])
+def test_a_level_surface_drops_away_from_the_tangent_plane(distance_m, drop_m):
+    frame = frame_at("EPSG:25832+5778", height_m=0.0)
+    level = frame.crs_from_local([[distance_m, 0.0, 0.0]])
+    level[:, 2] = frame.origin[2]
+    # d² / 2R; the radius varies by 0.7 % with azimuth and latitude.
+    assert frame.local_from_crs(level)[0, 2] == pytest.approx(-drop_m, rel=0.01)
+
+
+def test_feet_become_metres_in_local():
+    frame = frame_at("EPSG:2230+6360")
+    foot = 1200.0 / 3937.0
+    up = frame.local_from_crs(np.add(frame.origin, [0.0, 0.0, 10.0]))
+    np.testing.assert_allclose(up, [0.0, 0.0, 10.0 * foot], rtol=0.0, atol=ROUND_TRIP_M)
+    north = frame.local_from_crs(np.add(frame.origin, [0.0, 1000.0, 0.0]))
+    # The Lambert scale of California is within 1e-4 of 1, height scale 1.6e-5.
+    assert np.linalg.norm(north) == pytest.approx(1000.0 * foot, rel=2e-4)
+
+
+@pytest.mark.parametrize("text", ["EPSG:25832+5778", "EPSG:32733+5773", "EPSG:27700+5701", "EPSG:2056+5728"])
+def test_grid_axes_at_the_origin_are_turned_by_the_meridian_convergence(text):
+    frame = frame_at(text)
+    rotation = frame.local_from_grid(frame.origin)
+    horizontal = frame.crs.sub_crs_list[0]
+    lon, lat = Transformer.from_crs(horizontal, horizontal.geodetic_crs, always_xy=True).transform(*frame.origin[:2])
+    convergence = Proj(horizontal).get_factors(lon, lat).meridian_convergence * DEGREE
+    # PROJ differentiates with steps of 1e-5 rad: 1e-7 rad is what its own number is good for.
+    assert math.atan2(rotation[1, 0], rotation[0, 0]) == pytest.approx(-convergence, abs=1e-6)
+    np.testing.assert_allclose(rotation[:, 2], [0.0, 0.0, 1.0], rtol=0.0, atol=ROTATION_ERROR)
+
+
+def test_grid_axes_of_longitude_and_latitude_are_east_and_north_at_the_point():
+    frame = frame_at("EPSG:4979")
+    point = np.add(frame.origin, [0.01, -0.005, 50.0])
+    there, here = (enu_from_geocentric(*(np.asarray(p[:2]) * DEGREE)) for p in (point, frame.origin))
+    np.testing.assert_allclose(frame.local_from_grid(point), here @ there.T, rtol=0.0, atol=ROTATION_ERROR)
+
+
+@pytest.mark.parametrize("text", PLACES)
+def test_grid_axes_are_a_rotation_everywhere(text, rng):
+    frame = frame_at(text)
+    points = frame.crs_from_local(rng.uniform(-1000.0, 1000.0, (4, 5, 3)))
+    rotations = frame.local_from_grid(points)
+    assert rotations.shape == (4, 5, 3, 3)
+    np.testing.assert_allclose(rotations @ np.swapaxes(rotations, -1, -2), np.broadcast_to(np.eye(3), (4, 5, 3, 3)),
+                               atol=1e-14)  # fmt: skip
+    np.testing.assert_allclose(np.linalg.det(rotations), 1.0, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", ["quick", "river", "wreck_water"])
+def test_poses_in_crs_become_the_poses_that_were_given_in_local(data_dir, name):
+    survey = tomllib.loads((data_dir / name / "survey.toml").read_text())
+    frame = LocalFrame(parse_crs(survey["crs"]), tuple(survey["local"]["origin"]))
+    lines = (data_dir / name / "sparse/0/images.txt").read_text().splitlines()
+    poses = {words[9]: np.array(words[1:8], float) for words in map(str.split, lines) if words and ".jpg" in words[-1]}
+    rows = list(csv.DictReader((data_dir / name / "cameras.csv").read_text().splitlines()))
+    assert len(rows) == len(poses)
+    for row in rows:
+        position = np.array([row["easting"], row["northing"], row["height"]], float)
+        qw, qx, qy, qz, *translation = poses[row["image"]]
+        cam_from_local = Rotation.from_quat([qx, qy, qz, qw]).as_matrix()
+        # The table gives five decimals: half a unit of the last one.
+        np.testing.assert_allclose(frame.local_from_crs(position), -cam_from_local.T @ translation, rtol=0.0, atol=1e-5)
+        grid_from_camera = opk(float(row["omega"]), float(row["phi"]), float(row["kappa"]))
+        local_from_cam = frame.local_from_grid(position) @ grid_from_camera @ np.diag([1.0, -1.0, -1.0])
+        # Angles with eight decimals of a degree (1e-10 rad) and quaternions with nine or more digits.
+        np.testing.assert_allclose(local_from_cam, cam_from_local.T, rtol=0.0, atol=1e-8)
+
+
+def test_a_survey_across_the_antimeridian_stays_in_one_piece():
+    frame = LocalFrame(parse_crs("EPSG:4979"), (179.9999, -17.0, 5.0))
+    points = frame.crs_from_local([[-500.0, 0.0, 0.0], [500.0, 0.0, 0.0]])
+    assert 0.0 < points[1, 0] - points[0, 0] < 0.01
+    np.testing.assert_allclose(frame.local_from_crs(points)[:, 0], [-500.0, 500.0], rtol=0.0, atol=ROUND_TRIP_M)
+
+
+def test_points_that_are_not_finite_or_not_on_the_map_become_nan_and_leave_the_others_alone():
+    frame = frame_at("EPSG:25832+5778")
+    points = np.array(
+        [frame.origin, [np.nan, 5.2e6, 0.0], [np.inf, 5.2e6, 0.0], [5e5, 5.2e6, np.nan], [1e12, 1e12, 0.0]]
+    )
+    local = frame.local_from_crs(points)
+    assert np.isnan(local[1:]).all()
+    np.testing.assert_allclose(local[0], 0.0, atol=ROUND_TRIP_M)
+    back = frame.crs_from_local([[np.nan, 0.0, 0.0], [0.0, np.inf, 0.0], [1.0, 2.0, 3.0]])
+    assert np.isnan(back[:2]).all()
+    assert np.isfinite(back[2]).all()
+    rotations = frame.local_from_grid(points)
+    assert np.isnan(rotations[1:]).all()
+    assert np.isfinite(rotations[0]).all()
+
+
+def test_empty_arrays_and_single_points_keep_their_shape():
+    frame = frame_at("EPSG:25832+5778")
+    assert frame.local_from_crs(np.zeros((0, 3))).shape == (0, 3)
+    assert frame.crs_from_local([1.0, 2.0, 3.0]).shape == (3,)
+    with pytest.raises(ValueError, match=r"expected points of shape \(\.\.\., 3\), got \(4, 2\)"):
+        frame.local_from_crs(np.zeros((4, 2)))
+    with pytest.raises(ValueError, match="expected points"):
+        frame.crs_from_local(3.0)
+
+
+def test_a_frame_survives_pickle_and_copy_and_is_equal_to_its_twin():
+    frame = frame_at("EPSG:25832+5778")
+    point = np.add(frame.origin, [10.0, 20.0, 3.0])
+    for twin in (pickle.loads(pickle.dumps(frame)), copy.deepcopy(frame)):
+        assert twin == frame
+        np.testing.assert_array_equal(twin.local_from_crs(point), frame.local_from_crs(point))
+
+
+@pytest.mark.parametrize(
+    ("crs", "origin", "words"),
+    [
+        ("EPSG:25832+5778", (5194736.0, 589012.0, 2105.0), "degrees outside the area"),
+        ("EPSG:25832+5778", (math.nan, 5194736.0, 2105.0), "not three finite numbers"),
+        ("EPSG:25832+5778", (589012.0, 5194736.0), "not three finite numbers"),
+        ("EPSG:25832+5778", (1e12, 1e12, 0.0), "not on the map"),
+        ("EPSG:4979", (47.0, 130.0, 0.0), "easting \\(or longitude\\) comes before"),
+    ],
+)
+def test_an_origin_that_cannot_be_meant_is_refused(crs, origin, words):
+    with pytest.raises(PlaceMismatch, match=words):
+        LocalFrame(parse_crs(crs), origin)
+
+
+def test_a_frame_without_heights_is_refused():
+    with pytest.raises(MissingVerticalDatum, match="no vertical part"):
+        LocalFrame(CRS("EPSG:25832"), (589012.0, 5194736.0, 2105.0))
+
+
+def test_geodetic_coordinates_return_from_geocentric_ones_at_all_latitudes_and_depths():
+    lat, lon, height = np.meshgrid(np.linspace(-90, 90, 37) * DEGREE, [-3.0, 0.0, 2.0], [-11e3, 0.0, 9e3, 2e4])
+    xyz = geocentric_from_geodetic(lon, lat, height, a=WGS84_A, b=WGS84_B)
+    lon_2, lat_2, height_2 = geodetic_from_geocentric(xyz, a=WGS84_A, b=WGS84_B)
+    again = geocentric_from_geodetic(lon_2, lat_2, height_2, a=WGS84_A, b=WGS84_B)
+    np.testing.assert_allclose(again, xyz, rtol=0.0, atol=4 * EPS_GEOCENTRIC_M)
+    np.testing.assert_allclose(height_2, height, rtol=0.0, atol=4 * EPS_GEOCENTRIC_M)
+    np.testing.assert_allclose(lat_2 * WGS84_A, lat * WGS84_A, rtol=0.0, atol=4 * EPS_GEOCENTRIC_M)

@@ -1,0 +1,185 @@
+"""Signed distance from a cloud to a mesh, exact to rounding in float64."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import igl
+import numpy as np
+
+from evaluation.triangles import (
+    FEATURE_CORNERS,
+    INSIDE,
+    area_vectors,
+    closest_on_triangles,
+    has_area,
+    weld,
+)
+
+Sign = Literal["up", "winding"]
+
+# A steeper triangle has no side that is above it to speak of; its winding decides.
+_STEEP_NZ = 0.05
+# Points at a time: about 150 MB of intermediate values.
+_CHUNK = 200_000
+# Pairs of point and triangle at a time, where several triangles are equally near.
+_PAIR_CHUNK = 1_000_000
+# |cos| that differ by less are equal; rounding of unit vectors is 1e-16, of feet on triangles far away 1e-11.
+_EQUAL_COS = 1e-9
+
+
+@dataclass(frozen=True)
+class MeshDistances:
+    """How far points are from a mesh.
+
+    Attributes
+    ----------
+    signed : (N,) [m]
+        NaN for points that are not finite.
+    nearest : (N, 3) [m]
+        The nearest point of the mesh.
+    num_degenerate : int
+        Triangles without area, which were left out.
+    """
+
+    signed: np.ndarray
+    nearest: np.ndarray
+    num_degenerate: int
+
+
+def distance_to_mesh(
+    points: np.ndarray,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    *,
+    sign: Sign = "up",
+    advance: Callable[[int], object] | None = None,
+) -> MeshDistances:
+    """Signed distance of points to the nearest point of a mesh.
+
+    Parameters
+    ----------
+    points : (N, 3) [m]
+    vertices : (V, 3) [m], same Cartesian frame, z up
+    faces : (F, 3) int
+    sign : {"up", "winding"}
+        ``"up"``: positive above. Triangles whose normal points down (n_z below -0.05) are reversed first,
+        the winding is kept where |n_z| is at most 0.05. ``"winding"``: positive on the side from which the
+        corners run counter-clockwise, as CloudCompare signs.
+    advance : callable, optional
+        Called with the number of points that were finished since the last call.
+
+    Returns
+    -------
+    MeshDistances
+        Points beyond the rim of an open mesh have the distance to the rim.
+
+    Raises
+    ------
+    ValueError
+        If no triangle has an area, or ``sign`` is neither.
+
+    Notes
+    -----
+    Where the nearest point lies on an edge or a vertex, several triangles are equally near, and the wrong one
+    may have the point on its other side. As in the robust mode of CloudCompare 2.13.1, that triangle decides
+    on whose plane the direction to the point is most orthogonal (one that the point projects into has it
+    exactly so). That is right at every edge; at a vertex drawn out to a needle or a knife it can be wrong, as
+    CloudCompare's is. On the surface, and where triangles with opposite answers are equally orthogonal, the
+    sign is positive.
+    """
+    if sign not in ("up", "winding"):
+        raise ValueError(f'sign is {sign!r}, expected "up" or "winding"')
+    points = np.asarray(points, dtype=np.float64)
+    vertices, faces = weld(vertices, faces)
+    sound = has_area(vertices, faces)
+    if not sound.any():
+        raise ValueError(f"none of the {len(faces)} triangles has an area, expected a surface")
+    # Near zero, where float64 is finest: a northing of 5e6 m costs nine of sixteen digits.
+    origin = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    surface = _Surface(vertices - origin, faces[sound], sign)
+    signed = np.full(len(points), np.nan)
+    nearest = np.full(points.shape, np.nan)
+    finite = np.flatnonzero(np.isfinite(points).all(axis=1))
+    order = finite[_neighbours_first(points[finite])]
+    for start in range(0, len(order), _CHUNK):
+        rows = order[start : start + _CHUNK]
+        signed[rows], nearest[rows] = surface.measure(points[rows] - origin)
+        if advance is not None:
+            advance(len(rows))
+    return MeshDistances(signed, nearest + origin, int((~sound).sum()))
+
+
+class _Surface:
+    """A mesh made ready for queries: tree of boxes, normals that point to the positive side, vertex stars."""
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray, sign: Sign):
+        self._vertices = np.ascontiguousarray(vertices)
+        self._faces = np.ascontiguousarray(faces)
+        normals = area_vectors(vertices, faces)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        if sign == "up":
+            normals[normals[:, 2] < -_STEEP_NZ] *= -1.0
+        self._normals = normals
+        self._tree = igl.AABB()
+        self._tree.init(self._vertices, self._faces)
+        # Triangles around vertex v: star_faces[star_start[v] : star_start[v + 1]].
+        corners = self._faces.ravel()
+        self._star_faces = np.argsort(corners, kind="stable") // 3
+        self._star_start = np.concatenate([[0], np.cumsum(np.bincount(corners, minlength=len(vertices)))])
+
+    def measure(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distances (N,) and nearest points (N, 3)."""
+        # igl squeezes a single row.
+        hit = np.reshape(self._tree.squared_distance(self._vertices, self._faces, points)[1], len(points))
+        nearest, feature = closest_on_triangles(points, self._vertices[self._faces[hit]])
+        away = points - nearest
+        distance = np.linalg.norm(away, axis=1)
+        away /= np.where(distance > 0.0, distance, 1.0)[:, None]
+        positive = np.einsum("ij,ij->i", away, self._normals[hit]) >= 0.0
+        tied = np.flatnonzero((feature != INSIDE) & (distance > 0.0))
+        for rows, counts in self._blocks(tied, hit, feature):
+            positive[rows] = self._is_above(away[rows], hit[rows], feature[rows], counts)
+        return np.where(positive, distance, -distance), nearest
+
+    def _blocks(self, tied: np.ndarray, hit: np.ndarray, feature: np.ndarray):
+        """The tied points in blocks of bounded work, each with the sizes of the stars to look at."""
+        start = self._faces[hit[tied], FEATURE_CORNERS[feature[tied], 0]]
+        counts = self._star_start[start + 1] - self._star_start[start]
+        block = np.cumsum(counts) // _PAIR_CHUNK
+        cuts = np.flatnonzero(np.diff(block)) + 1
+        return zip(np.split(tied, cuts), np.split(counts, cuts), strict=True) if len(tied) else ()
+
+    def _is_above(self, away: np.ndarray, hit: np.ndarray, feature: np.ndarray, counts: np.ndarray) -> np.ndarray:
+        """Side (N,) on which points lie whose nearest point is on an edge or vertex.
+
+        ``away`` are unit vectors from there to the points, ``counts`` the sizes of the stars of the first
+        vertex.
+        """
+        corners = self._faces[hit[:, None], FEATURE_CORNERS[feature]]
+        starts = np.cumsum(counts) - counts
+        point = np.repeat(np.arange(len(hit)), counts)
+        within = np.arange(counts.sum()) - starts[point]
+        face = self._star_faces[self._star_start[corners[point, 0]] + within]
+        cos = np.einsum("ij,ij->i", away[point], self._normals[face])
+        # Around an edge only the triangles that have its other vertex too.
+        shares = (self._faces[face] == corners[point, 1, None]).any(axis=1)
+        orthogonality = np.where(shares, np.abs(cos), -1.0)
+        most = np.maximum.reduceat(orthogonality, starts)
+        chosen = orthogonality >= most[point] - _EQUAL_COS
+        return np.logical_or.reduceat(chosen & (cos >= 0.0), starts)
+
+
+def _neighbours_first(points: np.ndarray) -> np.ndarray:
+    """An order (N,) in which successive points are near each other: rows of equal count, west to east.
+
+    The tree then finds its boxes in the cache: five times faster than in random order.
+    """
+    if len(points) == 0:
+        return np.empty(0, dtype=np.int64)
+    row_length = max(int(np.sqrt(len(points)) * 4), 1)
+    row = np.empty(len(points), dtype=np.int64)
+    row[np.argsort(points[:, 1])] = np.arange(len(points)) // row_length
+    return np.lexsort((points[:, 0], row))

@@ -1,0 +1,130 @@
+"""Which compiler runs the inner loops: Dr.Jit on CUDA, Dr.Jit on LLVM, or torch where neither is there."""
+
+from __future__ import annotations
+
+import ctypes.util
+import importlib
+import os
+import sys
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+# Dr.Jit accepts LLVM 15 and newer, but its code generation aborts with 16.
+_LLVM_VERSIONS = (19, 20, 18, 17, 15)
+
+
+@dataclass(frozen=True)
+class Device:
+    """Array types of one Dr.Jit backend, or of none.
+
+    Attributes
+    ----------
+    name : "cuda", "llvm" or "torch"
+    module : the Dr.Jit module with Float, UInt, ... ; None for torch.
+    reason : why this one, in words for the plan.
+    place : "cpu" or "cuda"
+        Where torch keeps its tensors.
+    """
+
+    name: str
+    module: Any
+    reason: str
+    place: str = "cpu"
+
+    @property
+    def kernels(self) -> ModuleType:
+        """The inner loops for this device: `fields.matching` in Dr.Jit or its twin `fields.matching_torch`.
+
+        Both hold the same functions with the same signatures; only the one asked for is imported.
+        """
+        name = "fields.matching_torch" if self.name == "torch" else "fields.matching"
+        return importlib.import_module(name)
+
+
+def _find_llvm() -> str | None:
+    if "DRJIT_LIBLLVM_PATH" in os.environ:
+        return os.environ["DRJIT_LIBLLVM_PATH"]
+    for version in _LLVM_VERSIONS:
+        name = ctypes.util.find_library(f"LLVM-{version}")
+        hits = [name] if name else []
+        hits += sorted(Path("/usr/lib").glob(f"*-linux-gnu/libLLVM*{version}*.so*"))
+        hits += sorted(Path("/usr/lib").glob(f"llvm-{version}/lib/libLLVM*.so*"))
+        if hits:
+            return str(hits[0])
+    if sys.platform == "darwin":
+        roots = (Path("/opt/homebrew/opt"), Path("/usr/local/opt"))
+        found = [path for root in roots for path in root.glob("llvm*/lib/libLLVM.dylib")]
+        return str(found[0]) if found else None
+    return None
+
+
+def _drjit():
+    """The module, or None where it cannot be loaded: without libatomic its import ends in a NameError."""
+    try:
+        import drjit as dr
+    except (ImportError, NameError):
+        return None
+    return dr
+
+
+def _cuda() -> Device | None:
+    dr = _drjit()
+    if dr is None or not dr.has_backend(dr.JitBackend.CUDA):
+        return None
+    import drjit.cuda as module
+
+    return Device("cuda", module, "a CUDA device is there")
+
+
+def _llvm() -> Device | None:
+    path = _find_llvm()
+    if path is not None:
+        os.environ["DRJIT_LIBLLVM_PATH"] = path
+    dr = _drjit()
+    if dr is None or not dr.has_backend(dr.JitBackend.LLVM):
+        return None
+    import drjit.llvm as module
+
+    return Device("llvm", module, f"no CUDA device asked for or found; LLVM at {path or 'its default place'}")
+
+
+@cache
+def choose_device(wanted: str = "auto") -> Device:
+    """The backend for the inner loops.
+
+    Parameters
+    ----------
+    wanted : "auto", "cpu", "cuda" or "torch"
+        "auto" takes CUDA, then LLVM, then torch; "cpu" LLVM, then torch.
+
+    Raises
+    ------
+    ValueError
+        If CUDA is asked for and there is none, or the word is unknown.
+    """
+    if wanted not in ("auto", "cpu", "cuda", "torch"):
+        raise ValueError(f"device is {wanted!r}, expected auto, cpu, cuda or torch")
+    if wanted in ("auto", "cuda"):
+        found = _cuda()
+        if found is not None:
+            return found
+        if wanted == "cuda":
+            raise ValueError("device is cuda, but Dr.Jit finds no CUDA device; use --device cpu")
+    if wanted != "torch":
+        found = _llvm()
+        if found is not None:
+            return found
+    path = os.environ.get("DRJIT_LIBLLVM_PATH")
+    why = (
+        f"Dr.Jit rejects {path}"
+        if path
+        else "no libLLVM 15 or newer was found (DRJIT_LIBLLVM_PATH takes its full path)"
+    )
+    import torch
+
+    place = "cuda" if torch.cuda.is_available() and wanted != "cpu" else "cpu"
+    reason = "torch was asked for" if wanted == "torch" else f"{why}: torch runs the sweep, slower"
+    return Device("torch", None, reason, place)

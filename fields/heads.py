@@ -1,0 +1,133 @@
+"""Heads of the tensor field: density, coarse then weighted, and colour (MDW-NeRF; equation numbers are ours).
+
+A       features of a sample, (scales L, directions D, channels F)
+coarse  linear map of the sum over directions of A: L F numbers to 1                                     (1)
+fine    DWN: gate = GELU(W3 GELU(W2 GELU(W1 a))) per scale on its D F numbers a, A' = gate * a, then a linear map   (2)
+colour  f_c = [G_n W_n] with one appearance vector W_n per scale; c = CRN(f_c, SH(d))                    (3)
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+# GELU is one here: the gate of a weighting network that leaves the features as they are.
+GATE_OF_ONE = 1.1444507183528787
+
+
+class DensityHead(nn.Module):
+    """Coarse density regression, and the density weighting network (DWN) that takes over from it.
+
+    Parameters
+    ----------
+    scales, directions, channels : int
+        L, D and F of the features.
+    reduction : int
+        r of the paper: the gate's hidden width is D F / r.
+    """
+
+    def __init__(self, scales: int, directions: int, channels: int, reduction: int = 2):
+        super().__init__()
+        self.shape = (scales, directions, channels)
+        width = directions * channels
+        hidden = max(width // reduction, 1)
+        self.coarse = nn.Linear(scales * channels, 1)
+        self.squeeze = nn.Linear(width, hidden)
+        self.excite = nn.Linear(hidden, hidden)
+        self.gate = nn.Linear(hidden, width)
+        self.fine = nn.Linear(scales * channels, 1)
+        for layer in (self.coarse, self.fine):  # the field starts as its proxy
+            nn.init.zeros_(layer.weight)
+            nn.init.zeros_(layer.bias)
+        self.is_fine = False
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Raw density (samples,) of features (samples, L D F)."""
+        a = features.view(-1, *self.shape)
+        if not self.is_fine:
+            return self.coarse(a.sum(dim=2).flatten(1))[:, 0]
+        flat = a.flatten(2)
+        gelu = nn.functional.gelu
+        weights = gelu(self.gate(gelu(self.excite(gelu(self.squeeze(flat))))))
+        weighted = (flat * weights).view_as(a)
+        return self.fine(weighted.sum(dim=2).flatten(1))[:, 0]
+
+    def switch_to_fine(self) -> None:
+        """Let the weighting network take over where the coarse regression stands: gates of one, the same map."""
+        self.is_fine = True
+        with torch.no_grad():
+            self.fine.weight.copy_(self.coarse.weight)
+            self.fine.bias.copy_(self.coarse.bias)
+            nn.init.zeros_(self.gate.weight)
+            nn.init.constant_(self.gate.bias, GATE_OF_ONE)
+
+
+class ColourHead(nn.Module):
+    """Colour weighting per scale and the colour regression network (CRN).
+
+    Parameters
+    ----------
+    degree : int
+        Of the spherical harmonics of the direction in the medium where the sample lies; 0 for a matt bed.
+    """
+
+    def __init__(self, scales: int, directions: int, channels: int, *, hidden: int = 32, degree: int = 0):
+        super().__init__()
+        width = scales * directions * channels
+        self.degree = degree
+        self.weights = nn.Parameter(torch.ones(width))
+        self.first = nn.Linear(width + ((degree + 1) ** 2 - 1), hidden)
+        self.middle = nn.Linear(hidden, hidden)
+        self.last = nn.Linear(hidden, 3)
+
+    def forward(self, features: Tensor, directions: Tensor | None) -> Tensor:
+        """Linear radiance (samples, 3), at least 0, of features (samples, L D F) seen along unit directions."""
+        f = features * self.weights
+        if self.degree > 0:
+            f = torch.cat([f, spherical_harmonics(directions, self.degree)], dim=1)
+        gelu = nn.functional.gelu
+        return nn.functional.softplus(self.last(gelu(self.middle(gelu(self.first(f))))), beta=4.0)
+
+
+def spherical_harmonics(d: Tensor, degree: int) -> Tensor:
+    """Real spherical harmonics of unit vectors (N, 3), degrees 1 and 2, without the constant: (N, (degree+1)^2 - 1)."""
+    x, y, z = d.unbind(-1)
+    terms = [0.4886025 * y, 0.4886025 * z, 0.4886025 * x]
+    if degree > 1:
+        terms += [
+            1.0925484 * x * y,
+            1.0925484 * y * z,
+            0.3153916 * (3.0 * z * z - 1.0),
+            1.0925484 * x * z,
+            0.5462742 * (x * x - y * y),
+        ]
+    return torch.stack(terms, dim=-1)
+
+
+class WaterColumn(nn.Module):
+    """What the water does to the light of the bed: absorption per channel, a veil, and the surface's reflection.
+
+        seen = (1 - R) (exp(-a l) bed + (1 - exp(-a l)) veil) + R sky
+
+    ``l`` is the path in water [m], R the Fresnel reflectance of unpolarised light at the crossing. Linear radiance.
+    The veil builds up with the same coefficient as the light is lost, so that endless water shows the veil alone.
+    """
+
+    def __init__(self):
+        super().__init__()
+        # Clear coastal water to begin with, red first [1/m]; softplus keeps absorption positive.
+        self.raw_absorption = nn.Parameter(torch.log(torch.expm1(torch.tensor([0.3, 0.07, 0.05]))))
+        self.raw_veil = nn.Parameter(torch.full((3,), -1.5))
+        self.raw_sky = nn.Parameter(torch.zeros(3))
+
+    @property
+    def absorption(self) -> Tensor:
+        """[1/m] per channel."""
+        return nn.functional.softplus(self.raw_absorption)
+
+    def forward(self, bed: Tensor, length: Tensor, reflectance: Tensor) -> Tensor:
+        """Radiance (rays, 3) above the water of the bed's (rays, 3) under ``length`` (rays,) [m] of water."""
+        kept = torch.exp(-self.absorption * length[:, None])
+        below = kept * bed + (1.0 - kept) * nn.functional.softplus(self.raw_veil)
+        r = reflectance[:, None]
+        return (1.0 - r) * below + r * nn.functional.softplus(self.raw_sky)

@@ -1,0 +1,46 @@
+"""Volume rendering along bent rays: from the thickness of the bed's samples to weights, and from weights to height."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def log_transmittance(distance: Tensor, width: Tensor) -> Tensor:
+    """Logarithm of the share of light that comes down to a signed distance [m], positive above the bed.
+
+    The share is the Laplace distribution function, ``1 - exp(-d / width) / 2`` above the bed and ``exp(d / width) / 2``
+    below it, so that the density tends to 1 / width inside, as in VolSDF. There that function is the density itself,
+    which puts the middle of the weights 0.34 widths under the bed; here (as in NeuS) it lies on the bed, for any width.
+    """
+    above = torch.log1p(-0.5 * torch.exp(-distance.clamp(min=0.0) / width))
+    return above + distance.clamp(max=0.0) / width
+
+
+def render_weights(thickness: Tensor) -> Tensor:
+    """Weights w_i = T_i (1 - exp(-thickness_i)) of samples (rays, samples), in the order of travel.
+
+    ``thickness`` is the density times the length of each sample, and T_i what those before it let pass. Weights sum to
+    at most 1; what is missing passed through.
+    """
+    before = torch.cumsum(thickness, dim=1) - thickness
+    return torch.exp(-before) * (1.0 - torch.exp(-thickness))
+
+
+def quantile_height(weights: Tensor, edges: Tensor, level: float = 0.5) -> Tensor:
+    """Height [m] at which the accumulated weight of each ray passes a level of its total; linear inside an interval.
+
+    Parameters
+    ----------
+    weights : (rays, samples)
+    edges : (rays, samples + 1) [m]
+        Heights of the intervals' ends, in the order of travel.
+    """
+    total = torch.cumsum(weights, dim=1)
+    target = level * total[:, -1:]
+    index = (total < target).sum(dim=1, keepdim=True).clamp(max=weights.shape[1] - 1)
+    here = weights.gather(1, index)
+    before = total.gather(1, index) - here
+    share = ((target - before) / here.clamp(min=1e-12)).clamp(0.0, 1.0)
+    start, end = edges.gather(1, index), edges.gather(1, index + 1)
+    return (start + share * (end - start))[:, 0]

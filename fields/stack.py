@@ -1,0 +1,76 @@
+"""Images of one size with their cameras and the water, laid out on the device that compares them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fields.device import Device
+from refract import FlatWater, PinholeCamera
+
+CAMERA_ROW = 18
+
+
+def camera_table(cameras: list[PinholeCamera]) -> np.ndarray:
+    """Rotation (9), centre (3), fx, fy, cx, cy, width, height of each camera, (cameras, 18) float32."""
+    rows = [
+        np.concatenate([c.cam_from_local.ravel(), c.centre, [c.fx, c.fy, c.cx, c.cy, c.width, c.height]])
+        for c in cameras
+    ]
+    return np.asarray(rows, dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class ViewStack:
+    """Scalar images of equal size with their cameras and the water, on one device.
+
+    Attributes
+    ----------
+    cameras : list of PinholeCamera, all of one size
+    pixels : (views * height * width) float32 of the device
+    table : `camera_table`, flattened, float32 of the device
+    water : FlatWater or None
+    """
+
+    device: Device
+    cameras: list[PinholeCamera]
+    pixels: Any
+    table: Any
+    water: FlatWater | None
+
+    @staticmethod
+    def build(device: Device, cameras, images, water) -> ViewStack:
+        """Stack images (height, width) float; all must have the size of their camera, and one size.
+
+        Raises
+        ------
+        ValueError
+            If a size differs.
+        """
+        size = (cameras[0].height, cameras[0].width)
+        for camera, image in zip(cameras, images, strict=True):
+            if image.shape != size or (camera.height, camera.width) != size:
+                raise ValueError(
+                    f"a stack holds images of one size {size}, that of their cameras; got an image of {image.shape} "
+                    f"with a camera of {(camera.height, camera.width)}"
+                )
+        floats = device.kernels.floats
+        flat = np.concatenate([np.asarray(image, dtype=np.float32).ravel() for image in images])
+        return ViewStack(device, list(cameras), floats(device, flat), floats(device, camera_table(cameras)), water)
+
+    @property
+    def height(self) -> int:
+        return self.cameras[0].height
+
+    @property
+    def width(self) -> int:
+        return self.cameras[0].width
+
+    @property
+    def plane(self) -> tuple[tuple[float, ...], tuple[float, ...], float]:
+        """Point and normal of the water plane, local, and index; local z = 0 and index 1 for a dry survey."""
+        if self.water is None:
+            return (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0
+        return self.water.point, self.water.normal, self.water.n_water

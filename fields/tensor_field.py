@@ -1,0 +1,165 @@
+"""The multi-scale tensor field: features, heads and water, rendered along bent rays inside the slab."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from fields.device import Device
+from fields.factors import Factors, Grid, anisotropic_grids, geometric_scales
+from fields.heads import ColourHead, DensityHead, WaterColumn
+from fields.rays import GAMMA, Rays
+from fields.render import log_transmittance, quantile_height, render_weights
+from fields.slab import Slab
+
+# Colour is looked up only where a sample matters (MDW-NeRF).
+MIN_COLOUR_WEIGHT = 1e-2
+
+
+@dataclass(frozen=True)
+class FieldSettings:
+    """Grid and heads of a field.
+
+    Attributes
+    ----------
+    sheared : bool
+        True for the survey grid: the slab in coordinates sheared by the proxy, its finest cells one GSD. False for a
+        cube about the scene in plain coordinates, as the paper has it.
+    scales, channels : int
+        L and n_f of the paper.
+    directions : str
+        Of "xyz", those with a vector; in the thin slab of a survey "z" alone carries what was measured.
+    coarsening : float
+        Survey grid: cells of the coarsest scale over those of the finest.
+    n_min, n_max : int
+        Cube: cells along an edge at the coarsest and finest scale.
+    samples : int
+        Per ray, inside the slab: the paper's sampling within +-s of the proxy surface. Fewer than 100, so that one at
+        least is heavy enough for a colour; others raise ValueError.
+    view_dependent : bool
+        Spherical harmonics of the direction, in the medium where the sample lies, in the colour head.
+    """
+
+    sheared: bool = True
+    scales: int = 4
+    channels: int = 4
+    directions: str = "z"
+    coarsening: float = 8.0
+    n_min: int = 64
+    n_max: int = 256
+    samples: int = 8
+    view_dependent: bool = False
+
+    def __post_init__(self):
+        if not 2 <= self.samples < 1.0 / MIN_COLOUR_WEIGHT:
+            raise ValueError(f"a field has {self.samples} samples per ray, expected 2 to 99")
+
+    @staticmethod
+    def paper() -> FieldSettings:
+        """MDW-NeRF's own grid: six scales from 64 to 256 in a cube, three directions, view-dependent colour."""
+        return FieldSettings(sheared=False, scales=6, directions="xyz", view_dependent=True)
+
+
+class TensorField(nn.Module):
+    """Density and colour inside a slab about the bed's proxy.
+
+    On the survey grid the raw density moves the bed: signed distance = zeta - half * tanh(raw), with a Laplace law of
+    learned width, so that the middle of a ray's weights is the bed and a field of zero the proxy. In the paper's cube
+    the density is softplus(raw) per cell.
+    """
+
+    def __init__(self, slab: Slab, settings: FieldSettings, device: Device, *, water: bool):
+        super().__init__()
+        self.slab, self.settings = slab, settings
+        if settings.sheared:
+            cell = np.array([slab.cell, slab.cell, slab.half / 4.0])
+            grids = anisotropic_grids(slab.size, cell, settings.coarsening, settings.scales)
+        else:
+            cells = [round(n) for n in geometric_scales(settings.n_min, settings.n_max, settings.scales)]
+            grids = [Grid(n, n, n) for n in cells]
+        shape = (settings.scales, len(settings.directions), settings.channels)
+        self.factors = Factors(grids, settings.directions, settings.channels, device)
+        self.density = DensityHead(*shape)
+        self.colour = ColourHead(*shape, degree=2 if settings.view_dependent else 0)
+        self.column = WaterColumn() if water else None
+        # Half a cell: tails that reach a face of the slab pull the bed away from it.
+        self.log_width = nn.Parameter(torch.log(torch.tensor(0.5 * slab.cell, dtype=torch.float32)))
+
+    def _coordinates(self, position: Tensor, z: Tensor, zeta: Tensor) -> Tensor:
+        """Box coordinates (samples, 3) of positions (..., 3) [m] at heights z (...) [m]."""
+        if self.settings.sheared:
+            return self.slab.box_coordinates(position[..., :2], zeta).view(-1, 3)
+        edge = float(self.slab.size[:2].max())
+        low = torch.as_tensor(self.slab.low, dtype=torch.float32)
+        middle = float(np.median(self.slab.proxy[self.slab.known]))
+        return torch.cat([(position[..., :2] - low) / edge, ((z - middle) / edge + 0.5)[..., None]], dim=-1).view(-1, 3)
+
+    def _thickness(self, features: Tensor, zeta: Tensor, lengths: Tensor) -> Tensor:
+        """Density times length (rays, samples) of the intervals, from the features (samples,) at their middles.
+
+        ``zeta`` (rays, samples + 1) [m] are the heights of their ends over the proxy, ``lengths`` (rays, samples) [m].
+        """
+        raw = self.density(features).view_as(lengths)
+        if not self.settings.sheared:
+            return nn.functional.softplus(raw) * (self.settings.n_max / float(self.slab.size[:2].max())) * lengths
+        lift, width = self.slab.half * torch.tanh(raw), self.log_width.exp()
+        start = log_transmittance(zeta[:, :-1] - lift, width)
+        end = log_transmittance(zeta[:, 1:] - lift, width)
+        # What the tail of the law takes above the slab counts to the first sample, so that the middle stays the bed.
+        start = torch.cat([torch.zeros_like(start[:, :1]), start[:, 1:]], dim=1)
+        return (start - end).clamp(min=0.0)
+
+    def intervals(self, rays: Rays, jitter: bool) -> Tensor:
+        """Heights (rays, samples + 1) [m] of the intervals' ends, downwards through the slab about each ray's proxy."""
+        n = self.settings.samples
+        step = 2.0 * self.slab.half / n
+        ends = self.slab.half - step * torch.arange(n + 1, dtype=torch.float32)
+        shift = (torch.rand(len(rays), 1) - 0.5) * step if jitter else torch.zeros(len(rays), 1)
+        return rays.height[:, None] + ends + shift
+
+    def weigh(self, rays: Rays, *, jitter: bool) -> tuple[Tensor, Tensor, Tensor]:
+        """Weights (rays, samples), interval ends (rays, samples + 1) [m] and features (rays * samples, ...)."""
+        ends = self.intervals(rays, jitter)
+        z = _middles(ends)
+        zeta = ends - self.slab.height_at(rays.at(ends)[..., :2].reshape(-1, 2)).view_as(ends)
+        features = self.factors(self._coordinates(rays.at(z), z, _middles(zeta)))
+        lengths = (ends[:, :-1] - ends[:, 1:]) * rays.slope(z).norm(dim=-1)
+        weights = render_weights(self._thickness(features, zeta, lengths))
+        # The bed is opaque: light that passed the slab's lower end met it there.
+        weights = torch.cat([weights[:, :-1], 1.0 - weights[:, :-1].sum(dim=1, keepdim=True)], dim=1)
+        return weights, ends, features
+
+    def render(self, rays: Rays, *, jitter: bool) -> tuple[Tensor, Tensor, Tensor]:
+        """Colours (rays, 3) as stored in photographs, weights (rays, samples) and interval ends (rays, samples + 1)."""
+        weights, ends, features = self.weigh(rays, jitter=jitter)
+        z = _middles(ends)
+        painted = weights.detach() > MIN_COLOUR_WEIGHT
+        where = painted.view(-1).nonzero()[:, 0]
+        direction = None
+        if self.settings.view_dependent:
+            direction = -nn.functional.normalize(rays.slope(z).view(-1, 3)[where], dim=1)
+        seen = torch.zeros(z.numel(), 3).index_put((where,), self.colour(features[where], direction))
+        # Samples too light to be looked up take the others' colour: left black, they would push the bed about.
+        share = weights * painted
+        share = share / share.sum(dim=1, keepdim=True)
+        radiance = (share[..., None] * seen.view(*z.shape, 3)).sum(dim=1)
+        if self.column is not None:
+            bed = (weights.detach() * z).sum(dim=1)
+            length = (-bed).clamp(min=0.0) * rays.wet.norm(dim=1)
+            # Light of dry ground crosses no surface.
+            radiance = self.column(radiance, length, torch.where(bed < 0.0, rays.reflectance, 0.0))
+        return radiance.clamp(min=1e-4) ** (1.0 / GAMMA), weights, ends
+
+    @torch.no_grad()
+    def heights(self, rays: Rays) -> tuple[Tensor, Tensor]:
+        """Median height [m] of each ray's weights, and half the distance between their 16 and 84 % heights [m]."""
+        weights, ends, _ = self.weigh(rays, jitter=False)
+        low, high = quantile_height(weights, ends, 0.84), quantile_height(weights, ends, 0.16)
+        return quantile_height(weights, ends), 0.5 * (high - low).abs()
+
+
+def _middles(ends: Tensor) -> Tensor:
+    return 0.5 * (ends[:, 1:] + ends[:, :-1])

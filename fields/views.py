@@ -1,0 +1,140 @@
+"""Which views to match: a set that covers the bed, and for each the neighbours that see it best.
+
+Views of one place are compared in a coarse ground grid on a level plane at the bed's height: cheap, and exact enough
+to choose by.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from refract import FlatWater, PinholeCamera
+
+# NCC over small windows holds to about 30 degrees between views and gains depth precision with the angle;
+# the best trade-off is flat around 15 to 20 degrees.
+BEST_ANGLE_DEG = 18.0
+ANGLE_WIDTH_DEG = 10.0
+# A view is steep where its ray is nearer to the vertical than this.
+STEEP_DEG = 25.0
+# Cells of the ground grid along each axis, and across the narrow side of a view; a long flight needs more for these.
+GRID_CELLS, MOST_CELLS = 48, 400
+CELLS_PER_VIEW = 8
+
+
+def ground_points(cameras: list[PinholeCamera], height: float) -> np.ndarray:
+    """Where each camera's axis meets the plane z = height, (views, 3) [m] local; NaN if it looks up."""
+    axes = np.array([c.cam_from_local[2] for c in cameras])
+    centres = np.array([c.centre for c in cameras])
+    fall = np.where(axes[:, 2] < -0.05, axes[:, 2], np.nan)
+    return centres + axes * ((height - centres[:, 2]) / fall)[:, None]
+
+
+def coverage(cameras: list[PinholeCamera], water: FlatWater | None, height: float) -> tuple[np.ndarray, np.ndarray]:
+    """Which cells of a ground grid at z = height each view sees: (views, cells) bool, and the cells (cells, 3).
+
+    Raises
+    ------
+    ValueError
+        If no view looks down at the ground.
+    """
+    centres = ground_points(cameras, height)
+    if np.isnan(centres).all():
+        raise ValueError(
+            f"no view looks down at the ground at height {height:.1f} m, local; expected photographs taken downward: "
+            "check the rotations of the poses"
+        )
+    pixel_size = np.array([(c.centre[2] - height) / c.fx for c in cameras])
+    reach = np.max(pixel_size * [np.hypot(c.width, c.height) / 2 for c in cameras])
+    side = np.median(pixel_size * [min(c.width, c.height) for c in cameras])
+    low, high = np.nanmin(centres, axis=0)[:2] - reach, np.nanmax(centres, axis=0)[:2] + reach
+    columns, rows = np.clip(np.ceil((high - low) * CELLS_PER_VIEW / side), GRID_CELLS, MOST_CELLS).astype(int)
+    x, y = np.meshgrid(np.linspace(low[0], high[0], columns), np.linspace(low[1], high[1], rows))
+    cells = np.stack([x.ravel(), y.ravel(), np.full(x.size, height)], axis=-1)
+    seen = np.zeros((len(cameras), len(cells)), dtype=bool)
+    for mine, camera in zip(seen, cameras, strict=True):
+        pixel = camera.project(cells, water)
+        mine[:] = (pixel > 0.0).all(axis=1) & (pixel[:, 0] < camera.width) & (pixel[:, 1] < camera.height)
+    return seen, cells
+
+
+def cover(
+    seen: np.ndarray, cells: np.ndarray, cameras: list[PinholeCamera], times: int, times_oblique: int
+) -> list[int]:
+    """A small set of views that sees every cell from every side.
+
+    A cell is to be seen ``times`` times by steep views, whose ground sampling distance is the finest and which agree
+    best, and ``times_oblique`` times by oblique ones from each of four quarters, which look under what the steep ones
+    see from above; where there are too few, ``times`` times by any. Greedy in each class.
+    """
+    steep, quarter = np.empty(seen.shape, dtype=bool), np.empty(seen.shape, dtype=np.int8)
+    for view, camera in enumerate(cameras):
+        ray = camera.centre - cells
+        steep[view] = ray[:, 2] > np.cos(np.radians(STEEP_DEG)) * np.linalg.norm(ray, axis=1)
+        quarter[view] = np.floor(np.arctan2(ray[:, 1], ray[:, 0]) / (0.5 * np.pi)).astype(int) % 4
+    chosen = _greedy(seen & steep, [], times)
+    for side in range(4):
+        chosen = _greedy(seen & ~steep & (quarter == side), chosen, times_oblique)
+    return sorted(_greedy(seen, chosen, times))
+
+
+def _greedy(seen: np.ndarray, chosen: list[int], times: int) -> list[int]:
+    """``chosen`` and the views still needed so that each cell is seen ``times`` times, or as often as it is at all."""
+    chosen = list(chosen)
+    need = np.minimum(seen.sum(axis=0), times)
+    have = seen[chosen].sum(axis=0)
+    while True:
+        gain = (seen & (have < need)).sum(axis=1)
+        gain[chosen] = 0
+        if gain.max() == 0:
+            return chosen
+        best = int(gain.argmax())
+        chosen.append(best)
+        have = have + seen[best]
+
+
+def neighbours(
+    cameras: list[PinholeCamera], seen: np.ndarray, cells: np.ndarray, view: int, among: list[int], count: int
+) -> list[int]:
+    """The ``count`` views of ``among`` that match `view` best: overlap, a useful angle, and spread around it."""
+    centres = np.array([c.centre for c in cameras])
+    others = [o for o in among if o != view]
+    mine = seen[view]
+    if not mine.any():
+        return []
+    middle = cells[mine].mean(axis=0)
+    overlap = np.array([(seen[o] & mine).sum() / mine.sum() for o in others])
+    rays = centres - middle
+    rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    angle = np.degrees(np.arccos(np.clip(rays[others] @ rays[view], -1.0, 1.0)))
+    score = overlap * np.exp(-0.5 * ((angle - BEST_ANGLE_DEG) / ANGLE_WIDTH_DEG) ** 2)
+    score[overlap < 0.05] = 0.0
+    way = rays[others] - rays[view]
+    way /= np.linalg.norm(way, axis=1, keepdims=True) + 1e-12
+    chosen: list[int] = []
+    for _ in range(count):
+        spread = np.ones(len(others))
+        for c in chosen:
+            spread *= 1.0 - 0.5 * np.clip(way @ way[c], 0.0, 1.0) ** 2
+        value = score * spread
+        value[chosen] = 0.0
+        if not len(value) or value.max() <= 0.0:
+            break
+        chosen.append(int(value.argmax()))
+    return [others[c] for c in chosen]
+
+
+def parallax(
+    cameras: list[PinholeCamera], water: FlatWater | None, view: int, others: list[int], height: float
+) -> float:
+    """How far [px] a bed point seen mid-image by `view` moves in the others per metre of its height.
+
+    ``height`` [m] is over the water plane along its normal (over local z = 0 in a dry survey). The upper quartile over
+    the others; the sweep's steps and tolerances follow from it. At least 1e-3.
+    """
+    camera = cameras[view]
+    path = camera.paths(np.array([camera.width / 2, camera.height / 2]), water)
+    moves = []
+    for other in others:
+        ends = [cameras[other].project(path.at_height(np.array(height + dz), water), water) for dz in (-0.05, 0.05)]
+        moves.append(np.linalg.norm(ends[1] - ends[0]) / 0.1)
+    return max(float(np.nanquantile(moves, 0.75)), 1e-3)

@@ -1,0 +1,174 @@
+"""From height maps to points: every piece of the bed once, only what is trusted, back on the pixel it came from."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from plane_survey import SIZE, TILTED, PlaneBed, ring
+
+from fields.bed import BedPoints, has_company, points_of, trusted, unique_pixels
+from fields.block import Block
+from fields.sweep import DepthMap
+from refract import FlatWater
+
+HEIGHT = -2.0
+
+
+def level_map(view: int, height: float = HEIGHT, agreeing: int = 3) -> DepthMap:
+    """A map of one height over the water plane, confirmed by `agreeing` views."""
+    shape = SIZE[::-1]
+    full = [np.full(shape, value, np.float32) for value in (height, 0.9, 100.0, 0.01)]
+    return DepthMap(view, *full[:3], np.full(shape, agreeing, np.uint8), full[3])
+
+
+def seen_from(block: Block, m: DepthMap, other: int) -> np.ndarray:
+    """Pixels (height, width, 2) of another view at which the points of a map appear, in float64."""
+    camera = block.cameras[m.view]
+    points = camera.paths(camera.pixel_centres(), block.water).at_height(m.height.astype(np.float64), block.water)
+    return block.cameras[other].project(points, block.water)
+
+
+def slow_unique(block: Block, maps: list[DepthMap]) -> list[np.ndarray]:
+    """`unique_pixels` pixel by pixel in float64, for maps of one height each."""
+    steepness = [block.cameras[m.view].cam_from_local[2][2] for m in maps]
+    claimed, kept = [np.zeros(m.height.shape, bool) for m in maps], {}
+    order = [int(i) for i in np.argsort(steepness)]
+    for place, index in enumerate(order):
+        m = maps[index]
+        kept[index] = trusted(m) & ~claimed[index]
+        tolerance = block.agreement_tolerance(m.view, [o.view for o in maps if o is not m], float(m.height[0, 0]))
+        for later in order[place + 1 :]:
+            if abs(maps[later].height[0, 0] - m.height[0, 0]) >= tolerance:
+                continue
+            uv = seen_from(block, m, maps[later].view)[kept[index]]
+            rows, columns = m.height.shape
+            inside = (uv >= 0.5).all(axis=1) & (uv[:, 0] < columns - 0.5) & (uv[:, 1] < rows - 0.5)
+            for u, v in uv[inside]:
+                claimed[later][int(v - 0.5) : int(v - 0.5) + 2, int(u - 0.5) : int(u - 0.5) + 2] = True
+    return [kept[i] for i in range(len(maps))]
+
+
+def test_one_confirmation_needs_a_good_match_two_do_not():
+    m = level_map(0)
+    cases = [(0, 1.0, False), (1, 0.75, False), (1, 0.85, True), (2, -0.5, True), (3, 0.1, True)]
+    m.agreeing[0, :5], m.score[0, :5] = [c[0] for c in cases], [c[1] for c in cases]
+    np.testing.assert_array_equal(trusted(m)[0, :5], [c[2] for c in cases])
+
+
+def test_two_identical_views_give_one_set_of_pixels(device):
+    cameras = ring(3)
+    block = PlaneBed(TILTED, -2.0).block(device, [cameras[0], cameras[0], *cameras[1:]])
+    first, second = unique_pixels(block, [level_map(0), level_map(1)])
+    assert first.all()
+    # On the rim of the image positions of 0.5 px may round outward.
+    assert not second[1:-1, 1:-1].any()
+
+
+def test_each_piece_of_the_bed_is_taken_once_as_a_slow_twin_takes_it(device):
+    block = PlaneBed(TILTED, -2.0).block(device, ring(3))
+    maps = [level_map(view) for view in (2, 0, 3)]
+    maps[1].agreeing[:30, :50] = 0
+    found, slow = unique_pixels(block, maps), slow_unique(block, maps)
+    for keep, expected in zip(found, slow, strict=True):
+        # A path within 1e-4 px of a pixel's border may round to either side of it.
+        assert (keep != expected).mean() < 1e-3
+    assert sum(k.sum() for k in found) < 0.7 * sum(k.size for k in found)
+    steepest = min(range(3), key=lambda i: block.cameras[maps[i].view].cam_from_local[2][2])
+    np.testing.assert_array_equal(found[steepest], trusted(maps[steepest]))
+
+
+def test_pixels_that_are_not_trusted_are_dropped_and_claim_nothing(device):
+    cameras = ring(3)
+    block = PlaneBed(TILTED, -2.0).block(device, [cameras[0], cameras[0], *cameras[1:]])
+    nobody, other = level_map(0, agreeing=0), level_map(1)
+    first, second = unique_pixels(block, [nobody, other])
+    assert not first.any()
+    assert second.all()
+
+
+def test_a_bed_at_another_height_is_another_piece_of_it(device):
+    block = PlaneBed(TILTED, -2.0).block(device, ring(3))
+    tolerance = block.agreement_tolerance(0, [1], HEIGHT)
+    for offset, all_kept in ((0.5 * tolerance, False), (2.0 * tolerance, True)):
+        maps = [level_map(0), level_map(1, HEIGHT + offset)]
+        assert all(keep.all() for keep in unique_pixels(block, maps)) == all_kept
+
+
+def test_a_single_map_keeps_all_that_is_trusted(device):
+    block = PlaneBed(TILTED, -2.0).block(device, ring(3))
+    (keep,) = unique_pixels(block, [level_map(1)])
+    assert keep.all()
+
+
+@pytest.fixture
+def half_kept(rng):
+    """A camera, a map with random heights about the surface, a mask and colours."""
+    camera = ring(1)[1]
+    m = level_map(1)
+    m.height[:] = rng.uniform(-3.0, 1.0, m.height.shape)
+    m.agreeing[:] = rng.integers(1, 9, m.height.shape)
+    keep = rng.uniform(size=m.height.shape) < 0.5
+    return camera, m, keep, rng.integers(0, 255, (*m.height.shape, 3), dtype=np.uint8)
+
+
+def test_points_appear_at_the_pixels_they_were_taken_from(half_kept):
+    camera, m, keep, rgb = half_kept
+    points = points_of(camera, TILTED, m, keep, rgb)
+    assert len(points) == keep.sum()
+    assert points.xyz.dtype == np.float64
+    np.testing.assert_allclose(camera.project(points.xyz, TILTED), camera.pixel_centres()[keep], atol=1e-7)
+    np.testing.assert_allclose(-TILTED.depth(points.xyz), m.height[keep], atol=1e-9)
+    np.testing.assert_array_equal(points.wet, m.height[keep] < 0.0)
+    np.testing.assert_array_equal(points.rgb, rgb[keep])
+    np.testing.assert_array_equal(points.num_views, m.agreeing[keep] + 1)
+    surface = TILTED.height(points.xyz[:, 0], points.xyz[:, 1])
+    np.testing.assert_allclose(points.depth, surface - points.xyz[:, 2], atol=1e-6)
+    rays = camera.directions(camera.pixel_centres()[keep])
+    np.testing.assert_allclose(np.cos(points.incidence), -(rays @ TILTED.normal), atol=1e-6)
+
+
+def test_the_standard_deviation_is_that_of_a_sample(half_kept):
+    camera, m, keep, rgb = half_kept
+    heights = np.array([-2.0, -2.02, -1.97])
+    m.agreeing[:], m.spread[:] = 2, np.std(heights)
+    points = points_of(camera, TILTED, m, keep, rgb)
+    np.testing.assert_allclose(points.std, np.std(heights, ddof=1), rtol=1e-6)
+
+
+def test_a_dry_survey_has_no_depth_and_counts_heights_from_local_zero(half_kept):
+    camera, m, keep, rgb = half_kept
+    points = points_of(camera, None, m, keep, rgb)
+    assert np.isnan(points.depth).all()
+    assert not points.wet.any()
+    np.testing.assert_allclose(points.xyz[:, 2], m.height[keep], atol=1e-12)
+
+
+def test_a_padded_map_gives_the_points_of_the_image_in_it(half_kept):
+    camera, m, keep, rgb = half_kept
+    padded = DepthMap(
+        1, *(np.pad(a, ((0, 8), (0, 16))) for a in (m.height, m.score, m.curvature, m.agreeing, m.spread))
+    )
+    found, expected = points_of(camera, TILTED, padded, keep, rgb), points_of(camera, TILTED, m, keep, rgb)
+    np.testing.assert_array_equal(found.xyz, expected.xyz)
+    np.testing.assert_array_equal(found.std, expected.std)
+
+
+def test_points_of_several_views_join_and_can_be_chosen_from(half_kept):
+    camera, m, keep, rgb = half_kept
+    one = points_of(camera, FlatWater((0.0, 0.0, 0.0), 1.0), m, keep, rgb)
+    both = BedPoints.concatenate([one, one[one.wet]])
+    assert len(both) == len(one) + one.wet.sum()
+    np.testing.assert_array_equal(both[len(one) :].xyz, one.xyz[one.wet])
+    assert both.rgb.dtype == np.uint8
+
+
+def test_points_of_a_surface_have_company_and_chance_agreements_have_not(rng):
+    gsd = 0.03
+    x, y = np.meshgrid(np.arange(30) * gsd, np.arange(20) * gsd)
+    surface = np.stack([x.ravel(), y.ravel(), 0.3 * x.ravel() - 2.0], axis=-1)
+    stray = np.stack([*rng.uniform(0.0, 0.6, (2, 12)), np.linspace(1.0, 9.0, 12)], axis=-1)
+    found = has_company(np.concatenate([surface, stray]), gsd)
+    assert found[: len(surface)].all()
+    assert not found[len(surface) :].any()
+    assert not has_company(surface[:3], gsd).any()
+    assert has_company(surface[:0], gsd).shape == (0,)

@@ -1,0 +1,88 @@
+"""The choice of what runs the kernels, and that torch alone suffices."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fields.device import Device, choose_device
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# A whole sweep in a process where importing Dr.Jit fails.
+TORCH_ALONE = """
+import sys
+sys.modules["drjit"] = None
+from fields.bed import trusted, unique_pixels
+from fields.device import choose_device
+from fields.sweep import Pass, sweep
+from plane_survey import TILTED, PlaneBed, ring
+
+device = choose_device("torch")
+block = PlaneBed(TILTED, -2.0).block(device, ring(4))
+passes = (Pass(0.5, 2, None, 0.5, 4, True), Pass(1.0, 2, 5, 0.3, 4, True))
+maps = sweep(block, [0, 1, 2], (-2.3, -1.8), lambda share: None, passes)
+kept = unique_pixels(block, maps)
+assert all(trusted(m).mean() > 0.4 for m in maps)
+assert 0 < sum(k.sum() for k in kept) < sum(trusted(m).sum() for m in maps)
+assert sys.modules["drjit"] is None
+sys.stdout.write("done on " + device.name)
+"""
+
+# Dr.Jit itself says on standard error that it does not take the library.
+NO_LLVM = """
+import sys
+from fields.device import choose_device
+for wanted in ("cpu", "auto"):
+    device = choose_device(wanted)
+    sys.stdout.write(f"{device.name}|{device.reason}\\n")
+"""
+
+
+def run(script: str, **environment: str) -> str:
+    """Standard output of a script in a Python of its own."""
+    paths = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        env={**os.environ, "PYTHONPATH": paths, **environment},
+        capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_an_unknown_word_is_refused():
+    with pytest.raises(ValueError, match="device is 'gpu', expected auto, cpu, cuda or torch"):
+        choose_device("gpu")
+
+
+def test_cuda_is_refused_where_there_is_none():
+    if choose_device("auto").name == "cuda":
+        pytest.skip("this machine has a CUDA device")
+    with pytest.raises(ValueError, match="finds no CUDA device; use --device cpu"):
+        choose_device("cuda")
+
+
+def test_each_device_has_its_kernels_and_says_why_it_was_chosen():
+    for wanted in ("cpu", "torch"):
+        device = choose_device(wanted)
+        assert device is choose_device(wanted)
+        expected = "fields.matching_torch" if device.name == "torch" else "fields.matching"
+        assert device.kernels.__name__ == expected
+        assert (device.module is None) == (device.name == "torch")
+        assert device.reason
+    assert choose_device("torch") == Device("torch", None, "torch was asked for", choose_device("torch").place)
+
+
+def test_torch_sweeps_without_dr_jit():
+    assert run(TORCH_ALONE, OMP_NUM_THREADS="1") == "done on torch"
+
+
+def test_without_llvm_the_cpu_falls_back_on_torch_and_names_the_library_it_was_given():
+    lines = run(NO_LLVM, DRJIT_LIBLLVM_PATH="/nowhere/libLLVM.so", CUDA_VISIBLE_DEVICES="").splitlines()
+    assert [line.split("|")[0] for line in lines] == ["torch", "torch"]
+    assert all("Dr.Jit rejects /nowhere/libLLVM.so" in line and "slower" in line for line in lines)

@@ -1,0 +1,153 @@
+"""Heads of the field: density coarse and weighted, colour, and the water column, against their equations."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from fields.heads import GATE_OF_ONE, ColourHead, DensityHead, WaterColumn, spherical_harmonics
+
+L, D, F = 3, 2, 4
+
+
+def gelu(x):
+    return x * 0.5 * (1.0 + np.vectorize(math.erf)(np.asarray(x) / math.sqrt(2.0)))
+
+
+def linear(layer: torch.nn.Linear, x: np.ndarray) -> np.ndarray:
+    return layer.weight.detach().numpy() @ x + layer.bias.detach().numpy()
+
+
+def randomised(head: torch.nn.Module) -> torch.nn.Module:
+    """The head in float64 with every parameter drawn from a normal law."""
+    generator = torch.Generator().manual_seed(3)
+    head = head.double()
+    with torch.no_grad():
+        for parameter in head.parameters():
+            parameter.copy_(torch.randn(parameter.shape, generator=generator, dtype=torch.float64))
+    return head
+
+
+def features_of(rng, num: int = 6) -> np.ndarray:
+    return rng.standard_normal((num, L * D * F))
+
+
+def test_coarse_density_is_a_linear_map_of_the_sum_over_directions(rng):
+    head, features = randomised(DensityHead(L, D, F)), features_of(rng)
+    found = head(torch.from_numpy(features)).detach().numpy()
+    for value, sample in zip(found, features, strict=True):
+        a = sample.reshape(L, D, F)
+        total = [sum(a[n, m, k] for m in range(D)) for n in range(L) for k in range(F)]
+        assert value == pytest.approx(linear(head.coarse, np.array(total))[0], rel=1e-12)
+
+
+def test_fine_density_gates_the_features_of_each_scale_by_the_weighting_network(rng):
+    head, features = randomised(DensityHead(L, D, F)), features_of(rng)
+    head.is_fine = True
+    assert head.squeeze.weight.shape == (D * F // 2, D * F)
+    found = head(torch.from_numpy(features)).detach().numpy()
+    for value, sample in zip(found, features, strict=True):
+        total = []
+        for a in sample.reshape(L, D * F):
+            gate = gelu(linear(head.gate, gelu(linear(head.excite, gelu(linear(head.squeeze, a))))))
+            weighted = (gate * a).reshape(D, F)
+            total += [sum(weighted[m, k] for m in range(D)) for k in range(F)]
+        assert value == pytest.approx(linear(head.fine, np.array(total))[0], rel=1e-12)
+
+
+def test_an_untrained_density_is_zero_in_both_stages(rng):
+    head = DensityHead(L, D, F)
+    features = torch.from_numpy(features_of(rng)).float()
+    assert not head(features).any()
+    head.switch_to_fine()
+    assert not head(features).any()
+
+
+def test_gelu_is_one_at_the_bias_of_an_open_gate():
+    assert gelu(GATE_OF_ONE) == pytest.approx(1.0, abs=2e-16)
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float64, 1e-14), (torch.float32, 1e-6)])
+def test_the_switch_to_fine_leaves_the_density_where_it_stands(dtype, tolerance, rng):
+    head = randomised(DensityHead(L, D, F)).to(dtype)
+    features = torch.from_numpy(features_of(rng, 50)).to(dtype)
+    coarse = head(features)
+    head.switch_to_fine()
+    assert (head(features) - coarse).abs().max() <= tolerance * coarse.abs().max()
+
+
+def test_all_of_the_weighting_network_learns_after_the_switch(rng):
+    head = randomised(DensityHead(L, D, F))
+    head.switch_to_fine()
+    features = torch.from_numpy(features_of(rng))
+    optimiser = torch.optim.Adam(head.parameters(), lr=1e-2)
+    for _ in range(2):  # the gate's map starts at zero: what lies before it hears of the loss one step later
+        optimiser.zero_grad()
+        head(features).square().sum().backward()
+        optimiser.step()
+    for name in ("squeeze", "excite", "gate", "fine"):
+        assert getattr(head, name).weight.grad.any(), name
+    assert head.coarse.weight.grad is None
+
+
+def test_colour_weights_each_scale_and_regresses_it_with_the_direction(rng):
+    head, features = randomised(ColourHead(L, D, F, hidden=5, degree=2)), features_of(rng)
+    directions = rng.standard_normal((len(features), 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    found = head(torch.from_numpy(features), torch.from_numpy(directions)).detach().numpy()
+    harmonics = spherical_harmonics(torch.from_numpy(directions), 2).numpy()
+    for value, sample, sh in zip(found, features, harmonics, strict=True):
+        f = np.concatenate([sample * head.weights.detach().numpy(), sh])
+        out = linear(head.last, gelu(linear(head.middle, gelu(linear(head.first, f)))))
+        np.testing.assert_allclose(value, np.log1p(np.exp(4.0 * out)) / 4.0, rtol=1e-10)  # softplus, beta 4
+    assert (found > 0.0).all()
+
+
+def test_a_matt_bed_looks_the_same_from_everywhere(rng):
+    head = ColourHead(L, D, F)
+    assert torch.equal(head.weights, torch.ones(L * D * F))
+    assert head(torch.from_numpy(features_of(rng)).float(), None).shape == (6, 3)
+
+
+def test_spherical_harmonics_are_orthonormal_over_the_sphere():
+    # Gauss-Legendre in z and even steps about it integrate polynomials of degree 4 exactly.
+    z, weight = np.polynomial.legendre.leggauss(8)
+    phi = 2.0 * np.pi * np.arange(12) / 12
+    z, phi = (v.ravel() for v in np.meshgrid(z, phi, indexing="ij"))
+    r = np.sqrt(1.0 - z * z)
+    directions = np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=-1)
+    area = np.repeat(weight, 12) * 2.0 * np.pi / 12
+    assert area.sum() == pytest.approx(4.0 * np.pi, rel=1e-12)
+    for degree in (1, 2):
+        found = spherical_harmonics(torch.from_numpy(directions), degree).numpy()
+        assert found.shape == (len(z), (degree + 1) ** 2 - 1)
+        with_constant = np.column_stack([np.full(len(z), 0.5 / math.sqrt(math.pi)), found])
+        gram = with_constant.T @ (area[:, None] * with_constant)
+        np.testing.assert_allclose(gram, np.eye((degree + 1) ** 2), atol=1e-6)  # constants have seven digits
+
+
+def test_the_water_column_absorbs_and_veils_and_its_surface_reflects():
+    column = randomised(WaterColumn())
+    bed, length, r = torch.tensor([[0.6, 0.4, 0.2]]).double(), torch.tensor([2.5]).double(), torch.tensor([0.03])
+    a, veil, sky = (
+        np.log1p(np.exp(p.detach().numpy())) for p in (column.raw_absorption, column.raw_veil, column.raw_sky)
+    )
+    kept = np.exp(-a * 2.5)
+    below = kept * (0.6, 0.4, 0.2) + (1.0 - kept) * veil
+    np.testing.assert_allclose(column(bed, length, r.double())[0].detach(), 0.97 * below + 0.03 * sky, rtol=1e-6)
+
+
+def test_no_water_shows_the_bed_and_endless_water_the_veil():
+    column = WaterColumn()
+    bed = torch.rand(4, 3)
+    dark = torch.zeros(4)
+    torch.testing.assert_close(column(bed, torch.zeros(4), dark), bed)
+    veil = torch.nn.functional.softplus(column.raw_veil).expand(4, 3)
+    torch.testing.assert_close(column(bed, torch.full((4,), 1e4), dark), veil)
+
+
+def test_water_begins_as_clear_coastal_water_and_takes_red_first():
+    torch.testing.assert_close(WaterColumn().absorption.detach(), torch.tensor([0.3, 0.07, 0.05]))

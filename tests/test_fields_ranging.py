@@ -1,0 +1,53 @@
+"""The bound of the bed from thumbnails."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from plane_survey import TILTED, PlaneBed, ring
+
+from fields.block import Block
+from fields.ranging import find_range
+from refract import FlatWater
+
+LIMITS = (-4.0, 0.0)
+# Wide views, as those of surveys are: nearly all of an image is seen by others at every height tried.
+WIDE = {"focal": 400.0, "size": (96, 72)}
+
+
+@pytest.mark.parametrize(
+    "bed",
+    [PlaneBed(TILTED, -2.0, slope=0.2), PlaneBed(FlatWater((0.0, 0.0, -1.8), 1.34), -2.0, 0.6)],
+    ids=["wet", "shore"],
+)
+def test_the_range_contains_the_bed_and_not_much_more(device, bed):
+    cameras = ring(4, **WIDE)
+    truth = np.concatenate([bed.true_height(camera).ravel() for camera in cameras])
+    limits = tuple(truth.mean() + np.array([-2.0, 2.0]))
+    low, high = find_range(bed.block(device, cameras), limits)
+    # The range is that of 99 % of the matched pixels, widened; the rim of an image is seen by few others.
+    assert limits[0] <= low < np.quantile(truth, 0.01)
+    assert np.quantile(truth, 0.99) < high <= limits[1]
+    # A quarter more on each side, a rung of 0.5 px (8 cm), and what false matches on the rim add: at worst it is 2.9 m.
+    assert high - low < 0.8 * (limits[1] - limits[0])
+
+
+def test_the_range_stays_within_the_limits(device):
+    bed = PlaneBed(None, -2.0, slope=0.4)
+    assert find_range(bed.block(device, ring(4)), (-2.1, -1.9)) == pytest.approx((-2.1, -1.9), abs=0.06)
+
+
+def test_images_that_do_not_belong_together_have_no_range(device, rng):
+    cameras = ring(3, **WIDE)
+    noise = [rng.normal(0.0, 40.0, (c.height, c.width)).astype(np.float32) for c in cameras]
+    with pytest.raises(
+        ValueError, match=r"only \d+ thumbnail pixels match .* from -4.0 to 0.0 m over the water; check"
+    ):
+        find_range(Block(device, cameras, noise, TILTED, -2.0), LIMITS)
+
+
+def test_images_without_texture_have_no_range(device):
+    cameras = ring(2, **WIDE)
+    grey = [np.full((c.height, c.width), 12.0, np.float32) for c in cameras]
+    with pytest.raises(ValueError, match="only 0 thumbnail pixels match"):
+        find_range(Block(device, cameras, grey, None, -2.0), LIMITS)

@@ -1,0 +1,129 @@
+"""Training rays: where they stand in both media, where they meet the proxy, and what the surface reflects."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from plane_field import level_slab, rays_at
+from plane_survey import TILTED, PlaneBed, look, ring
+
+from fields.rays import MEETING_STEPS, Rays, fresnel_reflectance, rays_of
+from refract import FlatWater
+
+N = 1.333
+# Local coordinates of 10 m, a foot and a slope in float32; measured 1.2e-6 m.
+POINT_M = 3e-6
+WATERS = {"tilted": TILTED, "level": FlatWater((0.0, 0.0, 0.4), N), "dry": None, "index one": FlatWater((0, 0, 0), 1.0)}
+
+
+def pixels_of(camera) -> np.ndarray:
+    return camera.pixel_centres()[::9, ::9].reshape(-1, 2)
+
+
+@pytest.mark.parametrize("water", WATERS.values(), ids=WATERS.keys())
+def test_rays_stand_where_bent_paths_stand(water, rng):
+    for camera in ring(3):
+        rays = rays_at(PlaneBed(water, -2.0), camera, 0.0, step=9)
+        heights = rng.uniform(-3.0, 3.0, (len(rays), 5))
+        path = camera.paths(pixels_of(camera), water)
+        truth = np.stack([path.at_height(heights[:, k], water) for k in range(5)], axis=1)
+        np.testing.assert_allclose(rays.at(torch.from_numpy(heights).float()), truth, atol=POINT_M)
+        np.testing.assert_allclose(rays.at(torch.from_numpy(heights[:, 0]).float()), truth[:, 0], atol=POINT_M)
+
+
+@pytest.mark.parametrize("water", [TILTED, None])
+def test_slopes_measure_the_path_per_metre_of_height(water):
+    camera = ring(2)[1]
+    rays = rays_at(PlaneBed(water, -2.0), camera, 0.0, step=9)
+    path = camera.paths(pixels_of(camera), water)
+    normal = np.array((0.0, 0.0, 1.0) if water is None else water.normal)
+    above = rays.slope(torch.full((len(rays),), 0.5)).norm(dim=-1)
+    below = rays.slope(torch.full((len(rays),), -0.5)).norm(dim=-1)
+    np.testing.assert_allclose(above, -1.0 / (path.air_direction @ normal), rtol=1e-6)
+    np.testing.assert_allclose(below, -1.0 / (path.water_direction @ normal), rtol=1e-6)
+
+
+def test_rays_cross_the_surface_without_a_step():
+    rays = rays_at(PlaneBed(TILTED, -2.0), ring(2)[1], 0.0)
+    at = {z: rays.at(torch.full((len(rays),), z)) for z in (-1e-4, 0.0, 1e-4)}
+    for z in (-1e-4, 1e-4):  # 23 degrees off nadir, 1.1e-4 m of path
+        assert (at[z] - at[0.0]).norm(dim=1).max() < 1.3e-4 + POINT_M
+    assert np.abs(TILTED.depth(at[0.0].numpy().astype(float))).max() < POINT_M
+
+
+@pytest.mark.parametrize(("slope_x", "left"), [(0.0, 0.0), (0.1, 3e-4), (-0.4, 2e-3)])
+def test_rays_meet_a_sloped_proxy(slope_x, left):
+    """``left`` [m] is what the steps leave of 6 cm, the most that rays inside a slab are off by."""
+    bed = PlaneBed(None, -2.0, slope_x)
+    slab = level_slab(-2.0, slope_x=slope_x)
+    for camera in ring(4):
+        truth = bed.true_height(camera)[::7, ::7].ravel()
+        for off in (0.06, -0.06):
+            rays = rays_at(bed, camera, (truth + off).astype(np.float32))
+            assert np.abs(rays.meet(slab).numpy() - truth).max() < left + 2 * POINT_M
+
+
+def test_steps_to_the_proxy_contract_as_the_slopes_say():
+    bed, camera = PlaneBed(None, -2.0, 0.3), look((4.0, 0.0, 8.0), (0.0, 0.0, -2.0))
+    slab = level_slab(-2.0, slope_x=0.3)
+    truth = bed.true_height(camera)[::7, ::7].ravel()
+    rays = rays_at(bed, camera, (truth + 0.06).astype(np.float32))
+    along = 0.3 * rays.air[:, 0].double().numpy()  # rise of the proxy per metre of height along the ray
+    expected = 0.06 * along * (0.5 + 0.5 * along) ** (MEETING_STEPS - 1)
+    np.testing.assert_allclose(rays.meet(slab).numpy() - truth, expected, atol=4 * POINT_M)
+
+
+def test_colours_and_reflectance_come_with_the_rays():
+    camera = ring(2)[1]
+    pixels = pixels_of(camera)
+    rgb = np.tile(np.array([0, 51, 255], np.uint8), (len(pixels), 1))
+    height = np.full(len(pixels), -1.25, np.float32)
+    wet, dry = (rays_of(camera, water, pixels, height, rgb) for water in (TILTED, None))
+    torch.testing.assert_close(wet.rgb[0], torch.tensor([0.0, 0.2, 1.0]))
+    assert (wet.height == -1.25).all()
+    assert not dry.reflectance.any()
+    path = camera.paths(pixels, TILTED)
+    normal = np.array(TILTED.normal)
+    for found, air in zip(wet.reflectance.numpy(), -(path.air_direction @ normal), strict=True):
+        assert found == pytest.approx(reflectance_in_angles(math.acos(air), TILTED.n_water), rel=1e-5)
+
+
+def reflectance_in_angles(angle: float, n: float) -> float:
+    """Fresnel's sine and tangent laws, averaged over the polarisations."""
+    other = math.asin(math.sin(angle) / n)
+    s = (math.sin(angle - other) / math.sin(angle + other)) ** 2
+    p = (math.tan(angle - other) / math.tan(angle + other)) ** 2
+    return 0.5 * (s + p)
+
+
+@pytest.mark.parametrize("angle_deg", [5.0, 30.0, 53.1, 75.0, 89.0])
+def test_reflectance_is_fresnels_and_what_is_not_reflected_passes(angle_deg):
+    angle = math.radians(angle_deg)
+    cos_air, cos_water = math.cos(angle), math.sqrt(1.0 - (math.sin(angle) / N) ** 2)
+    found = fresnel_reflectance(cos_air, cos_water, N)
+    assert found == pytest.approx(reflectance_in_angles(angle, N), rel=1e-11)
+    passes_s = (2.0 * cos_air / (cos_air + N * cos_water)) ** 2
+    passes_p = (2.0 * cos_air / (cos_water + N * cos_air)) ** 2
+    assert found + 0.5 * (passes_s + passes_p) * N * cos_water / cos_air == pytest.approx(1.0, rel=1e-12)
+    assert fresnel_reflectance(cos_water, cos_air, 1.0 / N) == pytest.approx(found, rel=1e-12)
+
+
+def test_reflectance_at_nadir_at_brewsters_angle_and_along_the_surface():
+    assert fresnel_reflectance(1.0, 1.0, N) == pytest.approx(((N - 1.0) / (N + 1.0)) ** 2, rel=1e-12)
+    brewster = math.atan(N)
+    s = ((1.0 - N**2) / (1.0 + N**2)) ** 2  # parallel light is not reflected there
+    assert fresnel_reflectance(math.cos(brewster), math.sin(brewster), N) == pytest.approx(0.5 * s, rel=1e-12)
+    assert fresnel_reflectance(0.0, math.sqrt(1.0 - 1.0 / N**2), N) == pytest.approx(1.0)
+    assert fresnel_reflectance(0.7, 0.7, 1.0) == 0.0
+
+
+def test_rays_are_taken_apart_and_put_together():
+    rays = rays_at(PlaneBed(TILTED, -2.0), ring(2)[1], -1.0)
+    even, odd = rays[0 : len(rays) : 2], rays[torch.arange(1, len(rays), 2)]
+    both = Rays.concatenate([even, odd])
+    assert len(both) == len(rays)
+    assert torch.equal(both.foot[: len(even)], rays.foot[::2])
+    assert torch.equal(both.reflectance[len(even) :], rays.reflectance[1::2])

@@ -1,0 +1,168 @@
+"""Who sees what: coverage, choice of views and neighbours, parallax; and the block that holds them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from plane_survey import TILTED, PlaneBed, look, ring
+
+from fields import views
+from fields.block import AGREEMENT_PX, Block
+from fields.device import choose_device
+from refract import FlatWater
+
+WATER = FlatWater((0.0, 0.0, 0.0), 1.34)
+
+
+def flight(num: int = 6, *, spacing: float = 0.8, height: float = 10.0):
+    """Nadir views in a line along x over the local origin."""
+    return [look((spacing * i, 0.0, height), (spacing * i, 0.0, -2.0)) for i in range(num)]
+
+
+def test_axes_meet_the_ground_where_they_point_and_never_if_they_look_up():
+    cameras = [look((1.0, 2.0, 10.0), (4.0, 6.0, 0.0)), look((1.0, 2.0, 10.0), (4.0, 6.0, 20.0))]
+    found = views.ground_points(cameras, 5.0)
+    np.testing.assert_allclose(found[0], [2.5, 4.0, 5.0], atol=1e-12)
+    assert np.isnan(found[1]).all()
+
+
+def test_coverage_says_of_each_cell_who_sees_it_through_the_water():
+    cameras = flight(3)
+    seen, cells = views.coverage(cameras, WATER, -2.0)
+    assert seen.shape == (3, len(cells))
+    np.testing.assert_array_equal(cells[:, 2], -2.0)
+    for camera, mine in zip(cameras, seen, strict=True):
+        pixel = camera.project(cells, WATER)
+        inside = (pixel > 0.0).all(axis=1) & (pixel < (camera.width, camera.height)).all(axis=1)
+        np.testing.assert_array_equal(mine, inside)
+        assert 0 < mine.sum() < len(cells)
+    # The grid spans all that is seen: no cell on its rim is.
+    rim = (cells[:, :2] == cells[:, :2].min(axis=0)).any(axis=1) | (cells[:, :2] == cells[:, :2].max(axis=0)).any(
+        axis=1
+    )
+    assert not seen[:, rim].any()
+
+
+def test_on_a_long_flight_a_view_still_sees_many_cells_and_its_neighbours():
+    cameras = flight(60, spacing=0.5)
+    seen, cells = views.coverage(cameras, WATER, -2.0)
+    # Eight cells across its narrow side, and more along the other; fewer would make overlap a matter of chance.
+    assert seen.sum(axis=1).min() >= 8 * 8
+    assert set(views.neighbours(cameras, seen, cells, 30, list(range(60)), 2)) == {29, 31}
+
+
+@pytest.mark.parametrize("times", [1, 2, 3, 100])
+def test_cover_sees_every_cell_as_often_as_asked_or_as_it_can_be(times):
+    cameras = [*flight(8), *ring(5)]
+    seen, cells = views.coverage(cameras, WATER, -2.0)
+    chosen = views.cover(seen, cells, cameras, times, 0)
+    assert chosen == sorted(set(chosen))
+    needed = np.minimum(seen.sum(axis=0), times)
+    assert (seen[chosen].sum(axis=0) >= needed).all()
+    if times == 100:
+        assert chosen == list(range(len(cameras)))
+    if times == 1:
+        assert len(chosen) < len(cameras)
+
+
+def test_cover_takes_one_of_views_that_see_the_same():
+    cameras = [flight(1)[0]] * 5
+    seen, cells = views.coverage(cameras, WATER, -2.0)
+    assert len(views.cover(seen, cells, cameras, 1, 0)) == 1
+    assert len(views.cover(seen, cells, cameras, 3, 0)) == 3
+
+
+def test_cover_looks_at_each_place_from_the_four_quarters_too():
+    around = [look((9.0 * x, 9.0 * y, 10.0), (0.0, 0.0, -2.0)) for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
+    cameras = [*ring(6), *around, *around]
+    seen, cells = np.ones((len(cameras), 9), dtype=bool), np.zeros((9, 3))
+    assert len(views.cover(seen, cells, cameras, 2, 0)) == 2
+    chosen = views.cover(seen, cells, cameras, 2, 1)
+    # Two of the steep ones, and one of each pair of obliques, whose rays lie 46 deg off the vertical.
+    assert [c for c in chosen if c >= 7] == [7, 8, 9, 10]
+    assert len([c for c in chosen if c < 7]) == 2
+    assert len(views.cover(seen, cells, cameras, 2, 5)) == 2 + 8
+
+
+def test_neighbours_are_others_that_overlap_at_most_as_many_as_asked_the_best_angle_first():
+    cameras = [*flight(4), look((50.0, 0.0, 10.0), (50.0, 0.0, -2.0)), *ring(6)]
+    seen, cells = views.coverage(cameras, WATER, -2.0)
+    everyone = list(range(len(cameras)))
+    for view in everyone:
+        found = views.neighbours(cameras, seen, cells, view, everyone, 5)
+        assert view not in found
+        assert len(found) == len(set(found)) <= 5
+        assert all((seen[o] & seen[view]).sum() >= 0.05 * seen[view].sum() for o in found)
+    assert views.neighbours(cameras, seen, cells, 4, everyone, 5) == []
+    found = views.neighbours(cameras, seen, cells, 0, everyone, 1)
+    # A ring of 3 m radius, 12 m over the bed, is seen 14 deg from the middle; the next of the line stands 4 deg off.
+    assert found[0] >= 5
+    assert views.neighbours(cameras, seen, cells, 0, [0, 1, 3, 4], 8) == [1]
+
+
+def test_neighbours_stand_around_the_view():
+    cameras = ring(8)
+    seen, cells = views.coverage(cameras, WATER, -2.0)
+    found = views.neighbours(cameras, seen, cells, 0, list(range(9)), 4)
+    azimuths = np.sort([np.arctan2(*cameras[o].centre[1::-1]) for o in found])
+    gaps = np.diff([*azimuths, azimuths[0] + 2.0 * np.pi])
+    assert gaps.max() < np.radians(140.0)
+
+
+def test_parallax_of_a_dry_pair_is_focal_length_times_baseline_over_distance_squared():
+    cameras = flight(2, spacing=1.5)
+    expected = cameras[0].fx * 1.5 / 12.0**2
+    # A difference over 0.1 m of the function 1 / distance: (0.05 / 12)^2.
+    np.testing.assert_allclose(views.parallax(cameras, None, 0, [1], -2.0), expected, rtol=2e-5)
+
+
+def test_parallax_under_water_is_that_of_the_apparent_depth():
+    cameras = flight(2, spacing=0.5)
+    distance = 10.0 + 2.0 / WATER.n_water
+    expected = cameras[0].fx * 0.5 / distance**2 / WATER.n_water
+    # Near nadir; at 2.6 deg of incidence the tangential image is 0.2 % off the sagittal one.
+    np.testing.assert_allclose(views.parallax(cameras, WATER, 0, [1], -2.0), expected, rtol=4e-3)
+
+
+def test_parallax_is_never_zero():
+    assert views.parallax([flight(1)[0]] * 2, WATER, 0, [1], -2.0) == 1e-3
+
+
+def test_a_block_needs_two_views_with_images():
+    bed, device = PlaneBed(WATER, -2.0), choose_device("torch")
+    with pytest.raises(ValueError, match=r"needs two views or more.* got 1 and 1"):
+        bed.block(device, flight(1))
+    with pytest.raises(ValueError, match="got 2 and 1"):
+        Block(device, flight(2), [bed.photograph(flight(1)[0])], WATER, -2.0)
+
+
+def test_a_block_that_sees_no_ground_is_refused():
+    up = [look((0.1 * i, 0.0, 10.0), (0.0, 20.0, 30.0)) for i in range(3)]
+    with pytest.raises(ValueError, match="no view looks down"):
+        Block(choose_device("torch"), up, [np.zeros((72, 96), np.float32)] * 3, None, 0.0)
+
+
+def test_a_block_covers_only_the_area_asked_for():
+    block = PlaneBed(WATER, -2.0).block(choose_device("torch"), flight(6, spacing=1.2))
+    assert block.cover(1, 0, (-0.3, -0.3, 0.3, 0.3)) == [0]
+    assert block.cover(1, 0, (900.0, 0.0, 901.0, 1.0)) == block.cover(1, 0)  # seen by none: no reason to leave all out
+    assert len(block.cover(1, 0)) >= 4
+
+
+def test_a_block_scales_images_with_their_cameras_and_forgets_them():
+    bed = PlaneBed(TILTED, -2.0)
+    block = bed.block(choose_device("torch"), ring(2))
+    half = block.stack(0.5)
+    assert (half.width, half.height) == (48, 36)
+    assert block.stack(0.5) is half
+    # The mean of 2 x 2 pixels at the half-size centre: the waves of 8 px and more lose little.
+    error = half.device.kernels.host(half.pixels).reshape(3, 36, 48)[1] - bed.photograph(half.cameras[1])
+    assert np.abs(error).mean() < 0.1 * bed.photograph(half.cameras[1]).std()
+    block.release(0.5)
+    assert block.stack(0.5) is not half
+
+
+def test_heights_agree_when_they_differ_by_less_than_the_parallax_said():
+    block = PlaneBed(WATER, -2.0).block(choose_device("torch"), ring(4))
+    tolerance = block.agreement_tolerance(0, [1, 2], -2.0)
+    np.testing.assert_allclose(tolerance * block.parallax(0, [1, 2], -2.0), AGREEMENT_PX)

@@ -1,0 +1,103 @@
+"""How long does `bathynerf process` take, what memory, and how far is the bed from the truth? On the drawn surveys.
+
+    python benchmarks/bench_surveys.py [NAME ...] [--quality Q] [--field on] [-o FOLDER]
+
+Each survey is processed by the command line with a cold kernel cache; wall clock and peak memory are those of the whole
+process tree, imports included. Prints one JSON with a record per survey.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import tomllib
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+DATA = Path(os.environ.get("BATHYNERF_DATA", ROOT.parent / "shared" / "data"))
+QUALITY = {"quick": "standard", "river": "standard", "wreck_water": "draft", "wreck_dry": "draft"}
+FIGURES = ("n_points", "mean_inner90_m", "std_inner90_m")
+SHARES = ("accuracy_share", "completeness_visible")
+
+
+def tree_memory_bytes(pid: int) -> int:
+    """Resident memory of a process and its children."""
+    total, waiting = 0, [pid]
+    while waiting:
+        pid = waiting.pop()
+        try:
+            pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+            waiting += [int(c) for c in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        total += pages * os.sysconf("SC_PAGE_SIZE")
+    return total
+
+
+def timed(command: list[str], environment: dict) -> tuple[int, float, float]:
+    """Exit code, wall clock [s] and peak memory of the tree [GB] of a command."""
+    start = time.monotonic()
+    process = subprocess.Popen(command, env=environment)
+    peak = 0
+
+    def watch() -> None:
+        nonlocal peak
+        while process.poll() is None:
+            peak = max(peak, tree_memory_bytes(process.pid))
+            time.sleep(0.1)
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    code = process.wait()
+    watcher.join()
+    return code, time.monotonic() - start, peak / 1e9
+
+
+def measure(name: str, quality: str, field: str, folder: Path) -> dict:
+    """Process one survey and compare it with its reference."""
+    survey, run = DATA / name, folder / f"{name}_{quality}_{field}"
+    bathynerf = [sys.executable, "-c", "from survey.cli import main; main()"]
+    with tempfile.TemporaryDirectory() as home:  # Dr.Jit keeps its compiled kernels in the home folder
+        environment = {**os.environ, "HOME": home}
+        options = ["-o", str(run), "--quality", quality, "--field", field, "--no-resume"]
+        code, seconds, memory = timed([*bathynerf, "process", str(survey), *options], environment)
+    if code != 0:
+        return {"survey": name, "exit_code": code}
+    bounds = [str(v) for v in tomllib.loads((survey / "survey.toml").read_text())["area"]["bounds"]]
+    reference = (DATA / name.replace("dry", "water") / "reference.ply").resolve()
+    record = {"survey": name, "quality": quality, "field": field}
+    record |= {"wall_s": round(seconds, 1), "peak_gb": round(memory, 2)}
+    for tolerance in ("0.2", "0.05"):
+        out = run / f"compare_{tolerance}.json"
+        options = ["--visible", str(survey / "visible.ply"), "--tolerance", tolerance, "--bounds", *bounds]
+        command = [*bathynerf, "compare", str(run / "cloud.las"), str(reference), *options, "--json", str(out), "-q"]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        numbers = json.loads(out.read_text())
+        record |= {k: numbers[k] for k in FIGURES} | {f"{k}_{tolerance}": numbers[k] for k in SHARES}
+        for part in ("wet", "dry"):
+            record |= {f"{part}_{k}": numbers[part][k] for k in FIGURES} if numbers.get(part) else {}
+    return record
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", default=["quick", "river", "wreck_water"])
+    parser.add_argument("--quality")
+    parser.add_argument("--field", default="auto")
+    parser.add_argument("-o", "--output", type=Path)
+    options = parser.parse_args()
+    if not DATA.is_dir():
+        raise SystemExit(f"no survey data at {DATA}; set BATHYNERF_DATA")
+    folder = options.output or Path(tempfile.mkdtemp(prefix="bathynerf_bench_"))
+    records = [measure(n, options.quality or QUALITY.get(n, "standard"), options.field, folder) for n in options.names]
+    print(json.dumps(records, indent=2))  # noqa: T201
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,117 @@
+"""The paint of a drawn survey: what ground looks like in dry air, the same from every side."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from survey.drawn.shapes import BedGrid, Solid
+
+# Between vertices of the bed [m]: the mesh that is written as the truth has the same.
+CELL_M = 0.025
+# Between points of the texture [m]: finer than any pixel of the surveys drawn here.
+TEXEL_M = 0.01
+# Texels along a side of the periodic tile.
+TILE = 512
+
+# Linear albedo, red, green, blue.
+ROCK = (0.36, 0.35, 0.33)
+_SAND, _GRAVEL, _WEED = (0.66, 0.57, 0.42), (0.40, 0.38, 0.34), (0.20, 0.25, 0.10)
+# Toward the sun, of unit length.
+_SUN = np.array([0.45, 0.30, 0.84])
+_SUN = _SUN / np.linalg.norm(_SUN)
+# Spacing [m] and standard deviation of the logarithm of brightness: grains to patches.
+_SPECKLES = ((0.01, 0.16), (0.02, 0.16), (0.04, 0.14), (0.08, 0.11), (0.16, 0.09), (0.4, 0.07))
+
+
+def texture_of_bed(bed: BedGrid, stones: np.ndarray, solids: Sequence[Solid], rng: np.random.Generator) -> np.ndarray:
+    """Radiance of the bed (rows, columns, 3) at `TEXEL_M`: sand, gravel, weed, stones in sky and sun."""
+    ny, nx = bed.heights.shape
+    shape = (math.ceil((ny - 1) * CELL_M / TEXEL_M) + 1, math.ceil((nx - 1) * CELL_M / TEXEL_M) + 1)
+
+    def speckle(spacing_m: float) -> np.ndarray:
+        return noise(rng, shape, spacing_m / TEXEL_M)
+
+    def finer(coarse: np.ndarray) -> np.ndarray:
+        scale = TEXEL_M / CELL_M
+        to_coarse = np.array([[scale, 0.0, 0.0], [0.0, scale, 0.0]])
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        return cv2.warpAffine(
+            coarse.astype(np.float32), to_coarse, shape[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE
+        )
+
+    bright = sum(weight * speckle(spacing) for spacing, weight in _SPECKLES)
+    patches = speckle(0.9) + 0.5 * speckle(0.25)
+    gravel = _soft_step(speckle(1.4) + 0.4 * speckle(0.06), 0.4)
+    weed = 0.85 * _soft_step(patches + 0.35 * speckle(0.04), 0.9)
+    stone = finer(stones)
+    colour = np.empty((*shape, 3), dtype=np.float32)
+    paint = np.exp(bright) * finer(_light_of_bed(bed, solids))
+    on_stone = np.minimum(stone, 1.0)
+    for k in range(3):
+        ground = _SAND[k] + gravel * (_GRAVEL[k] - _SAND[k])
+        ground += weed * (_WEED[k] - ground)
+        ground += on_stone * (stone * ROCK[k] - ground)
+        colour[..., k] = paint * ground
+    return colour
+
+
+def _light_of_bed(bed: BedGrid, solids: Sequence[Solid]) -> np.ndarray:
+    """Light (ny, nx) on the bed: sky and sun by the normal, less in hollows and beside bodies."""
+    covered = bed.heights.copy()
+    for solid in solids:
+        _cover(covered, bed, solid)
+    smooth = gaussian_filter(bed.heights, 0.7)
+    dy, dx = np.gradient(smooth, CELL_M)
+    normal = np.stack([-dx, -dy, np.ones_like(dx)], axis=-1)
+    lit = light(normal / np.linalg.norm(normal, axis=-1, keepdims=True))
+    for reach_m, strength in ((0.05, 6.0), (0.25, 1.6)):
+        hollow = gaussian_filter(covered, reach_m / CELL_M, truncate=3.0) - bed.heights
+        lit *= 1.0 / (1.0 + strength * np.maximum(hollow, 0.0) / (4.0 * reach_m))
+    return lit
+
+
+def _cover(covered: np.ndarray, bed: BedGrid, solid: Solid) -> None:
+    """Raise `covered`, in place, to the top of a body."""
+    ny, nx = covered.shape
+    low = np.floor((solid.centre[:2] - solid.radius - (bed.west, bed.south)) / CELL_M).astype(int)
+    high = np.ceil((solid.centre[:2] + solid.radius - (bed.west, bed.south)) / CELL_M).astype(int) + 1
+    (i0, j0), (i1, j1) = np.maximum(low, 0), np.minimum(high, (nx, ny))
+    x, y = np.meshgrid(bed.west + CELL_M * np.arange(i0, i1), bed.south + CELL_M * np.arange(j0, j1))
+    above = solid.centre[2] + 2.0 * solid.radius
+    origin = np.stack([x.ravel(), y.ravel(), np.full(x.size, above)], axis=-1)
+    t, _ = solid.hit(origin, np.tile([0.0, 0.0, -1.0], (x.size, 1)))
+    top = np.where(np.isfinite(t), above - t, -np.inf).reshape(x.shape)
+    covered[j0:j1, i0:i1] = np.maximum(covered[j0:j1, i0:i1], top)
+
+
+def light(normal: np.ndarray) -> np.ndarray:
+    """Irradiance for unit normals (..., 3): a bright sky and a soft sun; about 1 on level ground."""
+    sun = np.maximum(normal @ _SUN, 0.0) / _SUN[2]
+    return 0.6 * (0.5 + 0.5 * normal[..., 2]) + 0.4 * sun
+
+
+def _soft_step(value: np.ndarray, at: float) -> np.ndarray:
+    return 1.0 / (1.0 + np.exp(-6.0 * (value - at)))
+
+
+def noise(rng: np.random.Generator, shape: tuple[int, int], spacing: float) -> np.ndarray:
+    """Smooth noise (rows, columns) float32 of about unit variance; `spacing` of its knots in cells."""
+    knots = [math.ceil(n / spacing) + 4 for n in shape]
+    lattice = rng.standard_normal(knots, dtype=np.float32)
+    to_knots = np.array([[1.0 / spacing, 0.0, 1.5], [0.0, 1.0 / spacing, 1.5]])
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    return cv2.warpAffine(lattice, to_knots, shape[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE)
+
+
+def periodic(rng: np.random.Generator, spacing: int) -> np.ndarray:
+    """Smooth noise (512, 512) float32 that goes on at its borders."""
+    lattice = rng.standard_normal((TILE // spacing, TILE // spacing), dtype=np.float32)
+    wrapped = np.pad(lattice, 2, mode="wrap")
+    return cv2.resize(wrapped, None, fx=spacing, fy=spacing, interpolation=cv2.INTER_CUBIC)[
+        2 * spacing : -2 * spacing, 2 * spacing : -2 * spacing
+    ]

@@ -1,0 +1,153 @@
+"""What a drawn survey shows and how it is flown."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from refract import PinholeCamera
+from survey.errors import SurveyError
+
+_GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
+# Tilt of the convergent views from the plumb line, least and most [rad].
+_TILTS = (math.radians(10.0), math.radians(35.0))
+# Share of the views that look straight down.
+_NADIR_SHARE = 0.6
+
+
+@dataclass(frozen=True)
+class DrawnScene:
+    """A bed, the water over it and a flight; the defaults are the survey of the demo.
+
+    Attributes
+    ----------
+    size_m : (east, north) [m]
+        Extent of the area that is evaluated, about the origin.
+    depth_m : [m]
+        Greatest mean depth; the bed undulates about 0.1 of it.
+    n_water : [-]
+        Index of refraction; 1 leaves rays straight, with the colours of water.
+    level_m : [m]
+        Height of the water surface at the origin, in crs.
+    slope_east, slope_north : [-]
+        Rise of the water surface per metre along the grid axes.
+    num_views : int
+    image_px : (width, height) [px]
+    focal_px : [px]
+    flying_m : [m]
+        Height of the cameras over the water.
+    noise : [grey levels]
+        Standard deviation; 0 writes PNG without loss instead of JPEG.
+    seed : int
+    crs : str
+        Projected, in metres, with heights.
+    origin : (easting, northing), in crs
+    shore, objects, water : bool
+        A bank that rises out of the water in the north; a boat, an amphora, rocks; False for a dry bed.
+
+    Raises
+    ------
+    SurveyError
+        If no survey can be drawn like this.
+    """
+
+    size_m: tuple[float, float] = (11.0, 10.0)
+    depth_m: float = 2.8
+    n_water: float = 1.333
+    level_m: float = 584.2
+    slope_east: float = 0.0
+    slope_north: float = 0.0
+    num_views: int = 20
+    image_px: tuple[int, int] = (480, 360)
+    focal_px: float = 840.0
+    flying_m: float = 21.0
+    noise: float = 1.0
+    seed: int = 1
+    crs: str = "EPSG:25832+7837"
+    origin: tuple[float, float] = (676120.0, 5311480.0)
+    shore: bool = False
+    objects: bool = True
+    water: bool = True
+
+    def __post_init__(self):
+        positive = (*self.size_m, self.depth_m, *self.image_px, self.focal_px)
+        if not all(math.isfinite(v) and v > 0.0 for v in positive):
+            raise SurveyError(f"sizes, depth and focal length of a drawn scene are {positive}; give numbers above zero")
+        if self.num_views < 3:
+            raise SurveyError(f"a drawn survey of {self.num_views} views cannot be reconstructed; give at least 3")
+        if not 1.0 <= self.n_water <= 1.6:
+            raise SurveyError(f"n_water is {self.n_water:g}, expected 1.0 to 1.6; fresh water has 1.333")
+        if self.flying_m < 2.0 * self.depth_m:
+            raise SurveyError(
+                f"flying_m is {self.flying_m:g}, expected at least twice the depth of {self.depth_m:g} m: "
+                "the bank and its objects must stay under the cameras"
+            )
+
+    @classmethod
+    def tiny(cls, **changes) -> DrawnScene:
+        """A survey for tests, drawn in about a second: 8 views of 160x120, 2.6 x 2.4 m of bed, no noise."""
+        small = {
+            "size_m": (2.6, 2.4), "depth_m": 1.2, "num_views": 8, "image_px": (160, 120),
+            "focal_px": 280.0, "flying_m": 7.0, "noise": 0.0,
+        }  # fmt: skip
+        return cls(**(small | changes))
+
+    @property
+    def unit_m(self) -> float:
+        """What objects and the large shapes of the bed scale with: 1 for an area of 12 m."""
+        return min(self.size_m) / 12.0
+
+    @property
+    def suffix(self) -> str:
+        return ".jpg" if self.noise > 0.0 else ".png"
+
+    def cameras(self) -> list[PinholeCamera]:
+        """The flight: strips of views that look down, then convergent views, tilted by 10 to 35 degrees."""
+        rng = np.random.default_rng([self.seed, 1])
+        nadir = min(max(round(_NADIR_SHARE * self.num_views), 1), self.num_views)
+        places = _grid(nadir, self.size_m, self.image_px)
+        cameras = [self._look_down(x, y, row, rng) for row, x, y in places]
+        tilts = np.linspace(*_TILTS, self.num_views - nadir)
+        azimuths = _GOLDEN_ANGLE * np.arange(len(tilts))
+        return cameras + [self._look_in(tilt, azimuth, rng) for tilt, azimuth in zip(tilts, azimuths, strict=True)]
+
+    def _look_down(self, x: float, y: float, row: int, rng: np.random.Generator) -> PinholeCamera:
+        """A view of a strip; drones turn at the ends of strips, and never hang quite still."""
+        shake = 0.02 * rng.standard_normal(2)
+        heading = math.pi * (row % 2) + 0.03 * rng.standard_normal()
+        forward = np.array([*shake, -1.0])
+        return self._camera(self._place(x, y, rng), forward, heading)
+
+    def _look_in(self, tilt: float, azimuth: float, rng: np.random.Generator) -> PinholeCamera:
+        toward = np.array([math.sin(azimuth), math.cos(azimuth)])
+        target = rng.uniform(-0.18, 0.18, 2) * self.size_m
+        x, y = target - (self.flying_m + 0.7 * self.depth_m) * math.tan(tilt) * toward
+        forward = np.array([*(math.sin(tilt) * toward), -math.cos(tilt)])
+        return self._camera(self._place(x, y, rng), forward, azimuth + 0.05 * rng.standard_normal())
+
+    def _place(self, x: float, y: float, rng: np.random.Generator) -> np.ndarray:
+        return np.array([x, y, self.flying_m]) + 0.01 * self.flying_m * rng.standard_normal(3)
+
+    def _camera(self, centre: np.ndarray, forward: np.ndarray, heading: float) -> PinholeCamera:
+        """A camera that looks `forward`; the top of its image points to `heading` [rad], north over east."""
+        forward = forward / np.linalg.norm(forward)
+        right = np.cross(forward, [math.sin(heading), math.cos(heading), 0.0])
+        right = right / np.linalg.norm(right)
+        axes = np.stack([right, np.cross(forward, right), forward])
+        width, height = self.image_px
+        return PinholeCamera(centre, axes, self.focal_px, self.focal_px, width / 2, height / 2, width, height)
+
+
+def _grid(count: int, size_m: tuple[float, float], image_px: tuple[int, int]) -> list[tuple[int, float, float]]:
+    """Row, x and y [m] of `count` views in strips along x, with forward and side overlap alike."""
+    rows = max(round(math.sqrt(count * size_m[1] / size_m[0] * image_px[0] / image_px[1])), 1)
+    per_row = [count // rows + (r < count % rows) for r in range(rows)]
+    places = []
+    for row, columns in enumerate(per_row):
+        y = 0.35 * size_m[1] * (2.0 * row / (rows - 1) - 1.0) if rows > 1 else 0.0
+        for column in range(columns):
+            x = 0.3 * size_m[0] * (2.0 * column / (columns - 1) - 1.0) if columns > 1 else 0.0
+            places.append((row, x, y))
+    return places

@@ -1,0 +1,251 @@
+"""The solid things of a drawn survey: a bed of triangles, convex bodies, and where straight rays meet them.
+
+Everything is flat-faced, so that the mesh that is written as the truth *is* the surface that is photographed,
+to the last bit, and every intersection is the solution of a linear equation. Local frame, metres, float64.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import maximum_filter
+from scipy.spatial import ConvexHull
+
+# Blocks of cells, over which a ray falls freely while it stays above the highest vertex around.
+_BLOCKS = (16, 4)
+# A coordinate this close to a line of the triangulation counts as on it [cells]: 2e-11 m, above rounding.
+_ON_LINE = 1e-9
+# Coarse steps stop this close above the bound [m].
+_TOUCH_M = 1e-6
+
+
+class BedGrid:
+    """A height field of triangles: square cells, each cut from its upper left to its lower right corner.
+
+    Parameters
+    ----------
+    heights : (ny, nx) [m]
+        Heights of the vertices; rows go north, columns east.
+    west, south : [m]
+        Position of the first vertex.
+    cell : [m]
+        Distance between vertices.
+    """
+
+    def __init__(self, heights: np.ndarray, west: float, south: float, cell: float):
+        self.heights = np.ascontiguousarray(heights, dtype=np.float64)
+        self.west, self.south, self.cell = west, south, cell
+        self.top = float(self.heights.max())
+        self._highest = [(size, _highest_around(self.heights, size)) for size in _BLOCKS]
+
+    def height(self, x, y) -> np.ndarray:
+        """Height (...) [m] of the bed at x, y (...) [m]; beyond the grid its border goes on."""
+        return self._height_in_cells((np.asarray(x) - self.west) / self.cell, (np.asarray(y) - self.south) / self.cell)
+
+    def vertices(self) -> np.ndarray:
+        """Vertices (ny, nx, 3) [m], local."""
+        ny, nx = self.heights.shape
+        x, y = np.meshgrid(self.west + self.cell * np.arange(nx), self.south + self.cell * np.arange(ny))
+        return np.stack([x, y, self.heights], axis=-1)
+
+    def faces(self) -> np.ndarray:
+        """Triangles (2 (ny - 1) (nx - 1), 3) of indices into the flattened vertices, normals up."""
+        ny, nx = self.heights.shape
+        sw = (np.arange(ny - 1)[:, None] * nx + np.arange(nx - 1)).ravel()
+        se, nw, ne = sw + 1, sw + nx, sw + nx + 1
+        return np.concatenate([np.stack([sw, se, nw], -1), np.stack([ne, nw, se], -1)])
+
+    def hit(self, origin: np.ndarray, direction: np.ndarray, t_end: np.ndarray) -> np.ndarray:
+        """Distance (N,) [m] to the bed on rays that fall; infinite where it does not come before `t_end`.
+
+        Parameters
+        ----------
+        origin, direction : (N, 3) [m] and unit
+            Rays fall (``z < 0``) and start above the bed.
+        t_end : (N,) [m]
+            Where each ray ends.
+
+        Notes
+        -----
+        Between two crossings of the lines x = i, y = j and x + y = k of the triangulation the bed is linear
+        along the ray: the sign of ray minus bed is looked at there, and the zero between is exact.
+        """
+        ray = self._rays(origin, direction)
+        t = np.maximum((self.top - ray.z) / ray.dz, 0.0)
+        self._fall(ray, t, t_end)
+        found = np.full(len(t), np.inf)
+        live = np.flatnonzero(t < t_end)
+        ray, t = ray.take(live), t[live]
+        gap = np.maximum(self._gap(ray, t), 0.0)
+        while live.size:
+            step = ray.to_next_line(t)
+            gap_next = self._gap(ray, t + step)
+            below = gap_next <= 0.0
+            found[live[below]] = (t + step * gap / np.where(below, gap - gap_next, 1.0))[below]
+            on = ~below & (t + step < t_end[live])
+            live, ray, t, gap = live[on], ray.take(on), (t + step)[on], gap_next[on]
+        return np.where(found <= t_end, found, np.inf)
+
+    def _rays(self, origin: np.ndarray, direction: np.ndarray) -> _Rays:
+        u, v = (origin[:, 0] - self.west) / self.cell, (origin[:, 1] - self.south) / self.cell
+        du, dv = direction[:, 0] / self.cell, direction[:, 1] / self.cell
+        with np.errstate(divide="ignore"):
+            reach = 1.0 / np.hypot(du, dv)
+        return _Rays(u, v, origin[:, 2], du, dv, direction[:, 2], reach)
+
+    def _fall(self, ray: _Rays, t: np.ndarray, t_end: np.ndarray) -> None:
+        """Move `t` on, in place, through the air that is certainly above the bed."""
+        for size, highest in self._highest:
+            live = np.flatnonzero(t < t_end)
+            here, at = ray.take(live), t[live]
+            while live.size:
+                u, v, z = here.at(at)
+                gap = z - highest[_index(v, size, highest.shape[0]), _index(u, size, highest.shape[1])]
+                at = at + np.maximum(np.minimum(-gap / here.dz, size * here.reach), 0.0)
+                t[live] = at
+                on = (gap > _TOUCH_M) & (at < t_end[live])
+                live, here, at = live[on], here.take(on), at[on]
+
+    def _gap(self, ray: _Rays, t: np.ndarray) -> np.ndarray:
+        u, v, z = ray.at(t)
+        return z - self._height_in_cells(u, v)
+
+    def _height_in_cells(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        ny, nx = self.heights.shape
+        u, v = np.clip(u, 0.0, nx - 1.0), np.clip(v, 0.0, ny - 1.0)
+        i, j = np.minimum(u.astype(np.int64), nx - 2), np.minimum(v.astype(np.int64), ny - 2)
+        u, v = u - i, v - j
+        flat, sw = self.heights.ravel(), j * nx + i
+        se, nw = flat[sw + 1], flat[sw + nx]
+        lower = u + v <= 1.0
+        # The corner of the triangle, and from there along its two legs.
+        corner = flat[np.where(lower, sw, sw + nx + 1)]
+        along_u, along_v = np.where(lower, u, 1.0 - u), np.where(lower, v, 1.0 - v)
+        return corner + along_u * (np.where(lower, se, nw) - corner) + along_v * (np.where(lower, nw, se) - corner)
+
+
+class _Rays(NamedTuple):
+    """Rays with x and y counted in cells of a grid: where they start, and their change per metre."""
+
+    u: np.ndarray
+    v: np.ndarray
+    z: np.ndarray
+    du: np.ndarray
+    dv: np.ndarray
+    dz: np.ndarray
+    reach: np.ndarray  # metres of ray per cell of horizontal way
+
+    def take(self, which: np.ndarray) -> _Rays:
+        return _Rays(*(part[which] for part in self))
+
+    def at(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return self.u + t * self.du, self.v + t * self.dv, self.z + t * self.dz
+
+    def to_next_line(self, t: np.ndarray) -> np.ndarray:
+        """Distance [m] from `t` to the next line of the triangulation."""
+        u, v, _ = self.at(t)
+        step = np.full(len(t), np.inf)
+        for c, rate in ((u, self.du), (v, self.dv), (u + v, self.du + self.dv)):
+            way = c - np.floor(c)
+            way = np.where(rate > 0.0, 1.0 - way, way)
+            way = np.where(way < _ON_LINE, 1.0, way)
+            with np.errstate(divide="ignore"):
+                step = np.minimum(step, way / np.abs(rate))
+        # A plumb ray meets no line: one metre is as good as any, the bed is linear all the way.
+        return np.where(np.isfinite(step), step, 1.0)
+
+
+def _index(c: np.ndarray, size: int, count: int) -> np.ndarray:
+    return np.clip((c / size).astype(np.int64), 0, count - 1)
+
+
+def _highest_around(heights: np.ndarray, size: int) -> np.ndarray:
+    """Highest vertex in each block of cells and its eight neighbours: one block of way stays inside."""
+    ny, nx = heights.shape
+    rows, columns = -(-(ny - 1) // size), -(-(nx - 1) // size)
+    padded = np.pad(heights, ((0, rows * size + 1 - ny), (0, columns * size + 1 - nx)), mode="edge")
+    # A block owns the vertices of both its borders.
+    highest = np.maximum.reduce(
+        [padded[dy : dy + rows * size : 1, dx : dx + columns * size] for dy in (0, 1) for dx in (0, 1)]
+    )
+    highest = highest.reshape(rows, size, columns, size).max(axis=(1, 3))
+    return maximum_filter(highest, size=3, mode="nearest")
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A convex body.
+
+    Attributes
+    ----------
+    vertices : (V, 3) [m], local
+    faces : (F, 3)
+        Triangles, normals outward.
+    normals, offsets : (P, 3), (P,) [m]
+        Planes of the faces: inside is where ``normal . p <= offset`` for all of them.
+    centre, radius : (3,) [m], [m]
+        A ball around it.
+    colour : (3,)
+        Linear albedo, red, green, blue.
+    grain : (3,)
+        Direction along which its texture is stretched; zero for none.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    normals: np.ndarray
+    offsets: np.ndarray
+    centre: np.ndarray
+    radius: float
+    colour: tuple[float, float, float]
+    grain: np.ndarray
+
+    @classmethod
+    def around(cls, points: np.ndarray, colour: tuple[float, float, float], grain=(0.0, 0.0, 0.0)) -> Solid:
+        """The convex hull of points (N, 3) [m]."""
+        hull = ConvexHull(points)
+        vertices = points[hull.vertices]
+        place = np.full(len(points), -1)
+        place[hull.vertices] = np.arange(len(vertices))
+        faces, planes = place[hull.simplices], hull.equations
+        a, b, c = (vertices[faces[:, k]] for k in range(3))
+        inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), planes[:, :3]) < 0.0
+        faces[inward] = faces[inward][:, ::-1]
+        # Coplanar triangles share a plane up to rounding: one of each is enough.
+        _, first = np.unique(np.round(planes, 9), axis=0, return_index=True)
+        planes = planes[np.sort(first)]
+        centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+        radius = float(np.linalg.norm(vertices - centre, axis=1).max())
+        return cls(vertices, faces, planes[:, :3], -planes[:, 3], centre, radius, colour, np.asarray(grain, float))
+
+    def hit(self, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distance (N,) [m] at which rays (N, 3) enter, infinite for a miss, and the plane (N,) there."""
+        rate = direction @ self.normals.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            at = (self.offsets - origin @ self.normals.T) / rate
+        entering = np.where(rate < 0.0, at, -np.inf)
+        leaving = np.where(rate > 0.0, at, np.inf).min(axis=1)
+        outside = ((rate == 0.0) & (at < 0.0)).any(axis=1)
+        t = entering.max(axis=1)
+        return np.where((t <= leaving) & (t > 0.0) & ~outside, t, np.inf), entering.argmax(axis=1)
+
+
+def near_solids(solids: Sequence[Solid], origin: np.ndarray, direction: np.ndarray, t_end: np.ndarray) -> np.ndarray:
+    """Whether rays (N, 3) pass through the ball around each body before `t_end` (N,): (N, number of solids)."""
+    centres, radii = np.array([s.centre for s in solids]), np.array([s.radius for s in solids])
+    along = direction @ centres.T - np.einsum("ij,ij->i", origin, direction)[:, None]
+    away = np.einsum("ij,ij->i", origin, origin)[:, None] - 2.0 * origin @ centres.T + (centres**2).sum(axis=1)
+    return (away - along**2 < radii**2) & (along > -radii) & (along < t_end[:, None] + radii)
+
+
+def rotation(yaw: float, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
+    """Rotation (3, 3) by roll about x, then pitch about y, then yaw about z [rad]."""
+    (cy, sy), (cp, sp), (cr, sr) = ((math.cos(a), math.sin(a)) for a in (yaw, pitch, roll))
+    about_z = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
+    about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    return about_z @ about_y @ about_x

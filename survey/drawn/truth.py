@@ -1,0 +1,78 @@
+"""What is known of a drawn survey: the mesh of its ground, and the points of it that the cameras see."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from refract import FlatWater, PinholeCamera
+from survey.drawn.ground import Ground
+from survey.drawn.render import Renderer
+
+# Visible points are sought among so many per square metre of ground.
+_POINTS_PER_M2 = 1000
+# A point is seen if the ray through its pixel ends this close to it [m]: far above the error of projection
+# (1e-9 m, more along faces that are seen edge on), far below anything that could stand before it.
+_SAME_POINT_M = 1e-4
+
+
+def ground_mesh(ground: Ground, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V, 3) [m], local, and faces (F, 3) of the bed and of all bodies on it.
+
+    Parameters
+    ----------
+    inside : (ny, nx) bool
+        Vertices of the bed in the area that is wanted; a triangle with any of them is kept, so that the area
+        is covered up to its border. Bodies are kept whole, and so is the bed beneath them.
+    """
+    faces = ground.bed.faces()
+    faces = faces[inside.ravel()[faces].any(axis=1)]
+    used, faces = np.unique(faces, return_inverse=True)
+    vertices, all_faces = [ground.bed.vertices().reshape(-1, 3)[used]], [faces.reshape(-1, 3)]
+    count = len(used)
+    for solid in ground.solids:
+        vertices.append(solid.vertices)
+        all_faces.append(solid.faces + count)
+        count += len(solid.vertices)
+    return np.concatenate(vertices), np.concatenate(all_faces)
+
+
+def points_on(vertices: np.ndarray, faces: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Points (N, 3) [m] spread evenly over a mesh, `_POINTS_PER_M2` of its area."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    count = int(_POINTS_PER_M2 * area.sum())
+    at = rng.choice(len(faces), count, p=area / area.sum())
+    s, t = rng.random((2, count, 1))
+    # The square folds over its diagonal onto the triangle.
+    s, t = np.where(s + t > 1.0, 1.0 - s, s), np.where(s + t > 1.0, 1.0 - t, t)
+    return a[at] + s * (b - a)[at] + t * (c - a)[at]
+
+
+def seen_by(renderer: Renderer, camera: PinholeCamera, points: np.ndarray, water: FlatWater | None) -> np.ndarray:
+    """Whether a camera sees points (N, 3) [m], local: (N,) bool.
+
+    `refract` only proposes the pixel; the ray that the renderer sends through it has to end at the point.
+    """
+    pixels = camera.project(points, water)
+    seen = ((pixels > 0.0) & (pixels < (camera.width, camera.height))).all(axis=1)
+    near = np.flatnonzero(seen)
+    ends = renderer.trace(camera, pixels[near]).points
+    seen[near] = np.linalg.norm(ends - points[near], axis=1) < _SAME_POINT_M
+    return seen
+
+
+def write_ply(path: Path, points: np.ndarray, faces: np.ndarray | None = None) -> None:
+    """Points (N, 3) and, where given, triangles (F, 3) as binary PLY with coordinates in double precision."""
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
+    header += [f"property double {axis}" for axis in "xyz"]
+    if faces is not None:
+        header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+    with path.open("wb") as file:
+        file.write("\n".join([*header, "end_header", ""]).encode("ascii"))
+        file.write(np.ascontiguousarray(points, dtype="<f8").tobytes())
+        if faces is not None:
+            rows = np.empty(len(faces), dtype=[("count", "u1"), ("index", "<i4", 3)])
+            rows["count"], rows["index"] = 3, faces
+            file.write(rows.tobytes())

@@ -1,0 +1,119 @@
+"""What a photograph says about itself: size, position, focal length; EXIF and DJI's XMP, by Pillow."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from PIL import ExifTags, Image, UnidentifiedImageError
+
+from survey.errors import ImageError
+
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
+
+# Width of the film that "focal length in 35 mm film" refers to [mm].
+_FILM_WIDTH_MM = 36.0
+_DJI_NUMBER = r"drone-dji:{}\s*(?:=\s*\"|>)\s*([+-]?[0-9.]+)"
+
+
+@dataclass(frozen=True)
+class Exif:
+    """Head of an image file.
+
+    Attributes
+    ----------
+    size_px : (width, height)
+        As stored, without the rotation that `orientation` asks viewers for.
+    lat_lon_height : (latitude [deg], longitude [deg], height [m]) or None
+        GPS position, WGS 84; the height is NaN where the file has none. Its vertical datum is not known.
+    focal_px : float or None
+        Focal length [px] of the stored size, from the 35 mm equivalent or DJI's calibration (a design value).
+    orientation : int
+        1 where the image is stored upright.
+    camera : str
+        Maker and model.
+    above_start_m : float or None
+        DJI's height over the take-off point [m].
+    """
+
+    size_px: tuple[int, int]
+    lat_lon_height: tuple[float, float, float] | None
+    focal_px: float | None
+    orientation: int
+    camera: str
+    above_start_m: float | None
+
+
+def read_exif(path: Path) -> Exif:
+    """Read the head of an image; the pixels are not decoded.
+
+    Raises
+    ------
+    ImageError
+        Where the file is no image.
+    """
+    try:
+        with Image.open(path) as image:
+            size, exif, xmp = image.size, image.getexif(), image.info.get("xmp", b"")
+            gps, details = exif.get_ifd(ExifTags.IFD.GPSInfo), exif.get_ifd(ExifTags.IFD.Exif)
+    except (UnidentifiedImageError, SyntaxError, ValueError) as error:
+        raise ImageError(f"{path} is not an image that can be read ({error}); copy it anew or remove it") from error
+    if isinstance(xmp, bytes):
+        xmp = xmp.decode("utf-8", errors="replace")
+    camera = " ".join(str(exif.get(tag, "")).strip("\0 ") for tag in (ExifTags.Base.Make, ExifTags.Base.Model))
+    orientation = exif.get(ExifTags.Base.Orientation, 1)
+    return Exif(
+        size_px=size,
+        lat_lon_height=_position(gps),
+        focal_px=_focal(size, details, xmp),
+        orientation=orientation if orientation in range(1, 9) else 1,
+        camera=camera.strip(),
+        above_start_m=_dji(xmp, "RelativeAltitude"),
+    )
+
+
+def _position(gps: dict) -> tuple[float, float, float] | None:
+    latitude = _degrees(gps.get(ExifTags.GPS.GPSLatitude), gps.get(ExifTags.GPS.GPSLatitudeRef), "S")
+    longitude = _degrees(gps.get(ExifTags.GPS.GPSLongitude), gps.get(ExifTags.GPS.GPSLongitudeRef), "W")
+    # A receiver without a fix writes 0, 0.
+    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0) or latitude == longitude == 0.0:
+        return None
+    height = _number(gps.get(ExifTags.GPS.GPSAltitude))
+    if gps.get(ExifTags.GPS.GPSAltitudeRef) in (1, b"\x01"):
+        height = -height
+    return latitude, longitude, height
+
+
+def _degrees(parts, reference, negative: str) -> float:
+    try:
+        value = sum(_number(part) / 60.0**i for i, part in enumerate(parts))
+    except TypeError:
+        return math.nan
+    return -value if str(reference).strip("\0 ").upper() == negative else value
+
+
+def _focal(size: tuple[int, int], details: dict, xmp: str) -> float | None:
+    calibrated = _dji(xmp, "CalibratedFocalLength")
+    # Only of use while the image still has the size that it was calibrated for.
+    full_width = details.get(ExifTags.Base.ExifImageWidth, size[0])
+    if calibrated and full_width == size[0]:
+        return calibrated
+    film = _number(details.get(ExifTags.Base.FocalLengthIn35mmFilm))
+    return film / _FILM_WIDTH_MM * max(size) if film > 0.0 else None
+
+
+def _dji(xmp: str, name: str) -> float | None:
+    found = re.search(_DJI_NUMBER.format(name), xmp)
+    try:
+        return float(found.group(1)) if found else None
+    except ValueError:
+        return None
+
+
+def _number(value) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return math.nan

@@ -1,0 +1,168 @@
+"""Progress on the console and in the log of a run: named stages with the time left.
+
+On a terminal stages are bars; elsewhere, and in the log, they are plain lines. Together with `survey.cli` the
+only place that writes to the console.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from pathlib import Path
+from typing import TextIO
+
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import Progress as Bars
+
+# Seconds between plain lines of one stage, where there is no terminal.
+_LINE_EVERY_S = 20.0
+
+
+_CURRENT: ContextVar[Progress] = ContextVar("progress")
+
+
+def current() -> Progress:
+    """The progress of the running command; one that shows only warnings where nobody opened any."""
+    return _CURRENT.get(None) or Progress(verbosity=-1)
+
+
+class Stage:
+    """A running stage; the pipeline tells it how far it is."""
+
+    def __init__(self, progress: Progress, name: str, total: float | None):
+        self.name, self.total, self.done = name, total, 0.0
+        self._progress = progress
+        self._start = self._last_line = time.monotonic()
+        self._task = progress._bars.add_task(name, total=total) if progress._bars else None
+
+    @property
+    def seconds(self) -> float:
+        """Since the stage began [s]."""
+        return time.monotonic() - self._start
+
+    @property
+    def seconds_left(self) -> float | None:
+        """Estimate from the pace so far [s]; None before there is one."""
+        if not self.total or self.done <= 0.0:
+            return None
+        return self.seconds * max(self.total - self.done, 0.0) / self.done
+
+    def advance(self, amount: float = 1.0, *, detail: str = "") -> None:
+        """Say that ``amount`` more of the total is done; ``detail`` is a word or number to show beside."""
+        self.done += amount
+        if self._task is not None:
+            description = f"{self.name}  {detail}" if detail else self.name
+            self._progress._bars.update(self._task, completed=self.done, description=description)
+        elif time.monotonic() - self._last_line >= _LINE_EVERY_S:
+            self._last_line = time.monotonic()
+            share = f"{100.0 * self.done / self.total:3.0f} %" if self.total else f"{self.done:g}"
+            left = self.seconds_left
+            parts = (share, "" if left is None else f"{clock(left)} left", detail)
+            self._progress._line(f"{self.name}: {', '.join(part for part in parts if part)}")
+
+
+class Progress:
+    """Where a run says what it does.
+
+    Parameters
+    ----------
+    verbosity : int
+        -1 only warnings, 0 stages and notes, 1 also details.
+    log_path : Path, optional
+        Gets every line, details and times included, whatever the verbosity. Appended to, so that the log of a
+        run that went on after an interruption is complete.
+    stream : text file, optional
+        Default: standard error, so that results on standard output can be piped.
+    """
+
+    def __init__(self, *, verbosity: int = 0, log_path: Path | None = None, stream: TextIO | None = None):
+        self.verbosity = verbosity
+        self._console = Console(file=stream or sys.stderr, highlight=False, markup=False, soft_wrap=True)
+        self._log: TextIO | None = None
+        self._bars: Bars | None = None
+        if log_path is not None:
+            self.log_to(log_path)
+
+    def log_to(self, path: Path) -> None:
+        """Write every following line to a log file too, whose folder is made where it is missing."""
+        self.close()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._log = path.open("a", encoding="utf-8", buffering=1)
+
+    @contextmanager
+    def stage(self, name: str, total: float | None = None) -> Iterator[Stage]:
+        """A part of the run, or of a stage; ``total`` in any unit in which `Stage.advance` counts."""
+        outermost = self._bars is None
+        if outermost and self.verbosity >= 0 and self._console.is_terminal:
+            columns = (
+                TextColumn("{task.description}"),
+                BarColumn(),
+                TimeElapsedColumn(),
+                TimeRemainingColumn(),
+            )
+            self._bars = Bars(*columns, console=self._console, transient=True)
+            self._bars.start()
+        elif outermost:
+            self._line(f"{name} ...")
+        stage = Stage(self, name, total)
+        try:
+            yield stage
+        finally:
+            if outermost and self._bars is not None:
+                self._bars.stop()
+                self._bars = None
+        self._line(f"{name}: done in {clock(stage.seconds)}")
+
+    def note(self, text: str) -> None:
+        """A line that the user should see."""
+        self._line(text)
+
+    def detail(self, text: str) -> None:
+        """A line for the log, and for those who ask for details."""
+        self._line(text, at_verbosity=1)
+
+    def warn(self, text: str) -> None:
+        """A line that the user must see."""
+        self._line(f"warning: {text}", at_verbosity=-1)
+
+    def log_only(self, text: str) -> None:
+        """A text for the log alone, e.g. a traceback."""
+        self._line(text, at_verbosity=math.inf)
+
+    def close(self) -> None:
+        """Close the log."""
+        if self._log is not None:
+            # What a full disk did not take was already an error when its line was written.
+            with suppress(OSError):
+                self._log.close()
+            self._log = None
+
+    def __enter__(self) -> Progress:
+        """Be what `current` returns until the end of the block, and close the log there."""
+        self._token = _CURRENT.set(self)
+        return self
+
+    def __exit__(self, *_exception) -> None:
+        _CURRENT.reset(self._token)
+        self.close()
+
+    def _line(self, text: str, *, at_verbosity: float = 0) -> None:
+        if self.verbosity >= at_verbosity:
+            self._console.print(text)
+        if self._log is not None:
+            self._log.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
+
+
+def clock(seconds: float) -> str:
+    """A duration for people: 8.2 s, 3 min 05 s, 2 h 10 min."""
+    if seconds < 59.95:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes < 60:
+        return f"{minutes} min {rest:02d} s"
+    return f"{minutes // 60} h {minutes % 60:02d} min"

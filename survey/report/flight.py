@@ -1,0 +1,119 @@
+"""The flight in plan: cameras and what they cover, over the bed that was found."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_rgba
+from matplotlib.patches import Rectangle
+
+from refract import PinholeCamera
+from survey.compare_canvas import INK, _map_canvas, save, write_title
+from survey.folder import Survey
+from survey.report.facts import ReportFacts
+from survey.report.raster import PlanGrid, metres_per_unit
+from survey.report.shading import Picture, show
+
+_WATER, _LAND, _OBLIQUE, _BOUNDS = "#8fc3d3", "#d8c9a6", "#d98032", "#c2452d"
+_OBLIQUE_DEG = 15.0
+_CELLS = 150
+# With more outlines than this each is drawn fainter.
+_FEW_OUTLINES = 20
+
+
+def draw_plan(path: Path, facts: ReportFacts) -> Picture:
+    """Cameras with footprints and directions of view, bed under water, dry ground and bounds, in plan."""
+    survey = facts.survey
+    cameras = [view.camera for view in survey.views]
+    centres = survey.frame.crs_from_local(np.array([c.centre for c in cameras]))[:, :2]
+    ground = _ground_height(facts)
+    corners = np.array([_footprint(camera, survey, ground) for camera in cameras])
+    footprints = survey.frame.crs_from_local(corners)[..., :2]
+    extent, size = _extent(survey, centres, footprints)
+    figure, axes = _map_canvas(extent, survey.frame.crs)
+    axes.set_facecolor("white")
+    if len(facts.bed):
+        _draw_wet_and_dry(axes, facts)
+    outline = to_rgba(INK, min(0.4, max(0.08, 0.4 * _FEW_OUTLINES / len(cameras))))
+    axes.add_collection(PolyCollection(footprints, facecolors="none", edgecolors=outline, lw=0.7))
+    _draw_cameras(axes, survey, centres, size)
+    if survey.bounds is not None:
+        e0, n0, e1, n1 = survey.bounds
+        frame = Rectangle((e0, n0), e1 - e0, n1 - n0, fill=False, ec=_BOUNDS, lw=1.6, ls="--", zorder=4)
+        frame.set_label("bounds")
+        axes.add_patch(frame)
+    figure.legend(loc="outside lower center", ncols=5, frameon=False, fontsize=9)
+    title = "The flight in plan"
+    write_title(axes, title, f"{len(cameras)} views, {facts.plan.height_m:.1f} m over {_over(survey)}")
+    save(figure, path)
+    return Picture(path, title, f"Outlines: what each photograph covers on {_over(survey)}.")
+
+
+def _extent(survey: Survey, centres: np.ndarray, footprints: np.ndarray) -> tuple[tuple, np.ndarray]:
+    """West, east, south, north of all that is drawn, and 5 % of its longer side in crs, (2,)."""
+    corners = [footprints.reshape(-1, 2), centres]
+    if survey.bounds is not None:
+        corners.append(np.reshape(survey.bounds, (2, 2)))
+    low, high = np.concatenate(corners).min(axis=0), np.concatenate(corners).max(axis=0)
+    unit = metres_per_unit(survey.frame.crs, float(centres[0, 1]))
+    twentieth = 0.05 * float(((high - low) * unit).max()) / unit
+    low, high = low - 0.5 * twentieth, high + 0.5 * twentieth
+    return (float(low[0]), float(high[0]), float(low[1]), float(high[1])), twentieth
+
+
+def _draw_wet_and_dry(axes: Axes, facts: ReportFacts) -> None:
+    grid = PlanGrid.over(facts.points_crs, facts.survey.frame.crs, cell_m=0.0, max_cells=_CELLS)
+    count, wet = grid.count(), grid.count(facts.bed.wet)
+    is_wet = 2 * wet >= np.maximum(count, 1)
+    for part, colour, label in (
+        (is_wet, _WATER, "bed under water"),
+        ((count > 0) & ~is_wet, _LAND, "dry ground"),
+    ):
+        if part.any():
+            image = np.where(part[..., None], to_rgba(colour), (0.0, 0.0, 0.0, 0.0))
+            show(axes, image, grid)
+            axes.add_patch(Rectangle((0.0, 0.0), 0.0, 0.0, color=colour, label=label, transform=axes.transAxes))
+
+
+def _draw_cameras(axes: Axes, survey: Survey, centres: np.ndarray, length: np.ndarray) -> None:
+    """Dots for cameras, and lines of up to ``length`` (2,) in crs that say where oblique ones look."""
+    looks = np.array([view.camera.cam_from_local[2] for view in survey.views])
+    is_oblique = np.degrees(np.arccos(np.clip(-looks[:, 2], -1.0, 1.0))) > _OBLIQUE_DEG
+    lines = np.stack([centres, centres + looks[:, :2] * length], axis=1)[is_oblique]
+    axes.add_collection(LineCollection(lines, colors=_OBLIQUE, lw=1.2, zorder=5))
+    for part, colour, label in ((~is_oblique, INK, "camera"), (is_oblique, _OBLIQUE, "camera, oblique")):
+        if part.any():
+            axes.plot(*centres[part].T, "o", ms=4.5, mfc=colour, mec="white", mew=0.6, label=label, zorder=6)
+
+
+def _ground_height(facts: ReportFacts) -> float:
+    """Height [m], local, on which the footprints of a dry survey lie."""
+    if len(facts.bed):
+        return float(np.median(facts.bed.xyz[:, 2]))
+    return float(np.median([view.camera.centre[2] for view in facts.survey.views])) - facts.plan.height_m
+
+
+def _footprint(camera: PinholeCamera, survey: Survey, ground: float) -> np.ndarray:
+    """Where the corners (4, 3) of an image meet the water, or level ground; local.
+
+    Rays that fall less than 1 in 4 end where they would with that fall.
+    """
+    w, h = camera.width, camera.height
+    rays = camera.directions(np.array([[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]]))
+    if survey.water is None:
+        normal, over = np.array([0.0, 0.0, 1.0]), float(camera.centre[2]) - ground
+    else:
+        normal, over = np.array(survey.water.normal), -float(survey.water.depth(camera.centre))
+    return camera.centre + rays * (over / np.maximum(-rays @ normal, 0.25))[:, None]
+
+
+def _over(survey: Survey) -> str:
+    water = survey.config.water
+    if water is None:
+        return "the ground"
+    slope = math.hypot(water.slope_east, water.slope_north)
+    return f"the water at {water.level_m:g} m" + (f", which rises by {100.0 * slope:.2g} %" if slope else "")

@@ -1,0 +1,91 @@
+"""Distributions over the points, and the distance to a reference over depth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from survey.compare_canvas import INK, SOFT, canvas, nice_limit, save, write_title
+from survey.report.facts import ReportFacts
+from survey.report.shading import Picture
+
+_BANDS, _FEWEST = 16, 20
+_RED, _BLUE = "#c3140d", "#2f6f9f"
+
+
+def draw_histograms(path: Path, facts: ReportFacts) -> Picture:
+    """Distributions of depth, spread, views and incidence over the points."""
+    bed = facts.bed
+    is_dry = facts.survey.water is None
+    angle = "angle off nadir" if is_dry else "incidence at the water"
+    graphs = (
+        ("height", "m", facts.points_crs[:, 2]) if is_dry else ("true depth", "m", bed.depth[bed.wet]),
+        ("standard deviation", "mm", 1000.0 * bed.std),
+        ("views that agree", "", bed.num_views),
+        (angle, "°", np.degrees(bed.incidence)),
+    )
+    colours = ("#3a6e97", "#8a4f7d", "#4b8b6f", "#c07c3e")
+    figure = Figure(figsize=(11.0, 2.7), layout="constrained")
+    FigureCanvasAgg(figure)
+    for axes, (label, unit, values), colour in zip(figure.subplots(1, 4), graphs, colours, strict=True):
+        values = values[np.isfinite(values)].astype(np.float64)
+        if values.size:
+            _histogram(axes, values, colour, is_count=not unit)
+            shown = f"{np.median(values):.3g}" + (unit if unit == "°" else f" {unit}")
+            axes.set_title(f"median {shown}", loc="right", color=SOFT, fontsize=9)
+        axes.set(yticks=[])
+        axes.set_xlabel(f"{label} [{unit}]" if unit else label, color=INK)
+        axes.tick_params(colors=SOFT, labelsize=8.5)
+        axes.spines[["left", "right", "top"]].set_visible(False)
+    save(figure, path)
+    return Picture(path, "Distributions", "Over all points; the dark lines mark the medians.")
+
+
+def _histogram(axes: Axes, values: np.ndarray, colour: str, *, is_count: bool) -> None:
+    """Shares of values in bins, each whole number a bin of its own if they are counts; and their median."""
+    axes.xaxis.set_major_locator(MaxNLocator(6, integer=is_count))
+    if is_count:
+        edges = np.arange(0.5, np.quantile(values, 0.995) + 1.0)
+    else:
+        low, high = np.quantile(values, [0.002, 0.998])
+        edges = np.linspace(low, high if high > low else low + 1.0, 61)
+    axes.hist(values, edges, color=colour, rwidth=0.85 if is_count else 1.0)
+    axes.axvline(float(np.median(values)), color=INK, lw=1.2)
+
+
+def draw_error_over_depth(path: Path, facts: ReportFacts, distances: np.ndarray) -> Picture:
+    """Median and inner 68 % of the distances (N,) [m] to a reference, in bands of depth or of height."""
+    is_dry = facts.survey.water is None
+    along = np.asarray(facts.points_crs[:, 2] if is_dry else facts.bed.depth, dtype=np.float64)
+    use = np.isfinite(distances) & np.isfinite(along)
+    along, distances = along[use], 1000.0 * distances[use]
+    figure, axes = canvas(7.2, 3.4)
+    if along.size:
+        edges = np.linspace(*np.quantile(along, [0.002, 0.998]), _BANDS + 1)
+        band = np.digitize(along, edges)
+        parts = [(i, distances[band == i]) for i in range(1, len(edges))]
+        rows = [
+            (0.5 * (edges[i - 1] + edges[i]), *np.quantile(part, [0.16, 0.5, 0.84]))
+            for i, part in parts
+            if len(part) >= _FEWEST
+        ]
+        if rows:
+            middle, low, median, high = np.array(rows).T
+            axes.fill_between(middle, low, high, color=_BLUE, alpha=0.25, lw=0, label="inner 68 %")
+            axes.plot(middle, median, "o-", ms=3.5, color=_RED, lw=1.3, label="median")
+            axes.legend(frameon=False, fontsize=9, ncols=2, loc="upper right")
+        limit = 1000.0 * nice_limit(distances / 1000.0)
+        axes.set_ylim(-limit, limit)
+    axes.axhline(0.0, color=INK, lw=0.8)
+    ground = ", dry ground negative" if (along < 0.0).any() else ""
+    name = "height [m]" if is_dry else f"true depth below the water{ground} [m]"
+    axes.set(xlabel=name, ylabel="distance to the reference [mm]")
+    title = f"Distance to the reference over {'height' if is_dry else 'depth'}"
+    write_title(axes, title, f"bands with at least {_FEWEST} points")
+    save(figure, path)
+    return Picture(path, title, "A line that stays at zero means that no part of the depth is scaled wrongly.")

@@ -1,0 +1,133 @@
+"""The bed in pictures: from above by colour and depth, in one photograph, and how well it is known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import BoundaryNorm, Normalize
+from matplotlib.figure import Figure
+
+from survey.compare_canvas import EMPTY, INK, _map_canvas, save, write_title
+from survey.images import load_image
+from survey.report.facts import ReportFacts
+from survey.report.raster import PlanGrid, without_pinholes
+from survey.report.shading import Picture, colour_bar, shaded_bed, show
+
+if TYPE_CHECKING:
+    from fields.sweep import DepthMap
+
+_DEPTH_LABEL = "true depth below the water [m]"
+
+
+def representative(depth_maps: list[DepthMap]) -> int:
+    """Which depth map to show: the one with the most pixels that another view confirms."""
+    return int(np.argmax([np.count_nonzero(m.agreeing) for m in depth_maps]))
+
+
+def draw_orthophoto(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
+    """The cloud in its colours, in plan, the highest point of each cell on top."""
+    colours = without_pinholes(grid.highest(facts.points_crs[:, 2], facts.bed.rgb)) / 255.0
+    known = np.isfinite(colours[..., :1])
+    axes = _show(np.concatenate([np.where(known, colours, 0.0), known], axis=-1), facts, grid)
+    title = "The bed from above"
+    write_title(axes, title, f"the cloud in its own colours, cells of {_centimetres(grid.cell_m)}")
+    save(axes.figure, path)
+    return Picture(path, title, "The cloud in its own colours; where points lie above each other, the highest.")
+
+
+def draw_surface(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
+    """Depth below the water in plan, or height in a dry survey, shaded by the relief."""
+    height = without_pinholes(grid.mean(facts.points_crs[:, 2]))
+    depth = None
+    title, label, words = (
+        "Height of the ground",
+        "height [m]",
+        "Mean height of each cell, shaded by the relief.",
+    )
+    if facts.survey.water is not None:
+        depth = without_pinholes(grid.mean(facts.bed.depth, facts.bed.wet))
+        depth[2 * grid.count(facts.bed.wet) < grid.count()] = np.nan
+        title, label = "Depth of the bed", _DEPTH_LABEL
+        ground = "" if facts.bed.wet.all() else "; dry ground in greys"
+        words = f"Mean true depth of each cell, shaded by the relief{ground}."
+    image, scale = shaded_bed(depth, height, grid.cell_m)
+    axes = _show(image, facts, grid)
+    axes.set_facecolor("white")  # the grey of other maps' gaps is that of dry ground here
+    colour_bar(axes, scale, label, is_depth=depth is not None)
+    write_title(axes, title, f"cells of {_centimetres(grid.cell_m)}")
+    save(axes.figure, path)
+    return Picture(path, title, words)
+
+
+def draw_num_views(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
+    """Mean number of views that agree, in plan."""
+    values = without_pinholes(grid.mean(facts.bed.num_views.astype(np.float64)))
+    top = max(4, int(np.nanquantile(values, 0.99)) + 1)
+    steps = np.arange(1, top + 1, max(1, top // 10))
+    scale = ScalarMappable(BoundaryNorm(np.append(steps, steps[-1] + 1), 256), "viridis")
+    axes = _show(scale.to_rgba(np.ma.masked_invalid(values)), facts, grid)
+    colour_bar(axes, scale, "views", extend="max").minorticks_off()
+    title = "Views that agree"
+    write_title(axes, title, f"mean of each cell of {_centimetres(grid.cell_m)}")
+    save(axes.figure, path)
+    return Picture(path, title, "How many views see a point at the same height; the more, the surer.")
+
+
+def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
+    """Standard deviation of the height over the views that agree, in plan."""
+    values = without_pinholes(1000.0 * grid.mean(facts.bed.std))
+    known = values[np.isfinite(values)]
+    top = float(np.quantile(known, 0.98)) if known.size else 1.0
+    scale = ScalarMappable(Normalize(0.0, max(top, 1e-3)), "magma_r")
+    axes = _show(scale.to_rgba(np.ma.masked_invalid(values)), facts, grid)
+    colour_bar(axes, scale, "standard deviation [mm]", extend="max")
+    title = "Spread of the height"
+    write_title(axes, title, f"mean of each cell of {_centimetres(grid.cell_m)}")
+    save(axes.figure, path)
+    return Picture(path, title, "Standard deviation of the height over the views that agree.")
+
+
+def draw_view(path: Path, facts: ReportFacts) -> Picture:
+    """One photograph beside its depth map."""
+    depth_map = facts.depth_maps[representative(facts.depth_maps)]
+    view = facts.survey.views[depth_map.view]
+    rows, columns = depth_map.height.shape
+    scale_of_map = columns / view.camera.width
+    is_confirmed = depth_map.agreeing > 0
+    height = np.where(is_confirmed, depth_map.height, np.nan).astype(np.float64)
+    depth = None if facts.survey.water is None else np.where(height < 0.0, -height, np.nan)
+    image, scale = shaded_bed(depth, height, facts.plan.gsd_m * facts.plan.image_scale / scale_of_map)
+
+    figure = Figure(figsize=(11.0, max(2.5, 4.9 * rows / columns + 0.45)), layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2)
+    left.imshow(load_image(view, scale=min(scale_of_map, 1.0)))
+    right.imshow(image, interpolation="nearest")
+    right.set_facecolor(EMPTY)
+    for axes in (left, right):
+        axes.set(xticks=[], yticks=[])
+        axes.spines[:].set_visible(False)
+    left.set_title(view.name, loc="left", color=INK, fontsize=12, weight="bold")
+    name = "height" if depth is None else "true depth along its rays"
+    right.set_title(f"Its depth map: {name}", loc="left", color=INK, fontsize=12, weight="bold")
+    label = "height over the local origin [m]" if depth is None else _DEPTH_LABEL
+    colour_bar(right, scale, label, is_depth=depth is not None)
+    save(figure, path)
+    words = f"Another view confirms {is_confirmed.mean():.0%} of the pixels; the others are left grey."
+    return Picture(path, "A photograph and its depth map", words)
+
+
+def _show(image: np.ndarray, facts: ReportFacts, grid: PlanGrid) -> Axes:
+    """An image (rows, columns, 4) of a grid, in axes in crs and true to scale."""
+    _, axes = _map_canvas(grid.extent, facts.survey.frame.crs)
+    show(axes, image, grid)
+    return axes
+
+
+def _centimetres(length_m: float) -> str:
+    return f"{100.0 * length_m:.1f} cm"

@@ -1,0 +1,92 @@
+"""The pictures of a report, drawn one after the other into PNG files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from survey import compare_report
+from survey.report import flight, graphs, maps
+from survey.report.facts import ReportFacts, distances_of
+from survey.report.raster import PlanGrid
+from survey.report.shading import Picture
+
+# Cells of the orthophoto and of the maps along the longer side, at most.
+_ORTHO_CELLS, _MAP_CELLS = 2000, 900
+_CELL_GSD = 2.0
+
+
+def draw_pictures(folder: Path, facts: ReportFacts, advance: Callable[[], None] = lambda: None) -> list[Picture]:
+    """Draw all pictures that the facts allow, as PNG files, each whole or not at all.
+
+    Parameters
+    ----------
+    folder : Path
+        Has to exist.
+    facts : ReportFacts
+    advance : callable
+        Called after each picture.
+
+    Returns
+    -------
+    list of Picture, in the order of the report
+
+    Raises
+    ------
+    UnwritableFile
+        If a picture cannot be written.
+    ImageError
+        If the photograph beside the depth map can no longer be read.
+    """
+    drawings: dict[str, Callable[[Path], Picture]] = {}
+    if len(facts.bed):
+        grid, fine_grid = _grid(facts, _MAP_CELLS), _grid(facts, _ORTHO_CELLS)
+        drawings["depth"] = partial(maps.draw_surface, facts=facts, grid=grid)
+        drawings["orthophoto"] = partial(maps.draw_orthophoto, facts=facts, grid=fine_grid)
+    if facts.comparison is not None:
+        drawings |= _of_comparison(facts)
+    if facts.depth_maps:
+        drawings["view"] = partial(maps.draw_view, facts=facts)
+    if len(facts.bed):
+        drawings["views"] = partial(maps.draw_num_views, facts=facts, grid=grid)
+        drawings["std"] = partial(maps.draw_std, facts=facts, grid=grid)
+        drawings["histograms"] = partial(graphs.draw_histograms, facts=facts)
+    drawings["plan"] = partial(flight.draw_plan, facts=facts)
+    pictures = []
+    for name, draw in drawings.items():
+        pictures.append(draw(folder / f"{name}.png"))
+        advance()
+    return pictures
+
+
+def _grid(facts: ReportFacts, max_cells: int) -> PlanGrid:
+    cell_m = _CELL_GSD * facts.plan.gsd_m
+    return PlanGrid.over(facts.points_crs, facts.survey.frame.crs, cell_m=cell_m, max_cells=max_cells)
+
+
+def _of_comparison(facts: ReportFacts) -> dict[str, Callable[[Path], Picture]]:
+    comparison, crs = facts.comparison, facts.survey.frame.crs
+    tolerance_m = comparison.numbers["tolerance_m"]
+
+    def error_map(path: Path) -> Picture:
+        compare_report.error_map(comparison.points, comparison.distances, path, crs=crs)
+        return Picture(path, "Distance to the reference", "Red lies above the reference, blue below it.")
+
+    def histogram(path: Path) -> Picture:
+        compare_report.histogram(comparison.distances, path, tolerance_m=tolerance_m)
+        words = "Nothing was aligned or shifted before."
+        return Picture(path, "Distribution of the distance to the reference", words)
+
+    def completeness(path: Path) -> Picture:
+        compare_report.completeness_map(comparison.targets, comparison.is_reached, path, crs=crs)
+        words = f"Red: no point of the cloud within {tolerance_m:g} m."
+        return Picture(path, "What the cloud does not reach", words)
+
+    drawings = {"error": error_map, "error_histogram": histogram, "completeness": completeness}
+    distances = distances_of(facts)
+    if distances is not None and np.isfinite(distances).any():
+        drawings["error_depth"] = partial(graphs.draw_error_over_depth, facts=facts, distances=distances)
+    return drawings

@@ -1,0 +1,177 @@
+"""The tables of report.html, from the figures of a report."""
+
+from __future__ import annotations
+
+import json
+from html import escape
+
+
+def comparison(c: dict | None) -> str:
+    """Distances to the reference and completeness, whole and in parts; empty without a reference."""
+    if not c:
+        return ""
+    within = f"closer than {c['tolerance_m']:g} m"
+    lines = [
+        ("method", f"{c['method']}, nothing aligned or shifted"),
+        ("points compared", f"{count(c['n_points'])} ({count(c['n_cropped'])} outside the bounds)"),
+        (
+            "inner 90 %",
+            f"mean {length(c['mean_inner90_m'])}, standard deviation {length(c['std_inner90_m'])}",
+        ),
+        ("median", length(c["median_m"])),
+        (
+            "all points",
+            f"mean {length(c['mean_m'])}, standard deviation {length(c['std_m'])}, root mean square "
+            f"{length(c['rms_m'])}",
+        ),
+        ("completeness", f"{share(c['completeness'])} of the reference {within}"),
+    ]
+    if c.get("completeness_visible") is not None:
+        lines.append(("completeness, visible", f"{share(c['completeness_visible'])} of what cameras see {within}"))
+    lines += [
+        ("accuracy share", f"{share(c['accuracy_share'])} of the points {within}"),
+        ("F-score", share(c["f_score"])),
+    ]
+    notes = "".join(f"<li>{escape(text)}</li>" for text in c["notes"])
+    return rows(lines) + _parts(c) + (f'<ul class="soft">{notes}</ul>' if notes else "")
+
+
+def _parts(c: dict) -> str:
+    """A table of the wet and the dry part and of bands of depth, where there are any."""
+    parts = [("wet", c.get("wet")), ("dry", c.get("dry"))]
+    parts += [(_band(band), band) for band in c.get("depth_bands") or []]
+    keys = ("mean_inner90_m", "std_inner90_m", "rms_m")
+    lines = [(name, count(p["n_points"]), *(length(p[key]) for key in keys)) for name, p in parts if p]
+    titles = ("part", "points", "mean, inner 90 %", "standard deviation, inner 90 %", "root mean square")
+    return _table(titles, lines) if lines else ""
+
+
+def _band(band: dict) -> str:
+    end = "and deeper" if band["to_m"] is None else f"to {band['to_m']:g}"
+    return f"depth {band['from_m']:g} {end} m"
+
+
+def iho_s44(iho: dict | None) -> str:
+    """Which orders' vertical uncertainty is met; empty without a reference or wet points."""
+    if not iho:
+        return ""
+    lines = [
+        (o["order"], length(o["tvu_at_median_depth_m"]), share(o["share_within"]),
+         "meets TVU" if o["meets_tvu"] else "does not meet TVU")
+        for o in iho["orders"]
+    ]  # fmt: skip
+    titles = ("order", "TVU at the median depth", "wet points within their TVU", "")
+    said = f"95 % of the {count(iho['points'])} wet points lie within {length(iho['error_95_m'])}."
+    return f"<p>{escape(said)}</p>" + _table(titles, lines) + f'<p class="soft">{escape(iho["note"])}</p>'
+
+
+def cloud(c: dict) -> str:
+    """Number of points, density, and how depth, spread, views and incidence are distributed."""
+    parts = f"{count(c['points_wet'])} wet, {count(c['points_dry'])} dry"
+    lines = [("points", f"{count(c['points'])}: {parts}")]
+    if c["density_per_m2"]:
+        area = f"{count(c['density_per_m2'])} points per m² over {c['covered_area_m2']:.0f} m²"
+        lines.append(("density", area))
+    if c["wet_pixel_share"] is not None:
+        lines.append(("wet pixels with a point", share(c["wet_pixel_share"])))
+    distributions = (
+        ("depth_m", "true depth", lambda v: f"{v:.2f} m"),
+        ("std_m", "standard deviation", length),
+        ("views_per_point", "views per point", lambda v: f"{v:.3g}"),
+        ("incidence_deg", "incidence", lambda v: f"{v:.1f}°"),
+    )
+    lines += [(label, _spread(c[key], show)) for key, label, show in distributions if c[key]]
+    if c["extent"]:
+        low, high = c["extent"]["low"], c["extent"]["high"]
+        names = ("easting", "northing", "height")
+        said = ", ".join(f"{n} {a:.10g} to {b:.10g}" for n, a, b in zip(names, low, high, strict=True))
+        lines.append(("extent", said))
+    return rows(lines)
+
+
+def survey(s: dict, water: dict | None, plan: dict) -> str:
+    """Where, with what, from how high, and through which water."""
+    code = f", {s['crs']['code']}" if s["crs"]["code"] else ""
+    width, height = s["image_size_px"]
+    lines = [
+        ("coordinate reference system", s["crs"]["name"] + code),
+        ("views", f"{s['views_used']} used, {s['views_left_out']} left out"),
+        ("images", f"{width} x {height} px, focal length {s['focal_px']:.1f} px"),
+        ("poses", s["poses"]),
+        ("flying height", f"{plan['height_m']:.1f} m, one image covers {_by(plan['footprint_m'])} m"),
+        ("ground sampling distance", length(plan["gsd_m"])),
+    ]
+    if s["bounds"]:
+        e0, n0, e1, n1 = (f"{v:.10g}" for v in s["bounds"])
+        lines.append(("bounds", f"{e0} to {e1} east, {n0} to {n1} north"))
+    if water is None:
+        return rows([*lines, ("water", "none: a dry survey")])
+    at = ", ".join(f"{v:.10g}" for v in water["level_at"])
+    slope = f"{water['slope_east']:g} to the east, {water['slope_north']:g} to the north"
+    lines += [
+        ("water level", f"{water['level_m']:g} m at {at} (from {water['level_from']})"),
+        ("slope of the water", f"{slope} (from {water['slope_from']})"),
+        ("refractive index", f"{water['refractive_index']:g} (from {water['refractive_index_from']})"),
+    ]
+    return rows(lines)
+
+
+def decisions(plan: list[dict]) -> str:
+    """The plan with its reasons."""
+    lines = [(d["name"], d["choice"], d["reason"]) for d in plan]
+    return _table(("decision", "choice", "reason"), lines, num_texts=3)
+
+
+def settings(values: dict, prefix: str = "") -> str:
+    """Settings as lines of ``section.key = value``, those without a value left out."""
+    lines = []
+    for name, value in values.items():
+        if isinstance(value, dict):
+            lines.append(settings(value, f"{prefix}{name}."))
+        elif value is not None:
+            lines.append(f"{prefix}{name} = {json.dumps(value, ensure_ascii=False)}")
+    return "\n".join(line for line in lines if line)
+
+
+def rows(lines: list[tuple[str, str]]) -> str:
+    """A table of labels and texts."""
+    body = "".join(f"<tr><th>{escape(label)}</th><td>{escape(text)}</td></tr>" for label, text in lines)
+    return f"<table><tbody>{body}</tbody></table>"
+
+
+def _table(titles: tuple[str, ...], lines: list[tuple[str, ...]], num_texts: int = 1) -> str:
+    """A table with a line of titles; all but the first ``num_texts`` columns hold numbers."""
+    kinds = ["" if i < num_texts else ' class="number"' for i in range(len(titles))]
+    head = "".join(f"<th{k}>{escape(t)}</th>" for k, t in zip(kinds, titles, strict=True))
+    body = "".join(
+        "<tr>" + "".join(f"<td{k}>{escape(t)}</td>" for k, t in zip(kinds, line, strict=True)) + "</tr>"
+        for line in lines
+    )
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def length(value_m: float | None) -> str:
+    """A length [m]: 12.3 mm below half a metre, else 1.23 m; with a true minus sign."""
+    if value_m is None:
+        return "unknown"
+    text = f"{1000.0 * value_m:z.1f} mm" if abs(value_m) < 0.5 else f"{value_m:.2f} m"
+    return text.replace("-", "−")
+
+
+def share(value: float | None) -> str:
+    """A share of one as per cent."""
+    return "unknown" if value is None else f"{100.0 * value:.1f} %"
+
+
+def count(value: float) -> str:
+    """A whole number in groups of three, e.g. 1 234 567, that does not break."""
+    return f"{round(value):,}".replace(",", "\u202f")
+
+
+def _spread(values: dict[str, float], show) -> str:
+    names = {"p95": "95 % below"}
+    return ", ".join(f"{names.get(name, name)} {show(value)}" for name, value in values.items())
+
+
+def _by(sides: list[float]) -> str:
+    return " x ".join(f"{side:.1f}" for side in sides)

@@ -1,0 +1,123 @@
+"""A short text for all that a stage depends on: while it is the same, its result may be used again."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import importlib.metadata
+import importlib.util
+import json
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from pyproj import CRS
+
+from survey.errors import SurveyError
+
+# Photographs differ within their first megabyte; reading all of a survey would take minutes.
+_HEAD_BYTES = 1 << 20
+# The rooms whose code decides what a stage computes.
+_COMPUTING_ROOMS = ("refract", "geo", "fields")
+
+
+def stage_key(*parts) -> str:
+    """SHA-256 over the inputs and settings of a stage and over the code that computes it.
+
+    Parameters
+    ----------
+    parts
+        None, bool, int, float, str; lists, tuples and dicts of parts; dataclasses, by the fields that take
+        part in comparison; numpy arrays and scalars; `pyproj.CRS`; `Path` for what a file holds, by its name,
+        size, time of change and first megabyte (not by where it lies, so that a survey may be moved), or for
+        what all files of a folder hold.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+
+    Raises
+    ------
+    SurveyError
+        If a file does not exist or cannot be read.
+    TypeError
+        If a part is of another kind, e.g. a set, whose order is not fixed.
+
+    Examples
+    --------
+    >>> stage_key("sweep", {"rungs": 64}) == stage_key("sweep", {"rungs": 64})
+    True
+    >>> stage_key(1) == stage_key(1.0)
+    False
+    """
+    digest = hashlib.sha256()
+    _feed(digest, (code_version(), *parts))
+    return digest.hexdigest()
+
+
+@lru_cache(maxsize=1)
+def code_version() -> str:
+    """Version of the distribution and eight digits of the code that computes, e.g. "0.1.0+1f3a9c02".
+
+    The digits change when a developer edits the code between two releases.
+    """
+    digest = hashlib.sha256()
+    for room in _COMPUTING_ROOMS:
+        for folder in importlib.util.find_spec(room).submodule_search_locations:
+            for path in sorted(Path(folder).rglob("*.py")):
+                digest.update(path.read_bytes())
+    return f"{importlib.metadata.version('bathynerf')}+{digest.hexdigest()[:8]}"
+
+
+def _feed(digest, part) -> None:
+    """Add a part, marked by its kind and length so that no two parts look alike."""
+    if isinstance(part, np.generic):
+        part = part.item()
+    if dataclasses.is_dataclass(part) and not isinstance(part, type):
+        values = {f.name: getattr(part, f.name) for f in dataclasses.fields(part) if f.compare}
+        _mark(digest, "dataclass", type(part).__name__)
+        _feed(digest, values)
+    elif isinstance(part, np.ndarray):
+        if part.dtype.hasobject:
+            raise TypeError("stage_key got an array of objects, expected one of numbers")
+        _mark(digest, "array", part.dtype.str, part.shape)
+        digest.update(np.ascontiguousarray(part).tobytes())
+    elif isinstance(part, dict):
+        _mark(digest, "dict", len(part))
+        for key in sorted(part, key=str):
+            _feed(digest, str(key))
+            _feed(digest, part[key])
+    elif isinstance(part, list | tuple):
+        _mark(digest, "list", len(part))
+        for item in part:
+            _feed(digest, item)
+    elif isinstance(part, CRS):
+        _mark(digest, "crs", part.to_wkt())
+    elif isinstance(part, Path):
+        _feed_path(digest, part)
+    elif part is None or isinstance(part, bool | int | float | str):
+        _mark(digest, type(part).__name__, str(part) if isinstance(part, str) else repr(part))
+    else:
+        raise TypeError(f"stage_key got {type(part).__name__}, expected numbers, texts, arrays, dataclasses or paths")
+
+
+def _feed_path(digest, path: Path) -> None:
+    try:
+        if path.is_dir():
+            files = sorted(p for p in path.rglob("*") if p.is_file())
+            _mark(digest, "folder", len(files))
+            for file in files:
+                _mark(digest, "name", file.relative_to(path).as_posix())
+                _feed_path(digest, file)
+            return
+        stat = path.stat()
+        with path.open("rb") as stream:
+            head = hashlib.sha256(stream.read(_HEAD_BYTES)).hexdigest()
+    except OSError as error:
+        raise SurveyError(f"cannot read {path} ({error.strerror}); put the file back or correct it") from error
+    _mark(digest, "file", path.name, stat.st_size, stat.st_mtime_ns, head)
+
+
+def _mark(digest, *words) -> None:
+    digest.update(json.dumps(words).encode() + b"\n")

@@ -1,0 +1,63 @@
+"""A trained field on disk: written whole, read back bit for bit."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import pickle
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from fields.device import Device
+from fields.slab import Slab
+from fields.tensor_field import FieldSettings, TensorField
+from geo.files import write_whole
+from survey.errors import SurveyError
+
+FIELD_FILE, FIGURES_FILE = "field.pt", "field.json"
+_DAMAGE = (OSError, RuntimeError, KeyError, TypeError, ValueError, EOFError, pickle.UnpicklingError, zipfile.BadZipFile)
+
+
+def save_field(folder: Path, field: TensorField, figures: dict) -> None:
+    """Write a field and the figures of its training into the folder of its stage."""
+    slab = {f.name: getattr(field.slab, f.name) for f in dataclasses.fields(Slab)}
+    stored = {
+        "state": field.state_dict(),
+        "slab": {k: torch.from_numpy(v) if isinstance(v, np.ndarray) else v for k, v in slab.items()},
+        "settings": dataclasses.asdict(field.settings),
+        "is_fine": field.density.is_fine,
+        "water": field.column is not None,
+    }
+    with write_whole(folder / FIELD_FILE) as stream:
+        torch.save(stored, stream)
+    with write_whole(folder / FIGURES_FILE) as stream:
+        stream.write(json.dumps(figures, indent=2).encode())
+
+
+def load_field(folder: Path, device: Device) -> TensorField:
+    """The field that `save_field` wrote.
+
+    Raises
+    ------
+    SurveyError
+        If the file is missing or damaged.
+    """
+    path = folder / FIELD_FILE
+    try:
+        with zipfile.ZipFile(path) as archive:  # torch itself reads over flipped bits
+            damaged = archive.testzip()
+        if damaged is not None:
+            raise ValueError(f"its part {damaged} is damaged")
+        stored = torch.load(path, weights_only=True)
+        slab = Slab(**{k: v.numpy() if torch.is_tensor(v) else v for k, v in stored["slab"].items()})
+        field = TensorField(slab, FieldSettings(**stored["settings"]), device, water=stored["water"])
+        field.load_state_dict(stored["state"])
+    except _DAMAGE as error:
+        raise SurveyError(
+            f"{path} cannot be read ({error}); delete its folder and give `bathynerf process` again"
+        ) from error
+    field.density.is_fine = stored["is_fine"]
+    return field

@@ -1,0 +1,337 @@
+"""The command line: exit codes, one sentence instead of a traceback, and nothing slow before it is needed."""
+
+from __future__ import annotations
+
+import errno
+import io
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from small_survey import CRS, LEVEL, camera_lines, replaced, small_survey, write_image, write_poses
+from typer.testing import CliRunner
+
+from geo.errors import EmptyCloud
+from survey import progress as progress_room
+from survey.cli import app
+from survey.errors import SurveyError
+from survey.progress import Progress, clock
+
+
+def bathynerf(*arguments):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def fake_module(monkeypatch, name: str, **content) -> None:
+    """Put a room that is not under test here out of the way."""
+    module = ModuleType(name)
+    vars(module).update(content)
+    monkeypatch.setitem(sys.modules, name, module)
+
+
+def spoil_toml(*pairs):
+    return lambda folder: (folder / "survey.toml").write_text(replaced(*pairs))
+
+
+def spoil_poses(old: str, new: str):
+    lines = [line.replace(old, new) for line in camera_lines()]
+    assert lines != camera_lines()
+    return lambda folder: write_poses(folder, lines)
+
+
+def remove_toml(folder: Path):
+    (folder / "survey.toml").unlink()
+
+
+def remove_images(folder: Path):
+    for image in (folder / "images").iterdir():
+        image.unlink()
+
+
+def cut_image(folder: Path):
+    path = folder / "images" / "0003.jpg"
+    path.write_bytes(path.read_bytes()[:1200])
+
+
+BAD_INPUT = {
+    "no survey.toml": (remove_toml, ["no survey.toml", "GPS position", 'crs = "EPSG']),
+    "unknown key": (spoil_toml(("level_m", "levl_m")), ["survey.toml", "unknown key levl_m", "[water] level_m"]),
+    "no images": (remove_images, ["no images in", "images"]),
+    "truncated JPEG": (cut_image, ["0003.jpg", "damaged or cut off", "copy it anew"]),
+    "wrong image size": (
+        lambda folder: write_image(folder / "images" / "0002.jpg", size=(60, 48)),
+        ["0002.jpg has 60 x 48 pixels, expected 64 x 48", "use the images that the poses were made from"],
+    ),
+    "NaN pose": (spoil_poses(",0,0,20", ",0,0,nan"), ["cameras.csv, line 4: kappa of 0002.jpg is nan", "correct it"]),
+    "camera under the water": (
+        spoil_poses("589018.000,5194732.000,2125", "589018.000,5194732.000,2104"),
+        ["0002.jpg at 2104.00 m lies 1.00 m under the water", "correct its pose"],
+    ),
+    "no vertical part": (spoil_toml((CRS, "EPSG:25832")), ["survey.toml", "no vertical part", "EPSG:25832+5778"]),
+    "level too high": (spoil_toml((str(LEVEL), "2605")), ["level_m is 2605 m", "2125.0", "same vertical datum"]),
+    "level too low": (spoil_toml((str(LEVEL), "1605")), ["level_m is 1605 m", "2125.0", "same vertical datum"]),
+    "poses that do not exist": (spoil_toml(("cameras.csv", "sparse/0")), ["sparse/0 do not exist", "[cameras] poses"]),
+    "two views": (
+        lambda folder: [(folder / "images" / f"000{i}.jpg").unlink() for i in (0, 1)],
+        ["only 2 of the 4 poses", "expected at least 3"],
+    ),
+    "not yet": (spoil_toml(("level_at", "gauge = 'g.csv'\nlevel_at")), ["gauge is not supported yet", "level_m"]),
+}
+
+
+@pytest.mark.parametrize("case", BAD_INPUT)
+def test_bad_input_ends_with_code_2_and_one_sentence_that_names_it_and_the_mend(tmp_path, case):
+    spoil, words = BAD_INPUT[case]
+    folder = small_survey(tmp_path / "s")
+    spoil(folder)
+    result = bathynerf("check", folder)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("error: ")
+    assert "Traceback" not in line
+    for word in words:
+        assert word in line
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("check", "nowhere"),
+        ("process", "nowhere"),
+        ("export", "nowhere", "--las", "a.las"),
+        ("compare", "no.las", "no.ply"),
+    ],
+    ids=lambda arguments: arguments[0],
+)
+def test_a_path_that_does_not_exist_ends_with_code_2_and_is_named(tmp_path, arguments):
+    module = {"process": "pipeline"}.get(arguments[0], arguments[0])
+    if not (Path(progress_room.__file__).parent / f"{module}.py").is_file():
+        pytest.skip(f"survey.{module} does not exist in this checkout")
+    command, *paths = arguments
+    result = bathynerf(command, *[p if p.startswith("--") else tmp_path / p for p in paths])
+    assert result.exit_code == 2
+    assert re.search(r"error: .*(nowhere|no\.las|no\.ply)", result.stderr)
+    assert "Traceback" not in result.stderr
+
+
+def test_check_of_a_good_survey_prints_findings_and_plan_and_ends_with_code_0(tmp_path):
+    folder = small_survey(tmp_path / "s")
+    result = bathynerf("check", folder)
+    assert result.exit_code == 0
+    assert result.stderr == ""
+    for words in ("Found\n", "Plan\n", "  water", "  refraction", "on: water of index 1.3330 at 2105 m"):
+        assert words in result.stdout
+
+
+def test_a_quiet_check_prints_only_warnings(tmp_path):
+    folder = small_survey(tmp_path / "s")
+    assert bathynerf("check", folder, "-q").stdout == ""
+    write_image(folder / "images" / "more.jpg")
+    assert bathynerf("check", folder, "-q").stdout == "Warnings\n  -  1 image without a pose, left out: more.jpg\n"
+
+
+def test_help_version_and_errors_come_before_anything_slow_is_imported(tmp_path):
+    folder = small_survey(tmp_path / "s")
+    code = (
+        "import sys; from survey.cli import main; sys.argv = ['bathynerf', *sys.argv[1:]]\n"
+        "try: main()\n"
+        "finally: print(sorted({'torch', 'matplotlib', 'scipy', 'pycolmap', 'cv2', 'drjit'} & set(sys.modules)))"
+    )
+
+    def run(*arguments):
+        command = [sys.executable, "-c", code, *map(str, arguments)]
+        return subprocess.run(command, capture_output=True, text=True, check=False)
+
+    shown = run("--version")
+    assert shown.returncode == 0
+    assert re.match(r"bathynerf \d+\.\d+", shown.stdout)
+    assert shown.stdout.endswith("[]\n")
+    assert "compare" in run("--help").stdout
+    # check needs the images (cv2) and asks for the device (drjit), but neither torch nor a reconstruction.
+    checked = run("check", folder)
+    assert checked.returncode == 0
+    assert checked.stdout.splitlines()[-1] == "['cv2', 'drjit']"
+
+
+def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monkeypatch, tmp_path):
+    calls = []
+
+    def process(*args, **options):
+        calls.append((args, options, progress_room.current().verbosity))
+        return 3
+
+    fake_module(monkeypatch, "survey.pipeline", process=process)
+    result = bathynerf("process", "s", "-o", "run", "--quality", "draft", "--device", "cpu", "--no-resume",
+                       "--field", "on", "--reference", "r.ply", "--visible", "v.ply", "-v")  # fmt: skip
+    assert result.exit_code == 3
+    expected = {
+        "quality": "draft",
+        "device": "cpu",
+        "field": "on",
+        "resume": False,
+        "reference": Path("r.ply"),
+        "visible": Path("v.ply"),
+    }
+    assert calls == [((Path("s"), Path("run")), expected, 1)]
+    bathynerf("process", "s")
+    defaults = {"quality": "standard", "device": "auto", "field": "auto", "resume": True}
+    assert calls[1] == ((Path("s"), None), {**defaults, "reference": None, "visible": None}, 0)
+
+
+def test_export_needs_something_to_write_and_prints_what_it_wrote(monkeypatch):
+    result = bathynerf("export", "run")
+    assert result.exit_code == 2
+    assert "give at least one of --las F, --laz F, --ply F" in result.stderr
+    calls = []
+
+    def export(run, **files):
+        calls.append((run, files))
+        return [Path("a.las"), Path("b.ply")]
+
+    fake_module(monkeypatch, "survey.export", export=export)
+    result = bathynerf("export", "run", "--las", "a.las", "--ply", "b.ply")
+    assert (result.exit_code, result.stdout) == (0, "a.las\nb.ply\n")
+    assert calls == [(Path("run"), {"las": Path("a.las"), "laz": None, "ply": Path("b.ply")})]
+
+
+def test_compare_hands_its_options_on_and_prints_the_numbers_with_their_units(monkeypatch):
+    @dataclass(frozen=True)
+    class CompareOptions:
+        tolerance_m: float
+        visible: Path | None
+        bounds: tuple[float, ...] | None
+        sign: str
+        json_path: Path | None
+        report_dir: Path | None
+
+    calls = []
+
+    def compare_files(cloud, reference, *, options):
+        calls.append((cloud, reference, options))
+        return {"n_points": 12, "mean_m": -0.00123, "max_m": -1e-6, "completeness": 0.9, "seen": None, "histogram": [1]}
+
+    fake_module(monkeypatch, "survey.compare", CompareOptions=CompareOptions, compare_files=compare_files)
+    result = bathynerf("compare", "c.las", "r.ply", "--tolerance", "0.05", "--bounds", "-1", "2", "3", "4.5",
+                       "--sign", "winding", "--json", "n.json", "--report", "d", "--visible", "v.ply")  # fmt: skip
+    assert result.exit_code == 0
+    assert result.stdout.splitlines() == [
+        "n points      12",
+        "mean          -0.0012 m",
+        "max           0.0000 m",
+        "completeness  0.9000",
+    ]
+    options = CompareOptions(0.05, Path("v.ply"), (-1.0, 2.0, 3.0, 4.5), "winding", Path("n.json"), Path("d"))
+    assert calls == [(Path("c.las"), Path("r.ply"), options)]
+
+
+def raising(error):
+    def process(*_args, **_options):
+        raise error
+
+    return process
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [
+        (SurveyError("a survey is wrong; mend it"), 2, "a survey is wrong; mend it"),
+        (EmptyCloud("cloud.las has no points"), 2, "cloud.las has no points"),
+        (OSError(errno.ENOSPC, "No space left on device"), 2, "no room left on the disk to write run;"),
+        (OSError(errno.ENOSPC, "No space left", "run/a.npy"), 2, "no room left on the disk to write run/a.npy;"),
+        (PermissionError(errno.EACCES, "Permission denied", "run/log"), 2, "no permission to use run/log"),
+        (FileNotFoundError(errno.ENOENT, "No such file", "r.ply"), 2, "r.ply cannot be used (No such file)"),
+        (KeyboardInterrupt(), 130, "stopped; what was finished is kept"),
+        (RuntimeError("no such tile"), 1, "RuntimeError: no such tile; a fault of bathynerf, -v shows where"),
+        (OSError(errno.EIO, "Input/output error"), 1, "Input/output error"),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else None,
+)
+def test_every_error_becomes_a_sentence_and_its_exit_code(monkeypatch, error, code, words):
+    fake_module(monkeypatch, "survey.pipeline", process=raising(error))
+    result = bathynerf("process", "s", "-o", "run")
+    assert result.exit_code == code
+    (line,) = result.stderr.splitlines()
+    assert words in line
+
+
+def test_our_own_fault_leaves_its_traceback_in_the_log_and_shows_it_when_asked(monkeypatch, tmp_path):
+    log = tmp_path / "run" / "log.txt"
+
+    def process(*_args, **_options):
+        progress_room.current().log_to(log)
+        raise RuntimeError("no such tile")
+
+    fake_module(monkeypatch, "survey.pipeline", process=process)
+    assert "Traceback" not in bathynerf("process", "s").stderr
+    assert "in process\n    raise RuntimeError" in log.read_text()
+    assert "error: RuntimeError: no such tile" in log.read_text()
+    assert "Traceback" in bathynerf("process", "s", "-v").stderr
+
+
+def test_a_full_disk_under_the_log_does_not_hide_the_error(monkeypatch):
+    if not Path("/dev/full").exists():
+        pytest.skip("this system has no device that is always full")
+
+    def process(*_args, **_options):
+        progress_room.current().log_to(Path("/dev/full"))
+        progress_room.current().note("a line that does not fit")
+
+    fake_module(monkeypatch, "survey.pipeline", process=process)
+    result = bathynerf("process", "s", "-o", "run", "-q")
+    assert result.exit_code == 2
+    assert result.stderr == (
+        "error: no room left on the disk to write run; free some and give the same command again; "
+        "what was finished is kept\n"
+    )
+
+
+def test_stages_are_plain_lines_with_the_time_left_where_there_is_no_terminal(monkeypatch, tmp_path):
+    now = [0.0]
+    monkeypatch.setattr(progress_room.time, "monotonic", lambda: now[0])
+    stream = io.StringIO()
+    with Progress(stream=stream, log_path=tmp_path / "run" / "log.txt") as progress:
+        assert progress_room.current() is progress
+        with progress.stage("sweep", total=4) as stage:
+            assert stage.seconds_left is None
+            for _ in range(3):
+                now[0] += 15.0
+                stage.advance(detail="0001.jpg")
+        progress.detail("a detail")
+        progress.warn("a doubt")
+    assert stream.getvalue().splitlines() == [
+        "sweep ...",
+        "sweep:  50 %, 30.0 s left, 0001.jpg",
+        "sweep: done in 45.0 s",
+        "warning: a doubt",
+    ]
+    lines = [line.split(" ", 2)[2] for line in (tmp_path / "run" / "log.txt").read_text().splitlines()]
+    assert lines == [*stream.getvalue().splitlines()[:3], "a detail", "warning: a doubt"]
+    assert progress_room.current() is not progress
+
+
+def test_a_stage_that_fails_is_not_said_to_be_done():
+    stream = io.StringIO()
+    with Progress(stream=stream) as progress, pytest.raises(RuntimeError), progress.stage("sweep"):
+        raise RuntimeError
+    assert stream.getvalue() == "sweep ...\n"
+
+
+def test_a_quiet_run_says_only_warnings():
+    stream = io.StringIO()
+    with Progress(stream=stream, verbosity=-1) as progress, progress.stage("sweep"):
+        progress.note("a note")
+        progress.warn("a doubt")
+    assert stream.getvalue() == "warning: a doubt\n"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0.04, "0.0 s"), (59.94, "59.9 s"), (59.96, "1 min 00 s"), (185, "3 min 05 s"), (7800, "2 h 10 min")],
+)
+def test_durations_are_for_people(seconds, text):
+    assert clock(seconds) == text

@@ -1,0 +1,345 @@
+"""`compare` on small files: what it measures, what it refuses and what it writes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import laspy
+import numpy as np
+import pytest
+from PIL import Image
+from pyproj import CRS
+
+from geo import LocalFrame, write_cloud, write_ply
+from geo.errors import CRSMismatch, EmptyCloud, GeoError, PlaceMismatch, UnreadableFile
+from survey.compare import CompareOptions, compare_files, compare_surfaces
+from survey.compare_inputs import CompareError
+from survey.compare_report import completeness_map, error_map, histogram
+
+UTM32 = CRS("EPSG:25832+5778")
+# On the central meridian, so that rows of the grid are rows of the local frame.
+ORIGIN = (500000.0, 5194736.0, 2105.0)
+FRAME = LocalFrame(UTM32, ORIGIN)
+# LAS stores millimetres: half of one along each axis, seen along one direction.
+LAS_M = 0.5e-3
+HALF = 5.0
+NUM_SAMPLES = 200_000
+# Six standard deviations of a share of that many samples.
+SAMPLING = 6 * 0.5 / NUM_SAMPLES**0.5
+
+
+@pytest.fixture(autouse=True)
+def _fewer_samples(monkeypatch):
+    monkeypatch.setattr("survey.compare.NUM_SAMPLES", NUM_SAMPLES)
+
+
+def _write_mesh(path, vertices, faces):
+    """A PLY in text, with coordinates to 0.1 micrometre."""
+    lines = ["ply", "format ascii 1.0", f"element vertex {len(vertices)}"]
+    lines += [f"property double {axis}" for axis in "xyz"]
+    lines += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header"]
+    lines += [" ".join(f"{value:.10f}" for value in vertex) for vertex in vertices]
+    lines += [f"3 {a} {b} {c}" for a, b, c in faces]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def _write_las(path, points, crs=UTM32, depth=None):
+    n = len(points)
+    depth = np.full(n, np.nan) if depth is None else depth
+    zeros = np.zeros(n)
+    write_cloud(
+        path,
+        points,
+        crs,
+        rgb=np.zeros((n, 3), np.uint8),
+        depth_m=depth,
+        std_m=zeros,
+        num_views=zeros,
+        incidence_deg=zeros,
+        is_wet=depth > 0,
+    )
+    return path
+
+
+def _grid(step, height=0.0, half=HALF):
+    """Points in rows and columns over the plane, local [m]."""
+    x, y = np.meshgrid(np.arange(-half, half + 1e-9, step), np.arange(-half, half + 1e-9, step))
+    return np.stack([x.ravel(), y.ravel(), np.full(x.size, height)], axis=1)
+
+
+@pytest.fixture
+def plane(tmp_path):
+    """A square of 10 m x 10 m at height 0 of the local frame, in crs, wound to face down."""
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [HALF, HALF, 1.0]
+    return _write_mesh(tmp_path / "reference.ply", FRAME.crs_from_local(corners), [[0, 2, 1], [0, 3, 2]])
+
+
+@pytest.fixture
+def cloud(tmp_path):
+    """A cloud 0.1 m above that square, a point each 0.1 m."""
+    return _write_las(tmp_path / "cloud.las", FRAME.crs_from_local(_grid(0.1, 0.1)))
+
+
+def test_a_cloud_above_the_reference_is_found_at_its_height(cloud, plane):
+    numbers = compare_files(cloud, plane)
+    assert numbers["method"] == "cloud to mesh"
+    assert numbers["n_points"] == 101**2
+    assert numbers["mean_m"] == pytest.approx(0.1, abs=LAS_M / 10)
+    assert numbers["std_m"] < LAS_M
+    assert (numbers["completeness"], numbers["accuracy_share"], numbers["f_score"]) == (1.0, 1.0, 1.0)
+    assert (numbers["n_cropped"], numbers["bounds"]) == (0, None)
+    assert "completeness_visible" not in numbers
+    assert "cloud.las" in numbers["notes"][0]
+    assert "reference.ply does not say its CRS" in numbers["notes"][0]
+
+
+def test_winding_decides_where_it_is_asked_to(cloud, plane):
+    numbers = compare_files(cloud, plane, options=CompareOptions(sign="winding"))
+    assert numbers["mean_m"] == pytest.approx(-0.1, abs=LAS_M / 10)
+    assert numbers["sign"] == "winding"
+
+
+def test_distances_are_metres_on_the_ground_and_not_of_the_map_grid(tmp_path, plane):
+    """100 m beyond the rim at 2,105 m height: UTM counts 0.9996 * 0.99967 of it, 99.93 m."""
+    points = FRAME.crs_from_local(np.array([[0.0, 0.0, 0.0], [HALF + 100.0, 0.0, 0.0]]))
+    assert np.linalg.norm(points[1, :2] - points[0, :2]) < 105.0 - 0.07
+    cloud = _write_las(tmp_path / "far.las", points)
+    assert compare_files(cloud, plane)["max_m"] == pytest.approx(100.0, abs=2 * LAS_M)
+
+
+def test_bounds_crop_the_cloud_first_and_completeness_sees_a_tolerance_more(tmp_path, cloud, plane):
+    """Bounds over x up to 0.01 m: the points up to 0.31 m count for completeness and reach 0.3 m around."""
+    e, n, _ = ORIGIN
+    numbers = compare_files(
+        cloud, plane, options=CompareOptions(tolerance_m=0.3, bounds=(e - 20.0, n - 20.0, e + 0.01, n + 20.0))
+    )
+    assert (numbers["n_points"], numbers["n_cropped"]) == (51 * 101, 50 * 101)
+    # The last column of them stands at 0.3 m, 0.1 m above the plane, and reaches sqrt(0.3² - 0.1²) further.
+    assert numbers["completeness"] == pytest.approx((5.0 + 0.3 + np.sqrt(0.08)) / 10.0, abs=SAMPLING)
+    assert any("lies outside the bounds" in note for note in numbers["notes"])
+
+
+def test_completeness_over_visible_points_counts_all_of_them(tmp_path, cloud, plane):
+    local = np.array([[0.0, 0, 0], [1.0, 0, 0], [2.0, 0, -0.2], [3.0, 0, 0.05]])
+    visible = tmp_path / "visible.ply"
+    points = FRAME.crs_from_local(local)
+    write_ply(visible, points, rgb=np.zeros((4, 3), np.uint8), scalars={})
+    numbers = compare_files(cloud, plane, options=CompareOptions(tolerance_m=0.2, visible=visible))
+    assert numbers["completeness_visible"] == 0.75
+    assert numbers["completeness"] == 1.0
+
+
+def test_a_reference_of_points_is_compared_cloud_to_cloud_and_says_so(tmp_path, cloud):
+    reference = _write_las(tmp_path / "reference.las", FRAME.crs_from_local(_grid(0.1)[::2]))
+    numbers = compare_files(cloud, reference)
+    assert (numbers["method"], numbers["sign"], numbers["seed"]) == ("cloud to cloud", None, None)
+    assert any("have no sign" in note for note in numbers["notes"])
+    # Every second point lies 0.1 m straight above one, the others 0.1 m beside that.
+    assert numbers["min_m"] == pytest.approx(0.1, abs=2 * LAS_M)
+    assert numbers["max_m"] == pytest.approx(np.hypot(0.1, 0.1), abs=4 * LAS_M)
+    assert numbers["n_samples"] == len(_grid(0.1)[::2])
+
+
+def test_without_any_crs_coordinates_are_metres_and_the_notes_say_so(tmp_path, plane):
+    points = FRAME.crs_from_local(_grid(0.5, 0.1))
+    write_ply(tmp_path / "cloud.ply", points, rgb=np.zeros(points.shape, np.uint8), scalars={})
+    numbers = compare_files(tmp_path / "cloud.ply", plane)
+    assert numbers["crs"] is None
+    assert "neither cloud.ply nor reference.ply says its CRS" in numbers["notes"][0]
+    # A level square of 10 m bends by (5 m)² / 2 R = 2 µm.
+    assert numbers["mean_m"] == pytest.approx(0.1, abs=5e-6)
+
+
+def test_geographic_coordinates_give_the_same_distances(tmp_path):
+    frame = LocalFrame(CRS("EPSG:4979"), (10.2, 46.9, 400.0))
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [HALF, HALF, 1.0]
+    plane = _write_mesh(tmp_path / "m.ply", frame.crs_from_local(corners), [[0, 1, 2], [0, 2, 3]])
+    cloud = _write_las(tmp_path / "c.las", frame.crs_from_local(_grid(0.1, -0.1)), CRS("EPSG:4979"))
+    east, north = frame.crs_from_local(np.array([0.01, 0.0, 0.0]))[:2]
+    numbers = compare_files(
+        cloud, plane, options=CompareOptions(tolerance_m=0.3, bounds=(east - 1, north - 1, east, north + 1))
+    )
+    assert numbers["mean_m"] == pytest.approx(-0.1, abs=LAS_M / 10)
+    # As in the grid: the tolerance in degrees is another one to the east than to the north.
+    assert numbers["completeness"] == pytest.approx((5.0 + 0.3 + np.sqrt(0.08)) / 10.0, abs=SAMPLING)
+
+
+def test_depths_in_the_cloud_split_the_numbers_by_the_true_depth(tmp_path, plane):
+    """Water 0.08 m above the reference; a cloud 0.1 m too high calls itself dry and is counted as wet."""
+    local = _grid(0.5, 0.1)
+    cloud = _write_las(tmp_path / "c.las", FRAME.crs_from_local(local), depth=0.08 - local[:, 2])
+    numbers = compare_files(cloud, plane)
+    assert "dry" not in numbers
+    assert numbers["wet"]["n_points"] == len(local)
+    assert [band["to_m"] for band in numbers["depth_bands"]] == [0.5]
+
+
+def test_a_million_samples_of_the_reference_are_asked_for(monkeypatch, cloud, plane):
+    monkeypatch.undo()
+    assert compare_files(cloud, plane)["n_samples"] == 1_000_000
+
+
+def test_the_same_files_give_the_same_numbers(tmp_path, cloud, plane):
+    first, second = (compare_files(cloud, plane, options=CompareOptions(tolerance_m=0.11)) for _ in range(2))
+    assert first == second
+    assert 0.0 < first["completeness"] < 1.0
+
+
+def test_json_is_written_whole_with_all_promised_keys(tmp_path, cloud, plane):
+    path = tmp_path / "new" / "numbers.json"
+    numbers = compare_files(cloud, plane, options=CompareOptions(json_path=path, visible=plane))
+    read = json.loads(path.read_text())
+    assert read == numbers
+    promised = (
+        "n_points n_cropped mean_m median_m std_m rms_m mean_inner90_m std_inner90_m completeness "
+        "accuracy_share f_score tolerance_m completeness_visible method sign crs notes"
+    )
+    assert set(promised.split()) <= set(read)
+    assert [p.name for p in path.parent.iterdir()] == ["numbers.json"]
+
+
+def test_the_report_has_three_pictures(tmp_path, cloud, plane):
+    folder = tmp_path / "report"
+    compare_files(cloud, plane, options=CompareOptions(report_dir=folder))
+    assert sorted(p.name for p in folder.iterdir()) == ["completeness.png", "histogram.png", "map.png"]
+    for path in folder.iterdir():
+        with Image.open(path) as image:
+            assert min(image.size) > 400
+            assert len(set(image.convert("L").resize((64, 64)).tobytes())) > 3
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_pictures_of_hardly_any_points_are_drawn_all_the_same(tmp_path, count):
+    points = np.array([[589012.0, 5194736.0, 1.0], [589013.0, 5194736.0, 1.0]])[:count]
+    error_map(points, np.full(count, 0.1), tmp_path / "map.png", crs=UTM32)
+    histogram(np.full(count, np.nan), tmp_path / "histogram.png", tolerance_m=0.2)
+    completeness_map(points, np.zeros(count, bool), tmp_path / "completeness.png")
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_a_stray_point_does_not_shrink_the_map(tmp_path, rng):
+    from survey.compare_canvas import mean_per_cell
+
+    points = rng.uniform(0, 10, (20_000, 3))
+    points[0, :2] = 1e6
+    image, extent = mean_per_cell(points, np.ones(len(points)), 3.0)
+    assert extent[1] < 11.0
+    assert np.nanmean(image) == 1.0
+    assert np.isfinite(image).mean() > 0.9
+
+
+def test_distances_for_a_whole_file_are_nan_where_it_was_cropped(cloud, plane):
+    e, n, _ = ORIGIN
+    comparison = compare_surfaces(cloud, plane, CompareOptions(bounds=(e - 9, n - 9, e, n + 9)))
+    whole = comparison.distances_of_cloud
+    assert len(whole) == 101**2
+    assert np.isnan(whole).sum() == comparison.numbers["n_cropped"]
+
+
+# What is refused ------------------------------------------------------------------------------------------
+
+
+def test_a_reference_in_another_crs_is_refused_by_name(tmp_path, cloud):
+    other = _write_las(tmp_path / "other.las", FRAME.crs_from_local(_grid(1.0)), CRS("EPSG:25833+5778"))
+    with pytest.raises(CRSMismatch, match=r"cloud.las and .*other.las are in different .* 32N against .* 33N"):
+        compare_files(cloud, other)
+
+
+def test_a_reference_with_other_heights_is_refused_by_name(tmp_path, cloud):
+    other = _write_las(tmp_path / "other.las", FRAME.crs_from_local(_grid(1.0)), CRS("EPSG:25832+7837"))
+    with pytest.raises(CRSMismatch, match="heights"):
+        compare_files(cloud, other)
+
+
+def test_a_reference_in_another_place_is_refused_with_both_extents(tmp_path, cloud):
+    vertices = FRAME.crs_from_local(_grid(10.0) + np.array([5000.0, 0.0, 0.0]))
+    other = _write_mesh(tmp_path / "other.ply", vertices, [[0, 1, 2], [1, 3, 2]])
+    with pytest.raises(PlaceMismatch, match=r"easting 499995.* and .*other.ply .*easting 504991.* do not overlap"):
+        compare_files(cloud, other)
+
+
+def test_visible_points_of_another_place_are_refused(tmp_path, cloud, plane):
+    visible = tmp_path / "visible.ply"
+    write_ply(visible, np.zeros((3, 3)), rgb=np.zeros((3, 3), np.uint8), scalars={})
+    with pytest.raises(PlaceMismatch, match=r"visible.ply"):
+        compare_files(cloud, plane, options=CompareOptions(visible=visible))
+
+
+def test_heights_of_another_datum_are_noted_and_absurd_ones_refused(tmp_path, plane):
+    low = _write_las(tmp_path / "low.las", FRAME.crs_from_local(_grid(1.0)) - [0, 0, 47.0])
+    numbers = compare_files(low, plane)
+    assert numbers["mean_m"] == pytest.approx(-47.0, abs=0.01)
+    assert any("do not meet: check that both count from the same vertical datum" in n for n in numbers["notes"])
+    depths = _write_las(tmp_path / "depths.las", FRAME.crs_from_local(_grid(1.0)) * [1, 1, 0])
+    with pytest.raises(CompareError, match=r"do not meet; check .* same vertical datum, and in the same unit"):
+        compare_files(depths, plane)
+
+
+def test_an_empty_cloud_is_refused(tmp_path, plane):
+    empty = _write_las(tmp_path / "empty.las", np.empty((0, 3)))
+    with pytest.raises(EmptyCloud, match=r"empty.las has no points"):
+        compare_files(empty, plane)
+
+
+def test_bounds_that_leave_nothing_are_refused_with_the_extent_of_the_cloud(cloud, plane):
+    with pytest.raises(CompareError, match=r"none of the 10201 points of .*cloud.las lies within .* 0 0 1 1; it"):
+        compare_files(cloud, plane, options=CompareOptions(bounds=(0.0, 0.0, 1.0, 1.0)))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"bounds": (2.0, 0.0, 1.0, 1.0)}, "E0 below E1"),
+        ({"bounds": (0.0, 0.0, float("nan"), 1.0)}, "four finite numbers"),
+        ({"tolerance_m": 0.0}, "--tolerance is 0, expected metres above zero"),
+        ({"tolerance_m": float("nan")}, "--tolerance is nan"),
+        ({"sign": "down"}, "expected up or winding"),
+    ],
+)
+def test_options_that_cannot_be_meant_are_refused_before_anything_is_read(tmp_path, options, message):
+    with pytest.raises(CompareError, match=message):
+        compare_files(tmp_path / "none.las", tmp_path / "none.ply", options=CompareOptions(**options))
+
+
+@pytest.mark.parametrize("which", ["cloud", "reference", "visible"])
+def test_a_path_that_does_not_exist_is_named(tmp_path, cloud, plane, which):
+    paths = {"cloud": cloud, "reference": plane, "visible": plane} | {which: tmp_path / "nowhere.ply"}
+    with pytest.raises(UnreadableFile, match=r"nowhere.ply does not exist"):
+        compare_files(paths["cloud"], paths["reference"], options=CompareOptions(visible=paths["visible"]))
+
+
+def test_a_reference_without_area_is_refused(tmp_path, cloud):
+    line = _write_mesh(tmp_path / "line.ply", FRAME.crs_from_local(_grid(10.0)), [[0, 0, 3], [0, 3, 3]])
+    with pytest.raises(CompareError, match=r"none of the 2 triangles of .*line.ply has an area"):
+        compare_files(cloud, line)
+
+
+def test_a_place_for_results_that_cannot_be_is_refused_before_anything_is_computed(tmp_path, cloud, plane):
+    for options in (
+        CompareOptions(report_dir=cloud),
+        CompareOptions(json_path=cloud / "numbers.json"),
+    ):
+        with pytest.raises(CompareError, match=r"cloud.las cannot be a folder, because a file is in the way"):
+            compare_files(cloud, plane, options=options)
+
+
+def test_every_refusal_is_an_input_error_of_the_command_line(tmp_path, cloud, plane):
+    shutil.copy(cloud, tmp_path / "cut.las")
+    data = (tmp_path / "cut.las").read_bytes()
+    (tmp_path / "cut.las").write_bytes(data[: len(data) // 2])
+    with pytest.raises(GeoError, match=r"cut.las"):
+        compare_files(tmp_path / "cut.las", plane)
+
+
+def test_a_cloud_whose_crs_has_no_heights_is_compared_and_noted(tmp_path, plane):
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.scales, header.offsets = np.full(3, 0.001), np.floor(ORIGIN)
+    header.add_crs(CRS("EPSG:25832"))
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = FRAME.crs_from_local(_grid(0.5, 0.1)).T
+    las.write(tmp_path / "flat.las")
+    numbers = compare_files(tmp_path / "flat.las", plane)
+    assert numbers["mean_m"] == pytest.approx(0.1, abs=LAS_M / 5)
+    assert any("does not say what heights count from" in note for note in numbers["notes"])

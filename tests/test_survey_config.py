@@ -1,0 +1,176 @@
+"""survey.toml: every known key, and a sentence for every mistake."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from survey.config import SurveyConfig, dump_config, parse_config, read_config
+from survey.errors import ConfigError, SurveyError
+from survey.water import water_index
+
+FULL = """
+name = 'a "quoted" name'
+crs = "EPSG:25832+5778"
+[images]
+dir = "photos"
+masks = "masks"
+[cameras]
+poses = "cameras.csv"
+model = "OPENCV"
+size_px = [4000, 3000]
+focal_px = [3650.5, 3651.0]
+principal_point_px = [2000.5, 1499.0]
+distortion = [-0.1, 0.02, 1e-4, -2e-5]
+gps_height = "ellipsoidal"
+[water]
+level_m = 12.34
+level_at = [589012, 5194736]
+slope_east = 0.001
+slope_north = -0.004
+temperature_c = 14
+salinity_psu = 7.5
+[area]
+bounds = [589000, 5194700, 589050, 5194750]
+[local]
+frame = "topocentric east-north-up"
+origin = [589012.0, 5194736.0, 2105.0]
+"""
+
+# Rounding of the published constants; the check values have six decimals.
+INDEX_TOLERANCE = 1e-6
+
+
+def test_every_known_key_is_read_and_written_back_to_the_same_settings():
+    config = parse_config(FULL)
+    assert config.cameras.distortion == (-0.1, 0.02, 1e-4, -2e-5)
+    assert config.water.level_m == 12.34
+    assert config.water.slope_north == -0.004
+    assert config.area.bounds == (589000.0, 5194700.0, 589050.0, 5194750.0)
+    unset = [f.name for f in dataclasses.fields(config) if getattr(config, f.name) is None]
+    assert unset == []
+    assert parse_config(dump_config(config)) == config
+
+
+def test_an_empty_file_is_all_defaults_and_survives_the_round_trip():
+    assert parse_config("") == SurveyConfig()
+    assert parse_config(dump_config(SurveyConfig())) == SurveyConfig()
+
+
+@given(st.text(st.characters(blacklist_categories=["Cs"]), min_size=1).filter(str.strip))
+def test_any_name_survives_the_round_trip(name):
+    config = SurveyConfig(name=name)
+    assert parse_config(dump_config(config)) == config
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False, min_value=-1e7, max_value=1e7))
+def test_any_level_survives_the_round_trip_to_the_last_bit(level):
+    config = parse_config(f"[water]\nlevel_m = {level!r}\n")
+    assert parse_config(dump_config(config)).water.level_m == level
+
+
+@pytest.mark.parametrize(
+    ("text", "nearest"),
+    [
+        ("[water]\nlevel = 3.0", "[water] level_m"),
+        ("[water]\nslope_nort = 0.1", "[water] slope_north"),
+        ("[camera]\nposes = 'a'", "[cameras]"),
+        ("level_m = 3.0", "[water] level_m"),
+        ("[cameras]\nfocal = 900", "[cameras] focal_px"),
+        ("[cameras]\nbounds = [0, 0, 1, 1]", "[area] bounds"),
+        ("[area]\ncrs = 'EPSG:25832+5778'", "crs, above the first table"),
+        ("naem = 'x'", "name"),
+    ],
+)
+def test_an_unknown_key_is_refused_with_the_nearest_known_one(text, nearest):
+    with pytest.raises(ConfigError, match="unknown key") as error:
+        parse_config(text)
+    assert f"the nearest known one is {nearest}" in str(error.value)
+
+
+@pytest.mark.parametrize("key", ["gauge", "shoreline", "gnss_points", "mask"])
+def test_a_key_of_a_later_version_is_refused_with_what_to_give_instead(key):
+    with pytest.raises(ConfigError, match=rf"\[water\] {key} is not supported yet; .{{20,}}"):
+        parse_config(f"[water]\n{key} = 'file'")
+
+
+def test_ground_control_points_are_refused_with_what_to_give_instead():
+    with pytest.raises(ConfigError, match=r"\[control\] gcps is not supported yet; give camera poses"):
+        parse_config("[control]\ngcps = 'gcp_list.txt'")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[water]\nlevel_m = nan", "water.level_m is nan, expected a finite number"),
+        ("[water]\nlevel_m = 'high'", "water.level_m is 'high', expected a finite number"),
+        ("[water]\nlevel_m = true", "water.level_m is True, expected a finite number"),
+        ("[water]\nslope_north = 0.1", "level_m is missing from [water]"),
+        ("[water]\nlevel_m = 1\nslope_north = 4.0", "slope_north is 4, expected a rise in metres per metre"),
+        ("[water]\nlevel_m = 1\nrefractive_index = 0.75", "refractive_index is 0.75, expected 1.0 to 1.6"),
+        ("[water]\nlevel_m = 1\nrefractive_index = 1.3\ntemperature_c = 3", "contradict each other"),
+        ("[water]\nlevel_m = 1\nsalinity_psu = 3", "salinity_psu without temperature_c"),
+        ("[water]\nlevel_m = 1\nlevel_at = [1, 2, 3]", "water.level_at is [1, 2, 3], expected [easting, northing]"),
+        ("water = 3.0", "water = 3.0 was found where the table [water] was expected"),
+        ("[cameras]\nsize_px = [512.0, 384]", "cameras.size_px is [512.0, 384], expected [width, height]"),
+        ("[cameras]\nfocal_px = -900.0", "cameras.focal_px is -900, expected a number above zero"),
+        ("[cameras]\nfocal_px = [900]", "expected one focal length or [fx, fy]"),
+        ("[cameras]\ndistortion = [0.1]", "distortion is given without model"),
+        ("[cameras]\nmodel = 'RADIAL'\ndistortion = 0.1", "expected a list of coefficients"),
+        ("[cameras]\ngps_height = 'geoid'", 'gps_height is "geoid", expected "crs"'),
+        ("[cameras]\nsize_px = [10, 10]\nprincipal_point_px = [0.0, 0.0]", "lies outside the image"),
+        ("[area]\nbounds = [2, 0, 1, 1]", "with low below high"),
+        ("[local]\nframe = 'ecef'", 'local.frame is "ecef", expected "topocentric east-north-up"'),
+        ("crs = 25832", 'crs is 25832, expected a text with a vertical part, e.g. crs = "EPSG:25832+5778"'),
+        ("name = ''", "name is '', expected a text in quotes"),
+        ("[water\nlevel_m = 3", "not valid TOML"),
+    ],
+)
+def test_a_wrong_or_contradictory_value_is_named_with_what_was_expected(text, words):
+    with pytest.raises(ConfigError) as error:
+        parse_config(text)
+    assert words in str(error.value)
+
+
+def test_an_error_names_the_file(tmp_path):
+    path = tmp_path / "survey.toml"
+    path.write_text("[water]\nlevel = 3")
+    with pytest.raises(SurveyError, match=r"survey\.toml: unknown key level"):
+        read_config(path)
+
+
+def test_a_file_in_another_encoding_is_refused_and_a_byte_order_mark_is_not(tmp_path):
+    path = tmp_path / "survey.toml"
+    path.write_bytes('name = "Weißensee"'.encode("latin-1"))
+    with pytest.raises(ConfigError, match=r"survey\.toml: byte 11 is not UTF-8"):
+        read_config(path)
+    path.write_bytes('name = "Weißensee"'.encode("utf-8-sig"))
+    assert read_config(path).name == "Weißensee"
+
+
+@pytest.mark.parametrize(
+    ("wavelength_nm", "temperature_c", "salinity_psu", "index"),
+    [
+        (589.3, 20.0, 0.0, 1.333004),
+        (532.0, 20.0, 0.0, 1.335035),
+        (450.0, 15.0, 0.0, 1.339648),
+        (700.0, 20.0, 0.0, 1.330187),
+        (550.0, 0.0, 35.0, 1.342262),
+        (550.0, 30.0, 35.0, 1.339614),
+        (589.3, 20.0, 35.0, 1.339406),
+    ],
+)
+def test_the_index_of_water_is_that_of_quan_and_fry(wavelength_nm, temperature_c, salinity_psu, index):
+    assert water_index(temperature_c, salinity_psu, wavelength_nm=wavelength_nm) == pytest.approx(
+        index, abs=INDEX_TOLERANCE
+    )
+
+
+def test_water_outside_the_range_of_the_fit_is_refused():
+    with pytest.raises(ConfigError, match=r"temperature_c is 60, expected -2 to 32"):
+        water_index(60.0)
+    with pytest.raises(ConfigError, match=r"salinity_psu is -1, expected 0 to 45"):
+        water_index(10.0, -1.0)

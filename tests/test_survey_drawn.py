@@ -1,0 +1,343 @@
+"""The drawn survey: its renderer is exact, its truth is what it drew, and its folder is whole or absent."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from geo import read_reference
+from refract import FlatWater
+from survey.config import read_config
+from survey.drawn import Drawing, DrawnScene, draw_survey, folder
+from survey.drawn.__main__ import main
+from survey.drawn.shapes import BedGrid, Solid
+from survey.errors import SurveyError
+from survey.exif import read_exif
+from survey.folder import load_survey
+
+# Rounding of float64 over 10 m of path, and the projection's 1e-9 m, at 280 px focal length and 8 m: 4e-8 px.
+EXACT_PX = 1e-6
+# cameras.csv rounds to 1e-6 m and 1e-9 degrees: 0.00004 px.
+STORED_PX = 1e-3
+# Coordinates of about 5e6 m are stored to 1e-9 m; a few roundings on the way into the local frame.
+EXACT_M = 1e-8
+
+SHORE = DrawnScene.tiny(shore=True, slope_east=-0.002, slope_north=0.004)
+
+
+@pytest.fixture(scope="module")
+def drawing() -> Drawing:
+    return Drawing.of(SHORE)
+
+
+@pytest.fixture(scope="module")
+def survey_folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("drawn") / "shore"
+    draw_survey(path, SHORE)
+    return path
+
+
+def hits_of_all(drawing, rng, count=400):
+    """Camera, pixels and hits for some pixels of every camera."""
+    for camera in drawing.cameras:
+        pixels = rng.uniform((0.0, 0.0), (camera.width, camera.height), (count, 2))
+        yield camera, pixels, drawing.renderer.trace(camera, pixels)
+
+
+def stands_before(drawing, start, end, steps=1000):
+    """Whether anything solid covers the straight way from start to end (N, 3), by looking at many points of it."""
+    share = np.linspace(0.0, 0.999, steps)[:, None, None]
+    points = start + share * (end - start)
+    ground = drawing.renderer.ground
+    covered = points[..., 2] < ground.bed.height(points[..., 0], points[..., 1]) - 1e-6
+    for solid in ground.solids:
+        near = np.linalg.norm(points - solid.centre, axis=-1) < solid.radius
+        covered[near] |= (points[near] @ solid.normals.T < solid.offsets - 1e-6).all(axis=-1)
+    return covered.any(axis=0)
+
+
+def crossing_by_snell(camera, points, water):
+    """Where rays cross a level or tilted plane through the origin, by bisection on Snell's law: a slow twin."""
+    normal = np.array(water.normal)
+    H, depth = camera.centre @ normal, -(points @ normal)
+    foot_c, foot_p = camera.centre - H * normal, points + depth[:, None] * normal
+    way = foot_c - foot_p
+    D = np.linalg.norm(way, axis=1)
+    low, high = np.zeros(len(points)), D.copy()
+    for _ in range(60):
+        x = 0.5 * (low + high)
+        too_near = water.n_water * x / np.hypot(x, depth) < (D - x) / np.hypot(D - x, H)
+        low, high = np.where(too_near, x, low), np.where(too_near, high, x)
+    return np.where((depth > 0.0)[:, None], foot_p + (x / D)[:, None] * way, points)
+
+
+def test_points_seen_by_the_renderer_are_projected_back_onto_their_pixels_by_refract(drawing, rng):
+    for camera, pixels, hits in hits_of_all(drawing, rng):
+        back = camera.project(hits.points, drawing.water)
+        assert np.abs(back - pixels).max() < EXACT_PX
+
+
+def test_a_survey_read_from_its_folder_projects_the_drawn_points_onto_their_pixels(drawing, survey_folder, rng):
+    survey = load_survey(survey_folder)
+    assert [view.name for view in survey.views] == drawing.names
+    for view, (_, pixels, hits) in zip(survey.views, hits_of_all(drawing, rng, 50), strict=True):
+        points = survey.frame.local_from_crs(drawing.frame.crs_from_local(hits.points))
+        assert np.abs(view.camera.project(points, survey.water) - pixels).max() < STORED_PX
+
+
+def test_wet_and_dry_pixels_both_occur_at_a_shore(drawing, rng):
+    wet = np.concatenate([hits.in_water > 0.0 for _, _, hits in hits_of_all(drawing, rng)])
+    assert 0.2 < wet.mean() < 0.9
+
+
+def test_paths_obey_snells_law_at_the_water_surface(drawing, rng):
+    normal = np.array(drawing.water.normal)
+    for camera, pixels, hits in hits_of_all(drawing, rng):
+        wet = hits.in_water > 0.0
+        ray, points = camera.directions(pixels)[wet], hits.points[wet]
+        crossing = camera.centre + (camera.centre @ normal / -(ray @ normal))[:, None] * ray
+        leg = points - crossing
+        np.testing.assert_allclose(np.linalg.norm(leg, axis=1), hits.in_water[wet], atol=1e-12)
+        bent = leg / hits.in_water[wet, None]
+        # Beside the shoreline the leg is short, and its direction as uncertain as rounding over its length.
+        tolerance = 1e-12 + 1e-14 / hits.in_water[wet].min()
+        np.testing.assert_allclose(np.cross(ray, normal), 1.333 * np.cross(bent, normal), atol=tolerance)
+
+
+def test_without_a_step_in_index_rays_are_straight(rng):
+    drawing = Drawing.of(DrawnScene.tiny(n_water=1.0))
+    dry = Drawing.of(DrawnScene.tiny(water=False))
+    for (camera, pixels, hits), bare in zip(hits_of_all(drawing, rng, 100), dry.cameras, strict=True):
+        straight = np.cross(hits.points - camera.centre, camera.directions(pixels))
+        assert np.abs(straight).max() < 1e-12
+        np.testing.assert_allclose(dry.renderer.trace(bare, pixels).points, hits.points, atol=1e-12)
+
+
+def test_hits_lie_on_the_ground_and_nothing_stands_before_them(drawing, rng):
+    for camera, _, hits in hits_of_all(drawing, rng, 60):
+        ground = drawing.renderer.ground
+        on_bed = hits.body < 0
+        over = hits.points[:, 2] - ground.bed.height(hits.points[:, 0], hits.points[:, 1])
+        assert np.abs(over[on_bed]).max() < 1e-9
+        for index, solid in enumerate(ground.solids):
+            beyond = hits.points[hits.body == index] @ solid.normals.T - solid.offsets
+            np.testing.assert_allclose(beyond.max(axis=1, initial=0.0), 0.0, atol=1e-9)
+        crossing = crossing_by_snell(camera, hits.points, drawing.water)
+        top = camera.centre + 0.9 * (crossing - camera.centre)
+        assert not stands_before(drawing, top, crossing).any()
+        assert not stands_before(drawing, crossing, hits.points).any()
+
+
+def test_rays_over_a_slope_of_triangles_end_at_the_distance_in_closed_form(rng):
+    x, y = 0.1 * np.arange(60), 0.1 * np.arange(40)[:, None]
+    bed = BedGrid(0.3 * x - 0.2 * y - 1.0, 0.0, 0.0, 0.1)
+    origin = rng.uniform((2.0, 1.5, 2.0), (4.0, 2.5, 3.0), (500, 3))
+    direction = np.array([*rng.uniform(-0.3, 0.3, (2, 500)), np.full(500, -1.0)]).T
+    direction[:20, :2] = 0.0  # plumb
+    direction[20:40, 0] = 0.0  # along a line of the grid
+    direction[40:60, 1] = -direction[40:60, 0]  # along the diagonals
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    expected = (origin @ (0.3, -0.2, -1.0) - 1.0) / (direction @ (-0.3, 0.2, 1.0))
+    endless = np.full(500, np.inf)
+    np.testing.assert_allclose(bed.hit(origin, direction, endless), expected, atol=1e-12)
+    assert np.isinf(bed.hit(origin, direction, expected - 1e-6)).all()
+
+
+def test_a_ray_stops_at_a_thin_wall_of_the_bed_that_hides_the_ground_behind():
+    heights = np.zeros((9, 400))
+    heights[:, 200] = 1.0
+    bed = BedGrid(heights, 0.0, 0.0, 0.01)
+    origin, direction = np.array([[0.4, 0.045, 2.0]]), np.array([[1.6, 0.0, -1.4]])
+    direction /= np.linalg.norm(direction)
+    # The west face of the wall is the plane z = 100 (x - 1.99).
+    t = (100.0 * (0.4 - 1.99) - 2.0) / (direction[0, 2] - 100.0 * direction[0, 0])
+    np.testing.assert_allclose(bed.hit(origin, direction, np.array([np.inf])), t, atol=1e-12)
+
+
+def test_a_box_is_entered_where_its_faces_are_and_missed_beside_them():
+    corners = np.stack(np.meshgrid([-1.0, 1.0], [-2.0, 2.0], [0.0, 3.0]), axis=-1).reshape(-1, 3)
+    box = Solid.around(corners, (0.5, 0.5, 0.5))
+    assert len(box.normals) == 6
+    assert len(box.faces) == 12
+    origin = np.array([[0.0, 0.0, 5.0], [1.1, 0.0, 5.0], [-4.0, 0.0, 5.0], [0.5, 2.5, 5.0]])
+    direction = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, -1.0], [0.6, 0.0, -0.8], [0.0, 0.0, -1.0]])
+    t, plane = box.hit(origin, direction)
+    np.testing.assert_allclose(t, [2.0, np.inf, 5.0, np.inf], atol=1e-12)
+    np.testing.assert_allclose(box.normals[plane[[0, 2]]], [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]], atol=1e-12)
+    a, b, c = (box.vertices[box.faces[:, k]] for k in range(3))
+    volume = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0
+    assert volume == pytest.approx(24.0)  # positive: all normals point outward
+
+
+def test_the_reference_is_the_bed_that_was_drawn_and_fills_the_bounds(drawing, survey_folder):
+    mesh = read_reference(survey_folder / "truth" / "reference.ply")
+    local = drawing.frame.local_from_crs(mesh.vertices)
+    ground = drawing.renderer.ground
+    of_bodies = sum(len(solid.vertices) for solid in ground.solids)
+    bed, bodies = local[: len(local) - of_bodies], local[len(local) - of_bodies :]
+    assert np.abs(bed[:, 2] - ground.bed.height(bed[:, 0], bed[:, 1])).max() < EXACT_M
+    np.testing.assert_allclose(bodies, np.concatenate([s.vertices for s in ground.solids]), atol=EXACT_M)
+    centroids = local[mesh.faces[(mesh.faces < len(bed)).all(axis=1)]].mean(axis=1)
+    # Triangles of the mesh, not only their corners, lie in the surface that rays meet.
+    on_bed = ground.bed.height(centroids[:, 0], centroids[:, 1])
+    assert np.abs(centroids[:, 2] - on_bed).max() < EXACT_M
+    bed_crs = mesh.vertices[: len(bed)]
+    e0, n0, e1, n1 = read_config(survey_folder / "survey.toml").area.bounds
+    assert (bed_crs[:, :2].min(axis=0) < (e0, n0)).all()
+    assert (bed_crs[:, :2].max(axis=0) > (e1, n1)).all()
+
+
+def test_visible_points_are_seen_by_three_cameras_along_ways_that_nothing_covers(drawing, survey_folder, rng):
+    cloud = read_reference(survey_folder / "truth" / "visible.ply")
+    points = drawing.frame.local_from_crs(cloud.points)
+    points = points[rng.choice(len(points), 200, replace=False)]
+    num_views = np.zeros(len(points), dtype=int)
+    for camera in drawing.cameras:
+        pixels = camera.project(points, drawing.water)
+        crossing = crossing_by_snell(camera, points, drawing.water)
+        top = camera.centre + 0.9 * (crossing - camera.centre)
+        free = ~stands_before(drawing, top, crossing) & ~stands_before(drawing, crossing, points)
+        num_views += free & ((pixels > 0.0) & (pixels < (camera.width, camera.height))).all(axis=1)
+    assert num_views.min() >= 3
+
+
+def test_the_bed_under_the_boat_is_in_the_reference_but_not_visible(drawing, survey_folder):
+    boat = drawing.renderer.ground.solids[0]
+
+    def num_inside(points_crs):
+        points = drawing.frame.local_from_crs(points_crs)
+        return (points @ boat.normals.T < boat.offsets - 0.001).all(axis=1).sum()
+
+    assert num_inside(read_reference(survey_folder / "truth" / "reference.ply").vertices) > 50
+    assert num_inside(read_reference(survey_folder / "truth" / "visible.ply").points) == 0
+
+
+def test_a_pixel_is_the_mean_light_of_its_quarters(drawing):
+    camera = drawing.cameras[6]
+    image = drawing.photograph(6)
+    rows, columns = np.array([3, 50, 118, 77]), np.array([150, 20, 90, 1])
+    quarters = np.array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]])
+    pixels = np.stack([columns, rows], axis=-1)[:, None] + quarters
+    light = drawing.renderer.radiance(camera, pixels.reshape(-1, 2)).reshape(4, 4, 3).mean(axis=1)
+    np.testing.assert_array_equal(image[rows, columns], np.round(255.0 * light ** (1.0 / 2.2)))
+
+
+def test_deep_ground_is_bluer_and_all_ground_is_textured(drawing):
+    camera = drawing.cameras[0]
+    hits = drawing.renderer.trace(camera, camera.pixel_centres().reshape(-1, 2))
+    image = drawing.photograph(0).astype(float)
+    blueness = (image[..., 2] / image[..., 0]).ravel()
+    deep, shallow = hits.in_water > 0.5, hits.in_water < 0.1
+    assert blueness[deep].mean() > 1.1 * blueness[shallow].mean()
+    blocks = image[:, :, 1].reshape(12, 10, 16, 10).std(axis=(1, 3))
+    assert blocks.min() > 3.0  # three times the noise of a photograph
+    assert (image == 255.0).mean() < 0.01
+
+
+def test_every_point_of_the_demos_area_lies_in_at_least_six_photographs():
+    scene = DrawnScene()
+    x, y = (c.ravel() for c in np.meshgrid(*(np.linspace(-0.5, 0.5, 21) * s for s in scene.size_m)))
+    num_views = np.zeros(len(x), dtype=int)
+    for camera in scene.cameras():
+        points = np.stack([x, y, np.full(len(x), -scene.depth_m)], axis=-1)
+        pixels = camera.project(points, FlatWater((0.0, 0.0, 0.0), scene.n_water))
+        num_views += ((pixels > 0.0) & (pixels < scene.image_px)).all(axis=1)
+    assert num_views.min() >= 6
+
+
+def test_the_demos_views_are_convergent_from_10_to_35_degrees():
+    axes = np.array([camera.cam_from_local[2] for camera in DrawnScene().cameras()])
+    tilt = np.sort(np.degrees(np.arccos(-axes[:, 2])))
+    assert len(tilt) == 20
+    assert (tilt[:12] < 5.0).all()
+    np.testing.assert_allclose(tilt[[12, -1]], [10.0, 35.0], atol=1e-6)
+
+
+def test_exif_has_the_position_within_the_noise_of_a_good_receiver_and_the_focal_length(drawing, survey_folder):
+    from pyproj import Transformer
+
+    to_grid = Transformer.from_crs("EPSG:4326", "EPSG:25832", always_xy=True)
+    centres = drawing.frame.crs_from_local([camera.centre for camera in drawing.cameras])
+    for name, centre in zip(drawing.names, centres, strict=True):
+        head = read_exif(survey_folder / "images" / name)
+        latitude, longitude, height = head.lat_lon_height
+        found = np.array([*to_grid.transform(longitude, latitude), height])
+        assert np.abs(found - centre).max() < 5 * 0.02
+        assert head.focal_px == pytest.approx(SHORE.focal_px, rel=0.5 / 63.0)  # whole millimetres of 35 mm film
+
+
+def test_the_same_scene_gives_the_same_bytes_and_another_seed_another_bed(survey_folder, tmp_path):
+    draw_survey(tmp_path / "same", SHORE)
+    files = sorted(p.relative_to(survey_folder) for p in survey_folder.rglob("*") if p.is_file())
+    assert len(files) == 8 + 5
+    for file in files:
+        assert (tmp_path / "same" / file).read_bytes() == (survey_folder / file).read_bytes(), file
+    other = Drawing.of(dataclasses.replace(SHORE, seed=2))
+    assert other.renderer.ground.bed.height(0.0, 0.0) != Drawing.of(SHORE).renderer.ground.bed.height(0.0, 0.0)
+
+
+def test_noise_has_the_asked_strength_and_photographs_become_jpeg(tmp_path):
+    scene = DrawnScene.tiny(noise=2.0, num_views=3)
+    noisy, clean = Drawing.of(scene), Drawing.of(dataclasses.replace(scene, noise=0.0))
+    difference = noisy.photograph(1).astype(float) - clean.photograph(1)
+    # Two roundings add 1/12 each.
+    assert difference.std() == pytest.approx(np.sqrt(4.0 + 2.0 / 12.0), rel=0.01)
+    draw_survey(tmp_path / "noisy", scene)
+    assert sorted(p.name for p in (tmp_path / "noisy" / "images").iterdir()) == noisy.names
+    assert noisy.names[0] == "0000.jpg"
+
+
+def test_a_dry_survey_has_the_same_bed_and_no_water(survey_folder, tmp_path):
+    scene = dataclasses.replace(SHORE, water=False)
+    draw_survey(tmp_path / "dry", scene)
+    assert read_config(tmp_path / "dry" / "survey.toml").water is None
+    wet, dry = (path / "truth" / "reference.ply" for path in (survey_folder, tmp_path / "dry"))
+    assert wet.read_bytes() == dry.read_bytes()
+
+
+def test_a_finished_folder_is_left_alone_until_told_and_keeps_what_is_not_of_it(tmp_path):
+    path, scene = tmp_path / "survey", DrawnScene.tiny(num_views=3)
+    draw_survey(path, scene)
+    (path / "bathynerf").mkdir()
+    (path / "bathynerf" / "cloud.las").write_text("a run")
+    (path / "cameras.csv").write_text("changed")
+    draw_survey(path, scene)
+    assert (path / "cameras.csv").read_text() == "changed"
+    draw_survey(path, scene, again=True)
+    assert (path / "cameras.csv").read_text().startswith("image,easting")
+    draw_survey(path, dataclasses.replace(scene, seed=5))
+    assert (path / "bathynerf" / "cloud.las").read_text() == "a run"
+    assert [p.name for p in tmp_path.iterdir()] == ["survey"]
+
+
+def test_a_drawing_that_fails_leaves_nothing_behind(tmp_path, monkeypatch):
+    def disk_is_full(*_):
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(folder, "write_ply", disk_is_full)
+    with pytest.raises(OSError, match="no space"):
+        draw_survey(tmp_path / "survey", DrawnScene.tiny(num_views=3))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_with_other_things_in_it_is_refused(tmp_path, capsys):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(SurveyError, match=r"not empty and was not drawn here.*give another folder"):
+        draw_survey(tmp_path, DrawnScene.tiny())
+    with pytest.raises(SystemExit) as stop:
+        main([str(tmp_path), "--tiny"])
+    assert stop.value.code == 2
+    assert "give another folder" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [({"num_views": 2}, "at least 3"), ({"n_water": 0.7}, "1.333"), ({"depth_m": 0.0}, "above zero"),
+     ({"flying_m": 3.0}, "twice the depth"), ({"focal_px": float("nan")}, "above zero")],
+)  # fmt: skip
+def test_scenes_that_cannot_be_drawn_are_refused_with_the_mend(changes, named):
+    with pytest.raises(SurveyError, match=named):
+        DrawnScene(**changes)

@@ -1,0 +1,323 @@
+"""A survey folder: cameras and water in the local frame, and every way in which a folder can be spoilt."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PIL import Image
+from pyproj import Transformer
+from small_survey import CRS, E0, LEVEL, N0, TOML, camera_lines, replaced, small_survey, write_image, write_poses
+
+from geo.errors import GeoError, MissingVerticalDatum
+from survey.config import dump_config, parse_config
+from survey.errors import ConfigError, ImageError, PosesError, SurveyError
+from survey.folder import load_image, load_survey
+
+# Over 30 m, grid metres and true ones differ by 0.0007 (scale and height) on a rise of 0.006 * 30 m, and level
+# water leaves its plane by 0.07 mm.
+SLOPE_TOLERANCE_M = 2e-4
+
+
+def test_a_correct_survey_loads_without_an_assumption_or_a_warning(tmp_path):
+    survey = load_survey(small_survey(tmp_path / "s", gps=True))
+    assert (survey.name, survey.assumptions, survey.warnings) == ("small", (), ())
+    assert [view.name for view in survey.views] == ["0000.jpg", "0001.jpg", "0002.jpg", "0003.jpg"]
+    assert survey.frame.origin == (round(E0 + 4.5), N0 - 3.0, LEVEL)
+    assert load_image(survey.views[0]).shape == (48, 64, 3)
+    heights = -survey.water.depth(np.array([view.camera.centre for view in survey.views]))
+    # 7 m from level_at, water is level to 4 micrometres.
+    assert heights == pytest.approx(20.0, abs=1e-5)
+
+
+def test_a_camera_sees_a_point_of_the_crs_where_the_angles_say(tmp_path):
+    # A level camera 20 m over a point sees 2 m of grid north of it 10 px up, but for the scale of the grid (7e-4).
+    survey = load_survey(small_survey(tmp_path / "s"))
+    below = survey.frame.local_from_crs([[E0, N0, LEVEL], [E0, N0 + 2.0, LEVEL], [E0 + 2.0, N0, LEVEL]])
+    pixels = survey.views[0].camera.project(below, None)
+    assert pixels == pytest.approx(np.array([[32.0, 24.0], [32.0, 14.0], [42.0, 24.0]]), abs=0.01)
+
+
+def test_a_sloped_plane_stands_at_its_height_over_known_points_of_the_grid(tmp_path):
+    toml = replaced(("refractive_index", "slope_east = -0.002\nslope_north = 0.006\nrefractive_index"))
+    survey = load_survey(small_survey(tmp_path / "s", toml=toml))
+    for east, north, height in [(0, 0, 0.0), (30, 0, -0.06), (0, 30, 0.18), (-20, -10, -0.02)]:
+        point = survey.frame.local_from_crs([E0 + east, N0 + north, LEVEL + height])
+        assert abs(float(survey.water.depth(point))) < SLOPE_TOLERANCE_M
+        assert float(survey.water.height(point[0], point[1])) == pytest.approx(point[2], abs=SLOPE_TOLERANCE_M)
+
+
+def test_the_plane_touches_under_the_middle_of_the_cameras_unless_level_at_says_otherwise(tmp_path):
+    toml = replaced((f"level_at = [{E0}, {N0}]", "slope_north = 0.01"))
+    survey = load_survey(small_survey(tmp_path / "s", toml=toml))
+    assert survey.config.water.level_at == pytest.approx((E0 + 4.5, N0 - 3.0), abs=1e-3)
+    middle = survey.frame.local_from_crs([E0 + 4.5, N0 - 3.0, LEVEL])
+    assert float(survey.water.depth(middle)) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_settings_that_took_effect_make_the_same_survey_again(tmp_path):
+    toml = replaced((f"level_at = [{E0}, {N0}]\nrefractive_index = 1.333", "temperature_c = 12\nsalinity_psu = 7"))
+    folder = small_survey(tmp_path / "s", toml=toml)
+    first = load_survey(folder)
+    assert first.config.water.temperature_c is None
+    (folder / "survey.toml").write_text(dump_config(first.config))
+    second = load_survey(folder)
+    assert parse_config(dump_config(first.config)) == first.config == second.config
+    assert second.water == first.water
+
+
+def test_what_is_not_given_of_the_water_is_said_to_be_assumed(tmp_path):
+    survey = load_survey(small_survey(tmp_path / "a", toml=replaced(("refractive_index = 1.333", ""))))
+    assert survey.water.n_water == 1.333
+    assert any("refractive_index = 1.333, fresh water" in text for text in survey.assumptions)
+    toml = replaced(("refractive_index = 1.333", "temperature_c = 20"))
+    survey = load_survey(small_survey(tmp_path / "b", toml=toml))
+    assert survey.assumptions == ("salinity_psu = 0, fresh water",)
+
+
+def test_without_water_a_survey_is_dry(tmp_path):
+    survey = load_survey(small_survey(tmp_path / "s", toml=TOML[: TOML.index("[water]")]))
+    assert survey.water is None
+    assert survey.config.water is None
+
+
+def test_a_geographic_crs_with_ellipsoidal_heights_works_like_a_projected_one(tmp_path):
+    folder = small_survey(tmp_path / "s")
+    by_grid = load_survey(folder)
+    centres = np.array([view.camera.centre for view in by_grid.views])
+    places = _lonlat(by_grid.frame.crs_from_local(centres))
+    write_poses(folder, [f"{i:04d}.jpg,{p[0]:.12f},{p[1]:.12f},{p[2]:.6f},0,0,0" for i, p in enumerate(places)])
+    toml = replaced((CRS, "EPSG:4937"), (f"level_at = [{E0}, {N0}]", "slope_east = 0.001"))
+    (folder / "survey.toml").write_text(toml)
+    survey = load_survey(folder)
+    # Both frames are true to scale, so cameras are as far apart; 1e-12 degrees are 1e-7 m.
+    by_degrees = np.array([view.camera.centre for view in survey.views])
+    apart, expected = (np.linalg.norm(c[:, None] - c[None], axis=-1) for c in (by_degrees, centres))
+    assert apart == pytest.approx(expected, abs=1e-6)
+    # Longitude runs east, so the water rises by 1 mm over each metre of local x.
+    assert (survey.water.slope_x, survey.water.slope_y) == pytest.approx((1e-3, 0.0), abs=1e-6)
+
+
+def _lonlat(points):
+    to_lonlat = Transformer.from_crs("EPSG:25832", "EPSG:4258", always_xy=True)
+    lon, lat = to_lonlat.transform(points[:, 0], points[:, 1])
+    return np.column_stack([lon, lat, points[:, 2]])
+
+
+def test_heights_in_feet_meet_a_level_in_metres(tmp_path):
+    # EPSG:6318 + 6360: NAD83(2011) longitude and latitude with NAVD88 heights in US survey feet.
+    folder = small_survey(tmp_path / "s")
+    foot = 1200.0 / 3937.0
+    lines = [f"{i:04d}.jpg,{-90.0 + 2e-5 * i:.8f},45.0,{(100.0 + 20.0) / foot:.6f},0,0,0" for i in range(4)]
+    write_poses(folder, lines)
+    toml = replaced((CRS, "EPSG:6318+6360"), (f"{LEVEL}", "100.0"), (f"level_at = [{E0}, {N0}]", ""))
+    (folder / "survey.toml").write_text(toml)
+    survey = load_survey(folder)
+    heights = -survey.water.depth(np.array([view.camera.centre for view in survey.views]))
+    # Heights are written to 3e-7 m; within 3 m of where it touches the plane leaves level water by 1e-6 m.
+    assert heights == pytest.approx(20.0, abs=2e-6)
+
+
+def test_images_without_a_pose_and_poses_without_an_image_are_named_and_left_out(tmp_path):
+    folder = small_survey(tmp_path / "s", num=5)
+    lines = camera_lines(5)
+    write_poses(folder, [*lines[:4], lines[4].replace("0004", "gone")])
+    survey = load_survey(folder)
+    assert len(survey.views) == 4
+    assert survey.warnings == (
+        "1 image without a pose, left out: 0004.jpg",
+        "1 pose without an image, left out: gone.jpg",
+    )
+
+
+def test_names_match_without_their_ending_and_in_other_case(tmp_path):
+    folder = small_survey(tmp_path / "s")
+    lines = camera_lines()
+    write_poses(folder, [lines[0].replace(".jpg", ""), lines[1].replace(".jpg", ".JPG"), *lines[2:]])
+    assert [view.name for view in load_survey(folder).views] == ["0000.jpg", "0001.jpg", "0002.jpg", "0003.jpg"]
+
+
+def test_fewer_than_three_views_are_an_error_with_an_example_of_both_names(tmp_path):
+    folder = small_survey(tmp_path / "s")
+    write_poses(folder, [line.replace(".jpg", "_corrected.tif") for line in camera_lines()])
+    with pytest.raises(PosesError) as error:
+        load_survey(folder)
+    assert "only 0 of the 4 poses" in str(error.value)
+    assert 'make the names in the poses those of the images ("0000_corrected.tif" against "0000.jpg")' in str(
+        error.value
+    )
+
+
+@pytest.mark.parametrize(
+    ("pairs", "kind", "words"),
+    [
+        ([(CRS, "EPSG:25832")], MissingVerticalDatum, "has no vertical part; add a vertical CRS"),
+        ([(CRS, "EPSG:9999999")], GeoError, "no known coordinate reference system"),
+        ([(f'crs = "{CRS}"', "")], ConfigError, "survey.toml: crs is missing; give the one of poses and heights"),
+        ([(f"{LEVEL}", "2605.0")], ConfigError, "the cameras are at 2125.0 to 2125.0 m, all of them under the water"),
+        ([(f"{LEVEL}", "1605.0")], ConfigError, "all of them more than 300 m over the water; give level_m"),
+        ([(f"[{E0}, {N0}]", "[9e9, 9e9]")], ConfigError, "level_at is [9000000000.0, 9000000000.0], which is not on"),
+        ([('"cameras.csv"', '"poses.csv"')], PosesError, "poses.csv do not exist; correct [cameras] poses"),
+        ([("[64, 48]", "[64, 64]")], ImageError, "0000.jpg has 64 x 48 pixels, expected 64 x 64"),
+        ([("focal_px = 100.0", "")], ConfigError, "focal_px is missing from [cameras]"),
+        ([('"PINHOLE"', '"PINHOL"')], ConfigError, '[cameras] model is "PINHOL" in survey.toml, expected one of'),
+        ([('"PINHOLE"', '"RADIAL"')], ConfigError, "distortion has 0 numbers in survey.toml, expected 2"),
+        ([('"PINHOLE"', '"RADIAL"'), ("100.0", "[100, 99]")], ConfigError, "model RADIAL has one focal length"),
+        ([("[cameras]", "[images]\nmasks = 'm'\n[cameras]")], ImageError, "mask folder"),
+        ([("[water]", "[area]\nbounds = [0, 0, 9, 9]\n[water]")], ConfigError, "km from the nearest camera"),
+    ],
+)
+def test_a_spoilt_survey_toml_is_named_with_the_mend(tmp_path, pairs, kind, words):
+    folder = small_survey(tmp_path / "s", toml=replaced(*pairs))
+    with pytest.raises(kind) as error:
+        load_survey(folder)
+    assert words in str(error.value)
+
+
+def test_one_camera_under_the_water_is_named_with_its_height(tmp_path):
+    folder = small_survey(tmp_path / "s")
+    lines = camera_lines()
+    write_poses(folder, [lines[0], lines[1].replace("2125.000", "2104.500"), *lines[2:]])
+    with pytest.raises(PosesError, match=r"camera of 0001\.jpg at 2104\.50 m lies 0\.50 m under the water"):
+        load_survey(folder)
+
+
+def test_cameras_that_look_at_the_sky_are_refused(tmp_path):
+    folder = small_survey(tmp_path / "s")
+    write_poses(folder, [line.replace(",0,0,", ",180,0,") for line in camera_lines()])
+    with pytest.raises(PosesError, match="4 of 4 cameras look up at the sky"):
+        load_survey(folder)
+
+
+def test_a_position_far_from_the_others_is_named_and_does_not_move_their_frame(tmp_path):
+    folder = small_survey(tmp_path / "s")
+    lines = camera_lines()
+    write_poses(folder, [f"0000.jpg,9.5,46.2,{LEVEL + 20},0,0,0", *lines[1:]])
+    with pytest.raises(PosesError, match=r"camera of 0000\.jpg at 9\.5, 46\.\d+, 2125 lies .* km from the others"):
+        load_survey(folder)
+
+
+def test_a_position_that_is_not_on_the_map_is_named(tmp_path):
+    folder = small_survey(tmp_path / "s")
+    lines = camera_lines()
+    write_poses(folder, [f"0000.jpg,1e30,{N0},{LEVEL + 20},0,0,0", *lines[1:]])
+    with pytest.raises(PosesError, match=r"of 0000\.jpg in .*cameras\.csv is not on the map"):
+        load_survey(folder)
+
+
+def test_a_single_camera_far_over_the_water_is_doubted(tmp_path):
+    folder = small_survey(tmp_path / "s")
+    lines = camera_lines()
+    write_poses(folder, [lines[0].replace("2125.000", "3125.000"), *lines[1:]])
+    assert load_survey(folder).warnings == ("1 camera more than 300 m over the water: 0000.jpg",)
+
+
+def test_a_damaged_image_and_missing_images_are_refused(tmp_path):
+    folder = small_survey(tmp_path / "s")
+    path = folder / "images" / "0002.jpg"
+    path.write_bytes(path.read_bytes()[:1500])
+    with pytest.raises(ImageError, match=r"0002\.jpg is damaged or cut off"):
+        load_survey(folder)
+    for image in (folder / "images").iterdir():
+        image.unlink()
+    with pytest.raises(ImageError, match="no images in"):
+        load_survey(folder)
+
+
+def test_a_folder_that_does_not_exist_or_is_a_file_is_refused(tmp_path):
+    with pytest.raises(SurveyError, match="nowhere does not exist; expected a folder with images"):
+        load_survey(tmp_path / "nowhere")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SurveyError, match="file is a file"):
+        load_survey(tmp_path / "file")
+
+
+def test_several_files_of_poses_need_to_be_told_apart(tmp_path):
+    folder = small_survey(tmp_path / "s", toml=replaced(('poses = "cameras.csv"', "")))
+    survey = load_survey(folder)
+    assert survey.assumptions == ("the poses are those in cameras.csv, the only poses found",)
+    assert survey.config.cameras.poses == "cameras.csv"
+    (folder / "again.csv").write_text((folder / "cameras.csv").read_text())
+    with pytest.raises(ConfigError, match=r"several files of poses \(again\.csv, cameras\.csv\); name one"):
+        load_survey(folder)
+
+
+def test_local_poses_need_an_origin_and_take_their_frame_from_it(tmp_path):
+    folder = small_survey(tmp_path / "s")
+    model = folder / "sparse" / "0"
+    model.mkdir(parents=True)
+    (model / "cameras.txt").write_text("1 SIMPLE_RADIAL 64 48 120 32 24 0.01\n")
+    lines = [f"{i + 1} 0 1 0 0 {-3 * i} 0 20 1 {i:04d}.jpg\n" for i in range(4)]
+    (model / "images.txt").write_text("\n".join(lines) + "\n")
+    toml = replaced(("cameras.csv", "sparse/0"))
+    (folder / "survey.toml").write_text(toml)
+    with pytest.raises(ConfigError, match=r"in a local frame, .* give \[local\] origin"):
+        load_survey(folder)
+    (folder / "survey.toml").write_text(toml + f"[local]\norigin = [{E0}, {N0}, {LEVEL}]\n")
+    survey = load_survey(folder)
+    assert survey.frame.origin == (E0, N0, LEVEL)
+    centres = [view.camera.centre for view in survey.views]
+    assert centres == pytest.approx(np.array([[3.0 * i, 0.0, 20.0] for i in range(4)]), abs=1e-12)
+    assert survey.views[0].lens.model == "SIMPLE_RADIAL"
+    assert survey.warnings == (f"focal_px = 100 in survey.toml is not used: {model} carries its own, 120.0 px",)
+
+
+@pytest.mark.parametrize(
+    ("model", "focal", "distortion", "params"),
+    [
+        ("SIMPLE_RADIAL", "90", "[0.1]", (90.0, 31.0, 25.0, 0.1)),
+        ("RADIAL", "90", "[0.1, 0.2]", (90.0, 31.0, 25.0, 0.1, 0.2)),
+        ("OPENCV", "[90, 91]", "[0.1, 0.2, 3e-3, 4e-3]", (90.0, 91.0, 31.0, 25.0, 0.1, 0.2, 3e-3, 4e-3)),
+        ("FULL_OPENCV", "90", str([0.1] * 8), (90.0, 90.0, 31.0, 25.0, *[0.1] * 8)),
+    ],
+)
+def test_a_lens_is_taken_from_survey_toml_in_the_order_of_its_model(tmp_path, model, focal, distortion, params):
+    toml = replaced(
+        ('model = "PINHOLE"', f'model = "{model}"\ndistortion = {distortion}'),
+        ("focal_px = 100.0", f"focal_px = {focal}"),
+        ("[32.0, 24.0]", "[31.0, 25.0]"),
+    )
+    lens = load_survey(small_survey(tmp_path / "s", toml=toml)).views[0].lens
+    assert (lens.model, lens.params) == (model, params)
+
+
+def test_masks_are_found_by_the_name_of_their_image(tmp_path):
+    folder = small_survey(tmp_path / "s", toml=replaced(("[cameras]", "[images]\nmasks = 'masks'\n[cameras]")))
+    (folder / "masks").mkdir()
+    with pytest.raises(ImageError, match=r"no mask in .* has the name of an image"):
+        load_survey(folder)
+    for name in ("0000.png", "0001.jpg.png", "0002.jpg"):
+        Image.new("L", (64, 48), 255).save(folder / "masks" / name)
+    survey = load_survey(folder)
+    assert [view.mask_path and view.mask_path.name for view in survey.views] == [
+        "0000.png",
+        "0001.jpg.png",
+        "0002.jpg",
+        None,
+    ]
+    assert survey.warnings == ("1 image without a mask, used whole: 0003.jpg",)
+
+
+def test_poses_far_from_the_positions_in_exif_are_doubted(tmp_path):
+    folder = small_survey(tmp_path / "s", gps=True)
+    write_poses(folder, [line.replace("58901", "58911").replace("58902", "58912") for line in camera_lines()])
+    toml = replaced((f"level_at = [{E0}, {N0}]", ""))
+    (folder / "survey.toml").write_text(toml)
+    (warning,) = load_survey(folder).warnings
+    assert warning.startswith("the poses lie 100 m (median) from the GPS positions in EXIF; check crs")
+
+
+def test_an_image_that_exif_asks_to_turn_is_said_to_be_used_as_stored(tmp_path):
+    folder = small_survey(tmp_path / "s")
+    write_image(folder / "images" / "0001.jpg", Orientation=6)
+    assert load_survey(folder).warnings[0].startswith("EXIF asks to turn 1 of 4 images; they are used as stored")
+    (folder / "survey.toml").write_text(replaced(("[64, 48]", "[48, 64]"), ("[32.0, 24.0]", "[24.0, 32.0]")))
+    write_image(folder / "images" / "0000.jpg", Orientation=6)
+    with pytest.raises(ImageError, match=r"EXIF asks to turn it, which is not done here"):
+        load_survey(folder)
+
+
+@pytest.mark.parametrize("name", ["quick", "river", "wreck_water", "wreck_dry"])
+def test_the_drawn_surveys_load_without_an_assumption_or_a_warning(data_dir, name):
+    survey = load_survey(data_dir / name)
+    assert (survey.assumptions, survey.warnings) == ((), ())
+    assert (survey.water is None) == (name == "wreck_dry")

@@ -1,0 +1,273 @@
+"""Poses files: cameras.csv and COLMAP, against hand computation, pycolmap and each other."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import struct
+
+import numpy as np
+import pycolmap
+import pytest
+from pyproj import CRS, Proj
+from small_survey import HEADER
+
+from geo.frames import LocalFrame
+from survey.cameras import CAM_FROM_OPK_CAM, MODELS, Lens, grid_from_opk
+from survey.errors import PosesError
+from survey.folder import load_survey
+from survey.formats import colmap, find_poses, find_unread, opk_csv, read_poses
+
+# cameras.csv of the drawn surveys is written to 1e-5 m and 1e-8 degrees, the COLMAP model to 1e-12.
+CENTRE_TOLERANCE_M = 1e-3
+ROTATION_TOLERANCE = 1e-6
+
+LENS = "1 PINHOLE 64 48 100 101 32 24\n"
+
+
+def project(pose, point, *, focal=100.0, centre=(32.0, 24.0)):
+    """Pixel of a point relative to the camera, in the axes of the pose, written out component by component."""
+    x, y, z = pose.cam_from_world @ np.asarray(point, dtype=float)
+    return focal * x / z + centre[0], focal * y / z + centre[1]
+
+
+def read_one(tmp_path, omega, phi, kappa):
+    path = tmp_path / "cameras.csv"
+    path.write_text(f"{HEADER}\na.jpg,10.0,46.0,100.0,{omega},{phi},{kappa}\n")
+    (pose,) = opk_csv.read_opk_csv(path)
+    return pose
+
+
+def test_two_points_appear_where_omega_phi_kappa_put_them_by_hand(tmp_path):
+    # A level camera: 10 m below it, 1 m east is 10 px to the right and 2 m north 20 px up.
+    level = read_one(tmp_path, 0, 0, 0)
+    assert project(level, (1.0, 0.0, -10.0)) == pytest.approx((42.0, 24.0))
+    assert project(level, (0.0, 2.0, -10.0)) == pytest.approx((32.0, 4.0))
+    # Turned by kappa = 90 degrees, its right side is to the north and its upper side to the west.
+    turned = read_one(tmp_path, 0, 0, 90)
+    assert project(turned, (1.0, 0.0, -10.0)) == pytest.approx((32.0, 34.0))
+    assert project(turned, (0.0, 2.0, -10.0)) == pytest.approx((52.0, 24.0))
+
+
+def test_omega_tips_the_view_north_and_phi_tips_it_west(tmp_path):
+    down = 10.0
+    north = down * math.tan(math.radians(10.0))
+    assert project(read_one(tmp_path, 10, 0, 0), (0.0, north, -down)) == pytest.approx((32.0, 24.0))
+    west = down * math.tan(math.radians(20.0))
+    assert project(read_one(tmp_path, 0, 20, 0), (-west, 0.0, -down)) == pytest.approx((32.0, 24.0))
+
+
+def test_the_rotation_gives_back_its_angles_by_the_published_formulas(rng):
+    # Extraction from the camera-to-world matrix as in orthority and OpenDroneMap.
+    for omega, phi, kappa in rng.uniform(-1.4, 1.4, (20, 3)):
+        r = grid_from_opk(omega, phi, kappa)
+        assert r @ r.T == pytest.approx(np.eye(3), abs=1e-15)
+        assert math.atan2(-r[1, 2], r[2, 2]) == pytest.approx(omega, abs=1e-14)
+        assert math.asin(r[0, 2]) == pytest.approx(phi, abs=1e-14)
+        assert math.atan2(-r[0, 1], r[0, 0]) == pytest.approx(kappa, abs=1e-14)
+
+
+def test_camera_axes_of_photogrammetry_differ_by_half_a_turn_about_x():
+    assert np.linalg.det(CAM_FROM_OPK_CAM) == 1.0
+    assert (CAM_FROM_OPK_CAM @ np.array([0.0, 0.0, -1.0])).tolist() == [0.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize("name", ["quick", "river"])
+def test_cameras_csv_and_colmap_text_and_binary_give_the_same_cameras(data_dir, tmp_path, name):
+    source = data_dir / name
+    toml = (source / "survey.toml").read_text()
+    surveys = []
+    for poses in ("cameras.csv", "text", "binary"):
+        folder = tmp_path / poses
+        folder.mkdir()
+        (folder / "images").symlink_to(source / "images")
+        shutil.copy(source / "cameras.csv", folder / "cameras.csv")
+        shutil.copytree(source / "sparse" / "0", folder / "text")
+        (folder / "binary").mkdir()
+        pycolmap.Reconstruction(folder / "text").write_binary(folder / "binary")
+        (folder / "survey.toml").write_text(toml.replace('poses = "cameras.csv"', f'poses = "{poses}"'))
+        surveys.append(load_survey(folder))
+    by_csv = surveys[0]
+    for survey in surveys[1:]:
+        assert [v.name for v in survey.views] == [v.name for v in by_csv.views]
+        for ours, theirs in zip(by_csv.views, survey.views, strict=True):
+            in_frame = by_csv.frame.local_from_crs(survey.frame.crs_from_local(theirs.camera.centre))
+            assert np.linalg.norm(in_frame - ours.camera.centre) < CENTRE_TOLERANCE_M
+            turn = ours.camera.cam_from_local @ theirs.camera.cam_from_local.T
+            assert np.abs(turn - np.eye(3)).max() < ROTATION_TOLERANCE
+            assert ours.camera.fx == theirs.camera.fx
+
+
+def test_text_and_binary_are_read_as_pycolmap_reads_them(tmp_path, rng):
+    text = tmp_path / "text"
+    text.mkdir()
+    lenses = [
+        f"{i} {model} 640 480 " + " ".join(str(v) for v in (500.0, 501.0, 320.0, 240.0, *[0.01] * 8)[: len(names)])
+        for i, (model, (_, names)) in enumerate(MODELS.items(), start=1)
+    ]
+    (text / "cameras.txt").write_text("# a comment\n\n" + "\n".join(lenses) + "\n")
+    images = []
+    for i in range(1, 15):
+        quaternion = rng.normal(size=4)
+        pose = [*quaternion / np.linalg.norm(quaternion), *rng.normal(size=3)]
+        numbers = " ".join(f"{v:.17g}" for v in pose)
+        points = "10.5 20.25 -1 30 40 -1" if i % 3 == 0 else ""
+        images.append(f"{i} {numbers} {(i - 1) % 7 + 1} flight{i % 2}/{i:04d}.jpg\n{points}")
+    (text / "images.txt").write_text("# a comment\n" + "\n".join(images) + "\n")
+    (text / "points3D.txt").write_text("")
+    theirs = pycolmap.Reconstruction(text)
+    binary = tmp_path / "binary"
+    binary.mkdir()
+    theirs.write_binary(binary)
+    expected = {image.name: image for image in theirs.images.values()}
+    for folder in (text, binary):
+        poses = colmap.read_model(folder)
+        assert {pose.name for pose in poses} == set(expected)
+        for pose in poses:
+            image = expected[pose.name]
+            # Some ten roundings of numbers of order one on either side.
+            assert pose.centre == pytest.approx(image.projection_center(), abs=1e-14)
+            rotation = image.cam_from_world().rotation.matrix()
+            assert pose.cam_from_world == pytest.approx(rotation, abs=1e-14)
+            assert pose.lens.model == image.camera.model.name
+            assert pose.lens.params == tuple(image.camera.params)
+
+
+def test_the_ids_of_our_models_are_those_of_colmap():
+    for model, (number, names) in MODELS.items():
+        camera = pycolmap.Camera(model=model, width=10, height=10, params=[1.0] * len(names))
+        assert int(camera.model) == number
+        spelt = ["k1" if name.strip() == "k" else name.strip() for name in camera.params_info.split(",")]
+        assert spelt == list(names)
+
+
+def write_model(folder, images: str, cameras: str = LENS):
+    folder.mkdir(exist_ok=True)
+    (folder / "cameras.txt").write_text(cameras)
+    (folder / "images.txt").write_text(images)
+    return folder
+
+
+@pytest.mark.parametrize("model", ["FOV", "THIN_PRISM_FISHEYE", "EQUIRECTANGULAR"])
+def test_a_camera_model_that_cannot_be_undistorted_is_refused_by_name(tmp_path, model):
+    folder = write_model(tmp_path / "m", "1 1 0 0 0 0 0 0 1 a.jpg\n\n", f"1 {model} 64 48 1 2 3 4\n")
+    with pytest.raises(PosesError, match=rf"cameras\.txt: camera model {model} is not supported, expected one of"):
+        colmap.read_model(folder)
+
+
+def test_an_unsupported_model_in_a_binary_file_is_refused_by_name(tmp_path):
+    (tmp_path / "cameras.bin").write_bytes(struct.pack("<QIiQQ5d", 1, 1, 7, 64, 48, 1, 2, 3, 4, 5))
+    (tmp_path / "images.bin").write_bytes(struct.pack("<Q", 0))
+    with pytest.raises(PosesError, match=r"cameras\.bin: camera model FOV is not supported"):
+        colmap.read_model(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("images", "words"),
+    [
+        ("1 1 0 0 0 nan 0 0 1 a.jpg\n\n", "the pose of a.jpg is [1.0, 0.0, 0.0, 0.0, nan, 0.0, 0.0]"),
+        ("1 0 0 0 0 1 0 0 1 a.jpg\n\n", "expected a quaternion"),
+        ("1 1 0 0 0 0 0 0 9 a.jpg\n\n", "image a.jpg has the camera 9, which cameras.txt does not have"),
+        ("1 1 0 0 0 0 0 0 1 a.jpg\n\n2 1 0 0 0 0 0 0 1 a.jpg\n\n", "image a.jpg has a second pose"),
+        ("1 1 0 0 0 0 0 0 1 a.jpg\n2 1 0 0 0 0 0 0 1 b.jpg\n", "the line after image a.jpg is no list of points"),
+        ("1 1 0 0 0 zero 0 0 1 a.jpg\n\n", "images.txt is damaged or no file of COLMAP"),
+        ("1 1 0 0\n\n", "images.txt is damaged or no file of COLMAP"),
+    ],
+)
+def test_a_spoilt_model_is_refused_with_the_file_and_the_image(tmp_path, images, words):
+    with pytest.raises(PosesError) as error:
+        colmap.read_model(write_model(tmp_path / "m", images))
+    assert words in str(error.value)
+
+
+def test_a_binary_model_that_is_cut_off_is_refused_wherever_the_cut_is(tmp_path):
+    text = write_model(tmp_path / "text", "1 1 0 0 0 0 0 0 1 a.jpg\n1 2 -1 3 4 -1\n2 1 0 0 0 1 1 1 1 b.jpg\n\n")
+    (text / "points3D.txt").write_text("")
+    whole = tmp_path / "whole"
+    whole.mkdir()
+    pycolmap.Reconstruction(text).write_binary(whole)
+    data = (whole / "images.bin").read_bytes()
+    assert len(colmap.read_model(whole)) == 2
+    for length in range(len(data)):
+        (whole / "images.bin").write_bytes(data[:length])
+        with pytest.raises(PosesError, match=r"images\.bin is damaged"):
+            colmap.read_model(whole)
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ("", "the first line has no column image, easting"),
+        ("image,easting,northing,height,omega,phi\n", "the first line has no column kappa; expected image,easting"),
+        (f"{HEADER}\na.jpg,1,2,nan,0,0,0\n", "line 2: height of a.jpg is nan, expected a finite number"),
+        (f"{HEADER}\na.jpg,1,2,3,0,,0\n", "line 2: phi of a.jpg is empty, expected a finite number"),
+        (f"{HEADER}\na.jpg,1,2,3,0,0,0\n\nb.jpg,1,2,3,0,0,1e999\n", "line 4: kappa of b.jpg is 1e999"),
+        (f"{HEADER}\na.jpg,1,2,3\n", "line 2: 4 values were found, expected 7"),
+        (f"{HEADER}\na.jpg,1,2,3,0,0,0\na.jpg,1,2,3,0,0,0\n", "line 3: image a.jpg has a second pose"),
+        (f"{HEADER}\n,1,2,3,0,0,0\n", "line 2: the name of the image is missing"),
+    ],
+)
+def test_a_spoilt_table_is_refused_with_the_line_and_the_column(tmp_path, table, words):
+    path = tmp_path / "cameras.csv"
+    path.write_text(table)
+    with pytest.raises(PosesError) as error:
+        opk_csv.read_opk_csv(path)
+    assert words in str(error.value)
+    assert str(path) in str(error.value)
+
+
+def test_columns_may_come_in_any_order_with_others_between_and_names_may_hold_spaces(tmp_path):
+    path = tmp_path / "cameras.csv"
+    path.write_text(
+        "﻿Kappa, Phi, Omega, time, Height, Northing, Easting, Image\n90, 0, 0, 12:00, 3, 2, 1, my photo.jpg\n"
+    )
+    (pose,) = read_poses(path)
+    assert pose.name == "my photo.jpg"
+    assert pose.centre.tolist() == [1.0, 2.0, 3.0]
+    assert pose.cam_from_world[0] == pytest.approx([0.0, 1.0, 0.0], abs=1e-15)
+
+
+def test_poses_are_found_beside_the_images_and_other_formats_are_named(tmp_path):
+    write_model(tmp_path / "sparse", "")
+    (tmp_path / "gcp.csv").write_text("label,x,y,z\n")
+    assert find_poses(tmp_path) == [tmp_path / "sparse"]
+    (tmp_path / "poses.csv").write_text(HEADER)
+    assert find_poses(tmp_path) == [tmp_path / "poses.csv", tmp_path / "sparse"]
+    (tmp_path / "transforms.json").write_text("{}")
+    assert find_unread(tmp_path) == ["transforms.json"]
+    with pytest.raises(PosesError, match="is no poses file that is known here"):
+        read_poses(tmp_path / "transforms.json")
+
+
+def test_a_model_may_be_named_by_one_of_its_files(tmp_path):
+    folder = write_model(tmp_path / "m", "1 1 0 0 0 0 0 0 1 a.jpg\n\n")
+    assert [pose.name for pose in read_poses(folder / "images.txt")] == ["a.jpg"]
+
+
+@pytest.mark.parametrize(
+    ("params", "size", "words"),
+    [
+        ((100.0, 32.0), (64, 48), "has 2 numbers, expected 4: fx, fy, cx, cy"),
+        ((100.0, math.nan, 32.0, 24.0), (64, 48), "expected finite ones"),
+        ((-100.0, 100.0, 32.0, 24.0), (64, 48), "a focal length above zero"),
+        ((100.0, 100.0, 32.0, 24.0), (0, 48), "has 0 x 48 pixels"),
+    ],
+)
+def test_a_lens_of_impossible_numbers_is_refused(params, size, words):
+    with pytest.raises(PosesError) as error:
+        Lens("PINHOLE", params, *size)
+    assert words in str(error.value)
+
+
+def test_angles_count_about_the_grid_axes_and_not_about_true_north():
+    # 2.17 degrees of longitude east of the central meridian, grid north lies east of true north by the convergence
+    # that pyproj gives; a camera with kappa = 0 has its upper side there.
+    crs = CRS("EPSG:25832+5778")
+    e, n = 589012.0 + 76000.0, 5194736.0
+    frame = LocalFrame(crs, (e, n, 0.0))
+    up_in_local = frame.local_from_grid((e, n, 0.0)) @ grid_from_opk(0.0, 0.0, 0.0) @ np.array([0.0, 1.0, 0.0])
+    utm = Proj("EPSG:25832")
+    convergence = utm.get_factors(*utm(e, n, inverse=True)).meridian_convergence
+    assert convergence > 1.0
+    # The axes follow the grid by differences over 10 m, whose curvature is 1e-9.
+    assert math.degrees(math.atan2(up_in_local[0], up_in_local[1])) == pytest.approx(convergence, abs=1e-6)

@@ -1,0 +1,127 @@
+"""A survey folder without survey.toml or without poses: what is inferred, what is handed to structure from motion."""
+
+from __future__ import annotations
+
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from small_survey import E0, LEVEL, N0, camera_lines, replaced, small_survey, write_image, write_poses
+
+from geo.frames import LocalFrame
+from survey.cameras import Lens
+from survey.errors import ConfigError, PosesError
+from survey.folder import find_survey, load_survey
+
+
+def test_without_survey_toml_the_zone_comes_from_the_positions_and_it_says_what_it_assumed(tmp_path):
+    folder = small_survey(tmp_path / "s", gps=True, toml=None)
+    for i, line in enumerate(camera_lines()):
+        e, n, h = (float(v) for v in line.split(",")[1:4])
+        write_image(folder / "images" / f"{i:04d}.jpg", gps=(e, n, h), FocalLengthIn35mmFilm=50)
+    survey = load_survey(folder)
+    assert survey.config.crs == "EPSG:32632+5773"
+    assert survey.water is None
+    assert survey.views[0].camera.fx == pytest.approx(50.0 / 36.0 * 64.0)
+    said = "\n".join(survey.assumptions)
+    for words in (
+        "only poses found",
+        'crs = "EPSG:32632+5773"',
+        "no water",
+        "from EXIF and not a calibration",
+        "centre",
+    ):
+        assert words in said
+
+
+def test_images_in_the_survey_folder_itself_are_found_and_those_of_a_run_are_not(tmp_path):
+    folder = small_survey(tmp_path / "s", gps=True, toml=None)
+    (folder / "cameras.csv").unlink()
+    for image in list((folder / "images").iterdir()):
+        image.rename(folder / image.name)
+    (folder / "images").rmdir()
+    write_image(folder / "bathynerf" / "depth.png")
+    found = find_survey(folder)
+    assert list(found.images) == ["0000.jpg", "0001.jpg", "0002.jpg", "0003.jpg"]
+    assert found.poses_path is None
+
+
+@pytest.mark.parametrize("poses", ["cameras.csv", "sparse"])
+def test_without_survey_toml_poses_have_to_fit_the_positions(tmp_path, poses):
+    folder = small_survey(tmp_path / "s", gps=True, toml=None)
+    if poses == "sparse":
+        (folder / "cameras.csv").unlink()
+        (folder / "sparse").mkdir()
+        (folder / "sparse" / "cameras.txt").write_text("")
+        (folder / "sparse" / "images.txt").write_text("")
+        words = "does not say where it lies; write survey.toml"
+    else:
+        write_poses(folder, [line.replace(",589", ",489") for line in camera_lines()])
+        words = "does not fit the GPS positions of the images in the UTM zone"
+    with pytest.raises(ConfigError, match=words):
+        load_survey(folder)
+
+
+def test_nothing_to_infer_a_survey_from_is_an_error_with_an_example(tmp_path):
+    folder = small_survey(tmp_path / "a", toml=None)
+    with pytest.raises(ConfigError, match=r"no survey\.toml, and no image has a GPS position .* crs = "):
+        load_survey(folder)
+    (tmp_path / "b").mkdir()
+    with pytest.raises(ConfigError, match=r"no survey\.toml and no images to infer it from; put the photographs"):
+        load_survey(tmp_path / "b")
+
+
+def test_without_poses_and_positions_there_is_nothing_to_start_from(tmp_path):
+    folder = small_survey(tmp_path / "s", toml=replaced(('poses = "cameras.csv"', "")))
+    (folder / "cameras.csv").unlink()
+    with pytest.raises(PosesError, match="has no poses file, and 0 of 4 images have a GPS position"):
+        load_survey(folder)
+
+
+def solved(monkeypatch, names):
+    """Put a solver in the place of structure from motion, which has tests of its own; returns its calls."""
+    calls = []
+
+    def solve_poses(image_paths, crs, workspace, *, gps_height, size_px, focal_px, report):
+        calls.append((image_paths, workspace, gps_height, size_px, focal_px))
+        frame = LocalFrame(crs, (E0, N0, LEVEL))
+        lens = Lens("SIMPLE_RADIAL", (focal_px or 90.0, 32.0, 24.0, -0.01), 64, 48)
+        down = np.diag([1.0, -1.0, -1.0])
+        views = [(name, lens, np.array([3.0 * i, 0.0, 20.0]), down) for i, name in enumerate(names)]
+        return SimpleNamespace(frame=frame, views=views, notes=["placed by GPS"])
+
+    monkeypatch.setitem(sys.modules, "survey.sfm", SimpleNamespace(solve_poses=solve_poses))
+    return calls
+
+
+def test_a_survey_without_poses_is_handed_to_structure_from_motion(tmp_path, monkeypatch):
+    calls = solved(monkeypatch, ["0000.jpg", "0001.jpg", "0003.jpg"])
+    folder = small_survey(tmp_path / "s", gps=True, toml=replaced(('poses = "cameras.csv"', "")))
+    (folder / "cameras.csv").unlink()
+    survey = load_survey(folder)
+    ((paths, workspace, gps_height, size_px, focal_px),) = calls
+    assert [path.name for path in paths] == ["0000.jpg", "0001.jpg", "0002.jpg", "0003.jpg"]
+    assert workspace == folder / "bathynerf" / "sfm"
+    assert (gps_height, size_px, focal_px) == ("crs", (64, 48), 100.0)
+    assert survey.assumptions == ("placed by GPS",)
+    assert survey.warnings == ("1 image without a pose, left out: 0002.jpg",)
+    assert [view.path.name for view in survey.views] == ["0000.jpg", "0001.jpg", "0003.jpg"]
+
+
+def test_structure_from_motion_that_finds_two_poses_is_an_error(tmp_path, monkeypatch):
+    solved(monkeypatch, ["0000.jpg", "0001.jpg"])
+    folder = small_survey(tmp_path / "s", gps=True, toml=replaced(('poses = "cameras.csv"', "")))
+    (folder / "cameras.csv").unlink()
+    with pytest.raises(PosesError, match="found the poses of 2 of 4 images, expected at least 3"):
+        load_survey(folder)
+
+
+def test_a_level_that_cannot_fit_the_heights_in_exif_stops_before_structure_from_motion(tmp_path, monkeypatch):
+    calls = solved(monkeypatch, [])
+    toml = replaced(('poses = "cameras.csv"', ""), (f"{LEVEL}", "2605.0"))
+    folder = small_survey(tmp_path / "s", gps=True, toml=toml)
+    (folder / "cameras.csv").unlink()
+    with pytest.raises(ConfigError, match=r"EXIF has the cameras at 2125.0 to 2125.0 m, all of them under the water"):
+        load_survey(folder)
+    assert calls == []

@@ -1,0 +1,345 @@
+"""The report of a run: figures that are true, a page that needs nothing else, pictures of every bed."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from PIL import Image
+from pyproj import CRS
+from small_bed import SLOPE, SPACING_M, plane_bed, plane_depth_map, write_plane_mesh
+from small_survey import TOML, small_survey
+
+from evaluation import summarise
+from geo import LocalFrame
+from survey.compare import CompareOptions, compare_surfaces
+from survey.export import write_bed_las
+from survey.folder import load_survey
+from survey.plan import Decision, Plan
+from survey.report import NUM_STEPS, ReportFacts, write_report
+from survey.report.facts import figures_of, plain
+from survey.report.raster import PlanGrid, hillshade, without_pinholes
+from survey.rundir import RunDir
+from survey.stored import StoredBed
+
+RAISED_M = 0.004
+# LAS rounds heights to 1 mm, evenly to both sides.
+LAS_STD_M = 1e-3 / np.sqrt(12.0)
+# Ten different fractions of a millimetre are rounded; a tenth of one stays.
+LAS_BIAS_M = 1e-4
+# The water touches a level surface 5 m from the origin; over 12 m that is (12 m)^2 / 6.4e6 m at most.
+CURVATURE_M = 2.3e-5
+
+PLAN = Plan(
+    quality="standard",
+    device="llvm",
+    image_scale=1.0,
+    gsd_m=0.05,
+    height_m=20.0,
+    footprint_m=(12.8, 9.6),
+    decisions=(Decision("refraction", "on", "water of index 1.3330 <here>"),),
+)
+
+
+def _facts(survey, bed, **others) -> ReportFacts:
+    points_crs = survey.frame.crs_from_local(bed.xyz)
+    return ReportFacts(survey, PLAN, {"quality": "standard"}, {"sweep": 61.2, "bed": 4.0}, bed, points_crs, **others)
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory):
+    toml = TOML.replace('"small"', '"small & <shallow>"') + "[area]\nbounds = [589006, 5194730, 589019, 5194742]\n"
+    return load_survey(small_survey(tmp_path_factory.mktemp("survey") / "small", toml=toml))
+
+
+@pytest.fixture(scope="module")
+def dry_survey(tmp_path_factory):
+    dry = TOML[: TOML.index("[water]")]
+    return load_survey(small_survey(tmp_path_factory.mktemp("survey") / "dry", toml=dry))
+
+
+@pytest.fixture(scope="module")
+def report(survey, tmp_path_factory):
+    """A finished report against a reference 4 mm above the bed, its run and its figures."""
+    folder = tmp_path_factory.mktemp("report")
+    bed = plane_bed(survey)
+    facts = _facts(survey, bed, depth_maps=[plane_depth_map(survey, 1)], wet_pixel_share=0.875, notes=("a note",))
+    write_bed_las(folder / "cloud.las", StoredBed(bed, facts.points_crs, survey.frame.crs, "small", 0.05))
+    reference = write_plane_mesh(folder / "reference.ply", survey, raised_m=RAISED_M)
+    facts = replace(
+        facts,
+        comparison=compare_surfaces(folder / "cloud.las", reference, CompareOptions(bounds=survey.bounds)),
+    )
+    steps = []
+    with RunDir(folder / "run") as run:
+        figures = write_report(run, facts, lambda: steps.append(1))
+    return SimpleNamespace(run=run, facts=facts, figures=figures, num_steps=len(steps))
+
+
+# --- figures ------------------------------------------------------------------------------------------------
+
+
+def test_the_figures_of_a_plane_are_those_of_its_geometry(report):
+    cloud, bed = report.figures["cloud"], report.facts.bed
+    assert (cloud["points"], cloud["points_wet"] + cloud["points_dry"]) == (len(bed), len(bed))
+    # Wet where SLOPE * x < 0.3, i.e. 134 of 140 columns (-6.95 to 6.35 m).
+    assert cloud["points_wet"] == 134 * 140
+    # One point per SPACING_M squared; the 56 cells of 0.25 m along a side are covered whole.
+    assert cloud["covered_area_m2"] == pytest.approx((56 * 0.25) ** 2)
+    assert cloud["density_per_m2"] == pytest.approx(1.0 / SPACING_M**2)
+    # Depths run evenly between the two ends.
+    low, high = 0.3 - SLOPE * 6.35, 0.3 + SLOPE * 6.95
+    assert cloud["depth_m"]["min"] == pytest.approx(low, abs=CURVATURE_M)
+    assert cloud["depth_m"]["max"] == pytest.approx(high, abs=CURVATURE_M)
+    assert cloud["depth_m"]["median"] == pytest.approx(0.5 * (low + high), abs=SLOPE * SPACING_M)
+    # Evenly from 5 to 15 mm.
+    assert cloud["std_m"]["median"] == pytest.approx(0.010, abs=1e-6)
+    assert cloud["std_m"]["p95"] == pytest.approx(0.0145, abs=1e-6)
+    assert cloud["views_per_point"] == {"min": 2.0, "median": 4.0, "mean": pytest.approx(4.0), "max": 6.0}
+    assert cloud["incidence_deg"]["max"] == pytest.approx(np.degrees(0.5), abs=1e-5)
+    assert cloud["wet_pixel_share"] == 0.875
+
+
+def test_survey_and_water_say_where_they_come_from(report):
+    survey, water = report.figures["survey"], report.figures["water"]
+    assert survey["crs"]["code"] == "EPSG:25832+5778"
+    assert (survey["views_used"], survey["views_left_out"]) == (4, 0)
+    assert survey["bounds"] == [589006, 5194730, 589019, 5194742]
+    assert (water["level_m"], water["refractive_index"]) == (2105.0, 1.333)
+    assert water["refractive_index_from"] == "survey.toml"
+    assert report.figures["timings_s"] == {"sweep": 61.2, "bed": 4.0, "total": pytest.approx(65.2)}
+    assert report.figures["versions"]["bathynerf"].startswith("0.")
+
+
+def test_an_assumed_index_and_an_image_left_out_are_told(tmp_path):
+    toml = TOML.replace("refractive_index = 1.333\n", "")
+    folder = small_survey(tmp_path / "small", toml=toml)
+    (folder / "images" / "9999.jpg").write_bytes((folder / "images" / "0000.jpg").read_bytes())
+    survey = load_survey(folder)
+    figures = figures_of(_facts(survey, plane_bed(survey, num=20)))
+    assert re.match(r"assumed: refractive_index = 1\.333, fresh water", figures["water"]["refractive_index_from"])
+    assert figures["survey"]["views_left_out"] == 1
+    assert "9999.jpg" in figures["warnings"][0]
+
+
+def test_the_comparison_is_that_of_the_cloud_with_the_raised_plane(report):
+    comparison = report.figures["comparison"]
+    # The distance to a plane is along its normal; the cloud lies below it.
+    assert comparison["mean_m"] == pytest.approx(-RAISED_M / np.hypot(1.0, SLOPE), abs=LAS_BIAS_M)
+    assert comparison["std_m"] == pytest.approx(LAS_STD_M, rel=0.1)
+    assert comparison["n_points"] + comparison["n_cropped"] == len(report.facts.bed)
+
+
+def _s44(error_m: np.ndarray, depth_m: float, survey) -> dict:
+    """Figures for S-44 of wet points of one depth with given distances."""
+    bed = plane_bed(survey, num=10)
+    bed = replace(bed, depth=np.full(len(bed), depth_m, np.float32), wet=np.ones(len(bed), bool))
+    numbers = summarise(error_m, tolerance_m=0.2, is_reached=np.ones(1, bool))
+    comparison = SimpleNamespace(
+        numbers=numbers, distances=error_m, inputs=SimpleNamespace(inside=np.ones(len(bed), bool))
+    )
+    return figures_of(_facts(survey, bed, comparison=comparison))["iho_s44"]
+
+
+@pytest.mark.parametrize(
+    ("depth_m", "limits"),
+    [(1.0, [0.150, 0.250, 0.500, 1.000]), (10.0, [0.168, 0.261, 0.517, 1.026])],
+)
+def test_tvu_limits_are_those_of_iho_s44(survey, depth_m, limits):
+    figures = _s44(np.zeros(100), depth_m, survey)
+    assert [o["tvu_at_median_depth_m"] for o in figures["orders"]] == pytest.approx(limits, abs=5e-4)
+    assert all(o["meets_tvu"] for o in figures["orders"])
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize(("num_bad", "meets"), [(5, True), (6, False)])
+def test_an_order_is_met_where_95_per_cent_of_the_distances_are_within_its_tvu(survey, num_bad, meets, sign):
+    error = np.where(np.arange(100) < num_bad, sign * 0.2, 0.0)
+    exclusive, special, *_ = _s44(error, 1.0, survey)["orders"]
+    assert exclusive["share_within"] == pytest.approx(1.0 - num_bad / 100)
+    assert exclusive["meets_tvu"] is meets
+    assert special["meets_tvu"] is True  # 0.2 m is within 0.25 m
+
+
+def test_no_order_is_claimed_without_a_reference(survey):
+    figures = figures_of(_facts(survey, plane_bed(survey, num=20)))
+    assert figures["comparison"] is None
+    assert figures["iho_s44"] is None
+
+
+def test_figures_are_plain_values_and_have_no_nan():
+    value = {"a": np.float32(0.5), "b": (np.arange(2), [np.nan, -np.inf]), "c": np.bool_(True), 3: CRS(4326)}
+    assert plain(value) == {"a": 0.5, "b": [[0, 1], [None, None]], "c": True, "3": "EPSG:4326"}
+
+
+# --- files --------------------------------------------------------------------------------------------------
+
+
+def test_report_json_holds_exactly_the_figures(report):
+    assert json.loads(report.run.report_json_path.read_text(encoding="utf-8")) == report.figures
+
+
+def test_report_html_loads_nothing_and_runs_nothing(report):
+    page = report.run.report_html_path.read_text(encoding="utf-8")
+    assert "<script" not in page
+    assert not re.search(r"""(src|href)=["'](?!data:)|url\(|@import|https?:""", page)
+    assert page.count('src="data:image/png;base64,') == len(list(report.run.pictures_path.glob("*.png")))
+
+
+def test_report_html_shows_the_figures_of_report_json(report):
+    page = report.run.report_html_path.read_text(encoding="utf-8")
+    cloud, comparison = report.figures["cloud"], report.figures["comparison"]
+    for text in (
+        "small &amp; &lt;shallow&gt;",
+        "water of index 1.3330 &lt;here&gt;",
+        "EPSG:25832+5778",
+        "19\u202f600",
+        f"{cloud['depth_m']['median']:.2f} m",
+        f"{1000 * cloud['std_m']['median']:.1f} mm",
+        f"{1000 * comparison['std_inner90_m']:.1f} mm",
+        f"{1000 * comparison['mean_inner90_m']:.1f} mm".replace("-", "−"),
+        "87.5 %",
+        "1 min 01 s",
+        "meets TVU",
+        "a note",
+        "quality = &quot;standard&quot;",
+    ):
+        assert text in page, text
+
+
+def test_all_pictures_are_drawn_and_are_whole(report):
+    paths = sorted(report.run.pictures_path.iterdir())
+    names = "completeness depth error error_depth error_histogram histograms orthophoto plan std view views"
+    assert [path.name for path in paths] == [f"{name}.png" for name in names.split()]
+    assert report.num_steps == len(paths) == NUM_STEPS
+    for path in paths:
+        with Image.open(path) as image:
+            assert np.asarray(image.convert("L")).std() > 5.0, path  # neither black nor white
+
+
+@pytest.mark.parametrize("kind", ["dry", "empty", "one point", "strip in degrees"])
+def test_every_kind_of_bed_gets_a_report(survey, dry_survey, tmp_path, kind):
+    if kind == "dry":
+        survey = dry_survey
+    if kind == "strip in degrees":
+        frame = LocalFrame(CRS("EPSG:4979"), (10.16, 46.89, 2105.0))
+        survey = replace(survey, frame=frame, bounds=None)
+    bed = plane_bed(survey, num=40)
+    keep = {
+        "empty": np.zeros(len(bed), bool),
+        "one point": np.arange(len(bed)) == 7,
+        "strip in degrees": np.abs(bed.xyz[:, 1]) < 0.06,
+    }
+    bed = bed[keep.get(kind, np.ones(len(bed), bool))]
+    maps = [plane_depth_map(survey, 0)] if kind == "dry" else None
+    with RunDir(tmp_path / "run") as run:
+        figures = write_report(run, _facts(survey, bed, depth_maps=maps))
+    assert figures["cloud"]["points"] == len(bed)
+    assert (run.pictures_path / "plan.png").exists()
+    assert (run.pictures_path / "depth.png").exists() == (len(bed) > 0)
+    if kind == "dry":
+        assert figures["water"] is None
+        assert figures["cloud"]["depth_m"] is None
+        assert "a dry survey" in run.report_html_path.read_text(encoding="utf-8")
+
+
+# --- cells and light ----------------------------------------------------------------------------------------
+
+UTM = CRS("EPSG:25832+5778")
+
+
+def _grid_of(points, crs=UTM, cell_m=1.0) -> PlanGrid:
+    return PlanGrid.over(np.asarray(points, dtype=np.float64), crs, cell_m=cell_m, max_cells=1000)
+
+
+@pytest.fixture(scope="module")
+def block():
+    """20 by 10 m in UTM; each square metre has 10 by 10 points in its north-western 0.81 by 0.81 m."""
+    along = (np.arange(20)[:, None] + 0.09 * np.arange(10)).ravel()
+    e, n = np.meshgrid(589000.0 + along, 5194710.0 - along[:100])
+    return np.column_stack([e.ravel(), n.ravel(), np.zeros(e.size)])
+
+
+def test_cells_hold_the_mean_of_their_points_from_north_to_south(block):
+    grid = _grid_of(block)
+    assert grid.shape == (10, 20)
+    np.testing.assert_array_equal(grid.count(), np.full(grid.shape, 100))
+    north, east = grid.mean(block[:, 1]), grid.mean(block[:, 0])
+    np.testing.assert_allclose(north, np.tile(5194709.595 - np.arange(10)[:, None], (1, 20)), atol=1e-6)
+    np.testing.assert_allclose(east, np.tile(589000.405 + np.arange(20), (10, 1)), atol=1e-6)
+    assert grid.extent == pytest.approx((589000.0, 589020.0, 5194700.0, 5194710.0))
+
+
+def test_the_highest_point_of_a_cell_is_on_top(block):
+    rng = np.random.default_rng(3)
+    height = rng.permutation(len(block)).astype(np.float64)
+    grid = _grid_of(block)
+    expected = [height[grid.index == cell].max() for cell in range(200)]
+    np.testing.assert_array_equal(grid.highest(height, height).ravel(), expected)
+
+
+def test_values_that_are_nan_and_points_left_out_do_not_count(block):
+    values = np.where(block[:, 0] < 589010.0, np.nan, 1.0)
+    grid = _grid_of(block)
+    mean = grid.mean(values, block[:, 1] <= 5194705.0)
+    assert np.isnan(mean[:, :10]).all()
+    assert np.isnan(mean[:5]).all()
+    np.testing.assert_array_equal(mean[5:, 10:], 1.0)
+
+
+def test_strays_do_not_shrink_the_picture(block):
+    strays = np.array([[650000.0, 5194705.0, 0.0], [589010.0, 5100000.0, 0.0]])
+    grid = _grid_of(np.vstack([block, strays]))
+    # A twentieth more to the side where a stray lies, in each direction.
+    assert grid.shape == (11, 21)
+    np.testing.assert_array_equal(grid.index[-2:], -1)
+    assert (grid.index[:-2] >= 0).all()
+
+
+def test_cells_grow_where_points_are_few_or_the_area_is_large(block):
+    few = block[np.random.default_rng(2).choice(len(block), 100, replace=False)]
+    # Three points a cell; the outermost of 100 points leave 2 % of each side uncovered.
+    assert _grid_of(few).cell_m == pytest.approx(np.sqrt(3.0 * 20.0 * 10.0 / 100), rel=0.05)
+    fine = PlanGrid.over(block, UTM, cell_m=0.2, max_cells=50)
+    assert max(fine.shape) == 50
+
+
+def test_cells_in_degrees_are_square_on_the_ground():
+    # 60 degrees north: a degree of longitude is half as long as one of latitude.
+    lon, lat = np.meshgrid(np.linspace(10.0, 10.002, 150), np.linspace(60.0, 60.001, 150))
+    grid = _grid_of(np.column_stack([lon.ravel(), lat.ravel(), lat.ravel()]), CRS("EPSG:4979"), 5.0)
+    assert grid.cell[0] / grid.cell[1] == pytest.approx(2.0, rel=1e-3)
+    assert grid.shape == (23, 23)  # 0.001 degree is 111.2 m
+
+
+def test_only_single_holes_are_closed_by_the_mean_around_them():
+    raster = np.arange(49.0).reshape(7, 7)
+    raster[1, 1] = raster[4:7, 4:7] = np.nan
+    closed = without_pinholes(raster)
+    assert closed[1, 1] == pytest.approx(8.0)  # the mean around a cell of a plane is its own value
+    assert np.isnan(closed[5, 5])
+    np.testing.assert_array_equal(closed[:4, 2:], raster[:4, 2:])
+
+
+def test_light_comes_from_the_north_west():
+    row, column = np.mgrid[0:30, 0:30].astype(np.float64)
+    inner = (slice(5, -5), slice(5, -5))
+    level = hillshade(np.zeros((30, 30)), 0.1)
+    facing = hillshade(0.02 * (row + column), 0.1)  # rises to the south-east
+    averted = hillshade(-0.02 * (row + column), 0.1)
+    across = hillshade(0.02 * (row - column), 0.1)
+    np.testing.assert_allclose(level, 0.5)
+    assert facing[inner].min() > 0.6
+    assert averted[inner].max() < 0.2
+    # Light strikes such a slope at 60 degrees, not at 45: cos 60 degrees = 0.5.
+    np.testing.assert_allclose(across[inner], 0.5 + 0.6 * (0.5 - np.sqrt(0.5)), atol=1e-6)
+
+
+def test_unknown_cells_stay_unlit():
+    height = np.random.default_rng(1).normal(size=(30, 30))
+    height[:, 15:] = np.nan
+    np.testing.assert_array_equal(hillshade(height, 0.1)[:, 15:], 0.5)

@@ -1,0 +1,419 @@
+"""Structure from motion: similarities, GPS positions into local, adjustment, and real photographs end to end."""
+
+from __future__ import annotations
+
+import csv
+import math
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+from PIL import Image
+from pyproj import CRS, Geod
+from scipy.spatial.transform import Rotation
+
+from geo.crs import parse_crs
+from geo.errors import MissingVerticalDatum
+from geo.frames import LocalFrame
+from refract import PinholeCamera
+from survey import sfm_block, sfm_solve
+from survey.cameras import CAM_FROM_OPK_CAM, grid_from_opk
+from survey.errors import ConfigError, ImageError, PosesError, SurveyError
+from survey.exif import Exif
+from survey.sfm import solve_poses
+from survey.sfm_align import MIN_STD_M, fit_similarity, gps_std, require_area, robust_similarity
+from survey.sfm_gps import gps_positions
+
+# Some hundred roundings of coordinates of 1e3.
+EXACT = 1e-10
+UTM = "EPSG:32632+5773"
+
+
+def turned_shifted(points: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
+    scale, shift = rng.uniform(0.1, 20.0), rng.normal(0.0, 300.0, 3)
+    rotation = Rotation.random(rng=rng).as_matrix()
+    return scale * points @ rotation.T + shift, scale, rotation, shift
+
+
+def head(position, *, focal_px: float | None = None, size: tuple[int, int] = (800, 600)) -> Exif:
+    return Exif(size, position, focal_px, 1, "Maker Model", None)
+
+
+# ------------------------------------------------------------------------------------------------ similarities
+
+
+@pytest.mark.parametrize("num", [3, 20])
+def test_a_similarity_is_recovered_to_rounding(rng, num):
+    a = rng.normal(0.0, 10.0, (num, 3))
+    b, scale, rotation, shift = turned_shifted(a, rng)
+    found = fit_similarity(a, b)
+    assert abs(found.scale - scale) < EXACT
+    assert np.abs(found.rotation - rotation).max() < EXACT
+    assert np.abs(found.shift - shift).max() < 1e3 * EXACT
+    assert np.abs(found(a) - b).max() < 1e3 * EXACT
+
+
+def test_a_similarity_never_mirrors(rng):
+    a = rng.normal(0.0, 10.0, (20, 3))
+    found = fit_similarity(a, a * [1.0, 1.0, -1.0])
+    assert abs(np.linalg.det(found.rotation) - 1.0) < EXACT
+
+
+def test_positions_that_are_wrong_are_found_and_do_not_pull(rng):
+    a = rng.normal(0.0, 10.0, (40, 3)) * [1.0, 1.0, 0.1]
+    b, scale, _, _ = turned_shifted(a, rng)
+    wrong = np.arange(40) % 5 < 2
+    b[wrong] += rng.normal(0.0, 50.0 * scale, (int(wrong.sum()), 3))
+    found, agree = robust_similarity(a, b)
+    assert (agree == ~wrong).all()
+    assert np.abs(found(a[~wrong]) - b[~wrong]).max() < 1e3 * EXACT
+    assert np.abs(fit_similarity(a, b)(a[~wrong]) - b[~wrong]).max() > 1.0
+
+
+def test_noise_alone_makes_no_position_wrong(rng):
+    a = rng.normal(0.0, 30.0, (200, 3)) * [1.0, 1.0, 0.05]
+    _, agree = robust_similarity(a, a + rng.normal(0.0, 1.0, a.shape))
+    assert agree.all()
+
+
+def test_the_standard_deviation_of_positions_is_told_without_bias(rng):
+    # Ten positions take up 7 of 30 degrees of freedom; 400 draws leave 1.3 % of the mean square to chance.
+    a = rng.normal(0.0, 30.0, (10, 3))
+    squares = []
+    for _ in range(400):
+        b = a + rng.normal(0.0, 0.5, a.shape)
+        squares.append(gps_std(fit_similarity(a, b)(a) - b) ** 2)
+    assert abs(np.mean(squares) / 0.25 - 1.0) < 0.04
+
+
+def test_nothing_is_trusted_further_than_a_receiver_with_corrections():
+    assert (gps_std(np.zeros((5, 3))) == MIN_STD_M).all()
+
+
+def test_one_strip_is_refused_and_two_are_not(rng):
+    strip = np.stack([np.linspace(0.0, 200.0, 12), np.zeros(12), np.zeros(12)], axis=1)
+    noise = rng.normal(0.0, 0.3, strip.shape)
+    with pytest.raises(PosesError, match=r"lie on one line .* a second strip"):
+        require_area(strip + noise, 0.3)
+    require_area(np.concatenate([strip, strip + np.array([0.0, 30.0, 0.0])]), 0.3)
+
+
+# ------------------------------------------------------------------------------------- GPS positions into local
+
+
+def some_heads() -> dict[str, Exif]:
+    return {f"{i}.jpg": head((46.9 + 1e-4 * i, 10.17 + 2e-4 * i**2, 2127.0 + i)) for i in range(4)}
+
+
+def test_gps_distances_are_kept_in_local():
+    """Horizontal ones against geodesics on the ellipsoid, which are shorter than at the survey's height."""
+    heads = {name: h for name, h in some_heads().items() if name != "1.jpg"}
+    gps = gps_positions(heads, parse_crs(UTM), "crs")
+    (lat_a, lon_a, h_a), (lat_b, lon_b, h_b) = (heads[n].lat_lon_height for n in ("0.jpg", "3.jpg"))
+    _, _, metres = Geod(ellps="WGS84").inv(lon_a, lat_a, lon_b, lat_b)
+    apart = gps.local["3.jpg"] - gps.local["0.jpg"]
+    raised = metres * (1.0 + 0.5 * (h_a + h_b) / Geod(ellps="WGS84").a)
+    # Radii of curvature differ by 0.3 %, of a raise of 5 cm; the plane leaves the ellipsoid by 1 mm in 100 m.
+    assert abs(math.hypot(*apart[:2]) - raised) < 1e-3
+    assert abs(apart[2] - (h_b - h_a)) < 5e-3
+    assert any("heights in crs, above EGM96 height" in note for note in gps.notes)
+
+
+def test_without_a_crs_the_utm_zone_is_assumed_and_said():
+    gps = gps_positions(some_heads(), None, "crs")
+    assert gps.frame.crs == parse_crs(UTM)
+    assert UTM in gps.notes[0]
+    assert gps.frame.origin[2] == 2128.0
+
+
+def test_a_crs_without_heights_is_refused():
+    with pytest.raises(MissingVerticalDatum):
+        gps_positions(some_heads(), CRS("EPSG:32632"), "crs")
+
+
+def test_heights_in_feet_stay_metres_in_local():
+    heads = {f"{i}.jpg": head((46.84 + 1e-4 * i, -91.99, 200.0 + i)) for i in range(3)}
+    gps = gps_positions(heads, parse_crs("EPSG:26915+6360"), "crs")
+    assert abs(gps.local["2.jpg"][2] - gps.local["0.jpg"][2] - 2.0) < 1e-3
+
+
+def test_ellipsoidal_heights_need_the_grid_of_the_geoid():
+    with pytest.raises(ConfigError, match=r"grid us_nga_egm96_15\.tif is not installed"):
+        gps_positions(some_heads(), parse_crs(UTM), "ellipsoidal")
+    above = gps_positions(some_heads(), parse_crs("EPSG:4979"), "ellipsoidal")
+    same = gps_positions(some_heads(), parse_crs("EPSG:4979"), "crs")
+    assert all(np.abs(above.local[n] - same.local[n]).max() < 1e-6 for n in same.local)
+
+
+def test_images_without_positions_are_told_what_to_give():
+    heads = some_heads() | {"1.jpg": head(None), "2.jpg": head((46.9, 10.2, math.nan))}
+    with pytest.raises(PosesError, match=r"3 of 4 images have a GPS .* 2 of them with a height.*\[cameras\] poses"):
+        gps_positions(heads, None, "crs")
+    heads |= {"4.jpg": head((46.9, 10.171, 2127.0))}
+    gps = gps_positions(heads, None, "crs")
+    assert sorted(gps.local) == ["0.jpg", "3.jpg", "4.jpg"]
+    assert "2 of 5 images have no GPS position" in gps.notes[-1]
+
+
+def test_an_unknown_kind_of_gps_height_is_named():
+    with pytest.raises(ConfigError, match='gps_height is "geoid", expected "crs" or "ellipsoidal"'):
+        gps_positions(some_heads(), parse_crs(UTM), "geoid")
+
+
+# --------------------------------------------------------------------------------------------- synthetic blocks
+
+
+def synthetic_block(
+    rng: np.random.Generator, *, focal=900.0, sextic=0.0, noise_px=0.0, tilt_deg=0.0
+) -> tuple[pycolmap.Reconstruction, dict[str, np.ndarray]]:
+    """A block of three strips of six nadir views, 40 m over rolling ground, at its true place; and true centres.
+
+    ``sextic`` is a distortion of sixth order in the pixels, whose noise is ``noise_px``, that the lens of the block
+    does not have; ``tilt_deg`` turns views by turns left and right.
+    """
+    size, half = (800, 600), (400.0, 300.0)
+    block = pycolmap.Reconstruction()
+    block.add_camera_with_trivial_rig(
+        pycolmap.Camera(camera_id=1, model="RADIAL", width=size[0], height=size[1], params=[focal, *half, 0.0, 0.0])
+    )
+    ground = np.column_stack([rng.uniform(-45.0, 45.0, (600, 2)), np.zeros(600)])
+    ground[:, 2] = 2.0 * np.sin(ground[:, 0] / 9.0) * np.cos(ground[:, 1] / 7.0)
+    seen_in, centres = [[] for _ in ground], {}
+    for i, (x, y) in enumerate((x, y) for y in (-20.0, 0.0, 20.0) for x in np.linspace(-25.0, 25.0, 6)):
+        name, centre = f"{i:02d}.jpg", np.array([x, y, 40.0]) + rng.normal(0.0, 0.2, 3)
+        rotation = Rotation.from_euler("xy", [180.0, tilt_deg * (-1) ** i], degrees=True).as_matrix()
+        rays = (ground - centre) @ rotation.T
+        rays = rays[:, :2] / rays[:, 2:]
+        pixels = focal * rays * (1.0 + sextic * (rays**2).sum(axis=1, keepdims=True) ** 3) + half
+        pixels += rng.normal(0.0, noise_px, pixels.shape)
+        inside = np.flatnonzero(((pixels > 0.0) & (pixels < size)).all(axis=1))
+        cam_from_local = pycolmap.Rigid3d(pycolmap.Rotation3d(rotation), -rotation @ centre)
+        image = pycolmap.Image(name=name, keypoints=pixels[inside], camera_id=1, image_id=i + 1)
+        block.add_image_with_trivial_frame(image, cam_from_local)
+        for place, point in enumerate(inside):
+            seen_in[point].append(pycolmap.TrackElement(i + 1, place))
+        centres[name] = centre
+    for xyz, elements in zip(ground, seen_in, strict=True):
+        if len(elements) > 2:
+            block.add_point3D(xyz, pycolmap.Track(elements))
+    block.update_point_3d_errors()
+    return block, centres
+
+
+def bowl_m(block: pycolmap.Reconstruction) -> float:
+    """How much higher the ground's rim is than its middle, 40 m inside, against the true ground."""
+    points, _, _ = sfm_block.points_of(block)
+    wrong = points[:, 2] - 2.0 * np.sin(points[:, 0] / 9.0) * np.cos(points[:, 1] / 7.0)
+    squares = ((points[:, :2] / 40.0) ** 2).sum(axis=1)
+    return float(np.polyfit(squares, wrong, 1)[0])
+
+
+def test_poses_and_lenses_of_a_block_project_as_pycolmap_does():
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 5, 40
+    options.camera_model_id, options.camera_params = pycolmap.CameraModelId.SIMPLE_PINHOLE, [1280.0, 500.0, 390.0]
+    pycolmap.set_random_seed(0)
+    block = pycolmap.synthesize_dataset(options)
+    similarity = fit_similarity(np.eye(3), 7.0 * np.roll(np.eye(3), 1, axis=0) + [10.0, 20.0, 30.0])
+    sfm_block.transform(block, similarity)
+    points, num_views, errors = sfm_block.points_of(block)
+    assert (num_views == 5).all()
+    assert errors.max() < 1e-6
+    worst = 0.0
+    for name, (centre, cam_from_local) in sfm_block.poses_of(block).items():
+        camera: PinholeCamera = sfm_block.lens_of(block, name).pinhole(centre, cam_from_local)
+        image = block.find_image_with_name(name)
+        seen = {p.point3D_id: p.xy for p in image.points2D if p.has_point3D()}
+        pixels = camera.project(points, None)
+        worst = max(worst, np.abs(pixels - [seen[number] for number in sorted(block.points3D)]).max())
+    assert worst < 1e-8
+
+
+def test_gps_positions_flatten_the_bowl_that_an_unmodelled_lens_bends(rng):
+    block, centres = synthetic_block(rng, sextic=1.0, noise_px=0.1)
+    gps = {name: centre + rng.normal(0.0, 0.05, 3) for name, centre in centres.items()}
+    sfm_block.adjust(block, gps, np.full(3, 50.0), hold_focal=True)
+    bent, free_px = bowl_m(block), block.compute_mean_reprojection_error()
+    flat, std = sfm_solve.adjust_as_allowed(block, gps, hold_focal=True)
+    assert abs(bent) > 0.5
+    # Noise of 5 cm in 18 heights leaves a bowl of 3 cm, four of which pass.
+    assert abs(bowl_m(flat)) < 0.12
+    # The bowl hides what the lens leaves; a tenth of a pixel would be seen in a picture.
+    assert flat.compute_mean_reprojection_error() < free_px + 0.05
+    assert std.max() < 0.1
+    assert bowl_m(block) == bent
+
+
+def test_a_block_without_faults_stays_where_it_is(rng):
+    block, centres = synthetic_block(rng)
+    settled, std = sfm_solve.adjust_as_allowed(block, centres, hold_focal=False)
+    poses = sfm_block.poses_of(settled)
+    # Rounding of 1e-16 in pixels, through the weak shapes of the block.
+    assert max(np.abs(poses[name][0] - centre).max() for name, centre in centres.items()) < 1e-5
+    assert (std == MIN_STD_M).all()
+
+
+def test_a_focal_length_that_parallel_views_cannot_tell_is_put_back(rng):
+    block, centres = synthetic_block(rng, focal=1130.0)
+    notes = []
+    assert sfm_solve.hold_focals(block, dict.fromkeys(centres, 889.0), notes)
+    assert sfm_block.focal_of(block, "00.jpg") == 889.0
+    assert "889 px, is kept instead of the solved 1130 px" in notes[0]
+
+
+@pytest.mark.parametrize(
+    ("focal", "tilt_deg", "nominal", "said"),
+    [
+        (1130.0, 25.0, 889.0, 0),  # convergent views tell the focal length
+        (910.0, 0.0, 889.0, 0),  # EXIF is not better than that
+        (1130.0, 0.0, None, 1),  # nothing to put back, but a warning
+    ],
+)
+def test_other_focal_lengths_are_left_alone(rng, focal, tilt_deg, nominal, said):
+    block, centres = synthetic_block(rng, focal=focal, tilt_deg=tilt_deg)
+    notes = []
+    assert not sfm_solve.hold_focals(block, dict.fromkeys(centres, nominal), notes)
+    assert sfm_block.focal_of(block, "00.jpg") == focal
+    assert len(notes) == said
+
+
+def test_images_outside_the_largest_block_are_named(rng):
+    block, _ = synthetic_block(rng)
+    alias_of = {f"flight {i}.jpg": f"{i:02d}.jpg" for i in range(18)}
+    assert sfm_solve.left_out([block], alias_of) == []
+    alias_of |= {"flight 18.jpg": "18.jpg", "flight 19.jpg": "19.jpg"}
+    (note,) = sfm_solve.left_out([block, block], alias_of)
+    assert "2 blocks that share no points; the largest is used; left out: flight 18.jpg, flight 19.jpg" in note
+
+
+def test_few_images_are_tried_in_all_pairs_and_many_with_their_neighbours():
+    names = [f"{i:03d}.jpg" for i in range(100)]
+    positions = {name: np.array([10.0 * (i % 10), 10.0 * (i // 10), 0.0]) for i, name in enumerate(names)}
+    assert len(sfm_block.image_pairs(names[:8], {})) == 28
+    pairs = sfm_block.image_pairs(names, positions)
+    assert len(pairs) < 100 * 99 / 4
+    assert len(set(pairs)) == len(pairs)
+    assert all(a < b for a, b in pairs)
+    assert ("000.jpg", "011.jpg") in pairs
+    assert ("000.jpg", "099.jpg") not in pairs
+    del positions["050.jpg"]
+    lost = [pair for pair in sfm_block.image_pairs(names, positions) if "050.jpg" in pair]
+    assert len(lost) == 99
+
+
+# ---------------------------------------------------------------------------------------------- whole and errors
+
+
+def test_nadir_photographs_get_their_true_poses_and_keep_them(data_dir, tmp_path):
+    """Nine nadir views of data/quick, where straight rays show no contradiction, and one of another place."""
+    told: list[str] = []
+    folder = tmp_path / "two words"
+    folder.mkdir()
+    paths, stranger = [folder / f"{i:04d}.jpg" for i in range(9)], folder / "0009.jpg"
+    for path in paths:
+        shutil.copy(data_dir / "quick" / "images" / path.name, path)
+    shutil.copy(data_dir / "river" / "images" / "0000.jpg", stranger)
+    crs, work = parse_crs("EPSG:25832+5778"), tmp_path / "work"
+    result = solve_poses([*paths, stranger], crs, work, focal_px=900.0, report=told.append)
+    with (data_dir / "quick" / "cameras.csv").open(newline="") as file:
+        truth = {row["image"]: row for row in csv.DictReader(file)}
+    assert [view.name for view in result.views] == [path.name for path in paths]
+    for view in result.views:
+        row = {key: float(value) for key, value in truth[view.name].items() if key != "image"}
+        point = np.array([row["easting"], row["northing"], row["height"]])
+        # GPS noise is 2 cm; its mean over nine views moves the block, refraction and lens bend it by as much.
+        assert np.abs(view.centre - result.frame.local_from_crs(point)).max() < 0.08
+        grid_from_cam = grid_from_opk(*np.radians([row["omega"], row["phi"], row["kappa"]])) @ CAM_FROM_OPK_CAM
+        apart = view.cam_from_local @ result.frame.local_from_grid(point) @ grid_from_cam
+        # 2 cm in each of nine positions, 8 m across, tilt the block by 0.14 degrees; four of these.
+        assert np.degrees(Rotation.from_matrix(apart).magnitude()) < 0.6
+    assert any("left out: 0009.jpg" in note for note in result.notes)
+    assert any("straight rays" in note for note in result.notes)
+    assert told[0].startswith("structure from motion: features of 10 images")
+    assert not (work / ".work.part").exists()
+
+    again = solve_poses([*paths, stranger], crs, work, focal_px=900.0, report=told.append)
+    assert "poses of 9 images from" in told[-1]
+    assert (again.points == result.points).all()
+    assert (again.gps_residual_m == result.gps_residual_m).all()
+    assert again.frame == result.frame
+    assert again.notes == result.notes
+    for old, new in zip(result.views, again.views, strict=True):
+        assert (old.centre == new.centre).all()
+        assert (old.cam_from_local == new.cam_from_local).all()
+        assert old.lens == new.lens
+
+
+def noise_images(folder: Path, rng: np.random.Generator) -> list[Path]:
+    paths = []
+    for i in range(3):
+        exif = Image.Exif()
+        exif.get_ifd(0x8825).update(
+            {1: "N", 2: (46.0, 54.0, 0.2 * i), 3: "E", 4: (10.0, 10.0, 0.3 * i * i), 5: b"\x00", 6: 2100.0 + i}
+        )
+        paths.append(folder / f"{i}.jpg")
+        Image.fromarray(rng.integers(0, 255, (120, 160, 3), dtype=np.uint8)).save(paths[-1], exif=exif)
+    return paths
+
+
+def test_photographs_that_do_not_match_are_refused_with_a_mend(tmp_path, rng):
+    paths = noise_images(tmp_path, rng)
+    with pytest.raises(PosesError, match=r"placed 0 of 3 images, expected at least 3.*\[cameras\] poses"):
+        solve_poses(paths, None, tmp_path / "work")
+    assert list((tmp_path / "work").iterdir()) == []
+
+
+def test_settings_that_cannot_be_are_named(tmp_path, rng):
+    paths = noise_images(tmp_path, rng)
+    with pytest.raises(ImageError, match=r"0\.jpg has 160 x 120 pixels, expected 800 x 600"):
+        solve_poses(paths, None, tmp_path, size_px=(800, 600))
+    with pytest.raises(SurveyError, match="square pixels; give one number"):
+        solve_poses(paths, None, tmp_path, focal_px=(900.0, 910.0))
+    with pytest.raises(ImageError, match="no images"):
+        solve_poses([], None, tmp_path)
+
+
+def test_a_workspace_that_cannot_be_written_is_named(tmp_path, rng):
+    paths = noise_images(tmp_path, rng)
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(SurveyError, match=r"cannot write .*file"):
+        solve_poses(paths, None, tmp_path / "file" / "work")
+
+
+def test_pictures_can_be_written_after_pycolmap_was_loaded(tmp_path):
+    """pycolmap's own zlib corrupts the heap of a process that loads the system's after it."""
+    code = (
+        "import survey.sfm_block, pycolmap, numpy as np; from PIL import Image; "
+        "noise = np.random.default_rng(0).integers(0, 255, (900, 900, 3), dtype=np.uint8); "
+        f"Image.fromarray(noise).save({str(tmp_path / 'noise.png')!r})"
+    )
+    done = subprocess.run([sys.executable, "-c", code], timeout=60, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr.decode()
+
+
+@pytest.mark.slow
+def test_a_real_beach_is_placed_with_a_level_lake(data_dir, tmp_path):
+    """brighton_beach: 18 nadir photographs; focal length put back; the water line is level."""
+    folder = data_dir / "real" / "brighton_beach" / "images"
+    result = solve_poses(sorted(folder.iterdir()), parse_crs("EPSG:32615+5773"), tmp_path)
+    assert len(result.views) == 18
+    assert np.average(result.error_px, weights=result.num_views) < 0.6
+    assert any("is kept instead of the solved" in note for note in result.notes)
+    residual = np.sqrt((result.gps_residual_m**2).mean(axis=0))
+    # Strips of a drone without corrections lie up to 1 m apart; its barometer is good to 0.2 m.
+    assert residual[:2].max() < 0.8
+    assert residual[2] < 0.2
+    frame: LocalFrame = result.frame
+    good = (result.num_views >= 3) & (result.error_px < 1.5)
+    points = frame.crs_from_local(result.points[good])
+    # Stones that just rise out of the water, west and east on the shore; the same lake is 0.43 m apart by a
+    # similarity alone, and 0.6 m apart in the cloud made elsewhere.
+    levels = []
+    for e, n in ((576724.6, 5188123.1), (576733.7, 5188118.4)):
+        near = np.hypot(points[:, 0] - e, points[:, 1] - n) < 3.0
+        levels.append(np.percentile(points[near, 2], 25))
+    assert abs(levels[0] - levels[1]) < 0.2

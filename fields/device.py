@@ -12,8 +12,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-# Dr.Jit accepts LLVM 15 and newer, but its code generation aborts with 16.
-_LLVM_VERSIONS = (19, 20, 18, 17, 15)
+# Dr.Jit loads older ones too, but up to 16 LLVM has no x86 code for its minimum and maximum and ends the process.
+_OLDEST_LLVM = 17
+_LLVM_VERSIONS = (19, 20, 18, 17)
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ def _llvm() -> Device | None:
     if path is not None:
         os.environ["DRJIT_LIBLLVM_PATH"] = path
     dr = _drjit()
-    if dr is None or not dr.has_backend(dr.JitBackend.LLVM):
+    if dr is None or not dr.has_backend(dr.JitBackend.LLVM) or dr.detail.llvm_version()[0] < _OLDEST_LLVM:
         return None
     import drjit.llvm as module
 
@@ -119,9 +120,9 @@ def choose_device(wanted: str = "auto") -> Device:
             return found
     path = os.environ.get("DRJIT_LIBLLVM_PATH")
     why = (
-        f"Dr.Jit rejects {path}"
+        f"{path} is no LLVM {_OLDEST_LLVM} or newer that Dr.Jit loads"
         if path
-        else "no libLLVM 15 or newer was found (DRJIT_LIBLLVM_PATH takes its full path)"
+        else f"no libLLVM {_OLDEST_LLVM} or newer was found (DRJIT_LIBLLVM_PATH takes its full path)"
     )
     import torch
 

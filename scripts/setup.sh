@@ -7,8 +7,8 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 
 venv=$1
-# Dr.Jit needs libatomic.so.1, and libLLVM 15 or newer; its code generation aborts with 16.
-llvm_packages=(libllvm19 libllvm18 libllvm17 libllvm15)
+# Dr.Jit needs libatomic.so.1, and libLLVM 17 or newer; older ones have no x86 code for its minimum and maximum.
+llvm_packages=(libllvm19 libllvm18 libllvm17)
 
 say() { printf '%s\n' "$*"; }
 fail() {
@@ -90,7 +90,7 @@ if ! loads_drjit; then
 fi
 if ! has_llvm; then
     install_first_of "${llvm_packages[@]}" || true
-    has_llvm || say "note: without libLLVM 15 or newer (not 16) for Dr.Jit, torch does the work, more slowly." \
+    has_llvm || say "note: without libLLVM 17 or newer for Dr.Jit, torch does the work, more slowly." \
         "Install one of ${llvm_packages[*]} (Debian, Ubuntu: sudo apt-get install -y libllvm19; macOS: brew install" \
         "llvm), or set DRJIT_LIBLLVM_PATH to the full path of such a library"
 fi

@@ -85,4 +85,13 @@ def test_torch_sweeps_without_dr_jit():
 def test_without_llvm_the_cpu_falls_back_on_torch_and_names_the_library_it_was_given():
     lines = run(NO_LLVM, DRJIT_LIBLLVM_PATH="/nowhere/libLLVM.so", CUDA_VISIBLE_DEVICES="").splitlines()
     assert [line.split("|")[0] for line in lines] == ["torch", "torch"]
-    assert all("Dr.Jit rejects /nowhere/libLLVM.so" in line and "slower" in line for line in lines)
+    assert all("/nowhere/libLLVM.so is no LLVM 17 or newer" in line and "slower" in line for line in lines)
+
+
+def test_an_old_llvm_that_would_end_the_process_is_not_used():
+    old = sorted(Path("/usr/lib").glob("*-linux-gnu/libLLVM-1[4-6].so*"))
+    if not old:
+        pytest.skip("this machine has no LLVM 14 to 16")
+    lines = run(NO_LLVM, DRJIT_LIBLLVM_PATH=str(old[-1]), CUDA_VISIBLE_DEVICES="").splitlines()
+    assert [line.split("|")[0] for line in lines] == ["torch", "torch"]
+    assert all(f"{old[-1]} is no LLVM 17 or newer" in line for line in lines)

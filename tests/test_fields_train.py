@@ -19,9 +19,9 @@ from fields.train import Schedule, Sources, draw_rays, slab_of, train
 
 BED = PlaneBed(TILTED, -2.0, 0.1)
 GSD = 0.03
-# Two trainings differ by the order in which Dr.Jit and torch add up gradients; after 40 steps parameters of size one
-# differ by 8e-7 on LLVM, by nothing on torch with one thread.
-ORDER_OF_SUMS = 5e-6
+# Two trainings differ by the order in which Dr.Jit adds up gradients: heights by one step of float32 (0.24 um) after 40
+# steps, in twelve tries on a loaded machine. Another seed moves them by millimetres.
+ORDER_OF_SUMS_MM = 0.01
 
 
 @pytest.fixture(scope="module")
@@ -73,12 +73,14 @@ def test_training_brings_a_displaced_bed_back_in_both_stages():
     assert shares[-1] == 1.0
 
 
-def test_the_same_seed_trains_the_same_field(cameras, device, short):
+def test_the_same_seed_trains_the_same_bed(cameras, device, short):
     sources = plane_sources(BED, cameras, noise=0.005)
     slab = slab_of(sources, GSD, None)
-    one, other = (train(sources, slab, FieldSettings(), Schedule(1.0), device, quietly)[0] for _ in range(2))
-    for name, value in other.state_dict().items():
-        assert (one.state_dict()[name] - value).abs().max() < ORDER_OF_SUMS, name
+    one, other = (
+        errors_mm(sources, train(sources, slab, FieldSettings(), Schedule(1.0), device, quietly)[0]) for _ in range(2)
+    )
+    assert np.abs(one - other).max() < ORDER_OF_SUMS_MM
+    assert np.ptp(one) > 100.0 * ORDER_OF_SUMS_MM
 
 
 def test_colours_learn_first_and_the_bed_stays_where_it_is(cameras, device, short, monkeypatch):

@@ -246,6 +246,8 @@ def _print_section(section: Section) -> None:
 def _print_numbers(numbers: dict) -> None:
     rows = []
     for name, value in numbers.items():
+        if name == "notes":
+            rows += [("note", note) for note in value]
         if value is None or isinstance(value, dict | list):
             continue
         unit = " m" if name.endswith("_m") else ""

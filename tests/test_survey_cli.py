@@ -213,7 +213,8 @@ def test_compare_hands_its_options_on_and_prints_the_numbers_with_their_units(mo
 
     def compare_files(cloud, reference, *, options):
         calls.append((cloud, reference, options))
-        return {"n_points": 12, "mean_m": -0.00123, "max_m": -1e-6, "completeness": 0.9, "seen": None, "histogram": [1]}
+        return {"n_points": 12, "mean_m": -0.00123, "max_m": -1e-6, "completeness": 0.9, "seen": None,
+                "histogram": [1], "notes": ["c.las does not say its CRS", "nothing else"]}  # fmt: skip
 
     fake_module(monkeypatch, "survey.compare", CompareOptions=CompareOptions, compare_files=compare_files)
     result = bathynerf("compare", "c.las", "r.ply", "--tolerance", "0.05", "--bounds", "-1", "2", "3", "4.5",
@@ -224,6 +225,8 @@ def test_compare_hands_its_options_on_and_prints_the_numbers_with_their_units(mo
         "mean          -0.0012 m",
         "max           0.0000 m",
         "completeness  0.9000",
+        "note          c.las does not say its CRS",
+        "note          nothing else",
     ]
     options = CompareOptions(0.05, Path("v.ply"), (-1.0, 2.0, 3.0, 4.5), "winding", Path("n.json"), Path("d"))
     assert calls == [(Path("c.las"), Path("r.ply"), options)]

@@ -132,8 +132,11 @@ class TensorField(nn.Module):
         weights = torch.cat([weights[:, :-1], 1.0 - weights[:, :-1].sum(dim=1, keepdim=True)], dim=1)
         return weights, ends, features
 
-    def render(self, rays: Rays, *, jitter: bool) -> tuple[Tensor, Tensor, Tensor]:
-        """Colours (rays, 3) as stored in photographs, weights (rays, samples) and interval ends (rays, samples + 1)."""
+    def render(self, rays: Rays, *, jitter: bool, dry: bool = False) -> tuple[Tensor, Tensor, Tensor]:
+        """Colours (rays, 3) as stored in photographs, weights (rays, samples) and interval ends (rays, samples + 1).
+
+        ``dry`` leaves out what the water does to the light.
+        """
         weights, ends, features = self.weigh(rays, jitter=jitter)
         z = _middles(ends)
         painted = weights.detach() > MIN_COLOUR_WEIGHT
@@ -146,7 +149,7 @@ class TensorField(nn.Module):
         share = weights * painted
         share = share / share.sum(dim=1, keepdim=True)
         radiance = (share[..., None] * seen.view(*z.shape, 3)).sum(dim=1)
-        if self.column is not None:
+        if self.column is not None and not dry:
             bed = (weights.detach() * z).sum(dim=1)
             length = (-bed).clamp(min=0.0) * rays.wet.norm(dim=1)
             # Light of dry ground crosses no surface.
@@ -159,6 +162,35 @@ class TensorField(nn.Module):
         weights, ends, _ = self.weigh(rays, jitter=False)
         low, high = quantile_height(weights, ends, 0.84), quantile_height(weights, ends, 0.16)
         return quantile_height(weights, ends), 0.5 * (high - low).abs()
+
+    @torch.no_grad()
+    def look(self, rays: Rays, up: Tensor, *, dry: bool) -> tuple[Tensor, Tensor, Tensor]:
+        """Colours (rays, 3) as stored in photographs, median heights (rays,) [m] and upward unit normals (rays, 3).
+
+        ``up`` (3,) is the normal of the water plane, along which heights count.
+        """
+        colour, weights, ends = self.render(rays, jitter=False, dry=dry)
+        height = quantile_height(weights, ends)
+        return colour, height, self._normals(rays.at(height), height, up)
+
+    def _normals(self, position: Tensor, z: Tensor, up: Tensor) -> Tensor:
+        """Unit normals (N, 3) of the bed, local, at positions (N, 3) [m] on it, z (N,) [m] over the water plane.
+
+        Where the field is a distance, its gradient; else against that of the density. By central differences of half
+        a cell to each side, over which the features are linear.
+        """
+        step = 0.5 * self.slab.cell
+        along_x, along_y = (step * torch.eye(3)[axis] for axis in (0, 1))
+        gradient = (self._above(position, z + step) - self._above(position, z - step))[:, None] * up
+        gradient[:, 0] += self._above(position + along_x, z) - self._above(position - along_x, z)
+        gradient[:, 1] += self._above(position + along_y, z) - self._above(position - along_y, z)
+        return nn.functional.normalize(gradient, dim=1)
+
+    def _above(self, position: Tensor, z: Tensor) -> Tensor:
+        """What rises out of the bed upwards (N,): the signed distance [m], or the raw density with its sign changed."""
+        zeta = z - self.slab.height_at(position[:, :2])
+        raw = self.density(self.factors(self._coordinates(position, z, zeta)))
+        return zeta - self.slab.half * torch.tanh(raw) if self.settings.sheared else -raw
 
 
 def _middles(ends: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""The command line: bathynerf check, process, export, compare.
+"""The command line: bathynerf check, process, export, render, compare.
 
 Exit codes: 0 done, 1 our bug, 2 the input, 3 ran but a quality gate failed; 130 stopped by the user.
 
@@ -150,6 +150,25 @@ def export(
         from survey.export import export as write
 
         for path in write(run, las=las, laz=laz, ply=ply):
+            if verbose >= quiet:
+                typer.echo(path)
+
+
+@app.command()
+def render(
+    run: RunFolder,
+    cameras: Annotated[Path, typer.Option(help="Poses: a table as cameras.csv, or a COLMAP model.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the pictures.")],
+    dry: Annotated[bool, typer.Option("--dry", help="Take the water away.")] = False,
+    device: Annotated[Device, typer.Option(help="Where it runs.")] = Device.auto,
+    verbose: Verbose = 0,
+    quiet: Quiet = 0,
+) -> None:
+    """Render the field of a run as other cameras would see it: colours, heights, distances and normals."""
+    with _errors_as_exit_codes(verbose - quiet, output):
+        from survey.render import render as write
+
+        for path in write(run, cameras, output, dry=dry, device=device.value):
             if verbose >= quiet:
                 typer.echo(path)
 

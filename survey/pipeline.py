@@ -25,7 +25,7 @@ from survey.progress import Progress, current
 from survey.report import ReportFacts, write_report
 from survey.rundir import RunDir, stage_key
 from survey.stored import StoredBed, load_bed, load_depth_maps, save_bed, save_depth_maps
-from survey.stored_field import load_field, save_field
+from survey.stored_field import load_field, save_field, save_place
 
 QUALITY_GATE_FAILED = 3
 
@@ -109,7 +109,7 @@ class _Run:
         sweep_folder = self._stage("sweep", key, self._sweep)
         field_folder = None
         if self.plan.is_on("field"):
-            key = stage_key(key, "field", self.survey.bounds)
+            key = stage_key(key, "field", self.survey.bounds, self.survey.frame)
             field_folder = self._stage("field", key, lambda f: self._field(f, sweep_folder))
         key = stage_key(key, "bed", self.survey.frame)
         bed_folder = self._stage("bed", key, lambda f: self._bed(f, sweep_folder, field_folder))
@@ -150,6 +150,7 @@ class _Run:
             field, figures = stages.train_field(self.survey, self.plan, maps, stage)
         self.progress.note(f"field: {figures['psnr_db']:.1f} dB after {figures['rays']:,} rays")
         save_field(folder, field, figures)
+        save_place(folder, self.survey.frame, self.survey.water)
 
     def _bed(self, folder: Path, sweep_folder: Path, field_folder: Path | None) -> None:
         maps = load_depth_maps(sweep_folder / "maps.npz")

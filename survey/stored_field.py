@@ -10,14 +10,17 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from pyproj import CRS
 
 from fields.device import Device
 from fields.slab import Slab
 from fields.tensor_field import FieldSettings, TensorField
 from geo.files import write_whole
+from geo.frames import LocalFrame
+from refract import FlatWater
 from survey.errors import SurveyError
 
-FIELD_FILE, FIGURES_FILE = "field.pt", "field.json"
+FIELD_FILE, FIGURES_FILE, PLACE_FILE = "field.pt", "field.json", "place.json"
 _DAMAGE = (OSError, RuntimeError, KeyError, TypeError, ValueError, EOFError, pickle.UnpicklingError, zipfile.BadZipFile)
 
 
@@ -61,3 +64,33 @@ def load_field(folder: Path, device: Device) -> TensorField:
         ) from error
     field.density.is_fine = stored["is_fine"]
     return field
+
+
+def save_place(folder: Path, frame: LocalFrame, water: FlatWater | None) -> None:
+    """Write where the local frame of a field lies and what water it saw through."""
+    optics = None
+    if water is not None:
+        names = ("point", "n_water", "slope_x", "slope_y")
+        optics = {name: getattr(water, name) for name in names}
+    place = {"crs": frame.crs.to_wkt(), "origin": frame.origin, "water": optics}
+    with write_whole(folder / PLACE_FILE) as stream:
+        stream.write(json.dumps(place, indent=2).encode())
+
+
+def load_place(folder: Path) -> tuple[LocalFrame, FlatWater | None]:
+    """The frame and the water that `save_place` wrote.
+
+    Raises
+    ------
+    SurveyError
+        If the file is missing or damaged.
+    """
+    path = folder / PLACE_FILE
+    try:
+        place = json.loads(path.read_text(encoding="utf-8"))
+        water = None if place["water"] is None else FlatWater(**place["water"])
+        return LocalFrame(CRS.from_wkt(place["crs"]), tuple(place["origin"])), water
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise SurveyError(
+            f"{path} cannot be read ({error}); delete its folder and give `bathynerf process` again"
+        ) from error

@@ -1,0 +1,106 @@
+"""`bathynerf render`: pictures of a field from poses in a file, and what is said where they cannot be made."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+from plane_field import field_over, level_slab
+from pyproj import CRS
+
+from fields.device import choose_device
+from geo.frames import LocalFrame
+from refract import FlatWater
+from survey.config import CamerasConfig, SurveyConfig, dump_config
+from survey.errors import SurveyError
+from survey.progress import Progress
+from survey.render import render
+from survey.rundir import RunDir
+from survey.stored_field import PLACE_FILE, load_place, save_field, save_place
+
+ORIGIN = (691000.0, 5334000.0, 500.0)
+WATER = FlatWater((1.0, 2.0, 0.5), n_water=1.34, slope_x=0.01, slope_y=-0.004)
+TABLE = "image,easting,northing,height,omega,phi,kappa\n"
+ABOVE = "nadir.jpg,691000,5334000,509,0,0,0\n"
+LENS = CamerasConfig(size_px=(40, 30), focal_px=200.0)
+
+
+@pytest.fixture
+def frame():
+    return LocalFrame(CRS("EPSG:25832+5783"), ORIGIN)
+
+
+@pytest.fixture
+def run(tmp_path, frame):
+    """A run whose field is a level bed 2 m under the water at local z = 0.5."""
+    with RunDir(tmp_path / "run") as folder:
+        folder.write_text(folder.settings_path, dump_config(SurveyConfig(crs="EPSG:25832+5783", cameras=LENS)))
+        stage = folder.open_stage("field")
+        field = field_over(level_slab(-2.0), choose_device("torch"))
+        save_field(stage, field, {"psnr_db": 30.0})
+        save_place(stage, frame, FlatWater((0.0, 0.0, 0.5)))
+        folder.finish_stage("field", "key", stage)
+    return tmp_path / "run"
+
+
+def poses(tmp_path, lines: str):
+    path = tmp_path / "cameras.csv"
+    path.write_text(TABLE + lines, encoding="utf-8")
+    return path
+
+
+def test_a_place_comes_back(tmp_path, frame):
+    save_place(tmp_path, frame, WATER)
+    assert load_place(tmp_path) == (frame, WATER)
+    save_place(tmp_path, frame, None)
+    assert load_place(tmp_path)[1] is None
+    place = json.loads((tmp_path / PLACE_FILE).read_text())
+    (tmp_path / PLACE_FILE).write_text(json.dumps({**place, "origin": None}))
+    with pytest.raises(SurveyError, match=r"place\.json cannot be read .* give `bathynerf process` again"):
+        load_place(tmp_path)
+
+
+def test_a_camera_gets_four_pictures(run, tmp_path):
+    (path,) = render(run, poses(tmp_path, ABOVE), tmp_path / "new" / "views", device="cpu")
+    assert path == tmp_path / "new" / "views" / "nadir.png"
+    assert sorted(p.name for p in path.parent.iterdir()) == [
+        "nadir.png", "nadir_distance.tif", "nadir_height.tif", "nadir_normal.png",
+    ]  # fmt: skip
+    with Image.open(path) as image:
+        assert (image.mode, image.size) == ("RGBA", (40, 30))
+    height = np.asarray(Image.open(path.with_name("nadir_height.tif")))
+    assert height.dtype == np.float32
+    np.testing.assert_allclose(height, -2.0, atol=5e-4)
+    distance = np.asarray(Image.open(path.with_name("nadir_distance.tif")))
+    assert distance.min() == pytest.approx(10.5, abs=2e-3)  # 8.5 m of air, 2 m of water
+    up = np.asarray(Image.open(path.with_name("nadir_normal.png")))
+    np.testing.assert_allclose(up, np.broadcast_to([127.5, 127.5, 255, 255], up.shape), atol=0.5)
+
+
+def test_a_camera_that_looks_elsewhere_is_named(run, tmp_path, capsys):
+    lines = ABOVE + "far.jpg,691500,5334000,509,0,0,0\n"
+    with Progress(verbosity=0):
+        render(run, poses(tmp_path, lines), tmp_path, device="cpu")
+    assert "1 of 2 cameras do not look at the field: far.jpg" in capsys.readouterr().err
+    assert not np.asarray(Image.open(tmp_path / "far.png")).any()
+
+
+def test_a_run_without_a_field_is_told_how_to_get_one(tmp_path):
+    with RunDir(tmp_path / "run"):
+        pass
+    with pytest.raises(SurveyError, match="has no field to render; give `bathynerf process` again with --field on"):
+        render(tmp_path / "run", poses(tmp_path, ABOVE), tmp_path)
+
+
+def test_poses_off_the_map_are_refused(run, tmp_path):
+    with pytest.raises(SurveyError, match=r"of nadir\.jpg in .*cameras\.csv is not on the map"):
+        render(run, poses(tmp_path, ABOVE.replace("691000", "1e30")), tmp_path, device="cpu")
+
+
+def test_a_lens_is_asked_for_where_there_is_none(run, tmp_path):
+    folder = RunDir(run)
+    folder.settings_path.write_text(dump_config(SurveyConfig(crs="EPSG:25832+5783")))
+    with pytest.raises(SurveyError, match=r"carries no lens, and survey\.toml gives no size_px and focal_px"):
+        render(run, poses(tmp_path, ABOVE), tmp_path, device="cpu")

@@ -123,7 +123,7 @@ def points_of(
 
     height = kept(depth_map.height).astype(np.float64)
     xyz = path.at_height(height, water)
-    normal = np.array(water.normal if water else (0.0, 0.0, 1.0))
+    normal = np.array(water.up if water else (0.0, 0.0, 1.0))
     depth = water.height(xyz[:, 0], xyz[:, 1]) - xyz[:, 2] if water else np.full(len(xyz), np.nan)
     agreeing = kept(depth_map.agreeing).astype(np.float32)
     # The spread is a population figure over agreeing + 1 heights; the sample figure does not flatter few views.

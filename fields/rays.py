@@ -79,7 +79,7 @@ def rays_of(
 ) -> Rays:
     """Rays through pixel positions (N, 2) [px], starting at heights (N,) [m], with colours (N, 3) uint8."""
     path = camera.paths(pixels, water)
-    normal = np.array(water.normal if water else (0.0, 0.0, 1.0))
+    normal = np.array(water.up if water else (0.0, 0.0, 1.0))
     plane = np.array(water.point if water else (0.0, 0.0, 0.0))
     fall = path.air_direction @ normal
     foot = camera.centre - path.air_direction * (((camera.centre - plane) @ normal) / fall)[:, None]

@@ -73,4 +73,4 @@ class ViewStack:
         """Point and normal of the water plane, local, and index; local z = 0 and index 1 for a dry survey."""
         if self.water is None:
             return (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0
-        return self.water.point, self.water.normal, self.water.n_water
+        return self.water.point, self.water.up, self.water.n_water

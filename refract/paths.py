@@ -70,7 +70,7 @@ class BentPaths:
         """
         height, _ = common(height=height, rays=self.air_length)
         xp = namespace(self.origin)
-        normal = water.normal if water is not None else (0.0, 0.0, 1.0)
+        normal = water.up if water is not None else (0.0, 0.0, 1.0)
         plane = water.point if water is not None else (0.0, 0.0, 0.0)
         origin = components(self.origin)
         H = kernels.dot(tuple(c - p for c, p in zip(origin, plane, strict=True)), normal) + height * 0.0
@@ -118,7 +118,7 @@ def trace(origin, direction, water: FlatWater | None) -> BentPaths:
     if water is None:
         crossing = stack(nowhere, nowhere, nowhere)
         return BentPaths(stack(*o), stack(*d), crossing, endless, stack(*d), zero > 0.0)
-    normal, plane = water.normal, water.point
+    normal, plane = water.up, water.point
     H = kernels.dot(tuple(c - p for c, p in zip(o, plane, strict=True)), normal)
     falling = -kernels.dot(d, normal)
     below = H <= 0.0

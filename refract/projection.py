@@ -41,5 +41,5 @@ def crossing_point(points, camera, water: FlatWater | None, *, steps: int = EXAC
     point, centre = components(points), components(camera)
     if water is None:
         return stack(*(p + c * 0.0 for p, c in zip(point, centre, strict=True)))
-    crossing, _ = kernels.crossing_of_point(centre, point, water.point, water.normal, water.n_water, steps)
+    crossing, _ = kernels.crossing_of_point(centre, point, water.point, water.up, water.n_water, steps)
     return stack(*crossing)

@@ -1,16 +1,86 @@
-"""Water surfaces. A flat surface is a plane with an index below it; others will share its small interface."""
+"""Water surfaces: the small interface that all of them share, and the plane.
+
+Everything here speaks in triples ``(x, y, z)`` of component arrays of any one library, as `refract.kernels` does;
+`refract.trace` and `refract.project` take and give arrays of vectors.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
+from typing import Any, Protocol, final
 
 import numpy as np
 
+from refract import kernels
+from refract._array import namespace
 
+# A ray that falls less than this per metre runs along the surface: it would meet the water beyond 1e12 H.
+GRAZING = 1e-12
+
+
+class WaterSurface(Protocol):
+    """What `trace` and `project` ask of a water surface, in the local frame [m].
+
+    Component arrays are numpy float64, torch or Dr.Jit; where an answer is the same everywhere it may be a plain
+    number, which broadcasts.
+    """
+
+    n_water: Any
+    """Refractive index of the water relative to the air above it [-]."""
+
+    def height(self, x, y):
+        """Height z of the surface at x, y."""
+
+    def normal(self, x, y) -> tuple[Any, Any, Any]:
+        """Unit normal of the surface at x, y, pointing up into the air."""
+
+    def intersect(self, origin, direction):
+        """Distance along rays (unit directions) to their first meeting with the surface from above.
+
+        Finite and at least zero; NaN where a ray never meets it. Rays that start below are not asked about.
+        """
+
+    def crossing(self, camera, point, steps: int) -> tuple[tuple[Any, Any, Any], Any, Any]:
+        """The way back up: where a camera sees a point through the surface.
+
+        Returns the crossing, the depth of the point below the surface (along the normal of a plane, vertical for
+        a curved surface) and the number of stationary paths, from which the one of least optical length was
+        taken. A point that is not below the surface, and every point for a camera that is not above it, is its own
+        crossing: the ray is straight. `steps` bounds the Newton steps where a surface takes them.
+        """
+
+
+def _number(value):
+    """A plain number as float; a 0-d tensor or a Dr.Jit scalar, which may carry gradients, as it is."""
+    return value if namespace(value).name != "numpy" else float(value)
+
+
+def _plain(value) -> float:
+    """The value of a number of any library, without its gradient."""
+    name = namespace(value).name
+    if name == "numpy":
+        return value
+    if name == "torch":
+        return value.item()
+    import drjit
+
+    return float(np.asarray(drjit.detach(value)).item())
+
+
+def _root(value):
+    """Square root that leaves plain floats plain: a numpy scalar would pull tensors to its own library."""
+    xp = namespace(value)
+    return math.sqrt(value) if xp.name == "numpy" else xp.sqrt(value)
+
+
+@final
 @dataclass(frozen=True)
 class FlatWater:
     """A plane water surface, level or tilted, in a right-handed frame with z up.
+
+    Its numbers may be 0-d tensors or Dr.Jit scalars: gradients then flow to level, tilt and index, and the rays
+    must come from the same library.
 
     Parameters
     ----------
@@ -27,24 +97,32 @@ class FlatWater:
         If the index is outside 1 to 2, or a number is not finite.
     """
 
-    point: tuple[float, float, float]
-    n_water: float = 1.333
-    slope_x: float = 0.0
-    slope_y: float = 0.0
+    point: tuple[Any, Any, Any]
+    _: KW_ONLY
+    n_water: Any = 1.333
+    slope_x: Any = 0.0
+    slope_y: Any = 0.0
 
     def __post_init__(self):
-        object.__setattr__(self, "point", tuple(float(v) for v in self.point))
-        numbers = (*self.point, self.n_water, self.slope_x, self.slope_y)
+        object.__setattr__(self, "point", tuple(_number(v) for v in self.point))
+        for name in ("n_water", "slope_x", "slope_y"):
+            object.__setattr__(self, name, _number(getattr(self, name)))
+        numbers = tuple(_plain(v) for v in (*self.point, self.n_water, self.slope_x, self.slope_y))
         if len(self.point) != 3 or not all(math.isfinite(v) for v in numbers):
             raise ValueError(f"expected three finite coordinates, a finite index and two finite slopes, got {numbers}")
-        if not 1.0 <= self.n_water <= 2.0:
-            raise ValueError(f"expected an index of water relative to air of 1 to 2 (fresh: 1.333), got {self.n_water}")
+        index = _plain(self.n_water)
+        if not 1.0 <= index <= 2.0:
+            raise ValueError(f"expected an index of water relative to air of 1 to 2 (fresh: 1.333), got {index}")
 
     @property
-    def normal(self) -> tuple[float, float, float]:
-        """Unit normal of the surface, pointing up into the air, local."""
-        length = math.sqrt(1.0 + self.slope_x**2 + self.slope_y**2)
+    def up(self) -> tuple[Any, Any, Any]:
+        """Unit normal of the plane, pointing up into the air, local."""
+        length = _root(1.0 + self.slope_x * self.slope_x + self.slope_y * self.slope_y)
         return (-self.slope_x / length, -self.slope_y / length, 1.0 / length)
+
+    def normal(self, x, y) -> tuple[Any, Any, Any]:
+        """`up`, whatever x and y."""
+        return self.up
 
     def height(self, x, y):
         """Height z of the surface [m] at local x, y [m]."""
@@ -52,10 +130,24 @@ class FlatWater:
 
     def depth(self, points):
         """Depth below the surface [m] along its normal, positive in water, of points (..., 3) [m], local."""
-        nx, ny, nz = self.normal
+        nx, ny, nz = self.up
         px, py, pz = self.point
         return -((points[..., 0] - px) * nx + (points[..., 1] - py) * ny + (points[..., 2] - pz) * nz)
 
+    def intersect(self, origin, direction):
+        """Distance [m] to the plane along rays that fall toward it from above; NaN for the others."""
+        xp = namespace(*origin, *direction)
+        H = kernels.dot(tuple(c - p for c, p in zip(origin, self.point, strict=True)), self.up)
+        falling = -kernels.dot(direction, self.up)
+        meets = (falling > GRAZING) & (H >= 0.0)
+        t = H / xp.where(meets, falling, falling * 0.0 + 1.0)
+        return xp.where(meets, t, t * 0.0 + float("nan"))
+
+    def crossing(self, camera, point, steps: int):
+        """See `WaterSurface.crossing`; a plane has one stationary path."""
+        crossing, depth = kernels.crossing_of_point(camera, point, self.point, self.up, self.n_water, steps)
+        return crossing, depth, 1
+
     def as_array(self) -> np.ndarray:
         """Point, normal and index as (7,) float64, the form that compiled kernels take."""
-        return np.array([*self.point, *self.normal, self.n_water], dtype=np.float64)
+        return np.array([_plain(v) for v in (*self.point, *self.up, self.n_water)], dtype=np.float64)

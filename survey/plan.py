@@ -187,7 +187,7 @@ def _water_decisions(survey: Survey) -> tuple[Decision, ...]:
 def _sees_beside_water(camera: PinholeCamera, survey: Survey) -> bool:
     w, h = camera.width, camera.height
     corners = camera.directions(np.array([[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]]))
-    return bool((corners @ np.array(survey.water.normal) >= 0.0).any())
+    return bool((corners @ np.array(survey.water.up) >= 0.0).any())
 
 
 def _image_decision(camera: PinholeCamera, scale: float, quality: str) -> Decision:

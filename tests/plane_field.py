@@ -30,7 +30,7 @@ def plane_sources(
         paint = np.stack([texture(points[..., 0], points[..., 1], seed=s) for s in (3, 4, 5)], axis=-1)
         light = np.clip(0.35 + 0.25 * paint / 128.0, 0.02, 1.0)
         if bed.water is not None:
-            falls = -(path.water_direction @ np.array(bed.water.normal))
+            falls = -(path.water_direction @ np.array(bed.water.up))
             light = light * np.exp(-(np.clip(-height, 0.0, None) / falls)[..., None] * ABSORPTION)
         images.append(np.clip(np.round(255.0 * light ** (1.0 / GAMMA)), 0, 255).astype(np.uint8))
         ones = np.ones(height.shape, dtype=np.float32)

@@ -15,7 +15,7 @@ from fields.stack import ViewStack
 from refract import FlatWater, PinholeCamera
 
 FOCAL, SIZE = 800.0, (96, 72)
-TILTED = FlatWater((0.3, -0.2, 0.1), 1.34, 0.03, -0.05)
+TILTED = FlatWater((0.3, -0.2, 0.1), n_water=1.34, slope_x=0.03, slope_y=-0.05)
 WAVES = 24
 SHORTEST, LONGEST = 0.12, 0.5  # m; a pixel is 1.5 cm
 

@@ -127,7 +127,7 @@ def test_index_one_gives_the_heights_of_the_dry_code(dry):
     plan = make_plan(survey)
     block = stages.load_block(survey, plan, lambda share: None)
     heights = []
-    for water in (None, FlatWater((0.0, 0.0, -4.0), 1.0)):
+    for water in (None, FlatWater((0.0, 0.0, -4.0), n_water=1.0)):
         block.water = water
         plane = 0.0 if water is None else water.point[2]
         block.look_at(-8.2 - plane)

@@ -124,7 +124,7 @@ def test_points_appear_at_the_pixels_they_were_taken_from(half_kept):
     surface = TILTED.height(points.xyz[:, 0], points.xyz[:, 1])
     np.testing.assert_allclose(points.depth, surface - points.xyz[:, 2], atol=1e-6)
     rays = camera.directions(camera.pixel_centres()[keep])
-    np.testing.assert_allclose(np.cos(points.incidence), -(rays @ TILTED.normal), atol=1e-6)
+    np.testing.assert_allclose(np.cos(points.incidence), -(rays @ TILTED.up), atol=1e-6)
 
 
 def test_the_standard_deviation_is_that_of_a_sample(half_kept):
@@ -155,7 +155,7 @@ def test_a_padded_map_gives_the_points_of_the_image_in_it(half_kept):
 
 def test_points_of_several_views_join_and_can_be_chosen_from(half_kept):
     camera, m, keep, rgb = half_kept
-    one = points_of(camera, FlatWater((0.0, 0.0, 0.0), 1.0), m, keep, rgb)
+    one = points_of(camera, FlatWater((0.0, 0.0, 0.0), n_water=1.0), m, keep, rgb)
     both = BedPoints.concatenate([one, one[one.wet]])
     assert len(both) == len(one) + one.wet.sum()
     np.testing.assert_array_equal(both[len(one) :].xyz, one.xyz[one.wet])

@@ -13,8 +13,8 @@ STEP, RUNGS, RADIUS = 0.04, 9, 2
 BEDS = {
     "wet": PlaneBed(TILTED, -2.0),
     "dry": PlaneBed(None, -2.0),
-    "shore": PlaneBed(FlatWater((0.0, 0.0, -2.0), 1.34, 0.01, 0.02), -2.0, slope=0.3),
-    "index one": PlaneBed(FlatWater((0.0, 0.0, 0.0), 1.0), -2.0),
+    "shore": PlaneBed(FlatWater((0.0, 0.0, -2.0), n_water=1.34, slope_x=0.01, slope_y=0.02), -2.0, slope=0.3),
+    "index one": PlaneBed(FlatWater((0.0, 0.0, 0.0), n_water=1.0), -2.0),
 }
 # Errors of a noise-free plane, in rungs of 0.04 m (0.6 px of parallax): half of the pixels, and 90 % of them; what is
 # left is bilinear interpolation, most where few neighbours see the bed. Measured at worst 0.025 and 0.127.

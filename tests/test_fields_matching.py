@@ -20,7 +20,7 @@ POINT_M = 5e-6
 PIXEL_PX = 2e-4
 # Sums of up to 49 products of grey levels in float32, less the product of their means; measured 2.5e-7.
 SCORE = 1e-6
-WATERS = {"wet": TILTED, "dry": None, "index one": FlatWater((0.0, 0.0, 0.0), 1.0)}
+WATERS = {"wet": TILTED, "dry": None, "index one": FlatWater((0.0, 0.0, 0.0), n_water=1.0)}
 NOWHERE = -1.0
 
 

@@ -17,7 +17,7 @@ WIDE = {"focal": 400.0, "size": (96, 72)}
 
 @pytest.mark.parametrize(
     "bed",
-    [PlaneBed(TILTED, -2.0, slope=0.2), PlaneBed(FlatWater((0.0, 0.0, -1.8), 1.34), -2.0, 0.6)],
+    [PlaneBed(TILTED, -2.0, slope=0.2), PlaneBed(FlatWater((0.0, 0.0, -1.8), n_water=1.34), -2.0, 0.6)],
     ids=["wet", "shore"],
 )
 def test_the_range_contains_the_bed_and_not_much_more(device, bed):

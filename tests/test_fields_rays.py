@@ -16,7 +16,12 @@ from refract import FlatWater
 N = 1.333
 # Local coordinates of 10 m, a foot and a slope in float32; measured 1.2e-6 m.
 POINT_M = 3e-6
-WATERS = {"tilted": TILTED, "level": FlatWater((0.0, 0.0, 0.4), N), "dry": None, "index one": FlatWater((0, 0, 0), 1.0)}
+WATERS = {
+    "tilted": TILTED,
+    "level": FlatWater((0.0, 0.0, 0.4), n_water=N),
+    "dry": None,
+    "index one": FlatWater((0, 0, 0), n_water=1.0),
+}
 
 
 def pixels_of(camera) -> np.ndarray:
@@ -39,7 +44,7 @@ def test_slopes_measure_the_path_per_metre_of_height(water):
     camera = ring(2)[1]
     rays = rays_at(PlaneBed(water, -2.0), camera, 0.0, step=9)
     path = camera.paths(pixels_of(camera), water)
-    normal = np.array((0.0, 0.0, 1.0) if water is None else water.normal)
+    normal = np.array((0.0, 0.0, 1.0) if water is None else water.up)
     above = rays.slope(torch.full((len(rays),), 0.5)).norm(dim=-1)
     below = rays.slope(torch.full((len(rays),), -0.5)).norm(dim=-1)
     np.testing.assert_allclose(above, -1.0 / (path.air_direction @ normal), rtol=1e-6)
@@ -86,7 +91,7 @@ def test_colours_and_reflectance_come_with_the_rays():
     assert (wet.height == -1.25).all()
     assert not dry.reflectance.any()
     path = camera.paths(pixels, TILTED)
-    normal = np.array(TILTED.normal)
+    normal = np.array(TILTED.up)
     for found, air in zip(wet.reflectance.numpy(), -(path.air_direction @ normal), strict=True):
         assert found == pytest.approx(reflectance_in_angles(math.acos(air), TILTED.n_water), rel=1e-5)
 

@@ -25,7 +25,7 @@ SMALL = (
 BEDS = {
     "wet": PlaneBed(TILTED, -2.0, slope=0.1),
     "dry": PlaneBed(None, -2.0, slope=0.1),
-    "shore": PlaneBed(FlatWater((0.0, 0.0, -2.0), 1.34, 0.01, 0.02), -2.0, slope=0.3),
+    "shore": PlaneBed(FlatWater((0.0, 0.0, -2.0), n_water=1.34, slope_x=0.01, slope_y=0.02), -2.0, slope=0.3),
 }
 # Errors of the trusted heights of one view [m]; a pixel is 1.5 cm. Measured at worst: half of them 0.66 mm, 90 %
 # 4.0 mm, median 0.06 mm, mean 0.24 mm.
@@ -79,7 +79,7 @@ def test_the_spread_says_how_far_heights_err(wet):
 
 
 def test_straight_rays_in_water_put_the_bed_too_high(device):
-    bed = PlaneBed(FlatWater((0.0, 0.0, 0.0), 1.34), -2.0)
+    bed = PlaneBed(FlatWater((0.0, 0.0, 0.0), n_water=1.34), -2.0)
     images = [bed.photograph(camera) for camera in ring(6)]
     dry = Block(device, ring(6), images, None, -1.5)
     maps = sweep(dry, list(range(7)), (-2.3, -1.0), ignore, SMALL)

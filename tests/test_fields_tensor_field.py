@@ -16,7 +16,7 @@ from fields.tensor_field import MIN_COLOUR_WEIGHT, FieldSettings, TensorField
 from refract import FlatWater
 
 TORCH = choose_device("torch")
-LEVEL = FlatWater((0.0, 0.0, 0.0), 1.333)
+LEVEL = FlatWater((0.0, 0.0, 0.0), n_water=1.333)
 # Heights of 2 m over coordinates of 10 m in float32, through eight cumulative sums; measured 2e-6 m.
 HEIGHT_M = 5e-6
 # A bed this sharp, on an end of two intervals, leaves no sample a weight that is too small to be painted.

@@ -11,7 +11,7 @@ from fields.block import AGREEMENT_PX, Block
 from fields.device import choose_device
 from refract import FlatWater
 
-WATER = FlatWater((0.0, 0.0, 0.0), 1.34)
+WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.34)
 
 
 def flight(num: int = 6, *, spacing: float = 0.8, height: float = 10.0):

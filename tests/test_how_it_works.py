@@ -47,7 +47,7 @@ def camera(frame) -> PinholeCamera:
 
 @pytest.fixture(scope="module")
 def water(frame) -> FlatWater:
-    return FlatWater(tuple(frame.local_from_crs((*SCENE.origin, SCENE.level_m))), SCENE.n_water)
+    return FlatWater(tuple(frame.local_from_crs((*SCENE.origin, SCENE.level_m))), n_water=SCENE.n_water)
 
 
 def test_the_camera_stands_where_the_page_says(frame, camera):
@@ -63,7 +63,7 @@ def test_the_path_bends_as_the_page_says(camera, water):
     np.testing.assert_allclose(path.water_direction, told("the ray goes on along"), atol=1e-6)
     assert f"After {path.air_length:.5f} m it meets" in TEXT
     for direction in (path.air_direction, path.water_direction):
-        angle = math.degrees(math.acos(-direction @ np.array(water.normal)))
+        angle = math.degrees(math.acos(-direction @ np.array(water.up)))
         assert f"{angle:.4f}° off the normal" in TEXT
     air, wet = (np.hypot(*d[:2]) / -d[2] for d in (path.air_direction, path.water_direction))
     assert f"{-HEIGHT * (air - wet):.2f} m to the side" in TEXT

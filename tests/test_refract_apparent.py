@@ -21,7 +21,7 @@ from refract import (
 
 CLOSED = 1e-12  # relative: coordinates of some 10 m, depths of 3 m, a few dozen roundings
 N, H, DEPTH = 1.333, 12.0, 3.0
-WATER = FlatWater((0.0, 0.0, 0.0), N)
+WATER = FlatWater((0.0, 0.0, 0.0), n_water=N)
 ANGLES_DEG = [5.0, 10.0, 20.0, 30.0, 40.0, 45.0, 60.0, 75.0]
 
 

@@ -45,7 +45,11 @@ def test_the_principal_point_looks_along_the_axis_and_axes_point_as_agreed():
 
 @pytest.mark.parametrize(
     "water",
-    [None, FlatWater((0.0, 0.0, 1.0), 1.0), FlatWater((5.0, 1.0, 1.0), 1.34, 0.004, -0.03)],
+    [
+        None,
+        FlatWater((0.0, 0.0, 1.0), n_water=1.0),
+        FlatWater((5.0, 1.0, 1.0), n_water=1.34, slope_x=0.004, slope_y=-0.03),
+    ],
     ids=["dry", "index one", "tilted"],
 )
 @pytest.mark.parametrize("tilt_deg", [0.0, 25.0, 50.0])
@@ -61,14 +65,14 @@ def test_a_pixel_comes_back_from_every_height_of_its_path(water, tilt_deg):
 def test_index_one_projects_like_no_water_at_all(rng):
     camera = oblique_camera(20.0, 100.0)
     points = np.concatenate([rng.uniform(-9, 9, (200, 2)), rng.uniform(-5, 0, (200, 1))], axis=-1)
-    wet = camera.project(points, FlatWater((0.0, 0.0, 0.5), 1.0))
+    wet = camera.project(points, FlatWater((0.0, 0.0, 0.5), n_water=1.0))
     np.testing.assert_allclose(wet, camera.project(points, None), atol=1e-11)  # 1000 px of 2e-16 each, times 50
 
 
 def test_water_pulls_the_image_of_the_bed_away_from_the_nadir():
     camera = nadir_camera()
     bed = np.array([13.0, -2.0, -3.0])
-    seen = camera.project(bed, FlatWater((0.0, 0.0, 0.0), 1.333))
+    seen = camera.project(bed, FlatWater((0.0, 0.0, 0.0), n_water=1.333))
     dry = camera.project(bed, None)
     assert seen[0] > dry[0] + 1.0
     assert seen[1] == pytest.approx(dry[1], abs=PIXEL)
@@ -88,7 +92,7 @@ def test_pixels_outside_the_image_are_returned_as_they_are():
 
 @pytest.mark.parametrize("factor", [0.5, 0.25, 2.0, 0.3])
 def test_a_scaled_camera_sees_the_same_things_at_scaled_pixels(rng, factor):
-    camera, water = oblique_camera(15.0, 200.0), FlatWater((0.0, 0.0, 1.0), 1.333)
+    camera, water = oblique_camera(15.0, 200.0), FlatWater((0.0, 0.0, 1.0), n_water=1.333)
     small = camera.scaled(factor)
     assert (small.width, small.height) == (int(512 * factor), int(384 * factor))
     points = rng.uniform([-9, -9, -4], [9, 9, 3], (300, 3))

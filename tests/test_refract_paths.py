@@ -12,8 +12,8 @@ from refract import BentPaths, FlatWater, trace
 
 EPS = np.finfo(np.float64).eps
 LENGTH_M = 1e-12  # coordinates of up to 100 m: 70 units in the last place
-LEVEL = FlatWater((0.0, 0.0, 2.0), 1.333)
-TILTED = FlatWater((10.0, -4.0, 2.0), 1.34, 0.05, -0.12)
+LEVEL = FlatWater((0.0, 0.0, 2.0), n_water=1.333)
+TILTED = FlatWater((10.0, -4.0, 2.0), n_water=1.34, slope_x=0.05, slope_y=-0.12)
 CENTRE = np.array([1.0, 2.0, 37.0])
 
 
@@ -89,7 +89,7 @@ def test_path_length_runs_through_both_legs(rng):
 
 def test_wet_legs_obey_snell_at_a_tilted_plane(rng):
     path = trace(CENTRE, falling_rays(rng, steepest=60.0), TILTED)
-    normal = np.array(TILTED.normal)
+    normal = np.array(TILTED.up)
     in_air = np.linalg.norm(np.cross(path.air_direction, normal), axis=-1)
     in_water = np.linalg.norm(np.cross(path.water_direction, normal), axis=-1)
     np.testing.assert_allclose(in_air, 1.34 * in_water, atol=8 * EPS)
@@ -97,7 +97,7 @@ def test_wet_legs_obey_snell_at_a_tilted_plane(rng):
 
 def test_index_one_is_the_dry_path_to_the_last_bit(rng):
     rays = falling_rays(rng)
-    wet, dry = trace(CENTRE, rays, FlatWater((0.0, 0.0, 2.0), 1.0)), trace(CENTRE, rays, None)
+    wet, dry = trace(CENTRE, rays, FlatWater((0.0, 0.0, 2.0), n_water=1.0)), trace(CENTRE, rays, None)
     np.testing.assert_array_equal(wet.water_direction, dry.water_direction)
     t = rng.uniform(0.0, 90.0, 500)
     # Two legs add up in two roundings of coordinates of 100 m.
@@ -106,7 +106,7 @@ def test_index_one_is_the_dry_path_to_the_last_bit(rng):
 
 @pytest.mark.parametrize("ray", [[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [1.0, 0.0, 0.0], [1.0, 0.0, -1e-14]])
 def test_rays_that_never_meet_the_water_stay_straight_and_dry(ray):
-    path = trace(CENTRE, np.array(ray), FlatWater((0.0, 0.0, 2.0), 1.333))
+    path = trace(CENTRE, np.array(ray), FlatWater((0.0, 0.0, 2.0), n_water=1.333))
     assert not path.wet
     assert path.air_length == np.inf
     assert np.isnan(path.crossing).all()
@@ -219,11 +219,11 @@ def test_impossible_water_is_refused_with_what_was_expected(arguments, words):
 
 
 def test_slopes_are_the_rise_per_metre_along_each_axis():
-    water = FlatWater((10.0, 20.0, 3.0), 1.333, 0.5, -0.25)
+    water = FlatWater((10.0, 20.0, 3.0), n_water=1.333, slope_x=0.5, slope_y=-0.25)
     assert water.height(12.0, 24.0) == 3.0 + 1.0 - 1.0
-    np.testing.assert_allclose(np.linalg.norm(water.normal), 1.0, atol=2 * EPS)
+    np.testing.assert_allclose(np.linalg.norm(water.up), 1.0, atol=2 * EPS)
     on_plane = np.array([14.0, 20.0, 5.0])
     assert water.depth(on_plane) == pytest.approx(0.0, abs=8 * EPS)
     # One metre straight down is less than a metre along the normal.
     assert water.depth(on_plane - [0.0, 0.0, 1.0]) == pytest.approx(1.0 / math.sqrt(1.3125), abs=16 * EPS)
-    np.testing.assert_array_equal(water.as_array(), [10.0, 20.0, 3.0, *water.normal, 1.333])
+    np.testing.assert_array_equal(water.as_array(), [10.0, 20.0, 3.0, *water.up, 1.333])

@@ -43,7 +43,7 @@ def test_crossing_minimises_the_optical_path_over_the_extremes(rng):
     n = rng.uniform(1.0, 1.6, count)
     for i in range(count):
         found = crossing_point(
-            np.array([D[i], 0.0, -h[i]]), np.array([0.0, 0.0, H[i]]), FlatWater((0.0, 0.0, 0.0), n[i])
+            np.array([D[i], 0.0, -h[i]]), np.array([0.0, 0.0, H[i]]), FlatWater((0.0, 0.0, 0.0), n_water=n[i])
         )
         assert abs(found[0] - least_path_crossing(D[i], H[i], h[i], n[i])) < CROSSING_M
         assert abs(found[1]) < CROSSING_M
@@ -61,7 +61,7 @@ def test_project_returns_the_traced_ray_over_the_extremes(rng):
         incidence[1::2] = math.pi / 2 - np.radians(10.0 ** rng.uniform(-1, 1, count // 2))
         incidence[:4] = 0.0
         ray = fan(incidence, rng.uniform(0.0, 2.0 * math.pi, count))
-        centre, water = np.array([0.0, 0.0, H]), FlatWater((0.0, 0.0, 0.0), n)
+        centre, water = np.array([0.0, 0.0, H]), FlatWater((0.0, 0.0, 0.0), n_water=n)
         bed = trace(centre, ray, water).at_height(-h, water)
         seen = crossing_point(bed, centre, water) - centre
         assert angle_between(seen, ray).max() < RAY_RAD
@@ -74,7 +74,7 @@ def test_twice_the_steps_change_nothing_at_the_hardest_corner():
     critical = 1.0 / math.sqrt(n * n - 1.0)
     D = h * critical * (1.0 + np.concatenate([-np.geomspace(1e-8, 0.5, 100), np.geomspace(1e-8, 0.5, 100)]))
     points = np.stack([D, np.zeros_like(D), np.broadcast_to(-h, D.shape)], axis=-1)
-    centre, water = np.array([0.0, 0.0, H]), FlatWater((0.0, 0.0, 0.0), n)
+    centre, water = np.array([0.0, 0.0, H]), FlatWater((0.0, 0.0, 0.0), n_water=n)
     once = crossing_point(points, centre, water)
     twice = crossing_point(points, centre, water, steps=2 * EXACT_STEPS)
     assert angle_between(once - centre, twice - centre).max() < RAY_RAD
@@ -91,7 +91,7 @@ def test_crossings_of_another_package_are_met(data_dir):
         def xyz(*names, row=row):
             return half_turn @ np.array([row[name] for name in names])
 
-        water = FlatWater((0.0, 0.0, -row["water_z"]), row["n_water"])
+        water = FlatWater((0.0, 0.0, -row["water_z"]), n_water=row["n_water"])
         rotation = Rotation.from_rotvec([row["rvx"], row["rvy"], row["rvz"]]).as_matrix() @ half_turn
         camera = PinholeCamera(
             xyz("Cx", "Cy", "Cz"), rotation, ORACLE_FOCAL_PX, ORACLE_FOCAL_PX, 960.0, 540.0, 1920, 1080
@@ -107,9 +107,9 @@ def test_crossings_of_another_package_are_met(data_dir):
 @pytest.mark.parametrize(("slope_x", "slope_y"), [(0.004, 0.0), (-0.05, 0.12), (1.0, -2.0)])
 def test_a_tilted_plane_is_a_level_one_turned(rng, slope_x, slope_y):
     origin = np.array([3.0, -7.0, 41.5])
-    tilted = FlatWater(tuple(origin), 1.34, slope_x, slope_y)
-    level = FlatWater((0.0, 0.0, 0.0), 1.34)
-    turn = rotation_to(tilted.normal)
+    tilted = FlatWater(tuple(origin), n_water=1.34, slope_x=slope_x, slope_y=slope_y)
+    level = FlatWater((0.0, 0.0, 0.0), n_water=1.34)
+    turn = rotation_to(tilted.up)
     centre = np.array([2.0, -1.0, 30.0])
     points = np.concatenate([rng.uniform(-40, 40, (500, 2)), rng.uniform(-12, 0, (500, 1))], axis=-1)
     expected = crossing_point(points, centre, level) @ turn.T + origin
@@ -119,7 +119,7 @@ def test_a_tilted_plane_is_a_level_one_turned(rng, slope_x, slope_y):
 
 
 def test_index_one_puts_the_crossing_on_the_straight_line(rng):
-    water, centre = FlatWater((0.0, 0.0, 2.0), 1.0, 0.01, -0.02), np.array([1.0, 2.0, 35.0])
+    water, centre = FlatWater((0.0, 0.0, 2.0), n_water=1.0, slope_x=0.01, slope_y=-0.02), np.array([1.0, 2.0, 35.0])
     points = np.concatenate([rng.uniform(-30, 30, (1000, 2)), rng.uniform(-9, 0, (1000, 1))], axis=-1)
     crossing = crossing_point(points, centre, water)
     # Straight down to a few units in the last place of the direction.
@@ -127,20 +127,20 @@ def test_index_one_puts_the_crossing_on_the_straight_line(rng):
 
 
 def test_a_point_straight_below_is_seen_straight_below():
-    water = FlatWater((0.0, 0.0, 1.0), 1.333)
+    water = FlatWater((0.0, 0.0, 1.0), n_water=1.333)
     found = crossing_point(np.array([4.0, 5.0, -3.0]), np.array([4.0, 5.0, 30.0]), water)
     np.testing.assert_array_equal(found, [4.0, 5.0, 1.0])
 
 
 def test_points_above_the_water_are_their_own_crossing(rng):
-    water = FlatWater((0.0, 0.0, 0.0), 1.333)
+    water = FlatWater((0.0, 0.0, 0.0), n_water=1.333)
     dry = np.concatenate([rng.uniform(-30, 30, (100, 2)), rng.uniform(0, 9, (100, 1))], axis=-1)
     dry[0, 2] = 0.0
     np.testing.assert_array_equal(crossing_point(dry, np.array([1.0, 2.0, 35.0]), water), dry)
 
 
 def test_crossing_and_point_meet_as_the_depth_goes_to_zero():
-    water, centre = FlatWater((0.0, 0.0, 0.0), 1.333), np.array([0.0, 0.0, 30.0])
+    water, centre = FlatWater((0.0, 0.0, 0.0), n_water=1.333), np.array([0.0, 0.0, 30.0])
     depth = np.array([0.0, 1e-300, 1e-15, 1e-9, 1e-6, 1e-3])
     points = np.stack([np.full(6, 20.0), np.zeros(6), -depth], axis=-1)
     shift = 20.0 - crossing_point(points, centre, water)[:, 0]
@@ -150,7 +150,7 @@ def test_crossing_and_point_meet_as_the_depth_goes_to_zero():
 
 
 def test_a_camera_on_or_under_the_surface_looks_straight(rng):
-    water = FlatWater((0.0, 0.0, 0.0), 1.333)
+    water = FlatWater((0.0, 0.0, 0.0), n_water=1.333)
     points = rng.uniform([-5, -5, -9], [5, 5, 3], (100, 3))
     for z in (0.0, -0.5, -20.0):
         np.testing.assert_array_equal(crossing_point(points, np.array([1.0, 2.0, z]), water), points)
@@ -163,12 +163,12 @@ def test_without_water_the_point_itself_is_seen(rng):
 
 def test_nan_points_stay_nan_and_alone():
     points = np.array([[1.0, 2.0, -3.0], [np.nan, 2.0, -3.0], [1.0, 2.0, np.nan]])
-    found = crossing_point(points, np.array([0.0, 0.0, 30.0]), FlatWater((0.0, 0.0, 0.0), 1.333))
+    found = crossing_point(points, np.array([0.0, 0.0, 30.0]), FlatWater((0.0, 0.0, 0.0), n_water=1.333))
     np.testing.assert_array_equal(np.isnan(found).any(axis=-1), [False, True, True])
 
 
 def test_wrong_shapes_are_named():
-    water = FlatWater((0.0, 0.0, 0.0), 1.333)
+    water = FlatWater((0.0, 0.0, 0.0), n_water=1.333)
     with pytest.raises(ValueError, match=r"\(5, 2\)"):
         crossing_point(np.zeros((5, 2)), np.zeros(3), water)
     with pytest.raises(ValueError, match=r"points \(5, 3\), camera \(4, 3\)"):

@@ -48,17 +48,6 @@ def as_numpy(triple):
     return tuple(np.asarray(c, dtype=np.float64) for c in triple)
 
 
-@pytest.fixture(scope="module")
-def Float():
-    """Dr.Jit floats on LLVM, differentiable."""
-    drjit = pytest.importorskip("drjit", reason="Dr.Jit is not installed")
-    if not drjit.has_backend(drjit.JitBackend.LLVM):
-        pytest.skip("Dr.Jit finds no LLVM; install libllvm19 or set DRJIT_LIBLLVM_PATH")
-    from drjit.llvm.ad import Float as LLVMFloat
-
-    return LLVMFloat
-
-
 @pytest.mark.parametrize("steps", BY_STEPS)
 def test_torch_float32_crossings_agree_with_float64_numpy(rng, steps):
     camera, point = drone_geometry(rng)
@@ -83,12 +72,12 @@ def test_drjit_takes_water_as_opaque_numbers(rng, Float):
     import drjit
 
     camera, point = drone_geometry(rng, 1000)
-    water = FlatWater((0.5, -0.25, 0.125), 1.34, 0.02, -0.01)
+    water = FlatWater((0.5, -0.25, 0.125), n_water=1.34, slope_x=0.02, slope_y=-0.01)
     numbers = [drjit.opaque(Float, float(v)) for v in water.as_array()]
     found, _ = kernels.crossing_of_point(
         tuple(map(Float, camera)), tuple(map(Float, point)), numbers[:3], numbers[3:6], numbers[6], 4
     )
-    exact, _ = kernels.crossing_of_point(camera, point, water.point, water.normal, water.n_water, 16)
+    exact, _ = kernels.crossing_of_point(camera, point, water.point, water.up, water.n_water, 16)
     # The normal in float32 turns the plane by up to EPS32: twice the tolerance of a level one.
     assert view_error(as_numpy(found), exact, camera).max() < 2 * BY_STEPS[4]
 
@@ -161,7 +150,7 @@ def test_crossing_has_the_right_gradient_also_straight_below(offset, depth):
 
 def test_straight_below_the_crossing_follows_the_point_by_its_share_in_air():
     point = torch.tensor([0.0, 0.0, -3.0], dtype=torch.float64, requires_grad=True)
-    x = crossing_point(point, torch.tensor([0.0, 0.0, 30.0], dtype=torch.float64), FlatWater((0, 0, 0), 1.333))
+    x = crossing_point(point, torch.tensor([0.0, 0.0, 30.0], dtype=torch.float64), FlatWater((0, 0, 0), n_water=1.333))
     (gradient,) = torch.autograd.grad(x[0], point)
     np.testing.assert_allclose(gradient, [30.0 / (30.0 + 3.0 / 1.333), 0.0, 0.0], rtol=1e-14)
 
@@ -170,7 +159,7 @@ def test_straight_below_the_crossing_follows_the_point_by_its_share_in_air():
 def test_gradients_at_and_above_the_shoreline_are_those_of_a_straight_ray(z):
     points = torch.tensor([[0.0, 0.0, z], [5.0, 1.0, z]], dtype=torch.float64, requires_grad=True)
     camera = torch.tensor([0.0, 0.0, 30.0], dtype=torch.float64, requires_grad=True)
-    crossing_point(points, camera, FlatWater((0.0, 0.0, 0.0), 1.333)).sum().backward()
+    crossing_point(points, camera, FlatWater((0.0, 0.0, 0.0), n_water=1.333)).sum().backward()
     np.testing.assert_array_equal(points.grad, np.ones((2, 3)))
     np.testing.assert_array_equal(camera.grad, np.zeros(3))
 
@@ -179,7 +168,7 @@ def test_gradients_at_and_above_the_shoreline_are_those_of_a_straight_ray(z):
 def test_gradients_with_a_camera_in_the_water_are_finite(camera_z):
     points = torch.tensor([[0.0, 0.0, -2.0], [5.0, 1.0, -2.0]], dtype=torch.float64, requires_grad=True)
     camera = torch.tensor([0.0, 0.0, camera_z], dtype=torch.float64, requires_grad=True)
-    crossing_point(points, camera, FlatWater((0.0, 0.0, 0.0), 1.333)).sum().backward()
+    crossing_point(points, camera, FlatWater((0.0, 0.0, 0.0), n_water=1.333)).sum().backward()
     assert torch.isfinite(points.grad).all()
     assert torch.isfinite(camera.grad).all()
 
@@ -206,7 +195,7 @@ def test_torch_paths_agree_with_numpy(rng):
     camera, point = drone_geometry(rng, 200)
     ray = np.stack(point, -1) - np.stack(camera, -1)
     ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
-    water, centre = FlatWater((0.0, 0.0, 0.5), 1.34, 0.01, 0.02), np.stack(camera, -1)
+    water, centre = FlatWater((0.0, 0.0, 0.5), n_water=1.34, slope_x=0.01, slope_y=0.02), np.stack(camera, -1)
     there = trace(centre, ray, water)
     twin = trace(torch.tensor(centre), torch.tensor(ray), water)
     for height in (1.0, 0.0, -4.0):
@@ -216,7 +205,7 @@ def test_torch_paths_agree_with_numpy(rng):
 
 def test_numpy_cameras_mix_with_torch_points():
     points = torch.tensor([[1.0, 2.0, -3.0]], dtype=torch.float32)
-    found = crossing_point(points, np.array([0.0, 0.0, 30.0]), FlatWater((0.0, 0.0, 0.0), 1.333))
+    found = crossing_point(points, np.array([0.0, 0.0, 30.0]), FlatWater((0.0, 0.0, 0.0), n_water=1.333))
     assert torch.is_tensor(found)
     assert found.dtype == torch.float32
     assert found.shape == (1, 3)

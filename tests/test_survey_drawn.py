@@ -60,7 +60,7 @@ def stands_before(drawing, start, end, steps=1000):
 
 def crossing_by_snell(camera, points, water):
     """Where rays cross a level or tilted plane through the origin, by bisection on Snell's law: a slow twin."""
-    normal = np.array(water.normal)
+    normal = np.array(water.up)
     H, depth = camera.centre @ normal, -(points @ normal)
     foot_c, foot_p = camera.centre - H * normal, points + depth[:, None] * normal
     way = foot_c - foot_p
@@ -93,7 +93,7 @@ def test_wet_and_dry_pixels_both_occur_at_a_shore(drawing, rng):
 
 
 def test_paths_obey_snells_law_at_the_water_surface(drawing, rng):
-    normal = np.array(drawing.water.normal)
+    normal = np.array(drawing.water.up)
     for camera, pixels, hits in hits_of_all(drawing, rng):
         wet = hits.in_water > 0.0
         ray, points = camera.directions(pixels)[wet], hits.points[wet]
@@ -242,7 +242,7 @@ def test_every_point_of_the_demos_area_lies_in_at_least_six_photographs():
     num_views = np.zeros(len(x), dtype=int)
     for camera in scene.cameras():
         points = np.stack([x, y, np.full(len(x), -scene.depth_m)], axis=-1)
-        pixels = camera.project(points, FlatWater((0.0, 0.0, 0.0), scene.n_water))
+        pixels = camera.project(points, FlatWater((0.0, 0.0, 0.0), n_water=scene.n_water))
         num_views += ((pixels > 0.0) & (pixels < scene.image_px)).all(axis=1)
     assert num_views.min() >= 6
 

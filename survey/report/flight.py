@@ -107,7 +107,7 @@ def _footprint(camera: PinholeCamera, survey: Survey, ground: float) -> np.ndarr
     if survey.water is None:
         normal, over = np.array([0.0, 0.0, 1.0]), float(camera.centre[2]) - ground
     else:
-        normal, over = np.array(survey.water.normal), -float(survey.water.depth(camera.centre))
+        normal, over = np.array(survey.water.up), -float(survey.water.depth(camera.centre))
     return camera.centre + rays * (over / np.maximum(-rays @ normal, 0.25))[:, None]
 
 

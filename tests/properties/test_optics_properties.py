@@ -18,8 +18,12 @@ turns = st.floats(0.0, 2.0 * math.pi)
 indices = st.floats(1.0, 1.6)
 heights = st.floats(-3.0, 4.0).map(lambda power: 10.0**power)
 depths = st.one_of(st.just(0.0), st.floats(-9.0, 3.0).map(lambda power: 10.0**power))
+# Below 1e-300 a unit in the last place is no longer 2.2e-16 of a number.
+ways = st.one_of(st.just(0.0), st.floats(1e-300, 500.0))
 slopes = st.floats(-1.0, 1.0)
-normals = st.tuples(slopes, slopes).map(lambda s: np.array(FlatWater((0, 0, 0), 1.0, *s).normal))
+normals = st.tuples(slopes, slopes).map(
+    lambda s: np.array(FlatWater((0, 0, 0), n_water=1.0, slope_x=s[0], slope_y=s[1]).up)
+)
 
 
 def leaning(normal, angle, turn):
@@ -52,7 +56,7 @@ def test_every_way_through_the_surface_leads_back(angle, turn, normal, n_water):
 @always
 @given(angles, turns, indices, heights, depths)
 def test_project_after_trace_returns_the_ray(angle, turn, n_water, height, depth):
-    water, centre = FlatWater((0.0, 0.0, 0.0), n_water), np.array([0.0, 0.0, height])
+    water, centre = FlatWater((0.0, 0.0, 0.0), n_water=n_water), np.array([0.0, 0.0, height])
     ray = leaning(np.array([0.0, 0.0, 1.0]), angle, turn)
     bed = trace(centre, ray, water).at_height(-depth, water)
     seen = crossing_point(bed, centre, water) - centre
@@ -62,7 +66,7 @@ def test_project_after_trace_returns_the_ray(angle, turn, n_water, height, depth
 @always
 @given(st.floats(-90, 90), st.floats(0, 70), indices, st.floats(1.0, 200.0), st.floats(-20.0, 20.0), slopes, slopes)
 def test_pixels_come_back_from_wet_and_dry_ground(heading, tilt, n_water, height, ground, slope_x, slope_y):
-    water = FlatWater((5.0, -3.0, 0.0), n_water, 0.1 * slope_x, 0.1 * slope_y)
+    water = FlatWater((5.0, -3.0, 0.0), n_water=n_water, slope_x=0.1 * slope_x, slope_y=0.1 * slope_y)
     heading, tilt = math.radians(heading), math.radians(tilt)
     forward = np.array([math.sin(tilt) * math.cos(heading), math.sin(tilt) * math.sin(heading), -math.cos(tilt)])
     right = np.array([math.sin(heading), -math.cos(heading), 0.0])
@@ -77,18 +81,18 @@ def test_pixels_come_back_from_wet_and_dry_ground(heading, tilt, n_water, height
 
 
 @always
-@given(st.floats(0.0, 500.0), heights, depths, indices)
+@given(ways, heights, depths, indices)
 def test_the_crossing_lies_between_straight_line_and_foot_of_the_point(way, height, depth, n_water):
-    water, centre = FlatWater((0.0, 0.0, 0.0), n_water), np.array([0.0, 0.0, height])
+    water, centre = FlatWater((0.0, 0.0, 0.0), n_water=n_water), np.array([0.0, 0.0, height])
     x = crossing_point(np.array([way, 0.0, -depth]), centre, water)[0]
     straight = way * height / (height + depth)
     assert straight - 4 * EPS * way <= x <= way * (1.0 + 4 * EPS)
 
 
 @always
-@given(st.floats(0.0, 100.0), st.floats(1.0, 100.0), st.floats(0.0, 20.0), st.floats(1e-3, 5.0), indices)
+@given(ways, st.floats(1.0, 100.0), st.floats(0.0, 20.0), st.floats(1e-3, 5.0), indices)
 def test_deeper_points_cross_nearer_to_the_camera(way, height, depth, more, n_water):
-    water, centre = FlatWater((0.0, 0.0, 0.0), n_water), np.array([0.0, 0.0, height])
+    water, centre = FlatWater((0.0, 0.0, 0.0), n_water=n_water), np.array([0.0, 0.0, height])
     points = np.array([[way, 0.0, -depth], [way, 0.0, -depth - more]])
     x = crossing_point(points, centre, water)[:, 0]
     assert x[1] <= x[0] + 4 * EPS * way

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from fields.slab import Slab
 from refract import FlatWater, PinholeCamera
+from refract.fresnel import fresnel_coefficients
 
 # sRGB-like photographs are linear in light to the power of 2.2.
 GAMMA = 2.2
@@ -86,13 +87,8 @@ def rays_of(
     air = path.air_direction / fall[:, None]
     fall_wet = path.water_direction @ normal
     wet = path.water_direction / fall_wet[:, None]
-    reflectance = np.zeros(len(pixels)) if water is None else fresnel_reflectance(-fall, -fall_wet, water.n_water)
+    reflectance = np.zeros(len(pixels))
+    if water is not None:
+        reflectance = fresnel_coefficients(-fall, n_from=1.0, n_to=water.n_water).reflectance
     columns = (foot, air, wet, height, rgb / 255.0, reflectance)
     return Rays(*(torch.as_tensor(np.ascontiguousarray(c), dtype=torch.float32) for c in columns))
-
-
-def fresnel_reflectance(cos_air, cos_water, n_water: float):
-    """Reflectance of unpolarised light at the surface, from the cosines of the angles to its normal."""
-    s = (cos_air - n_water * cos_water) / (cos_air + n_water * cos_water)
-    p = (cos_water - n_water * cos_air) / (cos_water + n_water * cos_air)
-    return 0.5 * (s * s + p * p)

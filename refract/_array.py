@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 
 _NUMPY = SimpleNamespace(
-    name="numpy", sqrt=np.sqrt, sin=np.sin, cos=np.cos,
+    name="numpy", sqrt=np.sqrt, sin=np.sin, cos=np.cos, exp=np.exp,
     where=np.where, minimum=np.minimum, maximum=np.maximum, abs=np.abs,
 )  # fmt: skip
 
@@ -29,14 +29,14 @@ def _torch_namespace(torch) -> SimpleNamespace:
         return call
 
     return SimpleNamespace(
-        name="torch", sqrt=torch.sqrt, sin=torch.sin, cos=torch.cos,
+        name="torch", sqrt=torch.sqrt, sin=torch.sin, cos=torch.cos, exp=torch.exp,
         where=torch.where, minimum=pair(torch.minimum), maximum=pair(torch.maximum), abs=torch.abs,
     )  # fmt: skip
 
 
 def _drjit_namespace(dr) -> SimpleNamespace:
     return SimpleNamespace(
-        name="drjit", sqrt=dr.sqrt, sin=dr.sin, cos=dr.cos,
+        name="drjit", sqrt=dr.sqrt, sin=dr.sin, cos=dr.cos, exp=dr.exp,
         where=dr.select, minimum=dr.minimum, maximum=dr.maximum, abs=dr.abs,
     )  # fmt: skip
 
@@ -62,6 +62,24 @@ def as_like(values, like):
     if torch is not None and torch.is_tensor(like):
         return torch.as_tensor(values, dtype=like.dtype, device=like.device)
     return np.asarray(values, dtype=np.float64)
+
+
+def alike(*values) -> tuple:
+    """`values`, plain numbers among them, as arrays of the one library that is found there; numpy becomes float64."""
+    if namespace(*values).name != "drjit":
+        return common(**{f"argument {k}": value for k, value in enumerate(values, start=1)})
+    like = next(type(value) for value in values if namespace(value).name == "drjit")
+    return tuple(like(value) for value in values)
+
+
+def as_numpy(array) -> np.ndarray:
+    """A copy in numpy float64 of an array of any library, without its gradient."""
+    library = namespace(array).name
+    if library == "torch":
+        array = array.detach().cpu()
+    elif library == "drjit":
+        array = sys.modules["drjit"].detach(array)
+    return np.asarray(array, dtype=np.float64)
 
 
 def common(**arrays) -> tuple:

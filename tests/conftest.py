@@ -33,3 +33,14 @@ def device(request):
     if request.param == "cpu" and chosen.name != "llvm":
         pytest.skip(f"Dr.Jit does not run on this CPU: {chosen.reason}")
     return chosen
+
+
+@pytest.fixture(scope="session")
+def Float():
+    """Dr.Jit floats on LLVM, differentiable."""
+    drjit = pytest.importorskip("drjit", reason="Dr.Jit is not installed")
+    if not drjit.has_backend(drjit.JitBackend.LLVM):
+        pytest.skip("Dr.Jit finds no LLVM; install libllvm19 or set DRJIT_LIBLLVM_PATH")
+    from drjit.llvm.ad import Float as LLVMFloat
+
+    return LLVMFloat

@@ -10,7 +10,7 @@ import torch
 from plane_field import level_slab, rays_at
 from plane_survey import TILTED, PlaneBed, look, ring
 
-from fields.rays import MEETING_STEPS, Rays, fresnel_reflectance, rays_of
+from fields.rays import MEETING_STEPS, Rays, rays_of
 from refract import FlatWater
 
 N = 1.333
@@ -102,27 +102,6 @@ def reflectance_in_angles(angle: float, n: float) -> float:
     s = (math.sin(angle - other) / math.sin(angle + other)) ** 2
     p = (math.tan(angle - other) / math.tan(angle + other)) ** 2
     return 0.5 * (s + p)
-
-
-@pytest.mark.parametrize("angle_deg", [5.0, 30.0, 53.1, 75.0, 89.0])
-def test_reflectance_is_fresnels_and_what_is_not_reflected_passes(angle_deg):
-    angle = math.radians(angle_deg)
-    cos_air, cos_water = math.cos(angle), math.sqrt(1.0 - (math.sin(angle) / N) ** 2)
-    found = fresnel_reflectance(cos_air, cos_water, N)
-    assert found == pytest.approx(reflectance_in_angles(angle, N), rel=1e-11)
-    passes_s = (2.0 * cos_air / (cos_air + N * cos_water)) ** 2
-    passes_p = (2.0 * cos_air / (cos_water + N * cos_air)) ** 2
-    assert found + 0.5 * (passes_s + passes_p) * N * cos_water / cos_air == pytest.approx(1.0, rel=1e-12)
-    assert fresnel_reflectance(cos_water, cos_air, 1.0 / N) == pytest.approx(found, rel=1e-12)
-
-
-def test_reflectance_at_nadir_at_brewsters_angle_and_along_the_surface():
-    assert fresnel_reflectance(1.0, 1.0, N) == pytest.approx(((N - 1.0) / (N + 1.0)) ** 2, rel=1e-12)
-    brewster = math.atan(N)
-    s = ((1.0 - N**2) / (1.0 + N**2)) ** 2  # parallel light is not reflected there
-    assert fresnel_reflectance(math.cos(brewster), math.sin(brewster), N) == pytest.approx(0.5 * s, rel=1e-12)
-    assert fresnel_reflectance(0.0, math.sqrt(1.0 - 1.0 / N**2), N) == pytest.approx(1.0)
-    assert fresnel_reflectance(0.7, 0.7, 1.0) == 0.0
 
 
 def test_rays_are_taken_apart_and_put_together():

@@ -1,0 +1,167 @@
+"""Refractive index of water, from wavelength, temperature and salinity.
+
+All arguments may be plain numbers or arrays of one library (numpy, torch, Dr.Jit), which broadcast against each
+other; results are differentiable in all of them. Arrays are looked at to check their ranges, so Dr.Jit evaluates
+them. NaN gives NaN.
+
+An index *relative to air* is what Snell's law at the water surface takes, with 1 for the air above. An *absolute*
+one is relative to vacuum; the two differ by the index of air, 1.00027.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from refract._array import alike, as_numpy, namespace
+from refract._ranges import require, warn_outside
+from refract.air import air_index
+
+# Where the red, green and blue of a camera have their middle in daylight. Sensors differ by some 10 nm, which in
+# the index is 3e-4 in the red and 6e-4 in the blue: 0.02 and 0.04 % of the depth.
+CHANNEL_WAVELENGTHS_NM = (610.0, 540.0, 460.0)
+
+_VISIBLE = {"wavelength_nm": (400, 700), "temperature_c": (0, 30), "salinity_psu": (0, 35)}
+_FITTED = {
+    "Quan and Fry (1995)": _VISIBLE,
+    "Parrish (2020)": _VISIBLE,
+    "IAPWS R9-97": {"wavelength_nm": (200, 1100), "temperature_c": (0, 40)},
+}
+
+
+def water_index(wavelength_nm, temperature_c, salinity_psu):
+    """Refractive index of fresh or sea water relative to air, after Quan and Fry.
+
+    Parameters
+    ----------
+    wavelength_nm : [nm]
+        Fitted to 400 to 700.
+    temperature_c : [deg C]
+        Fitted to 0 to 30.
+    salinity_psu : [per mille]
+        0 is fresh, 35 the open sea; fitted to 0 to 35.
+
+    Returns
+    -------
+    [-], of the broadcast shape
+        Relative to air: not to be divided by the index of air again.
+
+    Raises
+    ------
+    ValueError
+        For what cannot be: a wavelength or salinity that is not positive, ice, steam.
+
+    Warns
+    -----
+    OutsideFit
+        Naming the range, outside of it.
+
+    Notes
+    -----
+    X. Quan and E. S. Fry, Empirical equation for the index of refraction of seawater, Applied Optics 34(18),
+    3477-3480, 1995, equation 3. The measurements behind it were taken against air at normal pressure.
+
+    Examples
+    --------
+    >>> round(float(water_index(589.3, 20.0, 0.0)), 6)
+    1.333004
+    """
+    wave, t, s = _water("Quan and Fry (1995)", wavelength_nm, temperature_c, salinity_psu)
+    return (
+        1.31405
+        + (1.779e-4 - 1.05e-6 * t + 1.6e-8 * t * t) * s
+        - 2.02e-6 * t * t
+        + (15.868 + 0.01155 * s - 0.00423 * t) / wave
+        - 4382.0 / (wave * wave)
+        + 1.1455e6 / (wave * wave * wave)
+    )
+
+
+def channel_indices(temperature_c, salinity_psu, wavelengths_nm=CHANNEL_WAVELENGTHS_NM):
+    """`water_index` at the effective wavelengths of the channels of a camera: by default of red, green, blue.
+
+    Blue rays bend more than red ones: over 460 to 610 nm the depth differs by 0.5 %.
+
+    Examples
+    --------
+    >>> [round(float(n), 4) for n in channel_indices(15.0, 0.0)]
+    [1.3328, 1.3351, 1.339]
+    """
+    return tuple(water_index(wavelength, temperature_c, salinity_psu) for wavelength in wavelengths_nm)
+
+
+def water_index_parrish(wavelength_nm, temperature_c, salinity_psu):
+    """As `water_index`, after Parrish: a second opinion that also knows sea water, to 2e-4.
+
+    Notes
+    -----
+    C. Parrish, Index of refraction of seawater and freshwater as a function of wavelength and temperature, Oregon
+    State University, 2020: two polynomials, for salinity 0 and 35. Between them, this is linear in salinity.
+    """
+    wave, t, s = _water("Parrish (2020)", wavelength_nm, temperature_c, salinity_psu)
+    fresh = -1.97812e-6 * t * t + 1.03223e-7 * wave * wave - 8.58125e-6 * t - 1.54834e-4 * wave + 1.38919
+    sea = -1.50156e-6 * t * t + 1.07085e-7 * wave * wave - 4.27594e-5 * t - 1.60476e-4 * wave + 1.39807
+    return fresh + (sea - fresh) * (s / 35.0)
+
+
+def water_index_iapws(wavelength_nm, temperature_c):
+    """As `water_index`, for fresh water at one atmosphere, after the release of IAPWS: a second opinion to 2e-5.
+
+    Notes
+    -----
+    International Association for the Properties of Water and Steam, Release R9-97, on the absolute index, here
+    divided by that of dry air at 15 deg C (`air_index`). The density is that of M. Tanaka et al., Metrologia
+    38(4), 301-309, 2001, for air-free water at 0 to 40 deg C.
+    """
+    wave, t, _ = _water("IAPWS R9-97", wavelength_nm, temperature_c, None)
+    return iapws_absolute_index(wave, t, _fresh_density(t)) / air_index(wave)
+
+
+def iapws_absolute_index(wavelength_nm, temperature_c, density_kg_m3):
+    """Absolute index of fresh water or steam, release R9-97 of IAPWS: equation 1 with the coefficients of table 1.
+
+    Valid for 200 to 1100 nm, -12 to 500 deg C and up to 1060 kg/m^3.
+    """
+    rho, theta = density_kg_m3 / 1000.0, (temperature_c + 273.15) / 273.15
+    squared = (wavelength_nm / 589.0) ** 2
+    a = rho * (
+        0.244257733
+        + 9.74634476e-3 * rho
+        - 3.73234996e-3 * theta
+        + 2.68678472e-4 * squared * theta
+        + 1.58920570e-3 / squared
+        + 2.45934259e-3 / (squared - 0.2292020**2)
+        + 0.900704920 / (squared - 5.432937**2)
+        - 1.66626219e-2 * rho * rho
+    )
+    return namespace(a).sqrt((2.0 * a + 1.0) / (1.0 - a))
+
+
+def _fresh_density(t):
+    return 999.974950 * (1.0 - (t - 3.983035) ** 2 * (t + 301.797) / (522528.9 * (t + 69.34881)))
+
+
+def freezing_point(salinity_psu):
+    """Temperature [deg C] at which water of a salinity [per mille] freezes at one atmosphere.
+
+    N. P. Fofonoff and R. C. Millard, UNESCO Technical Papers in Marine Science 44, 1983.
+    """
+    s = salinity_psu
+    return (-0.0575 + 1.710523e-3 * s**0.5 - 2.154996e-4 * s) * s
+
+
+def _water(model: str, wavelength_nm, temperature_c, salinity_psu):
+    """The arguments as arrays of one library, for water that exists; warns where the model was not fitted."""
+    wave, t, s = alike(wavelength_nm, temperature_c, 0.0 if salinity_psu is None else salinity_psu)
+    require("wavelength_nm", wave, lambda v: v > 0.0, "more than 0")
+    # Water holds no more salt than 26 % of its mass.
+    require("salinity_psu", s, lambda v: (v >= 0.0) & (v <= 360.0), "0 to 360")
+    require("temperature_c", t, lambda v: v <= 100.0, "at most 100, where water boils")
+    found, freezes = np.broadcast_arrays(as_numpy(t), freezing_point(as_numpy(s)))
+    frozen = found < freezes
+    if frozen.any():
+        raise ValueError(
+            f"temperature_c is {found[frozen][0]:g}, but this water freezes at {freezes[frozen][0] + 0.0:.2f}; "
+            "correct it, or salinity_psu"
+        )
+    warn_outside(model, _FITTED[model], stacklevel=4, wavelength_nm=wave, temperature_c=t, salinity_psu=s)
+    return wave, t, s

@@ -17,7 +17,7 @@ from survey.exif import Exif
 from survey.found import Found
 from survey.infer import distances_to_exif
 from survey.views import warn_of
-from survey.water import FRESH_WATER, water_index
+from survey.water import refractive_index
 
 # Photographs of a bed are taken from below this height over the water; more means another vertical datum.
 MAX_HEIGHT_OVER_WATER_M = 300.0
@@ -105,7 +105,7 @@ def water_in_local(
     point = frame.local_from_crs(point_crs)
     if not np.isfinite(point).all():
         raise ConfigError(f"[water] level_at is {list(given.level_at)}, which is not on the map of {frame.crs.name}")
-    index = _index(config, assumptions)
+    index = refractive_index(given, assumptions)
     given = replace(given, refractive_index=index, temperature_c=None, salinity_psu=None)
     east, north, up = frame.local_from_grid(point_crs).T
     normal = np.cross(east + given.slope_east * up, north + given.slope_north * up)
@@ -116,18 +116,6 @@ def water_in_local(
         slope_y=float(-normal[1] / normal[2]),
     )
     return replace(config, water=given), water
-
-
-def _index(config: SurveyConfig, assumptions: list[str]) -> float:
-    given = config.water
-    if given.refractive_index is not None:
-        return given.refractive_index
-    if given.temperature_c is not None:
-        if given.salinity_psu is None:
-            assumptions.append("salinity_psu = 0, fresh water")
-        return round(water_index(given.temperature_c, given.salinity_psu or 0.0), 6)
-    assumptions.append(f"refractive_index = {FRESH_WATER}, fresh water; sea water has 1.340 (0.7 % more depth)")
-    return FRESH_WATER
 
 
 def require_true(frame: LocalFrame, views: list[View], water: FlatWater | None, config: SurveyConfig) -> None:

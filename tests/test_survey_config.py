@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from survey.config import SurveyConfig, dump_config, parse_config, read_config
 from survey.errors import ConfigError, SurveyError
-from survey.water import water_index
 
 FULL = """
 name = 'a "quoted" name'
@@ -39,9 +38,6 @@ bounds = [589000, 5194700, 589050, 5194750]
 frame = "topocentric east-north-up"
 origin = [589012.0, 5194736.0, 2105.0]
 """
-
-# Rounding of the published constants; the check values have six decimals.
-INDEX_TOLERANCE = 1e-6
 
 
 def test_every_known_key_is_read_and_written_back_to_the_same_settings():
@@ -149,28 +145,3 @@ def test_a_file_in_another_encoding_is_refused_and_a_byte_order_mark_is_not(tmp_
         read_config(path)
     path.write_bytes('name = "Weißensee"'.encode("utf-8-sig"))
     assert read_config(path).name == "Weißensee"
-
-
-@pytest.mark.parametrize(
-    ("wavelength_nm", "temperature_c", "salinity_psu", "index"),
-    [
-        (589.3, 20.0, 0.0, 1.333004),
-        (532.0, 20.0, 0.0, 1.335035),
-        (450.0, 15.0, 0.0, 1.339648),
-        (700.0, 20.0, 0.0, 1.330187),
-        (550.0, 0.0, 35.0, 1.342262),
-        (550.0, 30.0, 35.0, 1.339614),
-        (589.3, 20.0, 35.0, 1.339406),
-    ],
-)
-def test_the_index_of_water_is_that_of_quan_and_fry(wavelength_nm, temperature_c, salinity_psu, index):
-    assert water_index(temperature_c, salinity_psu, wavelength_nm=wavelength_nm) == pytest.approx(
-        index, abs=INDEX_TOLERANCE
-    )
-
-
-def test_water_outside_the_range_of_the_fit_is_refused():
-    with pytest.raises(ConfigError, match=r"temperature_c is 60, expected -2 to 32"):
-        water_index(60.0)
-    with pytest.raises(ConfigError, match=r"salinity_psu is -1, expected 0 to 45"):
-        water_index(10.0, -1.0)

@@ -14,7 +14,8 @@ from fields.block import Block
 from fields.device import choose_device
 from fields.sweep import PASSES, DepthMap, Pass, sweep
 from refract import FlatWater
-from survey.drawn import Drawing, DrawnScene
+from survey.drawn import DrawnScene, stage_drawing
+from survey.simulate import Scene
 
 # Coarse to fine in small: images of 96 x 72 px have too few pixels left at a quarter, where PASSES begin.
 SMALL = (
@@ -144,9 +145,9 @@ def test_maps_come_in_the_order_of_the_chosen_views_and_progress_rises_to_one(de
 
 
 @pytest.fixture(scope="module")
-def drawn() -> Drawing:
+def drawn() -> Scene:
     """A drawn survey of 8 views of 160 x 120 px, with stones and objects."""
-    return Drawing.of(DrawnScene.tiny())
+    return stage_drawing(DrawnScene.tiny())
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,7 @@ import pytest
 from geo.crs import parse_crs
 from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera
-from survey.drawn import DrawnScene
-from survey.drawn.drawing import Drawing
+from survey.drawn import DrawnScene, stage_drawing
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "how-it-works.md"
 TEXT = " ".join(PAGE.read_text(encoding="utf-8").split())
@@ -79,6 +78,6 @@ def test_the_point_lies_where_the_page_says(frame, camera, water):
 
 
 def test_the_true_height_is_the_one_that_the_page_says(water):
-    drawing = Drawing.of(SCENE)
+    drawing = stage_drawing(SCENE)
     point = drawing.renderer.trace(drawing.cameras[VIEW], np.array([PIXEL])).points
     assert f"true is −{drawing.water.depth(point)[0]:.3f} m" in TEXT

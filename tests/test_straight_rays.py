@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from geo import read_cloud, read_reference
 from refract import FlatWater, PinholeCamera
-from survey.drawn import Drawing
+from survey.drawn import stage_drawing
 
 # Asked for are 5 %. Views that look straight down hide refraction so well that matching finds the place of the least
 # squares itself; measured 0.2 % with two seeds.
@@ -71,7 +71,7 @@ def meeting_places(points: np.ndarray, cameras: list[PinholeCamera], water: Flat
 def process_ignoring_water(folder, max_lean_deg: float) -> Ignored:
     """Draw a survey, process the views that lean less than `max_lean_deg` with an index of 1, and compare."""
     run = drawn(folder)
-    drawing = Drawing.of(run.scene)
+    drawing = stage_drawing(run.scene)
     cameras = {
         name: camera
         for name, camera in zip(drawing.names, drawing.cameras, strict=True)

@@ -10,12 +10,13 @@ import pytest
 from geo import read_reference
 from refract import FlatWater
 from survey.config import read_config
-from survey.drawn import Drawing, DrawnScene, draw_survey, folder
+from survey.drawn import DrawnScene, draw_survey, stage_drawing
 from survey.drawn.__main__ import main
-from survey.drawn.shapes import BedGrid, Solid
 from survey.errors import SurveyError
 from survey.exif import read_exif
 from survey.folder import load_survey
+from survey.simulate import Scene, writing
+from survey.simulate.shapes import BedGrid, Solid
 
 # Rounding of float64 over 10 m of path, and the projection's 1e-9 m, at 280 px focal length and 8 m: 4e-8 px.
 EXACT_PX = 1e-6
@@ -28,8 +29,8 @@ SHORE = DrawnScene.tiny(shore=True, slope_east=-0.002, slope_north=0.004)
 
 
 @pytest.fixture(scope="module")
-def drawing() -> Drawing:
-    return Drawing.of(SHORE)
+def drawing() -> Scene:
+    return stage_drawing(SHORE)
 
 
 @pytest.fixture(scope="module")
@@ -107,8 +108,8 @@ def test_paths_obey_snells_law_at_the_water_surface(drawing, rng):
 
 
 def test_without_a_step_in_index_rays_are_straight(rng):
-    drawing = Drawing.of(DrawnScene.tiny(n_water=1.0))
-    dry = Drawing.of(DrawnScene.tiny(water=False))
+    drawing = stage_drawing(DrawnScene.tiny(n_water=1.0))
+    dry = stage_drawing(DrawnScene.tiny(water=False))
     for (camera, pixels, hits), bare in zip(hits_of_all(drawing, rng, 100), dry.cameras, strict=True):
         straight = np.cross(hits.points - camera.centre, camera.directions(pixels))
         assert np.abs(straight).max() < 1e-12
@@ -141,8 +142,8 @@ def test_rays_over_a_slope_of_triangles_end_at_the_distance_in_closed_form(rng):
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     expected = (origin @ (0.3, -0.2, -1.0) - 1.0) / (direction @ (-0.3, 0.2, 1.0))
     endless = np.full(500, np.inf)
-    np.testing.assert_allclose(bed.hit(origin, direction, endless), expected, atol=1e-12)
-    assert np.isinf(bed.hit(origin, direction, expected - 1e-6)).all()
+    np.testing.assert_allclose(bed.hit(origin, direction, endless)[0], expected, atol=1e-12)
+    assert np.isinf(bed.hit(origin, direction, expected - 1e-6)[0]).all()
 
 
 def test_a_ray_stops_at_a_thin_wall_of_the_bed_that_hides_the_ground_behind():
@@ -153,17 +154,17 @@ def test_a_ray_stops_at_a_thin_wall_of_the_bed_that_hides_the_ground_behind():
     direction /= np.linalg.norm(direction)
     # The west face of the wall is the plane z = 100 (x - 1.99).
     t = (100.0 * (0.4 - 1.99) - 2.0) / (direction[0, 2] - 100.0 * direction[0, 0])
-    np.testing.assert_allclose(bed.hit(origin, direction, np.array([np.inf])), t, atol=1e-12)
+    np.testing.assert_allclose(bed.hit(origin, direction, np.array([np.inf]))[0], t, atol=1e-12)
 
 
 def test_a_box_is_entered_where_its_faces_are_and_missed_beside_them():
     corners = np.stack(np.meshgrid([-1.0, 1.0], [-2.0, 2.0], [0.0, 3.0]), axis=-1).reshape(-1, 3)
-    box = Solid.around(corners, (0.5, 0.5, 0.5))
+    box = Solid.around(corners)
     assert len(box.normals) == 6
     assert len(box.faces) == 12
     origin = np.array([[0.0, 0.0, 5.0], [1.1, 0.0, 5.0], [-4.0, 0.0, 5.0], [0.5, 2.5, 5.0]])
     direction = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, -1.0], [0.6, 0.0, -0.8], [0.0, 0.0, -1.0]])
-    t, plane = box.hit(origin, direction)
+    t, plane = box.hit(origin, direction, np.full(4, np.inf))
     np.testing.assert_allclose(t, [2.0, np.inf, 5.0, np.inf], atol=1e-12)
     np.testing.assert_allclose(box.normals[plane[[0, 2]]], [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]], atol=1e-12)
     a, b, c = (box.vertices[box.faces[:, k]] for k in range(3))
@@ -271,16 +272,16 @@ def test_exif_has_the_position_within_the_noise_of_a_good_receiver_and_the_focal
 def test_the_same_scene_gives_the_same_bytes_and_another_seed_another_bed(survey_folder, tmp_path):
     draw_survey(tmp_path / "same", SHORE)
     files = sorted(p.relative_to(survey_folder) for p in survey_folder.rglob("*") if p.is_file())
-    assert len(files) == 8 + 5
+    assert len(files) == 3 * 8 + 5
     for file in files:
         assert (tmp_path / "same" / file).read_bytes() == (survey_folder / file).read_bytes(), file
-    other = Drawing.of(dataclasses.replace(SHORE, seed=2))
-    assert other.renderer.ground.bed.height(0.0, 0.0) != Drawing.of(SHORE).renderer.ground.bed.height(0.0, 0.0)
+    other = stage_drawing(dataclasses.replace(SHORE, seed=2))
+    assert other.renderer.ground.bed.height(0.0, 0.0) != stage_drawing(SHORE).renderer.ground.bed.height(0.0, 0.0)
 
 
 def test_noise_has_the_asked_strength_and_photographs_become_jpeg(tmp_path):
     scene = DrawnScene.tiny(noise=2.0, num_views=3)
-    noisy, clean = Drawing.of(scene), Drawing.of(dataclasses.replace(scene, noise=0.0))
+    noisy, clean = stage_drawing(scene), stage_drawing(dataclasses.replace(scene, noise=0.0))
     difference = noisy.photograph(1).astype(float) - clean.photograph(1)
     # Two roundings add 1/12 each.
     assert difference.std() == pytest.approx(np.sqrt(4.0 + 2.0 / 12.0), rel=0.01)
@@ -312,19 +313,29 @@ def test_a_finished_folder_is_left_alone_until_told_and_keeps_what_is_not_of_it(
     assert [p.name for p in tmp_path.iterdir()] == ["survey"]
 
 
-def test_a_drawing_that_fails_leaves_nothing_behind(tmp_path, monkeypatch):
+def test_what_fails_leaves_no_survey_and_the_next_try_takes_no_photograph_twice(tmp_path, monkeypatch):
     def disk_is_full(*_):
         raise OSError("no space left on device")
 
-    monkeypatch.setattr(folder, "write_ply", disk_is_full)
-    with pytest.raises(OSError, match="no space"):
-        draw_survey(tmp_path / "survey", DrawnScene.tiny(num_views=3))
-    assert list(tmp_path.iterdir()) == []
+    scene = DrawnScene.tiny(num_views=3)
+    with monkeypatch.context() as patch:
+        patch.setattr(writing, "write_ply", disk_is_full)
+        with pytest.raises(OSError, match="no space"):
+            draw_survey(tmp_path / "survey", scene)
+    assert not (tmp_path / "survey").exists()
+    with monkeypatch.context() as patch:
+        patch.setattr(Scene, "photograph", lambda *_: pytest.fail("an image was taken twice"))
+        draw_survey(tmp_path / "survey", scene)
+    assert [p.name for p in tmp_path.iterdir()] == ["survey"]
+    draw_survey(tmp_path / "whole", scene)
+    assert (tmp_path / "survey" / "images" / "0001.png").read_bytes() == (
+        tmp_path / "whole" / "images" / "0001.png"
+    ).read_bytes()
 
 
 def test_a_folder_with_other_things_in_it_is_refused(tmp_path, capsys):
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(SurveyError, match=r"not empty and was not drawn here.*give another folder"):
+    with pytest.raises(SurveyError, match=r"not empty and was not simulated here.*give another folder"):
         draw_survey(tmp_path, DrawnScene.tiny())
     with pytest.raises(SystemExit) as stop:
         main([str(tmp_path), "--tiny"])

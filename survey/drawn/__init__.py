@@ -1,10 +1,21 @@
-"""A small survey with known truth, drawn by an exact renderer: for the demo and the tests.
+"""A small survey with known truth, drawn without further input: for the demo and the tests.
 
 python -m survey.drawn FOLDER [--tiny] [--shore] [--dry]
 """
 
-from survey.drawn.drawing import Drawing
-from survey.drawn.folder import draw_survey
-from survey.drawn.scene import DrawnScene
+from __future__ import annotations
 
-__all__ = ["Drawing", "DrawnScene", "draw_survey"]
+import dataclasses
+from pathlib import Path
+
+from survey.drawn.drawing import stage_drawing
+from survey.drawn.scene import DrawnScene
+from survey.progress import Progress
+from survey.simulate.writing import write_survey
+
+__all__ = ["DrawnScene", "draw_survey", "stage_drawing"]
+
+
+def draw_survey(folder: Path, scene: DrawnScene, *, again: bool = False, progress: Progress | None = None) -> None:
+    """Draw a survey into a folder; see `survey.simulate.writing.write_survey`."""
+    write_survey(folder, dataclasses.asdict(scene), lambda: stage_drawing(scene), again=again, progress=progress)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from survey.drawn.folder import draw_survey
+from survey.drawn import draw_survey
 from survey.drawn.scene import DrawnScene
 from survey.errors import SurveyError
 from survey.progress import Progress

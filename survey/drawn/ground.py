@@ -1,17 +1,25 @@
-"""The ground of a drawn survey: the shape of the bed, the bodies on it, and their paint."""
+"""A drawn ground: the shape of the bed, the bodies on it, and their paint."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
 
-import cv2
 import numpy as np
 
-from survey.drawn.paint import CELL_M, ROCK, TEXEL_M, TILE, light, noise, periodic, texture_of_bed
+from refract import PinholeCamera
+from survey.drawn.paint import CELL_M, ROCK, TEXEL_M, albedo_of_bed, light_of_bed, noise, periodic
 from survey.drawn.scene import DrawnScene
-from survey.drawn.shapes import BedGrid, Solid, rotation
+from survey.simulate.ground import Ground, Look, shade_beside_bed, shade_of_map
+from survey.simulate.light import Light
+from survey.simulate.shapes import BedGrid, Solid, rotation
+from survey.simulate.skin import ImageSkin
+
+# A body, its colour, and the direction of its grain.
+Body = tuple[Solid, tuple[float, float, float], np.ndarray | None]
+# One matrix for all faces.
+_ONE_MAP = np.zeros(1, dtype=np.int64)
 
 # Ground that is drawn beyond what the outermost pixels see of a bed at its greatest depth [m].
 _MARGIN_M = 0.5
@@ -19,76 +27,42 @@ _MARGIN_M = 0.5
 _WOOD, _CLAY = (0.42, 0.29, 0.18), (0.60, 0.33, 0.20)
 
 
-@dataclass(frozen=True)
-class Ground:
-    """Everything solid in a drawn scene, lit and painted; what it looks like does not depend on the viewer.
-
-    Attributes
-    ----------
-    bed : BedGrid
-    solids : tuple of Solid
-    texture : (rows, columns, 3) float32
-        Radiance of the bed in dry air, linear, at `TEXEL_M`; the first texel lies on the first vertex.
-    tile : (512, 512) float32
-        Periodic brightness for the bodies.
-    """
-
-    bed: BedGrid
-    solids: tuple[Solid, ...]
-    texture: np.ndarray
-    tile: np.ndarray
-
-    def colour(self, points: np.ndarray, body: np.ndarray, plane: np.ndarray) -> np.ndarray:
-        """Linear radiance (N, 3) of points (N, 3) [m] on planes (N,) of bodies (N,), -1 for the bed."""
-        at = ((points[:, :2] - (self.bed.west, self.bed.south)) / TEXEL_M).astype(np.float32)
-        # OpenCV's images hold at most 32767 rows.
-        u, v = (np.ascontiguousarray(_in_rows(at[:, k])) for k in (0, 1))
-        colour = cv2.remap(self.texture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        colour = colour.reshape(-1, 3)[: len(points)].astype(np.float64)
-        for index, solid in enumerate(self.solids):
-            on = np.flatnonzero(body == index)
-            if on.size:
-                colour[on] = self._colour_of_solid(solid, points[on], plane[on])
-        return colour
-
-    def _colour_of_solid(self, solid: Solid, points: np.ndarray, plane: np.ndarray) -> np.ndarray:
-        normal = solid.normals[plane]
-        length = np.linalg.norm(solid.grain)
-        along = solid.grain / length if length > 0.0 else np.array([0.8, 0.0, 0.6])
-        across = np.cross(normal, along) + 1e-12
-        across = across / np.linalg.norm(across, axis=1, keepdims=True)
-        stretch = 0.15 if length > 0.0 else 1.0
-        own = points - solid.centre
-        u = np.einsum("ij,ij->i", own, across) / TEXEL_M + 7.0 * plane
-        v = stretch * np.einsum("ij,ij->i", own, np.cross(across, normal)) / TEXEL_M + 31.0 * plane
-        u, v = (_in_rows(c % TILE).astype(np.float32) for c in (u, v))
-        paint = cv2.remap(self.tile, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP).ravel()[: len(points)]
-        # Light is scarce in the corner between a body and the bed.
-        over_bed = (points[:, 2] - self.bed.height(points[:, 0], points[:, 1])) / (0.6 * solid.radius)
-        lit = light(normal) * (0.6 + 0.4 * np.clip(over_bed, 0.0, 1.0))
-        return (paint * lit)[:, None] * np.array(solid.colour)
-
-
-def build_ground(scene: DrawnScene) -> Ground:
-    """The ground of a scene, as wide as its cameras see."""
+def build_ground(scene: DrawnScene, cameras: Sequence[PinholeCamera], light: Light) -> Ground:
+    """The ground of a scene, as wide as cameras see."""
     rng = np.random.default_rng([scene.seed, 2])
-    west, south, east, north = _seen(scene)
+    west, south, east, north = _seen(scene, cameras)
     shape = (math.ceil((north - south) / CELL_M) + 1, math.ceil((east - west) / CELL_M) + 1)
     x = west + CELL_M * np.arange(shape[1])
     y = (south + CELL_M * np.arange(shape[0]))[:, None]
     heights = _heights(scene, x, y, rng)
     stones = _add_stones(heights, rng, scene)
     bed = BedGrid(heights, west, south, CELL_M)
-    solids = _solids(scene, bed, rng) if scene.objects else ()
-    texture = texture_of_bed(bed, stones, solids, rng)
+    bodies = _bodies(scene, bed, rng) if scene.objects else ()
+    solids = tuple(solid for solid, _, _ in bodies)
+    albedo = albedo_of_bed(bed, stones, rng)
+    texel_from_point = np.array([[[1.0, 0.0, 0.0, -west], [0.0, 1.0, 0.0, -south]]]) / TEXEL_M
+    looks = [Look(ImageSkin(albedo, texel_from_point, _ONE_MAP), shade_of_map(bed, light_of_bed(bed, solids, light)))]
     tile = np.exp(sum(0.15 * periodic(rng, size) for size in (2, 4, 8, 32))).astype(np.float32)
-    return Ground(bed, tuple(solids), texture, tile)
+    looks += [Look(_skin(solid, tile, *paint), shade_beside_bed(solid, bed, light)) for solid, *paint in bodies]
+    return Ground(bed, solids, tuple(looks))
 
 
-def _seen(scene: DrawnScene) -> tuple[float, float, float, float]:
+def _skin(solid: Solid, tile: np.ndarray, colour: tuple[float, float, float], grain: np.ndarray | None) -> ImageSkin:
+    """A periodic tile of brightness, laid along each plane of a body; stretched along its grain, if it has one."""
+    along, stretch = (np.array([0.8, 0.0, 0.6]), 1.0) if grain is None else (grain, 0.15)
+    across = np.cross(solid.normals, along) + 1e-12
+    across = across / np.linalg.norm(across, axis=1, keepdims=True)
+    axes = np.stack([across, stretch * np.cross(across, solid.normals)], axis=1) / TEXEL_M
+    # Planes show different parts of the tile.
+    shift = np.arange(len(axes))[:, None] * (7.0, 31.0) - axes @ solid.centre
+    image = tile[..., None] * np.array(colour, dtype=np.float32)
+    return ImageSkin(image, np.concatenate([axes, shift[..., None]], axis=-1), np.arange(len(axes)), repeats=True)
+
+
+def _seen(scene: DrawnScene, cameras: Sequence[PinholeCamera]) -> tuple[float, float, float, float]:
     """West, south, east and north of what the cameras see of a plane below all of the bed [m]."""
     corners = [(0.5 * np.array(scene.size_m)), (-0.5 * np.array(scene.size_m))]
-    for camera in scene.cameras():
+    for camera in cameras:
         u, v = np.meshgrid([0.0, camera.width], [0.0, camera.height])
         rays = camera.directions(np.stack([u.ravel(), v.ravel()], axis=-1))
         t = (camera.centre[2] + 1.5 * scene.depth_m) / -rays[:, 2]
@@ -135,7 +109,7 @@ def _add_stones(heights: np.ndarray, rng: np.random.Generator, scene: DrawnScene
     return stones
 
 
-def _solids(scene: DrawnScene, bed: BedGrid, rng: np.random.Generator) -> list[Solid]:
+def _bodies(scene: DrawnScene, bed: BedGrid, rng: np.random.Generator) -> list[Body]:
     """An upturned boat, a crate, a log, an amphora and rocks, spread over the area."""
     unit = scene.unit_m
 
@@ -144,21 +118,21 @@ def _solids(scene: DrawnScene, bed: BedGrid, rng: np.random.Generator) -> list[S
         return unit * points @ turn.T + (x, y, float(bed.height(x, y)) + unit * lift)
 
     turn = rotation(0.7, 0.02, 0.12)
-    solids = [Solid.around(place(_boat(), -0.17, -0.10, turn, 0.02), _WOOD, turn[:, 0])]
+    bodies = [(Solid.around(place(_boat(), -0.17, -0.10, turn, 0.02)), _WOOD, turn[:, 0])]
     turn = rotation(0.35, 0.1, 0.15)
     box = np.stack(np.meshgrid([-0.4, 0.4], [-0.3, 0.3], [-0.2, 0.3]), axis=-1).reshape(-1, 3)
-    solids.append(Solid.around(place(box, 0.22, 0.10, turn, 0.1), _WOOD, turn[:, 0]))
+    bodies.append((Solid.around(place(box, 0.22, 0.10, turn, 0.1)), _WOOD, turn[:, 0]))
     turn = rotation(2.3, 0.03)
-    solids.append(Solid.around(place(_frustum(-1.3, 0.14, 1.3, 0.11), 0.10, -0.28, turn, 0.09), _WOOD, turn[:, 0]))
+    bodies.append((Solid.around(place(_frustum(-1.3, 0.14, 1.3, 0.11), 0.10, -0.28, turn, 0.09)), _WOOD, turn[:, 0]))
     turn = rotation(-0.6, -0.12)
     for (x0, r0), (x1, r1) in itertools.pairwise(_AMPHORA):
-        solids.append(Solid.around(place(_frustum(x0, r0, x1, r1), 0.05, 0.27, turn, 0.15), _CLAY))
+        bodies.append((Solid.around(place(_frustum(x0, r0, x1, r1), 0.05, 0.27, turn, 0.15)), _CLAY, None))
     for x, y in ((-0.33, 0.25), (-0.24, 0.34), (0.34, -0.12), (0.30, 0.34), (-0.35, -0.36), (0.02, 0.04)):
         ball = rng.standard_normal((26, 3))
         ball = ball / np.linalg.norm(ball, axis=1, keepdims=True) * rng.uniform(0.22, 0.5) * np.array([1.0, 0.8, 0.6])
         colour = tuple(rng.uniform(0.8, 1.3) * np.array(ROCK))
-        solids.append(Solid.around(place(ball, x, y, rotation(rng.uniform(0.0, 6.0)), 0.08), colour))
-    return solids
+        bodies.append((Solid.around(place(ball, x, y, rotation(rng.uniform(0.0, 6.0)), 0.08)), colour, None))
+    return bodies
 
 
 # Places along its axis and radii there [m].
@@ -179,8 +153,3 @@ def _frustum(x0: float, radius0: float, x1: float, radius1: float, sides: int = 
     angle = 2.0 * math.pi * np.arange(sides) / sides
     circle = np.stack([0.0 * angle, np.cos(angle), np.sin(angle)], axis=-1)
     return np.concatenate([radius0 * circle + (x0, 0.0, 0.0), radius1 * circle + (x1, 0.0, 0.0)])
-
-
-def _in_rows(values: np.ndarray, length: int = 1024) -> np.ndarray:
-    """Values (N,) as rows of `length`, the last one filled up."""
-    return np.pad(values, (0, -len(values) % length), mode="edge").reshape(-1, length)

@@ -1,4 +1,4 @@
-"""The paint of a drawn survey: what ground looks like in dry air, the same from every side."""
+"""The paint of a drawn bed: its albedo, and the light that falls on it in dry air."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from survey.drawn.shapes import BedGrid, Solid
+from survey.simulate.light import Light
+from survey.simulate.shapes import BedGrid, Solid
 
 # Between vertices of the bed [m]: the mesh that is written as the truth has the same.
 CELL_M = 0.025
@@ -21,15 +22,12 @@ TILE = 512
 # Linear albedo, red, green, blue.
 ROCK = (0.36, 0.35, 0.33)
 _SAND, _GRAVEL, _WEED = (0.66, 0.57, 0.42), (0.40, 0.38, 0.34), (0.20, 0.25, 0.10)
-# Toward the sun, of unit length.
-_SUN = np.array([0.45, 0.30, 0.84])
-_SUN = _SUN / np.linalg.norm(_SUN)
 # Spacing [m] and standard deviation of the logarithm of brightness: grains to patches.
 _SPECKLES = ((0.01, 0.16), (0.02, 0.16), (0.04, 0.14), (0.08, 0.11), (0.16, 0.09), (0.4, 0.07))
 
 
-def texture_of_bed(bed: BedGrid, stones: np.ndarray, solids: Sequence[Solid], rng: np.random.Generator) -> np.ndarray:
-    """Radiance of the bed (rows, columns, 3) at `TEXEL_M`: sand, gravel, weed, stones in sky and sun."""
+def albedo_of_bed(bed: BedGrid, stones: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Linear albedo of the bed (rows, columns, 3) float32 at `TEXEL_M`: sand, gravel, weed and stones."""
     ny, nx = bed.heights.shape
     shape = (math.ceil((ny - 1) * CELL_M / TEXEL_M) + 1, math.ceil((nx - 1) * CELL_M / TEXEL_M) + 1)
 
@@ -50,7 +48,7 @@ def texture_of_bed(bed: BedGrid, stones: np.ndarray, solids: Sequence[Solid], rn
     weed = 0.85 * _soft_step(patches + 0.35 * speckle(0.04), 0.9)
     stone = finer(stones)
     colour = np.empty((*shape, 3), dtype=np.float32)
-    paint = np.exp(bright) * finer(_light_of_bed(bed, solids))
+    paint = np.exp(bright)
     on_stone = np.minimum(stone, 1.0)
     for k in range(3):
         ground = _SAND[k] + gravel * (_GRAVEL[k] - _SAND[k])
@@ -60,7 +58,7 @@ def texture_of_bed(bed: BedGrid, stones: np.ndarray, solids: Sequence[Solid], rn
     return colour
 
 
-def _light_of_bed(bed: BedGrid, solids: Sequence[Solid]) -> np.ndarray:
+def light_of_bed(bed: BedGrid, solids: Sequence[Solid], light: Light) -> np.ndarray:
     """Light (ny, nx) on the bed: sky and sun by the normal, less in hollows and beside bodies."""
     covered = bed.heights.copy()
     for solid in solids:
@@ -68,7 +66,7 @@ def _light_of_bed(bed: BedGrid, solids: Sequence[Solid]) -> np.ndarray:
     smooth = gaussian_filter(bed.heights, 0.7)
     dy, dx = np.gradient(smooth, CELL_M)
     normal = np.stack([-dx, -dy, np.ones_like(dx)], axis=-1)
-    lit = light(normal / np.linalg.norm(normal, axis=-1, keepdims=True))
+    lit = light.on(normal / np.linalg.norm(normal, axis=-1, keepdims=True))
     for reach_m, strength in ((0.05, 6.0), (0.25, 1.6)):
         hollow = gaussian_filter(covered, reach_m / CELL_M, truncate=3.0) - bed.heights
         lit *= 1.0 / (1.0 + strength * np.maximum(hollow, 0.0) / (4.0 * reach_m))
@@ -84,15 +82,9 @@ def _cover(covered: np.ndarray, bed: BedGrid, solid: Solid) -> None:
     x, y = np.meshgrid(bed.west + CELL_M * np.arange(i0, i1), bed.south + CELL_M * np.arange(j0, j1))
     above = solid.centre[2] + 2.0 * solid.radius
     origin = np.stack([x.ravel(), y.ravel(), np.full(x.size, above)], axis=-1)
-    t, _ = solid.hit(origin, np.tile([0.0, 0.0, -1.0], (x.size, 1)))
+    t, _ = solid.hit(origin, np.tile([0.0, 0.0, -1.0], (x.size, 1)), np.full(x.size, np.inf))
     top = np.where(np.isfinite(t), above - t, -np.inf).reshape(x.shape)
     covered[j0:j1, i0:i1] = np.maximum(covered[j0:j1, i0:i1], top)
-
-
-def light(normal: np.ndarray) -> np.ndarray:
-    """Irradiance for unit normals (..., 3): a bright sky and a soft sun; about 1 on level ground."""
-    sun = np.maximum(normal @ _SUN, 0.0) / _SUN[2]
-    return 0.6 * (0.5 + 0.5 * normal[..., 2]) + 0.4 * sun
 
 
 def _soft_step(value: np.ndarray, at: float) -> np.ndarray:

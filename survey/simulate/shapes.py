@@ -1,4 +1,4 @@
-"""The solid things of a drawn survey: a bed of triangles, convex bodies, and where straight rays meet them.
+"""Solid things: a bed of triangles over a grid, convex bodies, and where straight rays meet them.
 
 Everything is flat-faced, so that the mesh that is written as the truth *is* the surface that is photographed,
 to the last bit, and every intersection is the solution of a linear equation. Local frame, metres, float64.
@@ -52,15 +52,18 @@ class BedGrid:
         x, y = np.meshgrid(self.west + self.cell * np.arange(nx), self.south + self.cell * np.arange(ny))
         return np.stack([x, y, self.heights], axis=-1)
 
-    def faces(self) -> np.ndarray:
-        """Triangles (2 (ny - 1) (nx - 1), 3) of indices into the flattened vertices, normals up."""
+    def mesh(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Vertices (V, 3) [m], triangles (F, 3) with normals up, and for each the face (F,) that `hit` names."""
         ny, nx = self.heights.shape
         sw = (np.arange(ny - 1)[:, None] * nx + np.arange(nx - 1)).ravel()
         se, nw, ne = sw + 1, sw + nx, sw + nx + 1
-        return np.concatenate([np.stack([sw, se, nw], -1), np.stack([ne, nw, se], -1)])
+        faces = np.concatenate([np.stack([sw, se, nw], -1), np.stack([ne, nw, se], -1)])
+        return self.vertices().reshape(-1, 3), faces, np.zeros(len(faces), dtype=np.int64)
 
-    def hit(self, origin: np.ndarray, direction: np.ndarray, t_end: np.ndarray) -> np.ndarray:
-        """Distance (N,) [m] to the bed on rays that fall; infinite where it does not come before `t_end`.
+    def hit(self, origin: np.ndarray, direction: np.ndarray, t_end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distance (N,) [m] to the bed on rays that fall, and the face (N,), which is 0.
+
+        The distance is infinite where the bed does not come before `t_end`.
 
         Parameters
         ----------
@@ -88,7 +91,7 @@ class BedGrid:
             found[live[below]] = (t + step * gap / np.where(below, gap - gap_next, 1.0))[below]
             on = ~below & (t + step < t_end[live])
             live, ray, t, gap = live[on], ray.take(on), (t + step)[on], gap_next[on]
-        return np.where(found <= t_end, found, np.inf)
+        return np.where(found <= t_end, found, np.inf), np.zeros(len(found), dtype=np.int64)
 
     def _rays(self, origin: np.ndarray, direction: np.ndarray) -> _Rays:
         u, v = (origin[:, 0] - self.west) / self.cell, (origin[:, 1] - self.south) / self.cell
@@ -185,27 +188,23 @@ class Solid:
     vertices : (V, 3) [m], local
     faces : (F, 3)
         Triangles, normals outward.
+    plane_of_face : (F,)
     normals, offsets : (P, 3), (P,) [m]
         Planes of the faces: inside is where ``normal . p <= offset`` for all of them.
     centre, radius : (3,) [m], [m]
         A ball around it.
-    colour : (3,)
-        Linear albedo, red, green, blue.
-    grain : (3,)
-        Direction along which its texture is stretched; zero for none.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
+    plane_of_face: np.ndarray
     normals: np.ndarray
     offsets: np.ndarray
     centre: np.ndarray
     radius: float
-    colour: tuple[float, float, float]
-    grain: np.ndarray
 
     @classmethod
-    def around(cls, points: np.ndarray, colour: tuple[float, float, float], grain=(0.0, 0.0, 0.0)) -> Solid:
+    def around(cls, points: np.ndarray) -> Solid:
         """The convex hull of points (N, 3) [m]."""
         hull = ConvexHull(points)
         vertices = points[hull.vertices]
@@ -216,14 +215,19 @@ class Solid:
         inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), planes[:, :3]) < 0.0
         faces[inward] = faces[inward][:, ::-1]
         # Coplanar triangles share a plane up to rounding: one of each is enough.
-        _, first = np.unique(np.round(planes, 9), axis=0, return_index=True)
-        planes = planes[np.sort(first)]
+        _, first, same = np.unique(np.round(planes, 9), axis=0, return_index=True, return_inverse=True)
+        order = np.argsort(first)
+        planes, plane_of_face = planes[first[order]], np.argsort(order)[same.ravel()]
         centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
         radius = float(np.linalg.norm(vertices - centre, axis=1).max())
-        return cls(vertices, faces, planes[:, :3], -planes[:, 3], centre, radius, colour, np.asarray(grain, float))
+        return cls(vertices, faces, plane_of_face, planes[:, :3], -planes[:, 3], centre, radius)
 
-    def hit(self, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Distance (N,) [m] at which rays (N, 3) enter, infinite for a miss, and the plane (N,) there."""
+    def mesh(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Vertices (V, 3) [m], triangles (F, 3) with normals outward, and for each the plane (F,) that `hit` names."""
+        return self.vertices, self.faces, self.plane_of_face
+
+    def hit(self, origin: np.ndarray, direction: np.ndarray, t_end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distance (N,) [m] at which rays (N, 3) enter up to `t_end`, infinite for none, and the plane (N,) there."""
         rate = direction @ self.normals.T
         with np.errstate(divide="ignore", invalid="ignore"):
             at = (self.offsets - origin @ self.normals.T) / rate
@@ -231,10 +235,10 @@ class Solid:
         leaving = np.where(rate > 0.0, at, np.inf).min(axis=1)
         outside = ((rate == 0.0) & (at < 0.0)).any(axis=1)
         t = entering.max(axis=1)
-        return np.where((t <= leaving) & (t > 0.0) & ~outside, t, np.inf), entering.argmax(axis=1)
+        return np.where((t <= leaving) & (t > 0.0) & (t <= t_end) & ~outside, t, np.inf), entering.argmax(axis=1)
 
 
-def near_solids(solids: Sequence[Solid], origin: np.ndarray, direction: np.ndarray, t_end: np.ndarray) -> np.ndarray:
+def near_solids(solids: Sequence, origin: np.ndarray, direction: np.ndarray, t_end: np.ndarray) -> np.ndarray:
     """Whether rays (N, 3) pass through the ball around each body before `t_end` (N,): (N, number of solids)."""
     centres, radii = np.array([s.centre for s in solids]), np.array([s.radius for s in solids])
     along = direction @ centres.T - np.einsum("ij,ij->i", origin, direction)[:, None]

@@ -1,4 +1,4 @@
-"""What is known of a drawn survey: the mesh of its ground, and the points of it that the cameras see."""
+"""What is known of a simulated survey: the mesh of its ground, and the points of it that the cameras see."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from refract import FlatWater, PinholeCamera
-from survey.drawn.ground import Ground
-from survey.drawn.render import Renderer
+from refract import PinholeCamera
+from survey.cameras import Lens
+from survey.simulate.ground import Ground
+from survey.simulate.render_direct import DirectRenderer, depth_below
+from survey.simulate.sensor import distorted, normalised
 
 # Visible points are sought among so many per square metre of ground.
 _POINTS_PER_M2 = 1000
@@ -22,14 +24,14 @@ def ground_mesh(ground: Ground, inside: np.ndarray) -> tuple[np.ndarray, np.ndar
 
     Parameters
     ----------
-    inside : (ny, nx) bool
+    inside : (V,) bool
         Vertices of the bed in the area that is wanted; a triangle with any of them is kept, so that the area
         is covered up to its border. Bodies are kept whole, and so is the bed beneath them.
     """
-    faces = ground.bed.faces()
-    faces = faces[inside.ravel()[faces].any(axis=1)]
+    bed, faces, _ = ground.bed.mesh()
+    faces = faces[inside[faces].any(axis=1)]
     used, faces = np.unique(faces, return_inverse=True)
-    vertices, all_faces = [ground.bed.vertices().reshape(-1, 3)[used]], [faces.reshape(-1, 3)]
+    vertices, all_faces = [bed[used]], [faces.reshape(-1, 3)]
     count = len(used)
     for solid in ground.solids:
         vertices.append(solid.vertices)
@@ -50,17 +52,41 @@ def points_on(vertices: np.ndarray, faces: np.ndarray, rng: np.random.Generator)
     return a[at] + s * (b - a)[at] + t * (c - a)[at]
 
 
-def seen_by(renderer: Renderer, camera: PinholeCamera, points: np.ndarray, water: FlatWater | None) -> np.ndarray:
+def seen_by(renderer: DirectRenderer, camera: PinholeCamera, lens: Lens, points: np.ndarray) -> np.ndarray:
     """Whether a camera sees points (N, 3) [m], local: (N,) bool.
 
     `refract` only proposes the pixel; the ray that the renderer sends through it has to end at the point.
     """
-    pixels = camera.project(points, water)
-    seen = ((pixels > 0.0) & (pixels < (camera.width, camera.height))).all(axis=1)
-    near = np.flatnonzero(seen)
+    pixels = camera.project(points, renderer.water)
+    near = np.flatnonzero(np.isfinite(pixels).all(axis=1))
+    on_image = distorted(lens, pixels[near])
+    near = near[((on_image > 0.0) & (on_image < (lens.width, lens.height))).all(axis=1)]
     ends = renderer.trace(camera, pixels[near]).points
+    seen = np.zeros(len(points), dtype=bool)
+    # A ray that meets nothing ends at NaN, which is near nothing.
     seen[near] = np.linalg.norm(ends - points[near], axis=1) < _SAME_POINT_M
     return seen
+
+
+def depth_map(renderer: DirectRenderer, camera: PinholeCamera, lens: Lens) -> tuple[np.ndarray, np.ndarray]:
+    """What the middle of each pixel sees.
+
+    Returns
+    -------
+    depth : (height, width) float32 [m]
+        Vertical, of the ground below the water surface, negative above it; without water, below the origin of
+        local. NaN where a ray meets nothing.
+    wet : (height, width) uint8
+        255 where the ray enters water.
+    """
+    plane, _ = normalised(lens)
+    direction = np.concatenate([plane, np.ones((len(plane), 1))], axis=-1) @ camera.cam_from_local
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    hits = renderer.trace_rays(np.broadcast_to(camera.centre, direction.shape), direction)
+    depth = depth_below(renderer.water, hits.points)
+    shape = (lens.height, lens.width)
+    wet = np.where(hits.in_water > 0.0, 255, 0).astype(np.uint8)
+    return depth.astype(np.float32).reshape(shape), wet.reshape(shape)
 
 
 def write_ply(path: Path, points: np.ndarray, faces: np.ndarray | None = None) -> None:

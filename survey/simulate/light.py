@@ -1,0 +1,74 @@
+"""Light from above: a sky that is the same all around, and a sun of finite size."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+# Radiance of an overcast sky at the horizon, as a share of that at the zenith (CIE 1955, Moon and Spencer).
+_HORIZON_SHARE = 1.0 / 3.0
+
+
+@dataclass(frozen=True)
+class Light:
+    """Sky and sun, scaled so that a white matt surface lies at radiance 1 on level ground in air.
+
+    Attributes
+    ----------
+    to_sun : (3,)
+        Direction toward the middle of the sun, local, any length.
+    sun_share : [-]
+        Of the light on level ground that comes from the sun; 0 without one.
+    sun_radius : [rad]
+        Half the angle under which the sun is seen; 0.0046 in nature.
+    overcast : bool
+        A sky three times as bright at the zenith as at the horizon, instead of one that is alike everywhere.
+    colour : (3,)
+        Red, green and blue of all light.
+    """
+
+    to_sun: tuple[float, float, float] = (0.45, 0.30, 0.84)
+    sun_share: float = 0.4
+    sun_radius: float = 0.0046
+    overcast: bool = False
+    colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+    @property
+    def sun(self) -> np.ndarray:
+        """Unit direction (3,) toward the sun, local."""
+        direction = np.array(self.to_sun)
+        return direction / np.linalg.norm(direction)
+
+    def on(self, normal: np.ndarray) -> np.ndarray:
+        """Light (...) that a surface of unit normals (..., 3) gets where nothing stands in its way; 1 if level."""
+        sky = 0.5 + 0.5 * normal[..., 2]
+        # Nothing is lost by leaving the sky alike: the mode that asks for this is about geometry.
+        sun = np.maximum(normal @ self.sun, 0.0) / self.sun[2]
+        return (1.0 - self.sun_share) * sky + self.sun_share * sun
+
+    def sky(self, up):
+        """Radiance of the sky at directions whose vertical part is ``up`` (...), numpy or Dr.Jit; 0 below the horizon.
+
+        Notes
+        -----
+        The overcast sky is ``1/3 + 2/3 up`` of the zenith; its integral with the cosine is 7/9 pi of the zenith,
+        so the zenith has 9/7.
+        """
+        if self.overcast:
+            zenith = 1.0 / (_HORIZON_SHARE + 2.0 / 3.0 * (1.0 - _HORIZON_SHARE))
+            shape = zenith * (_HORIZON_SHARE + (1.0 - _HORIZON_SHARE) * up)
+        else:
+            shape = 1.0 + 0.0 * up
+        return (1.0 - self.sun_share) * shape
+
+    @property
+    def sun_irradiance(self) -> float:
+        """On a surface that faces the sun."""
+        return math.pi * self.sun_share / float(self.sun[2])
+
+    @property
+    def sun_solid_angle(self) -> float:
+        """[sr]"""
+        return 2.0 * math.pi * (1.0 - math.cos(self.sun_radius))

@@ -1,0 +1,145 @@
+"""What rays see of a ground through water, exact in geometry and free of noise: bent rays, and simple light.
+
+A flat surface is met and crossed by formulas of its own, not by those of `refract`: what is photographed here
+is a test of the optics there. Other surfaces are crossed by `refract`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from refract import FlatWater, PinholeCamera, trace
+from refract.surfaces import WaterSurface
+from survey.simulate.ground import Ground
+from survey.simulate.watercolour import WaterColour
+
+# Rays at a time: they and what is derived from them stay in the cache.
+_RAYS_AT_A_TIME = 1 << 15
+
+
+@dataclass(frozen=True)
+class Hits:
+    """Where rays end.
+
+    Attributes
+    ----------
+    points : (N, 3) [m], local
+        NaN for a ray that meets nothing.
+    body, face : (N,)
+        Body of the ground, `BED` for the bed, `NOTHING` for none, and the face of it.
+    in_water : (N,) [m]
+        Way in water; zero for points above it, infinite for a ray that meets nothing in it.
+    incidence : (N,)
+        Cosine of the angle of incidence at the water surface.
+    """
+
+    points: np.ndarray
+    body: np.ndarray
+    face: np.ndarray
+    in_water: np.ndarray
+    incidence: np.ndarray
+
+
+@dataclass(frozen=True)
+class DirectRenderer:
+    """Looks at a ground, through water if there is any.
+
+    Parameters
+    ----------
+    ground : Ground
+    water : WaterSurface or None
+    colour : WaterColour
+    """
+
+    ground: Ground
+    water: WaterSurface | None
+    colour: WaterColour
+
+    def trace(self, camera: PinholeCamera, pixels: np.ndarray) -> Hits:
+        """What pixels (N, 2) [px] of a camera see."""
+        direction = camera.directions(pixels)
+        return self.trace_rays(np.broadcast_to(camera.centre, direction.shape), direction)
+
+    def trace_rays(self, origin: np.ndarray, direction: np.ndarray) -> Hits:
+        """What rays from origins (N, 3) [m] in unit directions (N, 3), local, see."""
+        if self.water is None:
+            t, body, face = self.ground.first(origin, direction, np.full(len(direction), np.inf))
+            return Hits(_at(origin, direction, t), body, face, np.zeros(len(t)), np.ones(len(t)))
+        in_air, bent, incidence = self._cross(origin, direction)
+        t, body, face = self.ground.first(origin, direction, in_air)
+        points, in_water = _at(origin, direction, t), np.zeros(len(t))
+        wet = np.flatnonzero(~np.isfinite(t) & np.isfinite(in_air))
+        crossing = origin[wet] + in_air[wet, None] * direction[wet]
+        in_water[wet], body[wet], face[wet] = self.ground.first(crossing, bent[wet], np.full(len(wet), np.inf))
+        points[wet] = _at(crossing, bent[wet], in_water[wet])
+        return Hits(points, body, face, in_water, incidence)
+
+    def radiance(self, camera: PinholeCamera, pixels: np.ndarray) -> np.ndarray:
+        """Linear radiance (N, 3) that reaches pixels (N, 2) [px]."""
+        direction = camera.directions(pixels)
+        return self.radiance_of_rays(np.broadcast_to(camera.centre, direction.shape), direction)
+
+    def radiance_of_rays(self, origin: np.ndarray, direction: np.ndarray, seed: int = 0) -> np.ndarray:
+        """Linear radiance (N, 3) along rays; see `trace_rays`. There is no chance in it: `seed` is not used."""
+        parts = range(0, len(direction), _RAYS_AT_A_TIME)
+        ends = [slice(k, k + _RAYS_AT_A_TIME) for k in parts]
+        return np.concatenate([self._radiance(origin[part], direction[part]) for part in ends])
+
+    def _radiance(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        hits = self.trace_rays(origin, direction)
+        dry = self.ground.colour(hits.points, hits.body, hits.face)
+        if self.water is None:
+            return dry
+        depth = np.where(np.isfinite(hits.in_water), np.maximum(depth_below(self.water, hits.points), 0.0), 0.0)
+        seen = self.colour.through(dry, depth, hits.in_water)
+        mirrored = _fresnel(hits.incidence, self.water.n_water)[:, None]
+        wet = (hits.in_water > 0.0)[:, None]
+        return np.where(wet, (1.0 - mirrored) * seen + mirrored * self.colour.sky, dry)
+
+    def _cross(self, origin: np.ndarray, direction: np.ndarray):
+        """Way to the surface (N,) [m], direction below it (N, 3), and cosine of incidence (N,)."""
+        if not isinstance(self.water, FlatWater):
+            paths = trace(origin, direction, self.water)
+            along = np.einsum("ij,ij->i", paths.water_direction, direction)
+            return paths.air_length, paths.water_direction, _incidence(along, self.water.n_water)
+        normal = np.array(self.water.up)
+        falling = -direction @ normal
+        with np.errstate(divide="ignore"):
+            in_air = (origin - self.water.point) @ normal / falling
+        in_air = np.where(falling > 0.0, in_air, np.inf)
+        # Snell: the component along the surface shrinks by the index, the other fills up to unit length.
+        along = (direction + falling[:, None] * normal) / self.water.n_water
+        bent = along - np.sqrt(1.0 - np.sum(along**2, axis=1, keepdims=True)) * normal
+        return in_air, bent, np.abs(falling)
+
+
+def _at(origin: np.ndarray, direction: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Points (N, 3) at distances (N,), NaN where infinite."""
+    t = np.where(np.isfinite(t), t, np.nan)
+    return origin + t[:, None] * direction
+
+
+def depth_below(water: WaterSurface | None, points: np.ndarray) -> np.ndarray:
+    """Vertical depth (N,) [m] of points (N, 3) below the water, or below the origin of local without it."""
+    level = 0.0 if water is None else water.height(points[:, 0], points[:, 1])
+    return level - points[:, 2]
+
+
+def _incidence(cosine_of_bend: np.ndarray, n: float) -> np.ndarray:
+    """Cosine of incidence (N,) of rays that were bent by an angle of which the cosine is given.
+
+    From ``sin a = n sin(a - bend)``: ``tan a = n sin(bend) / (n cos(bend) - 1)``.
+    """
+    cosine = np.clip(cosine_of_bend, -1.0, 1.0)
+    tangent = n * np.sqrt(1.0 - cosine**2) / np.maximum(n * cosine - 1.0, 1e-12)
+    return 1.0 / np.hypot(1.0, tangent)
+
+
+def _fresnel(cosine: np.ndarray, n: float) -> np.ndarray:
+    """Share (N,) of unpolarised light that the surface mirrors."""
+    inside = np.sqrt(1.0 - (1.0 - cosine**2) / n**2)
+    across = ((cosine - n * inside) / (cosine + n * inside)) ** 2
+    along = ((n * cosine - inside) / (n * cosine + inside)) ** 2
+    return 0.5 * (across + along)

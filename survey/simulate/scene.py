@@ -1,0 +1,69 @@
+"""A scene made ready: its place on Earth, its cameras, its water and its ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geo.frames import LocalFrame
+from refract import PinholeCamera
+from refract.surfaces import WaterSurface
+from survey.cameras import Lens
+from survey.simulate.render_direct import DirectRenderer
+from survey.simulate.sensor import Eye, Sensor
+from survey.simulate.water import WaterLevel
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A scene with its cameras and its ground, ready to be photographed.
+
+    Attributes
+    ----------
+    name, crs : str
+        As survey.toml has them.
+    frame : LocalFrame
+    cameras : tuple of PinholeCamera
+        Free of distortion, local.
+    lens : Lens
+        Of all photographs.
+    level : WaterLevel or None
+        What survey.toml says of the water.
+    renderer : DirectRenderer
+        Exact in geometry: the truth is what it finds, whatever takes the photographs.
+    sensor : Sensor
+    bounds : (e0, n0, e1, n1), in crs
+        What is evaluated.
+    seed : int
+    eye : callable, optional
+        Light along rays; by default that of `renderer`.
+    """
+
+    name: str
+    crs: str
+    frame: LocalFrame
+    cameras: tuple[PinholeCamera, ...]
+    lens: Lens
+    level: WaterLevel | None
+    renderer: DirectRenderer
+    sensor: Sensor
+    bounds: tuple[float, float, float, float]
+    seed: int
+    eye: Eye | None = None
+
+    @property
+    def water(self) -> WaterSurface | None:
+        """The surface of the water, local."""
+        return self.renderer.water
+
+    @property
+    def names(self) -> list[str]:
+        """File names of the photographs: JPEG, or PNG without loss where there is no noise."""
+        suffix = ".jpg" if self.sensor.noise > 0.0 or self.sensor.by_chance else ".png"
+        return [f"{k:04d}{suffix}" for k in range(len(self.cameras))]
+
+    def photograph(self, index: int) -> np.ndarray:
+        """Image (height, width, 3) uint8 of one camera."""
+        eye = self.eye or self.renderer.radiance_of_rays
+        return self.sensor.photograph(eye, self.cameras[index], self.lens, (self.seed, index))

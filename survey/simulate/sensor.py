@@ -1,0 +1,179 @@
+"""The camera's inside: a lens that distorts, an exposure that takes time, and the grey levels of a sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from refract import PinholeCamera
+from survey.cameras import Lens
+
+# Radiance (N, 3) along rays from origins (N, 3) in directions (N, 3), with a seed for what is left to chance.
+Eye = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
+
+GAMMA = 2.2
+# Rays at a time.
+_RAYS = 1 << 21
+# Steps of a sequence that fills the cube evenly (Roberts 2018, the generalised golden ratio of three dimensions).
+_STEPS = 1.0 / 1.2207440846057596 ** np.arange(1, 4)
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """How light becomes an image.
+
+    Attributes
+    ----------
+    samples : int
+        Rays per pixel.
+    by_chance : bool
+        Whether they fall anywhere in the pixel, or on a regular square grid.
+    noise : [grey levels]
+        Standard deviation of the noise that is alike everywhere.
+    photons_at_white : [-]
+        Photons that a white pixel counts; 0 for no noise of counting.
+    exposure : [-]
+        Linear grey per radiance.
+    drift : [-]
+        Step of the random walk that the logarithm of the exposure takes from image to image.
+    blur_m : [m]
+        Way that the camera flies, to the top of its image, while the shutter is open.
+    """
+
+    samples: int = 4
+    by_chance: bool = False
+    noise: float = 0.0
+    photons_at_white: float = 0.0
+    exposure: float = 1.0
+    drift: float = 0.0
+    blur_m: float = 0.0
+
+    def photograph(self, eye: Eye, camera: PinholeCamera, lens: Lens, seed: tuple[int, int]) -> np.ndarray:
+        """The image (height, width, 3) uint8 of a camera; `seed` is that of the scene and the number of the image."""
+        scene, index = seed
+        linear = self.exposure * self._walk(scene, index) * self.light(eye, camera, lens, seed)
+        if self.photons_at_white > 0.0:
+            rng = np.random.default_rng([scene, 8, index])
+            linear = rng.poisson(linear * self.photons_at_white) / self.photons_at_white
+        grey = 255.0 * np.clip(linear, 0.0, 1.0) ** (1.0 / GAMMA)
+        if self.noise > 0.0:
+            grey += self.noise * np.random.default_rng([scene, 3, index]).standard_normal(grey.shape)
+        return np.clip(np.round(grey), 0.0, 255.0).astype(np.uint8)
+
+    def light(self, eye: Eye, camera: PinholeCamera, lens: Lens, seed: tuple[int, int]) -> np.ndarray:
+        """Mean radiance (height, width, 3) of the pixels of a camera."""
+        rng = np.random.default_rng([seed[0], 6, seed[1]])
+        shape = (camera.height, camera.width)
+        centre, change = normalised(lens)
+        total = np.zeros((camera.height * camera.width, 3))
+        forward = _horizontal(-camera.cam_from_local[1])
+        turn = rng.random((3, *shape)) if self.by_chance else None
+        for number, (part, offsets) in enumerate(self._samples(shape, turn)):
+            # (x, y) of the ray at depth 1 in cam; the lens is affine within a pixel, to 1e-6 of it.
+            plane = centre[part, None] + np.einsum("prij,prj->pri", change[part, None], offsets[..., :2])
+            rays = np.concatenate([plane, np.ones((*plane.shape[:2], 1))], axis=-1).reshape(-1, 3)
+            rays = rays @ camera.cam_from_local
+            rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+            flown = (self.blur_m * offsets[..., 2]).reshape(-1, 1) * forward
+            radiance = eye(camera.centre + flown, rays, _seed_of(seed, number))
+            total[part] += radiance.reshape(*offsets.shape[:2], 3).sum(axis=1)
+        return (total / self.samples).reshape(*shape, 3)
+
+    def _samples(self, shape: tuple[int, int], turn: np.ndarray | None) -> Iterator[tuple[slice, np.ndarray]]:
+        """Parts of the flattened image, with offsets (pixels, rays, 3) from the pixel's middle [px] and in time.
+
+        Time runs from -0.5 to 0.5 while the shutter is open.
+        """
+        num_pixels = shape[0] * shape[1]
+        if turn is None:
+            side = round(self.samples**0.5)
+            at = (np.arange(side) + 0.5) / side - 0.5
+            u, v = (c.ravel() for c in np.meshgrid(at, at))
+            time = (np.arange(self.samples) + 0.5) / self.samples - 0.5
+            table = np.stack([u, v, time], axis=-1)
+        else:
+            table = np.arange(1, self.samples + 1)[:, None] * _STEPS
+            turn = turn.reshape(3, -1).T
+        at_once = min(self.samples, max(_RAYS // num_pixels, 1))
+        pixels = max(_RAYS // at_once, 1)
+        for first in range(0, self.samples, at_once):
+            rows = table[first : first + at_once]
+            for start in range(0, num_pixels, pixels):
+                part = slice(start, min(start + pixels, num_pixels))
+                count = part.stop - part.start
+                if turn is None:
+                    yield part, np.broadcast_to(rows, (count, *rows.shape))
+                else:
+                    yield part, (turn[part, None] + rows) % 1.0 - 0.5
+
+    def _walk(self, scene: int, index: int) -> float:
+        if self.drift == 0.0:
+            return 1.0
+        steps = np.random.default_rng([scene, 7]).standard_normal(index + 1)
+        return float(np.exp(self.drift * steps.sum()))
+
+
+def normalised(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
+    """Where the pixels of a photograph look, at depth 1 in cam, and how that changes across a pixel.
+
+    Returns
+    -------
+    (pixels, 2), (pixels, 2, 2)
+        Row by row; the second is d(x, y) / d(u, v) [1/px].
+    """
+    u, v = np.meshgrid(np.arange(lens.width) + 0.5, np.arange(lens.height) + 0.5)
+    pixels = np.stack([u.ravel(), v.ravel()], axis=-1)
+    fx, fy = lens.focal
+    if not lens.is_distorted:
+        change = np.broadcast_to(np.diag([1.0 / fx, 1.0 / fy]), (len(pixels), 2, 2))
+        return (pixels - (lens["cx"], lens["cy"])) / (fx, fy), change
+    half = 0.5
+    across, down = (
+        undistorted(lens, pixels + step) - undistorted(lens, pixels - step) for step in ((half, 0.0), (0.0, half))
+    )
+    return undistorted(lens, pixels), np.stack([across, down], axis=-1)
+
+
+def undistorted(lens: Lens, pixels: np.ndarray) -> np.ndarray:
+    """Where pixels (N, 2) of a distorted photograph look, at depth 1 in cam (N, 2)."""
+    fx, fy = lens.focal
+    matrix = np.array([[fx, 0.0, lens["cx"]], [0.0, fy, lens["cy"]], [0.0, 0.0, 1.0]])
+    # Newton-like steps until they are below a billionth of the focal length.
+    until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+    points = np.ascontiguousarray(pixels, dtype=np.float64)[:, None]
+    if lens.model == "OPENCV_FISHEYE":
+        return cv2.fisheye.undistortPoints(points, matrix, _coefficients(lens), criteria=until)[:, 0]
+    return cv2.undistortPoints(points, matrix, _coefficients(lens), criteria=until)[:, 0]
+
+
+def distorted(lens: Lens, pixels: np.ndarray) -> np.ndarray:
+    """Pixels (N, 2) of the photograph at which those (N, 2) of the pinhole camera appear; undoes `undistorted`."""
+    if not lens.is_distorted:
+        return pixels
+    (fx, fy), (cx, cy) = lens.focal, (lens["cx"], lens["cy"])
+    plane = np.ascontiguousarray((pixels - (cx, cy)) / (fx, fy))
+    matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    if lens.model == "OPENCV_FISHEYE":
+        return cv2.fisheye.distortPoints(plane[:, None], matrix, _coefficients(lens))[:, 0]
+    points = np.concatenate([plane, np.ones((len(plane), 1))], axis=-1)
+    return cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, _coefficients(lens))[0][:, 0]
+
+
+def _coefficients(lens: Lens) -> np.ndarray:
+    """In OpenCV's order."""
+    fisheye = lens.model == "OPENCV_FISHEYE"
+    return np.array([lens[name] for name in (("k1 k2 k3 k4") if fisheye else "k1 k2 p1 p2 k3 k4 k5 k6").split()])
+
+
+def _horizontal(direction: np.ndarray) -> np.ndarray:
+    level = np.array([direction[0], direction[1], 0.0])
+    length = np.linalg.norm(level)
+    return level / length if length > 0.0 else level
+
+
+def _seed_of(seed: tuple[int, int], number: int) -> int:
+    """A seed below 2**31 for one part of one image."""
+    return int(np.random.default_rng([*seed, number]).integers(1 << 31))

@@ -1,0 +1,113 @@
+"""What goes with simulated photographs: survey.toml, cameras.csv and EXIF."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+from PIL import ExifTags, Image
+from PIL.TiffImagePlugin import IFDRational
+from pyproj import Transformer
+
+from geo import write_whole
+from geo.crs import horizontal_crs
+from survey.cameras import CAM_FROM_OPK_CAM, MODELS
+from survey.simulate.scene import Scene
+
+_JPEG_QUALITY = 92
+_GPS_STD_M = 0.02
+
+
+def survey_toml(scene: Scene) -> str:
+    """The text of survey.toml: all that a reconstruction may know beside the poses."""
+    lens, level = scene.lens, scene.level
+    fx, fy = lens.focal
+    lines = [
+        f"name = {json.dumps(scene.name, ensure_ascii=False)}",
+        f'crs = "{scene.crs}"    # of cameras.csv, of truth/ and of every height here',
+        "",
+        "[cameras]",
+        'poses = "cameras.csv"    # easting, northing, height [m]; angles [deg] about the grid axes',
+        f'model = "{lens.model}"',
+        f"size_px = [{lens.width}, {lens.height}]",
+        f"focal_px = {fx if fx == fy else [fx, fy]}",
+        f"principal_point_px = [{lens['cx']}, {lens['cy']}]    # the centre of the first pixel is at 0.5, 0.5",
+    ]
+    coefficients = [lens[name] for name in MODELS[lens.model][1] if name[0] in "kp"]
+    lines += [f"distortion = {coefficients}", ""] if coefficients else [""]
+    if level is not None:
+        lines += [
+            "[water]",
+            f"level_m = {level.level_m}    # height of the water surface, at the point below",
+            f"level_at = [{level.level_at[0]}, {level.level_at[1]}]    # easting, northing",
+            f"slope_east = {level.slope_east}",
+            f"slope_north = {level.slope_north}",
+            f"refractive_index = {level.refractive_index}",
+            "",
+        ]
+    bounds = ", ".join(f"{v:.3f}" for v in scene.bounds)
+    lines += [
+        "[area]",
+        f"bounds = [{bounds}]    # easting and northing, low then high: what is evaluated",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def cameras_csv(scene: Scene) -> str:
+    """Poses in crs; omega, phi, kappa turn the grid axes: grid_from_camera = Rx(omega) Ry(phi) Rz(kappa)."""
+    centres = scene.frame.crs_from_local([camera.centre for camera in scene.cameras])
+    local_from_grid = scene.frame.local_from_grid(centres)
+    lines = ["image,easting,northing,height,omega,phi,kappa"]
+    for name, camera, centre, axes in zip(scene.names, scene.cameras, centres, local_from_grid, strict=True):
+        r = axes.T @ camera.cam_from_local.T @ CAM_FROM_OPK_CAM
+        angles = (math.atan2(-r[1, 2], r[2, 2]), math.asin(r[0, 2]), math.atan2(-r[0, 1], r[0, 0]))
+        numbers = [f"{v:.6f}" for v in centre] + [f"{math.degrees(v):.9f}" for v in angles]
+        lines.append(",".join([name, *numbers]))
+    return "\n".join([*lines, ""])
+
+
+def exif_of_views(scene: Scene) -> list[Image.Exif]:
+    """EXIF of all images: positions as a good receiver knows them, heights in crs, and the focal length."""
+    rng = np.random.default_rng([scene.seed, 5])
+    centres = np.array([camera.centre for camera in scene.cameras])
+    e, n, heights = scene.frame.crs_from_local(centres + _GPS_STD_M * rng.standard_normal(centres.shape)).T
+    lon, lat = Transformer.from_crs(horizontal_crs(scene.frame.crs), "EPSG:4326", always_xy=True).transform(e, n)
+    film_mm = 36.0 * max(scene.lens.focal) / max(scene.lens.width, scene.lens.height)
+    exifs = []
+    for values in zip(lon, lat, heights, strict=True):
+        exif = Image.Exif()
+        exif[ExifTags.Base.Make], exif[ExifTags.Base.Model] = "Simulated", f"{film_mm:.1f} mm"
+        exif[ExifTags.IFD.Exif] = {ExifTags.Base.FocalLengthIn35mmFilm: round(film_mm)}
+        exif[ExifTags.IFD.GPSInfo] = _gps(*(float(v) for v in values))
+        exifs.append(exif)
+    return exifs
+
+
+def _gps(lon: float, lat: float, height: float) -> dict:
+    def sexagesimal(angle: float) -> tuple[IFDRational, ...]:
+        minutes, seconds = divmod(round(abs(angle) * 36e8), 6 * 10**7)
+        degrees, minutes = divmod(minutes, 60)
+        return IFDRational(degrees, 1), IFDRational(minutes, 1), IFDRational(seconds, 10**6)
+
+    tag = ExifTags.GPS
+    return {
+        tag.GPSLatitudeRef: "N" if lat >= 0.0 else "S",
+        tag.GPSLatitude: sexagesimal(lat),
+        tag.GPSLongitudeRef: "E" if lon >= 0.0 else "W",
+        tag.GPSLongitude: sexagesimal(lon),
+        tag.GPSAltitudeRef: b"\x00" if height >= 0.0 else b"\x01",
+        tag.GPSAltitude: IFDRational(round(abs(height) * 1000.0), 1000),
+    }
+
+
+def write_image(path: Path, image: np.ndarray, exif: Image.Exif) -> None:
+    """Write an image (height, width, 3) uint8, whole or not at all; without loss where the name ends in .png."""
+    picture = Image.fromarray(image)
+    with write_whole(path) as stream:
+        if path.suffix == ".png":
+            picture.save(stream, "PNG", exif=exif)
+        else:
+            picture.save(stream, "JPEG", quality=_JPEG_QUALITY, subsampling=0, exif=exif)

@@ -1,0 +1,173 @@
+"""The folder of a simulated survey: survey.toml, cameras.csv, images, and beside them what is true, in truth/.
+
+Images are kept as they are finished in a hidden folder beside the survey, which takes its name at the end: what
+was stopped goes on from there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from geo import write_whole
+from survey.errors import SurveyError
+from survey.progress import Progress, Stage
+from survey.simulate.scene import Scene
+from survey.simulate.sidecars import cameras_csv, exif_of_views, survey_toml, write_image
+from survey.simulate.truth import depth_map, ground_mesh, points_on, seen_by, write_ply
+
+MARKER = "simulated.json"
+# As many cameras have to see a point for it to count as visible.
+_MIN_VIEWS = 3
+# Code that decides what a survey looks like.
+_CODE = ("simulate", "drawn", "flight")
+
+
+def write_survey(
+    folder: Path,
+    settings: dict,
+    stage_scene: Callable[[], Scene],
+    *,
+    again: bool = False,
+    progress: Progress | None = None,
+) -> None:
+    """Photograph a scene into a folder, whole or not at all; the same settings give the same bytes.
+
+    Parameters
+    ----------
+    folder : Path
+        Becomes a survey folder with ``truth/reference.ply`` (the true surface in the bounds, crs, double
+        precision), ``truth/visible.ply`` (points of it that at least three cameras see), ``truth/depth/`` (TIFF
+        [m], below the water, of the middle of each pixel, NaN for none) and ``truth/wet/`` (PNG, white where the
+        pixel looks into water). Where the same survey lies already, nothing is done; another simulated survey is
+        replaced, and what is not of it, such as a run folder, stays.
+    settings : dict
+        All that the scene is made of, as JSON can hold it.
+    stage_scene : callable
+        Makes the scene; called only if something is left to do.
+    again : bool
+        Begin anew even if the same survey, or a part of it, lies there.
+
+    Raises
+    ------
+    SurveyError
+        If the folder holds something that was not simulated here.
+    """
+    folder, mark = Path(folder), _mark(settings)
+    marker = folder / MARKER
+    if marker.is_file():
+        if not again and marker.read_text(encoding="utf-8") == mark:
+            return
+    elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise SurveyError(
+            f"{folder} is not empty and was not simulated here (no {MARKER} in it); give another folder or empty it"
+        )
+    work = folder.absolute().parent / f".{folder.absolute().name}.part"
+    started = work / MARKER
+    if again or not started.is_file() or started.read_text(encoding="utf-8") != mark:
+        shutil.rmtree(work, ignore_errors=True)
+        (work / "new").mkdir(parents=True)
+        started.write_text(mark, encoding="utf-8")
+    _write(work / "new", stage_scene(), progress or Progress(verbosity=-1))
+    (work / "new" / MARKER).write_text(mark, encoding="utf-8")
+    # If this fails, what was in the folder still lies in the folder or beside it.
+    _replace(folder, work)
+    shutil.rmtree(work, ignore_errors=True)
+
+
+def _mark(settings: dict) -> str:
+    """What the scene was made of, and a hash of it and of the code that photographs it, as the text of the marker."""
+    code = hashlib.sha256(json.dumps(settings).encode())
+    for package in _CODE:
+        for path in sorted((Path(__file__).parent.parent / package).glob("*.py")):
+            code.update(path.read_bytes())
+    return json.dumps({"scene": settings, "sha256": code.hexdigest()}, indent=1) + "\n"
+
+
+def _replace(folder: Path, work: Path) -> None:
+    """Put work/new in the place of `folder`, and what was in the folder but is not simulated back into it."""
+    new, old = work / "new", work / "old"
+    # Left by an earlier try that was killed between the two names.
+    if old.exists() and not folder.exists():
+        old.rename(folder)
+    if folder.exists():
+        folder.rename(old)
+    try:
+        new.rename(folder)
+    except OSError:
+        if old.exists():
+            old.rename(folder)
+        raise
+    if old.exists():
+        for entry in old.iterdir():
+            if not (folder / entry.name).exists():
+                entry.rename(folder / entry.name)
+
+
+def _write(folder: Path, scene: Scene, progress: Progress) -> None:
+    for name in ("images", "truth/depth", "truth/wet"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    (folder / "survey.toml").write_text(survey_toml(scene), encoding="utf-8")
+    (folder / "cameras.csv").write_text(cameras_csv(scene), encoding="utf-8")
+    # Positions first: PROJ's transformations are not for several threads.
+    exifs = exif_of_views(scene)
+
+    def take(index: int) -> None:
+        path = folder / "images" / scene.names[index]
+        if not path.exists():
+            write_image(path, scene.photograph(index), exifs[index])
+
+    count = len(scene.cameras)
+    with progress.stage("photographing the scene", count) as stage, ThreadPoolExecutor(_threads(scene)) as pool:
+        for _ in pool.map(take, range(count)):
+            stage.advance()
+    with progress.stage("writing what is true", count) as stage, ThreadPoolExecutor(_threads()) as pool:
+        _write_truth(folder / "truth", scene, pool, stage)
+
+
+def _write_truth(folder: Path, scene: Scene, pool: ThreadPoolExecutor, stage: Stage) -> None:
+    frame, ground = scene.frame, scene.renderer.ground
+    e0, n0, e1, n1 = scene.bounds
+
+    def inside(points_crs: np.ndarray) -> np.ndarray:
+        e, n = points_crs[..., 0], points_crs[..., 1]
+        return (e >= e0) & (e <= e1) & (n >= n0) & (n <= n1)
+
+    vertices, faces = ground_mesh(ground, inside(frame.crs_from_local(ground.bed.mesh()[0])))
+    write_ply(folder / "reference.ply", frame.crs_from_local(vertices), faces)
+    points = points_on(vertices, faces, np.random.default_rng([scene.seed, 4]))
+    points_crs = frame.crs_from_local(points)
+    points, points_crs = points[inside(points_crs)], points_crs[inside(points_crs)]
+
+    def look(index: int) -> np.ndarray:
+        camera, stem = scene.cameras[index], Path(scene.names[index]).stem
+        depth, wet = depth_map(scene.renderer, camera, scene.lens)
+        _write_picture(folder / "depth" / f"{stem}.tif", Image.fromarray(depth), compression="tiff_deflate")
+        _write_picture(folder / "wet" / f"{stem}.png", Image.fromarray(wet))
+        return seen_by(scene.renderer, camera, scene.lens, points)
+
+    num_views = np.zeros(len(points), dtype=int)
+    for seen in pool.map(look, range(len(scene.cameras))):
+        num_views += seen
+        stage.advance()
+    write_ply(folder / "visible.ply", points_crs[num_views >= _MIN_VIEWS])
+
+
+def _write_picture(path: Path, picture: Image.Image, **options) -> None:
+    with write_whole(path) as stream:
+        picture.save(stream, {".tif": "TIFF", ".png": "PNG"}[path.suffix], **options)
+
+
+def _threads(scene: Scene | None = None) -> int:
+    """Each view takes about 0.2 GB while it is looked at; an eye of its own has its own threads."""
+    if scene is not None and scene.eye is not None:
+        return 1
+    return min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, 8)

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import numpy as np
 
+from evaluation.bootstrap import Blocks, mean_interval
 from evaluation.completeness import f_score
 
 # The normal distribution has its median absolute deviation at 1 / 1.4826 standard deviations.
 _STD_PER_MAD = 1.4826
-DEPTH_EDGES_M = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, math.inf)
-SHORELINE_MARGIN_M = 0.05
 
 
 def summarise(
@@ -22,39 +20,65 @@ def summarise(
     is_reached: np.ndarray,
     is_reached_visible: np.ndarray | None = None,
     num_cropped: int = 0,
-    depth_m: np.ndarray | None = None,
+    blocks: Blocks | None = None,
 ) -> dict:
-    """All numbers of a comparison.
+    """The numbers of a comparison over all its points.
 
     Parameters
     ----------
     distances : (N,) [m]
         Signed (unsigned if the reference is a cloud). NaN is counted as ``n_nan`` and left out.
+    tolerance_m, is_reached, is_reached_visible :
+        As `scores`.
+    num_cropped : int
+        Points that were left out before.
+    blocks : Blocks of the N points, optional
+        As `distance_statistics`.
+
+    Returns
+    -------
+    dict
+        ``n_points``, ``n_cropped`` and those of `distance_statistics` and `scores`.
+    """
+    statistics = distance_statistics(distances, blocks)
+    return {
+        "n_points": statistics.pop("n_points"),
+        "n_cropped": int(num_cropped),
+        **statistics,
+        **scores(
+            distances, tolerance_m=tolerance_m, is_reached=is_reached, is_reached_visible=is_reached_visible
+        ),
+    }
+
+
+def scores(
+    distances: np.ndarray,
+    *,
+    tolerance_m: float,
+    is_reached: np.ndarray,
+    is_reached_visible: np.ndarray | None = None,
+) -> dict:
+    """Accuracy and completeness at one tolerance.
+
+    Parameters
+    ----------
+    distances : (N,) [m]
+        NaN is left out.
     tolerance_m : [m]
     is_reached : (M,) bool
         Which samples of the reference lie closer than the tolerance to the cloud.
     is_reached_visible : (K,) bool, optional
         The same for points of the reference that cameras see.
-    num_cropped : int
-        Points that were left out before.
-    depth_m : (N,) [m], optional
-        Depth of the bed at each point, positive below the water; NaN where it is not known.
 
     Returns
     -------
     dict
-        ``n_points``, ``n_cropped`` and those of `distance_statistics`; ``completeness``, ``accuracy_share``
-        (share with |d| below the tolerance), ``f_score``, ``tolerance_m``; with ``is_reached_visible`` also
-        ``completeness_visible``; with depths, where any is known, also those of `by_depth`.
+        ``completeness``, ``accuracy_share`` (share with |d| below the tolerance), ``f_score``, ``tolerance_m``;
+        with ``is_reached_visible`` also ``completeness_visible``.
     """
-    statistics = distance_statistics(distances)
     finite = distances[np.isfinite(distances)]
-    accuracy_share = _mean(np.abs(finite) < tolerance_m)
-    completeness = _mean(is_reached)
+    accuracy_share, completeness = _mean(np.abs(finite) < tolerance_m), _mean(is_reached)
     numbers = {
-        "n_points": statistics.pop("n_points"),
-        "n_cropped": int(num_cropped),
-        **statistics,
         "completeness": completeness,
         "accuracy_share": accuracy_share,
         "f_score": f_score(accuracy_share, completeness),
@@ -62,13 +86,17 @@ def summarise(
     }
     if is_reached_visible is not None:
         numbers["completeness_visible"] = _mean(is_reached_visible)
-    if depth_m is not None and np.isfinite(depth_m).any():
-        numbers |= by_depth(distances, depth_m)
     return numbers
 
 
-def distance_statistics(distances: np.ndarray) -> dict:
+def distance_statistics(distances: np.ndarray, blocks: Blocks | None = None) -> dict:
     """Counts and moments of distances (N,) [m].
+
+    Parameters
+    ----------
+    distances : (N,) [m]
+    blocks : Blocks of the N points, optional
+        From `evaluation.spatial_blocks`; with them each mean gets an interval of 95 % confidence.
 
     Returns
     -------
@@ -76,9 +104,11 @@ def distance_statistics(distances: np.ndarray) -> dict:
         ``n_points`` (finite ones), ``n_nan``; ``mean_m``, ``median_m``, ``std_m`` (population), ``rms_m``;
         ``mean_inner90_m`` and ``std_inner90_m`` over the points whose |d| is at most the 0.9 quantile of |d|
         (linear between points); ``nmad_m`` (1.4826 times the median absolute deviation from the median),
-        ``p95_abs_m``, ``min_m``, ``max_m``. All but the counts are NaN if there is no point.
+        ``p95_abs_m``, ``min_m``, ``max_m``; with blocks ``mean_ci95_m`` and ``mean_inner90_ci95_m``, each
+        [low, high]. All but the counts are NaN if there is no point.
     """
-    d = distances[np.isfinite(distances)].astype(np.float64, copy=False)
+    finite = np.isfinite(distances)
+    d = distances[finite].astype(np.float64, copy=False)
     counts = {"n_points": len(d), "n_nan": len(distances) - len(d)}
     if not len(d):
         names = (
@@ -93,10 +123,13 @@ def distance_statistics(distances: np.ndarray) -> dict:
             "min",
             "max",
         )
-        return counts | {f"{name}_m": math.nan for name in names}
+        values = {f"{name}_m": math.nan for name in names}
+        intervals = ("mean_ci95_m", "mean_inner90_ci95_m") if blocks is not None else ()
+        return counts | values | {name: [math.nan, math.nan] for name in intervals}
     size = np.abs(d)
     q90, q95 = np.quantile(size, [0.9, 0.95])
-    inner = d[size <= q90]
+    is_inner = size <= q90
+    inner = d[is_inner]
     median = np.median(d)
     values = {
         "mean_m": d.mean(),
@@ -110,35 +143,12 @@ def distance_statistics(distances: np.ndarray) -> dict:
         "min_m": d.min(),
         "max_m": d.max(),
     }
-    return counts | {name: float(value) for name, value in values.items()}
-
-
-def by_depth(distances: np.ndarray, depth_m: np.ndarray) -> dict:
-    """Statistics of the wet and the dry part, and of bands of depth.
-
-    Parameters
-    ----------
-    distances : (N,) [m]
-    depth_m : (N,) [m]
-        Of the bed, positive below the water; points with NaN are in no part.
-
-    Returns
-    -------
-    dict
-        ``wet`` and ``dry``: `distance_statistics` of the points more than 5 cm below and above the water,
-        where the split is beyond doubt (left out if there is none). ``depth_bands``: a list of those of the
-        wet points between ``from_m`` (included) and ``to_m``, empty bands left out; ``to_m`` of the last is
-        None.
-    """
-    parts = {"wet": depth_m > SHORELINE_MARGIN_M, "dry": depth_m < -SHORELINE_MARGIN_M}
-    split = {name: distance_statistics(distances[part]) for name, part in parts.items() if part.any()}
-    bands = []
-    for low, high in pairwise(DEPTH_EDGES_M):
-        part = (depth_m >= low) & (depth_m < high)
-        if part.any():
-            to_m = None if math.isinf(high) else high
-            bands.append({"from_m": low, "to_m": to_m, **distance_statistics(distances[part])})
-    return {**split, "depth_bands": bands}
+    numbers = counts | {name: float(value) for name, value in values.items()}
+    if blocks is not None:
+        held = blocks.among(finite)
+        numbers["mean_ci95_m"] = list(mean_interval(d, held))
+        numbers["mean_inner90_ci95_m"] = list(mean_interval(inner, held.among(is_inner)))
+    return numbers
 
 
 def _mean(is_true: np.ndarray) -> float:

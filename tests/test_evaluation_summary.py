@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from evaluation import by_depth, distance_statistics, summarise
+from evaluation import distance_statistics, summarise
 
 EXACT = {"rel": 1e-12, "abs": 1e-15}
 
@@ -75,19 +75,8 @@ def test_the_summary_has_every_key_that_the_command_promises():
     # |d| = 0.2 is not closer than 0.2.
     assert numbers["accuracy_share"] == 0.5
     assert numbers["f_score"] == pytest.approx(0.6, **EXACT)
-    assert "wet" not in numbers
 
 
 def test_what_was_not_asked_for_is_not_there():
-    numbers = summarise(np.zeros(3), tolerance_m=0.2, is_reached=np.ones(1, bool), depth_m=np.full(3, np.nan))
-    assert not {"completeness_visible", "wet", "dry", "depth_bands"} & set(numbers)
-
-
-def test_wet_and_dry_are_split_five_centimetres_off_the_shoreline():
-    depth = np.array([-1.0, -0.04, 0.04, 0.3, 0.7, 1.0, 45.0, np.nan])
-    d = np.array([1.0, 2, 3, 4, 5, 6, 7, 8])
-    parts = by_depth(d, depth)
-    assert (parts["dry"]["n_points"], parts["dry"]["mean_m"]) == (1, 1.0)
-    assert (parts["wet"]["n_points"], parts["wet"]["mean_m"]) == (4, 5.5)
-    bands = [(b["from_m"], b["to_m"], b["n_points"]) for b in parts["depth_bands"]]
-    assert bands == [(0.0, 0.5, 2), (0.5, 1.0, 1), (1.0, 2.0, 1), (30.0, None, 1)]
+    numbers = summarise(np.zeros(3), tolerance_m=0.2, is_reached=np.ones(1, bool))
+    assert not {"completeness_visible", "mean_ci95_m"} & set(numbers)

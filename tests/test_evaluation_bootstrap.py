@@ -1,0 +1,90 @@
+"""The confidence of a mean: independent errors, correlated ones, and too few of them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from evaluation import mean_interval, spatial_blocks
+
+# Half the width of an interval of 95 % in standard errors.
+Z95 = 1.959964
+
+
+def _half_width(plan, errors) -> float:
+    low, high = mean_interval(errors, spatial_blocks(plan, errors))
+    return 0.5 * (high - low)
+
+
+def _field(rng, side, window):
+    """Points of a grid of unit spacing, and white noise of unit variance averaged over windows around them."""
+    white = rng.normal(size=(side + window - 1, side + window - 1))
+    sums = np.lib.stride_tricks.sliding_window_view(white, (window, window)).sum(axis=(2, 3))
+    x, y = np.meshgrid(np.arange(side), np.arange(side))
+    return np.stack([x.ravel(), y.ravel()], axis=1).astype(float), sums.ravel() / window
+
+
+def test_independent_errors_give_sigma_over_root_n(rng):
+    plan = rng.uniform(0.0, 30.0, (50_000, 2))
+    errors = rng.normal(0.004, 0.02, 50_000)
+    assert spatial_blocks(plan, errors).correlation_m == 0.0
+    # The standard error of a standard error from the 780 blocks there are is 1 / sqrt(2 * 780) = 2.5 %; quantiles of
+    # 1000 draws add about 4 %. Three of both together.
+    assert _half_width(plan, errors) == pytest.approx(Z95 * 0.02 / math.sqrt(50_000), rel=0.15)
+
+
+def test_correlated_errors_widen_the_interval_by_the_window_that_they_share(rng):
+    """Sums over windows of k by k have the correlation (1 - |dx| / k) (1 - |dy| / k), whose sum is k squared."""
+    window, side = 12, 600
+    plan, errors = _field(rng, side, window)
+    blocks = spatial_blocks(plan, errors)
+    # Along an axis the correlation falls to 1/e at 0.63 windows, along a diagonal at 0.56 of them.
+    assert blocks.correlation_m == pytest.approx(0.6 * window, rel=0.15)
+    expected = Z95 * window / side
+    # Ten correlation lengths are 6 windows, of whose pairs 1 - (1 - 1 / 18)^2 are cut: 5.5 % of the half width. The
+    # 69 blocks tell it to 8.5 %; twice that.
+    assert _half_width(plan, errors) == pytest.approx(0.945 * expected, rel=0.2)
+    assert _half_width(plan, errors) > 8.0 * Z95 * errors.std() / len(errors) ** 0.5
+
+
+def test_noise_of_single_points_does_not_hide_what_neighbours_share(rng):
+    plan, shared = _field(rng, 400, 10)
+    errors = shared + rng.normal(0.0, 3.0, len(shared))
+    assert spatial_blocks(plan, errors).correlation_m == pytest.approx(6.0, rel=0.5)
+
+
+def test_nineteen_of_twenty_intervals_hold_the_truth():
+    held = 0
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        plan = rng.uniform(0.0, 10.0, (2000, 2))
+        errors = rng.normal(0.0, 1.0, 2000)
+        low, high = mean_interval(errors, spatial_blocks(plan, errors))
+        held += low < 0.0 < high
+    # Binomial with 100 draws of 0.95: a standard deviation of 2.2; percentile intervals of few blocks are a little short.
+    assert 86 <= held <= 100
+
+
+def test_a_survey_as_small_as_its_correlation_says_that_its_interval_is_short(rng):
+    plan, errors = _field(rng, 60, 30)
+    assert spatial_blocks(plan, errors).is_narrow
+
+
+def test_too_few_blocks_give_no_interval():
+    plan = np.stack([np.arange(9.0), np.zeros(9)], axis=1)
+    assert np.isnan(mean_interval(np.ones(9), spatial_blocks(plan, np.ones(9)))).all()
+    assert np.isnan(mean_interval(np.full(3, np.nan), spatial_blocks(np.zeros((3, 2)), np.full(3, np.nan)))).all()
+
+
+def test_points_that_are_nan_take_part_in_nothing(rng):
+    plan = rng.uniform(0.0, 30.0, (5000, 2))
+    errors = rng.normal(size=5000)
+    gaps = np.append(errors, [np.nan, np.nan])
+    more = np.vstack([plan, [[1.0, 1.0], [np.nan, np.nan]]])
+    assert mean_interval(gaps, spatial_blocks(more, gaps)) == mean_interval(errors, spatial_blocks(plan, errors))
+
+
+def test_the_same_points_give_the_same_interval_and_one_spot_is_no_survey():
+    assert np.isnan(mean_interval(np.arange(50.0), spatial_blocks(np.full((50, 2), 7.0), np.arange(50.0)))).all()

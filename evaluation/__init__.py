@@ -1,26 +1,42 @@
 """How far a result is from the truth: numpy arrays in, numbers out, no files."""
 
+from evaluation.baselines import apparent_points, per_camera, times_index
 from evaluation.bootstrap import Blocks, mean_interval, spatial_blocks
 from evaluation.c2m import MeshDistances, distance_to_mesh
+from evaluation.checkpoints import height_at
 from evaluation.completeness import distance_to_cloud, f_score, is_reached, sample_mesh
+from evaluation.m3c2 import M3C2Distances, m3c2_distances
+from evaluation.outliers import is_outlier
+from evaluation.standards import asprs_vertical, iho_s44
 from evaluation.strata import by_band, by_depth
 from evaluation.summary import distance_statistics, scores, summarise
 from evaluation.triangles import weld
+from evaluation.vertical import vertical_difference
 
 __all__ = [
     "Blocks",
+    "M3C2Distances",
     "MeshDistances",
+    "apparent_points",
+    "asprs_vertical",
     "by_band",
     "by_depth",
     "distance_statistics",
     "distance_to_cloud",
     "distance_to_mesh",
     "f_score",
+    "height_at",
+    "iho_s44",
+    "is_outlier",
     "is_reached",
+    "m3c2_distances",
     "mean_interval",
+    "per_camera",
     "sample_mesh",
     "scores",
     "spatial_blocks",
     "summarise",
+    "times_index",
+    "vertical_difference",
     "weld",
 ]

@@ -111,7 +111,8 @@ class _Cells:
 
     @staticmethod
     def over(plan: np.ndarray) -> _Cells:
-        low, high = np.quantile(plan, [_STRAY_SHARE, 1.0 - _STRAY_SHARE], axis=0)
+        low = np.quantile(plan, _STRAY_SHARE, axis=0, method="lower")
+        high = np.quantile(plan, 1.0 - _STRAY_SHARE, axis=0, method="higher")
         # Points on a line or on one spot still need a cell of some size.
         size = np.maximum(high - low, max(1e-3 * float((high - low).max()), 1e-6))
         cell = max(float(size.max()) / _MOST_CELLS, math.sqrt(_POINTS_PER_CELL * float(size.prod()) / len(plan)))

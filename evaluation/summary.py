@@ -45,9 +45,7 @@ def summarise(
         "n_points": statistics.pop("n_points"),
         "n_cropped": int(num_cropped),
         **statistics,
-        **scores(
-            distances, tolerance_m=tolerance_m, is_reached=is_reached, is_reached_visible=is_reached_visible
-        ),
+        **scores(distances, tolerance_m=tolerance_m, is_reached=is_reached, is_reached_visible=is_reached_visible),
     }
 
 

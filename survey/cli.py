@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from survey.check import Section
 
 OUR_BUG, BAD_INPUT, STOPPED = 1, 2, 130
+_TOLERANCES_M = [0.2]
 
 app = typer.Typer(
     help="Drone photographs of shallow water become a georeferenced point cloud of the bed.",
@@ -177,33 +178,55 @@ def render(
 def compare(
     cloud: Annotated[Path, typer.Argument(metavar="CLOUD", help="LAS, LAZ or PLY.")],
     reference: Annotated[Path, typer.Argument(metavar="REFERENCE", help="PLY, OBJ, LAS or LAZ: mesh or points.")],
-    tolerance: Annotated[float, typer.Option(help="For completeness and F-score [m].")] = 0.2,
+    tolerance: Annotated[
+        list[float], typer.Option(help="For completeness and F-score [m]; may be given several times.")
+    ] = _TOLERANCES_M,
     visible: Annotated[Path | None, typer.Option(help="Points of the reference that cameras see.")] = None,
     bounds: Annotated[
         tuple[float, float, float, float] | None,
         typer.Option(metavar="E0 N0 E1 N1", help="Crop the cloud to this."),
     ] = None,
     sign: Annotated[Sign, typer.Option(help="Positive above, or on the side of the winding.")] = Sign.up,
+    water_level: Annotated[
+        float | None, typer.Option(help="Height of the water in the CRS, for bands of depth; else as the cloud says.")
+    ] = None,
+    checkpoints: Annotated[
+        Path | None, typer.Option(metavar="CSV", help="Check points: easting,northing,height[,sigma].")
+    ] = None,
+    outliers: Annotated[
+        str | None, typer.Option(metavar="sor:K,S", help="Leave statistical outliers out; without it nothing is.")
+    ] = None,
+    c2c: Annotated[bool, typer.Option("--c2c", help="Distances from cloud to cloud too, both ways.")] = False,
+    m3c2: Annotated[
+        float | None, typer.Option(metavar="RADIUS", help="M3C2 distances too, cylinders of this radius [m].")
+    ] = None,
     json: Annotated[Path | None, typer.Option(help="Write the numbers to this file.")] = None,
-    report: Annotated[Path | None, typer.Option(metavar="DIR", help="Write a histogram and a map there.")] = None,
+    report: Annotated[Path | None, typer.Option(metavar="DIR", help="Write pictures there.")] = None,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:
     """Say how far a cloud is from a reference: signed distances, completeness, F-score."""
     with _errors_as_exit_codes(verbose - quiet, report or json or cloud):
         from survey.compare import CompareOptions, compare_files
+        from survey.compare_text import sections_of
 
         options = CompareOptions(
-            tolerance_m=tolerance,
+            tolerances_m=tuple(tolerance),
             visible=visible,
             bounds=bounds,
             sign=sign.value,
+            water_level=water_level,
+            checkpoints=checkpoints,
+            outliers=outliers,
+            c2c=c2c,
+            m3c2_radius_m=m3c2,
             json_path=json,
             report_dir=report,
         )
         numbers = compare_files(cloud, reference, options=options)
         if verbose >= quiet:
-            _print_numbers(numbers)
+            for title, rows in sections_of(numbers):
+                _print_columns(title, rows)
 
 
 def main() -> None:
@@ -260,20 +283,6 @@ def _of_disk(error: OSError, place: Path) -> tuple[int, str]:
 def _print_section(section: Section) -> None:
     rows = [(f"  {label}" if label else "  -", text) for label, text in section.rows]
     _print_columns(section.title, rows)
-
-
-def _print_numbers(numbers: dict) -> None:
-    rows = []
-    for name, value in numbers.items():
-        if name == "notes":
-            rows += [("note", note) for note in value]
-        if value is None or isinstance(value, dict | list):
-            continue
-        unit = " m" if name.endswith("_m") else ""
-        # Rounded first, so that a mean of -1e-6 m is not shown as -0.0000 m.
-        shown = f"{round(value, 4) + 0.0:.4f}{unit}" if isinstance(value, float) else str(value)
-        rows.append((name.removesuffix("_m").replace("_", " "), shown))
-    _print_columns(None, rows)
 
 
 def _print_columns(title: str | None, rows: list[tuple[str, str]]) -> None:

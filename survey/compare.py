@@ -4,57 +4,33 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from evaluation import distance_to_cloud, distance_to_mesh, is_reached, sample_mesh, summarise
-from evaluation.c2m import Sign
-from evaluation.completeness import NUM_SAMPLES, SEED
-from geo import Cloud, Mesh, write_whole
+from evaluation import Blocks, is_outlier, scores, spatial_blocks, summarise
+from evaluation.bootstrap import LEVEL, NUM_DRAWS
+from evaluation.bootstrap import SEED as SEED_OF_DRAWS
+from evaluation.completeness import SEED
+from geo import Mesh, write_whole
+from survey import compare_measure as measure
+from survey.compare_checkpoints import checkpoint_accuracy, read_checkpoints
 from survey.compare_inputs import (
     Bounds,
     CompareError,
     Inputs,
-    check_bounds,
     load_inputs,
     metres_in_crs,
     to_local,
     vertices_of,
     within,
 )
+from survey.compare_options import CompareOptions, check_options, outlier_filter
 from survey.compare_report import write_report
 from survey.progress import current
 
-# Extra bytes that hold the depth below the water, in metres.
-_DEPTH_NAMES = ("depth", "depth_m")
-
-
-@dataclass(frozen=True)
-class CompareOptions:
-    """How a cloud is compared.
-
-    Attributes
-    ----------
-    tolerance_m : float [m]
-        For completeness, accuracy share and F-score.
-    visible : Path, optional
-        Points of the reference that cameras see.
-    bounds : (E0, N0, E1, N1), optional, in crs
-        Crop the cloud to this first.
-    sign : {"up", "winding"}
-        See `evaluation.distance_to_mesh`.
-    json_path, report_dir : Path, optional
-        Where the numbers and the pictures go.
-    """
-
-    tolerance_m: float = 0.2
-    visible: Path | None = None
-    bounds: Bounds | None = None
-    sign: Sign = "up"
-    json_path: Path | None = None
-    report_dir: Path | None = None
+__all__ = ["CompareOptions", "Comparison", "compare_files", "compare_surfaces"]
 
 
 @dataclass(frozen=True)
@@ -69,15 +45,22 @@ class Comparison:
         The compared points.
     distances : (N,) [m]
         Theirs; signed unless the reference is a cloud.
+    nearest : (N, 3) [m], local
+        The nearest points of the reference.
+    depth : (N,) [m] or None
+        Of the reference below the water at those, where it is known.
     targets : (M, 3), in crs
         What should be reached: the visible points, else samples of the reference.
     is_reached : (M,) bool
+        At the first tolerance.
     inputs : Inputs
     """
 
     numbers: dict
     points: np.ndarray
     distances: np.ndarray
+    nearest: np.ndarray
+    depth: np.ndarray | None
     targets: np.ndarray
     is_reached: np.ndarray
     inputs: Inputs
@@ -102,9 +85,11 @@ def compare_files(cloud: Path, reference: Path, *, options: CompareOptions | Non
     Returns
     -------
     dict
-        Everything of `evaluation.summarise`, and ``method``, ``sign``, ``crs``, ``bounds``, ``cloud``,
-        ``reference``, ``visible``, ``n_samples``, ``seed`` and ``notes``, a list of sentences. Values that do
-        not exist are None.
+        Everything of `evaluation.summarise` and `survey.compare_measure.parts`; ``tolerances``, a list of
+        `evaluation.scores` at each; ``vertical``, ``iho_s44``, ``asprs``, ``c2c``, ``m3c2`` where there is such;
+        ``outliers``, ``water_level``, ``confidence``, ``method``, ``sign``, ``crs``, ``bounds``, ``cloud``,
+        ``reference``, ``visible``, ``n_samples``, ``seed`` and ``notes``, a list of sentences. Values that do not
+        exist are None.
 
     Raises
     ------
@@ -128,50 +113,91 @@ def compare_files(cloud: Path, reference: Path, *, options: CompareOptions | Non
 
 def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> Comparison:
     """The comparison itself, with its distances; writes nothing. Parameters as `compare_files`."""
-    _check_options(options)
-    cloud, reference = Path(cloud), Path(reference)
-    visible = Path(options.visible) if options.visible is not None else None
+    check_options(options)
+    paths = Path(cloud), Path(reference), Path(options.visible) if options.visible is not None else None
     with current().stage("Reading"):
-        inputs = load_inputs(cloud, reference, visible, options.bounds)
+        inputs = load_inputs(*paths, options.bounds)
+        checkpoints = None if options.checkpoints is None else read_checkpoints(Path(options.checkpoints))
     notes = list(inputs.notes)
+    num_cropped = int((~inputs.inside).sum())
+    inputs, is_left = _without_outliers(inputs, options, paths[0], notes)
+    scene = measure.Scene.of(inputs, options.bounds, is_left, max(options.tolerances_m), paths)
+    distances, nearest = measure.distances_of(scene, options.sign, notes)
+    blocks = spatial_blocks(scene.points[:, :2], distances)
+    depth = measure.bed_depth(scene, nearest, options.water_level, paths[0])
+    with current().stage("Completeness", len(options.tolerances_m)) as stage:
+        reaches = []
+        for tolerance_m in options.tolerances_m:
+            reaches.append(measure.reached_at(scene, tolerance_m))
+            stage.advance()
+    _note_extent(inputs, options.bounds, paths[1], notes)
+    numbers = summarise(distances, num_cropped=num_cropped, blocks=blocks, **reaches[0])
+    numbers["tolerances"] = [scores(distances, **reach) for reach in reaches]
+    numbers |= measure.parts(scene, distances, depth, blocks) | measure.vertical(scene, distances, depth, blocks)
+    if checkpoints is not None:
+        numbers["asprs"] = checkpoint_accuracy(scene, checkpoints, Path(options.checkpoints), notes)
+    if options.c2c:
+        numbers["c2c"] = measure.cloud_to_cloud(scene)
+    if options.m3c2_radius_m is not None:
+        numbers["m3c2"] = measure.m3c2(scene, options.m3c2_radius_m)
+    numbers |= _circumstances(scene, options, blocks, paths, notes)
+    reached = reaches[0].get("is_reached_visible", reaches[0]["is_reached"])
+    targets = inputs.frame.crs_from_local(scene.targets)
     points = inputs.cloud.points[inputs.inside]
-    points_local = to_local(inputs.frame, points, cloud)
-    reference_local = to_local(inputs.frame, vertices_of(inputs.reference), reference)
-    distances, nearest = _distances(points_local, reference_local, inputs.reference, options.sign, notes)
+    return Comparison(without_nan(numbers), points, distances, nearest, depth, targets, reached, inputs)
 
-    around = within(inputs.cloud.points, options.bounds, metres_in_crs(inputs.frame, options.tolerance_m))
-    around_local = to_local(inputs.frame, inputs.cloud.points[around], cloud)
-    with current().stage("Completeness"):
-        samples = _samples(reference_local, inputs.reference)
-        reached = is_reached(samples, around_local, tolerance_m=options.tolerance_m)
-        targets, reached_targets = samples, reached
-        if inputs.visible is not None:
-            targets = _samples(to_local(inputs.frame, vertices_of(inputs.visible), visible), inputs.visible)
-            reached_targets = is_reached(targets, around_local, tolerance_m=options.tolerance_m)
-    _note_extent(inputs, options.bounds, reference, notes)
-    numbers = summarise(
-        distances,
-        tolerance_m=options.tolerance_m,
-        is_reached=reached,
-        is_reached_visible=reached_targets if inputs.visible is not None else None,
-        num_cropped=int((~inputs.inside).sum()),
-        depth_m=_bed_depth(inputs, points_local, nearest),
-    )
-    is_mesh = isinstance(inputs.reference, Mesh)
-    numbers |= {
+
+def _circumstances(
+    scene: measure.Scene, options: CompareOptions, blocks: Blocks, paths: tuple, notes: list[str]
+) -> dict:
+    """How the numbers came about."""
+    is_mesh, crs = isinstance(scene.inputs.reference, Mesh), scene.inputs.crs
+    if blocks.is_narrow:
+        notes.append(
+            f"the errors are correlated over {blocks.correlation_m:.3g} m, too far for the extent of the cloud: the "
+            "intervals of confidence are too short"
+        )
+    return {
+        "outliers": options.outliers,
+        "confidence": {
+            "level": LEVEL,
+            "method": "block bootstrap",
+            "block_m": blocks.size_m,
+            "correlation_length_m": blocks.correlation_m,
+            "draws": NUM_DRAWS,
+            "seed": SEED_OF_DRAWS,
+        },
+        "water_level": options.water_level,
         "method": "cloud to mesh" if is_mesh else "cloud to cloud",
         "sign": options.sign if is_mesh else None,
-        "crs": inputs.crs.name if inputs.crs is not None else None,
+        "crs": crs.name if crs is not None else None,
         "bounds": [float(v) for v in options.bounds] if options.bounds is not None else None,
-        "cloud": str(cloud),
-        "reference": str(reference),
-        "visible": str(visible) if visible is not None else None,
-        "n_samples": len(samples),
+        "cloud": str(paths[0]),
+        "reference": str(paths[1]),
+        "visible": str(paths[2]) if paths[2] is not None else None,
+        "n_samples": len(scene.samples),
         "seed": SEED if is_mesh else None,
         "notes": notes,
     }
-    targets_crs = inputs.frame.crs_from_local(targets)
-    return Comparison(without_nan(numbers), points, distances, targets_crs, reached_targets, inputs)
+
+
+def _without_outliers(
+    inputs: Inputs, options: CompareOptions, path: Path, notes: list[str]
+) -> tuple[Inputs, np.ndarray]:
+    """The inputs without outliers among what is compared, and which points of the file (N,) are left."""
+    is_left = np.ones(len(inputs.inside), dtype=bool)
+    if options.outliers is None:
+        return inputs, is_left
+    neighbours, num_std = outlier_filter(options.outliers)
+    with current().stage("Outliers"):
+        points = to_local(inputs.frame, inputs.cloud.points, path)
+        is_left = ~is_outlier(points, neighbours=neighbours, num_std=num_std)
+    lost = int((inputs.inside & ~is_left).sum())
+    notes.append(
+        f"{lost} of {int(inputs.inside.sum())} points were left out as outliers ({options.outliers}: mean distance to "
+        f"{neighbours} neighbours over its mean plus {num_std:g} standard deviations)"
+    )
+    return replace(inputs, inside=inputs.inside & is_left), is_left
 
 
 def without_nan(value):
@@ -183,53 +209,12 @@ def without_nan(value):
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _check_options(options: CompareOptions) -> None:
-    if not (math.isfinite(options.tolerance_m) and options.tolerance_m > 0.0):
-        raise CompareError(f"--tolerance is {options.tolerance_m:g}, expected metres above zero, e.g. 0.2")
-    if options.sign not in ("up", "winding"):
-        raise CompareError(f'--sign is "{options.sign}", expected up or winding')
-    check_bounds(options.bounds)
-
-
 def _make_folder(folder: Path) -> None:
     """Before anything is computed, so that a wrong path costs no time."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:
         raise CompareError(f"{folder} cannot be a folder, because a file is in the way; name another one") from error
-
-
-def _distances(
-    points: np.ndarray, vertices: np.ndarray, reference: Mesh | Cloud, sign: Sign, notes: list[str]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Distances (N,) and nearest points (N, 3) of the reference, local [m]."""
-    with current().stage("Distances", len(points)) as stage:
-        if not isinstance(reference, Mesh):
-            notes.append("the reference is a cloud: distances are to its nearest point and have no sign")
-            distances, numbers = distance_to_cloud(points, vertices)
-            return distances, vertices[numbers]
-        result = distance_to_mesh(points, vertices, reference.faces, sign=sign, advance=stage.advance)
-    if result.num_degenerate:
-        notes.append(f"{result.num_degenerate} triangles of the reference have no area and were left out")
-    return result.signed, result.nearest
-
-
-def _samples(vertices: np.ndarray, shape: Mesh | Cloud) -> np.ndarray:
-    """Points (M, 3) that a complete cloud would reach: spread over a mesh by area, all points of a cloud."""
-    return sample_mesh(vertices, shape.faces, NUM_SAMPLES) if isinstance(shape, Mesh) else vertices
-
-
-def _bed_depth(inputs: Inputs, points_local: np.ndarray, nearest: np.ndarray) -> np.ndarray | None:
-    """Depth (N,) [m] of the nearest point of the reference, if the cloud carries depths; else None.
-
-    The cloud's depth alone would sort its points by what it got wrong; its sum with the height is the water
-    surface, which does not depend on the bed.
-    """
-    name = next((name for name in _DEPTH_NAMES if name in inputs.cloud.extra), None)
-    if name is None:
-        return None
-    depth = np.asarray(inputs.cloud.extra[name], dtype=np.float64)[inputs.inside]
-    return depth + points_local[:, 2] - nearest[:, 2]
 
 
 def _note_extent(inputs: Inputs, bounds: Bounds | None, path: Path, notes: list[str]) -> None:

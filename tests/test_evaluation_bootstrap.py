@@ -63,7 +63,7 @@ def test_nineteen_of_twenty_intervals_hold_the_truth():
         errors = rng.normal(0.0, 1.0, 2000)
         low, high = mean_interval(errors, spatial_blocks(plan, errors))
         held += low < 0.0 < high
-    # Binomial with 100 draws of 0.95: a standard deviation of 2.2; percentile intervals of few blocks are a little short.
+    # Binomial, 100 draws of 0.95: a standard deviation of 2.2; percentile intervals of few blocks are a little short.
     assert 86 <= held <= 100
 
 

@@ -22,7 +22,11 @@ def test_wet_and_dry_are_split_five_centimetres_off_the_shoreline():
 def test_the_lower_limit_of_a_band_belongs_to_it_and_empty_bands_are_left_out():
     d = np.array([1.0, 2.0, 3.0, 4.0])
     bands = by_band(d, np.array([0.0, 5.0, 7.0, np.nan]), (0.0, 5.0, 6.0, 7.0, math.inf), "deg")
-    assert [(b["from_deg"], b["to_deg"], b["mean_m"]) for b in bands] == [(0.0, 5.0, 1.0), (5.0, 6.0, 2.0), (7.0, None, 3.0)]
+    assert [(b["from_deg"], b["to_deg"], b["mean_m"]) for b in bands] == [
+        (0.0, 5.0, 1.0),
+        (5.0, 6.0, 2.0),
+        (7.0, None, 3.0),
+    ]
 
 
 def test_a_band_has_the_interval_of_its_own_points(rng):

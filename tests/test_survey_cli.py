@@ -202,10 +202,15 @@ def test_export_needs_something_to_write_and_prints_what_it_wrote(monkeypatch):
 def test_compare_hands_its_options_on_and_prints_the_numbers_with_their_units(monkeypatch):
     @dataclass(frozen=True)
     class CompareOptions:
-        tolerance_m: float
+        tolerances_m: tuple[float, ...]
         visible: Path | None
         bounds: tuple[float, ...] | None
         sign: str
+        water_level: float | None
+        checkpoints: Path | None
+        outliers: str | None
+        c2c: bool
+        m3c2_radius_m: float | None
         json_path: Path | None
         report_dir: Path | None
 
@@ -218,17 +223,20 @@ def test_compare_hands_its_options_on_and_prints_the_numbers_with_their_units(mo
 
     fake_module(monkeypatch, "survey.compare", CompareOptions=CompareOptions, compare_files=compare_files)
     result = bathynerf("compare", "c.las", "r.ply", "--tolerance", "0.05", "--bounds", "-1", "2", "3", "4.5",
-                       "--sign", "winding", "--json", "n.json", "--report", "d", "--visible", "v.ply")  # fmt: skip
+                       "--tolerance", "0.2", "--water-level", "3.5", "--checkpoints", "k.csv", "--outliers", "sor:6,2",
+                       "--c2c", "--m3c2", "0.5", "--sign", "winding", "--json", "n.json", "--report", "d",
+                       "--visible", "v.ply")  # fmt: skip
     assert result.exit_code == 0
     assert result.stdout.splitlines() == [
         "n points      12",
         "mean          -0.0012 m",
         "max           0.0000 m",
         "completeness  0.9000",
-        "note          c.las does not say its CRS",
-        "note          nothing else",
+        "note  c.las does not say its CRS",
+        "note  nothing else",
     ]
-    options = CompareOptions(0.05, Path("v.ply"), (-1.0, 2.0, 3.0, 4.5), "winding", Path("n.json"), Path("d"))
+    options = CompareOptions((0.05, 0.2), Path("v.ply"), (-1.0, 2.0, 3.0, 4.5), "winding", 3.5, Path("k.csv"),
+                             "sor:6,2", True, 0.5, Path("n.json"), Path("d"))  # fmt: skip
     assert calls == [(Path("c.las"), Path("r.ply"), options)]
 
 

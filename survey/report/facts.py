@@ -21,18 +21,6 @@ if TYPE_CHECKING:
     from fields.sweep import DepthMap
     from survey.compare import Comparison
 
-# IHO S-44 Ed. 6.1.0, table 1: total vertical uncertainty at 95 %, sqrt(a^2 + (b depth)^2), a in metres.
-_TVU = (
-    ("Exclusive", 0.15, 0.0075),
-    ("Special", 0.25, 0.0075),
-    ("1a and 1b", 0.5, 0.013),
-    ("2", 1.0, 0.023),
-)
-_TVU_SHARE = 0.95
-_TVU_NOTE = (
-    "Vertical uncertainty only, taken as the distance to the reference surface: an order of IHO S-44 (Ed. "
-    "6.1.0) also asks for horizontal uncertainty, coverage and feature detection, which are not judged here."
-)
 # Density is asked over the ground that has points; cells of this many ground sampling distances tell which.
 _COVERED_CELL_GSD = 5.0
 
@@ -84,7 +72,7 @@ def figures_of(facts: ReportFacts) -> dict:
         "plan": _plan(facts.plan),
         "cloud": _cloud(facts),
         "comparison": None if facts.comparison is None else facts.comparison.numbers,
-        "iho_s44": _iho_s44(facts),
+        "iho_s44": None if facts.comparison is None else facts.comparison.numbers.get("iho_s44"),
         "timings_s": {**facts.timings, "total": sum(facts.timings.values())},
         "versions": versions(),
         "settings": facts.settings,
@@ -223,32 +211,3 @@ def distances_of(facts: ReportFacts) -> np.ndarray | None:
     distances = np.full(len(inside), np.nan)
     distances[inside] = facts.comparison.distances
     return distances
-
-
-def _iho_s44(facts: ReportFacts) -> dict | None:
-    """Which orders' total vertical uncertainty the wet points meet; only against a reference."""
-    distances = distances_of(facts)
-    if distances is None:
-        return None
-    use = facts.bed.wet & np.isfinite(distances) & np.isfinite(facts.bed.depth)
-    if not use.any():
-        return None
-    error, depth = np.abs(distances[use]), facts.bed.depth[use].astype(np.float64)
-    orders = []
-    for name, a, b in _TVU:
-        within = float((error <= np.hypot(a, b * depth)).mean())
-        limit = float(np.hypot(a, b * np.median(depth)))
-        orders.append(
-            {
-                "order": name,
-                "tvu_at_median_depth_m": limit,
-                "share_within": within,
-                "meets_tvu": within >= _TVU_SHARE,
-            }
-        )
-    return {
-        "points": int(use.sum()),
-        "error_95_m": float(np.quantile(error, _TVU_SHARE)),
-        "orders": orders,
-        "note": _TVU_NOTE,
-    }

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from html import escape
 
+from survey.compare_text import band_label
+
 
 def comparison(c: dict | None) -> str:
     """Distances to the reference and completeness, whole and in parts; empty without a reference."""
@@ -33,36 +35,66 @@ def comparison(c: dict | None) -> str:
         ("F-score", share(c["f_score"])),
     ]
     notes = "".join(f"<li>{escape(text)}</li>" for text in c["notes"])
-    return rows(lines) + _parts(c) + (f'<ul class="soft">{notes}</ul>' if notes else "")
+    return rows(lines) + _by_tolerance(c) + _parts(c) + (f'<ul class="soft">{notes}</ul>' if notes else "")
 
 
 def _parts(c: dict) -> str:
-    """A table of the wet and the dry part and of bands of depth, where there are any."""
-    parts = [("wet", c.get("wet")), ("dry", c.get("dry"))]
-    parts += [(_band(band), band) for band in c.get("depth_bands") or []]
-    keys = ("mean_inner90_m", "std_inner90_m", "rms_m")
-    lines = [(name, count(p["n_points"]), *(length(p[key]) for key in keys)) for name, p in parts if p]
-    titles = ("part", "points", "mean, inner 90 %", "standard deviation, inner 90 %", "root mean square")
-    return _table(titles, lines) if lines else ""
+    """Tables of bias and spread: wet and dry, by depth, by incidence, by number of views, where there are any."""
+    vertical = [("vertical difference", c["vertical"])] if c.get("vertical") else []
+    parts = [("all", c), *vertical, *((name, c[name]) for name in ("wet", "dry") if c.get(name))]
+    tables = [_bias_and_spread("part", parts)]
+    for key, title, unit in (
+        ("depth_bands", "depth", "m"),
+        ("incidence_bands", "incidence at the water", "deg"),
+        ("views_bands", "views that agree", "views"),
+    ):
+        bands = [(band_label(band, unit), band) for band in c.get(key) or []]
+        tables.append(_bias_and_spread(title, bands) if bands else "")
+    return "".join(tables)
 
 
-def _band(band: dict) -> str:
-    end = "and deeper" if band["to_m"] is None else f"to {band['to_m']:g}"
-    return f"depth {band['from_m']:g} {end} m"
+def _bias_and_spread(title: str, parts: list[tuple[str, dict]]) -> str:
+    titles = (title, "points", "mean", "95 % confidence", "standard deviation", "mean, inner 90 %", "std, inner 90 %")
+    lines = [
+        (name, count(p["n_points"]), length(p["mean_m"]), _interval(p.get("mean_ci95_m")), length(p["std_m"]),
+         length(p["mean_inner90_m"]), length(p["std_inner90_m"]))
+        for name, p in parts
+    ]  # fmt: skip
+    return table(titles, lines)
+
+
+def _interval(interval: list | None) -> str:
+    if interval is None or None in interval:
+        return "unknown"
+    return f"{length(interval[0])} to {length(interval[1])}"
+
+
+def _by_tolerance(c: dict) -> str:
+    tolerances = c.get("tolerances") or []
+    if len(tolerances) < 2:
+        return ""
+    titles = ("tolerance", "complete", "complete, of what cameras see", "accuracy share", "F-score")
+    lines = [
+        (f"{t['tolerance_m']:g} m", share(t["completeness"]), share(t.get("completeness_visible")),
+         share(t["accuracy_share"]), share(t["f_score"]))
+        for t in tolerances
+    ]  # fmt: skip
+    return table(titles, lines)
 
 
 def iho_s44(iho: dict | None) -> str:
-    """Which orders' vertical uncertainty is met; empty without a reference or wet points."""
+    """Which orders' vertical uncertainty is met, and by how many points in each band of depth; empty without."""
     if not iho:
         return ""
+    bands = [band_label(band, "m") for band in iho["orders"][0]["depth_bands"]]
     lines = [
         (o["order"], length(o["tvu_at_median_depth_m"]), share(o["share_within"]),
-         "meets TVU" if o["meets_tvu"] else "does not meet TVU")
+         "meets TVU" if o["meets_tvu"] else "does not meet TVU", *(share(b["share_within"]) for b in o["depth_bands"]))
         for o in iho["orders"]
     ]  # fmt: skip
-    titles = ("order", "TVU at the median depth", "wet points within their TVU", "")
-    said = f"95 % of the {count(iho['points'])} wet points lie within {length(iho['error_95_m'])}."
-    return f"<p>{escape(said)}</p>" + _table(titles, lines) + f'<p class="soft">{escape(iho["note"])}</p>'
+    titles = ("order", "TVU at the median depth", "wet points within their TVU", "", *bands)
+    said = f"95 % of {count(iho['points'])} wet points err by less than {length(iho['error_95_m'])} ({iho['error']})."
+    return f"<p>{escape(said)}</p>" + table(titles, lines) + f'<p class="soft">{escape(iho["note"])}</p>'
 
 
 def cloud(c: dict) -> str:
@@ -119,7 +151,7 @@ def survey(s: dict, water: dict | None, plan: dict) -> str:
 def decisions(plan: list[dict]) -> str:
     """The plan with its reasons."""
     lines = [(d["name"], d["choice"], d["reason"]) for d in plan]
-    return _table(("decision", "choice", "reason"), lines, num_texts=3)
+    return table(("decision", "choice", "reason"), lines, num_texts=3)
 
 
 def settings(values: dict, prefix: str = "") -> str:
@@ -139,7 +171,7 @@ def rows(lines: list[tuple[str, str]]) -> str:
     return f"<table><tbody>{body}</tbody></table>"
 
 
-def _table(titles: tuple[str, ...], lines: list[tuple[str, ...]], num_texts: int = 1) -> str:
+def table(titles: tuple[str, ...], lines: list[tuple[str, ...]], num_texts: int = 1) -> str:
     """A table with a line of titles; all but the first ``num_texts`` columns hold numbers."""
     kinds = ["" if i < num_texts else ' class="number"' for i in range(len(titles))]
     head = "".join(f"<th{k}>{escape(t)}</th>" for k, t in zip(kinds, titles, strict=True))

@@ -1,0 +1,79 @@
+"""What one would get without bending rays before they are matched: straight rays, and corrections afterwards.
+
+Apparent points are those where straight rays meet: each view sees a point of the bed in the direction of the place
+where its light left the water, and a reconstruction without refraction carries those directions on.
+
+Symbols: N points, V views; arrays over both are padded, ``is_seen`` says what counts.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+# Reciprocal condition of the normal equations below which rays are parallel.
+_PARALLEL = 1e-9
+
+
+def apparent_points(centres: np.ndarray, directions: np.ndarray, is_seen: np.ndarray) -> np.ndarray:
+    """Points where straight rays meet: the sum of squared distances to the rays is least.
+
+    Parameters
+    ----------
+    centres : (N, V, 3) [m]
+        Of the cameras, or anything else on the rays.
+    directions : (N, V, 3)
+        In air, unit vectors.
+    is_seen : (N, V) bool
+
+    Returns
+    -------
+    (N, 3) [m]
+        NaN where fewer than two views see the point, or their rays are parallel.
+    """
+    across = np.eye(3) - directions[..., :, None] * directions[..., None, :]
+    across = np.where(is_seen[..., None, None], across, 0.0)
+    # About one of its centres, so that a distance of 1e2 m costs no digits.
+    first = np.take_along_axis(centres, np.argmax(is_seen, axis=1)[:, None, None], axis=1)
+    offsets = np.where(is_seen[..., None], centres - first, 0.0)
+    normal = across.sum(axis=1)
+    right = np.einsum("nvij,nvj->ni", across, offsets)
+    eigenvalues = np.linalg.eigvalsh(normal)
+    sound = (is_seen.sum(axis=1) >= 2) & (eigenvalues[:, 0] > _PARALLEL * eigenvalues[:, 2])
+    points = np.full((len(centres), 3), np.nan)
+    points[sound] = np.linalg.solve(normal[sound], right[sound][..., None])[..., 0] + first[sound, 0]
+    return points
+
+
+def times_index(apparent_depth: np.ndarray, n_water: float) -> np.ndarray:
+    """Depth (N,) [m] of points at an apparent depth [m], taken for small angles: the depth times the index."""
+    return n_water * apparent_depth
+
+
+def per_camera(
+    apparent_depth: np.ndarray,
+    incidence: np.ndarray,
+    is_seen: np.ndarray,
+    n_water: float,
+) -> np.ndarray:
+    """Depth (N,) [m] after the correction of every point by every camera that sees it.
+
+    Parameters
+    ----------
+    apparent_depth : (N,) [m]
+        Positive below the water.
+    incidence : (N, V) [rad]
+        Angle in air between the normal of the water and the line from the apparent point to the camera.
+    is_seen : (N, V) bool
+    n_water : float
+
+    Notes
+    -----
+    J. T. Dietrich, Bathymetric structure-from-motion: extracting shallow stream bathymetry from multi-view stereo
+    photogrammetry, Earth Surface Processes and Landforms 42 (2017): each camera gives the depth
+    ``h_a tan(r) / tan(i)`` with ``sin(r) = n sin(i)``, r the angle in air, and the mean of all is taken. The ratio is
+    written here as ``sqrt(n^2 - sin(r)^2) / cos(r)``, which holds at nadir too.
+    """
+    factor = np.sqrt(n_water**2 - np.sin(incidence) ** 2) / np.cos(incidence)
+    count = is_seen.sum(axis=1)
+    total = np.where(is_seen, factor, 0.0).sum(axis=1)
+    return apparent_depth * np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)

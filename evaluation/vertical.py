@@ -1,0 +1,147 @@
+"""Vertical difference between a cloud and a mesh: what a chart or a terrain model gets wrong.
+
+The distance to the nearest point of a surface is shorter than that wherever the surface is steep.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+# Weights of corners that are this little below zero count as inside: points on an edge, to rounding.
+_ON_EDGE = -1e-9
+# Pairs of point and triangle at a time: about 200 MB of intermediate values.
+_PAIRS = 2_000_000
+# Entries of triangles in cells, per triangle; a few large ones among many small would fill the memory otherwise.
+_ENTRIES_PER_FACE, _ENTRIES = 8, 1_000_000
+
+
+def vertical_difference(
+    points: np.ndarray,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    *,
+    advance: Callable[[int], object] | None = None,
+) -> np.ndarray:
+    """Height of points over the surface of a mesh straight above or below them.
+
+    Parameters
+    ----------
+    points : (N, 3) [m]
+    vertices : (V, 3) [m], same Cartesian frame, z up
+    faces : (F, 3) int
+    advance : callable, optional
+        Called with the number of points that were finished since the last call.
+
+    Returns
+    -------
+    (N,) [m]
+        Positive above. NaN where no triangle lies above or below the point (beyond the rim, in a hole) and for
+        points that are not finite. Where several do (an overhang, a hull), the one nearest in height counts.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    vertices = np.asarray(vertices, dtype=np.float64)
+    difference = np.full(len(points), np.nan)
+    grid = _Grid.of(vertices, np.asarray(faces, dtype=np.int64))
+    finite = np.flatnonzero(np.isfinite(points).all(axis=1))
+    if grid is None:
+        return difference
+    cell = grid.cell_of(points[finite, :2])
+    inside = cell >= 0
+    order = np.argsort(cell[inside], kind="stable")
+    rows, cell = finite[inside][order], cell[inside][order]
+    counts = grid.start[cell + 1] - grid.start[cell]
+    block = np.cumsum(counts) // _PAIRS
+    cuts = np.flatnonzero(np.diff(block)) + 1
+    for part, cells, sizes in zip(np.split(rows, cuts), np.split(cell, cuts), np.split(counts, cuts), strict=True):
+        held = sizes > 0
+        difference[part[held]] = grid.nearest_in_height(points[part[held]], cells[held], sizes[held])
+        if advance is not None:
+            advance(len(part))
+    if advance is not None:
+        advance(len(points) - len(rows))
+    return difference
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Triangles by the square cells of the plan that their boxes touch.
+
+    ``faces[start[i] : start[i + 1]]`` are those of cell i, row by row; ``corner`` (3, F, 2) and ``height`` (3, F)
+    hold the corners a, b, c.
+    """
+
+    low: np.ndarray
+    cell: float
+    shape: tuple[int, int]
+    start: np.ndarray
+    faces: np.ndarray
+    corner: np.ndarray
+    height: np.ndarray
+
+    @staticmethod
+    def of(vertices: np.ndarray, faces: np.ndarray) -> _Grid | None:
+        """The grid of all triangles that have an area in plan; None if none has."""
+        corner = vertices[faces.T]
+        a, b, c = corner[..., :2]
+        flat = _cross(b - a, c - a) == 0.0
+        corner = corner[:, ~flat]
+        if not corner.shape[1]:
+            return None
+        low, high = corner[..., :2].min(axis=0), corner[..., :2].max(axis=0)
+        origin, end = low.min(axis=0), high.max(axis=0)
+        cell = math.sqrt(float((end - origin).prod()) / len(low))
+        most = _ENTRIES_PER_FACE * len(low) + _ENTRIES
+        while _spans(low, high, origin, cell)[1].prod(axis=1).sum() > most:
+            cell *= 1.5
+        shape = np.floor((end - origin) / cell).astype(np.int64) + 1
+        first, span = _spans(low, high, origin, cell)
+        entries = span.prod(axis=1)
+        face = np.repeat(np.arange(len(low)), entries)
+        within = np.arange(entries.sum()) - np.repeat(np.cumsum(entries) - entries, entries)
+        column, row = first[face, 0] + within % span[face, 0], first[face, 1] + within // span[face, 0]
+        number = row * shape[0] + column
+        start = np.concatenate([[0], np.cumsum(np.bincount(number, minlength=shape.prod()))])
+        by_cell = face[np.argsort(number, kind="stable")]
+        return _Grid(origin, cell, tuple(shape), start, by_cell, corner[..., :2], corner[..., 2])
+
+    def cell_of(self, plan: np.ndarray) -> np.ndarray:
+        """Cell of each point (N, 2), -1 beyond all."""
+        at = np.floor((plan - self.low) / self.cell)
+        inside = ((at >= 0) & (at < np.array(self.shape))).all(axis=1)
+        column, row = np.where(inside[:, None], at, 0.0).astype(np.int64).T
+        return np.where(inside, row * self.shape[0] + column, -1)
+
+    def nearest_in_height(self, points: np.ndarray, cell: np.ndarray, counts: np.ndarray) -> np.ndarray:
+        """Difference (N,) of points in cells of ``counts`` triangles each, at least one."""
+        if not len(points):
+            return np.empty(0)
+        starts = np.cumsum(counts) - counts
+        point = np.repeat(np.arange(len(points)), counts)
+        face = self.faces[self.start[cell][point] + np.arange(counts.sum()) - starts[point]]
+        a, b, c = self.corner[0, face], self.corner[1, face], self.corner[2, face]
+        p = points[point, :2]
+        twice_area = _cross(b - a, c - a)
+        wb, wc = _cross(p - a, c - a) / twice_area, _cross(b - a, p - a) / twice_area
+        wa = 1.0 - wb - wc
+        height = wa * self.height[0, face] + wb * self.height[1, face] + wc * self.height[2, face]
+        above = points[point, 2] - height
+        covers = (wa >= _ON_EDGE) & (wb >= _ON_EDGE) & (wc >= _ON_EDGE)
+        size = np.where(covers, np.abs(above), np.inf)
+        least = np.minimum.reduceat(size, starts)
+        # Of a surface as far above as another below, the one below.
+        above = np.where(size == least[point], above, -np.inf)
+        return np.where(np.isfinite(least), np.maximum.reduceat(above, starts), np.nan)
+
+
+def _spans(low: np.ndarray, high: np.ndarray, origin: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
+    """First cell and number of cells (F, 2) along each axis that boxes touch."""
+    first = np.floor((low - origin) / cell).astype(np.int64)
+    return first, np.floor((high - origin) / cell).astype(np.int64) - first + 1
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

@@ -6,17 +6,34 @@ torch (float32 or float64, differentiable) and Dr.Jit (compiled for CPU or GPU).
 
 from __future__ import annotations
 
+import math
 import sys
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
 
+
+def _is_array(x) -> bool:
+    return isinstance(x, np.ndarray | np.generic)
+
+
+# Beside the functions: `single` and `double` change the precision of arrays and leave plain numbers alone, `like`
+# takes that of its second argument; `fixed` is the value without its gradient, and `tracked` says if any has one.
 _NUMPY = SimpleNamespace(
-    name="numpy", sqrt=np.sqrt, sin=np.sin, cos=np.cos, exp=np.exp,
+    name="numpy", sqrt=np.sqrt, sin=np.sin, cos=np.cos, exp=np.exp, isnan=np.isnan,
     where=np.where, minimum=np.minimum, maximum=np.maximum, abs=np.abs,
+    rsqrt=lambda x: 1.0 / np.sqrt(x),
+    single=lambda x: np.float32(x) if _is_array(x) else x,
+    double=lambda x: np.float64(x) if _is_array(x) else x,
+    like=lambda x, other: np.asarray(x, dtype=other.dtype) if _is_array(other) else x,
+    eps=lambda x: 2.0**-52,
+    fixed=lambda x: x,
+    tracked=lambda *arrays: False,
 )  # fmt: skip
 
 
+@cache
 def _torch_namespace(torch) -> SimpleNamespace:
     def as_tensor(x, like):
         return x if torch.is_tensor(x) else torch.as_tensor(x, dtype=like.dtype, device=like.device)
@@ -28,16 +45,36 @@ def _torch_namespace(torch) -> SimpleNamespace:
 
         return call
 
+    def if_tensor(function):
+        return lambda x, *more: function(x, *more) if torch.is_tensor(x) else x
+
+    def tracked(*arrays) -> bool:
+        return torch.is_grad_enabled() and any(torch.is_tensor(x) and x.requires_grad for x in arrays)
+
     return SimpleNamespace(
-        name="torch", sqrt=torch.sqrt, sin=torch.sin, cos=torch.cos, exp=torch.exp,
+        name="torch", sqrt=torch.sqrt, sin=torch.sin, cos=torch.cos, exp=torch.exp, isnan=torch.isnan,
         where=torch.where, minimum=pair(torch.minimum), maximum=pair(torch.maximum), abs=torch.abs,
+        rsqrt=torch.rsqrt,
+        single=if_tensor(torch.Tensor.float), double=if_tensor(torch.Tensor.double),
+        like=if_tensor(lambda x, other: x.to(other.dtype)),
+        eps=lambda x: torch.finfo(x.dtype).eps,
+        fixed=if_tensor(torch.Tensor.detach), tracked=tracked,
     )  # fmt: skip
 
 
+@cache
 def _drjit_namespace(dr) -> SimpleNamespace:
+    def in_type(of):
+        return lambda x: of(type(x))(x) if dr.is_array_v(x) else x
+
     return SimpleNamespace(
-        name="drjit", sqrt=dr.sqrt, sin=dr.sin, cos=dr.cos, exp=dr.exp,
+        name="drjit", sqrt=dr.sqrt, sin=dr.sin, cos=dr.cos, exp=dr.exp, isnan=dr.isnan,
         where=dr.select, minimum=dr.minimum, maximum=dr.maximum, abs=dr.abs,
+        rsqrt=dr.rsqrt,
+        single=in_type(dr.float32_array_t), double=in_type(dr.float64_array_t),
+        like=lambda x, other: type(other)(x),
+        eps=lambda x: 2.0 * dr.epsilon(x),
+        fixed=dr.detach, tracked=lambda *arrays: any(dr.is_array_v(x) and dr.grad_enabled(x) for x in arrays),
     )  # fmt: skip
 
 
@@ -64,6 +101,12 @@ def as_like(values, like):
     return np.asarray(values, dtype=np.float64)
 
 
+def root(value):
+    """Square root of a number; that of a plain one stays plain, since a numpy scalar would pull tensors to numpy."""
+    xp = namespace(value)
+    return math.sqrt(value) if xp.name == "numpy" and not _is_array(value) else xp.sqrt(value)
+
+
 def alike(*values) -> tuple:
     """`values`, plain numbers among them, as arrays of the one library that is found there; numpy becomes float64."""
     if namespace(*values).name != "drjit":
@@ -83,13 +126,15 @@ def as_numpy(array) -> np.ndarray:
 
 
 def common(**arrays) -> tuple:
-    """The named arguments as numpy float64, or, if any of them is a torch tensor, as tensors like it.
+    """The named arguments in one library: Dr.Jit or torch if any of them is, else numpy float64.
 
     Raises
     ------
     ValueError
         Naming the arguments and their shapes.
     """
+    if any(_is_drjit(a) for a in arrays.values()):
+        return _common_drjit(arrays)
     torch = sys.modules.get("torch")
     tensors = [a for a in arrays.values() if torch is not None and torch.is_tensor(a)]
     like = max(tensors, key=lambda tensor: tensor.ndim, default=None)
@@ -98,13 +143,55 @@ def common(**arrays) -> tuple:
     try:
         np.broadcast_shapes(*shapes.values())
     except ValueError:
-        found = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
-        raise ValueError(f"expected shapes that broadcast against each other, got {found}") from None
+        raise _cannot_broadcast(shapes) from None
     return same
 
 
+def _is_drjit(array) -> bool:
+    return namespace(array).name == "drjit"
+
+
+def _cannot_broadcast(shapes: dict[str, tuple]) -> ValueError:
+    found = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
+    return ValueError(f"expected shapes that broadcast against each other, got {found}")
+
+
+def _common_drjit(arrays: dict) -> tuple:
+    """`common` for Dr.Jit: vectors are Array3f or Array3f64, of shape (3, rays); numpy vectors (..., 3) join them."""
+    import drjit
+
+    leaf = next(drjit.leaf_t(a) for a in arrays.values() if _is_drjit(a))
+
+    def convert(array):
+        if _is_drjit(array):
+            return array
+        array = as_numpy(array)
+        if array.ndim == 0:
+            return leaf(float(array))
+        return _vector(*(leaf(np.ascontiguousarray(array[..., c]).ravel()) for c in range(array.shape[-1])))
+
+    same = tuple(convert(a) for a in arrays.values())
+    if len({drjit.width(a) for a in same} - {1}) > 1:
+        raise _cannot_broadcast({name: tuple(a.shape) for name, a in zip(arrays, same, strict=True)})
+    return same
+
+
+def _vector(*components):
+    """The Dr.Jit vector of Dr.Jit components, in double precision if any of them is."""
+    import drjit
+
+    like = sum(components)
+    module = sys.modules[type(like).__module__]
+    suffix = "f64" if drjit.type_v(like) == drjit.VarType.Float64 else "f"
+    return getattr(module, f"Array{len(components)}{suffix}")(*components)
+
+
 def components(vectors):
-    """The x, y, z arrays of vectors whose last axis has length 3 (numpy, torch)."""
+    """The x, y, z arrays of vectors: last axis of length 3 in numpy and torch, Array3f or Array3f64 in Dr.Jit."""
+    if _is_drjit(vectors):
+        if sys.modules["drjit"].size_v(vectors) != 3 or vectors.ndim != 2:
+            raise ValueError(f"expected vectors Array3f or Array3f64 of shape (3, ...), got {tuple(vectors.shape)}")
+        return vectors[0], vectors[1], vectors[2]
     if vectors.ndim == 0 or vectors.shape[-1] != 3:
         raise ValueError(f"expected vectors of shape (..., 3), got {tuple(vectors.shape)}")
     return vectors[..., 0], vectors[..., 1], vectors[..., 2]
@@ -112,7 +199,10 @@ def components(vectors):
 
 def stack(x, y, z):
     """The inverse of `components`, broadcasting the three arrays against each other."""
-    if namespace(x, y, z).name == "torch":
+    library = namespace(x, y, z).name
+    if library == "drjit":
+        return _vector(x, y, z)
+    if library == "torch":
         import torch
 
         return torch.stack(torch.broadcast_tensors(x, y, z), dim=-1)

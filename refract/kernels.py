@@ -11,7 +11,19 @@ Vectors are triples ``(x, y, z)`` of arrays of any one library; all lengths are 
 
 from __future__ import annotations
 
-from refract._array import namespace
+import math
+
+from refract._array import namespace, root
+
+# A ray that falls less than this per metre runs along the surface: it would meet the water beyond 1e12 H.
+GRAZING = 1e-12
+
+# A camera this little above the water [m] touches it: the squares of smaller lengths vanish in float32, in which
+# `air_share` begins, and an atom is 1e5 times larger.
+CONTACT = 1e-15
+
+# The smallest positive number that may stand under a fraction of lengths [m]: 1e-30 times 1e8 still is a float32.
+_NOTHING = 1e-30
 
 
 def dot(a, b):
@@ -24,65 +36,173 @@ def along(origin, direction, t):
     return tuple(o + t * d for o, d in zip(origin, direction, strict=True))
 
 
+def minus(a, b):
+    """The difference of two triples."""
+    return tuple(p - q for p, q in zip(a, b, strict=True))
+
+
+def double(triple):
+    """A triple in float64."""
+    return tuple(namespace(v).double(v) for v in triple)
+
+
+def nothing(*triples):
+    """Zero, or NaN where a component of the triples is NaN or infinite; broadcasts all of them."""
+    total = sum(sum(triple) for triple in triples)
+    xp = namespace(total)
+    return xp.where(xp.abs(total) < math.inf, 0.0, math.nan)  # Dr.Jit takes ``total * 0`` for zero, NaN or not
+
+
+def chosen(mask, a, b):
+    """Triple ``a`` where ``mask`` holds, else ``b``."""
+    xp = namespace(mask)
+    return tuple(xp.where(mask, p, q) for p, q in zip(a, b, strict=True))
+
+
+def near_critical(ray, normal, n_from, n_to):
+    """Where a ray leaves the denser medium so nearly along the surface that its derivative is not to be trusted.
+
+    The cosine behind the surface is the root of a small difference: its derivative grows as one over it, and so
+    does the rounding, as ``eps / cos^2``. Nearer than ``cos^2 = sqrt(eps)`` less than half of the digits are left.
+    """
+    xp = namespace(*ray, *normal)
+    eta = n_from / n_to
+    scaled = eta * dot(ray, normal)
+    cos_to_squared = (1.0 - eta) * (1.0 + eta) + scaled * scaled
+    return (cos_to_squared >= 0.0) & (cos_to_squared < xp.eps(cos_to_squared) ** 0.5) & (eta > 1.0)
+
+
 def bend(ray, normal, n_from, n_to):
     """Direction after the crossing; NaN, with zero gradient, where the ray is totally reflected.
 
-    ``normal`` lies on the side that the ray comes from (``ray . normal < 0``); a ray from the other side
-    gives NaN too. The component along the surface scales by ``n_from / n_to``; the cosine to the normal
-    follows from ``1 - c_to^2 = eta^2 (1 - c_from^2)``, written so that grazing rays lose no digits and an
-    equal index on both sides returns the ray to the last bit.
+    ``normal`` lies on the side that the ray comes from (``ray . normal < 0``); a ray along the surface, or from
+    the other side, gives NaN too. The component along the surface scales by ``n_from / n_to``; the cosine to the
+    normal follows from ``1 - c_to^2 = eta^2 (1 - c_from^2)``, written so that grazing rays lose no digits and an
+    equal index on both sides returns the ray to the last bit. The gradient of rays that are `near_critical` is zero.
     """
     xp = namespace(*ray, *normal)
     eta = n_from / n_to
     cos_from = -dot(ray, normal)
     scaled = eta * cos_from
     cos_to_squared = (1.0 - eta) * (1.0 + eta) + scaled * scaled
-    passes = (cos_to_squared >= 0.0) & (cos_from >= 0.0)
+    passes = (cos_to_squared >= 0.0) & (cos_from > 0.0)
     # A root is taken only of positive numbers: its gradient at zero is infinite, and infinity times zero NaN.
     positive = cos_to_squared > 0.0
-    root = xp.sqrt(xp.where(positive, cos_to_squared, cos_to_squared * 0.0 + 1.0))
-    push = scaled - xp.where(positive, root, root * 0.0)
+    cos_to = xp.sqrt(xp.where(positive, cos_to_squared, cos_to_squared * 0.0 + 1.0))
+    push = scaled - xp.where(positive, cos_to, cos_to * 0.0)
     bent = tuple(eta * d + push * m for d, m in zip(ray, normal, strict=True))
+    if xp.tracked(*ray, *normal, eta):
+        bent = chosen(near_critical(ray, normal, n_from, n_to), tuple(xp.fixed(b) for b in bent), bent)
     return tuple(xp.where(passes, b, b * 0.0 + float("nan")) for b in bent)
 
 
-def air_share(D_squared, H, h, n, steps):
-    """Root ``u`` of ``u + (h / H) u q = 1``, the part of the way D that lies in air, by Newton steps.
+def air_share(D_squared, H, h, n, steps, like=None):
+    """Root ``u`` of ``u + h u / S = 1``, ``S^2 = n^2 H^2 + (n^2 - 1) D^2 u^2``: the part of D that lies in air.
 
-    With ``x = u D / H`` the tangent in air, Snell's law gives ``tan(theta_w) = x q``,
-    ``q = 1 / sqrt(n^2 + (n^2 - 1) x^2)``, and the two legs together must cover D. The left side rises and
-    is concave, so Newton steps from below never overshoot and need no bracket. They start at
-    ``1 / (1 + h / (n H))``, the ray that aims at the apparent point of nadir, which lies below the root.
-    Only ``D^2`` enters: the root is smooth, and so are its derivatives, where the camera is straight above.
+    That is Snell's law: with ``u D / H`` the tangent in air, ``u D / S`` is the tangent in water, and the two legs
+    together must cover D. The left side rises and is concave. `_start` and ``steps`` steps of Halley find the root;
+    four reach the last bits of float64 for any H, h and D (docs/optics.md). With an array ``like`` in float32, all
+    steps but the last are taken in its precision: the last triples their digits.
+
+    Only ``D^2`` enters, so all is smooth where the camera is straight above. The gradient is that of the implicit
+    function: one Newton step at the root carries it, and no step before is differentiated.
     """
     xp = namespace(D_squared, H, h, n)
-    ratio = h / H
-    widening = (n * n - 1.0) * D_squared / (H * H)
-    u = 1.0 / (1.0 + ratio / n)
-    for _ in range(steps):
-        q = 1.0 / xp.sqrt(n * n + widening * u * u)
-        u = u - (u + ratio * u * q - 1.0) / (1.0 + ratio * n * n * q * q * q)
+    exact = tuple(xp.fixed(v) for v in (D_squared, H, h, n))
+    rough = exact if like is None else tuple(xp.like(v, like) for v in exact)
+    u = _start(*rough)
+    for _ in range(steps - 1):
+        u = _halley(u, *rough)
+    u = xp.like(u, exact[0])
+    if steps > 0:
+        u = _halley(u, *exact)
+    if xp.tracked(D_squared, H, h, n):
+        u = _newton(u, D_squared, H, h, n)
     return u
 
 
-def crossing_of_point(camera, point, plane_point, normal, n, steps):
+def _start(D_squared, H, h, n):
+    """The geometric mean of a lower and an upper bound of the share, both in closed form.
+
+    With ``a = n H`` and ``b = sqrt(n^2 - 1) D``: the leg in water is no longer than at nadir and than at the
+    critical angle, so ``u >= a / (a + h)`` and ``u >= (b - h) / b``, of which the first is larger while
+    ``B = a + h - b >= 0``. And ``S <= a + b u`` gives a quadratic whose root is the upper bound.
+    """
+    xp = namespace(D_squared, H, h, n)
+    a, b = n * H, root((n - 1.0) * (n + 1.0)) * xp.sqrt(D_squared)
+    B = a + h - b
+    wide = xp.abs(B) + xp.sqrt(B * B + 4.0 * a * b)
+    steep = B >= 0.0
+    above = xp.where(steep, 2.0 * a * a, (b - h) * wide)
+    return xp.sqrt(above / xp.where(steep, (a + h) * wide, 2.0 * b * b + _NOTHING))
+
+
+def _halley(u, D_squared, H, h, n):
+    """One step of Halley's method: of third order, so that it triples the digits."""
+    xp = namespace(D_squared, H, h, n)
+    a_squared, b_squared = n * n * H * H, (n - 1.0) * (n + 1.0) * D_squared
+    r = xp.rsqrt(a_squared + b_squared * u * u)
+    q = h * r
+    f = u + u * q - 1.0
+    part = a_squared * r * r
+    slope = 1.0 + q * part
+    curve = 1.5 * q * part * b_squared * u * r * r  # minus half the second derivative
+    return u - f * slope / (slope * slope + f * curve)
+
+
+def _newton(u, D_squared, H, h, n):
+    """One Newton step; at the root it changes nothing but carries the derivatives of the root."""
+    xp = namespace(D_squared, H, h, n)
+    a_squared = n * n * H * H
+    r = xp.rsqrt(a_squared + (n - 1.0) * (n + 1.0) * D_squared * u * u)
+    q = h * r
+    return u - (u + u * q - 1.0) / (1.0 + q * a_squared * r * r)
+
+
+def crossing_of_point(camera, point, plane_point, normal, n, steps, like=None):
     """Where the ray from a bed point to the camera crosses the water plane, and the depth of the point.
 
     For a point on or above the plane (depth <= 0), and for a camera on or below it, the crossing is the
-    point itself: the ray is straight. ``n`` is the index of water relative to air.
+    point itself: the ray is straight. ``n`` is the index of water relative to air; ``steps`` and ``like`` as in
+    `air_share`.
     """
     xp = namespace(*point, *camera)
-    to_camera = tuple(c - q for c, q in zip(camera, plane_point, strict=True))
-    to_point = tuple(p - q for p, q in zip(point, plane_point, strict=True))
+    to_camera, to_point = minus(camera, plane_point), minus(point, plane_point)
     depth = -dot(to_point, normal)
     H = dot(to_camera, normal) + depth * 0.0
-    straight = (depth <= 0.0) | (H <= 0.0)
+    straight = (depth <= 0.0) | (H <= CONTACT)
     # Foot points of camera and bed point on the plane, and the way between them.
     way = tuple((c - H * m) - (p + depth * m) for c, p, m in zip(to_camera, to_point, normal, strict=True))
     # Straight rays get harmless numbers, so that neither their values nor their gradients can be NaN.
     share = air_share(
-        dot(way, way), xp.where(straight, H * 0.0 + 1.0, H), xp.where(straight, depth * 0.0, depth), n, steps
+        dot(way, way), xp.where(straight, H * 0.0 + 1.0, H), xp.where(straight, depth * 0.0, depth), n, steps, like
     )
     # From the camera's side: the direction of view keeps its digits even just above the water.
     crossing = tuple(c - H * m - share * w for c, m, w in zip(camera, normal, way, strict=True))
-    return tuple(xp.where(straight, p, x) for p, x in zip(point, crossing, strict=True)), depth
+    return chosen(straight, point, crossing), depth
+
+
+def at_height(origin, direction, height, plane_point, normal, n):
+    """Where a path from ``origin`` stands ``height`` over the plane, below it behind the bend; NaN where it never does.
+
+    In closed form, the direction of any length: along the plane the path runs ``|d_t| / d_n`` per metre of height
+    in air, and ``eta |d_t| / sqrt((1 - eta^2) |d|^2 + eta^2 d_n^2)`` in water, ``eta = 1 / n``. So both legs meet at
+    height zero, and a point far away and deep down costs one rounding, not those of a chain.
+    """
+    xp = namespace(*origin, *direction, height)
+    H = dot(minus(origin, plane_point), normal) + height * 0.0
+    falling = -dot(direction, normal)
+    flat = tuple(d + falling * m for d, m in zip(direction, normal, strict=True))
+    eta = 1.0 / n
+    scaled = eta * falling
+    in_water = xp.where(height < 0.0, -height, height * 0.0)
+    drop = H - height
+    reached = (xp.abs(falling) > GRAZING) & (drop * falling >= 0.0)
+    bends = reached & (H > CONTACT) & (height < 0.0)
+    one = falling * 0.0 + 1.0
+    fall = xp.where(reached, falling, one)
+    squared = (1.0 - eta) * (1.0 + eta) * dot(direction, direction) + scaled * scaled
+    fall_in_water = xp.sqrt(xp.where(bends, squared, one))
+    run = xp.where(bends, H / fall + in_water * eta / fall_in_water, drop / fall)
+    points = tuple(o - drop * m + run * t for o, m, t in zip(origin, normal, flat, strict=True))
+    return tuple(xp.where(reached, p, p * 0.0 + float("nan")) for p in points)

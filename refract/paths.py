@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, final
+
+import numpy as np
 
 from refract import kernels
 from refract._array import common, components, namespace, stack
-from refract.surfaces import FlatWater
-
-# A ray that falls less than this per metre runs along the surface: it would meet the water beyond 1e12 H.
-_GRAZING = 1e-12
+from refract.regimes import Regime, counts
+from refract.surfaces import FlatWater, WaterSurface
 
 
+@final
 @dataclass(frozen=True)
 class BentPaths:
-    """Paths of rays from the camera through the water surface; arrays are numpy or torch, local frame.
+    """Paths of rays from the camera through the water surface; arrays of the library of the rays, local frame.
 
     Attributes
     ----------
@@ -31,6 +33,8 @@ class BentPaths:
         or where the camera is below the surface.
     wet : (...) bool
         The ray enters the water if nothing dry stops it first.
+    regime : (...) int
+        `Regime` of each ray.
     """
 
     origin: Any
@@ -39,6 +43,11 @@ class BentPaths:
     air_length: Any
     water_direction: Any
     wet: Any
+    regime: Any
+
+    def counts(self) -> dict[str, int]:
+        """How many rays there are of each `Regime`, by its name in lower case."""
+        return counts(self.regime)
 
     def at(self, t):
         """Points (..., 3) [m] at path length ``t`` (...) [m] from the camera, air and water legs together.
@@ -51,9 +60,9 @@ class BentPaths:
         t, air_length = common(t=t, rays=self.air_length)
         xp = namespace(air_length)
         in_air = (t <= air_length) | ~self.wet
-        t_air = xp.where(in_air, t, air_length)
-        t_water = xp.where(in_air, t * 0.0, t - air_length)
-        return self.origin + t_air[..., None] * self.air_direction + t_water[..., None] * self.water_direction
+        in_water = xp.where(in_air, t * 0.0, t - xp.where(in_air, t, air_length))
+        bend = kernels.along(components(self.origin), components(self.air_direction), xp.where(in_air, t, air_length))
+        return stack(*kernels.along(bend, components(self.water_direction), in_water))
 
     def at_height(self, height, water: FlatWater | None):
         """Points (..., 3) [m] where the paths stand ``height`` (...) [m] above the water plane.
@@ -68,33 +77,27 @@ class BentPaths:
         ValueError
             If the shape of `height` does not broadcast against that of the rays.
         """
+        if not isinstance(water, FlatWater | None):
+            raise TypeError(f"heights count from a plane: expected FlatWater or None, got {water}; use at(t)")
         height, _ = common(height=height, rays=self.air_length)
-        xp = namespace(self.origin)
-        normal = water.up if water is not None else (0.0, 0.0, 1.0)
-        plane = water.point if water is not None else (0.0, 0.0, 0.0)
-        origin = components(self.origin)
-        H = kernels.dot(tuple(c - p for c, p in zip(origin, plane, strict=True)), normal) + height * 0.0
-        # Below the surface the path goes on from the crossing, or from a camera that is under water itself.
-        below = self.wet & (height < 0.0)
-        start = tuple(xp.where(below, x, o) for x, o in zip(components(self.crossing), origin, strict=True))
-        air, water_leg = components(self.air_direction), components(self.water_direction)
-        leg = tuple(xp.where(below, w, a) for w, a in zip(water_leg, air, strict=True))
-        rise = height - xp.where(below, xp.minimum(H, H * 0.0), H)
-        climb = kernels.dot(leg, normal)
-        reached = (xp.abs(climb) > _GRAZING) & (rise * climb >= 0.0)
-        t = rise / xp.where(reached, climb, climb * 0.0 + 1.0)
-        points = kernels.along(start, leg, t)
-        return stack(*(xp.where(reached, p, p * 0.0 + float("nan")) for p in points))
+        xp = namespace(height)
+        plane = water if water is not None else FlatWater((0.0, 0.0, 0.0), n_water=1.0)
+        rays = (components(self.origin), components(self.air_direction), plane.point, plane.up)
+        origin, direction, point, up = (kernels.double(v) for v in rays)
+        n_water = namespace(plane.n_water).double(plane.n_water)
+        points = kernels.at_height(origin, direction, xp.double(height), point, up, n_water)
+        return stack(*(xp.like(p, self.air_length) for p in points))
 
 
-def trace(origin, direction, water: FlatWater | None) -> BentPaths:
+@np.errstate(invalid="ignore")
+def trace(origin, direction, surface: WaterSurface | None) -> BentPaths:
     """Bend camera rays at the water surface.
 
     Parameters
     ----------
-    origin, direction : (..., 3) numpy or torch, local [m] and unit
+    origin, direction : (..., 3) numpy, torch, or Dr.Jit Array3f or Array3f64; local [m] and unit
         Camera centres and directions of view; they broadcast.
-    water : FlatWater or None
+    surface : WaterSurface or None
         None leaves every ray straight and dry.
 
     Returns
@@ -102,7 +105,7 @@ def trace(origin, direction, water: FlatWater | None) -> BentPaths:
     BentPaths
         A ray that never meets the water (it looks up, or runs along the surface) is straight and not wet, and
         only its crossing is NaN. A camera on or below the surface looks straight through the water; it counts
-        as wet, with a crossing at the camera.
+        as wet, with a crossing at the camera. Nothing raises for a single ray; `BentPaths.counts` tells.
 
     Raises
     ------
@@ -110,23 +113,26 @@ def trace(origin, direction, water: FlatWater | None) -> BentPaths:
         If the last axis of `origin` or `direction` is not 3, or their shapes do not broadcast.
     """
     origin, direction = common(origin=origin, direction=direction)
-    xp = namespace(origin)
+    xp = namespace(*components(origin))
     o, d = components(origin), components(direction)
-    zero = (o[0] + d[0]) * 0.0
-    o, d = tuple(c + zero for c in o), tuple(c + zero for c in d)
-    nowhere, endless = zero + float("nan"), zero + float("inf")
-    if water is None:
-        crossing = stack(nowhere, nowhere, nowhere)
-        return BentPaths(stack(*o), stack(*d), crossing, endless, stack(*d), zero > 0.0)
-    normal, plane = water.up, water.point
-    H = kernels.dot(tuple(c - p for c, p in zip(o, plane, strict=True)), normal)
-    falling = -kernels.dot(d, normal)
-    below = H <= 0.0
-    meets = (falling > _GRAZING) & ~below
-    wet = meets | below
-    reach = xp.where(meets, H / xp.where(meets, falling, zero + 1.0), zero)
-    air_length = xp.where(wet, reach, endless)
-    crossing = tuple(xp.where(wet, c, nowhere) for c in kernels.along(o, d, reach))
-    bent = kernels.bend(d, tuple(zero + m for m in normal), 1.0, water.n_water)
-    water_direction = tuple(xp.where(meets, b, c) for b, c in zip(bent, d, strict=True))
-    return BentPaths(stack(*o), stack(*d), stack(*crossing), air_length, stack(*water_direction), wet)
+    zero = xp.like(kernels.nothing(o, d), o[0])
+    o, d = (tuple(v + other for v in triple) for triple, other in ((o, d[0] * 0.0), (d, o[0] * 0.0)))
+    code = xp.where(xp.isnan(zero), int(Regime.INVALID), int(Regime.STRAIGHT))
+    crossing, air_length, bent, wet = (zero + math.nan,) * 3, zero + math.inf, d, zero > 0.0
+    if surface is not None:
+        t = surface.intersect(o, d)
+        below = o[2] - surface.height(o[0], o[1]) + zero <= kernels.CONTACT
+        meets = (t + zero >= 0.0) & ~below
+        wet = meets | below
+        reach = xp.where(meets, t, zero)
+        at = kernels.along(o, d, reach)
+        crossing = tuple(xp.where(wet, v, zero + math.nan) for v in at)
+        air_length = xp.where(wet, reach, zero + math.inf)
+        normal = tuple(zero + m for m in surface.normal(at[0], at[1]))
+        bent = kernels.chosen(meets, kernels.bend(d, normal, 1.0, surface.n_water), d)
+        along = xp.abs(kernels.dot(d, normal)) <= kernels.GRAZING
+        code = xp.where(~wet & along, int(Regime.PARALLEL), code)
+        code = xp.where(below, int(Regime.UNDER_WATER), code)
+        code = xp.where(meets, int(Regime.BENT), code)
+        code = xp.where(meets & xp.isnan(bent[0]), int(Regime.REFLECTED), code)
+    return BentPaths(stack(*o), stack(*d), stack(*crossing), air_length, stack(*bent), wet, code)

@@ -2,35 +2,89 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+
 from refract import kernels
-from refract._array import common, components, stack
-from refract.surfaces import FlatWater
+from refract._array import common, components, namespace, stack
+from refract.regimes import Regime, counts
+from refract.surfaces import WaterSurface
 
-# Newton reaches the last bits of float64 within 14 steps over index 1 to 1.6, camera heights 1e-3 to 1e4 m,
-# depths to 1e3 m and incidence to 89.9 deg; drone geometry takes 4 (docs/optics.md).
-EXACT_STEPS = 16
+# Four steps of third order reach the last bits of float64 for every height, depth, distance and index; drone
+# geometry takes two (docs/optics.md).
+EXACT_STEPS = 4
 
 
-def crossing_point(points, camera, water: FlatWater | None, *, steps: int = EXACT_STEPS):
-    """Point of the water surface through which the camera sees a point of the bed.
+@final
+@dataclass(frozen=True)
+class Projection:
+    """How a camera sees points through the water; arrays of the library and precision of the points, local frame.
 
-    Solves Fermat's condition (least optical path) by Newton steps on the share of the way that lies in air,
-    to better than 1e-9 m in float64.
+    Attributes
+    ----------
+    direction : (..., 3) unit
+        From the camera toward where the point appears; NaN where it cannot be seen.
+    crossing : (..., 3) [m]
+        Where the ray meets the surface; the point itself where the ray is straight.
+    air_length, water_length : (...) [m]
+        Of the two legs; a straight ray is all air, or, from a camera under water to a wet point, all water.
+    depth : (...) [m]
+        Of the point below the surface, along the normal of a plane, vertical for a curved surface; zero without water.
+    wet : (...) bool
+        The point is below the surface.
+    solutions : (...) int
+        Stationary paths that were found; the least optical one was taken.
+    regime : (...) int
+        `Regime` of each ray.
+    """
+
+    direction: Any
+    crossing: Any
+    air_length: Any
+    water_length: Any
+    depth: Any
+    wet: Any
+    solutions: Any
+    regime: Any
+
+    def counts(self) -> dict[str, int]:
+        """How many points there are of each `Regime`, by its name in lower case."""
+        return counts(self.regime)
+
+
+def _length(vector):
+    """Length of a triple; zero, with zero gradient, where it vanishes."""
+    xp = namespace(*vector)
+    squared = kernels.dot(vector, vector)
+    some = squared > 0.0
+    root = xp.sqrt(xp.where(some, squared, squared * 0.0 + 1.0))
+    return xp.where(some, root, root * 0.0)
+
+
+@np.errstate(invalid="ignore", over="ignore")
+def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_STEPS) -> Projection:
+    """How a camera sees points of the bed: the way of least optical path (Fermat) through the surface.
+
+    Points and camera in float32 are computed in float64 where digits would be lost, and rounded once at the end.
 
     Parameters
     ----------
-    points : (..., 3) [m], local, numpy or torch
+    points : (..., 3) [m], local; numpy, torch, or a Dr.Jit Array3f or Array3f64
     camera : (3,) or (..., 3) [m], local
         Camera centre.
-    water : FlatWater or None
+    surface : WaterSurface or None
+        None: there is no water, and every ray is straight.
     steps : int
-        Newton steps; fewer are faster and, in float32 and drone geometry, as good (docs/optics.md).
+        Steps of the solver, of third order; fewer are faster (docs/optics.md).
 
     Returns
     -------
-    (..., 3) [m], local
-        The point itself where the ray to it is straight: above the water, without water, or with the camera
-        on or below the surface. In each case the camera sees the point in the direction of the returned one.
+    Projection
+        Rays to points above the water, from a camera on or below it, and without water are straight. A point that
+        is NaN, or lies in the camera, has a direction of NaN. Nothing raises for a single ray; `counts` tells.
 
     Raises
     ------
@@ -39,7 +93,42 @@ def crossing_point(points, camera, water: FlatWater | None, *, steps: int = EXAC
     """
     points, camera = common(points=points, camera=camera)
     point, centre = components(points), components(camera)
-    if water is None:
-        return stack(*(p + c * 0.0 for p, c in zip(point, centre, strict=True)))
-    crossing, _ = kernels.crossing_of_point(centre, point, water.point, water.up, water.n_water, steps)
-    return stack(*crossing)
+    xp = namespace(*point)
+    p, c = kernels.double(point), kernels.double(centre)
+    direct = kernels.minus(p, c)
+    none = xp.like(kernels.nothing(p, c), p[0])
+    seen, depth, solutions, below = p, none, 1, none > 0.0
+    if surface is not None:
+        seen, depth, solutions = surface.crossing(centre, point, steps)
+        seen, depth = kernels.double(seen), xp.double(depth) + none
+        below = xp.double(centre[2] - surface.height(centre[0], centre[1])) + none <= kernels.CONTACT
+    wet = depth > 0.0
+    bent, sunk = wet & ~below, wet & below
+    leg = kernels.minus(kernels.chosen(bent, seen, p), c)
+    leg_length, rest_length = _length(leg), _length(kernels.minus(p, kernels.chosen(bent, seen, p)))
+    there = leg_length > 0.0
+    direction = tuple(xp.where(there, v / xp.where(there, leg_length, none + 1.0), none + math.nan) for v in leg)
+    code = xp.where(bent, int(Regime.BENT), int(Regime.STRAIGHT))
+    code = xp.where(below, int(Regime.UNDER_WATER), code)
+    code = xp.where(xp.isnan(direction[0]), int(Regime.UNSEEN), code)
+    code = xp.where(xp.isnan(none) | (kernels.dot(direct, direct) == 0.0), int(Regime.INVALID), code)
+    like = point[0]
+    return Projection(
+        direction=stack(*(xp.like(v, like) for v in direction)),
+        crossing=stack(*(xp.like(v + none, like) for v in seen)),
+        air_length=xp.like(xp.where(sunk, none, leg_length), like),
+        water_length=xp.like(xp.where(sunk, leg_length, rest_length), like),
+        depth=xp.like(depth, like),
+        wet=wet,
+        solutions=solutions,
+        regime=code,
+    )
+
+
+def crossing_point(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_STEPS):
+    """Point of the water surface (..., 3) [m], local, through which the camera sees a point of the bed.
+
+    The point itself where the ray to it is straight; better than 1e-9 m in float64. Arguments and errors as for
+    `project`, of which this is the crossing.
+    """
+    return project(points, camera, surface, steps=steps).crossing

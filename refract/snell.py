@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from refract import kernels
-from refract._array import common, components, stack
+from refract._array import common, components, namespace, stack
+from refract.regimes import Regime
 
 
-def bend(ray, normal, *, n_from: float, n_to: float):
+@np.errstate(invalid="ignore")
+def bend(ray, normal, *, n_from, n_to):
     """Direction of a ray after it crosses the water surface.
 
     Parameters
     ----------
-    ray : (..., 3) unit, any one frame, numpy or torch
+    ray : (..., 3) unit, any one frame; numpy, torch, or a Dr.Jit Array3f or Array3f64
         Direction of travel before the crossing.
     normal : (3,) or (..., 3) unit, same frame
         Surface normal on the side the ray comes from, so ``ray . normal < 0``.
@@ -21,8 +25,10 @@ def bend(ray, normal, *, n_from: float, n_to: float):
     Returns
     -------
     (..., 3) unit, same frame
-        NaN where the ray is totally reflected (only possible if ``n_from > n_to``) or comes from the
-        other side; gradients of such rays are zero, not NaN.
+        NaN where the ray is totally reflected (only possible if ``n_from > n_to``), runs along the surface or
+        comes from the other side; gradients of such rays are zero, not NaN. So are those of rays that come out
+        within 0.007 degrees of the surface (float64; 1.1 degrees in float32), where the derivative diverges;
+        `bend_regime` tells them apart.
 
     Raises
     ------
@@ -40,3 +46,17 @@ def bend(ray, normal, *, n_from: float, n_to: float):
     """
     ray, normal = common(ray=ray, normal=normal)
     return stack(*kernels.bend(components(ray), components(normal), n_from, n_to))
+
+
+@np.errstate(invalid="ignore")
+def bend_regime(ray, normal, *, n_from, n_to):
+    """What `bend` makes of each ray: an array (...) of `Regime` codes, for `counts`. Arguments as for `bend`."""
+    ray, normal = common(ray=ray, normal=normal)
+    ray, normal = components(ray), components(normal)
+    xp = namespace(*ray)
+    bent = kernels.bend(ray, normal, n_from, n_to)[0]
+    cos_from = -kernels.dot(ray, normal)
+    code = xp.where(kernels.near_critical(ray, normal, n_from, n_to), int(Regime.CRITICAL), int(Regime.BENT))
+    code = xp.where(xp.isnan(bent), int(Regime.REFLECTED), code)
+    code = xp.where(cos_from == 0.0, int(Regime.PARALLEL), code)
+    return xp.where(xp.isnan(cos_from), int(Regime.INVALID), code)

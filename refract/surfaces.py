@@ -13,10 +13,8 @@ from typing import Any, Protocol, final
 import numpy as np
 
 from refract import kernels
-from refract._array import namespace
-
-# A ray that falls less than this per metre runs along the surface: it would meet the water beyond 1e12 H.
-GRAZING = 1e-12
+from refract._array import as_numpy, namespace, root
+from refract.kernels import GRAZING
 
 
 class WaterSurface(Protocol):
@@ -47,7 +45,8 @@ class WaterSurface(Protocol):
         Returns the crossing, the depth of the point below the surface (along the normal of a plane, vertical for
         a curved surface) and the number of stationary paths, from which the one of least optical length was
         taken. A point that is not below the surface, and every point for a camera that is not above it, is its own
-        crossing: the ray is straight. `steps` bounds the Newton steps where a surface takes them.
+        crossing: the ray is straight. `steps` is the number of steps, where a surface counts them. The answer may
+        be in a higher precision than the arguments; `project` rounds it once.
         """
 
 
@@ -58,20 +57,7 @@ def _number(value):
 
 def _plain(value) -> float:
     """The value of a number of any library, without its gradient."""
-    name = namespace(value).name
-    if name == "numpy":
-        return value
-    if name == "torch":
-        return value.item()
-    import drjit
-
-    return float(np.asarray(drjit.detach(value)).item())
-
-
-def _root(value):
-    """Square root that leaves plain floats plain: a numpy scalar would pull tensors to its own library."""
-    xp = namespace(value)
-    return math.sqrt(value) if xp.name == "numpy" else xp.sqrt(value)
+    return as_numpy(value).item()
 
 
 @final
@@ -117,7 +103,7 @@ class FlatWater:
     @property
     def up(self) -> tuple[Any, Any, Any]:
         """Unit normal of the plane, pointing up into the air, local."""
-        length = _root(1.0 + self.slope_x * self.slope_x + self.slope_y * self.slope_y)
+        length = root(1.0 + self.slope_x * self.slope_x + self.slope_y * self.slope_y)
         return (-self.slope_x / length, -self.slope_y / length, 1.0 / length)
 
     def normal(self, x, y) -> tuple[Any, Any, Any]:
@@ -144,8 +130,10 @@ class FlatWater:
         return xp.where(meets, t, t * 0.0 + float("nan"))
 
     def crossing(self, camera, point, steps: int):
-        """See `WaterSurface.crossing`; a plane has one stationary path."""
-        crossing, depth = kernels.crossing_of_point(camera, point, self.point, self.up, self.n_water, steps)
+        """See `WaterSurface.crossing`; a plane has one stationary path. Answers in float64."""
+        camera_, point_, plane, up = (kernels.double(v) for v in (camera, point, self.point, self.up))
+        n_water = namespace(self.n_water).double(self.n_water)
+        crossing, depth = kernels.crossing_of_point(camera_, point_, plane, up, n_water, steps, like=point[0])
         return crossing, depth, 1
 
     def as_array(self) -> np.ndarray:

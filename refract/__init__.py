@@ -35,4 +35,5 @@ __all__ = [
     "tangential_shift",
     "trace",
     "true_depth",
+    "water_index",
 ]

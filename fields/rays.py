@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 
 from fields.slab import Slab
-from refract import FlatWater, PinholeCamera
-from refract.fresnel import fresnel_coefficients
+from refract import FlatWater, PinholeCamera, fresnel_coefficients
 
 # sRGB-like photographs are linear in light to the power of 2.2.
 GAMMA = 2.2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 
-from refract.media import water_index
+from refract import water_index
 from survey.config import FILE_NAME, WaterConfig
 from survey.errors import ConfigError
 

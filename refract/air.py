@@ -16,7 +16,7 @@ def air_index(wavelength_nm, temperature_c=15.0, pressure_pa=101325.0, humidity=
     Parameters
     ----------
     wavelength_nm : [nm], in vacuum
-        Valid for 300 to 1690.
+        Valid for 300 to 1700.
     temperature_c, pressure_pa : [deg C], [Pa]
         Valid for -40 to 100 and 80 000 to 120 000.
     humidity : relative, 0 to 1

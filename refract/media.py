@@ -104,13 +104,14 @@ def water_index_parrish(wavelength_nm, temperature_c, salinity_psu):
 
 
 def water_index_iapws(wavelength_nm, temperature_c):
-    """As `water_index`, for fresh water at one atmosphere, after the release of IAPWS: a second opinion to 2e-5.
+    """As `water_index`, for fresh water at one atmosphere, after the release of IAPWS: a second opinion.
 
     Notes
     -----
     International Association for the Properties of Water and Steam, Release R9-97, on the absolute index, here
     divided by that of dry air at 15 deg C (`air_index`). The density is that of M. Tanaka et al., Metrologia
-    38(4), 301-309, 2001, for air-free water at 0 to 40 deg C.
+    38(4), 301-309, 2001, for air-free water at 0 to 40 deg C. Over 400 to 700 nm and 0 to 30 deg C, `water_index` is
+    within 5e-5 of it, 0.004 % of the depth.
     """
     wave, t, _ = _water("IAPWS R9-97", wavelength_nm, temperature_c, None)
     return iapws_absolute_index(wave, t, _fresh_density(t)) / air_index(wave)
@@ -119,7 +120,7 @@ def water_index_iapws(wavelength_nm, temperature_c):
 def iapws_absolute_index(wavelength_nm, temperature_c, density_kg_m3):
     """Absolute index of fresh water or steam, release R9-97 of IAPWS: equation 1 with the coefficients of table 1.
 
-    Valid for 200 to 1100 nm, -12 to 500 deg C and up to 1060 kg/m^3.
+    It holds for 200 to 1100 nm, -12 to 500 deg C and up to 1060 kg/m^3, which is not checked here.
     """
     rho, theta = density_kg_m3 / 1000.0, (temperature_c + 273.15) / 273.15
     squared = (wavelength_nm / 589.0) ** 2

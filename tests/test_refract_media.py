@@ -188,6 +188,8 @@ def test_a_warning_names_the_range_that_the_fit_is_left_of(arguments, said):
     with pytest.warns(OutsideFit, match=said) as caught:
         assert np.isfinite(water_index(*arguments)).all()
     assert caught[0].filename == __file__
+    with pytest.warns(OutsideFit, match=r"temperature_c is 45, outside the range 0 to 40 of IAPWS R9-97"):
+        water_index_iapws(550.0, 45.0)
     with pytest.warns(OutsideFit, match=r"pressure_pa is 70000, outside the range 80000 to 120000 of Ciddor") as caught:
         air_index(550.0, 15.0, 7e4)
     assert caught[0].filename == __file__

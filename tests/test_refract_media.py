@@ -70,15 +70,15 @@ def test_water_at_one_atmosphere_has_the_absolute_index_of_the_release(temperatu
 def test_three_models_agree_to_what_their_authors_claim():
     wave, t = np.meshgrid(np.linspace(400.0, 700.0, 31), np.linspace(0.0, 30.0, 16))
     fresh = water_index(wave, t, 0.0)
-    # Quan and Fry state 1.5e-5 of their fit about data that are known to 3e-5.
-    assert np.abs(fresh - water_index_iapws(wave, t)).max() < 5e-5
+    # Quan and Fry state 1.5e-5 of their fit about data that are known to 3e-5; measured 3.6e-5.
+    assert np.abs(fresh - water_index_iapws(wave, t)).max() < 4e-5
     # Were the index taken as absolute, the two would be 3.5e-4 apart.
     assert np.abs(fresh - water_index_iapws(wave, t) * air_index(wave)).max() > 2.5e-4
     for salinity in (0.0, 35.0):
         difference = water_index(wave, t, salinity) - water_index_parrish(wave, t, salinity)
-        # Parrish states 2e-4 rms of his quadratics, which are worst at the ends of the range.
-        assert np.sqrt(np.mean(difference**2)) < 2.5e-4
-        assert np.abs(difference).max() < 1.2e-3
+        # Parrish states 2e-4 rms of his quadratics, which are worst at the ends of the range: measured 4.6e-4.
+        assert np.sqrt(np.mean(difference**2)) < 2e-4
+        assert np.abs(difference).max() < 5e-4
 
 
 def test_salt_cold_and_blue_light_raise_the_index():

@@ -52,7 +52,11 @@ class Block:
 
     def look_at(self, height: float) -> None:
         """Judge overlap at another height [m] over the water plane."""
-        plane_z = 0.0 if self.water is None else self.water.point[2]
+        plane_z = 0.0
+        if self.water is not None:
+            # Under the cameras: the point that the plane is given by may lie far away.
+            x, y, _ = np.mean([camera.centre for camera in self.cameras], axis=0)
+            plane_z = float(self.water.height(x, y))
         self.seen, self.cells = views.coverage(self.cameras, self.water, plane_z + height)
         self.height = height
 

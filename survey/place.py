@@ -212,12 +212,13 @@ def doubts(frame: LocalFrame, views: list[View], water: FlatWater | None, heads:
         too_high = -water.depth(centres) > MAX_HEIGHT_OVER_WATER_M
         names = [view.name for view, is_high in zip(views, too_high, strict=True) if is_high]
         warn_of(names, f"more than {MAX_HEIGHT_OVER_WATER_M:.0f} m over the water", "camera", found)
-    reach = float(np.linalg.norm(centres[:, :2], axis=1).max())
-    if reach > _FLAT_WITHIN_M:
-        found.append(
-            f"cameras lie up to {reach:.0f} m from the origin of the local frame; level water leaves its tangent "
-            f"plane by {100.0 * reach**2 / (2 * 6.371e6):.1f} cm there"
-        )
+        reach = float(np.linalg.norm((centres - water.point)[:, :2], axis=1).max())
+        if reach > _FLAT_WITHIN_M:
+            found.append(
+                f"cameras lie up to {reach:.0f} m from where the water plane touches (level_at); level water lies "
+                f"{100.0 * reach**2 / (2 * 6.371e6):.1f} cm under the plane there: give level_at amid the cameras, and "
+                "a longer survey in parts"
+            )
     crs_centres = dict(zip((view.name for view in views), frame.crs_from_local(centres), strict=True))
     distances = distances_to_exif(frame.crs, crs_centres, heads)
     if distances.size and np.median(distances) > _EXIF_DOUBT_M:

@@ -166,3 +166,15 @@ def test_heights_agree_when_they_differ_by_less_than_the_parallax_said():
     block = PlaneBed(WATER, -2.0).block(choose_device("torch"), ring(4))
     tolerance = block.agreement_tolerance(0, [1, 2], -2.0)
     np.testing.assert_allclose(tolerance * block.parallax(0, [1, 2], -2.0), AGREEMENT_PX)
+
+
+def test_overlap_is_judged_under_the_cameras_however_far_off_the_water_has_its_point():
+    """A sloped plane given by a point 2 km away lies 40 m under that point here."""
+    device = choose_device("torch")
+    near = FlatWater((0.0, 0.0, 0.0), n_water=1.34, slope_x=0.02)
+    far = FlatWater((2000.0, 0.0, 40.0), n_water=1.34, slope_x=0.02)
+    cameras = ring(3)
+    images = [np.zeros((c.height, c.width), dtype=np.float32) for c in cameras]
+    blocks = [Block(device, cameras, images, water, -2.0) for water in (near, far)]
+    np.testing.assert_allclose(blocks[0].cells, blocks[1].cells, atol=1e-9)
+    np.testing.assert_array_equal(blocks[0].seen, blocks[1].seen)

@@ -334,3 +334,11 @@ def test_the_drawn_surveys_load_without_an_assumption_or_a_warning(data_dir, nam
     survey = load_survey(data_dir / name)
     assert (survey.assumptions, survey.warnings) == ((), ())
     assert (survey.water is None) == (name == "wreck_dry")
+
+
+def test_a_plane_that_touches_far_from_the_cameras_is_doubted(tmp_path):
+    toml = replaced((f"level_at = [{E0}, {N0}]", f"level_at = [{E0 + 1000.0}, {N0}]"))
+    (warning,) = load_survey(small_survey(tmp_path / "s", toml=toml)).warnings
+    # Of 1000 m on the grid 1000.5 m are left without its scale and height; so far level water falls 7.9 cm.
+    assert warning.startswith("cameras lie up to 1001 m from where the water plane touches (level_at); level water")
+    assert "7.9 cm under the plane there" in warning

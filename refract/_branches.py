@@ -1,0 +1,142 @@
+"""Every stationary path of a point: boxes cut until each is proven empty or the home of exactly one.
+
+Krawczyk's operator: with gradient F and Hessian H of the optical length, Y an approximate inverse of H and m the
+middle of a box X, every root of F in X lies in ``K = m - Y F(m) + (I - Y H(X)) (X - m)``. If K misses X there is none;
+if K lies inside X there is exactly one (R. Krawczyk, Computing 4, 1969; R. E. Moore, SIAM J. Numer. Anal. 14, 1977).
+All in numpy float64; H(X) and F(m) are enclosed by `refract._interval`.
+"""
+
+from __future__ import annotations
+
+from itertools import takewhile
+
+import numpy as np
+
+from refract._interval import Interval
+
+# A root on the common side of two boxes lies inside neither: boxes are tested a little wider than they are cut.
+_OVERLAP = 1.125
+# Boxes per point. A calm sea takes none, a caustic some hundreds; more mean a point on a caustic.
+_BUDGET = 4000
+# Boxes smaller than this part of the camera's distance are not cut any more: there, rounding hides the sign of F.
+_SMALLEST = 1e-10
+# Points at a time: some hundred boxes each, a few dozen intervals per box, 64 MB.
+_CHUNK = 512
+_POLISH = 4
+
+
+def every_path(surface, path_slope, camera, point, disc):
+    """Crossings of all stationary paths of each point, and which points the proof could not settle.
+
+    Parameters
+    ----------
+    surface : Relief
+    path_slope : callable
+        `refract.fermat.path_slope`, for numbers and intervals alike.
+    camera, point : triples of (points,) float64
+    disc : Disc
+        Holds every crossing.
+
+    Returns
+    -------
+    owner, x, y : (roots,) int, float64
+        Which point each crossing belongs to, in order.
+    open : (points,) bool
+    """
+    found, unsettled = [], np.zeros(point[0].size, dtype=bool)
+    for start in range(0, point[0].size, _CHUNK):
+        part = slice(start, start + _CHUNK)
+        ends = tuple(c[part] for c in camera), tuple(p[part] for p in point)
+        owner, x, y, unsettled[part] = _cut(surface, path_slope, *ends, disc.x[part], disc.y[part], disc.radius[part])
+        found.append((owner + start, x, y))
+    owner, x, y = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    keep = _distinct(owner, x, y, 1e-9 * np.abs(camera[2] - point[2]))
+    return owner[keep], x[keep], y[keep], unsettled
+
+
+def _cut(surface, path_slope, camera, point, mid_x, mid_y, radius):
+    """`every_path` of one chunk, with roots that neighbouring boxes share still repeated."""
+    smallest = _SMALLEST * np.hypot(np.hypot(camera[0] - point[0], camera[1] - point[1]), camera[2] - point[2])
+    unsettled = ~np.isfinite(radius)
+    owner = np.flatnonzero(~unsettled)
+    mid_x, mid_y = mid_x[owner], mid_y[owner]
+    half_x = half_y = radius[owner]
+    cut = np.zeros(radius.size, dtype=np.int64)
+    roots = []
+    while owner.size:
+        cut += np.bincount(owner, minlength=cut.size)
+        ends = tuple(c[owner] for c in camera), tuple(p[owner] for p in point)
+        empty, single, lo, hi = _judge(surface, path_slope, *ends, mid_x, mid_y, half_x, half_y)
+        if single.any():
+            at = _polished(
+                surface, path_slope, *(tuple(c[single] for c in end) for end in ends),
+                mid_x[single] + 0.5 * (lo[0] + hi[0])[single], mid_y[single] + 0.5 * (lo[1] + hi[1])[single],
+            )  # fmt: skip
+            roots.append((owner[single], *at))
+        stuck = ~(empty | single) & ((np.maximum(half_x, half_y) < smallest[owner]) | (cut[owner] > _BUDGET))
+        unsettled[owner[stuck]] = True
+        rest = ~(empty | single) & ~unsettled[owner]
+        owner, mid_x, mid_y, half_x, half_y = _halved(
+            owner[rest], mid_x[rest], mid_y[rest], *(tuple(e[rest] for e in end) for end in (lo, hi))
+        )
+    if not roots:
+        return np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), unsettled
+    owner, x, y = (np.concatenate(parts) for parts in zip(*roots, strict=True))
+    return owner, x, y, unsettled
+
+
+def _judge(surface, path_slope, camera, point, mid_x, mid_y, half_x, half_y):
+    """Which boxes are empty, which hold one root, and the part of each box, about its middle, where roots may lie."""
+    wide_x, wide_y = _OVERLAP * half_x, _OVERLAP * half_y
+    # The corners are rounded: by far less than the overlap.
+    box = Interval(mid_x - wide_x, mid_x + wide_x), Interval(mid_y - wide_y, mid_y + wide_y)
+    over, (hxx, hxy, hyy) = path_slope(surface, camera, point, *box)
+    (gx, gy), _ = path_slope(surface, camera, point, Interval(mid_x, mid_x), Interval(mid_y, mid_y))
+    dx, dy = Interval(-wide_x, wide_x), Interval(-wide_y, wide_y)
+    mean_x, mean_y = gx + hxx * dx + hxy * dy, gy + hxy * dx + hyy * dy
+    # Y, the inverse of the Hessian in the middle of its enclosure; the operator is valid with any Y.
+    cxx, cxy, cyy = (0.5 * (h.lo + h.hi) for h in (hxx, hxy, hyy))
+    determinant = cxx * cyy - cxy * cxy
+    yxx, yxy, yyy = cyy / determinant, -cxy / determinant, cxx / determinant
+    k_x = (1.0 - (yxx * hxx + yxy * hxy)) * dx - (yxx * hxy + yxy * hyy) * dy - (yxx * gx + yxy * gy)
+    k_y = (1.0 - (yxy * hxy + yyy * hyy)) * dy - (yxy * hxx + yyy * hxy) * dx - (yxy * gx + yyy * gy)
+    # Where K is not a number (a singular Y, a leg of length zero in the box) fmax and fmin keep the whole box.
+    lo = np.fmax(k_x.lo, -half_x), np.fmax(k_y.lo, -half_y)
+    hi = np.fmin(k_x.hi, half_x), np.fmin(k_y.hi, half_y)
+    empty = (lo[0] > hi[0]) | (lo[1] > hi[1])
+    for gradient in (*over, mean_x, mean_y):
+        empty |= gradient.misses_zero
+    single = (k_x.magnitude < wide_x) & (k_y.magnitude < wide_y) & ~empty
+    return empty, single, lo, hi
+
+
+def _halved(owner, mid_x, mid_y, lo, hi):
+    """The parts ``lo`` to ``hi`` of the boxes, cut in two across their longer side."""
+    mid_x, mid_y = mid_x + 0.5 * (lo[0] + hi[0]), mid_y + 0.5 * (lo[1] + hi[1])
+    half_x, half_y = 0.5 * (hi[0] - lo[0]), 0.5 * (hi[1] - lo[1])
+    across = half_x >= half_y
+    half_x, half_y = np.where(across, 0.5 * half_x, half_x), np.where(across, half_y, 0.5 * half_y)
+    shift_x, shift_y = np.where(across, half_x, 0.0), np.where(across, 0.0, half_y)
+    owner, half_x, half_y = (np.concatenate([a, a]) for a in (owner, half_x, half_y))
+    mid_x, mid_y = (np.concatenate([m - s, m + s]) for m, s in ((mid_x, shift_x), (mid_y, shift_y)))
+    return owner, mid_x, mid_y, half_x, half_y
+
+
+def _polished(surface, path_slope, camera, point, x, y):
+    """Newton's steps to the last bits, from the middle of what encloses the root."""
+    for _ in range(_POLISH):
+        (gx, gy), (hxx, hxy, hyy) = path_slope(surface, camera, point, x, y)
+        determinant = hxx * hyy - hxy * hxy
+        x, y = x + (hxy * gy - hyy * gx) / determinant, y + (hxy * gx - hxx * gy) / determinant
+    return x, y
+
+
+def _distinct(owner, x, y, near):
+    """Indices of the roots, by owner, without those that a box shares with its neighbour."""
+    order = np.lexsort((x, owner))
+    keep = []
+    for i in order:
+        own = takewhile(lambda j: owner[j] == owner[i], reversed(keep))  # noqa: B023 (used up at once)
+        if all(np.hypot(x[i] - x[j], y[i] - y[j]) >= near[owner[i]] for j in own):
+            keep.append(i)
+    return np.array(keep, dtype=np.int64)

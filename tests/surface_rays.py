@@ -1,0 +1,37 @@
+"""Rays over a water surface and back, for the tests of curved surfaces: triples of numpy arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from refract import kernels
+
+
+def cameras(rng, count, height=(5.0, 60.0), spread=3.0):
+    """Camera centres ``height`` [m] over z = 0."""
+    return rng.uniform(-spread, spread, count), rng.uniform(-spread, spread, count), rng.uniform(*height, count)
+
+
+def falling_rays(rng, count, steepest_deg=0.0, flattest_deg=50.0):
+    """Unit rays with incidences to the vertical between two angles, in all directions."""
+    incidence = np.radians(rng.uniform(steepest_deg, flattest_deg, count))
+    azimuth = rng.uniform(0.0, 2.0 * np.pi, count)
+    return np.sin(incidence) * np.cos(azimuth), np.sin(incidence) * np.sin(azimuth), -np.cos(incidence)
+
+
+def bed_points(water, camera, ray, depth):
+    """Where the rays end ``depth`` [m] (along the vertical) below their crossing."""
+    surface = kernels.along(camera, ray, water.intersect(camera, ray))
+    leg = kernels.bend(ray, water.normal(surface[0], surface[1]), 1.0, water.n_water)
+    return kernels.along(surface, leg, depth / -leg[2])
+
+
+def view_angle(camera, seen, ray):
+    """Angles [rad] between unit rays and the directions from the camera to what is seen."""
+    way = np.stack([s - c for s, c in zip(seen, camera, strict=True)], -1)
+    return np.linalg.norm(np.cross(way, np.stack(ray, -1)), axis=-1) / np.linalg.norm(way, axis=-1)
+
+
+def triple(rows):
+    """Components of vectors (..., 3)."""
+    return rows[..., 0], rows[..., 1], rows[..., 2]

@@ -1,0 +1,61 @@
+"""Plots of the gallery: colours, vertical sections, words beside lines. Used by draw_gallery.py."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
+
+# Okabe and Ito's colours, told apart by all eyes; on white, with a pale water.
+INK, SOFT, BLUE, ORANGE, GREEN, RED = "#22303c", "#6b7885", "#0072b2", "#e69f00", "#009e73", "#d55e00"
+DARK_ORANGE, IN_WATER, BED = "#a86f00", "#e3f0f7", "#8a6f4e"
+
+
+def canvas(width: float, height: float, **layout) -> tuple[Figure, np.ndarray]:
+    """A figure [inch] of one or more plots, drawn without a display."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    plots = figure.subplots(squeeze=False, **layout)
+    for axes in plots.flat:
+        axes.tick_params(colors=SOFT, labelsize=8.5)
+        axes.spines[["right", "top"]].set_visible(False)
+        axes.spines[["left", "bottom"]].set_color(SOFT)
+    return figure, plots
+
+
+def label(axes: Axes, title: str, x: str, y: str) -> None:
+    axes.set_title(title, loc="left", color=INK, fontsize=10)
+    axes.set_xlabel(x, color=INK, fontsize=9)
+    axes.set_ylabel(y, color=INK, fontsize=9)
+
+
+def section(axes: Axes, low: float, high: float, bottom: float, top: float) -> None:
+    """A vertical section, as high as wide to scale, with water under z = 0."""
+    axes.axhspan(bottom, 0.0, color=IN_WATER, lw=0, zorder=0)
+    axes.axhline(0.0, color=BLUE, lw=1.2, zorder=1)
+    axes.set(xlim=(low, high), ylim=(bottom, top), aspect="equal")
+
+
+def line(axes: Axes, *points, **style) -> None:
+    """A chain of straight legs through points (3,), seen from the south."""
+    chain = np.array(points)
+    axes.plot(chain[:, 0], chain[:, 2], **style)
+
+
+def note(axes: Axes, text: str, at: tuple[float, float], to: tuple[float, float] | None = None, **style) -> None:
+    """Words at a place, with a thin line to what they mean."""
+    style = {"color": INK, "fontsize": 8.5} | style
+    arrow = {"arrowstyle": "-", "color": style["color"], "lw": 0.7, "shrinkA": 1, "shrinkB": 2}
+    axes.annotate(text, to or at, xytext=at, arrowprops=arrow if to else None, **style)
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a PNG of 256 colours, a third of the size of one of all colours."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, dpi=140, format="png")
+    Image.open(buffer).convert("RGB").quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)

@@ -1,11 +1,12 @@
 """Snell optics of a camera in air and a bed under water."""
 
+from refract._ranges import OutsideFit
 from refract.absorption import channel_absorption, leg_transmittance
 from refract.air import air_index
 from refract.apparent import apparent_depth, apparent_depth_tangential, tangential_shift, true_depth
 from refract.camera import PinholeCamera
 from refract.fresnel import fresnel_coefficients, radiance_factor
-from refract.media import channel_indices, water_index
+from refract.media import channel_indices, water_index, water_index_iapws, water_index_parrish
 from refract.paths import BentPaths, trace
 from refract.projection import Projection, crossing_point, project
 from refract.regimes import Regime, counts
@@ -15,6 +16,7 @@ from refract.surfaces import FlatWater, WaterSurface
 __all__ = [
     "BentPaths",
     "FlatWater",
+    "OutsideFit",
     "PinholeCamera",
     "Projection",
     "Regime",
@@ -36,4 +38,6 @@ __all__ = [
     "trace",
     "true_depth",
     "water_index",
+    "water_index_iapws",
+    "water_index_parrish",
 ]

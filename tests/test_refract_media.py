@@ -6,17 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from refract._ranges import OutsideFit
-from refract.air import air_index
-from refract.media import (
-    CHANNEL_WAVELENGTHS_NM,
-    channel_indices,
-    freezing_point,
-    iapws_absolute_index,
-    water_index,
-    water_index_iapws,
-    water_index_parrish,
-)
+from refract import OutsideFit, air_index, channel_indices, water_index, water_index_iapws, water_index_parrish
+from refract.media import CHANNEL_WAVELENGTHS_NM, freezing_point, iapws_absolute_index
 
 # Check values have six digits after the point.
 SIX_DIGITS = 0.51e-6

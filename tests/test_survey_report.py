@@ -319,3 +319,30 @@ def test_unknown_cells_stay_unlit():
     height = np.random.default_rng(1).normal(size=(30, 30))
     height[:, 15:] = np.nan
     np.testing.assert_array_equal(hillshade(height, 0.1)[:, 15:], 0.5)
+
+
+# --- baselines ----------------------------------------------------------------------------------------------
+
+
+def test_straight_rays_and_their_corrections_stand_beside_what_was_measured(report):
+    """The bed is a plane of 0.05 to 0.65 m depth; every view sees it through index 1.333."""
+    figures = report.figures["baselines"]
+    by_name = {row["name"]: row for row in figures["rows"]}
+    straight, times_n, dietrich, measured = by_name.values()
+    depth = report.figures["cloud"]["depth_m"]["median"]
+    assert [row["kind"] for row in by_name.values()] == ["predicted"] * 3 + ["measured"]
+    # At nadir a quarter of the depth; more where rays are slanted.
+    assert 0.25 < straight["median_m"] / depth < 0.5
+    assert abs(dietrich["median_m"]) < abs(times_n["median_m"]) < straight["median_m"]
+    assert measured["mean_m"] == pytest.approx(-RAISED_M, abs=LAS_BIAS_M)
+    page = report.run.report_html_path.read_text(encoding="utf-8")
+    assert "per-camera correction (Dietrich)" in page
+
+
+def test_a_sweep_without_its_field_has_a_row_of_its_own(survey, report):
+    numbers = {"vertical": {"wet": {"mean_m": 0.1, "median_m": 0.2, "std_m": 0.3}}}
+    facts = replace(report.facts, sweep_comparison=SimpleNamespace(numbers=numbers))
+    rows = figures_of(facts)["baselines"]["rows"]
+    assert [row["name"] for row in rows[3:]] == ["refractive sweep only", "full chain: sweep and field"]
+    assert rows[3]["median_m"] == 0.2
+    assert figures_of(replace(report.facts, comparison=None))["baselines"] is None

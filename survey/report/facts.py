@@ -14,6 +14,7 @@ from geo.crs import horizontal_crs, vertical_crs
 from survey.folder import Survey
 from survey.images import list_images
 from survey.plan import Plan
+from survey.report.baselines import baselines_of
 from survey.rundir import versions
 
 if TYPE_CHECKING:
@@ -47,6 +48,8 @@ class ReportFacts:
         Share of the pixels that look into water that have a point of the bed.
     comparison : Comparison or None
         Of the cloud of these points with a reference, from `survey.compare.compare_surfaces`.
+    sweep_comparison : Comparison or None
+        The same of the cloud that the sweep alone would have given; None where there is no field or no reference.
     notes : tuple of str
         Further sentences for the reader.
     """
@@ -60,6 +63,7 @@ class ReportFacts:
     depth_maps: list[DepthMap] | None = None
     wet_pixel_share: float | None = None
     comparison: Comparison | None = None
+    sweep_comparison: Comparison | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -73,6 +77,7 @@ def figures_of(facts: ReportFacts) -> dict:
         "cloud": _cloud(facts),
         "comparison": None if facts.comparison is None else facts.comparison.numbers,
         "iho_s44": None if facts.comparison is None else facts.comparison.numbers.get("iho_s44"),
+        "baselines": baselines_of(facts),
         "timings_s": {**facts.timings, "total": sum(facts.timings.values())},
         "versions": versions(),
         "settings": facts.settings,

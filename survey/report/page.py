@@ -72,6 +72,7 @@ def render_page(figures: dict, pictures: list[Picture]) -> str:
         _section("Pictures", "".join(_figure(p) for p in pictures)),
         _section("Against the reference", tables.comparison(figures["comparison"])),
         _section("Vertical uncertainty (IHO S-44)", tables.iho_s44(figures["iho_s44"])),
+        _section("What bending the rays is worth", tables.baselines(figures["baselines"])),
         _section("The cloud", tables.cloud(figures["cloud"])),
         _section("Survey and water", tables.survey(figures["survey"], figures["water"], figures["plan"])),
         _section("What was done, and why", tables.decisions(figures["plan"]["decisions"])),

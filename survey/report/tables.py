@@ -97,6 +97,18 @@ def iho_s44(iho: dict | None) -> str:
     return f"<p>{escape(said)}</p>" + table(titles, lines) + f'<p class="soft">{escape(iho["note"])}</p>'
 
 
+def baselines(b: dict | None) -> str:
+    """Vertical errors of other ways beside those of this run; empty without water or reference."""
+    if not b:
+        return ""
+    lines = [
+        (row["name"], row["kind"], length(row["mean_m"]), length(row["median_m"]), length(row["std_m"]))
+        for row in b["rows"]
+    ]
+    titles = ("way", "", "mean", "median", "standard deviation")
+    return table(titles, lines, num_texts=2) + f'<p class="soft">{escape(b["note"])}</p>'
+
+
 def cloud(c: dict) -> str:
     """Number of points, density, and how depth, spread, views and incidence are distributed."""
     parts = f"{count(c['points_wet'])} wet, {count(c['points_dry'])} dry"

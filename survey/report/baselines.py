@@ -1,0 +1,110 @@
+"""What straight rays and corrections afterwards would have given over the same bed, beside what this run gave."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from evaluation import apparent_points, per_camera, times_index
+from refract import crossing_point
+
+if TYPE_CHECKING:
+    from survey.folder import Survey
+    from survey.report.facts import ReportFacts
+
+# Places of the bed at which baselines are predicted: their mean is then sure to a few per cent of their spread.
+_PLACES = 2000
+_SEED = 20_060_619
+_NOTE = (
+    "Predicted: where straight rays of all views that have a place in their frame meet, in closed form and without "
+    "matching noise, at places of the reference under water; what stands in the way of a view is not considered. "
+    "Measured: vertical differences of the points under water to the reference. Too shallow is positive."
+)
+
+
+def baselines_of(facts: ReportFacts) -> dict | None:
+    """Vertical errors of baselines and of this run; None without water, reference or points under water.
+
+    Returns
+    -------
+    dict
+        ``places``, ``views_per_place`` (median), ``note``, and ``rows`` with ``name``, ``kind`` (``"predicted"`` or
+        ``"measured"``), ``mean_m``, ``median_m`` and ``std_m``.
+    """
+    comparison, water = facts.comparison, facts.survey.water
+    if comparison is None or water is None or comparison.depth is None:
+        return None
+    bed = _places(facts)
+    if not len(bed):
+        return None
+    centres, directions, is_seen = _rays(facts.survey, bed)
+    apparent = apparent_points(centres, directions, is_seen)
+    known = np.isfinite(apparent).all(axis=1)
+    centres, is_seen, apparent = centres[known], is_seen[known], apparent[known]
+    true, seen = np.asarray(water.depth(bed[known])), np.asarray(water.depth(apparent))
+    to_camera = centres - apparent[:, None]
+    cos = (to_camera @ np.array(water.up)) / np.linalg.norm(to_camera, axis=-1)
+    n = float(water.n_water)
+    predicted = {
+        "straight rays": seen,
+        "straight rays, depth times n": times_index(seen, n),
+        "per-camera correction (Dietrich)": per_camera(seen, np.arccos(np.clip(cos, -1.0, 1.0)), is_seen, n),
+    }
+    rows = [_row(name, "predicted", true - depth) for name, depth in predicted.items()] if known.any() else []
+    return {
+        "places": int(known.sum()),
+        "views_per_place": float(np.median(is_seen.sum(axis=1))) if known.any() else None,
+        "rows": rows + _measured(facts),
+        "note": _NOTE,
+    }
+
+
+def _places(facts: ReportFacts) -> np.ndarray:
+    """Some places (K, 3) of the reference under water, in the local frame of the survey."""
+    comparison = facts.comparison
+    wet = np.flatnonzero((comparison.depth > 0.0) & np.isfinite(comparison.nearest).all(axis=1))
+    some = np.random.default_rng(_SEED).permutation(wet)[:_PLACES]
+    in_crs = comparison.inputs.frame.crs_from_local(comparison.nearest[some])
+    places = facts.survey.frame.local_from_crs(in_crs)
+    return places[np.asarray(facts.survey.water.depth(places)) > 0.0]
+
+
+def _rays(survey: Survey, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centres and directions in air (K, V, 3) of the views, and which of them have each place in their frame."""
+    centres, directions, is_seen = [], [], []
+    for view in survey.views:
+        camera = view.camera
+        towards = crossing_point(places, camera.centre, survey.water) - camera.centre
+        pixels = camera.project(places, survey.water)
+        inside = (pixels >= 0.0) & (pixels <= [camera.width, camera.height])  # False for NaN
+        centres.append(np.broadcast_to(camera.centre, places.shape))
+        directions.append(towards / np.linalg.norm(towards, axis=1, keepdims=True))
+        is_seen.append(inside.all(axis=1))
+    return np.stack(centres, axis=1), np.stack(directions, axis=1), np.stack(is_seen, axis=1)
+
+
+def _measured(facts: ReportFacts) -> list[dict]:
+    """The refractive sweep alone and the full chain, which are one where no field was trained."""
+    whole = _wet(facts.comparison)
+    if facts.sweep_comparison is None:
+        named = {"refractive sweep (the full chain of this run, without a field)": whole}
+    else:
+        named = {"refractive sweep only": _wet(facts.sweep_comparison), "full chain: sweep and field": whole}
+    keys = ("mean_m", "median_m", "std_m")
+    return [{"name": name, "kind": "measured", **{k: part[k] for k in keys}} for name, part in named.items() if part]
+
+
+def _wet(comparison) -> dict | None:
+    """Statistics of the points under water: of vertical differences, of distances where the reference is a cloud."""
+    return comparison.numbers.get("vertical", comparison.numbers).get("wet")
+
+
+def _row(name: str, kind: str, errors: np.ndarray) -> dict:
+    return {
+        "name": name,
+        "kind": kind,
+        "mean_m": float(np.mean(errors)),
+        "median_m": float(np.median(errors)),
+        "std_m": float(np.std(errors)),
+    }

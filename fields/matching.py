@@ -23,9 +23,8 @@ from fields.device import Device
 from fields.stack import CAMERA_ROW, ViewStack, camera_table
 from refract import kernels
 
-# Two Newton steps leave 0.01 px at worst in drone geometry, from 5 m over 15 m of water, and 1e-4 px rms
-# (docs/optics.md).
-NEWTON_STEPS = 2
+# One step leaves 0.015 px at worst in drone geometry, from 5 m over 15 m of water, and 4e-4 px rms (docs/optics.md).
+CROSSING_STEPS = 1
 # A window flatter than this (grey levels squared, at 8 bits) holds noise, not texture; it lowers NCC there.
 NOISE_VARIANCE = 1.0
 # Samples (neighbours x rungs x pixels) of one launch: 64 MB an array, large against a launch's cost.
@@ -109,7 +108,7 @@ def project_at(stack: ViewStack, legs, z, pixel, view):
     cam = [dr.gather(Float, stack.table, view * CAMERA_ROW + c) for c in range(CAMERA_ROW)]
     centre = (cam[9], cam[10], cam[11])
     if stack.water is not None:
-        point, _ = kernels.crossing_of_point(centre, point, *_water_plane(stack), NEWTON_STEPS)
+        point, _ = kernels.crossing_of_point(centre, point, *_water_plane(stack), CROSSING_STEPS)
     d = tuple(p - c for p, c in zip(point, centre, strict=True))
     x, y, depth = kernels.dot(cam[0:3], d), kernels.dot(cam[3:6], d), kernels.dot(cam[6:9], d)
     u = cam[12] * x / depth + cam[14]

@@ -15,7 +15,7 @@ from fields.stack import CAMERA_ROW, ViewStack, camera_table
 from refract import kernels
 
 # As in `fields.matching`; held equal by a test.
-NEWTON_STEPS = 2
+CROSSING_STEPS = 1
 NOISE_VARIANCE = 1.0
 # Samples (neighbours x rungs x pixels) of one strip: 32 MB an array.
 STRIP_SAMPLES = 8_000_000
@@ -83,7 +83,7 @@ def project_at(stack: ViewStack, legs, z: Tensor, pixel, view):
     cam = stack.table.reshape(-1, CAMERA_ROW)[view].unbind(-1)
     centre = cam[9:12]
     if stack.water is not None:
-        point, _ = kernels.crossing_of_point(centre, point, *stack.plane, NEWTON_STEPS)
+        point, _ = kernels.crossing_of_point(centre, point, *stack.plane, CROSSING_STEPS)
     d = tuple(p - c for p, c in zip(point, centre, strict=True))
     x, y, depth = kernels.dot(cam[0:3], d), kernels.dot(cam[3:6], d), kernels.dot(cam[6:9], d)
     u = cam[12] * x / depth + cam[14]

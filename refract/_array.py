@@ -18,13 +18,13 @@ def _is_array(x) -> bool:
     return isinstance(x, np.ndarray | np.generic)
 
 
-# Beside the functions: `single` and `double` change the precision of arrays and leave plain numbers alone, `like`
-# takes that of its second argument; `fixed` is the value without its gradient, and `tracked` says if any has one.
+# Beside the functions: `fma(a, b, c)` is a b + c, in one instruction where there is one; `double` and `like` change
+# the precision of arrays, to float64 and to that of the second argument, and leave plain numbers alone; `fixed` is
+# the value without its gradient, and `tracked` says if any has one; `eps` is the step of numbers about one.
 _NUMPY = SimpleNamespace(
     name="numpy", sqrt=np.sqrt, sin=np.sin, cos=np.cos, exp=np.exp, isnan=np.isnan,
     where=np.where, minimum=np.minimum, maximum=np.maximum, abs=np.abs,
-    rsqrt=lambda x: 1.0 / np.sqrt(x),
-    single=lambda x: np.float32(x) if _is_array(x) else x,
+    rsqrt=lambda x: 1.0 / np.sqrt(x), fma=lambda a, b, c: a * b + c,
     double=lambda x: np.float64(x) if _is_array(x) else x,
     like=lambda x, other: np.asarray(x, dtype=other.dtype) if _is_array(other) else x,
     eps=lambda x: 2.0**-52,
@@ -54,8 +54,8 @@ def _torch_namespace(torch) -> SimpleNamespace:
     return SimpleNamespace(
         name="torch", sqrt=torch.sqrt, sin=torch.sin, cos=torch.cos, exp=torch.exp, isnan=torch.isnan,
         where=torch.where, minimum=pair(torch.minimum), maximum=pair(torch.maximum), abs=torch.abs,
-        rsqrt=torch.rsqrt,
-        single=if_tensor(torch.Tensor.float), double=if_tensor(torch.Tensor.double),
+        rsqrt=torch.rsqrt, fma=lambda a, b, c: a * b + c,
+        double=if_tensor(torch.Tensor.double),
         like=if_tensor(lambda x, other: x.to(other.dtype)),
         eps=lambda x: torch.finfo(x.dtype).eps,
         fixed=if_tensor(torch.Tensor.detach), tracked=tracked,
@@ -64,14 +64,11 @@ def _torch_namespace(torch) -> SimpleNamespace:
 
 @cache
 def _drjit_namespace(dr) -> SimpleNamespace:
-    def in_type(of):
-        return lambda x: of(type(x))(x) if dr.is_array_v(x) else x
-
     return SimpleNamespace(
         name="drjit", sqrt=dr.sqrt, sin=dr.sin, cos=dr.cos, exp=dr.exp, isnan=dr.isnan,
         where=dr.select, minimum=dr.minimum, maximum=dr.maximum, abs=dr.abs,
-        rsqrt=dr.rsqrt,
-        single=in_type(dr.float32_array_t), double=in_type(dr.float64_array_t),
+        rsqrt=dr.rsqrt, fma=dr.fma,
+        double=lambda x: dr.float64_array_t(type(x))(x) if dr.is_array_v(x) else x,
         like=lambda x, other: type(other)(x),
         eps=lambda x: 2.0 * dr.epsilon(x),
         fixed=dr.detach, tracked=lambda *arrays: any(dr.is_array_v(x) and dr.grad_enabled(x) for x in arrays),

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 
-from refract._array import namespace, root
+from refract._array import namespace
 
 # A ray that falls less than this per metre runs along the surface: it would meet the water beyond 1e12 H.
 GRAZING = 1e-12
@@ -28,12 +28,14 @@ _NOTHING = 1e-30
 
 def dot(a, b):
     """Scalar product of two triples."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    fma = namespace(*a, *b).fma
+    return fma(a[0], b[0], fma(a[1], b[1], a[2] * b[2]))
 
 
 def along(origin, direction, t):
     """The point at distance ``t`` from ``origin`` along ``direction``."""
-    return tuple(o + t * d for o, d in zip(origin, direction, strict=True))
+    fma = namespace(t, *origin, *direction).fma
+    return tuple(fma(t, d, o) for o, d in zip(origin, direction, strict=True))
 
 
 def minus(a, b):
@@ -68,7 +70,7 @@ def near_critical(ray, normal, n_from, n_to):
     xp = namespace(*ray, *normal)
     eta = n_from / n_to
     scaled = eta * dot(ray, normal)
-    cos_to_squared = (1.0 - eta) * (1.0 + eta) + scaled * scaled
+    cos_to_squared = xp.fma(scaled, scaled, (1.0 - eta) * (1.0 + eta))
     return (cos_to_squared >= 0.0) & (cos_to_squared < xp.eps(cos_to_squared) ** 0.5) & (eta > 1.0)
 
 
@@ -84,79 +86,88 @@ def bend(ray, normal, n_from, n_to):
     eta = n_from / n_to
     cos_from = -dot(ray, normal)
     scaled = eta * cos_from
-    cos_to_squared = (1.0 - eta) * (1.0 + eta) + scaled * scaled
+    cos_to_squared = xp.fma(scaled, scaled, (1.0 - eta) * (1.0 + eta))
     passes = (cos_to_squared >= 0.0) & (cos_from > 0.0)
     # A root is taken only of positive numbers: its gradient at zero is infinite, and infinity times zero NaN.
     positive = cos_to_squared > 0.0
     cos_to = xp.sqrt(xp.where(positive, cos_to_squared, cos_to_squared * 0.0 + 1.0))
     push = scaled - xp.where(positive, cos_to, cos_to * 0.0)
-    bent = tuple(eta * d + push * m for d, m in zip(ray, normal, strict=True))
+    bent = tuple(xp.fma(push, m, eta * d) for d, m in zip(ray, normal, strict=True))
     if xp.tracked(*ray, *normal, eta):
         bent = chosen(near_critical(ray, normal, n_from, n_to), tuple(xp.fixed(b) for b in bent), bent)
     return tuple(xp.where(passes, b, b * 0.0 + float("nan")) for b in bent)
 
 
 def air_share(D_squared, H, h, n, steps, like=None):
-    """Root ``u`` of ``u + h u / S = 1``, ``S^2 = n^2 H^2 + (n^2 - 1) D^2 u^2``: the part of D that lies in air.
+    """Root ``u`` of ``u + h u / S = 1``, ``S^2 = a^2 + b^2 u^2``: the part of D that lies in air.
 
-    That is Snell's law: with ``u D / H`` the tangent in air, ``u D / S`` is the tangent in water, and the two legs
-    together must cover D. The left side rises and is concave. `_start` and ``steps`` steps of Halley find the root;
-    four reach the last bits of float64 for any H, h and D (docs/optics.md). With an array ``like`` in float32, all
-    steps but the last are taken in its precision: the last triples their digits.
+    With ``a = n H`` and ``b^2 = (n^2 - 1) D^2`` that is Snell's law: ``u D / H`` is the tangent in air, ``u D / S``
+    that in water, and the two legs together cover D. The left side rises and is concave. `_start` and ``steps``
+    steps of Halley find the root; four reach the last bits of float64 for any H, h and D (docs/optics.md).
+
+    With an array ``like`` in float32 and the others in float64, only what is left of the equation is computed in
+    float64, and that only in the last step, which triples the digits of float32: three steps are enough.
 
     Only ``D^2`` enters, so all is smooth where the camera is straight above. The gradient is that of the implicit
     function: one Newton step at the root carries it, and no step before is differentiated.
     """
     xp = namespace(D_squared, H, h, n)
-    exact = tuple(xp.fixed(v) for v in (D_squared, H, h, n))
+    terms = n * H, (n - 1.0) * (n + 1.0) * D_squared, h
+    exact = tuple(xp.fixed(v) for v in terms)
     rough = exact if like is None else tuple(xp.like(v, like) for v in exact)
     u = _start(*rough)
-    for _ in range(steps - 1):
-        u = _halley(u, *rough)
+    for k in range(steps):
+        r = xp.rsqrt(_square(u, *rough))
+        base, left = u, _left(u, r, *rough)
+        if like is not None and k == steps - 1:
+            base, fine_r = xp.like(u, exact[0]), xp.like(r, exact[0])
+            fine_r = fine_r * (1.5 - 0.5 * _square(base, *exact) * fine_r * fine_r)  # twice the digits of 1 / S
+            left = xp.like(_left(base, fine_r, *exact), u)
+        u = base - xp.like(_halley(left, u, r, *rough), base)
     u = xp.like(u, exact[0])
-    if steps > 0:
-        u = _halley(u, *exact)
-    if xp.tracked(D_squared, H, h, n):
-        u = _newton(u, D_squared, H, h, n)
-    return u
+    return _attached(u, *terms) if xp.tracked(*terms) else u
 
 
-def _start(D_squared, H, h, n):
+def _start(a, b_squared, h):
     """The geometric mean of a lower and an upper bound of the share, both in closed form.
 
-    With ``a = n H`` and ``b = sqrt(n^2 - 1) D``: the leg in water is no longer than at nadir and than at the
-    critical angle, so ``u >= a / (a + h)`` and ``u >= (b - h) / b``, of which the first is larger while
-    ``B = a + h - b >= 0``. And ``S <= a + b u`` gives a quadratic whose root is the upper bound.
+    The leg in water is no longer than at nadir and than at the critical angle, so ``u >= a / (a + h)`` and
+    ``u >= (b - h) / b``, of which the first is larger while ``B = a + h - b >= 0``. And ``S <= a + b u`` gives a
+    quadratic whose root is the upper bound.
     """
-    xp = namespace(D_squared, H, h, n)
-    a, b = n * H, root((n - 1.0) * (n + 1.0)) * xp.sqrt(D_squared)
+    xp = namespace(a, b_squared, h)
+    b = xp.sqrt(b_squared)
     B = a + h - b
-    wide = xp.abs(B) + xp.sqrt(B * B + 4.0 * a * b)
+    wide = xp.abs(B) + xp.sqrt(xp.fma(B, B, 4.0 * a * b))
     steep = B >= 0.0
     above = xp.where(steep, 2.0 * a * a, (b - h) * wide)
-    return xp.sqrt(above / xp.where(steep, (a + h) * wide, 2.0 * b * b + _NOTHING))
+    return xp.sqrt(above / xp.where(steep, (a + h) * wide, xp.fma(2.0 * b, b, _NOTHING)))
 
 
-def _halley(u, D_squared, H, h, n):
-    """One step of Halley's method: of third order, so that it triples the digits."""
-    xp = namespace(D_squared, H, h, n)
-    a_squared, b_squared = n * n * H * H, (n - 1.0) * (n + 1.0) * D_squared
-    r = xp.rsqrt(a_squared + b_squared * u * u)
-    q = h * r
-    f = u + u * q - 1.0
-    part = a_squared * r * r
-    slope = 1.0 + q * part
-    curve = 1.5 * q * part * b_squared * u * r * r  # minus half the second derivative
-    return u - f * slope / (slope * slope + f * curve)
+def _square(u, a, b_squared, h):
+    """``S^2``."""
+    fma = namespace(u).fma
+    return fma(b_squared * u, u, a * a)
 
 
-def _newton(u, D_squared, H, h, n):
-    """One Newton step; at the root it changes nothing but carries the derivatives of the root."""
-    xp = namespace(D_squared, H, h, n)
-    a_squared = n * n * H * H
-    r = xp.rsqrt(a_squared + (n - 1.0) * (n + 1.0) * D_squared * u * u)
-    q = h * r
-    return u - (u + u * q - 1.0) / (1.0 + q * a_squared * r * r)
+def _left(u, r, a, b_squared, h):
+    """What is left of the equation at ``u``, where ``r = 1 / S``."""
+    return namespace(u).fma(u, h * r, u - 1.0)
+
+
+def _halley(left, u, r, a, b_squared, h):
+    """The step of Halley's method, which is of third order."""
+    fma = namespace(u).fma
+    near, far = a * a * (r * r), b_squared * u * (r * r)
+    bend = near * (h * r)
+    slope = 1.0 + bend
+    return left * slope / fma(left, 1.5 * bend * far, slope * slope)
+
+
+def _attached(u, a, b_squared, h):
+    """The root ``u`` with its derivatives: one Newton step, which changes nothing else."""
+    r = namespace(a, b_squared, h).rsqrt(_square(u, a, b_squared, h))
+    return u - _left(u, r, a, b_squared, h) / (1.0 + a * a * (r * r) * (h * r))
 
 
 def crossing_of_point(camera, point, plane_point, normal, n, steps, like=None):
@@ -172,13 +183,13 @@ def crossing_of_point(camera, point, plane_point, normal, n, steps, like=None):
     H = dot(to_camera, normal) + depth * 0.0
     straight = (depth <= 0.0) | (H <= CONTACT)
     # Foot points of camera and bed point on the plane, and the way between them.
-    way = tuple((c - H * m) - (p + depth * m) for c, p, m in zip(to_camera, to_point, normal, strict=True))
+    way = minus(along(to_camera, normal, -H), along(to_point, normal, depth))
     # Straight rays get harmless numbers, so that neither their values nor their gradients can be NaN.
     share = air_share(
         dot(way, way), xp.where(straight, H * 0.0 + 1.0, H), xp.where(straight, depth * 0.0, depth), n, steps, like
     )
     # From the camera's side: the direction of view keeps its digits even just above the water.
-    crossing = tuple(c - H * m - share * w for c, m, w in zip(camera, normal, way, strict=True))
+    crossing = along(along(camera, normal, -H), way, -share)
     return chosen(straight, point, crossing), depth
 
 
@@ -192,7 +203,7 @@ def at_height(origin, direction, height, plane_point, normal, n):
     xp = namespace(*origin, *direction, height)
     H = dot(minus(origin, plane_point), normal) + height * 0.0
     falling = -dot(direction, normal)
-    flat = tuple(d + falling * m for d, m in zip(direction, normal, strict=True))
+    flat = along(direction, normal, falling)
     eta = 1.0 / n
     scaled = eta * falling
     in_water = xp.where(height < 0.0, -height, height * 0.0)
@@ -204,5 +215,5 @@ def at_height(origin, direction, height, plane_point, normal, n):
     squared = (1.0 - eta) * (1.0 + eta) * dot(direction, direction) + scaled * scaled
     fall_in_water = xp.sqrt(xp.where(bends, squared, one))
     run = xp.where(bends, H / fall + in_water * eta / fall_in_water, drop / fall)
-    points = tuple(o - drop * m + run * t for o, m, t in zip(origin, normal, flat, strict=True))
+    points = along(along(origin, normal, -drop), flat, run)
     return tuple(xp.where(reached, p, p * 0.0 + float("nan")) for p in points)

@@ -13,9 +13,8 @@ from refract._array import common, components, namespace, stack
 from refract.regimes import Regime, counts
 from refract.surfaces import WaterSurface
 
-# Four steps of third order reach the last bits of float64 for every height, depth, distance and index; drone
-# geometry takes two (docs/optics.md).
-EXACT_STEPS = 4
+# More than any surface needs for the last bits of float64; a plane takes four at most (docs/optics.md).
+EXACT_STEPS = 16
 
 
 @final
@@ -56,12 +55,12 @@ class Projection:
 
 
 def _length(vector):
-    """Length of a triple; zero, with zero gradient, where it vanishes."""
+    """Length of a triple, and one over it; zero and NaN, with zero gradients, where it vanishes."""
     xp = namespace(*vector)
     squared = kernels.dot(vector, vector)
     some = squared > 0.0
-    root = xp.sqrt(xp.where(some, squared, squared * 0.0 + 1.0))
-    return xp.where(some, root, root * 0.0)
+    inverse = xp.rsqrt(xp.where(some, squared, squared * 0.0 + 1.0))
+    return squared * inverse, xp.where(some, inverse, inverse * 0.0 + math.nan)
 
 
 @np.errstate(invalid="ignore", over="ignore")
@@ -78,7 +77,7 @@ def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_
     surface : WaterSurface or None
         None: there is no water, and every ray is straight.
     steps : int
-        Steps of the solver, of third order; fewer are faster (docs/optics.md).
+        Steps that the solver of the surface may take; fewer are faster (docs/optics.md).
 
     Returns
     -------
@@ -95,7 +94,6 @@ def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_
     point, centre = components(points), components(camera)
     xp = namespace(*point)
     p, c = kernels.double(point), kernels.double(centre)
-    direct = kernels.minus(p, c)
     none = xp.like(kernels.nothing(p, c), p[0])
     seen, depth, solutions, below = p, none, 1, none > 0.0
     if surface is not None:
@@ -104,21 +102,22 @@ def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_
         below = xp.double(centre[2] - surface.height(centre[0], centre[1])) + none <= kernels.CONTACT
     wet = depth > 0.0
     bent, sunk = wet & ~below, wet & below
-    leg = kernels.minus(kernels.chosen(bent, seen, p), c)
-    leg_length, rest_length = _length(leg), _length(kernels.minus(p, kernels.chosen(bent, seen, p)))
-    there = leg_length > 0.0
-    direction = tuple(xp.where(there, v / xp.where(there, leg_length, none + 1.0), none + math.nan) for v in leg)
+    seen = kernels.chosen(bent, seen, p)
+    # Differences are taken in float64, lengths of them may be rounded.
+    leg, rest = (tuple(xp.like(v, point[0]) for v in kernels.minus(*ends)) for ends in ((seen, c), (p, seen)))
+    (leg_length, inverse), (rest_length, _) = _length(leg), _length(rest)
+    direction = tuple(v * inverse for v in leg)
     code = xp.where(bent, int(Regime.BENT), int(Regime.STRAIGHT))
     code = xp.where(below, int(Regime.UNDER_WATER), code)
     code = xp.where(xp.isnan(direction[0]), int(Regime.UNSEEN), code)
-    code = xp.where(xp.isnan(none) | (kernels.dot(direct, direct) == 0.0), int(Regime.INVALID), code)
-    like = point[0]
+    code = xp.where(xp.isnan(none) | (leg_length == 0.0), int(Regime.INVALID), code)
+    rounded = xp.like(none, point[0])
     return Projection(
-        direction=stack(*(xp.like(v, like) for v in direction)),
-        crossing=stack(*(xp.like(v + none, like) for v in seen)),
-        air_length=xp.like(xp.where(sunk, none, leg_length), like),
-        water_length=xp.like(xp.where(sunk, leg_length, rest_length), like),
-        depth=xp.like(depth, like),
+        direction=stack(*direction),
+        crossing=stack(*(xp.like(v + none, rounded) for v in seen)),
+        air_length=xp.where(sunk, rounded, leg_length),
+        water_length=xp.where(sunk, leg_length, rest_length + rounded),
+        depth=xp.like(depth, rounded),
         wet=wet,
         solutions=solutions,
         regime=code,

@@ -16,6 +16,9 @@ from refract import kernels
 from refract._array import as_numpy, namespace, root
 from refract.kernels import GRAZING
 
+# Of `kernels.air_share`, for the last bits over all heights, depths and distances (docs/optics.md).
+ENOUGH_STEPS_SINGLE, ENOUGH_STEPS_DOUBLE = 3, 4
+
 
 class WaterSurface(Protocol):
     """What `trace` and `project` ask of a water surface, in the local frame [m].
@@ -45,8 +48,8 @@ class WaterSurface(Protocol):
         Returns the crossing, the depth of the point below the surface (along the normal of a plane, vertical for
         a curved surface) and the number of stationary paths, from which the one of least optical length was
         taken. A point that is not below the surface, and every point for a camera that is not above it, is its own
-        crossing: the ray is straight. `steps` is the number of steps, where a surface counts them. The answer may
-        be in a higher precision than the arguments; `project` rounds it once.
+        crossing: the ray is straight. At most `steps` steps are taken, where a surface takes steps. The answer may be
+        in a higher precision than the arguments; `project` rounds it once.
         """
 
 
@@ -131,9 +134,13 @@ class FlatWater:
 
     def crossing(self, camera, point, steps: int):
         """See `WaterSurface.crossing`; a plane has one stationary path. Answers in float64."""
-        camera_, point_, plane, up = (kernels.double(v) for v in (camera, point, self.point, self.up))
-        n_water = namespace(self.n_water).double(self.n_water)
-        crossing, depth = kernels.crossing_of_point(camera_, point_, plane, up, n_water, steps, like=point[0])
+        single = namespace(*point).eps(point[0]) > 1e-10
+        enough = ENOUGH_STEPS_SINGLE if single else ENOUGH_STEPS_DOUBLE
+        ends = (camera, point, self.point, self.up, (self.n_water,))
+        fine_camera, fine_point, plane, up, (n_water,) = (kernels.double(v) for v in ends)
+        crossing, depth = kernels.crossing_of_point(
+            fine_camera, fine_point, plane, up, n_water, min(steps, enough), like=point[0] if single else None
+        )
         return crossing, depth, 1
 
     def as_array(self) -> np.ndarray:

@@ -308,7 +308,7 @@ def test_the_twin_has_the_same_functions_signatures_and_constants(both):
     for name, function in functions.items():
         twin = getattr(matching_torch, name)
         assert list(inspect.signature(twin).parameters) == list(inspect.signature(function).parameters), name
-    assert matching_torch.NEWTON_STEPS == original.NEWTON_STEPS
+    assert matching_torch.CROSSING_STEPS == original.CROSSING_STEPS
     assert matching_torch.NOISE_VARIANCE == original.NOISE_VARIANCE
 
 

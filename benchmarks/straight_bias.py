@@ -1,0 +1,127 @@
+"""How far over the bed straight rays end: measured, and foretold from the geometry of the views alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+from study_protocol import away_from_objects
+
+from evaluation.baselines import apparent_points
+from fields import views
+from fields.sweep import PASSES
+from refract import FlatWater, PinholeCamera
+from survey.folder import Survey
+
+# Heights are tried up to this share of the depth over the bed.
+HIGHEST, RUNGS = 0.6, 241
+# Of the bed, drawn evenly: what is asked is a median.
+POINTS = 2000
+
+
+@dataclass(frozen=True)
+class Bias:
+    """Medians over points of the bed of how far straight rays end above it, [m].
+
+    ``same_views_m`` asks the views that the sweep compares, of each the half that agrees best; ``all_views_m`` all that
+    see the point.
+    """
+
+    measured_m: float
+    same_views_m: float
+    all_views_m: float
+    num_points: int
+
+
+def straight_bias(cloud: np.ndarray, bed: np.ndarray, survey: Survey, times_seen: tuple[int, int]) -> Bias:
+    """The bias of a straight-ray cloud (N, 3) over visible points of the bed (M, 3), local [m]."""
+    cameras, water = [view.camera for view in survey.views], survey.water
+    bed = bed[away_from_objects(bed)]
+    bed = bed[np.random.default_rng(0).permutation(len(bed))[:POINTS]]
+    sight = Sight.of(bed, cameras, water)
+    everyone = apparent_points(sight.centres, sight.directions, sight.seen)
+    same = matched_points(sight, bed, water.depth(bed), cameras, water, times_seen)
+    known = np.isfinite(same).all(axis=1) & np.isfinite(everyone).all(axis=1)
+    reach = 2.0 * float(np.median([-water.depth(c.centre) / c.fx for c in cameras]))
+    measured = rise_of(cloud, same, bed, HIGHEST * water.depth(bed), reach)
+    known &= np.isfinite(measured)
+    medians = [float(np.median(rise[known])) for rise in (measured, (same - bed)[:, 2], (everyone - bed)[:, 2])]
+    return Bias(*medians, int(known.sum()))
+
+
+@dataclass(frozen=True)
+class Sight:
+    """Where N points appear to V cameras: pixels (V, N, 2), and rays as `apparent_points` takes them, (N, V, ...)."""
+
+    pixels: np.ndarray
+    centres: np.ndarray
+    directions: np.ndarray
+    seen: np.ndarray
+
+    @staticmethod
+    def of(points: np.ndarray, cameras: list[PinholeCamera], water: FlatWater) -> Sight:
+        pixels = np.array([c.project(points, water) for c in cameras])
+        size = np.array([(c.width, c.height) for c in cameras])[:, None]
+        seen = ((pixels > 0.0) & (pixels < size)).all(axis=2).T
+        centres = np.broadcast_to(np.array([c.centre for c in cameras]), (len(points), len(cameras), 3))
+        directions = np.stack([c.directions(p) for c, p in zip(cameras, pixels, strict=True)], axis=1)
+        return Sight(pixels, centres, directions, seen)
+
+
+def matched_points(
+    sight: Sight, bed: np.ndarray, depth: np.ndarray, cameras: list[PinholeCamera], water: FlatWater, times_seen
+) -> np.ndarray:
+    """Where the apparent rays of the views that the sweep matches meet, (N, 3): the median over its height maps.
+
+    Of each map the height is taken at which the better half of its neighbours comes nearest to what it sees, as the
+    sweep takes that where they look most alike.
+    """
+    straight = replace(water, n_water=1.0)
+    seen, cells = views.coverage(cameras, straight, float(np.median(bed[:, 2])))
+    rises, found = np.linspace(0.0, HIGHEST, RUNGS) * depth[:, None], []
+    for view in views.cover(seen, cells, cameras, *times_seen):
+        others = views.neighbours(cameras, seen, cells, view, list(range(len(cameras))), PASSES[-1].neighbours)
+        ray, centre = sight.directions[:, view], cameras[view].centre
+        t = (bed[:, 2:] + rises - centre[2]) / ray[:, 2:]
+        ladder = centre + t[..., None] * ray[:, None]
+        miss = [
+            np.where(
+                sight.seen[:, o, None],
+                ((cameras[o].project(ladder, None) - sight.pixels[o][:, None]) ** 2).sum(axis=2),
+                np.inf,
+            )
+            for o in others
+        ]
+        found.append(_best_half_meets(sight, np.array(miss), view, others))
+    return np.nanmedian(np.array(found), axis=0)
+
+
+def _best_half_meets(sight: Sight, miss: np.ndarray, view: int, others: list[int]) -> np.ndarray:
+    """Where a view's rays meet those of the neighbours that ``miss`` them least, (neighbours, N, rungs) [px^2]: (N, 3)."""
+    count = np.isfinite(miss[:, :, 0]).sum(axis=0)
+    keep = np.maximum((count + 1) // 2, 1)
+    order = np.sort(miss, axis=0)
+    among = np.arange(len(others))[:, None, None] < keep[:, None]
+    rung = np.where(among, order, 0.0).sum(axis=0).argmin(axis=1)
+    there = np.take_along_axis(miss, rung[None, :, None], axis=2)[:, :, 0]
+    rank = there.argsort(axis=0).argsort(axis=0)
+    chosen = np.zeros_like(sight.seen)
+    chosen[:, others] = ((rank < keep) & np.isfinite(there)).T
+    chosen[:, view] = True
+    points = apparent_points(sight.centres, sight.directions, chosen & sight.seen)
+    edge = (rung == 0) | (rung == miss.shape[2] - 1) | ~sight.seen[:, view] | (count == 0)
+    points[edge] = np.nan
+    return points
+
+
+def rise_of(cloud: np.ndarray, places: np.ndarray, bed: np.ndarray, highest: np.ndarray, reach: float) -> np.ndarray:
+    """Median height (N,) over the bed of the cloud's points within ``reach`` [m] of places in plan; NaN without any."""
+    measured = np.full(len(bed), np.nan)
+    known = np.flatnonzero(np.isfinite(places).all(axis=1))
+    for index, near in zip(known, cKDTree(cloud[:, :2]).query_ball_point(places[known, :2], reach), strict=True):
+        rise = cloud[near, 2] - bed[index, 2]
+        rise = rise[(rise > -reach) & (rise < highest[index])]
+        if len(rise):
+            measured[index] = np.median(rise)
+    return measured

@@ -1,0 +1,176 @@
+"""The study's Table 4, repeated: wet and dry, bent and straight rays, sweep alone and with the field.
+
+    python benchmarks/table4.py [--wet SURVEY --dry SURVEY --reference F] [--quality Q] [--samples N] [-o FOLDER]
+
+By default the two are drawn small; with --full they are wreck_water and wreck_dry of the survey data, of the study's
+size (130 images of 1024 x 768). Runs lie in FOLDER and are used again. Prints a table in Markdown and writes
+table4.json: the study's protocol (`study_protocol`), and ours (nothing dropped, nothing aligned), beside its figures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import study_protocol as study
+from straight_bias import straight_bias
+
+from evaluation import distance_to_mesh, is_reached, sample_mesh
+from geo import read_cloud, read_reference
+from survey.folder import Survey, load_survey
+from survey.stages import TIMES_SEEN
+
+ROOT = Path(__file__).resolve().parent.parent
+DATA = Path(os.environ.get("BATHYNERF_DATA", ROOT.parent / "shared" / "data"))
+TOLERANCE_M = 0.2
+STUDY = {  # mean, std [m], completeness of the study's Table 4; the dry field after a shift of 18.9 cm by hand
+    ("dry", "sweep"): (0.0003, 0.006, 0.791),
+    ("dry", "field"): (-0.030, 0.058, 0.881),
+    ("wet straight", "sweep"): (1.092, 0.346, 0.638),
+    ("wet straight", "field"): (0.706, 0.360, 0.831),
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One row: a survey, with its rays bent or straight, with or without the field."""
+
+    name: str
+    chain: str
+    folder: Path
+    run: Path
+
+
+def cases(wet: Path, dry: Path, folder: Path) -> list[Case]:
+    """All rows, with a copy of the wet survey whose rays are straight."""
+    straight = folder / "straight"
+    straight.mkdir(parents=True, exist_ok=True)
+    for path in wet.iterdir():
+        link = straight / path.name
+        if path.name not in ("survey.toml", "bathynerf") and not link.exists():
+            link.symlink_to(path.resolve())
+    settings = (wet / "survey.toml").read_text(encoding="utf-8")
+    settings, count = re.subn(r"refractive_index\s*=\s*[\d.]+", "refractive_index = 1.0", settings)
+    if count != 1:
+        raise SystemExit(f"{wet / 'survey.toml'} has {count} lines refractive_index, expected one")
+    (straight / "survey.toml").write_text(settings, encoding="utf-8")
+    places = {"dry": dry, "wet bent": wet, "wet straight": straight}
+    return [
+        Case(name, chain, place, folder / f"{name} {chain}".replace(" ", "_"))
+        for name, place in places.items()
+        for chain in ("sweep", "field")
+    ]
+
+
+def process(case: Case, quality: str) -> None:
+    """Run the case through the command line; a quality gate that fails (3) is a result too."""
+    command = [sys.executable, "-c", "from survey.cli import main; main()", "process", str(case.folder)]
+    field = "on" if case.chain == "field" else "off"
+    done = subprocess.run([*command, "-o", str(case.run), "--quality", quality, "--field", field, "-q"], check=False)
+    if done.returncode not in (0, 3):
+        raise SystemExit(f"{case.name}, {case.chain}: process ended with exit code {done.returncode}")
+
+
+def inner90(distances: np.ndarray) -> tuple[float, float]:
+    """Mean and standard deviation of the 90 % that are least in size."""
+    inner = distances[np.abs(distances) <= np.quantile(np.abs(distances), 0.9)]
+    return float(inner.mean()), float(inner.std())
+
+
+def measure(case: Case, truth: Survey, reference: Path, samples: int, times_seen: tuple[int, int]) -> dict:
+    """Figures of a cloud by the study's protocol and by ours, in the local frame of the wet survey."""
+    frame = truth.frame
+    mesh = read_reference(reference)
+    vertices = frame.local_from_crs(mesh.vertices)
+    cloud = frame.local_from_crs(read_cloud(case.run / "cloud.las").points)
+    e0, n0, e1, n1 = truth.bounds
+    corners = frame.local_from_crs([[e0, n0, frame.origin[2]], [e1, n1, frame.origin[2]]])[:, :2]
+    middle, size = corners.mean(axis=0), np.abs(corners[1] - corners[0])
+    ours = study.cropped(cloud, middle, *size)
+    theirs = study.study_cloud(cloud, middle, wet=case.name != "dry", field=case.chain == "field")
+    theirs = study.cropped(theirs, middle, *np.minimum(size, study.CROP_M))  # the reference ends there
+    surface = study.cropped(sample_mesh(vertices, mesh.faces, samples), middle, *np.minimum(size, study.OBJECT_M))
+    record = {"survey": case.name, "chain": case.chain, "n_points": len(ours), "n_points_study": len(theirs)}
+    for label, points in (("ours", ours), ("study", theirs)):
+        mean, std = inner90(distance_to_mesh(points, vertices, mesh.faces).signed)
+        record[label] = {
+            "mean_m": mean,
+            "std_m": std,
+            "completeness": float(is_reached(surface, points, tolerance_m=TOLERANCE_M).mean()),
+        }
+    if case.name == "wet straight":
+        visible = frame.local_from_crs(read_reference(visible_of(reference)).points)
+        record["bias"] = asdict(straight_bias(ours, visible, truth, times_seen))
+    return record
+
+
+def visible_of(reference: Path) -> Path:
+    """Points that three cameras see, beside their surface."""
+    return reference.with_name("visible.ply")
+
+
+def table(records: list[dict]) -> str:
+    """The records beside the study's figures."""
+    rows = ["| survey | chain | study's own | its protocol, here | ours, nothing dropped |", "|---|---|---|---|---|"]
+    for r in records:
+        own = STUDY.get((r["survey"], r["chain"]))
+        cells = [_cell(*own) if own else "not given"]
+        cells += [_cell(r[k]["mean_m"], r[k]["std_m"], r[k]["completeness"]) for k in ("study", "ours")]
+        rows.append(f"| {r['survey']} | {r['chain']} | " + " | ".join(cells) + " |")
+    return "\n".join(rows + [_foretold(r["chain"], r["bias"]) for r in records if "bias" in r]) + "\n"
+
+
+def _foretold(chain: str, bias: dict) -> str:
+    """What straight rays cost, measured and by least squares over the apparent rays."""
+    off = 100.0 * (bias["measured_m"] / bias["same_views_m"] - 1.0)
+    return (
+        f"\nStraight rays, {chain}: {bias['measured_m']:+.3f} m over the bed at {bias['num_points']:,} points away from "
+        f"objects; least squares over the apparent rays of the views that match best {bias['same_views_m']:+.3f} m "
+        f"({off:+.1f} %), of all that see a point {bias['all_views_m']:+.3f} m."
+    )
+
+
+def _cell(mean: float, std: float, completeness: float) -> str:
+    return f"{1e3 * mean:+.1f} +- {1e3 * std:.1f} mm, {100 * completeness:.1f} %"
+
+
+def drawn(folder: Path) -> tuple[Path, Path, Path]:
+    """A small wet survey, the same one dry, and their reference."""
+    wet, dry = folder / "wet", folder / "dry"
+    for place, options in ((wet, []), (dry, ["--dry"])):
+        subprocess.run([sys.executable, "-m", "survey.drawn", str(place), *options], check=True)
+    return wet, dry, wet / "truth" / "reference.ply"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--full", action="store_true")
+    parser.add_argument("--quality", default="draft")
+    parser.add_argument("--samples", type=int, default=1_500_000, help="of the reference (the study: 15,000,000)")
+    parser.add_argument("-o", "--output", type=Path)
+    options = parser.parse_args()
+    folder = options.output or Path(tempfile.mkdtemp(prefix="bathynerf_table4_"))
+    folder.mkdir(parents=True, exist_ok=True)
+    if options.full:
+        wet, dry = DATA / "wreck_water", DATA / "wreck_dry"
+        reference = wet / "reference.ply"
+    else:
+        wet, dry, reference = drawn(folder)
+    truth, records = load_survey(wet), []
+    for case in cases(wet, dry, folder):
+        process(case, options.quality)
+        records.append(measure(case, truth, reference, options.samples, TIMES_SEEN[options.quality]))
+        (folder / "table4.json").write_text(json.dumps(records, indent=2))
+    print(table(records))  # noqa: T201
+
+
+if __name__ == "__main__":
+    main()

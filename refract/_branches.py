@@ -20,8 +20,8 @@ _OVERLAP = 1.125
 _BUDGET = 4000
 # Boxes smaller than this part of the camera's distance are not cut any more: there, rounding hides the sign of F.
 _SMALLEST = 1e-10
-# Points at a time: some hundred boxes each, a few dozen intervals per box, 64 MB.
-_CHUNK = 512
+# Points at a time: some hundred boxes each, a few dozen intervals per box, tens of MB.
+_CHUNK = 256
 _POLISH = 4
 
 

@@ -10,6 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
+# One unit in the last place is at most this part of a number, or this much (the smallest normal number).
+_ULP, _LEAST = 2.0**-52, 2.0**-1022
 # numpy's sine and cosine are good to 4 units in the last place, of values of at most one: 9e-16.
 _SINE_SLACK = 1e-15
 
@@ -38,7 +40,7 @@ class Interval(NDArrayOperatorsMixin):
 
 
 def _outward(lo, hi) -> Interval:
-    return Interval(np.nextafter(lo, -np.inf), np.nextafter(hi, np.inf))
+    return Interval(lo - (_ULP * np.abs(lo) + _LEAST), hi + (_ULP * np.abs(hi) + _LEAST))
 
 
 def _hull(*corners) -> Interval:

@@ -102,6 +102,13 @@ def path_slope(surface, camera, point, x, y):
     return (gx, gy), (hxx, hxy, hyy)
 
 
+def together(*triples):
+    """Triples in float64, all of their arrays of the same shape."""
+    triples = tuple(map(kernels.double, triples))
+    zero = sum(sum(triple) for triple in triples) * 0.0
+    return tuple(tuple(c + zero for c in triple) for triple in triples)
+
+
 def _hypot(xp, a, b):
     return xp.sqrt(a * a + b * b)
 
@@ -298,10 +305,8 @@ def crossing(surface: Relief, camera, point):
     Torch tensors are solved by numpy. They and Dr.Jit arrays get their gradients from one Newton step at the root
     (the implicit function theorem); on a caustic, where the derivative is infinite, they get none.
     """
-    camera, point = kernels.double(camera), kernels.double(point)
-    none = kernels.nothing(camera, point)
-    xp = namespace(none)
-    camera, point = (tuple(e + none for e in end) for end in (camera, point))
+    camera, point = together(camera, point)
+    xp = namespace(*point)
     depth = surface.height(point[0], point[1]) - point[2]
     bent = (depth > 0.0) & (camera[2] - surface.height(camera[0], camera[1]) > kernels.CONTACT)
     plain = surface.detached()

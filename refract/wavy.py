@@ -155,10 +155,8 @@ class WavyWater:
 
     def intersect(self, origin, direction):
         """Distance [m] to the first meeting with the waves along unit rays from above; NaN where there is none."""
-        origin, direction = kernels.double(origin), kernels.double(direction)
-        none = kernels.nothing(origin, direction)
-        xp = namespace(none)
-        origin, direction = (tuple(c + none for c in triple) for triple in (origin, direction))
+        origin, direction = fermat.together(origin, direction)
+        xp = namespace(*origin)
         if xp.name == "drjit":
             t = self.detached()._first_meeting(*(tuple(map(xp.fixed, v)) for v in (origin, direction)), side=1.0)
         else:

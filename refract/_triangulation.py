@@ -1,0 +1,138 @@
+"""Triangles that fill a convex outline in x, y: which one holds a point, and through which ones a ray passes."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import ConvexHull, cKDTree
+
+# A point this far outside of a triangle, as part of the outline's size, is on its edge.
+_ON_EDGE = 1e-12
+
+
+def cross(ax, ay, bx, by):
+    """z component of the cross product of vectors in the plane."""
+    return ax * by - ay * bx
+
+
+class Triangulation:
+    """Points in x, y and the triangles between them, turned counter-clockwise.
+
+    Parameters
+    ----------
+    points : (points, 2) [m]
+    triangles : (triangles, 3) int
+        Together they fill the convex hull of the points, once.
+
+    Raises
+    ------
+    ValueError
+        If they do not, or a triangle has no area.
+    """
+
+    def __init__(self, points, triangles):
+        self.points = np.asarray(points, dtype=np.float64)
+        triangles = np.array(triangles, dtype=np.int64)
+        a, b, c = (self.points[triangles[:, k]] for k in range(3))
+        area = 0.5 * cross(*(b - a).T, *(c - a).T)
+        hull = ConvexHull(self.points)
+        # In two dimensions scipy calls the area "volume". The sum of a million areas is good to 1e-10 of it.
+        if not np.all(area != 0.0) or abs(np.abs(area).sum() - hull.volume) > 1e-9 * hull.volume:
+            raise ValueError(
+                f"expected triangles with area that fill the convex hull of the points ({hull.volume:.6g} m2) once, "
+                f"got {np.abs(area).sum():.6g} m2 and a smallest triangle of {np.abs(area).min():.3g} m2; "
+                "mark missing water by NaN heights instead of leaving triangles out"
+            )
+        triangles[area < 0.0] = triangles[area < 0.0][:, ::-1]
+        self.triangles = triangles
+        # A point is inside where n . p + d <= 0 for all of these.
+        self.outline = hull.equations
+        self.size = float(np.ptp(self.points, axis=0).max())
+
+    @cached_property
+    def edges(self) -> tuple[np.ndarray, np.ndarray]:
+        """Ends (edges, 2) of all edges, and the triangles (edges, 2) left and right of each; -1 outside."""
+        first, second = self.triangles.ravel(), self.triangles[:, [1, 2, 0]].ravel()
+        owner = np.repeat(np.arange(len(self.triangles)), 3)
+        key = np.minimum(first, second) * len(self.points) + np.maximum(first, second)
+        _, where, back, count = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
+        sides = np.full((where.size, 2), -1)
+        sides[:, 0] = owner[where]
+        others = np.setdiff1d(np.arange(key.size), where)
+        sides[back[others], 1] = owner[others]
+        if count.max() > 2:
+            raise ValueError("expected triangles that meet at most two at an edge, got three or more at one")
+        return np.stack([first[where], second[where]], axis=-1), sides
+
+    @cached_property
+    def neighbours(self) -> np.ndarray:
+        """(triangles, 3): the triangle across the edge from corner k to k + 1; -1 outside."""
+        ends, sides = self.edges
+        first, second = self.triangles, self.triangles[:, [1, 2, 0]]
+        keys = np.minimum(ends[:, 0], ends[:, 1]) * len(self.points) + np.maximum(ends[:, 0], ends[:, 1])
+        order = np.argsort(keys)
+        own = np.minimum(first, second) * len(self.points) + np.maximum(first, second)
+        both = sides[order[np.searchsorted(keys[order], own)]]
+        here = np.arange(len(self.triangles))[:, None]
+        return np.where(both[..., 0] == here, both[..., 1], both[..., 0])
+
+    @cached_property
+    def middles(self) -> cKDTree:
+        """The centroids, in a tree."""
+        return cKDTree(self.points[self.triangles].mean(axis=1))
+
+    @cached_property
+    def reach(self) -> float:
+        """Largest distance of a corner from the centroid of its triangle [m]."""
+        return float(np.linalg.norm(self.points[self.triangles] - self.middles.data[:, None], axis=-1).max())
+
+    def offsets(self, triangle, x, y) -> np.ndarray:
+        """Signed distances (..., 3) [m] of points from the edges of triangles, positive inside."""
+        a = self.points[self.triangles[triangle]]
+        way = np.roll(a, -1, axis=-2) - a
+        away = cross(way[..., 0], way[..., 1], x[..., None] - a[..., 0], y[..., None] - a[..., 1])
+        return away / np.hypot(way[..., 0], way[..., 1])
+
+    def locate(self, x, y) -> tuple[np.ndarray, np.ndarray]:
+        """The triangle of each point (points,), and True where it holds it; outside, some triangle at the rim.
+
+        A walk from the nearest centroid, each time through the edge that the point lies farthest beyond.
+        """
+        finite = np.isfinite(x) & np.isfinite(y)
+        x, y = np.where(finite, x, self.points[0, 0]), np.where(finite, y, self.points[0, 1])
+        triangle = self.middles.query(np.stack([x, y], axis=-1))[1]
+        left = np.arange(x.size)
+        inside = np.zeros(x.size, dtype=bool)
+        for _ in range(len(self.triangles)):
+            away = self.offsets(triangle[left], x[left], y[left])
+            inside[left] = away.min(axis=-1) >= -_ON_EDGE * self.size
+            across = self.neighbours[triangle[left], away.argmin(axis=-1)]
+            going = ~inside[left] & (across >= 0)
+            left = left[going]
+            if left.size == 0:
+                break
+            triangle[left] = across[going]
+        return triangle, inside & finite
+
+    def span(self, x, y, dx, dy) -> tuple[np.ndarray, np.ndarray]:
+        """Distances along rays where they enter and leave the outline; the first is larger where they miss it."""
+        enter, leave = np.zeros(x.shape), np.full(x.shape, np.inf)
+        for nx, ny, d in self.outline:
+            over, rate = nx * x + ny * y + d, nx * dx + ny * dy
+            t = -over / np.where(rate == 0.0, 1.0, rate)
+            leave = np.where(rate > 0.0, np.minimum(leave, t), leave)
+            enter = np.where(rate < 0.0, np.maximum(enter, t), enter)
+            leave = np.where((rate == 0.0) & (over > 0.0), -1.0, leave)
+        return enter, leave
+
+    def exit(self, triangle, x, y, dx, dy) -> tuple[np.ndarray, np.ndarray]:
+        """Distance at which rays leave a triangle, and the triangle behind; infinite for a ray without dx and dy."""
+        a = self.points[self.triangles[triangle]]
+        way = np.roll(a, -1, axis=-2) - a
+        over = cross(way[..., 0], way[..., 1], x[:, None] - a[..., 0], y[:, None] - a[..., 1])
+        rate = cross(way[..., 0], way[..., 1], dx[:, None], dy[:, None])
+        t = np.where(rate < 0.0, over / np.where(rate < 0.0, -rate, 1.0), np.inf)
+        edge = t.argmin(axis=-1)
+        here = np.arange(edge.size)
+        return t[here, edge], np.where(np.isfinite(t[here, edge]), self.neighbours[triangle, edge], -1)

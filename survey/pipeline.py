@@ -103,13 +103,13 @@ class _Run:
     def to_the_end(self, reference: Path | None, visible: Path | None) -> int:
         """All stages in their order; the exit code."""
         key = stage_key(
-            *(view.path for view in self.survey.views), self.survey.views, self.survey.water, self.plan.image_scale,
-            self.plan.quality, self.plan.device,
+            *(view.path for view in self.survey.views), self.survey.views, self.survey.water, self.survey.bounds,
+            self.plan.image_scale, self.plan.quality, self.plan.device,
         )  # fmt: skip
         sweep_folder = self._stage("sweep", key, self._sweep)
         field_folder = None
         if self.plan.is_on("field"):
-            key = stage_key(key, "field", self.survey.bounds, self.survey.frame)
+            key = stage_key(key, "field", self.survey.frame)
             field_folder = self._stage("field", key, lambda f: self._field(f, sweep_folder))
         key = stage_key(key, "bed", self.survey.frame)
         bed_folder = self._stage("bed", key, lambda f: self._bed(f, sweep_folder, field_folder))

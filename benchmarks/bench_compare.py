@@ -74,8 +74,9 @@ def timed(command: list[str], **environment: str) -> str:
     start = time.perf_counter()
     process = subprocess.Popen(command, env=os.environ | environment, stdout=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
-    if status:
-        raise SystemExit(f"{command[0]} ended with status {status}")
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise SystemExit(f"{command[0]} ended with code {process.returncode}")
     seconds = time.perf_counter() - start
     cpu = usage.ru_utime + usage.ru_stime
     return f"{seconds:8.1f} s  {cpu:8.1f} s on all cores  {usage.ru_maxrss / 1e6:6.2f} GB"

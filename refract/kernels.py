@@ -48,17 +48,27 @@ def double(triple):
     return tuple(namespace(v).double(v) for v in triple)
 
 
-def nothing(*triples):
-    """Zero, or NaN where a component of the triples is NaN or infinite; broadcasts all of them."""
-    total = sum(sum(triple) for triple in triples)
-    xp = namespace(total)
-    return xp.where(xp.abs(total) < math.inf, 0.0, math.nan)  # Dr.Jit takes ``total * 0`` for zero, NaN or not
-
-
 def chosen(mask, a, b):
-    """Triple ``a`` where ``mask`` holds, else ``b``."""
+    """Triple ``a`` where ``mask`` holds, else triple or number ``b``."""
     xp = namespace(mask)
-    return tuple(xp.where(mask, p, q) for p, q in zip(a, b, strict=True))
+    return tuple(xp.where(mask, p, q) for p, q in zip(a, b if isinstance(b, tuple) else (b, b, b), strict=True))
+
+
+def cleaned(*triples):
+    """Where all components are finite, and the triples, broadcast, with zeros elsewhere.
+
+    Through zeros a ray that is not a number leaves values and gradients of the others alone. Whoever cleans puts the
+    NaN back into the results.
+    """
+    total = sum(sum(triple) for triple in triples)
+    valid = namespace(total).abs(total) < math.inf
+    return valid, tuple(chosen(valid, triple, 0.0) for triple in triples)
+
+
+def nothing(*triples):
+    """Zero where all components of the triples are finite, else NaN; broadcasts all of them."""
+    valid, _ = cleaned(*triples)
+    return namespace(valid).where(valid, 0.0, math.nan)
 
 
 def near_critical(ray, normal, n_from, n_to):
@@ -95,7 +105,7 @@ def bend(ray, normal, n_from, n_to):
     bent = tuple(xp.fma(push, m, eta * d) for d, m in zip(ray, normal, strict=True))
     if xp.tracked(*ray, *normal, eta):
         bent = chosen(near_critical(ray, normal, n_from, n_to), tuple(xp.fixed(b) for b in bent), bent)
-    return tuple(xp.where(passes, b, b * 0.0 + float("nan")) for b in bent)
+    return chosen(passes, bent, math.nan)
 
 
 def air_share(D_squared, H, h, n, steps, like=None):
@@ -216,4 +226,4 @@ def at_height(origin, direction, height, plane_point, normal, n):
     fall_in_water = xp.sqrt(xp.where(bends, squared, one))
     run = xp.where(bends, H / fall + in_water * eta / fall_in_water, drop / fall)
     points = along(along(origin, normal, -drop), flat, run)
-    return tuple(xp.where(reached, p, p * 0.0 + float("nan")) for p in points)
+    return chosen(reached, points, math.nan)

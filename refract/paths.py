@@ -59,10 +59,12 @@ class BentPaths:
         """
         t, air_length = common(t=t, rays=self.air_length)
         xp = namespace(air_length)
+        legs = (components(v) for v in (self.origin, self.air_direction, self.water_direction))
+        valid, (origin, air_direction, water_direction) = kernels.cleaned(*legs)
         in_air = (t <= air_length) | ~self.wet
-        in_water = xp.where(in_air, t * 0.0, t - xp.where(in_air, t, air_length))
-        bend = kernels.along(components(self.origin), components(self.air_direction), xp.where(in_air, t, air_length))
-        return stack(*kernels.along(bend, components(self.water_direction), in_water))
+        t_air = xp.where(in_air, t, air_length)
+        points = kernels.along(kernels.along(origin, air_direction, t_air), water_direction, t - t_air)
+        return stack(*kernels.chosen(valid, points, math.nan))
 
     def at_height(self, height, water: FlatWater | None):
         """Points (..., 3) [m] where the paths stand ``height`` (...) [m] above the water plane.
@@ -82,11 +84,11 @@ class BentPaths:
         height, _ = common(height=height, rays=self.air_length)
         xp = namespace(height)
         plane = water if water is not None else FlatWater((0.0, 0.0, 0.0), n_water=1.0)
-        rays = (components(self.origin), components(self.air_direction), plane.point, plane.up)
-        origin, direction, point, up = (kernels.double(v) for v in rays)
+        valid, rays = kernels.cleaned(components(self.origin), components(self.air_direction))
+        origin, direction, point, up = (kernels.double(v) for v in (*rays, plane.point, plane.up))
         n_water = namespace(plane.n_water).double(plane.n_water)
         points = kernels.at_height(origin, direction, xp.double(height), point, up, n_water)
-        return stack(*(xp.like(p, self.air_length) for p in points))
+        return stack(*kernels.chosen(valid, tuple(xp.like(p, self.air_length) for p in points), math.nan))
 
 
 @np.errstate(invalid="ignore")
@@ -115,24 +117,25 @@ def trace(origin, direction, surface: WaterSurface | None) -> BentPaths:
     origin, direction = common(origin=origin, direction=direction)
     xp = namespace(*components(origin))
     o, d = components(origin), components(direction)
-    zero = xp.like(kernels.nothing(o, d), o[0])
-    o, d = (tuple(v + other for v in triple) for triple, other in ((o, d[0] * 0.0), (d, o[0] * 0.0)))
-    code = xp.where(xp.isnan(zero), int(Regime.INVALID), int(Regime.STRAIGHT))
+    valid, (o, d) = kernels.cleaned(o, d)
+    zero = o[0] * 0.0
+    code = xp.where(valid, int(Regime.STRAIGHT), int(Regime.INVALID))
     crossing, air_length, bent, wet = (zero + math.nan,) * 3, zero + math.inf, d, zero > 0.0
     if surface is not None:
         t = surface.intersect(o, d)
-        below = o[2] - surface.height(o[0], o[1]) + zero <= kernels.CONTACT
-        meets = (t + zero >= 0.0) & ~below
+        below = valid & (o[2] - surface.height(o[0], o[1]) <= kernels.CONTACT)
+        meets = valid & ~below & (t >= 0.0)
         wet = meets | below
         reach = xp.where(meets, t, zero)
         at = kernels.along(o, d, reach)
-        crossing = tuple(xp.where(wet, v, zero + math.nan) for v in at)
-        air_length = xp.where(wet, reach, zero + math.inf)
+        crossing = kernels.chosen(wet, at, math.nan)
+        air_length = xp.where(wet, reach, math.inf)
         normal = tuple(zero + m for m in surface.normal(at[0], at[1]))
         bent = kernels.chosen(meets, kernels.bend(d, normal, 1.0, surface.n_water), d)
         along = xp.abs(kernels.dot(d, normal)) <= kernels.GRAZING
-        code = xp.where(~wet & along, int(Regime.PARALLEL), code)
+        code = xp.where(valid & ~wet & along, int(Regime.PARALLEL), code)
         code = xp.where(below, int(Regime.UNDER_WATER), code)
         code = xp.where(meets, int(Regime.BENT), code)
         code = xp.where(meets & xp.isnan(bent[0]), int(Regime.REFLECTED), code)
-    return BentPaths(stack(*o), stack(*d), stack(*crossing), air_length, stack(*bent), wet, code)
+    o, d, bent = (stack(*kernels.chosen(valid, triple, math.nan)) for triple in (o, d, bent))
+    return BentPaths(o, d, stack(*crossing), xp.where(valid, air_length, math.nan), bent, wet, code)

@@ -55,12 +55,11 @@ class Projection:
 
 
 def _length(vector):
-    """Length of a triple, and one over it; zero and NaN, with zero gradients, where it vanishes."""
+    """Length of a triple, and one over it; zero and one, with zero gradients, where it vanishes."""
     xp = namespace(*vector)
     squared = kernels.dot(vector, vector)
-    some = squared > 0.0
-    inverse = xp.rsqrt(xp.where(some, squared, squared * 0.0 + 1.0))
-    return squared * inverse, xp.where(some, inverse, inverse * 0.0 + math.nan)
+    inverse = xp.rsqrt(xp.where(squared == 0.0, 1.0, squared))
+    return squared * inverse, inverse
 
 
 @np.errstate(invalid="ignore", over="ignore")
@@ -93,31 +92,30 @@ def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_
     points, camera = common(points=points, camera=camera)
     point, centre = components(points), components(camera)
     xp = namespace(*point)
+    valid, (point, centre) = kernels.cleaned(point, centre)
     p, c = kernels.double(point), kernels.double(centre)
-    none = xp.like(kernels.nothing(p, c), p[0])
-    seen, depth, solutions, below = p, none, 1, none > 0.0
+    seen, depth, solutions, below = p, p[2] * 0.0, 1, ~valid
     if surface is not None:
         seen, depth, solutions = surface.crossing(centre, point, steps)
-        seen, depth = kernels.double(seen), xp.double(depth) + none
-        below = xp.double(centre[2] - surface.height(centre[0], centre[1])) + none <= kernels.CONTACT
-    wet = depth > 0.0
+        seen = kernels.double(seen)
+        below = centre[2] - surface.height(centre[0], centre[1]) <= kernels.CONTACT
+    wet = valid & (depth > 0.0)
     bent, sunk = wet & ~below, wet & below
     seen = kernels.chosen(bent, seen, p)
-    # Differences are taken in float64, lengths of them may be rounded.
+    # Differences are taken in float64; their lengths may be rounded.
     leg, rest = (tuple(xp.like(v, point[0]) for v in kernels.minus(*ends)) for ends in ((seen, c), (p, seen)))
     (leg_length, inverse), (rest_length, _) = _length(leg), _length(rest)
-    direction = tuple(v * inverse for v in leg)
+    apart = valid & (leg_length != 0.0)
     code = xp.where(bent, int(Regime.BENT), int(Regime.STRAIGHT))
     code = xp.where(below, int(Regime.UNDER_WATER), code)
-    code = xp.where(xp.isnan(direction[0]), int(Regime.UNSEEN), code)
-    code = xp.where(xp.isnan(none) | (leg_length == 0.0), int(Regime.INVALID), code)
-    rounded = xp.like(none, point[0])
+    code = xp.where(xp.isnan(leg_length), int(Regime.UNSEEN), code)
+    code = xp.where(apart, code, int(Regime.INVALID))
     return Projection(
-        direction=stack(*direction),
-        crossing=stack(*(xp.like(v + none, rounded) for v in seen)),
-        air_length=xp.where(sunk, rounded, leg_length),
-        water_length=xp.where(sunk, leg_length, rest_length + rounded),
-        depth=xp.like(depth, rounded),
+        direction=stack(*kernels.chosen(apart, tuple(v * inverse for v in leg), math.nan)),
+        crossing=stack(*kernels.chosen(valid, tuple(xp.like(v, point[0]) for v in seen), math.nan)),
+        air_length=xp.where(valid, xp.where(sunk, leg_length * 0.0, leg_length), math.nan),
+        water_length=xp.where(valid, xp.where(sunk, leg_length, rest_length), math.nan),
+        depth=xp.where(valid, xp.like(depth, point[0]), math.nan),
         wet=wet,
         solutions=solutions,
         regime=code,

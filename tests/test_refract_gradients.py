@@ -1,0 +1,196 @@
+"""Derivatives of bent paths: against closed forms and differences, and finite where there is nothing to derive."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from refract import FlatWater, Regime, bend, bend_regime, project, trace
+
+LIBRARIES = ["torch.float64", "torch.float32", "Array3f64", "Array3f"]
+# A derivative is reached through some twenty roundings; the closed forms cost as many. Measured worst: 6e-13.
+RELATIVE = 1e-12
+# Central differences with steps of 1e-6 of values of about one: third derivatives and rounding leave 1e-9.
+DIFFERENCES = {"eps": 1e-6, "atol": 1e-7, "rtol": 1e-6}
+
+
+def leaf(value, dtype=torch.float64):
+    return torch.tensor(value, dtype=dtype, requires_grad=True)
+
+
+def geometry(tangent, H, h, n):
+    """Distance along the plane at which a ray of this tangent in air ends up in depth ``h``."""
+    return H * tangent + h * tangent / np.sqrt(n**2 + (n**2 - 1.0) * tangent**2)
+
+
+@pytest.mark.parametrize("n", [1.0, 1.1, 1.333, 1.6])
+def test_the_direction_of_view_has_its_closed_derivatives_over_the_extremes(rng, n):
+    """With ``x = tan a``: ``D = H x + h x q``, ``q^-2 = n^2 + (n^2 - 1) x^2``, so ``dx/dD = 1 / (H + h n^2 q^3)``."""
+    count = 2000
+    H, h = 10.0 ** rng.uniform(-1, 4, count), 10.0 ** rng.uniform(-4, 2, count)
+    x = np.tan(np.radians(rng.uniform(0.0, 75.0, count)))  # a unit vector loses 1 / cos^2 of its digits
+    q = 1.0 / np.sqrt(n**2 + (n**2 - 1.0) * x**2)
+    stiff = H + h * n**2 * q**3
+    points, level, index = leaf(np.stack([geometry(x, H, h, n), 0 * x, -h], -1)), leaf(0.0), leaf(n)
+    camera = leaf(np.stack([0 * x, 0 * x, H], -1))
+    water = FlatWater((0.0, 0.0, level), n_water=index)
+    sine = project(points, camera, water).direction[:, 0]
+    slope = (1.0 + x**2) ** -1.5  # of the sine over the tangent
+
+    (of_point, of_camera) = torch.autograd.grad(sine.sum(), [points, camera], retain_graph=True)
+    np.testing.assert_allclose(of_point[:, 0], slope / stiff, rtol=RELATIVE)
+    np.testing.assert_allclose(of_point[:, 2], slope * x * q / stiff, rtol=RELATIVE)
+    np.testing.assert_allclose(of_camera[:, 0], -slope / stiff, rtol=RELATIVE)
+    np.testing.assert_allclose(of_camera[:, 2], -slope * x / stiff, rtol=RELATIVE)
+    of_index = slope * h * x * n * (1.0 + x**2) * q**3 / stiff
+    of_level = slope * x * (1.0 - q) / stiff  # the camera comes nearer, the point deeper
+    for each in range(0, count, 100):
+        found = torch.autograd.grad(sine[each], [index, level], retain_graph=True)
+        assert found[0].item() == pytest.approx(of_index[each], rel=RELATIVE)
+        # At index one the water does nothing, and the derivative is what rounding leaves of q - 1.
+        assert found[1].item() == pytest.approx(of_level[each], rel=1e-11, abs=1e-15 / H[each])
+
+
+def seen(camera, point, z, n, slope_x, slope_y):
+    found = project(point, camera, FlatWater((0.3, -0.2, z), n_water=n, slope_x=slope_x, slope_y=slope_y))
+    return found.direction, found.crossing, found.air_length, found.water_length, found.depth
+
+
+@pytest.mark.parametrize(
+    ("offset", "depth", "n", "slopes"),
+    [
+        (0.0, 3.0, 1.333, (0.0, 0.0)),
+        (0.0, 3.0, 1.0, (0.0, 0.0)),
+        (7.0, 3.0, 1.333, (0.02, -0.01)),
+        (7.0, 1e-3, 1.333, (0.0, 0.0)),
+        (300.0, 3.0, 1.333, (0.004, 0.001)),
+        (12.0, 400.0, 1.6, (-0.3, 0.2)),
+    ],
+)
+def test_project_has_the_gradient_of_its_differences_in_everything(offset, depth, n, slopes):
+    camera, point = leaf([1.0, 2.0, 30.0]), leaf([1.0 + offset, 2.0, -depth])
+    step = 1e-6 * min(1.0, 100.0 * depth)  # smaller than the depth: the point must stay under water
+    index = n if n == 1.0 else leaf(n)  # below one there is no water
+    leaves = (camera, point, leaf(0.0), index, leaf(slopes[0]), leaf(slopes[1]))
+    assert torch.autograd.gradcheck(seen, leaves, **{**DIFFERENCES, "eps": step})
+
+
+def traced(origin, ray, z, n, slope_x, slope_y):
+    water = FlatWater((0.3, -0.2, z), n_water=n, slope_x=slope_x, slope_y=slope_y)
+    path = trace(origin, ray, water)
+    return path.crossing, path.air_length, path.water_direction, path.at_height(-2.0, water), path.at(40.0)
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 1e-6, 20.0, 60.0])
+@pytest.mark.parametrize(("n", "slopes"), [(1.333, (0.0, 0.0)), (1.333, (0.1, -0.2)), (1.0, (0.0, 0.0))])
+def test_trace_has_the_gradient_of_its_differences_in_everything(angle_deg, n, slopes):
+    angle = math.radians(angle_deg)
+    ray = leaf([math.sin(angle), 0.0, -math.cos(angle)])
+    index = n if n == 1.0 else leaf(n)
+    leaves = (leaf([1.0, 2.0, 30.0]), ray, leaf(0.0), index, leaf(slopes[0]), leaf(slopes[1]))
+    # Steps make the ray longer or shorter than one, of which `air_length` and `at` know nothing.
+    assert torch.autograd.gradcheck(traced, leaves, **{**DIFFERENCES, "atol": 1e-5})
+
+
+def test_there_and_back_is_the_identity_for_derivatives_too():
+    """The chain of both Jacobians: what moves the ray moves the direction in which its point appears."""
+    ray = leaf([0.3, -0.4, -math.sqrt(0.75)])
+    water, centre = FlatWater((0.0, 0.0, 0.0), n_water=1.34, slope_x=0.01), torch.tensor([1.0, 2.0, 30.0]).double()
+
+    def there_and_back(ray):
+        return project(trace(centre, ray / ray.norm(), water).at_height(-4.0, water), centre, water).direction
+
+    jacobian = torch.autograd.functional.jacobian(there_and_back, ray)
+    unit = ray.detach()
+    # Directions have length one: their derivative is the projection across the ray.
+    np.testing.assert_allclose(jacobian, torch.eye(3) - torch.outer(unit, unit), atol=1e-14)
+
+
+def hard_cases():
+    """Rays and points at which derivatives tend to break: (origin, ray) and (camera, point) rows."""
+    angles = np.radians([0.0, 1e-4, 45.0, 89.0, 89.9, 90.0, 135.0])
+    rays = np.stack([np.sin(angles), 0.0 * angles, -np.cos(angles)], -1)
+    rays[5, 2] = 0.0
+    rays = np.concatenate([rays, [[np.nan, 0.0, -1.0], [0.0, 0.0, 0.0], [0.0, 0.0, -np.inf]]])
+    points = [
+        [1.0, 2.0, -3.0], [1.0, 2.0, 0.0], [1.0, 2.0, -1e-30], [5.0, 2.0, 0.0], [5.0, 2.0, -0.0], [5.0, 2.0, 3.0],
+        [1e6, 0.0, -1e3], [np.nan, 0.0, -1.0], [1.0, 2.0, 30.0], [1.0, 2.0, 1e-12], [1e-20, 2.0, -1e-20],
+    ]  # fmt: skip
+    cameras = [[1.0, 2.0, 30.0], [1.0, 2.0, 1e-3], [1.0, 2.0, 1e-12], [1.0, 2.0, 0.0], [1.0, 2.0, -1.0]]
+    return rays, np.array(points), np.array(cameras)
+
+
+def gradients_torch(rays, points, camera, dtype):
+    """Gradients of everything that `trace` and `project` say, with respect to everything that they are given."""
+    leaves = [leaf(v, dtype) for v in (rays, points, camera, 0.0, 1.333, 0.01, -0.02)]
+    ray, point, centre, z, n, slope_x, slope_y = leaves
+    water = FlatWater((0.0, 0.0, z), n_water=n, slope_x=slope_x, slope_y=slope_y)
+    path, found = trace(centre, ray, water), project(point, centre, water)
+    told = [path.crossing, path.air_length, path.water_direction, path.at_height(-2.0, water)]
+    told += [found.direction, found.crossing, found.air_length, found.water_length, found.depth]
+    sum(v[torch.isfinite(v)].sum() for v in told).backward()
+    return [v.grad.numpy() for v in leaves]
+
+
+def gradients_drjit(rays, points, camera, library):
+    drjit = pytest.importorskip("drjit", reason="Dr.Jit is not installed")
+    if not drjit.has_backend(drjit.JitBackend.LLVM):
+        pytest.skip("Dr.Jit finds no LLVM; install libllvm19 or set DRJIT_LIBLLVM_PATH")
+    from drjit.llvm import ad
+
+    Vector, Float = getattr(ad, library), getattr(ad, library.replace("Array3f", "Float"))
+    leaves = [Vector(rays.T), Vector(points.T), Vector(*map(float, camera)), *map(Float, (0.0, 1.333, 0.01, -0.02))]
+    drjit.enable_grad(leaves)
+    ray, point, centre, z, n, slope_x, slope_y = leaves
+    water = FlatWater((0.0, 0.0, z), n_water=n, slope_x=slope_x, slope_y=slope_y)
+    path, found = trace(centre, ray, water), project(point, centre, water)
+    told = [*path.crossing, path.air_length, *path.water_direction, *path.at_height(-2.0, water)]
+    told += [*found.direction, *found.crossing, found.air_length, found.water_length, found.depth]
+    drjit.backward(sum(drjit.sum(drjit.select(drjit.isfinite(v), v, 0.0)) for v in told))
+    grads = [np.asarray(drjit.grad(v)) for v in leaves]
+    return [g.T if g.ndim == 2 and g.shape[1] > 1 else g.squeeze() for g in grads]
+
+
+def gradients(rays, points, camera, library):
+    if library.startswith("torch"):
+        return gradients_torch(rays, points, camera, getattr(torch, library.removeprefix("torch.")))
+    return gradients_drjit(rays, points, camera, library)
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+def test_every_gradient_is_finite_whatever_becomes_of_the_rays(library):
+    rays, points, cameras = hard_cases()
+    for camera in cameras:
+        for gradient in gradients(rays, points, camera, library):
+            assert np.isfinite(gradient).all()
+
+
+@pytest.mark.parametrize("library", LIBRARIES[1:])
+def test_all_libraries_have_the_gradients_of_torch_in_float64(rng, library):
+    rays = rng.normal(size=(20, 3)) - [0.0, 0.0, 3.0]
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    points, camera = rng.uniform([-20, -20, -9], [20, 20, 3], (20, 3)), np.array([1.0, 2.0, 30.0])
+    # Sums over forty rays of derivatives of up to 50, some of which cancel.
+    relative, absolute = (1e-12, 1e-12) if library == "Array3f64" else (2e-5, 2e-3)
+    for found, exact in zip(
+        gradients(rays, points, camera, library), gradients(rays, points, camera, LIBRARIES[0]), strict=True
+    ):
+        np.testing.assert_allclose(found, exact, rtol=relative, atol=absolute)
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+def test_near_the_critical_angle_the_gradient_is_zero_and_counted(dtype):
+    # Within cos^2 = sqrt(eps) of leaving along the surface, half of the digits of the derivative are gone.
+    limit = torch.finfo(dtype).eps ** 0.25
+    cosines = torch.tensor([4.0, 1.1, 0.9, 0.1], dtype=torch.float64) * limit
+    sines = torch.sqrt(1.0 - cosines**2) / 1.34
+    rays = torch.stack([sines, 0.0 * sines, torch.sqrt(1.0 - sines**2)], -1).to(dtype).requires_grad_()
+    down = torch.tensor([0.0, 0.0, -1.0], dtype=dtype)
+    regime = bend_regime(rays, down, n_from=1.34, n_to=1.0)
+    assert regime.tolist() == [Regime.BENT, Regime.BENT, Regime.CRITICAL, Regime.CRITICAL]
+    bend(rays, down, n_from=1.34, n_to=1.0).sum().backward()
+    assert (rays.grad[2:] == 0.0).all()
+    assert (rays.grad[:2, 2].abs() > 0.2 / limit).tolist() == [True, True]

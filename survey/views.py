@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
@@ -16,8 +17,8 @@ from survey.lens import lens_from_config
 def pair(found: Found, poses: list[Pose], warnings: list[str]) -> list[Pose]:
     """The poses that have an image, under the name of that image.
 
-    Warns of images without a pose and of poses without an image; names match exactly, else but for case and
-    for an ending that only one side has.
+    Warns of images without a pose and of poses without an image; names match exactly, else but for case, for the
+    encoding of accents and for an ending that only one side has.
 
     Raises
     ------
@@ -26,12 +27,12 @@ def pair(found: Found, poses: list[Pose], warnings: list[str]) -> list[Pose]:
     """
     keys: dict[str, list[str]] = {}
     for name in found.images:
-        for key in (name.casefold(), str(PurePosixPath(name).with_suffix("")).casefold()):
+        for key in (_key(name), _key(str(PurePosixPath(name).with_suffix("")))):
             keys.setdefault(key, []).append(name)
     paired: dict[str, Pose] = {}
     lonely = []
     for pose in poses:
-        candidates = keys.get(pose.name.replace("\\", "/").casefold(), [])
+        candidates = keys.get(_key(pose.name), [])
         name = pose.name if pose.name in found.images else candidates[0] if len(candidates) == 1 else None
         if name is None or name in paired:
             lonely.append(pose.name)
@@ -48,6 +49,11 @@ def pair(found: Found, poses: list[Pose], warnings: list[str]) -> list[Pose]:
     warn_of(bare, "without a pose, left out", "image", warnings)
     warn_of(lonely, "without an image, left out", "pose", warnings)
     return list(paired.values())
+
+
+def _key(name: str) -> str:
+    """A name without what differs between systems: case, slashes, and how an accent is put on its letter."""
+    return unicodedata.normalize("NFC", name.replace("\\", "/")).casefold()
 
 
 def with_lenses(found: Found, poses: list[Pose], assumptions: list[str], warnings: list[str]) -> list[Pose]:

@@ -149,6 +149,15 @@ def test_names_match_without_their_ending_and_in_other_case(tmp_path):
     assert [view.name for view in load_survey(folder).views] == ["0000.jpg", "0001.jpg", "0002.jpg", "0003.jpg"]
 
 
+def test_names_match_however_an_accent_is_put_on_its_letter(tmp_path):
+    """Other systems, and the archives that they pack, write an umlaut as a letter and a mark."""
+    folder = small_survey(tmp_path / "s")
+    images = folder / "images"
+    (images / "0002.jpg").rename(images / "u\u0308fer.jpg")
+    write_poses(folder, [line.replace("0002", "\u00fcfer") for line in camera_lines()])
+    assert len(load_survey(folder).views) == 4
+
+
 def test_fewer_than_three_views_are_an_error_with_an_example_of_both_names(tmp_path):
     folder = small_survey(tmp_path / "s")
     write_poses(folder, [line.replace(".jpg", "_corrected.tif") for line in camera_lines()])

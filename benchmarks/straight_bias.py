@@ -98,7 +98,7 @@ def matched_points(
 
 
 def _best_half_meets(sight: Sight, miss: np.ndarray, view: int, others: list[int]) -> np.ndarray:
-    """Where a view's rays meet those of the neighbours that ``miss`` them least, (neighbours, N, rungs) [px^2]: (N, 3)."""
+    """Where a view's rays meet those of the neighbours that ``miss`` them least (neighbours, N, rungs): (N, 3)."""
     count = np.isfinite(miss[:, :, 0]).sum(axis=0)
     keep = np.maximum((count + 1) // 2, 1)
     order = np.sort(miss, axis=0)

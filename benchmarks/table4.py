@@ -1,6 +1,6 @@
 """The study's Table 4, repeated: wet and dry, bent and straight rays, sweep alone and with the field.
 
-    python benchmarks/table4.py [--wet SURVEY --dry SURVEY --reference F] [--quality Q] [--samples N] [-o FOLDER]
+    python benchmarks/table4.py [--full] [--quality Q] [--samples N] [-o FOLDER]
 
 By default the two are drawn small; with --full they are wreck_water and wreck_dry of the survey data, of the study's
 size (130 images of 1024 x 768). Runs lie in FOLDER and are used again. Prints a table in Markdown and writes
@@ -107,14 +107,9 @@ def measure(case: Case, truth: Survey, reference: Path, samples: int, times_seen
             "completeness": float(is_reached(surface, points, tolerance_m=TOLERANCE_M).mean()),
         }
     if case.name == "wet straight":
-        visible = frame.local_from_crs(read_reference(visible_of(reference)).points)
+        visible = frame.local_from_crs(read_reference(reference.with_name("visible.ply")).points)
         record["bias"] = asdict(straight_bias(ours, visible, truth, times_seen))
     return record
-
-
-def visible_of(reference: Path) -> Path:
-    """Points that three cameras see, beside their surface."""
-    return reference.with_name("visible.ply")
 
 
 def table(records: list[dict]) -> str:
@@ -132,8 +127,8 @@ def _foretold(chain: str, bias: dict) -> str:
     """What straight rays cost, measured and by least squares over the apparent rays."""
     off = 100.0 * (bias["measured_m"] / bias["same_views_m"] - 1.0)
     return (
-        f"\nStraight rays, {chain}: {bias['measured_m']:+.3f} m over the bed at {bias['num_points']:,} points away from "
-        f"objects; least squares over the apparent rays of the views that match best {bias['same_views_m']:+.3f} m "
+        f"\nStraight rays, {chain}: {bias['measured_m']:+.3f} m over the bed at {bias['num_points']:,} points away "
+        f"from objects; least squares over the apparent rays of views that match best {bias['same_views_m']:+.3f} m "
         f"({off:+.1f} %), of all that see a point {bias['all_views_m']:+.3f} m."
     )
 

@@ -1,4 +1,4 @@
-"""The surface or cloud that a result is compared with, read from PLY, OBJ, LAS or LAZ."""
+"""The surface or cloud that a result is compared with: PLY, OBJ, LAS, LAZ, COPC; with extras glTF, GeoTIFF, E57."""
 
 from __future__ import annotations
 
@@ -6,29 +6,42 @@ from pathlib import Path
 
 import numpy as np
 
+from geo.e57 import read_e57
 from geo.errors import EmptyCloud, UnreadableFile
 from geo.files import existing_file
+from geo.gltf import read_gltf
 from geo.las import read_cloud
 from geo.obj import read_obj
 from geo.ply_reading import read_ply
+from geo.raster import read_raster
 from geo.shapes import Cloud, Mesh
 
-_READERS = {".ply": read_ply, ".obj": read_obj, ".las": read_cloud, ".laz": read_cloud}
+_READERS = {
+    ".ply": read_ply,
+    ".obj": read_obj,
+    ".las": read_cloud,
+    ".laz": read_cloud,  # COPC too: .copc.laz
+    ".glb": read_gltf,
+    ".gltf": read_gltf,
+    ".tif": read_raster,
+    ".tiff": read_raster,
+    ".e57": read_e57,
+}
 
 
 def read_reference(path: str | Path) -> Mesh | Cloud:
     """Read a mesh or cloud in crs coordinates, by the suffix of its name.
 
-    PLY and OBJ give a `Mesh` where they have faces, else a `Cloud`; LAS and LAZ give a `Cloud`. Coordinates
-    are float64 throughout.
+    PLY, OBJ and glTF give a `Mesh` where they have faces, else a `Cloud`; a GeoTIFF gives a `Mesh`, LAS, LAZ and
+    E57 a `Cloud`. Coordinates are float64 throughout.
 
     Raises
     ------
     EmptyCloud
         If the file has no points.
     UnreadableFile
-        If it does not exist, has another suffix, is damaged, has coordinates that are not finite, or faces
-        that name vertices it does not have.
+        If it does not exist, has another suffix, needs a library that is not installed, is damaged, has
+        coordinates that are not finite, or faces that name vertices it does not have.
     """
     path = existing_file(path)
     reader = _READERS.get(path.suffix.lower())

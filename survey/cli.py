@@ -64,6 +64,13 @@ class Switch(StrEnum):
     off = "off"
 
 
+class Mode(StrEnum):
+    """How light is followed."""
+
+    direct = "direct"
+    physical = "physical"
+
+
 class Sign(StrEnum):
     """Which side of a triangle is above it."""
 
@@ -176,8 +183,8 @@ def render(
 
 @app.command()
 def compare(
-    cloud: Annotated[Path, typer.Argument(metavar="CLOUD", help="LAS, LAZ or PLY.")],
-    reference: Annotated[Path, typer.Argument(metavar="REFERENCE", help="PLY, OBJ, LAS or LAZ: mesh or points.")],
+    cloud: Annotated[Path, typer.Argument(metavar="CLOUD", help="LAS, LAZ, COPC, PLY or E57.")],
+    reference: Annotated[Path, typer.Argument(metavar="REFERENCE", help="PLY, OBJ, GLB, GeoTIFF, or points as CLOUD.")],
     tolerance: Annotated[
         list[float], typer.Option(help="For completeness and F-score [m]; may be given several times.")
     ] = _TOLERANCES_M,
@@ -227,6 +234,28 @@ def compare(
         if verbose >= quiet:
             for title, rows in sections_of(numbers):
                 _print_columns(title, rows)
+
+
+@app.command()
+def simulate(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file in TOML (docs/simulation.md).")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="SURVEY", help="Becomes a survey folder.")],
+    mode: Annotated[Mode | None, typer.Option(help="Instead of that of the scene file.")] = None,
+    flight_only: Annotated[bool, typer.Option("--flight-only", help="Write cameras.csv and flight.png only.")] = False,
+    preview: Annotated[bool, typer.Option("--preview", help="One ray per pixel.")] = False,
+    again: Annotated[bool, typer.Option("--again", help="Begin anew even if it lies there already.")] = False,
+    verbose: Verbose = 0,
+    quiet: Quiet = 0,
+) -> None:
+    """Make a survey of a scene that is known exactly: photographs, poses, and the truth beside them."""
+    with _errors_as_exit_codes(verbose - quiet, output):
+        from survey.simulate.simulate import simulate as run
+        from survey.simulate.simulate import simulate_flight
+
+        if flight_only:
+            simulate_flight(scene, output)
+        else:
+            run(scene, output, mode=mode.value if mode else None, preview=preview, again=again)
 
 
 def main() -> None:

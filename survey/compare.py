@@ -78,9 +78,8 @@ def compare_files(cloud: Path, reference: Path, *, options: CompareOptions | Non
 
     Parameters
     ----------
-    cloud : LAS, LAZ or PLY
-    reference : PLY, OBJ, LAS or LAZ
-        A mesh, or points: then the comparison is cloud to cloud, without sign.
+    cloud, reference : as `geo.read_reference`
+        The reference a mesh, or points: then the comparison is cloud to cloud, without sign.
 
     Returns
     -------

@@ -1,0 +1,45 @@
+"""glTF and GLB meshes (the extra ``gltf``): all nodes of a scene in one mesh, turned so that z is up."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from geo.errors import UnreadableFile
+from geo.files import existing_file
+from geo.optional import library_for
+from geo.shapes import Cloud, Mesh
+
+# glTF 2.0, section 3.3: y is up and z points forward. East, north, up are x, -z, y.
+_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
+def read_gltf(path: str | Path) -> Mesh | Cloud:
+    """Read a glTF or GLB file: a mesh if it has triangles, else a cloud. The format knows no CRS.
+
+    Its coordinates are float32: those of a map (5e6 m) are rounded to half a metre in it, so that only meshes with
+    an origin near by are of use.
+
+    Raises
+    ------
+    UnreadableFile
+        If it does not exist, is damaged, or trimesh is not installed.
+    """
+    path = existing_file(path)
+    trimesh = library_for(path, "trimesh", "gltf")
+    # trimesh answers damage with errors of many kinds (KeyError, struct.error, JSONDecodeError, ...).
+    try:
+        scene = trimesh.load_scene(path, process=False)
+        parts = scene.dump()
+        meshes = [part for part in parts if hasattr(part, "faces")]
+        vertices = [np.asarray(part.vertices, dtype=np.float64) for part in meshes or parts]
+    except Exception as error:
+        said = (str(error).splitlines() or [type(error).__name__])[0][:100]
+        raise UnreadableFile(f"{path} cannot be read as glTF ({said}); export it again.") from error
+    points = np.concatenate([np.empty((0, 3)), *vertices]) @ _Z_UP.T
+    if not meshes:
+        return Cloud(points)
+    before = np.cumsum([0, *(len(part) for part in vertices)])
+    faces = [np.asarray(part.faces, dtype=np.int64) + first for part, first in zip(meshes, before, strict=False)]
+    return Mesh(points, np.concatenate(faces))

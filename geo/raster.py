@@ -1,0 +1,61 @@
+"""Terrain models as GeoTIFF (the extra ``raster``): the surface through the middles of their cells."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from geo.errors import UnreadableFile
+from geo.files import existing_file
+from geo.optional import library_for
+from geo.shapes import Mesh
+
+
+def read_raster(path: str | Path) -> Mesh:
+    """Read the first band of a GeoTIFF as heights, two triangles between each four neighbouring cells.
+
+    Cells without data, and triangles that would touch one, are holes. Heights are taken in the unit of the CRS as
+    they are, a declared scale and offset applied.
+
+    Raises
+    ------
+    UnreadableFile
+        If it does not exist, is damaged, has fewer than 2 x 2 cells with data, or rasterio is not installed.
+    """
+    path = existing_file(path)
+    rasterio = library_for(path, "rasterio", "raster")
+    try:
+        with rasterio.open(path) as raster:
+            stored = raster.read(1, masked=True)
+            heights = stored.astype(np.float64).filled(np.nan) * raster.scales[0] + raster.offsets[0]
+            t, wkt = raster.transform, raster.crs.to_wkt() if raster.crs else None
+    except rasterio.errors.RasterioError as error:
+        said = str(error).splitlines()[0][:100]
+        raise UnreadableFile(f"{path} cannot be read as a GeoTIFF ({said}); export it again.") from error
+    try:
+        crs = CRS(wkt) if wkt else None
+    except CRSError:
+        crs = None
+    rows, columns = np.mgrid[0 : heights.shape[0], 0 : heights.shape[1]] + 0.5
+    east, north = t.a * columns + t.b * rows + t.c, t.d * columns + t.e * rows + t.f
+    faces = _triangles(np.isfinite(heights))
+    if not len(faces):
+        raise UnreadableFile(f"{path} has no four neighbouring cells with data; expected heights in its first band.")
+    # Only vertices that a triangle uses: the others may have no height.
+    used, corners = np.unique(faces, return_inverse=True)
+    vertices = np.stack([east.ravel(), north.ravel(), heights.ravel()], axis=1)[used]
+    return Mesh(vertices, corners.reshape(faces.shape), crs=crs)
+
+
+def _triangles(known: np.ndarray) -> np.ndarray:
+    """Triangles (F, 3) between cells (rows, columns) that are known, wound to face up on a north-up raster."""
+    number = np.arange(known.size).reshape(known.shape)
+    nw, ne, sw, se = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
+    both = []
+    for a, b, c in ((nw, sw, ne), (ne, sw, se)):
+        corners = np.stack([a.ravel(), b.ravel(), c.ravel()], axis=1)
+        both.append(corners[known.ravel()[corners].all(axis=1)])
+    return np.concatenate(both)

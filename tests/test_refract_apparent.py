@@ -7,10 +7,12 @@ import math
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 from slow_reference import meeting_of_lines
 
 from refract import (
     FlatWater,
+    PinholeCamera,
     apparent_depth,
     apparent_depth_tangential,
     crossing_point,
@@ -98,6 +100,45 @@ def test_published_table_for_fresh_water(angle_deg, sagittal, tangential, shift,
 )
 def test_published_factors_for_an_index_of_1_335(angle_deg, factor):
     assert true_depth(1.0, math.radians(angle_deg), n_water=1.335) == pytest.approx(factor, abs=6e-4)
+
+
+def sample_camera(row) -> PinholeCamera:
+    """A camera of the sample of pyBathySfM: its Euler angles turn north, east, up; 8.8 mm over 13.2 x 8.8 mm."""
+    yaw = row["yaw"] if row["yaw"] <= 180.0 else row["yaw"] - 360.0
+    turn = Rotation.from_euler("ZYX", [yaw, 90.0 - row["pitch"], -row["roll"]], degrees=True).as_matrix()
+    forward, side, up = turn.T[:, [1, 0, 2]]
+    return PinholeCamera(
+        [row["x"], row["y"], row["z"]], np.stack([side, -up, forward]), 880.0, 880.0, 660.0, 440.0, 1320, 880
+    )
+
+
+def test_corrections_of_another_package_are_met_camera_by_camera(data_dir):
+    """pyBathySfM corrects each point once per camera that sees it, at the incidence there: `true_depth`."""
+    folder = data_dir / "real" / "pyBathySfM"
+    points = np.genfromtxt(folder / "SamplePoints_recovered.csv.gz", delimiter=",", names=True)
+    theirs = np.genfromtxt(folder / "pyBathySfM_output_n1.337.csv.gz", delimiter=",", names=True)
+    rows = np.genfromtxt(folder / "BathySfM_SampleCameras.csv", delimiter=",", names=True, usecols=range(1, 7))
+    xyz = np.stack([points["x"], points["y"], points["sfm_z"]], axis=-1)
+    # Their footprints lie at the mean height of the first 10 000 points.
+    ground = np.concatenate([xyz[:, :2], np.full((len(xyz), 1), xyz[:10_000, 2].mean())], axis=-1)
+    depths = np.full((len(rows), len(xyz)), np.nan)
+    near = np.zeros(depths.shape, dtype=bool)
+    for row, depth, kept in zip(rows, depths, near, strict=True):
+        camera = sample_camera(row)
+        pixels = camera.project(ground, None)
+        seen = ((pixels > 0.0) & (pixels < (camera.width, camera.height))).all(axis=-1)
+        way = camera.centre - xyz
+        distance = np.hypot(way[:, 0], way[:, 1])
+        angle = np.arctan2(distance, way[:, 2])
+        depth[seen] = true_depth(points["w_surf"] - points["sfm_z"], angle, n_water=1.337)[seen]
+        kept[:] = (angle <= np.radians(35.0)) & (distance <= 100.0)
+    np.testing.assert_array_equal(np.isfinite(depths).sum(axis=0), theirs["n_cams"])
+    rounded = 5.1e-6  # five decimals
+    np.testing.assert_allclose(np.nanmin(depths, axis=0), theirs["h_min"], rtol=0.0, atol=rounded)
+    np.testing.assert_allclose(np.nanmax(depths, axis=0), theirs["h_max"], rtol=0.0, atol=rounded)
+    np.testing.assert_allclose(np.nanmean(depths, axis=0), theirs["h_avg"], rtol=0.0, atol=rounded)
+    filtered = np.nanmean(np.where(near, depths, np.nan), axis=0)
+    np.testing.assert_allclose(filtered, theirs["h_filt"], rtol=0.0, atol=rounded)
 
 
 def test_straight_rays_always_make_the_bed_too_shallow():

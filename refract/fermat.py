@@ -30,6 +30,8 @@ from refract._branches import every_path
 
 # The disc is computed in rounded arithmetic, some hundred operations long: widened by a thousand times their error.
 _WIDER = 1.0 + 1e-9
+# The cosine of a leg that runs along the surface: instead of zero under a fraction.
+_ALONG = 1e-12
 # Newton's last step, as part of the camera's distance: squared, it is far below the rounding.
 _SETTLED = 1e-11
 # Newton's steps on a convex length take four or five; what needs more goes to the full search.
@@ -122,7 +124,7 @@ def _leg(xp, way, rise):
 
 
 def _reach(xp, surface, camera, point, depth):
-    """Radius about P outside which no path crosses, the sine of the largest incidence, and the bounds within.
+    """Radius about P outside which no path crosses, and the bounds within.
 
     A path turns at S by at most ``acos(1 / n)``, so S lies near the chord CP. The water leg stands within the angle of
     refraction of the normal, the normal within the slope of the vertical: that bounds the radius by the depth.
@@ -133,23 +135,29 @@ def _reach(xp, surface, camera, point, depth):
     chord = _hypot(xp, D, camera[2] - point[2])
     R = D + 0.5 * chord * ((n - 1.0) / (n + 1.0)) ** 0.5
     bounds = surface.bounds(point[0], point[1], R)
-    s = bounds.slope + D * 0.0
-    cos_s = 1.0 / xp.sqrt(1.0 + s * s)
-    sin_s = s * cos_s
-    z_p = point[2] + depth
-    sine = D * 0.0 + 1.0
+    bounds = bounds._replace(slope=bounds.slope + D * 0.0, curvature=bounds.curvature + D * 0.0)
+    s, z_p, sine = bounds.slope, point[2] + depth, D * 0.0 + 1.0
     for _ in range(3):
         sin_w = sine / n
         cos_w = xp.sqrt(xp.maximum(1.0 - sin_w * sin_w, 0.0))
-        cos_v = cos_w * cos_s - sin_w * sin_s
-        tan_v = (sin_w * cos_s + cos_w * sin_s) / xp.maximum(cos_v, 1e-12)  # 1e-12: a leg along the surface
-        R = xp.minimum(R, tan_v * (xp.minimum(bounds.z_hi, z_p + s * R) - point[2]))
-        R = _WIDER * xp.where(s * tan_v < 1.0, xp.minimum(R, tan_v * depth / xp.maximum(1.0 - s * tan_v, 1e-12)), R)
-        sin_a, cos_a = _leg(xp, D + R, camera[2] - xp.minimum(bounds.z_hi, z_p + s * R))
-        grazing = cos_a * cos_s <= sin_a * sin_s
-        sine = xp.where(grazing, sine * 0.0 + 1.0, sin_a * cos_s + cos_a * sin_s)
-    z_lo, z_hi = xp.maximum(bounds.z_lo, z_p - s * R), xp.minimum(bounds.z_hi, z_p + s * R)
-    return R, sine, Bounds(z_lo, z_hi, s, bounds.curvature + D * 0.0)
+        tan_v = (sin_w + s * cos_w) / xp.maximum(cos_w - s * sin_w, _ALONG)
+        R = xp.minimum(R, tan_v * (_nearer(xp, bounds, z_p, R).z_hi - point[2]))
+        R = _WIDER * xp.where(s * tan_v < 1.0, xp.minimum(R, tan_v * depth / xp.maximum(1.0 - s * tan_v, _ALONG)), R)
+        sine = _incidence(xp, D + R, camera[2] - _nearer(xp, bounds, z_p, R).z_hi, s)
+    return R, _nearer(xp, bounds, z_p, R)
+
+
+def _nearer(xp, bounds, z, way):
+    """The bounds within ``way`` of a place where the surface has the height z."""
+    rise = bounds.slope * way
+    return bounds._replace(z_lo=xp.maximum(bounds.z_lo, z - rise), z_hi=xp.minimum(bounds.z_hi, z + rise))
+
+
+def _incidence(xp, way, rise, slope):
+    """Sine of the largest angle between the normal and an air leg that covers ``way`` over at least ``rise``."""
+    sine, cosine = _leg(xp, way, rise)
+    leaning = (sine + slope * cosine) / xp.sqrt(1.0 + slope * slope)
+    return xp.where(cosine <= slope * sine, 1.0, leaning)
 
 
 def search_disc(surface, camera, point, depth) -> Disc:
@@ -162,24 +170,28 @@ def search_disc(surface, camera, point, depth) -> Disc:
     """
     xp = namespace(*camera, *point)
     n = surface.n_water
-    R, sine, (z_lo, z_hi, s, K) = _reach(xp, surface, camera, point, depth)
+    R, bounds = _reach(xp, surface, camera, point, depth)
     D = _hypot(xp, camera[0] - point[0], camera[1] - point[1])
     z_p = point[2] + depth
-    h_lo, H_lo, H = z_lo - point[2], camera[2] - z_hi, camera[2] - z_p
-    apart = (h_lo > 0.0) & (H_lo > 0.0)
-    h_lo, H_lo = xp.where(apart, h_lo, depth), xp.where(apart, H_lo, H)
-    lift = xp.minimum(R / h_lo, 0.385) * n / h_lo + xp.minimum((D + R) / H_lo, 0.385) / H_lo  # sin cos^2 <= 0.385
-    turn = xp.sqrt(xp.maximum(n * n - sine * sine, 0.0)) - xp.sqrt(xp.maximum(1.0 - sine * sine, 0.0))
-    G = s * turn + lift * xp.maximum(z_hi - z_p, z_p - z_lo)
-    m = n * depth * depth / _hypot(xp, R, depth) ** 3 + H * H / _hypot(xp, D + R, H) ** 3
-    tight = _WIDER * G / m
+    H = camera[2] - z_p
+    apart = (bounds.z_lo > point[2]) & (camera[2] > bounds.z_hi)
+    share = kernels.air_share(D * D, xp.where(apart, H, 1.0), depth, n, _FLAT_STEPS)
+    tight = R + (1.0 - share) * D
+    for _ in range(2):  # the second round starts from the bounds of the first
+        far_w, far_a = xp.minimum(R, (1.0 - share) * D + tight), xp.minimum(D + R, share * D + tight)
+        bounds = _nearer(xp, bounds, z_p, far_w)
+        h_lo, H_lo = xp.where(apart, bounds.z_lo - point[2], 1.0), xp.where(apart, camera[2] - bounds.z_hi, 1.0)
+        sine = _incidence(xp, far_a, H_lo, bounds.slope)
+        turn = xp.sqrt(xp.maximum(n * n - sine * sine, 0.0)) - xp.sqrt(xp.maximum(1.0 - sine * sine, 0.0))
+        lift = n * xp.minimum(far_w / h_lo, 0.385) / h_lo + xp.minimum(far_a / H_lo, 0.385) / H_lo  # sin cos^2 <= 0.385
+        G = bounds.slope * turn + lift * xp.maximum(bounds.z_hi - z_p, z_p - bounds.z_lo)
+        m = n * depth * depth / _hypot(xp, far_w, depth) ** 3 + H * H / _hypot(xp, far_a, H) ** 3
+        tight = xp.minimum(tight, _WIDER * G / m)
     use = apart & (tight < R)
-    share = kernels.air_share(D * D, H, depth, n, _FLAT_STEPS)
     x = xp.where(use, camera[0] + share * (point[0] - camera[0]), point[0])
     y = xp.where(use, camera[1] + share * (point[1] - camera[1]), point[1])
-    radius = xp.where(use, tight, R)
-    within = Bounds(z_lo, z_hi, s, K)
-    return Disc(x, y, radius, apart & _convex(xp, n, camera, point, Disc(x, y, radius, None), within))
+    disc = Disc(x, y, xp.where(use, tight, R), apart)
+    return disc._replace(convex=apart & _convex(xp, n, camera, point, disc, bounds))
 
 
 def _convex(xp, n, camera, point, disc, bounds):

@@ -202,6 +202,7 @@ class HeightFieldWater:
         Exact: a walk from triangle to triangle under the ray, each of them a plane.
         """
         _needs_numpy_or_torch(origin[0])
+        like = origin[0] + direction[0]
         origin, direction = fermat.together(origin, direction)
         xp = namespace(*origin)
         met = self._first_triangle(*(tuple(as_numpy(c).ravel() for c in v) for v in (origin, direction)), 1.0)
@@ -210,7 +211,7 @@ class HeightFieldWater:
         meets = as_like(met, origin[0]) >= 0
         over, rate = _clearance(corner, slopes, origin, direction)
         t = -over / xp.where(meets, rate, -1.0)
-        return xp.where(meets, xp.maximum(t, 0.0), math.nan)
+        return xp.like(xp.where(meets, xp.maximum(t, 0.0), math.nan), like)
 
     def _first_triangle(self, origin, direction, side):
         """The triangle where rays from above (side 1) or below (-1) first meet the surface; -1 for none (numpy)."""

@@ -141,6 +141,7 @@ class SphericalWater:
         The root of ``t^2 + 2 b t + c = 0`` with the smaller t, as ``c / (sqrt(b^2 - c) - b)``: no digits are lost,
         although b and c count from the far centre of the Earth (``c = 2 R z + |o|^2`` with z over the tangent plane).
         """
+        like = origin[0] + direction[0]
         origin, direction = kernels.double(origin), kernels.double(direction)
         xp = namespace(*origin, *direction)
         ox, oy, oz = (o - p for o, p in zip(origin, self.point, strict=True))
@@ -150,7 +151,7 @@ class SphericalWater:
         falls = -b > GRAZING * self.radius
         meets = falls & (c >= 0.0) & (room > 0.0)
         t = c / (xp.sqrt(xp.where(meets, room, room * 0.0 + 1.0)) + xp.where(meets, -b, b * 0.0 + 1.0))
-        return xp.where(meets, t, t * 0.0 + float("nan"))
+        return xp.like(xp.where(meets, t, math.nan), like)
 
     def crossing(self, camera, point, steps: int):
         """See `WaterSurface.crossing`: one path, by Newton's steps on a length that is proven convex."""

@@ -131,14 +131,16 @@ class WavyWater:
 
     def height(self, x, y):
         """Height z of the surface [m] at local x, y [m]."""
-        return self.derivatives(x, y)[0]
+        xp = namespace(x, y)
+        return xp.like(self.derivatives(xp.double(x), xp.double(y))[0], x)
 
     def normal(self, x, y) -> tuple[Any, Any, Any]:
         """Unit normal of the surface at x, y, pointing up into the air."""
         xp = namespace(x, y)
-        _, zx, zy, *_ = self.derivatives(x, y)
-        up = 1.0 / xp.sqrt(x * 0.0 + y * 0.0 + (1.0 + zx * zx + zy * zy))
-        return -zx * up, -zy * up, up
+        # In float64: a kilometre away the phase of a ripple has five digits before the point.
+        _, zx, zy, *_ = self.derivatives(xp.double(x), xp.double(y))
+        up = 1.0 / xp.sqrt(1.0 + zx * zx + zy * zy + x * 0.0)  # the shape of x also where there are no waves
+        return tuple(xp.like(c, x) for c in (-zx * up, -zy * up, up))
 
     def bounds(self, x, y, radius) -> fermat.Bounds:
         """Bounds over a disc; slope and curvature are those of the whole sea."""
@@ -155,6 +157,7 @@ class WavyWater:
 
     def intersect(self, origin, direction):
         """Distance [m] to the first meeting with the waves along unit rays from above; NaN where there is none."""
+        like = origin[0] + direction[0]
         origin, direction = fermat.together(origin, direction)
         xp = namespace(*origin)
         if xp.name == "drjit":
@@ -168,7 +171,7 @@ class WavyWater:
         clearance, rate = self._clearance(origin, direction, t)
         firm = meets & (rate < -_GRAZING)
         t = t - xp.where(firm, clearance, 0.0) / xp.fixed(xp.where(firm, rate, -1.0))
-        return xp.where(meets, xp.maximum(t, 0.0), math.nan)
+        return xp.like(xp.where(meets, xp.maximum(t, 0.0), math.nan), like)
 
     def _clearance(self, origin, direction, t):
         """Height [m] of a ray above the waves at distance t, and its rate [-]."""

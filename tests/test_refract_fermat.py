@@ -147,7 +147,7 @@ def test_every_true_crossing_lies_in_the_search_disc(rng):
 
 
 def test_where_the_length_is_called_convex_it_is(rng):
-    water = ripples(0.02, 2.0)
+    water = ripples(0.02, 1.0)
     camera = cameras(rng, 300, (2.0, 20.0))
     bed = rng.uniform(-4, 4, 300), rng.uniform(-4, 4, 300), rng.uniform(-6.0, -0.1, 300)
     disc = fermat.search_disc(water, camera, bed, water.height(*bed[:2]) - bed[2])

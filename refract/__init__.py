@@ -6,21 +6,32 @@ from refract.air import air_index
 from refract.apparent import apparent_depth, apparent_depth_tangential, tangential_shift, true_depth
 from refract.camera import PinholeCamera
 from refract.fresnel import fresnel_coefficients, radiance_factor
+from refract.height_field import HeightFieldWater
+from refract.layers import LayeredPath, ParallelLayers
 from refract.media import channel_indices, water_index, water_index_iapws, water_index_parrish
 from refract.paths import BentPaths, trace
 from refract.projection import Projection, crossing_point, project
 from refract.regimes import Regime, counts
 from refract.snell import bend, bend_regime
+from refract.spherical import SphericalWater, curvature_drop, gaussian_radius
 from refract.surfaces import FlatWater, WaterSurface
+from refract.tidal import TidalWater
+from refract.wavy import WavyWater
 
 __all__ = [
     "BentPaths",
     "FlatWater",
+    "HeightFieldWater",
+    "LayeredPath",
     "OutsideFit",
+    "ParallelLayers",
     "PinholeCamera",
     "Projection",
     "Regime",
+    "SphericalWater",
+    "TidalWater",
     "WaterSurface",
+    "WavyWater",
     "air_index",
     "apparent_depth",
     "apparent_depth_tangential",
@@ -30,7 +41,9 @@ __all__ = [
     "channel_indices",
     "counts",
     "crossing_point",
+    "curvature_drop",
     "fresnel_coefficients",
+    "gaussian_radius",
     "leg_transmittance",
     "project",
     "radiance_factor",

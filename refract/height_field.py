@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any, final
 
 import numpy as np
-from scipy.spatial import Delaunay, cKDTree
 
 from refract import _facet_paths, fermat, kernels
 from refract._array import as_like, as_numpy, namespace
@@ -113,6 +112,8 @@ class HeightFieldWater:
     @classmethod
     def from_points(cls, points, heights, *, n_water=1.333) -> HeightFieldWater:
         """Water over scattered points (points, 2) [m], local, with heights (points,) [m], by Delaunay's triangles."""
+        from scipy.spatial import Delaunay
+
         points = np.asarray(points, dtype=np.float64)
         return cls(points, heights, Delaunay(points).simplices, n_water=n_water)
 
@@ -136,6 +137,8 @@ class HeightFieldWater:
         known = np.isfinite(self.plain_heights)
         filled = self.plain_heights.copy()
         if not known.all():
+            from scipy.spatial import cKDTree
+
             near = cKDTree(self.points[known]).query(self.points[~known])[1]
             filled[~known] = self.plain_heights[known][near]
         slope_x, slope_y = _slopes(self.points[self.triangles], filled[self.triangles])

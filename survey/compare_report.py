@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
 from pyproj import CRS
 
+from survey.compare_bands import draw_bands, has_bands
 from survey.compare_canvas import (
     INK,
     canvas,
@@ -31,7 +32,9 @@ _POINTS_PER_CELL, _SAMPLES_PER_CELL = 3.0, 6.0
 
 
 def write_report(comparison: Comparison, folder: Path) -> list[Path]:
-    """Write histogram.png, map.png and completeness.png into a folder that exists; returns their paths.
+    """Write histogram.png, map.png, completeness.png and, where parts are known, bands.png into a folder that exists.
+
+    Returns their paths.
 
     Raises
     ------
@@ -52,6 +55,9 @@ def write_report(comparison: Comparison, folder: Path) -> list[Path]:
         subtitle=f"{100.0 * share:.2f} % of {'the visible points' if is_visible else 'the reference'} "
         f"closer than {numbers['tolerance_m']:g} m",
     )
+    if has_bands(numbers):
+        paths.append(folder / "bands.png")
+        draw_bands(numbers, paths[-1])
     return paths
 
 

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from geo import write_cloud
 from survey import stages
 from survey.compare import CompareOptions, compare_surfaces
 from survey.config import dump_config
 from survey.errors import SurveyError
+from survey.export import write_bed_las
 from survey.folder import Survey, load_survey
 from survey.plan import Plan, make_plan
 from survey.progress import Progress, current
@@ -106,7 +106,7 @@ class _Run:
             *(view.path for view in self.survey.views), self.survey.views, self.survey.water, self.survey.bounds,
             self.plan.image_scale, self.plan.quality, self.plan.device,
         )  # fmt: skip
-        sweep_folder = self._stage("sweep", key, self._sweep)
+        sweep_key, sweep_folder = key, self._stage("sweep", key, self._sweep)
         field_folder = None
         if self.plan.is_on("field"):
             key = stage_key(key, "field", self.survey.frame)
@@ -115,8 +115,13 @@ class _Run:
         bed_folder = self._stage("bed", key, lambda f: self._bed(f, sweep_folder, field_folder))
         stored = load_bed(bed_folder)
         self._write_cloud(stored)
-        comparison = self._compare(reference, visible)
-        return self._report(stored, load_depth_maps(sweep_folder / "maps.npz"), comparison)
+        comparison = self._compare(self.run.cloud_path, reference, visible)
+        without_field = None
+        if reference is not None and field_folder is not None:
+            key = stage_key(sweep_key, "bed_of_sweep", self.survey.frame)
+            folder = self._stage("bed_of_sweep", key, lambda f: self._bed_of_sweep(f, sweep_folder))
+            without_field = self._compare(folder / "cloud.las", reference, visible)
+        return self._report(stored, load_depth_maps(sweep_folder / "maps.npz"), comparison, without_field)
 
     @property
     def block(self):
@@ -167,24 +172,25 @@ class _Run:
         points_crs = self.survey.frame.crs_from_local(bed.xyz)
         save_bed(folder, StoredBed(bed, points_crs, self.survey.frame.crs, self.survey.name, self.plan.gsd_m))
 
-    def _write_cloud(self, stored: StoredBed) -> None:
-        bed = stored.bed
-        write_cloud(
-            self.run.cloud_path, stored.points_crs, stored.crs, rgb=bed.rgb, depth_m=bed.depth, std_m=bed.std,
-            num_views=bed.num_views, incidence_deg=np.degrees(bed.incidence), is_wet=bed.wet,
-        )  # fmt: skip
-        self.progress.note(f"{len(bed):,} points in {self.run.cloud_path}")
+    def _bed_of_sweep(self, folder: Path, sweep_folder: Path) -> None:
+        """What the cloud would be without the field: a baseline for the report."""
+        self._bed(folder, sweep_folder, None)
+        write_bed_las(folder / "cloud.las", load_bed(folder))
 
-    def _compare(self, reference: Path | None, visible: Path | None):
+    def _write_cloud(self, stored: StoredBed) -> None:
+        write_bed_las(self.run.cloud_path, stored)
+        self.progress.note(f"{len(stored.bed):,} points in {self.run.cloud_path}")
+
+    def _compare(self, cloud: Path, reference: Path | None, visible: Path | None):
         if reference is None:
             return None
         start = time.monotonic()
         options = CompareOptions(visible=visible, bounds=self.survey.bounds)
-        comparison = compare_surfaces(self.run.cloud_path, reference, options)
-        self.timings["comparison"] = time.monotonic() - start
+        comparison = compare_surfaces(cloud, reference, options)
+        self.timings["comparison"] = self.timings.get("comparison", 0.0) + time.monotonic() - start
         return comparison
 
-    def _report(self, stored: StoredBed, maps, comparison) -> int:
+    def _report(self, stored: StoredBed, maps, comparison, without_field) -> int:
         share = stages.share_of_wet_pixels(maps, self.survey)
         settings = {**asdict(self.survey.config), "quality": self.plan.quality, "device": self.plan.device}
         facts = ReportFacts(
@@ -197,6 +203,7 @@ class _Run:
             depth_maps=maps,
             wet_pixel_share=share,
             comparison=comparison,
+            sweep_comparison=without_field,
         )
         with self.progress.stage("Report"):
             write_report(self.run, facts)

@@ -200,10 +200,10 @@ def test_json_is_written_whole_with_all_promised_keys(tmp_path, cloud, plane):
     assert [p.name for p in path.parent.iterdir()] == ["numbers.json"]
 
 
-def test_the_report_has_three_pictures(tmp_path, cloud, plane):
+def test_the_report_has_four_pictures(tmp_path, cloud, plane):
     folder = tmp_path / "report"
     compare_files(cloud, plane, options=CompareOptions(report_dir=folder))
-    assert sorted(p.name for p in folder.iterdir()) == ["completeness.png", "histogram.png", "map.png"]
+    assert sorted(p.stem for p in folder.iterdir()) == ["bands", "completeness", "histogram", "map"]
     for path in folder.iterdir():
         with Image.open(path) as image:
             assert min(image.size) > 400

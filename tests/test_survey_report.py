@@ -189,7 +189,8 @@ def test_report_html_shows_the_figures_of_report_json(report):
 
 def test_all_pictures_are_drawn_and_are_whole(report):
     paths = sorted(report.run.pictures_path.iterdir())
-    names = "completeness depth error error_depth error_histogram histograms orthophoto plan std view views"
+    errors = "error error_bands error_depth error_histogram"
+    names = f"completeness depth {errors} histograms orthophoto plan profile std view views"
     assert [path.name for path in paths] == [f"{name}.png" for name in names.split()]
     assert report.num_steps == len(paths) == NUM_STEPS
     for path in paths:
@@ -346,3 +347,19 @@ def test_a_sweep_without_its_field_has_a_row_of_its_own(survey, report):
     assert [row["name"] for row in rows[3:]] == ["refractive sweep only", "full chain: sweep and field"]
     assert rows[3]["median_m"] == 0.2
     assert figures_of(replace(report.facts, comparison=None))["baselines"] is None
+
+
+# --- profile ------------------------------------------------------------------------------------------------
+
+
+def test_a_profile_runs_along_the_longer_side_and_its_medians_skip_gaps(rng):
+    from survey.report.profile import _line, _medians
+
+    local = np.column_stack([rng.uniform(0.0, 2.0, 5000), rng.uniform(0.0, 30.0, 5000), np.zeros(5000)])
+    along, across, ends = _line(local)
+    np.testing.assert_allclose(ends[1, :2] - ends[0, :2], [0.0, 30.0], atol=0.2)
+    np.testing.assert_allclose(along, local[:, 1] - local[:, 1].min(), atol=0.05)
+    assert np.abs(across).max() < 1.1
+    x, y = _medians(np.array([0.1, 0.2, 0.3, 2.4, np.nan]), np.array([5.0, 7.0, 6.0, 1.0, np.nan]), 1.0)
+    np.testing.assert_array_equal(x, [0.5, np.nan, 2.5])
+    np.testing.assert_array_equal(y, [6.0, np.nan, 1.0])

@@ -13,7 +13,7 @@ from survey.rundir import RunDir
 __all__ = ["NUM_STEPS", "ReportFacts", "write_report"]
 
 # How often `write_report` calls back, at most: once for each picture.
-NUM_STEPS = 11
+NUM_STEPS = 13
 
 
 def write_report(run: RunDir, facts: ReportFacts, advance: Callable[[], None] = lambda: None) -> dict:

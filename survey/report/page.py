@@ -47,7 +47,7 @@ pre { font: 0.8rem/1.45 ui-monospace, Consolas, "DejaVu Sans Mono", monospace; b
   .cards div, .notes, pre { -webkit-print-color-adjust: exact; print-color-adjust: exact; } }
 """
 # These show several things side by side and take the whole width.
-_WIDE = ("view", "histograms")
+_WIDE = ("view", "histograms", "profile", "error_bands")
 
 
 def render_page(figures: dict, pictures: list[Picture]) -> str:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from survey import compare_report
-from survey.report import flight, graphs, maps
+from survey import compare_bands, compare_report
+from survey.report import flight, graphs, maps, profile
 from survey.report.facts import ReportFacts, distances_of
 from survey.report.raster import PlanGrid
 from survey.report.shading import Picture
@@ -48,6 +48,8 @@ def draw_pictures(folder: Path, facts: ReportFacts, advance: Callable[[], None] 
         drawings["orthophoto"] = partial(maps.draw_orthophoto, facts=facts, grid=fine_grid)
     if facts.comparison is not None:
         drawings |= _of_comparison(facts)
+    if len(facts.bed) > 1:
+        drawings["profile"] = partial(profile.draw_profile, facts=facts)
     if facts.depth_maps:
         drawings["view"] = partial(maps.draw_view, facts=facts)
     if len(facts.bed):
@@ -85,8 +87,15 @@ def _of_comparison(facts: ReportFacts) -> dict[str, Callable[[Path], Picture]]:
         words = f"Red: no point of the cloud within {tolerance_m:g} m."
         return Picture(path, "What the cloud does not reach", words)
 
+    def bands(path: Path) -> Picture:
+        compare_bands.draw_bands(comparison.numbers, path)
+        words = "Mean and spread of the distances in each band, with the number of its points above it."
+        return Picture(path, "Bias and spread by depth, incidence and number of views", words)
+
     drawings = {"error": error_map, "error_histogram": histogram, "completeness": completeness}
     distances = distances_of(facts)
     if distances is not None and np.isfinite(distances).any():
         drawings["error_depth"] = partial(graphs.draw_error_over_depth, facts=facts, distances=distances)
+    if compare_bands.has_bands(comparison.numbers):
+        drawings["error_bands"] = bands
     return drawings

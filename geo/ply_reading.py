@@ -201,7 +201,7 @@ def _shape(tables: dict[str, dict]) -> Mesh | Cloud:
     face = tables.get("face", {})
     corners = face.get("vertex_indices", face.get("vertex_index"))
     if isinstance(corners, _Lists) and len(corners.counts):
-        return Mesh(points, triangulated(corners.counts, corners.values))
+        return Mesh(points, triangulated(corners.counts, corners.values), rgb=_rgb(vertex))
     return Cloud(points, rgb=_rgb(vertex), extra=_scalars(vertex))
 
 

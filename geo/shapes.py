@@ -46,11 +46,14 @@ class Mesh:
         Vertex numbers in the winding of the file; polygons are cut into fans.
     crs : pyproj.CRS or None
         None: neither PLY nor OBJ says.
+    rgb : (V, 3) uint8 or None
+        Of the vertices.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     crs: CRS | None = None
+    rgb: np.ndarray | None = None
 
 
 def triangulated(counts: np.ndarray, corners: np.ndarray) -> np.ndarray:

@@ -9,20 +9,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from refract import PinholeCamera
-from survey.drawn.paint import CELL_M, ROCK, TEXEL_M, albedo_of_bed, light_of_bed, noise, periodic
+from survey.drawn.paint import CELL_M, ROCK, TEXEL_M, in_texels, light_of_bed, noise, periodic, sand
 from survey.drawn.scene import DrawnScene
+from survey.simulate.extent import seen_area
 from survey.simulate.ground import Ground, Look, shade_beside_bed, shade_of_map
 from survey.simulate.light import Light
 from survey.simulate.shapes import BedGrid, Solid, rotation
-from survey.simulate.skin import ImageSkin
+from survey.simulate.skin import ImageSkin, skin_from_above
 
 # A body, its colour, and the direction of its grain.
 Body = tuple[Solid, tuple[float, float, float], np.ndarray | None]
-# One matrix for all faces.
-_ONE_MAP = np.zeros(1, dtype=np.int64)
-
-# Ground that is drawn beyond what the outermost pixels see of a bed at its greatest depth [m].
-_MARGIN_M = 0.5
 
 _WOOD, _CLAY = (0.42, 0.29, 0.18), (0.60, 0.33, 0.20)
 
@@ -30,7 +26,7 @@ _WOOD, _CLAY = (0.42, 0.29, 0.18), (0.60, 0.33, 0.20)
 def build_ground(scene: DrawnScene, cameras: Sequence[PinholeCamera], light: Light) -> Ground:
     """The ground of a scene, as wide as cameras see."""
     rng = np.random.default_rng([scene.seed, 2])
-    west, south, east, north = _seen(scene, cameras)
+    west, south, east, north = seen_area(cameras, scene.size_m, -1.5 * scene.depth_m)
     shape = (math.ceil((north - south) / CELL_M) + 1, math.ceil((east - west) / CELL_M) + 1)
     x = west + CELL_M * np.arange(shape[1])
     y = (south + CELL_M * np.arange(shape[0]))[:, None]
@@ -39,9 +35,9 @@ def build_ground(scene: DrawnScene, cameras: Sequence[PinholeCamera], light: Lig
     bed = BedGrid(heights, west, south, CELL_M)
     bodies = _bodies(scene, bed, rng) if scene.objects else ()
     solids = tuple(solid for solid, _, _ in bodies)
-    albedo = albedo_of_bed(bed, stones, rng)
-    texel_from_point = np.array([[[1.0, 0.0, 0.0, -west], [0.0, 1.0, 0.0, -south]]]) / TEXEL_M
-    looks = [Look(ImageSkin(albedo, texel_from_point, _ONE_MAP), shade_of_map(bed, light_of_bed(bed, solids, light)))]
+    stone = in_texels(stones)
+    skin = skin_from_above(sand(stone.shape, TEXEL_M, rng, stone), west, south, TEXEL_M)
+    looks = [Look(skin, shade_of_map(bed, light_of_bed(bed, solids, light)))]
     tile = np.exp(sum(0.15 * periodic(rng, size) for size in (2, 4, 8, 32))).astype(np.float32)
     looks += [Look(_skin(solid, tile, *paint), shade_beside_bed(solid, bed, light)) for solid, *paint in bodies]
     return Ground(bed, solids, tuple(looks))
@@ -57,18 +53,6 @@ def _skin(solid: Solid, tile: np.ndarray, colour: tuple[float, float, float], gr
     shift = np.arange(len(axes))[:, None] * (7.0, 31.0) - axes @ solid.centre
     image = tile[..., None] * np.array(colour, dtype=np.float32)
     return ImageSkin(image, np.concatenate([axes, shift[..., None]], axis=-1), np.arange(len(axes)), repeats=True)
-
-
-def _seen(scene: DrawnScene, cameras: Sequence[PinholeCamera]) -> tuple[float, float, float, float]:
-    """West, south, east and north of what the cameras see of a plane below all of the bed [m]."""
-    corners = [(0.5 * np.array(scene.size_m)), (-0.5 * np.array(scene.size_m))]
-    for camera in cameras:
-        u, v = np.meshgrid([0.0, camera.width], [0.0, camera.height])
-        rays = camera.directions(np.stack([u.ravel(), v.ravel()], axis=-1))
-        t = (camera.centre[2] + 1.5 * scene.depth_m) / -rays[:, 2]
-        corners.extend((camera.centre + t[:, None] * rays)[:, :2])
-    low, high = np.min(corners, axis=0) - _MARGIN_M, np.max(corners, axis=0) + _MARGIN_M
-    return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
 def _heights(scene: DrawnScene, x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -26,27 +26,27 @@ _SAND, _GRAVEL, _WEED = (0.66, 0.57, 0.42), (0.40, 0.38, 0.34), (0.20, 0.25, 0.1
 _SPECKLES = ((0.01, 0.16), (0.02, 0.16), (0.04, 0.14), (0.08, 0.11), (0.16, 0.09), (0.4, 0.07))
 
 
-def albedo_of_bed(bed: BedGrid, stones: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Linear albedo of the bed (rows, columns, 3) float32 at `TEXEL_M`: sand, gravel, weed and stones."""
-    ny, nx = bed.heights.shape
-    shape = (math.ceil((ny - 1) * CELL_M / TEXEL_M) + 1, math.ceil((nx - 1) * CELL_M / TEXEL_M) + 1)
+def sand(
+    shape: tuple[int, int], texel_m: float, rng: np.random.Generator, stone: np.ndarray | None = None
+) -> np.ndarray:
+    """Linear albedo (rows, columns, 3) float32 of sand, gravel and weed.
+
+    Parameters
+    ----------
+    texel_m : [m]
+        Between texels; grains finer than this are left out.
+    stone : (rows, columns), optional
+        Brightness of stones that lie there, 0 where there is none.
+    """
 
     def speckle(spacing_m: float) -> np.ndarray:
-        return noise(rng, shape, spacing_m / TEXEL_M)
+        return noise(rng, shape, max(spacing_m / texel_m, 1.0))
 
-    def finer(coarse: np.ndarray) -> np.ndarray:
-        scale = TEXEL_M / CELL_M
-        to_coarse = np.array([[scale, 0.0, 0.0], [0.0, scale, 0.0]])
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        return cv2.warpAffine(
-            coarse.astype(np.float32), to_coarse, shape[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE
-        )
-
-    bright = sum(weight * speckle(spacing) for spacing, weight in _SPECKLES)
+    bright = sum(weight * speckle(spacing) for spacing, weight in _SPECKLES if spacing >= texel_m)
     patches = speckle(0.9) + 0.5 * speckle(0.25)
     gravel = _soft_step(speckle(1.4) + 0.4 * speckle(0.06), 0.4)
     weed = 0.85 * _soft_step(patches + 0.35 * speckle(0.04), 0.9)
-    stone = finer(stones)
+    stone = np.zeros(shape, dtype=np.float32) if stone is None else stone
     colour = np.empty((*shape, 3), dtype=np.float32)
     paint = np.exp(bright)
     on_stone = np.minimum(stone, 1.0)
@@ -56,6 +56,17 @@ def albedo_of_bed(bed: BedGrid, stones: np.ndarray, rng: np.random.Generator) ->
         ground += on_stone * (stone * ROCK[k] - ground)
         colour[..., k] = paint * ground
     return colour
+
+
+def in_texels(values: np.ndarray) -> np.ndarray:
+    """Values (ny, nx) at the vertices of a drawn bed, between them at `TEXEL_M`: (rows, columns) float32."""
+    shape = tuple(math.ceil((count - 1) * CELL_M / TEXEL_M) + 1 for count in values.shape)
+    scale = TEXEL_M / CELL_M
+    to_cells = np.array([[scale, 0.0, 0.0], [0.0, scale, 0.0]])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return cv2.warpAffine(
+        values.astype(np.float32), to_cells, shape[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE
+    )
 
 
 def light_of_bed(bed: BedGrid, solids: Sequence[Solid], light: Light) -> np.ndarray:

@@ -107,6 +107,8 @@ def shade_beside_bed(solid: Solid | TriangleMesh, bed: BedGrid | TriangleMesh, l
 
     def shade(points: np.ndarray, face: np.ndarray) -> np.ndarray:
         over_bed = (points[:, 2] - bed.height(points[:, 0], points[:, 1])) / (0.6 * solid.radius)
+        # Beside a bed of limited extent there is no corner.
+        over_bed = np.nan_to_num(over_bed, nan=1.0)
         return lit[face] * (0.6 + 0.4 * np.clip(over_bed, 0.0, 1.0))
 
     return shade

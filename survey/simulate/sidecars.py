@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from pyproj import Transformer
 
 from geo import write_whole
 from geo.crs import horizontal_crs
+from geo.frames import LocalFrame
+from refract import PinholeCamera
 from survey.cameras import CAM_FROM_OPK_CAM, MODELS
 from survey.simulate.scene import Scene
 
@@ -56,12 +59,12 @@ def survey_toml(scene: Scene) -> str:
     return "\n".join(lines)
 
 
-def cameras_csv(scene: Scene) -> str:
+def cameras_csv(names: Sequence[str], cameras: Sequence[PinholeCamera], frame: LocalFrame) -> str:
     """Poses in crs; omega, phi, kappa turn the grid axes: grid_from_camera = Rx(omega) Ry(phi) Rz(kappa)."""
-    centres = scene.frame.crs_from_local([camera.centre for camera in scene.cameras])
-    local_from_grid = scene.frame.local_from_grid(centres)
+    centres = frame.crs_from_local([camera.centre for camera in cameras])
+    local_from_grid = frame.local_from_grid(centres)
     lines = ["image,easting,northing,height,omega,phi,kappa"]
-    for name, camera, centre, axes in zip(scene.names, scene.cameras, centres, local_from_grid, strict=True):
+    for name, camera, centre, axes in zip(names, cameras, centres, local_from_grid, strict=True):
         r = axes.T @ camera.cam_from_local.T @ CAM_FROM_OPK_CAM
         angles = (math.atan2(-r[1, 2], r[2, 2]), math.asin(r[0, 2]), math.atan2(-r[0, 1], r[0, 0]))
         numbers = [f"{v:.6f}" for v in centre] + [f"{math.degrees(v):.9f}" for v in angles]

@@ -26,7 +26,7 @@ class ImageSkin:
     texel_from_point : (K, 2, 4)
         Texel (u, v) = matrix @ (x, y, z, 1) [m], local.
     map_of_face : (F,)
-        Which of the K matrices holds on each face.
+        Which of the K matrices holds on each face; not read where there is only one.
     repeats : bool
         Whether the image goes on at its border from the other side, or its border does.
     sharp : bool
@@ -84,6 +84,12 @@ class VertexSkin:
         at_c = np.einsum("ij,ij->i", np.cross(b - a, points - a), normal) / area
         weights = np.stack([1.0 - at_b - at_c, at_b, at_c], axis=-1)
         return np.einsum("nk,nkc->nc", np.clip(weights, 0.0, 1.0), self.colours[self.faces[face]])
+
+
+def skin_from_above(image: np.ndarray, west: float, south: float, texel_m: float, *, sharp: bool = False) -> ImageSkin:
+    """An image (rows, columns, 3) laid over a body from above: its first texel at west, south [m], rows going north."""
+    texel_from_point = np.array([[[1.0, 0.0, 0.0, -west], [0.0, 1.0, 0.0, -south]]]) / texel_m
+    return ImageSkin(image, texel_from_point, np.zeros(1, dtype=np.int64), sharp=sharp)
 
 
 def look_up(image: np.ndarray, at: np.ndarray, border: int = cv2.BORDER_REPLICATE) -> np.ndarray:

@@ -76,10 +76,9 @@ class TriangleMesh:
         return np.where((t > 0.0) & (t <= t_end), t, np.inf)
 
     def height(self, x, y) -> np.ndarray:
-        """Height (...) [m] of the topmost triangle at x, y (...) [m]; that of the lowest vertex beside the mesh."""
+        """Height (...) [m] of the topmost triangle at x, y (...) [m]; NaN beside the mesh."""
         x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
         above = self.top + 1.0
         origin = np.stack([x.ravel(), y.ravel(), np.full(x.size, above)], axis=-1)
         t, _ = self.hit(origin, np.tile([0.0, 0.0, -1.0], (x.size, 1)), np.full(x.size, np.inf))
-        low = self.vertices[:, 2].min()
-        return np.where(np.isfinite(t), above - t, low).reshape(x.shape)
+        return np.where(np.isfinite(t), above - t, np.nan).reshape(x.shape)

@@ -116,7 +116,7 @@ def _write(folder: Path, scene: Scene, progress: Progress) -> None:
     for name in ("images", "truth/depth", "truth/wet"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     (folder / "survey.toml").write_text(survey_toml(scene), encoding="utf-8")
-    (folder / "cameras.csv").write_text(cameras_csv(scene), encoding="utf-8")
+    (folder / "cameras.csv").write_text(cameras_csv(scene.names, scene.cameras, scene.frame), encoding="utf-8")
     # Positions first: PROJ's transformations are not for several threads.
     exifs = exif_of_views(scene)
 

@@ -1,0 +1,54 @@
+"""Bodies from files, scaled, turned, heeled and set on the bed."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from geo import Mesh, read_reference
+from survey.errors import SurveyError
+from survey.simulate.ground import Look, shade_beside_bed
+from survey.simulate.light import Light
+from survey.simulate.scene_file import ObjectSettings
+from survey.simulate.shapes import rotation
+from survey.simulate.skin import VertexSkin
+from survey.simulate.texture import vertex_skin
+from survey.simulate.triangles import TriangleMesh
+
+# From a file in which y points up to one in which z does.
+_Z_UP_FROM_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
+def place_object(settings: ObjectSettings, folder: Path, bed, light: Light) -> tuple[TriangleMesh, Look]:
+    """A body with its look, standing on the bed.
+
+    The axes of the file are those of a ship: x ahead, z up; heel turns about x, then pitch about y, yaw about z. The
+    middle of its extent comes to `at`, its lowest point ``above_bed_m`` over the bed there.
+
+    Raises
+    ------
+    SurveyError, GeoError
+        If the file has no faces or cannot be read.
+    """
+    path = folder / settings.file
+    mesh = read_reference(path)
+    if not isinstance(mesh, Mesh):
+        raise SurveyError(f"{path} has no faces; an object needs a mesh")
+    points = mesh.vertices - mesh.vertices.mean(axis=0)
+    if settings.up == "y":
+        points = points @ _Z_UP_FROM_Y_UP.T
+    yaw, pitch, heel = (math.radians(a) for a in (settings.yaw_deg, settings.pitch_deg, settings.heel_deg))
+    points = settings.scale * points @ rotation(yaw, pitch, heel).T
+    low, high = points.min(axis=0), points.max(axis=0)
+    x, y = settings.at
+    z = float(bed.height(x, y)) + settings.above_bed_m
+    if not np.isfinite(z):
+        raise SurveyError(f"{path} is placed at {x:g}, {y:g} m, beside the bed; correct at, in metres from the origin")
+    shape = TriangleMesh(points - [*(0.5 * (low + high)[:2]), low[2]] + (x, y, z), mesh.faces)
+    if mesh.rgb is not None:
+        skin = vertex_skin(shape, mesh.rgb)
+    else:
+        skin = VertexSkin(np.tile(settings.colour, (len(points), 1)), shape.vertices, shape.faces)
+    return shape, Look(skin, shade_beside_bed(shape, bed, light))

@@ -1,0 +1,240 @@
+"""The scene file: what is simulated, in TOML, every key checked (docs/simulation.md lists them)."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from survey.errors import ConfigError
+from survey.flight.settings import FlightSettings
+from survey.simulate.keys import table
+
+BEDS = ("drawn", "plane", "mesh", "cloud", "raster")
+TEXTURES = ("sand", "checker", "image", "vertex")
+MODES = ("direct", "physical")
+
+
+@dataclass(frozen=True)
+class BedSettings:
+    """[bed]: the shape of the ground."""
+
+    kind: str = "drawn"
+    file: str | None = None
+    frame: str = "crs"  # of the file: "crs", or "local" [m] about the origin
+    depth_m: float = 2.5  # drawn, plane: mean depth below the origin
+    shore: bool = False  # drawn: a bank that rises out of the water in the north
+    bodies: bool = False  # drawn: a boat, an amphora, rocks
+    spacing_m: float | None = None  # cloud: thinned to one point per cell of this size first
+    smoothing: int = 0  # cloud: passes of Laplacian smoothing
+
+    def __post_init__(self):
+        require_one_of("bed.kind", self.kind, BEDS)
+        require_one_of("bed.frame", self.frame, ("crs", "local"))
+        from_file = self.kind in ("mesh", "cloud", "raster")
+        if from_file != (self.file is not None):
+            mend = f'give file = "..." for kind = "{self.kind}"' if from_file else 'remove file, or give kind = "mesh"'
+            raise ConfigError(f"bed.kind {self.kind} does not go with bed.file {self.file}; {mend}")
+        require_positive("bed", depth_m=self.depth_m, spacing_m=self.spacing_m)
+
+
+@dataclass(frozen=True)
+class TextureSettings:
+    """[texture]: the paint of the bed."""
+
+    kind: str = "sand"
+    file: str | None = None  # image: laid over the bed from above
+    texel_m: float = 0.01  # sand: resolution; image: size of its pixels on the ground
+    square_m: float = 0.5  # checker: side of a square
+
+    def __post_init__(self):
+        require_one_of("texture.kind", self.kind, TEXTURES)
+        require_positive("texture", texel_m=self.texel_m, square_m=self.square_m)
+        if (self.kind == "image") != (self.file is not None):
+            raise ConfigError(
+                f'texture.kind {self.kind} does not go with texture.file {self.file}; kind = "image" needs a file'
+            )
+
+
+@dataclass(frozen=True)
+class ObjectSettings:
+    """[[objects]]: a body from a file, placed on the bed."""
+
+    file: str
+    at: tuple[float, float]  # [m] east and north of the origin
+    above_bed_m: float = 0.0  # its lowest point
+    scale: float = 1.0
+    yaw_deg: float = 0.0  # against the clock, seen from above
+    pitch_deg: float = 0.0
+    heel_deg: float = 0.0
+    up: str = "z"  # the axis of the file that points up
+    colour: tuple[float, float, float] = (0.42, 0.29, 0.18)  # linear albedo, where the file has none
+
+    def __post_init__(self):
+        require_one_of("objects.up", self.up, ("y", "z"))
+        require_positive("objects", scale=self.scale)
+
+
+@dataclass(frozen=True)
+class WaveSettings:
+    """[[water.waves]]: one train of sinusoidal waves."""
+
+    amplitude_m: float
+    length_m: float
+    toward_deg: float = 0.0  # clockwise from north
+    phase_deg: float = 0.0  # at the origin
+
+    def __post_init__(self):
+        require_positive("water.waves", amplitude_m=self.amplitude_m, length_m=self.length_m)
+
+
+@dataclass(frozen=True)
+class WaterSettings:
+    """[water]: absent for a dry scene."""
+
+    level_m: float | None = None  # height in crs at the origin; default: the height of the origin
+    slope_east: float = 0.0
+    slope_north: float = 0.0
+    refractive_index: float = 1.333
+    absorption: tuple[float, float, float] = (0.17, 0.042, 0.055)  # [1/m], red, green, blue
+    scattering: float = 0.2  # [1/m]
+    asymmetry: float = 0.92  # mean cosine of scattering
+    waves: tuple[WaveSettings, ...] = ()
+    heights: str | None = None  # raster of heights of the surface, in crs
+
+    def __post_init__(self):
+        if not 1.0 <= self.refractive_index <= 1.6:
+            raise ConfigError(f"water.refractive_index is {self.refractive_index:g}, expected 1.0 to 1.6; fresh: 1.333")
+        if min(*self.absorption, self.scattering) < 0.0:
+            raise ConfigError("water.absorption and water.scattering are expected at zero or above [1/m]")
+        if not 0.0 < self.asymmetry < 1.0:
+            raise ConfigError(f"water.asymmetry is {self.asymmetry:g}, expected above 0 (all ways alike) and below 1")
+        if self.waves and self.heights is not None:
+            raise ConfigError("water.waves and water.heights contradict each other; keep one")
+
+
+@dataclass(frozen=True)
+class LightSettings:
+    """[light]: sky and sun."""
+
+    sky: str = "clear"
+    sun_share: float = 0.4  # of the light on level ground
+    sun_elevation_deg: float = 57.0
+    sun_azimuth_deg: float = 56.0  # clockwise from north
+    sun_diameter_deg: float = 0.53
+
+    def __post_init__(self):
+        require_one_of("light.sky", self.sky, ("clear", "overcast"))
+        if not 0.0 <= self.sun_share < 1.0:
+            raise ConfigError(f"light.sun_share is {self.sun_share:g}, expected 0 (no sun) to below 1")
+        if not 5.0 <= self.sun_elevation_deg <= 90.0:
+            raise ConfigError(f"light.sun_elevation_deg is {self.sun_elevation_deg:g}, expected 5 to 90")
+        require_positive("light", sun_diameter_deg=self.sun_diameter_deg)
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """[camera]: the lens, in COLMAP's models."""
+
+    size_px: tuple[int, int]
+    focal_px: float | None = None
+    focal_mm: float | None = None  # with sensor_mm instead of focal_px
+    sensor_mm: float | None = None  # width of the sensor
+    principal_point_px: tuple[float, float] | None = None
+    model: str = "PINHOLE"
+    distortion: tuple[float, ...] = ()
+
+    def __post_init__(self):
+        by_mm = self.focal_mm is not None and self.sensor_mm is not None
+        if (self.focal_px is None) != by_mm:
+            raise ConfigError("camera: give focal_px, or focal_mm and sensor_mm, and not both")
+        require_positive("camera", focal_px=self.focal_px, focal_mm=self.focal_mm, sensor_mm=self.sensor_mm)
+        if min(self.size_px) < 16:
+            raise ConfigError(f"camera.size_px is {list(self.size_px)}, expected at least 16 pixels a side")
+
+
+@dataclass(frozen=True)
+class SensorSettings:
+    """[sensor]: what is not ideal in it."""
+
+    noise: float = 1.0  # [grey levels]
+    photons_at_white: float = 0.0  # 0: no noise of counting
+    exposure: float = 1.0
+    exposure_drift: float = 0.0  # step of the logarithm from image to image
+    blur_m: float = 0.0  # flown while the shutter is open
+
+
+@dataclass(frozen=True)
+class RenderSettings:
+    """[render]: how light is followed."""
+
+    mode: str = "physical"
+    samples: int = 64  # rays per pixel
+    max_bounces: int = 12
+
+    def __post_init__(self):
+        require_one_of("render.mode", self.mode, MODES)
+        require_positive("render", samples=self.samples, max_bounces=self.max_bounces)
+
+
+@dataclass(frozen=True)
+class AreaSettings:
+    """[area]: what is evaluated and flown over."""
+
+    size_m: tuple[float, float]  # east and north, about the origin
+
+    def __post_init__(self):
+        require_positive("area", size_m=min(self.size_m))
+
+
+@dataclass(frozen=True)
+class SceneSettings:
+    """All of a scene file."""
+
+    crs: str
+    origin: tuple[float, float, float]  # easting, northing, height: of the local frame
+    area: AreaSettings
+    camera: CameraSettings
+    flight: FlightSettings
+    name: str = "simulated"
+    seed: int = 1
+    bed: BedSettings = field(default_factory=BedSettings)
+    texture: TextureSettings = field(default_factory=TextureSettings)
+    objects: tuple[ObjectSettings, ...] = ()
+    water: WaterSettings | None = None
+    light: LightSettings = field(default_factory=LightSettings)
+    sensor: SensorSettings = field(default_factory=SensorSettings)
+    render: RenderSettings = field(default_factory=RenderSettings)
+
+
+def read_scene(path: Path) -> SceneSettings:
+    """Read and check a scene file.
+
+    Raises
+    ------
+    ConfigError
+        Where the file is no TOML, or a key is unknown, missing, of the wrong kind or at odds with another.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        return table(SceneSettings, "", tomllib.loads(text))
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: not valid TOML: {error}; correct that line") from error
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
+def require_one_of(key: str, value: str, known: Collection[str]) -> None:
+    """Raise ConfigError unless a word is known."""
+    if value not in known:
+        raise ConfigError(f'{key} is "{value}", expected one of {", ".join(known)}')
+
+
+def require_positive(where: str, **values: float | None) -> None:
+    """Raise ConfigError unless all numbers that are given are above zero."""
+    for name, value in values.items():
+        if value is not None and not value > 0.0:
+            raise ConfigError(f"{where}.{name} is {value:g}, expected a number above zero")

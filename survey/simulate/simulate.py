@@ -1,0 +1,81 @@
+"""The verb simulate: a scene file becomes a survey folder, or the plan of its flight."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+from geo import write_whole
+from survey.flight.coverage import Coverage, coverage
+from survey.flight.picture import picture
+from survey.progress import current
+from survey.simulate.scene_file import SceneSettings, read_scene
+from survey.simulate.sidecars import cameras_csv
+from survey.simulate.staging import Plan, marks_of, plan_scene, stage_scene
+from survey.simulate.writing import write_survey
+
+
+def simulate(path: Path, output: Path, *, mode: str | None = None, preview: bool = False, again: bool = False) -> None:
+    """Photograph the scene of a file into a survey folder.
+
+    Parameters
+    ----------
+    path : Path
+        Scene file; names of files in it are relative to its folder.
+    output : Path
+        See `survey.simulate.writing.write_survey`.
+    mode : "direct" or "physical", optional
+        Instead of that of the scene file.
+    preview : bool
+        One ray per pixel, without care for noise.
+    again : bool
+        Begin anew even if the same survey, or a part of it, lies there.
+
+    Raises
+    ------
+    SurveyError, GeoError
+        If the scene cannot be simulated, or the folder holds something else.
+    """
+    settings = _changed(read_scene(path), mode, preview)
+    plan = plan_scene(settings, path.parent)
+    _say_of(plan, coverage(plan.cameras, plan.site))
+    marks = marks_of(settings, path.parent)
+    write_survey(output, marks, lambda: stage_scene(plan), again=again, progress=current())
+
+
+def simulate_flight(path: Path, output: Path) -> None:
+    """Write the flight of a scene file: cameras.csv, and flight.png with what it sees of the bed."""
+    plan = plan_scene(read_scene(path), path.parent)
+    cover = coverage(plan.cameras, plan.site)
+    _say_of(plan, cover)
+    output.mkdir(parents=True, exist_ok=True)
+    names = [f"{k:04d}.jpg" for k in range(len(plan.cameras))]
+    with write_whole(output / "cameras.csv") as stream:
+        stream.write(cameras_csv(names, plan.cameras, plan.frame).encode("utf-8"))
+    with write_whole(output / "flight.png") as stream:
+        stream.write(picture(plan.cameras, cover, plan.site))
+
+
+def _changed(settings: SceneSettings, mode: str | None, preview: bool) -> SceneSettings:
+    render = settings.render
+    if mode is not None:
+        render = dataclasses.replace(render, mode=mode)
+    if preview:
+        render = dataclasses.replace(render, samples=1)
+    return dataclasses.replace(settings, render=render)
+
+
+def _say_of(plan: Plan, cover: Coverage) -> None:
+    """Say what a flight amounts to, and what to mend."""
+    heights = [float(camera.centre[2]) - plan.site.level for camera in plan.cameras]
+    height, focal = sum(heights) / len(heights), plan.lens.focal[0]
+    gsd_cm = 100.0 * (height + plan.site.seeming_depth) / focal
+    progress = current()
+    progress.note(
+        f"{len(plan.cameras)} photographs from {height:.1f} m, {gsd_cm:.1f} cm per pixel on the bed, which "
+        f"{cover.num_views.min()} to {cover.num_views.max()} of them see"
+    )
+    if cover.level_hidden_m is not None:
+        progress.note(f"systematic errors of 0.1 px hide a water level {min(cover.level_hidden_m, 99.0):.2f} m off")
+    for warning in cover.warnings:
+        progress.warn(warning)

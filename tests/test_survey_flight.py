@@ -1,0 +1,191 @@
+"""Flights: overlaps and ground sampling are those asked for, through the water; blocks that tell no level are named."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+
+import numpy as np
+import pytest
+
+from refract import FlatWater
+from survey.cameras import Lens
+from survey.errors import SurveyError
+from survey.flight import FlightSettings, plan_flight
+from survey.flight.coverage import SYSTEMATIC_PX, coverage
+from survey.flight.patterns import Site
+from survey.flight.picture import picture
+
+LENS = Lens("PINHOLE", (1750.0, 1750.0, 512.0, 384.0), 1024, 768)
+WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.333)
+SITE = Site((40.0, 30.0), 3.5, WATER)
+# Water bends the corners of an image, which are seen more aslant, a little more than the middles of its borders.
+CORNER = 5e-3
+
+
+def fly(site: Site = SITE, seed: int = 1, **flight):
+    return plan_flight(FlightSettings(**({"height_m": 39.0, "wobble": 0.0} | flight)), LENS, site, seed)
+
+
+def tilts(cameras) -> np.ndarray:
+    return np.degrees(np.arccos([-camera.cam_from_local[2, 2] for camera in cameras]))
+
+
+def test_neighbours_of_a_strip_share_the_overlap_that_was_asked_for_on_the_bed():
+    cameras = fly(patterns=("nadir",), forward_overlap=0.75, side_overlap=0.6, heading_deg=90.0)
+    prints = coverage(cameras, SITE).footprints[:, :4]
+    first, second = prints[0], prints[1]
+    along = np.ptp(first[:, 0])
+    assert (second[:, 0].min() - first[:, 0].min()) == pytest.approx(0.25 * along, rel=CORNER)
+    strips = np.unique(np.round([camera.centre[1] for camera in cameras], 6))
+    assert np.diff(strips) == pytest.approx(0.4 * np.ptp(first[:, 1]), rel=CORNER)
+
+
+def test_ground_sampling_on_the_bed_is_what_was_asked_for_through_the_water():
+    (camera, *_) = fly(patterns=("nadir",), height_m=None, gsd_m=0.02)
+    bed = np.array([*camera.centre[:2], -3.5])
+    step = np.array([1e-3, 0.0, 0.0])
+    per_m = np.linalg.norm(camera.project(bed + step, WATER) - camera.project(bed - step, WATER)) / 2e-3
+    assert 1.0 / per_m == pytest.approx(0.02, rel=1e-6)
+
+
+def test_strips_cover_the_area_and_turn_at_their_ends():
+    cameras = fly(patterns=("nadir",))
+    assert coverage(cameras, SITE).num_views.min() >= 3
+    x = np.array([camera.centre[0] for camera in cameras])
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(x))))
+    assert len(turns) > 0
+    tops = np.array([-camera.cam_from_local[1] for camera in cameras])
+    assert {tuple(row) for row in np.round(tops).astype(int)} == {(1, 0, 0), (-1, 0, 0)}
+
+
+def test_rings_look_at_the_point_of_interest_from_all_around():
+    target = np.array([4.0, -3.0])
+    cameras = fly(patterns=("oblique",), ring_views=6, ring_tilts_deg=(20.0, 40.0), target=(4.0, -3.0))
+    np.testing.assert_allclose(tilts(cameras), np.repeat([20.0, 40.0], 6), atol=1e-9)
+    for camera in cameras:
+        # Aimed at the place where the point seems to lie for a steep view; a slanting one sees it within a quarter.
+        pixel = camera.project(np.array([*target, -3.5]), WATER)
+        assert np.abs(pixel - (512.0, 384.0)).max() < 0.25 * 384.0
+    azimuths = [math.atan2(*(camera.centre[:2] - target)) for camera in cameras]
+    assert len(np.unique(np.round(azimuths, 3))) == 12
+
+
+def test_five_cameras_look_down_and_to_four_sides_at_every_place():
+    cameras = fly(patterns=("five",), tilt_deg=35.0)
+    assert len(cameras) % 5 == 0
+    np.testing.assert_allclose(tilts(cameras[:5]), [0.0, 35.0, 35.0, 35.0, 35.0], atol=1e-9)
+    sides = np.array([camera.cam_from_local[2, :2] for camera in cameras[1:5]])
+    np.testing.assert_allclose(sides.sum(axis=0), 0.0, atol=1e-12)
+    assert np.ptp([camera.centre for camera in cameras[:5]], axis=0).max() == 0.0
+
+
+def test_outer_strips_stand_outside_and_look_in():
+    cameras = fly(patterns=("outer",), tilt_deg=30.0)
+    for camera in cameras:
+        outside = np.abs(camera.centre[:2]) - 0.5 * np.array(SITE.size_m)
+        assert outside.max() > 10.0
+        side = int(np.argmax(outside))
+        assert camera.cam_from_local[2, side] * camera.centre[side] < 0.0
+
+
+def test_footprints_are_where_corners_of_images_meet_the_bed_through_the_water():
+    cameras = fly(patterns=("oblique",))
+    prints = coverage(cameras, SITE).footprints
+    for camera, corners in zip(cameras, prints, strict=True):
+        points = np.concatenate([corners, np.full((5, 1), -3.5)], axis=1)
+        back = camera.project(points, WATER)
+        np.testing.assert_allclose(back[:4], [[0, 0], [1024, 0], [1024, 768], [0, 768]], atol=1e-6)
+
+
+def test_a_block_that_looks_down_hides_the_level_and_says_so_and_obliques_show_it():
+    nadir, crossed = coverage(fly(patterns=("nadir",)), SITE), coverage(fly(patterns=("nadir", "oblique")), SITE)
+    assert any("cannot observe the water level" in warning for warning in nadir.warnings)
+    assert crossed.level_px_per_m > 5.0 * nadir.level_px_per_m
+    assert crossed.level_hidden_m == SYSTEMATIC_PX / crossed.level_px_per_m
+    assert not any("water level" in warning for warning in crossed.warnings)
+
+
+def test_what_a_level_leaves_between_rays_is_what_points_cannot_follow():
+    # By brute force: the level half a decimetre off, every point where its rays then meet best.
+    from scipy.optimize import least_squares
+
+    site = Site((20.0, 16.0), 3.5, WATER)
+    cameras = fly(site, patterns=("oblique",), ring_views=5)
+    off = FlatWater((0.0, 0.0, 0.05), n_water=1.333)
+    x, y = (c.ravel() for c in np.meshgrid(*(np.linspace(-0.45 * s, 0.45 * s, 9) for s in site.size_m)))
+    left = []
+    for point in np.stack([x, y, np.full(x.size, -3.5)], axis=-1):
+        pixels = np.array([camera.project(point, WATER) for camera in cameras])
+        seen = ((pixels > 0.0) & (pixels < (1024, 768))).all(axis=1)
+        if seen.sum() < 3:
+            continue
+        views = [camera for camera, s in zip(cameras, seen, strict=True) if s]
+
+        def miss(p, views=views, measured=pixels[seen]):
+            return (np.array([camera.project(p, off) for camera in views]) - measured).ravel()
+
+        left.append(least_squares(miss, point, method="lm").fun)
+    expected = np.sqrt(np.mean(np.concatenate(left) ** 2)) / 0.05
+    # The brute force moves the level by 5 cm, over which the answer bends by a few parts in a thousand.
+    assert coverage(cameras, site).level_px_per_m == pytest.approx(expected, rel=0.01)
+
+
+def test_a_dry_site_has_no_level_to_observe():
+    dry = Site((60.0, 40.0), 0.0, None)
+    assert coverage(fly(dry), dry).level_hidden_m is None
+
+
+def test_a_gap_in_the_plan_is_named():
+    cover = coverage(fly(patterns=("nadir",))[:4], SITE)
+    assert any("fewer than three photographs" in warning for warning in cover.warnings)
+
+
+def test_flights_deviate_by_chance_alike_for_the_same_seed():
+    calm, shaken, again, other = fly(), fly(wobble=0.02), fly(wobble=0.02), fly(seed=2, wobble=0.02)
+    move = np.array([a.centre - b.centre for a, b in zip(calm, shaken, strict=True)])
+    assert move.std() == pytest.approx(0.02 * 39.0, rel=0.15)
+    np.testing.assert_array_equal(shaken[3].centre, again[3].centre)
+    assert (shaken[3].centre != other[3].centre).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [({"height_m": None}, "height_m, above the water, or gsd_m"), ({"gsd_m": 0.02}, "not both"),
+     ({"patterns": ("spiral",)}, "nadir, five, oblique, outer"), ({"forward_overlap": 0.99}, "share of the footprint"),
+     ({"tilt_deg": 70.0}, "0 .straight down. to 60"), ({"height_m": -3.0}, "above zero"), ({"wobble": 0.5}, "0 to 0.1"),
+     ({"height_m": None, "gsd_m": 1e-4}, "under the water"), ({"height_m": 0.5}, "photographs, expected 3 to")],
+)  # fmt: skip
+def test_flights_that_cannot_be_are_refused_with_the_mend(changes, named):
+    with pytest.raises(SurveyError, match=named):
+        fly(**changes)
+
+
+def test_a_view_of_the_horizon_is_refused():
+    wide = Lens("PINHOLE", (300.0, 300.0, 512.0, 384.0), 1024, 768)
+    with pytest.raises(SurveyError, match=r"show the horizon.*smaller tilt"):
+        plan_flight(FlightSettings(height_m=39.0, tilt_deg=45.0), wide, SITE, 1)
+
+
+def test_the_picture_of_a_plan_is_a_png_that_shows_views_and_cameras():
+    cameras = fly(SITE, patterns=("nadir", "oblique"), forward_overlap=0.6)
+    image = picture(cameras, coverage(cameras, SITE), SITE)
+    from PIL import Image
+
+    with Image.open(io.BytesIO(image)) as shown:
+        pixels = np.asarray(shown.convert("RGB"))
+    assert min(pixels.shape[:2]) > 500
+    assert ((pixels[..., 0] > 180) & (pixels[..., 1] < 80)).sum() > 50  # red: the oblique cameras
+
+
+def test_planned_poses_are_read_back_from_cameras_csv():
+    from geo.crs import parse_crs
+    from geo.frames import LocalFrame
+    from survey.simulate.sidecars import cameras_csv
+
+    frame = LocalFrame(parse_crs("EPSG:25832+7837"), (676120.0, 5311480.0, 584.2))
+    cameras = fly()
+    rows = list(csv.DictReader(io.StringIO(cameras_csv([f"{k}.jpg" for k in range(len(cameras))], cameras, frame))))
+    centres = np.array([[float(row[axis]) for axis in ("easting", "northing", "height")] for row in rows])
+    np.testing.assert_allclose(frame.local_from_crs(centres), [camera.centre for camera in cameras], atol=1e-5)

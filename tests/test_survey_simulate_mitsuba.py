@@ -1,0 +1,219 @@
+"""The path tracer: its geometry is that of `refract`, its light that of closed forms and of Mitsuba's own tracer."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from refract import FlatWater, PinholeCamera
+from survey.cameras import Lens
+from survey.simulate.ground import Ground, Look, shade_of_normals
+from survey.simulate.light import Light
+from survey.simulate.render_direct import DirectRenderer
+from survey.simulate.scene_file import TextureSettings
+from survey.simulate.sensor import Sensor
+from survey.simulate.shapes import BedGrid, rotation
+from survey.simulate.texture import skin_of_bed
+from survey.simulate.watercolour import WaterColour
+
+pytest.importorskip("mitsuba", reason="the physical mode needs the extra [simulate]: pip install 'bathynerf[simulate]'")
+
+from survey.simulate.mitsuba_scene import load_mitsuba, solid_scene, water_scene
+from survey.simulate.path_tracer import PathTracer
+
+# What the two modes may differ by on the image [px].
+SAME_PX = 0.02
+# Float32 over 60 m of water, and the 1e-4 m by which Mitsuba's rays keep clear of a surface: 0.01 px.
+SAME_M = 3e-4
+WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.333, slope_x=0.01, slope_y=-0.02)
+DEPTH = 2.0
+CLEAR = WaterColour(absorption=(0.0, 0.0, 0.0), scattering=0.0)
+NO_SUN = Light(sun_share=0.0)
+# A sun that a path tracer hits by chance: 20 degrees across.
+WIDE_SUN = Light(sun_share=0.5, sun_radius=math.radians(10.0))
+
+
+@pytest.fixture(scope="module")
+def mi():
+    return load_mitsuba("cpu")
+
+
+def camera_at(x: float, y: float, z: float, tilt: float) -> PinholeCamera:
+    axes = np.diag([1.0, -1.0, -1.0]) @ rotation(0.3, 0.0, tilt).T
+    return PinholeCamera((x, y, z), axes, 300.0, 300.0, 40.0, 30.0, 80, 60)
+
+
+CAMERAS = [camera_at(0.3, -0.2, 9.0, 0.05), camera_at(1.0, 4.5, 8.0, -0.5)]
+
+
+def checkered(albedo: float | None = None) -> Ground:
+    """A level bed with a corner of its checker under the origin, or of one albedo; wide, so that no light is lost."""
+    bed = BedGrid(np.full((13, 13), -DEPTH), -60.0, -60.0, 10.0)
+    skin = skin_of_bed(TextureSettings(kind="checker", square_m=3.0), None, bed, None, (-60.0, -60.0, 60.0, 60.0), 1)
+    if albedo is not None:
+        skin.image[:] = albedo
+    return Ground(bed, (), (Look(skin, shade_of_normals(np.array([[0.0, 0.0, 1.0]]), NO_SUN)),))
+
+
+def tracer(mi, ground: Ground, water: FlatWater | None, *, colour=CLEAR, light=NO_SUN, bounces=12) -> PathTracer:
+    surface = None if water is None else water_scene(mi, water, ground)
+    plane = None if water is None else (np.array(water.point), np.array(water.up), water.n_water)
+    return PathTracer(mi, solid_scene(mi, ground), surface, plane, colour=colour, light=light, max_bounces=bounces)
+
+
+def rays_down(count: int, slant: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    direction = np.array([math.sin(slant), 0.0, -math.cos(slant)])
+    return np.tile([0.5, 0.5, 3.0], (count, 1)), np.tile(direction, (count, 1))
+
+
+def corner_in(image: np.ndarray, about: np.ndarray, half: int = 12) -> np.ndarray:
+    """Pixel (2,) at which two straight edges of a checker cross, from the areas that each covers of rows and columns.
+
+    Pixels are means over their area: along a line of pixels the sum of values says, exactly, where an edge crosses it.
+    """
+    column, row = np.floor(about).astype(int)
+    part = image[row - half : row + half + 1, column - half : column + half + 1]
+    bright = part > 0.5 * (part.min() + part.max())
+    low, high = np.median(part[~bright]), np.median(part[bright])
+    share = (part - low) / (high - low)
+    rows, columns = np.arange(row - half, row + half + 1) + 0.5, np.arange(column - half, column + half + 1) + 0.5
+    return cross(edge(share, rows, column - half), edge(share.T, columns, row - half))
+
+
+def edge(share: np.ndarray, at: np.ndarray, first: int) -> np.ndarray:
+    """Line ``place = a + b at`` of the edge that crosses the lines of an image; those near the corner are left out."""
+    length = share.shape[1]
+    # Bright on the left or on the right of the edge.
+    left_bright = share[:, :3].mean(axis=1) > 0.5
+    place = first + np.where(left_bright, share.sum(axis=1), length - share.sum(axis=1))
+    far = np.abs(np.arange(len(at)) - len(at) // 2) > 5
+    return np.polynomial.polynomial.polyfit(at[far], place[far], 1)
+
+
+def cross(upright: np.ndarray, level: np.ndarray) -> np.ndarray:
+    """Where u = a + b v and v = c + d u meet."""
+    (a, b), (c, d) = upright, level
+    u = (a + b * c) / (1.0 - b * d)
+    return np.array([u, c + d * u])
+
+
+@pytest.mark.parametrize("mode", ["direct", "physical"])
+def test_a_corner_of_a_checker_lands_where_refract_projects_it(mi, mode):
+    ground, water = checkered(), WATER
+    if mode == "direct":
+        eye, sensor = DirectRenderer(ground, water, CLEAR).radiance_of_rays, Sensor(samples=144)
+    else:
+        # Hardly any chance in it but what the surface mirrors: the sun above, and one reflection.
+        noon = Light(to_sun=(0.0, 0.0, 1.0), sun_share=0.999, sun_radius=1e-4)
+        eye, sensor = tracer(mi, ground, water, light=noon, bounces=3), Sensor(samples=400, by_chance=True)
+    camera = camera_at(0.15, 0.1, 9.0, 0.04)
+    lens = Lens("PINHOLE", (300.0, 300.0, 40.0, 30.0), 80, 60)
+    expected = camera.project(np.array([0.0, 0.0, -DEPTH]), water)
+    image = sensor.light(eye, camera, lens, (1, 1)).mean(axis=-1)
+    assert np.abs(corner_in(image, expected) - expected).max() < SAME_PX
+
+
+def test_rays_of_the_path_tracer_end_where_those_of_the_direct_mode_do(mi, rng):
+    ground = checkered()
+    solids, surface = solid_scene(mi, ground), water_scene(mi, WATER, ground)
+    renderer = DirectRenderer(ground, WATER, CLEAR)
+    for camera in CAMERAS:
+        pixels = rng.uniform((0.0, 0.0), (80.0, 60.0), (500, 2))
+        direction = camera.directions(pixels)
+        ray = mi.Ray3f(
+            mi.Point3f(*camera.centre.tolist()), mi.Vector3f(np.ascontiguousarray(direction.T, dtype=np.float32))
+        )
+        meeting = surface.ray_intersect(ray)
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(1, len(pixels))
+        sample, _ = meeting.bsdf(ray).sample(mi.BSDFContext(), meeting, mi.Float(0.999), sampler.next_2d())
+        ends = np.array(solids.ray_intersect(meeting.spawn_ray(meeting.to_world(sample.wo))).p).T
+        np.testing.assert_allclose(ends, renderer.trace(camera, pixels).points, atol=SAME_M)
+        assert np.abs(camera.project(ends.astype(np.float64), WATER) - pixels).max() < SAME_PX
+
+
+def test_a_white_bed_under_clear_water_and_a_sky_alike_everywhere_is_as_bright_as_the_sky(mi):
+    # Nothing is absorbed anywhere: light is the same in all directions, whatever the surface does (Kirchhoff).
+    eye = tracer(mi, checkered(albedo=1.0), WATER, bounces=400)
+    seen = eye(*rays_down(20_000, 0.4), 1)
+    np.testing.assert_allclose(seen.mean(axis=0), 1.0, rtol=0.02)
+
+
+def test_light_of_the_sky_is_that_of_mitsubas_volumetric_path_tracer(mi):
+    colour = WaterColour(absorption=(0.2, 0.05, 0.02), scattering=0.25, asymmetry=0.5)
+    ground = checkered(albedo=0.5)
+    ours = tracer(mi, ground, WATER, colour=colour)(*rays_down(60_000, 0.3), 2)
+    theirs = of_volpath(mi, ground, colour, rays_down(60_000, 0.3))
+    # Twice the standard error of both means, about 0.4 % each.
+    np.testing.assert_allclose(ours.mean(axis=0), theirs.mean(axis=0), rtol=0.015)
+
+
+def of_volpath(mi, ground: Ground, colour: WaterColour, rays) -> np.ndarray:
+    """Radiance (N, 3) by Mitsuba's integrator, in a box of the same water with the same bed as its floor."""
+    scattering, asymmetry = colour.similar
+    extinction = [a + scattering for a in colour.absorption]
+    medium = {
+        "type": "homogeneous",
+        "sigma_t": {"type": "rgb", "value": extinction},
+        "albedo": {"type": "rgb", "value": [scattering / e for e in extinction]},
+        "phase": {"type": "hg", "g": asymmetry},
+    }
+    normal = np.array(WATER.up)
+    to_world = mi.ScalarTransform4f().look_at(origin=[0, 0, 0], target=normal.tolist(), up=[0.0, 1.0, 0.0])
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "sky": {"type": "constant", "radiance": {"type": "rgb", "value": 1.0}},
+            "water": {
+                "type": "rectangle",
+                "to_world": to_world @ mi.ScalarTransform4f().scale(60.0),
+                "bsdf": {"type": "dielectric", "int_ior": WATER.n_water, "ext_ior": 1.0},
+                "interior": medium,
+            },
+            "bed": {
+                "type": "rectangle",
+                "to_world": mi.ScalarTransform4f().translate([0.0, 0.0, -DEPTH]).scale(60.0),
+                "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.5}},
+                "exterior": medium,
+            },
+        }
+    )
+    origin, direction = (np.ascontiguousarray(part.T, dtype=np.float32) for part in rays)
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(5, origin.shape[1])
+    integrator = mi.load_dict({"type": "volpath", "max_depth": 13})
+    colours, _, _ = integrator.sample(scene, sampler, mi.RayDifferential3f(mi.Point3f(origin), mi.Vector3f(direction)))
+    return np.array(colours).T
+
+
+@pytest.mark.parametrize("n_water", [1.0, 1.333])
+def test_the_sun_through_still_water_is_what_fresnel_and_beer_leave_of_it(mi, n_water):
+    # One reflection at the bed; the light of the sky, which the same seed follows the same way, is taken off.
+    water = FlatWater((0.0, 0.0, 0.0), n_water=n_water)
+    colour = WaterColour(absorption=(0.3, 0.1, 0.0), scattering=0.0)
+    light = Light(to_sun=(1.0, 0.0, 1.0), sun_share=0.6, sun_radius=1e-3)
+    albedo = 0.4
+    eye = tracer(mi, checkered(albedo=albedo), water, colour=colour, light=light, bounces=3)
+    dark = tracer(mi, checkered(albedo=albedo), water, colour=colour, light=Light(sun_share=0.0), bounces=3)
+    seen = eye(*rays_down(40_000), 3).mean(axis=0) - 0.4 * dark(*rays_down(40_000), 3).mean(axis=0)
+    cosine = math.sqrt(0.5)
+    inside = math.sqrt(1.0 - 0.5 / n_water**2)
+    across = ((cosine - n_water * inside) / (cosine + n_water * inside)) ** 2
+    along = ((n_water * cosine - inside) / (n_water * cosine + inside)) ** 2
+    down = (1.0 - 0.5 * (across + along)) * np.exp(-np.array(colour.absorption) * DEPTH / inside)
+    up = (1.0 - ((n_water - 1.0) / (n_water + 1.0)) ** 2) / n_water**2 * np.exp(-np.array(colour.absorption) * DEPTH)
+    np.testing.assert_allclose(seen, 0.6 * albedo * down * up, rtol=0.02)
+
+
+def test_dry_ground_has_sun_and_sky_as_the_light_says(mi):
+    eye = tracer(mi, checkered(albedo=0.3), None, light=WIDE_SUN)
+    np.testing.assert_allclose(eye(*rays_down(20_000), 3).mean(axis=0), 0.3, rtol=0.02)
+
+
+def test_the_same_seed_gives_the_same_light_and_another_seed_another(mi):
+    eye = tracer(mi, checkered(), WATER, colour=WaterColour(), light=WIDE_SUN)
+    first, again, other = (eye(*rays_down(500), seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert np.abs(first - other).max() > 0.0

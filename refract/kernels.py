@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 
-from refract._array import namespace
+from refract._array import in_blocks, namespace
 
 # A ray that falls less than this per metre runs along the surface: it would meet the water beyond 1e12 H.
 GRAZING = 1e-12
@@ -55,14 +55,15 @@ def chosen(mask, a, b):
 
 
 def cleaned(*triples):
-    """Where all components are finite, and the triples, broadcast, with zeros elsewhere.
+    """Where all components are finite, and the triples with zeros elsewhere.
 
-    Through zeros a ray that is not a number leaves values and gradients of the others alone. Whoever cleans puts the
-    NaN back into the results.
+    Through zeros a ray that is not a number leaves the gradients of the others alone; numpy has none, and keeps its
+    numbers. Whoever cleans puts the NaN back into the results.
     """
     total = sum(sum(triple) for triple in triples)
-    valid = namespace(total).abs(total) < math.inf
-    return valid, tuple(chosen(valid, triple, 0.0) for triple in triples)
+    xp = namespace(total)
+    valid = xp.abs(total) < math.inf
+    return valid, triples if xp.name == "numpy" else tuple(chosen(valid, triple, 0.0) for triple in triples)
 
 
 def nothing(*triples):
@@ -121,8 +122,16 @@ def air_share(D_squared, H, h, n, steps, like=None):
     Only ``D^2`` enters, so all is smooth where the camera is straight above. The gradient is that of the implicit
     function: one Newton step at the root carries it, and no step before is differentiated.
     """
-    xp = namespace(D_squared, H, h, n)
     terms = n * H, (n - 1.0) * (n + 1.0) * D_squared, h
+    xp = namespace(*terms)
+    if xp.name == "numpy":
+        return in_blocks(lambda *block: _solved(xp, block, steps, like), *terms)
+    u = _solved(xp, terms, steps, like)
+    return _attached(u, *terms) if xp.tracked(*terms) else u
+
+
+def _solved(xp, terms, steps, like):
+    """The root for ``a, b^2, h``, without derivatives."""
     exact = tuple(xp.fixed(v) for v in terms)
     rough = exact if like is None else tuple(xp.like(v, like) for v in exact)
     u = _start(*rough)
@@ -134,8 +143,7 @@ def air_share(D_squared, H, h, n, steps, like=None):
             fine_r = fine_r * (1.5 - 0.5 * _square(base, *exact) * fine_r * fine_r)  # twice the digits of 1 / S
             left = xp.like(_left(base, fine_r, *exact), u)
         u = base - xp.like(_halley(left, u, r, *rough), base)
-    u = xp.like(u, exact[0])
-    return _attached(u, *terms) if xp.tracked(*terms) else u
+    return xp.like(u, exact[0])
 
 
 def _start(a, b_squared, h):

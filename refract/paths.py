@@ -33,8 +33,8 @@ class BentPaths:
         or where the camera is below the surface.
     wet : (...) bool
         The ray enters the water if nothing dry stops it first.
-    regime : (...) int
-        `Regime` of each ray.
+    parallel : (...) bool
+        The ray never meets the water because it runs along the surface.
     """
 
     origin: Any
@@ -43,7 +43,17 @@ class BentPaths:
     air_length: Any
     water_direction: Any
     wet: Any
-    regime: Any
+    parallel: Any
+
+    @property
+    def regime(self):
+        """`Regime` of each ray, (...) int."""
+        xp = namespace(self.air_length)
+        code = xp.where(self.wet, int(Regime.BENT), int(Regime.STRAIGHT))
+        code = xp.where(self.parallel, int(Regime.PARALLEL), code)
+        code = xp.where(self.air_length == 0.0, int(Regime.UNDER_WATER), code)
+        code = xp.where(self.wet & xp.isnan(components(self.water_direction)[0]), int(Regime.REFLECTED), code)
+        return xp.where(xp.isnan(self.air_length), int(Regime.INVALID), code)
 
     def counts(self) -> dict[str, int]:
         """How many rays there are of each `Regime`, by its name in lower case."""
@@ -116,11 +126,16 @@ def trace(origin, direction, surface: WaterSurface | None) -> BentPaths:
     """
     origin, direction = common(origin=origin, direction=direction)
     xp = namespace(*components(origin))
-    o, d = components(origin), components(direction)
-    valid, (o, d) = kernels.cleaned(o, d)
-    zero = o[0] * 0.0
-    code = xp.where(valid, int(Regime.STRAIGHT), int(Regime.INVALID))
-    crossing, air_length, bent, wet = (zero + math.nan,) * 3, zero + math.inf, d, zero > 0.0
+    given = components(origin), components(direction)
+    valid, (o, d) = kernels.cleaned(*given)
+    zero = (o[0] + d[0]) * 0.0
+    crossing, air_length, bent, wet, parallel = (
+        (zero + math.nan,) * 3,
+        zero + math.inf,
+        given[1],
+        zero > 0.0,
+        zero > 0.0,
+    )
     if surface is not None:
         t = surface.intersect(o, d)
         below = valid & (o[2] - surface.height(o[0], o[1]) <= kernels.CONTACT)
@@ -130,12 +145,8 @@ def trace(origin, direction, surface: WaterSurface | None) -> BentPaths:
         at = kernels.along(o, d, reach)
         crossing = kernels.chosen(wet, at, math.nan)
         air_length = xp.where(wet, reach, math.inf)
-        normal = tuple(zero + m for m in surface.normal(at[0], at[1]))
-        bent = kernels.chosen(meets, kernels.bend(d, normal, 1.0, surface.n_water), d)
-        along = xp.abs(kernels.dot(d, normal)) <= kernels.GRAZING
-        code = xp.where(valid & ~wet & along, int(Regime.PARALLEL), code)
-        code = xp.where(below, int(Regime.UNDER_WATER), code)
-        code = xp.where(meets, int(Regime.BENT), code)
-        code = xp.where(meets & xp.isnan(bent[0]), int(Regime.REFLECTED), code)
-    o, d, bent = (stack(*kernels.chosen(valid, triple, math.nan)) for triple in (o, d, bent))
-    return BentPaths(o, d, stack(*crossing), xp.where(valid, air_length, math.nan), bent, wet, code)
+        normal = surface.normal(at[0], at[1])
+        bent = kernels.chosen(meets, kernels.bend(d, normal, 1.0, surface.n_water), given[1])
+        parallel = valid & ~wet & (xp.abs(kernels.dot(d, normal)) <= kernels.GRAZING)
+    o, d, bent = (stack(*(v + zero for v in triple)) for triple in (*given, bent))
+    return BentPaths(o, d, stack(*crossing), xp.where(valid, air_length, math.nan), bent, wet, parallel)

@@ -36,8 +36,8 @@ class Projection:
         The point is below the surface.
     solutions : (...) int
         Stationary paths that were found; the least optical one was taken.
-    regime : (...) int
-        `Regime` of each ray.
+    under_water : (...) bool
+        The camera is on or below the surface.
     """
 
     direction: Any
@@ -47,7 +47,16 @@ class Projection:
     depth: Any
     wet: Any
     solutions: Any
-    regime: Any
+    under_water: Any
+
+    @property
+    def regime(self):
+        """`Regime` of each ray, (...) int."""
+        xp, length = namespace(self.depth), self.air_length + self.water_length
+        code = xp.where(self.wet, int(Regime.BENT), int(Regime.STRAIGHT))
+        code = xp.where(self.under_water, int(Regime.UNDER_WATER), code)
+        code = xp.where(xp.isnan(length), int(Regime.UNSEEN), code)
+        return xp.where(xp.isnan(self.depth) | (length == 0.0), int(Regime.INVALID), code)
 
     def counts(self) -> dict[str, int]:
         """How many points there are of each `Regime`, by its name in lower case."""
@@ -100,16 +109,11 @@ def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_
         seen = kernels.double(seen)
         below = centre[2] - surface.height(centre[0], centre[1]) <= kernels.CONTACT
     wet = valid & (depth > 0.0)
-    bent, sunk = wet & ~below, wet & below
-    seen = kernels.chosen(bent, seen, p)
+    sunk = wet & below
     # Differences are taken in float64; their lengths may be rounded.
     leg, rest = (tuple(xp.like(v, point[0]) for v in kernels.minus(*ends)) for ends in ((seen, c), (p, seen)))
     (leg_length, inverse), (rest_length, _) = _length(leg), _length(rest)
     apart = valid & (leg_length != 0.0)
-    code = xp.where(bent, int(Regime.BENT), int(Regime.STRAIGHT))
-    code = xp.where(below, int(Regime.UNDER_WATER), code)
-    code = xp.where(xp.isnan(leg_length), int(Regime.UNSEEN), code)
-    code = xp.where(apart, code, int(Regime.INVALID))
     return Projection(
         direction=stack(*kernels.chosen(apart, tuple(v * inverse for v in leg), math.nan)),
         crossing=stack(*kernels.chosen(valid, tuple(xp.like(v, point[0]) for v in seen), math.nan)),
@@ -118,14 +122,20 @@ def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_
         depth=xp.where(valid, xp.like(depth, point[0]), math.nan),
         wet=wet,
         solutions=solutions,
-        regime=code,
+        under_water=valid & below,
     )
 
 
+@np.errstate(invalid="ignore", over="ignore")
 def crossing_point(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_STEPS):
     """Point of the water surface (..., 3) [m], local, through which the camera sees a point of the bed.
 
     The point itself where the ray to it is straight; better than 1e-9 m in float64. Arguments and errors as for
-    `project`, of which this is the crossing.
+    `project`, of which this is the crossing and costs less.
     """
-    return project(points, camera, surface, steps=steps).crossing
+    points, camera = common(points=points, camera=camera)
+    point, centre = components(points), components(camera)
+    xp = namespace(*point)
+    valid, (point, centre) = kernels.cleaned(point, centre)
+    crossing = point if surface is None else surface.crossing(centre, point, steps)[0]
+    return stack(*kernels.chosen(valid, tuple(xp.like(v, point[0]) for v in crossing), math.nan))

@@ -3,7 +3,9 @@
     OMP_NUM_THREADS=1 python benchmarks/bench_surfaces.py
 
 Prints the table of docs/surfaces.md: microseconds per ray for the way down (intersect, normal and bend) and per point
-for the way back up, the same as multiples of flat water, and the share of points by what the search proved.
+for the way back up, the same as multiples of flat water, and the share of points by what was proved: that the optical
+length is convex (all that Dr.Jit can use), and after the full search that there is one path, several, or neither.
+Then the same swell on Dr.Jit.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ import time
 
 import numpy as np
 
-from refract import kernels
+from refract import fermat, kernels
 from refract.height_field import HeightFieldWater
 from refract.spherical import SphericalWater
 from refract.surfaces import FlatWater
@@ -21,6 +23,7 @@ from refract.wavy import WavyWater
 
 COUNT = 20_000
 HARD_COUNT = 500  # where most points need the full search
+DRJIT_COUNT = 500_000
 STEPS = 4
 REPEATS = 3
 LEVEL = (0.0, 0.0, 0.0)
@@ -80,8 +83,8 @@ def down(surface, camera, ray, depth):
 def main() -> None:
     """Measure and print."""
     rows = [
-        "| surface | down, µs | × flat | up, µs | × flat | one path | several | not proven | worst of one, rad |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| surface | down, µs | × flat | up, µs | × flat | convex | one path | several | not proven | worst, rad |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     flat = None
     for name, surface, depth, count in surfaces():
@@ -92,13 +95,49 @@ def main() -> None:
         flat = flat or cost
         paths = np.broadcast_to(paths, count)
         one, several, unproven = (float(np.mean(m)) for m in (paths == 1, paths > 1, paths < 1))
+        convex = (
+            "" if isinstance(surface, FlatWater | HeightFieldWater) else f"{share_convex(surface, camera, bed):.1%}"
+        )
         way = np.stack(kernels.minus(seen, camera), axis=-1)
         angle = np.linalg.norm(np.cross(way, np.stack(ray, axis=-1)), axis=-1) / np.linalg.norm(way, axis=-1)
         rows.append(
             f"| {name} | {cost[0]:.2f} | {cost[0] / flat[0]:.1f} | {cost[1]:.2f} | {cost[1] / flat[1]:.0f} "
-            f"| {one:.1%} | {several:.1%} | {unproven:.1%} | {angle[paths == 1].max():.0e} |"
+            f"| {convex} | {one:.1%} | {several:.1%} | {unproven:.1%} | {angle[paths == 1].max():.0e} |"
         )
-    sys.stdout.write("\n".join(rows) + "\n")
+    sys.stdout.write("\n".join(rows) + "\n" + on_drjit())
+
+
+def share_convex(surface, camera, bed) -> float:
+    """Share of points whose optical length is proven convex, so that no search is needed."""
+    disc = fermat.search_disc(surface, camera, bed, surface.height(*bed[:2]) - bed[2])
+    return float(disc.convex.mean())
+
+
+def on_drjit() -> str:
+    """A sentence on the swell in Dr.Jit, if it runs here."""
+    import drjit
+
+    if not drjit.has_backend(drjit.JitBackend.LLVM):
+        return "Dr.Jit finds no LLVM here\n"
+    from drjit.llvm import Float64
+
+    (_, swell, depth, _) = list(surfaces())[2]
+    camera, ray = (tuple(map(Float64, v)) for v in drone_rays(DRJIT_COUNT))
+    drjit.eval(camera, ray)
+
+    def timed(task):
+        def evaluated():
+            result = task()
+            drjit.eval(result)
+            drjit.sync_thread()
+            return result
+
+        return best_time(evaluated)
+
+    seconds_down, bed = timed(lambda: down(swell, camera, ray, depth))
+    seconds_up, _ = timed(lambda: swell.crossing(camera, bed, STEPS)[0])
+    rates = (DRJIT_COUNT / seconds / 1e6 for seconds in (seconds_down, seconds_up))
+    return "The swell on Dr.Jit (LLVM, float64): {:.1f} M rays/s down, {:.1f} M points/s up\n".format(*rates)
 
 
 if __name__ == "__main__":

@@ -12,8 +12,8 @@ from refract import fermat, kernels
 from refract._array import as_like, as_numpy, namespace
 from refract.surfaces import _number, _plain
 
-# Steps along a ray to its first meeting with the waves. Each passes a good part of a wave; a ray at 89.9 deg to the
-# vertical over waves of slope 0.3 takes about 500.
+# Steps along a ray to its first meeting with the waves: 4 to 8 for most; at 89.9 deg to the vertical over waves of
+# slope 0.3 some 40, and 130 at worst. A ray that needs this many runs along the surface.
 _MOST_STEPS = 10_000
 # Steps between two looks at which rays are still under way.
 _ROUND = 4
@@ -57,7 +57,7 @@ class WavyWater:
 
     Notes
     -----
-    Rays that never meet the water, and those whose first meeting took more than 10 000 steps to prove, are NaN.
+    A ray so flat that its first meeting is more than 10 000 steps away counts as one that never meets the water.
     """
 
     point: tuple[Any, Any, Any]

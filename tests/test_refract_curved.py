@@ -106,3 +106,30 @@ def test_all_surfaces_agree_where_they_are_the_same_plane(rng):
     for water in same:
         np.testing.assert_allclose(trace(camera, ray, water).crossing, path.crossing, atol=2e-12)
         np.testing.assert_allclose(project(bed, camera, water).crossing, path.crossing, atol=2e-12)
+
+
+def random_sea(rng) -> WavyWater:
+    """One to three waves of 0.3 to 30 m, slope to 0.3 in all, over water of index 1 to 1.6."""
+    number = rng.integers(1, 4)
+    k = 2.0 * np.pi / 10.0 ** rng.uniform(-0.5, 1.5, number)
+    heading = rng.uniform(0.0, 2.0 * np.pi, number)
+    vectors = np.stack([k * np.cos(heading), k * np.sin(heading)], axis=-1)
+    amplitudes = rng.uniform(0.0, 0.3) / number / k
+    index = rng.choice([1.0, 1.0001, 1.333, 1.6])
+    return WavyWater((0.0, 0.0, 0.0), amplitudes, vectors, rng.uniform(0.0, 6.0, number), n_water=index)
+
+
+@pytest.mark.slow
+def test_random_seas_give_the_ray_back_or_say_that_they_cannot(rng):
+    solutions = []
+    for _ in range(60):
+        water = random_sea(rng)
+        camera, ray = rays(rng, 40, rng.choice([30.0, 70.0, 89.0]))
+        camera[:, 2] = sum(water.amplitudes) + 10.0 ** rng.uniform(-3, 3, 40)
+        path = trace(camera, ray, water)
+        back = project(path.at(path.air_length + 10.0 ** rng.uniform(-3, 1.5, 40)), camera, water)
+        one = (back.solutions == 1) & back.wet & path.wet
+        assert angle_between(back.direction, ray)[one].max(initial=0.0) < RAY_RAD
+        np.testing.assert_array_equal(np.isnan(back.direction[:, 0]), back.solutions < 1)
+        solutions.append(back.solutions)
+    assert (np.concatenate(solutions) == -1).mean() < 0.02

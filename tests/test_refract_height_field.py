@@ -81,6 +81,31 @@ def test_the_first_meeting_is_never_skipped(rng, flattest_deg):
     np.testing.assert_allclose(z, steep.height(x, y), atol=1e-13)
 
 
+def test_the_walk_meets_the_triangle_that_a_look_at_all_of_them_finds(rng):
+    """Rough scattered surfaces, cameras above them; and with gaps, cameras above and beside them."""
+    for gaps in (0.0, 0.0, 0.1, 0.1):
+        points = np.concatenate([rng.uniform(-9, 9, (40, 2)), 9.0 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])])
+        heights = np.where(rng.uniform(size=44) < gaps, np.nan, rng.normal(0.0, 0.3, 44))
+        water = HeightFieldWater.from_points(points, heights)
+        camera, ray = (
+            cameras(rng, 200, (1.0, 20.0), spread=14.0 if gaps else 8.0),
+            falling_rays(rng, 200, flattest_deg=88.0),
+        )
+        found = water.intersect(camera, ray)
+        wet = np.flatnonzero(water.wet_triangles)
+        (x, y, z), (slope_x, slope_y) = water.planes(wet, camera[0])
+        (ox, oy, oz), (dx, dy, dz) = (tuple(c[:, None] for c in v) for v in (camera, ray))
+        rate = dz - slope_x * dx - slope_y * dy
+        t = -(oz - z - slope_x * (ox - x) - slope_y * (oy - y)) / rate
+        at = ox + t * dx, oy + t * dy
+        inside = water.mesh.offsets(np.broadcast_to(wet, t.shape), *at).min(axis=-1) >= -1e-11
+        first = np.where(inside & (rate < 0.0) & (t >= 0.0), t, np.inf).min(axis=-1)
+        met = np.isfinite(found)
+        np.testing.assert_allclose(found[met], first[met], rtol=1e-12)
+        # A ray that comes in through a bank or from outside, below the level of the water, is refused.
+        assert np.count_nonzero(~met & np.isfinite(first)) <= (2 if gaps else 0)
+
+
 def test_project_returns_the_traced_ray_where_there_is_one_path(rng):
     water = raster_of(SWELL, 0.5)
     camera, ray = cameras(rng, 500, (5.0, 20.0)), falling_rays(rng, 500, flattest_deg=45.0)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from survey.compare_canvas import INK, SOFT, save
 from survey.compare_text import band_label
 
-_PANELS = (("depth_bands", "depth below the water", "m"), ("incidence_bands", "incidence at the water", "deg"),
+_PANELS = (("depth_bands", "depth below the water [m]", "m"), ("incidence_bands", "incidence at the water [°]", "deg"),
            ("views_bands", "views that agree", "views"))  # fmt: skip
 _RED, _BLUE = "#c3140d", "#2f6f9f"
 # Bands of fewer points are shown without their spread.
@@ -48,7 +48,11 @@ def draw_bands(numbers: dict, path: Path) -> None:
         _panel(axes, numbers[key], unit)
         axes.set_xlabel(label, color=INK)
     row[0].set_ylabel("distance to the reference [mm]", color=INK)
-    row[0].legend(frameon=False, fontsize=8.5, loc="best")
+    for axes in row:
+        axes.use_sticky_edges = False  # bars would end on the frame
+    row[0].margins(y=0.08)
+    handles, labels = row[0].get_legend_handles_labels()
+    figure.legend(handles, labels, frameon=False, fontsize=8.5, loc="outside lower center", ncols=3)
     save(figure, path)
 
 

@@ -173,7 +173,7 @@ def vertical(scene: Scene, distances: np.ndarray, depth: np.ndarray | None, bloc
         with current().stage("Vertical differences", len(scene.points)) as stage:
             faces = scene.inputs.reference.faces
             errors = vertical_difference(scene.points, scene.reference, faces, advance=stage.advance)
-        error = "vertical difference to the reference"
+        error = "vertical difference to the reference; at walls an offset to the side counts whole"
         statistics = distance_statistics(errors, blocks)
         numbers["vertical"] = statistics | {"n_holes": statistics["n_nan"]}
         if depth is not None and np.isfinite(depth).any():

@@ -432,7 +432,7 @@ def test_s44_judges_the_vertical_difference_under_water(tmp_path, plane):
     local = _grid(0.1, 0.3)
     cloud = _write_las(tmp_path / "c.las", FRAME.crs_from_local(local), depth=1.0 - local[:, 2])
     iho = compare_files(cloud, plane)["iho_s44"]
-    assert iho["error"] == "vertical difference to the reference"
+    assert iho["error"].startswith("vertical difference to the reference")
     assert [o["meets_tvu"] for o in iho["orders"]] == [False, False, True, True]
 
 

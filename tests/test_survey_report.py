@@ -341,7 +341,7 @@ def test_straight_rays_and_their_corrections_stand_beside_what_was_measured(repo
 
 
 def test_a_sweep_without_its_field_has_a_row_of_its_own(survey, report):
-    numbers = {"vertical": {"wet": {"mean_m": 0.1, "median_m": 0.2, "std_m": 0.3}}}
+    numbers = {"vertical": {"wet": {"mean_m": 0.1, "median_m": 0.2, "nmad_m": 0.3}}}
     facts = replace(report.facts, sweep_comparison=SimpleNamespace(numbers=numbers))
     rows = figures_of(facts)["baselines"]["rows"]
     assert [row["name"] for row in rows[3:]] == ["refractive sweep only", "full chain: sweep and field"]

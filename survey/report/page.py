@@ -30,6 +30,7 @@ p { margin: 0.4rem 0; max-width: 46rem; }
 .notes.warn { border-color: var(--warn); background: #fbf5ec; }
 .notes ul { margin: 0.2rem 0; padding-left: 1.2rem; }
 table { border-collapse: collapse; width: 100%; font-size: 0.92rem; font-variant-numeric: tabular-nums; }
+table + table { margin-top: 1.2rem; }
 th, td { text-align: left; vertical-align: top; padding: 0.32rem 0.9rem 0.32rem 0;
   border-bottom: 1px solid var(--line); }
 th { font-weight: 600; }

@@ -102,10 +102,10 @@ def baselines(b: dict | None) -> str:
     if not b:
         return ""
     lines = [
-        (row["name"], row["kind"], length(row["mean_m"]), length(row["median_m"]), length(row["std_m"]))
+        (row["name"], row["kind"], length(row["median_m"]), length(row["nmad_m"]), length(row["mean_m"]))
         for row in b["rows"]
     ]
-    titles = ("way", "", "mean", "median", "standard deviation")
+    titles = ("way", "", "median", "spread (NMAD)", "mean")
     return table(titles, lines, num_texts=2) + f'<p class="soft">{escape(b["note"])}</p>'
 
 

@@ -33,8 +33,9 @@ AREA_MARGIN_M = 0.5
 # Gates of the command line: exit code 3 below, or above.
 MIN_WET_SHARE = 0.5
 MAX_STD_GSD = 5.0
-# Over the water no bed is looked for higher than this share of the flying height, nor deeper than that one.
-HIGHEST, DEEPEST = 0.6, 0.7
+# No bed is looked for higher over the water than this share of the flying height, nor deeper than that one: drones fly
+# 8 m over 10 m of clear water, and beside banks that nearly reach them.
+HIGHEST, DEEPEST = 0.8, 1.5
 
 
 def load_block(survey: Survey, plan: Plan, advance: Callable[[float], None]) -> Block:

@@ -15,7 +15,8 @@ import time
 
 import numpy as np
 
-from refract import fermat, kernels
+from refract import kernels
+from refract._disc import search_disc
 from refract.height_field import HeightFieldWater
 from refract.spherical import SphericalWater
 from refract.surfaces import FlatWater
@@ -109,7 +110,7 @@ def main() -> None:
 
 def share_convex(surface, camera, bed) -> float:
     """Share of points whose optical length is proven convex, so that no search is needed."""
-    disc = fermat.search_disc(surface, camera, bed, surface.height(*bed[:2]) - bed[2])
+    disc = search_disc(surface, camera, bed, surface.height(*bed[:2]) - bed[2])
     return float(disc.convex.mean())
 
 

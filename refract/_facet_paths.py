@@ -5,7 +5,7 @@ it counts where it lies inside the triangle. Between triangles the length has a 
 from it; at a trough, where the bed has a strip that no ray of either side reaches, the edge itself or a corner may be
 the shortest way: it stands for the rays that a rounded trough would send there, and counts as well.
 
-Only triangles that reach into the disc of `refract.fermat.search_disc` are looked at. All in numpy float64; torch gets
+Only triangles that reach into the disc of `refract._disc.search_disc` are looked at. All in numpy float64; torch gets
 the gradients of the plane that was found, and none on an edge, where the derivative jumps.
 """
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from refract import fermat, kernels
 from refract._array import as_like, as_numpy, namespace
+from refract._disc import search_disc
 
 # A crossing this near an edge [m] belongs to both sides; found twice, it counts once.
 _ON_EDGE = 1e-11
@@ -71,7 +72,7 @@ def _found(surface, camera, point, depth):
     if depth.size == 0:
         return results
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # an infinite disc is cut to all triangles
-        disc = fermat.search_disc(surface, camera, point, depth)
+        disc = search_disc(surface, camera, point, depth)
     mesh = surface.mesh
     middle = np.stack([disc.x, disc.y], axis=-1)
     radius = np.where(np.isfinite(disc.radius), disc.radius, 2.0 * mesh.size) + mesh.reach

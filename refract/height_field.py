@@ -11,6 +11,7 @@ import numpy as np
 
 from refract import _facet_paths, fermat, kernels
 from refract._array import as_like, as_numpy, namespace
+from refract._disc import Bounds
 from refract._triangulation import Triangulation
 from refract.surfaces import _number, _plain
 
@@ -159,10 +160,10 @@ class HeightFieldWater:
         """The edges and corners where a shortest path may end up."""
         return _facet_paths.Kinks(self)
 
-    def bounds(self, x, y, radius) -> fermat.Bounds:
+    def bounds(self, x, y, radius) -> Bounds:
         """Bounds of the whole surface; the curvature, which an edge makes infinite, is not used."""
         wet = self.plain_heights[self.triangles[self.wet_triangles]]
-        return fermat.Bounds(x * 0.0 + wet.min(), x * 0.0 + wet.max(), self._steepest, math.inf)
+        return Bounds(x * 0.0 + wet.min(), x * 0.0 + wet.max(), self._steepest, math.inf)
 
     def planes(self, triangle, like):
         """A corner (x, y, z) and the slopes along x and y of the planes of triangles; in the library of `like`."""

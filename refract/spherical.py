@@ -8,6 +8,7 @@ from typing import Any, final
 
 from refract import fermat, kernels
 from refract._array import namespace
+from refract._disc import Bounds
 from refract.surfaces import GRAZING, _number, _plain
 
 MEAN_RADIUS_M = 6_371_000.0
@@ -111,7 +112,7 @@ class SphericalWater:
         nx, ny = (x - self.point[0]) / self.radius, (y - self.point[1]) / self.radius
         return nx, ny, xp.sqrt(1.0 - nx * nx - ny * ny)
 
-    def bounds(self, x, y, radius) -> fermat.Bounds:
+    def bounds(self, x, y, radius) -> Bounds:
         """Bounds over a disc: the slope and curvature of its farthest rim; infinite where it leaves the surface."""
         xp = namespace(x, y)
         middle = xp.sqrt((x - self.point[0]) ** 2 + (y - self.point[1]) ** 2)
@@ -122,7 +123,7 @@ class SphericalWater:
         slope, curvature = far / up, self.radius * self.radius / (up * up * up)
         low, high = (self.point[2] - _drop(way * way, self.radius) for way in (far, near))
         endless = far * 0.0 + float("inf")
-        return fermat.Bounds(
+        return Bounds(
             *(xp.where(inside, b, e) for b, e in ((low, -endless), (high, endless), (slope, endless))),
             xp.where(inside, curvature, endless),
         )

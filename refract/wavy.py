@@ -10,6 +10,7 @@ import numpy as np
 
 from refract import fermat, kernels
 from refract._array import as_like, as_numpy, namespace
+from refract._disc import Bounds
 from refract.surfaces import _number, _plain
 
 # Steps along a ray to its first meeting with the waves: 4 to 8 for most; at 89.9 deg to the vertical over waves of
@@ -142,14 +143,14 @@ class WavyWater:
         up = 1.0 / xp.sqrt(1.0 + zx * zx + zy * zy + x * 0.0)  # the shape of x also where there are no waves
         return tuple(xp.like(c, x) for c in (-zx * up, -zy * up, up))
 
-    def bounds(self, x, y, radius) -> fermat.Bounds:
+    def bounds(self, x, y, radius) -> Bounds:
         """Bounds over a disc; slope and curvature are those of the whole sea."""
         crest = sum(abs(a) for a in self.amplitudes)
         tilt = (self.slope_x * self.slope_x + self.slope_y * self.slope_y) ** 0.5
         steep = sum(abs(a) * (kx * kx + ky * ky) ** 0.5 for a, (kx, ky), _ in self._waves())
         curved = sum(abs(a) * (kx * kx + ky * ky) for a, (kx, ky), _ in self._waves())
         mean = self.point[2] + self.slope_x * (x - self.point[0]) + self.slope_y * (y - self.point[1])
-        return fermat.Bounds(mean - crest - tilt * radius, mean + crest + tilt * radius, steep + tilt, curved)
+        return Bounds(mean - crest - tilt * radius, mean + crest + tilt * radius, steep + tilt, curved)
 
     def anchor(self) -> tuple:
         """Some x, y where the surface is defined."""

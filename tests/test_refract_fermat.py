@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from surface_rays import bed_points, cameras, falling_rays, view_angle
 
-from refract import _branches, fermat
+from refract import _branches, _disc, fermat
 from refract._interval import Interval
 from refract.wavy import WavyWater
 
@@ -140,7 +140,7 @@ def test_every_true_crossing_lies_in_the_search_disc(rng):
         depth = water.height(*bed[:2]) - bed[2]
         wet = depth > 0.0
         camera, ray, bed = (tuple(c[wet] for c in v) for v in (camera, ray, bed))
-        disc = fermat.search_disc(water, camera, bed, depth[wet])
+        disc = _disc.search_disc(water, camera, bed, depth[wet])
         off = np.hypot(camera[0] + t[wet] * ray[0] - disc.x, camera[1] + t[wet] * ray[1] - disc.y)
         assert np.all(off <= disc.radius)
         assert np.median(off / disc.radius) > 0.01  # a bound, but not a meaningless one
@@ -150,7 +150,7 @@ def test_where_the_length_is_called_convex_it_is(rng):
     water = ripples(0.02, 1.0)
     camera = cameras(rng, 300, (2.0, 20.0))
     bed = rng.uniform(-4, 4, 300), rng.uniform(-4, 4, 300), rng.uniform(-6.0, -0.1, 300)
-    disc = fermat.search_disc(water, camera, bed, water.height(*bed[:2]) - bed[2])
+    disc = _disc.search_disc(water, camera, bed, water.height(*bed[:2]) - bed[2])
     assert 0.1 < disc.convex.mean() < 1.0
     radius, angle = disc.radius * np.sqrt(rng.uniform(0, 1, (50, 300))), rng.uniform(0, 2 * math.pi, (50, 300))
     x, y = disc.x + radius * np.cos(angle), disc.y + radius * np.sin(angle)

@@ -2,11 +2,12 @@
 
     python benchmarks/bench_compare.py [--points 1000000] [--triangles 200000] [--keep FOLDER]
 
-Draws a rough bed as an open mesh and a cloud about it, runs `evaluation.distance_to_mesh` with the sign of the winding
-and CloudCompare (Debian: `apt-get install cloudcompare`; a separate program, used as an oracle only) on the same files,
-each in a process of its own, and prints one line for each: seconds from file to distances, the most memory that the
-process held, and how far the two differ per point. Coordinates are drawn in float32 near zero, in which CloudCompare
-computes. The full size is --points 10000000 --triangles 2000000.
+Draws a rough bed as an open mesh and a cloud about it and runs on the same files, each in a process of its own:
+`evaluation.distance_to_mesh` with the sign of the winding; the whole command `bathynerf compare`; CloudCompare (Debian:
+`apt-get install cloudcompare`; a separate program, used as an oracle only). One line for each: seconds from files to
+distances, by the clock and on all cores together, and the most memory that the process held; then how far the two
+differ per point. Coordinates are drawn in float32 near zero, in which CloudCompare computes. The full size is
+--points 10000000 --triangles 2000000.
 """
 
 from __future__ import annotations
@@ -88,6 +89,12 @@ def run_ours(folder: Path, cloud: Path, mesh: Path) -> tuple[np.ndarray, str]:
     return np.load(out), cost
 
 
+def run_everything(cloud: Path, mesh: Path) -> str:
+    """What the whole command costs: completeness, vertical differences and intervals too."""
+    command = [sys.executable, "-c", "from survey.cli import main; main()", "compare", "-q", str(cloud), str(mesh)]
+    return timed(command)
+
+
 def cloudcompare() -> str | None:
     """The program, None where it is not installed."""
     return shutil.which("CloudCompare") or shutil.which("cloudcompare.CloudCompare")
@@ -144,6 +151,7 @@ def main() -> None:
         say(f"{options.points} points, {options.triangles} triangles; {os.cpu_count()} cores, load {load:.1f}")
         found, cost = run_ours(folder, cloud, mesh)
         say(f"compare       {cost}")
+        say(f"all measures  {run_everything(cloud, mesh)}")
         program = cloudcompare()
         if program is None:
             say("CloudCompare is not installed: nothing to compare with")

@@ -191,11 +191,12 @@ def cloud_to_cloud(scene: Scene) -> dict:
 
 
 def m3c2(scene: Scene, radius_m: float) -> dict:
-    """M3C2 at samples of the reference around the cloud: statistics, radius and share that is significant."""
+    """M3C2 at some of the targets around the cloud: statistics, radius and share that is significant."""
     low, high = scene.points[:, :2].min(axis=0) - radius_m, scene.points[:, :2].max(axis=0) + radius_m
-    plan = scene.samples[:, :2]
-    near = scene.samples[((plan >= low) & (plan <= high)).all(axis=1)]
-    core = near[np.random.default_rng(SEED).permutation(len(near))[:_CORE_POINTS]]
+    near, core = (
+        part[((part[:, :2] >= low) & (part[:, :2] <= high)).all(axis=1)] for part in (scene.samples, scene.targets)
+    )
+    core = core[np.random.default_rng(SEED).permutation(len(core))[:_CORE_POINTS]]
     with current().stage("M3C2"):
         found = m3c2_distances(near, scene.points, core, radius_m=radius_m, reach_m=_REACH * radius_m)
     known = np.isfinite(found.signed) & np.isfinite(found.detection_m)

@@ -20,7 +20,7 @@ MIN_BLOCKS = 10
 # an exponential: its pairs across the edges of blocks are not counted.
 _LENGTHS_PER_BLOCK = 10.0
 # Not fewer blocks than this where the extent allows no wider ones; not more than this, which costs time and no more.
-_FEWEST, _MOST = 30, 4096
+_FEWEST, _MOST = 30, 1024
 _POINTS_PER_CELL, _MOST_CELLS = 4.0, 512
 _CELLS_PER_BLOCK = 4.0
 _STRAY_SHARE = 0.001

@@ -6,17 +6,20 @@ The distance to the nearest point of a surface is shorter than that wherever the
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
 # Weights of corners that are this little below zero count as inside: points on an edge, to rounding.
 _ON_EDGE = -1e-9
-# Pairs of point and triangle at a time: about 200 MB of intermediate values.
-_PAIRS = 2_000_000
+# Pairs of point and triangle at a time for each thread: about 50 MB of intermediate values.
+_PAIRS = 500_000
+_WORKERS = min(os.cpu_count() or 1, 4)
 # Entries of triangles in cells, per triangle; a few large ones among many small would fill the memory otherwise.
-_ENTRIES_PER_FACE, _ENTRIES = 8, 1_000_000
+_ENTRIES_PER_FACE, _ENTRIES = 16, 1_000_000
 
 
 def vertical_difference(
@@ -56,11 +59,13 @@ def vertical_difference(
     counts = grid.start[cell + 1] - grid.start[cell]
     block = np.cumsum(counts) // _PAIRS
     cuts = np.flatnonzero(np.diff(block)) + 1
-    for part, cells, sizes in zip(np.split(rows, cuts), np.split(cell, cuts), np.split(counts, cuts), strict=True):
-        held = sizes > 0
-        difference[part[held]] = grid.nearest_in_height(points[part[held]], cells[held], sizes[held])
-        if advance is not None:
-            advance(len(part))
+    parts = [np.split(values, cuts) for values in (rows, cell, counts)]
+    with ThreadPoolExecutor(_WORKERS) as pool:
+        found = pool.map(lambda part, *held: grid.nearest_in_height(points[part], *held), *parts)
+        for part, values in zip(parts[0], found, strict=True):
+            difference[part] = values
+            if advance is not None:
+                advance(len(part))
     if advance is not None:
         advance(len(points) - len(rows))
     return difference
@@ -93,7 +98,7 @@ class _Grid:
             return None
         low, high = corner[..., :2].min(axis=0), corner[..., :2].max(axis=0)
         origin, end = low.min(axis=0), high.max(axis=0)
-        cell = math.sqrt(float((end - origin).prod()) / len(low))
+        cell = 0.5 * math.sqrt(float((end - origin).prod()) / len(low))
         most = _ENTRIES_PER_FACE * len(low) + _ENTRIES
         while _spans(low, high, origin, cell)[1].prod(axis=1).sum() > most:
             cell *= 1.5
@@ -116,9 +121,14 @@ class _Grid:
         return np.where(inside, row * self.shape[0] + column, -1)
 
     def nearest_in_height(self, points: np.ndarray, cell: np.ndarray, counts: np.ndarray) -> np.ndarray:
-        """Difference (N,) of points in cells of ``counts`` triangles each, at least one."""
-        if not len(points):
-            return np.empty(0)
+        """Difference (N,) of points in cells of ``counts`` triangles each; NaN where that is none."""
+        result = np.full(len(points), np.nan)
+        held = np.flatnonzero(counts)
+        if len(held):
+            result[held] = self._nearest_in_height(points[held], cell[held], counts[held])
+        return result
+
+    def _nearest_in_height(self, points: np.ndarray, cell: np.ndarray, counts: np.ndarray) -> np.ndarray:
         starts = np.cumsum(counts) - counts
         point = np.repeat(np.arange(len(points)), counts)
         face = self.faces[self.start[cell][point] + np.arange(counts.sum()) - starts[point]]

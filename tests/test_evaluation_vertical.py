@@ -98,3 +98,13 @@ def test_coordinates_of_a_map_lose_no_more_than_their_rounding(rng, shift):
     expected = vertical_difference(points, vertices, faces)
     # float64 steps by 1e-9 m at 5e6 m; slopes of this relief reach 3.
     np.testing.assert_allclose(vertical_difference(points + at, vertices + at, faces), expected, atol=2e-8)
+
+
+def test_it_is_never_shorter_than_the_distance_to_the_surface(rng):
+    vertices, faces = _relief(rng)
+    points = np.column_stack([rng.uniform(0.0, 10.0, (2000, 2)), rng.uniform(-2.0, 2.0, 2000)])
+    distance = distance_to_mesh(points, vertices, faces).signed
+    difference = vertical_difference(points, vertices, faces)
+    assert (np.abs(difference) >= np.abs(distance) - ROUNDING_M).all()
+    # Over a height field both say the same about above and below.
+    assert (np.sign(difference) == np.sign(distance)).all()

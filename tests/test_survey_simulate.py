@@ -345,3 +345,37 @@ def test_depth_is_nan_where_a_pixel_sees_nothing(tmp_path):
     assert 0.1 < np.isnan(depth).mean() < 0.9
     assert np.nanmax(np.abs(depth - 1.0)) < 0.03  # the slope of the water over the picture
     assert (wet == 255).all()
+
+
+def test_waves_run_where_the_scene_file_says_and_photographs_bend_with_them(tmp_path):
+    waves = (
+        "slope_north = 0.003\n[[water.waves]]\namplitude_m = 0.02\nlength_m = 0.8\ntoward_deg = 90.0\nphase_deg = 90.0"
+    )
+    scene = staged(scene_file(tmp_path, slope_north=waves))
+    x = np.array([0.0, 0.2, 0.4, 0.8])
+    # A crest at the origin, and a train that runs east: nothing changes to the north.
+    crest = 0.02 * np.cos(2.0 * math.pi * x / 0.8)
+    np.testing.assert_allclose(scene.water.height(x, 0.0 * x), crest, atol=1e-9)
+    np.testing.assert_allclose(scene.water.height(x, 0.0 * x + 2.0), crest, atol=1e-9)
+    still = dataclasses.replace(scene.renderer, water=scene.level.plane(scene.frame))
+    camera = scene.cameras[0]
+    pixels = camera.pixel_centres()[::6, ::6].reshape(-1, 2)
+    bent, straight = scene.renderer.trace(camera, pixels), still.trace(camera, pixels)
+    moved = np.linalg.norm(bent.points - straight.points, axis=1)
+    # A slope of up to a k = 0.157 moves a ray by (1 - 1/n) of it over 1.2 m of water, and more where it is oblique.
+    assert 0.03 < moved.max() < 0.09
+    back = camera.project(bent.points, scene.water)
+    # Where several paths lead up, `project` takes the shortest, which need not be the one that was traced.
+    assert np.mean(np.abs(back - pixels).max(axis=1) < 1e-6) > 0.9
+
+
+def test_a_measured_surface_is_laid_through_its_points(tmp_path):
+    x, y = (c.ravel() for c in np.meshgrid(np.linspace(-20, 20, 21), np.linspace(-20, 20, 21)))
+    frame = plan_scene(read_scene(scene_file(tmp_path)), tmp_path).frame
+    write_mesh(tmp_path / "surface.ply", frame.crs_from_local(np.stack([x, y, 0.1 + 0.002 * x], axis=-1)), [])
+    scene = staged(scene_file(tmp_path, slope_north='heights = "surface.ply"'))
+    np.testing.assert_allclose(scene.water.height(np.array([1.3]), np.array([-0.4])), 0.1026, atol=1e-6)
+    hits = scene.renderer.trace(scene.cameras[0], np.array([[30.0, 30.0], [70.0, 20.0]]))
+    np.testing.assert_allclose(
+        scene.cameras[0].project(hits.points, scene.water), [[30.0, 30.0], [70.0, 20.0]], atol=1e-6
+    )

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.spatial import Delaunay
 
-from geo import Cloud, LocalFrame, Mesh, read_reference
+from geo import Cloud, LocalFrame, Mesh, crs_difference, read_reference
 from survey.errors import SurveyError
 from survey.simulate.scene_file import BedSettings
 from survey.simulate.shapes import BedGrid
@@ -35,6 +35,9 @@ def bed_from_file(settings: BedSettings, folder: Path, frame: LocalFrame) -> tup
         mesh = mesh_of_cloud(read_reference(path), settings)
     vertices = mesh.vertices
     if settings.frame == "crs":
+        difference = crs_difference(mesh.crs, frame.crs) if mesh.crs is not None else None
+        if difference is not None:
+            raise SurveyError(f"{path} is in another crs than the scene ({difference}); transform it, or give its crs")
         vertices = frame.local_from_crs(vertices)
         if not np.isfinite(vertices).all():
             raise SurveyError(
@@ -64,7 +67,7 @@ def mesh_of_cloud(cloud: Cloud | Mesh, settings: BedSettings) -> Mesh:
     heights = points[:, 2].copy()
     for _ in range(settings.smoothing):
         heights = _mean_of_neighbours(faces, heights)
-    return Mesh(np.concatenate([points[:, :2], heights[:, None]], axis=-1), faces, rgb=rgb)
+    return Mesh(np.concatenate([points[:, :2], heights[:, None]], axis=-1), faces, crs=cloud.crs, rgb=rgb)
 
 
 def plane(area: tuple[float, float, float, float], z: float) -> BedGrid:

@@ -7,14 +7,18 @@ from types import ModuleType
 import numpy as np
 
 from fields.device import choose_device
-from refract import FlatWater
+from refract import HeightFieldWater, WavyWater
 from refract.surfaces import WaterSurface
 from survey.errors import SurveyError
 from survey.simulate.ground import Ground, Shape
 from survey.simulate.skin import ImageSkin, VertexSkin
 
 # The plane of the water reaches this far beyond what is solid, as a share of its extent: light comes from there.
-_BEYOND = 0.5
+_BEYOND = 0.1
+# Slopes between the corners of triangles on waves err by this at most [rad]: 0.1 mm on the bed per metre of depth.
+_SLOPE_ERROR = 4e-4
+# Of the surface: some 400 bytes each.
+_MOST_POINTS = 4_000_000
 _VARIANTS = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb", "torch": "scalar_rgb"}
 
 
@@ -43,30 +47,57 @@ def load_mitsuba(device: str = "auto") -> ModuleType:
 def solid_scene(mi: ModuleType, ground: Ground):
     """All that is solid, matt and with its albedo, as a Mitsuba scene."""
     shapes = (ground.bed, *ground.solids)
-    parts = {
-        f"shape_{i}": _matt(mi, f"shape_{i}", shape, look.skin)
-        for i, (shape, look) in enumerate(_pairs(shapes, ground))
-    }
+    bodies = enumerate(zip(shapes, ground.looks, strict=True))
+    parts = {f"shape_{i}": _matt(mi, f"shape_{i}", shape, look.skin) for i, (shape, look) in bodies}
     return mi.load_dict({"type": "scene", **parts})
 
 
 def water_scene(mi: ModuleType, water: WaterSurface, ground: Ground):
-    """The surface of the water, as a Mitsuba scene of its own."""
+    """The surface of the water, as a Mitsuba scene of its own.
+
+    Waves become triangles, with their true normals at the corners; a surface that is
+    plane by parts is taken as it is.
+    """
+    bsdf = {"type": "dielectric", "int_ior": float(water.n_water), "ext_ior": 1.0}
+    normals = None
+    if isinstance(water, HeightFieldWater):
+        points = np.concatenate([water.points, water.plain_heights[:, None]], axis=-1)
+        faces = water.triangles[water.wet_triangles]
+    else:
+        area = _around(ground)
+        spacing = np.inf
+        if isinstance(water, WavyWater):
+            # Of a wave of slope a k, linear interpolation over s takes off (k s)**2 / 8.
+            steep = sum(abs(a) * np.hypot(*k) ** 3 for a, k in zip(water.amplitudes, water.wave_vectors, strict=True))
+            spacing = np.sqrt(8.0 * _SLOPE_ERROR / steep)
+        x, y, faces = _grid(area, spacing)
+        points = np.stack([x, y, water.height(x, y)], axis=-1)
+        if isinstance(water, WavyWater):
+            normals = np.stack(water.normal(x, y), axis=-1)
+    return mi.load_dict({"type": "scene", "water": _mesh(mi, "water", points, faces, bsdf, normals=normals)})
+
+
+def _around(ground: Ground) -> tuple[np.ndarray, np.ndarray]:
+    """East and north of two corners [m] of an area that holds the bed and more."""
     vertices, _, _ = ground.bed.mesh()
     low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
     margin = _BEYOND * (high - low)
-    if not isinstance(water, FlatWater):
-        raise SurveyError("only still water can be rendered in the physical mode")
-    (x0, y0), (x1, y1) = low - margin, high + margin
-    corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
-    points = np.concatenate([corners, water.height(corners[:, 0], corners[:, 1])[:, None]], axis=-1)
-    bsdf = {"type": "dielectric", "int_ior": float(water.n_water), "ext_ior": 1.0}
-    mesh = _mesh(mi, "water", points, np.array([[0, 1, 2], [0, 2, 3]]), bsdf)
-    return mi.load_dict({"type": "scene", "water": mesh})
+    return low - margin, high + margin
 
 
-def _pairs(shapes: tuple[Shape, ...], ground: Ground):
-    return zip(shapes, ground.looks, strict=True)
+def _grid(area: tuple[np.ndarray, np.ndarray], spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """x, y (V,) [m] of a grid over an area, at most `spacing` apart, and its triangles (F, 3), facing up."""
+    counts = [max(int(np.ceil(size / spacing)), 1) + 1 for size in area[1] - area[0]]
+    if counts[0] * counts[1] > _MOST_POINTS:
+        raise SurveyError(
+            f"the waves take a point every {100.0 * spacing:.1f} cm over {counts[0] * spacing:.0f} x "
+            f"{counts[1] * spacing:.0f} m, more than {_MOST_POINTS}; leave out the shortest, or make the area smaller"
+        )
+    x, y = np.meshgrid(*(np.linspace(*ends, n) for ends, n in zip(np.transpose(area), counts, strict=True)))
+    sw = (np.arange(counts[1] - 1)[:, None] * counts[0] + np.arange(counts[0] - 1)).ravel()
+    se, nw = sw + 1, sw + counts[0]
+    faces = np.concatenate([np.stack([sw, se, nw], axis=-1), np.stack([nw + 1, nw, se], axis=-1)])
+    return x.ravel(), y.ravel(), faces
 
 
 def _matt(mi: ModuleType, name: str, shape: Shape, skin: ImageSkin | VertexSkin):
@@ -99,16 +130,25 @@ def _two_sided(texture: dict) -> dict:
     return {"type": "twosided", "matt": {"type": "diffuse", "reflectance": texture}}
 
 
-def _mesh(mi: ModuleType, name: str, vertices, faces, bsdf: dict, *, uv=None, colours=None):
-    """A Mitsuba mesh without normals of its own: faces are flat."""
+def _mesh(mi: ModuleType, name: str, vertices, faces, bsdf: dict, *, uv=None, colours=None, normals=None):
+    """A Mitsuba mesh; without normals of the vertices its faces are flat."""
     properties = mi.Properties()
     properties["mesh_bsdf"] = mi.load_dict(bsdf)
-    mesh = mi.Mesh(name, len(vertices), len(faces), has_vertex_texcoords=uv is not None, props=properties)
+    mesh = mi.Mesh(
+        name,
+        len(vertices),
+        len(faces),
+        has_vertex_normals=normals is not None,
+        has_vertex_texcoords=uv is not None,
+        props=properties,
+    )
     if colours is not None:
         mesh.add_attribute("vertex_color", 3, np.ascontiguousarray(colours, dtype=np.float32).ravel())
     params = mi.traverse(mesh)
     params["vertex_positions"] = np.ascontiguousarray(vertices, dtype=np.float32).ravel()
     params["faces"] = np.ascontiguousarray(faces, dtype=np.uint32).ravel()
+    if normals is not None:
+        params["vertex_normals"] = np.ascontiguousarray(normals, dtype=np.float32).ravel()
     if uv is not None:
         params["vertex_texcoords"] = np.ascontiguousarray(uv, dtype=np.float32).ravel()
     params.update()

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from geo import Mesh, read_reference
+from survey.drawn.paint import periodic
 from survey.errors import SurveyError
 from survey.simulate.ground import Look, shade_beside_bed
 from survey.simulate.light import Light
 from survey.simulate.scene_file import ObjectSettings
 from survey.simulate.shapes import rotation
-from survey.simulate.skin import VertexSkin
+from survey.simulate.skin import ImageSkin
 from survey.simulate.texture import vertex_skin
 from survey.simulate.triangles import TriangleMesh
 
@@ -50,5 +51,15 @@ def place_object(settings: ObjectSettings, folder: Path, bed, light: Light) -> t
     if mesh.rgb is not None:
         skin = vertex_skin(shape, mesh.rgb)
     else:
-        skin = VertexSkin(np.tile(settings.colour, (len(points), 1)), shape.vertices, shape.faces)
+        skin = _speckled(shape, settings)
     return shape, Look(skin, shade_beside_bed(shape, bed, light))
+
+
+def _speckled(shape: TriangleMesh, settings: ObjectSettings) -> ImageSkin:
+    """A periodic speckle of one colour, laid along the axes of local on the faces that look along the third one."""
+    rng = np.random.default_rng([len(shape.faces), 10])
+    tile = np.exp(sum(0.15 * periodic(rng, size) for size in (2, 4, 8, 32)))
+    image = (tile[..., None] * np.array(settings.colour)).astype(np.float32)
+    axes = np.eye(3)[[[1, 2], [2, 0], [0, 1]]] / settings.texel_m
+    texel_from_point = np.concatenate([axes, np.zeros((3, 2, 1))], axis=-1)
+    return ImageSkin(image, texel_from_point, np.abs(shape.normals).argmax(axis=1), repeats=True)

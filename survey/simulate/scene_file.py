@@ -11,7 +11,7 @@ from survey.errors import ConfigError
 from survey.flight.settings import FlightSettings
 from survey.simulate.keys import table
 
-BEDS = ("drawn", "plane", "mesh", "cloud", "raster")
+BEDS = ("drawn", "plane", "mesh", "cloud")
 TEXTURES = ("sand", "checker", "image", "vertex")
 MODES = ("direct", "physical")
 
@@ -32,7 +32,7 @@ class BedSettings:
     def __post_init__(self):
         require_one_of("bed.kind", self.kind, BEDS)
         require_one_of("bed.frame", self.frame, ("crs", "local"))
-        from_file = self.kind in ("mesh", "cloud", "raster")
+        from_file = self.kind in ("mesh", "cloud")
         if from_file != (self.file is not None):
             mend = f'give file = "..." for kind = "{self.kind}"' if from_file else 'remove file, or give kind = "mesh"'
             raise ConfigError(f"bed.kind {self.kind} does not go with bed.file {self.file}; {mend}")
@@ -69,11 +69,12 @@ class ObjectSettings:
     pitch_deg: float = 0.0
     heel_deg: float = 0.0
     up: str = "z"  # the axis of the file that points up
-    colour: tuple[float, float, float] = (0.42, 0.29, 0.18)  # linear albedo, where the file has none
+    colour: tuple[float, float, float] = (0.42, 0.29, 0.18)  # linear albedo, speckled, where the file has none
+    texel_m: float = 0.01  # resolution of the speckle
 
     def __post_init__(self):
         require_one_of("objects.up", self.up, ("y", "z"))
-        require_positive("objects", scale=self.scale)
+        require_positive("objects", scale=self.scale, texel_m=self.texel_m)
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ class WaterSettings:
     scattering: float = 0.2  # [1/m]
     asymmetry: float = 0.92  # mean cosine of scattering
     waves: tuple[WaveSettings, ...] = ()
-    heights: str | None = None  # raster of heights of the surface, in crs
+    heights: str | None = None  # file of points or a raster of the surface, in crs, instead of a plane
 
     def __post_init__(self):
         if not 1.0 <= self.refractive_index <= 1.6:

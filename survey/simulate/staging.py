@@ -14,6 +14,7 @@ import numpy as np
 from geo.crs import parse_crs
 from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera
+from refract.surfaces import WaterSurface
 from survey.cameras import MODELS, Lens
 from survey.drawn.ground import build_ground
 from survey.drawn.scene import DrawnScene
@@ -32,7 +33,7 @@ from survey.simulate.scene_file import CameraSettings, LightSettings, SceneSetti
 from survey.simulate.sensor import Sensor
 from survey.simulate.texture import skin_of_bed
 from survey.simulate.triangles import TriangleMesh
-from survey.simulate.water import WaterLevel
+from survey.simulate.water import WaterLevel, measured, with_waves
 from survey.simulate.watercolour import WaterColour
 
 if TYPE_CHECKING:
@@ -113,7 +114,7 @@ def stage_scene(plan: Plan) -> Scene:
     sensor = settings.sensor
     e, n = settings.origin[:2]
     wide, deep = settings.area.size_m
-    renderer = DirectRenderer(ground, plan.site.water, colour)
+    renderer = DirectRenderer(ground, _surface(plan), colour)
     return Scene(
         name=settings.name,
         crs=settings.crs,
@@ -135,6 +136,16 @@ def stage_scene(plan: Plan) -> Scene:
         seed=settings.seed,
         eye=None if direct else _path_tracer(plan, renderer, light),
     )
+
+
+def _surface(plan: Plan) -> WaterSurface | None:
+    """The surface of the water, which the flight takes for a plane."""
+    water, plane = plan.settings.water, plan.site.water
+    if water is None:
+        return None
+    if water.heights is not None:
+        return measured(plan.folder / water.heights, plan.frame, water.refractive_index)
+    return with_waves(plane, water.waves) if water.waves else plane
 
 
 def _path_tracer(plan: Plan, renderer: DirectRenderer, light: Light) -> PathTracer:

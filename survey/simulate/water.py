@@ -1,13 +1,19 @@
-"""The water level of a scene, in crs, as a surface in its local frame."""
+"""The water of a scene: its level, in crs, and its surface in the local frame, still, with waves or as measured."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from geo import Mesh, read_reference
 from geo.frames import LocalFrame
-from refract import FlatWater
+from refract import FlatWater, HeightFieldWater, WavyWater
+from survey.errors import SurveyError
+from survey.simulate.scene_file import WaveSettings
 
 
 @dataclass(frozen=True)
@@ -38,3 +44,37 @@ class WaterLevel:
         point = tuple(float(v) for v in frame.local_from_crs(at))
         slopes = -normal[:2] / normal[2]
         return FlatWater(point, n_water=self.refractive_index, slope_x=float(slopes[0]), slope_y=float(slopes[1]))
+
+
+def with_waves(plane: FlatWater, waves: Sequence[WaveSettings]) -> WavyWater:
+    """A plane with trains of waves on it."""
+    vectors, phases = [], []
+    for wave in waves:
+        toward, number = math.radians(wave.toward_deg), 2.0 * math.pi / wave.length_m
+        vectors.append((number * math.sin(toward), number * math.cos(toward)))
+        phases.append(math.radians(wave.phase_deg))
+    return WavyWater(
+        plane.point,
+        [wave.amplitude_m for wave in waves],
+        vectors,
+        phases,
+        n_water=plane.n_water,
+        slope_x=plane.slope_x,
+        slope_y=plane.slope_y,
+    )
+
+
+def measured(path: Path, frame: LocalFrame, n_water: float) -> HeightFieldWater:
+    """The surface between measured points of it, in crs: of a raster, cloud or mesh.
+
+    Raises
+    ------
+    SurveyError, GeoError
+        If no surface can be laid through them.
+    """
+    shape = read_reference(path)
+    points = frame.local_from_crs(shape.vertices if isinstance(shape, Mesh) else shape.points)
+    try:
+        return HeightFieldWater.from_points(points[:, :2], points[:, 2], n_water=n_water)
+    except ValueError as error:
+        raise SurveyError(f"{path} gives no water surface: {error}") from error

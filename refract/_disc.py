@@ -43,6 +43,7 @@ class Disc(NamedTuple):
 
 
 def hypot(xp, a, b):
+    """Length of a vector with two components, in the library of `xp`."""
     return xp.sqrt(a * a + b * b)
 
 
@@ -94,34 +95,38 @@ def _incidence(xp, way, rise, slope):
 def search_disc(surface, camera, point, depth) -> Disc:
     """The disc that holds every crossing; ``depth`` is positive, and the camera stands above the surface.
 
-    About the crossing S0 of the level through the surface above P, the length M of paths over that level is strongly
-    convex. At a true crossing the horizontal parts of the rays differ by at most ``slope (n cos_w - cos_a)``
-    (Snell), and lifting S to the level changes them by ``sin cos^2 / rise`` per metre and leg: together G. Hence
-    ``|S - S0| <= G / m`` with m the least curvature of M.
+    Let S0 be the crossing of the level through the surface above P, and M the length of paths over that level. At a
+    true crossing S, |grad M| is at most G: there the horizontal parts of the rays differ by no more than
+    ``slope (n cos_w - cos_a)`` (Snell), and moving S to the level changes them by ``sin cos^2 / rise`` per metre and
+    leg. From S0, where it is zero, |grad M| grows at least like ``n sin`` of the leg in water and like ``sin`` of that
+    in air, each taken at its largest reach; where that exceeds G, there is no crossing.
     """
     xp = namespace(*camera, *point)
     n = surface.n_water
     R, bounds = _reach(xp, surface, camera, point, depth)
     D = hypot(xp, camera[0] - point[0], camera[1] - point[1])
     z_p = point[2] + depth
-    H = camera[2] - z_p
     apart = (bounds.z_lo > point[2]) & (camera[2] > bounds.z_hi)
-    share = kernels.air_share(D * D, xp.where(apart, H, 1.0), depth, n, _FLAT_STEPS)
-    tight = R + (1.0 - share) * D
-    for _ in range(2):  # the second round starts from the bounds of the first
-        far_w, far_a = xp.minimum(R, (1.0 - share) * D + tight), xp.minimum(D + R, share * D + tight)
+    H = xp.where(apart, camera[2] - z_p, 1.0)
+    share = kernels.air_share(D * D, H, depth, n, _FLAT_STEPS)
+    way_w, way_a = (1.0 - share) * D, share * D
+    radius = R + way_w
+    for _ in range(3):  # each round starts from the bounds of the one before
+        far_w, far_a = xp.minimum(R, way_w + radius), xp.minimum(D + R, way_a + radius)
         bounds = _nearer(xp, bounds, z_p, far_w)
         h_lo, H_lo = xp.where(apart, bounds.z_lo - point[2], 1.0), xp.where(apart, camera[2] - bounds.z_hi, 1.0)
         sine = _incidence(xp, far_a, H_lo, bounds.slope)
         turn = xp.sqrt(xp.maximum(n * n - sine * sine, 0.0)) - xp.sqrt(xp.maximum(1.0 - sine * sine, 0.0))
         lift = n * xp.minimum(far_w / h_lo, 0.385) / h_lo + xp.minimum(far_a / H_lo, 0.385) / H_lo  # sin cos^2 <= 0.385
         G = bounds.slope * turn + lift * xp.maximum(bounds.z_hi - z_p, z_p - bounds.z_lo)
-        m = n * depth * depth / hypot(xp, far_w, depth) ** 3 + H * H / hypot(xp, far_a, H) ** 3
-        tight = xp.minimum(tight, _WIDER * G / m)
-    use = apart & (tight < R)
+        for way, rise, excess in ((way_w, depth, G / n), (way_a, H, G)):
+            most = way / hypot(xp, way, rise) + excess
+            reach = rise * most / xp.sqrt(xp.maximum(1.0 - most * most, _ALONG))
+            radius = xp.where(most < 1.0 - _ALONG, xp.minimum(radius, _WIDER * reach - way), radius)
+    use = apart & (radius < R)
     x = xp.where(use, camera[0] + share * (point[0] - camera[0]), point[0])
     y = xp.where(use, camera[1] + share * (point[1] - camera[1]), point[1])
-    disc = Disc(x, y, xp.where(use, tight, R), apart)
+    disc = Disc(x, y, xp.where(use, radius, R), apart)
     return disc._replace(convex=apart & _convex(xp, n, camera, point, disc, bounds))
 
 

@@ -212,6 +212,35 @@ def test_drjit_agrees_with_numpy(rng):
         np.testing.assert_allclose(np.asarray(drjit.grad(own)), other.grad.numpy(), atol=1e-10)
 
 
+def test_drjit_gradients_of_waves_agree_with_torch(rng):
+    drjit = pytest.importorskip("drjit", reason="Dr.Jit is not installed")
+    if not drjit.has_backend(drjit.JitBackend.LLVM):
+        pytest.skip("Dr.Jit finds no LLVM; install libllvm19 or set DRJIT_LIBLLVM_PATH")
+    from drjit.llvm.ad import Float64
+
+    camera, ray = cameras(rng, 50), falling_rays(rng, 50, flattest_deg=40.0)
+    bed = bed_points(CALM, camera, ray, rng.uniform(0.5, 2.0, 50))
+    gradients = []
+    for wrap, number in ((Float64, Float64), (torch.tensor, lambda v: torch.tensor(v, dtype=torch.float64))):
+        own = [number(v) for v in LEAVES.values()]
+        if wrap is Float64:
+            drjit.enable_grad(*own)
+        else:
+            own = [v.requires_grad_() for v in own]
+        ends, rays, points = (tuple(map(wrap, v)) for v in (camera, ray, bed))
+        water = wave_of(*own)
+        crossing, _, count = water.crossing(ends, points, 4)
+        assert np.all(np.asarray(count) == 1)
+        total = sum(crossing) + water.intersect(ends, rays)
+        if wrap is Float64:
+            drjit.backward(total)
+            gradients.append([np.asarray(drjit.grad(v)).item() for v in own])
+        else:
+            total.sum().backward()
+            gradients.append([v.grad.item() for v in own])
+    np.testing.assert_allclose(*gradients, rtol=1e-10)  # sums of 50 derivatives, some of which cancel
+
+
 def test_wrong_numbers_are_named():
     with pytest.raises(ValueError, match=r"2 amplitudes|\(2, 1, 2, 2\)"):
         WavyWater(POINT, (0.1, 0.2), ((1.0, 0.0),))

@@ -54,7 +54,7 @@ def crossing(surface, camera, point):
 
 def _through(surface, triangle, camera, point, like):
     """The crossing through the planes of triangles; with gradients; harmless numbers where the triangle is -1."""
-    corner, (slope_x, slope_y) = surface.planes(np.where(triangle >= 0, triangle, surface.wet_triangles.argmax()), like)
+    corner, (slope_x, slope_y) = surface.planes(surface.or_any(triangle), like)
     xp = namespace(like)
     up = 1.0 / xp.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
     normal = -slope_x * up, -slope_y * up, up

@@ -177,6 +177,10 @@ class HeightFieldWater:
             z = self.plain_heights[self.triangles[triangle]]
         return (corners[..., 0, 0], corners[..., 0, 1], z[..., 0]), _slopes(corners, z)
 
+    def or_any(self, triangle):
+        """`triangle` where there is one, elsewhere some wet one: its numbers are harmless, also to gradients."""
+        return np.where(triangle >= 0, triangle, self.wet_triangles.argmax())
+
     def _under(self, x, y):
         """The wet triangle over or under each point, numpy; -1 where there is none."""
         x, y = np.broadcast_arrays(as_numpy(x), as_numpy(y))
@@ -187,7 +191,7 @@ class HeightFieldWater:
         """Height z of the surface [m] at local x, y [m]; NaN where there is no water."""
         _needs_numpy_or_torch(x)
         triangle = self._under(x, y)
-        (cx, cy, cz), (slope_x, slope_y) = self.planes(np.maximum(triangle, 0), x)
+        (cx, cy, cz), (slope_x, slope_y) = self.planes(self.or_any(triangle), x)
         z = cz + slope_x * (x - cx) + slope_y * (y - cy)
         return namespace(x).where(as_like(triangle, x) >= 0, z, math.nan)
 
@@ -195,7 +199,7 @@ class HeightFieldWater:
         """Unit normal of the triangle at x, y, pointing up into the air; NaN where there is no water."""
         _needs_numpy_or_torch(x)
         xp, triangle = namespace(x), self._under(x, y)
-        _, (slope_x, slope_y) = self.planes(np.maximum(triangle, 0), x)
+        _, (slope_x, slope_y) = self.planes(self.or_any(triangle), x)
         up = 1.0 / xp.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
         wet = as_like(triangle, x) >= 0
         return tuple(xp.where(wet, c, math.nan) for c in (-slope_x * up, -slope_y * up, up))
@@ -211,7 +215,7 @@ class HeightFieldWater:
         xp = namespace(*origin)
         met = self._first_triangle(*(tuple(as_numpy(c).ravel() for c in v) for v in (origin, direction)), 1.0)
         met = met.reshape(tuple(origin[0].shape))
-        corner, slopes = self.planes(np.maximum(met, 0), origin[0])
+        corner, slopes = self.planes(self.or_any(met), origin[0])
         meets = as_like(met, origin[0]) >= 0
         over, rate = _clearance(corner, slopes, origin, direction)
         t = -over / xp.where(meets, rate, -1.0)
@@ -258,7 +262,7 @@ class HeightFieldWater:
             flat = np.abs(way[2]) <= self._steepest * np.hypot(way[0], way[1])
             rays = tuple(c[flat] for c in end), tuple((w / length)[flat] for w in way)
             met = self._first_triangle(*rays, side)
-            over, rate = _clearance(*self.planes(np.maximum(met, 0), rays[0][0]), *rays)
+            over, rate = _clearance(*self.planes(self.or_any(met), rays[0][0]), *rays)
             with np.errstate(divide="ignore", invalid="ignore"):
                 first = np.where(met >= 0, -over / rate, np.inf)
             clear[flat] = first >= length[flat] * (1.0 - _ARRIVED)

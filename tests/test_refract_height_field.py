@@ -239,6 +239,23 @@ def test_gradients_flow_to_heights_rays_and_index(rng):
     assert torch.autograd.gradcheck(distance, (heights, *camera), eps=1e-6, atol=1e-6)
 
 
+def test_gaps_leave_the_gradients_of_the_rest_alone():
+    x = np.arange(-6.0, 6.5, 1.0)
+    values = np.zeros((13, 13))
+    values[:, :4] = np.nan  # the first triangles are dry
+    heights = torch.tensor(values, requires_grad=True)
+    water = HeightFieldWater.from_raster(x, x, heights)
+    camera = tuple(torch.tensor([c, c], dtype=torch.float64, requires_grad=True) for c in (0.3, 0.2, 8.0))
+    point = tuple(
+        torch.tensor(c, dtype=torch.float64, requires_grad=True) for c in ([-4.5, 1.1], [0.3, 0.4], [-1.0, -1.0])
+    )
+    ray = tuple(torch.tensor(c, dtype=torch.float64) for c in ([-0.6, 0.28], [0.0, 0.0], [-0.8, -0.96]))
+    total = sum(c.nansum() for c in water.crossing(camera, point, 4)[0]) + water.intersect(camera, ray).nansum()
+    (total + water.height(*point[:2]).nansum() + sum(c.nansum() for c in water.normal(*point[:2]))).backward()
+    assert all(torch.isfinite(leaf.grad).all() for leaf in (heights, *camera, *point))
+    assert heights.grad.abs().max() > 0.1
+
+
 def test_torch_agrees_with_numpy(rng):
     water = raster_of(SWELL, 1.0)
     camera, ray = cameras(rng, 100, (5.0, 20.0)), falling_rays(rng, 100, flattest_deg=45.0)

@@ -154,7 +154,7 @@ def _circumstances(
     if blocks.is_narrow:
         notes.append(
             f"the errors are correlated over {blocks.correlation_m:.3g} m, too far for the extent of the cloud: the "
-            "intervals of confidence are too short"
+            "intervals of confidence may be too short"
         )
     return {
         "outliers": options.outliers,
@@ -163,6 +163,7 @@ def _circumstances(
             "method": "block bootstrap",
             "block_m": blocks.size_m,
             "correlation_length_m": blocks.correlation_m,
+            "widening": blocks.widening,
             "draws": NUM_DRAWS,
             "seed": SEED_OF_DRAWS,
         },

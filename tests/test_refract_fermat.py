@@ -73,6 +73,28 @@ def test_paths_through_ripples_are_as_many_as_a_dense_scan_finds(rng, amplitude)
     assert amplitude < 0.01 or max(seen) > 1
 
 
+def test_newton_from_everywhere_finds_as_many_paths(rng):
+    """Waves that cross: 3600 starts over the disc find every root that there is, and none besides."""
+    counts = []
+    for _ in range(12):
+        camera = arrays((*rng.uniform(-3, 3, 2), rng.uniform(5, 20)))
+        point = arrays((*rng.uniform(-2, 2, 2), -rng.uniform(4, 8)))
+        _, depth, count = CHOP.crossing(camera, point, 4)
+        disc = _disc.search_disc(CHOP, camera, point, depth)
+        ways = disc.radius[0] * np.linspace(-1.0, 1.0, 60)
+        x, y = (c.ravel() for c in np.meshgrid(disc.x[0] + ways, disc.y[0] + ways))
+        with np.errstate(all="ignore"):  # starts that run away
+            for _ in range(30):
+                (gx, gy), (hxx, hxy, hyy) = fermat.path_slope(CHOP, camera, point, x, y)
+                determinant = hxx * hyy - hxy * hxy
+                x, y = x + (hxy * gy - hyy * gx) / determinant, y + (hxy * gx - hxx * gy) / determinant
+        roots = (np.hypot(gx, gy) < 1e-10) & (np.hypot(x - disc.x, y - disc.y) <= disc.radius)
+        distinct = np.unique(np.round(np.stack([x[roots], y[roots]]), 4), axis=1)
+        assert count[0] == distinct.shape[1]
+        counts.append(count[0])
+    assert max(counts) > 1
+
+
 def test_light_is_focused_below_crests_at_the_depth_that_optics_says():
     """From far above, a crest of curvature K focuses at n / ((n - 1) K): one path above that depth, three below."""
     amplitude, wavelength, n = 0.01, 1.0, 1.333

@@ -233,6 +233,8 @@ def compare(
         numbers = compare_files(cloud, reference, options=options)
         if verbose >= quiet:
             for title, rows in sections_of(numbers):
+                if title is not None:
+                    typer.echo()
                 _print_columns(title, rows)
 
 

@@ -9,11 +9,6 @@ _BANDS = (
     ("incidence_bands", "By incidence", "deg"),
     ("views_bands", "By number of views", "views"),
 )
-_FURTHER = (
-    ("vertical", "Vertical difference"),
-    ("asprs", "Check points (ASPRS, Edition 2)"),
-    ("m3c2", "M3C2"),
-)
 
 
 def sections_of(numbers: dict) -> list[Section]:
@@ -26,9 +21,8 @@ def sections_of(numbers: dict) -> list[Section]:
     sections.append(("Wet and dry", split))
     for key, title, unit in _BANDS:
         sections.append((title, [(band_label(band, unit), _short(band)) for band in numbers.get(key) or []]))
-    sections += [(title, _rows(numbers.get(key) or {})) for key, title in _FURTHER]
-    for name, part in (numbers.get("c2c") or {}).items():
-        sections.append((f"Cloud to cloud, {name.replace('_', ' ')}", _rows(part)))
+    sections.append(("Other distances", _others(numbers)))
+    sections.append(("Check points (ASPRS, Edition 2)", _rows(numbers.get("asprs") or {})))
     sections.append(
         ("Vertical uncertainty (IHO S-44), share of the points under water", _orders(numbers.get("iho_s44")))
     )
@@ -79,6 +73,18 @@ def _short(part: dict) -> str:
         f"mean {_metres(part['mean_m'])}{interval}, std {_metres(part['std_m'])}; inner 90 %: mean "
         f"{_metres(part['mean_inner90_m'])}, std {_metres(part['std_inner90_m'])} m; {part['n_points']} points"
     )
+
+
+def _others(numbers: dict) -> list[tuple[str, str]]:
+    rows = []
+    if vertical := numbers.get("vertical"):
+        rows.append(("vertical", f"{_short(vertical)}, {vertical['n_holes']} more have no surface above or below"))
+    for name, part in (numbers.get("c2c") or {}).items():
+        rows.append((f"cloud to cloud, {name.replace('_', ' ')}", _short(part)))
+    if m3c2 := numbers.get("m3c2"):
+        detection = f"{_percent(m3c2['significant_share'])} over the level of detection"
+        rows.append((f"M3C2, radius {m3c2['radius_m']:g} m", f"{_short(m3c2)}, {detection}"))
+    return rows
 
 
 def _orders(iho: dict | None) -> list[tuple[str, str]]:

@@ -28,6 +28,8 @@ from survey.stored import StoredBed, load_bed, load_depth_maps, save_bed, save_d
 from survey.stored_field import load_field, save_field, save_place
 
 QUALITY_GATE_FAILED = 3
+# At which the report asks how complete the cloud is: that of the study which this work follows, and a finer one.
+TOLERANCES_M = (0.2, 0.05)
 
 
 def process(
@@ -185,7 +187,7 @@ class _Run:
         if reference is None:
             return None
         start = time.monotonic()
-        options = CompareOptions(visible=visible, bounds=self.survey.bounds)
+        options = CompareOptions(tolerances_m=TOLERANCES_M, visible=visible, bounds=self.survey.bounds)
         comparison = compare_surfaces(cloud, reference, options)
         self.timings["comparison"] = self.timings.get("comparison", 0.0) + time.monotonic() - start
         return comparison

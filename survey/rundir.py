@@ -189,9 +189,12 @@ class RunDir:
             )
 
     def _remove_parts(self) -> None:
-        """Remove what stages that were killed, or failed, left unfinished."""
+        """Remove what a run that was killed, or failed, left unfinished: folders of stages and half-written files."""
         for folder in self.stages_path.glob(f".*{_PART}"):
             shutil.rmtree(folder, ignore_errors=True)
+        for place in (self.path, self.pictures_path):
+            for file in place.glob(f".*{_PART}"):
+                file.unlink(missing_ok=True)
 
 
 def versions() -> dict[str, str]:

@@ -78,6 +78,18 @@ def test_a_stage_folder_is_fresh_after_a_killed_run(tmp_path):
         assert list(run.open_stage("sweep").iterdir()) == []
 
 
+def test_files_that_a_killed_run_left_half_written_are_removed(tmp_path):
+    run = RunDir(tmp_path / "run")
+    with run:
+        pass
+    halves = [run.path / ".cloud.las.4711.part", run.pictures_path / ".depth.png.4711.part"]
+    for path in (*halves, run.cloud_path):
+        path.touch()
+    with run:
+        assert not any(path.exists() for path in halves)
+    assert run.cloud_path.exists()
+
+
 def test_a_damaged_record_means_that_the_stage_is_computed_anew(tmp_path):
     with RunDir(tmp_path / "run") as run:
         folder = finish(run, "sweep", "a", x=np.ones(2))

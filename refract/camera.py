@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import final
 
 import numpy as np
 
 from refract.paths import BentPaths, trace
 from refract.projection import EXACT_STEPS, crossing_point
-from refract.surfaces import FlatWater
+from refract.surfaces import WaterSurface
 
 # Poses in files carry six to nine digits; a matrix worse than this is not a rotation but a mistake.
 _ROTATION_TOLERANCE = 1e-5
@@ -26,6 +27,7 @@ def _is_rotation(matrix: np.ndarray) -> bool:
     )
 
 
+@final
 @dataclass(frozen=True)
 class PinholeCamera:
     """A distortion-free camera in the local frame.
@@ -100,11 +102,11 @@ class PinholeCamera:
         rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ self.cam_from_local
         return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
-    def paths(self, pixels, water: FlatWater | None) -> BentPaths:
+    def paths(self, pixels, water: WaterSurface | None) -> BentPaths:
         """Bent paths of pixels (..., 2) [px]; see `refract.paths.trace`."""
         return trace(self.centre, self.directions(pixels), water)
 
-    def project(self, points, water: FlatWater | None, *, steps: int = EXACT_STEPS) -> np.ndarray:
+    def project(self, points, water: WaterSurface | None, *, steps: int = EXACT_STEPS) -> np.ndarray:
         """Pixels (..., 2) [px] at which points (..., 3) [m], local, appear through the water.
 
         NaN for points behind the camera; pixels outside the image are returned as they are. `steps` as in

@@ -194,3 +194,13 @@ def test_near_the_critical_angle_the_gradient_is_zero_and_counted(dtype):
     bend(rays, down, n_from=1.34, n_to=1.0).sum().backward()
     assert (rays.grad[2:] == 0.0).all()
     assert (rays.grad[:2, 2].abs() > 0.2 / limit).tolist() == [True, True]
+
+
+@pytest.mark.parametrize(("n_from", "n_to"), [(1.0, 1.34), (1.34, 1.0), (1.0, 1.0)])
+def test_rays_along_the_surface_are_nan_without_gradient(n_from, n_to):
+    rays, up = leaf([[1.0, 0.0, 0.0], [0.6, 0.0, -0.8]]), leaf([0.0, 0.0, 1.0])
+    bent = bend(rays, up, n_from=n_from, n_to=n_to)
+    assert torch.isnan(bent).all(dim=-1).tolist() == [True, False]
+    bent.nansum().backward()
+    assert (rays.grad[0] == 0.0).all()
+    assert torch.isfinite(up.grad).all()

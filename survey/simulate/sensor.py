@@ -65,55 +65,59 @@ class Sensor:
 
     def light(self, eye: Eye, camera: PinholeCamera, lens: Lens, seed: tuple[int, int]) -> np.ndarray:
         """Mean radiance (height, width, 3) of the pixels of a camera."""
-        rng = np.random.default_rng([seed[0], 6, seed[1]])
-        shape = (camera.height, camera.width)
-        centre, change = normalised(lens)
+        # Rays by chance are for an eye that works in float32: 1e-4 px.
+        dtype = np.float32 if self.by_chance else np.float64
+        middle, across, down = (part.astype(dtype) for part in _rays_of(lens, camera))
         total = np.zeros((camera.height * camera.width, 3))
-        forward = _horizontal(-camera.cam_from_local[1])
-        turn = rng.random((3, *shape)) if self.by_chance else None
-        for number, (part, offsets) in enumerate(self._samples(shape, turn)):
-            # (x, y) of the ray at depth 1 in cam; the lens is affine within a pixel, to 1e-6 of it.
-            plane = centre[part, None] + np.einsum("prij,prj->pri", change[part, None], offsets[..., :2])
-            rays = np.concatenate([plane, np.ones((*plane.shape[:2], 1))], axis=-1).reshape(-1, 3)
-            rays = rays @ camera.cam_from_local
-            rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-            flown = (self.blur_m * offsets[..., 2]).reshape(-1, 1) * forward
-            radiance = eye(camera.centre + flown, rays, _seed_of(seed, number))
-            total[part] += radiance.reshape(*offsets.shape[:2], 3).sum(axis=1)
-        return (total / self.samples).reshape(*shape, 3)
+        forward = self.blur_m * _horizontal(-camera.cam_from_local[1])
+        turn = np.random.default_rng([seed[0], 6, seed[1]]).random((len(total), 3), dtype=np.float32)
+        for number, (part, offsets) in enumerate(self._samples(turn)):
+            u, v, time = np.moveaxis(offsets.astype(dtype, copy=False), -1, 0)[..., None]
+            # The lens is affine within a pixel, to 1e-6 of it.
+            rays = middle[part, None] + u * across[part, None] + v * down[part, None]
+            rays /= np.sqrt(np.einsum("pri,pri->pr", rays, rays))[..., None]
+            origin = camera.centre if self.blur_m == 0.0 else (camera.centre + time * forward).reshape(-1, 3)
+            radiance = eye(np.broadcast_to(origin, (rays.size // 3, 3)), rays.reshape(-1, 3), _seed_of(seed, number))
+            total[part] += radiance.reshape(rays.shape).sum(axis=1)
+        return (total / self.samples).reshape(camera.height, camera.width, 3)
 
-    def _samples(self, shape: tuple[int, int], turn: np.ndarray | None) -> Iterator[tuple[slice, np.ndarray]]:
+    def _samples(self, turn: np.ndarray) -> Iterator[tuple[slice, np.ndarray]]:
         """Parts of the flattened image, with offsets (pixels, rays, 3) from the pixel's middle [px] and in time.
 
-        Time runs from -0.5 to 0.5 while the shutter is open.
+        Time runs from -0.5 to 0.5 while the shutter is open. Where chance decides, it turns one even sequence for
+        each pixel, by (pixels, 3).
         """
-        num_pixels = shape[0] * shape[1]
-        if turn is None:
+        if self.by_chance:
+            table = (np.arange(1, self.samples + 1)[:, None] * _STEPS % 1.0).astype(turn.dtype)
+        else:
             side = round(self.samples**0.5)
             at = (np.arange(side) + 0.5) / side - 0.5
-            u, v = (c.ravel() for c in np.meshgrid(at, at))
             time = (np.arange(self.samples) + 0.5) / self.samples - 0.5
-            table = np.stack([u, v, time], axis=-1)
-        else:
-            table = np.arange(1, self.samples + 1)[:, None] * _STEPS
-            turn = turn.reshape(3, -1).T
-        at_once = min(self.samples, max(_RAYS // num_pixels, 1))
+            table = np.stack([*(c.ravel() for c in np.meshgrid(at, at)), time], axis=-1)
+        at_once = min(self.samples, max(_RAYS // len(turn), 1))
         pixels = max(_RAYS // at_once, 1)
         for first in range(0, self.samples, at_once):
             rows = table[first : first + at_once]
-            for start in range(0, num_pixels, pixels):
-                part = slice(start, min(start + pixels, num_pixels))
-                count = part.stop - part.start
-                if turn is None:
-                    yield part, np.broadcast_to(rows, (count, *rows.shape))
+            for start in range(0, len(turn), pixels):
+                part = slice(start, min(start + pixels, len(turn)))
+                if self.by_chance:
+                    sums = turn[part, None] + rows
+                    yield part, np.where(sums >= 1.0, sums - 1.5, sums - 0.5)
                 else:
-                    yield part, (turn[part, None] + rows) % 1.0 - 0.5
+                    yield part, np.broadcast_to(rows, (part.stop - part.start, *rows.shape))
 
     def _walk(self, scene: int, index: int) -> float:
         if self.drift == 0.0:
             return 1.0
         steps = np.random.default_rng([scene, 7]).standard_normal(index + 1)
         return float(np.exp(self.drift * steps.sum()))
+
+
+def _rays_of(lens: Lens, camera: PinholeCamera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ways of view of the middles of pixels (pixels, 3), local, and their changes across and down a pixel."""
+    plane, change = normalised(lens)
+    middle = np.concatenate([plane, np.ones((len(plane), 1))], axis=-1) @ camera.cam_from_local
+    return middle, *(change[..., k] @ camera.cam_from_local[:2] for k in (0, 1))
 
 
 def normalised(lens: Lens) -> tuple[np.ndarray, np.ndarray]:

@@ -1,85 +1,214 @@
-"""How many Newton steps does the way back through the surface need, per library and precision?
+"""What do trace and project cost, and how far off are they, per library, precision and number of steps?
 
-    python benchmarks/bench_optics.py
+    python benchmarks/bench_optics.py [--write]
 
-Prints the table of docs/optics.md: the angle between the direction of view after so many steps and the exact
-one, over drone geometry, with the crossings per second beside it.
+Prints the tables of docs/optics.md: run time against error over drone geometry and over the extremes, then how near
+the kernels come to the speed of memory and of arithmetic, both measured in the same run. With --write the tables
+replace those of the page, and the picture is drawn beside it. Two minutes; on a busy machine believe no figure.
 """
 
 from __future__ import annotations
 
-import importlib
+import argparse
+import os
 import sys
-import time
+from pathlib import Path
 
+import drjit
 import numpy as np
 import torch
+from array_libraries import Library, libraries, seconds
+from kernel_limits import Limits, measure_limits, shares
+from matplotlib.figure import Figure
 
-from refract import kernels
-from refract.projection import EXACT_STEPS
+from refract import FlatWater, project, trace
 
-COUNT = 1_000_000
-N_WATER = 1.333
+DOCS = Path(__file__).resolve().parent.parent / "docs"
 FOCAL_PX = 1750.0
-STEPS = (1, 2, 3, 4)
-LEVEL = ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), N_WATER)
+WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.333)
+COUNT = 1 << 18
+STEPS = range(7)
+# The rounding of a float32, half a unit in the last place, relative.
+HALF_UNIT = 2.0**-24
 
 
-def drone_geometry():
-    """Triples of camera centres 5 to 120 m over the water and beds 0 to 15 m under it, incidence to 50 deg."""
+def drone_geometry() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Cameras 5 to 120 m over the water, rays to 50 deg, and beds 0 to 15 m under it at their ends: (COUNT, 3) each."""
     rng = np.random.default_rng(1)
     H, h = rng.uniform(5.0, 120.0, COUNT), rng.uniform(0.0, 15.0, COUNT)
     angle, azimuth = np.radians(rng.uniform(0.0, 50.0, COUNT)), rng.uniform(0.0, 2.0 * np.pi, COUNT)
-    D = H * np.tan(angle) + h * np.sin(angle) / np.sqrt(N_WATER**2 - np.sin(angle) ** 2)
-    zero = np.zeros(COUNT)
-    return (zero, zero, H), (D * np.cos(azimuth), D * np.sin(azimuth), -h)
+    sine, cosine = np.sin(angle), np.cos(angle)
+    D = H * sine / cosine + h * sine / np.sqrt(WATER.n_water**2 - sine**2)
+    along = np.stack([np.cos(azimuth), np.sin(azimuth), 0.0 * azimuth], -1)
+    down = np.array([0.0, 0.0, -1.0])
+    return -H[:, None] * down, sine[:, None] * along + cosine[:, None] * down, D[:, None] * along + h[:, None] * down
 
 
-def view_error(crossing, exact, camera) -> np.ndarray:
-    """Angle [rad] between the directions of view from `camera` to two crossings."""
-    seen, true = (
-        np.stack([np.asarray(c, np.float64) for c in x], -1) - np.stack(camera, -1) for x in (crossing, exact)
+def extreme_rays(H, h) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centres and rays (K, 3) and depths (K,) for all pairs of heights and depths, incidence 0 to 89.9 deg.
+
+    K counts the heights slowest, then the depths.
+    """
+    leaning = np.radians(np.concatenate([np.linspace(0.0, 70.0, 15), 90.0 - np.geomspace(0.1, 20.0, 60)]))
+    H, h, angle, azimuth = (v.ravel() for v in np.meshgrid(H, h, leaning, np.linspace(0.0, 1.5, 8), indexing="ij"))
+    sine = np.sin(angle)
+    rays = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), -np.cos(angle)], -1)
+    return np.stack([0.0 * H, 0.0 * H, H], -1), rays, h
+
+
+def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Angle [rad] between vectors (K, 3), accurate for small ones."""
+    return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1))
+
+
+def round_trip(library: Library, H, h, steps: int) -> np.ndarray:
+    """Angles [rad] between rays and the directions in which their points appear: project after trace."""
+    centres, rays, depths = extreme_rays(H, h)
+    centre, ray = library.vectors(centres), library.vectors(rays)
+    points = trace(centre, ray, WATER).at_height(library.numbers(-depths), WATER)
+    return angle_between(library.back(project(points, centre, WATER, steps=steps).direction), library.back(ray))
+
+
+def of_steps(library: Library) -> list[dict]:
+    """Time and errors of `project` after each number of steps, with and without gradients, and those of `trace`."""
+    cameras, rays, points = drone_geometry()
+    centre, ray, point = (library.vectors(v) for v in (cameras, rays, points))
+    H, h = np.geomspace(1e-3, 1e4, 10), np.concatenate([[0.0], np.geomspace(1e-6, 1e3, 10)])
+
+    def down(direction):
+        path = trace(centre, direction, WATER)
+        return path.crossing + path.water_direction
+
+    def pair(function, leaf):
+        plain = seconds(lambda: library.finish(function(leaf)))
+        graded = None if library.backward is None else seconds(lambda: library.backward(leaf, function))
+        return plain / COUNT * 1e9, graded and graded / COUNT * 1e9
+
+    plain, graded = pair(down, ray)
+    records = [{"what": "trace", "steps": "", "ns": plain, "graded_ns": graded}]
+    for steps in STEPS:
+        found = library.back(project(point, centre, WATER, steps=steps).direction)
+        error = angle_between(found, rays)
+        plain, graded = pair(lambda p, steps=steps: project(p, centre, WATER, steps=steps).direction, point)
+        records.append(
+            {"what": "project", "steps": steps, "ns": plain, "graded_ns": graded, "worst": error.max()}
+            | {"rms": float(np.sqrt(np.mean(error**2))), "extreme": round_trip(library, H, h, steps).max()}
+        )
+    return [{"library": library.name} | record for record in records]
+
+
+def error_table(records: list[dict]) -> str:
+    rows = [
+        "| library | what | steps | ns a ray | with gradients | worst, rad | rms, rad | worst, px | extremes, rad |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for r in records:
+        graded = "" if r["graded_ns"] is None else f"{r['graded_ns']:.3g}"
+        errors = ["", "", "", ""]
+        if "worst" in r:
+            errors = [f"{v:.1e}" for v in (r["worst"], r["rms"], r["worst"] * FOCAL_PX, r["extreme"])]
+        cells = [r["library"], r["what"], str(r["steps"]), f"{r['ns']:.3g}", graded, *errors]
+        rows.append("| " + " | ".join(cells) + " |")
+    return "\n".join(rows)
+
+
+def limit_table(limits: Limits, records: list[dict]) -> str:
+    """How near the Dr.Jit kernels come to what binds them: one camera, float32, arrays beyond the caches."""
+    from drjit.llvm import Array3f
+
+    _, rays, points = (np.tile(v, (16, 1)) for v in drone_geometry())
+    centre, ray, point = Array3f(0.0, 0.0, 60.0), *(Array3f(np.ascontiguousarray(v.T, "f")) for v in (rays, points))
+    drjit.make_opaque(centre, ray, point)
+
+    def down():
+        path = trace(centre, ray, WATER)
+        return path.crossing, path.air_length, path.water_direction
+
+    kernels = (
+        ("trace: crossing, length and direction", down, 4 * (3 + 7)),
+        ("project: direction", lambda: project(point, centre, WATER).direction, 4 * (3 + 3)),
     )
-    cross = np.linalg.norm(np.cross(seen, true), axis=-1)
-    return cross / np.linalg.norm(seen, axis=-1) / np.linalg.norm(true, axis=-1)
+    flops = 2e-9 / limits.operation["fma", "float"], 2e-9 / limits.operation["fma", "double"]
+    rows = [
+        f"A copy moves {limits.copy / 1e9:.1f} GB/s; multiply-adds run at {flops[0]:.0f} Gflop/s in float32 and "
+        f"{flops[1]:.0f} in float64; {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}.",
+        "",
+        "| kernel, float32 | ns a ray | operations | of the speed of memory | of that of arithmetic | of torch |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, run, size in kernels:
+        s = shares(limits, run, len(points), size)
+        twin = [r for r in records if r["library"] == "torch float32" and r["what"] == name.split(":")[0]]
+        rows.append(
+            f"| {name} | {s['ns']:.2f} | {s['operations']:.0f} | {s['memory']:.0%} | {s['arithmetic']:.0%} "
+            f"| {twin[-1]['ns'] / s['ns']:.0f} times |"
+        )
+    return "\n".join(rows)
 
 
-def libraries():
-    """Name, wrapper of one array, and a function that waits for results, per library and precision."""
-    yield "numpy float64", np.asarray, lambda crossing: None
-    yield "torch float32", lambda c: torch.tensor(c, dtype=torch.float32), lambda crossing: None
-    import drjit
+def bound(ratio: np.ndarray) -> np.ndarray:
+    """Worst angle [rad] by which the rounding of a point to float32 turns its ray, for depths in camera heights.
 
-    if drjit.has_backend(drjit.JitBackend.LLVM):
+    Half a unit in the last place of both coordinates along the plane, ``sqrt(2) 2^-24 D``, over ``dD / d angle``, and
+    the rounding of the direction itself.
+    """
+    angle = np.radians(np.concatenate([np.linspace(1.0, 70.0, 200), 90.0 - np.geomspace(0.1, 20.0, 800)]))
+    x, n, h = np.tan(angle), WATER.n_water, ratio[:, None]
+    q = 1.0 / np.sqrt(n * n + (n * n - 1.0) * x * x)
+    turn = (x + h * x * q) / ((1.0 + h * n * n * q**3) * (1.0 + x * x))
+    return HALF_UNIT * (2.0 + np.sqrt(2.0) * turn.max(axis=1))
 
-        def wait(crossing):
-            drjit.eval(*crossing)
-            drjit.sync_thread()
 
-        yield "Dr.Jit float32 (LLVM)", importlib.import_module("drjit.llvm").Float, wait
+def picture(records: list[dict], every: list[Library], path: Path) -> None:
+    """Left, time against error; right, error against the ratio of depth to height, with its bound."""
+    figure = Figure(figsize=(11.0, 4.4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for library in every:
+        rows = [r for r in records if r["library"] == library.name and r["what"] == "project"]
+        left.loglog([r["ns"] for r in rows], [max(r["worst"], 1e-17) for r in rows], "o-", ms=3, label=library.name)
+    left.set(
+        xlabel="time of a ray [ns]", ylabel="worst error [rad]", title="project after 0 to 6 steps, drone geometry"
+    )
+    left.legend(fontsize=7)
+    ratios = np.geomspace(1e-9, 1e9, 55)
+    for library in every:
+        errors = round_trip(library, [1.0], ratios, steps=16).reshape(len(ratios), -1).max(axis=1)
+        right.loglog(ratios, errors, lw=1.2, label=library.name)
+    right.loglog(ratios, bound(ratios), "k--", lw=0.8, label="rounding of the point, float32")
+    right.axhline(2e-6, color="0.6", lw=0.8)
+    right.axhline(1e-12, color="0.6", lw=0.8)
+    right.axvspan(ratios[0], 1e6, color="0.95", zorder=0)
+    right.set(xlabel="depth over camera height", ylabel="worst error [rad]", title="project after trace, 0 to 89.9 deg")
+    right.legend(fontsize=7)
+    figure.savefig(path, dpi=110)
+
+
+def write(tables: dict[str, str]) -> None:
+    """Replace the tables of docs/optics.md, each between its two marks."""
+    page = DOCS / "optics.md"
+    text = page.read_text(encoding="utf-8")
+    for name, table in tables.items():
+        first, last = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
+        start, end = text.index(first) + len(first), text.index(last)
+        text = text[:start] + table + "\n" + text[end:]
+    page.write_text(text, encoding="utf-8")
 
 
 def main() -> None:
-    """Measure and print."""
-    camera, point = drone_geometry()
-    exact, _ = kernels.crossing_of_point(camera, point, *LEVEL, EXACT_STEPS)
-    rows = ["| library | steps | worst, rad | rms, rad | worst, px | rms, px | M/s |", "|---|---|---|---|---|---|---|"]
-    for name, wrap, wait in libraries():
-        wrapped = tuple(map(wrap, camera)), tuple(map(wrap, point))
-        for steps in STEPS:
-            best = float("inf")
-            for _ in range(4):  # the first run compiles
-                start = time.perf_counter()
-                crossing, _ = kernels.crossing_of_point(*wrapped, *LEVEL, steps)
-                wait(crossing)
-                best = min(best, time.perf_counter() - start)
-            error = view_error(crossing, exact, camera)
-            worst, rms = error.max(), float(np.sqrt(np.mean(error**2)))
-            rows.append(
-                f"| {name} | {steps} | {worst:.1e} | {rms:.1e} | {worst * FOCAL_PX:.1e} | {rms * FOCAL_PX:.1e} "
-                f"| {COUNT / best / 1e6:.0f} |"
-            )
-    sys.stdout.write("\n".join(rows) + "\n")
+    """Measure, print, and write if asked to."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--write", action="store_true", help="put tables and picture into docs/")
+    arguments = parser.parse_args()
+    torch.set_num_threads(os.cpu_count() or 1)
+    every = list(libraries())
+    records = [record for library in every for record in of_steps(library)]
+    tables = {"errors": error_table(records)}
+    if drjit.has_backend(drjit.JitBackend.LLVM):
+        tables["limits"] = limit_table(measure_limits(), records)
+    sys.stdout.write("\n\n".join(tables.values()) + "\n")
+    if arguments.write:
+        write(tables)
+        picture(records, every, DOCS / "img" / "optics_error.png")
 
 
 if __name__ == "__main__":

@@ -129,13 +129,8 @@ def trace(origin, direction, surface: WaterSurface | None) -> BentPaths:
     given = components(origin), components(direction)
     valid, (o, d) = kernels.cleaned(*given)
     zero = (o[0] + d[0]) * 0.0
-    crossing, air_length, bent, wet, parallel = (
-        (zero + math.nan,) * 3,
-        zero + math.inf,
-        given[1],
-        zero > 0.0,
-        zero > 0.0,
-    )
+    crossing, reach, bent = (zero + math.nan,) * 3, zero, given[1]
+    wet = parallel = zero > 0.0
     if surface is not None:
         t = surface.intersect(o, d)
         below = valid & (o[2] - surface.height(o[0], o[1]) <= kernels.CONTACT)
@@ -144,9 +139,9 @@ def trace(origin, direction, surface: WaterSurface | None) -> BentPaths:
         reach = xp.where(meets, t, zero)
         at = kernels.along(o, d, reach)
         crossing = kernels.chosen(wet, at, math.nan)
-        air_length = xp.where(wet, reach, math.inf)
         normal = surface.normal(at[0], at[1])
-        bent = kernels.chosen(meets, kernels.bend(d, normal, 1.0, surface.n_water), given[1])
+        bent = kernels.chosen(meets, kernels.bend(d, normal, 1.0, surface.n_water), bent)
         parallel = valid & ~wet & (xp.abs(kernels.dot(d, normal)) <= kernels.GRAZING)
+    air_length = xp.where(valid, xp.where(wet, reach, math.inf), math.nan)
     o, d, bent = (stack(*(v + zero for v in triple)) for triple in (*given, bent))
-    return BentPaths(o, d, stack(*crossing), xp.where(valid, air_length, math.nan), bent, wet, parallel)
+    return BentPaths(o, d, stack(*crossing), air_length, bent, wet, parallel)

@@ -42,4 +42,18 @@ def read_gltf(path: str | Path) -> Mesh | Cloud:
         return Cloud(points)
     before = np.cumsum([0, *(len(part) for part in vertices)])
     faces = [np.asarray(part.faces, dtype=np.int64) + first for part, first in zip(meshes, before, strict=False)]
-    return Mesh(points, np.concatenate(faces))
+    return Mesh(points, np.concatenate(faces), rgb=_rgb(meshes))
+
+
+def _rgb(meshes: list) -> np.ndarray | None:
+    """Colours (V, 3) uint8 of all vertices, of images there too; white where a part has none, None if all have none."""
+    colours = []
+    for part in meshes:
+        look = part.visual
+        has_image = look.kind == "texture" and getattr(look.material, "baseColorTexture", None) is not None
+        known = look.to_color() if has_image else look if look.kind == "vertex" else None
+        colours.append(None if known is None else np.asarray(known.vertex_colors)[:, :3].astype(np.uint8))
+    if all(rgb is None for rgb in colours):
+        return None
+    white = (np.full((len(part.vertices), 3), 255, dtype=np.uint8) for part in meshes)
+    return np.concatenate([other if rgb is None else rgb for rgb, other in zip(colours, white, strict=True)])

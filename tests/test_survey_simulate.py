@@ -377,3 +377,22 @@ def test_a_measured_surface_is_laid_through_its_points(tmp_path):
     np.testing.assert_allclose(
         scene.cameras[0].project(hits.points, scene.water), [[30.0, 30.0], [70.0, 20.0]], atol=1e-6
     )
+
+
+def test_an_object_of_glb_stands_upright_with_the_colours_of_its_vertices_or_its_image(tmp_path):
+    trimesh = pytest.importorskip("trimesh", reason="GLB needs the extra [gltf]")
+    # A tower 3 m tall along y, which points up in glTF.
+    tower = trimesh.creation.box(extents=(1.0, 3.0, 1.0))
+    tower.visual.vertex_colors = [0, 255, 0, 255]
+    tower.export(tmp_path / "coloured.glb")
+    image = Image.new("RGB", (4, 4), (255, 0, 0))
+    material = trimesh.visual.material.PBRMaterial(baseColorTexture=image)
+    tower.visual = trimesh.visual.TextureVisuals(uv=np.full((8, 2), 0.5), material=material)
+    tower.export(tmp_path / "textured.glb")
+    for name, channel in (("coloured", 1), ("textured", 0)):
+        text = SCENE + f'[[objects]]\nfile = "{name}.glb"\nat = [0.0, 0.0]\nscale = 0.1\n'
+        scene = staged(scene_file(tmp_path, text))
+        (body,), look = scene.renderer.ground.solids, scene.renderer.ground.looks[1]
+        np.testing.assert_allclose(np.ptp(body.vertices, axis=0), [0.1, 0.1, 0.3], atol=1e-6)
+        albedo = look.skin.albedo(body.vertices[body.faces[:1, 0]], np.array([0]))[0]
+        np.testing.assert_allclose(albedo, np.eye(3)[channel], atol=0.02)

@@ -68,7 +68,7 @@ class ObjectSettings:
     yaw_deg: float = 0.0  # against the clock, seen from above
     pitch_deg: float = 0.0
     heel_deg: float = 0.0
-    up: str = "z"  # the axis of the file that points up
+    up: str = "z"  # the axis of the file that points up; of glTF it is known
     colour: tuple[float, float, float] = (0.42, 0.29, 0.18)  # linear albedo, speckled, where the file has none
     texel_m: float = 0.01  # resolution of the speckle
 

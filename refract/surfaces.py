@@ -63,13 +63,19 @@ def _plain(value) -> float:
     return as_numpy(value).item()
 
 
+def _library(value) -> str:
+    """The library of an array; for Dr.Jit its module, since arrays without gradients are of another one."""
+    name = namespace(value).name
+    return type(value).__module__ if name == "drjit" else name
+
+
 @final
 @dataclass(frozen=True)
 class FlatWater:
     """A plane water surface, level or tilted, in a right-handed frame with z up.
 
     Its numbers may be 0-d tensors or Dr.Jit scalars: gradients then flow to level, tilt and index, and the rays
-    must come from the same library.
+    must come from the same library (and the same Dr.Jit module: `drjit.llvm.ad`, not `drjit.llvm`).
 
     Parameters
     ----------
@@ -123,8 +129,20 @@ class FlatWater:
         px, py, pz = self.point
         return -((points[..., 0] - px) * nx + (points[..., 1] - py) * ny + (points[..., 2] - pz) * nz)
 
+    def _require_library_of(self, *triples) -> None:
+        """TypeError unless rays come from where the numbers of the water do, if those are not plain."""
+        numbers = (*self.point, self.n_water, self.slope_x, self.slope_y)
+        own = {_library(v) for v in numbers} - {"numpy"}
+        given = {_library(v) for triple in triples for v in triple}
+        if own and own != given:
+            raise TypeError(
+                f"numbers of this FlatWater are arrays of {', '.join(sorted(own))}, rays and points of "
+                f"{', '.join(sorted(given))}; take both from one library"
+            )
+
     def intersect(self, origin, direction):
         """Distance [m] to the plane along rays that fall toward it from above; NaN for the others."""
+        self._require_library_of(origin, direction)
         xp = namespace(*origin, *direction)
         H = kernels.dot(tuple(c - p for c, p in zip(origin, self.point, strict=True)), self.up)
         falling = -kernels.dot(direction, self.up)
@@ -134,6 +152,7 @@ class FlatWater:
 
     def crossing(self, camera, point, steps: int):
         """See `WaterSurface.crossing`; a plane has one stationary path. Answers in float64."""
+        self._require_library_of(camera, point)
         single = namespace(*point).eps(point[0]) > 1e-10
         enough = ENOUGH_STEPS_SINGLE if single else ENOUGH_STEPS_DOUBLE
         ends = (camera, point, self.point, self.up, (self.n_water,))

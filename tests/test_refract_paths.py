@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from refract import BentPaths, FlatWater, trace
+from refract import BentPaths, FlatWater, project, trace
 
 EPS = np.finfo(np.float64).eps
 LENGTH_M = 1e-12  # coordinates of up to 100 m: 70 units in the last place
@@ -227,3 +227,26 @@ def test_slopes_are_the_rise_per_metre_along_each_axis():
     # One metre straight down is less than a metre along the normal.
     assert water.depth(on_plane - [0.0, 0.0, 1.0]) == pytest.approx(1.0 / math.sqrt(1.3125), abs=16 * EPS)
     np.testing.assert_array_equal(water.as_array(), [10.0, 20.0, 3.0, *water.up, 1.333])
+
+
+def test_rays_must_come_from_the_library_of_the_water():
+    water = FlatWater((0.0, 0.0, torch.tensor(2.0, requires_grad=True)))
+    for call in (trace, project):
+        with pytest.raises(TypeError, match=r"torch.*numpy.*one library"):
+            call(CENTRE, np.array([0.0, 0.0, -1.0]), water)
+    ray = torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64)
+    assert trace(torch.tensor(CENTRE), ray, water).air_length == 35.0
+    learnt = FlatWater((0.0, 0.0, 2.0), n_water=torch.nn.Parameter(torch.tensor(1.3, dtype=torch.float64)))
+    assert project(torch.tensor([1.0, 2.0, -1.0]).double(), torch.tensor(CENTRE), learnt).direction[2] == -1.0
+
+
+@pytest.mark.parametrize("number", [float("nan"), 0.9, 2.5])
+def test_impossible_tensors_are_refused_as_plain_numbers_are(number):
+    with pytest.raises(ValueError, match="index"):
+        FlatWater((0.0, 0.0, 0.0), n_water=torch.tensor(number, requires_grad=True))
+
+
+def test_heights_under_waves_are_refused():
+    path = trace(CENTRE, np.array([0.0, 0.0, -1.0]), LEVEL)
+    with pytest.raises(TypeError, match=r"expected FlatWater or None.*use at\(t\)"):
+        path.at_height(-1.0, "waves")

@@ -8,23 +8,16 @@ import shutil
 import laspy
 import numpy as np
 import pytest
+from compare_plane import FRAME, HALF, LAS_M, NUM_SAMPLES, ORIGIN, UTM32, grid, write_las, write_mesh, write_plane
 from PIL import Image
 from pyproj import CRS
 
-from geo import LocalFrame, write_cloud, write_ply
+from geo import LocalFrame, write_ply
 from geo.errors import CRSMismatch, EmptyCloud, GeoError, PlaceMismatch, UnreadableFile
 from survey.compare import CompareOptions, compare_files, compare_surfaces
 from survey.compare_inputs import CompareError
 from survey.compare_report import completeness_map, error_map, histogram
 
-UTM32 = CRS("EPSG:25832+5778")
-# On the central meridian, so that rows of the grid are rows of the local frame.
-ORIGIN = (500000.0, 5194736.0, 2105.0)
-FRAME = LocalFrame(UTM32, ORIGIN)
-# LAS stores millimetres: half of one along each axis, seen along one direction.
-LAS_M = 0.5e-3
-HALF = 5.0
-NUM_SAMPLES = 200_000
 # Six standard deviations of a share of that many samples.
 SAMPLING = 6 * 0.5 / NUM_SAMPLES**0.5
 
@@ -34,52 +27,14 @@ def _fewer_samples(monkeypatch):
     monkeypatch.setattr("survey.compare_measure.NUM_SAMPLES", NUM_SAMPLES)
 
 
-def _write_mesh(path, vertices, faces):
-    """A PLY in text, with coordinates to 0.1 micrometre."""
-    lines = ["ply", "format ascii 1.0", f"element vertex {len(vertices)}"]
-    lines += [f"property double {axis}" for axis in "xyz"]
-    lines += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header"]
-    lines += [" ".join(f"{value:.10f}" for value in vertex) for vertex in vertices]
-    lines += [f"3 {a} {b} {c}" for a, b, c in faces]
-    path.write_text("\n".join(lines) + "\n")
-    return path
-
-
-def _write_las(path, points, crs=UTM32, depth=None):
-    n = len(points)
-    depth = np.full(n, np.nan) if depth is None else depth
-    zeros = np.zeros(n)
-    write_cloud(
-        path,
-        points,
-        crs,
-        rgb=np.zeros((n, 3), np.uint8),
-        depth_m=depth,
-        std_m=zeros,
-        num_views=zeros,
-        incidence_deg=zeros,
-        is_wet=depth > 0,
-    )
-    return path
-
-
-def _grid(step, height=0.0, half=HALF):
-    """Points in rows and columns over the plane, local [m]."""
-    x, y = np.meshgrid(np.arange(-half, half + 1e-9, step), np.arange(-half, half + 1e-9, step))
-    return np.stack([x.ravel(), y.ravel(), np.full(x.size, height)], axis=1)
-
-
 @pytest.fixture
 def plane(tmp_path):
-    """A square of 10 m x 10 m at height 0 of the local frame, in crs, wound to face down."""
-    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [HALF, HALF, 1.0]
-    return _write_mesh(tmp_path / "reference.ply", FRAME.crs_from_local(corners), [[0, 2, 1], [0, 3, 2]])
+    return write_plane(tmp_path / "reference.ply")
 
 
 @pytest.fixture
 def cloud(tmp_path):
-    """A cloud 0.1 m above that square, a point each 0.1 m."""
-    return _write_las(tmp_path / "cloud.las", FRAME.crs_from_local(_grid(0.1, 0.1)))
+    return write_las(tmp_path / "cloud.las", FRAME.crs_from_local(grid(0.1, 0.1)))
 
 
 def test_a_cloud_above_the_reference_is_found_at_its_height(cloud, plane):
@@ -105,7 +60,7 @@ def test_distances_are_metres_on_the_ground_and_not_of_the_map_grid(tmp_path, pl
     """100 m beyond the rim at 2,105 m height: UTM counts 0.9996 * 0.99967 of it, 99.93 m."""
     points = FRAME.crs_from_local(np.array([[0.0, 0.0, 0.0], [HALF + 100.0, 0.0, 0.0]]))
     assert np.linalg.norm(points[1, :2] - points[0, :2]) < 105.0 - 0.07
-    cloud = _write_las(tmp_path / "far.las", points)
+    cloud = write_las(tmp_path / "far.las", points)
     assert compare_files(cloud, plane)["max_m"] == pytest.approx(100.0, abs=2 * LAS_M)
 
 
@@ -132,18 +87,18 @@ def test_completeness_over_visible_points_counts_all_of_them(tmp_path, cloud, pl
 
 
 def test_a_reference_of_points_is_compared_cloud_to_cloud_and_says_so(tmp_path, cloud):
-    reference = _write_las(tmp_path / "reference.las", FRAME.crs_from_local(_grid(0.1)[::2]))
+    reference = write_las(tmp_path / "reference.las", FRAME.crs_from_local(grid(0.1)[::2]))
     numbers = compare_files(cloud, reference)
     assert (numbers["method"], numbers["sign"], numbers["seed"]) == ("cloud to cloud", None, None)
     assert any("have no sign" in note for note in numbers["notes"])
     # Every second point lies 0.1 m straight above one, the others 0.1 m beside that.
     assert numbers["min_m"] == pytest.approx(0.1, abs=2 * LAS_M)
     assert numbers["max_m"] == pytest.approx(np.hypot(0.1, 0.1), abs=4 * LAS_M)
-    assert numbers["n_samples"] == len(_grid(0.1)[::2])
+    assert numbers["n_samples"] == len(grid(0.1)[::2])
 
 
 def test_without_any_crs_coordinates_are_metres_and_the_notes_say_so(tmp_path, plane):
-    points = FRAME.crs_from_local(_grid(0.5, 0.1))
+    points = FRAME.crs_from_local(grid(0.5, 0.1))
     write_ply(tmp_path / "cloud.ply", points, rgb=np.zeros(points.shape, np.uint8), scalars={})
     numbers = compare_files(tmp_path / "cloud.ply", plane)
     assert numbers["crs"] is None
@@ -155,8 +110,8 @@ def test_without_any_crs_coordinates_are_metres_and_the_notes_say_so(tmp_path, p
 def test_geographic_coordinates_give_the_same_distances(tmp_path):
     frame = LocalFrame(CRS("EPSG:4979"), (10.2, 46.9, 400.0))
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [HALF, HALF, 1.0]
-    plane = _write_mesh(tmp_path / "m.ply", frame.crs_from_local(corners), [[0, 1, 2], [0, 2, 3]])
-    cloud = _write_las(tmp_path / "c.las", frame.crs_from_local(_grid(0.1, -0.1)), CRS("EPSG:4979"))
+    plane = write_mesh(tmp_path / "m.ply", frame.crs_from_local(corners), [[0, 1, 2], [0, 2, 3]])
+    cloud = write_las(tmp_path / "c.las", frame.crs_from_local(grid(0.1, -0.1)), CRS("EPSG:4979"))
     east, north = frame.crs_from_local(np.array([0.01, 0.0, 0.0]))[:2]
     numbers = compare_files(
         cloud, plane, options=CompareOptions(tolerances_m=(0.3,), bounds=(east - 1, north - 1, east, north + 1))
@@ -168,8 +123,8 @@ def test_geographic_coordinates_give_the_same_distances(tmp_path):
 
 def test_depths_in_the_cloud_split_the_numbers_by_the_true_depth(tmp_path, plane):
     """Water 0.08 m above the reference; a cloud 0.1 m too high calls itself dry and is counted as wet."""
-    local = _grid(0.5, 0.1)
-    cloud = _write_las(tmp_path / "c.las", FRAME.crs_from_local(local), depth=0.08 - local[:, 2])
+    local = grid(0.5, 0.1)
+    cloud = write_las(tmp_path / "c.las", FRAME.crs_from_local(local), depth=0.08 - local[:, 2])
     numbers = compare_files(cloud, plane)
     assert "dry" not in numbers
     assert numbers["wet"]["n_points"] == len(local)
@@ -242,20 +197,20 @@ def test_distances_for_a_whole_file_are_nan_where_it_was_cropped(cloud, plane):
 
 
 def test_a_reference_in_another_crs_is_refused_by_name(tmp_path, cloud):
-    other = _write_las(tmp_path / "other.las", FRAME.crs_from_local(_grid(1.0)), CRS("EPSG:25833+5778"))
+    other = write_las(tmp_path / "other.las", FRAME.crs_from_local(grid(1.0)), CRS("EPSG:25833+5778"))
     with pytest.raises(CRSMismatch, match=r"cloud.las and .*other.las are in different .* 32N against .* 33N"):
         compare_files(cloud, other)
 
 
 def test_a_reference_with_other_heights_is_refused_by_name(tmp_path, cloud):
-    other = _write_las(tmp_path / "other.las", FRAME.crs_from_local(_grid(1.0)), CRS("EPSG:25832+7837"))
+    other = write_las(tmp_path / "other.las", FRAME.crs_from_local(grid(1.0)), CRS("EPSG:25832+7837"))
     with pytest.raises(CRSMismatch, match="heights"):
         compare_files(cloud, other)
 
 
 def test_a_reference_in_another_place_is_refused_with_both_extents(tmp_path, cloud):
-    vertices = FRAME.crs_from_local(_grid(10.0) + np.array([5000.0, 0.0, 0.0]))
-    other = _write_mesh(tmp_path / "other.ply", vertices, [[0, 1, 2], [1, 3, 2]])
+    vertices = FRAME.crs_from_local(grid(10.0) + np.array([5000.0, 0.0, 0.0]))
+    other = write_mesh(tmp_path / "other.ply", vertices, [[0, 1, 2], [1, 3, 2]])
     with pytest.raises(PlaceMismatch, match=r"easting 499995.* and .*other.ply .*easting 504991.* do not overlap"):
         compare_files(cloud, other)
 
@@ -268,17 +223,17 @@ def test_visible_points_of_another_place_are_refused(tmp_path, cloud, plane):
 
 
 def test_heights_of_another_datum_are_noted_and_absurd_ones_refused(tmp_path, plane):
-    low = _write_las(tmp_path / "low.las", FRAME.crs_from_local(_grid(1.0)) - [0, 0, 47.0])
+    low = write_las(tmp_path / "low.las", FRAME.crs_from_local(grid(1.0)) - [0, 0, 47.0])
     numbers = compare_files(low, plane)
     assert numbers["mean_m"] == pytest.approx(-47.0, abs=0.01)
     assert any("do not meet: check that both count from the same vertical datum" in n for n in numbers["notes"])
-    depths = _write_las(tmp_path / "depths.las", FRAME.crs_from_local(_grid(1.0)) * [1, 1, 0])
+    depths = write_las(tmp_path / "depths.las", FRAME.crs_from_local(grid(1.0)) * [1, 1, 0])
     with pytest.raises(CompareError, match=r"do not meet; check .* same vertical datum, and in the same unit"):
         compare_files(depths, plane)
 
 
 def test_an_empty_cloud_is_refused(tmp_path, plane):
-    empty = _write_las(tmp_path / "empty.las", np.empty((0, 3)))
+    empty = write_las(tmp_path / "empty.las", np.empty((0, 3)))
     with pytest.raises(EmptyCloud, match=r"empty.las has no points"):
         compare_files(empty, plane)
 
@@ -317,7 +272,7 @@ def test_a_path_that_does_not_exist_is_named(tmp_path, cloud, plane, which):
 
 
 def test_a_reference_without_area_is_refused(tmp_path, cloud):
-    line = _write_mesh(tmp_path / "line.ply", FRAME.crs_from_local(_grid(10.0)), [[0, 0, 3], [0, 3, 3]])
+    line = write_mesh(tmp_path / "line.ply", FRAME.crs_from_local(grid(10.0)), [[0, 0, 3], [0, 3, 3]])
     with pytest.raises(CompareError, match=r"none of the 2 triangles of .*line.ply has an area"):
         compare_files(cloud, line)
 
@@ -344,179 +299,8 @@ def test_a_cloud_whose_crs_has_no_heights_is_compared_and_noted(tmp_path, plane)
     header.scales, header.offsets = np.full(3, 0.001), np.floor(ORIGIN)
     header.add_crs(CRS("EPSG:25832"))
     las = laspy.LasData(header)
-    las.x, las.y, las.z = FRAME.crs_from_local(_grid(0.5, 0.1)).T
+    las.x, las.y, las.z = FRAME.crs_from_local(grid(0.5, 0.1)).T
     las.write(tmp_path / "flat.las")
     numbers = compare_files(tmp_path / "flat.las", plane)
     assert numbers["mean_m"] == pytest.approx(0.1, abs=LAS_M / 5)
     assert any("does not say what heights count from" in note for note in numbers["notes"])
-
-
-# Further measurements --------------------------------------------------------------------------------------
-
-
-def _full_las(path, local, *, num_views, incidence_deg, depth):
-    n = len(local)
-    write_cloud(
-        path, FRAME.crs_from_local(local), UTM32, rgb=np.zeros((n, 3), np.uint8), depth_m=depth, std_m=np.zeros(n),
-        num_views=num_views, incidence_deg=incidence_deg, is_wet=depth > 0,
-    )  # fmt: skip
-    return path
-
-
-def test_several_tolerances_stand_beside_each_other_and_the_first_is_at_the_top(cloud, plane):
-    numbers = compare_files(cloud, plane, options=CompareOptions(tolerances_m=(0.2, 0.05)))
-    wide, narrow = numbers["tolerances"]
-    assert {name: numbers[name] for name in wide} == wide
-    assert (wide["tolerance_m"], wide["completeness"], wide["accuracy_share"]) == (0.2, 1.0, 1.0)
-    assert (narrow["tolerance_m"], narrow["completeness"], narrow["f_score"]) == (0.05, 0.0, 0.0)
-
-
-def test_bias_and_spread_are_told_by_depth_incidence_and_views(tmp_path, plane):
-    """West: two views, 12 degrees, 1.2 m deep, 0.1 m too high; east: five, 33 degrees, 2.5 m deep, 0.2 m too low."""
-    local = _grid(0.1)
-    west = local[:, 0] < 0.0
-    local[:, 2] = np.where(west, 0.1, -0.2)
-    cloud = _full_las(
-        tmp_path / "c.las", local, num_views=np.where(west, 2, 5), incidence_deg=np.where(west, 12.0, 33.0),
-        depth=np.where(west, 1.2, 2.5) - local[:, 2],
-    )  # fmt: skip
-    numbers = compare_files(cloud, plane)
-    for key, unit, limits in (
-        ("depth_bands", "m", [(1.0, 2.0), (2.0, 3.0)]),
-        ("incidence_bands", "deg", [(10.0, 15.0), (30.0, 35.0)]),
-        ("views_bands", "views", [(2, 3), (4, 6)]),
-    ):
-        bands = numbers[key]
-        assert [(b[f"from_{unit}"], b[f"to_{unit}"]) for b in bands] == limits
-        assert [b["mean_m"] for b in bands] == pytest.approx([0.1, -0.2], abs=LAS_M / 10)
-        assert all(b["std_m"] < LAS_M for b in bands)
-        assert sum(b["n_points"] for b in bands) == len(local)
-
-
-def test_a_water_level_gives_depths_to_a_cloud_that_has_none(tmp_path, plane):
-    points = FRAME.crs_from_local(_grid(0.5, 0.1))
-    write_ply(tmp_path / "cloud.ply", points, rgb=np.zeros(points.shape, np.uint8), scalars={})
-    numbers = compare_files(tmp_path / "cloud.ply", plane, options=CompareOptions(water_level=ORIGIN[2] + 2.4))
-    assert [(b["from_m"], b["to_m"]) for b in numbers["depth_bands"]] == [(2.0, 3.0)]
-    assert numbers["iho_s44"]["points"] == len(points)
-
-
-def test_the_interval_of_a_mean_holds_it_and_is_that_of_independent_errors(tmp_path, plane, rng):
-    local = _grid(0.1)
-    local[:, 2] = rng.normal(0.03, 0.02, len(local))
-    cloud = _write_las(tmp_path / "c.las", FRAME.crs_from_local(local))
-    numbers = compare_files(cloud, plane)
-    low, high = numbers["mean_ci95_m"]
-    assert low < numbers["mean_m"] < high
-    # The standard error from its 150 blocks is known to 6 %; the quantiles of 1000 draws add 4 %; three of both.
-    assert high - low == pytest.approx(2 * 1.96 * 0.02 / 101, rel=0.22)
-    assert numbers["confidence"]["correlation_length_m"] == 0.0
-
-
-def test_vertical_differences_are_longer_than_distances_and_holes_are_counted(tmp_path):
-    """A plane that rises 3 in 4: the distance is 0.8 of the vertical difference."""
-    corners = np.array([[-1, -1, -0.75], [1, -1, 0.75], [1, 1, 0.75], [-1, 1, -0.75]]) * HALF
-    plane = _write_mesh(tmp_path / "m.ply", FRAME.crs_from_local(corners), [[0, 1, 2], [0, 2, 3]])
-    local = _grid(0.5, half=4.0)
-    local[:, 2] = 0.75 * local[:, 0] + 0.1
-    beyond = np.array([[HALF + 1.0, 0.0, 3.75]])
-    cloud = _write_las(tmp_path / "c.las", FRAME.crs_from_local(np.concatenate([local, beyond])))
-    numbers = compare_files(cloud, plane)
-    assert numbers["vertical"]["mean_m"] == pytest.approx(0.1, abs=LAS_M)
-    assert (numbers["vertical"]["n_points"], numbers["vertical"]["n_holes"]) == (len(local), 1)
-    assert numbers["median_m"] == pytest.approx(0.08, abs=LAS_M)
-    assert "iho_s44" not in numbers
-
-
-def test_s44_judges_the_vertical_difference_under_water(tmp_path, plane):
-    local = _grid(0.1, 0.3)
-    cloud = _write_las(tmp_path / "c.las", FRAME.crs_from_local(local), depth=1.0 - local[:, 2])
-    iho = compare_files(cloud, plane)["iho_s44"]
-    assert iho["error"].startswith("vertical difference to the reference")
-    assert [o["meets_tvu"] for o in iho["orders"]] == [False, False, True, True]
-
-
-def test_check_points_are_compared_with_the_cloud_under_them(tmp_path, cloud, plane):
-    """The cloud lies 0.1 m high; of four places one is off it."""
-    local = np.array([[0.03, 0.02, 0.0], [1.01, -2.0, 0.1], [-3.0, 2.0, 0.2], [40.0, 0.0, 0.0]])
-    lines = [f"{e:.6f}, {n:.6f}, {h:.6f}, 0.02" for e, n, h in FRAME.crs_from_local(local)]
-    table = tmp_path / "points.csv"
-    table.write_text("\n".join(["easting,northing,height,sigma", "# surveyed by level", *lines]) + "\n")
-    numbers = compare_files(cloud, plane, options=CompareOptions(checkpoints=table))
-    asprs = numbers["asprs"]
-    residuals = [row["residual_m"] for row in asprs["residuals"]]
-    assert residuals[:3] == pytest.approx([0.1, 0.0, -0.1], abs=LAS_M)
-    assert residuals[3] is None
-    assert (asprs["n_checkpoints"], asprs["n_not_covered"]) == (3, 1)
-    assert asprs["rmse_v_m"] == pytest.approx(np.sqrt(0.02 / 3 + 0.02**2), abs=LAS_M)
-    assert any(
-        "3 check points of points.csv lie on the cloud: ASPRS (Edition 2) asks for 30" in n for n in numbers["notes"]
-    )
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("e,n,h\n1,2\n", r"line 2 of .*points.csv is '1,2', expected easting, northing, height, sigma"),
-        ("1,2,3,-1\n", r"line 1 of .*not negative"),
-        ("1,2,3\ne,n,h\n", r"line 2 of .*'e,n,h'"),
-        ("e,n,h\n", r"has no check points"),
-    ],
-)
-def test_a_table_of_check_points_that_cannot_be_read_is_refused_by_line(tmp_path, cloud, plane, text, message):
-    (tmp_path / "points.csv").write_text(text)
-    with pytest.raises(CompareError, match=message):
-        compare_files(cloud, plane, options=CompareOptions(checkpoints=tmp_path / "points.csv"))
-
-
-def test_outliers_are_left_out_only_when_asked_for_and_said_so(tmp_path, plane):
-    local = _grid(0.1, 0.0)
-    local[::1000, 2] = 3.0
-    cloud = _write_las(tmp_path / "c.las", FRAME.crs_from_local(local))
-    as_it_is = compare_files(cloud, plane)
-    assert (as_it_is["outliers"], as_it_is["n_points"], as_it_is["max_m"]) == (None, len(local), pytest.approx(3.0))
-    numbers = compare_files(cloud, plane, options=CompareOptions(outliers="sor:6,2.0"))
-    lost = len(local[::1000])
-    assert (numbers["n_points"], numbers["n_cropped"], numbers["outliers"]) == (len(local) - lost, 0, "sor:6,2.0")
-    assert numbers["max_m"] < LAS_M
-    assert any(f"{lost} of {len(local)} points were left out as outliers (sor:6,2.0" in n for n in numbers["notes"])
-
-
-def test_cloud_to_cloud_is_measured_both_ways(tmp_path, cloud, plane):
-    """The cloud covers the western half only: from it all is near, from the reference half is far."""
-    e, n, _ = ORIGIN
-    options = CompareOptions(c2c=True, bounds=(e - 20.0, n - 20.0, e + 0.01, n + 20.0))
-    c2c = compare_files(cloud, plane, options=options)["c2c"]
-    assert c2c["to_reference"]["min_m"] >= 0.1 - 2 * LAS_M
-    assert c2c["to_reference"]["max_m"] < 0.2
-    assert c2c["to_cloud"]["max_m"] == pytest.approx(np.hypot(5.0, 0.1), abs=0.02)
-
-
-def test_m3c2_is_measured_where_py4dgeo_is_there_and_asked_for_by_name_where_not(monkeypatch, cloud, plane):
-    options = CompareOptions(m3c2_radius_m=0.5)
-    with monkeypatch.context() as without:
-        without.setattr("importlib.util.find_spec", lambda name: None)
-        with pytest.raises(CompareError, match=r"--m3c2 needs py4dgeo, .* pip install 'bathynerf\[m3c2\]'"):
-            compare_files(cloud, plane, options=options)
-    pytest.importorskip("py4dgeo", reason="py4dgeo is not installed: pip install 'bathynerf[m3c2]'")
-    monkeypatch.setattr("survey.compare_measure._CORE_POINTS", 300)
-    numbers = compare_files(cloud, plane, options=options)["m3c2"]
-    assert numbers["mean_m"] == pytest.approx(0.1, abs=LAS_M / 5)
-    assert numbers["significant_share"] == 1.0
-
-
-def test_everything_that_was_measured_reaches_the_terminal(tmp_path, plane):
-    from survey.compare_text import sections_of
-
-    local = _grid(0.1, 0.1)
-    ones = np.ones(len(local))
-    cloud = _full_las(tmp_path / "c.las", local, num_views=3 * ones, incidence_deg=20.5 * ones, depth=1.5 * ones)
-    options = CompareOptions(tolerances_m=(0.2, 0.05), c2c=True, bounds=None)
-    sections = dict(sections_of(compare_files(cloud, plane, options=options)))
-    titles = {"By tolerance", "Wet and dry", "By depth", "By incidence", "By number of views", "Other distances"}
-    assert titles <= set(sections)
-    others = ["vertical", "cloud to cloud, to reference", "cloud to cloud, to cloud"]
-    assert [label for label, _ in sections["Other distances"]] == others
-    assert sections["By incidence"][0][0] == "20 to 25°"
-    assert sections["By number of views"][0][0] == "3 views"
-    assert sections["By depth"][0][1].startswith("mean 0.1000")

@@ -1,0 +1,183 @@
+"""What `compare` measures beside the distance: parts, intervals, vertical differences, check points and more."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from compare_plane import FRAME, HALF, LAS_M, NUM_SAMPLES, ORIGIN, grid, write_las, write_mesh, write_plane
+
+from geo import write_ply
+from survey.compare import CompareOptions, compare_files
+from survey.compare_inputs import CompareError
+from survey.compare_text import sections_of
+
+
+@pytest.fixture(autouse=True)
+def _fewer_samples(monkeypatch):
+    monkeypatch.setattr("survey.compare_measure.NUM_SAMPLES", NUM_SAMPLES)
+
+
+@pytest.fixture
+def plane(tmp_path):
+    return write_plane(tmp_path / "reference.ply")
+
+
+@pytest.fixture
+def cloud(tmp_path):
+    return write_las(tmp_path / "cloud.las", FRAME.crs_from_local(grid(0.1, 0.1)))
+
+
+def test_several_tolerances_stand_beside_each_other_and_the_first_is_at_the_top(cloud, plane):
+    numbers = compare_files(cloud, plane, options=CompareOptions(tolerances_m=(0.2, 0.05)))
+    wide, narrow = numbers["tolerances"]
+    assert {name: numbers[name] for name in wide} == wide
+    assert (wide["tolerance_m"], wide["completeness"], wide["accuracy_share"]) == (0.2, 1.0, 1.0)
+    assert (narrow["tolerance_m"], narrow["completeness"], narrow["f_score"]) == (0.05, 0.0, 0.0)
+
+
+def test_bias_and_spread_are_told_by_depth_incidence_and_views(tmp_path, plane):
+    """West: two views, 12 degrees, 1.2 m deep, 0.1 m too high; east: five, 33 degrees, 2.5 m deep, 0.2 m too low."""
+    local = grid(0.1)
+    west = local[:, 0] < 0.0
+    local[:, 2] = np.where(west, 0.1, -0.2)
+    cloud = write_las(
+        tmp_path / "c.las", FRAME.crs_from_local(local), num_views=np.where(west, 2, 5),
+        incidence_deg=np.where(west, 12.0, 33.0), depth=np.where(west, 1.2, 2.5) - local[:, 2],
+    )  # fmt: skip
+    numbers = compare_files(cloud, plane)
+    for key, unit, limits in (
+        ("depth_bands", "m", [(1.0, 2.0), (2.0, 3.0)]),
+        ("incidence_bands", "deg", [(10.0, 15.0), (30.0, 35.0)]),
+        ("views_bands", "views", [(2, 3), (4, 6)]),
+    ):
+        bands = numbers[key]
+        assert [(b[f"from_{unit}"], b[f"to_{unit}"]) for b in bands] == limits
+        assert [b["mean_m"] for b in bands] == pytest.approx([0.1, -0.2], abs=LAS_M / 10)
+        assert all(b["std_m"] < LAS_M for b in bands)
+        assert sum(b["n_points"] for b in bands) == len(local)
+
+
+def test_a_water_level_gives_depths_to_a_cloud_that_has_none(tmp_path, plane):
+    points = FRAME.crs_from_local(grid(0.5, 0.1))
+    write_ply(tmp_path / "cloud.ply", points, rgb=np.zeros(points.shape, np.uint8), scalars={})
+    numbers = compare_files(tmp_path / "cloud.ply", plane, options=CompareOptions(water_level=ORIGIN[2] + 2.4))
+    assert [(b["from_m"], b["to_m"]) for b in numbers["depth_bands"]] == [(2.0, 3.0)]
+    assert numbers["iho_s44"]["points"] == len(points)
+
+
+def test_the_interval_of_a_mean_holds_it_and_is_that_of_independent_errors(tmp_path, plane, rng):
+    local = grid(0.1)
+    local[:, 2] = rng.normal(0.03, 0.02, len(local))
+    cloud = write_las(tmp_path / "c.las", FRAME.crs_from_local(local))
+    numbers = compare_files(cloud, plane)
+    low, high = numbers["mean_ci95_m"]
+    assert low < numbers["mean_m"] < high
+    # The standard error from its 150 blocks is known to 6 %; the quantiles of 1000 draws add 4 %; three of both.
+    assert high - low == pytest.approx(2 * 1.96 * 0.02 / 101, rel=0.22)
+    assert numbers["confidence"]["correlation_length_m"] == 0.0
+
+
+def test_vertical_differences_are_longer_than_distances_and_holes_are_counted(tmp_path):
+    """A plane that rises 3 in 4: the distance is 0.8 of the vertical difference."""
+    corners = np.array([[-1, -1, -0.75], [1, -1, 0.75], [1, 1, 0.75], [-1, 1, -0.75]]) * HALF
+    plane = write_mesh(tmp_path / "m.ply", FRAME.crs_from_local(corners), [[0, 1, 2], [0, 2, 3]])
+    local = grid(0.5, half=4.0)
+    local[:, 2] = 0.75 * local[:, 0] + 0.1
+    beyond = np.array([[HALF + 1.0, 0.0, 3.75]])
+    cloud = write_las(tmp_path / "c.las", FRAME.crs_from_local(np.concatenate([local, beyond])))
+    numbers = compare_files(cloud, plane)
+    assert numbers["vertical"]["mean_m"] == pytest.approx(0.1, abs=LAS_M)
+    assert (numbers["vertical"]["n_points"], numbers["vertical"]["n_holes"]) == (len(local), 1)
+    assert numbers["median_m"] == pytest.approx(0.08, abs=LAS_M)
+    assert "iho_s44" not in numbers
+
+
+def test_s44_judges_the_vertical_difference_under_water(tmp_path, plane):
+    local = grid(0.1, 0.3)
+    cloud = write_las(tmp_path / "c.las", FRAME.crs_from_local(local), depth=1.0 - local[:, 2])
+    iho = compare_files(cloud, plane)["iho_s44"]
+    assert iho["error"].startswith("vertical difference to the reference")
+    assert [o["meets_tvu"] for o in iho["orders"]] == [False, False, True, True]
+
+
+def test_check_points_are_compared_with_the_cloud_under_them(tmp_path, cloud, plane):
+    """The cloud lies 0.1 m high; of four places one is off it."""
+    local = np.array([[0.03, 0.02, 0.0], [1.01, -2.0, 0.1], [-3.0, 2.0, 0.2], [40.0, 0.0, 0.0]])
+    lines = [f"{e:.6f}, {n:.6f}, {h:.6f}, 0.02" for e, n, h in FRAME.crs_from_local(local)]
+    table = tmp_path / "points.csv"
+    table.write_text("\n".join(["easting,northing,height,sigma", "# surveyed by level", *lines]) + "\n")
+    numbers = compare_files(cloud, plane, options=CompareOptions(checkpoints=table))
+    asprs = numbers["asprs"]
+    residuals = [row["residual_m"] for row in asprs["residuals"]]
+    assert residuals[:3] == pytest.approx([0.1, 0.0, -0.1], abs=LAS_M)
+    assert residuals[3] is None
+    assert (asprs["n_checkpoints"], asprs["n_not_covered"]) == (3, 1)
+    assert asprs["rmse_v_m"] == pytest.approx(np.sqrt(0.02 / 3 + 0.02**2), abs=LAS_M)
+    assert any(
+        "3 check points of points.csv lie on the cloud: ASPRS (Edition 2) asks for 30" in n for n in numbers["notes"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("e,n,h\n1,2\n", r"line 2 of .*points.csv is '1,2', expected easting, northing, height, sigma"),
+        ("1,2,3,-1\n", r"line 1 of .*not negative"),
+        ("1,2,3\ne,n,h\n", r"line 2 of .*'e,n,h'"),
+        ("e,n,h\n", r"has no check points"),
+    ],
+)
+def test_a_table_of_check_points_that_cannot_be_read_is_refused_by_line(tmp_path, cloud, plane, text, message):
+    (tmp_path / "points.csv").write_text(text)
+    with pytest.raises(CompareError, match=message):
+        compare_files(cloud, plane, options=CompareOptions(checkpoints=tmp_path / "points.csv"))
+
+
+def test_outliers_are_left_out_only_when_asked_for_and_said_so(tmp_path, plane):
+    local = grid(0.1, 0.0)
+    local[::1000, 2] = 3.0
+    cloud = write_las(tmp_path / "c.las", FRAME.crs_from_local(local))
+    as_it_is = compare_files(cloud, plane)
+    assert (as_it_is["outliers"], as_it_is["n_points"], as_it_is["max_m"]) == (None, len(local), pytest.approx(3.0))
+    numbers = compare_files(cloud, plane, options=CompareOptions(outliers="sor:6,2.0"))
+    lost = len(local[::1000])
+    assert (numbers["n_points"], numbers["n_cropped"], numbers["outliers"]) == (len(local) - lost, 0, "sor:6,2.0")
+    assert numbers["max_m"] < LAS_M
+    assert any(f"{lost} of {len(local)} points were left out as outliers (sor:6,2.0" in n for n in numbers["notes"])
+
+
+def test_cloud_to_cloud_is_measured_both_ways(tmp_path, cloud, plane):
+    """The cloud covers the western half only: from it all is near, from the reference half is far."""
+    e, n, _ = ORIGIN
+    options = CompareOptions(c2c=True, bounds=(e - 20.0, n - 20.0, e + 0.01, n + 20.0))
+    c2c = compare_files(cloud, plane, options=options)["c2c"]
+    assert c2c["to_reference"]["min_m"] >= 0.1 - 2 * LAS_M
+    assert c2c["to_reference"]["max_m"] < 0.2
+    assert c2c["to_cloud"]["max_m"] == pytest.approx(np.hypot(5.0, 0.1), abs=0.02)
+
+
+def test_m3c2_is_measured_where_py4dgeo_is_there_and_asked_for_by_name_where_not(monkeypatch, cloud, plane):
+    options = CompareOptions(m3c2_radius_m=0.5)
+    with monkeypatch.context() as without:
+        without.setattr("importlib.util.find_spec", lambda name: None)
+        with pytest.raises(CompareError, match=r"--m3c2 needs py4dgeo, .* pip install 'bathynerf\[m3c2\]'"):
+            compare_files(cloud, plane, options=options)
+    pytest.importorskip("py4dgeo", reason="py4dgeo is not installed: pip install 'bathynerf[m3c2]'")
+    monkeypatch.setattr("survey.compare_measure._CORE_POINTS", 300)
+    numbers = compare_files(cloud, plane, options=options)["m3c2"]
+    assert numbers["mean_m"] == pytest.approx(0.1, abs=LAS_M / 5)
+    assert numbers["significant_share"] == 1.0
+
+
+def test_everything_that_was_measured_reaches_the_terminal(tmp_path, plane):
+    local = grid(0.1, 0.1)
+    cloud = write_las(tmp_path / "c.las", FRAME.crs_from_local(local), num_views=3, incidence_deg=20.5, depth=1.5)
+    options = CompareOptions(tolerances_m=(0.2, 0.05), c2c=True, bounds=None)
+    sections = dict(sections_of(compare_files(cloud, plane, options=options)))
+    titles = {"By tolerance", "Wet and dry", "By depth", "By incidence", "By number of views", "Other distances"}
+    assert titles <= set(sections)
+    others = ["vertical", "cloud to cloud, to reference", "cloud to cloud, to cloud"]
+    assert [label for label, _ in sections["Other distances"]] == others
+    assert sections["By incidence"][0][0] == "20 to 25°"
+    assert sections["By number of views"][0][0] == "3 views"
+    assert sections["By depth"][0][1].startswith("mean 0.1000")

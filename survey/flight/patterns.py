@@ -164,7 +164,8 @@ def _outer(flight: FlightSettings, lens: Lens, site: Site, height: float, headin
         num_views = max(math.ceil(long / step) + 1, 1)
         start = -(0.5 * _extent(site, ahead) + reach) * ahead
         for view in range(num_views):
-            x, y = start + (view - 0.5 * (num_views - 1)) * step * aside
+            # From right to left, so that the next side begins where this one ends.
+            x, y = start - (view - 0.5 * (num_views - 1)) * step * aside
             poses.append((float(x), float(y), tilt, inward))
     return poses
 

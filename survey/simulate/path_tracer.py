@@ -95,11 +95,11 @@ class PathTracer:
             scattered = active & (flight < t)
             way = dr.minimum(t, flight)
             share = dr.select(wet, share * self._absorbed(way), share)
-            gone = active & ~scattered & ~dr.isfinite(t)
-            light += dr.select(gone & ~wet, share * self._sky(ray.d, straight), 0.0)
-            active &= ~gone
-            at_surface &= active & ~scattered
-            at_ground = active & ~scattered & ~at_surface
+            gone = active & _not(scattered) & _not(dr.isfinite(t))
+            light += dr.select(gone & _not(wet), share * self._sky(ray.d, straight), 0.0)
+            active &= _not(gone)
+            at_surface &= active & _not(scattered)
+            at_ground = active & _not(scattered) & _not(at_surface)
 
             ahead = mi.Ray3f(ray)
             if at_surface:
@@ -120,7 +120,7 @@ class PathTracer:
             # Faint paths are ended by chance, the others take over their share.
             keep = dr.minimum(dr.max(share), 0.95)
             late = bounce > _SURE_BOUNCES
-            active &= ~late | (sampler.next_1d(active) < keep)
+            active &= _not(late) | (sampler.next_1d(active) < keep)
             share = dr.select(late, share / dr.maximum(keep, 1e-6), share)
         return light
 
@@ -174,7 +174,7 @@ class PathTracer:
             bent = along + climb * up
             way = dr.maximum(dr.dot(mi.Point3f(*point.tolist()) - place, up), 0.0) / climb
             start = dr.select(wet, place + dr.copysign(off, dr.dot(normal, bent)) * normal, start)
-            free = ~wet | ~self.solids.ray_test(mi.Ray3f(start, bent, way, 0.0, []), wet)
+            free = _not(wet) | _not(self.solids.ray_test(mi.Ray3f(start, bent, way, 0.0, []), wet))
             passed = (1.0 - _fresnel(rise, climb, n)) * rise / climb
             lost = dr.exp(-way * self.scattering) * self._absorbed(way)
             power = dr.select(wet, power * passed * lost, power)
@@ -182,7 +182,7 @@ class PathTracer:
             toward = dr.select(wet, bent, in_air)
         else:
             foot = start
-        free &= ~self.solids.ray_test(mi.Ray3f(foot, in_air))
+        free &= _not(self.solids.ray_test(mi.Ray3f(foot, in_air)))
         return toward, dr.select(free, power, 0.0)
 
     def _sky(self, direction, straight):
@@ -198,6 +198,11 @@ class PathTracer:
         mi = self.mi
         left = mi.Color3f(*(dr.exp(-a * way) for a in self.colour.absorption))
         return dr.select(dr.isfinite(way), left, mi.Color3f(0.0))
+
+
+def _not(mask):
+    """The other way round; ``~`` would make a number of the plain bool that the scalar variant has."""
+    return mask ^ True
 
 
 def _clearance(place):

@@ -198,13 +198,15 @@ def test_all_pictures_are_drawn_and_are_whole(report):
             assert np.asarray(image.convert("L")).std() > 5.0, path  # neither black nor white
 
 
-@pytest.mark.parametrize("kind", ["dry", "empty", "one point", "strip in degrees"])
+@pytest.mark.parametrize("kind", ["dry", "empty", "one point", "strip in degrees", "tilted water"])
 def test_every_kind_of_bed_gets_a_report(survey, dry_survey, tmp_path, kind):
     if kind == "dry":
         survey = dry_survey
     if kind == "strip in degrees":
         frame = LocalFrame(CRS("EPSG:4979"), (10.16, 46.89, 2105.0))
         survey = replace(survey, frame=frame, bounds=None)
+    if kind == "tilted water":
+        survey = replace(survey, water=replace(survey.water, slope_x=0.01, slope_y=-0.02))
     bed = plane_bed(survey, num=40)
     keep = {
         "empty": np.zeros(len(bed), bool),

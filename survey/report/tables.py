@@ -23,8 +23,8 @@ def comparison(c: dict | None) -> str:
         ("median", length(c["median_m"])),
         (
             "all points",
-            f"mean {length(c['mean_m'])}, standard deviation {length(c['std_m'])}, root mean square "
-            f"{length(c['rms_m'])}",
+            f"mean {length(c['mean_m'])} ({_interval(c.get('mean_ci95_m'))} with 95 % confidence), standard deviation "
+            f"{length(c['std_m'])}, root mean square {length(c['rms_m'])}",
         ),
         ("completeness", f"{share(c['completeness'])} of the reference {within}"),
     ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 from pyproj import CRS
@@ -22,7 +24,7 @@ def test_a_format_whose_library_is_missing_is_refused_with_the_extra_that_brings
     tmp_path, monkeypatch, name, module, extra
 ):
     (tmp_path / name).write_bytes(b"")
-    monkeypatch.setitem(__import__("sys").modules, module, None)
+    monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(UnreadableFile, match=rf"{name} is read by {module}, .*pip install 'bathynerf\[{extra}\]'"):
         read_reference(tmp_path / name)
 

@@ -143,6 +143,9 @@ def _solved(xp, terms, steps, like):
             fine_r = fine_r * (1.5 - 0.5 * _square(base, *exact) * fine_r * fine_r)  # twice the digits of 1 / S
             left = xp.like(_left(base, fine_r, *exact), u)
         u = base - xp.like(_halley(left, u, r, *rough), base)
+    if like is not None:
+        # Beyond 1e9 camera heights of water rounding of float32 leads out of the bracket, which ends at nadir.
+        u = xp.maximum(xp.like(u, exact[0]), xp.like(0.999999 * rough[0] / (rough[0] + rough[2]), exact[0]))
     return xp.like(u, exact[0])
 
 

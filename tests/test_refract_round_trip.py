@@ -136,6 +136,16 @@ def test_in_float32_the_last_step_gains_what_rounding_lost():
     assert np.abs(found - exact).max() < 1e-9  # against 6e-8 of float32; measured 5e-11
 
 
+def test_beyond_all_cameras_float32_stays_in_the_bracket():
+    """A nanometre above ten metres of water and less: one cannot do better, but neither worse than this."""
+    rho = np.geomspace(1e9, 1e14, 100)[:, None]
+    eta = rho * np.linspace(0.0, 2.0, 401)
+    terms = (np.ones_like(eta), eta**2, rho + 0.0 * eta)
+    exact = converged(terms)[ENOUGH_STEPS_DOUBLE]
+    for found in converged(terms, like=np.ones(1, np.float32)):
+        assert np.abs(found - exact).max() < 0.7
+
+
 def test_float32_far_from_the_origin_costs_the_rounding_of_the_coordinates(rng):
     """Half a unit in the last place of each, over the length of the air leg; the same in camera and point."""
     offset, legs = np.array([900.0, -700.0, 40.0]), np.array([0.0, 0.0, 30.0])

@@ -21,13 +21,14 @@ from survey.folder import load_image, load_survey
 from survey.simulate import writing
 from survey.simulate.ground import NOTHING, Ground, Look, shade_of_normals
 from survey.simulate.light import Light
+from survey.simulate.planning import plan_scene
 from survey.simulate.render_direct import DirectRenderer
 from survey.simulate.scene_file import read_scene
 from survey.simulate.sensor import Sensor, distorted, undistorted
 from survey.simulate.shapes import BedGrid
 from survey.simulate.simulate import simulate
 from survey.simulate.skin import VertexSkin
-from survey.simulate.staging import light_of, plan_scene, stage_scene
+from survey.simulate.staging import light_of, stage_scene
 from survey.simulate.triangles import TriangleMesh
 from survey.simulate.truth import depth_map
 from survey.simulate.watercolour import WaterColour

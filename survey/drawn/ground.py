@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from refract import PinholeCamera
-from survey.drawn.paint import CELL_M, ROCK, TEXEL_M, in_texels, light_of_bed, noise, periodic, sand
+from survey.drawn.paint import ROCK, in_texels, light_of_bed, noise, periodic, sand
 from survey.drawn.scene import DrawnScene
 from survey.simulate.extent import seen_area
 from survey.simulate.ground import Ground, Look, shade_beside_bed, shade_of_map
@@ -27,28 +27,31 @@ def build_ground(scene: DrawnScene, cameras: Sequence[PinholeCamera], light: Lig
     """The ground of a scene, as wide as cameras see."""
     rng = np.random.default_rng([scene.seed, 2])
     west, south, east, north = seen_area(cameras, scene.size_m, -1.5 * scene.depth_m)
-    shape = (math.ceil((north - south) / CELL_M) + 1, math.ceil((east - west) / CELL_M) + 1)
-    x = west + CELL_M * np.arange(shape[1])
-    y = (south + CELL_M * np.arange(shape[0]))[:, None]
+    cell, texel = scene.cell_m, scene.texel_m
+    shape = (math.ceil((north - south) / cell) + 1, math.ceil((east - west) / cell) + 1)
+    x = west + cell * np.arange(shape[1])
+    y = (south + cell * np.arange(shape[0]))[:, None]
     heights = _heights(scene, x, y, rng)
     stones = _add_stones(heights, rng, scene)
-    bed = BedGrid(heights, west, south, CELL_M)
+    bed = BedGrid(heights, west, south, cell)
     bodies = _bodies(scene, bed, rng) if scene.objects else ()
     solids = tuple(solid for solid, _, _ in bodies)
-    stone = in_texels(stones)
-    skin = skin_from_above(sand(stone.shape, TEXEL_M, rng, stone), west, south, TEXEL_M)
+    stone = in_texels(stones, cell, texel)
+    skin = skin_from_above(sand(stone.shape, texel, rng, stone), west, south, texel)
     looks = [Look(skin, shade_of_map(bed, light_of_bed(bed, solids, light)))]
     tile = np.exp(sum(0.15 * periodic(rng, size) for size in (2, 4, 8, 32))).astype(np.float32)
-    looks += [Look(_skin(solid, tile, *paint), shade_beside_bed(solid, bed, light)) for solid, *paint in bodies]
+    looks += [Look(_skin(scene, solid, tile, *paint), shade_beside_bed(solid, bed, light)) for solid, *paint in bodies]
     return Ground(bed, solids, tuple(looks))
 
 
-def _skin(solid: Solid, tile: np.ndarray, colour: tuple[float, float, float], grain: np.ndarray | None) -> ImageSkin:
+def _skin(
+    scene: DrawnScene, solid: Solid, tile: np.ndarray, colour: tuple[float, float, float], grain: np.ndarray | None
+) -> ImageSkin:
     """A periodic tile of brightness, laid along each plane of a body; stretched along its grain, if it has one."""
     along, stretch = (np.array([0.8, 0.0, 0.6]), 1.0) if grain is None else (grain, 0.15)
     across = np.cross(solid.normals, along) + 1e-12
     across = across / np.linalg.norm(across, axis=1, keepdims=True)
-    axes = np.stack([across, stretch * np.cross(across, solid.normals)], axis=1) / TEXEL_M
+    axes = np.stack([across, stretch * np.cross(across, solid.normals)], axis=1) / scene.texel_m
     # Planes show different parts of the tile.
     shift = np.arange(len(axes))[:, None] * (7.0, 31.0) - axes @ solid.centre
     image = tile[..., None] * np.array(colour, dtype=np.float32)
@@ -60,7 +63,7 @@ def _heights(scene: DrawnScene, x: np.ndarray, y: np.ndarray, rng: np.random.Gen
     shape = (y.size, x.size)
 
     def wave(spacing_m: float) -> np.ndarray:
-        return noise(rng, shape, spacing_m / CELL_M)
+        return noise(rng, shape, max(spacing_m / scene.cell_m, 1.0))
 
     unit, depth = scene.unit_m, scene.depth_m
     height = -depth * (1.0 + 0.07 * wave(3.5 * unit) + 0.02 * wave(1.2 * unit))
@@ -79,15 +82,15 @@ def _add_stones(heights: np.ndarray, rng: np.random.Generator, scene: DrawnScene
     """Add half-buried stones of 8 to 26 cm to `heights`; their brightness (ny, nx), 0 elsewhere."""
     ny, nx = heights.shape
     stones = np.zeros((ny, nx), dtype=np.float32)
-    count = int(1.5 * ny * nx * CELL_M**2)
+    count = int(1.5 * ny * nx * scene.cell_m**2)
     centres = rng.uniform((0.0, 0.0), (nx - 1.0, ny - 1.0), (count, 2))
-    radii = rng.uniform(0.04, 0.04 + 0.09 * min(1.0, 2.0 * scene.unit_m), count) / CELL_M
+    radii = rng.uniform(0.04, 0.04 + 0.09 * min(1.0, 2.0 * scene.unit_m), count) / scene.cell_m
     looks = np.stack([rng.uniform(0.6, 1.5, count), rng.uniform(0.4, 0.8, count)], axis=-1)
     for (u, v), radius, (bright, flatness) in zip(centres, radii, looks, strict=True):
         i0, i1 = max(int(u - radius), 0), min(int(u + radius) + 2, nx)
         j0, j1 = max(int(v - radius), 0), min(int(v + radius) + 2, ny)
         apart = ((np.arange(i0, i1) - u) ** 2 + ((np.arange(j0, j1) - v) ** 2)[:, None]) / radius**2
-        cap = flatness * radius * CELL_M * np.sqrt(np.maximum(1.0 - apart, 0.0))
+        cap = flatness * radius * scene.cell_m * np.sqrt(np.maximum(1.0 - apart, 0.0))
         heights[j0:j1, i0:i1] += cap
         stones[j0:j1, i0:i1] = np.where(apart < 1.0, bright, stones[j0:j1, i0:i1])
     return stones

@@ -12,10 +12,6 @@ from scipy.ndimage import gaussian_filter
 from survey.simulate.light import Light
 from survey.simulate.shapes import BedGrid, Solid
 
-# Between vertices of the bed [m]: the mesh that is written as the truth has the same.
-CELL_M = 0.025
-# Between points of the texture [m]: finer than any pixel of the surveys drawn here.
-TEXEL_M = 0.01
 # Texels along a side of the periodic tile.
 TILE = 512
 
@@ -58,10 +54,10 @@ def sand(
     return colour
 
 
-def in_texels(values: np.ndarray) -> np.ndarray:
-    """Values (ny, nx) at the vertices of a drawn bed, between them at `TEXEL_M`: (rows, columns) float32."""
-    shape = tuple(math.ceil((count - 1) * CELL_M / TEXEL_M) + 1 for count in values.shape)
-    scale = TEXEL_M / CELL_M
+def in_texels(values: np.ndarray, cell_m: float, texel_m: float) -> np.ndarray:
+    """Values (ny, nx) at the vertices of a drawn bed, between them at texels: (rows, columns) float32."""
+    shape = tuple(math.ceil((count - 1) * cell_m / texel_m) + 1 for count in values.shape)
+    scale = texel_m / cell_m
     to_cells = np.array([[scale, 0.0, 0.0], [0.0, scale, 0.0]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     return cv2.warpAffine(
@@ -75,11 +71,11 @@ def light_of_bed(bed: BedGrid, solids: Sequence[Solid], light: Light) -> np.ndar
     for solid in solids:
         _cover(covered, bed, solid)
     smooth = gaussian_filter(bed.heights, 0.7)
-    dy, dx = np.gradient(smooth, CELL_M)
+    dy, dx = np.gradient(smooth, bed.cell)
     normal = np.stack([-dx, -dy, np.ones_like(dx)], axis=-1)
     lit = light.on(normal / np.linalg.norm(normal, axis=-1, keepdims=True))
     for reach_m, strength in ((0.05, 6.0), (0.25, 1.6)):
-        hollow = gaussian_filter(covered, reach_m / CELL_M, truncate=3.0) - bed.heights
+        hollow = gaussian_filter(covered, reach_m / bed.cell, truncate=3.0) - bed.heights
         lit *= 1.0 / (1.0 + strength * np.maximum(hollow, 0.0) / (4.0 * reach_m))
     return lit
 
@@ -87,10 +83,10 @@ def light_of_bed(bed: BedGrid, solids: Sequence[Solid], light: Light) -> np.ndar
 def _cover(covered: np.ndarray, bed: BedGrid, solid: Solid) -> None:
     """Raise `covered`, in place, to the top of a body."""
     ny, nx = covered.shape
-    low = np.floor((solid.centre[:2] - solid.radius - (bed.west, bed.south)) / CELL_M).astype(int)
-    high = np.ceil((solid.centre[:2] + solid.radius - (bed.west, bed.south)) / CELL_M).astype(int) + 1
+    low = np.floor((solid.centre[:2] - solid.radius - (bed.west, bed.south)) / bed.cell).astype(int)
+    high = np.ceil((solid.centre[:2] + solid.radius - (bed.west, bed.south)) / bed.cell).astype(int) + 1
     (i0, j0), (i1, j1) = np.maximum(low, 0), np.minimum(high, (nx, ny))
-    x, y = np.meshgrid(bed.west + CELL_M * np.arange(i0, i1), bed.south + CELL_M * np.arange(j0, j1))
+    x, y = np.meshgrid(bed.west + bed.cell * np.arange(i0, i1), bed.south + bed.cell * np.arange(j0, j1))
     above = solid.centre[2] + 2.0 * solid.radius
     origin = np.stack([x.ravel(), y.ravel(), np.full(x.size, above)], axis=-1)
     t, _ = solid.hit(origin, np.tile([0.0, 0.0, -1.0], (x.size, 1)), np.full(x.size, np.inf))

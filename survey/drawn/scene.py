@@ -44,6 +44,9 @@ class DrawnScene:
     crs : str
         Projected, in metres, with heights.
     origin : (easting, northing), in crs
+    cell_m, texel_m : [m]
+        Between vertices of the bed, which the mesh of the truth has too, and between points of its texture, which
+        should be finer than any pixel.
     shore, objects, water : bool
         A bank that rises out of the water in the north; a boat, an amphora, rocks; False for a dry bed.
 
@@ -67,14 +70,16 @@ class DrawnScene:
     seed: int = 1
     crs: str = "EPSG:25832+7837"
     origin: tuple[float, float] = (676120.0, 5311480.0)
+    cell_m: float = 0.025
+    texel_m: float = 0.01
     shore: bool = False
     objects: bool = True
     water: bool = True
 
     def __post_init__(self):
-        positive = (*self.size_m, self.depth_m, *self.image_px, self.focal_px)
+        positive = (*self.size_m, self.depth_m, *self.image_px, self.focal_px, self.cell_m, self.texel_m)
         if not all(math.isfinite(v) and v > 0.0 for v in positive):
-            raise SurveyError(f"sizes, depth and focal length of a drawn scene are {positive}; give numbers above zero")
+            raise SurveyError(f"sizes and depth of a drawn scene are {positive}; give numbers above zero")
         if self.num_views < 3:
             raise SurveyError(f"a drawn survey of {self.num_views} views cannot be reconstructed; give at least 3")
         if not 1.0 <= self.n_water <= 1.6:

@@ -26,6 +26,7 @@ class BedSettings:
     depth_m: float = 2.5  # drawn, plane: mean depth below the origin
     shore: bool = False  # drawn: a bank that rises out of the water in the north
     bodies: bool = False  # drawn: a boat, an amphora, rocks
+    cell_m: float = 0.025  # drawn: between its vertices
     spacing_m: float | None = None  # cloud: thinned to one point per cell of this size first
     smoothing: int = 0  # cloud: passes of Laplacian smoothing
 
@@ -36,7 +37,7 @@ class BedSettings:
         if from_file != (self.file is not None):
             mend = f'give file = "..." for kind = "{self.kind}"' if from_file else 'remove file, or give kind = "mesh"'
             raise ConfigError(f"bed.kind {self.kind} does not go with bed.file {self.file}; {mend}")
-        require_positive("bed", depth_m=self.depth_m, spacing_m=self.spacing_m)
+        require_positive("bed", depth_m=self.depth_m, cell_m=self.cell_m, spacing_m=self.spacing_m)
 
 
 @dataclass(frozen=True)

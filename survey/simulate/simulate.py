@@ -9,9 +9,10 @@ from geo import write_whole
 from survey.flight.coverage import Coverage, coverage
 from survey.flight.picture import picture
 from survey.progress import current
+from survey.simulate.planning import Plan, marks_of, plan_scene
 from survey.simulate.scene_file import SceneSettings, read_scene
 from survey.simulate.sidecars import cameras_csv
-from survey.simulate.staging import Plan, marks_of, plan_scene, stage_scene
+from survey.simulate.staging import stage_scene
 from survey.simulate.writing import write_survey
 
 

@@ -50,14 +50,20 @@ def skin_of_bed(
         return _checker(settings.square_m, area)
     texel = settings.texel_m
     west, south, east, north = area
+    require_texels(texel, area)
     size = (math.ceil((north - south) / texel) + 1, math.ceil((east - west) / texel) + 1)
-    if size[0] * size[1] > _MOST_TEXELS:
-        coarser = texel * math.sqrt(size[0] * size[1] / _MOST_TEXELS)
-        raise SurveyError(
-            f"texture.texel_m is {texel:g}, which takes {size[1]} x {size[0]} texels for what the cameras see; give "
-            f"{coarser:.3f} or more, or fly lower"
-        )
     return skin_from_above(sand(size, texel, np.random.default_rng([seed, 9])), west, south, texel)
+
+
+def require_texels(texel_m: float, area: Area) -> None:
+    """Raise SurveyError if a texture over an area is too fine for memory."""
+    rows, columns = (area[3] - area[1]) / texel_m, (area[2] - area[0]) / texel_m
+    if rows * columns > _MOST_TEXELS:
+        coarser = texel_m * math.sqrt(rows * columns / _MOST_TEXELS)
+        raise SurveyError(
+            f"texture.texel_m is {texel_m:g}, which takes {columns:.0f} x {rows:.0f} texels for what the cameras see; "
+            f"give {coarser + 5e-4:.3f} or more, or fly lower"
+        )
 
 
 def vertex_skin(shape: TriangleMesh, rgb: np.ndarray) -> VertexSkin:

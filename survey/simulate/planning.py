@@ -1,0 +1,131 @@
+"""A scene file before anything is built: where on Earth it lies, its lens, its flight, and what it is made of."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from pathlib import Path
+
+import numpy as np
+
+from geo.crs import parse_crs
+from geo.frames import LocalFrame
+from refract import FlatWater, PinholeCamera
+from survey.cameras import MODELS, Lens
+from survey.errors import ConfigError, PosesError, SurveyError
+from survey.flight import plan_flight
+from survey.flight.patterns import Site
+from survey.simulate.bed import bed_from_file
+from survey.simulate.scene_file import CameraSettings, SceneSettings
+from survey.simulate.triangles import TriangleMesh
+from survey.simulate.water import WaterLevel
+
+# A mesh, and colours (V, 3) uint8 of its vertices if it has any.
+Bed = tuple[TriangleMesh, np.ndarray | None]
+# Along each side of the area, where the depth of a bed is taken.
+_PROBES = 15
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """A scene before anything is built: where it lies and how it is flown.
+
+    Attributes
+    ----------
+    settings : SceneSettings
+    folder : Path
+        To which names of files are relative.
+    frame : LocalFrame
+    level : WaterLevel or None
+    lens : Lens
+    site : Site
+    bed : Bed or None
+        Where it comes from a file.
+    cameras : list of PinholeCamera
+    """
+
+    settings: SceneSettings
+    folder: Path
+    frame: LocalFrame
+    level: WaterLevel | None
+    lens: Lens
+    site: Site
+    bed: Bed | None
+    cameras: list[PinholeCamera]
+
+
+def plan_scene(settings: SceneSettings, folder: Path) -> Plan:
+    """Place a scene on Earth and fly over it.
+
+    Raises
+    ------
+    SurveyError, GeoError
+        If the crs has no heights, the lens is none, or no flight covers the area.
+    """
+    crs = parse_crs(settings.crs)
+    frame = LocalFrame(crs, settings.origin)
+    water = settings.water
+    level = None
+    if water is not None:
+        height = settings.origin[2] if water.level_m is None else water.level_m
+        level = WaterLevel(
+            height, settings.origin[:2], water.slope_east, water.slope_north, refractive_index=water.refractive_index
+        )
+    lens = lens_of(settings.camera)
+    surface = level.plane(frame) if level else None
+    bed = bed_from_file(settings.bed, folder, frame) if settings.bed.file else None
+    site = Site(settings.area.size_m, _depth(settings, surface, bed), surface)
+    cameras = plan_flight(settings.flight, lens, site, settings.seed)
+    return Plan(settings, folder, frame, level, lens, site, bed, cameras)
+
+
+def marks_of(settings: SceneSettings, folder: Path) -> dict:
+    """All that a scene is made of, as JSON can hold it: its settings, and a hash of every file that they name."""
+    files = [settings.bed.file, settings.texture.file, *(o.file for o in settings.objects)]
+    if settings.water is not None:
+        files.append(settings.water.heights)
+    hashes = {}
+    for name in filter(None, files):
+        path = folder / name
+        if not path.is_file():
+            raise SurveyError(f"{path} is named in the scene file but does not exist; correct the path")
+        hashes[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+    return dataclasses.asdict(settings) | {"files": hashes}
+
+
+def lens_of(camera: CameraSettings) -> Lens:
+    """The lens of [camera]."""
+    width, height = camera.size_px
+    focal = camera.focal_px or camera.focal_mm / camera.sensor_mm * width
+    cx, cy = camera.principal_point_px or (0.5 * width, 0.5 * height)
+    if camera.model not in MODELS:
+        raise ConfigError(f'camera.model is "{camera.model}", expected one of {", ".join(MODELS)}')
+    names = MODELS[camera.model][1]
+    coefficients = [name for name in names if name[0] in "kp"]
+    if len(camera.distortion) != len(coefficients):
+        raise ConfigError(
+            f"camera.distortion has {len(camera.distortion)} numbers, expected {len(coefficients)} for "
+            f"{camera.model}{': ' + ', '.join(coefficients) if coefficients else ''}"
+        )
+    values = {"f": focal, "fx": focal, "fy": focal, "cx": cx, "cy": cy}
+    values |= dict(zip(coefficients, camera.distortion, strict=True))
+    try:
+        return Lens(camera.model, tuple(values[name] for name in names), width, height)
+    except PosesError as error:
+        raise ConfigError(f"[camera]: {error}") from error
+
+
+def _depth(settings: SceneSettings, water: FlatWater | None, bed: Bed | None) -> float:
+    """Mean depth [m] of the bed in the area, for the flight; it counts from the origin where there is no water."""
+    z = -settings.bed.depth_m
+    if bed is not None:
+        x, y = np.meshgrid(*(np.linspace(-0.5 * s, 0.5 * s, _PROBES) for s in settings.area.size_m))
+        heights = bed[0].height(x, y)
+        if not np.isfinite(heights).any():
+            raise SurveyError(
+                f"{settings.bed.file} has nothing in the area of {settings.area.size_m[0]:g} x "
+                f"{settings.area.size_m[1]:g} m about the origin; correct origin, or bed.frame"
+            )
+        z = float(np.nanmean(heights))
+    level = 0.0 if water is None else float(water.height(0.0, 0.0))
+    return max(level - z, 0.0)

@@ -40,11 +40,13 @@ def pair(found: Found, poses: list[Pose], warnings: list[str]) -> list[Pose]:
             paired[name] = replace(pose, name=name)
     bare = [name for name in found.images if name not in paired]
     if len(paired) < MIN_VIEWS:
-        example = f' ("{lonely[0]}" against "{bare[0]}")' if lonely and bare else ""
+        mend = "add photographs with poses"
+        if lonely and bare:
+            mend = f'make the names in the poses those of the images ("{lonely[0]}" against "{bare[0]}")'
         raise PosesError(
             f"only {len(paired)} of the {len(poses)} poses in {found.poses_path} belong to one of the "
             f"{len(found.images)} images in {found.folder / found.config.images.dir}, expected at least {MIN_VIEWS}; "
-            f"make the names in the poses those of the images{example}"
+            f"{mend}"
         )
     warn_of(bare, "without a pose, left out", "image", warnings)
     warn_of(lonely, "without an image, left out", "pose", warnings)

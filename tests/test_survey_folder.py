@@ -169,6 +169,11 @@ def test_fewer_than_three_views_are_an_error_with_an_example_of_both_names(tmp_p
     )
 
 
+def test_fewer_than_three_views_whose_names_fit_are_asked_to_become_more(tmp_path):
+    with pytest.raises(PosesError, match=r"only 2 of the 2 poses .* expected at least 3; add photographs with poses"):
+        load_survey(small_survey(tmp_path / "s", num=2))
+
+
 @pytest.mark.parametrize(
     ("pairs", "kind", "words"),
     [

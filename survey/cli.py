@@ -1,4 +1,4 @@
-"""The command line: bathynerf check, process, export, render, compare.
+"""The command line: bathynerf check, process, waterline, export, render, compare.
 
 Exit codes: 0 done, 1 our bug, 2 the input, 3 ran but a quality gate failed; 130 stopped by the user.
 
@@ -120,6 +120,9 @@ def process(
     device: Annotated[Device, typer.Option(help="Where it runs.")] = Device.auto,
     field: Annotated[Switch, typer.Option(help="Refine the sweep by the tensor field.")] = Switch.auto,
     resume: Annotated[bool, typer.Option(help="Go on with what an earlier run finished.")] = True,
+    calibrate_water: Annotated[
+        bool, typer.Option("--calibrate-water", help="First estimate the water from the photographs.")
+    ] = False,
     reference: Annotated[Path | None, typer.Option(help="True surface, for the report only.")] = None,
     visible: Annotated[Path | None, typer.Option(help="Points of it that cameras see, for the report only.")] = None,
     verbose: Verbose = 0,
@@ -136,10 +139,40 @@ def process(
             device=device.value,
             field=field.value,
             resume=resume,
+            calibrate_water=calibrate_water,
             reference=reference,
             visible=visible,
         )
         raise typer.Exit(code)
+
+
+@app.command()
+def waterline(
+    survey: SurveyFolder,
+    device: Annotated[Device, typer.Option(help="Where it runs.")] = Device.auto,
+    nadir_only: Annotated[bool, typer.Option("--nadir-only", help="Use views that look straight down alone.")] = False,
+    start_level: Annotated[float | None, typer.Option(help="Start from this level [m] instead of level_m.")] = None,
+    start_index: Annotated[float | None, typer.Option(help="Start from this refractive index.")] = None,
+    json: Annotated[Path | None, typer.Option(help="Write everything that was found to this file.")] = None,
+    verbose: Verbose = 0,
+    quiet: Quiet = 0,
+) -> None:
+    """Say what the photographs tell about level, slopes and index of the water; nothing is changed."""
+    with _errors_as_exit_codes(verbose - quiet, json or survey):
+        from survey.waterline_stage import estimate_water
+
+        found = estimate_water(
+            survey,
+            device=device.value,
+            nadir_only=nadir_only,
+            start_level=start_level,
+            start_index=start_index,
+            json_path=json,
+        )
+        if verbose >= quiet:
+            rows = [(estimate.name, estimate.verdict) for estimate in found.estimates]
+            points = f"{found.num_points} in {found.num_views} views, {found.num_measurements} measurements"
+            _print_columns(None, [*rows, ("tie points", points), ("residuals", f"{found.rms_px:.3f} px rms")])
 
 
 @app.command()

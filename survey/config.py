@@ -40,13 +40,16 @@ class CamerasConfig:
 class WaterConfig:
     """[water]: a plane through ``level_m`` at ``level_at``, with its rise per metre along the grid axes."""
 
-    level_m: float
+    level_m: float | None = None  # None only until the file that is named instead is read
     level_at: tuple[float, float] | None = None
     slope_east: float = 0.0
     slope_north: float = 0.0
     refractive_index: float | None = None
     temperature_c: float | None = None
     salinity_psu: float | None = None
+    shoreline: str | None = None  # CSV of points, easting, northing, height, where water meets land
+    gnss_points: str | None = None  # the same, of points anywhere on the surface
+    gauge: str | None = None  # CSV of time, level
 
 
 @dataclass(frozen=True)
@@ -186,11 +189,15 @@ def _unknown(key: str, section: str | None) -> str:
 
 
 def _check_water(values: dict) -> None:
-    if "level_m" not in values:
+    levels = [key for key in ("level_m", "shoreline", "gnss_points", "gauge") if key in values]
+    if not levels:
         raise ConfigError(
             "level_m is missing from [water]. Give the height of the water surface in the survey's vertical datum, "
-            "e.g. level_m = 12.34, or remove [water] for a dry survey"
+            "e.g. level_m = 12.34, or a file of points or readings as shoreline, gnss_points or gauge, or remove "
+            "[water] for a dry survey"
         )
+    if len(levels) > 1:
+        raise ConfigError(f"[water] has {' and '.join(levels)}, each of which says how high the water is; keep one")
     by_water = [key for key in ("temperature_c", "salinity_psu") if key in values]
     if "refractive_index" in values and by_water:
         raise ConfigError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from PIL import ExifTags, Image, UnidentifiedImageError
@@ -36,6 +37,8 @@ class Exif:
         Maker and model.
     above_start_m : float or None
         DJI's height over the take-off point [m].
+    taken : datetime or None
+        In UTC: of the GPS clock, else of the camera's with its offset; None where neither is there.
     """
 
     size_px: tuple[int, int]
@@ -44,6 +47,7 @@ class Exif:
     orientation: int
     camera: str
     above_start_m: float | None
+    taken: datetime | None = None
 
 
 def read_exif(path: Path) -> Exif:
@@ -71,6 +75,7 @@ def read_exif(path: Path) -> Exif:
         orientation=orientation if orientation in range(1, 9) else 1,
         camera=camera.strip(),
         above_start_m=_dji(xmp, "RelativeAltitude"),
+        taken=_taken(gps, details),
     )
 
 
@@ -84,6 +89,21 @@ def _position(gps: dict) -> tuple[float, float, float] | None:
     if gps.get(ExifTags.GPS.GPSAltitudeRef) in (1, b"\x01"):
         height = -height
     return latitude, longitude, height
+
+
+def _taken(gps: dict, details: dict) -> datetime | None:
+    day = str(gps.get(ExifTags.GPS.GPSDateStamp, "")).strip("\0 ")
+    clock = gps.get(ExifTags.GPS.GPSTimeStamp)
+    try:
+        if day and clock is not None:
+            hours, minutes, seconds = (_number(part) for part in clock)
+            passed = timedelta(hours=hours, minutes=minutes, seconds=seconds)
+            return datetime.strptime(day, "%Y:%m:%d").replace(tzinfo=UTC) + passed
+        local = str(details.get(ExifTags.Base.DateTimeOriginal, "")).strip("\0 ")
+        offset = str(details.get(ExifTags.Base.OffsetTimeOriginal, "")).strip("\0 ")
+        return datetime.strptime(local + offset, "%Y:%m:%d %H:%M:%S%z").astimezone(UTC)
+    except (TypeError, ValueError):
+        return None
 
 
 def _degrees(parts, reference, negative: str) -> float:

@@ -14,6 +14,7 @@ from survey.errors import ConfigError, PosesError, SurveyError
 from survey.exif import Exif, read_exif
 from survey.formats import find_poses, find_unread
 from survey.images import list_images
+from survey.waterline_sources import with_level
 
 MIN_VIEWS = 3
 
@@ -26,7 +27,7 @@ class Found:
     ----------
     folder : Path
     config : SurveyConfig
-        As read, or inferred where there is no survey.toml.
+        As read, or inferred where there is no survey.toml; the water has a level, if there is water.
     crs : pyproj.CRS
         Horizontal and vertical.
     images : name to path
@@ -70,6 +71,7 @@ def find_survey(folder: Path) -> Found:
     if config.crs is None:
         raise ConfigError(f"{toml}: crs is missing; {infer.crs_advice(heads)}")
     crs = parse_crs(config.crs, where=f"crs in {toml}" if toml.is_file() else "the inferred crs")
+    config = with_level(folder, config, heads, assumptions)
     warnings = _turned(heads)
     if poses_path is None:
         _require_positions(folder, heads)

@@ -104,6 +104,9 @@ SECTIONS = {
         "refractive_index": _number,
         "temperature_c": _number,
         "salinity_psu": _number,
+        "shoreline": _text,
+        "gnss_points": _text,
+        "gauge": _text,
     },
     "area": {"bounds": _bounds},
     "local": {"frame": _frame, "origin": _numbers(3, "[easting, northing, height]")},
@@ -112,9 +115,6 @@ SECTIONS = {
 
 # Keys that a later version will read, and what to give until then.
 NOT_YET = {
-    "water.gauge": "read the gauge at the time of the flight and give level_m",
-    "water.shoreline": "give the height of the shoreline as level_m",
-    "water.gnss_points": "give the mean height of the points as level_m, and slope_east and slope_north",
     "water.mask": "the sweep finds by itself what is wet; remove it",
     "control.gcps": "give camera poses that are already adjusted to the control points",
 }

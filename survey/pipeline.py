@@ -26,6 +26,7 @@ from survey.report import ReportFacts, write_report
 from survey.rundir import RunDir, stage_key
 from survey.stored import StoredBed, load_bed, load_depth_maps, save_bed, save_depth_maps
 from survey.stored_field import load_field, save_field, save_place
+from survey.waterline_stage import calibrated
 
 QUALITY_GATE_FAILED = 3
 # At which the report asks how complete the cloud is: that of the study which this work follows, and a finer one.
@@ -40,6 +41,7 @@ def process(
     device: str = "auto",
     resume: bool = True,
     field: str = "auto",
+    calibrate_water: bool = False,
     reference: Path | None = None,
     visible: Path | None = None,
 ) -> int:
@@ -56,6 +58,8 @@ def process(
         Whether the tensor field refines the sweep; "auto" leaves it to the plan.
     resume : bool
         Use what an earlier run in this folder finished, where nothing that it depends on has changed.
+    calibrate_water : bool
+        First estimate level, slopes and index of the water from the photographs; what they cannot tell stays as given.
     reference, visible : Path, optional
         True surface and the points of it that cameras see, for the report; the reconstruction never reads them.
 
@@ -78,6 +82,9 @@ def process(
     plan = make_plan(survey, quality=quality, device=device, field=field)
     with RunDir(run_folder) as run:
         progress.log_to(run.log_path)
+        if calibrate_water and survey.water is not None:
+            survey = calibrated(run, survey, device, progress, resume=resume)
+            plan = make_plan(survey, quality=quality, device=device, field=field)
         _announce(progress, survey, plan)
         run.write_text(run.settings_path, dump_config(survey.config))
         run.write_text(run.plan_path, json.dumps(plan.as_dict(), indent=2))

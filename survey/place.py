@@ -11,7 +11,7 @@ from geo.crs import height_unit_m, is_geographic
 from geo.frames import LocalFrame
 from refract import FlatWater
 from survey.cameras import Pose, View
-from survey.config import FILE_NAME, SurveyConfig
+from survey.config import FILE_NAME, SurveyConfig, WaterConfig
 from survey.errors import ConfigError, PosesError
 from survey.exif import Exif
 from survey.found import Found
@@ -101,21 +101,32 @@ def water_in_local(
     if given.level_at is None:
         middle = frame.crs_from_local(np.mean([view.camera.centre for view in views], axis=0))
         given = replace(given, level_at=(float(middle[0]), float(middle[1])))
+    index = refractive_index(given, assumptions)
+    given = replace(given, refractive_index=index, temperature_c=None, salinity_psu=None)
+    water = water_plane(frame, given)
+    return replace(config, water=given), water
+
+
+def water_plane(frame: LocalFrame, given: WaterConfig) -> FlatWater:
+    """The plane in local of settings that have ``level_at`` and ``refractive_index``.
+
+    Raises
+    ------
+    ConfigError
+        If ``level_at`` does not lie on the map of crs.
+    """
     point_crs = np.array([*given.level_at, given.level_m / height_unit_m(frame.crs)])
     point = frame.local_from_crs(point_crs)
     if not np.isfinite(point).all():
         raise ConfigError(f"[water] level_at is {list(given.level_at)}, which is not on the map of {frame.crs.name}")
-    index = refractive_index(given, assumptions)
-    given = replace(given, refractive_index=index, temperature_c=None, salinity_psu=None)
     east, north, up = frame.local_from_grid(point_crs).T
     normal = np.cross(east + given.slope_east * up, north + given.slope_north * up)
-    water = FlatWater(
+    return FlatWater(
         point=tuple(float(v) for v in point),
-        n_water=index,
+        n_water=given.refractive_index,
         slope_x=float(-normal[0] / normal[2]),
         slope_y=float(-normal[1] / normal[2]),
     )
-    return replace(config, water=given), water
 
 
 def require_true(frame: LocalFrame, views: list[View], water: FlatWater | None, config: SurveyConfig) -> None:

@@ -79,7 +79,8 @@ BAD_INPUT = {
         lambda folder: [(folder / "images" / f"000{i}.jpg").unlink() for i in (0, 1)],
         ["only 2 of the 4 poses", "expected at least 3"],
     ),
-    "not yet": (spoil_toml(("level_at", "gauge = 'g.csv'\nlevel_at")), ["gauge is not supported yet", "level_m"]),
+    "not yet": (spoil_toml(("level_at", "mask = 'm'\nlevel_at")), ["mask is not supported yet", "remove it"]),
+    "two levels": (spoil_toml(("level_at", "gauge = 'g.csv'\nlevel_at")), ["level_m and gauge", "keep one"]),
 }
 
 
@@ -167,19 +168,20 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
 
     fake_module(monkeypatch, "survey.pipeline", process=process)
     result = bathynerf("process", "s", "-o", "run", "--quality", "draft", "--device", "cpu", "--no-resume",
-                       "--field", "on", "--reference", "r.ply", "--visible", "v.ply", "-v")  # fmt: skip
+                       "--field", "on", "--calibrate-water", "--reference", "r.ply", "--visible", "v.ply", "-v")  # fmt: skip
     assert result.exit_code == 3
     expected = {
         "quality": "draft",
         "device": "cpu",
         "field": "on",
         "resume": False,
+        "calibrate_water": True,
         "reference": Path("r.ply"),
         "visible": Path("v.ply"),
     }
     assert calls == [((Path("s"), Path("run")), expected, 1)]
     bathynerf("process", "s")
-    defaults = {"quality": "standard", "device": "auto", "field": "auto", "resume": True}
+    defaults = {"quality": "standard", "device": "auto", "field": "auto", "resume": True, "calibrate_water": False}
     assert calls[1] == ((Path("s"), None), {**defaults, "reference": None, "visible": None}, 0)
 
 

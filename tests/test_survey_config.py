@@ -87,7 +87,7 @@ def test_an_unknown_key_is_refused_with_the_nearest_known_one(text, nearest):
     assert f"the nearest known one is {nearest}" in str(error.value)
 
 
-@pytest.mark.parametrize("key", ["gauge", "shoreline", "gnss_points", "mask"])
+@pytest.mark.parametrize("key", ["mask"])
 def test_a_key_of_a_later_version_is_refused_with_what_to_give_instead(key):
     with pytest.raises(ConfigError, match=rf"\[water\] {key} is not supported yet; .{{20,}}"):
         parse_config(f"[water]\n{key} = 'file'")

@@ -139,10 +139,11 @@ def _water(survey: Survey) -> dict | None:
     if water is None:
         return None
     assumed = [text for text in survey.assumptions if text.startswith("refractive_index")]
+    level = [text for text in survey.assumptions if text.startswith("level_m")]
     return {
         "level_m": water.level_m,
         "level_at": water.level_at,
-        "level_from": "survey.toml, [water] level_m",
+        "level_from": level[-1] if level else "survey.toml, [water] level_m",
         "slope_east": water.slope_east,
         "slope_north": water.slope_north,
         "slope_from": "survey.toml; level where it says nothing",

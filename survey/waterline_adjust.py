@@ -1,0 +1,285 @@
+"""Least squares on tie points through the water surface: the parameters of the water, with the poses held.
+
+Each tie point has three unknowns of its own, which are eliminated point by point (a Schur complement), so that what
+is solved has as many unknowns as the water has parameters.
+
+    M points, N observations (a point in a photograph), P parameters of the water
+    r    residual, measured minus predicted pixel (N, 2)
+    Jx   derivative of the prediction by the point (N, 2, 3)
+    Jp   derivative by the parameters (N, 2, P)
+    Jr   Jp less what the points can follow: Jp - Jx A^-1 C, with A = sum Jx'w Jx and C = sum Jx'w Jp per point
+    w    weight of an observation (N,) [1/px^2]
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from refract import FlatWater, PinholeCamera, crossing_point
+from survey.errors import SurveyError
+
+# Half a step of the central differences: the projection is exact to 1e-12 px or so and curves on the scale of metres,
+# so that their error stays under 1e-7 of a derivative.
+_STEP = 1e-4
+# Residuals beyond this many standard deviations pull with constant force (Huber): 95 % of good ones lie within.
+_HUBER = 2.0
+# The median of the length of a two-dimensional normal deviate of unit standard deviation per axis, sqrt(2 ln 2).
+_MEDIAN_LENGTH = 1.1774
+_MOST_STEPS = 50
+# Four are exact to the last bits in drone geometry (docs/optics.md), two more for what is flown lower.
+_NEWTON_STEPS = 6
+# A step under this share of the standard deviations changes no digit that is reported.
+_DONE = 1e-3
+# Keeps the elimination of a point finite that hardly any ray fixes.
+_DAMPING = 1e-9
+
+
+@dataclass(frozen=True)
+class TiePoints:
+    """Points of the bed measured in two photographs or more; observations are sorted by point.
+
+    Attributes
+    ----------
+    start : (M, 3) float64 [m], local
+        Where the points are about.
+    point : (N,) int64, ascending
+        Which point an observation is of; every point has one at least.
+    view : (N,) int64
+    pixel : (N, 2) float64 [px], img
+    """
+
+    start: np.ndarray
+    point: np.ndarray
+    view: np.ndarray
+    pixel: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    def only(self, keep: np.ndarray) -> TiePoints:
+        """The points that have at least three observations left among those to keep, (N,) bool."""
+        enough = np.bincount(self.point[keep], minlength=len(self)) >= 3
+        keep = keep & enough[self.point]
+        number = np.cumsum(enough) - 1
+        return TiePoints(self.start[enough], number[self.point[keep]], self.view[keep], self.pixel[keep])
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """A solution of `adjust`.
+
+    Attributes
+    ----------
+    parameters : (P,)
+    inverse_normal : (P, P)
+        Inverse of the normal matrix of the parameters, prior included.
+    covariance : (P, P)
+        Of the parameters by the scatter of the measurements alone, from the scatter itself.
+    points : (M, 3) [m], local
+    residuals : (N, 2) [px]
+    weights : (N,) [1/px^2]
+    reduced : (N, 2, P)
+        Jr above: how a measurement would have to move for a parameter to change, points following.
+    std_px : [px]
+        Standard deviation of a pixel coordinate, from the median of the residuals.
+    """
+
+    parameters: np.ndarray
+    inverse_normal: np.ndarray
+    covariance: np.ndarray
+    points: np.ndarray
+    residuals: np.ndarray
+    weights: np.ndarray
+    reduced: np.ndarray
+    std_px: float
+
+
+def adjust(
+    cameras: Sequence[PinholeCamera],
+    ties: TiePoints,
+    water_of: Callable[[np.ndarray], FlatWater],
+    start: np.ndarray,
+    prior_std: np.ndarray,
+    *,
+    centre: np.ndarray | None = None,
+) -> Adjusted:
+    """Fit the parameters of the water, and all points, to the tie points.
+
+    Parameters
+    ----------
+    cameras : local, indexed by `TiePoints.view`
+    ties : TiePoints
+    water_of : function of (P,) parameters
+        Gives the water; derivatives are taken through it.
+    start, prior_std : (P,)
+        Where the search starts, and how far from there the parameters may be. The prior keeps a block that cannot
+        tell them finite; its pull on one that can is the square of the ratio of the standard deviations.
+    centre : (P,), optional
+        Of the prior, where the search starts elsewhere.
+
+    Raises
+    ------
+    SurveyError
+        If there are no more measurements than unknowns, or the search does not come to rest.
+
+    Notes
+    -----
+    Gauss-Newton steps with Huber weights; points above the water have straight rays and no derivative by the
+    parameters, and their state follows the water from step to step. The covariance is the sandwich estimate with the
+    observations of one point as a cluster (P. J. Huber 1967; H. White 1980): it needs no model of how they correlate.
+    """
+    if 2 * len(ties.view) <= 3 * len(ties) + len(start):
+        raise SurveyError(
+            f"{len(ties)} tie points with {len(ties.view)} measurements are too few to estimate the water; expected "
+            "photographs that overlap and show a textured bed"
+        )
+    parameters, points = np.array(start, dtype=np.float64), ties.start.copy()
+    prior = np.diag(1.0 / np.square(prior_std))
+    centre = np.array(start if centre is None else centre, dtype=np.float64)
+    for _ in range(_MOST_STEPS):
+        system = _linearised(cameras, ties, points, water_of, parameters)
+        normal = system.normal + prior
+        step = np.linalg.solve(normal, system.gradient - prior @ (parameters - centre))
+        # A search that starts far off must not leave the physical range on its way.
+        step /= max(1.0, float(np.max(np.abs(step) / prior_std)) * 4.0)
+        parameters = parameters + step
+        points = points + system.point_steps(step)
+        if (np.abs(step) < _DONE * np.sqrt(np.diag(np.linalg.inv(normal)))).all():
+            break
+    else:
+        raise SurveyError(
+            f"the adjustment of the water did not come to rest in {_MOST_STEPS} steps; check that poses and images "
+            "belong together, or give the water by hand"
+        )
+    return _solution(_linearised(cameras, ties, points, water_of, parameters), ties, points, parameters, prior)
+
+
+def residuals_of(
+    cameras: Sequence[PinholeCamera], ties: TiePoints, points: np.ndarray, water: FlatWater | None
+) -> np.ndarray:
+    """Measured minus predicted pixels (N, 2) [px] for points (M, 3) [m], local."""
+    return ties.pixel - pixels_of(cameras, ties, points, water)
+
+
+def intersect(
+    cameras: Sequence[PinholeCamera], ties: TiePoints, water: FlatWater | None, steps: int = 10
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points (M, 3) [m] where the rays of the tie points meet best through a given water, and residuals (N, 2) [px]."""
+    points = ties.start.copy()
+    for _ in range(steps):
+        residuals = residuals_of(cameras, ties, points, water)
+        jx = by_point(cameras, ties, points, water)
+        weights = robust_weights(residuals)[0]
+        wjx = weights[:, None, None] * jx
+        normal = _sum(ties, np.einsum("nai,naj->nij", wjx, jx))
+        right = _sum(ties, np.einsum("nai,na->ni", wjx, residuals))
+        points = points + np.linalg.solve(_damped(normal), right[..., None])[..., 0]
+    return points, residuals_of(cameras, ties, points, water)
+
+
+@dataclass(frozen=True)
+class _System:
+    """The normal equations at one place, points eliminated."""
+
+    residuals: np.ndarray
+    weights: np.ndarray
+    std_px: float
+    reduced: np.ndarray
+    normal: np.ndarray
+    gradient: np.ndarray
+    points_free: np.ndarray
+    points_follow: np.ndarray
+
+    def point_steps(self, step: np.ndarray) -> np.ndarray:
+        """Steps (M, 3) [m] of the points that go with a step of the parameters."""
+        return self.points_free - self.points_follow @ step
+
+
+def _linearised(cameras, ties: TiePoints, points: np.ndarray, water_of, parameters: np.ndarray) -> _System:
+    water = water_of(parameters)
+    residuals = residuals_of(cameras, ties, points, water)
+    jx = by_point(cameras, ties, points, water)
+    jp = by_parameters(cameras, ties, points, water_of, parameters)
+    weights, std_px = robust_weights(residuals)
+    wjx = weights[:, None, None] * jx
+    own = _damped(_sum(ties, np.einsum("nai,naj->nij", wjx, jx)))
+    mixed = _sum(ties, np.einsum("nai,nap->nip", wjx, jp))
+    right = _sum(ties, np.einsum("nai,na->ni", wjx, residuals))
+    follow = np.linalg.solve(own, mixed)
+    free = np.linalg.solve(own, right[..., None])[..., 0]
+    reduced = jp - np.einsum("nai,nip->nap", jx, follow[ties.point])
+    weighted = weights[:, None, None] * reduced
+    normal = np.einsum("nap,naq->pq", weighted, reduced)
+    gradient = np.einsum("nap,na->p", weighted, residuals)
+    return _System(residuals, weights, std_px, reduced, normal, gradient, free, follow)
+
+
+def _solution(system: _System, ties: TiePoints, points, parameters, prior) -> Adjusted:
+    inverse = np.linalg.inv(system.normal + prior)
+    scores = _sum(ties, np.einsum("nap,na,n->np", system.reduced, system.residuals, system.weights))
+    # The points took their share of the scatter: scores are made of residuals that are too small by this much.
+    spare = 2 * len(ties.view) - 3 * len(ties)
+    meat = scores.T @ scores * (2 * len(ties.view) / spare) + prior
+    return Adjusted(
+        parameters=parameters,
+        inverse_normal=inverse,
+        covariance=inverse @ meat @ inverse,
+        points=points,
+        residuals=system.residuals,
+        weights=system.weights,
+        reduced=system.reduced,
+        std_px=system.std_px,
+    )
+
+
+def robust_weights(residuals: np.ndarray) -> tuple[np.ndarray, float]:
+    """Huber weights (N,) [1/px^2], and the standard deviation of a pixel coordinate [px]."""
+    length = np.linalg.norm(residuals, axis=1)
+    std = max(float(np.nanmedian(length)) / _MEDIAN_LENGTH, 1e-9)
+    weights = np.minimum(1.0, _HUBER * std / np.maximum(length, 1e-300)) / std**2
+    return np.where(np.isfinite(length), weights, 0.0), std
+
+
+def by_point(cameras, ties: TiePoints, points: np.ndarray, water) -> np.ndarray:
+    """Derivative of the pixels by the points, (N, 2, 3)."""
+    moves = _STEP * np.eye(3)
+    return np.stack([_difference(cameras, ties, (points + m, water), (points - m, water)) for m in moves], axis=-1)
+
+
+def by_parameters(cameras, ties: TiePoints, points: np.ndarray, water_of, parameters: np.ndarray) -> np.ndarray:
+    """Derivative of the pixels by the parameters of the water, (N, 2, P)."""
+    moves = _STEP * np.eye(len(parameters))
+    ends = [(water_of(parameters + m), water_of(parameters - m)) for m in moves]
+    return np.stack([_difference(cameras, ties, (points, a), (points, b)) for a, b in ends], axis=-1)
+
+
+def _difference(cameras, ties: TiePoints, ahead, behind) -> np.ndarray:
+    return (pixels_of(cameras, ties, *ahead) - pixels_of(cameras, ties, *behind)) / (2.0 * _STEP)
+
+
+def pixels_of(
+    cameras: Sequence[PinholeCamera], ties: TiePoints, points: np.ndarray, water: FlatWater | None
+) -> np.ndarray:
+    """Predicted pixels (N, 2) of all observations: `PinholeCamera.project` for many cameras at once."""
+    centres = np.array([camera.centre for camera in cameras])[ties.view]
+    rotations = np.array([camera.cam_from_local for camera in cameras])[ties.view]
+    inner = np.array([(camera.fx, camera.fy, camera.cx, camera.cy) for camera in cameras])[ties.view]
+    seen = crossing_point(points[ties.point], centres, water, steps=_NEWTON_STEPS) - centres
+    x, y, z = np.einsum("nij,nj->in", rotations, seen)
+    z = np.where(z > 0.0, z, np.nan)
+    return np.stack([inner[:, 0] * x / z + inner[:, 2], inner[:, 1] * y / z + inner[:, 3]], axis=-1)
+
+
+def _sum(ties: TiePoints, values: np.ndarray) -> np.ndarray:
+    """Sums over the observations of each point, (M, ...)."""
+    first = np.searchsorted(ties.point, np.arange(len(ties)))
+    return np.add.reduceat(values, first, axis=0)
+
+
+def _damped(normal: np.ndarray) -> np.ndarray:
+    """Matrices (M, 3, 3) that can be inverted."""
+    scale = np.trace(normal, axis1=1, axis2=2)[:, None, None]
+    return normal + (_DAMPING * scale + 1e-12) * np.eye(3)

@@ -1,0 +1,84 @@
+"""The self-calibration end to end: verdicts on a block that can tell and one that cannot, and windows that match."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from survey.cameras import Lens, View
+from survey.folder import load_survey
+from survey.place import water_plane
+from survey.waterline import PARAMETERS, calibrate, estimate, nadir_views
+from tests.small_survey import small_survey
+from tests.small_water_block import FOCAL, SIZE, convergent, nadir, tie_points
+
+# The water of `small_water_block` at the origin of the local frame of `small_survey`.
+STD_PX = 0.05
+
+
+def survey_with(tmp_path, cameras, *, level=0.3, index=1.335):
+    """A survey with other cameras and water, level given in local."""
+    survey = load_survey(small_survey(tmp_path / "s"))
+    lens = Lens("SIMPLE_PINHOLE", (FOCAL, SIZE[0] / 2, SIZE[1] / 2), *SIZE)
+    views = tuple(View(f"{i}", survey.views[0].path, camera, lens) for i, camera in enumerate(cameras))
+    easting, northing, height = survey.frame.origin
+    given = replace(
+        survey.config.water, level_m=height + level, level_at=(easting, northing), refractive_index=index,
+        slope_east=0.0, slope_north=0.0,
+    )  # fmt: skip
+    config = replace(survey.config, water=given)
+    return replace(survey, views=views, config=config, water=water_plane(survey.frame, given))
+
+
+def test_a_convergent_block_tells_its_water_and_a_verdict_for_each_parameter(tmp_path, rng):
+    cameras = convergent()
+    survey = survey_with(tmp_path, cameras, level=0.8, index=1.30)
+    found = estimate(survey, tie_points(cameras, rng, count=600, std_px=STD_PX))
+    assert [e.name for e in found.estimates] == list(PARAMETERS)
+    assert all(e.is_observable and e.verdict.startswith("estimated") for e in found.estimates)
+    level, _, _, index = found.estimates
+    assert abs(level.value - survey.frame.origin[2] - 0.3) < 3.0 * level.std
+    assert abs(index.value - 1.335) < 3.0 * index.std
+    assert level.std < 0.05
+    assert found.water.level_m == level.value
+    assert found.num_dry == 0
+
+
+def test_a_block_from_above_says_that_it_cannot_know_and_keeps_what_was_given(tmp_path, rng):
+    cameras = nadir()
+    survey = survey_with(tmp_path, cameras, level=0.8, index=1.30)
+    found = estimate(survey, tie_points(cameras, rng, count=600, std_px=STD_PX))
+    assert not found.is_observable
+    assert all(e.verdict.startswith("not observable: 1 sigma is") for e in found.estimates)
+    assert found.estimates[0].std > 0.05
+    assert found.water == survey.config.water
+
+
+def test_all_of_it_goes_into_json(tmp_path, rng):
+    cameras = convergent()
+    found = estimate(survey_with(tmp_path, cameras), tie_points(cameras, rng, std_px=STD_PX))
+    record = json.loads(found.to_json())
+    assert record["estimates"][0]["name"] == "level_m"
+    assert np.allclose(np.diag(record["correlation"]), 1.0)
+    assert np.array(record["covariance"]).shape == (4, 4)
+
+
+def test_nadir_views_are_those_that_look_down(tmp_path):
+    survey = survey_with(tmp_path, convergent())
+    assert len(nadir_views(survey).views) == 5
+
+
+@pytest.mark.slow
+def test_wreck_under_water_gives_its_level_and_index_from_a_wrong_start(data_dir):
+    survey = load_survey(data_dir / "wreck_water")
+    truth = survey.config.water
+    start = replace(truth, level_m=truth.level_m + 0.5, refractive_index=1.30)
+    wrong = replace(survey, config=replace(survey.config, water=start), water=water_plane(survey.frame, start))
+    level, _, _, index = calibrate(wrong).estimates
+    # The truth within two standard deviations, and those small enough to be of use.
+    assert abs(level.value - truth.level_m) < 2.0 * level.std < 0.05
+    assert abs(index.value - truth.refractive_index) < 2.0 * index.std < 0.01
+    assert not calibrate(nadir_views(wrong)).is_observable

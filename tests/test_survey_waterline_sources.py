@@ -1,0 +1,137 @@
+"""The level of the water from points of its surface and from a gauge: known planes, wrong points, refusals."""
+
+from __future__ import annotations
+
+import dataclasses
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from survey.config import parse_config
+from survey.errors import ConfigError
+from survey.exif import Exif
+from survey.folder import load_survey
+from survey.waterline_sources import fit_surface, read_gauge, read_points, with_level
+from tests.small_survey import E0, LEVEL, N0, TOML, replaced, small_survey
+
+HEAD = Exif((64, 48), None, None, 1, "", None)
+
+
+def plane_points(rng, *, count=40, east=0.0, north=0.0, std=0.01):
+    points = np.column_stack([rng.uniform(-50.0, 50.0, (count, 2)), np.zeros(count)])
+    points[:, 2] = 3.0 + east * points[:, 0] + north * points[:, 1] + std * rng.normal(size=count)
+    return points
+
+
+def test_a_tilted_surface_is_found_within_its_covariance(rng):
+    fit = fit_surface(plane_points(rng, east=0.002, north=-0.004))
+    level = 3.0 + 0.002 * fit.level_at[0] - 0.004 * fit.level_at[1]
+    error = np.array([fit.level_m - level, fit.slope_east - 0.002, fit.slope_north + 0.004])
+    # Four standard deviations of each: one in ten thousand.
+    assert (np.abs(error) < 4.0 * np.sqrt(np.diag(fit.covariance))).all()
+    assert fit.covariance[0, 0] ** 0.5 == pytest.approx(0.01 / 40**0.5, rel=0.5)
+
+
+def test_level_water_stays_level(rng):
+    fit = fit_surface(plane_points(rng))
+    assert fit.slope_east == fit.slope_north == 0.0
+    assert abs(fit.level_m - 3.0) < 4.0 * fit.covariance[0, 0] ** 0.5
+
+
+def test_wrong_points_hardly_move_the_level(rng):
+    points = plane_points(rng)
+    points[:4, 2] += 5.0
+    # Least squares would be 0.5 m off.
+    assert abs(fit_surface(points).level_m - 3.0) < 0.01
+
+
+def test_points_in_a_row_do_not_tilt_the_water(rng):
+    points = plane_points(rng, east=0.01)
+    points[:, 1] = points[:, 0]
+    assert fit_surface(points).slope_north == 0.0
+
+
+def test_two_points_are_refused():
+    with pytest.raises(ConfigError, match="three or more"):
+        fit_surface(np.zeros((2, 3)))
+
+
+@pytest.mark.parametrize("key", ["shoreline", "gnss_points"])
+def test_points_give_a_survey_its_level(tmp_path, key):
+    folder = small_survey(tmp_path / "s", toml=replaced((f"level_m = {LEVEL}", f'{key} = "points.csv"')))
+    rows = [f"{E0 + 5 * i},{N0 - 3 * i * i},{LEVEL + 0.25 + 0.001 * (i % 2)}" for i in range(5)]
+    (folder / "points.csv").write_text("easting,northing,height\n" + "\n".join(rows) + "\n")
+    survey = load_survey(folder)
+    assert survey.config.water.level_m == pytest.approx(LEVEL + 0.25, abs=2e-3)
+    assert any(key in text for text in survey.assumptions)
+    assert getattr(survey.config.water, key) is None
+
+
+def gauge_config():
+    return parse_config('[water]\ngauge = "gauge.csv"\n')
+
+
+def heads_at(*minutes):
+    return {f"{m}.jpg": dataclasses.replace(HEAD, taken=datetime(2024, 6, 1, 10, m, tzinfo=UTC)) for m in minutes}
+
+
+def write_gauge(folder, *rows):
+    (folder / "gauge.csv").write_text("\n".join(["time,level", *rows]) + "\n")
+
+
+def test_a_gauge_is_interpolated_at_the_photographs(tmp_path):
+    write_gauge(tmp_path, "2024-06-01T10:00:00Z,1.0", "2024-06-01T13:00:00+02:00,1.6")
+    notes = []
+    config = with_level(tmp_path, gauge_config(), heads_at(10, 20), notes)
+    # A quarter of an hour into an hour that rises by 0.6 m.
+    assert config.water.level_m == pytest.approx(1.15, abs=1e-9)
+    assert config.water.gauge is None
+    assert "100 mm" in notes[0]
+    assert "cut the flight" in notes[0]
+
+
+def test_a_gauge_that_does_not_cover_the_flight_is_refused(tmp_path):
+    write_gauge(tmp_path, "2024-06-01T10:00:00Z,1.0", "2024-06-01T10:15:00Z,1.1")
+    with pytest.raises(ConfigError, match="add the readings around the flight"):
+        with_level(tmp_path, gauge_config(), heads_at(10, 20), [])
+
+
+def test_images_without_a_time_are_refused(tmp_path):
+    write_gauge(tmp_path, "2024-06-01T10:00:00Z,1.0", "2024-06-01T10:15:00Z,1.1")
+    with pytest.raises(ConfigError, match="no image says when it was taken"):
+        with_level(tmp_path, gauge_config(), {"a.jpg": HEAD}, [])
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        (["2024-06-01T10:00:00,1.0", "2024-06-01T11:00:00,1.0"], "no time zone"),
+        (["2024-06-01T11:00:00Z,1.0", "2024-06-01T10:00:00Z,1.0"], "sort them"),
+        (["ten,1.0", "eleven,1.0"], "is no time"),
+        (["2024-06-01T10:00:00Z,high", "2024-06-01T11:00:00Z,1.0"], "finite number"),
+        (["2024-06-01T10:00:00Z"], "has 1 values"),
+    ],
+)
+def test_a_damaged_gauge_is_named(tmp_path, rows, message):
+    write_gauge(tmp_path, *rows)
+    with pytest.raises(ConfigError, match=message):
+        read_gauge(tmp_path / "gauge.csv")
+
+
+def test_missing_columns_and_files_are_named(tmp_path):
+    (tmp_path / "p.csv").write_text("x,y,z\n1,2,3\n")
+    with pytest.raises(ConfigError, match="expected easting, northing, height"):
+        read_points(tmp_path / "p.csv")
+    with pytest.raises(ConfigError, match="cannot be read"):
+        read_points(tmp_path / "none.csv")
+
+
+def test_two_sources_of_the_level_contradict_each_other():
+    with pytest.raises(ConfigError, match="level_m and gauge"):
+        parse_config('[water]\nlevel_m = 1.0\ngauge = "g.csv"\n')
+
+
+def test_a_survey_with_a_level_is_left_as_it_is(tmp_path):
+    config = parse_config(TOML)
+    assert with_level(tmp_path, config, {}, []) is config

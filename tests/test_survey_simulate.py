@@ -260,7 +260,11 @@ def test_distortion_is_undone_by_its_inverse(lens, rng):
 
 def test_a_distorted_photograph_rectified_is_the_one_that_a_pinhole_takes(tmp_path):
     lens = "focal_px = 160.0\n" + 'model = "OPENCV"\ndistortion = [-0.3, 0.01, 1e-3, -1e-3]'
-    smooth = {"texel_m": "texel_m = 0.08", "size_px": "size_px = [192, 144]"}
+    smooth = {
+        "texel_m": "texel_m = 0.08",
+        "size_px": "size_px = [192, 144]",
+        "forward_overlap": "forward_overlap = 0.3",
+    }
     simulate(scene_file(tmp_path, focal_px=lens.replace("160", "320"), **smooth), tmp_path / "bent")
     simulate(scene_file(tmp_path, focal_px="focal_px = 320.0", **smooth), tmp_path / "straight")
     bent, straight = load_survey(tmp_path / "bent"), load_survey(tmp_path / "straight")

@@ -17,6 +17,7 @@ from refract import FlatWater
 from survey.cameras import Lens
 from survey.cli import app
 from survey.config import read_config
+from survey.errors import SurveyError
 from survey.folder import load_image, load_survey
 from survey.simulate import writing
 from survey.simulate.ground import NOTHING, Ground, Look, shade_of_normals
@@ -401,3 +402,28 @@ def test_an_object_of_glb_stands_upright_with_the_colours_of_its_vertices_or_its
         np.testing.assert_allclose(np.ptp(body.vertices, axis=0), [0.1, 0.1, 0.3], atol=1e-6)
         albedo = look.skin.albedo(body.vertices[body.faces[:1, 0]], np.array([0]))[0]
         np.testing.assert_allclose(albedo, np.eye(3)[channel], atol=0.02)
+
+
+def test_a_bed_in_another_crs_or_without_faces_is_refused(tmp_path):
+    write_mesh(tmp_path / "points.ply", np.zeros((4, 3)), [])
+    with pytest.raises(SurveyError, match='no faces; give kind = "cloud"'):
+        staged(scene_file(tmp_path, kind='kind = "mesh"\nfile = "points.ply"\nframe = "local"'))
+    from geo import write_cloud
+    from geo.crs import parse_crs
+
+    points = np.array([[676110.0, 5311470.0, 583.0], [676130.0, 5311470.0, 583.0], [676120.0, 5311490.0, 583.0]])
+    for name, crs in (("here", "EPSG:25832+7837"), ("there", "EPSG:25833+7837")):
+        zero = np.zeros(3)
+        others = {
+            "depth_m": zero,
+            "std_m": zero,
+            "num_views": zero.astype(int),
+            "incidence_deg": zero,
+            "is_wet": zero > 0,
+        }
+        write_cloud(tmp_path / f"{name}.las", points, parse_crs(crs), rgb=np.zeros((3, 3), np.uint8), **others)
+    bed = staged(scene_file(tmp_path, kind='kind = "cloud"\nfile = "here.las"')).renderer.ground.bed
+    # Heights of crs lie 1.2 m under the origin; millimetres are what LAS holds.
+    assert bed.height(0.0, 0.0) == pytest.approx(-1.2, abs=1e-3)
+    with pytest.raises(SurveyError, match=r"another crs than the scene.*UTM zone 33N"):
+        staged(scene_file(tmp_path, kind='kind = "cloud"\nfile = "there.las"'))

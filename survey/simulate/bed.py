@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from pyproj import CRS
 from scipy.sparse import coo_matrix
 from scipy.spatial import Delaunay
 
-from geo import Cloud, LocalFrame, Mesh, crs_difference, read_reference
+from geo import LocalFrame, Mesh, crs_difference, read_reference
 from survey.errors import SurveyError
 from survey.simulate.scene_file import BedSettings
 from survey.simulate.shapes import BedGrid
@@ -27,47 +28,49 @@ def bed_from_file(settings: BedSettings, folder: Path, frame: LocalFrame) -> tup
         If the file cannot be used as a bed.
     """
     path = folder / settings.file
-    if settings.kind == "mesh":
-        mesh = read_reference(path)
-        if not isinstance(mesh, Mesh):
-            raise SurveyError(f'{path} has no faces; give kind = "cloud" in [bed], or a mesh')
-    else:
-        mesh = mesh_of_cloud(read_reference(path), settings)
-    vertices = mesh.vertices
+    shape = read_reference(path)
+    is_mesh = isinstance(shape, Mesh)
+    if settings.kind == "mesh" and not is_mesh:
+        raise SurveyError(f'{path} has no faces; give kind = "cloud" in [bed], or a mesh')
+    points = shape.vertices if is_mesh else shape.points
     if settings.frame == "crs":
-        difference = crs_difference(mesh.crs, frame.crs) if mesh.crs is not None else None
-        if difference is not None:
-            raise SurveyError(f"{path} is in another crs than the scene ({difference}); transform it, or give its crs")
-        vertices = frame.local_from_crs(vertices)
-        if not np.isfinite(vertices).all():
-            raise SurveyError(
-                f"{path} has coordinates that are not on the map of {frame.crs.name}; correct crs or frame"
-            )
-    return TriangleMesh(vertices, mesh.faces), mesh.rgb
+        points = _in_local(points, shape.crs, path, frame)
+    if settings.kind == "mesh":
+        return TriangleMesh(points, shape.faces), shape.rgb
+    rgb = shape.rgb
+    if settings.spacing_m is not None:
+        points, rgb = _thinned(points, rgb, settings.spacing_m)
+    if len(points) < 3:
+        raise SurveyError(f"{path} has {len(points)} points, expected a cloud that covers the bed")
+    return mesh_of_points(points, settings.smoothing), rgb
 
 
-def mesh_of_cloud(cloud: Cloud | Mesh, settings: BedSettings) -> Mesh:
-    """Triangles between points (2.5D Delaunay in plan view), smoothed along the plumb line.
+def _in_local(points: np.ndarray, crs: CRS | None, path: Path, frame: LocalFrame) -> np.ndarray:
+    difference = crs_difference(crs, frame.crs) if crs is not None else None
+    if difference is not None:
+        raise SurveyError(f"{path} is in another crs than the scene ({difference}); transform it, or give its crs")
+    points = frame.local_from_crs(points)
+    if not np.isfinite(points).all():
+        raise SurveyError(
+            f"{path} has coordinates that are not on the map of {frame.crs.name}; correct crs or bed.frame"
+        )
+    return points
+
+
+def mesh_of_points(points: np.ndarray, smoothing: int) -> TriangleMesh:
+    """Triangles between points (N, 3) [m], local: 2.5D Delaunay in plan view, smoothed along the plumb line.
 
     Each pass moves every vertex to the mean height of its neighbours (Laplacian smoothing with full weight; places in
     plan view stay). The triangles fill the convex hull of the points.
     """
-    points = cloud.vertices if isinstance(cloud, Mesh) else cloud.points
-    rgb = cloud.rgb
-    if settings.spacing_m is not None:
-        points, rgb = _thinned(points, rgb, settings.spacing_m)
-    if len(points) < 3:
-        raise SurveyError(f"{settings.file} has {len(points)} points, expected a cloud that covers the bed")
-    # Near the middle, where float64 leaves the most digits for the tests of the triangulation.
-    plan = points[:, :2] - points[:, :2].mean(axis=0)
-    faces = Delaunay(plan).simplices.astype(np.int64)
-    a, b, c = (plan[faces[:, k]] for k in range(3))
+    faces = Delaunay(points[:, :2]).simplices.astype(np.int64)
+    a, b, c = (points[faces[:, k], :2] for k in range(3))
     clockwise = (b - a)[:, 0] * (c - a)[:, 1] < (b - a)[:, 1] * (c - a)[:, 0]
     faces[clockwise] = faces[clockwise][:, ::-1]
     heights = points[:, 2].copy()
-    for _ in range(settings.smoothing):
+    for _ in range(smoothing):
         heights = _mean_of_neighbours(faces, heights)
-    return Mesh(np.concatenate([points[:, :2], heights[:, None]], axis=-1), faces, crs=cloud.crs, rgb=rgb)
+    return TriangleMesh(np.concatenate([points[:, :2], heights[:, None]], axis=-1), faces)
 
 
 def plane(area: tuple[float, float, float, float], z: float) -> BedGrid:

@@ -279,8 +279,8 @@ def _estimate(i: int, freed: Freed, first: Freed, given: float, is_held: bool, l
     if is_held:
         verdict = (
             f"not observable: 1 sigma is {first_std:.2g}{unit}, at most {limit:.2g}{unit} would be of use; "
-            f"{given:.7g}{unit} is kept as given"
+            f"{given:.5f}{unit} is kept as given"
         )
     else:
-        verdict = f"estimated: {value:.7g} +- {std:.2g}{unit}"
+        verdict = f"estimated: {value:.5f} +- {std:.2g}{unit}"
     return Estimate(PARAMETERS[i], value, std, *parts, float(given), not bool(is_held), verdict)

@@ -1,4 +1,4 @@
-"""The command line: bathynerf check, process, waterline, export, render, compare.
+"""The command line: bathynerf check, process, waterline, export, render, compare, simulate.
 
 Exit codes: 0 done, 1 our bug, 2 the input, 3 ran but a quality gate failed; 130 stopped by the user.
 

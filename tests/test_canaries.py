@@ -18,7 +18,7 @@ from survey.cli import app
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = ("refract", "fields", "survey", "geo", "evaluation")
-VERBS = ("check", "process", "export", "render", "compare", "simulate")
+VERBS = ("check", "process", "waterline", "export", "render", "compare", "simulate")
 # The suite has had more than this since its first release; fewer mean that a folder is no longer collected.
 LEAST_TESTS = 600
 # Homes and mounts of single machines, and hosts that serve packages; in pieces, so that this file does not hold them.

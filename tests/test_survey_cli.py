@@ -167,8 +167,10 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
         return 3
 
     fake_module(monkeypatch, "survey.pipeline", process=process)
-    result = bathynerf("process", "s", "-o", "run", "--quality", "draft", "--device", "cpu", "--no-resume",
-                       "--field", "on", "--calibrate-water", "--reference", "r.ply", "--visible", "v.ply", "-v")  # fmt: skip
+    result = bathynerf(
+        "process", "s", "-o", "run", "--quality", "draft", "--device", "cpu", "--no-resume", "--field", "on",
+        "--calibrate-water", "--reference", "r.ply", "--visible", "v.ply", "-v",
+    )  # fmt: skip
     assert result.exit_code == 3
     expected = {
         "quality": "draft",

@@ -1,6 +1,6 @@
 """The study's Table 4, repeated: wet and dry, bent and straight rays, sweep alone and with the field.
 
-    python benchmarks/table4.py [--full] [--quality Q] [--samples N] [-o FOLDER]
+    python benchmarks/table4.py [--full] [--chains C ...] [--quality Q] [--samples N] [-o FOLDER]
 
 By default the two are drawn small; with --full they are wreck_water and wreck_dry of the survey data, of the study's
 size (130 images of 1024 x 768). Runs lie in FOLDER and are used again. Prints a table in Markdown and writes
@@ -31,6 +31,7 @@ from survey.stages import TIMES_SEEN
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("BATHYNERF_DATA", ROOT.parent / "shared" / "data"))
 TOLERANCE_M = 0.2
+CHAINS = ("sweep", "field")
 STUDY = {  # mean, std [m], completeness of the study's Table 4; the dry field after a shift of 18.9 cm by hand
     ("dry", "sweep"): (0.0003, 0.006, 0.791),
     ("dry", "field"): (-0.030, 0.058, 0.881),
@@ -49,7 +50,7 @@ class Case:
     run: Path
 
 
-def cases(wet: Path, dry: Path, folder: Path) -> list[Case]:
+def cases(wet: Path, dry: Path, folder: Path, chains: list[str]) -> list[Case]:
     """All rows, with a copy of the wet survey whose rays are straight."""
     straight = folder / "straight"
     straight.mkdir(parents=True, exist_ok=True)
@@ -66,7 +67,7 @@ def cases(wet: Path, dry: Path, folder: Path) -> list[Case]:
     return [
         Case(name, chain, place, folder / f"{name} {chain}".replace(" ", "_"))
         for name, place in places.items()
-        for chain in ("sweep", "field")
+        for chain in chains
     ]
 
 
@@ -148,6 +149,7 @@ def drawn(folder: Path) -> tuple[Path, Path, Path]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--full", action="store_true")
+    parser.add_argument("--chains", nargs="+", choices=CHAINS, default=CHAINS)
     parser.add_argument("--quality", default="draft")
     parser.add_argument("--samples", type=int, default=1_500_000, help="of the reference (the study: 15,000,000)")
     parser.add_argument("-o", "--output", type=Path)
@@ -160,7 +162,7 @@ def main() -> None:
     else:
         wet, dry, reference = drawn(folder)
     truth, records = load_survey(wet), []
-    for case in cases(wet, dry, folder):
+    for case in cases(wet, dry, folder, options.chains):
         process(case, options.quality)
         records.append(measure(case, truth, reference, options.samples, TIMES_SEEN[options.quality]))
         (folder / "table4.json").write_text(json.dumps(records, indent=2))

@@ -72,7 +72,8 @@ class Sight:
 def matched_points(
     sight: Sight, bed: np.ndarray, depth: np.ndarray, cameras: list[PinholeCamera], water: FlatWater, times_seen
 ) -> np.ndarray:
-    """Where the apparent rays of the views that the sweep matches meet, (N, 3): the median over its height maps.
+    """Where the apparent rays of the views that the sweep matches meet, (N, 3): of its height maps the steepest, as in
+    the cloud (`fields.bed.unique_pixels`).
 
     Of each map the height is taken at which the better half of its neighbours comes nearest to what it sees, as the
     sweep takes that where they look most alike.
@@ -80,7 +81,8 @@ def matched_points(
     straight = replace(water, n_water=1.0)
     seen, cells = views.coverage(cameras, straight, float(np.median(bed[:, 2])))
     rises, found = np.linspace(0.0, HIGHEST, RUNGS) * depth[:, None], []
-    for view in views.cover(seen, cells, cameras, *times_seen):
+    chosen = views.cover(seen, cells, cameras, *times_seen)
+    for view in sorted(chosen, key=lambda v: cameras[v].cam_from_local[2][2]):
         others = views.neighbours(cameras, seen, cells, view, list(range(len(cameras))), PASSES[-1].neighbours)
         ray, centre = sight.directions[:, view], cameras[view].centre
         t = (bed[:, 2:] + rises - centre[2]) / ray[:, 2:]
@@ -94,7 +96,9 @@ def matched_points(
             for o in others
         ]
         found.append(_best_half_meets(sight, np.array(miss), view, others))
-    return np.nanmedian(np.array(found), axis=0)
+    found = np.array(found)
+    first = np.isfinite(found[..., 0]).argmax(axis=0)
+    return found[first, np.arange(len(bed))]
 
 
 def _best_half_meets(sight: Sight, miss: np.ndarray, view: int, others: list[int]) -> np.ndarray:

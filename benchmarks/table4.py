@@ -129,7 +129,7 @@ def _foretold(chain: str, bias: dict) -> str:
     off = 100.0 * (bias["measured_m"] / bias["same_views_m"] - 1.0)
     return (
         f"\nStraight rays, {chain}: {bias['measured_m']:+.3f} m over the bed at {bias['num_points']:,} points away "
-        f"from objects; least squares over the apparent rays of views that match best {bias['same_views_m']:+.3f} m "
+        f"from objects; least squares over the apparent rays of the views that decide {bias['same_views_m']:+.3f} m "
         f"({off:+.1f} %), of all that see a point {bias['all_views_m']:+.3f} m."
     )
 

@@ -1,0 +1,84 @@
+"""A vector for each photograph that tells its exposure and light; it reaches colour, never density.
+
+In the NeRF of tidal flats (and before it in NeRF in the Wild, Martin-Brualla et al. 2021): [density, z] = MLP1(x),
+colour = MLP2(z, direction, vector). Here MLP1 is the volume's `evaluate` and MLP2 its `radiance`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import nn
+
+from fields.train import half_the_threads
+from fields.volume.sampling import Cells
+from fields.volume.scene import Scene
+from fields.volume.train import Photographs
+
+# Of each path.
+SAMPLES = 48
+
+
+def appearance_vectors(photographs: int, length: int) -> nn.Embedding:
+    """Vectors of ``length`` numbers, all zero: every photograph begins with the look that is common to all.
+
+    Parameters
+    ----------
+    photographs : int
+        How many there are; `Paths.view` counts them from 0.
+    length : int
+        As ``appearance`` of the volume.
+    """
+    vectors = nn.Embedding(photographs, length)
+    nn.init.zeros_(vectors.weight)
+    return vectors
+
+
+@half_the_threads()
+def match_appearance(
+    scene: Scene, photographs: Photographs, cells: Cells, *, steps: int = 100, rays: int = 2048, seed: int = 0
+) -> nn.Embedding:
+    """Vectors of other photographs that make a trained scene look like them; all else stays as it is.
+
+    As a submodule of the tidal flats takes on the look of its neighbour: about 100 steps, from the mean of the scene's
+    own vectors.
+
+    Parameters
+    ----------
+    photographs : Photographs
+        Of the scene, not those that it was trained with.
+    cells : Cells
+        The proxy that training left.
+
+    Returns
+    -------
+    nn.Embedding
+        A vector for each of the photographs; give it to the scene as its ``appearance`` to see it with them.
+
+    Raises
+    ------
+    ValueError
+        If the scene has no appearance vectors.
+    """
+    own = scene.appearance
+    if own is None:
+        raise ValueError("the scene has no appearance vectors to match; train it with `appearance_vectors`")
+    torch.manual_seed(seed)
+    rng = np.random.default_rng(seed)
+    vectors = appearance_vectors(len(photographs.cameras), own.embedding_dim)
+    vectors.weight.data += own.weight.detach().mean(dim=0)
+    optimiser = torch.optim.Adam(vectors.parameters(), lr=0.05)
+    falling = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
+    scene.appearance = vectors
+    try:
+        for _ in range(steps):
+            paths = photographs.draw(rays, scene.model.box, rng)
+            rendered = scene.render(paths, cells.samples(paths, SAMPLES, jitter=True))
+            error = ((rendered.rgb - paths.rgb) ** 2).mean()
+            optimiser.zero_grad(set_to_none=True)
+            error.backward(inputs=[vectors.weight])
+            optimiser.step()
+            falling.step()
+    finally:
+        scene.appearance = own
+    return vectors

@@ -1,0 +1,146 @@
+"""The density loss for large scenes, and samples that follow what it measures.
+
+    a        = 1 - exp(-density l), the opacity of a piece of length l                                            (1)
+    L_dens   = mean (exp |l da/dx| - 1) + mean (exp var a - 1)                                                    (2)
+    L_gauss  = mean (a - a_s)^2, a_s the mean of a over Gaussian neighbours                                       (3)
+    score    = decay score + (1 - decay) (|mean l grad a| + var a)                                                (4)
+
+The papers' equations have the density itself. It has the unit 1/m and no bound, and exp of it overflows; opacity over
+one length is density times length where that is small, and its differences over l and variance stay within 1. The one
+taken off in (2) changes no gradient and lets even density cost nothing. Means and variances run over the points drawn
+uniformly in each node of a coarse grid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from fields.volume.model import VolumeModel
+from fields.volume.paths import Box, Paths
+from fields.volume.sampling import BINS, Cells, Samples, inverse_cdf, samples_by_mass
+
+# Nodes along the longest edge; nodes drawn a step, and points in each.
+NODES, DRAWN, POINTS = 16, 128, 8
+# Pairs of Gaussian neighbours of a point.
+PAIRS = 4
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Opacity about points (P) drawn in nodes (M) of a grid.
+
+    Attributes
+    ----------
+    node : (M,) int64
+        Flat index of each node.
+    opacity : (M, P)
+        Equation (1).
+    gradient : (M, P, 3)
+        ``l grad a``, by central differences over l; each component within 1.
+    """
+
+    node: Tensor
+    opacity: Tensor
+    gradient: Tensor
+
+
+def opacity(model: VolumeModel, x: Tensor, length: float) -> Tensor:
+    """Share (...) of light that a piece of ``length`` [m] stops, at positions (..., 3) [m]."""
+    density = model.evaluate(x.reshape(-1, 3))[0].view(x.shape[:-1])
+    return -torch.expm1(-density * length)
+
+
+def draw_nodes(model: VolumeModel, length: float, *, drawn: int = DRAWN, points: int = POINTS) -> Drawn:
+    """Opacities and their gradients at points drawn uniformly in nodes drawn uniformly; ``length`` is l [m]."""
+    counts = node_counts(model.box)
+    node = torch.randint(0, int(np.prod(counts)), (drawn,))
+    corner = torch.stack(torch.unravel_index(node, counts), dim=-1)
+    size = torch.as_tensor(model.box.size / counts, dtype=torch.float32)
+    low = torch.as_tensor(model.box.low, dtype=torch.float32)
+    x = low + size * (corner[:, None] + torch.rand(drawn, points, 3))
+    aside = 0.5 * length * torch.cat([torch.zeros(1, 3), torch.eye(3), -torch.eye(3)])
+    here, after, before = opacity(model, x[:, :, None] + aside, length).split([1, 3, 3], dim=2)
+    return Drawn(node, here[:, :, 0], after - before)
+
+
+def density_loss(drawn: Drawn) -> Tensor:
+    """Equation (2): l1 of the exponentials of gradient and variance."""
+    variance = drawn.opacity.var(dim=1, correction=0)
+    return torch.expm1(drawn.gradient.abs()).mean() + torch.expm1(variance).mean()
+
+
+def gaussian_density_loss(model: VolumeModel, length: float, *, points: int = DRAWN * POINTS) -> Tensor:
+    """Equation (3) at points drawn uniformly in the box; neighbours at a standard deviation of ``length`` [m].
+
+    Neighbours come in pairs about the point, so that density that changes linearly costs nothing.
+    """
+    low, size = (torch.as_tensor(v, dtype=torch.float32) for v in (model.box.low, model.box.size))
+    x = low + size * torch.rand(points, 1, 3)
+    aside = length * torch.randn(points, PAIRS, 3)
+    a = opacity(model, torch.cat([x, x + aside, x - aside], dim=1), length)
+    return ((a[:, 0] - a[:, 1:].mean(dim=1)) ** 2).mean()
+
+
+def node_counts(box: Box) -> tuple[int, int, int]:
+    """Nodes along x, y and z."""
+    nx, ny, nz = np.maximum(np.round(NODES * box.size / box.edge), 1).astype(int).tolist()
+    return nx, ny, nz
+
+
+class NodeScores:
+    """Where density has detail: the score (4) of each node, forgotten exponentially.
+
+    Parameters
+    ----------
+    box : Box
+    length : float [m]
+        l of the equations.
+    decay : float
+        Share of a node's score that stays at each look at it.
+    """
+
+    def __init__(self, box: Box, length: float, decay: float = 0.8):
+        self.box, self.length, self.decay = box, length, decay
+        self.score = torch.zeros(node_counts(box))
+
+    @torch.no_grad()
+    def update(self, model: VolumeModel) -> None:
+        """Look at some nodes."""
+        drawn = draw_nodes(model, self.length)
+        fresh = drawn.gradient.mean(dim=1).norm(dim=1) + drawn.opacity.var(dim=1, correction=0)
+        flat = self.score.view(-1)
+        flat[drawn.node] = self.decay * flat[drawn.node] + (1.0 - self.decay) * fresh
+
+    def at(self, x: Tensor) -> Tensor:
+        """Scores (...) at positions (..., 3) [m]; of the nearest node outside the box."""
+        shape = torch.tensor(self.score.shape)
+        index = torch.minimum(torch.floor(self.box.unit(x) * shape).long().clamp(min=0), shape - 1)
+        return self.score[index.unbind(-1)]
+
+    @torch.no_grad()
+    def samples(self, cells: Cells, paths: Paths, num: int, share: float) -> Samples:
+        """``num`` jittered samples a path: ``share`` of them by score, the others evenly over its occupied part."""
+        ends = torch.linspace(0.0, 1.0, BINS + 1)
+        edges = paths.near[:, None] + ends * (paths.far - paths.near)[:, None]
+        middle = paths.at(0.5 * (edges[:, 1:] + edges[:, :-1]))
+        inside = cells.holds(middle).to(edges.dtype)
+        inside = torch.where(inside.sum(dim=1, keepdim=True) > 0.0, inside, 1.0)
+        score = self.at(middle) * inside
+        even = inside / inside.sum(dim=1, keepdim=True)
+        by_score = score / score.sum(dim=1, keepdim=True).clamp(min=1e-12)
+        mass = torch.where(score.sum(dim=1, keepdim=True) > 0.0, (1.0 - share) * even + share * by_score, even)
+        drawn = samples_by_mass(edges, mass, num, jitter=True, dense=False)
+        return Samples(drawn.s, _covered(edges, inside, mass, num), drawn.edges)
+
+
+def _covered(edges: Tensor, inside: Tensor, mass: Tensor, num: int) -> Tensor:
+    """Lengths (N, num) [m] of the occupied part of pieces of equal mass."""
+    filled = torch.cumsum((edges[:, 1:] - edges[:, :-1]) * inside, dim=1)
+    filled = torch.cat([torch.zeros_like(filled[:, :1]), filled], dim=1)
+    levels = torch.linspace(0.0, 1.0, num + 1).expand(len(edges), -1).contiguous()
+    at_ends = inverse_cdf(filled, mass, levels)
+    return at_ends[:, 1:] - at_ends[:, :-1]

@@ -1,0 +1,182 @@
+"""What may be added to the squared error of the colours; every term is off unless it is given a weight."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from fields.volume.density_loss import density_loss, draw_nodes, gaussian_density_loss
+from fields.volume.patches import as_patches, ncc_loss, smooth_normals_loss, ssim_loss
+from fields.volume.paths import Paths
+from fields.volume.prior_losses import length_loss, normal_prior_loss, relative_depth_loss
+from fields.volume.sampling import Cells
+from fields.volume.scene import Rendered, Scene
+from fields.volume.virtual_views import virtual_view_loss
+from refract import WaterSurface
+
+
+@dataclass(frozen=True)
+class PatchWeights:
+    """Weights of losses on patches. With any of them training draws its paths as patches.
+
+    Attributes
+    ----------
+    size : int [px]
+    ncc, ssim, smooth_normals : float
+        Of the losses of `fields.volume.patches`.
+    """
+
+    size: int = 8
+    ncc: float = 0.0
+    ssim: float = 0.0
+    smooth_normals: float = 0.0
+
+
+@dataclass(frozen=True)
+class PriorWeights:
+    """Weights of losses on priors, which the photographs must then carry; see `fields.volume.prior_losses`.
+
+    Attributes
+    ----------
+    length, depth, normal : float
+    """
+
+    length: float = 0.0
+    depth: float = 0.0
+    normal: float = 0.0
+
+
+@dataclass(frozen=True)
+class Losses:
+    """Weights of the additional losses; 0 leaves a term out.
+
+    Attributes
+    ----------
+    transparency, distortion, orientation, appearance : float
+        Of the losses in this file.
+    density, gaussian_density : float
+        Of `density_loss` and its Gaussian form.
+    virtual_views : float
+        Of `virtual_view_loss`.
+    patches : PatchWeights
+    priors : PriorWeights
+    """
+
+    transparency: float = 0.0
+    distortion: float = 0.0
+    orientation: float = 0.0
+    appearance: float = 0.0
+    density: float = 0.0
+    gaussian_density: float = 0.0
+    virtual_views: float = 0.0
+    patches: PatchWeights = field(default_factory=PatchWeights)
+    priors: PriorWeights = field(default_factory=PriorWeights)
+
+    @property
+    def patch(self) -> int:
+        """Side [px] of the patches that training has to draw; 1 for single pixels."""
+        patches = self.patches
+        return patches.size if patches.ncc or patches.ssim or patches.smooth_normals else 1
+
+    def __call__(
+        self, scene: Scene, paths: Paths, rendered: Rendered, cells: Cells, water: WaterSurface | None
+    ) -> Tensor:
+        """The weighted sum, a scalar."""
+        seen = Seen(scene, paths, rendered, cells)
+        size = self.patches.size
+        terms: list[tuple[float, Callable[[], Tensor]]] = [
+            (self.transparency, lambda: transparency_loss(rendered)),
+            (self.distortion, lambda: distortion_loss(paths, rendered)),
+            (self.orientation, lambda: orientation_loss(seen.normals, seen.direction, rendered.opacity.detach())),
+            (self.appearance, lambda: appearance_loss(scene, paths)),
+            (self.density, lambda: density_loss(draw_nodes(scene.model, seen.cell))),
+            (self.gaussian_density, lambda: gaussian_density_loss(scene.model, seen.cell)),
+            (self.virtual_views, lambda: virtual_view_loss(scene, paths, rendered, cells, water)),
+            (self.patches.ncc, lambda: ncc_loss(as_patches(rendered.rgb, size), as_patches(paths.rgb, size))),
+            (self.patches.ssim, lambda: ssim_loss(as_patches(rendered.rgb, size), as_patches(paths.rgb, size))),
+            (
+                self.patches.smooth_normals,
+                lambda: smooth_normals_loss(as_patches(seen.normals, size), as_patches(paths.rgb, size)),
+            ),
+            (self.priors.length, lambda: length_loss(paths, rendered)),
+            (self.priors.depth, lambda: relative_depth_loss(paths, rendered, scene.model.box.edge)),
+            (self.priors.normal, lambda: normal_prior_loss(paths, seen.normals)),
+        ]
+        return sum((weight * loss() for weight, loss in terms if weight), torch.zeros(()))
+
+
+@dataclass
+class Seen:
+    """What a batch of paths meets, computed once for all losses that ask for it."""
+
+    scene: Scene
+    paths: Paths
+    rendered: Rendered
+    cells: Cells
+
+    @property
+    def cell(self) -> float:
+        """Edge [m] of a cell of the proxy."""
+        return self.cells.box.edge / max(self.cells.occupied.shape)
+
+    @cached_property
+    def depth(self) -> Tensor:
+        """Path length (N, 1) [m] to the median of the weights, without gradient."""
+        return self.rendered.depth.detach()[:, None]
+
+    @cached_property
+    def direction(self) -> Tensor:
+        """Unit directions of travel (N, 3) there."""
+        return self.paths.direction(self.depth)[:, 0]
+
+    @cached_property
+    def normals(self) -> Tensor:
+        """Normals (N, 3) there, by differences over one cell of the proxy."""
+        return self.scene.model.normals(self.paths.at(self.depth)[:, 0], 0.5 * self.cell)
+
+
+def transparency_loss(rendered: Rendered) -> Tensor:
+    """Mean share of the light that passes through: for scenes in which every path ends on the bed."""
+    return (1.0 - rendered.opacity).mean()
+
+
+def distortion_loss(paths: Paths, rendered: Rendered) -> Tensor:
+    """Spread of the weights along a path, mean over paths (mip-NeRF 360, Barron et al. 2022, equation 15).
+
+        sum_ij w_i w_j |m_i - m_j| + sum_i w_i^2 d_i / 3
+
+    ``m_i`` is the middle and ``d_i`` the length of interval i, in shares of the path from near to far. Middles rise, so
+    that the double sum is twice ``sum_i w_i (m_i sum_{j<i} w_j - sum_{j<i} w_j m_j)``.
+    """
+    w, edges = rendered.weights, rendered.samples.edges
+    span = (paths.far - paths.near).clamp(min=1e-9)[:, None]
+    edges = (edges - paths.near[:, None]) / span
+    middle, length = 0.5 * (edges[:, 1:] + edges[:, :-1]), edges[:, 1:] - edges[:, :-1]
+    before = torch.cumsum(w, dim=1) - w
+    moment = torch.cumsum(w * middle, dim=1) - w * middle
+    return (2.0 * w * (middle * before - moment) + w**2 * length / 3.0).sum(dim=1).mean()
+
+
+def orientation_loss(normals: Tensor, direction: Tensor, opacity: Tensor) -> Tensor:
+    """Mean of ``opacity max(0, n . d)^2``: no visible surface faces away (Ref-NeRF, Verbin et al. 2022, equation 11).
+
+    Asked at the median of the weights of each path; the paper asks at every sample.
+    """
+    return (opacity * (normals * direction).sum(dim=1).clamp(min=0.0) ** 2).mean()
+
+
+def appearance_loss(scene: Scene, paths: Paths) -> Tensor:
+    """Mean square of the appearance vectors of the paths: what all photographs share belongs to the colour itself.
+
+    Raises
+    ------
+    ValueError
+        If the scene has no appearance vectors.
+    """
+    if scene.appearance is None:
+        raise ValueError("the loss on appearance has a weight, but the scene has no appearance vectors; give it some")
+    return (scene.appearance(paths.view) ** 2).mean()

@@ -1,0 +1,251 @@
+"""Losses on weights and on density: closed forms, slow twins, gradients, and nothing where they must vanish."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+
+import pytest
+import torch
+from analytic_volume import BOX, AnalyticVolume, floor_at, looking_down, seen_by
+
+from fields.volume.appearance import appearance_vectors
+from fields.volume.density_loss import Drawn, NodeScores, density_loss, draw_nodes, gaussian_density_loss, node_counts
+from fields.volume.losses import (
+    Losses,
+    PatchWeights,
+    PriorWeights,
+    appearance_loss,
+    distortion_loss,
+    orientation_loss,
+    transparency_loss,
+)
+from fields.volume.priors import COLUMNS
+from fields.volume.sampling import Cells, Samples
+from fields.volume.scene import Rendered, Scene
+
+LENGTH = 0.1
+
+
+def number(value: torch.Tensor) -> float:
+    return value.detach().item()
+
+
+def rendered_from(weights: torch.Tensor, edges: torch.Tensor) -> Rendered:
+    samples = Samples(0.5 * (edges[:, 1:] + edges[:, :-1]), edges[:, 1:] - edges[:, :-1], edges)
+    return Rendered(torch.full((len(weights), 3), 0.5, dtype=weights.dtype), weights, samples)
+
+
+@pytest.fixture
+def batch():
+    """Three paths with random weights over uneven intervals, float64."""
+    torch.manual_seed(0)
+    paths = seen_by(looking_down())[:3]
+    for name in ("near", "far", "origin", "air", "wet", "crossing"):
+        setattr(paths, name, getattr(paths, name).double())
+    inner = torch.rand(3, 6, dtype=torch.float64).sort(dim=1).values
+    shares = torch.cat([torch.zeros(3, 1), inner, torch.ones(3, 1)], dim=1)
+    edges = paths.near[:, None] + shares * (paths.far - paths.near)[:, None]
+    weights = torch.rand(3, 7, dtype=torch.float64) / 7.0
+    return paths, edges, weights
+
+
+def test_transparency_is_what_the_weights_leave(batch):
+    _, edges, weights = batch
+    assert number(transparency_loss(rendered_from(weights, edges))) == pytest.approx(1.0 - number(weights.sum()) / 3)
+
+
+def test_distortion_is_the_double_sum_of_its_equation(batch):
+    paths, edges, weights = batch
+    total = 0.0
+    for path in range(3):
+        near, far = number(paths.near[path]), number(paths.far[path])
+        s, w = [(number(e) - near) / (far - near) for e in edges[path]], weights[path].tolist()
+        middle = [0.5 * (a + b) for a, b in zip(s[1:], s[:-1], strict=True)]
+        total += sum(w[i] * w[j] * abs(middle[i] - middle[j]) for i in range(7) for j in range(7))
+        total += sum(w[i] ** 2 * (s[i + 1] - s[i]) for i in range(7)) / 3.0
+    assert number(distortion_loss(paths, rendered_from(weights, edges))) == pytest.approx(total / 3, rel=1e-12)
+
+
+def test_distortion_of_one_interval_is_a_third_of_its_length_and_of_none_nothing(batch):
+    paths, edges, weights = batch
+    one = torch.zeros_like(weights)
+    one[:, 2] = 1.0
+    lengths = (edges[:, 3] - edges[:, 2]) / (paths.far - paths.near)
+    assert number(distortion_loss(paths, rendered_from(one, edges))) == pytest.approx(number(lengths.mean()) / 3)
+    assert number(distortion_loss(paths, rendered_from(torch.zeros_like(one), edges))) == 0.0
+
+
+def test_gradients_of_distortion_are_those_of_finite_differences(batch):
+    paths, edges, weights = batch
+    assert torch.autograd.gradcheck(
+        lambda w: distortion_loss(paths, rendered_from(w, edges)), (weights.requires_grad_(),)
+    )
+
+
+def test_only_normals_that_face_away_cost_and_as_the_square_of_their_cosine():
+    down = torch.tensor([[0.0, 0.0, -1.0]])
+    for degrees, cost in ((0.0, 0.0), (89.9, 0.0), (120.0, 0.25), (180.0, 1.0)):
+        n = torch.tensor([[math.sin(math.radians(degrees)), 0.0, math.cos(math.radians(degrees))]])
+        found = number(orientation_loss(n, down, torch.tensor([0.5])))
+        assert found == pytest.approx(0.5 * cost, abs=1e-7)  # cosines in float32
+
+
+def test_the_appearance_loss_is_the_mean_square_of_the_vectors_and_asks_for_them():
+    paths = seen_by(looking_down(), view=1)
+    vectors = appearance_vectors(2, 2)
+    scene = Scene(floor_at(0.0), appearance=vectors)
+    assert number(appearance_loss(scene, paths)) == 0.0
+    vectors.weight.data[1] = torch.tensor([3.0, 4.0])
+    assert number(appearance_loss(scene, paths)) == pytest.approx(12.5)
+    with pytest.raises(ValueError, match="no appearance vectors"):
+        appearance_loss(Scene(floor_at(0.0)), paths)
+
+
+def opacity_is(formula) -> AnalyticVolume:
+    """A volume of which a piece of `LENGTH` stops a share that is a formula of positions."""
+    return AnalyticVolume(lambda x: -torch.log1p(-formula(x.double())) / LENGTH)
+
+
+def test_even_density_costs_nothing_however_high_it_is():
+    for density in (0.0, 3.0, 1e6):
+        drawn = draw_nodes(AnalyticVolume(lambda x, d=density: torch.full((len(x),), d)), LENGTH)
+        assert number(density_loss(drawn)) == 0.0
+
+
+def test_the_density_loss_of_a_ramp_is_its_closed_form():
+    slope = torch.tensor([0.3, -0.1, 0.05], dtype=torch.float64)
+    model = opacity_is(lambda x: 0.5 + x @ slope)
+    torch.manual_seed(0)
+    drawn = draw_nodes(model, LENGTH, drawn=4000, points=8)
+    torch.testing.assert_close(drawn.gradient.mean(dim=(0, 1)), LENGTH * slope, rtol=1e-5, atol=1e-7)  # float32 places
+    node = 2.0 / torch.tensor(node_counts(BOX))
+    variance = number((slope**2 * node**2 / 12.0).sum()) * 7 / 8
+    expected = number(torch.expm1(LENGTH * slope.abs()).mean()) + math.expm1(variance)
+    # The variance is a mean over 4000 nodes: 1 % of a term that is a hundredth of the sum.
+    assert number(density_loss(drawn)) == pytest.approx(expected, rel=1e-3)
+
+
+def test_the_density_loss_stays_finite_at_an_opaque_wall():
+    drawn = draw_nodes(floor_at(0.0, width=1e-6, density=1e6), LENGTH)
+    assert number(drawn.gradient.abs().max()) <= 1.0
+    assert number(density_loss(drawn)) < math.e
+
+
+def test_gradients_of_the_density_losses_are_those_of_finite_differences():
+    def loss(slope: torch.Tensor) -> torch.Tensor:
+        model = opacity_is(lambda x: 0.5 + 0.2 * torch.sin(x @ slope))
+        torch.manual_seed(3)
+        return density_loss(draw_nodes(model, LENGTH, drawn=4, points=3)) + gaussian_density_loss(
+            model, LENGTH, points=5
+        )
+
+    slope = torch.tensor([0.9, -0.4, 0.7], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(loss, (slope,))
+
+
+def test_the_gaussian_form_lets_ramps_pass_and_charges_curvature_by_its_closed_form():
+    slope = torch.tensor([0.3, -0.1, 0.05], dtype=torch.float64)
+    ramp = gaussian_density_loss(opacity_is(lambda x: 0.5 + x @ slope), LENGTH)
+    assert number(ramp) < 1e-14  # positions are float32: 1e-7, squared
+    torch.manual_seed(0)
+    bend = gaussian_density_loss(opacity_is(lambda x: 0.1 + 0.1 * (x**2).sum(dim=-1)), LENGTH, points=40000)
+    # a_s - a is q l^2 times the mean of 4 chi-square numbers of 3 degrees: mean 3, variance 6 / 4.
+    expected = (0.1 * LENGTH**2) ** 2 * (9.0 + 6.0 / 4.0)
+    assert number(bend) == pytest.approx(expected, rel=0.03)  # 40000 points: 0.6 % standard deviation
+
+
+def test_scores_gather_where_density_changes_and_are_forgotten():
+    torch.manual_seed(0)
+    scores = NodeScores(BOX, LENGTH)
+    for _ in range(200):
+        scores.update(floor_at(0.03, width=0.001))
+    share = scores.score[:, :, 7:9].sum() / scores.score.sum()  # the two layers of nodes about the floor
+    assert number(share) > 0.999
+    before = number(scores.score.sum())
+    for _ in range(400):
+        scores.update(AnalyticVolume(lambda x: torch.zeros(len(x))))
+    # A node is looked at k times, a Poisson number of mean 12.5; the mean of 0.8^k is exp(-0.2 12.5).
+    assert number(scores.score.sum()) == pytest.approx(before * math.exp(-2.5), rel=0.15)
+
+
+def test_a_score_decays_by_its_share_when_it_is_looked_at(monkeypatch):
+    scores = NodeScores(BOX, LENGTH, decay=0.75)
+    scores.score += 2.0
+    drawn = Drawn(torch.tensor([5]), torch.tensor([[0.0, 1.0]]), torch.tensor([[[0.3, 0.0, 0.4], [0.3, 0.0, 0.4]]]))
+    monkeypatch.setattr("fields.volume.density_loss.draw_nodes", lambda model, length: drawn)
+    scores.update(floor_at(0.0))
+    assert number(scores.score.view(-1)[5]) == pytest.approx(0.75 * 2.0 + 0.25 * (0.5 + 0.25))
+    assert number(scores.score.view(-1)[6]) == 2.0
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
+def test_samples_by_score_crowd_where_it_is_high_and_still_add_up_to_the_path(share):
+    torch.manual_seed(0)
+    paths = seen_by(looking_down())
+    scores = NodeScores(BOX, LENGTH)
+    for _ in range(100):
+        scores.update(floor_at(0.03, width=0.001))
+    samples = scores.samples(Cells.everywhere(BOX, 32), paths, 40, share)
+    torch.testing.assert_close(samples.length.sum(dim=1), paths.far - paths.near)
+    z = paths.at(samples.s)[..., 2]
+    near_floor = number(((z > -0.125) & (z < 0.125)).float().mean())
+    assert near_floor == pytest.approx((1.0 - share) * 0.125 + share, abs=0.03)  # one of 40 samples
+    even = Scene(AnalyticVolume(lambda x: torch.full((len(x),), 0.7))).render(paths, samples)
+    expected = 1.0 - torch.exp(-0.7 * (paths.far - paths.near))
+    torch.testing.assert_close(even.opacity, expected, rtol=1e-5, atol=0.0)  # 40 additions in float32
+
+
+def test_samples_by_score_skip_the_empty_part_of_a_path():
+    paths = seen_by(looking_down())
+    cells = Cells.everywhere(BOX, 16)
+    cells.occupied[:, :, 8:] = False
+    samples = NodeScores(BOX, LENGTH).samples(cells, paths, 40, 0.5)
+    torch.testing.assert_close(samples.length.sum(dim=1), 0.5 * (paths.far - paths.near), rtol=0.02, atol=0.0)
+    assert number(paths.at(samples.s)[..., 2].max()) < 0.02  # of 128 bins, one
+
+
+SWITCHES = [
+    *(replace(Losses(), **{f.name: 1.0}) for f in fields(Losses) if f.name not in ("patches", "priors")),
+    *(Losses(patches=PatchWeights(size=4, **{name: 1.0})) for name in ("ncc", "ssim", "smooth_normals")),
+    *(Losses(priors=PriorWeights(**{name: 1.0})) for name in ("length", "depth", "normal")),
+]
+
+
+@pytest.fixture
+def trained_on():
+    """A scene, paths with colours and priors that disagree with it, what they show of it, and the proxy."""
+    torch.manual_seed(0)
+    vectors = appearance_vectors(1, 2)
+    vectors.weight.data += 0.3
+    model = AnalyticVolume(lambda x: 6.0 * torch.sigmoid(8.0 * torch.sin(4.0 * x[:, 0] + 3.0 * x[:, 2])))
+    scene, paths, cells = Scene(model, appearance=vectors), seen_by(looking_down()), Cells.everywhere(BOX, 32)
+    paths.rgb = torch.rand(len(paths), 3)
+    known = torch.rand(len(paths), COLUMNS)
+    known[:, 0] += 4.0
+    known[:, 4], known[:, 5:] = 1.0, torch.nn.functional.normalize(known[:, 5:], dim=1)
+    paths.priors = known
+    return scene, paths, scene.render(paths, cells.samples(paths, 32, jitter=False)), cells
+
+
+@pytest.mark.parametrize("losses", SWITCHES, ids=str)
+def test_each_switch_adds_its_weight_times_its_loss_and_reaches_what_it_should(losses, trained_on):
+    scene, paths, rendered, cells = trained_on
+    torch.manual_seed(1)
+    once = losses(scene, paths, rendered, cells, None)
+    assert math.isfinite(number(once))
+    assert number(once) > 0.0
+    reached = scene.appearance.weight if losses.appearance else scene.model.scale
+    (gradient,) = torch.autograd.grad(once, [reached])
+    assert torch.isfinite(gradient).all()
+    assert number(gradient.abs().max()) > 0.0
+
+
+def test_without_weights_nothing_is_added_and_nothing_drawn(trained_on):
+    state = torch.get_rng_state()
+    total = Losses()(*trained_on, None)
+    assert number(total) == 0.0
+    assert not total.requires_grad
+    assert torch.equal(torch.get_rng_state(), state)
+    assert Losses().patch == 1
+    assert Losses(patches=PatchWeights(size=6, ssim=0.1)).patch == 6

@@ -1,0 +1,163 @@
+"""Patches: drawn whole, and their losses against loops, closed forms and finite differences; and virtual views."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from analytic_volume import BOX, WATER, AnalyticVolume, floor_at, looking_down, seen_by
+
+from fields.volume.losses import Losses, PatchWeights
+from fields.volume.patches import C1, C2, NOISE, as_patches, ncc_loss, smooth_normals_loss, ssim_loss
+from fields.volume.sampling import Cells
+from fields.volume.scene import Scene
+from fields.volume.train import Photographs, Training, train_scene
+from fields.volume.virtual_views import paths_through, virtual_view_loss
+
+
+def two_patches(seed: int) -> torch.Tensor:
+    return torch.rand(2, 5, 5, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+def test_correlation_is_that_of_a_loop_and_blind_to_gain_and_offset():
+    x, y = two_patches(0), two_patches(1)
+    total = 0.0
+    for patch in range(2):
+        for channel in range(3):
+            a, b = (v[patch, :, :, channel].numpy().ravel() for v in (x, y))
+            cov = np.mean((a - a.mean()) * (b - b.mean()))
+            total += 1.0 - (cov + NOISE) / math.sqrt((a.var() + NOISE) * (b.var() + NOISE))
+    assert ncc_loss(x, y).item() == pytest.approx(total / 6.0, rel=1e-12)
+    assert ncc_loss(x, x).item() == pytest.approx(0.0, abs=1e-15)
+    # Blind but for the variance of one grey value against that of the patch, 1/12.
+    assert ncc_loss(0.5 * x + 0.2, x).item() == pytest.approx(0.0, abs=12.0 * 4.0 * NOISE)
+    assert ncc_loss(-x, x).item() == pytest.approx(2.0, rel=1e-3)
+
+
+def test_patches_without_texture_count_as_alike():
+    flat = torch.full((1, 4, 4, 3), 0.3)
+    assert ncc_loss(flat, flat + 0.2).item() == pytest.approx(0.0, abs=1e-6)  # float32
+
+
+def test_structural_similarity_is_that_of_a_loop_over_windows():
+    x, y = two_patches(0), two_patches(1)
+    values = []
+    for patch in range(2):
+        for channel in range(3):
+            for row in range(3):
+                for column in range(3):
+                    window = (slice(row, row + 3), slice(column, column + 3), channel)
+                    a, b = (v[patch][window].numpy().ravel() for v in (x, y))
+                    cov = np.mean((a - a.mean()) * (b - b.mean()))
+                    light = (2.0 * a.mean() * b.mean() + C1) / (a.mean() ** 2 + b.mean() ** 2 + C1)
+                    values.append(light * (2.0 * cov + C2) / (a.var() + b.var() + C2))
+    assert ssim_loss(x, y).item() == pytest.approx(0.5 * (1.0 - np.mean(values)), rel=1e-10)
+    assert ssim_loss(x, x).item() == pytest.approx(0.0, abs=1e-14)
+
+
+@pytest.mark.parametrize("loss", [ncc_loss, ssim_loss])
+def test_gradients_of_the_patch_losses_are_those_of_finite_differences(loss):
+    assert torch.autograd.gradcheck(loss, (two_patches(0).requires_grad_(), two_patches(1)))
+
+
+def test_one_bent_pair_of_normals_costs_its_squared_difference_and_less_across_an_edge():
+    normals = torch.zeros(1, 2, 2, 3, dtype=torch.float64)
+    normals[..., 2] = 1.0
+    grey = torch.full((1, 2, 2, 3), 0.5, dtype=torch.float64)
+    assert smooth_normals_loss(normals, grey).item() == 0.0
+    normals[0, 0, 0] = torch.tensor([1.0, 0.0, 0.0])
+    # One of two pairs along each axis, with a squared difference of 2.
+    assert smooth_normals_loss(normals, grey).item() == pytest.approx(2.0)
+    grey[0, 0, 0] += 0.2
+    assert smooth_normals_loss(normals, grey).item() == pytest.approx(2.0 * math.exp(-2.0))
+
+
+def test_half_a_patch_is_refused():
+    with pytest.raises(ValueError, match="whole patches of 4 x 4 px"):
+        as_patches(torch.zeros(24, 3), 4)
+
+
+def photographs() -> Photographs:
+    """Two photographs whose colours tell row, column and view, and the left part of each shows the scene."""
+    cameras = [looking_down(), looking_down(0.2)]
+    rows, columns = np.mgrid[:24, :24].astype(np.uint8)
+    images = [np.stack([rows, columns, np.full_like(rows, view)], axis=-1) for view in range(2)]
+    return Photographs(cameras, images, [np.flatnonzero(columns < 11)] * 2)
+
+
+@pytest.mark.parametrize("size", [1, 3, 4])
+def test_patches_are_squares_of_neighbours_row_by_row_inside_what_shows_the_scene(size):
+    paths = photographs().draw(300, BOX, np.random.default_rng(0), size)
+    seen = torch.round(255.0 * paths.rgb).long().view(300, size, size, 3)
+    first = seen[:, :1, :1]
+    steps = torch.stack(torch.meshgrid(torch.arange(size), torch.arange(size), indexing="ij"), dim=-1)
+    assert torch.equal(seen[..., :2] - first[..., :2], steps.expand(300, -1, -1, -1))
+    assert torch.equal(seen[..., 2], paths.view.view(300, size, size))
+    corners = {tuple(c) for c in first[:, 0, 0, :2].tolist()}
+    # All corners that fit, from the first to the last, and none beyond.
+    assert {r for r, _ in corners} == set(range(24 - size + 1))
+    assert {c for _, c in corners} == set(range(11 - size + 1))
+
+
+def test_patches_larger_than_what_shows_the_scene_are_refused():
+    with pytest.raises(ValueError, match="12 x 12 px; draw smaller patches"):
+        photographs().draw(1, BOX, np.random.default_rng(0), 12)
+
+
+def test_training_on_patches_draws_them_whole(monkeypatch):
+    drawn = []
+    scene = Scene(floor_at(0.0))
+    monkeypatch.setattr(Photographs, "draw", lambda self, count, box, rng, patch, draw=Photographs.draw: (
+        drawn.append((count, patch)), draw(self, count, box, rng, patch))[1])  # fmt: skip
+    training = Training(steps=3, rays=100, samples=8, cells=8, refresh=(), losses=Losses(patches=PatchWeights(4, 0.1)))
+    train_scene(scene, photographs(), training, lambda done: None)
+    assert drawn == [(3 * 6, 4)]
+
+
+@pytest.mark.parametrize("water", [None, WATER])
+def test_virtual_paths_pass_their_points_at_their_lengths_and_bend_as_a_camera_there_sees_them(water):
+    camera = looking_down(0.7, 0.2)
+    points = torch.from_numpy(np.random.default_rng(0).uniform(-0.9, 0.9, (576, 3)).astype(np.float32))
+    centres = torch.from_numpy(camera.centre.astype(np.float32)).expand(576, 3)
+    moved, length = paths_through(centres, points, water, seen_by(looking_down(), water), BOX)
+    torch.testing.assert_close(moved.at(length[:, None])[:, 0], points, rtol=0.0, atol=5e-6)  # float32, 6 m
+    pixels = camera.project(points.double().numpy(), water)
+    np.testing.assert_allclose(moved.air.numpy(), camera.directions(pixels), atol=5e-6)
+    assert ((moved.near <= length) & (length <= moved.far)).all()
+
+
+def virtual_loss(scene: Scene, brighter: float = 0.0) -> float:
+    """Where photographs show the scene itself, brighter by a number."""
+    torch.manual_seed(0)
+    paths, cells = seen_by(looking_down(), WATER), Cells.everywhere(BOX, 16)
+    rendered = scene.render(paths, cells.samples(paths, 256, jitter=False))
+    paths.rgb = rendered.rgb.detach() + brighter
+    return virtual_view_loss(scene, paths, rendered, cells, WATER).item()
+
+
+def test_virtual_views_of_a_floor_agree_with_it_and_through_fog_they_do_not():
+    floor = Scene(floor_at(-0.2, width=0.002, density=1000.0))
+    # Pieces of a virtual path are 2 m / 48 long, half of one over the box's edge of 2 m is 0.01.
+    assert virtual_loss(floor) < 0.01
+    fog = Scene(AnalyticVolume(lambda x: torch.full((len(x),), 2.0)))
+    # Mean distance from the median of an exponential law of 0.5 m, ln 2 of it, is 0.35 m: over the edge 0.17.
+    assert virtual_loss(fog) == pytest.approx(0.17, abs=0.03)
+
+
+def test_colours_of_virtual_views_are_held_to_the_photograph():
+    floor = Scene(floor_at(-0.2, width=0.002, density=1000.0))
+    # The pieces of virtual paths move colours by up to 0.01.
+    assert virtual_loss(floor, brighter=0.3) - virtual_loss(floor) == pytest.approx(0.09, abs=0.01)
+
+
+def test_points_that_a_virtual_view_cannot_see_are_left_out():
+    paths, cells = seen_by(looking_down(), None), Cells.everywhere(BOX, 16)
+    scene = Scene(floor_at(0.0))
+    rendered = scene.render(paths, cells.samples(paths, 64, jitter=False))
+    # Weights moved 0.6 m below the floor: every virtual view stops at the floor before it.
+    rendered.samples.edges += 0.6
+    assert virtual_view_loss(scene, paths, rendered, cells, None).item() == 0.0
+    rendered.weights.data.zero_()
+    assert virtual_view_loss(scene, paths, rendered, cells, None).item() == 0.0

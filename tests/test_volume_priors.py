@@ -1,0 +1,244 @@
+"""Priors: carried from images to paths, their losses in closed form, and their files."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from analytic_volume import BOX, WATER, floor_at, looking_down, seen_by
+
+from fields.volume.paths import Paths
+from fields.volume.prior_losses import fit_views, length_loss, mean_length, normal_prior_loss, relative_depth_loss
+from fields.volume.priors import COLUMNS, PriorImages, Priors
+from fields.volume.sampling import Cells, Samples
+from fields.volume.scene import Rendered, Scene
+from fields.volume.train import Photographs
+from refract import PinholeCamera
+from survey.errors import ImageError
+from survey.priors import read_depth_prior, read_normal_prior
+
+CAMERA = looking_down(size=8)
+TILTED = PinholeCamera(np.zeros(3), np.array([[0.8, 0, -0.6], [0, 1, 0], [0.6, 0, 0.8]]), 9.0, 9.0, 3.0, 4.0, 6, 8)
+
+
+def stopped_at(s: torch.Tensor, opacity: float = 1.0) -> Rendered:
+    """All light of paths (N) stops at one sample of three, the middle one, at lengths (N,)."""
+    weights = torch.tensor([0.0, opacity, 0.0], dtype=s.dtype).expand(len(s), 3)
+    places = s[:, None] + torch.tensor([-0.5, 0.0, 0.5], dtype=s.dtype)
+    return Rendered(torch.zeros(len(s), 3), weights, Samples(places, torch.ones_like(places), places))
+
+
+def paths_with(**known) -> Paths:
+    """All 64 paths of a camera with priors from images of one kind."""
+    paths = seen_by(CAMERA)
+    rows, columns = np.mgrid[:8, :8]
+    paths.priors = PriorImages(**known).at(CAMERA, rows.ravel(), columns.ravel())
+    return paths
+
+
+def test_priors_travel_with_the_pixels_that_they_were_given_for():
+    cameras = [CAMERA, looking_down(0.2, size=8)]
+    index = np.arange(64.0).reshape(8, 8)
+    images = [np.repeat(index[..., None], 3, axis=2).astype(np.uint8)] * 2
+    normal = np.broadcast_to([0.0, 0.6, 0.8], (8, 8, 3))
+    known = [PriorImages(length=index, spread=index + 0.5), PriorImages(normal=normal)]
+    paths = Photographs(cameras, images, [np.arange(64)] * 2, priors=known).draw(200, BOX, np.random.default_rng(0))
+    priors = Priors.of(paths.priors)
+    first = paths.view == 0
+    pixel = torch.round(255.0 * paths.rgb[:, 0])
+    assert torch.equal(priors.length[first], pixel[first])
+    assert torch.equal(priors.spread[first], pixel[first] + 0.5)
+    assert priors.length[~first].isnan().all()
+    assert priors.normal[first].isnan().all()
+    assert torch.equal(priors.normal[~first], torch.tensor([0.0, 0.6, 0.8]).expand(int((~first).sum()), 3))
+    assert priors.terms.isnan().all()
+
+
+def test_paths_without_priors_carry_no_columns_and_a_loss_on_them_says_so():
+    paths = seen_by(CAMERA)
+    assert paths.priors.shape == (64, 0)
+    assert paths[:3].priors.shape == (3, 0)
+    with pytest.raises(ValueError, match="the paths carry no priors"):
+        length_loss(paths, stopped_at(torch.full((64,), 5.0)))
+
+
+def test_wrong_priors_are_refused():
+    with pytest.raises(ValueError, match="needs its spread"):
+        PriorImages(length=np.ones((2, 2)))
+    with pytest.raises(ValueError, match="one size"):
+        PriorImages(depth=np.ones((2, 2)), normal=np.ones((2, 3, 3)))
+
+
+def test_the_length_loss_is_its_equation_and_nothing_where_all_light_stops_at_the_prior():
+    length, spread = np.full((8, 8), 5.0), np.full((8, 8), 0.1)
+    paths = paths_with(length=length, spread=spread)
+    s = torch.full((64,), 5.0)
+    assert length_loss(paths, stopped_at(s)).item() == 0.0
+    assert length_loss(paths, stopped_at(s + 0.2)).item() == pytest.approx(math.log(3.0), rel=1e-4)
+    passed = torch.log1p(0.5 * ((paths.far - 5.0) / 0.1) ** 2).mean().item()
+    assert length_loss(paths, stopped_at(s, opacity=0.75)).item() == pytest.approx(0.25 * passed, rel=1e-5)
+
+
+def test_pixels_without_a_length_cost_nothing():
+    length, spread = np.full((8, 8), np.nan), np.full((8, 8), 0.1)
+    assert length_loss(paths_with(length=length, spread=spread), stopped_at(torch.ones(64))).item() == 0.0
+    length[2, 3] = 5.0
+    found = length_loss(paths_with(length=length, spread=spread), stopped_at(torch.full((64,), 5.2)))
+    assert found.item() == pytest.approx(math.log(3.0), rel=1e-4)  # float32 at 5 m over 0.1 m
+
+
+def test_gradients_of_the_length_loss_are_those_of_finite_differences():
+    paths = paths_with(length=np.full((8, 8), 5.0), spread=np.full((8, 8), 0.3))[:4]
+    rendered = stopped_at(torch.linspace(4.7, 5.2, 4, dtype=torch.float64))
+    weights = (0.2 * torch.rand(4, 3, dtype=torch.float64)).requires_grad_()
+
+    def loss(w):
+        return length_loss(paths, Rendered(rendered.rgb, w, rendered.samples))
+
+    assert torch.autograd.gradcheck(loss, (weights,))
+
+
+def test_scale_and_shift_of_each_view_are_exact_in_closed_form():
+    rng = np.random.default_rng(0)
+    view = torch.from_numpy(rng.integers(0, 3, 60)) * 4
+    terms = torch.from_numpy(rng.uniform(1.0, 2.0, (60, 2)))
+    scales = {0: (2.0, -3.0), 4: (0.1, 40.0), 8: (-1.0, 5.0)}
+    wanted = torch.tensor([scales[v] for v in view.tolist()], dtype=torch.float64)
+    fit, fitted = fit_views(terms, (terms * wanted).sum(dim=1), view)
+    assert fitted.all()
+    torch.testing.assert_close(fit, wanted, rtol=1e-9, atol=0.0)  # normal equations square a condition of about 10
+    noise = torch.from_numpy(rng.normal(size=60))
+    fit, _ = fit_views(terms, noise, view)
+    for v in (0, 4, 8):
+        oracle = np.linalg.lstsq(terms[view == v].numpy(), noise[view == v].numpy(), rcond=None)[0]
+        np.testing.assert_allclose(fit[view == v][0], oracle, rtol=1e-9)
+
+
+def test_too_few_pixels_or_an_even_depth_are_not_fitted():
+    terms = torch.stack([torch.arange(20.0), torch.ones(20)], dim=1)
+    assert not fit_views(terms[:7], torch.ones(7), torch.zeros(7, dtype=torch.int64))[1].any()
+    assert not fit_views(torch.ones(20, 2), torch.ones(20), torch.zeros(20, dtype=torch.int64))[1].any()
+    assert fit_views(terms, torch.ones(20), torch.zeros(20, dtype=torch.int64))[1].all()
+
+
+@pytest.mark.parametrize("is_inverse", [False, True])
+def test_monocular_depth_of_any_scale_and_shift_costs_nothing_where_it_is_true(is_inverse, rng):
+    """Of pixels well off the axis, so that depth along it and length along the ray differ."""
+    camera = PinholeCamera(CAMERA.centre, CAMERA.cam_from_local, 6.0, 6.0, 4.0, 4.0, 8, 8)
+    axial = rng.uniform(3.0, 6.0, (8, 8))
+    ahead = camera.directions(camera.pixel_centres()) @ camera.cam_from_local[2]
+    stored = 7.0 * (1.0 / axial if is_inverse else axial) - 20.0
+    rows, columns = np.mgrid[:8, :8]
+    paths = seen_by(camera)
+    paths.priors = PriorImages(depth=stored, is_inverse=is_inverse).at(camera, rows.ravel(), columns.ravel())
+    length = torch.from_numpy((axial / ahead).ravel())
+    assert relative_depth_loss(paths, stopped_at(length), 2.0).item() < 1e-5  # priors are float32
+    off = length.clone()
+    off[20] += 0.4
+    found = relative_depth_loss(paths, stopped_at(off), 2.0).item()
+    assert found > 0.4 / 64 / 2.0 * 0.8  # one pixel of 64 off by 0.4 m; the fit takes some of it
+
+
+def test_the_mean_length_is_that_of_the_weights():
+    weights, s = torch.tensor([[0.2, 0.6, 0.0]]), torch.tensor([[1.0, 2.0, 9.0]])
+    assert mean_length(Rendered(torch.zeros(1, 3), weights, Samples(s, s, s))).item() == pytest.approx(1.75)
+
+
+def test_the_normal_loss_is_its_equation_in_the_local_frame():
+    paths = paths_with(normal=np.broadcast_to([0.0, 0.0, 1.0], (8, 8, 3)))
+    up = torch.tensor([[0.0, 0.0, 1.0]]).expand(64, 3)
+    level = torch.tensor([[1.0, 0.0, 0.0]]).expand(64, 3)
+    assert normal_prior_loss(paths, up).item() == 0.0
+    assert normal_prior_loss(paths, level).item() == pytest.approx(3.0)
+
+
+def test_normals_of_a_floor_agree_with_a_prior_that_points_up():
+    paths, cells = seen_by(looking_down(), WATER), Cells.everywhere(BOX, 32)
+    scene = Scene(floor_at(0.0))
+    depth = scene.render(paths, cells.samples(paths, 64, jitter=False)).depth
+    normals = scene.model.normals(paths.at(depth[:, None])[:, 0], 0.03)
+    paths.priors = torch.full((len(paths), COLUMNS), math.nan)
+    paths.priors[:, 5:] = torch.tensor([0.0, 0.0, 1.0])
+    assert normal_prior_loss(paths, normals).item() < 1e-4  # differences of float32 densities
+
+
+@pytest.fixture
+def depth() -> np.ndarray:
+    return np.linspace(2.0, 9.0, 48, dtype=np.float32).reshape(8, 6)
+
+
+def test_depth_is_read_from_every_kind_of_file(tmp_path, depth):
+    np.save(tmp_path / "a.npy", depth.astype(np.float64))
+    cv2.imwrite(str(tmp_path / "a.tif"), depth)
+    whole = (1000.0 * depth).astype(np.uint16)
+    whole[0, 0] = 0
+    cv2.imwrite(str(tmp_path / "a.png"), whole)
+    np.testing.assert_array_equal(read_depth_prior(tmp_path / "a.npy", TILTED), depth)
+    np.testing.assert_array_equal(read_depth_prior(tmp_path / "a.tif", TILTED), depth)
+    found = read_depth_prior(tmp_path / "a.png", TILTED)
+    assert math.isnan(found[0, 0])
+    np.testing.assert_array_equal(found[1:], whole[1:])
+
+
+def local_normals() -> np.ndarray:
+    """Unit normals (8, 6, 3) towards the tilted camera, local frame."""
+    bent = -TILTED.directions(TILTED.pixel_centres()) + 0.4 * np.random.default_rng(0).uniform(-1.0, 1.0, (8, 6, 3))
+    return bent / np.linalg.norm(bent, axis=2, keepdims=True)
+
+
+def test_normals_are_read_from_every_kind_of_file_and_turned_into_the_local_frame(tmp_path):
+    in_cam = local_normals() @ TILTED.cam_from_local.T
+    np.save(tmp_path / "n.npy", in_cam)
+    np.testing.assert_allclose(read_normal_prior(tmp_path / "n.npy", TILTED), local_normals(), atol=1e-7)  # float32
+    for kind, most in ((np.uint8, 255), (np.uint16, 65535)):
+        stored = np.round((in_cam + 1.0) / 2.0 * most).astype(kind)
+        stored[0, 0] = 0
+        cv2.imwrite(str(tmp_path / "n.png"), stored[:, :, ::-1])
+        found = read_normal_prior(tmp_path / "n.png", TILTED)
+        assert np.isnan(found[0, 0]).all()
+        # Each component rounded to half a step of 2 / most, and made unit again.
+        np.testing.assert_allclose(found[1:], local_normals()[1:], atol=2.0 * math.sqrt(3.0) / most)
+
+
+def refused_depths(folder, depth):
+    np.save(folder / "small.npy", depth[:4])
+    yield "small.npy", r"6 x 4 px, its camera 6 x 8 px"
+    np.save(folder / "three.npy", np.dstack([depth] * 3))
+    yield "three.npy", r"shape \(8, 6, 3\), expected one number per pixel"
+    cv2.imwrite(str(folder / "coarse.png"), depth.astype(np.uint8))
+    yield "coarse.png", "256 steps"
+    np.save(folder / "even.npy", np.full((8, 6), 3.0))
+    yield "even.npy", "tells no depths apart"
+    np.save(folder / "empty.npy", np.full((8, 6), np.nan))
+    yield "empty.npy", "tells no depths apart"
+    np.save(folder / "words.npy", np.full((8, 6), "deep"))
+    yield "words.npy", "expected real numbers"
+    (folder / "broken.npy").write_bytes(b"nothing")
+    yield "broken.npy", "no array that numpy can read"
+    (folder / "broken.tif").write_bytes(b"nothing")
+    yield "broken.tif", "not an image that can be read"
+    yield "missing.png", "does not exist"
+    yield "depth.exr", "unknown kind"
+
+
+def test_depth_files_that_cannot_be_right_are_refused_with_the_mend(tmp_path, depth):
+    for name, words in refused_depths(tmp_path, depth):
+        with pytest.raises(ImageError, match=words):
+            read_depth_prior(tmp_path / name, TILTED)
+
+
+def test_normal_files_that_cannot_be_right_are_refused_with_the_mend(tmp_path, depth):
+    in_cam = local_normals() @ TILTED.cam_from_local.T
+    refused = {
+        "flat": (depth, "a normal per pixel"),
+        "long": (3.0 * in_cam, "length 3.00, expected 1"),
+        "up": (in_cam * (1.0, -1.0, -1.0), "change the sign of both"),
+        "none": (np.zeros((8, 6, 3)), "has no normals"),
+    }
+    for name, (values, words) in refused.items():
+        np.save(tmp_path / f"{name}.npy", values)
+        with pytest.raises(ImageError, match=words):
+            read_normal_prior(tmp_path / f"{name}.npy", TILTED)

@@ -1,0 +1,152 @@
+"""Features hashed over many resolutions: Instant-NGP (Mueller et al. 2022), with the heads and sizes of Nerfacto.
+
+    N_l  = N_min b^l rounded, b = (N_max / N_min)^(1/(L-1)), l = 0..L-1: cells along the longest edge             (1)
+    row  = i_x + (n_x + 1) (i_y + (n_y + 1) i_z)    where the (n_x+1)(n_y+1)(n_z+1) nodes of a level fit its table
+    row  = (i_x xor 2654435761 i_y xor 805459861 i_z) mod 2^T    elsewhere: nodes share rows                      (2)
+    f_l  = the features at the 8 nodes about a sample, weighted linearly along x, y and z                         (3)
+
+Nodes lie at cell corners. Cells are nearly cubes: a flat box has fewer along its height, and more dense levels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from fields.factors import geometric_scales
+from fields.heads import spherical_harmonics
+from fields.volume.model import Rates, VolumeModel, density_of
+from fields.volume.paths import Box
+from fields.volume.tensor import grid_of
+
+PRIMES = (1, 2654435761, 805459861)
+PER_LEVEL = 2
+
+
+@dataclass(frozen=True)
+class HashSettings:
+    """What a hash grid volume is made of; the defaults are Nerfacto's.
+
+    Attributes
+    ----------
+    levels, log2_table : int
+        L and T.
+    n_min, n_max : int
+        Cells along the longest edge at the coarsest and the finest level.
+    hidden, geometry : int
+        Width of both heads, and length of the features that density hands on to colour.
+    degree : int
+        Of the spherical harmonics of the direction, at most 2 (Nerfacto has 3); 0 for a matt scene.
+    """
+
+    levels: int = 16
+    log2_table: int = 19
+    n_min: int = 16
+    n_max: int = 2048
+    hidden: int = 64
+    geometry: int = 15
+    degree: int = 2
+
+
+class HashGrid(nn.Module):
+    """Features (2 a level) of positions in a box, drawn from torch's generator.
+
+    Parameters
+    ----------
+    box : Box
+    levels, log2_table, n_min, n_max : int
+        As in `HashSettings`.
+    """
+
+    def __init__(self, box: Box, levels: int, log2_table: int, n_min: int, n_max: int):
+        super().__init__()
+        grids = [grid_of(box, round(n)) for n in geometric_scales(n_min, n_max, levels)]
+        cells = torch.tensor([(g.nx, g.ny, g.nz) for g in grids])
+        nodes = (cells + 1).prod(dim=1)
+        self.num_dense = int((nodes <= 2**log2_table).sum())
+        self.mask = 2**log2_table - 1
+        strides = torch.tensor([PRIMES] * levels)
+        nx, ny, _ = (cells[: self.num_dense] + 1).T
+        strides[: self.num_dense] = torch.stack([torch.ones_like(nx), nx, nx * ny], dim=1)
+        rows = nodes.clamp(max=2**log2_table)
+        self.register_buffer("cells", cells, persistent=False)
+        self.register_buffer("strides", strides, persistent=False)
+        self.register_buffer("first", torch.cumsum(rows, 0) - rows, persistent=False)
+        self.table = nn.Parameter(torch.empty(int(rows.sum()), PER_LEVEL).uniform_(-1e-4, 1e-4))
+
+    @property
+    def num_features(self) -> int:
+        """Levels times 2."""
+        return len(self.cells) * PER_LEVEL
+
+    def rows(self, corner: Tensor) -> Tensor:
+        """Equation (2): rows (S, L, 2, 2, 2) of the nodes about cells whose lowest node is ``corner`` (S, L, 3)."""
+        low = corner * self.strides
+        x, y, z = torch.stack([low, low + self.strides], dim=-1).unbind(2)
+        x, y, z = x[..., :, None, None], y[..., None, :, None], z[..., None, None, :]
+        d = self.num_dense
+        dense = x[:, :d] + y[:, :d] + z[:, :d]
+        hashed = (x[:, d:] ^ y[:, d:] ^ z[:, d:]) & self.mask
+        return torch.cat([dense, hashed], dim=1) + self.first[:, None, None, None]
+
+    def forward(self, u: Tensor) -> Tensor:
+        """Features (S, L * 2) at box coordinates u (S, 3) in [0, 1]; outside, those of the border.
+
+        No gradient flows to `u`. That of the table is summed in the order of the samples, on any number of threads.
+        """
+        x = u.detach().clamp(0.0, 1.0)[:, None, :] * self.cells
+        corner = torch.minimum(x.long(), self.cells - 1)
+        share = x - corner
+        wx, wy, wz = torch.stack([1.0 - share, share], dim=-1).unbind(2)
+        weights = wx[..., :, None, None] * wy[..., None, :, None] * wz[..., None, None, :]
+        # A pair of features travels as one complex number: the table is passed once, and its gradient is a plain loop.
+        pairs = torch.view_as_complex(self.table).index_select(0, self.rows(corner).view(-1))
+        values = torch.view_as_real(pairs).view(*corner.shape[:2], 8, PER_LEVEL)
+        return (values * weights.flatten(2)[..., None]).sum(dim=2).flatten(1)
+
+
+class HashVolume(VolumeModel):
+    """A hash grid and two small perceptrons: density, and colour seen along a direction.
+
+    Density is ``softplus`` per finest cell (Nerfacto has a truncated exponential, which softplus follows where the
+    box is thin); an untrained box lets about 1/e of the light through along its longest edge.
+
+    Parameters
+    ----------
+    box : Box
+    settings : HashSettings
+    appearance : int
+        Length of the appearance vectors; 0 without.
+    """
+
+    RATE = 0.01
+
+    def __init__(self, box: Box, settings: HashSettings, *, appearance: int = 0):
+        super().__init__(box)
+        self.settings = settings
+        hidden, geometry = settings.hidden, settings.geometry
+        self.grid = HashGrid(box, settings.levels, settings.log2_table, settings.n_min, settings.n_max)
+        self.density = nn.Sequential(
+            nn.Linear(self.grid.num_features, hidden), nn.ReLU(), nn.Linear(hidden, 1 + geometry)
+        )
+        seen = geometry + (settings.degree + 1) ** 2 - 1 + appearance
+        self.colour = nn.Sequential(
+            nn.Linear(seen, hidden), nn.ReLU(), nn.Linear(hidden, hidden), nn.ReLU(), nn.Linear(hidden, 3)
+        )
+
+    def evaluate(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        out = self.density(self.grid(self.box.unit(x)))
+        return density_of(out[:, 0], self.settings.n_max, self.box.edge), out[:, 1:]
+
+    def radiance(self, features: Tensor, direction: Tensor, appearance: Tensor | None) -> Tensor:
+        seen = [features]
+        if self.settings.degree:
+            seen.append(spherical_harmonics(-direction, self.settings.degree))
+        if appearance is not None:
+            seen.append(appearance)
+        return nn.functional.softplus(self.colour(torch.cat(seen, dim=1)), beta=4.0)
+
+    def rates(self) -> list[Rates]:
+        return [Rates(list(self.parameters()), self.RATE)]

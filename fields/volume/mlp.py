@@ -1,0 +1,122 @@
+"""Positions through sines and a multilayer perceptron: NeRF and TinyNeRF are one model with two settings.
+
+    gamma_L(p) = (p, sin(2^0 pi p), cos(2^0 pi p), ..., sin(2^(L-1) pi p), cos(2^(L-1) pi p)), p in [-1, 1]      (1)
+    h = trunk(gamma(x)), relu after each layer;  density = softplus of a linear map of h                         (2)
+    colour = a linear map of relu(W [V h, gamma(d)]);  of a matt scene, of h alone                               (3)
+
+Mildenhall et al. 2020, section 5.1 and figure 7. Different here: p itself goes along, as in the authors' code, since
+sines alone read the same at both ends of the box; softplus instead of relu, which can die over a whole box (mip-NeRF);
+radiance is linear light and may exceed 1; there is one network, and where it is asked is the sampler's business.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor, nn
+
+from fields.volume.model import Rates, VolumeModel, density_of
+from fields.volume.paths import Box
+
+
+@dataclass(frozen=True)
+class MlpSettings:
+    """What a perceptron volume is made of.
+
+    Attributes
+    ----------
+    layers, width : int
+        Of the trunk.
+    skip : int or None
+        The encoded position joins the activation of this layer, counted from 0.
+    frequencies, direction_frequencies : int
+        L of positions and of directions; 0 of directions for a matt scene.
+    """
+
+    layers: int = 8
+    width: int = 256
+    skip: int | None = 4
+    frequencies: int = 10
+    direction_frequencies: int = 4
+
+    def __post_init__(self):
+        if self.skip is not None and not 0 <= self.skip < self.layers - 1:
+            raise ValueError(
+                f"skip is {self.skip}, expected a layer that another follows, 0 to {self.layers - 2} of {self.layers}, "
+                f"or None"
+            )
+
+    @staticmethod
+    def nerf(**changes) -> MlpSettings:
+        """The network of Mildenhall et al. 2020."""
+        return replace(MlpSettings(), **changes)
+
+    @staticmethod
+    def tiny_nerf(**changes) -> MlpSettings:
+        """Three layers of 128, 6 frequencies, matt; asked at 32 samples a path."""
+        return replace(MlpSettings(3, 128, None, 6, 0), **changes)
+
+
+class MlpVolume(VolumeModel):
+    """Density and colour of a perceptron, drawn from torch's generator.
+
+    Density is ``softplus`` per half the shortest wave, ``edge / 2^L`` [m], the finest detail that the encoding tells
+    apart; an untrained box lets about 1/e of the light through along its longest edge.
+
+    Parameters
+    ----------
+    box : Box
+    settings : MlpSettings
+    appearance : int
+        Length of the appearance vectors; 0 without.
+    """
+
+    RATE = 5e-4
+
+    def __init__(self, box: Box, settings: MlpSettings, *, appearance: int = 0):
+        super().__init__(box)
+        self.settings = settings
+        width, position = settings.width, encoded_length(settings.frequencies)
+        widths = [position] + [width + (position if i == settings.skip else 0) for i in range(settings.layers - 1)]
+        self.trunk = nn.ModuleList(nn.Linear(w, width) for w in widths)
+        self.density = nn.Linear(width, 1)
+        if settings.direction_frequencies:
+            self.bottleneck = nn.Linear(width, width)
+            seen = width + encoded_length(settings.direction_frequencies) + appearance
+            self.colour = nn.Sequential(nn.Linear(seen, width // 2), nn.ReLU(), nn.Linear(width // 2, 3))
+        else:
+            self.colour = nn.Linear(width + appearance, 3)
+
+    def evaluate(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        settings = self.settings
+        position = frequency_encoding(self.box.centred(x), settings.frequencies)
+        h = position
+        for index, layer in enumerate(self.trunk):
+            h = torch.relu(layer(h))
+            if index == settings.skip:
+                h = torch.cat([position, h], dim=1)
+        return density_of(self.density(h)[:, 0], 2.0**settings.frequencies, self.box.edge), h
+
+    def radiance(self, features: Tensor, direction: Tensor, appearance: Tensor | None) -> Tensor:
+        seen = [features]
+        if self.settings.direction_frequencies:
+            seen = [self.bottleneck(features), frequency_encoding(direction, self.settings.direction_frequencies)]
+        if appearance is not None:
+            seen.append(appearance)
+        return nn.functional.softplus(self.colour(torch.cat(seen, dim=1)), beta=4.0)
+
+    def rates(self) -> list[Rates]:
+        return [Rates(list(self.parameters()), self.RATE)]
+
+
+def encoded_length(frequencies: int) -> int:
+    """Length of gamma_L of three coordinates."""
+    return 3 + 6 * frequencies
+
+
+def frequency_encoding(p: Tensor, frequencies: int) -> Tensor:
+    """Equation (1) of coordinates (S, 3): (S, 3 + 6 L), the coordinates, all their sines, all their cosines."""
+    waves = torch.pi * 2.0 ** torch.arange(frequencies, dtype=p.dtype)
+    angle = (p[:, None, :] * waves[:, None]).flatten(1)
+    return torch.cat([p, torch.sin(angle), torch.cos(angle)], dim=1)

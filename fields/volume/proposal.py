@@ -1,0 +1,141 @@
+"""A small density of its own that says where a volume is worth asking (mip-NeRF 360, Barron et al. 2022; Nerfacto).
+
+Paths are sampled evenly, then where the weights of the first density lie, and so on; the volume is asked last. Its
+weights w over pieces T teach each histogram (t', w') of the proposal:
+
+    bound(T) = sum of w'_j over the pieces T'_j that overlap T                                    (their eq. 12)
+    loss     = sum over i of max(0, w_i - bound(T_i))^2 / w_i                                     (their eq. 13)
+
+so that a proposal may be wider than the volume's own histogram, never lower.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from fields.render import render_weights
+from fields.volume.hash_grid import HashGrid
+from fields.volume.model import Rates, density_of
+from fields.volume.paths import Box, Paths
+from fields.volume.sampling import Samples, samples_by_mass
+
+# Of the samples, this share is spread evenly whatever the weights say: what a proposal calls empty is still looked at.
+EVEN_SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class ProposalSettings:
+    """What a proposal is made of; the defaults are Nerfacto's.
+
+    Attributes
+    ----------
+    samples : tuple of int
+        Of each path, round by round.
+    n_max : tuple of int
+        Cells along the longest edge at the finest level, round by round.
+    n_min, levels, log2_table : int
+        Of the hash grids, as in `HashSettings`.
+    hidden : int
+        Width of the perceptrons.
+    """
+
+    samples: tuple[int, ...] = (256, 96)
+    n_max: tuple[int, ...] = (128, 256)
+    n_min: int = 16
+    levels: int = 5
+    log2_table: int = 17
+    hidden: int = 16
+
+    def __post_init__(self):
+        if not self.samples or len(self.samples) != len(self.n_max):
+            raise ValueError(f"samples {self.samples} and n_max {self.n_max} expect one number for each round")
+
+
+@dataclass
+class Histogram:
+    """Weights (N, B) of the pieces of paths between edges (N, B + 1) [m]."""
+
+    edges: Tensor
+    weights: Tensor
+
+
+@dataclass
+class Proposed(Samples):
+    """Samples with the histograms that led to them.
+
+    Attributes
+    ----------
+    rounds : list of Histogram
+    """
+
+    rounds: list[Histogram]
+
+
+class Proposal(nn.Module):
+    """Densities that draw samples, coarse first. There is no annealing: a share of the samples is always even.
+
+    Parameters
+    ----------
+    box : Box
+    settings : ProposalSettings
+    """
+
+    RATE = 0.01
+
+    def __init__(self, box: Box, settings: ProposalSettings):
+        super().__init__()
+        self.box, self.settings = box, settings
+        grids = [HashGrid(box, settings.levels, settings.log2_table, settings.n_min, n) for n in settings.n_max]
+        width, hidden = 2 * settings.levels, settings.hidden
+        self.rounds = nn.ModuleList(
+            nn.Sequential(grid, nn.Linear(width, hidden), nn.ReLU(), nn.Linear(hidden, 1)) for grid in grids
+        )
+
+    def density(self, index: int, x: Tensor) -> Tensor:
+        """Density (S,) [1/m] of one round at positions (S, 3) [m], local."""
+        return density_of(self.rounds[index](self.box.unit(x))[:, 0], self.settings.n_max[index], self.box.edge)
+
+    def samples(self, paths: Paths, num: int, *, jitter: bool) -> Proposed:
+        """``num`` samples a path where the densities put weight; they carry no gradient, their histograms do."""
+        edges, mass, rounds = torch.stack([paths.near, paths.far], dim=1), torch.ones(len(paths), 1), []
+        for index, count in enumerate(self.settings.samples):
+            drawn = samples_by_mass(edges, mass, count, jitter, dense=True)
+            density = self.density(index, paths.at(drawn.s).view(-1, 3)).view(len(paths), count)
+            rounds.append(Histogram(drawn.edges, render_weights(density * drawn.length)))
+            edges, mass = drawn.edges, _with_an_even_share(rounds[-1].weights.detach(), drawn.length)
+        drawn = samples_by_mass(edges, mass, num, jitter, dense=True)
+        return Proposed(drawn.s, drawn.length, drawn.edges, rounds)
+
+    def loss(self, samples: Proposed, weights: Tensor) -> Tensor:
+        """Sum of all rounds' interlevel losses, a scalar, for a volume's weights (N, K) at the samples."""
+        own = Histogram(samples.edges, weights.detach())
+        return torch.stack([interlevel_loss(own, proposed) for proposed in samples.rounds]).sum()
+
+    def rates(self) -> list[Rates]:
+        """Every parameter once, with its learning rate."""
+        return [Rates(list(self.parameters()), self.RATE)]
+
+
+def interlevel_loss(own: Histogram, proposed: Histogram) -> Tensor:
+    """Equation 13, mean over paths: how far a volume's own histogram stands above what was proposed."""
+    excess = (own.weights - bound_of(proposed, own.edges)).clamp(min=0.0)
+    # Nothing stands above a bound by more than itself: no weight at all gives 0, not 0 / 0.
+    return (excess**2 / own.weights.clamp(min=1e-7)).sum(dim=1).mean()
+
+
+def bound_of(proposed: Histogram, edges: Tensor) -> Tensor:
+    """Equation 12: weight (N, K) of the proposed pieces that overlap those between edges (N, K + 1) [m]."""
+    total = torch.nn.functional.pad(torch.cumsum(proposed.weights, dim=1), (1, 0))
+    last = proposed.weights.shape[1]
+    bins, start, end = (t.contiguous() for t in (proposed.edges, edges[:, :-1], edges[:, 1:]))
+    begins = (torch.searchsorted(bins, start, right=True) - 1).clamp(0, last)
+    ends = torch.searchsorted(bins, end).clamp(0, last)
+    return total.gather(1, torch.maximum(begins, ends)) - total.gather(1, begins)
+
+
+def _with_an_even_share(weights: Tensor, length: Tensor) -> Tensor:
+    even = length / length.sum(dim=1, keepdim=True).clamp(min=1e-12)
+    return (1.0 - EVEN_SHARE) * weights + EVEN_SHARE * even

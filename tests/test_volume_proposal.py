@@ -1,0 +1,167 @@
+"""Proposal sampling: bounds and loss against their equations, where samples go, what learns from what."""
+
+from __future__ import annotations
+
+import io
+import itertools
+
+import numpy as np
+import pytest
+import torch
+from plane_survey import look
+from volume_models import BOX, check_learning, positions
+
+from fields.heads import WaterColumn
+from fields.volume.hash_grid import HashSettings, HashVolume
+from fields.volume.paths import Paths, paths_of
+from fields.volume.proposal import EVEN_SHARE, Histogram, Proposal, ProposalSettings, bound_of, interlevel_loss
+from fields.volume.scene import Scene
+from fields.volume.train import Photographs, Training, train_scene
+
+SMALL = ProposalSettings(samples=(40, 24), n_max=(12, 24), n_min=6, levels=3, log2_table=10, hidden=8)
+
+
+def falling(num: int) -> Paths:
+    """Paths straight down through the box, dry, the last of which misses it."""
+    camera = look((0.1, -0.1, 0.0), (0.1, -0.1, -2.0))
+    pixels = np.tile([camera.cx, camera.cy], (num, 1))
+    pixels[-1, 0] = 1e5
+    return paths_of(camera, None, pixels, np.zeros((num, 3)), BOX)
+
+
+def proposal(seed: int = 0) -> Proposal:
+    torch.manual_seed(seed)
+    return Proposal(BOX, SMALL)
+
+
+def histograms(rng, num_own: int = 6, num_proposed: int = 9, paths: int = 30) -> tuple[Histogram, Histogram]:
+    """Two histograms over the same paths, of random pieces and weights."""
+    both = []
+    for num in (num_own, num_proposed):
+        inner = np.sort(rng.uniform(0.0, 1.0, (paths, num - 1)), axis=1)
+        edges = np.column_stack([np.zeros(paths), inner, np.ones(paths)])
+        both.append(Histogram(torch.from_numpy(edges), torch.from_numpy(rng.dirichlet(np.ones(num), paths))))
+    return both[0], both[1]
+
+
+def slow_bounds(proposed: Histogram, edges: torch.Tensor) -> np.ndarray:
+    """Equation 12, piece by piece."""
+    bins, weights, found = proposed.edges.numpy(), proposed.weights.numpy(), []
+    for row, own in enumerate(edges.numpy()):
+        for start, end in itertools.pairwise(own):
+            overlap = (bins[row, :-1] < end) & (bins[row, 1:] > start)
+            found.append(weights[row][overlap].sum())
+    return np.reshape(found, (len(edges), -1))
+
+
+def test_bounds_are_sums_over_the_pieces_that_overlap(rng):
+    own, proposed = histograms(rng)
+    found = bound_of(proposed, own.edges).numpy()
+    np.testing.assert_allclose(found, slow_bounds(proposed, own.edges), atol=1e-15)  # of differences of sums to 1
+
+
+def test_pieces_that_only_touch_do_not_overlap():
+    proposed = Histogram(torch.tensor([[0.0, 1.0, 2.0, 3.0]]), torch.tensor([[0.5, 0.25, 0.125]]))
+    found = bound_of(proposed, torch.tensor([[0.0, 1.0, 1.5, 3.0]]))
+    assert found.tolist() == [[0.5, 0.25, 0.375]]
+
+
+def test_the_loss_is_that_of_the_paper_and_zero_under_a_bound(rng):
+    own, proposed = histograms(rng)
+    excess = np.maximum(own.weights.numpy() - slow_bounds(proposed, own.edges), 0.0)
+    expected = (excess**2 / own.weights.numpy()).sum(axis=1).mean()
+    assert expected > 1e-3
+    assert interlevel_loss(own, proposed).item() == pytest.approx(expected, rel=1e-12)
+    # Itself, and any coarser sum of itself, bounds a histogram; 1e-30 is the square of the rounding of sums to 1.
+    assert interlevel_loss(own, own).item() < 1e-30
+    coarse = Histogram(own.edges[:, ::2], own.weights.view(len(own.weights), -1, 2).sum(dim=2))
+    assert interlevel_loss(own, coarse).item() < 1e-30
+    half = Histogram(own.edges, 0.5 * own.weights)  # excess w / 2: the loss is a quarter of the weights, which sum to 1
+    assert interlevel_loss(own, half).item() == pytest.approx(0.25, rel=1e-12)
+
+
+def test_no_weight_anywhere_is_no_loss():
+    empty = Histogram(torch.tensor([[0.0, 1.0, 2.0]]), torch.zeros(1, 2))
+    assert interlevel_loss(empty, empty).item() == 0.0
+
+
+def test_samples_follow_the_weights_but_for_an_even_share(monkeypatch):
+    made, paths = proposal(), falling(3)
+    monkeypatch.setattr(made, "density", lambda index, x: 200.0 * ((x[:, 2] + 2.0).abs() < 0.05))
+    drawn = made.samples(paths, 200, jitter=False)
+    # Light is stopped between 1.95 and 2.05 m, an eighth of the way, give or take the first pieces of 0.02 m.
+    inside = ((drawn.s[:-1] > 1.93) & (drawn.s[:-1] < 2.07)).float().mean().item()
+    assert inside == pytest.approx(1.0 - EVEN_SHARE + EVEN_SHARE / 8.0, abs=0.02)
+    # The gaps of the even share are a tenth as dense as even samples would be.
+    assert drawn.length[:-1].max() < 0.8 / (200 * EVEN_SHARE) * 1.1
+
+
+def test_an_empty_box_is_sampled_evenly_and_pieces_cover_the_path(monkeypatch):
+    made, paths = proposal(), falling(3)
+    monkeypatch.setattr(made, "density", lambda index, x: torch.zeros(len(x)))
+    drawn = made.samples(paths, 16, jitter=False)
+    torch.testing.assert_close(drawn.length[:-1], torch.full((2, 16), 0.05), atol=1e-6, rtol=0.0)  # of sums to 2.4
+    torch.testing.assert_close(drawn.edges[:-1, [0, -1]], torch.tensor([[1.6, 2.4]] * 2))
+    assert not drawn.length[-1].any()
+
+
+def test_every_sample_lies_in_its_piece_and_a_path_that_misses_has_no_length():
+    torch.manual_seed(0)
+    paths = falling(40)
+    for found in (proposal().samples(paths, 24, jitter=jitter) for jitter in (True, False)):
+        assert (found.s >= found.edges[:, :-1] - 1e-6).all()  # a few roundings of 2.4
+        assert (found.s <= found.edges[:, 1:] + 1e-6).all()
+        assert not found.s.requires_grad
+        assert [r.weights.shape[1] for r in found.rounds] == list(SMALL.samples)
+        assert all(bool(torch.isfinite(r.weights).all()) for r in found.rounds)
+        assert not found.rounds[0].weights[-1].any()
+
+
+def test_the_loss_teaches_the_proposal_alone():
+    made, paths = proposal(), falling(20)
+    model = HashVolume(BOX, HashSettings(3, 8, 6, 12, hidden=8, geometry=3))
+    scene = Scene(model, column=WaterColumn(), proposal=made)
+    rendered = scene.render(paths, scene.samples(paths, None, 32, jitter=True))
+    opaque = rendered.weights + 0.5
+    opaque.retain_grad()
+    made.loss(rendered.samples, opaque).backward()
+    assert opaque.grad is None
+    assert all(p.grad is None for p in model.parameters())
+    assert [name for name, p in made.named_parameters() if p.grad is None or not p.grad.any()] == []
+
+
+def test_a_scene_has_the_proposals_parameters_and_comes_back_bit_for_bit():
+    scene, again = (
+        Scene(HashVolume(BOX, HashSettings(3, 8, 6, 12, hidden=8, geometry=3)), proposal=proposal(seed))
+        for seed in (0, 1)
+    )
+    learning = [p for group in scene.rates() for p in group.parameters]
+    assert {id(p) for p in learning} == {id(p) for p in scene.parameters()}
+    stored = io.BytesIO()
+    torch.save(scene.state_dict(), stored)
+    stored.seek(0)
+    again.load_state_dict(torch.load(stored))
+    assert torch.equal(scene.proposal.density(1, positions(9)), again.proposal.density(1, positions(9)))
+
+
+def test_the_defaults_are_those_of_nerfacto():
+    defaults = ProposalSettings()
+    assert (defaults.samples, defaults.n_max, defaults.n_min) == ((256, 96), (128, 256), 16)
+    assert (defaults.levels, defaults.log2_table, defaults.hidden) == (5, 17, 16)
+
+
+def test_rounds_of_unequal_number_are_refused():
+    with pytest.raises(ValueError, match=r"samples \(64, 32\) and n_max \(128,\) expect one number for each round"):
+        ProposalSettings(samples=(64, 32), n_max=(128,))
+
+
+def test_a_second_sampler_is_refused():
+    scene = Scene(HashVolume(BOX, HashSettings(3, 8, 6, 12)), proposal=proposal())
+    with pytest.raises(ValueError, match=r"by_score is 0\.3, but the scene's proposal draws samples: use one of both"):
+        train_scene(scene, Photographs([], [], []), Training(by_score=0.3), lambda share: None)
+
+
+def test_a_proposal_learns_with_its_volume():
+    made = proposal()
+    settings = HashSettings(levels=5, log2_table=10, n_min=6, n_max=48, hidden=16, geometry=7)
+    check_learning(lambda appearance: HashVolume(BOX, settings), steps=40, share=0.5, proposal=made)

@@ -63,48 +63,47 @@ class HashGrid(nn.Module):
     def __init__(self, box: Box, levels: int, log2_table: int, n_min: int, n_max: int):
         super().__init__()
         grids = [grid_of(box, round(n)) for n in geometric_scales(n_min, n_max, levels)]
-        cells = torch.tensor([(g.nx, g.ny, g.nz) for g in grids])
-        nodes = (cells + 1).prod(dim=1)
+        cells = torch.tensor([(g.nx, g.ny, g.nz) for g in grids]).T
+        nodes = (cells + 1).prod(dim=0)
         self.num_dense = int((nodes <= 2**log2_table).sum())
         self.mask = 2**log2_table - 1
-        strides = torch.tensor([PRIMES] * levels)
-        nx, ny, _ = (cells[: self.num_dense] + 1).T
-        strides[: self.num_dense] = torch.stack([torch.ones_like(nx), nx, nx * ny], dim=1)
+        strides = torch.tensor(PRIMES)[:, None].repeat(1, levels)
+        nx, ny, _ = cells[:, : self.num_dense] + 1
+        strides[:, : self.num_dense] = torch.stack([torch.ones_like(nx), nx, nx * ny])
         rows = nodes.clamp(max=2**log2_table)
         self.register_buffer("cells", cells, persistent=False)
         self.register_buffer("strides", strides, persistent=False)
         self.register_buffer("first", torch.cumsum(rows, 0) - rows, persistent=False)
         self.table = nn.Parameter(torch.empty(int(rows.sum()), PER_LEVEL).uniform_(-1e-4, 1e-4))
 
-    @property
-    def num_features(self) -> int:
-        """Levels times 2."""
-        return len(self.cells) * PER_LEVEL
-
     def rows(self, corner: Tensor) -> Tensor:
-        """Equation (2): rows (S, L, 2, 2, 2) of the nodes about cells whose lowest node is ``corner`` (S, L, 3)."""
-        low = corner * self.strides
-        x, y, z = torch.stack([low, low + self.strides], dim=-1).unbind(2)
-        x, y, z = x[..., :, None, None], y[..., None, :, None], z[..., None, None, :]
+        """Equation (2): rows (8, L, S) int32 of the nodes about cells whose lowest nodes are ``corner`` (3, L, S).
+
+        Rows of a level count from its first. Of each product only the last T bits count, in sums too: those fit.
+        """
+        nodes = torch.stack([corner, corner + 1], dim=1) * self.strides[:, None, :, None] & self.mask
+        x, y, z = nodes.int()
+        x, y, z = x[:, None, None], y[None, :, None], z[None, None, :]
         d = self.num_dense
-        dense = x[:, :d] + y[:, :d] + z[:, :d]
-        hashed = (x[:, d:] ^ y[:, d:] ^ z[:, d:]) & self.mask
-        return torch.cat([dense, hashed], dim=1) + self.first[:, None, None, None]
+        dense = x[..., :d, :] + y[..., :d, :] + z[..., :d, :]
+        hashed = x[..., d:, :] ^ y[..., d:, :] ^ z[..., d:, :]
+        return torch.cat([dense, hashed], dim=-2).flatten(0, 2)
 
     def forward(self, u: Tensor) -> Tensor:
         """Features (S, L * 2) at box coordinates u (S, 3) in [0, 1]; outside, those of the border.
 
-        No gradient flows to `u`. That of the table is summed in the order of the samples, on any number of threads.
+        No gradient flows to `u`. That of the table is summed in one order on any number of threads.
         """
-        x = u.detach().clamp(0.0, 1.0)[:, None, :] * self.cells
-        corner = torch.minimum(x.long(), self.cells - 1)
+        x = u.detach().clamp(0.0, 1.0).T[:, None] * self.cells[..., None]
+        corner = torch.minimum(x.long(), self.cells[..., None] - 1)
         share = x - corner
-        wx, wy, wz = torch.stack([1.0 - share, share], dim=-1).unbind(2)
-        weights = wx[..., :, None, None] * wy[..., None, :, None] * wz[..., None, None, :]
+        wx, wy, wz = torch.stack([1.0 - share, share], dim=1)
+        weights = (wx[:, None, None] * wy[None, :, None] * wz[None, None, :]).flatten(0, 2)
+        rows = self.rows(corner) + self.first.int()[:, None]
         # A pair of features travels as one complex number: the table is passed once, and its gradient is a plain loop.
-        pairs = torch.view_as_complex(self.table).index_select(0, self.rows(corner).view(-1))
-        values = torch.view_as_real(pairs).view(*corner.shape[:2], 8, PER_LEVEL)
-        return (values * weights.flatten(2)[..., None]).sum(dim=2).flatten(1)
+        pairs = torch.view_as_complex(self.table).index_select(0, rows.view(-1)).view(weights.shape)
+        features = (torch.view_as_real(pairs) * weights[..., None]).sum(dim=0)
+        return features.transpose(0, 1).flatten(1)
 
 
 class HashVolume(VolumeModel):
@@ -129,7 +128,7 @@ class HashVolume(VolumeModel):
         hidden, geometry = settings.hidden, settings.geometry
         self.grid = HashGrid(box, settings.levels, settings.log2_table, settings.n_min, settings.n_max)
         self.density = nn.Sequential(
-            nn.Linear(self.grid.num_features, hidden), nn.ReLU(), nn.Linear(hidden, 1 + geometry)
+            nn.Linear(PER_LEVEL * settings.levels, hidden), nn.ReLU(), nn.Linear(hidden, 1 + geometry)
         )
         seen = geometry + (settings.degree + 1) ** 2 - 1 + appearance
         self.colour = nn.Sequential(

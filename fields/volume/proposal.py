@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from fields.render import render_weights
-from fields.volume.hash_grid import HashGrid
+from fields.volume.hash_grid import PER_LEVEL, HashGrid
 from fields.volume.model import Rates, density_of
 from fields.volume.paths import Box, Paths
 from fields.volume.sampling import Samples, samples_by_mass
@@ -89,7 +89,7 @@ class Proposal(nn.Module):
         super().__init__()
         self.box, self.settings = box, settings
         grids = [HashGrid(box, settings.levels, settings.log2_table, settings.n_min, n) for n in settings.n_max]
-        width, hidden = 2 * settings.levels, settings.hidden
+        width, hidden = PER_LEVEL * settings.levels, settings.hidden
         self.rounds = nn.ModuleList(
             nn.Sequential(grid, nn.Linear(width, hidden), nn.ReLU(), nn.Linear(hidden, 1)) for grid in grids
         )

@@ -69,22 +69,31 @@ class ColourHead(nn.Module):
     ----------
     degree : int
         Of the spherical harmonics of the direction in the medium where the sample lies; 0 for a matt bed.
+    extra : int
+        Length of an appearance vector; 0 without.
     """
 
-    def __init__(self, scales: int, directions: int, channels: int, *, hidden: int = 32, degree: int = 0):
+    def __init__(
+        self, scales: int, directions: int, channels: int, *, hidden: int = 32, degree: int = 0, extra: int = 0
+    ):
         super().__init__()
         width = scales * directions * channels
         self.degree = degree
         self.weights = nn.Parameter(torch.ones(width))
-        self.first = nn.Linear(width + ((degree + 1) ** 2 - 1), hidden)
+        self.first = nn.Linear(width + ((degree + 1) ** 2 - 1) + extra, hidden)
         self.middle = nn.Linear(hidden, hidden)
         self.last = nn.Linear(hidden, 3)
 
-    def forward(self, features: Tensor, directions: Tensor | None) -> Tensor:
-        """Linear radiance (samples, 3), at least 0, of features (samples, L D F) seen along unit directions."""
+    def forward(self, features: Tensor, directions: Tensor | None, appearance: Tensor | None = None) -> Tensor:
+        """Linear radiance (samples, 3), at least 0, of features (samples, L D F) seen along unit directions.
+
+        ``appearance`` (samples, extra) is the vector of the photograph of each sample.
+        """
         f = features * self.weights
         if self.degree > 0:
             f = torch.cat([f, spherical_harmonics(directions, self.degree)], dim=1)
+        if appearance is not None:
+            f = torch.cat([f, appearance], dim=1)
         gelu = nn.functional.gelu
         return nn.functional.softplus(self.last(gelu(self.middle(gelu(self.first(f))))), beta=4.0)
 
@@ -107,27 +116,75 @@ def spherical_harmonics(d: Tensor, degree: int) -> Tensor:
 class WaterColumn(nn.Module):
     """What the water does to the light of the bed: absorption per channel, a veil, and the surface's reflection.
 
-        seen = (1 - R) (exp(-a l) bed + (1 - exp(-a l)) veil) + R sky
+        seen = (1 - R) (exp(-a w) bed + (1 - exp(-a w)) veil) + R sky
 
-    ``l`` is the path in water [m], R the Fresnel reflectance of unpolarised light at the crossing. Linear radiance.
+    ``w`` is the way in water [m], R the Fresnel reflectance of unpolarised light at the crossing. Linear radiance.
     The veil builds up with the same coefficient as the light is lost, so that endless water shows the veil alone.
+
+    Parameters
+    ----------
+    absorption : (3,) floats [1/m], optional
+        Per channel, of the light's whole way in water, down and up. Given, it is not learned.
+    veil : (3,) floats, optional
+        Linear radiance of endless water. Given, it is not learned.
     """
 
-    def __init__(self):
+    def __init__(self, absorption: tuple[float, ...] | None = None, veil: tuple[float, ...] | None = None):
         super().__init__()
+        self.is_given = absorption is not None
         # Clear coastal water to begin with, red first [1/m]; softplus keeps absorption positive.
-        self.raw_absorption = nn.Parameter(torch.log(torch.expm1(torch.tensor([0.3, 0.07, 0.05]))))
-        self.raw_veil = nn.Parameter(torch.full((3,), -1.5))
+        self._hold("absorption", absorption, torch.log(torch.expm1(torch.tensor([0.3, 0.07, 0.05]))))
+        self._hold("veil", veil, torch.full((3,), -1.5))
         self.raw_sky = nn.Parameter(torch.zeros(3))
+
+    def _hold(self, name: str, given: tuple[float, ...] | None, start: Tensor) -> None:
+        """Keep a value as it is given, or what softplus makes it of, to be learned."""
+        if given is not None:
+            self.register_buffer(f"given_{name}", torch.tensor(given, dtype=torch.float32))
+        else:
+            self.register_parameter(f"raw_{name}", nn.Parameter(start))
 
     @property
     def absorption(self) -> Tensor:
         """[1/m] per channel."""
-        return nn.functional.softplus(self.raw_absorption)
+        return self.given_absorption if self.is_given else nn.functional.softplus(self.raw_absorption)
 
-    def forward(self, bed: Tensor, length: Tensor, reflectance: Tensor) -> Tensor:
-        """Radiance (rays, 3) above the water of the bed's (rays, 3) under ``length`` (rays,) [m] of water."""
-        kept = torch.exp(-self.absorption * length[:, None])
-        below = kept * bed + (1.0 - kept) * nn.functional.softplus(self.raw_veil)
+    @property
+    def veil(self) -> Tensor:
+        """Linear radiance of endless water, per channel."""
+        return self.given_veil if hasattr(self, "given_veil") else nn.functional.softplus(self.raw_veil)
+
+    @property
+    def sky(self) -> Tensor:
+        """Linear radiance that the surface mirrors, per channel."""
+        return nn.functional.softplus(self.raw_sky)
+
+    def given(self) -> dict[str, tuple[float, ...]]:
+        """What was given of it, as the constructor takes it."""
+        found = {name: getattr(self, f"given_{name}", None) for name in ("absorption", "veil")}
+        return {name: tuple(value.tolist()) for name, value in found.items() if value is not None}
+
+    def way(self, depth: Tensor, length: Tensor) -> Tensor:
+        """What the absorption counts [m], of the depth of the bed and the length of the path up from it (rays,).
+
+        A given coefficient is the water's own and counts the light's way down too, as deep as the bed lies; a learned
+        one counts the path up alone and stands for both.
+        """
+        return length + depth if self.is_given else length
+
+    def forward(self, bed: Tensor, way: Tensor, reflectance: Tensor) -> Tensor:
+        """Radiance (rays, 3) above the water of the bed's (rays, 3) behind a ``way`` (rays,) [m] in water."""
+        kept = torch.exp(-self.absorption * way[:, None])
+        below = kept * bed + (1.0 - kept) * self.veil
         r = reflectance[:, None]
-        return (1.0 - r) * below + r * nn.functional.softplus(self.raw_sky)
+        return (1.0 - r) * below + r * self.sky
+
+    def bed_of(self, seen: Tensor, way: Tensor, reflectance: Tensor) -> Tensor:
+        """Radiance (rays, 3) of the bed, of what is seen of it above the water (rays, 3); undoes `forward`.
+
+        Below zero where the veil and the sky's reflection alone are brighter than what is seen.
+        """
+        kept = torch.exp(-self.absorption * way[:, None])
+        r = reflectance[:, None]
+        below = (seen - r * self.sky) / (1.0 - r)
+        return (below - (1.0 - kept) * self.veil) / kept

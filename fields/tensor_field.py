@@ -68,10 +68,10 @@ class TensorField(nn.Module):
 
     On the survey grid the raw density moves the bed: signed distance = zeta - half * tanh(raw), with a Laplace law of
     learned width, so that the middle of a ray's weights is the bed and a field of zero the proxy. In the paper's cube
-    the density is softplus(raw) per cell.
+    the density is softplus(raw) per cell. ``column`` is the water over the bed, None for a dry survey.
     """
 
-    def __init__(self, slab: Slab, settings: FieldSettings, device: Device, *, water: bool):
+    def __init__(self, slab: Slab, settings: FieldSettings, device: Device, column: WaterColumn | None):
         super().__init__()
         self.slab, self.settings = slab, settings
         if settings.sheared:
@@ -84,7 +84,7 @@ class TensorField(nn.Module):
         self.factors = Factors(grids, settings.directions, settings.channels, device)
         self.density = DensityHead(*shape)
         self.colour = ColourHead(*shape, degree=2 if settings.view_dependent else 0)
-        self.column = WaterColumn() if water else None
+        self.column = column
         # Half a cell: tails that reach a face of the slab pull the bed away from it.
         self.log_width = nn.Parameter(torch.log(torch.tensor(0.5 * slab.cell, dtype=torch.float32)))
 
@@ -151,9 +151,10 @@ class TensorField(nn.Module):
         radiance = (share[..., None] * seen.view(*z.shape, 3)).sum(dim=1)
         if self.column is not None and not dry:
             bed = (weights.detach() * z).sum(dim=1)
-            length = (-bed).clamp(min=0.0) * rays.wet.norm(dim=1)
+            depth = (-bed).clamp(min=0.0)
+            way = self.column.way(depth, depth * rays.wet.norm(dim=1))
             # Light of dry ground crosses no surface.
-            radiance = self.column(radiance, length, torch.where(bed < 0.0, rays.reflectance, 0.0))
+            radiance = self.column(radiance, way, torch.where(bed < 0.0, rays.reflectance, 0.0))
         return radiance.clamp(min=1e-4) ** (1.0 / GAMMA), weights, ends
 
     @torch.no_grad()

@@ -12,6 +12,7 @@ import torch
 
 from fields.bed import trusted
 from fields.device import Device
+from fields.heads import WaterColumn
 from fields.rays import Rays, rays_of
 from fields.slab import Slab
 from fields.sweep import DepthMap
@@ -61,12 +62,16 @@ class Sources:
     maps : list of DepthMap
     images : list of (height, width, 3) uint8
     water : FlatWater or None
+    absorption, veil : (3,) floats, optional
+        Of the water, where they are known; see `fields.heads.WaterColumn`.
     """
 
     cameras: list[PinholeCamera]
     maps: list[DepthMap]
     images: list[np.ndarray]
     water: FlatWater | None
+    absorption: tuple[float, ...] | None = None
+    veil: tuple[float, ...] | None = None
 
     @cached_property
     def pixels(self) -> list[np.ndarray]:
@@ -147,7 +152,8 @@ def train(
         If no pixel with a trusted height looks into the slab.
     """
     torch.manual_seed(0)
-    field = TensorField(slab, settings, device, water=sources.water is not None)
+    column = None if sources.water is None else WaterColumn(sources.absorption, sources.veil)
+    field = TensorField(slab, settings, device, column)
     steps, batch = _steps(schedule.rays_per_cell, int(slab.known.sum()))
     groups = [
         {"params": [field.factors.planes, field.factors.vectors], "top": schedule.factors},

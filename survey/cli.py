@@ -123,6 +123,9 @@ def process(
     calibrate_water: Annotated[
         bool, typer.Option("--calibrate-water", help="First estimate the water from the photographs.")
     ] = False,
+    true_colour: Annotated[
+        bool, typer.Option("--true-colour", help="Give points the colour of the bed without the water.")
+    ] = False,
     reference: Annotated[Path | None, typer.Option(help="True surface, for the report only.")] = None,
     visible: Annotated[Path | None, typer.Option(help="Points of it that cameras see, for the report only.")] = None,
     verbose: Verbose = 0,
@@ -140,6 +143,7 @@ def process(
             field=field.value,
             resume=resume,
             calibrate_water=calibrate_water,
+            true_colour=true_colour,
             reference=reference,
             visible=visible,
         )

@@ -47,6 +47,8 @@ class WaterConfig:
     refractive_index: float | None = None
     temperature_c: float | None = None
     salinity_psu: float | None = None
+    absorption_per_m: tuple[float, float, float] | None = None  # of red, green, blue, on the way down and up
+    veiling_light: tuple[float, float, float] | None = None  # linear, of endless water; 1 is a photograph's white
     shoreline: str | None = None  # CSV of points, easting, northing, height, where water meets land
     gnss_points: str | None = None  # the same, of points anywhere on the surface
     gauge: str | None = None  # CSV of time, level
@@ -210,6 +212,12 @@ def _check_water(values: dict) -> None:
         raise ConfigError(
             f"[water] refractive_index is {index:g}, expected 1.0 to 1.6 relative to air; fresh water has 1.333, sea "
             "water 1.340"
+        )
+    of_light = [key for key in ("absorption_per_m", "veiling_light") if key in values]
+    if len(of_light) == 1:
+        raise ConfigError(
+            f"[water] has {of_light[0]} alone, expected absorption_per_m and veiling_light together; give both "
+            "(veiling_light = [0, 0, 0] for water that scatters nothing) or neither"
         )
     for key in ("slope_east", "slope_north"):
         if abs(values.get(key, 0.0)) > 0.2:

@@ -41,6 +41,19 @@ def _numbers(count: int, what: str):
     return check
 
 
+def _of_channels(what: str):
+    """Three numbers, red, green and blue, none below zero."""
+    numbers = _numbers(3, f"[red, green, blue], {what}")
+
+    def check(key: str, value) -> tuple[float, ...]:
+        found = numbers(key, value)
+        if min(found) < 0.0:
+            raise ConfigError(f"{key} is {_shown(value)}, expected [red, green, blue], {what}, none below zero")
+        return found
+
+    return check
+
+
 def _size(key: str, value) -> tuple[int, int]:
     whole = isinstance(value, list) and all(isinstance(v, int) and not isinstance(v, bool) and v > 0 for v in value)
     if not whole or len(value) != 2:
@@ -104,6 +117,8 @@ SECTIONS = {
         "refractive_index": _number,
         "temperature_c": _number,
         "salinity_psu": _number,
+        "absorption_per_m": _of_channels("the share of light that a metre of water takes, e.g. [0.3, 0.07, 0.05]"),
+        "veiling_light": _of_channels("linear light of endless water, 1 for white, e.g. [0.03, 0.17, 0.2]"),
         "shoreline": _text,
         "gnss_points": _text,
         "gauge": _text,

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
+from fields.heads import WaterColumn
+from fields.true_colour import true_colours
 from survey import stages
 from survey.compare import CompareOptions, compare_surfaces
 from survey.config import dump_config
@@ -26,6 +28,7 @@ from survey.report import ReportFacts, write_report
 from survey.rundir import RunDir, stage_key
 from survey.stored import StoredBed, load_bed, load_depth_maps, save_bed, save_depth_maps
 from survey.stored_field import load_field, save_field, save_place
+from survey.water_colour import colour_is_known, colour_of, require_water, save_colour, with_colour
 from survey.waterline_stage import calibrated
 
 QUALITY_GATE_FAILED = 3
@@ -42,6 +45,7 @@ def process(
     resume: bool = True,
     field: str = "auto",
     calibrate_water: bool = False,
+    true_colour: bool = False,
     reference: Path | None = None,
     visible: Path | None = None,
 ) -> int:
@@ -60,6 +64,8 @@ def process(
         Use what an earlier run in this folder finished, where nothing that it depends on has changed.
     calibrate_water : bool
         First estimate level, slopes and index of the water from the photographs; what they cannot tell stays as given.
+    true_colour : bool
+        Give the points the bed's own colour, the water taken away, instead of the photographs'.
     reference, visible : Path, optional
         True surface and the points of it that cameras see, for the report; the reconstruction never reads them.
 
@@ -79,6 +85,8 @@ def process(
         if path is not None and not path.exists():
             raise SurveyError(f"{name} {path} does not exist; give the path of a PLY, OBJ, LAS or LAZ file")
     survey = load_survey(survey_folder, workspace=run_folder / "sfm", report=progress.note)
+    if true_colour:
+        require_water(survey)
     plan = make_plan(survey, quality=quality, device=device, field=field)
     with RunDir(run_folder) as run:
         progress.log_to(run.log_path)
@@ -88,7 +96,7 @@ def process(
         _announce(progress, survey, plan)
         run.write_text(run.settings_path, dump_config(survey.config))
         run.write_text(run.plan_path, json.dumps(plan.as_dict(), indent=2))
-        return _Run(run, survey, plan, progress, resume).to_the_end(reference, visible)
+        return _Run(run, survey, plan, progress, resume, true_colour).to_the_end(reference, visible)
 
 
 def _announce(progress: Progress, survey: Survey, plan: Plan) -> None:
@@ -104,8 +112,9 @@ def _announce(progress: Progress, survey: Survey, plan: Plan) -> None:
 class _Run:
     """One run of the pipeline: what its stages share."""
 
-    def __init__(self, run: RunDir, survey: Survey, plan: Plan, progress: Progress, resume: bool):
+    def __init__(self, run: RunDir, survey: Survey, plan: Plan, progress: Progress, resume: bool, true_colour: bool):
         self.run, self.survey, self.plan, self.progress, self.resume = run, survey, plan, progress, resume
+        self.true_colour = true_colour
         self.timings: dict[str, float] = {}
         self._block = None
 
@@ -116,11 +125,18 @@ class _Run:
             self.plan.image_scale, self.plan.quality, self.plan.device,
         )  # fmt: skip
         sweep_key, sweep_folder = key, self._stage("sweep", key, self._sweep)
+        if self.true_colour and not colour_is_known(self.survey):
+            folder = self._stage(
+                "water_colour", stage_key(key, "water_colour"), lambda f: self._colour(f, sweep_folder)
+            )
+            self.survey = with_colour(self.survey, folder)
+            self.progress.note(f"water colour: {self.survey.assumptions[-1]}")
+        colour = colour_of(self.survey)
         field_folder = None
         if self.plan.is_on("field"):
-            key = stage_key(key, "field", self.survey.frame)
+            key = stage_key(key, "field", self.survey.frame, colour)
             field_folder = self._stage("field", key, lambda f: self._field(f, sweep_folder))
-        key = stage_key(key, "bed", self.survey.frame)
+        key = stage_key(key, "bed", self.survey.frame, colour if self.true_colour else None)
         bed_folder = self._stage("bed", key, lambda f: self._bed(f, sweep_folder, field_folder))
         stored = load_bed(bed_folder)
         self._write_cloud(stored)
@@ -158,6 +174,11 @@ class _Run:
         self.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {stages.plane_name(self.survey)}")
         save_depth_maps(folder / "maps.npz", maps)
 
+    def _colour(self, folder: Path, sweep_folder: Path) -> None:
+        maps = load_depth_maps(sweep_folder / "maps.npz")
+        with self.progress.stage("Water colour"):
+            save_colour(folder, stages.sources_of(self.survey, self.plan, maps))
+
     def _field(self, folder: Path, sweep_folder: Path) -> None:
         maps = load_depth_maps(sweep_folder / "maps.npz")
         with self.progress.stage("Field", 1.0) as stage:
@@ -178,6 +199,10 @@ class _Run:
                 "no point of the bed was confirmed by two views; check that poses, water level and images belong "
                 "together (bathynerf check) and that the views overlap"
             )
+        if self.true_colour:
+            rgb, too_bright = true_colours(bed, self.survey.water, WaterColumn(*colour_of(self.survey)))
+            bed = replace(bed, rgb=rgb)
+            self.progress.detail(f"{100 * too_bright:.1f} % of the points are brighter than white without the water")
         points_crs = self.survey.frame.crs_from_local(bed.xyz)
         save_bed(folder, StoredBed(bed, points_crs, self.survey.frame.crs, self.survey.name, self.plan.gsd_m))
 

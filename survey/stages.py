@@ -119,14 +119,22 @@ def local_area(survey: Survey) -> tuple[float, float, float, float] | None:
     return (*corners[:, :2].min(axis=0), *corners[:, :2].max(axis=0))
 
 
-def train_field(survey: Survey, plan: Plan, maps: list[DepthMap], stage) -> tuple[TensorField, dict]:
-    """The field inside the bound of the sweep, and the figures of its training."""
-    sources = Sources(
+def sources_of(survey: Survey, plan: Plan, maps: list[DepthMap]) -> Sources:
+    """The photographs that have a height map, with their water."""
+    given = survey.config.water
+    return Sources(
         [camera_of(survey.views[m.view], plan) for m in maps],
         maps,
         [load_image(survey.views[m.view], scale=plan.image_scale) for m in maps],
         survey.water,
+        None if given is None else given.absorption_per_m,
+        None if given is None else given.veiling_light,
     )
+
+
+def train_field(survey: Survey, plan: Plan, maps: list[DepthMap], stage) -> tuple[TensorField, dict]:
+    """The field inside the bound of the sweep, and the figures of its training."""
+    sources = sources_of(survey, plan, maps)
     area = local_area(survey)
     if area is not None:
         area = grown(area, AREA_MARGIN_M)

@@ -13,6 +13,7 @@ import torch
 from pyproj import CRS
 
 from fields.device import Device
+from fields.heads import WaterColumn
 from fields.slab import Slab
 from fields.tensor_field import FieldSettings, TensorField
 from geo.files import write_whole
@@ -33,6 +34,7 @@ def save_field(folder: Path, field: TensorField, figures: dict) -> None:
         "settings": dataclasses.asdict(field.settings),
         "is_fine": field.density.is_fine,
         "water": field.column is not None,
+        "given": {} if field.column is None else field.column.given(),
     }
     with write_whole(folder / FIELD_FILE) as stream:
         torch.save(stored, stream)
@@ -56,7 +58,9 @@ def load_field(folder: Path, device: Device) -> TensorField:
             raise ValueError(f"its part {damaged} is damaged")
         stored = torch.load(path, weights_only=True)
         slab = Slab(**{k: v.numpy() if torch.is_tensor(v) else v for k, v in stored["slab"].items()})
-        field = TensorField(slab, FieldSettings(**stored["settings"]), device, water=stored["water"])
+        # A field of version 0.1 has nothing given.
+        column = WaterColumn(**stored.get("given", {})) if stored["water"] else None
+        field = TensorField(slab, FieldSettings(**stored["settings"]), device, column)
         field.load_state_dict(stored["state"])
     except _DAMAGE as error:
         raise SurveyError(

@@ -7,6 +7,7 @@ import torch
 from plane_survey import PlaneBed, texture
 
 from fields.device import Device
+from fields.heads import WaterColumn
 from fields.rays import GAMMA, Rays, rays_of
 from fields.slab import Slab
 from fields.sweep import DepthMap
@@ -53,7 +54,9 @@ def rays_at(bed: PlaneBed, camera: PinholeCamera, height, *, step: int = 7) -> R
     return rays_of(camera, bed.water, pixels, heights, np.full((len(pixels), 3), 128, dtype=np.uint8))
 
 
-def field_over(slab: Slab, device: Device, *, seed: int = 0, water: bool = True, **settings) -> TensorField:
-    """An untrained field, the same for the same seed."""
+def field_over(
+    slab: Slab, device: Device, *, seed: int = 0, water: bool = True, given: dict | None = None, **settings
+) -> TensorField:
+    """An untrained field, the same for the same seed; ``given`` is what is known of the water."""
     torch.manual_seed(seed)
-    return TensorField(slab, FieldSettings(**settings), device, water=water)
+    return TensorField(slab, FieldSettings(**settings), device, WaterColumn(**(given or {})) if water else None)

@@ -11,6 +11,7 @@ from plane_field import field_over, level_slab, rays_at
 from plane_survey import TILTED, PlaneBed, look, ring
 
 from fields.device import choose_device
+from fields.heads import WaterColumn
 from fields.rays import GAMMA
 from fields.tensor_field import MIN_COLOUR_WEIGHT, FieldSettings, TensorField
 from refract import FlatWater
@@ -245,7 +246,7 @@ def test_a_view_dependent_field_sees_the_direction_in_the_medium_of_the_sample()
 
 def test_the_papers_preset_has_its_six_scales_and_three_directions():
     paper = FieldSettings.paper()
-    field = TensorField(level_slab(-2.0), paper, TORCH, water=True)
+    field = TensorField(level_slab(-2.0), paper, TORCH, WaterColumn())
     assert [g.nx for g in field.factors.grids] == [64, 84, 111, 147, 194, 256]
     assert field.factors.num_features == 6 * 3 * 4
     colours, weights, ends = field.render(rays_at(PlaneBed(LEVEL, -2.0), ring(2)[1], -2.0), jitter=True)

@@ -13,6 +13,7 @@ from plane_survey import TILTED, PlaneBed, ring
 
 from fields import train as training
 from fields.device import choose_device
+from fields.heads import WaterColumn
 from fields.refine import refine
 from fields.tensor_field import FieldSettings, TensorField
 from fields.train import Schedule, Sources, draw_rays, slab_of, train
@@ -54,7 +55,7 @@ def test_training_brings_a_displaced_bed_back_in_both_stages():
     sources = plane_sources(BED, ring(6), shift=0.015)
     slab = slab_of(sources, GSD, None)
     device = choose_device("cpu")
-    untrained = TensorField(slab, FieldSettings(), device, water=True)
+    untrained = TensorField(slab, FieldSettings(), device, WaterColumn())
     assert np.median(errors_mm(sources, untrained)) == pytest.approx(15.0, abs=0.5)
     shares = []
     field, figures = train(sources, slab, FieldSettings(), Schedule(30.0), device, shares.append)
@@ -87,7 +88,7 @@ def test_colours_learn_first_and_the_bed_stays_where_it_is(cameras, device, shor
     monkeypatch.setattr(training, "COLOUR_FIRST", 0.999)
     sources = plane_sources(BED, cameras)
     slab = slab_of(sources, GSD, None)
-    start = TensorField(slab, FieldSettings(), device, water=True)
+    start = TensorField(slab, FieldSettings(), device, WaterColumn())
     field, figures = train(sources, slab, FieldSettings(), Schedule(1.0), device, quietly)
     assert not field.density.coarse.weight.any()
     assert field.log_width == start.log_width
@@ -196,7 +197,7 @@ def test_rays_whose_own_height_leaves_the_slab_are_left_out(cameras, rng):
 def test_the_field_leaves_pixels_alone_that_it_was_not_asked_for_or_that_lie_elsewhere(cameras):
     sources = plane_sources(BED, cameras)
     slab = slab_of(sources, GSD, None)
-    field = TensorField(slab, FieldSettings(), choose_device("torch"), water=True)
+    field = TensorField(slab, FieldSettings(), choose_device("torch"), WaterColumn())
     mast = sources.maps[0].height.copy()
     mast[20:30, 40:50] += 0.5
     depth_map = replace(sources.maps[0], height=mast)
@@ -215,7 +216,7 @@ def test_the_field_leaves_pixels_alone_that_it_was_not_asked_for_or_that_lie_els
 
 def test_the_field_moves_no_pixel_by_more_than_half_the_slab(cameras):
     sources = plane_sources(BED, cameras)
-    field = TensorField(slab_of(sources, GSD, None), FieldSettings(), choose_device("torch"), water=True)
+    field = TensorField(slab_of(sources, GSD, None), FieldSettings(), choose_device("torch"), WaterColumn())
     with torch.no_grad():
         field.density.coarse.bias.fill_(np.arctanh(0.7))  # the bed 0.7 halves above its proxy
     for share, moves in ((0.2, True), (-0.2, True), (-0.4, False)):

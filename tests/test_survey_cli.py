@@ -169,7 +169,7 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
     fake_module(monkeypatch, "survey.pipeline", process=process)
     result = bathynerf(
         "process", "s", "-o", "run", "--quality", "draft", "--device", "cpu", "--no-resume", "--field", "on",
-        "--calibrate-water", "--reference", "r.ply", "--visible", "v.ply", "-v",
+        "--calibrate-water", "--true-colour", "--reference", "r.ply", "--visible", "v.ply", "-v",
     )  # fmt: skip
     assert result.exit_code == 3
     expected = {
@@ -178,13 +178,15 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
         "field": "on",
         "resume": False,
         "calibrate_water": True,
+        "true_colour": True,
         "reference": Path("r.ply"),
         "visible": Path("v.ply"),
     }
     assert calls == [((Path("s"), Path("run")), expected, 1)]
     bathynerf("process", "s")
     defaults = {"quality": "standard", "device": "auto", "field": "auto", "resume": True, "calibrate_water": False}
-    assert calls[1] == ((Path("s"), None), {**defaults, "reference": None, "visible": None}, 0)
+    others = {"true_colour": False, "reference": None, "visible": None}
+    assert calls[1] == ((Path("s"), None), {**defaults, **others}, 0)
 
 
 def test_export_needs_something_to_write_and_prints_what_it_wrote(monkeypatch):

@@ -32,6 +32,8 @@ slope_east = 0.001
 slope_north = -0.004
 temperature_c = 14
 salinity_psu = 7.5
+absorption_per_m = [0.3, 0.07, 0.05]
+veiling_light = [0, 0.1, 0.2]
 [area]
 bounds = [589000, 5194700, 589050, 5194750]
 [local]
@@ -45,6 +47,8 @@ def test_every_known_key_is_read_and_written_back_to_the_same_settings():
     assert config.cameras.distortion == (-0.1, 0.02, 1e-4, -2e-5)
     assert config.water.level_m == 12.34
     assert config.water.slope_north == -0.004
+    assert config.water.absorption_per_m == (0.3, 0.07, 0.05)
+    assert config.water.veiling_light == (0.0, 0.1, 0.2)
     assert config.area.bounds == (589000.0, 5194700.0, 589050.0, 5194750.0)
     unset = [f.name for f in dataclasses.fields(config) if getattr(config, f.name) is None]
     assert unset == []
@@ -110,6 +114,19 @@ def test_ground_control_points_are_refused_with_what_to_give_instead():
         ("[water]\nlevel_m = 1\nrefractive_index = 1.3\ntemperature_c = 3", "contradict each other"),
         ("[water]\nlevel_m = 1\nsalinity_psu = 3", "salinity_psu without temperature_c"),
         ("[water]\nlevel_m = 1\nlevel_at = [1, 2, 3]", "water.level_at is [1, 2, 3], expected [easting, northing]"),
+        (
+            "[water]\nlevel_m = 1\nabsorption_per_m = 0.3",
+            "absorption_per_m is 0.3, expected [red, green, blue], the share",
+        ),
+        (
+            "[water]\nlevel_m = 1\nveiling_light = [0, -1, 0]",
+            "veiling_light is [0, -1, 0], expected [red, green, blue]",
+        ),
+        (
+            "[water]\nlevel_m = 1\nabsorption_per_m = [1, 0, 0]",
+            "has absorption_per_m alone, expected absorption_per_m and",
+        ),
+        ("[water]\nlevel_m = 1\nveiling_light = [0, 0, 0]", "has veiling_light alone"),
         ("water = 3.0", "water = 3.0 was found where the table [water] was expected"),
         ("[cameras]\nsize_px = [512.0, 384]", "cameras.size_px is [512.0, 384], expected [width, height]"),
         ("[cameras]\nfocal_px = -900.0", "cameras.focal_px is -900, expected a number above zero"),

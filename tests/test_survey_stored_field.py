@@ -30,7 +30,12 @@ def learned(device, **settings) -> TensorField:
     return field
 
 
-@pytest.mark.parametrize("settings", [{}, {"samples": 5, "water": False}, CUBE], ids=["wet", "dry", "cube"])
+GIVEN = {"given": {"absorption": (0.3, 0.1, 0.05), "veil": (0.0, 0.1, 0.2)}}
+
+
+@pytest.mark.parametrize(
+    "settings", [{}, {"samples": 5, "water": False}, CUBE, GIVEN], ids=["wet", "dry", "cube", "given"]
+)
 def test_a_field_comes_back_bit_for_bit(tmp_path, device, settings):
     field = learned(device, **settings)
     save_field(tmp_path, field, FIGURES)

@@ -73,7 +73,7 @@ def match_appearance(
     try:
         for _ in range(steps):
             paths = photographs.draw(rays, scene.model.box, rng)
-            rendered = scene.render(paths, cells.samples(paths, SAMPLES, jitter=True))
+            rendered = scene.render(paths, scene.samples(paths, cells, SAMPLES, jitter=True))
             error = ((rendered.rgb - paths.rgb) ** 2).mean()
             optimiser.zero_grad(set_to_none=True)
             error.backward(inputs=[vectors.weight])

@@ -40,7 +40,7 @@ def virtual_view_loss(
     points = paths.at(depth[:, None])[:, 0]
     centres = paths.origin + BASELINE * depth.mean() * _offsets(paths.view)
     moved, length = paths_through(centres, points, water, paths, scene.model.box)
-    again = scene.render(moved, cells.samples(moved, SAMPLES, jitter=True))
+    again = scene.render(moved, scene.samples(moved, cells, SAMPLES, jitter=True))
     cell = cells.box.edge / max(cells.occupied.shape)
     shown = ((again.depth > length - HIDDEN_CELLS * cell) & (moved.near < moved.far)).detach()
     colour = ((again.rgb - paths.rgb) ** 2).mean(dim=1)

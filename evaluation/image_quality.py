@@ -1,15 +1,19 @@
 """How alike two images are: PSNR, SSIM, MS-SSIM, GMSD, MS-GMSD; no network and no weights.
 
-The other two of the set, FSIM and VSI, are in `evaluation.feature_similarity`. Images are (H, W) or (H, W, 3), 0 to 1.
+FSIM and VSI are in `evaluation.feature_similarity`, LPIPS and DISTS in `evaluation.learned_similarity`.
+Images are (H, W) or (H, W, 3), 0 to 1.
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 from scipy import ndimage
 
 from evaluation.feature_similarity import fsim, vsi
-from evaluation.images import PREWITT, checked_pair, gradient, pooled, similarity, yiq
+from evaluation.images import PREWITT, checked_pair, gradient, largest_rectangle, pooled, similarity, yiq
 
 # Wang et al. 2004: Gaussian window and the constants that keep quotients finite.
 _WINDOW_PX, _SIGMA_PX = 11, 1.5
@@ -22,26 +26,60 @@ _MS_GMSD_WEIGHTS = (0.096, 0.596, 0.289, 0.019)
 _MS_GMSD_MASKING = 0.5
 
 
-def image_quality(reference: np.ndarray, image: np.ndarray) -> dict[str, float]:
+def image_quality(
+    reference: np.ndarray,
+    image: np.ndarray,
+    *,
+    mask: np.ndarray | None = None,
+    lpips_weights: Mapping | None = None,
+    dists_weights: Mapping | None = None,
+) -> dict[str, float]:
     """All measures by name: ``psnr_db``, ``ssim``, ``ms_ssim``, ``gmsd``, ``ms_gmsd``, ``fsim``, ``vsi``.
 
     GMSD and MS-GMSD are 0 for equal images, the others 1 (PSNR infinite). VSI needs colour and is left out of grey
-    images; MS-SSIM needs 161 pixels a side.
+    images; MS-SSIM needs 176 pixels a side.
+
+    Parameters
+    ----------
+    mask : (H, W) bool, optional
+        Pixels that count. PSNR takes all of them, the others the largest rectangle that they fill: what their windows,
+        scales and spectra would see of pixels beyond is no property of the image.
+    lpips_weights, dists_weights : optional
+        Bring ``lpips`` and ``dists``, 0 for equal images; see `evaluation.learned_similarity`.
 
     Raises
     ------
     ValueError
-        As `evaluation.images.checked_pair`.
+        As `evaluation.images.checked_pair`, for the rectangle too, and where weights are missing.
     """
-    measures = {"psnr_db": psnr, "ssim": ssim, "ms_ssim": ms_ssim, "gmsd": gmsd, "ms_gmsd": ms_gmsd, "fsim": fsim}
+    measures = {"ssim": ssim, "ms_ssim": ms_ssim, "gmsd": gmsd, "ms_gmsd": ms_gmsd, "fsim": fsim}
     if np.ndim(reference) == 3:
         measures["vsi"] = vsi
-    return {name: measure(reference, image) for name, measure in measures.items()}
+    if lpips_weights is not None or dists_weights is not None:
+        # Starts torch, which the other measures do without.
+        from evaluation import learned_similarity as learned
+
+        for name, weights in (("lpips", lpips_weights), ("dists", dists_weights)):
+            if weights is not None:
+                measures[name] = partial(getattr(learned, name), weights=weights)
+    window = (slice(None), slice(None)) if mask is None else largest_rectangle(mask)
+    whole = {"psnr_db": psnr(reference, image, mask)}
+    return whole | {name: measure(reference[window], image[window]) for name, measure in measures.items()}
 
 
-def psnr(reference: np.ndarray, image: np.ndarray) -> float:
-    """Peak signal to noise ratio [dB] over all pixels and channels; infinite for equal images."""
+def psnr(reference: np.ndarray, image: np.ndarray, mask: np.ndarray | None = None) -> float:
+    """Peak signal to noise ratio [dB] over all channels of the pixels in a mask; infinite where they are equal.
+
+    Raises
+    ------
+    ValueError
+        As `evaluation.images.checked_pair`, and if the mask is of another shape or empty.
+    """
     a, b = checked_pair(reference, image, smallest=1)
+    if mask is not None:
+        if mask.shape != a.shape[:2] or not mask.any():
+            raise ValueError(f"expected a mask {a.shape[:2]} with pixels, got {mask.shape} with {np.sum(mask)}")
+        a, b = a[mask], b[mask]
     error = float(np.mean((a - b) ** 2))
     return float("inf") if error == 0.0 else -10.0 * float(np.log10(error))
 
@@ -67,7 +105,7 @@ def ms_ssim(reference: np.ndarray, image: np.ndarray) -> float:
     Conference (2003), equation 7; between scales squares of 2 by 2 pixels are averaged. Negative terms count as zero.
     """
     levels = len(_MS_SSIM_WEIGHTS)
-    a, b = checked_pair(reference, image, smallest=(_WINDOW_PX - 1) * 2 ** (levels - 1) + 1)
+    a, b = checked_pair(reference, image, smallest=_WINDOW_PX * 2 ** (levels - 1))
     values = []
     for x, y in _channels(a, b):
         value = 1.0

@@ -35,6 +35,28 @@ def checked_pair(reference, image, *, smallest: int) -> tuple[np.ndarray, np.nda
     return pair
 
 
+def largest_rectangle(mask: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns of the largest rectangle of a mask (H, W) bool that holds true alone; of the first of several.
+
+    Row by row, the bars of true pixels that end there are extended sideways as far as none is shorter.
+    """
+    best, found = 0, (slice(0, 0), slice(0, 0))
+    bars = np.zeros(mask.shape[1] + 1, dtype=np.int64)
+    for row, line in enumerate(mask):
+        bars[:-1] = np.where(line, bars[:-1] + 1, 0)
+        # Columns where bars begin that rise; the last bar, of no height, ends all of them.
+        rising: list[tuple[int, int]] = []
+        for column, height in enumerate(bars.tolist()):
+            first = column
+            while rising and rising[-1][1] >= height:
+                first, tall = rising.pop()
+                if tall * (column - first) > best:
+                    best = tall * (column - first)
+                    found = (slice(row + 1 - tall, row + 1), slice(first, column))
+            rising.append((first, height))
+    return found
+
+
 def yiq(image: np.ndarray) -> np.ndarray:
     """Luma and, of a colour image, the colour differences I and Q: (1, H, W) or (3, H, W)."""
     return image[None] if image.ndim == 2 else np.einsum("cd,hwd->chw", _YIQ, image)

@@ -12,6 +12,7 @@ import pytest
 from image_pair import image_pair
 
 from evaluation import fsim, gmsd, image_quality, ms_gmsd, ms_ssim, psnr, ssim, vsi
+from evaluation.images import largest_rectangle
 
 # Sums of 1e5 terms in another order.
 ROUNDING = 1e-12
@@ -76,6 +77,13 @@ def test_ssim_of_two_flat_images_is_its_luminance():
     assert ssim(a, b) == pytest.approx((2 * 0.18 + 1e-4) / (0.45 + 1e-4), abs=ROUNDING)
 
 
+def test_the_smallest_image_of_five_scales_holds_a_window_at_each():
+    a, b = (v[:176, :176] for v in image_pair())
+    assert 0.0 < ms_ssim(a, b) < 1.0
+    with pytest.raises(ValueError, match="at least 176 x 176 pixels, got 176 x 175"):
+        ms_ssim(a[:175], b[:175])
+
+
 def test_images_without_features_or_saliency_are_alike():
     flat = np.full((32, 32, 3), 0.5)
     assert fsim(flat, flat) == 1.0
@@ -95,6 +103,35 @@ def test_images_without_features_or_saliency_are_alike():
 def test_pairs_that_cannot_be_compared_are_refused(a, b, message):
     with pytest.raises(ValueError, match=message):
         ssim(a, b)
+
+
+@pytest.mark.parametrize("density", [0.5, 0.8, 0.95])
+def test_the_largest_rectangle_is_that_of_trying_all(rng, density):
+    for _ in range(20):
+        mask = rng.random((7, 9)) < density
+        rows, columns = largest_rectangle(mask)
+        assert mask[rows, columns].all()
+        sides = [(r, s, c, d) for r in range(7) for s in range(r, 8) for c in range(9) for d in range(c, 10)]
+        most = max((s - r) * (d - c) for r, s, c, d in sides if mask[r:s, c:d].all())
+        assert (rows.stop - rows.start) * (columns.stop - columns.start) == most
+
+
+def test_only_pixels_in_the_mask_count(pair):
+    mask = np.zeros(pair[0].shape[:2], dtype=bool)
+    mask[10:230, 20:300] = True
+    mask[10:20, 20:30] = False
+    spoilt = pair[1].copy()
+    spoilt[~mask] = 0.0
+    found = image_quality(pair[0], spoilt, mask=mask)
+    rows, columns = largest_rectangle(mask)
+    cut = image_quality(pair[0][rows, columns], pair[1][rows, columns])
+    assert found == {**cut, "psnr_db": psnr(pair[0], pair[1], mask)}
+    errors = (pair[0] - pair[1])[mask]
+    assert found["psnr_db"] == pytest.approx(-10.0 * np.log10(np.mean(errors**2)), abs=ROUNDING)
+    with pytest.raises(ValueError, match=r"expected a mask \(256, 320\) with pixels, got \(256, 320\) with 0"):
+        image_quality(*pair, mask=np.zeros_like(mask))
+    with pytest.raises(ValueError, match=r"expected a mask \(256, 320\) with pixels, got \(3, 3\)"):
+        psnr(*pair, np.ones((3, 3), dtype=bool))
 
 
 def test_vsi_of_grey_images_is_refused_with_what_does_it_instead():

@@ -1,0 +1,84 @@
+"""What a volume has to offer to be rendered and trained: the one interface of all radiance fields over a box."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from fields.volume.paths import Box
+
+
+@dataclass(frozen=True)
+class Rates:
+    """A group of parameters with its learning rate for Adam."""
+
+    parameters: list[nn.Parameter]
+    rate: float
+
+
+class VolumeModel(nn.Module):
+    """Density and colour in a box.
+
+    Attributes
+    ----------
+    box : Box
+    """
+
+    def __init__(self, box: Box):
+        super().__init__()
+        self.box = box
+
+    @abstractmethod
+    def evaluate(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Density (S,) [1/m] and features (S, F) at positions (S, 3) [m], local."""
+
+    @abstractmethod
+    def radiance(self, features: Tensor, direction: Tensor, appearance: Tensor | None) -> Tensor:
+        """Linear radiance (S, 3), at least 0, seen along unit directions of travel (S, 3) in the medium of the sample.
+
+        ``appearance`` (S, A) is the vector of each sample's photograph. It touches colour, never density.
+        """
+
+    @abstractmethod
+    def rates(self) -> list[Rates]:
+        """Every parameter once, with its learning rate; asked again after `observe` has said that the model changed."""
+
+    def thickness(self, x: Tensor, direction: Tensor, length: Tensor) -> tuple[Tensor, Tensor]:
+        """Density times length (S,) of pieces of path about positions (S, 3) [m], and features (S, F)."""
+        density, features = self.evaluate(x)
+        return density * length, features
+
+    def observe(self, losses: list[float]) -> bool:
+        """Look at the losses of all steps so far; True where the model changed its parameters or their rates."""
+        return False
+
+    def penalty(self, x: Tensor) -> Tensor:
+        """What the model itself asks for in training, beside the photographs, at positions (S, 3) [m]: a scalar."""
+        return torch.zeros(())
+
+    def normals(self, x: Tensor, step: float) -> Tensor:
+        """Outward unit normals (S, 3) at positions (S, 3) [m]: against the gradient of density.
+
+        By central differences of ``step`` [m] to each side; zero where density is constant. Gradients flow to the
+        parameters.
+        """
+        return nn.functional.normalize(-self.density_gradient(x, step), dim=1)
+
+    def density_gradient(self, x: Tensor, step: float) -> Tensor:
+        """Gradient of density (S, 3) [1/m2] at positions (S, 3) [m], by central differences of ``step`` [m]."""
+        aside = step * torch.eye(3)
+        ends = torch.cat([x + a for a in aside] + [x - a for a in aside])
+        after, before = self.evaluate(ends)[0].view(2, 3, -1)
+        return ((after - before) / (2.0 * step)).T
+
+
+def density_of(raw: Tensor, cells: float, edge: float) -> Tensor:
+    """Density (S,) [1/m], ``softplus(raw + b)`` per finest detail of a model, which has ``cells`` along ``edge`` [m].
+
+    ``b = log(exp(1 / cells) - 1)``: where all raw numbers (S,) are zero, a share of 1/e of the light passes the edge.
+    """
+    return nn.functional.softplus(raw + math.log(math.expm1(1.0 / cells))) * (cells / edge)

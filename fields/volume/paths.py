@@ -1,0 +1,183 @@
+"""Bent light paths through a box, by path length: what a volume is sampled along.
+
+Rays through the slab of a survey stand at heights (`fields.rays`); those of a volume may run level or upwards, and are
+measured from the camera on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from refract import PinholeCamera, WaterSurface, fresnel_coefficients, trace
+
+
+@dataclass(frozen=True)
+class Box:
+    """An axis-aligned box, local [m].
+
+    Attributes
+    ----------
+    low, high : (3,) float64
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+
+    def __post_init__(self):
+        low, high = (np.asarray(v, dtype=np.float64) for v in (self.low, self.high))
+        if low.shape != (3,) or high.shape != (3,) or not (high > low).all():
+            raise ValueError(f"expected corners (3,) of a box, low under high, got {low} and {high}")
+        object.__setattr__(self, "low", low)
+        object.__setattr__(self, "high", high)
+
+    @property
+    def size(self) -> np.ndarray:
+        """Edges (3,) [m]."""
+        return self.high - self.low
+
+    @property
+    def edge(self) -> float:
+        """The longest edge [m]."""
+        return float(self.size.max())
+
+    def unit(self, x: Tensor) -> Tensor:
+        """Coordinates (..., 3) in [0, 1] along each edge, of positions (..., 3) [m]."""
+        return (x - _like(self.low, x)) / _like(self.size, x)
+
+    def centred(self, x: Tensor) -> Tensor:
+        """Coordinates (..., 3) of positions (..., 3) [m]: -1 to 1 along the longest edge, to scale along the others."""
+        return (x - _like(0.5 * (self.low + self.high), x)) * (2.0 / self.edge)
+
+    def crossed(self, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distances (N,), (N,) [m] at which rays enter and leave; entry beyond leaving where they miss."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            a, b = (self.low - origin) / direction, (self.high - origin) / direction
+        # A ray inside a face, parallel to it, gives 0 / 0: it is between the faces all along.
+        level = ~(np.isfinite(a) & np.isfinite(b))
+        enters = np.fmin(a, b).max(axis=-1, initial=-np.inf, where=~level)
+        leaves = np.fmax(a, b).min(axis=-1, initial=np.inf, where=~level)
+        outside = (level & ((origin < self.low) | (origin > self.high))).any(axis=-1)
+        return np.where(outside, np.inf, enters), np.where(outside, -np.inf, leaves)
+
+
+@dataclass
+class Paths:
+    """Paths (N) of light from cameras through a box, torch float32, local frame.
+
+    Attributes
+    ----------
+    origin : (N, 3) [m]
+        Camera centres.
+    air, wet : (N, 3) unit
+        Directions before and after the water surface.
+    crossing : (N,) [m]
+        Path length at which the water begins; infinite where it never does.
+    near, far : (N,) [m]
+        Path lengths between which the path may be inside the box; equal where it misses it.
+    reflectance : (N,)
+        Fresnel reflectance at the water; 0 where there is none.
+    rgb : (N, 3)
+        Photograph, 0 to 1, as stored (not linear).
+    view : (N,) int64
+        Which photograph.
+    priors : (N, 8) or (N, 0)
+        What is known of the pixels beforehand (`fields.volume.priors`); no columns where nothing is.
+    """
+
+    origin: Tensor
+    air: Tensor
+    wet: Tensor
+    crossing: Tensor
+    near: Tensor
+    far: Tensor
+    reflectance: Tensor
+    rgb: Tensor
+    view: Tensor
+    priors: Tensor
+
+    def __len__(self) -> int:
+        return len(self.near)
+
+    def __getitem__(self, index) -> Paths:
+        return Paths(*(getattr(self, f.name)[index] for f in fields(self)))
+
+    @staticmethod
+    def concatenate(parts: list[Paths]) -> Paths:
+        """Paths of several views in one."""
+        return Paths(*(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Paths)))
+
+    def at(self, s: Tensor) -> Tensor:
+        """Positions (N, K, 3) [m] at path lengths s (N, K) [m]."""
+        dry = torch.minimum(s, self.crossing[:, None])
+        return self.origin[:, None] + dry[..., None] * self.air[:, None] + (s - dry)[..., None] * self.wet[:, None]
+
+    def direction(self, s: Tensor) -> Tensor:
+        """Unit directions of travel (N, K, 3) at path lengths s (N, K) [m], in the medium that is there."""
+        return torch.where((s > self.crossing[:, None])[..., None], self.wet[:, None], self.air[:, None])
+
+    def length_in_water(self, s: Tensor) -> Tensor:
+        """Length (N,) [m] of the part in water of paths down to s (N,) [m]."""
+        return (s - self.crossing).clamp(min=0.0)
+
+
+def paths_of(
+    camera: PinholeCamera,
+    water: WaterSurface | None,
+    pixels: np.ndarray,
+    rgb: np.ndarray,
+    box: Box,
+    view: int = 0,
+) -> Paths:
+    """Paths through pixel positions (N, 2) [px] with colours (N, 3) uint8, clipped to a box.
+
+    Light that the surface reflects totally, or whose refraction is not known, misses the box.
+    """
+    direction = camera.directions(pixels)
+    origin = np.broadcast_to(camera.centre, direction.shape)
+    colours = torch.as_tensor(rgb / 255.0, dtype=torch.float32)
+    return paths_along(origin, direction, water, colours, box, torch.full((len(pixels),), view))
+
+
+def paths_along(
+    origin: np.ndarray,
+    direction: np.ndarray,
+    water: WaterSurface | None,
+    rgb: Tensor,
+    box: Box,
+    view: Tensor,
+) -> Paths:
+    """Paths from camera centres (N, 3) [m] along unit directions (N, 3) in the air, clipped to a box.
+
+    They carry colours (N, 3), 0 to 1, and the numbers of their photographs (N,).
+    """
+    bent = trace(origin, direction, water)
+    crossing = np.where(bent.wet, bent.air_length, np.inf)
+    near, far = box.crossed(origin, bent.air_direction)
+    near, far = np.maximum(near, 0.0), np.minimum(far, crossing)
+    near, far = np.where(near < far, near, np.inf), np.where(near < far, far, -np.inf)
+    wet = np.where(bent.wet[:, None], bent.water_direction, bent.air_direction)
+    if bent.wet.any():
+        start = np.where(bent.wet[:, None], bent.crossing, origin)
+        enters, leaves = box.crossed(start, wet)
+        enters = np.maximum(enters, 0.0)
+        under = bent.wet & (enters < leaves)
+        near = np.where(under, np.minimum(near, crossing + enters), near)
+        far = np.where(under, np.maximum(far, crossing + leaves), far)
+    meets = (near < far) & np.isfinite(wet).all(axis=-1)
+    near, far = np.where(meets, near, 0.0), np.where(meets, far, 0.0)
+    reflectance = np.zeros(len(origin))
+    if water is not None and bent.wet.any():
+        at = bent.crossing[bent.wet]
+        falls = -(bent.air_direction[bent.wet] * water.normal(at[:, 0], at[:, 1])).sum(axis=-1)
+        reflectance[bent.wet] = fresnel_coefficients(falls, n_from=1.0, n_to=water.n_water).reflectance
+    columns = (origin, bent.air_direction, np.nan_to_num(wet), crossing, near, far, np.nan_to_num(reflectance))
+    tensors = (torch.as_tensor(np.ascontiguousarray(c), dtype=torch.float32) for c in columns)
+    return Paths(*tensors, rgb, view, torch.empty(len(origin), 0))
+
+
+def _like(values: np.ndarray, x: Tensor) -> Tensor:
+    return torch.as_tensor(values, dtype=x.dtype)

@@ -1,0 +1,143 @@
+"""Where a path is sampled: in the cells of a proxy, or where another field has put weight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.ndimage import binary_dilation
+from torch import Tensor
+
+from fields.volume.paths import Box, Paths
+
+# Cells of the proxy are looked up this often along a path.
+BINS = 128
+
+
+@dataclass
+class Samples:
+    """Samples (N, K) along paths, in the order of travel.
+
+    Attributes
+    ----------
+    s : (N, K) [m]
+        Path lengths at which the field is asked.
+    length : (N, K) [m]
+        Of the piece of path that each sample stands for.
+    edges : (N, K + 1) [m]
+        Path lengths at which the pieces begin and end.
+    """
+
+    s: Tensor
+    length: Tensor
+    edges: Tensor
+
+
+def inverse_cdf(bin_edges: Tensor, mass: Tensor, level: Tensor) -> Tensor:
+    """Positions (N, K) at which the accumulated mass passes levels (N, K) of its total, linear inside a bin.
+
+    ``bin_edges`` (N, B + 1) rise, ``mass`` (N, B) is not negative and not all zero.
+    """
+    total = torch.cumsum(mass, dim=1)
+    target = (level * total[:, -1:]).contiguous()
+    index = torch.searchsorted(total, target, right=True).clamp(max=mass.shape[1] - 1)
+    here = mass.gather(1, index)
+    share = ((target - (total.gather(1, index) - here)) / here.clamp(min=1e-12)).clamp(0.0, 1.0)
+    start, end = bin_edges.gather(1, index), bin_edges.gather(1, index + 1)
+    return start + share * (end - start)
+
+
+def samples_by_mass(bin_edges: Tensor, mass: Tensor, num: int, jitter: bool, *, dense: bool) -> Samples:
+    """``num`` samples a path, as many as its mass asks for in each bin.
+
+    Parameters
+    ----------
+    bin_edges, mass : (N, B + 1) [m], (N, B)
+        A path without mass is sampled evenly.
+    jitter : bool
+        Shift all samples of a path by the same random share of a step.
+    dense : bool
+        Bins without mass are part of the volume (proposal sampling); else they are empty, and a piece counts the length
+        of the bins with mass that it covers.
+    """
+    mass = torch.where(mass.sum(dim=1, keepdim=True) > 0.0, mass, torch.ones_like(mass))
+    levels = torch.arange(num + 1, dtype=mass.dtype) / num
+    shift = torch.rand(len(mass), 1) if jitter else torch.full((len(mass), 1), 0.5)
+    edges = inverse_cdf(bin_edges, mass, levels.expand(len(mass), -1).contiguous())
+    s = inverse_cdf(bin_edges, mass, (levels[:-1] + shift / num).contiguous())
+    if dense:
+        return Samples(s, edges[:, 1:] - edges[:, :-1], edges)
+    filled = ((bin_edges[:, 1:] - bin_edges[:, :-1]) * (mass > 0.0)).sum(dim=1, keepdim=True)
+    return Samples(s, (filled / num).expand_as(s), edges)
+
+
+@dataclass
+class Cells:
+    """The cells of a box that may hold a surface: a proxy, and what lies within +-margin of it.
+
+    Attributes
+    ----------
+    box : Box
+    occupied : (nx, ny, nz) bool
+    """
+
+    box: Box
+    occupied: Tensor
+
+    @staticmethod
+    def everywhere(box: Box, num: int) -> Cells:
+        """All cells, ``num`` along the longest edge."""
+        return Cells(box, torch.ones(_counts(box, num), dtype=torch.bool))
+
+    @staticmethod
+    def about_points(box: Box, num: int, points: np.ndarray, margin: float) -> Cells:
+        """Cells within ``margin`` [m] of points (N, 3) [m], local: of the sweep or of structure from motion."""
+        counts = np.array(_counts(box, num))
+        index = np.floor((np.asarray(points) - box.low) / box.size * counts).astype(int)
+        index = index[((index >= 0) & (index < counts)).all(axis=1)]
+        occupied = np.zeros(tuple(counts), dtype=bool)
+        occupied[tuple(index.T)] = True
+        return Cells(box, torch.from_numpy(_thickened(occupied, box, margin)))
+
+    def centres(self) -> Tensor:
+        """Positions (cells, 3) [m] of all cell centres, float32."""
+        shape = self.occupied.shape
+        axes = [low + (np.arange(n) + 0.5) * size / n
+                for low, size, n in zip(self.box.low, self.box.size, shape, strict=True)]  # fmt: skip
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        return torch.as_tensor(grid, dtype=torch.float32)
+
+    def refined(self, opacity: Tensor, least: float, margin: float) -> Cells:
+        """Cells whose opacity (cells,) is at least ``least`` and those within ``margin`` [m] of them."""
+        filled = (opacity.view(self.occupied.shape) >= least).numpy()
+        return Cells(self.box, torch.from_numpy(_thickened(filled, self.box, margin)))
+
+    @torch.no_grad()
+    def samples(self, paths: Paths, num: int, *, jitter: bool) -> Samples:
+        """``num`` samples a path, spread evenly over the occupied part of it; over all of it where there is none."""
+        share = torch.linspace(0.0, 1.0, BINS + 1)
+        edges = paths.near[:, None] + share * (paths.far - paths.near)[:, None]
+        if self.occupied.all():
+            return samples_by_mass(edges, torch.ones(len(paths), BINS), num, jitter, dense=False)
+        inside = self.holds(paths.at(0.5 * (edges[:, 1:] + edges[:, :-1])))
+        return samples_by_mass(edges, inside.to(torch.float32), num, jitter, dense=False)
+
+    def holds(self, x: Tensor) -> Tensor:
+        """Whether positions (..., 3) [m] lie in an occupied cell, (...) bool."""
+        shape = torch.tensor(self.occupied.shape)
+        index = torch.floor(self.box.unit(x) * shape).long()
+        inside = ((index >= 0) & (index < shape)).all(dim=-1)
+        index = torch.minimum(index.clamp(min=0), shape - 1)
+        flat = (index[..., 0] * shape[1] + index[..., 1]) * shape[2] + index[..., 2]
+        return inside & self.occupied.view(-1)[flat]
+
+
+def _counts(box: Box, num: int) -> tuple[int, int, int]:
+    nx, ny, nz = np.maximum(np.round(num * box.size / box.edge), 1).astype(int).tolist()
+    return nx, ny, nz
+
+
+def _thickened(occupied: np.ndarray, box: Box, margin: float) -> np.ndarray:
+    reach = np.ceil(margin * np.array(occupied.shape) / box.size).astype(int)
+    return binary_dilation(occupied, np.ones(tuple(2 * reach + 1), dtype=bool))

@@ -1,0 +1,148 @@
+"""A volume with what stands around it: the water, each photograph's appearance, and what lies behind the box."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from fields.heads import WaterColumn
+from fields.rays import GAMMA
+from fields.render import quantile_height, render_weights
+from fields.volume.model import Rates, VolumeModel
+from fields.volume.paths import Paths
+from fields.volume.proposal import Proposal
+from fields.volume.sampling import Cells, Samples
+
+# Colour is asked for only where a sample matters (MDW-NeRF).
+MIN_COLOUR_WEIGHT = 1e-2
+# Stored grey of a path that is darker than any photograph tells: below, the slope of the gamma curve is without bound.
+DARKEST = 1e-4
+
+
+@dataclass
+class Rendered:
+    """What paths (N) show of a scene.
+
+    Attributes
+    ----------
+    rgb : (N, 3)
+        As a photograph stores it, 0 to 1 (glints above).
+    weights : (N, K)
+        Share of each sample in the light; the sum is the opacity.
+    samples : Samples
+    """
+
+    rgb: Tensor
+    weights: Tensor
+    samples: Samples
+
+    @property
+    def opacity(self) -> Tensor:
+        """(N,), 0 to 1."""
+        return self.weights.sum(dim=1)
+
+    @property
+    def depth(self) -> Tensor:
+        """Path length (N,) [m] to the median of the weights; no gradient for what is beyond."""
+        return quantile_height(self.weights, self.samples.edges)
+
+
+class Scene(nn.Module):
+    """A volume, and optionally a water column, appearance vectors and a background.
+
+    Parameters
+    ----------
+    model : VolumeModel
+    column : WaterColumn or None
+        What the water does to light; None for a dry scene.
+    appearance : nn.Embedding or None
+        A vector for each photograph.
+    background : nn.Module or None
+        Linear radiance (N, 3) of what lies behind the box, from `Paths`; None where every path ends in the box: light
+        that passed all samples but the last came from there. (Over black, density would grow everywhere at first,
+        because that is the quickest way to a bright picture, and stay as a wall before the cameras.)
+    proposal : Proposal or None
+        What draws the samples, in place of the occupied cells.
+    """
+
+    RATE = 0.001
+
+    def __init__(
+        self,
+        model: VolumeModel,
+        *,
+        column: WaterColumn | None = None,
+        appearance: nn.Embedding | None = None,
+        background: nn.Module | None = None,
+        proposal: Proposal | None = None,
+    ):
+        super().__init__()
+        self.model, self.column, self.appearance, self.background = model, column, appearance, background
+        self.proposal = proposal
+
+    def samples(self, paths: Paths, cells: Cells, num: int, *, jitter: bool) -> Samples:
+        """``num`` samples a path: where the proposal expects weight, or else in the occupied cells."""
+        if self.proposal is None:
+            return cells.samples(paths, num, jitter=jitter)
+        return self.proposal.samples(paths, num, jitter=jitter)
+
+    def render(self, paths: Paths, samples: Samples, *, dry: bool = False) -> Rendered:
+        """Colours and weights of paths; ``dry`` leaves out what the water does to the light."""
+        count, num = samples.s.shape
+        x, direction = paths.at(samples.s).view(-1, 3), paths.direction(samples.s).view(-1, 3)
+        thickness, features = self.model.thickness(x, direction, samples.length.reshape(-1))
+        weights = render_weights(thickness.view(count, num))
+        if self.background is None:
+            weights = torch.cat([weights[:, :-1], 1.0 - weights[:, :-1].sum(dim=1, keepdim=True)], dim=1)
+        painted = weights.detach() > MIN_COLOUR_WEIGHT
+        where = painted.view(-1).nonzero()[:, 0]
+        looks = None if self.appearance is None else self.appearance(paths.view)[where // num]
+        seen = self.model.radiance(features[where], direction[where], looks)
+        radiance = torch.zeros(x.shape).index_put((where,), seen).view(count, num, 3)
+        # Samples too light to be looked up take the others' colour: left black, they would darken what is thin.
+        share = weights * painted
+        opacity = weights.sum(dim=1, keepdim=True)
+        share = share * (opacity / share.sum(dim=1, keepdim=True).clamp(min=MIN_COLOUR_WEIGHT))
+        colour = (share[..., None] * radiance).sum(dim=1)
+        if self.background is not None:
+            colour = colour + (1.0 - opacity) * self.background(paths)
+        if self.column is not None and not dry:
+            mean = (weights.detach() * samples.s).sum(dim=1) + (1.0 - opacity.detach()[:, 0]) * paths.far
+            length = paths.length_in_water(mean)
+            # Light of dry ground crosses no surface.
+            colour = self.column(colour, length, torch.where(length > 0.0, paths.reflectance, 0.0))
+        return Rendered(colour.clamp(min=DARKEST) ** (1.0 / GAMMA), weights, samples)
+
+    def penalty(self, paths: Paths, rendered: Rendered) -> Tensor:
+        """What the parts ask for themselves in training, a scalar: the model at a sample of each path, the proposal."""
+        one = torch.randint(rendered.samples.s.shape[1], (len(paths), 1))
+        total = self.model.penalty(paths.at(rendered.samples.s.gather(1, one))[:, 0])
+        if self.proposal is not None:
+            total = total + self.proposal.loss(rendered.samples, rendered.weights)
+        return total
+
+    def rates(self) -> list[Rates]:
+        """Every parameter once, with its learning rate."""
+        around = [m for m in (self.column, self.appearance, self.background) if m is not None]
+        others = [p for m in around for p in m.parameters()]
+        proposed = [] if self.proposal is None else self.proposal.rates()
+        return [*self.model.rates(), *proposed, *([Rates(others, self.RATE)] if others else [])]
+
+
+class Backdrop(nn.Module):
+    """One colour behind the box.
+
+    Parameters
+    ----------
+    stored : (3,) floats, 0 to 1
+        As a photograph stores it. It is not learned.
+    """
+
+    def __init__(self, stored: tuple[float, float, float]):
+        super().__init__()
+        self.register_buffer("linear", torch.tensor(stored) ** GAMMA)
+
+    def forward(self, paths: Paths) -> Tensor:
+        return self.linear.expand(len(paths), 3)

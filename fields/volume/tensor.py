@@ -1,0 +1,152 @@
+"""Planes times vectors in a box: TensoRF, DW, M and MDW-NeRF are one model with four settings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from torch import Tensor, nn
+
+from fields.device import Device
+from fields.factors import Factors, Grid, geometric_scales
+from fields.heads import ColourHead, DensityHead
+from fields.volume.model import Rates, VolumeModel
+from fields.volume.paths import Box
+
+
+@dataclass(frozen=True)
+class TensorSettings:
+    """What a plane-times-vector volume is made of.
+
+    Attributes
+    ----------
+    scales, channels : int
+        L and n_f of the paper.
+    n_min, n_max : int
+        Cells along the longest edge at the coarsest and the finest scale; one scale has n_max.
+    weighting : bool
+        The density weighting network takes over from the coarse regression once the loss has settled.
+    directions : str
+        Of "xyz", those with a vector.
+    reduction : int
+        r of the weighting network.
+    degree : int
+        Of the spherical harmonics in the colour head; 0 for a matt scene.
+    hidden : int
+        Width of the colour head.
+    switch_window, switch_ratio : int, float
+        The variance of the loss over the last ``window`` steps falls below ``ratio`` times that over the first.
+    switch_variance : float or None
+        Instead, that it falls below this number (the paper has 0.01, which a mean squared error may meet at once).
+    """
+
+    scales: int = 6
+    channels: int = 4
+    n_min: int = 64
+    n_max: int = 256
+    weighting: bool = True
+    directions: str = "xyz"
+    reduction: int = 4
+    degree: int = 2
+    hidden: int = 32
+    switch_window: int = 100
+    switch_ratio: float = 0.01
+    switch_variance: float | None = None
+
+    @staticmethod
+    def mdw(**changes) -> TensorSettings:
+        """Multi-scale, density weighted: MDW-NeRF."""
+        return replace(TensorSettings(), **changes)
+
+    @staticmethod
+    def m(**changes) -> TensorSettings:
+        """Multi-scale alone."""
+        return replace(TensorSettings(weighting=False), **changes)
+
+    @staticmethod
+    def dw(**changes) -> TensorSettings:
+        """One scale, density weighted."""
+        return replace(TensorSettings(scales=1, channels=16), **changes)
+
+    @staticmethod
+    def tensorf(**changes) -> TensorSettings:
+        """One scale, density a linear map of the features: TensoRF's vector-matrix decomposition."""
+        return replace(TensorSettings(scales=1, channels=16, weighting=False), **changes)
+
+
+class TensorVolume(VolumeModel):
+    """Density ``softplus(raw)`` per finest cell, from factors of all scales and directions; colour as MDW-NeRF.
+
+    An untrained box lets a share of 1/e of the light through along its longest edge.
+
+    Parameters
+    ----------
+    box : Box
+    settings : TensorSettings
+    device : Device
+        Dr.Jit for fused lookups; "torch" for their twin.
+    appearance : int
+        Length of the appearance vectors; 0 without.
+    """
+
+    # Adam's rates of MDW-NeRF, before and after the switch.
+    FACTORS, FACTORS_FINE, WEIGHTING, COLOUR = 0.02, 0.001, 0.02, 0.001
+
+    def __init__(self, box: Box, settings: TensorSettings, device: Device, *, appearance: int = 0, seed: int = 0):
+        super().__init__(box)
+        self.settings = settings
+        scales = geometric_scales(settings.n_min, settings.n_max, settings.scales)
+        self.factors = Factors([grid_of(box, n) for n in scales], settings.directions, settings.channels, device, seed)
+        shape = (settings.scales, len(settings.directions), settings.channels)
+        self.regression = DensityHead(*shape, reduction=settings.reduction)
+        self.colour = ColourHead(*shape, hidden=settings.hidden, degree=settings.degree, extra=appearance)
+        nn.init.ones_(self.regression.coarse.weight)
+        self.per_metre = settings.n_max / box.edge
+        self.bias = float(np.log(np.expm1(1.0 / settings.n_max)))
+
+    def evaluate(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        features = self.factors(self.box.unit(x))
+        return nn.functional.softplus(self.regression(features) + self.bias) * self.per_metre, features
+
+    def radiance(self, features: Tensor, direction: Tensor, appearance: Tensor | None) -> Tensor:
+        return self.colour(features, -direction if self.settings.degree else None, appearance)
+
+    def rates(self) -> list[Rates]:
+        fine = self.regression.is_fine
+        return [
+            Rates([self.factors.planes, self.factors.vectors], self.FACTORS_FINE if fine else self.FACTORS),
+            Rates(list(self.regression.parameters()), self.WEIGHTING if fine else self.COLOUR),
+            Rates(list(self.colour.parameters()), self.COLOUR),
+        ]
+
+    def observe(self, losses: list[float]) -> bool:
+        if self.regression.is_fine or not self.settings.weighting or not self._settled(losses):
+            return False
+        self.regression.switch_to_fine()
+        return True
+
+    def _settled(self, losses: list[float]) -> bool:
+        window = self.settings.switch_window
+        if len(losses) < 2 * window:
+            return False
+        limit = self.settings.switch_variance
+        if limit is None:
+            limit = self.settings.switch_ratio * np.var(losses[:window])
+        return bool(np.var(losses[-window:]) < limit)
+
+    def get_extra_state(self) -> dict:
+        return {"is_fine": self.regression.is_fine}
+
+    def set_extra_state(self, state: dict) -> None:
+        self.regression.is_fine = state["is_fine"]
+
+
+def grid_of(box: Box, num: float) -> Grid:
+    """Cells of a box, ``num`` along its longest edge and as long along the others; at least two."""
+    cells = np.maximum(np.round(num * box.size / box.edge), 2).astype(int)
+    return Grid(*cells.tolist())
+
+
+def megabytes(model: nn.Module) -> float:
+    """What the parameters take in memory."""
+    return sum(p.numel() * p.element_size() for p in model.parameters()) / 1e6

@@ -1,0 +1,141 @@
+"""TensoRF, DW, M and MDW-NeRF as one model: what differs, the switch from coarse to fine, and what is stored."""
+
+from __future__ import annotations
+
+import copy
+import io
+
+import numpy as np
+import pytest
+import torch
+from volume_scenes import BOX
+
+from fields.device import choose_device
+from fields.factors import Grid
+from fields.volume.paths import Box
+from fields.volume.tensor import TensorSettings, TensorVolume, grid_of
+
+SMALL = {"n_min": 8, "n_max": 32}
+
+
+def volume(kind: str = "mdw", *, appearance: int = 0, seed: int = 0, **changes) -> TensorVolume:
+    settings = getattr(TensorSettings, kind)(**(SMALL | changes))
+    return TensorVolume(BOX, settings, choose_device("torch"), appearance=appearance, seed=seed)
+
+
+def anywhere(count: int = 200, seed: int = 0) -> torch.Tensor:
+    share = torch.rand(count, 3, generator=torch.Generator().manual_seed(seed))
+    return torch.as_tensor(BOX.low, dtype=torch.float32) + share * torch.as_tensor(BOX.size, dtype=torch.float32)
+
+
+def test_the_four_models_differ_by_scales_and_weighting_alone():
+    table = {k: (s.scales, s.weighting) for k in ("tensorf", "dw", "m", "mdw") if (s := getattr(TensorSettings, k)())}
+    assert table == {"tensorf": (1, False), "dw": (1, True), "m": (6, False), "mdw": (6, True)}
+    assert (TensorSettings.mdw().n_min, TensorSettings.mdw().n_max) == (64, 256)
+    assert TensorSettings.mdw(channels=24).channels == 24
+
+
+def test_grids_follow_the_box():
+    assert grid_of(Box(np.zeros(3), np.array([4.0, 2.0, 0.01])), 64.0) == Grid(64, 32, 2)
+    cells = volume().factors.grids
+    assert [g.nx for g in cells] == [8, 11, 14, 18, 24, 32]
+    assert [g.nz for g in cells] == [6, 8, 10, 14, 18, 24]
+
+
+def test_an_untrained_box_lets_a_share_of_1_over_e_through():
+    model = volume()
+    with torch.no_grad():
+        model.factors.planes.zero_()
+    density, _ = model.evaluate(anywhere())
+    torch.testing.assert_close(density, torch.full_like(density, 1.0 / BOX.edge), rtol=1e-4, atol=0)
+
+
+def test_density_is_the_sum_over_directions_regressed_as_the_docstring_says():
+    model = volume(scales=2, channels=4)
+    x = anywhere(20)
+    density, features = model.evaluate(x)
+    a = features.detach().numpy().astype(np.float64).reshape(20, 2, 3, 4)  # scales, directions, channels
+    weight = model.regression.coarse.weight.detach().numpy().astype(np.float64)[0]
+    raw = a.sum(axis=2).reshape(20, 8) @ weight + model.bias
+    np.testing.assert_allclose(density.detach(), np.log1p(np.exp(raw)) * 32 / BOX.edge, rtol=1e-5)
+
+
+def test_the_weighting_network_takes_over_without_a_step_and_with_its_own_rates():
+    model = volume(switch_window=5)
+    x = anywhere()
+    before = model.evaluate(x)[0].detach()
+    coarse = {id(p): g.rate for g in model.rates() for p in g.parameters}
+    still = [1.0, 2.0, 1.0, 2.0, 1.0]
+    assert not model.observe(still)
+    assert not model.observe(still + [1.0, 1.1, 1.0, 1.1, 1.0])  # noise of 1 % of the variance is 0.0024
+    assert model.observe(still + [1.0, 1.01, 1.0, 1.01, 1.0])
+    assert model.regression.is_fine
+    torch.testing.assert_close(model.evaluate(x)[0], before, rtol=1e-4, atol=0)
+    fine = {id(p): g.rate for g in model.rates() for p in g.parameters}
+    assert set(fine) == set(coarse) == {id(p) for p in model.parameters()}
+    planes = id(model.factors.planes)
+    assert (coarse[planes], fine[planes]) == (0.02, 0.001)
+    assert not model.observe(still * 4)
+
+
+@pytest.mark.parametrize("kind", ["m", "tensorf"])
+def test_models_without_weighting_never_switch(kind):
+    model = volume(kind, switch_window=5)
+    assert not model.observe([1.0, 2.0, 1.0, 2.0, 1.0] + [1.0] * 5)
+
+
+def test_the_absolute_switch_of_the_paper_is_a_setting():
+    model = volume(switch_window=5, switch_variance=0.01)
+    assert not model.observe([1.0] * 5)
+    assert model.observe([1.0, 1.01] * 5)
+
+
+def test_every_parameter_learns_before_or_after_the_switch():
+    model = volume(appearance=3)
+    x, looks = anywhere(), torch.randn(200, 3)
+    direction = torch.nn.functional.normalize(torch.randn(200, 3), dim=1)
+    for fine in (False, True):
+        if fine:
+            model.regression.switch_to_fine()
+            with torch.no_grad():  # the gates start without weights, behind which nothing would learn in the first step
+                model.regression.gate.weight.normal_(std=0.1)
+        model.zero_grad()
+        density, features = model.evaluate(x)
+        (density.sum() + model.radiance(features, direction, looks).sum()).backward()
+        still = {n for n, p in model.named_parameters() if p.grad is None or not p.grad.any()}
+        expected = {f"regression.{n}.{k}" for n in (("coarse",) if fine else ("squeeze", "excite", "gate", "fine"))
+                    for k in ("weight", "bias")}  # fmt: skip
+        assert still == expected
+
+
+def test_appearance_touches_colour_and_never_density():
+    model = volume(appearance=4)
+    x, direction = anywhere(), torch.tensor([[0.0, 0.0, -1.0]]).expand(200, 3)
+    density, features = model.evaluate(x)
+    one, other = (model.radiance(features, direction, torch.full((200, 4), v)) for v in (0.0, 1.0))
+    assert (one - other).abs().max() > 1e-3
+    assert torch.equal(density, model.evaluate(x)[0])
+
+
+def test_colour_depends_on_the_direction_unless_the_scene_is_matt():
+    x = anywhere()
+    down, aside = (torch.tensor([d]).expand(200, 3) for d in ([0.0, 0.0, -1.0], [0.6, 0.0, -0.8]))
+    for degree, changes in ((0, False), (2, True)):
+        model = volume(degree=degree)
+        _, features = model.evaluate(x)
+        differs = not torch.equal(model.radiance(features, down, None), model.radiance(features, aside, None))
+        assert differs is changes
+
+
+def test_a_stored_model_comes_back_bit_for_bit_with_its_stage():
+    model = volume()
+    model.regression.switch_to_fine()
+    stream = io.BytesIO()
+    torch.save(model.state_dict(), stream)
+    stream.seek(0)
+    other = volume(seed=7)
+    other.load_state_dict(torch.load(stream, weights_only=True))
+    x = anywhere()
+    assert other.regression.is_fine
+    assert torch.equal(model.evaluate(x)[0], other.evaluate(x)[0])
+    assert torch.equal(copy.deepcopy(model).evaluate(x)[1], other.evaluate(x)[1])

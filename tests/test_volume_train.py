@@ -1,0 +1,94 @@
+"""Training of volumes from photographs of a painted bed under water: it is found, and what is drawn is what is there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from volume_scenes import BOX, WATER, Slab, bed_photographs
+
+from fields.device import choose_device
+from fields.volume.sampling import Cells
+from fields.volume.scene import Scene
+from fields.volume.tensor import TensorSettings, TensorVolume
+from fields.volume.train import Training, proxy_of, render_volume, train_scene
+
+BED_M = -1.5
+SMALL = {"n_min": 8, "n_max": 32, "channels": 4, "degree": 0, "hidden": 16, "switch_window": 20}
+
+
+def quietly(share: float) -> None:
+    """Progress that nobody looks at."""
+
+
+def tensor_scene(kind: str = "mdw") -> Scene:
+    torch.manual_seed(0)  # of the heads
+    return Scene(TensorVolume(BOX, getattr(TensorSettings, kind)(**SMALL), choose_device("cpu")))
+
+
+def heights(scene: Scene, cells: Cells, photographs) -> np.ndarray:
+    """Of the bed as the first view sees it, at the pixels that show it."""
+    camera, pixels = photographs.cameras[0], photographs.pixels[0]
+    view = render_volume(scene, camera, photographs.water, cells, samples=64)
+    return view.points.reshape(-1, 3)[pixels, 2]
+
+
+@pytest.mark.parametrize("kind", ["tensorf", "mdw"])
+def test_training_finds_a_bed_under_water_from_nothing(kind):
+    photographs = bed_photographs(BED_M, views=9)
+    scene, shares = tensor_scene(kind), []
+    training = Training(steps=180, rays=384, samples=24, cells=32, refresh=(0.6,))
+    cells, figures = train_scene(scene, photographs, training, shares.append)
+    found = heights(scene, cells, photographs)
+    cell = BOX.edge / 32
+    assert abs(np.median(found) - BED_M) < 0.5 * cell
+    assert np.median(np.abs(found - BED_M)) < cell
+    assert figures["psnr_db"] > 24.0
+    assert cells.occupied.float().mean() < 0.6
+    assert (len(shares), shares[-1]) == (180, 1.0)
+    assert bool(figures["changed_at"]) is (kind == "mdw")
+
+
+def test_without_water_the_same_photographs_put_the_bed_too_high():
+    photographs = bed_photographs(BED_M, views=9)
+    training = Training(steps=180, rays=384, samples=24, cells=32, refresh=(0.6,))
+    scene = tensor_scene("tensorf")
+    photographs.water = None
+    cells, _ = train_scene(scene, photographs, training, quietly)
+    # At small angles depth appears divided by the index: 1.5 m as 1.13 m.
+    assert np.median(heights(scene, cells, photographs)) == pytest.approx(BED_M / WATER.n_water, abs=0.06)
+
+
+def test_paths_are_drawn_from_the_pixels_given_each_photograph_by_its_share():
+    photographs = bed_photographs(views=3)
+    photographs.pixels = [p[: 100 * (k + 1)] for k, p in enumerate(photographs.pixels)]
+    paths = photographs.draw(6000, BOX, np.random.default_rng(0))
+    counts = torch.bincount(paths.view) / 6000
+    torch.testing.assert_close(counts, torch.tensor([1, 2, 3]) / 6, rtol=0, atol=0.03)
+    for view in range(3):
+        image = photographs.images[view].reshape(-1, 3)[photographs.pixels[view]] / 255.0
+        drawn = paths.rgb[paths.view == view].numpy()
+        known = {tuple(c) for c in image.astype(np.float32).tolist()}
+        assert {tuple(c) for c in drawn.tolist()} <= known
+    assert not (paths.view.diff() >= 0).all()
+
+
+def test_the_same_seed_draws_the_same_paths_and_trains_the_same_volume():
+    photographs = bed_photographs(views=3)
+    training = Training(steps=3, rays=64, samples=8, cells=8, refresh=())
+    scenes = [tensor_scene(), tensor_scene()]
+    for scene in scenes:
+        scene.model.factors.device = choose_device("torch")
+        train_scene(scene, photographs, training, quietly, seed=5)
+    one, other = (s.state_dict() for s in scenes)
+    assert all(torch.equal(one[k], other[k]) for k in one if torch.is_tensor(one[k]))
+
+
+def test_the_proxy_of_a_field_is_where_it_stops_light():
+    cells = Cells.everywhere(BOX, 40)
+    proxy = proxy_of(Scene(Slab(100.0, top=BED_M)), cells, margin=0.04)
+    z = cells.centres()[:, 2].view(cells.occupied.shape)
+    assert proxy.occupied[z < BED_M].all()
+    assert not proxy.occupied[z > BED_M + 0.1].any()
+    fog = proxy_of(Scene(Slab(1.0 / BOX.edge)), cells, margin=0.04)
+    assert not fog.occupied.any()

@@ -2,15 +2,26 @@
 
 One kernel reads all scales and directions of a sample; its backward kernel adds the gradients of planes and vectors.
 Nothing is kept between the two but the coordinates.
+
+On LLVM the gradient is the same to the last bit from run to run, on any number of threads: a scale's cells are written
+by one SIMD packet alone, which goes through the samples in their order. On CUDA atomic additions come in any order.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
+from functools import cache
+
 import drjit as dr
+import numpy as np
 import torch
 from torch import Tensor
 
-CHANNELS = 4
+from fields.factors import AXES
+
+# Numbers that a kernel reads and writes at once.
+PACKET = 4
 
 
 def lookup_drjit(factors, u: Tensor) -> Tensor:
@@ -19,10 +30,13 @@ def lookup_drjit(factors, u: Tensor) -> Tensor:
     Raises
     ------
     ValueError
-        If the field has another number of channels than the packets of the kernel.
+        If the number of channels is no multiple of the kernel's packets.
     """
-    if factors.channels != CHANNELS:
-        raise ValueError(f"the fused lookup reads packets of {CHANNELS} channels, the field has {factors.channels}")
+    if factors.channels % PACKET:
+        raise ValueError(
+            f"the field has {factors.channels} channels, but the fused lookup reads packets of {PACKET}: "
+            f"take a multiple of {PACKET}, or the device torch"
+        )
     return _Lookup.apply(factors.planes, factors.vectors, u, factors)
 
 
@@ -33,36 +47,148 @@ class _Lookup(torch.autograd.Function):
     def forward(ctx, planes: Tensor, vectors: Tensor, u: Tensor, factors) -> Tensor:
         ctx.save_for_backward(planes, vectors, u)
         ctx.factors = factors
-        module = factors.device.module
-        out = dr.zeros(module.Float, u.shape[0] * factors.num_features)
-        sample = dr.arange(module.UInt, u.shape[0])
-        coordinates = _columns(module, u)
-        sources = _flat(module, planes), _flat(module, vectors)
-        for place, cell in enumerate(factors.cells()):
-            plane, vector, _ = _values(module, *sources, coordinates, cell)
-            dr.scatter(out, plane * vector, sample * len(factors.tables) + place)
+        field = _Field(factors, planes, vectors)
+        out = dr.empty(field.module.Float, u.shape[0] * factors.num_features)
+        sample = dr.arange(field.module.UInt, u.shape[0])
+        point = _point(field.module, _flat(field.module, u), sample, True)
+        for scale in range(field.scales):
+            for place, read in enumerate(field.reads(field.literal(scale), point, True)):
+                for part in range(field.packets):
+                    plane, vector = read.values(part)
+                    dr.scatter(out, plane * vector, field.packet(sample, scale, place, part))
         return _host(out).reshape(u.shape[0], factors.num_features)
 
     @staticmethod
     def backward(ctx, gradient: Tensor):
         planes, vectors, u = ctx.saved_tensors
-        factors = ctx.factors
-        module = factors.device.module
-        Packet = module.Array4f
-        to_planes, to_vectors = dr.zeros(module.Float, planes.numel()), dr.zeros(module.Float, vectors.numel())
-        sample = dr.arange(module.UInt, u.shape[0])
-        coordinates = _columns(module, u)
-        sources = _flat(module, planes), _flat(module, vectors)
-        incoming = _flat(module, gradient)
-        for place, cell in enumerate(factors.cells()):
-            plane, vector, ((rows_p, shares_p), (rows_v, shares_v)) = _values(module, *sources, coordinates, cell)
-            g = dr.gather(Packet, incoming, sample * len(factors.tables) + place)
-            for row, share in zip(rows_p, shares_p, strict=True):
-                dr.scatter_add(to_planes, g * vector * share, row, mode=dr.ReduceMode.Expand)
-            for row, share in zip(rows_v, shares_v, strict=True):
-                dr.scatter_add(to_vectors, g * plane * share, row, mode=dr.ReduceMode.Expand)
-        dr.eval(to_planes, to_vectors)
-        return _host(to_planes).reshape(planes.shape), _host(to_vectors).reshape(vectors.shape), None, None
+        module = ctx.factors.device.module
+        field = _Field(ctx.factors, planes, vectors)
+        sums = dr.zeros(module.Float, planes.numel()), dr.zeros(module.Float, vectors.numel())
+        dr.eval(sums)
+        add = _add_in_order if ctx.factors.device.name == "llvm" else _add_in_any_order
+        add(field, _flat(module, u), _flat(module, gradient), u.shape[0], sums)
+        dr.eval(sums)
+        to_planes, to_vectors = (_host(s) for s in sums)
+        return to_planes.reshape(planes.shape), to_vectors.reshape(vectors.shape), None, None
+
+
+class _Field:
+    """Planes and vectors on the device, and where each scale and direction lies in them."""
+
+    def __init__(self, factors, planes: Tensor, vectors: Tensor):
+        self.module, self.directions = factors.device.module, factors.directions
+        self.scales, self.packets = len(factors.grids), factors.channels // PACKET
+        self.planes, self.vectors = _flat(self.module, planes), _flat(self.module, vectors)
+        # Per scale: cells along x, y and z, then the first plane and vector row of each direction.
+        firsts = np.array(factors.tables)[:, 3:].reshape(self.scales, -1)
+        self.layout = np.column_stack([[(g.nx, g.ny, g.nz) for g in factors.grids], firsts]).astype(np.uint32)
+
+    def literal(self, scale: int) -> list:
+        """A scale's layout as constants of the kernel."""
+        return [self.module.UInt(int(number)) for number in self.layout[scale]]
+
+    def gathered(self, scale) -> list:
+        """The same of a scale that only the kernel knows."""
+        flat, columns = self.module.UInt(self.layout.ravel()), self.layout.shape[1]
+        return [dr.gather(self.module.UInt, flat, scale * columns + k) for k in range(columns)]
+
+    def packet(self, sample, scale, place: int, part):
+        """Which packet of the features holds a part of a direction's channels."""
+        return ((sample * self.scales + scale) * len(self.directions) + place) * self.packets + part
+
+    def reads(self, layout: list, point: list, active) -> Iterator[_Read]:
+        """What each direction reads of one scale at a point."""
+        nodes = [_nodes(self.module, x, cells) for x, cells in zip(point, layout[:3], strict=True)]
+        for place, direction in enumerate(self.directions):
+            axis, a, b = AXES[direction]
+            yield _Read(self, layout[3 + 2 * place : 5 + 2 * place], (nodes[axis], nodes[a], nodes[b]), layout[a], active)
+
+
+class _Read:
+    """The rows about one point of one plane and its vector, and their shares."""
+
+    def __init__(self, field: _Field, firsts: list, nodes: tuple, n_a, active):
+        self.field, self.active = field, active
+        (i0, i1, self.share), (a0, a1, self.share_a), (b0, b1, self.share_b) = nodes
+        low, high = firsts[0] + b0 * n_a, firsts[0] + b1 * n_a
+        self.plane_rows = low + a0, low + a1, high + a0, high + a1
+        self.vector_rows = firsts[1] + i0, firsts[1] + i1
+
+    def values(self, part):
+        """Packets of the plane and of the vector."""
+        low, low_right, high, high_right = (self._row(self.field.planes, row, part) for row in self.plane_rows)
+        low, high = _lerp(low, low_right, self.share_a), _lerp(high, high_right, self.share_a)
+        left, right = (self._row(self.field.vectors, row, part) for row in self.vector_rows)
+        return _lerp(low, high, self.share_b), _lerp(left, right, self.share)
+
+    def add(self, sums: tuple, incoming, part, mode) -> None:
+        """Add what an incoming gradient gives to the rows of the plane and of the vector."""
+        plane, vector = self.values(part)
+        low, high = _split(incoming * vector, self.share_b)
+        parts = *_split(low, self.share_a), *_split(high, self.share_a)
+        for target, rows, values in (
+            (sums[0], self.plane_rows, parts),
+            (sums[1], self.vector_rows, _split(incoming * plane, self.share)),
+        ):
+            for row, value in zip(rows, values, strict=True):
+                dr.scatter_add(target, value, row * self.field.packets + part, self.active, mode=mode)
+
+    def _row(self, source, row, part):
+        return dr.gather(self.field.module.Array4f, source, row * self.field.packets + part, self.active)
+
+
+def _add_in_order(field: _Field, u, gradient, samples: int, sums: tuple) -> None:
+    """Gradients of planes and vectors, added in the order of the samples by a launch of a few wide packets.
+
+    Packets share out the scales (and the parts of their channels), and each goes through all samples, as many at a time
+    as it has lanes. No two of them write to the same row, a packet runs on one thread, and Dr.Jit adds its lanes' rows
+    one after the other: nothing has to be atomic, and nothing depends on who runs when.
+    """
+    UInt = field.module.UInt
+    lanes, units = _lanes(field.module), field.scales * field.packets
+    workers = min(dr.thread_count(), units)
+    index = dr.arange(UInt, workers * lanes)
+    lane, num = index % lanes, dr.opaque(UInt, samples)
+
+    def one_unit(unit):
+        scale, part = unit // field.packets, unit % field.packets
+        layout = field.gathered(scale)
+
+        def some_samples(sample):
+            active = sample < num
+            point = _point(field.module, u, sample, active)
+            for place, read in enumerate(field.reads(layout, point, active)):
+                packet = field.packet(sample, scale, place, part)
+                incoming = dr.gather(field.module.Array4f, gradient, packet, active)
+                read.add(sums, incoming, part, dr.ReduceMode.NoConflicts)
+            return (sample + lanes,)
+
+        # Lanes leave together: a packet goes on while its first one has a sample.
+        dr.while_loop((UInt(lane),), lambda sample: sample - lane < num, some_samples, mode="symbolic")
+        return (unit + workers,)
+
+    dr.while_loop((index // lanes,), lambda unit: unit < units, one_unit, mode="symbolic")
+
+
+def _add_in_any_order(field: _Field, u, gradient, samples: int, sums: tuple) -> None:
+    """Gradients of planes and vectors by atomic additions, a thread for each sample."""
+    sample = dr.arange(field.module.UInt, samples)
+    point = _point(field.module, u, sample, True)
+    for scale in range(field.scales):
+        for place, read in enumerate(field.reads(field.literal(scale), point, True)):
+            for part in range(field.packets):
+                packet = field.packet(sample, scale, place, part)
+                incoming = dr.gather(field.module.Array4f, gradient, packet)
+                read.add(sums, incoming, part, dr.ReduceMode.Auto)
+
+
+@cache
+def _lanes(module) -> int:
+    """Lanes of a SIMD packet of LLVM, read from a kernel: Dr.Jit tells them nowhere else."""
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        dr.eval(dr.opaque(module.Float, 1.0, 2) + 1.0)
+        text = dr.kernel_history((dr.KernelType.JIT,))[-1]["ir"].read()
+    return int(re.search(r"<(\d+) x float>", text)[1])
 
 
 def _flat(module, tensor: Tensor):
@@ -74,29 +200,23 @@ def _host(array) -> Tensor:
     return torch.from_numpy(array.numpy())
 
 
-def _columns(module, u: Tensor):
-    flat, index = _flat(module, u), dr.arange(module.UInt, u.shape[0]) * 3
-    return [dr.gather(module.Float, flat, index + axis) for axis in range(3)]
+def _point(module, u, sample, active) -> list:
+    return [dr.gather(module.Float, u, sample * 3 + axis, active) for axis in range(3)]
 
 
-def _nodes(module, x, cells: int):
+def _nodes(module, x, cells):
     """Left and right node and the share of the right one; constant beyond the outer cell centres."""
-    Float, UInt = module.Float, module.UInt
-    x = dr.clip(x * float(cells) - 0.5, 0.0, cells - 1.0)
-    left = dr.minimum(UInt(x), UInt(max(cells - 2, 0)))
-    return left, dr.minimum(left + 1, UInt(cells - 1)), x - Float(left)
+    number = module.Float(cells)
+    x = dr.clip(x * number - 0.5, 0.0, number - 1.0)
+    left = dr.minimum(module.UInt(x), dr.maximum(cells, 2) - 2)
+    return left, dr.minimum(left + 1, cells - 1), x - module.Float(left)
 
 
-def _values(module, planes, vectors, coordinates, cell):
-    """Plane and vector packets of one scale and direction, and the rows and shares that they came from."""
-    axis, a, b, n, n_a, n_b, plane, vector = cell
-    Packet = module.Array4f
-    i0, i1, s = _nodes(module, coordinates[axis], n)
-    a0, a1, s_a = _nodes(module, coordinates[a], n_a)
-    b0, b1, s_b = _nodes(module, coordinates[b], n_b)
-    rows_v, shares_v = (vector + i0, vector + i1), (1.0 - s, s)
-    rows_p = (plane + b0 * n_a + a0, plane + b0 * n_a + a1, plane + b1 * n_a + a0, plane + b1 * n_a + a1)
-    shares_p = ((1.0 - s_a) * (1.0 - s_b), s_a * (1.0 - s_b), (1.0 - s_a) * s_b, s_a * s_b)
-    value_p = sum(dr.gather(Packet, planes, r) * w for r, w in zip(rows_p, shares_p, strict=True))
-    value_v = sum(dr.gather(Packet, vectors, r) * w for r, w in zip(rows_v, shares_v, strict=True))
-    return value_p, value_v, ((rows_p, shares_p), (rows_v, shares_v))
+def _lerp(left, right, share):
+    return dr.fma(right - left, share, left)
+
+
+def _split(value, share):
+    """What of a gradient goes to the left and to the right of two nodes."""
+    right = value * share
+    return value - right, right

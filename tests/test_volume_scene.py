@@ -1,4 +1,4 @@
-"""Rendering of volumes whose answer is known: fog of constant density, an opaque bed under water, water and backdrop."""
+"""Rendering of volumes with known answers: fog of constant density, an opaque bed under water, water and backdrop."""
 
 from __future__ import annotations
 

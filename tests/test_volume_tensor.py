@@ -67,8 +67,8 @@ def test_the_weighting_network_takes_over_without_a_step_and_with_its_own_rates(
     coarse = {id(p): g.rate for g in model.rates() for p in g.parameters}
     still = [1.0, 2.0, 1.0, 2.0, 1.0]
     assert not model.observe(still)
-    assert not model.observe(still + [1.0, 1.1, 1.0, 1.1, 1.0])  # noise of 1 % of the variance is 0.0024
-    assert model.observe(still + [1.0, 1.01, 1.0, 1.01, 1.0])
+    assert not model.observe([*still, 1.0, 1.1, 1.0, 1.1, 1.0])  # noise of 1 % of the variance is 0.0024
+    assert model.observe([*still, 1.0, 1.01, 1.0, 1.01, 1.0])
     assert model.regression.is_fine
     torch.testing.assert_close(model.evaluate(x)[0], before, rtol=1e-4, atol=0)
     fine = {id(p): g.rate for g in model.rates() for p in g.parameters}

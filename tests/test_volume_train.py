@@ -1,4 +1,4 @@
-"""Training of volumes from photographs of a painted bed under water: it is found, and what is drawn is what is there."""
+"""Training of volumes from photographs of a painted bed under water: it is found; what is drawn is what is there."""
 
 from __future__ import annotations
 

@@ -51,6 +51,7 @@ class Factors(nn.Module):
     directions : str
         Which of "x", "y", "z" have a vector; the plane spans the other two axes.
     channels : int
+        A multiple of 4 for fused lookups.
     device : Device
         Dr.Jit device for fused lookups; "torch" for the twin.
     seed : int

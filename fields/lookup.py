@@ -101,7 +101,9 @@ class _Field:
         nodes = [_nodes(self.module, x, cells) for x, cells in zip(point, layout[:3], strict=True)]
         for place, direction in enumerate(self.directions):
             axis, a, b = AXES[direction]
-            yield _Read(self, layout[3 + 2 * place : 5 + 2 * place], (nodes[axis], nodes[a], nodes[b]), layout[a], active)
+            yield _Read(
+                self, layout[3 + 2 * place : 5 + 2 * place], (nodes[axis], nodes[a], nodes[b]), layout[a], active
+            )
 
 
 class _Read:

@@ -20,9 +20,9 @@ from fields.train import Schedule, Sources, draw_rays, slab_of, train
 
 BED = PlaneBed(TILTED, -2.0, 0.1)
 GSD = 0.03
-# Two trainings differ by the order in which Dr.Jit adds up gradients: heights by one step of float32 (0.24 um) after 40
-# steps, in twelve tries on a loaded machine. Another seed moves them by millimetres.
-ORDER_OF_SUMS_MM = 0.01
+# On CUDA two trainings differ by the order in which Dr.Jit adds up gradients: a step of float32 in height is 0.24 um.
+# Another seed moves them by millimetres.
+ORDER_OF_SUMS_MM = {"llvm": 0.0, "torch": 0.0, "cuda": 0.01}
 
 
 @pytest.fixture(scope="module")
@@ -80,8 +80,8 @@ def test_the_same_seed_trains_the_same_bed(cameras, device, short):
     one, other = (
         errors_mm(sources, train(sources, slab, FieldSettings(), Schedule(1.0), device, quietly)[0]) for _ in range(2)
     )
-    assert np.abs(one - other).max() < ORDER_OF_SUMS_MM
-    assert np.ptp(one) > 100.0 * ORDER_OF_SUMS_MM
+    assert np.abs(one - other).max() <= ORDER_OF_SUMS_MM[device.name]
+    assert np.ptp(one) > 1.0
 
 
 def test_colours_learn_first_and_the_bed_stays_where_it_is(cameras, device, short, monkeypatch):

@@ -22,9 +22,10 @@ from fields.volume.losses import (
 )
 from fields.volume.priors import COLUMNS
 from fields.volume.sampling import Cells, Samples
-from fields.volume.scene import Rendered, Scene
+from fields.volume.scene import Backdrop, Rendered, Scene
 
 LENGTH = 0.1
+BLACK = Backdrop((0.0, 0.0, 0.0))
 
 
 def number(value: torch.Tensor) -> float:
@@ -191,7 +192,8 @@ def test_samples_by_score_crowd_where_it_is_high_and_still_add_up_to_the_path(sh
     z = paths.at(samples.s)[..., 2]
     near_floor = number(((z > -0.125) & (z < 0.125)).float().mean())
     assert near_floor == pytest.approx((1.0 - share) * 0.125 + share, abs=0.03)  # one of 40 samples
-    even = Scene(AnalyticVolume(lambda x: torch.full((len(x),), 0.7))).render(paths, samples)
+    fog = AnalyticVolume(lambda x: torch.full((len(x),), 0.7))
+    even = Scene(fog, background=BLACK).render(paths, samples)
     expected = 1.0 - torch.exp(-0.7 * (paths.far - paths.near))
     torch.testing.assert_close(even.opacity, expected, rtol=1e-5, atol=0.0)  # 40 additions in float32
 
@@ -219,7 +221,8 @@ def trained_on():
     vectors = appearance_vectors(1, 2)
     vectors.weight.data += 0.3
     model = AnalyticVolume(lambda x: 6.0 * torch.sigmoid(8.0 * torch.sin(4.0 * x[:, 0] + 3.0 * x[:, 2])))
-    scene, paths, cells = Scene(model, appearance=vectors), seen_by(looking_down()), Cells.everywhere(BOX, 32)
+    scene = Scene(model, appearance=vectors, background=BLACK)
+    paths, cells = seen_by(looking_down()), Cells.everywhere(BOX, 32)
     paths.rgb = torch.rand(len(paths), 3)
     known = torch.rand(len(paths), COLUMNS)
     known[:, 0] += 4.0

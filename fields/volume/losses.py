@@ -140,7 +140,10 @@ class Seen:
 
 
 def transparency_loss(rendered: Rendered) -> Tensor:
-    """Mean share of the light that passes through: for scenes in which every path ends on the bed."""
+    """Mean share of the light that passes through: for scenes in which every path ends on the bed.
+
+    Without a background it is zero of itself: what reaches the last sample then comes from there.
+    """
     return (1.0 - rendered.opacity).mean()
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import torch
 from plane_survey import look
-from volume_models import BOX, check_learning, positions
+from volume_models import check_learning, positions
+from volume_scenes import BOX
 
 from fields.heads import WaterColumn
 from fields.volume.hash_grid import HashSettings, HashVolume
@@ -22,7 +23,7 @@ SMALL = ProposalSettings(samples=(40, 24), n_max=(12, 24), n_min=6, levels=3, lo
 
 
 def falling(num: int) -> Paths:
-    """Paths straight down through the box, dry, the last of which misses it."""
+    """Paths straight down through the box, 1.5 m of each, dry; the last misses it."""
     camera = look((0.1, -0.1, 0.0), (0.1, -0.1, -2.0))
     pixels = np.tile([camera.cx, camera.cy], (num, 1))
     pixels[-1, 0] = 1e5
@@ -87,21 +88,21 @@ def test_no_weight_anywhere_is_no_loss():
 
 def test_samples_follow_the_weights_but_for_an_even_share(monkeypatch):
     made, paths = proposal(), falling(3)
-    monkeypatch.setattr(made, "density", lambda index, x: 200.0 * ((x[:, 2] + 2.0).abs() < 0.05))
+    monkeypatch.setattr(made, "density", lambda index, x: 200.0 * ((x[:, 2] + 1.25).abs() < 0.1))
     drawn = made.samples(paths, 200, jitter=False)
-    # Light is stopped between 1.95 and 2.05 m, an eighth of the way, give or take the first pieces of 0.02 m.
-    inside = ((drawn.s[:-1] > 1.93) & (drawn.s[:-1] < 2.07)).float().mean().item()
-    assert inside == pytest.approx(1.0 - EVEN_SHARE + EVEN_SHARE / 8.0, abs=0.02)
+    # Light is stopped between 1.15 and 1.35 m, 2/15 of the way, give or take the first pieces of 0.04 m.
+    inside = ((drawn.s[:-1] > 1.11) & (drawn.s[:-1] < 1.39)).float().mean().item()
+    assert inside == pytest.approx(1.0 - EVEN_SHARE + EVEN_SHARE * 2.0 / 15.0, abs=0.02)
     # The gaps of the even share are a tenth as dense as even samples would be.
-    assert drawn.length[:-1].max() < 0.8 / (200 * EVEN_SHARE) * 1.1
+    assert drawn.length[:-1].max() < 1.5 / (200 * EVEN_SHARE) * 1.1
 
 
 def test_an_empty_box_is_sampled_evenly_and_pieces_cover_the_path(monkeypatch):
     made, paths = proposal(), falling(3)
     monkeypatch.setattr(made, "density", lambda index, x: torch.zeros(len(x)))
     drawn = made.samples(paths, 16, jitter=False)
-    torch.testing.assert_close(drawn.length[:-1], torch.full((2, 16), 0.05), atol=1e-6, rtol=0.0)  # of sums to 2.4
-    torch.testing.assert_close(drawn.edges[:-1, [0, -1]], torch.tensor([[1.6, 2.4]] * 2))
+    torch.testing.assert_close(drawn.length[:-1], torch.full((2, 16), 1.5 / 16), atol=1e-6, rtol=0.0)  # of sums to 2
+    torch.testing.assert_close(drawn.edges[:-1, [0, -1]], torch.tensor([[0.5, 2.0]] * 2))
     assert not drawn.length[-1].any()
 
 
@@ -109,7 +110,7 @@ def test_every_sample_lies_in_its_piece_and_a_path_that_misses_has_no_length():
     torch.manual_seed(0)
     paths = falling(40)
     for found in (proposal().samples(paths, 24, jitter=jitter) for jitter in (True, False)):
-        assert (found.s >= found.edges[:, :-1] - 1e-6).all()  # a few roundings of 2.4
+        assert (found.s >= found.edges[:, :-1] - 1e-6).all()  # a few roundings of 2
         assert (found.s <= found.edges[:, 1:] + 1e-6).all()
         assert not found.s.requires_grad
         assert [r.weights.shape[1] for r in found.rounds] == list(SMALL.samples)

@@ -50,13 +50,13 @@ class _Lookup(torch.autograd.Function):
         field = _Field(factors, planes, vectors)
         out = dr.empty(field.module.Float, u.shape[0] * factors.num_features)
         sample = dr.arange(field.module.UInt, u.shape[0])
-        point = _point(field.module, _flat(field.module, u), sample, True)
+        point = _point(field.module, flat_on(field.module, u), sample, True)
         for scale in range(field.scales):
             for place, read in enumerate(field.reads(field.literal(scale), point, True)):
                 for part in range(field.packets):
                     plane, vector = read.values(part)
                     dr.scatter(out, plane * vector, field.packet(sample, scale, place, part))
-        return _host(out).reshape(u.shape[0], factors.num_features)
+        return on_host(out).reshape(u.shape[0], factors.num_features)
 
     @staticmethod
     def backward(ctx, gradient: Tensor):
@@ -66,9 +66,9 @@ class _Lookup(torch.autograd.Function):
         sums = dr.zeros(module.Float, planes.numel()), dr.zeros(module.Float, vectors.numel())
         dr.eval(sums)
         add = _add_in_order if ctx.factors.device.name == "llvm" else _add_in_any_order
-        add(field, _flat(module, u), _flat(module, gradient), u.shape[0], sums)
+        add(field, flat_on(module, u), flat_on(module, gradient), u.shape[0], sums)
         dr.eval(sums)
-        to_planes, to_vectors = (_host(s) for s in sums)
+        to_planes, to_vectors = (on_host(s) for s in sums)
         return to_planes.reshape(planes.shape), to_vectors.reshape(vectors.shape), None, None
 
 
@@ -78,7 +78,7 @@ class _Field:
     def __init__(self, factors, planes: Tensor, vectors: Tensor):
         self.module, self.directions = factors.device.module, factors.directions
         self.scales, self.packets = len(factors.grids), factors.channels // PACKET
-        self.planes, self.vectors = _flat(self.module, planes), _flat(self.module, vectors)
+        self.planes, self.vectors = flat_on(self.module, planes), flat_on(self.module, vectors)
         # Per scale: cells along x, y and z, then the first plane and vector row of each direction.
         firsts = np.array(factors.tables)[:, 3:].reshape(self.scales, -1)
         self.layout = np.column_stack([[(g.nx, g.ny, g.nz) for g in factors.grids], firsts]).astype(np.uint32)
@@ -193,11 +193,12 @@ def _lanes(module) -> int:
     return int(re.search(r"<(\d+) x float>", text)[1])
 
 
-def _flat(module, tensor: Tensor):
+def flat_on(module, tensor: Tensor):
+    """The numbers of a tensor on the device; on LLVM nothing is copied."""
     return module.Float(tensor.detach().contiguous().reshape(-1).numpy())
 
 
-def _host(array) -> Tensor:
+def on_host(array) -> Tensor:
     """Torch keeps the field in host memory, wherever the kernels run; on LLVM nothing is copied."""
     return torch.from_numpy(array.numpy())
 

@@ -82,7 +82,7 @@ class TensorField(nn.Module):
             grids = [Grid(n, n, n) for n in cells]
         shape = (settings.scales, len(settings.directions), settings.channels)
         self.factors = Factors(grids, settings.directions, settings.channels, device)
-        self.density = DensityHead(*shape)
+        self.density = DensityHead(*shape, device=device)
         self.colour = ColourHead(*shape, degree=2 if settings.view_dependent else 0)
         self.column = column
         # Half a cell: tails that reach a face of the slab pull the bed away from it.

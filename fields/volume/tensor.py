@@ -98,7 +98,7 @@ class TensorVolume(VolumeModel):
         scales = geometric_scales(settings.n_min, settings.n_max, settings.scales)
         self.factors = Factors([grid_of(box, n) for n in scales], settings.directions, settings.channels, device, seed)
         shape = (settings.scales, len(settings.directions), settings.channels)
-        self.regression = DensityHead(*shape, reduction=settings.reduction)
+        self.regression = DensityHead(*shape, reduction=settings.reduction, device=device)
         self.colour = ColourHead(*shape, hidden=settings.hidden, degree=settings.degree, extra=appearance)
         nn.init.ones_(self.regression.coarse.weight)
         self.per_metre = settings.n_max / box.edge

@@ -1,0 +1,100 @@
+"""What `bench_survey_field.py` measures: masts apart from the bed, and held-out views over water pixels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from scipy.ndimage import distance_transform_edt, grey_opening
+from scipy.spatial import cKDTree
+
+from evaluation import distance_statistics, distance_to_mesh, image_quality, is_reached, psnr
+from evaluation.images import largest_rectangle
+from geo import read_cloud, read_reference
+from survey.folder import Survey, View, load_image, load_mask
+from survey.stages import local_area, within
+
+TOLERANCES_M = (0.05, 0.2)
+# A point is of a mast if it stands this far over all that is wider than this, in a raster of these cells.
+RISE_M, WIDE_M, CELL_M = 0.5, 1.0, 0.1
+# The least side of an image of five scales.
+SMALLEST_PX = 176
+
+
+def is_mast(points: np.ndarray) -> np.ndarray:
+    """Which points (N, 3) [m] of a surface, local, belong to what stands up narrowly: (N,) bool.
+
+    The opening of the raster of greatest heights by a disc is the surface without anything narrower than the disc.
+    """
+    low = points[:, :2].min(axis=0)
+    column, row = np.floor((points[:, :2] - low) / CELL_M).astype(int).T
+    top = np.full((row.max() + 1, column.max() + 1), -np.inf)
+    np.maximum.at(top, (row, column), points[:, 2])
+    nearest = distance_transform_edt(np.isinf(top), return_distances=False, return_indices=True)
+    across = np.arange(-int(WIDE_M / CELL_M / 2), int(WIDE_M / CELL_M / 2) + 1)
+    disc = np.add.outer(across**2, across**2) <= (WIDE_M / CELL_M / 2) ** 2
+    opened = grey_opening(top[tuple(nearest)], footprint=disc)
+    return points[:, 2] - opened[row, column] > RISE_M
+
+
+def cloud_figures(cloud: Path, reference: Path, visible: Path, survey: Survey) -> dict:
+    """Completeness over what cameras see, and the distances of the cloud from the truth, with masts apart."""
+    frame, area = survey.frame, local_area(survey)
+    points = frame.local_from_crs(read_cloud(cloud).points)
+    mesh, seen = read_reference(reference), frame.local_from_crs(read_reference(visible).points)
+    mast = is_mast(seen)
+    figures = {"points": len(points), "mast_share": float(mast.mean())}
+    for tolerance in TOLERANCES_M:
+        reached = is_reached(seen, points, tolerance_m=tolerance)
+        for name, part in (("all", np.ones(len(seen), bool)), ("bed", ~mast), ("masts", mast)):
+            figures[f"complete_{name}_{tolerance}"] = float(reached[part].mean()) if part.any() else None
+    inside = points[within(points, area)] if area is not None else points
+    distances = distance_to_mesh(inside, frame.local_from_crs(mesh.vertices), mesh.faces).signed
+    of_mast = mast[cKDTree(seen).query(inside, workers=-1)[1]]
+    for name, part in (("all", np.ones(len(inside), bool)), ("bed", ~of_mast), ("masts", of_mast)):
+        numbers = distance_statistics(distances[part])
+        figures |= {f"{k}_{name}": numbers[f"{k}_inner90_m"] for k in ("mean", "std")}
+    return figures
+
+
+def water_pixels(survey: Survey, view: View, deepest_m: float) -> np.ndarray:
+    """Pixels (height, width) whose path lies over the bounds of the survey from the surface down to the deepest bed.
+
+    The rendering has no say in it, so that what it leaves black counts.
+    """
+    path = view.camera.paths(view.camera.pixel_centres(), survey.water)
+    area = local_area(survey)
+    held = np.ones(path.wet.shape, dtype=bool)
+    for height in (0.0, -deepest_m):
+        at = path.at_height(np.full(held.shape, height), survey.water)
+        held &= within(at.reshape(-1, 3), area).reshape(held.shape)
+    mask = load_mask(view)
+    return held if mask is None else held & mask
+
+
+def view_figures(survey: Survey, view: View, picture: Path, deepest_m: float, weights: dict) -> dict:
+    """Image quality of one rendered view over its water pixels; what needs a rectangle only where there is one."""
+    with Image.open(picture) as image:
+        rendered = np.asarray(image)
+    photograph, found = load_image(view) / 255.0, rendered[..., :3] / 255.0
+    mask, seen = water_pixels(survey, view, deepest_m), rendered[..., 3] > 0
+    if not (mask & seen).any():
+        return {"image": view.name, "pixels": 0}
+    figures = {"image": view.name, "pixels": int(mask.sum()), "unseen_share": float((mask & ~seen).sum() / mask.sum())}
+    figures["psnr_seen_db"] = psnr(photograph, found, mask & seen)
+    rows, columns = largest_rectangle(mask)
+    if min(rows.stop - rows.start, columns.stop - columns.start) < SMALLEST_PX:
+        return figures | {"psnr_db": psnr(photograph, found, mask)}
+    figures["rectangle_px"] = [columns.stop - columns.start, rows.stop - rows.start]
+    return figures | image_quality(photograph, found, mask=mask, **weights)
+
+
+def summary(views: list[dict]) -> dict:
+    """Means over images, and the PSNR [dB] of all water pixels together."""
+    views = [v for v in views if v["pixels"] > 0]
+    names = sorted({k for v in views for k in v} - {"image", "pixels", "rectangle_px"})
+    means = {name: float(np.mean([v[name] for v in views if name in v])) for name in names}
+    count = np.array([v["pixels"] for v in views])
+    mse = np.array([10.0 ** (-0.1 * v["psnr_db"]) for v in views])
+    return {"images": len(views), **means, "psnr_pooled_db": float(-10.0 * np.log10((count * mse).sum() / count.sum()))}

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from fields import heads
 from fields.device import choose_device
 from fields.heads import GATE_OF_ONE, ColourHead, DensityHead, WaterColumn, spherical_harmonics
 
@@ -159,6 +160,22 @@ def test_colour_weights_each_scale_and_regresses_it_with_the_direction(rng):
         out = linear(head.last, gelu(linear(head.middle, gelu(linear(head.first, f)))))
         np.testing.assert_allclose(value, np.log1p(np.exp(4.0 * out)) / 4.0, rtol=1e-10)  # softplus, beta 4
     assert (found > 0.0).all()
+
+
+def test_colours_and_their_gradients_do_not_depend_on_how_many_are_regressed_at_once(rng, monkeypatch):
+    head = randomised(ColourHead(L, D, F, hidden=5, degree=2, extra=3))
+    features, directions, appearance = (torch.from_numpy(rng.standard_normal((11, n))) for n in (L * D * F, 3, 3))
+    results = []
+    for part in (100, 4, 1):
+        monkeypatch.setattr(heads, "PART", part)
+        head.zero_grad()
+        x = features.clone().requires_grad_()
+        colour = head(x, directions, appearance)
+        colour.square().sum().backward()
+        results.append([colour.detach(), x.grad, head.weights.grad.clone(), head.first.weight.grad.clone()])
+    for found in zip(*results, strict=True):
+        for other in found[1:]:
+            torch.testing.assert_close(other, found[0], rtol=1e-12, atol=1e-12 * float(found[0].abs().max()))
 
 
 def test_a_matt_bed_looks_the_same_from_everywhere(rng):

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from fields.device import Device
-from fields.factors import Factors, Grid, anisotropic_grids, geometric_scales
+from fields.factors import Factors, anisotropic_grids
 from fields.heads import ColourHead, DensityHead, WaterColumn
 from fields.rays import GAMMA, Rays
 from fields.render import log_transmittance, quantile_height, render_weights
@@ -25,86 +25,58 @@ class FieldSettings:
 
     Attributes
     ----------
-    sheared : bool
-        True for the survey grid: the slab in coordinates sheared by the proxy, its finest cells one GSD. False for a
-        cube about the scene in plain coordinates, as the paper has it.
     scales, channels : int
         L and n_f of the paper.
-    directions : str
-        Of "xyz", those with a vector; in the thin slab of a survey "z" alone carries what was measured.
     coarsening : float
-        Survey grid: cells of the coarsest scale over those of the finest.
-    n_min, n_max : int
-        Cube: cells along an edge at the coarsest and finest scale.
+        Cells of the coarsest scale over those of the finest, which measure one GSD.
     samples : int
         Per ray, inside the slab: the paper's sampling within +-s of the proxy surface. Fewer than 100, so that one at
         least is heavy enough for a colour; others raise ValueError.
-    view_dependent : bool
-        Spherical harmonics of the direction, in the medium where the sample lies, in the colour head.
     """
 
-    sheared: bool = True
     scales: int = 4
     channels: int = 4
-    directions: str = "z"
     coarsening: float = 8.0
-    n_min: int = 64
-    n_max: int = 256
     samples: int = 8
-    view_dependent: bool = False
 
     def __post_init__(self):
         if not 2 <= self.samples < 1.0 / MIN_COLOUR_WEIGHT:
             raise ValueError(f"a field has {self.samples} samples per ray, expected 2 to 99")
 
-    @staticmethod
-    def paper() -> FieldSettings:
-        """MDW-NeRF's own grid: six scales from 64 to 256 in a cube, three directions, view-dependent colour."""
-        return FieldSettings(sheared=False, scales=6, directions="xyz", view_dependent=True)
-
 
 class TensorField(nn.Module):
     """Density and colour inside a slab about the bed's proxy.
 
-    On the survey grid the raw density moves the bed: signed distance = zeta - half * tanh(raw), with a Laplace law of
-    learned width, so that the middle of a ray's weights is the bed and a field of zero the proxy. In the paper's cube
-    the density is softplus(raw) per cell. ``column`` is the water over the bed, None for a dry survey.
+    Vectors stand along zeta, planes lie in x and y: in the thin slab other directions carry nothing. The raw density
+    moves the bed: signed distance = zeta - half * tanh(raw), with a Laplace law of learned width, so that the middle of
+    a ray's weights is the bed and a field of zero the proxy. The bed is matt. (A box of any content, with three
+    directions and colours that depend on the view: `fields.volume`.) ``column`` is the water over the bed, None for a
+    dry survey.
     """
 
     def __init__(self, slab: Slab, settings: FieldSettings, device: Device, column: WaterColumn | None):
         super().__init__()
         self.slab, self.settings = slab, settings
-        if settings.sheared:
-            cell = np.array([slab.cell, slab.cell, slab.half / 4.0])
-            grids = anisotropic_grids(slab.size, cell, settings.coarsening, settings.scales)
-        else:
-            cells = [round(n) for n in geometric_scales(settings.n_min, settings.n_max, settings.scales)]
-            grids = [Grid(n, n, n) for n in cells]
-        shape = (settings.scales, len(settings.directions), settings.channels)
-        self.factors = Factors(grids, settings.directions, settings.channels, device)
+        cell = np.array([slab.cell, slab.cell, slab.half / 4.0])
+        grids = anisotropic_grids(slab.size, cell, settings.coarsening, settings.scales)
+        shape = (settings.scales, 1, settings.channels)
+        self.factors = Factors(grids, "z", settings.channels, device)
         self.density = DensityHead(*shape, device=device)
-        self.colour = ColourHead(*shape, degree=2 if settings.view_dependent else 0)
+        self.colour = ColourHead(*shape)
         self.column = column
         # Half a cell: tails that reach a face of the slab pull the bed away from it.
         self.log_width = nn.Parameter(torch.log(torch.tensor(0.5 * slab.cell, dtype=torch.float32)))
 
-    def _coordinates(self, position: Tensor, z: Tensor, zeta: Tensor) -> Tensor:
-        """Box coordinates (samples, 3) of positions (..., 3) [m] at heights z (...) [m]."""
-        if self.settings.sheared:
-            return self.slab.box_coordinates(position[..., :2], zeta).view(-1, 3)
-        edge = float(self.slab.size[:2].max())
-        low = torch.as_tensor(self.slab.low, dtype=torch.float32)
-        middle = float(np.median(self.slab.proxy[self.slab.known]))
-        return torch.cat([(position[..., :2] - low) / edge, ((z - middle) / edge + 0.5)[..., None]], dim=-1).view(-1, 3)
+    def _features(self, position: Tensor, zeta: Tensor) -> Tensor:
+        """Features (samples, ...) at positions (..., 3) [m], zeta (...) [m] over the proxy."""
+        return self.factors(self.slab.box_coordinates(position[..., :2], zeta).view(-1, 3))
 
-    def _thickness(self, features: Tensor, zeta: Tensor, lengths: Tensor) -> Tensor:
+    def _thickness(self, features: Tensor, zeta: Tensor) -> Tensor:
         """Density times length (rays, samples) of the intervals, from the features (samples,) at their middles.
 
-        ``zeta`` (rays, samples + 1) [m] are the heights of their ends over the proxy, ``lengths`` (rays, samples) [m].
+        ``zeta`` (rays, samples + 1) [m] are the heights of their ends over the proxy.
         """
-        raw = self.density(features).view_as(lengths)
-        if not self.settings.sheared:
-            return nn.functional.softplus(raw) * (self.settings.n_max / float(self.slab.size[:2].max())) * lengths
+        raw = self.density(features).view(len(zeta), -1)
         lift, width = self.slab.half * torch.tanh(raw), self.log_width.exp()
         start = log_transmittance(zeta[:, :-1] - lift, width)
         end = log_transmittance(zeta[:, 1:] - lift, width)
@@ -125,9 +97,8 @@ class TensorField(nn.Module):
         ends = self.intervals(rays, jitter)
         z = _middles(ends)
         zeta = ends - self.slab.height_at(rays.at(ends)[..., :2].reshape(-1, 2)).view_as(ends)
-        features = self.factors(self._coordinates(rays.at(z), z, _middles(zeta)))
-        lengths = (ends[:, :-1] - ends[:, 1:]) * rays.slope(z).norm(dim=-1)
-        weights = render_weights(self._thickness(features, zeta, lengths))
+        features = self._features(rays.at(z), _middles(zeta))
+        weights = render_weights(self._thickness(features, zeta))
         # The bed is opaque: light that passed the slab's lower end met it there.
         weights = torch.cat([weights[:, :-1], 1.0 - weights[:, :-1].sum(dim=1, keepdim=True)], dim=1)
         return weights, ends, features
@@ -141,10 +112,7 @@ class TensorField(nn.Module):
         z = _middles(ends)
         painted = weights.detach() > MIN_COLOUR_WEIGHT
         where = painted.view(-1).nonzero()[:, 0]
-        direction = None
-        if self.settings.view_dependent:
-            direction = -nn.functional.normalize(rays.slope(z).view(-1, 3)[where], dim=1)
-        seen = torch.zeros(z.numel(), 3).index_put((where,), self.colour(features[where], direction))
+        seen = torch.zeros(z.numel(), 3).index_put((where,), self.colour(features[where], None))
         # Samples too light to be looked up take the others' colour: left black, they would push the bed about.
         share = weights * painted
         share = share / share.sum(dim=1, keepdim=True)
@@ -177,8 +145,8 @@ class TensorField(nn.Module):
     def _normals(self, position: Tensor, z: Tensor, up: Tensor) -> Tensor:
         """Unit normals (N, 3) of the bed, local, at positions (N, 3) [m] on it, z (N,) [m] over the water plane.
 
-        Where the field is a distance, its gradient; else against that of the density. By central differences of half
-        a cell to each side, over which the features are linear.
+        The gradient of the signed distance, by central differences of half a cell to each side, over which the
+        features are linear.
         """
         step = 0.5 * self.slab.cell
         along_x, along_y = (step * torch.eye(3)[axis] for axis in (0, 1))
@@ -188,10 +156,10 @@ class TensorField(nn.Module):
         return nn.functional.normalize(gradient, dim=1)
 
     def _above(self, position: Tensor, z: Tensor) -> Tensor:
-        """What rises out of the bed upwards (N,): the signed distance [m], or the raw density with its sign changed."""
+        """Signed distance (N,) [m], positive above the bed."""
         zeta = z - self.slab.height_at(position[:, :2])
-        raw = self.density(self.factors(self._coordinates(position, z, zeta)))
-        return zeta - self.slab.half * torch.tanh(raw) if self.settings.sheared else -raw
+        raw = self.density(self._features(position, zeta))
+        return zeta - self.slab.half * torch.tanh(raw)
 
 
 def _middles(ends: Tensor) -> Tensor:

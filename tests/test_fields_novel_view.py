@@ -89,15 +89,6 @@ def test_the_first_of_two_meetings_is_shown():
     assert not (view.seen & (view.bed_height < -1.7) & (x > -0.6) & (x < 0.7)).any()
 
 
-def test_a_cube_faces_against_its_density_and_renders_the_same_twice(camera):
-    field = untrained(DRY, sheared=False, scales=2, directions="xyz", view_dependent=True, n_min=4, n_max=8)
-    with torch.no_grad():
-        field.density.coarse.weight.normal_()
-    one, two = (render_view(field, camera, None) for _ in range(2))
-    np.testing.assert_array_equal(one.rgb, two.rgb)
-    np.testing.assert_allclose(np.linalg.norm(one.normal[one.seen], axis=-1), 1.0, atol=1e-5)
-
-
 def test_gaps_are_closed_and_wide_holes_stay_open(camera):
     field = untrained(DRY)
     field.slab.known[40:44, 40:44] = False

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import torch
 from plane_field import field_over, level_slab, rays_at
-from plane_survey import TILTED, PlaneBed, look, ring
+from plane_survey import PlaneBed, ring
 
 from fields.device import choose_device
-from fields.heads import WaterColumn
 from fields.rays import GAMMA
 from fields.tensor_field import MIN_COLOUR_WEIGHT, FieldSettings, TensorField
 from refract import FlatWater
@@ -22,7 +21,6 @@ LEVEL = FlatWater((0.0, 0.0, 0.0), n_water=1.333)
 HEIGHT_M = 5e-6
 # A bed this sharp, on an end of two intervals, leaves no sample a weight that is too small to be painted.
 SHARP_M, COLOUR = 1e-4, 1e-5
-PAPER_SMALL = {"sheared": False, "scales": 3, "directions": "xyz", "view_dependent": True, "n_min": 4, "n_max": 16}
 
 
 def lift(field: TensorField, metres: float) -> None:
@@ -149,35 +147,6 @@ def test_a_dry_bed_of_one_colour_has_it_however_blurred(width):
     )
 
 
-@pytest.mark.parametrize("water", [LEVEL, None])
-def test_a_cube_of_constant_density_lets_through_what_the_path_in_it_leaves(water):
-    bed, camera = PlaneBed(water, -2.0), look((4.0, 1.0, 8.0), (0.0, 0.0, -2.0))
-    field = field_over(level_slab(-2.0, half=0.2), TORCH, water=water is not None, **PAPER_SMALL)
-    edge, raw = 8.0, 0.7
-    with torch.no_grad():
-        field.density.coarse.bias.fill_(raw)
-    density = math.log1p(math.exp(raw)) * field.settings.n_max / edge
-    rays = rays_at(bed, camera, -2.0)
-    weights, ends, _ = field.weigh(rays, jitter=False)
-    path = camera.paths(camera.pixel_centres()[::7, ::7].reshape(-1, 2), water)
-    top = path.at_height(np.full(len(rays), -1.8), water)
-    for k in range(field.settings.samples - 1):
-        down = path.at_height(ends[:, k + 1].numpy().astype(float), water)
-        length = np.linalg.norm(down - top, axis=1)
-        passed = 1.0 - weights[:, : k + 1].sum(dim=1).detach().numpy()
-        np.testing.assert_allclose(passed, np.exp(-density * length), rtol=2e-5)
-
-
-def test_the_cube_holds_the_area_and_has_the_bed_in_its_middle():
-    field = field_over(level_slab(-2.0), TORCH, **PAPER_SMALL)
-    position = torch.tensor([[-4.0, -4.0, -9.0], [4.0, 4.0, 9.0], [0.0, 2.0, 0.0]])
-    u = field._coordinates(position, torch.tensor([-6.0, 2.0, -2.0]), torch.zeros(3))
-    np.testing.assert_allclose(u, [[0, 0, 0], [1, 1, 1], [0.5, 0.75, 0.5]], atol=1e-6)
-    cells = [g.nx for g in field.factors.grids]
-    assert cells == [4, 8, 16]
-    assert all(g.nx == g.ny == g.nz for g in field.factors.grids)
-
-
 def test_colour_is_looked_up_only_where_the_weight_matters():
     field = roughen(field_over(level_slab(-2.0), TORCH))
     set_width(field, 0.01)
@@ -191,9 +160,8 @@ def test_colour_is_looked_up_only_where_the_weight_matters():
     assert len(asked) == 1  # heights need no colour
 
 
-@pytest.mark.parametrize("settings", [{}, PAPER_SMALL], ids=["survey grid", "cube"])
-def test_the_switch_from_coarse_to_fine_leaves_the_image_as_it_is(settings, device):
-    field = roughen(field_over(level_slab(-2.0), device, **settings))
+def test_the_switch_from_coarse_to_fine_leaves_the_image_as_it_is(device):
+    field = roughen(field_over(level_slab(-2.0), device))
     rays = rays_at(PlaneBed(LEVEL, -2.0), ring(2)[1], -2.0)
     before = field.render(rays, jitter=False)
     field.density.switch_to_fine()
@@ -230,27 +198,3 @@ def test_intervals_run_down_through_the_slab_about_each_rays_own_proxy():
     assert shift.abs().max() <= 0.5 * step + 1e-6
     assert shift.max() > 0.4 * step
     assert shift.min() < -0.4 * step
-
-
-def test_a_view_dependent_field_sees_the_direction_in_the_medium_of_the_sample():
-    camera = ring(2)[1]
-    asked = []
-    for level in (-2.0, 2.0):
-        field = field_over(level_slab(level), TORCH, **PAPER_SMALL)
-        field.colour.register_forward_pre_hook(lambda module, given: asked.append(given[1]))
-        field.render(rays_at(PlaneBed(TILTED, level), camera, level, step=40)[0:1], jitter=False)
-    path = camera.paths(camera.pixel_centres()[:1, :1].reshape(-1, 2), TILTED)
-    np.testing.assert_allclose(asked[0], np.tile(path.water_direction, (len(asked[0]), 1)), atol=1e-6)
-    np.testing.assert_allclose(asked[1], np.tile(path.air_direction, (len(asked[1]), 1)), atol=1e-6)
-
-
-def test_the_papers_preset_has_its_six_scales_and_three_directions():
-    paper = FieldSettings.paper()
-    field = TensorField(level_slab(-2.0), paper, TORCH, WaterColumn())
-    assert [g.nx for g in field.factors.grids] == [64, 84, 111, 147, 194, 256]
-    assert field.factors.num_features == 6 * 3 * 4
-    colours, weights, ends = field.render(rays_at(PlaneBed(LEVEL, -2.0), ring(2)[1], -2.0), jitter=True)
-    assert torch.isfinite(colours).all()
-    assert weights.shape[1] + 1 == ends.shape[1] == paper.samples + 1
-    colours.sum().backward()
-    assert all(p.grad is not None for p in field.factors.parameters())

@@ -120,20 +120,6 @@ def test_steps_draw_the_rays_that_each_cell_is_promised(known, per_cell, expecte
     assert steps * batch >= per_cell * known
 
 
-def test_the_paper_preset_trains(cameras, device, monkeypatch):
-    monkeypatch.setattr(training, "SMALL_BATCH", 256)
-    sources = plane_sources(BED, cameras)
-    slab = slab_of(sources, 0.1, None)
-    losses = []
-    for steps in (1, 4):
-        monkeypatch.setattr(training, "MIN_STEPS", steps)
-        field, figures = train(sources, slab, FieldSettings.paper(), Schedule(0.01), device, quietly)
-        losses.append(-figures["psnr_db"])
-    assert figures["steps"] == 4
-    assert losses[1] < losses[0]
-    assert np.isfinite(errors_mm(sources, field)).all()
-
-
 def test_a_dry_survey_trains_without_a_water_column(short):
     dry = PlaneBed(None, -2.0, 0.1)
     sources = plane_sources(dry, ring(3))

@@ -21,6 +21,9 @@ from refract import PinholeCamera, WaterSurface
 # Paths are drawn for this many steps at once.
 POOL_STEPS = 32
 CHUNK = 1 << 18
+# What the samples of paths that are rendered together may take: more is no faster, since it leaves the cache.
+WORKING_BYTES = 32 << 20
+BYTES_PER_NUMBER = 4
 
 
 @dataclass
@@ -222,9 +225,14 @@ def render_volume(
     samples: int = 48,
     view: int = 0,
     dry: bool = False,
-    chunk: int = 8192,
+    chunk: int | None = None,
 ) -> View:
-    """A scene as a camera sees it, with the appearance of photograph ``view``."""
+    """A scene as a camera sees it, with the appearance of photograph ``view``.
+
+    Paths are rendered ``chunk`` at a time; by default as many as keep their samples within `WORKING_BYTES`, so that a
+    model with wider features takes more chunks, not more memory.
+    """
+    chunk = chunk or max(WORKING_BYTES // (BYTES_PER_NUMBER * samples * _numbers_per_sample(scene)), 64)
     pixels = camera.pixel_centres().reshape(-1, 2)
     none = np.zeros((len(pixels), 3))
     parts = []
@@ -242,6 +250,12 @@ def render_volume(
 def _square(patch: int, width: int) -> np.ndarray:
     """Flat indices (patch^2) of a patch's pixels after its first one, in a picture of ``width`` px."""
     return (np.arange(patch)[:, None] * width + np.arange(patch)).ravel()
+
+
+def _numbers_per_sample(scene: Scene) -> int:
+    """Features, and position, direction, length, weight and colour, twice."""
+    middle = torch.as_tensor(0.5 * (scene.model.box.low + scene.model.box.high), dtype=torch.float32)
+    return 2 * (scene.model.evaluate(middle[None])[1].shape[1] + 11)
 
 
 def _batches(photographs: Photographs, box: Box, training: Training, seed: int) -> Iterator[Paths]:

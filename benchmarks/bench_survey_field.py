@@ -32,6 +32,8 @@ from survey.stored import load_bed
 
 # The images number 4, 12, 20, ... of the table are left out.
 EVERY, FIRST = 8, 4
+# A quality gate that failed leaves all outputs behind.
+FINISHED = (0, 3)
 BATHYNERF = [sys.executable, "-c", "from survey.cli import main; main()"]
 
 
@@ -39,7 +41,9 @@ def once(marker: Path, arguments: list[str]) -> dict:
     """Run a command of bathynerf unless its marker says that it has finished; the marker's seconds and load."""
     if not marker.exists():
         load, start = os.getloadavg()[0], time.monotonic()
-        subprocess.run([*BATHYNERF, *arguments], check=True)
+        code = subprocess.run([*BATHYNERF, *arguments], check=False).returncode
+        if code not in FINISHED:
+            raise SystemExit(f"bathynerf {' '.join(arguments)} ended with {code}; what it said stands above")
         record = {"wall_s": round(time.monotonic() - start, 1), "load_before": round(load, 1)}
         marker.write_text(json.dumps(record))
     return json.loads(marker.read_text())

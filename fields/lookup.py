@@ -172,7 +172,9 @@ def _add_in_order(field: _Field, u, gradient, samples: int, sums: tuple) -> None
     dr.while_loop((index // lanes,), lambda unit: unit < units, one_unit, mode="symbolic")
 
 
-def _add_in_any_order(field: _Field, u, gradient, samples: int, sums: tuple) -> None:
+def _add_in_any_order(
+    field: _Field, u, gradient, samples: int, sums: tuple, *, mode: dr.ReduceMode = dr.ReduceMode.Auto
+) -> None:
     """Gradients of planes and vectors by atomic additions, a thread for each sample."""
     sample = dr.arange(field.module.UInt, samples)
     point = _point(field.module, u, sample, True)
@@ -181,7 +183,7 @@ def _add_in_any_order(field: _Field, u, gradient, samples: int, sums: tuple) -> 
             for part in range(field.packets):
                 packet = field.packet(sample, scale, place, part)
                 incoming = dr.gather(field.module.Array4f, gradient, packet)
-                read.add(sums, incoming, part, dr.ReduceMode.Auto)
+                read.add(sums, incoming, part, mode)
 
 
 @cache

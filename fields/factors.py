@@ -90,7 +90,7 @@ class Factors(nn.Module):
 
         Coordinates outside the box take the value at its border. No gradient flows to `u`.
         """
-        if self.device.module is None:
+        if self.device.module is None or len(u) == 0:  # Dr.Jit launches nothing over nothing
             return lookup_torch(self, u.detach())
         from fields.lookup import lookup_drjit
 

@@ -60,7 +60,8 @@ class DensityHead(nn.Module):
             return nn.functional.linear(features, each, self.coarse.bias)[:, 0]
         layers = [(layer.weight, layer.bias) for layer in (self.squeeze, self.excite, self.gate)]
         numbers = sum(t.numel() for layer in layers for t in layer)
-        if self.device is None or self.device.module is None or numbers > MOST_FUSED:
+        fused = self.device is not None and self.device.module is not None and numbers <= MOST_FUSED
+        if not fused or len(features) == 0:
             return self._weighted_torch(features)
         from fields.weighting import weighted_drjit
 

@@ -188,6 +188,27 @@ def test_gradients_are_the_same_to_the_last_bit_on_any_number_of_threads(device,
         assert all(torch.equal(a, b) for a, b in zip(found[0], other, strict=True))
 
 
+def test_sums_in_any_order_as_cuda_has_them_are_the_same_but_for_rounding(device, rng, monkeypatch):
+    in_order(device)
+    from fields import lookup
+
+    factors = factors_of(device, "xyz", channels=8)
+    u = torch.from_numpy(coordinates(rng)).float()
+    weights = torch.from_numpy(rng.standard_normal((len(u), factors.num_features))).float()
+    ordered = gradients(factors, u, weights)
+    monkeypatch.setattr(lookup, "_add_in_order", lookup._add_in_any_order)
+    for found, truth in zip(gradients(factors, u, weights), ordered, strict=True):
+        assert (found - truth).abs().max() <= GRADIENT * truth.abs().max()
+
+
+def test_no_samples_give_no_features_and_no_gradient(device):
+    factors = factors_of(device, "xyz")
+    to_planes, to_vectors = gradients(factors, torch.zeros(0, 3), torch.zeros(0, factors.num_features))
+    assert to_planes.shape == factors.planes.shape
+    assert not to_planes.any()
+    assert not to_vectors.any()
+
+
 def test_samples_that_all_meet_in_one_cell_add_up(device):
     factors = factors_of(device, "xyz", grids=[Grid(2, 2, 2)])
     u = torch.full((1000, 3), 0.25)  # on the first node

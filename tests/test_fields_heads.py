@@ -130,6 +130,17 @@ def test_gradients_of_the_weighting_kernel_are_the_same_to_the_last_bit(device, 
     assert all(torch.equal(a, b) for other in found for a, b in zip(found[0], other, strict=True))
 
 
+def test_no_samples_have_no_density(device):
+    head = DensityHead(L, D, F, device=device)
+    head.switch_to_fine()
+    features = torch.zeros(0, L * D * F, requires_grad=True)
+    density = head(features)
+    assert density.shape == (0,)
+    density.sum().backward()
+    assert features.grad.shape == features.shape
+    assert not head.squeeze.weight.grad.any()
+
+
 def test_wide_maps_are_left_to_the_twin(rng):
     head = DensityHead(1, 3, 16, 4, device=choose_device("auto"))
     twin = DensityHead(1, 3, 16, 4)

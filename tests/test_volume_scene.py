@@ -74,6 +74,19 @@ def test_water_takes_light_by_the_length_of_the_bent_path_and_dry_leaves_it_out(
     torch.testing.assert_close(dry.rgb[hit], colour, rtol=1e-4, atol=1e-4)
 
 
+def test_a_given_water_counts_the_way_down_too():
+    given = WaterColumn(absorption=(0.3, 0.1, 0.05), veil=(0.0, 0.0, 0.0))
+    scene = Scene(Slab(1e4), column=given, background=BLACK)
+    paths, wet = seen(scene, looking_down(tilt=0.3), WATER, 512)
+    hit = paths.far > paths.near + 0.05
+    top = paths.at(paths.near[:, None])[:, 0]
+    way = (paths.near - paths.crossing) - top[:, 2]
+    r = paths.reflectance[:, None]
+    kept = torch.exp(-given.absorption * way[:, None])
+    expected = (1.0 - r) * kept * torch.tensor([0.2, 0.4, 0.6]) + r * given.sky
+    torch.testing.assert_close(wet.rgb[hit], expected.detach()[hit] ** (1.0 / GAMMA), rtol=2e-3, atol=0)
+
+
 def test_without_a_background_all_light_comes_from_the_box():
     paths, rendered = seen(Scene(Slab(0.8)), looking_down(tilt=0.3), None, 16)
     _, over_black = seen(Scene(Slab(0.8), background=BLACK), looking_down(tilt=0.3), None, 16)

@@ -56,12 +56,12 @@ def test_density_is_the_sum_over_directions_regressed_as_the_docstring_says():
     density, features = model.evaluate(x)
     a = features.detach().numpy().astype(np.float64).reshape(20, 2, 3, 4)  # scales, directions, channels
     weight = model.regression.coarse.weight.detach().numpy().astype(np.float64)[0]
-    raw = a.sum(axis=2).reshape(20, 8) @ weight + model.bias
+    raw = a.sum(axis=2).reshape(20, 8) @ weight + np.log(np.expm1(1.0 / 32))
     np.testing.assert_allclose(density.detach(), np.log1p(np.exp(raw)) * 32 / BOX.edge, rtol=1e-5)
 
 
 def test_the_weighting_network_takes_over_without_a_step_and_with_its_own_rates():
-    model = volume(switch_window=5)
+    model = volume(switch_window=5, fine_rate=0.003)
     x = anywhere()
     before = model.evaluate(x)[0].detach()
     coarse = {id(p): g.rate for g in model.rates() for p in g.parameters}
@@ -74,7 +74,8 @@ def test_the_weighting_network_takes_over_without_a_step_and_with_its_own_rates(
     fine = {id(p): g.rate for g in model.rates() for p in g.parameters}
     assert set(fine) == set(coarse) == {id(p) for p in model.parameters()}
     planes = id(model.factors.planes)
-    assert (coarse[planes], fine[planes]) == (0.02, 0.001)
+    assert (coarse[planes], fine[planes]) == (0.02, 0.003)
+    assert TensorSettings.mdw().fine_rate == 0.001
     assert not model.observe(still * 4)
 
 

@@ -80,6 +80,8 @@ class Paths:
         Path lengths between which the path may be inside the box; equal where it misses it.
     reflectance : (N,)
         Fresnel reflectance at the water; 0 where there is none.
+    fall : (N,)
+        Depth under the surface that a path gains per metre in water.
     rgb : (N, 3)
         Photograph, 0 to 1, as stored (not linear).
     view : (N,) int64
@@ -95,6 +97,7 @@ class Paths:
     near: Tensor
     far: Tensor
     reflectance: Tensor
+    fall: Tensor
     rgb: Tensor
     view: Tensor
     priors: Tensor
@@ -169,13 +172,15 @@ def paths_along(
         far = np.where(under, np.maximum(far, crossing + leaves), far)
     meets = (near < far) & np.isfinite(wet).all(axis=-1)
     near, far = np.where(meets, near, 0.0), np.where(meets, far, 0.0)
-    reflectance = np.zeros(len(origin))
+    reflectance, fall = np.zeros(len(origin)), np.zeros(len(origin))
     if water is not None and bent.wet.any():
         at = bent.crossing[bent.wet]
-        falls = -(bent.air_direction[bent.wet] * water.normal(at[:, 0], at[:, 1])).sum(axis=-1)
-        reflectance[bent.wet] = fresnel_coefficients(falls, n_from=1.0, n_to=water.n_water).reflectance
-    columns = (origin, bent.air_direction, np.nan_to_num(wet), crossing, near, far, np.nan_to_num(reflectance))
-    tensors = (torch.as_tensor(np.ascontiguousarray(c), dtype=torch.float32) for c in columns)
+        up = water.normal(at[:, 0], at[:, 1])
+        before = -(bent.air_direction[bent.wet] * up).sum(axis=-1)
+        reflectance[bent.wet] = fresnel_coefficients(before, n_from=1.0, n_to=water.n_water).reflectance
+        fall[bent.wet] = -(wet[bent.wet] * up).sum(axis=-1)
+    columns = (origin, bent.air_direction, wet, crossing, near, far, reflectance, fall)
+    tensors = (torch.as_tensor(np.nan_to_num(c, posinf=np.inf, neginf=-np.inf), dtype=torch.float32) for c in columns)
     return Paths(*tensors, rgb, view, torch.empty(len(origin), 0))
 
 

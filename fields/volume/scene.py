@@ -112,7 +112,8 @@ class Scene(nn.Module):
             mean = (weights.detach() * samples.s).sum(dim=1) + (1.0 - opacity.detach()[:, 0]) * paths.far
             length = paths.length_in_water(mean)
             # Light of dry ground crosses no surface.
-            colour = self.column(colour, length, torch.where(length > 0.0, paths.reflectance, 0.0))
+            way = self.column.way(paths.fall * length, length)
+            colour = self.column(colour, way, torch.where(length > 0.0, paths.reflectance, 0.0))
         return Rendered(colour.clamp(min=DARKEST) ** (1.0 / GAMMA), weights, samples)
 
     def penalty(self, paths: Paths, rendered: Rendered) -> Tensor:

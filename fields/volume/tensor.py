@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from fields.device import Device
 from fields.factors import Factors, Grid, geometric_scales
 from fields.heads import ColourHead, DensityHead
-from fields.volume.model import Rates, VolumeModel
+from fields.volume.model import Rates, VolumeModel, density_of
 from fields.volume.paths import Box
 
 
@@ -34,6 +34,9 @@ class TensorSettings:
         Of the spherical harmonics in the colour head; 0 for a matt scene.
     hidden : int
         Width of the colour head.
+    fine_rate : float
+        Learning rate of the factors after the switch. The paper's 0.001 is for 150,000 steps; in a thousand they hardly
+        move any more.
     switch_window, switch_ratio : int, float
         The variance of the loss over the last ``window`` steps falls below ``ratio`` times that over the first.
     switch_variance : float or None
@@ -49,6 +52,7 @@ class TensorSettings:
     reduction: int = 4
     degree: int = 2
     hidden: int = 32
+    fine_rate: float = 0.001
     switch_window: int = 100
     switch_ratio: float = 0.01
     switch_variance: float | None = None
@@ -89,8 +93,8 @@ class TensorVolume(VolumeModel):
         Length of the appearance vectors; 0 without.
     """
 
-    # Adam's rates of MDW-NeRF, before and after the switch.
-    FACTORS, FACTORS_FINE, WEIGHTING, COLOUR = 0.02, 0.001, 0.02, 0.001
+    # Adam's rates of MDW-NeRF; that of the factors falls to `TensorSettings.fine_rate` with the switch.
+    FACTORS, WEIGHTING, COLOUR = 0.02, 0.02, 0.001
 
     def __init__(self, box: Box, settings: TensorSettings, device: Device, *, appearance: int = 0, seed: int = 0):
         super().__init__(box)
@@ -101,12 +105,10 @@ class TensorVolume(VolumeModel):
         self.regression = DensityHead(*shape, reduction=settings.reduction, device=device)
         self.colour = ColourHead(*shape, hidden=settings.hidden, degree=settings.degree, extra=appearance)
         nn.init.ones_(self.regression.coarse.weight)
-        self.per_metre = settings.n_max / box.edge
-        self.bias = float(np.log(np.expm1(1.0 / settings.n_max)))
 
     def evaluate(self, x: Tensor) -> tuple[Tensor, Tensor]:
         features = self.factors(self.box.unit(x))
-        return nn.functional.softplus(self.regression(features) + self.bias) * self.per_metre, features
+        return density_of(self.regression(features), self.settings.n_max, self.box.edge), features
 
     def radiance(self, features: Tensor, direction: Tensor, appearance: Tensor | None) -> Tensor:
         return self.colour(features, -direction if self.settings.degree else None, appearance)
@@ -114,7 +116,7 @@ class TensorVolume(VolumeModel):
     def rates(self) -> list[Rates]:
         fine = self.regression.is_fine
         return [
-            Rates([self.factors.planes, self.factors.vectors], self.FACTORS_FINE if fine else self.FACTORS),
+            Rates([self.factors.planes, self.factors.vectors], self.settings.fine_rate if fine else self.FACTORS),
             Rates(list(self.regression.parameters()), self.WEIGHTING if fine else self.COLOUR),
             Rates(list(self.colour.parameters()), self.COLOUR),
         ]
@@ -145,8 +147,3 @@ def grid_of(box: Box, num: float) -> Grid:
     """Cells of a box, ``num`` along its longest edge and as long along the others; at least two."""
     cells = np.maximum(np.round(num * box.size / box.edge), 2).astype(int)
     return Grid(*cells.tolist())
-
-
-def megabytes(model: nn.Module) -> float:
-    """What the parameters take in memory."""
-    return sum(p.numel() * p.element_size() for p in model.parameters()) / 1e6

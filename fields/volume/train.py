@@ -22,7 +22,7 @@ from refract import PinholeCamera, WaterSurface
 POOL_STEPS = 32
 CHUNK = 1 << 18
 # What the samples of paths that are rendered together may take: more is no faster, since it leaves the cache.
-WORKING_BYTES = 32 << 20
+WORKING_BYTES = 16 << 20
 BYTES_PER_NUMBER = 4
 
 
@@ -253,9 +253,9 @@ def _square(patch: int, width: int) -> np.ndarray:
 
 
 def _numbers_per_sample(scene: Scene) -> int:
-    """Features, and position, direction, length, weight and colour, twice."""
+    """Features, as they are, weighted, picked and joined to the direction; and some 60 others."""
     middle = torch.as_tensor(0.5 * (scene.model.box.low + scene.model.box.high), dtype=torch.float32)
-    return 2 * (scene.model.evaluate(middle[None])[1].shape[1] + 11)
+    return 4 * scene.model.evaluate(middle[None])[1].shape[1] + 60
 
 
 def _batches(photographs: Photographs, box: Box, training: Training, seed: int) -> Iterator[Paths]:

@@ -1,0 +1,232 @@
+"""Which field draws a scene best, how true is its surface, and what does it cost?
+
+    python benchmarks/bench_field.py WORK [--objects wreck ship hull] [--models tensorf dw m mdw ...] [--steps N]
+                                     [--scale S] [--cells N_MAX] [--rays N] [--write]
+
+TensoRF, DW, M and MDW-NeRF are one code with four settings; NeRF, TinyNeRF, a hash grid with proposals (as Nerfacto)
+and a signed distance (as NeuS) stand beside them. All see the same photographs, paths and steps, and sample alike (the
+hash grid by its proposals). One photograph in eight is held out. Every row is a file in WORK; what is there is not
+computed again. With --write the tables and pictures go to docs/field.md. The defaults are for two cores; full size is
+--scale 1 --cells 256 --steps 30000 --rays 4096.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import pickle
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from field_tables import ablation_table, baseline_table, write_page
+from object_scenes import NAMES, ObjectScene, chamfer, load_scene, thinned
+from PIL import Image
+
+from fields.device import choose_device
+from fields.heads import WaterColumn
+from fields.volume.hash_grid import HashSettings, HashVolume
+from fields.volume.mlp import MlpSettings, MlpVolume
+from fields.volume.model import VolumeModel
+from fields.volume.proposal import Proposal, ProposalSettings
+from fields.volume.sampling import Cells
+from fields.volume.scene import Backdrop, Scene
+from fields.volume.sdf import SdfSettings, SdfVolume
+from fields.volume.tensor import TensorSettings, TensorVolume
+from fields.volume.train import Training, render_volume, train_scene
+
+ABLATION = ("tensorf", "dw", "m", "mdw")
+BASELINES = ("nerf", "tinynerf", "hash", "neus")
+# Steps of each model in turn, to compare their times: (rounds, steps of a round).
+TIMED = (4, 8)
+# Of the factors after the switch: with the paper's 0.001 the ship's factors all but stand still for the rest of a short
+# training (500 steps: 27.3 instead of 28.2 dB; TensoRF, whose rate does not fall, has 27.7).
+FINE_RATE = 0.02
+
+
+def build(model: str, scene: ObjectScene, cells: int) -> Scene:
+    """An untrained scene of one of the models, ``cells`` along the longest edge at the finest scale."""
+    torch.manual_seed(0)  # of the heads
+    column = WaterColumn() if scene.train.water is not None else None
+    # What an orbit sees beside the box is black; from above, every path ends in it.
+    background = Backdrop((0.0, 0.0, 0.0)) if scene.name == "ship" else None
+    proposal = Proposal(scene.box, ProposalSettings()) if model == "hash" else None
+    return Scene(_volume(model, scene, cells), column=column, background=background, proposal=proposal)
+
+
+def _volume(model: str, scene: ObjectScene, cells: int) -> VolumeModel:
+    if model in ABLATION:
+        settings = getattr(TensorSettings, model)(n_min=cells // 4, n_max=cells, fine_rate=FINE_RATE)
+        return TensorVolume(scene.box, settings, choose_device("auto"))
+    others: dict[str, Callable[[], VolumeModel]] = {
+        "nerf": lambda: MlpVolume(scene.box, MlpSettings.nerf()),
+        "tinynerf": lambda: MlpVolume(scene.box, MlpSettings.tiny_nerf()),
+        "hash": lambda: HashVolume(scene.box, HashSettings()),
+        "neus": lambda: SdfVolume(scene.box, SdfSettings.small()),
+    }
+    if model not in others:
+        raise SystemExit(f"there is no model {model}; expected one of {', '.join(ABLATION + BASELINES)}")
+    return others[model]()
+
+
+def scene_of(name: str, options) -> ObjectScene:
+    """An object as it was drawn for this folder; drawn now if it was not."""
+    path = options.work / f"{name}_{options.scale:g}.pickle"
+    if not path.exists():
+        path.write_bytes(pickle.dumps(load_scene(name, options.data, options.scale)))
+    return pickle.loads(path.read_bytes())
+
+
+def row(model: str, scene: ObjectScene, options, folder: Path) -> dict:
+    """Train one model on one object, and measure it."""
+    built = build(model, scene, options.cells)
+    training = Training(steps=options.steps, rays=options.rays, samples=options.samples)
+    start = time.perf_counter()
+    cells, figures = train_scene(built, scene.train, training, lambda share: None)
+    seconds = time.perf_counter() - start
+    held, rate, error = [], [], []
+    for number, camera in enumerate(scene.held.cameras):
+        start = time.perf_counter()
+        view = render_volume(built, camera, scene.held.water, cells, samples=options.samples)
+        rate.append(view.rgb[..., 0].size / (time.perf_counter() - start))
+        wrong = (view.rgb - scene.held.images[number] / 255.0).reshape(-1, 3)[scene.held.pixels[number]]
+        error.append(float((wrong**2).mean()))
+        if number == len(scene.held.cameras) // 2:
+            held = view.rgb
+    picture = np.round(255.0 * np.clip(held, 0.0, 1.0)).astype(np.uint8)
+    Image.fromarray(picture).save(folder / f"{scene.name}_{model}.png")
+    return figures | {
+        "object": scene.name,
+        "model": model,
+        "held_out_psnr_db": float(-10.0 * np.log10(np.mean(error))),
+        "chamfer_m": chamfer(surface_of(built, scene, cells, options.samples), scene.surface),
+        "parameters_mb": sum(p.numel() * p.element_size() for p in built.parameters()) / 1e6,
+        "train_s": seconds,
+        "rays_per_s": statistics.median(rate),
+        "settings": {k: getattr(options, k) for k in ("scale", "cells", "steps", "rays", "samples")},
+    }
+
+
+def surface_of(built: Scene, scene: ObjectScene, cells: Cells, samples: int) -> np.ndarray:
+    """Points (N, 3) [m] at which every third training photograph sees the volume, one per 1/256 of the box."""
+    parts = []
+    for camera, pixels in list(zip(scene.train.cameras, scene.train.pixels, strict=True))[::3]:
+        view = render_volume(built, camera, scene.train.water, cells, samples=samples)
+        opaque = view.opacity.reshape(-1)[pixels] > 0.5
+        parts.append(view.points.reshape(-1, 3)[pixels][opaque])
+    points = np.concatenate(parts)
+    inside = ((points > scene.box.low) & (points < scene.box.high)).all(axis=1)
+    return thinned(points[inside], scene.box.edge / 256.0)
+
+
+def step_times(models: tuple[str, ...], scene: ObjectScene, options) -> dict[str, float]:
+    """Seconds of a training step of each model, median of rounds in which all take their turn."""
+    scenes = {model: build(model, scene, options.cells) for model in models}
+    training = Training(steps=TIMED[1], rays=options.rays, samples=options.samples, refresh=())
+    seconds: dict[str, list[float]] = {model: [] for model in models}
+    for turn in range(TIMED[0] + 1):
+        for model, built in scenes.items():
+            start = time.perf_counter()
+            train_scene(built, scene.train, training, lambda share: None)
+            if turn:  # the first compiles
+                seconds[model].append((time.perf_counter() - start) / TIMED[1])
+        for built in scenes.values():  # half of the rounds with the weighting network, where there is one
+            if turn == TIMED[0] // 2 and isinstance(built.model, TensorVolume) and built.model.settings.weighting:
+                built.model.regression.switch_to_fine()
+    return {model: statistics.median(s) for model, s in seconds.items()}
+
+
+def inference_mb(model: str, scene: str, options) -> float:
+    """What rendering a view takes in memory, parameters and all, in a process of its own [MB]."""
+    numbers = [f"--{name}={getattr(options, name)}" for name in ("scale", "cells", "samples")]
+    command = [sys.executable, __file__, str(options.work), "--memory", scene, model, *numbers]
+    return float(subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()[-1])
+
+
+def print_memory(scene: str, model: str, options) -> None:
+    """For `inference_mb`: the most that was held while a view was rendered, over what was held before."""
+    loaded = scene_of(scene, options)
+    camera = replace(loaded.held.cameras[0], width=64, height=64)
+    tiny = build("mdw", loaded, 16)  # compilers and libraries are loaded once, for all models alike
+    render_volume(tiny, camera, None, Cells.everywhere(loaded.box, 16), samples=options.samples)
+    before = _resident_mb("VmRSS")
+    Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
+    built = build(model, loaded, options.cells)
+    render_volume(
+        built, loaded.held.cameras[0], loaded.held.water, Cells.everywhere(loaded.box, 32), samples=options.samples
+    )
+    sys.stdout.write(f"{_resident_mb('VmHWM') - before:.1f}\n")
+
+
+def _resident_mb(what: str) -> float:
+    """Memory that this process holds (VmRSS), or held at most (VmHWM), [MB]."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith(what)) / 1024
+
+
+def kept(path: Path, compute: Callable[[], dict]) -> dict:
+    """What a file of an earlier run holds, or what is computed now, and kept."""
+    if path.exists():
+        return json.loads(path.read_text())
+    found = compute()
+    part = path.with_suffix(".part")
+    part.write_text(json.dumps(found, indent=2))
+    part.rename(path)
+    return found
+
+
+def measure(options) -> list[dict]:
+    """All rows that were asked for."""
+    rows = []
+    for name in options.objects:
+        scene = scene_of(name, options)
+        middle = len(scene.held.images) // 2
+        Image.fromarray(scene.held.images[middle]).save(options.work / f"{name}_photograph.png")
+        for model in options.models:
+            stem = options.work / f"{name}_{model}"
+            found = kept(stem.with_suffix(".json"), lambda m=model, s=scene: row(m, s, options, options.work))
+            memory = kept(Path(f"{stem}_memory.json"), lambda m=model, n=name: {"mb": inference_mb(m, n, options)})
+            rows.append(found | {"inference_mb": memory["mb"]})
+        path = options.work / f"{name}_times_{'_'.join(options.models)}.json"
+        times = kept(path, lambda s=scene: step_times(tuple(options.models), s, options))
+        for found in rows[-len(options.models) :]:
+            found["step_s"] = times[found["model"]]
+    return rows
+
+
+def main() -> None:
+    """Measure, print, and write if asked to."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("work", type=Path, help="folder for rows and pictures")
+    parser.add_argument("--objects", nargs="+", default=NAMES, choices=NAMES)
+    parser.add_argument("--models", nargs="+", default=ABLATION, choices=ABLATION + BASELINES)
+    parser.add_argument("--scale", type=float, default=0.25, help="of the pictures")
+    parser.add_argument("--cells", type=int, default=128, help="along the longest edge, at the finest scale")
+    parser.add_argument("--steps", type=int, default=1000)
+    parser.add_argument("--rays", type=int, default=2048)
+    parser.add_argument("--samples", type=int, default=32, help="of each path")
+    parser.add_argument("--write", action="store_true", help="put tables and pictures into docs/")
+    parser.add_argument("--memory", nargs=2, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    folder = os.environ.get("BATHYNERF_DATA")
+    options.data = Path(folder) if folder else Path(__file__).resolve().parents[2] / "shared" / "data"
+    options.work.mkdir(parents=True, exist_ok=True)
+    if options.memory:
+        print_memory(*options.memory, options)
+        return
+    rows = measure(options)
+    tables = {"ablation": ablation_table(rows, ABLATION), "baselines": baseline_table(rows, BASELINES)}
+    sys.stdout.write("\n\n".join(t for t in tables.values() if t) + "\n")
+    if options.write:
+        write_page(tables, options.work, options.objects, options.models)
+
+
+if __name__ == "__main__":
+    main()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import fields, replace
 
+import numpy as np
 import pytest
 import torch
 from analytic_volume import BOX, AnalyticVolume, floor_at, looking_down, seen_by
@@ -23,6 +24,7 @@ from fields.volume.losses import (
 from fields.volume.priors import COLUMNS
 from fields.volume.sampling import Cells, Samples
 from fields.volume.scene import Backdrop, Rendered, Scene
+from fields.volume.train import Photographs, Training, train_scene
 
 LENGTH = 0.1
 BLACK = Backdrop((0.0, 0.0, 0.0))
@@ -252,3 +254,13 @@ def test_without_weights_nothing_is_added_and_nothing_drawn(trained_on):
     assert torch.equal(torch.get_rng_state(), state)
     assert Losses().patch == 1
     assert Losses(patches=PatchWeights(size=6, ssim=0.1)).patch == 6
+
+
+def test_losses_count_only_after_their_share_of_the_steps(monkeypatch):
+    counted = []
+    monkeypatch.setattr(Losses, "__call__", lambda *given: counted.append(given) or torch.zeros(()))
+    camera = looking_down()
+    image = np.full((24, 24, 3), 128, dtype=np.uint8)
+    training = Training(steps=10, rays=16, samples=8, cells=8, refresh=(), losses_from=0.4)
+    train_scene(Scene(floor_at(0.0)), Photographs([camera], [image], [np.arange(576)]), training, lambda done: None)
+    assert len(counted) == 6

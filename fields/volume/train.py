@@ -107,6 +107,8 @@ class Training:
         Share of the samples drawn where density has detail (`fields.volume.density_loss.NodeScores`).
     losses : Losses
         What is added to the squared error of the colours.
+    losses_from : float
+        Share of the steps after which they count: a loss that draws weights together does harm while these are wrong.
     """
 
     steps: int = 2000
@@ -118,6 +120,7 @@ class Training:
     final_rate: float = 0.1
     by_score: float = 0.0
     losses: Losses = field(default_factory=Losses)
+    losses_from: float = 0.0
 
 
 @half_the_threads()
@@ -164,7 +167,8 @@ def train_scene(
         rendered = scene.render(paths, samples)
         error = ((rendered.rgb - paths.rgb) ** 2).mean()
         total = error + scene.penalty(paths, rendered)
-        total = total + training.losses(scene, paths, rendered, cells, photographs.water)
+        if step >= training.losses_from * training.steps:
+            total = total + training.losses(scene, paths, rendered, cells, photographs.water)
         optimiser.zero_grad(set_to_none=True)
         total.backward()
         optimiser.step()

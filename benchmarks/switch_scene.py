@@ -1,0 +1,157 @@
+"""A small scene with a known surface, for what is measured in minutes: a block and a ramp on a bed under 2 m of water.
+
+Colours are a sum of waves in space (a solid texture), so that every photograph is exact but for its noise; a disc of
+the bed and the top of the block have next to none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fields.rays import GAMMA
+from fields.volume.paths import Box
+from fields.volume.priors import PriorImages
+from fields.volume.train import Photographs
+from refract import FlatWater, PinholeCamera
+
+BOX = Box(np.array([-2.0, -2.0, -2.3]), np.array([2.0, 2.0, -0.9]))
+WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.333)
+BED, BLOCK = -2.0, (np.array([-0.9, -0.5, -2.0]), np.array([0.2, 0.4, -1.2]))
+# The ramp rises along x from the bed, between these x and y.
+RAMP_X, RAMP_Y, RAMP_SLOPE = (0.8, 1.8), (-1.5, 1.0), 0.5
+SMOOTH_CENTRE, SMOOTH_RADIUS = np.array([0.0, 1.2]), 0.5
+VIEWS, HELD_EVERY = 24, 6
+NOISE = 2.0
+
+
+@dataclass(frozen=True)
+class SwitchScene:
+    """Photographs to learn from and to compare with, and the path length to the surface in each of the latter."""
+
+    train: Photographs
+    held: Photographs
+    length: list[np.ndarray]
+
+
+def build(*, exposed: bool = False, wide: bool = False, priors: bool = False, seed: int = 0) -> SwitchScene:
+    """The scene.
+
+    Parameters
+    ----------
+    exposed : bool
+        Each photograph has its own exposure and white balance.
+    wide : bool
+        Photographs take in the bed beyond the box, which is endless; else they are cut to what lies inside.
+    priors : bool
+        The photographs carry rough lengths, monocular depths and normals.
+    """
+    rng = np.random.default_rng(seed)
+    cameras = [_camera(k, wide, rng) for k in range(VIEWS)]
+    pictures, shown, lengths, known = [], [], [], []
+    for camera in cameras:
+        points, normals, length = surface(camera)
+        light = colour(points)
+        if exposed:
+            light = light * np.exp(rng.normal(0.0, 0.3) + rng.normal(0.0, 0.08, 3))
+        stored = 255.0 * np.clip(light, 0.0, 1.0) ** (1.0 / GAMMA) + rng.normal(0.0, NOISE, light.shape)
+        pictures.append(np.clip(np.round(stored), 0, 255).astype(np.uint8))
+        inside = ((points > BOX.low) & (points < BOX.high)).all(axis=-1)
+        shown.append(np.arange(inside.size) if wide else np.flatnonzero(inside))
+        lengths.append(np.where(inside, length, np.nan))
+        known.append(rough_priors(camera, points, normals, length, rng))
+    held = [k for k in range(VIEWS) if k % HELD_EVERY == HELD_EVERY // 2]
+    rest = [k for k in range(VIEWS) if k not in held]
+
+    def some(which: list[int]) -> Photographs:
+        lists = ([values[k] for k in which] for values in (cameras, pictures, shown))
+        return Photographs(*lists, WATER, [known[k] for k in which] if priors else None)
+
+    return SwitchScene(some(rest), some(held), [lengths[k] for k in held])
+
+
+def left_half_of(photographs: Photographs) -> Photographs:
+    """The left half of each photograph."""
+    cameras, images, pixels = [], [], []
+    for camera, image, shown in zip(photographs.cameras, photographs.images, photographs.pixels, strict=True):
+        width = camera.width // 2
+        rows, columns = np.divmod(shown, camera.width)
+        cameras.append(replace(camera, width=width))
+        images.append(image[:, :width])
+        pixels.append((rows * width + columns)[columns < width])
+    return Photographs(cameras, images, pixels, photographs.water)
+
+
+def _camera(index: int, wide: bool, rng: np.random.Generator) -> PinholeCamera:
+    """On a spiral 5 to 7 m above the water, looking at the block; wide ones with half the focal length."""
+    turn, out = 2.4 * index, (5.0 if wide else 3.0) * np.sqrt((index + 0.5) / VIEWS)
+    centre = np.array([out * np.cos(turn), out * np.sin(turn), rng.uniform(5.0, 7.0)])
+    ahead = np.array([*rng.uniform(-0.3, 0.3, 2), -1.7]) - centre
+    ahead /= np.linalg.norm(ahead)
+    right = np.cross(ahead, [0.1, 1.0, 0.0])
+    right /= np.linalg.norm(right)
+    focal = 80.0 if wide else 160.0
+    return PinholeCamera(centre, np.stack([right, np.cross(ahead, right), ahead]), focal, focal, 48.0, 36.0, 96, 72)
+
+
+def surface(camera: PinholeCamera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points (72, 96, 3) [m] that the pixels show, their normals, and path lengths (72, 96) [m] to them."""
+    paths = camera.paths(camera.pixel_centres(), WATER)
+    start, d = paths.crossing, paths.water_direction
+    best = (BED - start[..., 2]) / d[..., 2]
+    normal = np.broadcast_to([0.0, 0.0, 1.0], d.shape).copy()
+    with np.errstate(divide="ignore"):
+        a, b = (BLOCK[0] - start) / d, (BLOCK[1] - start) / d
+    enters, leaves = np.minimum(a, b).max(axis=-1), np.maximum(a, b).min(axis=-1)
+    block = (enters < leaves) & (enters < best)
+    axis = np.minimum(a, b).argmax(axis=-1)
+    best = np.where(block, enters, best)
+    normal[block] = -np.sign(d[block]) * np.eye(3)[axis[block]]
+    # z = BED + slope (x - x0) along the path.
+    rise = RAMP_SLOPE * (start[..., 0] - RAMP_X[0]) + BED - start[..., 2]
+    t = rise / (d[..., 2] - RAMP_SLOPE * d[..., 0])
+    x, y = (start[..., k] + t * d[..., k] for k in (0, 1))
+    ramp = (x > RAMP_X[0]) & (x < RAMP_X[1]) & (y > RAMP_Y[0]) & (y < RAMP_Y[1]) & (t < best)
+    best = np.where(ramp, t, best)
+    normal[ramp] = np.array([-RAMP_SLOPE, 0.0, 1.0]) / np.hypot(1.0, RAMP_SLOPE)
+    return start + best[..., None] * d, normal, paths.air_length + best
+
+
+def colour(points: np.ndarray) -> np.ndarray:
+    """Linear radiance (..., 3), 0.05 to 0.9, of points (..., 3) [m]."""
+    waves = np.random.default_rng(7)
+    texture = np.zeros(points.shape)
+    for _ in range(24):
+        way = waves.normal(size=3)
+        number = 2.0 * np.pi / np.exp(waves.uniform(np.log(0.25), np.log(2.0)))
+        along = number * (points @ (way / np.linalg.norm(way)))
+        texture += np.sin(along[..., None] + waves.uniform(0.0, 2.0 * np.pi, 3)) * waves.normal(0.6, 0.1, 3)
+    seen = np.array([0.32, 0.36, 0.3]) + 0.055 * texture
+    disc = np.linalg.norm(points[..., :2] - SMOOTH_CENTRE, axis=-1) < SMOOTH_RADIUS
+    top = np.abs(points[..., 2] - BLOCK[1][2]) < 1e-6
+    seen = np.where(disc[..., None], np.array([0.5, 0.44, 0.34]) + 0.001 * texture, seen)
+    seen = np.where(top[..., None], np.array([0.12, 0.16, 0.2]) + 0.001 * texture, seen)
+    return np.clip(seen, 0.05, 0.9)
+
+
+def rough_priors(
+    camera: PinholeCamera, points: np.ndarray, normals: np.ndarray, length: np.ndarray, rng: np.random.Generator
+) -> PriorImages:
+    """What a sweep and a network might say.
+
+    Lengths at 3 of 10 pixels, 3 cm off and one in twenty wrong by up to half a metre; depths of an unknown scale and
+    shift, half a percent off in swells; normals 5 degrees off.
+    """
+    off = rng.normal(0.0, 0.03, length.shape)
+    wrong = rng.random(length.shape) < 0.05
+    off[wrong] = rng.uniform(-0.5, 0.5, int(wrong.sum()))
+    rough = np.where(rng.random(length.shape) < 0.3, length + off, np.nan)
+    ahead = camera.directions(camera.pixel_centres()) @ camera.cam_from_local[2]
+    rows, columns = np.mgrid[: camera.height, : camera.width]
+    phase = rng.uniform(0.0, 2.0 * np.pi, 2)
+    swell = 1.0 + 0.005 * np.sin(columns / 12.0 + phase[0]) * np.sin(rows / 12.0 + phase[1])
+    depth = rng.uniform(0.1, 0.3) * length * ahead * swell + rng.uniform(-1.0, 1.0)
+    bent = normals + np.radians(5.0) * rng.normal(size=normals.shape) / np.sqrt(2.0)
+    bent /= np.linalg.norm(bent, axis=-1, keepdims=True)
+    return PriorImages(rough, np.full(length.shape, 0.03), depth, normal=bent)

@@ -186,7 +186,8 @@ def _cell(found: list[dict], base: list[dict], figure: Callable[[dict], float], 
         spread = 0.5 * np.ptp([figure(r) for r in found])
         return f"{mean} ± {spread:.{digits}f}"
     change = [figure(f) - figure(b) for f, b in zip(found, base, strict=False)]
-    return f"{mean} ({np.mean(change):+.{digits}f} ± {0.5 * np.ptp(change):.{digits}f})"
+    spread = f" ± {0.5 * np.ptp(change):.{digits}f}" if len(change) > 1 else ", one seed"
+    return f"{mean} ({np.mean(change):+.{digits}f}{spread})"
 
 
 def main() -> None:

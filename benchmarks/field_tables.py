@@ -62,7 +62,7 @@ def write_page(tables: dict[str, str], work: Path, objects: list[str], models: l
             text = text[:start] + table + "\n" + text[end:]
     page.write_text(text, encoding="utf-8")
     for name in objects:
-        draw_row(work, name, models).save(DOCS / "images" / f"field_{name}.png")
+        draw_row(work, name, models).save(DOCS / "img" / f"field_{name}.png")
 
 
 def draw_row(work: Path, name: str, models: list[str]) -> Image.Image:

@@ -33,28 +33,30 @@ def heights(scene: Scene, cells: Cells, photographs) -> np.ndarray:
     return view.points.reshape(-1, 3)[pixels, 2]
 
 
-@pytest.mark.parametrize("kind", ["tensorf", "mdw"])
-def test_training_finds_a_bed_under_water_from_nothing(kind):
+# Over five seeds the median height is 7 to 73 mm off, half of the heights lie within 32 to 79 mm, and colours agree to
+# 32 to 37 dB; the finest cells measure 62 mm. An even grey has 14 dB.
+SHORT = Training(steps=300, rays=384, samples=24, cells=32, refresh=(0.6,))
+
+
+def test_training_finds_a_bed_under_water_from_nothing_coarse_to_fine():
     photographs = bed_photographs(BED_M, views=9)
-    scene, shares = tensor_scene(kind), []
-    training = Training(steps=180, rays=384, samples=24, cells=32, refresh=(0.6,))
-    cells, figures = train_scene(scene, photographs, training, shares.append)
+    scene, shares = tensor_scene("mdw"), []
+    cells, figures = train_scene(scene, photographs, SHORT, shares.append)
     found = heights(scene, cells, photographs)
     cell = BOX.edge / 32
-    assert abs(np.median(found) - BED_M) < 0.5 * cell
-    assert np.median(np.abs(found - BED_M)) < cell
-    assert figures["psnr_db"] > 21.0  # 23 to 26 measured; one grey has 14
-    assert cells.occupied.float().mean() < 0.6
-    assert (len(shares), shares[-1]) == (180, 1.0)
-    assert bool(figures["changed_at"]) is (kind == "mdw")
+    assert abs(np.median(found) - BED_M) < cell
+    assert np.median(np.abs(found - BED_M)) < 1.5 * cell
+    assert figures["psnr_db"] > 30.0
+    assert cells.occupied.float().mean() < 0.8
+    assert (len(shares), shares[-1]) == (300, 1.0)
+    assert len(figures["changed_at"]) == 1
 
 
 def test_without_water_the_same_photographs_put_the_bed_too_high():
     photographs = bed_photographs(BED_M, views=9)
-    training = Training(steps=180, rays=384, samples=24, cells=32, refresh=(0.6,))
-    scene = tensor_scene("tensorf")
+    scene = tensor_scene("mdw")
     photographs.water = None
-    cells, _ = train_scene(scene, photographs, training, quietly)
+    cells, _ = train_scene(scene, photographs, SHORT, quietly)
     # At small angles depth appears divided by the index: 1.5 m as 1.13 m.
     assert np.median(heights(scene, cells, photographs)) == pytest.approx(BED_M / WATER.n_water, abs=0.06)
 

@@ -70,12 +70,15 @@ class TensorSettings:
     @staticmethod
     def dw(**changes) -> TensorSettings:
         """One scale, density weighted."""
-        return replace(TensorSettings(scales=1, channels=16), **changes)
+        return replace(TensorSettings(scales=1, channels=24), **changes)
 
     @staticmethod
     def tensorf(**changes) -> TensorSettings:
-        """One scale, density a linear map of the features: TensoRF's vector-matrix decomposition."""
-        return replace(TensorSettings(scales=1, channels=16, weighting=False), **changes)
+        """One scale, density a linear map of the features: TensoRF's vector-matrix decomposition.
+
+        As many features a sample as six scales of four channels have.
+        """
+        return replace(TensorSettings(scales=1, channels=24, weighting=False), **changes)
 
 
 class TensorVolume(VolumeModel):

@@ -90,7 +90,7 @@ def test_a_given_water_counts_the_way_down_too():
 def test_without_a_background_all_light_comes_from_the_box():
     paths, rendered = seen(Scene(Slab(0.8)), looking_down(tilt=0.3), None, 16)
     _, over_black = seen(Scene(Slab(0.8), background=BLACK), looking_down(tilt=0.3), None, 16)
-    torch.testing.assert_close(rendered.opacity, torch.ones(len(paths)))
+    torch.testing.assert_close(rendered.opacity, (paths.far > paths.near).float())
     assert torch.equal(rendered.weights[:, :-1], over_black.weights[:, :-1])
 
 
@@ -99,6 +99,10 @@ def test_paths_beside_the_box_show_the_backdrop():
     view = render_volume(scene, looking_down(tilt=np.pi), None, Cells.everywhere(BOX, 8), samples=8)
     np.testing.assert_allclose(view.rgb, np.broadcast_to([0.3, 0.6, 0.9], view.rgb.shape), rtol=1e-5)
     assert (view.opacity == 0.0).all()
+    assert np.isnan(view.distance).all()
+    assert np.isnan(view.points).all()
+    without = render_volume(Scene(Slab(1e4)), looking_down(tilt=np.pi), None, Cells.everywhere(BOX, 8), samples=8)
+    assert (without.opacity == 0.0).all()
 
 
 def test_a_rendered_view_does_not_depend_on_its_chunks():

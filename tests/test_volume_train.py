@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from volume_scenes import BOX, WATER, Slab, bed_photographs
+from volume_scenes import BOX, WATER, Slab, bed_photographs, looking_down
 
 from fields.device import choose_device
 from fields.volume.sampling import Cells
 from fields.volume.scene import Scene
 from fields.volume.tensor import TensorSettings, TensorVolume
-from fields.volume.train import Training, proxy_of, render_volume, train_scene
+from fields.volume.train import Photographs, Training, proxy_of, render_volume, train_scene
 
 BED_M = -1.5
 SMALL = {"n_min": 8, "n_max": 32, "channels": 4, "degree": 0, "hidden": 16, "switch_window": 20}
@@ -73,6 +73,20 @@ def test_paths_are_drawn_from_the_pixels_given_each_photograph_by_its_share():
         known = {tuple(c) for c in image.astype(np.float32).tolist()}
         assert {tuple(c) for c in drawn.tolist()} <= known
     assert not (paths.view.diff() >= 0).all()
+
+
+@pytest.mark.parametrize("water", [None, WATER])
+def test_a_bed_in_a_box_is_seen_by_the_pixels_whose_path_leaves_through_the_floor(water):
+    cameras = [looking_down(tilt=tilt, size=30) for tilt in (0.0, 0.4)]
+    found = Photographs.over(cameras, [], BOX, water).pixels
+    for camera, pixels in zip(cameras, found, strict=True):
+        bent = camera.paths(camera.pixel_centres().reshape(-1, 2), water)
+        floor = bent.at_height(np.full(900, BOX.low[2]), water)
+        inside = (np.abs(floor[:, :2]) < 1.0).all(axis=1)
+        near_an_edge = (np.abs(np.abs(floor[:, :2]) - 1.0) < 2e-3).any(axis=1)
+        assert 100 < inside.sum() < 900
+        chosen = np.isin(np.arange(900), pixels)
+        np.testing.assert_array_equal(chosen[~near_an_edge], inside[~near_an_edge])
 
 
 def test_the_same_seed_draws_the_same_paths_and_trains_the_same_volume():

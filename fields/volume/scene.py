@@ -95,7 +95,8 @@ class Scene(nn.Module):
         thickness, features = self.model.thickness(x, direction, samples.length.reshape(-1))
         weights = render_weights(thickness.view(count, num))
         if self.background is None:
-            weights = torch.cat([weights[:, :-1], 1.0 - weights[:, :-1].sum(dim=1, keepdim=True)], dim=1)
+            rest = (1.0 - weights[:, :-1].sum(dim=1, keepdim=True)) * (paths.far > paths.near)[:, None]
+            weights = torch.cat([weights[:, :-1], rest], dim=1)
         painted = weights.detach() > MIN_COLOUR_WEIGHT
         where = painted.view(-1).nonzero()[:, 0]
         looks = None if self.appearance is None else self.appearance(paths.view)[where // num]

@@ -47,6 +47,24 @@ class Photographs:
     water: WaterSurface | None = None
     priors: list[PriorImages] | None = None
 
+    @staticmethod
+    def over(
+        cameras: list[PinholeCamera], images: list[np.ndarray], box: Box, water: WaterSurface | None = None
+    ) -> Photographs:
+        """Photographs of a bed inside a box, of the pixels whose path would leave it through its floor.
+
+        Whatever such a path shows, it met it inside. Others leave through a side, and may show what lies beyond.
+        """
+        pixels = []
+        for camera in cameras:
+            grid = camera.pixel_centres().reshape(-1, 2)
+            paths = paths_of(camera, water, grid, np.zeros((len(grid), 3)), box)
+            end = paths.at(paths.far[:, None])[:, 0, 2].numpy()
+            # A thousandth of the box is more than float32 rounds off.
+            on_floor = np.abs(end - box.low[2]) < 1e-3 * box.size[2]
+            pixels.append(np.flatnonzero(on_floor & (paths.far > paths.near).numpy()))
+        return Photographs(cameras, images, pixels, water)
+
     def draw(self, count: int, box: Box, rng: np.random.Generator, patch: int = 1) -> Paths:
         """Paths (count patch^2) through patches of pixels drawn evenly from all photographs, in random order.
 
@@ -199,7 +217,7 @@ def proxy_of(scene: Scene, cells: Cells, margin: float) -> Cells:
 
 @dataclass(frozen=True)
 class View:
-    """What a camera sees of a scene.
+    """What a camera sees of a scene; where a path misses the box, the background, and NaN for distance and point.
 
     Attributes
     ----------
@@ -244,7 +262,7 @@ def render_volume(
         rows = slice(first, first + chunk)
         paths = paths_of(camera, water, pixels[rows], none[rows], scene.model.box, view)
         seen = scene.render(paths, scene.samples(paths, cells, samples, jitter=False), dry=dry)
-        depth = seen.depth
+        depth = torch.where(paths.far > paths.near, seen.depth, torch.nan)
         parts.append((seen.rgb.clamp(max=1.0), depth, seen.opacity, paths.at(depth[:, None])[:, 0]))
     shape = (camera.height, camera.width)
     columns = [torch.cat(column).numpy() for column in zip(*parts, strict=True)]

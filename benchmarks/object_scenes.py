@@ -150,7 +150,10 @@ def _orbit(
     # In air the sand ends with the box, before black; under water it goes on, and what lies beyond the box is masked.
     (x0, y0), (x1, y1) = ((-reach, -reach), (reach, reach)) if water else (box.low[:2], box.high[:2])
     corners = np.array([[x0, y0, 0.0], [x1, y0, 0.0], [x1, y1, 0.0], [x0, y1, 0.0]])
-    sand = Look(skin_of_bed(TextureSettings(texel_m=GRAIN_M), Path(), bed, None, area, 1), lambda points, face: np.ones(len(points)))
+    sand = Look(
+        skin_of_bed(TextureSettings(texel_m=GRAIN_M), Path(), bed, None, area, 1),
+        lambda points, face: np.ones(len(points)),
+    )
     floor = TriangleMesh(corners, np.array([[0, 1, 2], [0, 2, 3]]))
     renderer = DirectRenderer(Ground(floor, (body,), (sand, look)), water, WaterColour())
     cameras = _rings(box, scale, lift, above=None if water is None else 2.5 * box.edge)

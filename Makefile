@@ -36,7 +36,7 @@ $(READY): pyproject.toml constraints.txt scripts/setup.sh
 
 demo: $(READY)
 	@echo "Drawing the survey of the demo into $(DEMO)"
-	@$(BIN)/python -m survey.drawn $(DEMO)
+	@$(BIN)/python -m survey.simulate.drawn $(DEMO)
 	@$(BIN)/bathynerf process $(DEMO) --reference $(TRUTH)/reference.ply --visible $(TRUTH)/visible.ply
 	@echo
 	@echo "The cloud against the true bed, in the bounds of survey.toml, nothing aligned or shifted:"

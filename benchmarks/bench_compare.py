@@ -91,7 +91,15 @@ def run_ours(folder: Path, cloud: Path, mesh: Path) -> tuple[np.ndarray, str]:
 
 def run_everything(cloud: Path, mesh: Path) -> str:
     """What the whole command costs: completeness, vertical differences and intervals too."""
-    command = [sys.executable, "-c", "from survey.cli import main; main()", "compare", "-q", str(cloud), str(mesh)]
+    command = [
+        sys.executable,
+        "-c",
+        "from survey.commands.app import main; main()",
+        "compare",
+        "-q",
+        str(cloud),
+        str(mesh),
+    ]
     return timed(command)
 
 

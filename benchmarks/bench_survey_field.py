@@ -25,16 +25,16 @@ from pathlib import Path
 import torch
 from survey_field_measures import cloud_figures, summary, view_figures
 
-from survey.config import read_config
-from survey.folder import load_survey
-from survey.rundir import RunDir
-from survey.stored import load_bed
+from survey.folder.config import read_config
+from survey.folder.survey import load_survey
+from survey.run.folder import RunDir
+from survey.run.stored import load_bed
 
 # The images number 4, 12, 20, ... of the table are left out.
 EVERY, FIRST = 8, 4
 # A quality gate that failed leaves all outputs behind.
 FINISHED = (0, 3)
-BATHYNERF = [sys.executable, "-c", "from survey.cli import main; main()"]
+BATHYNERF = [sys.executable, "-c", "from survey.commands.app import main; main()"]
 
 
 def once(marker: Path, arguments: list[str]) -> dict:

@@ -62,7 +62,7 @@ def timed(command: list[str], environment: dict) -> tuple[int, float, float]:
 def measure(name: str, quality: str, field: str, folder: Path) -> dict:
     """Process one survey and compare it with its reference."""
     survey, run = DATA / name, folder / f"{name}_{quality}_{field}"
-    bathynerf = [sys.executable, "-c", "from survey.cli import main; main()"]
+    bathynerf = [sys.executable, "-c", "from survey.commands.app import main; main()"]
     with tempfile.TemporaryDirectory() as home:  # Dr.Jit keeps its compiled kernels in the home folder
         environment = {**os.environ, "HOME": home}
         options = ["-o", str(run), "--quality", quality, "--field", field, "--no-resume"]

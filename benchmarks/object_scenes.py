@@ -14,7 +14,7 @@ from fields.volume.paths import Box
 from fields.volume.train import Photographs
 from geo import read_reference
 from refract import FlatWater, PinholeCamera
-from survey.folder import load_image, load_survey
+from survey.folder.survey import load_image, load_survey
 from survey.simulate.bed import plane
 from survey.simulate.ground import NOTHING, Ground, Look
 from survey.simulate.light import Light

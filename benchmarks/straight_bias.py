@@ -9,10 +9,10 @@ from scipy.spatial import cKDTree
 from study_protocol import away_from_objects
 
 from evaluation.baselines import apparent_points
-from fields import views
-from fields.sweep import PASSES
+from fields.sweep import views
+from fields.sweep.sweep import PASSES
 from refract import FlatWater, PinholeCamera
-from survey.folder import Survey
+from survey.folder.survey import Survey
 
 # Heights are tried up to this share of the depth over the bed.
 HIGHEST, RUNGS = 0.6, 241
@@ -73,7 +73,7 @@ def matched_points(
     sight: Sight, bed: np.ndarray, depth: np.ndarray, cameras: list[PinholeCamera], water: FlatWater, times_seen
 ) -> np.ndarray:
     """Where the apparent rays of the views that the sweep matches meet, (N, 3): of its height maps the steepest, as in
-    the cloud (`fields.bed.unique_pixels`).
+    the cloud (`fields.sweep.bed.unique_pixels`).
 
     Of each map the height is taken at which the better half of its neighbours comes nearest to what it sees, as the
     sweep takes that where they look most alike.

@@ -9,11 +9,12 @@ from PIL import Image
 from scipy.ndimage import distance_transform_edt, grey_opening
 from scipy.spatial import cKDTree
 
-from evaluation import distance_statistics, distance_to_mesh, image_quality, is_reached, psnr
-from evaluation.images import largest_rectangle
+from evaluation import distance_statistics, distance_to_mesh, is_reached, psnr
+from evaluation.images import quality as image_quality
+from evaluation.images.parts import largest_rectangle
 from geo import read_cloud, read_reference
-from survey.folder import Survey, View, load_image, load_mask
-from survey.stages import local_area, within
+from survey.folder.survey import Survey, View, load_image, load_mask
+from survey.run.stages import local_area, within
 
 TOLERANCES_M = (0.05, 0.2)
 # A point is of a mast if it stands this far over all that is wider than this, in a raster of these cells.

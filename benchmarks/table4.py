@@ -25,8 +25,8 @@ from straight_bias import straight_bias
 
 from evaluation import distance_to_mesh, is_reached, sample_mesh
 from geo import read_cloud, read_reference
-from survey.folder import Survey, load_survey
-from survey.stages import TIMES_SEEN
+from survey.folder.survey import Survey, load_survey
+from survey.run.stages import TIMES_SEEN
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("BATHYNERF_DATA", ROOT.parent / "shared" / "data"))
@@ -73,7 +73,7 @@ def cases(wet: Path, dry: Path, folder: Path, chains: list[str]) -> list[Case]:
 
 def process(case: Case, quality: str) -> None:
     """Run the case through the command line; a quality gate that fails (3) is a result too."""
-    command = [sys.executable, "-c", "from survey.cli import main; main()", "process", str(case.folder)]
+    command = [sys.executable, "-c", "from survey.commands.app import main; main()", "process", str(case.folder)]
     field = "on" if case.chain == "field" else "off"
     done = subprocess.run([*command, "-o", str(case.run), "--quality", quality, "--field", field, "-q"], check=False)
     if done.returncode not in (0, 3):
@@ -142,7 +142,7 @@ def drawn(folder: Path) -> tuple[Path, Path, Path]:
     """A small wet survey, the same one dry, and their reference."""
     wet, dry = folder / "wet", folder / "dry"
     for place, options in ((wet, []), (dry, ["--dry"])):
-        subprocess.run([sys.executable, "-m", "survey.drawn", str(place), *options], check=True)
+        subprocess.run([sys.executable, "-m", "survey.simulate.drawn", str(place), *options], check=True)
     return wet, dry, wet / "truth" / "reference.ply"
 
 

@@ -5,8 +5,8 @@ from evaluation.bootstrap import Blocks, mean_interval, spatial_blocks
 from evaluation.c2m import MeshDistances, distance_to_mesh
 from evaluation.checkpoints import height_at
 from evaluation.completeness import distance_to_cloud, f_score, is_reached, sample_mesh
-from evaluation.feature_similarity import fsim, vsi
-from evaluation.image_quality import gmsd, image_quality, ms_gmsd, ms_ssim, psnr, ssim
+from evaluation.images.feature_similarity import fsim, vsi
+from evaluation.images.quality import gmsd, image_quality, ms_gmsd, ms_ssim, psnr, ssim
 from evaluation.m3c2 import M3C2Distances, m3c2_distances
 from evaluation.outliers import is_outlier
 from evaluation.standards import asprs_vertical, iho_s44

@@ -11,14 +11,7 @@ from typing import Literal
 import igl
 import numpy as np
 
-from evaluation.triangles import (
-    FEATURE_CORNERS,
-    INSIDE,
-    area_vectors,
-    closest_on_triangles,
-    has_area,
-    weld,
-)
+from evaluation.triangles import FEATURE_CORNERS, INSIDE, area_vectors, closest_on_triangles, has_area, weld
 
 Sign = Literal["up", "winding"]
 

@@ -37,11 +37,11 @@ class Device:
 
     @property
     def kernels(self) -> ModuleType:
-        """The inner loops for this device: `fields.matching` in Dr.Jit or its twin `fields.matching_torch`.
+        """The inner loops for this device: `fields.sweep.matching` in Dr.Jit or its twin `fields.sweep.matching_torch`.
 
         Both hold the same functions with the same signatures; only the one asked for is imported.
         """
-        name = "fields.matching_torch" if self.name == "torch" else "fields.matching"
+        name = "fields.sweep.matching_torch" if self.name == "torch" else "fields.sweep.matching"
         return importlib.import_module(name)
 
 

@@ -1,13 +1,13 @@
 """Where on Earth: coordinate reference systems, the local frame, and the files that carry coordinates."""
 
-from geo.agreement import crs_difference, require_same_crs, require_same_place, same_crs
+from geo.compatibility import crs_difference, require_same_crs, require_same_place, same_crs
 from geo.crs import parse_crs, wkt1
 from geo.errors import GeoError
 from geo.files import write_whole
 from geo.frames import LocalFrame
 from geo.las import read_cloud, write_cloud
-from geo.mesh import read_reference
 from geo.ply import write_ply
+from geo.reading import read_reference
 from geo.shapes import Cloud, Mesh
 
 __all__ = [

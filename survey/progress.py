@@ -1,6 +1,6 @@
 """Progress on the console and in the log of a run: named stages with the time left.
 
-On a terminal stages are bars; elsewhere, and in the log, they are plain lines. Together with `survey.cli` the
+On a terminal stages are bars; elsewhere, and in the log, they are plain lines. Together with `survey.commands.app` the
 only place that writes to the console.
 """
 

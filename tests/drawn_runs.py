@@ -12,11 +12,11 @@ import numpy as np
 from evaluation import distance_to_mesh, is_reached
 from evaluation.c2m import MeshDistances
 from geo import Cloud, Mesh, read_cloud, read_reference
-from survey.drawn import DrawnScene, draw_survey
-from survey.folder import Survey, load_survey
-from survey.pipeline import process
+from survey.folder.survey import Survey, load_survey
 from survey.progress import Progress
-from survey.rundir import RunDir
+from survey.run.folder import RunDir
+from survey.run.process import process
+from survey.simulate.drawn import DrawnScene, draw_survey
 
 # A ground sampling distance of 2.3 cm, a bed 1.2 m deep, views that overlap tenfold: 7 s of work for one core.
 SMALL = {

@@ -8,11 +8,11 @@ from plane_survey import PlaneBed, texture
 
 from fields.device import Device
 from fields.heads import WaterColumn
-from fields.rays import GAMMA, Rays, rays_of
-from fields.slab import Slab
-from fields.sweep import DepthMap
-from fields.tensor_field import FieldSettings, TensorField
-from fields.train import Sources
+from fields.slab.grid import Slab
+from fields.slab.rays import GAMMA, Rays, rays_of
+from fields.slab.tensor_field import FieldSettings, TensorField
+from fields.slab.train import Sources
+from fields.sweep.sweep import DepthMap
 from refract import PinholeCamera
 
 ABSORPTION = np.array([0.3, 0.07, 0.05])  # 1/m

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fields.block import Block
 from fields.device import Device
-from fields.stack import ViewStack
+from fields.sweep.block import Block
+from fields.sweep.stack import ViewStack
 from refract import FlatWater, PinholeCamera
 
 FOCAL, SIZE = 800.0, (96, 72)

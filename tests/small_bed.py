@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fields.bed import BedPoints
-from fields.sweep import DepthMap
-from survey.folder import Survey
+from fields.sweep.bed import BedPoints
+from fields.sweep.sweep import DepthMap
+from survey.folder.survey import Survey
 
 SPACING_M = 0.1
 # Neighbouring points differ by 4.7 mm, so that what LAS rounds off is spread evenly over a millimetre.

@@ -11,7 +11,7 @@ from plane_survey import look
 from small_survey import small_survey
 
 from refract import FlatWater
-from survey.folder import load_survey
+from survey.folder.survey import load_survey
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from survey.cli import app
+from survey.commands.app import app
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = ("refract", "fields", "survey", "geo", "evaluation")
@@ -92,7 +92,7 @@ def test_help_and_readme_list_the_same_verbs():
 
 def test_the_console_command_is_the_command_line():
     (command,) = importlib.metadata.entry_points(group="console_scripts", name="bathynerf")
-    assert command.value == "survey.cli:main"
+    assert command.value == "survey.commands.app:main"
 
 
 def test_make_knows_the_targets_that_readme_names():

@@ -15,13 +15,14 @@ import pytest
 from drawn_runs import GSD, SHORELINE_M, DrawnRun, drawn, inner90, process_quietly, processed
 from pyproj import CRS
 
-from fields.sweep import PASSES, sweep
+from fields.sweep.sweep import PASSES, sweep
 from geo import read_cloud, read_reference
 from refract import FlatWater
-from survey import pipeline, stages
 from survey.errors import SurveyError
-from survey.folder import load_survey
-from survey.plan import make_plan
+from survey.folder.survey import load_survey
+from survey.plan.plan import make_plan
+from survey.run import process as pipeline
+from survey.run import stages
 
 # A matched pixel is known to a fifth of a pixel or so, the mean of the 10,000 points of a survey to 0.05 mm; what is
 # left is systematic. Measured worst over two seeds 0.2 mm, beside the shoreline 0.6 mm, of the field 0.8 mm; a
@@ -35,7 +36,7 @@ COMPLETENESS, TOLERANCES_M = 0.99, (0.2, 2.0 * GSD)
 LAS_STEP_M = 0.001
 KILL_AFTER_S = 120.0
 
-COMMAND = [sys.executable, "-c", "from survey.cli import main; main()"]
+COMMAND = [sys.executable, "-c", "from survey.commands.app import main; main()"]
 
 
 def bathynerf(*arguments) -> subprocess.CompletedProcess:

@@ -7,8 +7,8 @@ import pytest
 import torch
 from image_pair import image_pair
 
-from evaluation.image_quality import image_quality
-from evaluation.learned_similarity import dists, lpips
+from evaluation.images.learned_similarity import dists, lpips
+from evaluation.images.quality import image_quality
 
 # Sums of some thousand float32 products in another order.
 ROUNDING = 2e-5

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from plane_survey import SIZE, TILTED, PlaneBed, ring
 
-from fields.bed import BedPoints, has_company, points_of, trusted, unique_pixels
-from fields.block import Block
-from fields.sweep import DepthMap
+from fields.sweep.bed import BedPoints, has_company, points_of, trusted, unique_pixels
+from fields.sweep.block import Block
+from fields.sweep.sweep import DepthMap
 from refract import FlatWater
 
 HEIGHT = -2.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plane_survey import TILTED, PlaneBed, ring
 
-from fields.climbing import climb_view
+from fields.sweep.climbing import climb_view
 from refract import FlatWater
 
 STEP, RUNGS, RADIUS = 0.04, 9, 2

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from plane_survey import TILTED, ring
 
-from fields.consistency import agreement
-from fields.stack import ViewStack
+from fields.sweep.consistency import agreement
+from fields.sweep.stack import ViewStack
 
 OWN, TOLERANCE = -2.0, 0.05
 # Heights of a few metres in float32; their mean is exact to a few roundings.

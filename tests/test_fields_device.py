@@ -17,9 +17,9 @@ ROOT = Path(__file__).resolve().parent.parent
 TORCH_ALONE = """
 import sys
 sys.modules["drjit"] = None
-from fields.bed import trusted, unique_pixels
+from fields.sweep.bed import trusted, unique_pixels
 from fields.device import choose_device
-from fields.sweep import Pass, sweep
+from fields.sweep.sweep import Pass, sweep
 from plane_survey import TILTED, PlaneBed, ring
 
 device = choose_device("torch")
@@ -71,7 +71,7 @@ def test_each_device_has_its_kernels_and_says_why_it_was_chosen():
     for wanted in ("cpu", "torch"):
         device = choose_device(wanted)
         assert device is choose_device(wanted)
-        expected = "fields.matching_torch" if device.name == "torch" else "fields.matching"
+        expected = "fields.sweep.matching_torch" if device.name == "torch" else "fields.sweep.matching"
         assert device.kernels.__name__ == expected
         assert (device.module is None) == (device.name == "torch")
         assert device.reason

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from plane_survey import TILTED, PlaneBed, look, ring
 
-from fields import matching_torch
 from fields.device import choose_device
-from fields.stack import ViewStack
+from fields.sweep import matching_torch
+from fields.sweep.stack import ViewStack
 from refract import FlatWater, PinholeCamera
 
 EPS32 = np.finfo(np.float32).eps

@@ -11,8 +11,8 @@ from plane_field import field_over, level_slab
 from plane_survey import TILTED, PlaneBed, look
 
 from fields.device import choose_device
-from fields.novel_view import Surface, rays_on, render_view
-from fields.rays import rays_of
+from fields.slab.novel_view import Surface, rays_on, render_view
+from fields.slab.rays import rays_of
 
 DRY = PlaneBed(None, -2.0, 0.1)
 WET = PlaneBed(TILTED, -2.0, 0.1)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from plane_survey import TILTED, PlaneBed, ring
 
-from fields.block import Block
-from fields.ranging import find_range
+from fields.sweep.block import Block
+from fields.sweep.ranging import find_range
 from refract import FlatWater
 
 LIMITS = (-4.0, 0.0)

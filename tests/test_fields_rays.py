@@ -10,7 +10,7 @@ import torch
 from plane_field import level_slab, rays_at
 from plane_survey import TILTED, PlaneBed, look, ring
 
-from fields.rays import MEETING_STEPS, Rays, rays_of
+from fields.slab.rays import MEETING_STEPS, Rays, rays_of
 from refract import FlatWater
 
 N = 1.333

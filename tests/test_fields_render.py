@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy.stats import laplace
 
-from fields.render import log_transmittance, quantile_height, render_weights
+from fields.compositing import log_transmittance, quantile_height, render_weights
 
 
 def steps_down(num: int, *, top: float = 1.0, bottom: float = -1.0, dtype=torch.float64) -> torch.Tensor:

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from plane_survey import SIZE, TILTED, PlaneBed, look, ring
 
-from fields.bed import trusted, unique_pixels
-from fields.block import Block
 from fields.device import choose_device
-from fields.sweep import PASSES, DepthMap, Pass, sweep
+from fields.sweep.bed import trusted, unique_pixels
+from fields.sweep.block import Block
+from fields.sweep.sweep import PASSES, DepthMap, Pass, sweep
 from refract import FlatWater
-from survey.drawn import DrawnScene, stage_drawing
 from survey.simulate import Scene
+from survey.simulate.drawn import DrawnScene, stage_drawing
 
 # Coarse to fine in small: images of 96 x 72 px have too few pixels left at a quarter, where PASSES begin.
 SMALL = (

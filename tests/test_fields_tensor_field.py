@@ -11,8 +11,8 @@ from plane_field import field_over, level_slab, rays_at
 from plane_survey import PlaneBed, ring
 
 from fields.device import choose_device
-from fields.rays import GAMMA
-from fields.tensor_field import MIN_COLOUR_WEIGHT, FieldSettings, TensorField
+from fields.slab.rays import GAMMA
+from fields.slab.tensor_field import MIN_COLOUR_WEIGHT, FieldSettings, TensorField
 from refract import FlatWater
 
 TORCH = choose_device("torch")

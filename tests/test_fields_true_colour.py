@@ -8,12 +8,12 @@ import torch
 from plane_field import ABSORPTION, plane_sources
 from plane_survey import PlaneBed, look, ring
 
-from fields.absorption import estimate_absorption
-from fields.bed import BedPoints
+from fields.colour.absorption import estimate_absorption
+from fields.colour.true_colour import true_colours
 from fields.heads import WaterColumn
-from fields.rays import GAMMA
-from fields.train import Sources
-from fields.true_colour import true_colours
+from fields.slab.rays import GAMMA
+from fields.slab.train import Sources
+from fields.sweep.bed import BedPoints
 from refract import FlatWater, fresnel_coefficients
 
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.34)

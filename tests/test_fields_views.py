@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from plane_survey import TILTED, PlaneBed, look, ring
 
-from fields import views
-from fields.block import AGREEMENT_PX, Block
 from fields.device import choose_device
+from fields.sweep import views
+from fields.sweep.block import AGREEMENT_PX, Block
 from refract import FlatWater
 
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.34)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
-from geo.agreement import crs_difference, require_same_crs, require_same_place, same_crs
+from geo.compatibility import crs_difference, require_same_crs, require_same_place, same_crs
 from geo.crs import wkt1
 from geo.errors import CRSMismatch, PlaceMismatch
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from pyproj import CRS
 
-from geo.agreement import same_crs
+from geo.compatibility import same_crs
 from geo.crs import degrees_outside_area, height_unit_m, horizontal_crs, is_geographic, parse_crs, vertical_crs, wkt1
 from geo.errors import GeoError, MissingVerticalDatum, UnknownCRS, UnsupportedCRS
 

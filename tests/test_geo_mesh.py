@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from geo.errors import EmptyCloud, UnreadableFile
-from geo.mesh import read_reference
 from geo.ply import write_ply
+from geo.reading import read_reference
 from geo.shapes import Cloud, Mesh, triangulated
 
 NORTHING = np.array([589012.0, 5194736.0, 2105.0])

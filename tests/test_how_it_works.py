@@ -12,7 +12,7 @@ import pytest
 from geo.crs import parse_crs
 from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera
-from survey.drawn import DrawnScene, stage_drawing
+from survey.simulate.drawn import DrawnScene, stage_drawing
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "how-it-works.md"
 TEXT = " ".join(PAGE.read_text(encoding="utf-8").split())

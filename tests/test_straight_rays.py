@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from geo import read_cloud, read_reference
 from refract import FlatWater, PinholeCamera
-from survey.drawn import stage_drawing
+from survey.simulate.drawn import stage_drawing
 
 # Asked for are 5 %. Views that look straight down hide refraction so well that matching finds the place of the least
 # squares itself; measured 0.2 % with two seeds.

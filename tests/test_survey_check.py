@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from small_survey import E0, LEVEL, N0, TOML, camera_lines, small_survey, write_image
 
-from survey.check import check_survey
 from survey.errors import ImageError, SurveyError
-from survey.folder import load_survey
-from survey.plan import ground_height, make_plan
+from survey.folder.survey import load_survey
+from survey.plan.check import check_survey
+from survey.plan.plan import ground_height, make_plan
 
 
 def said(sections, title: str) -> dict[str, str]:
@@ -45,7 +45,7 @@ def test_check_says_what_was_assumed_and_what_is_doubtful(tmp_path):
 
 
 def test_check_says_that_structure_from_motion_would_run_and_does_not_run_it(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "survey.sfm", None)  # importing it fails
+    monkeypatch.setitem(sys.modules, "survey.sfm.poses", None)  # importing it fails
     folder = small_survey(tmp_path / "s", gps=True, toml=TOML.replace('poses = "cameras.csv"', ""))
     (folder / "cameras.csv").unlink()
     before = sorted(folder.rglob("*"))

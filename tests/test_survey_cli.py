@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from geo.errors import EmptyCloud
 from survey import progress as progress_room
-from survey.cli import app
+from survey.commands.app import app
 from survey.errors import SurveyError
 from survey.progress import Progress, clock
 
@@ -139,7 +139,7 @@ def test_a_quiet_check_prints_only_warnings(tmp_path):
 def test_help_version_and_errors_come_before_anything_slow_is_imported(tmp_path):
     folder = small_survey(tmp_path / "s")
     code = (
-        "import sys; from survey.cli import main; sys.argv = ['bathynerf', *sys.argv[1:]]\n"
+        "import sys; from survey.commands.app import main; sys.argv = ['bathynerf', *sys.argv[1:]]\n"
         "try: main()\n"
         "finally: print(sorted({'torch', 'matplotlib', 'scipy', 'pycolmap', 'cv2', 'drjit'} & set(sys.modules)))"
     )
@@ -166,7 +166,7 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
         calls.append((args, options, progress_room.current().verbosity))
         return 3
 
-    fake_module(monkeypatch, "survey.pipeline", process=process)
+    fake_module(monkeypatch, "survey.run.process", process=process)
     result = bathynerf(
         "process", "s", "-o", "run", "--quality", "draft", "--device", "cpu", "--no-resume", "--field", "on",
         "--calibrate-water", "--true-colour", "--reference", "r.ply", "--visible", "v.ply", "-v",
@@ -199,7 +199,7 @@ def test_export_needs_something_to_write_and_prints_what_it_wrote(monkeypatch):
         calls.append((run, files))
         return [Path("a.las"), Path("b.ply")]
 
-    fake_module(monkeypatch, "survey.export", export=export)
+    fake_module(monkeypatch, "survey.run.export", export=export)
     result = bathynerf("export", "run", "--las", "a.las", "--ply", "b.ply")
     assert (result.exit_code, result.stdout) == (0, "a.las\nb.ply\n")
     assert calls == [(Path("run"), {"las": Path("a.las"), "laz": None, "ply": Path("b.ply")})]
@@ -227,7 +227,7 @@ def test_compare_hands_its_options_on_and_prints_the_numbers_with_their_units(mo
         return {"n_points": 12, "mean_m": -0.00123, "max_m": -1e-6, "completeness": 0.9, "seen": None,
                 "histogram": [1], "notes": ["c.las does not say its CRS", "nothing else"]}  # fmt: skip
 
-    fake_module(monkeypatch, "survey.compare", CompareOptions=CompareOptions, compare_files=compare_files)
+    fake_module(monkeypatch, "survey.compare.comparison", CompareOptions=CompareOptions, compare_files=compare_files)
     result = bathynerf("compare", "c.las", "r.ply", "--tolerance", "0.05", "--bounds", "-1", "2", "3", "4.5",
                        "--tolerance", "0.2", "--water-level", "3.5", "--checkpoints", "k.csv", "--outliers", "sor:6,2",
                        "--c2c", "--m3c2", "0.5", "--sign", "winding", "--json", "n.json", "--report", "d",
@@ -269,7 +269,7 @@ def raising(error):
     ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else None,
 )
 def test_every_error_becomes_a_sentence_and_its_exit_code(monkeypatch, error, code, words):
-    fake_module(monkeypatch, "survey.pipeline", process=raising(error))
+    fake_module(monkeypatch, "survey.run.process", process=raising(error))
     result = bathynerf("process", "s", "-o", "run")
     assert result.exit_code == code
     (line,) = result.stderr.splitlines()
@@ -283,7 +283,7 @@ def test_our_own_fault_leaves_its_traceback_in_the_log_and_shows_it_when_asked(m
         progress_room.current().log_to(log)
         raise RuntimeError("no such tile")
 
-    fake_module(monkeypatch, "survey.pipeline", process=process)
+    fake_module(monkeypatch, "survey.run.process", process=process)
     assert "Traceback" not in bathynerf("process", "s").stderr
     assert "in process\n    raise RuntimeError" in log.read_text()
     assert "error: RuntimeError: no such tile" in log.read_text()
@@ -298,7 +298,7 @@ def test_a_full_disk_under_the_log_does_not_hide_the_error(monkeypatch):
         progress_room.current().log_to(Path("/dev/full"))
         progress_room.current().note("a line that does not fit")
 
-    fake_module(monkeypatch, "survey.pipeline", process=process)
+    fake_module(monkeypatch, "survey.run.process", process=process)
     result = bathynerf("process", "s", "-o", "run", "-q")
     assert result.exit_code == 2
     assert result.stderr == (

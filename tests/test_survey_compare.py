@@ -14,9 +14,9 @@ from pyproj import CRS
 
 from geo import LocalFrame, write_ply
 from geo.errors import CRSMismatch, EmptyCloud, GeoError, PlaceMismatch, UnreadableFile
-from survey.compare import CompareOptions, compare_files, compare_surfaces
-from survey.compare_inputs import CompareError
-from survey.compare_report import completeness_map, error_map, histogram
+from survey.compare.comparison import CompareOptions, compare_files, compare_surfaces
+from survey.compare.inputs import CompareError
+from survey.compare.pictures import completeness_map, error_map, histogram
 
 # Six standard deviations of a share of that many samples.
 SAMPLING = 6 * 0.5 / NUM_SAMPLES**0.5
@@ -24,7 +24,7 @@ SAMPLING = 6 * 0.5 / NUM_SAMPLES**0.5
 
 @pytest.fixture(autouse=True)
 def _fewer_samples(monkeypatch):
-    monkeypatch.setattr("survey.compare_measure.NUM_SAMPLES", NUM_SAMPLES)
+    monkeypatch.setattr("survey.compare.measure.NUM_SAMPLES", NUM_SAMPLES)
 
 
 @pytest.fixture
@@ -175,7 +175,7 @@ def test_pictures_of_hardly_any_points_are_drawn_all_the_same(tmp_path, count):
 
 
 def test_a_stray_point_does_not_shrink_the_map(tmp_path, rng):
-    from survey.compare_canvas import mean_per_cell
+    from survey.compare.canvas import mean_per_cell
 
     points = rng.uniform(0, 10, (20_000, 3))
     points[0, :2] = 1e6

@@ -7,14 +7,14 @@ import pytest
 from compare_plane import FRAME, HALF, LAS_M, NUM_SAMPLES, ORIGIN, grid, write_las, write_mesh, write_plane
 
 from geo import write_ply
-from survey.compare import CompareOptions, compare_files
-from survey.compare_inputs import CompareError
-from survey.compare_text import sections_of
+from survey.compare.comparison import CompareOptions, compare_files
+from survey.compare.inputs import CompareError
+from survey.compare.text import sections_of
 
 
 @pytest.fixture(autouse=True)
 def _fewer_samples(monkeypatch):
-    monkeypatch.setattr("survey.compare_measure.NUM_SAMPLES", NUM_SAMPLES)
+    monkeypatch.setattr("survey.compare.measure.NUM_SAMPLES", NUM_SAMPLES)
 
 
 @pytest.fixture
@@ -163,7 +163,7 @@ def test_m3c2_is_measured_where_py4dgeo_is_there_and_asked_for_by_name_where_not
         with pytest.raises(CompareError, match=r"--m3c2 needs py4dgeo, .* pip install 'bathynerf\[m3c2\]'"):
             compare_files(cloud, plane, options=options)
     pytest.importorskip("py4dgeo", reason="py4dgeo is not installed: pip install 'bathynerf[m3c2]'")
-    monkeypatch.setattr("survey.compare_measure._CORE_POINTS", 300)
+    monkeypatch.setattr("survey.compare.measure._CORE_POINTS", 300)
     numbers = compare_files(cloud, plane, options=options)["m3c2"]
     assert numbers["mean_m"] == pytest.approx(0.1, abs=LAS_M / 5)
     assert numbers["significant_share"] == 1.0

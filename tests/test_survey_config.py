@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from survey.config import SurveyConfig, dump_config, parse_config, read_config
 from survey.errors import ConfigError, SurveyError
+from survey.folder.config import SurveyConfig, dump_config, parse_config, read_config
 
 FULL = """
 name = 'a "quoted" name'

@@ -9,13 +9,13 @@ import pytest
 
 from geo import read_reference
 from refract import FlatWater
-from survey.config import read_config
-from survey.drawn import DrawnScene, draw_survey, stage_drawing
-from survey.drawn.__main__ import main
 from survey.errors import SurveyError
-from survey.exif import read_exif
-from survey.folder import load_survey
+from survey.folder.config import read_config
+from survey.folder.survey import load_survey
+from survey.photos.exif import read_exif
 from survey.simulate import Scene, writing
+from survey.simulate.drawn import DrawnScene, draw_survey, stage_drawing
+from survey.simulate.drawn.__main__ import main
 from survey.simulate.shapes import BedGrid, Solid
 
 # Rounding of float64 over 10 m of path, and the projection's 1e-9 m, at 280 px focal length and 8 m: 4e-8 px.

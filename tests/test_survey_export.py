@@ -10,10 +10,10 @@ from small_survey import small_survey
 from geo import read_cloud, read_reference
 from geo.errors import GeoError
 from survey.errors import SurveyError
-from survey.export import export
-from survey.folder import load_survey
-from survey.rundir import RunDir
-from survey.stored import StoredBed, load_bed, save_bed
+from survey.folder.survey import load_survey
+from survey.run.export import export
+from survey.run.folder import RunDir
+from survey.run.stored import StoredBed, load_bed, save_bed
 
 # LAS steps by 1 mm: half a step, and the rounding of a northing of 5e6 m.
 LAS_ROUNDING = 0.5e-3 + 1e-8

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from refract import FlatWater
-from survey.cameras import Lens
 from survey.errors import SurveyError
-from survey.flight import FlightSettings, plan_flight
-from survey.flight.coverage import SYSTEMATIC_PX, coverage
-from survey.flight.patterns import Site
-from survey.flight.picture import picture
+from survey.photos.cameras import Lens
+from survey.simulate.flight import FlightSettings, plan_flight
+from survey.simulate.flight.coverage import SYSTEMATIC_PX, coverage
+from survey.simulate.flight.patterns import Site
+from survey.simulate.flight.picture import picture
 
 LENS = Lens("PINHOLE", (1750.0, 1750.0, 512.0, 384.0), 1024, 768)
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.333)

@@ -9,9 +9,9 @@ from pyproj import Transformer
 from small_survey import CRS, E0, LEVEL, N0, TOML, camera_lines, replaced, small_survey, write_image, write_poses
 
 from geo.errors import GeoError, MissingVerticalDatum
-from survey.config import dump_config, parse_config
 from survey.errors import ConfigError, ImageError, PosesError, SurveyError
-from survey.folder import load_image, load_survey
+from survey.folder.config import dump_config, parse_config
+from survey.folder.survey import load_image, load_survey
 
 # Over 30 m, grid metres and true ones differ by 0.0007 (scale and height) on a rise of 0.006 * 30 m, and level
 # water leaves its plane by 0.07 mm.

@@ -13,10 +13,10 @@ from pyproj import CRS, Proj
 from small_survey import HEADER
 
 from geo.frames import LocalFrame
-from survey.cameras import CAM_FROM_OPK_CAM, MODELS, Lens, grid_from_opk
 from survey.errors import PosesError
-from survey.folder import load_survey
-from survey.formats import colmap, find_poses, find_unread, opk_csv, read_poses
+from survey.folder.survey import load_survey
+from survey.photos.cameras import CAM_FROM_OPK_CAM, MODELS, Lens, grid_from_opk
+from survey.photos.formats import colmap, find_poses, find_unread, opk_csv, read_poses
 
 # cameras.csv of the drawn surveys is written to 1e-5 m and 1e-8 degrees, the COLMAP model to 1e-12.
 CENTRE_TOLERANCE_M = 1e-3

@@ -10,10 +10,10 @@ import pytest
 from PIL import Image
 from small_survey import write_image
 
-from survey.cameras import Lens, View
 from survey.errors import ImageError
-from survey.exif import read_exif
-from survey.images import list_images, load_image, load_mask, require_complete
+from survey.photos.cameras import Lens, View
+from survey.photos.exif import read_exif
+from survey.photos.images import list_images, load_image, load_mask, require_complete
 
 LENSES = [
     Lens("SIMPLE_RADIAL", (350.0, 160.0, 120.0, -0.12), 320, 240),

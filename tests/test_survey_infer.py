@@ -10,9 +10,9 @@ import pytest
 from small_survey import E0, LEVEL, N0, camera_lines, replaced, small_survey, write_image, write_poses
 
 from geo.frames import LocalFrame
-from survey.cameras import Lens
 from survey.errors import ConfigError, PosesError
-from survey.folder import find_survey, load_survey
+from survey.folder.survey import find_survey, load_survey
+from survey.photos.cameras import Lens
 
 
 def test_without_survey_toml_the_zone_comes_from_the_positions_and_it_says_what_it_assumed(tmp_path):
@@ -91,7 +91,7 @@ def solved(monkeypatch, names):
         views = [(name, lens, np.array([3.0 * i, 0.0, 20.0]), down) for i, name in enumerate(names)]
         return SimpleNamespace(frame=frame, views=views, notes=["placed by GPS"])
 
-    monkeypatch.setitem(sys.modules, "survey.sfm", SimpleNamespace(solve_poses=solve_poses))
+    monkeypatch.setitem(sys.modules, "survey.sfm.poses", SimpleNamespace(solve_poses=solve_poses))
     return calls
 
 

@@ -13,12 +13,12 @@ from pyproj import CRS
 from fields.device import choose_device
 from geo.frames import LocalFrame
 from refract import FlatWater
-from survey.config import CamerasConfig, SurveyConfig, dump_config
 from survey.errors import SurveyError
+from survey.folder.config import CamerasConfig, SurveyConfig, dump_config
 from survey.progress import Progress
-from survey.render import render
-from survey.rundir import RunDir
-from survey.stored_field import PLACE_FILE, load_place, save_field, save_place
+from survey.run.folder import RunDir
+from survey.run.render import render
+from survey.run.stored_field import PLACE_FILE, load_place, save_field, save_place
 
 ORIGIN = (691000.0, 5334000.0, 500.0)
 WATER = FlatWater((1.0, 2.0, 0.5), n_water=1.34, slope_x=0.01, slope_y=-0.004)

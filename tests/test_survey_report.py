@@ -15,15 +15,15 @@ from small_bed import SLOPE, SPACING_M, plane_bed, plane_depth_map, write_plane_
 from small_survey import TOML, small_survey
 
 from geo import LocalFrame
-from survey.compare import CompareOptions, compare_surfaces
-from survey.export import write_bed_las
-from survey.folder import load_survey
-from survey.plan import Decision, Plan
+from survey.compare.comparison import CompareOptions, compare_surfaces
+from survey.folder.survey import load_survey
+from survey.plan.plan import Decision, Plan
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.facts import figures_of, plain
 from survey.report.raster import PlanGrid, hillshade, without_pinholes
-from survey.rundir import RunDir
-from survey.stored import StoredBed
+from survey.run.export import write_bed_las
+from survey.run.folder import RunDir
+from survey.run.stored import StoredBed
 
 RAISED_M = 0.004
 # LAS rounds heights to 1 mm, evenly to both sides.

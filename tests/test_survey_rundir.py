@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fields.sweep import DepthMap
+from fields.sweep.sweep import DepthMap
 from geo.errors import GeoError
 from survey.errors import SurveyError
-from survey.rundir import RunDir, load_arrays, save_arrays, stage_key, versions
-from survey.stored import load_depth_maps, save_depth_maps
+from survey.run.folder import RunDir, load_arrays, save_arrays, stage_key, versions
+from survey.run.stored import load_depth_maps, save_depth_maps
 
 
 def finish(run: RunDir, name: str, key: str, **arrays) -> Path:
@@ -110,7 +110,7 @@ def test_stages_are_written_only_while_the_run_is_locked(tmp_path):
 def _other_process(run: Path) -> subprocess.Popen:
     """Another process that is writing the run, until its standard input closes."""
     code = (
-        "import sys; from survey.rundir import RunDir\n"
+        "import sys; from survey.run.folder import RunDir\n"
         f"with RunDir({str(run)!r}): print('writing', flush=True); sys.stdin.read()"
     )
     other = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)

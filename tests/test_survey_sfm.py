@@ -20,13 +20,14 @@ from geo.crs import parse_crs
 from geo.errors import MissingVerticalDatum
 from geo.frames import LocalFrame
 from refract import PinholeCamera
-from survey import sfm_block, sfm_solve
-from survey.cameras import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.errors import ConfigError, ImageError, PosesError, SurveyError
-from survey.exif import Exif
-from survey.sfm import solve_poses
-from survey.sfm_align import MIN_STD_M, fit_similarity, gps_std, require_area, robust_similarity
-from survey.sfm_gps import gps_positions
+from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
+from survey.photos.exif import Exif
+from survey.sfm import block as sfm_block
+from survey.sfm import solve as sfm_solve
+from survey.sfm.gps import gps_positions
+from survey.sfm.gps_fit import MIN_STD_M, fit_similarity, gps_std, require_area, robust_similarity
+from survey.sfm.poses import solve_poses
 
 # Some hundred roundings of coordinates of 1e3.
 EXACT = 1e-10
@@ -387,7 +388,7 @@ def test_a_workspace_that_cannot_be_written_is_named(tmp_path, rng):
 def test_pictures_can_be_written_after_pycolmap_was_loaded(tmp_path):
     """pycolmap's own zlib corrupts the heap of a process that loads the system's after it."""
     code = (
-        "import survey.sfm_block, pycolmap, numpy as np; from PIL import Image; "
+        "import survey.sfm.block, pycolmap, numpy as np; from PIL import Image; "
         "noise = np.random.default_rng(0).integers(0, 255, (900, 900, 3), dtype=np.uint8); "
         f"Image.fromarray(noise).save({str(tmp_path / 'noise.png')!r})"
     )

@@ -14,11 +14,11 @@ from typer.testing import CliRunner
 
 from geo import read_reference
 from refract import FlatWater
-from survey.cameras import Lens
-from survey.cli import app
-from survey.config import read_config
+from survey.commands.app import app
 from survey.errors import SurveyError
-from survey.folder import load_image, load_survey
+from survey.folder.config import read_config
+from survey.folder.survey import load_image, load_survey
+from survey.photos.cameras import Lens
 from survey.simulate import writing
 from survey.simulate.ground import NOTHING, Ground, Look, shade_of_normals
 from survey.simulate.light import Light

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from small_survey import TOML, small_survey
 
-from survey.folder import load_survey
-from survey.stages import limits
+from survey.folder.survey import load_survey
+from survey.run.stages import limits
 
 FLYING_M = 20.0
 

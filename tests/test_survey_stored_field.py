@@ -10,9 +10,9 @@ import torch
 from plane_field import field_over, level_slab, rays_at
 from plane_survey import TILTED, PlaneBed, ring
 
-from fields.tensor_field import TensorField
+from fields.slab.tensor_field import TensorField
 from survey.errors import SurveyError
-from survey.stored_field import FIELD_FILE, FIGURES_FILE, load_field, save_field
+from survey.run.stored_field import FIELD_FILE, FIGURES_FILE, load_field, save_field
 
 FIGURES = {"steps": 300, "switched_at": None, "psnr_db": np.float64(38.25), "width_m": 0.0125}
 

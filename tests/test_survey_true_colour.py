@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from drawn_runs import GSD, SMALL, DrawnRun, drawn
 
-from fields.rays import GAMMA
-from survey.drawn import stage_drawing
+from fields.slab.rays import GAMMA
 from survey.errors import SurveyError
-from survey.pipeline import process
 from survey.progress import Progress
-from survey.stored import StoredBed, load_bed
+from survey.run.process import process
+from survey.run.stored import StoredBed, load_bed
+from survey.simulate.drawn import stage_drawing
 
 # Points further from the true bed than this [m] may have the colour of something else.
 ON_THE_BED_M = 0.03
@@ -49,7 +49,7 @@ def shore(tmp_path_factory):
     small = {"size_m": (2.2, 2.2), "image_px": (144, 120), "num_views": 8}
     with pytest.MonkeyPatch.context() as patch:
         # Half of the time of so small a survey.
-        patch.setattr("survey.pipeline.write_report", lambda *_: None)
+        patch.setattr("survey.run.process.write_report", lambda *_: None)
         yield drawn(tmp_path_factory.mktemp("shore") / "survey", shore=True, **small)
 
 

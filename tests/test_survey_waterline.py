@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from survey.cameras import Lens, View
-from survey.folder import load_survey
-from survey.place import water_plane
-from survey.waterline import PARAMETERS, calibrate, estimate, nadir_views
+from survey.adjust.water import PARAMETERS, calibrate, estimate, nadir_views
+from survey.folder.place import water_plane
+from survey.folder.survey import load_survey
+from survey.photos.cameras import Lens, View
 from tests.small_survey import small_survey
 from tests.small_water_block import FOCAL, SIZE, convergent, nadir, tie_points
 

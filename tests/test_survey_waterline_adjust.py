@@ -8,9 +8,9 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from refract import FlatWater, PinholeCamera
+from survey.adjust.free_errors import Errors, free_errors
+from survey.adjust.least_squares import TiePoints, adjust, by_parameters, by_point, intersect, pixels_of
 from survey.errors import SurveyError
-from survey.waterline_adjust import TiePoints, adjust, by_parameters, by_point, intersect, pixels_of
-from survey.waterline_errors import Errors, free_errors
 from tests.small_water_block import TRUTH, convergent, nadir, tie_points, water_of
 
 START = TRUTH + np.array([0.5, -0.002, 0.001, -0.035])

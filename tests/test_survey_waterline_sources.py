@@ -8,11 +8,11 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from survey.config import parse_config
 from survey.errors import ConfigError
-from survey.exif import Exif
-from survey.folder import load_survey
-from survey.waterline_sources import fit_surface, read_gauge, read_points, with_level
+from survey.folder.config import parse_config
+from survey.folder.survey import load_survey
+from survey.folder.water_level import fit_surface, read_gauge, read_points, with_level
+from survey.photos.exif import Exif
 from tests.small_survey import E0, LEVEL, N0, TOML, replaced, small_survey
 
 HEAD = Exif((64, 48), None, None, 1, "", None)

@@ -18,7 +18,7 @@ from fields.volume.scene import Rendered, Scene
 from fields.volume.train import Photographs
 from refract import PinholeCamera
 from survey.errors import ImageError
-from survey.priors import read_depth_prior, read_normal_prior
+from survey.photos.priors import read_depth_prior, read_normal_prior
 
 CAMERA = looking_down(size=8)
 TILTED = PinholeCamera(np.zeros(3), np.array([[0.8, 0, -0.6], [0, 1, 0], [0.6, 0, 0.8]]), 9.0, 9.0, 3.0, 4.0, 6, 8)

@@ -10,7 +10,7 @@ from torch import nn
 from volume_scenes import BOX, WATER, Slab, looking_down
 
 from fields.heads import WaterColumn
-from fields.rays import GAMMA
+from fields.slab.rays import GAMMA
 from fields.volume.sampling import Cells
 from fields.volume.scene import Backdrop, Scene
 from fields.volume.train import render_volume

@@ -9,7 +9,7 @@ from scipy.special import expit, log_expit
 from volume_models import check_interface, check_learning, directions, positions
 from volume_scenes import BOX
 
-from fields.render import quantile_height, render_weights
+from fields.compositing import quantile_height, render_weights
 from fields.volume.sdf import CHUNK, DistanceNetwork, SdfSettings, SdfVolume
 
 SMALL = SdfSettings.small(layers=3, width=32, frequencies=3, direction_frequencies=2)

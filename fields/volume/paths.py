@@ -1,7 +1,7 @@
 """Bent light paths through a box, by path length: what a volume is sampled along.
 
-Rays through the slab of a survey stand at heights (`fields.rays`); those of a volume may run level or upwards, and are
-measured from the camera on.
+Rays through the slab of a survey stand at heights (`fields.slab.rays`); those of a volume may run level or upwards,
+and are measured from the camera on.
 """
 
 from __future__ import annotations

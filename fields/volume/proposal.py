@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from fields.render import render_weights
+from fields.compositing import render_weights
 from fields.volume.hash_grid import PER_LEVEL, HashGrid
 from fields.volume.model import Rates, density_of
 from fields.volume.paths import Box, Paths

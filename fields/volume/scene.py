@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from fields.compositing import quantile_height, render_weights
 from fields.heads import WaterColumn
-from fields.rays import GAMMA
-from fields.render import quantile_height, render_weights
+from fields.slab.rays import GAMMA
 from fields.volume.model import Rates, VolumeModel
 from fields.volume.paths import Paths
 from fields.volume.proposal import Proposal

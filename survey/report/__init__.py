@@ -8,7 +8,7 @@ from collections.abc import Callable
 from survey.report.facts import ReportFacts, figures_of
 from survey.report.page import render_page
 from survey.report.pictures import draw_pictures
-from survey.rundir import RunDir
+from survey.run.folder import RunDir
 
 __all__ = ["NUM_STEPS", "ReportFacts", "write_report"]
 

@@ -10,7 +10,7 @@ from evaluation import apparent_points, distance_statistics, per_camera, times_i
 from refract import crossing_point
 
 if TYPE_CHECKING:
-    from survey.folder import Survey
+    from survey.folder.survey import Survey
     from survey.report.facts import ReportFacts
 
 # Places of the bed at which baselines are predicted: their mean is then sure to a few per cent of their spread.

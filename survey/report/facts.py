@@ -11,16 +11,16 @@ import numpy as np
 from pyproj import CRS
 
 from geo.crs import horizontal_crs, vertical_crs
-from survey.folder import Survey
-from survey.images import list_images
-from survey.plan import Plan
+from survey.folder.survey import Survey
+from survey.photos.images import list_images
+from survey.plan.plan import Plan
 from survey.report.baselines import baselines_of
-from survey.rundir import versions
+from survey.run.folder import versions
 
 if TYPE_CHECKING:
-    from fields.bed import BedPoints
-    from fields.sweep import DepthMap
-    from survey.compare import Comparison
+    from fields.sweep.bed import BedPoints
+    from fields.sweep.sweep import DepthMap
+    from survey.compare.comparison import Comparison
 
 # Density is asked over the ground that has points; cells of this many ground sampling distances tell which.
 _COVERED_CELL_GSD = 5.0
@@ -47,7 +47,7 @@ class ReportFacts:
     wet_pixel_share : float or None
         Share of the pixels that look into water that have a point of the bed.
     comparison : Comparison or None
-        Of the cloud of these points with a reference, from `survey.compare.compare_surfaces`.
+        Of the cloud of these points with a reference, from `survey.compare.comparison.compare_surfaces`.
     sweep_comparison : Comparison or None
         The same of the cloud that the sweep alone would have given; None where there is no field or no reference.
     notes : tuple of str

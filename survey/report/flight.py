@@ -12,8 +12,8 @@ from matplotlib.colors import to_rgba
 from matplotlib.patches import Rectangle
 
 from refract import PinholeCamera
-from survey.compare_canvas import INK, _map_canvas, save, write_title
-from survey.folder import Survey
+from survey.compare.canvas import INK, _map_canvas, save, write_title
+from survey.folder.survey import Survey
 from survey.report.facts import ReportFacts
 from survey.report.raster import PlanGrid, metres_per_unit
 from survey.report.shading import Picture, show

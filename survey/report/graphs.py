@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from survey.compare_canvas import INK, SOFT, canvas, nice_limit, save, write_title
+from survey.compare.canvas import INK, SOFT, canvas, nice_limit, save, write_title
 from survey.report.facts import ReportFacts
 from survey.report.shading import Picture
 

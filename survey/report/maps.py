@@ -12,14 +12,14 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, Normalize
 from matplotlib.figure import Figure
 
-from survey.compare_canvas import EMPTY, INK, _map_canvas, save, write_title
-from survey.images import load_image
+from survey.compare.canvas import EMPTY, INK, _map_canvas, save, write_title
+from survey.photos.images import load_image
 from survey.report.facts import ReportFacts
 from survey.report.raster import PlanGrid, without_pinholes
 from survey.report.shading import Picture, colour_bar, shaded_bed, show
 
 if TYPE_CHECKING:
-    from fields.sweep import DepthMap
+    from fields.sweep.sweep import DepthMap
 
 _DEPTH_LABEL = "true depth below the water [m]"
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from survey import compare_bands, compare_report
+from survey.compare import bands as compare_bands
+from survey.compare import pictures as compare_report
 from survey.report import flight, graphs, maps, profile
 from survey.report.facts import ReportFacts, distances_of
 from survey.report.raster import PlanGrid

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from survey.compare_canvas import INK, canvas, save, write_title
+from survey.compare.canvas import INK, canvas, save, write_title
 from survey.report.facts import ReportFacts
 from survey.report.shading import Picture
 

@@ -11,7 +11,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import Colormap, LightSource, LinearSegmentedColormap, Normalize
 
-from survey.compare_canvas import INK, SOFT
+from survey.compare.canvas import INK, SOFT
 from survey.report.raster import PlanGrid, hillshade
 
 # Light and yellowish where shallow, dark blue where deep; lightness falls steadily.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from html import escape
 
-from survey.compare_text import band_label
+from survey.compare.text import band_label
 
 
 def comparison(c: dict | None) -> str:

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from geo import Mesh, read_reference
-from survey.drawn.paint import periodic
 from survey.errors import SurveyError
 from survey.simulate.ground import Look, shade_beside_bed
 from survey.simulate.light import Light
+from survey.simulate.paint import periodic
 from survey.simulate.scene_file import ObjectSettings
 from survey.simulate.shapes import rotation
 from survey.simulate.skin import ImageSkin

@@ -11,11 +11,11 @@ import numpy as np
 from geo.crs import parse_crs
 from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera
-from survey.cameras import MODELS, Lens
 from survey.errors import ConfigError, PosesError, SurveyError
-from survey.flight import plan_flight
-from survey.flight.patterns import Site
+from survey.photos.cameras import MODELS, Lens
 from survey.simulate.bed import bed_from_file
+from survey.simulate.flight import plan_flight
+from survey.simulate.flight.patterns import Site
 from survey.simulate.scene_file import CameraSettings, SceneSettings
 from survey.simulate.triangles import TriangleMesh
 from survey.simulate.water import WaterLevel

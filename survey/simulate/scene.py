@@ -9,7 +9,7 @@ import numpy as np
 from geo.frames import LocalFrame
 from refract import PinholeCamera
 from refract.surfaces import WaterSurface
-from survey.cameras import Lens
+from survey.photos.cameras import Lens
 from survey.simulate.render_direct import DirectRenderer
 from survey.simulate.sensor import Eye, Sensor
 from survey.simulate.water import WaterLevel

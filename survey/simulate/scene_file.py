@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from survey.errors import ConfigError
-from survey.flight.settings import FlightSettings
+from survey.simulate.flight.settings import FlightSettings
 from survey.simulate.keys import table
 
 BEDS = ("drawn", "plane", "mesh", "cloud")

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from refract import PinholeCamera
-from survey.cameras import Lens
+from survey.photos.cameras import Lens
 
 # Radiance (N, 3) along rays from origins (N, 3) in directions (N, 3), with a seed for what is left to chance.
 Eye = Callable[[np.ndarray, np.ndarray, int], np.ndarray]

@@ -6,9 +6,9 @@ import dataclasses
 from pathlib import Path
 
 from geo import write_whole
-from survey.flight.coverage import Coverage, coverage
-from survey.flight.picture import picture
 from survey.progress import current
+from survey.simulate.flight.coverage import Coverage, coverage
+from survey.simulate.flight.picture import picture
 from survey.simulate.planning import Plan, marks_of, plan_scene
 from survey.simulate.scene_file import SceneSettings, read_scene
 from survey.simulate.sidecars import cameras_csv

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from refract.surfaces import WaterSurface
-from survey.drawn.ground import build_ground
-from survey.drawn.scene import DrawnScene
 from survey.simulate.bed import plane
+from survey.simulate.drawn_ground import build_ground
+from survey.simulate.drawn_scene import DrawnScene
 from survey.simulate.extent import seen_area
 from survey.simulate.ground import Ground, Look, shade_of_normals
 from survey.simulate.light import Light

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from survey.drawn.paint import sand
 from survey.errors import SurveyError
+from survey.simulate.paint import sand
 from survey.simulate.scene_file import TextureSettings
 from survey.simulate.sensor import GAMMA
 from survey.simulate.skin import ImageSkin, VertexSkin, skin_from_above

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from refract import PinholeCamera
-from survey.cameras import Lens
+from survey.photos.cameras import Lens
 from survey.simulate.ground import Ground
 from survey.simulate.render_direct import DirectRenderer, depth_below
 from survey.simulate.sensor import distorted, normalised

@@ -1,0 +1,109 @@
+"""How alike the features of two images are: FSIM by phase congruency, VSI by visual saliency.
+
+Images are (H, W) or (H, W, 3), 0 to 1. Both measures look at images whose shorter side is about 256 pixels: larger ones
+are averaged over squares of pixels first.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from evaluation.images.parts import SCHARR, checked_pair, gradient, pooled, similarity, yiq
+from evaluation.images.phase_congruency import log_gabor, phase_congruency
+
+_SIDE_PX = 256
+# FSIM, Zhang et al. 2011, section IV-A: of phase congruency, gradients and colour; exponent of colour.
+_T1, _T2, _T3, _LAMBDA = 0.85, 160.0, 200.0, 0.03
+# VSI, Zhang et al. 2014, table II: of saliency, gradients and colour; exponents of gradients and colour.
+_C1, _C2, _C3, _ALPHA, _BETA = 1.27, 386.0, 130.0, 0.40, 0.02
+# Its saliency: frequency and spread of the band-pass, spread of the centre [px] and of colour.
+_OMEGA, _SIGMA_F, _SIGMA_D, _SIGMA_C = 0.021, 1.34, 145.0, 0.001
+# Opponent colours L, M, N (Geusebroek et al. 2001), as VSI has them.
+_LMN = np.array([[0.06, 0.63, 0.27], [0.30, 0.04, -0.35], [0.34, -0.60, 0.17]])
+
+
+def fsim(reference: np.ndarray, image: np.ndarray) -> float:
+    """Feature similarity, with its term for colour (FSIMc) of colour images; 1 for equal images.
+
+    Notes
+    -----
+    L. Zhang, L. Zhang, X. Mou, D. Zhang, FSIM: a feature similarity index for image quality assessment, IEEE
+    Transactions on Image Processing 20 (2011), equations 5 to 11. Pixels count by the larger phase congruency.
+    """
+    pair = checked_pair(reference, image, smallest=16)
+    size = _pool_size(pair[0])
+    x, y = (pooled(yiq(255.0 * v), size) for v in pair)
+    pc_x, pc_y = phase_congruency(x[0]), phase_congruency(y[0])
+    score = similarity(pc_x, pc_y, _T1) * similarity(gradient(x[0], SCHARR), gradient(y[0], SCHARR), _T2)
+    if len(x) == 3:
+        # Of a negative product the power is complex; its size is taken.
+        score = score * np.abs(similarity(x[1], y[1], _T3) * similarity(x[2], y[2], _T3)) ** _LAMBDA
+    weight = np.maximum(pc_x, pc_y)
+    # Two images without any feature have all the same features.
+    return float((score * weight).sum() / weight.sum()) if weight.any() else 1.0
+
+
+def vsi(reference: np.ndarray, image: np.ndarray) -> float:
+    """Visual saliency induced index of two colour images (H, W, 3); 1 for equal images.
+
+    Raises
+    ------
+    ValueError
+        If the images are grey, and as `evaluation.images.parts.checked_pair`.
+
+    Notes
+    -----
+    L. Zhang, Y. Shen, H. Li, VSI: a visual saliency-induced index for perceptual image quality assessment, IEEE
+    Transactions on Image Processing 23 (2014), equations 6 to 10. Pixels count by the larger saliency.
+    """
+    pair = checked_pair(reference, image, smallest=16)
+    if pair[0].ndim != 3:
+        raise ValueError("VSI looks at colours, got grey images; use fsim or gmsd")
+    size = _pool_size(pair[0])
+    vs_x, vs_y = (pooled(_saliency(v), size) for v in pair)
+    x, y = (pooled(np.einsum("cd,hwd->chw", _LMN, 255.0 * v), size) for v in pair)
+    gradients = similarity(gradient(x[0], SCHARR), gradient(y[0], SCHARR), _C2)
+    colour = similarity(x[1], y[1], _C3) * similarity(x[2], y[2], _C3)
+    # The real part of the power, where the product is negative.
+    powered = np.abs(colour) ** _BETA * np.where(colour < 0.0, np.cos(np.pi * _BETA), 1.0)
+    score = similarity(vs_x, vs_y, _C1) * gradients**_ALPHA * powered
+    weight = np.maximum(vs_x, vs_y)
+    return float((score * weight).sum() / weight.sum()) if weight.any() else 1.0
+
+
+def _saliency(image: np.ndarray) -> np.ndarray:
+    """Saliency (H, W), 0 to 1: what stands out by its band of frequencies, lies central, and has colour.
+
+    L. Zhang, Z. Gu, H. Li, SDSP: a novel saliency detection method by combining simple priors, ICIP (2013).
+    """
+    height, width = image.shape[:2]
+    small = cv2.resize(image, (_SIDE_PX, _SIDE_PX), interpolation=cv2.INTER_LINEAR)
+    lab = cv2.cvtColor(small.astype(np.float32), cv2.COLOR_RGB2Lab).astype(np.float64)
+    along = np.fft.fftfreq(_SIDE_PX)
+    radius = np.hypot(*np.meshgrid(along, along))
+    band = np.where(radius <= 0.5, log_gabor(radius, _OMEGA, np.exp(_SIGMA_F)), 0.0)
+    passed = np.fft.ifft2(np.fft.fft2(lab, axes=(0, 1)) * band[..., None], axes=(0, 1)).real
+    frequency = np.linalg.norm(passed, axis=2)
+    from_centre = np.arange(_SIDE_PX) - _SIDE_PX // 2 + 1.0
+    central = np.exp(-np.add.outer(from_centre**2, from_centre**2) / _SIGMA_D**2)
+    a_b = _stretched(lab, axis=(0, 1))[..., 1:]
+    coloured = 1.0 - np.exp(-(a_b**2).sum(axis=2) / _SIGMA_C**2)
+    return _stretched(_resized(frequency * central * coloured, height, width))
+
+
+def _resized(image: np.ndarray, height: int, width: int) -> np.ndarray:
+    """An image in another size, bilinearly, its corners on the corners."""
+    rows, columns = (np.linspace(0.0, n - 1.0, m) for n, m in zip(image.shape, (height, width), strict=True))
+    at_columns, at_rows = np.meshgrid(columns.astype(np.float32), rows.astype(np.float32))
+    return cv2.remap(image, at_columns, at_rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+def _stretched(values: np.ndarray, axis=None) -> np.ndarray:
+    """Values from 0 to 1 along some axes; 0 where all are equal."""
+    low, high = values.min(axis=axis, keepdims=True), values.max(axis=axis, keepdims=True)
+    return (values - low) / np.where(high > low, high - low, 1.0)
+
+
+def _pool_size(image: np.ndarray) -> int:
+    return max(1, round(min(image.shape[:2]) / _SIDE_PX))

@@ -1,0 +1,153 @@
+"""What the water takes of the light, from views that see the same bed along ways of different length.
+
+    seen_i = (1 - R_i) exp(-a w_i) bed + R_i sky        of one patch in view i; w the light's way in water, down and up
+
+Means over patches are compared, since single pixels lose contrast where a view is slant and coarse, which looks like
+absorption. The veil is left out: few angles cannot tell it from the colour of the bed, so that `a` is what is lost net
+of it, and too small in turbid water.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+from scipy.optimize import minimize_scalar
+
+from fields.heads import WaterColumn
+from fields.slab.rays import GAMMA
+from fields.slab.train import Sources
+from fields.sweep.bed import trusted
+from fields.sweep.sweep import DepthMap
+from refract import FlatWater, PinholeCamera, fresnel_coefficients
+
+# Patches of so many pixels a side, all together about so many.
+SIDE_PX, PATCHES = 16, 2000
+# Less water than this takes no light that shows.
+SHALLOWEST_M = 0.1
+# A patch counts where so much of it is trusted, and where so much of that is seen.
+TRUSTED_SHARE, SEEN_SHARE = 0.9, 0.95
+# Fewer patches that several views see tell nothing of a survey.
+FEWEST = 10
+# A point is seen by a view whose own height there differs by less than so many pixels of it.
+SAME_HEIGHT_PX = 3.0
+# Absorption [1/m] is looked for up to this; pure water takes 0.3 of red light, brown water 3 of blue.
+MOST = 5.0
+# Standard deviation [1/m] of an estimate that is of no use: 3 m down and up, it makes a third of the light.
+USELESS_STD = 0.05
+TRIMS, TRIM_STDS = 4, 3.0
+# Of a derivative by absorption [1/m]: far below what is asked for, far above rounding.
+STEP = 1e-4
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Patches as views see them, N of them.
+
+    Attributes
+    ----------
+    patch : (N,) int
+    below : (N, 3)
+        Mean linear radiance under the surface, without what the surface mirrors.
+    way : (N,) [m]
+        Mean way of the light in water, down and up.
+    """
+
+    patch: np.ndarray
+    below: np.ndarray
+    way: np.ndarray
+
+
+def estimate_absorption(sources: Sources) -> tuple[float, float, float]:
+    """Absorption [1/m] of red, green and blue of the water over a swept bed.
+
+    Raises
+    ------
+    ValueError
+        If too little of the bed is seen along ways that differ enough.
+    """
+    points, patch = _patches(sources)
+    parts = [
+        _sightings(points, patch, *view, sources.water)
+        for view in zip(sources.cameras, sources.maps, sources.images, strict=True)
+    ]
+    seen = Sightings(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("patch", "below", "way")))
+    if np.count_nonzero(np.bincount(seen.patch) > 1) < FEWEST:
+        raise ValueError("hardly any bed under water is seen by several views")
+    return tuple(_fit(seen.patch, seen.below[:, channel], seen.way) for channel in range(3))
+
+
+def _patches(sources: Sources) -> tuple[np.ndarray, np.ndarray]:
+    """Points (P, 3) [m] of the wet bed, local, in square patches of the views; and the patch (P,) of each."""
+    rng = np.random.default_rng(0)
+    each = max(PATCHES // len(sources.maps), 1)
+    points, patch, count = [np.zeros((0, 3))], [np.zeros(0, dtype=np.int64)], 0
+    for camera, depth_map in zip(sources.cameras, sources.maps, strict=True):
+        shape = (camera.height // SIDE_PX, SIDE_PX, camera.width // SIDE_PX, SIDE_PX)
+        height = depth_map.height[: shape[0] * SIDE_PX, : shape[2] * SIDE_PX]
+        wet = trusted(depth_map)[: height.shape[0], : height.shape[1]] & (height < -SHALLOWEST_M)
+        whole = np.argwhere(wet.reshape(shape).mean(axis=(1, 3)) >= TRUSTED_SHARE)
+        for row, column in whole[rng.permutation(len(whole))[:each]] * SIDE_PX:
+            r, c = np.nonzero(wet[row : row + SIDE_PX, column : column + SIDE_PX])
+            path = camera.paths(np.stack([column + c + 0.5, row + r + 0.5], axis=-1), sources.water)
+            points.append(path.at_height(height[row + r, column + c].astype(np.float64), sources.water))
+            patch.append(np.full(len(r), count))
+            count += 1
+    return np.concatenate(points), np.concatenate(patch)
+
+
+def _sightings(
+    points: np.ndarray,
+    patch: np.ndarray,
+    camera: PinholeCamera,
+    depth_map: DepthMap,
+    image: np.ndarray,
+    water: FlatWater,
+) -> Sightings:
+    """The patches that one view sees whole."""
+    pixels = camera.project(points, water)
+    size = np.array([camera.width, camera.height])
+    inside = np.flatnonzero(((pixels > 0.5) & (pixels < size - 0.5)).all(axis=1))
+    height = (points[inside] - water.point) @ np.array(water.up)
+    column, row = np.floor(pixels[inside]).astype(np.int64).T
+    pixel_m = np.linalg.norm(points[inside] - camera.centre, axis=1) / camera.fx
+    same = np.abs(depth_map.height[row, column] - height) < SAME_HEIGHT_PX * pixel_m
+    inside, depth = inside[same], -height[same]
+    path = camera.paths(pixels[inside], water)
+    up = np.array(water.up)
+    mirrored = fresnel_coefficients(-(path.air_direction @ up), n_from=1.0, n_to=water.n_water).reflectance[:, None]
+    linear = (np.arange(256, dtype=np.float32) / 255.0) ** GAMMA
+    at = pixels[inside].T[::-1] - 0.5
+    seen = np.stack([map_coordinates(linear[image[..., k]], at, order=1) for k in range(3)], axis=-1)
+    below = (seen - mirrored * WaterColumn().sky.detach().numpy()) / (1.0 - mirrored)
+    columns = [*below.T, depth - depth / (path.water_direction @ up)]
+    whole, found = np.bincount(patch), np.bincount(patch[inside], minlength=patch[-1] + 1 if len(patch) else 0)
+    kept = np.flatnonzero(found >= SEEN_SHARE * whole)
+    means = np.stack([np.bincount(patch[inside], v, len(whole))[kept] / found[kept] for v in columns], axis=-1)
+    return Sightings(kept, means[:, :3], means[:, 3])
+
+
+def _fit(patch: np.ndarray, below: np.ndarray, way: np.ndarray) -> float:
+    """Absorption [1/m] of one channel: least squares, each patch with a bed of its own, without outliers."""
+    share = np.ones(len(patch))
+
+    def misfit(absorption: float) -> np.ndarray:
+        return share * _without_bed(patch, below, np.exp(-absorption * way), share)
+
+    for _ in range(TRIMS):
+        found = float(minimize_scalar(lambda a: np.sum(misfit(a) ** 2), bounds=(0.0, MOST), method="bounded").x)
+        residual = _without_bed(patch, below, np.exp(-found * way), share)
+        change = (misfit(found + STEP) - misfit(found)) / STEP
+        std = np.sqrt(np.sum(misfit(found) ** 2) / (max(share.sum(), 1.0) * max(np.sum(change**2), 1e-30)))
+        share = (np.abs(residual) <= TRIM_STDS * 1.4826 * np.median(np.abs(residual))) * 1.0
+    if not std < USELESS_STD:
+        raise ValueError(f"the views look through too similar ways of water to tell it: the error is {std:.2g} per m")
+    return found
+
+
+def _without_bed(patch: np.ndarray, below: np.ndarray, kept: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """What sightings (N,) have beyond the bed that fits those of its patch best, which count as ``share`` says."""
+    squares = np.bincount(patch, share * kept * kept)
+    bed = np.bincount(patch, share * kept * below) / np.maximum(squares, 1e-30)
+    return below - kept * bed[patch]

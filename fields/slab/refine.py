@@ -1,0 +1,48 @@
+"""The field's own heights for the pixels that make the bed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fields.slab.tensor_field import TensorField
+from fields.slab.train import half_the_threads, slab_rays
+from fields.sweep.sweep import DepthMap
+from refract import FlatWater, PinholeCamera
+
+CHUNK = 65536
+
+
+@half_the_threads()
+def refine(
+    field: TensorField,
+    camera: PinholeCamera,
+    depth_map: DepthMap,
+    image: np.ndarray,
+    water: FlatWater | None,
+    keep: np.ndarray,
+) -> tuple[np.ndarray, int]:
+    """Heights of a map with those of the kept pixels taken from the field: the median of the weights along each ray.
+
+    A pixel whose own height lies outside the slab (another surface passes there) or that the field would move out of
+    it keeps the sweep's height.
+
+    Returns
+    -------
+    height : (height, width) float32 [m] over the water plane
+    moved : int
+        Number of pixels that took the field's height.
+    """
+    height = depth_map.height.copy()
+    rows, columns = np.nonzero(keep)
+    moved = 0
+    for first in range(0, len(rows), CHUNK):
+        r, c = rows[first : first + CHUNK], columns[first : first + CHUNK]
+        rays, held = slab_rays(camera, depth_map, image, water, field.slab, r, c)
+        if len(rays) == 0:
+            continue
+        found, _ = field.heights(rays)
+        found = found.numpy()
+        inside = np.abs(found - height[r[held], c[held]]) < field.slab.half
+        height[r[held][inside], c[held][inside]] = found[inside]
+        moved += int(inside.sum())
+    return height, moved

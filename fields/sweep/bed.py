@@ -1,0 +1,139 @@
+"""From height maps to points of the bed: every piece of it once, with what is known of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from fields.sweep.block import Block
+from fields.sweep.stack import ViewStack
+from fields.sweep.sweep import DepthMap
+from refract import FlatWater, PinholeCamera
+
+
+@dataclass(frozen=True)
+class BedPoints:
+    """Points of the bed, in the local frame; N of them.
+
+    Attributes
+    ----------
+    xyz : (N, 3) float64 [m]
+    rgb : (N, 3) uint8
+    std : (N,) float32 [m]
+        Standard deviation of the height over the views that agree.
+    num_views : (N,) uint8
+        Views that see the point at this height, the one it was taken from included.
+    depth : (N,) float32 [m]
+        Below the water surface, vertical, positive in water; NaN in a dry survey.
+    incidence : (N,) float32 [rad]
+        Angle between the ray in air and the normal of the water (of local z in a dry survey).
+    wet : (N,) bool
+    """
+
+    xyz: np.ndarray
+    rgb: np.ndarray
+    std: np.ndarray
+    num_views: np.ndarray
+    depth: np.ndarray
+    incidence: np.ndarray
+    wet: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    def __getitem__(self, keep) -> BedPoints:
+        return BedPoints(*(getattr(self, f.name)[keep] for f in fields(self)))
+
+    @staticmethod
+    def concatenate(parts: list[BedPoints]) -> BedPoints:
+        """Points of several views in one."""
+        return BedPoints(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(BedPoints)))
+
+
+# A height confirmed by two other views is trusted; confirmed by one, only where the images also correlate this well.
+CONFIRMED_TWICE = 2
+TRUSTED_NCC = 0.8
+COMPANY, COMPANY_GSD = 4, 4.0
+
+
+def trusted(depth_map: DepthMap) -> np.ndarray:
+    """Which pixels (height, width) bool of a map have a height that other views confirm."""
+    once = (depth_map.agreeing == 1) & (depth_map.score > TRUSTED_NCC)
+    return (depth_map.agreeing >= CONFIRMED_TWICE) | once
+
+
+def unique_pixels(block: Block, maps: list[DepthMap]) -> list[np.ndarray]:
+    """Which pixels of each map to keep so that every piece of the bed is taken once.
+
+    Views take turns, the steepest first: their ground sampling distance is the finest. A pixel that is kept claims, in
+    every later view, the four pixels around its projection whose heights agree with it; claimed pixels are duplicates.
+    Only trusted pixels are kept.
+
+    Returns
+    -------
+    list of (height, width) bool, in the order of `maps`
+    """
+    cameras = [block.cameras[m.view] for m in maps]
+    order = sorted(range(len(maps)), key=lambda i: cameras[i].cam_from_local[2][2])
+    chosen = [m.view for m in maps]
+    device, kernels = block.device, block.device.kernels
+    heights = ViewStack.build(device, cameras, [m.height for m in maps], block.water)
+    shape = (heights.height, heights.width)
+    claimed = [kernels.indices(device, np.zeros(shape)) for _ in maps]
+    kept: dict[int, np.ndarray] = {}
+    for place, index in enumerate(order):
+        m = maps[index]
+        kept[index] = trusted(m) & (kernels.host(claimed[index]).reshape(shape) == 0)
+        if not kept[index].any():
+            continue
+        legs, own = kernels.paths_of(heights, index, np.flatnonzero(kept[index]))
+        others = block.neighbours(m.view, 8, among=chosen)
+        tolerance = block.agreement_tolerance(m.view, others, float(np.median(m.height))) if others else 0.0
+        for later in order[place + 1 :]:
+            kernels.claim(heights, legs, own, later, tolerance, claimed[later])
+    return [kept[i] for i in range(len(maps))]
+
+
+def has_company(xyz: np.ndarray, gsd: float) -> np.ndarray:
+    """Which points (N, 3) [m] are part of a surface: `COMPANY` others lie within `COMPANY_GSD` of them, (N,) bool.
+
+    A surface sampled once per GSD (ground sampling distance [m]) has 50 there, one that only very oblique views show
+    about 6; a chance agreement of views stands alone.
+    """
+    if len(xyz) <= COMPANY:
+        return np.zeros(len(xyz), dtype=bool)
+    distance, _ = cKDTree(xyz).query(xyz, k=[COMPANY + 1], distance_upper_bound=COMPANY_GSD * gsd, workers=-1)
+    return np.isfinite(distance[:, 0])
+
+
+def points_of(
+    camera: PinholeCamera, water: FlatWater | None, depth_map: DepthMap, keep: np.ndarray, rgb: np.ndarray
+) -> BedPoints:
+    """The kept pixels (height, width) bool of one view as points, in float64 from the ray to the point.
+
+    The map may be larger than the camera's image (padded at its right and bottom).
+    """
+    pixels = camera.pixel_centres()[keep]
+    path = camera.paths(pixels, water)
+
+    def kept(array):
+        return array[: camera.height, : camera.width][keep]
+
+    height = kept(depth_map.height).astype(np.float64)
+    xyz = path.at_height(height, water)
+    normal = np.array(water.up if water else (0.0, 0.0, 1.0))
+    depth = water.height(xyz[:, 0], xyz[:, 1]) - xyz[:, 2] if water else np.full(len(xyz), np.nan)
+    agreeing = kept(depth_map.agreeing).astype(np.float32)
+    # The spread is a population figure over agreeing + 1 heights; the sample figure does not flatter few views.
+    std = kept(depth_map.spread) * np.sqrt((agreeing + 1.0) / np.maximum(agreeing, 1.0))
+    return BedPoints(
+        xyz,
+        rgb[keep],
+        std.astype(np.float32),
+        (agreeing + 1).astype(np.uint8),
+        depth.astype(np.float32),
+        np.arccos(np.clip(-(path.air_direction @ normal), -1.0, 1.0)).astype(np.float32),
+        np.zeros(len(xyz), dtype=bool) if water is None else height < 0.0,
+    )

@@ -1,0 +1,102 @@
+"""The views of one survey, ready to be matched: images, cameras, water, and who sees what."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from fields.device import Device
+from fields.sweep import views
+from fields.sweep.stack import ViewStack
+from refract import FlatWater, PinholeCamera
+
+# Two heights agree when their difference would show as less than this parallax.
+AGREEMENT_PX = 0.7
+
+
+class Block:
+    """Grey images of one size with their cameras, in the local frame.
+
+    Parameters
+    ----------
+    device : Device
+    cameras : list of PinholeCamera
+        All of the images' size; smaller images are padded with NaN, as are masked pixels.
+    images : list of (height, width) float32
+        Grey levels about zero.
+    water : FlatWater or None
+    height : [m]
+        Rough height of the bed over the water plane (over local z = 0 in a dry survey): overlap is judged there.
+
+    Raises
+    ------
+    ValueError
+        If fewer than two views are given, or none looks down.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        cameras: list[PinholeCamera],
+        images: list[np.ndarray],
+        water: FlatWater | None,
+        height: float,
+    ):
+        if len(cameras) < 2 or len(cameras) != len(images):
+            raise ValueError(
+                f"a block needs two views or more, each with an image; got {len(cameras)} and {len(images)}"
+            )
+        self.device, self.cameras, self.images, self.water = device, cameras, images, water
+        self._stacks: dict[float, ViewStack] = {}
+        self.look_at(height)
+
+    def look_at(self, height: float) -> None:
+        """Judge overlap at another height [m] over the water plane."""
+        plane_z = 0.0
+        if self.water is not None:
+            # Under the cameras: the point that the plane is given by may lie far away.
+            x, y, _ = np.mean([camera.centre for camera in self.cameras], axis=0)
+            plane_z = float(self.water.height(x, y))
+        self.seen, self.cells = views.coverage(self.cameras, self.water, plane_z + height)
+        self.height = height
+
+    def stack(self, scale: float) -> ViewStack:
+        """Images and cameras at a scale, kept on the device until `release`."""
+        if scale not in self._stacks:
+            cameras = [c.scaled(scale) if scale != 1.0 else c for c in self.cameras]
+            size = (cameras[0].width, cameras[0].height)
+            images = self.images
+            if scale != 1.0:
+                images = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in images]
+            self._stacks[scale] = ViewStack.build(self.device, cameras, images, self.water)
+        return self._stacks[scale]
+
+    def release(self, scale: float) -> None:
+        """Forget the images at a scale."""
+        self._stacks.pop(scale, None)
+        self.device.kernels.release()
+
+    def cover(self, times: int, times_oblique: int, area: tuple[float, float, float, float] | None = None) -> list[int]:
+        """Views that see every place from every side; see `fields.sweep.views.cover`.
+
+        ``area`` (x0, y0, x1, y1) [m], local, leaves out the places beyond it.
+        """
+        seen = self.seen
+        if area is not None:
+            x, y = self.cells[:, 0], self.cells[:, 1]
+            inside = (x >= area[0]) & (y >= area[1]) & (x <= area[2]) & (y <= area[3])
+            seen = seen & inside if inside.any() else seen
+        return views.cover(seen, self.cells, self.cameras, times, times_oblique)
+
+    def neighbours(self, view: int, count: int, among: list[int] | None = None) -> list[int]:
+        """The views (of ``among``, default all) that match `view` best, at most ``count``."""
+        among = list(range(len(self.cameras))) if among is None else among
+        return views.neighbours(self.cameras, self.seen, self.cells, view, among, count)
+
+    def parallax(self, view: int, others: list[int], height: float) -> float:
+        """Full-size pixels that a bed point of `view` at a height moves in the others per metre of height."""
+        return views.parallax(self.cameras, self.water, view, others, height)
+
+    def agreement_tolerance(self, view: int, others: list[int], height: float) -> float:
+        """Two heights [m] closer than this agree: their difference is less than `AGREEMENT_PX` of parallax."""
+        return AGREEMENT_PX / self.parallax(view, others, height)

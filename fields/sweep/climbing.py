@@ -1,0 +1,75 @@
+"""One ladder of heights for one view, in strips of rows that bound the memory."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from fields.sweep.stack import ViewStack
+
+# A score below this says nothing: no window was complete (-1), or the windows have no texture (0, but for rounding).
+MATCHED_NCC = 0.05
+
+
+def climb_view(
+    stack: ViewStack,
+    view: int,
+    others: list[int],
+    start: np.ndarray,
+    step: float,
+    rungs: int,
+    radius: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Best height of each pixel of a view on a ladder that begins at ``start``.
+
+    Parameters
+    ----------
+    stack : ViewStack
+    view, others : indices of the reference view and the views it is compared with
+    start : (height, width) [m]
+        Height over the water plane of the first rung, per pixel; rung j is ``start + j * step``.
+    step : [m]
+    radius : [px]
+        Of the NCC window.
+
+    Returns
+    -------
+    height [m], score [-], curvature [1/m^2] : each (height, width) float32
+        Where no window is complete (at the image's edge, by masked pixels, out of sight of the others) the score is
+        -1 and the curvature 0. There, and where there is no texture, the height is that of the nearest matched pixel.
+    """
+    device, kernels = stack.device, stack.device.kernels
+    width, height = stack.width, stack.height
+    rows = max(4 * radius + 4, min(height, kernels.STRIP_SAMPLES // (len(others) * rungs * width)))
+    neighbours = kernels.indices(device, others)
+    found = [np.empty((height, width), dtype=np.float32) for _ in range(3)]
+    for first in range(0, height, rows):
+        last = min(first + rows, height)
+        top, bottom = max(first - radius, 0), min(last + radius, height)
+        legs = kernels.legs_of(stack, view, top, bottom - top)
+        begin = kernels.floats(device, start[top:bottom])
+        grey = kernels.pixels_of(stack, view, top, bottom - top)
+        values = kernels.warp(stack, legs, begin, neighbours, step, rungs)
+        score = kernels.ncc(device, grey, values, width, radius)
+        mean = kernels.best_half(device, score, len(others))
+        for target, result in zip(found, kernels.climb(device, mean, begin, step, rungs), strict=True):
+            target[first:last] = kernels.host(result).reshape(bottom - top, width)[first - top : last - top]
+    for array, value in zip(found[1:], (-1.0, 0.0), strict=True):
+        array[:radius], array[-radius:] = value, value
+        array[:, :radius], array[:, -radius:] = value, value
+    return _filled(found[0], found[1] > MATCHED_NCC), found[1], found[2]
+
+
+def _filled(height: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Heights where those that are not known are replaced by that of the nearest pixel where it is.
+
+    Left alone, they would stand at the foot of the ladder in all views alike, and seem to agree.
+    """
+    if known.all() or not known.any():
+        return height
+    _, nearest = cv2.distanceTransformWithLabels(
+        (~known).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    of_label = np.empty(nearest.max() + 1, dtype=np.float32)
+    of_label[nearest[known]] = height[known]
+    return of_label[nearest]

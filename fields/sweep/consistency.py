@@ -1,0 +1,40 @@
+"""Do several views agree on the bed? Height maps compared with each other through the water."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fields.sweep.stack import ViewStack
+
+
+def agreement(
+    heights: ViewStack, view: int, peers: list[int], tolerance: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Compare the height map of one view with those of its peers.
+
+    The bed point of each pixel is projected into each peer, whose own height there (bilinear) is compared.
+
+    Parameters
+    ----------
+    heights : ViewStack whose images are height maps [m] over the water plane
+    view, peers : indices into the stack
+    tolerance : [m]
+        Heights closer than this agree.
+
+    Returns
+    -------
+    agreeing : (height, width) uint8
+        Number of peers that agree.
+    fused : (height, width) float32 [m]
+        Mean of the view's own height and those that agree.
+    spread : (height, width) float32 [m]
+        Standard deviation (population) of the same.
+    """
+    kernels = heights.device.kernels
+    shape = (heights.height, heights.width)
+    own = kernels.host(kernels.pixels_of(heights, view, 0, heights.height)).reshape(shape)
+    sums = kernels.compare(heights, view, peers, tolerance)
+    count, total, square = (kernels.host(s).reshape(shape) for s in sums)
+    mean = total / (count + 1.0)
+    spread = np.sqrt(np.maximum(square / (count + 1.0) - mean * mean, 0.0))
+    return count.astype(np.uint8), own + mean, spread

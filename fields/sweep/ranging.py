@@ -1,0 +1,66 @@
+"""Between which heights does the bed lie? A full sweep of a few views at thumbnail size answers."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from fields.sweep.block import Block
+from fields.sweep.climbing import climb_view
+
+THUMBNAIL_PX = 128
+NUM_VIEWS = 8
+NUM_NEIGHBOURS = 8
+WINDOW_RADIUS = 3
+# A thumbnail pixel counts where half of its neighbours correlate this well and the best height is no end of the ladder.
+CONFIDENT_NCC = 0.7
+MIN_PIXELS = 200
+
+
+def find_range(block: Block, limits: tuple[float, float]) -> tuple[float, float]:
+    """Heights [m] over the water plane between which the bed lies.
+
+    Parameters
+    ----------
+    limits : (low, high) [m]
+        Heights beyond which nothing is looked for.
+
+    Returns
+    -------
+    (low, high) [m]
+        The 0.5 and 99.5 % quantiles of the heights that match well and continue around, widened by a quarter of
+        their distance and one rung.
+
+    Raises
+    ------
+    ValueError
+        If the images hardly match anywhere.
+    """
+    scale = min(1.0, THUMBNAIL_PX / block.cameras[0].width)
+    stack = block.stack(scale)
+    chosen = block.cover(1, 0)
+    chosen = [chosen[i] for i in np.unique(np.linspace(0, len(chosen) - 1, NUM_VIEWS).astype(int))]
+    heights, steps = [np.empty(0)], [0.0]
+    for view in chosen:
+        others = block.neighbours(view, NUM_NEIGHBOURS)
+        if not others:
+            continue
+        step = 0.5 / (scale * block.parallax(view, others, 0.5 * (limits[0] + limits[1])))
+        rungs = int(np.ceil((limits[1] - limits[0]) / step)) + 1
+        start = np.full((stack.height, stack.width), limits[0], dtype=np.float32)
+        z, score, curvature = climb_view(stack, view, others, start, step, rungs, WINDOW_RADIUS)
+        # A chance match stands alone; the bed continues in the pixels around.
+        supported = np.abs(z - cv2.medianBlur(z, 5)) < step
+        heights.append(z[(score > CONFIDENT_NCC) & (curvature > 0.0) & supported])
+        steps.append(step)
+    block.release(scale)
+    found = np.concatenate(heights)
+    if found.size < MIN_PIXELS:
+        raise ValueError(
+            f"only {found.size} thumbnail pixels match between views at heights from {limits[0]:.1f} to "
+            f"{limits[1]:.1f} m over the water; check that poses, water level and images belong together and that "
+            "the bed shows texture"
+        )
+    low, high = np.quantile(found, [0.005, 0.995])
+    margin = 0.25 * (high - low) + max(steps)
+    return max(float(low - margin), limits[0]), min(float(high + margin), limits[1])

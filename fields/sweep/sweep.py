@@ -1,0 +1,166 @@
+"""Refractive plane sweep, coarse to fine: a height per pixel of every matched view.
+
+Heights are measured over the water plane along its normal (over local z = 0 in a dry survey), so that a hypothesis
+passes the shoreline without a step. Every pass is one ladder of heights about what the pass before found; from the
+second on the ladder follows the relief (`fields.sweep.matching`), so that windows do not flatten what is known already.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from fields.sweep.block import Block
+from fields.sweep.climbing import MATCHED_NCC, climb_view
+from fields.sweep.consistency import agreement
+from fields.sweep.stack import ViewStack
+
+PEERS = 12
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One ladder over all views.
+
+    Attributes
+    ----------
+    scale : of the image, 1 is full size
+    radius : of the NCC window [px]
+    rungs : odd number of heights tried; None for as many as the bound holds
+    step_px : parallax between two rungs [px at this scale]
+    neighbours : views compared with
+    fuse : after the pass, average each height with those of the views that agree
+    """
+
+    scale: float
+    radius: int
+    rungs: int | None
+    step_px: float
+    neighbours: int
+    fuse: bool
+
+
+# Windows shrink as the relief becomes known: 5x5 finds the height, 3x3 about the relief resolves it. Measured with
+# benchmarks/bench_sweep.py; docs/sweep.md has the table.
+PASSES = (
+    Pass(0.25, 2, None, 0.5, 8, False),
+    Pass(0.5, 2, 11, 0.4, 8, False),
+    Pass(1.0, 2, 9, 0.4, 8, True),
+    Pass(1.0, 2, 5, 0.25, 8, True),
+    Pass(1.0, 1, 3, 0.25, 12, True),
+)
+
+
+@dataclass
+class DepthMap:
+    """What the sweep knows of one view: arrays (height, width), local frame.
+
+    Attributes
+    ----------
+    view : index of the view
+    height : float32 [m]
+        Over the water plane along its normal; of the path of each pixel.
+    score : float32
+        NCC of the better half of the neighbours, -1 to 1.
+    curvature : float32 [1/m^2]
+        Of the score over height; the larger, the better the height is known; 0 at an end of the ladder.
+    agreeing : uint8
+        Other views whose own height agrees.
+    spread : float32 [m]
+        Standard deviation (population) of the heights that agree, the own one included.
+    """
+
+    view: int
+    height: np.ndarray
+    score: np.ndarray
+    curvature: np.ndarray
+    agreeing: np.ndarray
+    spread: np.ndarray
+
+
+def sweep(
+    block: Block,
+    chosen: list[int],
+    bound: tuple[float, float],
+    progress: Callable[[float], None],
+    passes: tuple[Pass, ...] = PASSES,
+) -> list[DepthMap]:
+    """Sweep the chosen views, coarse to fine.
+
+    Parameters
+    ----------
+    block : Block
+    chosen : indices of the views that get a depth map
+    bound : (low, high) [m] over the water plane
+        The ladder of the first pass.
+    progress : called with the share done, 0 to 1
+
+    Returns
+    -------
+    list of DepthMap at the scale of the last pass, in the order of `chosen`
+        Views that overlap with no other are left out.
+    """
+    work = sum(p.scale**2 * (p.rungs or 9) * p.neighbours for p in passes) * len(chosen)
+    done = 0.0
+    maps: dict[int, DepthMap] = {}
+    for number, p in enumerate(passes):
+        for view in chosen:
+            others = block.neighbours(view, p.neighbours)
+            if others:
+                maps[view] = _climb(block, view, others, p, bound, maps.get(view))
+            done += p.scale**2 * (p.rungs or 9) * p.neighbours
+            progress(min(done / work, 1.0))
+        if p.fuse:
+            fuse(block, maps, p.scale)
+        if number + 1 == len(passes) or passes[number + 1].scale != p.scale:
+            block.release(p.scale)
+    return [maps[view] for view in chosen if view in maps]
+
+
+def _climb(
+    block: Block, view: int, others: list[int], p: Pass, bound: tuple[float, float], before: DepthMap | None
+) -> DepthMap:
+    """One pass over one view: the ladder of the bound, or one about the heights of the pass before."""
+    stack = block.stack(p.scale)
+    middle = 0.5 * (bound[0] + bound[1]) if before is None else float(np.median(before.height))
+    step = p.step_px / (p.scale * block.parallax(view, others, middle))
+    if before is None:
+        rungs = int(np.ceil((bound[1] - bound[0]) / step)) + 1
+        start = np.full((stack.height, stack.width), bound[0], dtype=np.float32)
+    else:
+        rungs = p.rungs
+        start = _enlarged(before.height, stack) - np.float32(step * (rungs // 2))
+    height, score, curvature = climb_view(stack, view, others, start, step, rungs, p.radius)
+    nobody = np.zeros(height.shape, dtype=np.uint8)
+    return DepthMap(view, height, score, curvature, nobody, np.zeros_like(height))
+
+
+def _enlarged(height: np.ndarray, stack: ViewStack) -> np.ndarray:
+    """Heights of a coarser pass at the size of the stack, without the single wrong ones."""
+    if height.shape == (stack.height, stack.width):
+        return height
+    height = cv2.resize(height, (stack.width, stack.height), interpolation=cv2.INTER_LINEAR)
+    return cv2.medianBlur(height, 5)
+
+
+def fuse(block: Block, maps: dict[int, DepthMap], scale: float) -> None:
+    """Replace the heights by the mean over the views that agree, and note how many do and how closely.
+
+    A pixel that no other view confirms takes the median of its surroundings: a better start for the next pass. A
+    pixel that matched nothing confirms nothing either.
+    """
+    chosen = sorted(maps)
+    cameras = [block.stack(scale).cameras[v] for v in chosen]
+    matched = [np.where(maps[v].score > MATCHED_NCC, maps[v].height, np.float32(np.nan)) for v in chosen]
+    heights = ViewStack.build(block.device, cameras, matched, block.water)
+    for index, view in enumerate(chosen):
+        peers = block.neighbours(view, PEERS, among=chosen)
+        if not peers:
+            continue
+        m = maps[view]
+        tolerance = block.agreement_tolerance(view, peers, float(np.median(m.height)))
+        m.agreeing, height, m.spread = agreement(heights, index, [chosen.index(p) for p in peers], tolerance)
+        m.height = np.where(m.agreeing > 0, height, cv2.medianBlur(m.height, 5))

@@ -1,0 +1,1 @@
+"""A cloud against a reference, in numbers and pictures; nothing is aligned."""

@@ -1,0 +1,78 @@
+"""Bias and spread in a picture: by depth, by incidence at the water, by the number of views."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from survey.compare.canvas import INK, SOFT, save
+from survey.compare.text import band_label
+
+_PANELS = (("depth_bands", "depth below the water [m]", "m"), ("incidence_bands", "incidence at the water [°]", "deg"),
+           ("views_bands", "views that agree", "views"))  # fmt: skip
+_RED, _BLUE = "#c3140d", "#2f6f9f"
+# Bands of fewer points are shown without their spread.
+_FEWEST = 20
+
+
+def has_bands(numbers: dict) -> bool:
+    """Whether there is anything to draw."""
+    return any(numbers.get(key) for key, _, _ in _PANELS)
+
+
+def draw_bands(numbers: dict, path: Path) -> None:
+    """Mean with its interval of confidence, and one standard deviation to both sides, in each band.
+
+    Parameters
+    ----------
+    numbers : dict
+        Of a comparison, see `survey.compare.comparison.compare_files`.
+    path : Path
+        PNG to write.
+
+    Raises
+    ------
+    UnwritableFile
+        If it cannot be written.
+    """
+    panels = [panel for panel in _PANELS if numbers.get(panel[0])]
+    figure = Figure(figsize=(11.0, 3.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    widths = [len(numbers[key]) + 2 for key, _, _ in panels]
+    row = figure.subplots(1, len(panels), sharey=True, squeeze=False, width_ratios=widths)[0]
+    for axes, (key, label, unit) in zip(row, panels, strict=True):
+        _panel(axes, numbers[key], unit)
+        axes.set_xlabel(label, color=INK)
+    row[0].set_ylabel("distance to the reference [mm]", color=INK)
+    for axes in row:
+        axes.use_sticky_edges = False  # bars would end on the frame
+    row[0].margins(y=0.08)
+    handles, labels = row[0].get_legend_handles_labels()
+    figure.legend(handles, labels, frameon=False, fontsize=8.5, loc="outside lower center", ncols=3)
+    save(figure, path)
+
+
+def _panel(axes: Axes, bands: list[dict], unit: str) -> None:
+    at = np.arange(len(bands))
+    mean, std = (1000.0 * np.array([band[key] for band in bands], dtype=float) for key in ("mean_m", "std_m"))
+    enough = np.array([band["n_points"] for band in bands]) >= _FEWEST
+    axes.bar(at[enough], 2.0 * std[enough], bottom=(mean - std)[enough], width=0.62, color=_BLUE, alpha=0.25, lw=0,
+             label="mean ± standard deviation")  # fmt: skip
+    known = [i for i, band in enumerate(bands) if None not in (band.get("mean_ci95_m") or [None])]
+    if known:
+        ends = 1000.0 * np.array([bands[i]["mean_ci95_m"] for i in known])
+        axes.vlines(known, ends[:, 0], ends[:, 1], color=_RED, lw=2.2, label="95 % confidence of the mean")
+    axes.plot(at, mean, "o", ms=4.5, color=_RED, label="mean")
+    axes.axhline(0.0, color=INK, lw=0.8)
+    labels = [band_label(band, unit).replace(" views", "").replace(" m", "").replace("°", "") for band in bands]
+    axes.set_xticks(at, [text.replace(" to ", "–").replace(" and more", "+") for text in labels])
+    axes.set_xlim(-0.7, len(bands) - 0.3)
+    axes.tick_params(colors=SOFT, labelsize=8.5)
+    for band, x in zip(bands, at, strict=True):
+        axes.text(x, 1.0, f"{band['n_points']:,}".replace(",", "\u202f"), transform=axes.get_xaxis_transform(),
+                  ha="center", va="bottom", color=SOFT, fontsize=7, rotation=30 if len(bands) > 6 else 0)  # fmt: skip
+    axes.spines[["right", "top"]].set_visible(False)

@@ -1,0 +1,79 @@
+"""Check points: a table of surveyed places, and the height of a cloud over each (ASPRS, Edition 2)."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+
+from evaluation import asprs_vertical, height_at
+from evaluation.standards import MIN_CHECKPOINTS
+from geo.files import existing_file
+from survey.compare.inputs import CompareError, to_local
+from survey.compare.measure import Scene
+
+_COLUMNS = ("easting", "northing", "height", "sigma")
+
+
+def read_checkpoints(path: Path) -> np.ndarray:
+    """Check points (K, 4) of a CSV: easting, northing, height in the CRS of the cloud, standard deviation [m].
+
+    Commas between the columns; the last one may be missing (0 then). A first line without numbers is a title, and
+    lines that start with # or are empty do not count.
+
+    Raises
+    ------
+    GeoError
+        If the file does not exist.
+    CompareError
+        If a line has other columns, or no line is left.
+    """
+    rows = []
+    with existing_file(path).open(encoding="utf-8-sig", newline="") as stream:
+        for line, cells in enumerate(csv.reader(stream), start=1):
+            cells = [cell.strip() for cell in cells]
+            if not any(cells) or cells[0].startswith("#"):
+                continue
+            try:
+                numbers = [float(cell) for cell in cells]
+            except ValueError:
+                if not rows and line == 1:
+                    continue
+                numbers = []
+            if len(numbers) not in (3, 4) or not all(map(math.isfinite, numbers)) or min([*numbers[3:], 0.0]) < 0.0:
+                raise CompareError(
+                    f"line {line} of {path} is {','.join(cells)!r}, expected {', '.join(_COLUMNS)} as numbers with "
+                    "commas between (the standard deviation in metres, not negative, may be left out)"
+                )
+            rows.append([*numbers, 0.0][:4])
+    if not rows:
+        raise CompareError(f"{path} has no check points; expected lines of {', '.join(_COLUMNS)}")
+    return np.array(rows)
+
+
+def checkpoint_accuracy(scene: Scene, table: np.ndarray, path: Path, notes: list[str]) -> dict:
+    """Vertical accuracy of the compared cloud at check points (K, 4).
+
+    Returns
+    -------
+    dict
+        Those of `evaluation.asprs_vertical`, and ``residuals``, a list with ``easting``, ``northing``, ``height``,
+        ``residual_m`` (cloud minus check point; NaN where the cloud does not surround it).
+    """
+    places = to_local(scene.inputs.frame, table[:, :3], path)
+    residuals = height_at(scene.points, places[:, :2]) - places[:, 2]
+    numbers = asprs_vertical(residuals, table[:, 3])
+    if not numbers["is_enough"]:
+        notes.append(
+            f"{numbers['n_checkpoints']} check points of {path.name} lie on the cloud: ASPRS (Edition 2) asks for "
+            f"{MIN_CHECKPOINTS} at least, so that this is no test of the product"
+        )
+    if not table[:, 3].any():
+        notes.append(f"{path.name} gives no standard deviations: its check points are taken as free of error")
+    rows = [
+        {"easting": e, "northing": n, "height": h, "residual_m": float(r)}
+        for (e, n, h), r in zip(table[:, :3].tolist(), residuals, strict=True)
+    ]
+    return numbers | {"residuals": rows}

@@ -1,0 +1,229 @@
+"""`bathynerf compare`: a cloud against a reference, in numbers and pictures; nothing is aligned."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from evaluation import Blocks, is_outlier, scores, spatial_blocks, summarise
+from evaluation.bootstrap import LEVEL, NUM_DRAWS
+from evaluation.bootstrap import SEED as SEED_OF_DRAWS
+from evaluation.completeness import SEED
+from geo import Mesh, write_whole
+from survey.compare import measure
+from survey.compare.checkpoints import checkpoint_accuracy, read_checkpoints
+from survey.compare.inputs import (
+    Bounds,
+    CompareError,
+    Inputs,
+    load_inputs,
+    metres_in_crs,
+    to_local,
+    vertices_of,
+    within,
+)
+from survey.compare.options import CompareOptions, check_options, outlier_filter
+from survey.compare.pictures import write_report
+from survey.progress import current
+
+__all__ = ["CompareOptions", "Comparison", "compare_files", "compare_surfaces"]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A finished comparison.
+
+    Attributes
+    ----------
+    numbers : dict
+        As `compare_files` returns it.
+    points : (N, 3), in crs
+        The compared points.
+    distances : (N,) [m]
+        Theirs; signed unless the reference is a cloud.
+    nearest : (N, 3) [m], local
+        The nearest points of the reference.
+    depth : (N,) [m] or None
+        Of the reference below the water at those, where it is known.
+    targets : (M, 3), in crs
+        What should be reached: the visible points, else samples of the reference.
+    is_reached : (M,) bool
+        At the first tolerance.
+    inputs : Inputs
+    """
+
+    numbers: dict
+    points: np.ndarray
+    distances: np.ndarray
+    nearest: np.ndarray
+    depth: np.ndarray | None
+    targets: np.ndarray
+    is_reached: np.ndarray
+    inputs: Inputs
+
+    @property
+    def distances_of_cloud(self) -> np.ndarray:
+        """Distances of all points of the file [m], in its order, NaN outside the bounds."""
+        distances = np.full(len(self.inputs.inside), np.nan)
+        distances[self.inputs.inside] = self.distances
+        return distances
+
+
+def compare_files(cloud: Path, reference: Path, *, options: CompareOptions | None = None) -> dict:
+    """Compare a cloud with a reference, and write JSON and pictures where the options say.
+
+    Parameters
+    ----------
+    cloud, reference : as `geo.read_reference`
+        The reference a mesh, or points: then the comparison is cloud to cloud, without sign.
+
+    Returns
+    -------
+    dict
+        Everything of `evaluation.summarise` and `survey.compare.measure.parts`; ``tolerances``, a list of
+        `evaluation.scores` at each; ``vertical``, ``iho_s44``, ``asprs``, ``c2c``, ``m3c2`` where there is such;
+        ``outliers``, ``water_level``, ``confidence``, ``method``, ``sign``, ``crs``, ``bounds``, ``cloud``,
+        ``reference``, ``visible``, ``n_samples``, ``seed`` and ``notes``, a list of sentences. Values that do not
+        exist are None.
+
+    Raises
+    ------
+    GeoError, SurveyError
+        If a file or an option cannot be used; see `survey.compare.inputs.load_inputs`.
+    """
+    options = options or CompareOptions()
+    for folder in (options.json_path and Path(options.json_path).parent, options.report_dir):
+        if folder is not None:
+            _make_folder(Path(folder))
+    comparison = compare_surfaces(cloud, reference, options)
+    if options.report_dir is not None:
+        with current().stage("Pictures"):
+            write_report(comparison, Path(options.report_dir))
+    if options.json_path is not None:
+        text = json.dumps(comparison.numbers, indent=2, allow_nan=False) + "\n"
+        with write_whole(options.json_path) as stream:
+            stream.write(text.encode())
+    return comparison.numbers
+
+
+def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> Comparison:
+    """The comparison itself, with its distances; writes nothing. Parameters as `compare_files`."""
+    check_options(options)
+    paths = Path(cloud), Path(reference), Path(options.visible) if options.visible is not None else None
+    with current().stage("Reading"):
+        inputs = load_inputs(*paths, options.bounds)
+        checkpoints = None if options.checkpoints is None else read_checkpoints(Path(options.checkpoints))
+    notes = list(inputs.notes)
+    num_cropped = int((~inputs.inside).sum())
+    inputs, is_left = _without_outliers(inputs, options, paths[0], notes)
+    scene = measure.Scene.of(inputs, options.bounds, is_left, max(options.tolerances_m), paths)
+    distances, nearest = measure.distances_of(scene, options.sign, notes)
+    blocks = spatial_blocks(scene.points[:, :2], distances)
+    depth = measure.bed_depth(scene, nearest, options.water_level, paths[0])
+    with current().stage("Completeness", len(options.tolerances_m)) as stage:
+        reaches = []
+        for tolerance_m in options.tolerances_m:
+            reaches.append(measure.reached_at(scene, tolerance_m))
+            stage.advance()
+    _note_extent(inputs, options.bounds, paths[1], notes)
+    numbers = summarise(distances, num_cropped=num_cropped, blocks=blocks, **reaches[0])
+    numbers["tolerances"] = [scores(distances, **reach) for reach in reaches]
+    numbers |= measure.parts(scene, distances, depth, blocks) | measure.vertical(scene, distances, depth, blocks)
+    if checkpoints is not None:
+        numbers["asprs"] = checkpoint_accuracy(scene, checkpoints, Path(options.checkpoints), notes)
+    if options.c2c:
+        numbers["c2c"] = measure.cloud_to_cloud(scene)
+    if options.m3c2_radius_m is not None:
+        numbers["m3c2"] = measure.m3c2(scene, options.m3c2_radius_m)
+    numbers |= _circumstances(scene, options, blocks, paths, notes)
+    reached = reaches[0].get("is_reached_visible", reaches[0]["is_reached"])
+    targets = inputs.frame.crs_from_local(scene.targets)
+    points = inputs.cloud.points[inputs.inside]
+    return Comparison(without_nan(numbers), points, distances, nearest, depth, targets, reached, inputs)
+
+
+def _circumstances(
+    scene: measure.Scene, options: CompareOptions, blocks: Blocks, paths: tuple, notes: list[str]
+) -> dict:
+    """How the numbers came about."""
+    is_mesh, crs = isinstance(scene.inputs.reference, Mesh), scene.inputs.crs
+    if blocks.is_narrow:
+        notes.append(
+            f"the errors are correlated over {blocks.correlation_m:.3g} m, too far for the extent of the cloud: the "
+            "intervals of confidence may be too short"
+        )
+    return {
+        "outliers": options.outliers,
+        "confidence": {
+            "level": LEVEL,
+            "method": "block bootstrap",
+            "block_m": blocks.size_m,
+            "correlation_length_m": blocks.correlation_m,
+            "widening": blocks.widening,
+            "draws": NUM_DRAWS,
+            "seed": SEED_OF_DRAWS,
+        },
+        "water_level": options.water_level,
+        "method": "cloud to mesh" if is_mesh else "cloud to cloud",
+        "sign": options.sign if is_mesh else None,
+        "crs": crs.name if crs is not None else None,
+        "bounds": [float(v) for v in options.bounds] if options.bounds is not None else None,
+        "cloud": str(paths[0]),
+        "reference": str(paths[1]),
+        "visible": str(paths[2]) if paths[2] is not None else None,
+        "n_samples": len(scene.samples),
+        "seed": SEED if is_mesh else None,
+        "notes": notes,
+    }
+
+
+def _without_outliers(
+    inputs: Inputs, options: CompareOptions, path: Path, notes: list[str]
+) -> tuple[Inputs, np.ndarray]:
+    """The inputs without outliers among what is compared, and which points of the file (N,) are left."""
+    is_left = np.ones(len(inputs.inside), dtype=bool)
+    if options.outliers is None:
+        return inputs, is_left
+    neighbours, num_std = outlier_filter(options.outliers)
+    with current().stage("Outliers"):
+        points = to_local(inputs.frame, inputs.cloud.points, path)
+        is_left = ~is_outlier(points, neighbours=neighbours, num_std=num_std)
+    lost = int((inputs.inside & ~is_left).sum())
+    notes.append(
+        f"{lost} of {int(inputs.inside.sum())} points were left out as outliers ({options.outliers}: mean distance to "
+        f"{neighbours} neighbours over its mean plus {num_std:g} standard deviations)"
+    )
+    return replace(inputs, inside=inputs.inside & is_left), is_left
+
+
+def without_nan(value):
+    """A tree of dicts and lists with None in place of NaN and infinity, which JSON does not have."""
+    if isinstance(value, dict):
+        return {key: without_nan(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [without_nan(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _make_folder(folder: Path) -> None:
+    """Before anything is computed, so that a wrong path costs no time."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError) as error:
+        raise CompareError(f"{folder} cannot be a folder, because a file is in the way; name another one") from error
+
+
+def _note_extent(inputs: Inputs, bounds: Bounds | None, path: Path, notes: list[str]) -> None:
+    if bounds is None:
+        return
+    vertices = vertices_of(inputs.reference)
+    outside = 1.0 - float(np.mean(within(vertices, bounds, metres_in_crs(inputs.frame, 0.01))))
+    if outside > 0.001:
+        notes.append(
+            f"{100.0 * outside:.1f} % of {path.name} lies outside the bounds: completeness counts it as not "
+            "reached where the cropped cloud does not reach it"
+        )

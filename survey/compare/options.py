@@ -1,0 +1,97 @@
+"""How a cloud is compared: what the options of `bathynerf compare` mean, and which of them cannot be meant."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from evaluation.c2m import Sign
+from survey.compare.inputs import Bounds, CompareError, check_bounds
+
+
+@dataclass(frozen=True)
+class CompareOptions:
+    """How a cloud is compared.
+
+    Attributes
+    ----------
+    tolerances_m : tuple of float [m]
+        For completeness, accuracy share and F-score; the first is that of the keys at the top.
+    visible : Path, optional
+        Points of the reference that cameras see.
+    bounds : (E0, N0, E1, N1), optional, in crs
+        Crop the cloud to this first.
+    sign : {"up", "winding"}
+        See `evaluation.distance_to_mesh`.
+    water_level : float, optional, in crs
+        Height of the water; depths are then taken from the reference alone.
+    checkpoints : Path, optional
+        Table of check points, see `survey.compare.checkpoints`.
+    outliers : str, optional
+        ``"sor:K,S"``: leave statistical outliers out, see `evaluation.is_outlier`. Nothing is left out without it.
+    c2c : bool
+        Distances from cloud to cloud too, both ways.
+    m3c2_radius_m : float, optional [m]
+        M3C2 distances too, see `evaluation.m3c2_distances`.
+    json_path, report_dir : Path, optional
+        Where the numbers and the pictures go.
+    """
+
+    tolerances_m: tuple[float, ...] = (0.2,)
+    visible: Path | None = None
+    bounds: Bounds | None = None
+    sign: Sign = "up"
+    water_level: float | None = None
+    checkpoints: Path | None = None
+    outliers: str | None = None
+    c2c: bool = False
+    m3c2_radius_m: float | None = None
+    json_path: Path | None = None
+    report_dir: Path | None = None
+
+
+def check_options(options: CompareOptions) -> None:
+    """Raise CompareError where an option cannot be meant or needs what is not installed."""
+    if not options.tolerances_m:
+        raise CompareError("--tolerance has no value, expected at least one in metres, e.g. 0.2")
+    for tolerance in options.tolerances_m:
+        _require_length("--tolerance", tolerance, "0.2")
+    if options.sign not in ("up", "winding"):
+        raise CompareError(f'--sign is "{options.sign}", expected up or winding')
+    check_bounds(options.bounds)
+    if options.water_level is not None and not math.isfinite(options.water_level):
+        raise CompareError(f"--water-level is {options.water_level:g}, expected a height in the CRS of the cloud")
+    if options.outliers is not None:
+        outlier_filter(options.outliers)
+    if options.m3c2_radius_m is not None:
+        _require_length("--m3c2", options.m3c2_radius_m, "0.5")
+        if importlib.util.find_spec("py4dgeo") is None:
+            raise CompareError("--m3c2 needs py4dgeo, which is not installed: pip install 'bathynerf[m3c2]'")
+
+
+def outlier_filter(text: str) -> tuple[int, float]:
+    """Neighbours and number of standard deviations of ``"sor:K,S"``.
+
+    Raises
+    ------
+    CompareError
+        If it is not of that form, with at least one neighbour and a finite number above zero.
+    """
+    name, _, numbers = text.partition(":")
+    neighbours, _, num_std = numbers.partition(",")
+    try:
+        found = int(neighbours), float(num_std)
+    except ValueError:
+        found = (0, 0.0)
+    if name != "sor" or found[0] < 1 or not 0.0 < found[1] < math.inf:
+        raise CompareError(
+            f'--outliers is "{text}", expected sor:K,S with K neighbours and S standard deviations, e.g. sor:6,2.0'
+        )
+    return found
+
+
+def _require_length(option: str, value: float, example: str) -> None:
+    if not (math.isfinite(value) and value > 0.0):
+        raise CompareError(f"{option} is {value:g}, expected metres above zero, e.g. {example}")

@@ -1,0 +1,1 @@
+"""A survey folder read into its local frame: settings, images, poses and water, checked against each other."""

@@ -1,0 +1,118 @@
+"""What lies in a survey folder: settings, images and poses file, looked at before anything is computed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from pyproj import CRS
+
+from geo.crs import parse_crs
+from survey.errors import ConfigError, PosesError, SurveyError
+from survey.folder import infer
+from survey.folder.config import FILE_NAME, SurveyConfig, read_config
+from survey.folder.water_level import with_level
+from survey.photos.exif import Exif, read_exif
+from survey.photos.formats import find_poses, find_unread
+from survey.photos.images import list_images
+
+MIN_VIEWS = 3
+
+
+@dataclass(frozen=True)
+class Found:
+    """What lies in a survey folder.
+
+    Attributes
+    ----------
+    folder : Path
+    config : SurveyConfig
+        As read, or inferred where there is no survey.toml; the water has a level, if there is water.
+    crs : pyproj.CRS
+        Horizontal and vertical.
+    images : name to path
+        Sorted by name; a name is the path below the image folder, with forward slashes.
+    heads : name to Exif
+    poses_path : Path or None
+        None where structure from motion has to find the poses.
+    assumptions, warnings : sentences
+    """
+
+    folder: Path
+    config: SurveyConfig
+    crs: CRS
+    images: dict[str, Path]
+    heads: dict[str, Exif]
+    poses_path: Path | None
+    assumptions: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def find_survey(folder: Path) -> Found:
+    """Look at a survey folder; no pixel is decoded and no pose read.
+
+    Raises
+    ------
+    SurveyError, GeoError
+        Where something is missing, damaged or contradictory.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        what = "is a file" if folder.exists() else "does not exist"
+        raise SurveyError(f"the survey folder {folder} {what}; expected a folder with images and {FILE_NAME}")
+    toml = folder / FILE_NAME
+    assumptions: list[str] = []
+    config = read_config(toml) if toml.is_file() else infer.config_of_folder(folder)
+    poses_path = _poses_path(folder, config, assumptions)
+    images = list_images(folder / config.images.dir, deep=config.images.dir != ".")
+    heads = {name: read_exif(path) for name, path in images.items()}
+    if not toml.is_file():
+        config = infer.config_of_images(folder, config, heads, poses_path, assumptions)
+    if config.crs is None:
+        raise ConfigError(f"{toml}: crs is missing; {infer.crs_advice(heads)}")
+    crs = parse_crs(config.crs, where=f"crs in {toml}" if toml.is_file() else "the inferred crs")
+    config = with_level(folder, config, heads, assumptions)
+    warnings = _turned(heads)
+    if poses_path is None:
+        _require_positions(folder, heads)
+        warnings += [
+            f"{name} is not read; export a COLMAP model or cameras.csv instead" for name in find_unread(folder)
+        ]
+    return Found(folder, config, crs, images, heads, poses_path, tuple(assumptions), tuple(warnings))
+
+
+def _poses_path(folder: Path, config: SurveyConfig, assumptions: list[str]) -> Path | None:
+    if config.cameras.poses is not None:
+        path = folder / config.cameras.poses
+        if path.exists():
+            return path
+        raise PosesError(f"the poses {path} do not exist; correct [cameras] poses in {folder / FILE_NAME}")
+    paths = find_poses(folder)
+    if len(paths) > 1:
+        names = ", ".join(path.relative_to(folder).as_posix() for path in paths)
+        raise ConfigError(
+            f"{folder} has several files of poses ({names}); name one of them in [cameras] poses in {FILE_NAME}"
+        )
+    if not paths:
+        return None
+    assumptions.append(f"the poses are those in {paths[0].relative_to(folder).as_posix()}, the only poses found")
+    return paths[0]
+
+
+def _require_positions(folder: Path, heads: dict[str, Exif]) -> None:
+    """Raise where there are neither poses nor enough GPS positions to find them in crs."""
+    num = sum(head.lat_lon_height is not None for head in heads.values())
+    if num < MIN_VIEWS:
+        raise PosesError(
+            f"{folder} has no poses file, and {num} of {len(heads)} images have a GPS position in EXIF, expected at "
+            f"least {MIN_VIEWS}; name a file of poses in [cameras] poses in {FILE_NAME}"
+        )
+
+
+def _turned(heads: dict[str, Exif]) -> list[str]:
+    num = sum(head.orientation != 1 for head in heads.values())
+    if not num:
+        return []
+    return [
+        f"EXIF asks to turn {num} of {len(heads)} images; they are used as stored, and poses taken to belong to that"
+    ]

@@ -1,0 +1,116 @@
+"""A survey without survey.toml: what its images and a single poses file tell, and what had to be assumed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from pyproj import CRS, Transformer
+
+from geo.crs import horizontal_crs
+from survey.errors import ConfigError
+from survey.folder.config import FILE_NAME, ImagesConfig, SurveyConfig
+from survey.photos.exif import SUFFIXES, Exif
+from survey.photos.formats import colmap, read_poses
+
+# EXIF counts heights from the sea level; receivers mean the geoid model EGM96 by that.
+_EGM96_HEIGHT = 5773
+# A GPS position without corrections is within 10 m; the next UTM zone is 500 km away.
+_SAME_PLACE_M = 100.0
+
+_EXAMPLE = 'at least crs = "EPSG:25832+5778", [cameras] and, for water, [water] level_m = 12.34'
+
+
+def config_of_folder(folder: Path) -> SurveyConfig:
+    """Where the images are: in images/, else beside each other in the folder itself.
+
+    Raises
+    ------
+    ConfigError
+        Where there are none.
+    """
+    if (folder / "images").is_dir():
+        return SurveyConfig()
+    if any(path.suffix.lower() in SUFFIXES for path in folder.iterdir()):
+        return SurveyConfig(images=ImagesConfig(dir="."))
+    raise ConfigError(
+        f"{folder} has no {FILE_NAME} and no images to infer it from; put the photographs into {folder / 'images'} "
+        f"and write {FILE_NAME} with {_EXAMPLE}"
+    )
+
+
+def config_of_images(
+    folder: Path,
+    config: SurveyConfig,
+    heads: dict[str, Exif],
+    poses_path: Path | None,
+    assumptions: list[str],
+) -> SurveyConfig:
+    """Settings from the GPS positions in EXIF; every assumption is added to the list.
+
+    Raises
+    ------
+    ConfigError
+        Where there is too little to infer them from.
+    """
+    code = utm_code(heads)
+    if code is None:
+        raise ConfigError(
+            f"{folder} has no {FILE_NAME}, and no image has a GPS position to infer it from; write {FILE_NAME} with "
+            f"{_EXAMPLE}"
+        )
+    if poses_path is not None and colmap.is_model(poses_path):
+        raise ConfigError(
+            f"{folder} has no {FILE_NAME}, and the model in {poses_path} does not say where it lies; write "
+            f"{FILE_NAME} with crs and [local] origin = [easting, northing, height]"
+        )
+    crs = f"EPSG:{code}+{_EGM96_HEIGHT}"
+    if poses_path is not None:
+        _require_same_place(CRS(crs), poses_path, heads)
+    assumptions += [
+        f'crs = "{crs}", the UTM zone of the GPS positions, with heights taken as they are in '
+        f"{'EXIF' if poses_path is None else poses_path.name}: above mean sea level",
+        "no water: for a bed under water write survey.toml with [water] level_m, in the same heights",
+    ]
+    return replace(config, crs=crs)
+
+
+def utm_code(heads: dict[str, Exif]) -> int | None:
+    """EPSG code of the UTM zone (WGS 84) in which the GPS positions lie; None without positions."""
+    places = [head.lat_lon_height[:2] for head in heads.values() if head.lat_lon_height is not None]
+    if not places:
+        return None
+    lat, lon = np.median(np.array(places), axis=0)
+    zone = math.floor((lon + 180.0) / 6.0) % 60 + 1
+    return (32600 if lat >= 0.0 else 32700) + zone
+
+
+def crs_advice(heads: dict[str, Exif]) -> str:
+    """What to write as crs, with the images' own UTM zone where they have positions."""
+    code = utm_code(heads) or 25832
+    return f'give the one of poses and heights, with a vertical part, e.g. crs = "EPSG:{code}+{_EGM96_HEIGHT}"'
+
+
+def distances_to_exif(crs: CRS, centres: dict[str, np.ndarray], heads: dict[str, Exif]) -> np.ndarray:
+    """Horizontal distances (N,) [m] between camera centres in crs and the GPS positions of their images."""
+    names = [name for name in centres if name in heads and heads[name].lat_lon_height is not None]
+    if not names:
+        return np.zeros(0)
+    horizontal = horizontal_crs(crs)
+    lat, lon = np.array([heads[name].lat_lon_height[:2] for name in names]).T
+    to_degrees = Transformer.from_crs(horizontal, "EPSG:4326", always_xy=True)
+    own_lon, own_lat = to_degrees.transform(*np.array([centres[name][:2] for name in names]).T)
+    _, _, metres = CRS("EPSG:4326").get_geod().inv(lon, lat, own_lon, own_lat)
+    return np.where(np.isfinite(metres), metres, np.inf)
+
+
+def _require_same_place(crs: CRS, poses_path: Path, heads: dict[str, Exif]) -> None:
+    poses = {pose.name: pose.centre for pose in read_poses(poses_path)}
+    distances = distances_to_exif(crs, poses, heads)
+    if not distances.size or np.median(distances) > _SAME_PLACE_M:
+        raise ConfigError(
+            f"{poses_path} does not fit the GPS positions of the images in the UTM zone {crs.sub_crs_list[0].name}; "
+            f'write {FILE_NAME} with the crs of the poses, e.g. crs = "EPSG:25832+5778"'
+        )

@@ -1,0 +1,80 @@
+"""The lens of photographs whose poses file carries none: from survey.toml, else from what EXIF says."""
+
+from __future__ import annotations
+
+from survey.errors import ConfigError, SurveyError
+from survey.folder.config import FILE_NAME, CamerasConfig
+from survey.photos.cameras import MODELS, Lens
+from survey.photos.exif import Exif
+
+
+def lens_from_config(cameras: CamerasConfig, heads: dict[str, Exif], assumptions: list[str]) -> Lens:
+    """One lens for all images.
+
+    Parameters
+    ----------
+    cameras : CamerasConfig
+    heads : name to Exif, of the images that have a pose
+    assumptions : list of str
+        Gets a sentence for each number that survey.toml does not give.
+
+    Raises
+    ------
+    ConfigError
+        Where a number is missing, or does not fit the camera model.
+    """
+    width, height = cameras.size_px or _common_size(heads)
+    fx, fy = _focal(cameras, heads, assumptions)
+    if cameras.principal_point_px is None:
+        assumptions.append("the principal point is the centre of the image")
+    cx, cy = cameras.principal_point_px or (0.5 * width, 0.5 * height)
+    model = cameras.model or ("PINHOLE" if fx != fy else "SIMPLE_PINHOLE")
+    if model not in MODELS:
+        raise ConfigError(f'[cameras] model is "{model}" in {FILE_NAME}, expected one of {", ".join(MODELS)}')
+    names = MODELS[model][1]
+    if "f" in names and fx != fy:
+        raise ConfigError(
+            f"[cameras] model {model} has one focal length, but focal_px is [{fx:g}, {fy:g}] in {FILE_NAME}; give "
+            "one number, or a model with fx and fy"
+        )
+    coefficients = [name for name in names if name[0] in "kp"]
+    given = cameras.distortion or ()
+    if len(given) != len(coefficients):
+        raise ConfigError(
+            f"[cameras] distortion has {len(given)} numbers in {FILE_NAME}, expected {len(coefficients)} for the "
+            f"model {model}{': ' + ', '.join(coefficients) if coefficients else ''}"
+        )
+    values = {"f": fx, "fx": fx, "fy": fy, "cx": cx, "cy": cy, **dict(zip(coefficients, given, strict=True))}
+    try:
+        return Lens(model, tuple(values[name] for name in names), width, height)
+    except SurveyError as error:
+        raise ConfigError(f"[cameras] in {FILE_NAME}: {error}") from error
+
+
+def _common_size(heads: dict[str, Exif]) -> tuple[int, int]:
+    sizes = {head.size_px: name for name, head in heads.items()}
+    if len(sizes) > 1:
+        (a, name_a), (b, name_b) = list(sizes.items())[:2]
+        raise ConfigError(
+            f"images have different sizes ({name_a}: {a[0]} x {a[1]}, {name_b}: {b[0]} x {b[1]}), expected one "
+            "camera; give size_px in [cameras] and leave out the others, or poses with a camera per image (COLMAP)"
+        )
+    return next(iter(sizes))
+
+
+def _focal(cameras: CamerasConfig, heads: dict[str, Exif], assumptions: list[str]) -> tuple[float, float]:
+    if cameras.focal_px is not None:
+        return cameras.focal_px if isinstance(cameras.focal_px, tuple) else (cameras.focal_px, cameras.focal_px)
+    found = sorted({head.focal_px for head in heads.values() if head.focal_px is not None})
+    if not found:
+        raise ConfigError(
+            f"focal_px is missing from [cameras] in {FILE_NAME}, and EXIF does not tell it; give the calibrated "
+            "focal length in pixels, e.g. focal_px = 3650.0"
+        )
+    if found[-1] > 1.01 * found[0]:
+        raise ConfigError(
+            f"EXIF tells focal lengths from {found[0]:.0f} to {found[-1]:.0f} px, expected one camera; give focal_px "
+            f"in [cameras] in {FILE_NAME}, or poses with a camera per image (COLMAP)"
+        )
+    assumptions.append(f"the focal length is {found[0]:.1f} px, a design value from EXIF and not a calibration")
+    return (found[0], found[0])

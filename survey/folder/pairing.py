@@ -1,0 +1,123 @@
+"""Photographs and their poses: paired by name, given lens and mask, and checked against each other."""
+
+from __future__ import annotations
+
+import unicodedata
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+
+from survey.errors import ImageError, PosesError
+from survey.folder.found import MIN_VIEWS, Found
+from survey.folder.lens import lens_from_config
+from survey.photos.cameras import Pose, View
+from survey.photos.exif import Exif
+from survey.photos.images import require_complete
+
+
+def pair(found: Found, poses: list[Pose], warnings: list[str]) -> list[Pose]:
+    """The poses that have an image, under the name of that image.
+
+    Warns of images without a pose and of poses without an image; names match exactly, else but for case, for the
+    encoding of accents and for an ending that only one side has.
+
+    Raises
+    ------
+    PosesError
+        If fewer than three are left.
+    """
+    keys: dict[str, list[str]] = {}
+    for name in found.images:
+        for key in (_key(name), _key(str(PurePosixPath(name).with_suffix("")))):
+            keys.setdefault(key, []).append(name)
+    paired: dict[str, Pose] = {}
+    lonely = []
+    for pose in poses:
+        candidates = keys.get(_key(pose.name), [])
+        name = pose.name if pose.name in found.images else candidates[0] if len(candidates) == 1 else None
+        if name is None or name in paired:
+            lonely.append(pose.name)
+        else:
+            paired[name] = replace(pose, name=name)
+    bare = [name for name in found.images if name not in paired]
+    if len(paired) < MIN_VIEWS:
+        mend = "add photographs with poses"
+        if lonely and bare:
+            mend = f'make the names in the poses those of the images ("{lonely[0]}" against "{bare[0]}")'
+        raise PosesError(
+            f"only {len(paired)} of the {len(poses)} poses in {found.poses_path} belong to one of the "
+            f"{len(found.images)} images in {found.folder / found.config.images.dir}, expected at least {MIN_VIEWS}; "
+            f"{mend}"
+        )
+    warn_of(bare, "without a pose, left out", "image", warnings)
+    warn_of(lonely, "without an image, left out", "pose", warnings)
+    return list(paired.values())
+
+
+def _key(name: str) -> str:
+    """A name without what differs between systems: case, slashes, and how an accent is put on its letter."""
+    return unicodedata.normalize("NFC", name.replace("\\", "/")).casefold()
+
+
+def with_lenses(found: Found, poses: list[Pose], assumptions: list[str], warnings: list[str]) -> list[Pose]:
+    """The poses, each with a lens: its own, else the one of [cameras]."""
+    cameras = found.config.cameras
+    if any(pose.lens is None for pose in poses):
+        lens = lens_from_config(cameras, {pose.name: found.heads[pose.name] for pose in poses}, assumptions)
+        return [replace(pose, lens=pose.lens or lens) for pose in poses]
+    own = poses[0].lens.focal[0]
+    given = cameras.focal_px[0] if isinstance(cameras.focal_px, tuple) else cameras.focal_px
+    if given is not None and abs(given / own - 1.0) > 0.01:
+        warnings.append(
+            f"focal_px = {given:g} in survey.toml is not used: {found.poses_path} carries its own, {own:.1f} px"
+        )
+    return poses
+
+
+def with_masks(found: Found, views: list[View], warnings: list[str]) -> list[View]:
+    """The views, each with its mask: named as the image, or with .png as its ending or after it.
+
+    Raises
+    ------
+    ImageError
+        If the folder does not exist or has no mask of any view.
+    """
+    if found.config.images.masks is None:
+        return views
+    folder = found.folder / found.config.images.masks
+    if not folder.is_dir():
+        raise ImageError(f"the mask folder {folder} does not exist; correct [images] masks in survey.toml")
+    masked = [replace(view, mask_path=_mask_path(folder / view.name)) for view in views]
+    without = [view.name for view in masked if view.mask_path is None]
+    if len(without) == len(views):
+        raise ImageError(
+            f"no mask in {folder} has the name of an image, expected e.g. {Path(views[0].name).stem}.png; rename them"
+        )
+    warn_of(without, "without a mask, used whole", "image", warnings)
+    return masked
+
+
+def require_image(view: View, head: Exif) -> None:
+    """Raise ImageError where an image does not have the size of its camera, or is cut off."""
+    expected = (view.lens.width, view.lens.height)
+    if head.size_px != expected:
+        mend = "use the images that the poses were made from, or correct the size of the camera"
+        if head.orientation >= 5 and head.size_px == expected[::-1]:
+            mend = "EXIF asks to turn it, which is not done here: turn the file for good and remove the tag"
+        raise ImageError(
+            f"{view.path} has {head.size_px[0]} x {head.size_px[1]} pixels, expected {expected[0]} x {expected[1]} "
+            f"as its camera has; {mend}"
+        )
+    require_complete(view.path)
+
+
+def warn_of(names: list[str], what: str, noun: str, warnings: list[str]) -> None:
+    """Add a warning that counts and names, e.g. "2 images without a pose, left out: a.jpg, b.jpg"."""
+    if names:
+        more = f" and {len(names) - 10} more" if len(names) > 10 else ""
+        plural = "s" if len(names) > 1 else ""
+        warnings.append(f"{len(names)} {noun}{plural} {what}: {', '.join(names[:10])}{more}")
+
+
+def _mask_path(like: Path) -> Path | None:
+    candidates = (like, like.with_name(like.name + ".png"), like.with_suffix(".png"))
+    return next((path for path in candidates if path.is_file()), None)

@@ -1,0 +1,240 @@
+"""Cameras and water in the local frame, and whether their heights and places can be true together."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from geo.crs import height_unit_m, is_geographic
+from geo.frames import LocalFrame
+from refract import FlatWater
+from survey.errors import ConfigError, PosesError
+from survey.folder.config import FILE_NAME, SurveyConfig, WaterConfig
+from survey.folder.found import Found
+from survey.folder.infer import distances_to_exif
+from survey.folder.pairing import warn_of
+from survey.folder.water import refractive_index
+from survey.photos.cameras import Pose, View
+from survey.photos.exif import Exif
+
+# Photographs of a bed are taken from below this height over the water; more means another vertical datum.
+MAX_HEIGHT_OVER_WATER_M = 300.0
+# A plane leaves the level surface by 0.5 cm at 250 m from where it touches and by 2 cm at 500 m.
+_FLAT_WITHIN_M = 250.0
+# Further apart than this, positions are not of one survey.
+_ONE_SURVEY_M = 20e3
+# A GPS position without corrections is within 10 m.
+_EXIF_DOUBT_M = 50.0
+
+
+def views_in_local(found: Found, poses: list[Pose]) -> tuple[LocalFrame, list[View]]:
+    """The local frame of a survey with poses, and its views.
+
+    The frame is that of [local] where the poses are in it; else it lies under the middle of the cameras, at
+    the height of the water, or of the lowest camera of a dry survey.
+
+    Raises
+    ------
+    ConfigError
+        If poses are in a local frame without an origin.
+    PosesError, PlaceMismatch
+        If a position does not lie on the map of crs.
+    """
+    if not poses[0].in_crs:
+        return _views_of_local_poses(found, poses)
+    centres = np.array([pose.centre for pose in poses])
+    frame = LocalFrame(found.crs, _origin(found, centres))
+    local = frame.local_from_crs(centres)
+    local_from_grid = frame.local_from_grid(centres)
+    lost = ~np.isfinite(local).all(axis=1)
+    if lost.any():
+        bad = poses[int(np.argmax(lost))]
+        raise PosesError(
+            f"the position {bad.centre.tolist()} of {bad.name} in {found.poses_path} is not on the map of "
+            f"{found.crs.name}; correct it, or crs in {FILE_NAME}"
+        )
+    return frame, [
+        _view(found, pose, centre, pose.cam_from_world @ rotation.T)
+        for pose, centre, rotation in zip(poses, local, local_from_grid, strict=True)
+    ]
+
+
+def _views_of_local_poses(found: Found, poses: list[Pose]) -> tuple[LocalFrame, list[View]]:
+    origin = found.config.local.origin
+    if origin is None:
+        raise ConfigError(
+            f"the poses in {found.poses_path} are in a local frame, but {FILE_NAME} does not say where it lies; give "
+            "[local] origin = [easting, northing, height] of its zero point in crs"
+        )
+    frame = LocalFrame(found.crs, origin)
+    return frame, [_view(found, pose, pose.centre, pose.cam_from_world) for pose in poses]
+
+
+def _view(found: Found, pose: Pose, centre: np.ndarray, cam_from_local: np.ndarray) -> View:
+    return View(pose.name, found.images[pose.name], pose.lens.pinhole(centre, cam_from_local), pose.lens)
+
+
+def _origin(found: Found, centres: np.ndarray) -> tuple[float, float, float]:
+    # The median, so that one wrong position does not move the frame of the others.
+    e, n, _ = np.median(centres, axis=0)
+    digits = 5 if is_geographic(found.crs) else 0
+    if found.config.water is not None:
+        height = found.config.water.level_m / height_unit_m(found.crs)
+    else:
+        height = centres[:, 2].min()
+    return (round(float(e), digits), round(float(n), digits), float(math.floor(height)))
+
+
+def water_in_local(
+    config: SurveyConfig, frame: LocalFrame, views: list[View], assumptions: list[str]
+) -> tuple[SurveyConfig, FlatWater | None]:
+    """The water plane in local, and the settings with its defaults filled in.
+
+    The plane touches at ``level_at``, by default under the middle of the cameras, and rises along the grid
+    axes there as the slopes say.
+    """
+    given = config.water
+    if given is None:
+        return config, None
+    if given.level_at is None:
+        middle = frame.crs_from_local(np.mean([view.camera.centre for view in views], axis=0))
+        given = replace(given, level_at=(float(middle[0]), float(middle[1])))
+    index = refractive_index(given, assumptions)
+    given = replace(given, refractive_index=index, temperature_c=None, salinity_psu=None)
+    water = water_plane(frame, given)
+    return replace(config, water=given), water
+
+
+def water_plane(frame: LocalFrame, given: WaterConfig) -> FlatWater:
+    """The plane in local of settings that have ``level_at`` and ``refractive_index``.
+
+    Raises
+    ------
+    ConfigError
+        If ``level_at`` does not lie on the map of crs.
+    """
+    point_crs = np.array([*given.level_at, given.level_m / height_unit_m(frame.crs)])
+    point = frame.local_from_crs(point_crs)
+    if not np.isfinite(point).all():
+        raise ConfigError(f"[water] level_at is {list(given.level_at)}, which is not on the map of {frame.crs.name}")
+    east, north, up = frame.local_from_grid(point_crs).T
+    normal = np.cross(east + given.slope_east * up, north + given.slope_north * up)
+    return FlatWater(
+        point=tuple(float(v) for v in point),
+        n_water=given.refractive_index,
+        slope_x=float(-normal[0] / normal[2]),
+        slope_y=float(-normal[1] / normal[2]),
+    )
+
+
+def require_true(frame: LocalFrame, views: list[View], water: FlatWater | None, config: SurveyConfig) -> None:
+    """Raise where cameras lie under the water, far above it, look at the sky, or far from the bounds.
+
+    Raises
+    ------
+    ConfigError, PosesError
+        With the heights that were found.
+    """
+    rises = np.array([view.camera.cam_from_local[2, 2] for view in views])
+    if (rises > 0.0).mean() > 0.5:
+        raise PosesError(
+            f"{int((rises > 0.0).sum())} of {len(views)} cameras look up at the sky, expected down at the bed; check "
+            "the convention of the angles (omega, phi, kappa about the grid axes; camera x right, y up, z back)"
+        )
+    centres = np.array([view.camera.centre for view in views])
+    _require_together(frame, views, centres)
+    if water is not None:
+        _require_above_water(frame, views, -water.depth(centres), config)
+    if config.area.bounds is not None:
+        _require_bounds_near(frame, centres, config.area.bounds)
+
+
+def _require_together(frame: LocalFrame, views: list[View], centres: np.ndarray) -> None:
+    apart = np.linalg.norm(centres - np.median(centres, axis=0), axis=1)
+    worst = int(np.argmax(apart))
+    if apart[worst] > _ONE_SURVEY_M:
+        place = ", ".join(f"{v:.10g}" for v in frame.crs_from_local(centres[worst]))
+        raise PosesError(
+            f"the camera of {views[worst].name} at {place} lies {apart[worst] / 1000.0:.0f} km from the others, "
+            f"expected at most {_ONE_SURVEY_M / 1000.0:.0f} km; correct its pose or leave the image out"
+        )
+
+
+def _require_above_water(frame: LocalFrame, views: list[View], over_water: np.ndarray, config: SurveyConfig) -> None:
+    unit = height_unit_m(frame.crs)
+    heights = frame.crs_from_local(np.array([view.camera.centre for view in views]))[:, 2] * unit
+    _require_level_fits(config, "the cameras are", heights, over_water, f"the poses ({frame.crs.name})")
+    lowest = int(np.argmin(over_water))
+    if over_water[lowest] <= 0.0:
+        raise PosesError(
+            f"the camera of {views[lowest].name} at {heights[lowest]:.2f} m lies {-over_water[lowest]:.2f} m under "
+            f"the water ([water] level_m = {config.water.level_m:g}); correct its pose or leave the image out, or "
+            "correct level_m"
+        )
+
+
+def require_level_fits_exif(found: Found) -> None:
+    """Raise where the level cannot fit the heights in EXIF, which structure from motion would use.
+
+    Raises
+    ------
+    ConfigError
+        Where all images lie under the water or far above it.
+    """
+    heights = np.array([h.lat_lon_height[2] for h in found.heads.values() if h.lat_lon_height is not None])
+    heights = heights[np.isfinite(heights)]
+    if found.config.water is None or found.config.cameras.gps_height != "crs" or not heights.size:
+        return
+    over_water = heights - found.config.water.level_m
+    _require_level_fits(found.config, "EXIF has the cameras", heights, over_water, "the heights in EXIF")
+
+
+def _require_level_fits(config: SurveyConfig, who: str, heights: np.ndarray, over_water: np.ndarray, like: str) -> None:
+    level = config.water.level_m
+    said = f"[water] level_m is {level:g} m and {who} at {heights.min():.1f} to {heights.max():.1f} m"
+    mend = f"give level_m in {FILE_NAME} in the same vertical datum as {like}"
+    if (over_water <= 0.0).all():
+        raise ConfigError(f"{said}, all of them under the water; {mend}")
+    if (over_water > MAX_HEIGHT_OVER_WATER_M).all():
+        raise ConfigError(f"{said}, all of them more than {MAX_HEIGHT_OVER_WATER_M:.0f} m over the water; {mend}")
+
+
+def _require_bounds_near(frame: LocalFrame, centres: np.ndarray, bounds: tuple[float, ...]) -> None:
+    e0, n0, e1, n1 = bounds
+    cameras = frame.crs_from_local(centres)
+    nearest = cameras.copy()
+    nearest[:, 0], nearest[:, 1] = cameras[:, 0].clip(e0, e1), cameras[:, 1].clip(n0, n1)
+    distances = np.linalg.norm(frame.local_from_crs(nearest) - centres, axis=1)
+    # Oblique views reach a few flying heights sideways.
+    if not distances.min() < 1000.0:
+        raise ConfigError(
+            f"[area] bounds {list(bounds)} lie {distances.min() / 1000.0:.1f} km from the nearest camera, which is "
+            f"at {cameras[0, 0]:.6g}, {cameras[0, 1]:.7g}; give them in crs ({frame.crs.name})"
+        )
+
+
+def doubts(frame: LocalFrame, views: list[View], water: FlatWater | None, heads: dict[str, Exif]) -> list[str]:
+    """Sentences about what can be true but is more likely a mistake."""
+    found: list[str] = []
+    centres = np.array([view.camera.centre for view in views])
+    if water is not None:
+        too_high = -water.depth(centres) > MAX_HEIGHT_OVER_WATER_M
+        names = [view.name for view, is_high in zip(views, too_high, strict=True) if is_high]
+        warn_of(names, f"more than {MAX_HEIGHT_OVER_WATER_M:.0f} m over the water", "camera", found)
+        reach = float(np.linalg.norm((centres - water.point)[:, :2], axis=1).max())
+        if reach > _FLAT_WITHIN_M:
+            found.append(
+                f"cameras lie up to {reach:.0f} m from where the water plane touches (level_at); level water lies "
+                f"{100.0 * reach**2 / (2 * 6.371e6):.1f} cm under the plane there: give level_at amid the cameras, and "
+                "a longer survey in parts"
+            )
+    crs_centres = dict(zip((view.name for view in views), frame.crs_from_local(centres), strict=True))
+    distances = distances_to_exif(frame.crs, crs_centres, heads)
+    if distances.size and np.median(distances) > _EXIF_DOUBT_M:
+        found.append(
+            f"the poses lie {np.median(distances):.0f} m (median) from the GPS positions in EXIF; check crs and, for "
+            "local poses, [local] origin"
+        )
+    return found

@@ -1,0 +1,136 @@
+"""A survey in its local frame, from a folder: cameras with their images, water, and where bed is wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from geo.frames import LocalFrame
+from refract import FlatWater
+from survey.errors import PosesError
+from survey.folder import place
+from survey.folder.config import SurveyConfig
+from survey.folder.found import MIN_VIEWS, Found, find_survey
+from survey.folder.pairing import pair, require_image, warn_of, with_lenses, with_masks
+from survey.photos.cameras import View
+from survey.photos.formats import read_poses
+from survey.photos.images import load_image, load_mask, require_complete
+
+__all__ = ["Found", "Survey", "View", "find_survey", "load_image", "load_mask", "load_survey"]
+
+
+@dataclass(frozen=True)
+class Survey:
+    """A survey in its local frame.
+
+    Attributes
+    ----------
+    name : str
+    folder : Path
+    frame : LocalFrame
+        Its crs is that of everything that leaves the program.
+    views : at least three
+        Sorted by name.
+    water : FlatWater or None
+        Local; None for a dry survey.
+    bounds : (e0, n0, e1, n1) or None
+        In crs: where the bed is wanted.
+    config : SurveyConfig
+        The settings that took effect, defaults filled in.
+    assumptions, warnings : sentences
+    """
+
+    name: str
+    folder: Path
+    frame: LocalFrame
+    views: tuple[View, ...]
+    water: FlatWater | None
+    bounds: tuple[float, float, float, float] | None
+    config: SurveyConfig
+    assumptions: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def load_survey(folder: Path, *, workspace: Path | None = None, report: Callable[[str], None] | None = None) -> Survey:
+    """Read a survey into its local frame and check that it can be true.
+
+    Parameters
+    ----------
+    folder : Path
+    workspace : Path, optional
+        Where structure from motion keeps its files, if it has to run; default ``folder/bathynerf/sfm``.
+    report : callable, optional
+        Told in words what structure from motion does.
+
+    Raises
+    ------
+    SurveyError, GeoError
+        Where something is missing, damaged or contradictory.
+    """
+    found = find_survey(folder)
+    assumptions, warnings = list(found.assumptions), list(found.warnings)
+    if found.poses_path is None:
+        frame, views = _solve(found, workspace, report, assumptions, warnings)
+    else:
+        poses = pair(found, read_poses(found.poses_path), warnings)
+        poses = with_lenses(found, poses, assumptions, warnings)
+        frame, views = place.views_in_local(found, poses)
+    views = with_masks(found, sorted(views, key=lambda view: view.name), warnings)
+    for view in views:
+        require_image(view, found.heads[view.name])
+    config, water = place.water_in_local(found.config, frame, views, assumptions)
+    place.require_true(frame, views, water, config)
+    warnings += place.doubts(frame, views, water, found.heads)
+    if found.poses_path is not None and found.poses_path.is_relative_to(found.folder):
+        poses_name = found.poses_path.relative_to(found.folder).as_posix()
+        config = replace(config, cameras=replace(config.cameras, poses=poses_name))
+    return Survey(
+        name=found.config.name or found.folder.resolve().name,
+        folder=found.folder,
+        frame=frame,
+        views=tuple(views),
+        water=water,
+        bounds=config.area.bounds,
+        config=config,
+        assumptions=tuple(assumptions),
+        warnings=tuple(warnings),
+    )
+
+
+def _solve(
+    found: Found,
+    workspace: Path | None,
+    report: Callable[[str], None] | None,
+    assumptions: list[str],
+    warnings: list[str],
+) -> tuple[LocalFrame, list[View]]:
+    """Views by structure from motion, for a folder without poses."""
+    from survey.sfm.poses import solve_poses
+
+    place.require_level_fits_exif(found)
+    for path in found.images.values():
+        require_complete(path)
+    result = solve_poses(
+        list(found.images.values()),
+        found.crs,
+        workspace or found.folder / "bathynerf" / "sfm",
+        gps_height=found.config.cameras.gps_height,
+        size_px=found.config.cameras.size_px,
+        focal_px=found.config.cameras.focal_px,
+        report=report,
+    )
+    by_file = {path.name: name for name, path in found.images.items()}
+    views = []
+    for file_name, lens, centre, cam_from_local in result.views:
+        name = file_name if file_name in found.images else by_file[Path(file_name).name]
+        views.append(View(name, found.images[name], lens.pinhole(centre, cam_from_local), lens))
+    if len(views) < MIN_VIEWS:
+        raise PosesError(
+            f"structure from motion found the poses of {len(views)} of {len(found.images)} images, expected at least "
+            f"{MIN_VIEWS}; give poses made elsewhere in [cameras] poses"
+        )
+    assumptions.extend(result.notes)
+    solved = {view.name for view in views}
+    warn_of([name for name in found.images if name not in solved], "without a pose, left out", "image", warnings)
+    return result.frame, views

@@ -1,0 +1,242 @@
+"""The water level from what was measured beside the photographs: points of the surface, or a gauge.
+
+    shoreline, gnss_points   CSV with easting, northing, height in crs: a plane is fitted
+    gauge                    CSV with time, level: interpolated at the time of each photograph
+
+Each becomes level_m (and slopes) of [water] before anything else looks at it.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+
+from survey.errors import ConfigError
+from survey.folder.config import FILE_NAME, SurveyConfig
+from survey.photos.exif import Exif
+
+SOURCES = ("shoreline", "gnss_points", "gauge")
+
+# Huber's constant: 95 % of the efficiency of least squares where errors are normal (P. J. Huber 1964).
+_HUBER = 1.345
+# The median of the absolute value of a normal deviate of unit standard deviation.
+_MEDIAN_DEVIATION = 0.6745
+_ROUNDS = 50
+# Slopes are taken from points only where they stand out of their own uncertainty by this factor.
+_SIGNIFICANT = 3.0
+# Fewer points than this may lie on a tilted plane by chance.
+_LEAST_FOR_SLOPES = 6
+# Water that rises by more than this during a flight [m] no longer has one level.
+MOST_RISE_M = 0.005
+
+
+@dataclass(frozen=True)
+class SurfaceFit:
+    """A plane through points of the water surface.
+
+    Attributes
+    ----------
+    level_m : [m]
+        At the mean of the points, easting and northing `level_at`.
+    level_at : (easting, northing)
+    slope_east, slope_north : [-]
+        Zero where the points do not show any.
+    covariance : (3, 3)
+        Of level, slope_east and slope_north; zero rows for slopes that were not fitted.
+    num_points : int
+    """
+
+    level_m: float
+    level_at: tuple[float, float]
+    slope_east: float
+    slope_north: float
+    covariance: np.ndarray
+    num_points: int
+
+
+def with_level(folder: Path, config: SurveyConfig, heads: Mapping[str, Exif], notes: list[str]) -> SurveyConfig:
+    """Settings whose [water] has a level, from the file that it names; a sentence is added to the notes.
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing or damaged, or does not cover the flight.
+    """
+    water = config.water
+    name = None if water is None else next((s for s in SOURCES if getattr(water, s) is not None), None)
+    if name is None:
+        return config
+    path = folder / getattr(water, name)
+    if name == "gauge":
+        level, note = _level_at_flight(path, heads)
+        notes.append(f"level_m = {level:.3f} from [water] gauge: {note}")
+        return replace(config, water=replace(water, level_m=level, gauge=None))
+    fit = fit_surface(read_points(path), with_slopes=water.slope_east == 0.0 == water.slope_north)
+    # The given slopes carry the level from the middle of the points to the place where it is asked for.
+    level_at = water.level_at or fit.level_at
+    fit = replace(fit, slope_east=fit.slope_east or water.slope_east, slope_north=fit.slope_north or water.slope_north)
+    away = np.subtract(level_at, fit.level_at)
+    level = fit.level_m + fit.slope_east * away[0] + fit.slope_north * away[1]
+    std = math.sqrt(np.array([1.0, *away]) @ fit.covariance @ np.array([1.0, *away]))
+    notes.append(
+        f"level_m = {level:.3f} +- {std:.3f} from {fit.num_points} points in [water] {name}, slope "
+        f"{fit.slope_east:.5f} east and {fit.slope_north:.5f} north"
+    )
+    found = replace(water, level_m=level, level_at=level_at, slope_east=fit.slope_east, slope_north=fit.slope_north)
+    return replace(config, water=replace(found, **{name: None}))
+
+
+def fit_surface(points: np.ndarray, *, with_slopes: bool = True) -> SurfaceFit:
+    """A level, or a plane where the points show one, robust against wrong points.
+
+    Parameters
+    ----------
+    points : (N, 3) easting, northing, height [m]
+    with_slopes : bool
+        Let the plane tilt where its slopes stand out of their uncertainty three times.
+
+    Raises
+    ------
+    ConfigError
+        If there are fewer than three points.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    if len(points) < 3:
+        raise ConfigError(
+            f"{len(points)} points of the water surface were found, expected three or more; measure more, or give "
+            "level_m"
+        )
+    middle = points[:, :2].mean(axis=0)
+    design = np.column_stack([np.ones(len(points)), points[:, :2] - middle])
+    # Points in a row cannot tell the slope across it.
+    spread = np.linalg.svd(design[:, 1:], compute_uv=False)
+    if with_slopes and len(points) >= _LEAST_FOR_SLOPES and spread[1] > 0.05 * spread[0]:
+        values, covariance = _robust(design, points[:, 2])
+        slopes, rough = values[1:], covariance[1:, 1:]
+        if slopes @ np.linalg.solve(rough, slopes) > _SIGNIFICANT**2:
+            return SurfaceFit(float(values[0]), tuple(middle), *(float(s) for s in slopes), covariance, len(points))
+    values, covariance = _robust(design[:, :1], points[:, 2])
+    padded = np.zeros((3, 3))
+    padded[0, 0] = covariance[0, 0]
+    return SurfaceFit(float(values[0]), tuple(middle), 0.0, 0.0, padded, len(points))
+
+
+def _robust(design: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Huber's estimate and its covariance, the scatter taken from the median deviation."""
+    weights = np.ones(len(heights))
+    for _ in range(_ROUNDS):
+        normal = design.T @ (weights[:, None] * design)
+        values = np.linalg.solve(normal, design.T @ (weights * heights))
+        residuals = heights - design @ values
+        # A millimetre is the last digit of such files; points that agree to it are not better than that.
+        std = max(float(np.median(np.abs(residuals))) / _MEDIAN_DEVIATION, 1e-3)
+        weights = np.minimum(1.0, _HUBER * std / np.maximum(np.abs(residuals), 1e-12))
+    spare = max(len(heights) - design.shape[1], 1)
+    return values, np.linalg.inv(normal) * std**2 * len(heights) / spare
+
+
+def read_points(path: Path) -> np.ndarray:
+    """Points (N, 3) easting, northing, height of a CSV file with these columns.
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing, a column is, or a value is no finite number.
+    """
+    rows = _rows(path, ("easting", "northing", "height"))
+    return np.array([[_number(path, line, text) for text in row] for line, row in rows]).reshape(-1, 3)
+
+
+def read_gauge(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Times (N,) [s since 1970, UTC], rising, and levels (N,) [m] of a CSV file with columns time and level.
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing or damaged, a time has no time zone, or times do not rise.
+    """
+    rows = _rows(path, ("time", "level"))
+    times = np.array([_time(path, line, row[0]) for line, row in rows])
+    levels = np.array([_number(path, line, row[1]) for line, row in rows])
+    if len(times) < 2 or (np.diff(times) <= 0.0).any():
+        raise ConfigError(f"{path} has {len(times)} readings, expected two or more with rising times; sort them")
+    return times, levels
+
+
+def _level_at_flight(path: Path, heads: Mapping[str, Exif]) -> tuple[float, str]:
+    """Mean level [m] over the photographs, and a sentence on its spread."""
+    times, levels = read_gauge(path)
+    taken = {name: head.taken for name, head in heads.items() if head.taken is not None}
+    if not taken:
+        raise ConfigError(
+            f"no image says when it was taken in UTC (EXIF GPS time, or DateTimeOriginal with OffsetTimeOriginal), so "
+            f"that {path} cannot be asked; give level_m in {FILE_NAME}"
+        )
+    moments = np.array([moment.timestamp() for moment in taken.values()])
+    if moments.min() < times[0] or moments.max() > times[-1]:
+        raise ConfigError(
+            f"{path} runs from {_shown(times[0])} to {_shown(times[-1])}, but images were taken from "
+            f"{_shown(moments.min())} to {_shown(moments.max())}; add the readings around the flight"
+        )
+    at_images = np.interp(moments, times, levels)
+    rise = float(np.ptp(at_images))
+    note = f"mean at {len(moments)} of {len(heads)} images, which it differs over by {1000.0 * rise:.0f} mm"
+    if rise > MOST_RISE_M:
+        note += f"; more than {1000.0 * MOST_RISE_M:.0f} mm shift the bed: cut the flight into parts of equal level"
+    return float(at_images.mean()), note
+
+
+def _rows(path: Path, columns: tuple[str, ...]) -> list[tuple[int, list[str]]]:
+    """Line numbers and the texts of the named columns."""
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} cannot be read ({error}); correct its name in [water] in {FILE_NAME}") from error
+    reader = csv.reader(line for line in lines if not line.lstrip().startswith("#"))
+    head = [name.strip().casefold() for name in next(reader, [])]
+    missing = [name for name in columns if name not in head]
+    if missing:
+        raise ConfigError(
+            f"{path} has the columns {', '.join(head) or 'none'}, expected {', '.join(columns)}; name them in the "
+            "first line"
+        )
+    where = [head.index(name) for name in columns]
+    found = []
+    for number, row in enumerate(reader, 2):
+        if any(text.strip() for text in row):
+            if len(row) <= max(where):
+                raise ConfigError(f"{path}, row {number} has {len(row)} values, expected {len(head)}; complete it")
+            found.append((number, [row[i].strip() for i in where]))
+    return found
+
+
+def _number(path: Path, line: int, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ConfigError(f"{path}, row {line}: {text!r} was found where a finite number was expected; correct it")
+    return value
+
+
+def _time(path: Path, line: int, text: str) -> float:
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise ConfigError(
+            f"{path}, row {line}: {text!r} is no time, expected e.g. 2024-06-01T10:30:00Z; correct it"
+        ) from error
+    if moment.tzinfo is None:
+        raise ConfigError(f"{path}, row {line}: {text} has no time zone; write Z for UTC or e.g. +02:00 after it")
+    return moment.timestamp()
+
+
+def _shown(timestamp: float) -> str:
+    return (datetime(1970, 1, 1) + timedelta(seconds=float(timestamp))).strftime("%Y-%m-%d %H:%M:%S UTC")

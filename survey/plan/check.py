@@ -1,0 +1,137 @@
+"""What `bathynerf check` tells: what was found, assumed and doubted, and what the plan would be."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from geo.crs import height_unit_m
+from survey.folder import place
+from survey.folder.survey import Found, Survey, find_survey, load_survey
+from survey.photos.images import require_complete
+from survey.plan.plan import Decision, Plan, device_decision, make_plan
+
+
+@dataclass(frozen=True)
+class Section:
+    """A titled list of labelled sentences; a label may be empty."""
+
+    title: str
+    rows: tuple[tuple[str, str], ...]
+
+
+def check_survey(folder: Path, *, quality: str = "standard", device: str = "auto") -> list[Section]:
+    """Look at a survey and say what `process` would do; nothing is computed and nothing written.
+
+    Raises
+    ------
+    SurveyError, GeoError
+        Where the survey cannot be processed as it is.
+    """
+    found = find_survey(folder)
+    if found.poses_path is None:
+        return _without_poses(found, device)
+    survey = load_survey(folder)
+    plan = make_plan(survey, quality=quality, device=device)
+    return _sections(_rows_of_survey(found, survey, plan), plan.decisions, survey.assumptions, survey.warnings)
+
+
+def plan_section(decisions: tuple[Decision, ...]) -> Section:
+    """The plan as `check` and `process` print it."""
+    return Section("Plan", tuple((d.name, f"{d.choice}: {d.reason}") for d in decisions))
+
+
+def _sections(rows, decisions, assumptions, warnings) -> list[Section]:
+    sections = [Section("Found", tuple(rows)), plan_section(decisions)]
+    sections += [Section("Assumed", tuple(("", text) for text in assumptions))] if assumptions else []
+    sections += [Section("Warnings", tuple(("", text) for text in warnings))] if warnings else []
+    return sections
+
+
+def _rows_of_survey(found: Found, survey: Survey, plan: Plan) -> list[tuple[str, str]]:
+    centres = np.array([view.camera.centre for view in survey.views])
+    heights = survey.frame.crs_from_local(centres)[:, 2]
+    off_nadir = np.degrees([np.arccos(np.clip(-view.camera.cam_from_local[2, 2], -1.0, 1.0)) for view in survey.views])
+    lenses = Counter((v.lens.model, v.lens.width, v.lens.height, v.lens.focal[0]) for v in survey.views)
+    rows = [
+        ("survey", f"{survey.name} in {survey.folder}"),
+        ("crs", f"{survey.config.crs} ({survey.frame.crs.name})"),
+        ("images", f"{len(survey.views)} with a pose, of {len(found.images)} in {found.config.images.dir}"),
+        *(
+            ("camera", f"{model}, {width} x {height} px, focal length {focal:.1f} px, {count} images")
+            for (model, width, height, focal), count in lenses.items()
+        ),
+        ("poses", f"{survey.config.cameras.poses}, heights {heights.min():.2f} to {heights.max():.2f}"),
+        (
+            "views",
+            f"{_range(off_nadir)} degrees off nadir, one covers {plan.footprint_m[0]:.1f} x "
+            f"{plan.footprint_m[1]:.1f} m",
+        ),
+        ("local frame", f"topocentric at {', '.join(f'{v:.10g}' for v in survey.frame.origin)}"),
+        ("water", _water(survey)),
+    ]
+    if survey.bounds is not None:
+        e0, n0, e1, n1 = survey.bounds
+        rows.append(("area", f"{e0:.10g} to {e1:.10g} east, {n0:.10g} to {n1:.10g} north"))
+    return rows
+
+
+def _water(survey: Survey) -> str:
+    water = survey.config.water
+    if water is None:
+        return "none: a dry survey"
+    centres = np.array([view.camera.centre for view in survey.views])
+    return (
+        f"level {water.level_m:g} m at {water.level_at[0]:.10g}, {water.level_at[1]:.10g}, slope "
+        f"{water.slope_east:g} east and {water.slope_north:g} north, index {water.refractive_index:g}; cameras "
+        f"{_range(-survey.water.depth(centres))} m over it"
+    )
+
+
+def _without_poses(found: Found, device: str) -> list[Section]:
+    """The sections where structure from motion would have to run first."""
+    place.require_level_fits_exif(found)
+    for path in found.images.values():
+        require_complete(path)
+    places = [head.lat_lon_height for head in found.heads.values() if head.lat_lon_height is not None]
+    sizes = Counter(head.size_px for head in found.heads.values())
+    heights = np.array([height for _, _, height in places])
+    rows = [
+        ("survey", f"{found.config.name or found.folder.resolve().name} in {found.folder}"),
+        ("crs", f"{found.config.crs} ({found.crs.name})"),
+        (
+            "images",
+            ", ".join(f"{n} of {w} x {h} px" for (w, h), n in sizes.items()) + f" in {found.config.images.dir}",
+        ),
+        (
+            "positions",
+            f"{len(places)} of {len(found.heads)} images have one in EXIF, heights {_range(heights)} m",
+        ),
+        ("poses", "none"),
+    ]
+    water = found.config.water
+    if water is None:
+        rows.append(("water", "none: a dry survey"))
+    else:
+        level = water.level_m / height_unit_m(found.crs)
+        rows.append(
+            (
+                "water",
+                f"level {water.level_m:g} m; by EXIF the cameras are {_range(heights - level)} m over it",
+            )
+        )
+    like = "heights in crs" if found.config.cameras.gps_height == "crs" else "ellipsoidal heights"
+    sfm = Decision(
+        "structure from motion",
+        "on",
+        f"there is no poses file; GPS positions place it, their heights as {like}",
+    )
+    rest = Decision("refraction and the rest", "later", "decided when the poses are known")
+    return _sections(rows, (sfm, device_decision(device), rest), found.assumptions, found.warnings)
+
+
+def _range(values: np.ndarray) -> str:
+    return f"{np.nanmin(values):.1f} to {np.nanmax(values):.1f}" if np.isfinite(values).any() else "unknown"

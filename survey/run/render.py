@@ -1,0 +1,135 @@
+"""`bathynerf render`: the field of a run as any camera would see it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from fields.device import choose_device
+from fields.slab.novel_view import NovelView, render_view
+from geo.files import write_whole
+from geo.frames import LocalFrame
+from refract import PinholeCamera
+from survey.errors import SurveyError
+from survey.folder.config import CamerasConfig, SurveyConfig, read_config
+from survey.folder.lens import lens_from_config
+from survey.photos.cameras import Lens, Pose
+from survey.photos.formats import read_poses
+from survey.progress import current
+from survey.run.folder import RunDir
+from survey.run.stored_field import load_field, load_place
+
+FIELD_STAGE = "field"
+
+
+def render(run: Path, cameras: Path, output: Path, *, dry: bool = False, device: str = "auto") -> list[Path]:
+    """Write what cameras would see of the field of a run.
+
+    Of each camera NAME.png (transparent where it does not look at the field), NAME_height.tif (of the bed over the
+    water plane [m], float32, NaN outside), NAME_distance.tif (from the camera along the path [m]) and
+    NAME_normal.png (local east, north, up as red, green, blue, -1 to 1 as 0 to 255). Free of lens distortion.
+
+    Parameters
+    ----------
+    run : Path
+        Folder that `bathynerf process` made, with a field in it.
+    cameras : Path
+        Poses, in a format that surveys may have; a lens that it does not carry is that of the survey.
+    output : Path
+        Folder, made if need be.
+    dry : bool
+        Take the water away: straight rays, and the bed's own colour.
+    device : "auto", "cpu", "cuda" or "torch"
+
+    Returns
+    -------
+    list of Path
+        The pictures.
+
+    Raises
+    ------
+    SurveyError, GeoError
+        If the run has no field, or the cameras are unusable.
+    """
+    folder = RunDir(run)
+    folder.require_run()
+    stage_folder = _field_folder(folder)
+    frame, water = load_place(stage_folder)
+    posed = _cameras(read_poses(cameras), cameras, frame, read_config(folder.settings_path))
+    field = load_field(stage_folder, choose_device(device))
+    written, empty = [], []
+    with current().stage("Render", len(posed)) as stage:
+        for name, camera in posed.items():
+            view = render_view(field, camera, water, dry=dry)
+            if not view.seen.any():
+                empty.append(name)
+            written.append(write_view(output / Path(name).with_suffix(""), view))
+            stage.advance()
+    if empty:
+        current().warn(f"{len(empty)} of {len(posed)} cameras do not look at the field: {', '.join(empty[:5])}")
+    return written
+
+
+def _field_folder(folder: RunDir) -> Path:
+    try:
+        return folder.load_stage(FIELD_STAGE)
+    except SurveyError as error:
+        raise SurveyError(
+            f"the run {folder.path} has no field to render; give `bathynerf process` again with --field on"
+        ) from error
+
+
+def _cameras(poses: list[Pose], path: Path, frame: LocalFrame, config: SurveyConfig) -> dict[str, PinholeCamera]:
+    """Cameras in the local frame of the field, by name."""
+    if not poses[0].in_crs and config.local.origin != frame.origin:
+        raise SurveyError(
+            f"the poses in {path} are in a local frame, but the run's cameras were not; give a table of positions in "
+            f"{frame.crs.name} instead (image, easting, northing, height, omega, phi, kappa)"
+        )
+    lens = None if all(pose.lens for pose in poses) else _lens(config.cameras, path)
+    found = {}
+    for pose in poses:
+        centre, rotation = pose.centre, pose.cam_from_world
+        if pose.in_crs:
+            centre = _on_the_map(frame, pose, path)
+            rotation = rotation @ frame.local_from_grid(pose.centre).T
+        found[pose.name] = (pose.lens or lens).pinhole(centre, rotation)
+    return found
+
+
+def _on_the_map(frame: LocalFrame, pose: Pose, path: Path) -> np.ndarray:
+    centre = frame.local_from_crs(pose.centre)
+    if not np.isfinite(centre).all():
+        raise SurveyError(
+            f"the position {pose.centre.tolist()} of {pose.name} in {path} is not on the map of {frame.crs.name}; "
+            "correct it"
+        )
+    return centre
+
+
+def _lens(config: CamerasConfig, path: Path) -> Lens:
+    if config.size_px is None or config.focal_px is None:
+        raise SurveyError(
+            f"{path} carries no lens, and survey.toml gives no size_px and focal_px in [cameras]; give a COLMAP model "
+            "instead, or the two keys and process again"
+        )
+    return lens_from_config(config, {}, [])
+
+
+def write_view(stem: Path, view: NovelView) -> Path:
+    """Write the pictures of a view under names that begin with `stem`; the path of the colours."""
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    alpha = 255 * view.seen.astype(np.uint8)
+    tilt = np.nan_to_num(np.round(127.5 * (view.normal + 1.0)), nan=0.0).astype(np.uint8)
+    pictures = {
+        ".png": np.dstack([view.rgb, alpha]),
+        "_normal.png": np.dstack([tilt, alpha]),
+        "_height.tif": view.bed_height,
+        "_distance.tif": view.distance,
+    }
+    for ending, pixels in pictures.items():
+        with write_whole(stem.with_name(stem.name + ending)) as stream:
+            Image.fromarray(pixels).save(stream, "PNG" if ending.endswith("png") else "TIFF")
+    return stem.with_name(stem.name + ".png")

@@ -1,0 +1,140 @@
+"""Arrays on disk between the stages of a run: written whole, read back as they were."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pyproj import CRS
+
+from geo.files import write_whole
+from survey.errors import SurveyError
+
+if TYPE_CHECKING:
+    from fields.sweep.bed import BedPoints
+    from fields.sweep.sweep import DepthMap
+
+BED_FILE, SURVEY_FILE = "bed.npz", "survey.json"
+
+
+@dataclass(frozen=True)
+class StoredBed:
+    """What the stage of the bed leaves behind, all that an export needs.
+
+    Attributes
+    ----------
+    bed : BedPoints
+        Local frame.
+    points_crs : (N, 3) float64
+        The same points, in crs.
+    crs : pyproj.CRS
+    name : str
+        Of the survey.
+    gsd_m : [m]
+        Ground sampling distance that was worked at.
+    """
+
+    bed: BedPoints
+    points_crs: np.ndarray
+    crs: CRS
+    name: str
+    gsd_m: float
+
+
+def save_arrays(path: str | Path, **arrays: np.ndarray) -> None:
+    """Write arrays by name into one .npz file, whole or not at all.
+
+    Raises
+    ------
+    UnwritableFile
+        If the system refuses; see `geo.write_whole`.
+    """
+    with write_whole(path) as stream:
+        np.savez(stream, **arrays)
+
+
+def load_arrays(path: str | Path) -> dict[str, np.ndarray]:
+    """The arrays of a file of `save_arrays`.
+
+    Raises
+    ------
+    SurveyError
+        If the file is missing or damaged.
+    """
+    try:
+        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
+            return {name: stored[name] for name in stored.files}
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        raise SurveyError(
+            f"{path} cannot be read ({error}); delete its folder and give `bathynerf process` again"
+        ) from error
+
+
+def save_bed(folder: str | Path, stored: StoredBed) -> None:
+    """Write what an export needs into the folder of the bed's stage: bed.npz and survey.json."""
+    folder = Path(folder)
+    columns = {f.name: getattr(stored.bed, f.name) for f in dataclasses.fields(stored.bed)}
+    save_arrays(folder / BED_FILE, points_crs=stored.points_crs, **columns)
+    said = {"crs_wkt": stored.crs.to_wkt(), "name": stored.name, "gsd_m": stored.gsd_m}
+    with write_whole(folder / SURVEY_FILE) as stream:
+        stream.write(json.dumps(said, indent=2, ensure_ascii=False).encode())
+
+
+def load_bed(folder: str | Path) -> StoredBed:
+    """What `save_bed` wrote.
+
+    Raises
+    ------
+    SurveyError
+        If a file is missing or damaged.
+    """
+    from fields.sweep.bed import BedPoints
+
+    folder = Path(folder)
+    arrays = load_arrays(folder / BED_FILE)
+    try:
+        said = json.loads((folder / SURVEY_FILE).read_text(encoding="utf-8"))
+        points_crs = arrays.pop("points_crs")
+        return StoredBed(BedPoints(**arrays), points_crs, CRS.from_wkt(said["crs_wkt"]), said["name"], said["gsd_m"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise SurveyError(
+            f"{folder} is no bed that can be read ({error}); delete it and give `bathynerf process` again"
+        ) from error
+
+
+def save_depth_maps(path: str | Path, maps: list[DepthMap]) -> None:
+    """Write depth maps, of any sizes, into one .npz file."""
+    arrays = {"views": np.array([m.view for m in maps], dtype=np.int64)}
+    for number, depth_map in enumerate(maps):
+        for item in dataclasses.fields(depth_map):
+            if item.name != "view":
+                arrays[f"{item.name}_{number}"] = getattr(depth_map, item.name)
+    save_arrays(path, **arrays)
+
+
+def load_depth_maps(path: str | Path) -> list[DepthMap]:
+    """The depth maps of a file of `save_depth_maps`, in their order.
+
+    Raises
+    ------
+    SurveyError
+        If the file is missing or damaged.
+    """
+    from fields.sweep.sweep import DepthMap
+
+    arrays = load_arrays(path)
+    names = [f.name for f in dataclasses.fields(DepthMap) if f.name != "view"]
+    try:
+        return [
+            DepthMap(int(view), **{name: arrays[f"{name}_{number}"] for name in names})
+            for number, view in enumerate(arrays["views"])
+        ]
+    except KeyError as error:
+        raise SurveyError(
+            f"{path} lacks the array {error}; delete its folder and give `bathynerf process` again"
+        ) from error

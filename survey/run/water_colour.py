@@ -1,0 +1,63 @@
+"""The colour of the water of a survey: given in survey.toml, or estimated from the photographs as a stage of a run."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+from fields.colour.absorption import estimate_absorption
+from fields.slab.train import Sources
+from geo.files import write_whole
+from survey.errors import SurveyError
+from survey.folder.survey import Survey
+
+_RESULT = "water_colour.json"
+
+
+def require_water(survey: Survey) -> None:
+    """Raise SurveyError where there is no water to take away."""
+    if survey.water is None:
+        raise SurveyError(
+            "--true-colour takes the water away, but the survey has none; leave the option out, or give [water]"
+        )
+
+
+def colour_of(survey: Survey) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
+    """Absorption [1/m] and veiling light (linear, 1 for white) of red, green and blue; None where not known."""
+    water = survey.config.water
+    return (None, None) if water is None else (water.absorption_per_m, water.veiling_light)
+
+
+def colour_is_known(survey: Survey) -> bool:
+    """Whether survey.toml says what the water takes and scatters."""
+    return colour_of(survey)[0] is not None
+
+
+def save_colour(folder: Path, sources: Sources) -> None:
+    """Estimate the absorption and write it into the folder of its stage.
+
+    Raises
+    ------
+    SurveyError
+        If the photographs do not tell it.
+    """
+    try:
+        absorption = estimate_absorption(sources)
+    except ValueError as error:
+        raise SurveyError(
+            f"the photographs do not tell the absorption of the water: {error}; give [water] absorption_per_m and "
+            "veiling_light in survey.toml, or leave --true-colour out"
+        ) from error
+    with write_whole(folder / _RESULT) as stream:
+        stream.write(json.dumps({"absorption_per_m": absorption}, indent=2).encode())
+
+
+def with_colour(survey: Survey, folder: Path) -> Survey:
+    """The survey with the colour that `save_colour` found, and none for the veil."""
+    record = json.loads((folder / _RESULT).read_text(encoding="utf-8"))
+    absorption = tuple(record["absorption_per_m"])
+    water = replace(survey.config.water, absorption_per_m=absorption, veiling_light=(0.0, 0.0, 0.0))
+    said = ", ".join(f"{a:.3f}" for a in absorption)
+    note = f"absorption_per_m = [{said}], from the photographs, and no veiling_light"
+    return replace(survey, config=replace(survey.config, water=water), assumptions=(*survey.assumptions, note))

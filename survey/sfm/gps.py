@@ -1,0 +1,145 @@
+"""GPS positions of photographs on their way from EXIF into the local frame."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from pyproj import CRS, Transformer
+from pyproj.aoi import AreaOfInterest
+from pyproj.exceptions import ProjError
+from pyproj.transformer import TransformerGroup
+
+from geo.crs import height_unit_m, horizontal_crs, is_geographic, parse_crs, vertical_crs
+from geo.frames import LocalFrame
+from survey.errors import ConfigError, PosesError
+from survey.folder.config import FILE_NAME
+from survey.folder.infer import utm_code
+from survey.photos.exif import Exif
+
+# Mean sea level after EGM96: what consumer receivers and drones mean by height.
+_EGM96_HEIGHT = 5773
+_MIN_POSITIONS = 3
+_GIVE_POSES = f"name a file of poses in [cameras] poses in {FILE_NAME}"
+
+
+@dataclass(frozen=True)
+class GpsPositions:
+    """Where the receivers of the cameras say that they were.
+
+    Attributes
+    ----------
+    frame : LocalFrame
+        Its origin is the median position, rounded; so it lies at the height of the cameras.
+    local : dict of name to (3,) float64 [m], local
+        Only of photographs with a position and a height.
+    notes : sentences
+        What was assumed.
+    """
+
+    frame: LocalFrame
+    local: dict[str, np.ndarray]
+    notes: tuple[str, ...]
+
+
+def gps_positions(heads: Mapping[str, Exif], crs: CRS | None, gps_height: str) -> GpsPositions:
+    """Positions from EXIF, in a local frame of their own.
+
+    Parameters
+    ----------
+    heads : mapping of name to Exif
+    crs : pyproj.CRS or None
+        With a vertical part. None: the UTM zone of the positions with heights above EGM96.
+    gps_height : "crs" or "ellipsoidal"
+        What the heights in EXIF are: heights in crs, taken as they are, or heights above the WGS 84 ellipsoid,
+        for which the grid of the geoid under crs has to be installed.
+
+    Raises
+    ------
+    PosesError
+        If fewer than three photographs have a position with a height.
+    ConfigError
+        If `gps_height` is neither, the grid is missing, or the positions are not on the map of crs.
+    MissingVerticalDatum, UnsupportedCRS
+        As `geo.crs.parse_crs`.
+    """
+    wgs84 = {name: head.lat_lon_height for name, head in heads.items() if head.lat_lon_height is not None}
+    with_height = {name: p for name, p in wgs84.items() if math.isfinite(p[2])}
+    if len(with_height) < _MIN_POSITIONS:
+        raise PosesError(
+            f"{len(wgs84)} of {len(heads)} images have a GPS position in EXIF, {len(with_height)} of them with a "
+            f"height, expected at least {_MIN_POSITIONS} to place the survey on Earth; {_GIVE_POSES}"
+        )
+    notes = []
+    if crs is None:
+        code = f"EPSG:{utm_code(heads)}+{_EGM96_HEIGHT}"
+        crs = parse_crs(code)
+        notes.append(f'crs = "{code}", the UTM zone of the GPS positions with heights above mean sea level (EGM96)')
+    crs = parse_crs(crs)
+    lat, lon, height = np.array(list(with_height.values())).T
+    points = _crs_from_wgs84(crs, lon, lat, height, gps_height, notes)
+    if not np.isfinite(points).all():
+        name = list(with_height)[int(np.argmin(np.isfinite(points).all(axis=1)))]
+        raise ConfigError(
+            f"the GPS position {with_height[name]} of {name} is not on the map of {crs.name}; correct crs in "
+            f"{FILE_NAME}"
+        )
+    frame = LocalFrame(crs, _origin(crs, points))
+    missing = len(heads) - len(with_height)
+    if missing:
+        notes.append(f"{missing} of {len(heads)} images have no GPS position with a height; the others place the block")
+    return GpsPositions(frame, dict(zip(with_height, frame.local_from_crs(points), strict=True)), tuple(notes))
+
+
+def _crs_from_wgs84(crs: CRS, lon, lat, height, gps_height: str, notes: list[str]) -> np.ndarray:
+    """WGS 84 longitudes, latitudes [deg] and heights [m] (N,) as points (N, 3) in crs."""
+    if gps_height == "crs":
+        # Two dimensions only: the height is not touched by any change of datum.
+        horizontal = horizontal_crs(crs)
+        transformer = Transformer.from_crs("EPSG:4326", horizontal, always_xy=True, area_of_interest=_area(lon, lat))
+        east, north = transformer.transform(lon, lat)
+        vertical = vertical_crs(crs)
+        above = f"above {vertical.name}" if vertical is not None else "above the ellipsoid"
+        notes.append(f'gps_height = "crs": the GPS heights in EXIF are taken as heights in crs, {above}')
+        return np.stack([east, north, height / height_unit_m(crs)], axis=-1)
+    if gps_height != "ellipsoidal":
+        raise ConfigError(f'[cameras] gps_height is "{gps_height}", expected "crs" or "ellipsoidal"')
+    notes.append('gps_height = "ellipsoidal": the GPS heights in EXIF are taken as heights above the WGS 84 ellipsoid')
+    return np.stack(_exact_transformer(crs, _area(lon, lat)).transform(lon, lat, height), axis=-1)
+
+
+def _exact_transformer(crs: CRS, area: AreaOfInterest) -> Transformer:
+    """From WGS 84 with ellipsoidal heights to crs, only if PROJ has every grid that it takes.
+
+    Without the grid PROJ would hand the height through unchanged, tens of metres wrong, without a word.
+    """
+    said = f'gps_height = "ellipsoidal" needs a transformation of heights from the ellipsoid to {crs.name}'
+    instead = f'or give heights in crs and gps_height = "crs" in {FILE_NAME}'
+    try:
+        with warnings.catch_warnings():
+            # The missing grid is named in our own words below.
+            warnings.simplefilter("ignore", UserWarning)
+            group = TransformerGroup("EPSG:4979", crs, always_xy=True, area_of_interest=area, allow_ballpark=False)
+    except ProjError as error:
+        raise ConfigError(f"{said}, which PROJ does not know ({error}); {instead}") from error
+    if not group.transformers or not group.best_available:
+        grids = sorted({g.short_name for op in group.unavailable_operations for g in op.grids if not g.available})
+        what = f"the grid {' or '.join(grids[:4])}" if grids else "a grid"
+        raise ConfigError(f"{said}, and {what} is not installed; install it with projsync, {instead}")
+    return group.transformers[0]
+
+
+def _area(lon, lat) -> AreaOfInterest:
+    """Where a survey lies, for PROJ to choose among the regional transformations of a datum."""
+    lon, lat = float(np.median(lon)), float(np.median(lat))
+    return AreaOfInterest(lon - 0.01, max(lat - 0.01, -90.0), lon + 0.01, min(lat + 0.01, 90.0))
+
+
+def _origin(crs: CRS, points: np.ndarray) -> tuple[float, float, float]:
+    # The median, so that one wrong position does not move the frame of the others.
+    e, n, h = (float(v) for v in np.median(points, axis=0))
+    digits = 5 if is_geographic(crs) else 0
+    return (round(e, digits), round(n, digits), float(math.floor(h)))

@@ -1,0 +1,243 @@
+"""Structure from motion: poses in the local frame for a survey that comes without them.
+
+Photographs with GPS positions in EXIF (`survey.sfm.gps`) -> a block of poses and points by pycolmap
+(`survey.sfm.block`) -> its place on Earth (`survey.sfm.gps_fit`, `survey.sfm.solve`). Here: the way in, the result,
+and the solved block that is kept to be used again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from pyproj import CRS
+
+from geo.crs import height_unit_m
+from geo.files import write_whole
+from geo.frames import LocalFrame
+from survey.errors import ImageError, SurveyError
+from survey.folder.config import FILE_NAME
+from survey.photos.cameras import Lens
+from survey.photos.exif import Exif, read_exif
+from survey.sfm import block as sfm_block
+from survey.sfm.gps import GpsPositions, gps_positions
+from survey.sfm.solve import Solved, aliases, solve
+from survey.stage_key import stage_key
+
+__all__ = ["SfmResult", "SfmView", "solve_poses"]
+
+# Raise it when a change of the code changes the poses, so that stored ones are not used again.
+_FORMAT = 1
+_RECORD, _MODEL, _WORK = "solved.json", "model", ".work.part"
+# Features and matches of an image take about 2 MB in the database.
+_BYTES_PER_IMAGE, _BYTES_AT_LEAST = 4_000_000, 50_000_000
+
+
+class SfmView(NamedTuple):
+    """A photograph with its solved pose.
+
+    Attributes
+    ----------
+    name : str
+        Path of the image below the folder that all images have in common, with forward slashes.
+    lens : Lens
+    centre : (3,) float64 [m], local
+    cam_from_local : (3, 3) float64
+    """
+
+    name: str
+    lens: Lens
+    centre: np.ndarray
+    cam_from_local: np.ndarray
+
+
+@dataclass(frozen=True)
+class SfmResult:
+    """Poses and points of a block in its local frame.
+
+    Attributes
+    ----------
+    frame : LocalFrame
+        Origin: median GPS position, at the height of the middle point of the block, rounded.
+    views : tuple of SfmView
+        In order of names; images that could not be placed are left out.
+    notes : list of sentences
+        What was assumed, found and left out.
+    points : (N, 3) float64 [m], local
+        Matched points, on straight rays.
+    num_views : (N,) int64
+    error_px : (N,) float64
+        Mean reprojection error of a point.
+    gps_residual_m : (len(views), 3) float64 [m], local
+        Camera centre minus GPS position; NaN for images without one.
+    """
+
+    frame: LocalFrame
+    views: tuple[SfmView, ...]
+    notes: list[str]
+    points: np.ndarray
+    num_views: np.ndarray
+    error_px: np.ndarray
+    gps_residual_m: np.ndarray
+
+
+def solve_poses(
+    image_paths: Sequence[Path],
+    crs: CRS | None,
+    workspace: Path,
+    *,
+    gps_height: str = "crs",
+    size_px: tuple[int, int] | None = None,
+    focal_px: float | tuple[float, float] | None = None,
+    report: Callable[[str], None] | None = None,
+) -> SfmResult:
+    """Poses, lenses and points of photographs with GPS positions.
+
+    Parameters
+    ----------
+    image_paths : sequence of Path
+    crs : pyproj.CRS or None
+        With a vertical part; None: UTM with heights above EGM96, said in the notes.
+    workspace : Path
+        Keeps the solved block, which is used again while images and settings are the same.
+    gps_height : "crs" or "ellipsoidal"
+        What the heights in EXIF count from.
+    size_px : (width, height), optional
+        That all images must have.
+    focal_px : float, optional
+        Of a calibration; it is kept. Without it, the one in EXIF is where the search starts.
+    report : callable, optional
+        Told in words how far it is.
+
+    Raises
+    ------
+    SurveyError
+        Where positions, overlap or the disk do not suffice; the message says what to give instead.
+
+    Notes
+    -----
+    The same images on the same kind of computer give the same poses: seeds and threads are fixed.
+    """
+    say = report or (lambda _text: None)
+    images = _named(image_paths)
+    heads = {name: read_exif(path) for name, path in images.items()}
+    _require_size(images, heads, size_px)
+    focal_px = _one_focal(focal_px)
+    gps = gps_positions(heads, crs, gps_height)
+    key = stage_key("sfm", _FORMAT, gps.frame, gps_height, focal_px, list(images), list(images.values()))
+    with _refusals(workspace):
+        solved = _stored(workspace, key)
+        if solved is not None:
+            say(f"structure from motion: poses of {solved.block.num_reg_images()} images from {workspace}")
+        else:
+            with _work_folder(workspace, len(images)) as work:
+                solved = solve(images, heads, gps, focal_px, work, say)
+                _store(workspace, key, work, solved)
+    return _result(solved, gps, images)
+
+
+def _named(paths: Sequence[Path]) -> dict[str, Path]:
+    """Images by their path below the folder that they have in common, in order of names."""
+    if not paths:
+        raise ImageError("structure from motion got no images, expected at least three")
+    paths = [Path(path).absolute() for path in paths]
+    folder = Path(os.path.commonpath([path.parent for path in paths]))
+    return dict(sorted((path.relative_to(folder).as_posix(), path) for path in paths))
+
+
+def _require_size(images: Mapping[str, Path], heads: Mapping[str, Exif], size_px: tuple[int, int] | None) -> None:
+    for name, head in heads.items():
+        if size_px is not None and head.size_px != tuple(size_px):
+            raise ImageError(
+                f"{images[name]} has {head.size_px[0]} x {head.size_px[1]} pixels, expected {size_px[0]} x "
+                f"{size_px[1]} as [cameras] size_px in {FILE_NAME} says; correct it, or leave the image out"
+            )
+
+
+def _one_focal(focal_px: float | tuple[float, float] | None) -> float | None:
+    if not isinstance(focal_px, tuple | list):
+        return focal_px
+    if focal_px[0] != focal_px[1]:
+        raise SurveyError(
+            f"[cameras] focal_px in {FILE_NAME} is {list(focal_px)}, and structure from motion solves for square "
+            "pixels; give one number, or poses made elsewhere in [cameras] poses"
+        )
+    return focal_px[0]
+
+
+@contextmanager
+def _refusals(workspace: Path) -> Iterator[None]:
+    """What the disk refuses, as SurveyError that names the path and the mend."""
+    try:
+        yield
+    except OSError as error:
+        raise SurveyError(
+            f"cannot write {error.filename or workspace}: {error.strerror}; free some room, or name a run folder "
+            "elsewhere with -o"
+        ) from error
+
+
+@contextmanager
+def _work_folder(workspace: Path, num_images: int) -> Iterator[Path]:
+    """An empty folder in the workspace, gone at the end; what a killed run left there is removed first."""
+    workspace.mkdir(parents=True, exist_ok=True)
+    needed, free = _BYTES_AT_LEAST + num_images * _BYTES_PER_IMAGE, shutil.disk_usage(workspace).free
+    if free < needed:
+        raise SurveyError(
+            f"structure from motion needs {needed / 1e6:.0f} MB in {workspace}, and {free / 1e6:.0f} MB are free; free "
+            "some, or name a run folder elsewhere with -o"
+        )
+    work = workspace / _WORK
+    shutil.rmtree(work, ignore_errors=True)
+    work.mkdir()
+    try:
+        yield work
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+
+
+def _stored(workspace: Path, key: str) -> Solved | None:
+    """What `_store` left with this key; None if there is nothing, or something else."""
+    try:
+        record = json.loads((workspace / _RECORD).read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError, ValueError):
+        return None
+    if not isinstance(record, dict) or record.get("key") != key or not (workspace / _MODEL).is_dir():
+        return None
+    frame = LocalFrame(CRS(record["crs"]), tuple(record["origin"]))
+    return Solved(sfm_block.read_block(workspace / _MODEL), frame, tuple(record["notes"]))
+
+
+def _store(workspace: Path, key: str, work: Path, solved: Solved) -> None:
+    """Keep a block; the record, written last, says that it is whole."""
+    (workspace / _RECORD).unlink(missing_ok=True)
+    shutil.rmtree(workspace / _MODEL, ignore_errors=True)
+    model = work / _MODEL
+    model.mkdir()
+    sfm_block.write_block(solved.block, model)
+    model.rename(workspace / _MODEL)
+    frame = solved.frame
+    record = {"key": key, "crs": frame.crs.to_wkt(), "origin": frame.origin, "notes": solved.notes}
+    with write_whole(workspace / _RECORD) as stream:
+        stream.write(json.dumps(record, indent=2).encode())
+
+
+def _result(solved: Solved, gps: GpsPositions, images: Mapping[str, Path]) -> SfmResult:
+    poses, frame = sfm_block.poses_of(solved.block), solved.frame
+    placed = {name: alias for name, alias in aliases(images).items() if alias in poses}
+    views = tuple(
+        SfmView(name, sfm_block.lens_of(solved.block, alias), *poses[alias]) for name, alias in placed.items()
+    )
+    # The positions are in a frame that lies higher: at the cameras, not at the ground.
+    fall = np.array([0.0, 0.0, (frame.origin[2] - gps.frame.origin[2]) * height_unit_m(frame.crs)])
+    measured = np.array([gps.local.get(name, np.full(3, np.nan)) - fall for name in placed])
+    points, num_views, error_px = sfm_block.points_of(solved.block)
+    residuals = np.array([view.centre for view in views]) - measured
+    return SfmResult(frame, views, list(solved.notes), points, num_views, error_px, residuals)

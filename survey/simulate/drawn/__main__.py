@@ -1,0 +1,34 @@
+"""Draw a small survey into a folder; nothing is done where it lies there already."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from survey.errors import SurveyError
+from survey.progress import Progress
+from survey.simulate.drawn import draw_survey
+from survey.simulate.drawn_scene import DrawnScene
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """``python -m survey.simulate.drawn``; a folder that cannot be used, or written, ends it with exit code 2."""
+    parser = argparse.ArgumentParser(prog="python -m survey.simulate.drawn", description=__doc__)
+    parser.add_argument("folder", type=Path, help="becomes a survey folder, with the truth beside it in truth/")
+    parser.add_argument("--tiny", action="store_true", help="8 small views without noise, in about a second")
+    parser.add_argument("--shore", action="store_true", help="with a bank that rises out of the water")
+    parser.add_argument("--dry", action="store_true", help="the same bed without water")
+    parser.add_argument("--seed", type=int, default=1, help="another bed and flight (default: 1)")
+    parser.add_argument("--again", action="store_true", help="draw even if the same survey lies there")
+    given = parser.parse_args(arguments)
+    make = DrawnScene.tiny if given.tiny else DrawnScene
+    try:
+        with Progress() as progress:
+            scene = make(shore=given.shore, water=not given.dry, seed=given.seed)
+            draw_survey(given.folder, scene, again=given.again, progress=progress)
+    except (SurveyError, OSError) as error:
+        parser.error(str(error))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,142 @@
+"""A drawn ground: the shape of the bed, the bodies on it, and their paint."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from refract import PinholeCamera
+from survey.simulate.drawn_scene import DrawnScene
+from survey.simulate.extent import seen_area
+from survey.simulate.ground import Ground, Look, shade_beside_bed, shade_of_map
+from survey.simulate.light import Light
+from survey.simulate.paint import ROCK, in_texels, light_of_bed, noise, periodic, sand
+from survey.simulate.shapes import BedGrid, Solid, rotation
+from survey.simulate.skin import ImageSkin, skin_from_above
+
+# A body, its colour, and the direction of its grain.
+Body = tuple[Solid, tuple[float, float, float], np.ndarray | None]
+
+_WOOD, _CLAY = (0.42, 0.29, 0.18), (0.60, 0.33, 0.20)
+
+
+def build_ground(scene: DrawnScene, cameras: Sequence[PinholeCamera], light: Light) -> Ground:
+    """The ground of a scene, as wide as cameras see."""
+    rng = np.random.default_rng([scene.seed, 2])
+    west, south, east, north = seen_area(cameras, scene.size_m, -1.5 * scene.depth_m)
+    cell, texel = scene.cell_m, scene.texel_m
+    shape = (math.ceil((north - south) / cell) + 1, math.ceil((east - west) / cell) + 1)
+    x = west + cell * np.arange(shape[1])
+    y = (south + cell * np.arange(shape[0]))[:, None]
+    heights = _heights(scene, x, y, rng)
+    stones = _add_stones(heights, rng, scene)
+    bed = BedGrid(heights, west, south, cell)
+    bodies = _bodies(scene, bed, rng) if scene.objects else ()
+    solids = tuple(solid for solid, _, _ in bodies)
+    stone = in_texels(stones, cell, texel)
+    skin = skin_from_above(sand(stone.shape, texel, rng, stone), west, south, texel)
+    looks = [Look(skin, shade_of_map(bed, light_of_bed(bed, solids, light)))]
+    tile = np.exp(sum(0.15 * periodic(rng, size) for size in (2, 4, 8, 32))).astype(np.float32)
+    looks += [Look(_skin(scene, solid, tile, *paint), shade_beside_bed(solid, bed, light)) for solid, *paint in bodies]
+    return Ground(bed, solids, tuple(looks))
+
+
+def _skin(
+    scene: DrawnScene, solid: Solid, tile: np.ndarray, colour: tuple[float, float, float], grain: np.ndarray | None
+) -> ImageSkin:
+    """A periodic tile of brightness, laid along each plane of a body; stretched along its grain, if it has one."""
+    along, stretch = (np.array([0.8, 0.0, 0.6]), 1.0) if grain is None else (grain, 0.15)
+    across = np.cross(solid.normals, along) + 1e-12
+    across = across / np.linalg.norm(across, axis=1, keepdims=True)
+    axes = np.stack([across, stretch * np.cross(across, solid.normals)], axis=1) / scene.texel_m
+    # Planes show different parts of the tile.
+    shift = np.arange(len(axes))[:, None] * (7.0, 31.0) - axes @ solid.centre
+    image = tile[..., None] * np.array(colour, dtype=np.float32)
+    return ImageSkin(image, np.concatenate([axes, shift[..., None]], axis=-1), np.arange(len(axes)), repeats=True)
+
+
+def _heights(scene: DrawnScene, x: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Heights of the bed (ny, nx) [m]: a large shape, ripples in places, and roughness down to 5 cm."""
+    shape = (y.size, x.size)
+
+    def wave(spacing_m: float) -> np.ndarray:
+        return noise(rng, shape, max(spacing_m / scene.cell_m, 1.0))
+
+    unit, depth = scene.unit_m, scene.depth_m
+    height = -depth * (1.0 + 0.07 * wave(3.5 * unit) + 0.02 * wave(1.2 * unit))
+    if scene.shore:
+        share = np.clip((y / scene.size_m[1] + 0.45) / 0.95, 0.0, 1.0)
+        height = height * (1.0 - share) + 0.32 * depth * share
+    angle = rng.uniform(0.0, math.pi)
+    phase = (x * math.cos(angle) + y * math.sin(angle)) * (2.0 * math.pi / 0.32) + 1.5 * wave(1.0)
+    height += 0.012 * np.sin(phase) * np.clip(wave(1.5), 0.0, 1.0)
+    for spacing in (0.4, 0.2, 0.1, 0.05):
+        height += 0.05 * spacing * wave(spacing)
+    return height.astype(np.float64)
+
+
+def _add_stones(heights: np.ndarray, rng: np.random.Generator, scene: DrawnScene) -> np.ndarray:
+    """Add half-buried stones of 8 to 26 cm to `heights`; their brightness (ny, nx), 0 elsewhere."""
+    ny, nx = heights.shape
+    stones = np.zeros((ny, nx), dtype=np.float32)
+    count = int(1.5 * ny * nx * scene.cell_m**2)
+    centres = rng.uniform((0.0, 0.0), (nx - 1.0, ny - 1.0), (count, 2))
+    radii = rng.uniform(0.04, 0.04 + 0.09 * min(1.0, 2.0 * scene.unit_m), count) / scene.cell_m
+    looks = np.stack([rng.uniform(0.6, 1.5, count), rng.uniform(0.4, 0.8, count)], axis=-1)
+    for (u, v), radius, (bright, flatness) in zip(centres, radii, looks, strict=True):
+        i0, i1 = max(int(u - radius), 0), min(int(u + radius) + 2, nx)
+        j0, j1 = max(int(v - radius), 0), min(int(v + radius) + 2, ny)
+        apart = ((np.arange(i0, i1) - u) ** 2 + ((np.arange(j0, j1) - v) ** 2)[:, None]) / radius**2
+        cap = flatness * radius * scene.cell_m * np.sqrt(np.maximum(1.0 - apart, 0.0))
+        heights[j0:j1, i0:i1] += cap
+        stones[j0:j1, i0:i1] = np.where(apart < 1.0, bright, stones[j0:j1, i0:i1])
+    return stones
+
+
+def _bodies(scene: DrawnScene, bed: BedGrid, rng: np.random.Generator) -> list[Body]:
+    """An upturned boat, a crate, a log, an amphora and rocks, spread over the area."""
+    unit = scene.unit_m
+
+    def place(points: np.ndarray, x: float, y: float, turn: np.ndarray, lift: float) -> np.ndarray:
+        x, y = x * scene.size_m[0], y * scene.size_m[1]
+        return unit * points @ turn.T + (x, y, float(bed.height(x, y)) + unit * lift)
+
+    turn = rotation(0.7, 0.02, 0.12)
+    bodies = [(Solid.around(place(_boat(), -0.17, -0.10, turn, 0.02)), _WOOD, turn[:, 0])]
+    turn = rotation(0.35, 0.1, 0.15)
+    box = np.stack(np.meshgrid([-0.4, 0.4], [-0.3, 0.3], [-0.2, 0.3]), axis=-1).reshape(-1, 3)
+    bodies.append((Solid.around(place(box, 0.22, 0.10, turn, 0.1)), _WOOD, turn[:, 0]))
+    turn = rotation(2.3, 0.03)
+    bodies.append((Solid.around(place(_frustum(-1.3, 0.14, 1.3, 0.11), 0.10, -0.28, turn, 0.09)), _WOOD, turn[:, 0]))
+    turn = rotation(-0.6, -0.12)
+    for (x0, r0), (x1, r1) in itertools.pairwise(_AMPHORA):
+        bodies.append((Solid.around(place(_frustum(x0, r0, x1, r1), 0.05, 0.27, turn, 0.15)), _CLAY, None))
+    for x, y in ((-0.33, 0.25), (-0.24, 0.34), (0.34, -0.12), (0.30, 0.34), (-0.35, -0.36), (0.02, 0.04)):
+        ball = rng.standard_normal((26, 3))
+        ball = ball / np.linalg.norm(ball, axis=1, keepdims=True) * rng.uniform(0.22, 0.5) * np.array([1.0, 0.8, 0.6])
+        colour = tuple(rng.uniform(0.8, 1.3) * np.array(ROCK))
+        bodies.append((Solid.around(place(ball, x, y, rotation(rng.uniform(0.0, 6.0)), 0.08)), colour, None))
+    return bodies
+
+
+# Places along its axis and radii there [m].
+_AMPHORA = ((-0.5, 0.03), (-0.38, 0.12), (-0.05, 0.21), (0.14, 0.19), (0.27, 0.07), (0.42, 0.06), (0.5, 0.09))
+
+
+def _boat() -> np.ndarray:
+    """Points of an upturned hull, 3.8 m long along x, keel up."""
+    s = np.linspace(-1.0, 1.0, 13)
+    wide, zero = 0.66 * (1.0 - np.abs(s) ** 2.4), 0.0 * s
+    gunwale = [np.stack([1.9 * s, side * wide, zero], axis=-1) for side in (-1.0, 1.0)]
+    chine = [np.stack([1.8 * s, side * 0.75 * wide, zero + 0.34], axis=-1) for side in (-1.0, 1.0)]
+    keel = np.stack([1.7 * s, zero, 0.52 - 0.12 * s**2], axis=-1)
+    return np.concatenate([*gunwale, *chine, keel])
+
+
+def _frustum(x0: float, radius0: float, x1: float, radius1: float, sides: int = 14) -> np.ndarray:
+    angle = 2.0 * math.pi * np.arange(sides) / sides
+    circle = np.stack([0.0 * angle, np.cos(angle), np.sin(angle)], axis=-1)
+    return np.concatenate([radius0 * circle + (x0, 0.0, 0.0), radius1 * circle + (x1, 0.0, 0.0)])

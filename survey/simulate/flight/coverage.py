@@ -1,0 +1,143 @@
+"""What a planned block sees of the bed through the water, and whether it can tell the level of the water."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from refract import PinholeCamera
+from refract.surfaces import WaterSurface
+from survey.simulate.flight.patterns import Site
+
+# Points along each axis of the area at which views are counted.
+_POINTS = 41
+# Points along each axis that stand for tie points.
+_TIES = 9
+# Changes of the level [m] and of a point [m] over which derivatives are taken: the projection is smooth over metres.
+_STEP = 1e-3
+# What stays in pictures of calibrated cameras that no adjustment removes [px].
+SYSTEMATIC_PX = 0.1
+# A level that systematic errors can shift by more than this is not observed [m]: the bed would follow by a third to a
+# half as much, beyond the vertical uncertainty of 0.25 m that IHO S-44 allows its special order at the surface.
+_LEVEL_KNOWN_M = 0.5
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What a block sees.
+
+    Attributes
+    ----------
+    footprints : (views, 5, 2) [m], local
+        East and north of the corners of each image on the bed, closed.
+    east, north : (columns,), (rows,) [m], local
+    num_views : (rows, columns)
+        Of a bed at its mean depth.
+    level_px_per_m : [px/m]
+        Root mean square of what an error of one metre in the water level leaves between the rays of a point, after
+        the point has moved to where they meet best. None for a dry block.
+    """
+
+    footprints: np.ndarray
+    east: np.ndarray
+    north: np.ndarray
+    num_views: np.ndarray
+    level_px_per_m: float | None
+
+    @property
+    def level_hidden_m(self) -> float | None:
+        """Error of the level that hides in systematic errors of the images [m]."""
+        return None if self.level_px_per_m is None else SYSTEMATIC_PX / max(self.level_px_per_m, 1e-9)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What to mend before flying, in sentences."""
+        found = []
+        hidden = self.level_hidden_m
+        if hidden is not None and hidden > _LEVEL_KNOWN_M:
+            found.append(
+                f"the block cannot observe the water level: an error of {min(hidden, 99.0):.1f} m leaves only "
+                f"{SYSTEMATIC_PX:g} px between its rays. Measure the level, or fly oblique views that cross "
+                '(patterns "oblique", "five" or "outer")'
+            )
+        few = float((self.num_views < 3).mean())
+        if few > 0.0:
+            found.append(
+                f"{100.0 * few:.0f} % of the area is seen by fewer than three photographs; give more overlap, or a "
+                "smaller area"
+            )
+        return found
+
+
+def coverage(cameras: Sequence[PinholeCamera], site: Site) -> Coverage:
+    """What a block sees of a level bed at the site's mean depth."""
+    half = 0.5 * np.array(site.size_m)
+    east, north = (np.linspace(-h, h, _POINTS) for h in half)
+    x, y = np.meshgrid(east, north)
+    points = np.stack([x, y, np.full_like(x, site.level - site.depth_m)], axis=-1)
+    num_views = sum(_sees(camera, points, site.water) for camera in cameras)
+    footprints = np.array([_footprint(camera, site) for camera in cameras])
+    sensitivity = None if site.water is None else _level_sensitivity(cameras, site)
+    return Coverage(footprints, east, north, num_views, sensitivity)
+
+
+def _sees(camera: PinholeCamera, points: np.ndarray, water: WaterSurface | None) -> np.ndarray:
+    pixels = camera.project(points, water)
+    return ((pixels > 0.0) & (pixels < (camera.width, camera.height))).all(axis=-1)
+
+
+def _footprint(camera: PinholeCamera, site: Site) -> np.ndarray:
+    """East and north (5, 2) [m] of the corners of an image on the bed, through the water."""
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]]) * (camera.width, camera.height)
+    path = camera.paths(corners, site.water)
+    bed = site.level - site.depth_m
+    if site.water is None:
+        t = (bed - camera.centre[2]) / path.air_direction[:, 2]
+        return (camera.centre + t[:, None] * path.air_direction)[:, :2]
+    t = (bed - path.crossing[:, 2]) / path.water_direction[:, 2]
+    return (path.crossing + t[:, None] * path.water_direction)[:, :2]
+
+
+def _level_sensitivity(cameras: Sequence[PinholeCamera], site: Site) -> float:
+    """See `Coverage.level_px_per_m`.
+
+    Notes
+    -----
+    Per point, with J the derivatives of its pixels by its place and l those by the level: what the point cannot
+    follow is ``l - J (J'J)^-1 J' l``.
+    """
+    half = 0.45 * np.array(site.size_m)
+    x, y = (c.ravel() for c in np.meshgrid(*(np.linspace(-h, h, _TIES) for h in half)))
+    points = np.stack([x, y, np.full(x.size, site.level - site.depth_m)], axis=-1)
+    seen = np.array([_sees(camera, points, site.water) for camera in cameras])
+
+    def pixels(moved: np.ndarray) -> np.ndarray:
+        return np.array([camera.project(moved, site.water) for camera in cameras])
+
+    by_point = np.stack([_derivative(pixels, points, axis) for axis in np.eye(3)], axis=-1)
+    # Water that rises by dz is water at rest with cameras and points lower by dz.
+    up = np.array([0.0, 0.0, 1.0])
+    lifted = [_lowered(camera) for camera in cameras]
+    lowered = np.array([camera.project(points - _STEP * up, site.water) for camera in lifted])
+    by_level = (lowered - pixels(points)) / _STEP
+    left, count = 0.0, 0
+    for k in range(len(points)):
+        views = seen[:, k]
+        if views.sum() < 3:
+            continue
+        j, level = by_point[views, k].reshape(-1, 3), by_level[views, k].ravel()
+        rest = level - j @ np.linalg.lstsq(j, level, rcond=None)[0]
+        left, count = left + rest @ rest, count + len(rest)
+    return float(np.sqrt(left / count)) if count else 0.0
+
+
+def _derivative(pixels: Callable[[np.ndarray], np.ndarray], points: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    return (pixels(points + _STEP * axis) - pixels(points - _STEP * axis)) / (2.0 * _STEP)
+
+
+def _lowered(camera: PinholeCamera) -> PinholeCamera:
+    centre = camera.centre - np.array([0.0, 0.0, _STEP])
+    own = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
+    return PinholeCamera(centre, camera.cam_from_local, *own)

@@ -1,0 +1,194 @@
+"""Where photographs are taken from, for the patterns that surveys fly."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from refract import PinholeCamera
+from refract.surfaces import WaterSurface
+from survey.errors import SurveyError
+from survey.photos.cameras import Lens
+from survey.simulate.flight.settings import FlightSettings
+
+# The upper border of an image stays this far below the horizon [rad]: water mirrors there, and footprints are endless.
+_BELOW_HORIZON = math.radians(10.0)
+# A thousand photographs a hectare are no survey but a slip in an overlap.
+_MOST_VIEWS = 5000
+
+
+# East and north [m], tilt from the plumb line and heading, clockwise from north [rad].
+Pose = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Site:
+    """What is flown over, local.
+
+    Attributes
+    ----------
+    size_m : (east, north) [m]
+        About the origin.
+    depth_m : [m]
+        Of the bed below the water, on average; 0 for a dry site.
+    water : WaterSurface or None
+    """
+
+    size_m: tuple[float, float]
+    depth_m: float
+    water: WaterSurface | None
+
+    @property
+    def level(self) -> float:
+        """Height of the water at the origin [m], local; 0 where there is none."""
+        return 0.0 if self.water is None else float(self.water.height(0.0, 0.0))
+
+    def flying_height(self, flight: FlightSettings, focal_px: float) -> float:
+        """Height of the cameras above the water [m].
+
+        Through water, the bed at depth h straight below looks as far as ``H + h / n``.
+        """
+        if flight.height_m is not None:
+            return flight.height_m
+        height = flight.gsd_m * focal_px - self.seeming_depth
+        if height <= 0.0:
+            raise SurveyError(
+                f"flight.gsd_m is {flight.gsd_m:g}, for which the camera would have to be {-height:.2f} m under the "
+                "water; give a coarser one, or a longer focal length"
+            )
+        return height
+
+    @property
+    def seeming_depth(self) -> float:
+        """How far below the water the bed seems to be, straight below a camera [m]."""
+        return self.depth_m / (1.0 if self.water is None else float(self.water.n_water))
+
+
+def plan_flight(flight: FlightSettings, lens: Lens, site: Site, seed: int) -> list[PinholeCamera]:
+    """The cameras of a flight, local, in the order in which they are flown.
+
+    Raises
+    ------
+    SurveyError
+        If the flight has fewer than three or too many photographs, or one of them shows the horizon.
+    """
+    half_down = math.atan(0.5 * lens.height / lens.focal[1])
+    tilts = [flight.tilt_deg, *flight.ring_tilts_deg] if set(flight.patterns) != {"nadir"} else [0.0]
+    if math.radians(max(tilts)) + half_down > 0.5 * math.pi - _BELOW_HORIZON:
+        raise SurveyError(
+            f"views tilted by {max(tilts):g} degrees show the horizon with this lens, whose half angle is "
+            f"{math.degrees(half_down):.1f} degrees; give a smaller tilt or a longer focal length"
+        )
+    height = site.flying_height(flight, lens.focal[0])
+    heading, tilt = math.radians(flight.heading_deg), math.radians(flight.tilt_deg)
+    poses = []
+    for pattern in flight.patterns:
+        if pattern == "nadir":
+            poses += [(x, y, 0.0, turn) for x, y, turn in _strips(flight, lens, site, height)]
+        elif pattern == "five":
+            for x, y, turn in _strips(flight, lens, site, height):
+                poses += [(x, y, 0.0, turn)] + [(x, y, tilt, turn + k * 0.5 * math.pi) for k in range(4)]
+        elif pattern == "oblique":
+            poses += _rings(flight, site, height)
+        else:
+            poses += _outer(flight, lens, site, height, heading)
+    if not 3 <= len(poses) <= _MOST_VIEWS:
+        raise SurveyError(
+            f"the flight has {len(poses)} photographs, expected 3 to {_MOST_VIEWS}; change the overlaps, the height or "
+            "the area"
+        )
+    shakes = flight.wobble * np.random.default_rng([seed, 1]).standard_normal((len(poses), 6))
+    return [_camera(pose, site.level, lens, height, shake) for pose, shake in zip(poses, shakes, strict=True)]
+
+
+def _footprint(lens: Lens, site: Site, height: float) -> tuple[float, float]:
+    """Width and height [m] of what a camera that looks down sees of the bed."""
+    sizes = []
+    for size, focal in zip((lens.width, lens.height), lens.focal, strict=True):
+        tangent = 0.5 * size / focal
+        n = 1.0 if site.water is None else float(site.water.n_water)
+        in_air = math.atan(tangent)
+        in_water = math.tan(math.asin(math.sin(in_air) / n))
+        sizes.append(2.0 * (height * tangent + site.depth_m * in_water))
+    return sizes[0], sizes[1]
+
+
+def _strips(flight: FlightSettings, lens: Lens, site: Site, height: float) -> list[tuple[float, float, float]]:
+    """x, y [m] and heading [rad] along strips, to and fro, over the whole area."""
+    heading = math.radians(flight.heading_deg)
+    ahead, aside = _axes(heading)
+    long, wide = _extent(site, ahead), _extent(site, aside)
+    across, along = _footprint(lens, site, height)
+    step, gap = along * (1.0 - flight.forward_overlap), across * (1.0 - flight.side_overlap)
+    num_strips = max(math.ceil(wide / gap) + 1, 1)
+    num_views = max(math.ceil(long / step) + 1, 1)
+    places = []
+    for strip in range(num_strips):
+        b = (strip - 0.5 * (num_strips - 1)) * gap
+        order = range(num_views) if strip % 2 == 0 else reversed(range(num_views))
+        for view in order:
+            x, y = (view - 0.5 * (num_views - 1)) * step * ahead + b * aside
+            places.append((float(x), float(y), heading + math.pi * (strip % 2)))
+    return places
+
+
+def _rings(flight: FlightSettings, site: Site, height: float) -> list[Pose]:
+    """x, y [m], tilt and heading [rad] of views from all around at the point of interest."""
+    poses = []
+    tilts = flight.ring_tilts_deg or (flight.tilt_deg,)
+    for ring, tilt_deg in enumerate(tilts):
+        tilt = math.radians(tilt_deg)
+        reach = (height + site.seeming_depth) * math.tan(tilt)
+        for view in range(flight.ring_views):
+            # Rings are turned against each other, so that no two views look from the same side.
+            heading = 2.0 * math.pi * (view + ring / len(tilts)) / flight.ring_views
+            x, y = np.array(flight.target) - reach * _axes(heading)[0]
+            poses.append((float(x), float(y), tilt, heading))
+    return poses
+
+
+def _outer(flight: FlightSettings, lens: Lens, site: Site, height: float, heading: float) -> list[Pose]:
+    """x, y [m], tilt and heading [rad] of strips outside the four sides that look at the area's border."""
+    tilt = math.radians(flight.tilt_deg)
+    reach = (height + site.seeming_depth) * math.tan(tilt)
+    # Seen aslant the footprint is wider; that of the middle row counts.
+    across = _footprint(lens, site, height)[0] / math.cos(tilt)
+    step = across * (1.0 - flight.forward_overlap)
+    poses = []
+    for side in range(4):
+        inward = heading + 0.5 * math.pi * side
+        ahead, aside = _axes(inward)
+        long = _extent(site, aside)
+        num_views = max(math.ceil(long / step) + 1, 1)
+        start = -(0.5 * _extent(site, ahead) + reach) * ahead
+        for view in range(num_views):
+            # From right to left, so that the next side begins where this one ends.
+            x, y = start - (view - 0.5 * (num_views - 1)) * step * aside
+            poses.append((float(x), float(y), tilt, inward))
+    return poses
+
+
+def _camera(pose: Pose, level: float, lens: Lens, height: float, shake: np.ndarray) -> PinholeCamera:
+    """A camera at x, y [m], tilted toward a heading, to which the top of its image points; shaken (6,) [-, rad]."""
+    x, y, tilt, heading = pose
+    centre = np.array([x, y, level + height]) + height * shake[:3]
+    heading, tilt = heading + shake[3], tilt + shake[4]
+    ahead, _ = _axes(heading)
+    forward = np.array([*(math.sin(tilt) * ahead), -math.cos(tilt)])
+    top = np.array([*(math.cos(tilt) * ahead), math.sin(tilt)])
+    right = np.cross(forward, top)
+    c, s = math.cos(shake[5]), math.sin(shake[5])
+    return lens.pinhole(centre, np.stack([c * right - s * top, -c * top - s * right, forward]))
+
+
+def _axes(heading: float) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors (east, north) ahead and to the right of a heading [rad], clockwise from north."""
+    ahead = np.array([math.sin(heading), math.cos(heading)])
+    return ahead, np.array([ahead[1], -ahead[0]])
+
+
+def _extent(site: Site, axis: np.ndarray) -> float:
+    """Of the area along a horizontal unit vector [m]."""
+    return float(np.abs(axis) @ np.array(site.size_m))

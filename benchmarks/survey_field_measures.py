@@ -14,7 +14,7 @@ from evaluation.images import quality as image_quality
 from evaluation.images.parts import largest_rectangle
 from geo import read_cloud, read_reference
 from survey.folder.survey import Survey, View, load_image, load_mask
-from survey.run.stages import local_area, within
+from survey.plan.block import local_area, within
 
 TOLERANCES_M = (0.05, 0.2)
 # A point is of a mast if it stands this far over all that is wider than this, in a raster of these cells.

@@ -15,9 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from fields.axes import axes_of
 from fields.device import Device
-
-AXES = {"x": (0, 1, 2), "y": (1, 0, 2), "z": (2, 0, 1)}
 
 
 @dataclass(frozen=True)
@@ -64,7 +63,7 @@ class Factors(nn.Module):
         planes = vectors = 0
         for grid in grids:
             for m in directions:
-                axis, a, b = AXES[m]
+                axis, a, b = axes_of(m)
                 self.tables.append((axis, a, b, planes, vectors))
                 planes += grid.along(a) * grid.along(b)
                 vectors += grid.along(axis)

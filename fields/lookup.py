@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fields.factors import AXES
+from fields.axes import axes_of
 
 # Numbers that a kernel reads and writes at once.
 PACKET = 4
@@ -100,7 +100,7 @@ class _Field:
         """What each direction reads of one scale at a point."""
         nodes = [_nodes(self.module, x, cells) for x, cells in zip(point, layout[:3], strict=True)]
         for place, direction in enumerate(self.directions):
-            axis, a, b = AXES[direction]
+            axis, a, b = axes_of(direction)
             yield _Read(
                 self, layout[3 + 2 * place : 5 + 2 * place], (nodes[axis], nodes[a], nodes[b]), layout[a], active
             )

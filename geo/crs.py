@@ -184,3 +184,9 @@ def _wkt1_of_3d(crs: CRS) -> str:
     horizontal = horizontal_crs(crs)
     name = f"{horizontal.name} + Ellipsoid ({axis.unit_name})"
     return f'COMPD_CS["{name}",{horizontal.to_wkt("WKT1_GDAL")},{vertical}]'
+
+
+def utm_code(lat_deg: float, lon_deg: float) -> int:
+    """EPSG code of the UTM zone (WGS 84) of a place [deg]; the exceptions about Norway and Svalbard are not made."""
+    zone = math.floor((lon_deg + 180.0) / 6.0) % 60 + 1
+    return (32600 if lat_deg >= 0.0 else 32700) + zone

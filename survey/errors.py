@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+# The settings of a survey, as messages name them.
+FILE_NAME = "survey.toml"
+
 
 class SurveyError(ValueError):
     """The survey, or what was asked of it, cannot be used as it is; the command line ends with code 2."""

@@ -20,6 +20,7 @@ from geo import read_cloud, read_reference
 from refract import FlatWater
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
+from survey.plan.block import load_block
 from survey.plan.plan import make_plan
 from survey.run import process as pipeline
 from survey.run import stages
@@ -126,7 +127,7 @@ def test_index_one_gives_the_heights_of_the_dry_code(dry):
     """Water of index 1 leaves rays straight: pixel by pixel the same heights as without water."""
     survey = load_survey(dry.folder)
     plan = make_plan(survey)
-    block = stages.load_block(survey, plan, lambda share: None)
+    block = load_block(survey, plan, lambda share: None)
     heights = []
     for water in (None, FlatWater((0.0, 0.0, -4.0), n_water=1.0)):
         block.water = water

@@ -110,8 +110,6 @@ def test_every_public_name_of_a_room_can_be_imported(room):
 
 
 def test_the_walk_sees_what_it_forbids():
-    tree = ast.parse(
-        "def f():\n    from survey.commands import app\n    p.write_text(open(q))\n    sys.exit(print())"
-    )
+    tree = ast.parse("def f():\n    from survey.commands import app\n    p.write_text(open(q))\n    sys.exit(print())")
     assert imported(tree) == {"survey.commands"}
     assert {"open", ".write_text", "sys.exit", "print"} <= called(tree)

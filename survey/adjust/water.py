@@ -22,8 +22,8 @@ from survey.errors import SurveyError
 from survey.folder.config import WaterConfig
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey
+from survey.plan.block import camera_of, limits, load_block
 from survey.plan.plan import make_plan
-from survey.run import stages
 
 PARAMETERS = ("level_m", "slope_east", "slope_north", "refractive_index")
 NADIR_DEG = 5.0
@@ -170,12 +170,12 @@ def measure_ties(survey: Survey, *, device: str = "auto", advance: Callable[[flo
     from survey.adjust.tie_points import measure
 
     plan = make_plan(survey, device=device)
-    block = stages.load_block(survey, plan, lambda _amount: None)
+    block = load_block(survey, plan, lambda _amount: None)
     try:
-        ties = measure(block, stages.limits(survey), advance)
+        ties = measure(block, limits(survey), advance)
     except ValueError as error:
         raise SurveyError(str(error)) from error
-    full = [(view.camera, stages.camera_of(view, plan)) for view in survey.views]
+    full = [(view.camera, camera_of(view, plan)) for view in survey.views]
     enlarge = np.array([(camera.fx / used.fx, camera.fy / used.fy) for camera, used in full])
     return replace(ties, pixel=ties.pixel * enlarge[ties.view])
 

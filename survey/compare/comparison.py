@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,49 +28,10 @@ from survey.compare.inputs import (
 )
 from survey.compare.options import CompareOptions, check_options, outlier_filter
 from survey.compare.pictures import write_report
+from survey.compare.result import Comparison
 from survey.progress import current
 
 __all__ = ["CompareOptions", "Comparison", "compare_files", "compare_surfaces"]
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """A finished comparison.
-
-    Attributes
-    ----------
-    numbers : dict
-        As `compare_files` returns it.
-    points : (N, 3), in crs
-        The compared points.
-    distances : (N,) [m]
-        Theirs; signed unless the reference is a cloud.
-    nearest : (N, 3) [m], local
-        The nearest points of the reference.
-    depth : (N,) [m] or None
-        Of the reference below the water at those, where it is known.
-    targets : (M, 3), in crs
-        What should be reached: the visible points, else samples of the reference.
-    is_reached : (M,) bool
-        At the first tolerance.
-    inputs : Inputs
-    """
-
-    numbers: dict
-    points: np.ndarray
-    distances: np.ndarray
-    nearest: np.ndarray
-    depth: np.ndarray | None
-    targets: np.ndarray
-    is_reached: np.ndarray
-    inputs: Inputs
-
-    @property
-    def distances_of_cloud(self) -> np.ndarray:
-        """Distances of all points of the file [m], in its order, NaN outside the bounds."""
-        distances = np.full(len(self.inputs.inside), np.nan)
-        distances[self.inputs.inside] = self.distances
-        return distances
 
 
 def compare_files(cloud: Path, reference: Path, *, options: CompareOptions | None = None) -> dict:

@@ -14,7 +14,7 @@ from survey.compare.bands import draw_bands, has_bands
 from survey.compare.canvas import INK, canvas, draw_cells, length_text, mean_per_cell, nice_limit, save, write_title
 
 if TYPE_CHECKING:
-    from survey.compare.comparison import Comparison
+    from survey.compare.result import Comparison
 
 _BLUE, _RED = "#2f6f9f", "#c3140d"
 _REACHED = LinearSegmentedColormap.from_list("reached", ["#c9d6df", "#f0a48c", _RED])

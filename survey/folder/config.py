@@ -12,8 +12,6 @@ from pathlib import Path
 from survey.errors import ConfigError
 from survey.folder import keys
 
-FILE_NAME = "survey.toml"
-
 
 @dataclass(frozen=True)
 class ImagesConfig:

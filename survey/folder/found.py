@@ -8,9 +8,9 @@ from pathlib import Path
 from pyproj import CRS
 
 from geo.crs import parse_crs
-from survey.errors import ConfigError, PosesError, SurveyError
+from survey.errors import FILE_NAME, ConfigError, PosesError, SurveyError
 from survey.folder import infer
-from survey.folder.config import FILE_NAME, SurveyConfig, read_config
+from survey.folder.config import SurveyConfig, read_config
 from survey.folder.water_level import with_level
 from survey.photos.exif import Exif, read_exif
 from survey.photos.formats import find_poses, find_unread

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,9 +9,9 @@ import numpy as np
 from pyproj import CRS, Transformer
 
 from geo.crs import horizontal_crs
-from survey.errors import ConfigError
-from survey.folder.config import FILE_NAME, ImagesConfig, SurveyConfig
-from survey.photos.exif import SUFFIXES, Exif
+from survey.errors import FILE_NAME, ConfigError
+from survey.folder.config import ImagesConfig, SurveyConfig
+from survey.photos.exif import SUFFIXES, Exif, utm_code_of
 from survey.photos.formats import colmap, read_poses
 
 # EXIF counts heights from the sea level; receivers mean the geoid model EGM96 by that.
@@ -55,7 +54,7 @@ def config_of_images(
     ConfigError
         Where there is too little to infer them from.
     """
-    code = utm_code(heads)
+    code = utm_code_of(heads)
     if code is None:
         raise ConfigError(
             f"{folder} has no {FILE_NAME}, and no image has a GPS position to infer it from; write {FILE_NAME} with "
@@ -77,19 +76,9 @@ def config_of_images(
     return replace(config, crs=crs)
 
 
-def utm_code(heads: dict[str, Exif]) -> int | None:
-    """EPSG code of the UTM zone (WGS 84) in which the GPS positions lie; None without positions."""
-    places = [head.lat_lon_height[:2] for head in heads.values() if head.lat_lon_height is not None]
-    if not places:
-        return None
-    lat, lon = np.median(np.array(places), axis=0)
-    zone = math.floor((lon + 180.0) / 6.0) % 60 + 1
-    return (32600 if lat >= 0.0 else 32700) + zone
-
-
 def crs_advice(heads: dict[str, Exif]) -> str:
     """What to write as crs, with the images' own UTM zone where they have positions."""
-    code = utm_code(heads) or 25832
+    code = utm_code_of(heads) or 25832
     return f'give the one of poses and heights, with a vertical part, e.g. crs = "EPSG:{code}+{_EGM96_HEIGHT}"'
 
 

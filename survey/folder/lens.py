@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from survey.errors import ConfigError, SurveyError
-from survey.folder.config import FILE_NAME, CamerasConfig
-from survey.photos.cameras import MODELS, Lens
+from refract.lens import MODELS, Lens, LensError
+from survey.errors import FILE_NAME, ConfigError
+from survey.folder.config import CamerasConfig
 from survey.photos.exif import Exif
 
 
@@ -47,7 +47,7 @@ def lens_from_config(cameras: CamerasConfig, heads: dict[str, Exif], assumptions
     values = {"f": fx, "fx": fx, "fy": fy, "cx": cx, "cy": cy, **dict(zip(coefficients, given, strict=True))}
     try:
         return Lens(model, tuple(values[name] for name in names), width, height)
-    except SurveyError as error:
+    except LensError as error:
         raise ConfigError(f"[cameras] in {FILE_NAME}: {error}") from error
 
 

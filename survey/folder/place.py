@@ -10,8 +10,8 @@ import numpy as np
 from geo.crs import height_unit_m, is_geographic
 from geo.frames import LocalFrame
 from refract import FlatWater
-from survey.errors import ConfigError, PosesError
-from survey.folder.config import FILE_NAME, SurveyConfig, WaterConfig
+from survey.errors import FILE_NAME, ConfigError, PosesError
+from survey.folder.config import SurveyConfig, WaterConfig
 from survey.folder.found import Found
 from survey.folder.infer import distances_to_exif
 from survey.folder.pairing import warn_of

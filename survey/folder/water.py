@@ -5,8 +5,8 @@ from __future__ import annotations
 import warnings
 
 from refract import water_index
-from survey.errors import ConfigError
-from survey.folder.config import FILE_NAME, WaterConfig
+from survey.errors import FILE_NAME, ConfigError
+from survey.folder.config import WaterConfig
 
 # Green light, where the three channels of a camera have their middle; blue bends 0.3 % more, red 0.2 % less.
 WAVELENGTH_NM = 550.0

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from survey.errors import ConfigError
-from survey.folder.config import FILE_NAME, SurveyConfig
+from survey.errors import FILE_NAME, ConfigError
+from survey.folder.config import SurveyConfig
 from survey.photos.exif import Exif
 
 SOURCES = ("shoreline", "gnss_points", "gauge")

@@ -1,4 +1,4 @@
-"""Lenses in COLMAP's camera models, and poses of cameras on their way into the local frame."""
+"""Poses of cameras on their way into the local frame, and photographs with their cameras."""
 
 from __future__ import annotations
 
@@ -9,89 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from refract import PinholeCamera
-from survey.errors import PosesError
-
-# Parameters in COLMAP's order; the id is the one of COLMAP's binary files.
-MODELS = {
-    "SIMPLE_PINHOLE": (0, ("f", "cx", "cy")),
-    "PINHOLE": (1, ("fx", "fy", "cx", "cy")),
-    "SIMPLE_RADIAL": (2, ("f", "cx", "cy", "k1")),
-    "RADIAL": (3, ("f", "cx", "cy", "k1", "k2")),
-    "OPENCV": (4, ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")),
-    "OPENCV_FISHEYE": (5, ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")),
-    "FULL_OPENCV": (6, ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")),
-}
+from refract.lens import Lens
 
 # Camera axes of photogrammetry (x right, y up, z back) to ours (x right, y down, z forward).
 CAM_FROM_OPK_CAM = np.diag([1.0, -1.0, -1.0])
-
-
-@dataclass(frozen=True)
-class Lens:
-    """Interior orientation of a photograph as it was taken, distortion included.
-
-    Attributes
-    ----------
-    model : str
-        One of COLMAP's camera models, a key of `MODELS`.
-    params : tuple of float
-        In COLMAP's order; focal lengths and principal point in px, the centre of the first pixel at (0.5,
-        0.5).
-    width, height : [px]
-
-    Raises
-    ------
-    PosesError
-        If the model is not supported, or the numbers do not fit it or are not finite.
-    """
-
-    model: str
-    params: tuple[float, ...]
-    width: int
-    height: int
-
-    def __post_init__(self):
-        if self.model not in MODELS:
-            raise PosesError(
-                f"camera model {self.model} is not supported, expected one of {', '.join(MODELS)}; undistort the "
-                "images with the program that made the poses, or convert the model"
-            )
-        names = MODELS[self.model][1]
-        if len(self.params) != len(names):
-            raise PosesError(
-                f"camera model {self.model} has {len(self.params)} numbers, expected {len(names)}: {', '.join(names)}"
-            )
-        if not all(math.isfinite(p) for p in self.params) or min(self.focal) <= 0.0:
-            raise PosesError(
-                f"camera model {self.model} has the numbers {self.params}, expected finite ones and a focal length "
-                "above zero; correct the camera"
-            )
-        if self.width < 1 or self.height < 1:
-            raise PosesError(f"a camera has {self.width} x {self.height} pixels, expected at least one; correct it")
-
-    def __getitem__(self, name: str) -> float:
-        """The parameter of that name; zero for a distortion that the model does not have."""
-        names = MODELS[self.model][1]
-        return self.params[names.index(name)] if name in names else 0.0
-
-    @property
-    def focal(self) -> tuple[float, float]:
-        """Focal lengths fx, fy [px]."""
-        names = MODELS[self.model][1]
-        return (self["f"], self["f"]) if "f" in names else (self["fx"], self["fy"])
-
-    @property
-    def is_distorted(self) -> bool:
-        """Whether any coefficient of distortion differs from zero."""
-        names = MODELS[self.model][1]
-        distorted = any(p != 0.0 for name, p in zip(names, self.params, strict=True) if name[0] in "kp")
-        # A fisheye lens maps by the angle, even with all its coefficients at zero.
-        return distorted or self.model == "OPENCV_FISHEYE"
-
-    def pinhole(self, centre, cam_from_local) -> PinholeCamera:
-        """The undistorted camera of the same focal length, principal point and size, at a pose in local."""
-        fx, fy = self.focal
-        return PinholeCamera(centre, cam_from_local, fx, fy, self["cx"], self["cy"], self.width, self.height)
 
 
 @dataclass(frozen=True)

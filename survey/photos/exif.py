@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import numpy as np
 from PIL import ExifTags, Image, UnidentifiedImageError
 
+from geo.crs import utm_code
 from survey.errors import ImageError
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
@@ -137,3 +139,9 @@ def _number(value) -> float:
         return float(value)
     except (TypeError, ValueError, ZeroDivisionError):
         return math.nan
+
+
+def utm_code_of(heads: dict[str, Exif]) -> int | None:
+    """EPSG code of the UTM zone (WGS 84) in which the GPS positions of photographs lie; None without positions."""
+    places = [head.lat_lon_height[:2] for head in heads.values() if head.lat_lon_height is not None]
+    return utm_code(*np.median(np.array(places), axis=0)) if places else None

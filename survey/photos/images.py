@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
+from refract.lens import Lens
 from survey.errors import ImageError
-from survey.photos.cameras import Lens, View
+from survey.photos.cameras import View
 from survey.photos.exif import SUFFIXES
 
 # A complete JPEG ends with this marker, which the compressed pixels never contain.

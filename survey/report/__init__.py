@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from pathlib import Path
 
-from survey.report.facts import ReportFacts, figures_of
+from geo.files import write_whole
+from survey.report.facts import ReportFacts
+from survey.report.figures import figures_of
 from survey.report.page import render_page
 from survey.report.pictures import draw_pictures
-from survey.run.folder import RunDir
 
 __all__ = ["NUM_STEPS", "ReportFacts", "write_report"]
 
@@ -16,12 +18,13 @@ __all__ = ["NUM_STEPS", "ReportFacts", "write_report"]
 NUM_STEPS = 13
 
 
-def write_report(run: RunDir, facts: ReportFacts, advance: Callable[[], None] = lambda: None) -> dict:
-    """Write pictures, report.json and report.html of a run; each file is written whole or not at all.
+def write_report(folder: Path, facts: ReportFacts, advance: Callable[[], None] = lambda: None) -> dict:
+    """Write pictures/, report.json and report.html into a folder; each file is written whole or not at all.
 
     Parameters
     ----------
-    run : RunDir
+    folder : Path
+        That of the run.
     facts : ReportFacts
     advance : callable
         Called after each picture.
@@ -37,8 +40,13 @@ def write_report(run: RunDir, facts: ReportFacts, advance: Callable[[], None] = 
         If a file cannot be written, or the photograph that is shown cannot be read.
     """
     figures = figures_of(facts)
-    pictures = draw_pictures(run.pictures_path, facts, advance)
+    pictures = draw_pictures(folder / "pictures", facts, advance)
     page = render_page(figures, pictures)
-    run.write_text(run.report_json_path, json.dumps(figures, indent=2, ensure_ascii=False, allow_nan=False))
-    run.write_text(run.report_html_path, page)
+    _write(folder / "report.json", json.dumps(figures, indent=2, ensure_ascii=False, allow_nan=False))
+    _write(folder / "report.html", page)
     return figures
+
+
+def _write(path: Path, text: str) -> None:
+    with write_whole(path) as stream:
+        stream.write(text.encode())

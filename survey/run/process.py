@@ -16,19 +16,20 @@ import numpy as np
 
 from fields.colour.true_colour import true_colours
 from fields.heads import WaterColumn
-from survey.adjust.stage import calibrated
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.errors import SurveyError
 from survey.folder.config import dump_config
 from survey.folder.survey import Survey, load_survey
+from survey.plan.block import backend, load_block, plane_name
 from survey.plan.plan import Plan, make_plan
 from survey.progress import Progress, current
 from survey.report import ReportFacts, write_report
 from survey.run import stages
 from survey.run.export import write_bed_las
-from survey.run.folder import RunDir, stage_key
+from survey.run.folder import RunDir, stage_key, versions
 from survey.run.stored import StoredBed, load_bed, load_depth_maps, save_bed, save_depth_maps
 from survey.run.stored_field import load_field, save_field, save_place
+from survey.run.water import calibrated
 from survey.run.water_colour import colour_is_known, colour_of, require_water, save_colour, with_colour
 
 QUALITY_GATE_FAILED = 3
@@ -153,7 +154,7 @@ class _Run:
         """The images, loaded when the first stage needs them."""
         if self._block is None:
             with self.progress.stage("Images", len(self.survey.views)) as stage:
-                self._block = stages.load_block(self.survey, self.plan, stage.advance)
+                self._block = load_block(self.survey, self.plan, stage.advance)
         return self._block
 
     def _stage(self, name: str, key: str, compute) -> Path:
@@ -171,7 +172,7 @@ class _Run:
         with self.progress.stage("Sweep", 1.0) as stage:
             bound, maps = stages.sweep_block(self.block, self.survey, self.plan, stage)
         low, high = bound
-        self.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {stages.plane_name(self.survey)}")
+        self.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(self.survey)}")
         save_depth_maps(folder / "maps.npz", maps)
 
     def _colour(self, folder: Path, sweep_folder: Path) -> None:
@@ -189,7 +190,7 @@ class _Run:
 
     def _bed(self, folder: Path, sweep_folder: Path, field_folder: Path | None) -> None:
         maps = load_depth_maps(sweep_folder / "maps.npz")
-        field = None if field_folder is None else load_field(field_folder, stages.backend(self.plan))
+        field = None if field_folder is None else load_field(field_folder, backend(self.plan))
         with self.progress.stage("Bed", len(maps)) as stage:
             bed, moved = stages.bed_points(self.block, self.survey, self.plan, maps, field, stage.advance)
         if field is not None:
@@ -238,9 +239,10 @@ class _Run:
             wet_pixel_share=share,
             comparison=comparison,
             sweep_comparison=without_field,
+            versions=versions(),
         )
         with self.progress.stage("Report"):
-            write_report(self.run, facts)
+            write_report(self.run.path, facts)
         self.progress.note(f"report: {self.run.report_html_path}")
         return self._gate(share, stored)
 

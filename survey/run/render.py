@@ -12,10 +12,11 @@ from fields.slab.novel_view import NovelView, render_view
 from geo.files import write_whole
 from geo.frames import LocalFrame
 from refract import PinholeCamera
+from refract.lens import Lens
 from survey.errors import SurveyError
 from survey.folder.config import CamerasConfig, SurveyConfig, read_config
 from survey.folder.lens import lens_from_config
-from survey.photos.cameras import Lens, Pose
+from survey.photos.cameras import Pose
 from survey.photos.formats import read_poses
 from survey.progress import current
 from survey.run.folder import RunDir

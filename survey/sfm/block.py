@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from survey.photos.cameras import Lens
-from survey.sfm.gps_fit import Similarity
+from geo.similarity import Similarity
+from refract.lens import Lens
 
 if TYPE_CHECKING:
     import pycolmap

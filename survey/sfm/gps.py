@@ -15,10 +15,8 @@ from pyproj.transformer import TransformerGroup
 
 from geo.crs import height_unit_m, horizontal_crs, is_geographic, parse_crs, vertical_crs
 from geo.frames import LocalFrame
-from survey.errors import ConfigError, PosesError
-from survey.folder.config import FILE_NAME
-from survey.folder.infer import utm_code
-from survey.photos.exif import Exif
+from survey.errors import FILE_NAME, ConfigError, PosesError
+from survey.photos.exif import Exif, utm_code_of
 
 # Mean sea level after EGM96: what consumer receivers and drones mean by height.
 _EGM96_HEIGHT = 5773
@@ -75,7 +73,7 @@ def gps_positions(heads: Mapping[str, Exif], crs: CRS | None, gps_height: str) -
         )
     notes = []
     if crs is None:
-        code = f"EPSG:{utm_code(heads)}+{_EGM96_HEIGHT}"
+        code = f"EPSG:{utm_code_of(heads)}+{_EGM96_HEIGHT}"
         crs = parse_crs(code)
         notes.append(f'crs = "{code}", the UTM zone of the GPS positions with heights above mean sea level (EGM96)')
     crs = parse_crs(crs)

@@ -22,9 +22,8 @@ from pyproj import CRS
 from geo.crs import height_unit_m
 from geo.files import write_whole
 from geo.frames import LocalFrame
-from survey.errors import ImageError, SurveyError
-from survey.folder.config import FILE_NAME
-from survey.photos.cameras import Lens
+from refract.lens import Lens
+from survey.errors import FILE_NAME, ImageError, SurveyError
 from survey.photos.exif import Exif, read_exif
 from survey.sfm import block as sfm_block
 from survey.sfm.gps import GpsPositions, gps_positions

@@ -16,13 +16,13 @@ import numpy as np
 
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
-from survey.errors import PosesError
-from survey.folder.config import FILE_NAME
+from geo.similarity import Similarity, robust_similarity
+from survey.errors import FILE_NAME, PosesError
 from survey.photos.exif import Exif
 from survey.sfm import block as sfm_block
 from survey.sfm.block import Sensor
 from survey.sfm.gps import GpsPositions
-from survey.sfm.gps_fit import MIN_STD_M, Similarity, gps_std, require_area, robust_similarity
+from survey.sfm.gps_fit import MIN_STD_M, gps_std, require_area
 
 if TYPE_CHECKING:
     import pycolmap

@@ -11,8 +11,8 @@ import numpy as np
 from geo.crs import parse_crs
 from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera
-from survey.errors import ConfigError, PosesError, SurveyError
-from survey.photos.cameras import MODELS, Lens
+from refract.lens import MODELS, Lens, LensError
+from survey.errors import ConfigError, SurveyError
 from survey.simulate.bed import bed_from_file
 from survey.simulate.flight import plan_flight
 from survey.simulate.flight.patterns import Site
@@ -111,7 +111,7 @@ def lens_of(camera: CameraSettings) -> Lens:
     values |= dict(zip(coefficients, camera.distortion, strict=True))
     try:
         return Lens(camera.model, tuple(values[name] for name in names), width, height)
-    except PosesError as error:
+    except LensError as error:
         raise ConfigError(f"[camera]: {error}") from error
 
 

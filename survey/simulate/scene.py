@@ -8,8 +8,8 @@ import numpy as np
 
 from geo.frames import LocalFrame
 from refract import PinholeCamera
+from refract.lens import Lens
 from refract.surfaces import WaterSurface
-from survey.photos.cameras import Lens
 from survey.simulate.render_direct import DirectRenderer
 from survey.simulate.sensor import Eye, Sensor
 from survey.simulate.water import WaterLevel

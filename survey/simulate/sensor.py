@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from refract import PinholeCamera
-from survey.photos.cameras import Lens
+from refract.lens import Lens, normalised
 
 # Radiance (N, 3) along rays from origins (N, 3) in directions (N, 3), with a seed for what is left to chance.
 Eye = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
@@ -118,58 +117,6 @@ def _rays_of(lens: Lens, camera: PinholeCamera) -> tuple[np.ndarray, np.ndarray,
     plane, change = normalised(lens)
     middle = np.concatenate([plane, np.ones((len(plane), 1))], axis=-1) @ camera.cam_from_local
     return middle, *(change[..., k] @ camera.cam_from_local[:2] for k in (0, 1))
-
-
-def normalised(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
-    """Where the pixels of a photograph look, at depth 1 in cam, and how that changes across a pixel.
-
-    Returns
-    -------
-    (pixels, 2), (pixels, 2, 2)
-        Row by row; the second is d(x, y) / d(u, v) [1/px].
-    """
-    u, v = np.meshgrid(np.arange(lens.width) + 0.5, np.arange(lens.height) + 0.5)
-    pixels = np.stack([u.ravel(), v.ravel()], axis=-1)
-    fx, fy = lens.focal
-    if not lens.is_distorted:
-        change = np.broadcast_to(np.diag([1.0 / fx, 1.0 / fy]), (len(pixels), 2, 2))
-        return (pixels - (lens["cx"], lens["cy"])) / (fx, fy), change
-    half = 0.5
-    across, down = (
-        undistorted(lens, pixels + step) - undistorted(lens, pixels - step) for step in ((half, 0.0), (0.0, half))
-    )
-    return undistorted(lens, pixels), np.stack([across, down], axis=-1)
-
-
-def undistorted(lens: Lens, pixels: np.ndarray) -> np.ndarray:
-    """Where pixels (N, 2) of a distorted photograph look, at depth 1 in cam (N, 2)."""
-    fx, fy = lens.focal
-    matrix = np.array([[fx, 0.0, lens["cx"]], [0.0, fy, lens["cy"]], [0.0, 0.0, 1.0]])
-    # Newton-like steps until they are below a billionth of the focal length.
-    until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
-    points = np.ascontiguousarray(pixels, dtype=np.float64)[:, None]
-    if lens.model == "OPENCV_FISHEYE":
-        return cv2.fisheye.undistortPoints(points, matrix, _coefficients(lens), criteria=until)[:, 0]
-    return cv2.undistortPoints(points, matrix, _coefficients(lens), criteria=until)[:, 0]
-
-
-def distorted(lens: Lens, pixels: np.ndarray) -> np.ndarray:
-    """Pixels (N, 2) of the photograph at which those (N, 2) of the pinhole camera appear; undoes `undistorted`."""
-    if not lens.is_distorted:
-        return pixels
-    (fx, fy), (cx, cy) = lens.focal, (lens["cx"], lens["cy"])
-    plane = np.ascontiguousarray((pixels - (cx, cy)) / (fx, fy))
-    matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    if lens.model == "OPENCV_FISHEYE":
-        return cv2.fisheye.distortPoints(plane[:, None], matrix, _coefficients(lens))[:, 0]
-    points = np.concatenate([plane, np.ones((len(plane), 1))], axis=-1)
-    return cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, _coefficients(lens))[0][:, 0]
-
-
-def _coefficients(lens: Lens) -> np.ndarray:
-    """In OpenCV's order."""
-    fisheye = lens.model == "OPENCV_FISHEYE"
-    return np.array([lens[name] for name in (("k1 k2 k3 k4") if fisheye else "k1 k2 p1 p2 k3 k4 k5 k6").split()])
 
 
 def _horizontal(direction: np.ndarray) -> np.ndarray:

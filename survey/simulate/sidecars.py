@@ -16,7 +16,8 @@ from geo import write_whole
 from geo.crs import horizontal_crs
 from geo.frames import LocalFrame
 from refract import PinholeCamera
-from survey.photos.cameras import CAM_FROM_OPK_CAM, MODELS
+from refract.lens import MODELS
+from survey.photos.cameras import CAM_FROM_OPK_CAM
 from survey.simulate.scene import Scene
 
 _JPEG_QUALITY = 92

@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from refract import PinholeCamera
-from survey.photos.cameras import Lens
+from refract.lens import Lens, distorted, normalised
 from survey.simulate.ground import Ground
 from survey.simulate.render_direct import DirectRenderer, depth_below
-from survey.simulate.sensor import distorted, normalised
 
 # Visible points are sought among so many per square metre of ground.
 _POINTS_PER_M2 = 1000

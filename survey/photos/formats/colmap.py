@@ -11,8 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
+from refract.lens import MODELS, Lens, LensError
 from survey.errors import PosesError
-from survey.photos.cameras import MODELS, Lens, Pose, rotation_from_quaternion
+from survey.photos.cameras import Pose, rotation_from_quaternion
 
 _NAME_OF_ID = {number: name for name, (number, _) in MODELS.items()}
 # Names and number of parameters of the models that COLMAP has beyond ours, so that an error can name them.
@@ -62,8 +63,8 @@ def _guarded(reader, path: Path):
     """What a reader finds; numbers that are cut off or no numbers become a sentence that names the file."""
     try:
         return reader(path)
-    except PosesError as error:
-        raise type(error)(f"{path}: {error}") from error
+    except (PosesError, LensError) as error:
+        raise PosesError(f"{path}: {error}") from error
     except (struct.error, ValueError, IndexError) as error:
         raise PosesError(
             f"{path} is damaged or no file of COLMAP ({error}); write the model anew with COLMAP's model_converter"

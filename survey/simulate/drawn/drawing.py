@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from geo.crs import parse_crs
 from geo.frames import LocalFrame
-from survey.photos.cameras import Lens
+from refract.lens import Lens
 from survey.simulate.drawn_ground import build_ground
 from survey.simulate.drawn_scene import DrawnScene
 from survey.simulate.light import Light

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from refract import PinholeCamera
+from refract.lens import Lens
 from refract.surfaces import WaterSurface
 from survey.errors import SurveyError
-from survey.photos.cameras import Lens
 from survey.simulate.flight.settings import FlightSettings
 
 # The upper border of an image stays this far below the horizon [rad]: water mirrors there, and footprints are endless.

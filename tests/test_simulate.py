@@ -14,18 +14,18 @@ from typer.testing import CliRunner
 
 from geo import read_reference
 from refract import FlatWater
+from refract.lens import Lens, distorted, undistorted
 from survey.commands.app import app
 from survey.errors import SurveyError
 from survey.folder.config import read_config
 from survey.folder.survey import load_image, load_survey
-from survey.photos.cameras import Lens
 from survey.simulate import writing
 from survey.simulate.ground import NOTHING, Ground, Look, shade_of_normals
 from survey.simulate.light import Light
 from survey.simulate.planning import plan_scene
 from survey.simulate.render_direct import DirectRenderer
 from survey.simulate.scene_file import read_scene
-from survey.simulate.sensor import Sensor, distorted, undistorted
+from survey.simulate.sensor import Sensor
 from survey.simulate.shapes import BedGrid
 from survey.simulate.simulate import simulate
 from survey.simulate.skin import VertexSkin

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from geo.crs import parse_crs
 from geo.errors import MissingVerticalDatum
 from geo.frames import LocalFrame
+from geo.similarity import fit_similarity, robust_similarity
 from refract import PinholeCamera
 from survey.errors import ConfigError, ImageError, PosesError, SurveyError
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
@@ -26,7 +27,7 @@ from survey.photos.exif import Exif
 from survey.sfm import block as sfm_block
 from survey.sfm import solve as sfm_solve
 from survey.sfm.gps import gps_positions
-from survey.sfm.gps_fit import MIN_STD_M, fit_similarity, gps_std, require_area, robust_similarity
+from survey.sfm.gps_fit import MIN_STD_M, gps_std, require_area
 from survey.sfm.poses import solve_poses
 
 # Some hundred roundings of coordinates of 1e3.

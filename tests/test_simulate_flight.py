@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from refract import FlatWater
+from refract.lens import Lens
 from survey.errors import SurveyError
-from survey.photos.cameras import Lens
 from survey.simulate.flight import FlightSettings, plan_flight
 from survey.simulate.flight.coverage import SYSTEMATIC_PX, coverage
 from survey.simulate.flight.patterns import Site

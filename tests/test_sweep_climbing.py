@@ -124,7 +124,7 @@ def test_an_image_without_texture_gives_scores_near_zero(device):
             image[:] = 30.0
 
     _, _, score, _ = climb_plane(device, BEDS["wet"], 0.0, spoil=flatten)
-    # Sums of squares of 30 in float32 against the floor of 1: a tenth of the figure of 97 in test_fields_matching.
+    # Sums of squares of 30 in float32 against the floor of 1: a tenth of the figure of 97 in test_sweep_matching.
     assert np.abs(score[score > -1.0]).max() < 1e-3
 
 

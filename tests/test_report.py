@@ -19,7 +19,7 @@ from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.folder.survey import load_survey
 from survey.plan.plan import Decision, Plan
 from survey.report import NUM_STEPS, ReportFacts, write_report
-from survey.report.facts import figures_of, plain
+from survey.report.figures import figures_of, plain
 from survey.report.raster import PlanGrid, hillshade, without_pinholes
 from survey.run.export import write_bed_las
 from survey.run.folder import RunDir

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from refract.lens import Lens
 from survey.adjust.water import PARAMETERS, calibrate, estimate, nadir_views
 from survey.folder.place import water_plane
 from survey.folder.survey import load_survey
-from survey.photos.cameras import Lens, View
+from survey.photos.cameras import View
 from tests.small_survey import small_survey
 from tests.small_water_block import FOCAL, SIZE, convergent, nadir, tie_points
 

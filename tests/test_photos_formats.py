@@ -13,9 +13,10 @@ from pyproj import CRS, Proj
 from small_survey import HEADER
 
 from geo.frames import LocalFrame
+from refract.lens import MODELS, Lens
 from survey.errors import PosesError
 from survey.folder.survey import load_survey
-from survey.photos.cameras import CAM_FROM_OPK_CAM, MODELS, Lens, grid_from_opk
+from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.photos.formats import colmap, find_poses, find_unread, opk_csv, read_poses
 
 # cameras.csv of the drawn surveys is written to 1e-5 m and 1e-8 degrees, the COLMAP model to 1e-12.

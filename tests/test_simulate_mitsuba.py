@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from refract import FlatWater, HeightFieldWater, PinholeCamera, WavyWater
-from survey.photos.cameras import Lens
+from refract.lens import Lens
 from survey.simulate.ground import Ground, Look, shade_of_normals
 from survey.simulate.light import Light
 from survey.simulate.render_direct import DirectRenderer

@@ -10,9 +10,9 @@ import pytest
 from small_survey import E0, LEVEL, N0, camera_lines, replaced, small_survey, write_image, write_poses
 
 from geo.frames import LocalFrame
+from refract.lens import Lens
 from survey.errors import ConfigError, PosesError
 from survey.folder.survey import find_survey, load_survey
-from survey.photos.cameras import Lens
 
 
 def test_without_survey_toml_the_zone_comes_from_the_positions_and_it_says_what_it_assumed(tmp_path):

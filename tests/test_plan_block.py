@@ -6,7 +6,7 @@ import pytest
 from small_survey import TOML, small_survey
 
 from survey.folder.survey import load_survey
-from survey.run.stages import limits
+from survey.plan.block import limits
 
 FLYING_M = 20.0
 

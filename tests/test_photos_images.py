@@ -10,8 +10,9 @@ import pytest
 from PIL import Image
 from small_survey import write_image
 
+from refract.lens import Lens
 from survey.errors import ImageError
-from survey.photos.cameras import Lens, View
+from survey.photos.cameras import View
 from survey.photos.exif import read_exif
 from survey.photos.images import list_images, load_image, load_mask, require_complete
 

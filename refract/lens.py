@@ -1,0 +1,146 @@
+"""Lenses in COLMAP's camera models, distortion included: from pixels to directions and back."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from refract.camera import PinholeCamera
+
+# Parameters in COLMAP's order; the id is the one of COLMAP's binary files.
+MODELS = {
+    "SIMPLE_PINHOLE": (0, ("f", "cx", "cy")),
+    "PINHOLE": (1, ("fx", "fy", "cx", "cy")),
+    "SIMPLE_RADIAL": (2, ("f", "cx", "cy", "k1")),
+    "RADIAL": (3, ("f", "cx", "cy", "k1", "k2")),
+    "OPENCV": (4, ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")),
+    "OPENCV_FISHEYE": (5, ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")),
+    "FULL_OPENCV": (6, ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")),
+}
+
+
+class LensError(ValueError):
+    """Numbers that are no lens."""
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Interior orientation of a photograph as it was taken, distortion included.
+
+    Attributes
+    ----------
+    model : str
+        One of COLMAP's camera models, a key of `MODELS`.
+    params : tuple of float
+        In COLMAP's order; focal lengths and principal point in px, the centre of the first pixel at (0.5,
+        0.5).
+    width, height : [px]
+
+    Raises
+    ------
+    LensError
+        If the model is not supported, or the numbers do not fit it or are not finite.
+    """
+
+    model: str
+    params: tuple[float, ...]
+    width: int
+    height: int
+
+    def __post_init__(self):
+        if self.model not in MODELS:
+            raise LensError(
+                f"camera model {self.model} is not supported, expected one of {', '.join(MODELS)}; undistort the "
+                "images with the program that made the poses, or convert the model"
+            )
+        names = MODELS[self.model][1]
+        if len(self.params) != len(names):
+            raise LensError(
+                f"camera model {self.model} has {len(self.params)} numbers, expected {len(names)}: {', '.join(names)}"
+            )
+        if not all(math.isfinite(p) for p in self.params) or min(self.focal) <= 0.0:
+            raise LensError(
+                f"camera model {self.model} has the numbers {self.params}, expected finite ones and a focal length "
+                "above zero; correct the camera"
+            )
+        if self.width < 1 or self.height < 1:
+            raise LensError(f"a camera has {self.width} x {self.height} pixels, expected at least one; correct it")
+
+    def __getitem__(self, name: str) -> float:
+        """The parameter of that name; zero for a distortion that the model does not have."""
+        names = MODELS[self.model][1]
+        return self.params[names.index(name)] if name in names else 0.0
+
+    @property
+    def focal(self) -> tuple[float, float]:
+        """Focal lengths fx, fy [px]."""
+        names = MODELS[self.model][1]
+        return (self["f"], self["f"]) if "f" in names else (self["fx"], self["fy"])
+
+    @property
+    def is_distorted(self) -> bool:
+        """Whether any coefficient of distortion differs from zero."""
+        names = MODELS[self.model][1]
+        distorted = any(p != 0.0 for name, p in zip(names, self.params, strict=True) if name[0] in "kp")
+        # A fisheye lens maps by the angle, even with all its coefficients at zero.
+        return distorted or self.model == "OPENCV_FISHEYE"
+
+    def pinhole(self, centre, cam_from_local) -> PinholeCamera:
+        """The undistorted camera of the same focal length, principal point and size, at a pose in local."""
+        fx, fy = self.focal
+        return PinholeCamera(centre, cam_from_local, fx, fy, self["cx"], self["cy"], self.width, self.height)
+
+
+def normalised(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
+    """Where the pixels of a photograph look, at depth 1 in cam, and how that changes across a pixel.
+
+    Returns
+    -------
+    (pixels, 2), (pixels, 2, 2)
+        Row by row; the second is d(x, y) / d(u, v) [1/px].
+    """
+    u, v = np.meshgrid(np.arange(lens.width) + 0.5, np.arange(lens.height) + 0.5)
+    pixels = np.stack([u.ravel(), v.ravel()], axis=-1)
+    fx, fy = lens.focal
+    if not lens.is_distorted:
+        change = np.broadcast_to(np.diag([1.0 / fx, 1.0 / fy]), (len(pixels), 2, 2))
+        return (pixels - (lens["cx"], lens["cy"])) / (fx, fy), change
+    half = 0.5
+    across, down = (
+        undistorted(lens, pixels + step) - undistorted(lens, pixels - step) for step in ((half, 0.0), (0.0, half))
+    )
+    return undistorted(lens, pixels), np.stack([across, down], axis=-1)
+
+
+def undistorted(lens: Lens, pixels: np.ndarray) -> np.ndarray:
+    """Where pixels (N, 2) of a distorted photograph look, at depth 1 in cam (N, 2)."""
+    fx, fy = lens.focal
+    matrix = np.array([[fx, 0.0, lens["cx"]], [0.0, fy, lens["cy"]], [0.0, 0.0, 1.0]])
+    # Newton-like steps until they are below a billionth of the focal length.
+    until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+    points = np.ascontiguousarray(pixels, dtype=np.float64)[:, None]
+    if lens.model == "OPENCV_FISHEYE":
+        return cv2.fisheye.undistortPoints(points, matrix, _coefficients(lens), criteria=until)[:, 0]
+    return cv2.undistortPoints(points, matrix, _coefficients(lens), criteria=until)[:, 0]
+
+
+def distorted(lens: Lens, pixels: np.ndarray) -> np.ndarray:
+    """Pixels (N, 2) of the photograph at which those (N, 2) of the pinhole camera appear; undoes `undistorted`."""
+    if not lens.is_distorted:
+        return pixels
+    (fx, fy), (cx, cy) = lens.focal, (lens["cx"], lens["cy"])
+    plane = np.ascontiguousarray((pixels - (cx, cy)) / (fx, fy))
+    matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    if lens.model == "OPENCV_FISHEYE":
+        return cv2.fisheye.distortPoints(plane[:, None], matrix, _coefficients(lens))[:, 0]
+    points = np.concatenate([plane, np.ones((len(plane), 1))], axis=-1)
+    return cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, _coefficients(lens))[0][:, 0]
+
+
+def _coefficients(lens: Lens) -> np.ndarray:
+    """In OpenCV's order."""
+    fisheye = lens.model == "OPENCV_FISHEYE"
+    return np.array([lens[name] for name in (("k1 k2 k3 k4") if fisheye else "k1 k2 p1 p2 k3 k4 k5 k6").split()])

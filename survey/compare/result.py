@@ -1,0 +1,49 @@
+"""What a comparison found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from survey.compare.inputs import Inputs
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A finished comparison.
+
+    Attributes
+    ----------
+    numbers : dict
+        As `compare_files` returns it.
+    points : (N, 3), in crs
+        The compared points.
+    distances : (N,) [m]
+        Theirs; signed unless the reference is a cloud.
+    nearest : (N, 3) [m], local
+        The nearest points of the reference.
+    depth : (N,) [m] or None
+        Of the reference below the water at those, where it is known.
+    targets : (M, 3), in crs
+        What should be reached: the visible points, else samples of the reference.
+    is_reached : (M,) bool
+        At the first tolerance.
+    inputs : Inputs
+    """
+
+    numbers: dict
+    points: np.ndarray
+    distances: np.ndarray
+    nearest: np.ndarray
+    depth: np.ndarray | None
+    targets: np.ndarray
+    is_reached: np.ndarray
+    inputs: Inputs
+
+    @property
+    def distances_of_cloud(self) -> np.ndarray:
+        """Distances of all points of the file [m], in its order, NaN outside the bounds."""
+        distances = np.full(len(self.inputs.inside), np.nan)
+        distances[self.inputs.inside] = self.distances
+        return distances

@@ -1,0 +1,159 @@
+"""The figures of a report, that both report.json and report.html show, from its facts."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+from pyproj import CRS
+
+from geo.crs import horizontal_crs, vertical_crs
+from survey.folder.survey import Survey
+from survey.photos.images import list_images
+from survey.plan.plan import Plan
+from survey.report.baselines import baselines_of
+from survey.report.facts import ReportFacts
+
+# Density is asked over the ground that has points; cells of this many ground sampling distances tell which.
+_COVERED_CELL_GSD = 5.0
+
+
+def figures_of(facts: ReportFacts) -> dict:
+    """All figures of a report as plain values, the units in their names; None where there is none."""
+    survey = facts.survey
+    figures = {
+        "survey": _survey(survey),
+        "water": _water(survey),
+        "plan": _plan(facts.plan),
+        "cloud": _cloud(facts),
+        "comparison": None if facts.comparison is None else facts.comparison.numbers,
+        "iho_s44": None if facts.comparison is None else facts.comparison.numbers.get("iho_s44"),
+        "baselines": baselines_of(facts),
+        "timings_s": {**facts.timings, "total": sum(facts.timings.values())},
+        "versions": facts.versions,
+        "settings": facts.settings,
+        "assumptions": list(survey.assumptions),
+        "warnings": list(survey.warnings),
+        "notes": list(facts.notes),
+    }
+    return plain(figures)
+
+
+def plain(value):
+    """A value as JSON knows it: numpy scalars and arrays, tuples and dataclasses undone, NaN as None."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return plain(dataclasses.asdict(value))
+    if isinstance(value, dict):
+        return {str(name): plain(item) for name, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return str(value)
+
+
+def _survey(survey: Survey) -> dict:
+    config = survey.config
+    camera = survey.views[0].camera
+    images = list_images(survey.folder / config.images.dir, deep=config.images.dir != ".")
+    return {
+        "name": survey.name,
+        "crs": {"name": survey.frame.crs.name, "code": crs_code(survey.frame.crs)},
+        "bounds": survey.bounds,
+        "views_used": len(survey.views),
+        "views_left_out": max(len(images) - len(survey.views), 0),
+        "image_size_px": (camera.width, camera.height),
+        "focal_px": camera.fx,
+        "poses": config.cameras.poses or "structure from motion",
+        "local_frame_origin": survey.frame.origin,
+    }
+
+
+def crs_code(crs: CRS) -> str | None:
+    """Codes of a CRS, e.g. "EPSG:25832+5778"; None where it has none."""
+    whole = crs.to_authority()
+    if whole is not None:
+        return ":".join(whole)
+    parts = [part.to_authority() for part in (horizontal_crs(crs), vertical_crs(crs)) if part is not None]
+    if len(parts) != 2 or None in parts:
+        return None
+    (authority, first), (other, second) = parts
+    return f"{authority}:{first}+" + (second if authority == other else f"{other}:{second}")
+
+
+def _water(survey: Survey) -> dict | None:
+    water = survey.config.water
+    if water is None:
+        return None
+    assumed = [text for text in survey.assumptions if text.startswith("refractive_index")]
+    level = [text for text in survey.assumptions if text.startswith("level_m")]
+    return {
+        "level_m": water.level_m,
+        "level_at": water.level_at,
+        "level_from": level[-1] if level else "survey.toml, [water] level_m",
+        "slope_east": water.slope_east,
+        "slope_north": water.slope_north,
+        "slope_from": "survey.toml; level where it says nothing",
+        "refractive_index": water.refractive_index,
+        "refractive_index_from": f"assumed: {assumed[0]}" if assumed else "survey.toml",
+    }
+
+
+def _plan(plan: Plan) -> dict:
+    return {
+        "quality": plan.quality,
+        "device": plan.device,
+        "image_scale": plan.image_scale,
+        "gsd_m": plan.gsd_m,
+        "height_m": plan.height_m,
+        "footprint_m": plan.footprint_m,
+        "decisions": [{"name": d.name, "choice": d.choice, "reason": d.reason} for d in plan.decisions],
+    }
+
+
+def _cloud(facts: ReportFacts) -> dict:
+    bed = facts.bed
+    area = _covered_area_m2(bed.xyz, _COVERED_CELL_GSD * facts.plan.gsd_m)
+    wet = int(bed.wet.sum())
+    depth = bed.depth[bed.wet]
+    return {
+        "points": len(bed),
+        "points_wet": wet,
+        "points_dry": len(bed) - wet,
+        "extent": None if not len(bed) else {"low": facts.points_crs.min(axis=0), "high": facts.points_crs.max(axis=0)},
+        "covered_area_m2": area,
+        "density_per_m2": len(bed) / area if area else None,
+        "wet_pixel_share": facts.wet_pixel_share,
+        "depth_m": _spread(depth, "min", "median", "p95", "max"),
+        "std_m": _spread(bed.std, "median", "p95"),
+        "views_per_point": _spread(bed.num_views, "min", "median", "mean", "max"),
+        "incidence_deg": _spread(np.degrees(bed.incidence), "median", "p95", "max"),
+    }
+
+
+_STATISTICS = {
+    "min": np.min,
+    "median": np.median,
+    "mean": np.mean,
+    "p95": lambda values: np.quantile(values, 0.95),
+    "max": np.max,
+}
+
+
+def _spread(values: np.ndarray, *names: str) -> dict | None:
+    """Statistics by name, over what is finite; None where nothing is."""
+    values = values[np.isfinite(values)].astype(np.float64)
+    return {name: float(_STATISTICS[name](values)) for name in names} if values.size else None
+
+
+def _covered_area_m2(xyz: np.ndarray, cell_m: float) -> float:
+    """Area in plan of the cells that hold a point of (N, 3) [m], local."""
+    if not len(xyz):
+        return 0.0
+    cells = np.floor((xyz[:, :2] - xyz[:, :2].min(axis=0)) / cell_m).astype(np.int64)
+    return float(len(np.unique(cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]))) * cell_m**2

@@ -1,0 +1,37 @@
+"""The self-calibration of the water as a stage of a run."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+from survey.adjust.estimate import with_water
+from survey.adjust.water import PARAMETERS, calibrate
+from survey.folder.survey import Survey
+from survey.progress import Progress
+from survey.run.folder import RunDir, stage_key
+
+_RESULT = "waterline.json"
+# Raise it when a change of the code changes the estimate, so that stored ones are not used again.
+_FORMAT = 1
+
+
+def calibrated(run: RunDir, survey: Survey, device: str, progress: Progress, *, resume: bool) -> Survey:
+    """The survey with the water that its photographs tell; what they cannot tell stays as it was given."""
+    key = stage_key(
+        "waterline", _FORMAT, *(view.path for view in survey.views), survey.views, survey.config.water, device
+    )
+    if not (resume and run.stage_is_current("waterline", key)):
+        folder = run.open_stage("waterline")
+        with progress.stage("Water", 1.0) as stage:
+            found = calibrate(survey, device=device, advance=stage.advance)
+        run.write_text(folder / _RESULT, found.to_json())
+        run.finish_stage("waterline", key, folder)
+    record = json.loads((run.load_stage("waterline") / _RESULT).read_text(encoding="utf-8"))
+    for estimate in record["estimates"]:
+        progress.note(f"water: {estimate['name']}: {estimate['verdict']}")
+    notes = tuple(
+        f"{estimate['name']} {estimate['verdict']} (from the photographs)" for estimate in record["estimates"]
+    )
+    water = replace(survey.config.water, **{name: record["water"][name] for name in PARAMETERS})
+    return replace(with_water(survey, water), assumptions=survey.assumptions + notes)

@@ -9,6 +9,7 @@ import numpy as np
 
 from survey.folder.survey import Survey
 from survey.plan.plan import Plan
+from survey.report.verdict import Verdict
 
 if TYPE_CHECKING:
     from fields.sweep.bed import BedPoints
@@ -44,6 +45,8 @@ class ReportFacts:
         Further sentences for the reader.
     versions : dict
         Of what computed, by name.
+    verdict : Verdict or None
+        Whether the cloud may be used unseen.
     """
 
     survey: Survey
@@ -58,6 +61,7 @@ class ReportFacts:
     sweep_comparison: Comparison | None = None
     notes: tuple[str, ...] = ()
     versions: dict[str, str] = field(default_factory=dict)
+    verdict: Verdict | None = None
 
 
 def distances_of(facts: ReportFacts) -> np.ndarray | None:

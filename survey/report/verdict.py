@@ -1,0 +1,42 @@
+"""The verdict on a run: what a cloud has to meet to be used unseen, and whether this one does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Gate:
+    """One condition.
+
+    Attributes
+    ----------
+    name : str
+        What is asked, in a few words.
+    value, limit : float or None
+        In `unit`; None where there was nothing to measure.
+    unit : str
+        "%" or "cm".
+    passed : bool
+    sentence : str
+        What was found and what is asked, for people.
+    """
+
+    name: str
+    value: float | None
+    limit: float
+    unit: str
+    passed: bool
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """All gates of a run."""
+
+    gates: tuple[Gate, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every gate is met."""
+        return all(gate.passed for gate in self.gates)

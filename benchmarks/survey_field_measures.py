@@ -9,8 +9,7 @@ from PIL import Image
 from scipy.ndimage import distance_transform_edt, grey_opening
 from scipy.spatial import cKDTree
 
-from evaluation import distance_statistics, distance_to_mesh, is_reached, psnr
-from evaluation.images import quality as image_quality
+from evaluation import distance_statistics, distance_to_mesh, image_quality, is_reached, psnr
 from evaluation.images.parts import largest_rectangle
 from geo import read_cloud, read_reference
 from survey.folder.survey import Survey, View, load_image, load_mask

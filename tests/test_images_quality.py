@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from image_pair import image_pair
 
-from evaluation import fsim, gmsd, ms_gmsd, ms_ssim, psnr, ssim, vsi
-from evaluation.images import quality as image_quality
+from evaluation import fsim, gmsd, image_quality, ms_gmsd, ms_ssim, psnr, ssim, vsi
 from evaluation.images.parts import largest_rectangle
 
 # Sums of 1e5 terms in another order.

@@ -26,7 +26,7 @@ from straight_bias import straight_bias
 from evaluation import distance_to_mesh, is_reached, sample_mesh
 from geo import read_cloud, read_reference
 from survey.folder.survey import Survey, load_survey
-from survey.run.stages import TIMES_SEEN
+from survey.plan.recipe import RECIPES
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("BATHYNERF_DATA", ROOT.parent / "shared" / "data"))
@@ -164,7 +164,7 @@ def main() -> None:
     truth, records = load_survey(wet), []
     for case in cases(wet, dry, folder, options.chains):
         process(case, options.quality)
-        records.append(measure(case, truth, reference, options.samples, TIMES_SEEN[options.quality]))
+        records.append(measure(case, truth, reference, options.samples, RECIPES[options.quality].times_seen))
         (folder / "table4.json").write_text(json.dumps(records, indent=2))
     print(table(records))  # noqa: T201
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
@@ -156,6 +156,15 @@ class Progress:
             self._console.print(text)
         if self._log is not None:
             self._log.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
+
+
+def shares(stage: Stage) -> Callable[[float], None]:
+    """A function that takes the share done, and advances a stage whose total is 1."""
+
+    def report(share: float) -> None:
+        stage.advance(share - stage.done)
+
+    return report
 
 
 def clock(seconds: float) -> str:

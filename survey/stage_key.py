@@ -1,11 +1,9 @@
-"""A short text for all that a stage depends on: while it is the same, its result may be used again."""
+"""A short text for what a computation depends on: while it is the same, an earlier result may be used again."""
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
-import importlib.metadata
-import importlib.util
 import json
 from functools import lru_cache
 from pathlib import Path
@@ -15,22 +13,17 @@ from pyproj import CRS
 
 from survey.errors import SurveyError
 
-# Photographs differ within their first megabyte; reading all of a survey would take minutes.
-_HEAD_BYTES = 1 << 20
-# The rooms whose code decides what a stage computes.
-_COMPUTING_ROOMS = ("refract", "geo", "fields")
-
 
 def stage_key(*parts) -> str:
-    """SHA-256 over the inputs and settings of a stage and over the code that computes it.
+    """SHA-256 over inputs and settings.
 
     Parameters
     ----------
     parts
         None, bool, int, float, str; lists, tuples and dicts of parts; dataclasses, by the fields that take
-        part in comparison; numpy arrays and scalars; `pyproj.CRS`; `Path` for what a file holds, by its name,
-        size, time of change and first megabyte (not by where it lies, so that a survey may be moved), or for
-        what all files of a folder hold.
+        part in comparison; numpy arrays and scalars; `pyproj.CRS`; `Path` for what a file holds, by its name
+        and content (not by where it lies or when it was written, so that a survey may be moved and copied), or
+        for what all files of a folder hold.
 
     Returns
     -------
@@ -52,22 +45,8 @@ def stage_key(*parts) -> str:
     False
     """
     digest = hashlib.sha256()
-    _feed(digest, (code_version(), *parts))
+    _feed(digest, parts)
     return digest.hexdigest()
-
-
-@lru_cache(maxsize=1)
-def code_version() -> str:
-    """Version of the distribution and eight digits of the code that computes, e.g. "0.1.0+1f3a9c02".
-
-    The digits change when a developer edits the code between two releases.
-    """
-    digest = hashlib.sha256()
-    for room in _COMPUTING_ROOMS:
-        for folder in importlib.util.find_spec(room).submodule_search_locations:
-            for path in sorted(Path(folder).rglob("*.py")):
-                digest.update(path.read_bytes())
-    return f"{importlib.metadata.version('bathynerf')}+{digest.hexdigest()[:8]}"
 
 
 def _feed(digest, part) -> None:
@@ -112,11 +91,17 @@ def _feed_path(digest, path: Path) -> None:
                 _feed_path(digest, file)
             return
         stat = path.stat()
-        with path.open("rb") as stream:
-            head = hashlib.sha256(stream.read(_HEAD_BYTES)).hexdigest()
+        content = _content(path, stat.st_mtime_ns, stat.st_size)
     except OSError as error:
         raise SurveyError(f"cannot read {path} ({error.strerror}); put the file back or correct it") from error
-    _mark(digest, "file", path.name, stat.st_size, stat.st_mtime_ns, head)
+    _mark(digest, "file", path.name, content)
+
+
+@lru_cache(maxsize=1 << 16)
+def _content(path: Path, _modified: int, _size: int) -> str:
+    """Hash of a file; the same file is read once in a process, for structure from motion and for the sweep."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _mark(digest, *words) -> None:

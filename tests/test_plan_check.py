@@ -60,20 +60,17 @@ def test_check_says_that_structure_from_motion_would_run_and_does_not_run_it(tmp
         check_survey(folder)
 
 
-def test_a_dry_survey_needs_neither_refraction_nor_a_water_column(tmp_path):
+def test_a_dry_survey_needs_no_refraction(tmp_path):
     plan = make_plan(load_survey(small_survey(tmp_path / "s", toml=TOML[: TOML.index("[water]")])))
     assert not plan.is_on("refraction")
-    assert not plan.is_on("water column")
-    assert not plan.is_on("shoreline")
     reasons = {decision.name: decision.reason for decision in plan.decisions}
     assert reasons["refraction"] == "a dry survey: there is no [water]"
 
 
-def test_water_of_index_one_is_not_bent_but_looked_through(tmp_path):
+def test_water_of_index_one_is_not_bent(tmp_path):
     toml = TOML.replace("refractive_index = 1.333", "refractive_index = 1.0")
     plan = make_plan(load_survey(small_survey(tmp_path / "s", toml=toml)))
     assert not plan.is_on("refraction")
-    assert plan.is_on("water column")
 
 
 def test_views_to_the_horizon_are_counted(tmp_path):
@@ -83,8 +80,8 @@ def test_views_to_the_horizon_are_counted(tmp_path):
     lines[0] = lines[0].replace(",0,0,0", ",80,0,0")
     (folder / "cameras.csv").write_text("\n".join(["image,easting,northing,height,omega,phi,kappa", *lines]))
     plan = make_plan(load_survey(folder))
-    (shoreline,) = [decision for decision in plan.decisions if decision.name == "shoreline"]
-    assert shoreline.reason.startswith("1 view looks past the water")
+    (refraction,) = [decision for decision in plan.decisions if decision.name == "refraction"]
+    assert refraction.reason.endswith("; 1 of 4 views look past the water to the horizon")
 
 
 @pytest.mark.parametrize(
@@ -122,15 +119,19 @@ def test_the_sampling_distance_of_oblique_views_counts_along_their_axis(tmp_path
     assert plan.gsd_m == pytest.approx(0.2 / math.cos(math.radians(40.0)), rel=2e-3)
 
 
+def cameras_of(survey):
+    return [view.camera for view in survey.views]
+
+
 def test_the_ground_of_a_dry_survey_is_where_oblique_axes_meet_or_where_neighbours_overlap_as_usual(tmp_path, data_dir):
     dry, wet = load_survey(data_dir / "wreck_dry"), load_survey(data_dir / "wreck_water")
     bed = 2105.0 - 3.5
-    assert ground_height(dry) + dry.frame.origin[2] == pytest.approx(bed, abs=0.5)
+    assert ground_height(cameras_of(dry)) + dry.frame.origin[2] == pytest.approx(bed, abs=0.5)
     assert make_plan(dry).height_m == pytest.approx(make_plan(wet).height_m + 3.5, abs=0.5)
     # Nadir views 3.61 m apart whose shorter side sees 0.48 of the height: 3.61 / (0.25 * 0.48) = 30 m.
     nadir = load_survey(small_survey(tmp_path / "s", toml=TOML[: TOML.index("[water]")]))
     centre = np.median([view.camera.centre[2] for view in nadir.views])
-    assert centre - ground_height(nadir) == pytest.approx(math.hypot(3.0, 2.0) / (0.25 * 0.48), rel=1e-3)
+    assert centre - ground_height(cameras_of(nadir)) == pytest.approx(math.hypot(3.0, 2.0) / (0.25 * 0.48), rel=1e-3)
 
 
 def test_an_unknown_quality_or_device_is_refused_with_the_known_ones(tmp_path):

@@ -13,6 +13,7 @@ from survey.errors import SurveyError
 from survey.folder.survey import load_survey
 from survey.run.export import export
 from survey.run.folder import RunDir
+from survey.run.keys import Key
 from survey.run.stored import StoredBed, load_bed, save_bed
 
 # LAS steps by 1 mm: half a step, and the rounding of a northing of 5e6 m.
@@ -32,12 +33,13 @@ def run_folder(stored, tmp_path_factory):
     with RunDir(tmp_path_factory.mktemp("run") / "run") as run:
         folder = run.open_stage("bed")
         save_bed(folder, stored)
-        run.finish_stage("bed", "key", folder)
+        folder = run.finish_stage("bed", Key({}), folder)
+        run.publish(run.open_result(), quality="standard", stages={"bed": folder})
     return run.path
 
 
 def test_a_stored_bed_comes_back_to_the_bit(stored, run_folder):
-    again = load_bed(run_folder / "stages" / "bed")
+    again = load_bed(RunDir(run_folder).load_stage("bed"))
     for name in ("xyz", "rgb", "std", "num_views", "depth", "incidence", "wet"):
         before, after = getattr(stored.bed, name), getattr(again.bed, name)
         assert before.dtype == after.dtype
@@ -103,7 +105,7 @@ def test_what_is_no_run_is_refused(tmp_path):
 
 def test_a_run_that_has_not_come_to_its_cloud_is_refused_with_the_mend(tmp_path):
     with RunDir(tmp_path / "run") as run:
-        run.finish_stage("sweep", "key", run.open_stage("sweep"))
+        run.finish_stage("sweep", Key({}), run.open_stage("sweep"))
     with pytest.raises(SurveyError, match=r"no finished stage bed; give the same `bathynerf process` again"):
         export(tmp_path / "run", las=tmp_path / "out.las")
 

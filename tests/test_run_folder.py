@@ -18,58 +18,145 @@ import pytest
 from fields.sweep.sweep import DepthMap
 from geo.errors import GeoError
 from survey.errors import SurveyError
-from survey.run.folder import RunDir, load_arrays, save_arrays, stage_key, versions
-from survey.run.stored import load_depth_maps, save_depth_maps
+from survey.run.folder import RunDir, seconds_of, versions
+from survey.run.keys import Key
+from survey.run.stored import load_arrays, load_depth_maps, save_arrays, save_depth_maps
+from survey.stage_key import stage_key
+
+A, B = Key({"water": "1", "code": "x"}), Key({"water": "2", "code": "x"})
 
 
-def finish(run: RunDir, name: str, key: str, **arrays) -> Path:
+def finish(run: RunDir, name: str, key: Key, **arrays) -> Path:
     folder = run.open_stage(name)
     save_arrays(folder / "data.npz", **arrays)
     return run.finish_stage(name, key, folder)
 
 
+def publish(run: RunDir, words: str, quality: str = "standard", **stages: Path) -> None:
+    """A result whose settings, cloud and a picture hold some words."""
+    folder = run.open_result()
+    (folder / "pictures").mkdir()
+    for name in ("settings.toml", "cloud.las", f"pictures/{words}.png"):
+        (folder / name).write_text(words)
+    run.publish(folder, quality=quality, stages=stages)
+
+
+def contents(run: RunDir) -> set[str]:
+    """What settings, cloud and pictures of a run hold."""
+    texts = {path.read_text() for path in (run.settings_path, run.cloud_path) if path.exists()}
+    return texts | {path.stem for path in run.pictures_path.glob("*")}
+
+
 def test_a_finished_stage_is_found_again_by_its_key_and_only_by_its_key(tmp_path):
     heights = np.linspace(-3.0, 1.0, 7)
     with RunDir(tmp_path / "run") as run:
-        assert not run.stage_is_current("sweep", "a")
-        finish(run, "sweep", "a", heights=heights)
+        assert run.finished_stage("sweep", A) is None
+        finish(run, "sweep", A, heights=heights)
     again = RunDir(tmp_path / "run")
-    assert again.stage_is_current("sweep", "a")
-    assert not again.stage_is_current("sweep", "b")
-    assert not again.stage_is_current("bed", "a")
-    np.testing.assert_array_equal(load_arrays(again.load_stage("sweep") / "data.npz")["heights"], heights)
+    assert again.finished_stage("sweep", B) is None
+    assert again.finished_stage("bed", A) is None
+    np.testing.assert_array_equal(load_arrays(again.finished_stage("sweep", A) / "data.npz")["heights"], heights)
 
 
-def test_the_record_of_a_stage_has_key_seconds_and_versions(tmp_path):
+def test_the_record_of_a_stage_has_key_parts_seconds_and_versions(tmp_path):
     with RunDir(tmp_path / "run") as run:
-        folder = finish(run, "sweep", "a", x=np.zeros(1))
-        record = json.loads((folder / "stage.json").read_text())
-        assert record["key"] == "a"
-        assert 0.0 <= record["seconds"] == run.stage_seconds("sweep") < 60.0
-        assert record["versions"] == versions()
-        assert {"bathynerf", "python", "numpy"} <= set(record["versions"])
-        assert run.stage_seconds("bed") is None
+        folder = finish(run, "sweep", A, x=np.zeros(1))
+    record = json.loads((folder / "stage.json").read_text())
+    assert record["key"] == A.digest
+    assert record["parts"] == A.parts
+    assert 0.0 <= record["seconds"] == seconds_of(folder) < 60.0
+    assert record["versions"] == versions()
+    assert {"bathynerf", "python", "numpy"} <= set(record["versions"])
 
 
-def test_finishing_a_stage_again_replaces_its_older_result_whole(tmp_path):
+def test_a_run_says_why_a_stage_is_computed_again(tmp_path):
     with RunDir(tmp_path / "run") as run:
-        folder = run.open_stage("sweep")
-        (folder / "only_in_the_first").touch()
-        run.finish_stage("sweep", "a", folder)
-        finish(run, "sweep", "b", x=np.ones(2))
-        assert run.stage_is_current("sweep", "b")
-        assert sorted(p.name for p in run.load_stage("sweep").iterdir()) == ["data.npz", "stage.json"]
-        assert [p.name for p in run.stages_path.iterdir()] == ["sweep"]
+        assert run.why_again("sweep", A) is None
+        finish(run, "sweep", A, x=np.zeros(1))
+        assert run.why_again("sweep", B) == "the water changed"
+        assert run.why_again("sweep", Key({"water": "2", "code": "y"})) == "the water and the program changed"
+        finish(run, "sweep", Key({"water": "2", "code": "y"}), x=np.zeros(1))
+        assert run.why_again("sweep", Key({"water": "2", "code": "z"})) == "the program changed"
+        assert run.why_again("bed", A) is None
+        bed = Key({"sweep": "sweep-1", "code": "x"})
+        finish(run, "bed", bed, x=np.zeros(1))
+        assert run.why_again("bed", Key({"sweep": "sweep-2", "code": "x"})) == "the result of the stage sweep changed"
 
 
-def test_a_stage_that_failed_keeps_the_older_result_and_leaves_nothing_behind(tmp_path):
+def test_results_of_other_settings_stand_side_by_side_until_a_result_replaces_them(tmp_path):
     with RunDir(tmp_path / "run") as run:
-        finish(run, "sweep", "a", x=np.ones(2))
+        first = finish(run, "sweep", A, x=np.ones(2))
+        second = finish(run, "sweep", B, x=np.ones(2))
+        assert first.exists()
+        publish(run, "draft", "draft", sweep=first)
+        assert first.exists()
+        assert not second.exists()
+        second = finish(run, "sweep", B, x=np.ones(2))
+        publish(run, "standard", "standard", sweep=second)
+        assert run.load_stage("sweep") == second
+        assert first.exists()
+        third = finish(run, "sweep", Key({"water": "3"}), x=np.ones(2))
+        publish(run, "again", "draft", sweep=third)
+        assert run.load_stage("sweep") == third
+        assert second.exists()
+        assert not first.exists()
+
+
+def test_a_stage_that_failed_leaves_nothing_behind(tmp_path):
+    with RunDir(tmp_path / "run") as run:
+        finish(run, "sweep", A, x=np.ones(2))
     with suppress(ZeroDivisionError), RunDir(tmp_path / "run") as run:
         (run.open_stage("sweep") / "half").touch()
         raise ZeroDivisionError
-    assert [p.name for p in run.stages_path.iterdir()] == ["sweep"]
-    assert RunDir(tmp_path / "run").stage_is_current("sweep", "a")
+    (only,) = run.stages_path.iterdir()
+    assert only == RunDir(tmp_path / "run").finished_stage("sweep", A)
+
+
+def test_a_new_result_replaces_the_one_before_whole(tmp_path):
+    with RunDir(tmp_path / "run") as run:
+        publish(run, "old")
+        (run.path / "report.html").write_text("old")
+        publish(run, "new")
+    assert contents(run) == {"new"}
+    assert not (run.path / "report.html").exists()
+
+
+def test_until_a_result_is_whole_the_one_before_stands_and_readers_are_warned(tmp_path, capsys):
+    with RunDir(tmp_path / "run") as run:
+        publish(run, "old")
+    run.warn_if_unfinished()
+    assert capsys.readouterr().err == ""
+    with suppress(ZeroDivisionError), run:
+        (run.open_result() / "settings.toml").write_text("new")
+        raise ZeroDivisionError
+    assert contents(run) == {"old"}
+    run.warn_if_unfinished()
+    assert "has not finished; this is the result of" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("moved", [0, 1, 2, 3])
+def test_a_result_that_was_only_begun_to_be_moved_is_moved_by_the_next_process(tmp_path, monkeypatch, moved):
+    with RunDir(tmp_path / "run") as run:
+        publish(run, "old")
+    rename, moves = Path.rename, []
+
+    def killed(path, target):
+        if path.parent.name == ".result.whole":
+            moves.append(path)
+            if len(moves) > moved:
+                raise KeyboardInterrupt
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", killed)
+    with pytest.raises(KeyboardInterrupt), run:
+        publish(run, "new")
+    monkeypatch.undo()
+    with pytest.raises(SurveyError, match="stopped while it put its result"):
+        run.require_run()
+    with run:
+        pass
+    run.require_run()
+    assert contents(run) == {"new"}
 
 
 def test_a_stage_folder_is_fresh_after_a_killed_run(tmp_path):
@@ -81,20 +168,22 @@ def test_a_stage_folder_is_fresh_after_a_killed_run(tmp_path):
 def test_files_that_a_killed_run_left_half_written_are_removed(tmp_path):
     run = RunDir(tmp_path / "run")
     with run:
-        pass
-    halves = [run.path / ".cloud.las.4711.part", run.pictures_path / ".depth.png.4711.part"]
-    for path in (*halves, run.cloud_path):
-        path.touch()
+        half = run.open_result() / "cloud.las"
+        half.touch()
+    (run.path / ".log.4711.part").touch()
+    run.cloud_path.touch()
     with run:
-        assert not any(path.exists() for path in halves)
+        assert not half.parent.exists()
+        assert not (run.path / ".log.4711.part").exists()
     assert run.cloud_path.exists()
 
 
 def test_a_damaged_record_means_that_the_stage_is_computed_anew(tmp_path):
     with RunDir(tmp_path / "run") as run:
-        folder = finish(run, "sweep", "a", x=np.ones(2))
+        folder = finish(run, "sweep", A, x=np.ones(2))
+        publish(run, "old", sweep=folder)
         (folder / "stage.json").write_text('{"key": "a')
-        assert not run.stage_is_current("sweep", "a")
+        assert run.finished_stage("sweep", A) is None
         with pytest.raises(SurveyError, match=r"no finished stage sweep.*process"):
             run.load_stage("sweep")
 
@@ -175,7 +264,7 @@ def test_a_survey_folder_given_for_its_run_is_answered_with_the_run(tmp_path):
 def test_a_disk_without_room_is_named_and_earlier_stages_stay(tmp_path):
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     with RunDir(tmp_path / "run") as run:
-        finish(run, "sweep", "a", x=np.ones(2))
+        finish(run, "sweep", A, x=np.ones(2))
         folder = run.open_stage("bed")
         # A limit on the size of files is the one full disk that a test can make.
         resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
@@ -185,7 +274,7 @@ def test_a_disk_without_room_is_named_and_earlier_stages_stay(tmp_path):
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         assert list(folder.iterdir()) == []
-    assert run.stage_is_current("sweep", "a")
+    assert run.finished_stage("sweep", A) is not None
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="nothing is forbidden to root")
@@ -240,20 +329,18 @@ def test_keys_tell_apart_what_differs_and_only_that(tmp_path):
     )
 
 
-def test_a_key_changes_with_the_pixels_or_the_time_of_a_file_but_not_with_its_place(tmp_path):
-    image, moved = tmp_path / "a.jpg", tmp_path / "moved" / "a.jpg"
-    image.write_bytes(b"pixels")
+def test_a_key_changes_with_every_byte_of_a_file_but_not_with_its_place_or_time(tmp_path):
+    image, copy = tmp_path / "a.jpg", tmp_path / "copy" / "a.jpg"
+    pixels = bytes(2 << 20)
+    image.write_bytes(pixels)
     first = stage_key(image)
-    stat = image.stat()
-    moved.parent.mkdir()
-    moved.write_bytes(b"pixels")
-    os.utime(moved, ns=(stat.st_atime_ns, stat.st_mtime_ns))
-    assert stage_key(moved) == first
-    os.utime(moved, ns=(stat.st_atime_ns, stat.st_mtime_ns + 1))
-    assert stage_key(moved) != first
-    moved.write_bytes(b"pixelt")
-    os.utime(moved, ns=(stat.st_atime_ns, stat.st_mtime_ns))
-    assert stage_key(moved) != first
+    copy.parent.mkdir()
+    copy.write_bytes(pixels)
+    os.utime(copy, ns=(0, 0))
+    assert stage_key(copy) == first
+    copy.write_bytes(pixels[:-1] + b"1")
+    os.utime(copy, ns=(0, 0))
+    assert stage_key(copy) != first
 
 
 def test_a_key_of_a_file_that_is_gone_names_it(tmp_path):

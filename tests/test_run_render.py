@@ -17,6 +17,7 @@ from survey.errors import SurveyError
 from survey.folder.config import CamerasConfig, SurveyConfig, dump_config
 from survey.progress import Progress
 from survey.run.folder import RunDir
+from survey.run.keys import Key
 from survey.run.render import render
 from survey.run.stored_field import PLACE_FILE, load_place, save_field, save_place
 
@@ -36,12 +37,15 @@ def frame():
 def run(tmp_path, frame):
     """A run whose field is a level bed 2 m under the water at local z = 0.5."""
     with RunDir(tmp_path / "run") as folder:
-        folder.write_text(folder.settings_path, dump_config(SurveyConfig(crs="EPSG:25832+5783", cameras=LENS)))
         stage = folder.open_stage("field")
         field = field_over(level_slab(-2.0), choose_device("torch"))
         save_field(stage, field, {"psnr_db": 30.0})
         save_place(stage, frame, FlatWater((0.0, 0.0, 0.5)))
-        folder.finish_stage("field", "key", stage)
+        stage = folder.finish_stage("field", Key({}), stage)
+        result = folder.open_result()
+        settings = dump_config(SurveyConfig(crs="EPSG:25832+5783", cameras=LENS))
+        (result / "settings.toml").write_text(settings, encoding="utf-8")
+        folder.publish(result, quality="fine", stages={"field": stage})
     return tmp_path / "run"
 
 

@@ -49,7 +49,7 @@ def shore(tmp_path_factory):
     small = {"size_m": (2.2, 2.2), "image_px": (144, 120), "num_views": 8}
     with pytest.MonkeyPatch.context() as patch:
         # Half of the time of so small a survey.
-        patch.setattr("survey.run.process.write_report", lambda *_: None)
+        patch.setattr("survey.report.write_report", lambda *_: None)
         yield drawn(tmp_path_factory.mktemp("shore") / "survey", shore=True, **small)
 
 

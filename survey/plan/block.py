@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -12,13 +13,18 @@ from fields.device import Device, choose_device
 from fields.sweep.block import Block
 from refract import PinholeCamera
 from survey.errors import SurveyError
-from survey.folder.survey import Survey, View
 from survey.photos.images import load_image, load_mask
-from survey.plan.plan import Plan, ground_height
+from survey.plan.ground import ground_height
+
+if TYPE_CHECKING:
+    from survey.folder.survey import Survey, View
+    from survey.plan.plan import Plan
 
 # No bed is looked for higher over the water than this share of the flying height, nor deeper than that one: drones fly
 # 8 m over 10 m of clear water, and beside banks that nearly reach them.
 HIGHEST, DEEPEST = 0.8, 1.5
+# The cloud ends this far beyond the bounds that the survey asks for.
+AREA_MARGIN_M = 0.5
 
 
 def load_block(survey: Survey, plan: Plan, advance: Callable[[float], None]) -> Block:
@@ -39,7 +45,7 @@ def load_block(survey: Survey, plan: Plan, advance: Callable[[float], None]) -> 
         images.append(np.pad(grey, ((0, rows), (0, columns)), constant_values=np.nan))
         advance(1.0)
     cameras = [replace(c, width=width, height=height) for c in cameras]
-    bed = 0.0 if survey.water is not None else ground_height(survey)
+    bed = 0.0 if survey.water is not None else ground_height([view.camera for view in survey.views])
     try:
         return Block(backend(plan), cameras, images, survey.water, bed)
     except ValueError as error:
@@ -66,7 +72,7 @@ def limits(survey: Survey) -> tuple[float, float]:
     if survey.water is None:
         top = float(np.median([v.camera.centre[2] for v in survey.views]))
         # The flying height over dry ground is only guessed from the overlap; look from a third of it to three times.
-        flying = top - ground_height(survey)
+        flying = top - ground_height([view.camera for view in survey.views])
         return top - 3.0 * flying, top - flying / 3.0
     flying = float(np.median([-survey.water.depth(v.camera.centre) for v in survey.views]))
     return -DEEPEST * flying, HIGHEST * flying

@@ -10,14 +10,11 @@ import numpy as np
 from refract import PinholeCamera
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
+from survey.plan.ground import ground_height
+from survey.plan.recipe import RECIPES, Recipe
 
-QUALITIES = ("draft", "standard", "fine")
+QUALITIES = tuple(RECIPES)
 DEVICES = ("auto", "cpu", "cuda")
-
-# Largest image that a quality works on [Mpx]; larger ones are halved until they fit.
-_MEGAPIXELS = {"draft": 2.0, "standard": 6.0, "fine": 100.0}
-# Overlap along the flight line that planners aim at; used only where nothing tells the height of dry ground.
-_USUAL_OVERLAP = 0.75
 
 
 @dataclass(frozen=True)
@@ -48,6 +45,7 @@ class Plan:
     footprint_m : (width, height) [m]
         What one image covers there, median.
     decisions : tuple of Decision
+    device_asked : "auto", "cpu" or "cuda"
     """
 
     quality: str
@@ -57,6 +55,12 @@ class Plan:
     height_m: float
     footprint_m: tuple[float, float]
     decisions: tuple[Decision, ...]
+    device_asked: str = "auto"
+
+    @property
+    def recipe(self) -> Recipe:
+        """The numbers of the quality."""
+        return RECIPES[self.quality]
 
     def as_dict(self) -> dict:
         """Plain numbers, texts and lists, to be saved with the run."""
@@ -97,14 +101,8 @@ def make_plan(survey: Survey, *, quality: str = "standard", device: str = "auto"
     sides = np.median([(camera.width / camera.fx, camera.height / camera.fy) for camera in cameras], axis=0)
     footprint = (float(height * sides[0]), float(height * sides[1]))
     decisions = (
-        *_water_decisions(survey),
-        Decision(
-            "background shell",
-            "off",
-            "seen from above, the scene ends at its ground; rays past it are left out",
-        ),
+        _refraction(survey),
         _field(quality, field),
-        Decision("tiles", "1", f"{len(cameras)} views are worked on together"),
         _image_decision(cameras[0], scale, quality),
         Decision(
             "ground sampling distance",
@@ -113,14 +111,14 @@ def make_plan(survey: Survey, *, quality: str = "standard", device: str = "auto"
         ),
         chosen,
     )
-    return Plan(quality, chosen.choice, scale, gsd, height, footprint, decisions)
+    return Plan(quality, chosen.choice, scale, gsd, height, footprint, decisions, device)
 
 
 def _field(quality: str, field: str) -> Decision:
     require_choice("field", field, ("auto", "on", "off"))
     if field != "auto":
         return Decision("field", field, "asked for")
-    if quality != "fine":
+    if not RECIPES[quality].field:
         return Decision(
             "field", "off", f"it takes some noise off at twice the time; {quality} takes the sweep's heights"
         )
@@ -152,36 +150,18 @@ def device_decision(device: str) -> Decision:
     return Decision("device", chosen.name, chosen.reason)
 
 
-def _water_decisions(survey: Survey) -> tuple[Decision, ...]:
+def _refraction(survey: Survey) -> Decision:
     water = survey.water
     if water is None:
-        dry = "a dry survey: there is no [water]"
-        return (
-            Decision("refraction", "off", dry),
-            Decision("water column", "off", dry),
-            Decision("shoreline", "off", dry),
-        )
+        return Decision("refraction", "off", "a dry survey: there is no [water]")
+    if water.n_water == 1.0:
+        return Decision("refraction", "off", "the index of the water is 1, as if it were air")
     slope = math.hypot(water.slope_x, water.slope_y)
     tilt = f", sloped by {slope:.4f}" if slope > 1e-6 else ""
-    if water.n_water == 1.0:
-        refraction = Decision("refraction", "off", "the index of the water is 1, as if it were air")
-    else:
-        refraction = Decision(
-            "refraction",
-            "on",
-            f"water of index {water.n_water:.4f} at {survey.config.water.level_m:g} m{tilt}",
-        )
-    aside = [view.name for view in survey.views if _sees_beside_water(view.camera, survey)]
-    if aside:
-        look = "view looks" if len(aside) == 1 else "views look"
-        shore = f"{len(aside)} {look} past the water to the horizon, and land may rise out of it"
-    else:
-        shore = "every ray meets the water plane; whether land rises out of it shows in the sweep"
-    return (
-        refraction,
-        Decision("water column", "on", "light is absorbed and scattered on its way through water"),
-        Decision("shoreline", "on", shore),
-    )
+    aside = sum(_sees_beside_water(view.camera, survey) for view in survey.views)
+    horizon = f"; {aside} of {len(survey.views)} views look past the water to the horizon" if aside else ""
+    level = survey.config.water.level_m
+    return Decision("refraction", "on", f"water of index {water.n_water:.4f} at {level:g} m{tilt}{horizon}")
 
 
 def _sees_beside_water(camera: PinholeCamera, survey: Survey) -> bool:
@@ -194,12 +174,12 @@ def _image_decision(camera: PinholeCamera, scale: float, quality: str) -> Decisi
     size = f"images of {camera.width} x {camera.height} px"
     if scale == 1.0:
         return Decision("image scale", "1", f"{size} are worked on whole")
-    limit = f"at most {_MEGAPIXELS[quality]:g} Mpx for {quality} quality"
+    limit = f"at most {RECIPES[quality].megapixels:g} Mpx for {quality} quality"
     return Decision("image scale", f"{scale:g}", f"{size} are halved until they have {limit}")
 
 
 def _scale(camera: PinholeCamera, quality: str) -> float:
-    halvings = math.ceil(0.5 * math.log2(camera.width * camera.height / (1e6 * _MEGAPIXELS[quality])) - 1e-9)
+    halvings = math.ceil(0.5 * math.log2(camera.width * camera.height / (1e6 * RECIPES[quality].megapixels)) - 1e-9)
     return 0.5 ** max(halvings, 0)
 
 
@@ -211,7 +191,7 @@ def _height(survey: Survey) -> float:
     centres = np.array([view.camera.centre for view in survey.views])
     if survey.water is not None:
         return float(np.median(-survey.water.depth(centres)))
-    return float(np.median(centres[:, 2]) - ground_height(survey))
+    return float(np.median(centres[:, 2]) - ground_height([view.camera for view in survey.views]))
 
 
 def _distance_along_axis(camera: PinholeCamera, survey: Survey, height: float) -> float:
@@ -219,31 +199,3 @@ def _distance_along_axis(camera: PinholeCamera, survey: Survey, height: float) -
     own = height if survey.water is None else -float(survey.water.depth(camera.centre))
     falling = -camera.cam_from_local[2, 2]
     return own / max(falling, 1.0 / 3.0)
-
-
-def ground_height(survey: Survey) -> float:
-    """Rough height [m], local, of the ground of a dry survey, from its cameras alone.
-
-    Where the axes of oblique views converge, the median height at which pairs of them pass each other; else
-    the ground at which neighbours overlap as usual.
-    """
-    cameras = [view.camera for view in survey.views]
-    centres = np.array([camera.centre for camera in cameras])
-    axes = np.array([camera.cam_from_local[2] for camera in cameras])
-    i, j = np.triu_indices(len(cameras), 1)
-    cos = np.sum(axes[i] * axes[j], axis=1)
-    convergent = cos < math.cos(math.radians(15.0))
-    if convergent.sum() >= 10:
-        i, j, cos = i[convergent], j[convergent], cos[convergent]
-        between = centres[j] - centres[i]
-        along_i, along_j = np.sum(between * axes[i], axis=1), np.sum(between * axes[j], axis=1)
-        t = (along_i - cos * along_j) / (1.0 - cos**2)
-        met = (centres[i] + t[:, None] * axes[i])[t > 0.0, 2]
-        if met.size >= 10:
-            return float(np.median(met))
-    apart = np.linalg.norm(centres[:, None, :2] - centres[None, :, :2], axis=-1)
-    np.fill_diagonal(apart, np.inf)
-    base = float(np.median(apart.min(axis=1)))
-    camera = cameras[0]
-    seen = min(camera.width / camera.fx, camera.height / camera.fy)
-    return float(np.median(centres[:, 2]) - base / ((1.0 - _USUAL_OVERLAP) * seen))

@@ -40,6 +40,7 @@ def write_report(folder: Path, facts: ReportFacts, advance: Callable[[], None] =
         If a file cannot be written, or the photograph that is shown cannot be read.
     """
     figures = figures_of(facts)
+    (folder / "pictures").mkdir(exist_ok=True)
     pictures = draw_pictures(folder / "pictures", facts, advance)
     page = render_page(figures, pictures)
     _write(folder / "report.json", json.dumps(figures, indent=2, ensure_ascii=False, allow_nan=False))

@@ -52,6 +52,7 @@ def export(run: Path, *, las: Path | None = None, laz: Path | None = None, ply: 
     folder = RunDir(run)
     folder.require_run()
     stored = load_bed(folder.load_stage(BED_STAGE))
+    folder.warn_if_unfinished()
     writers: dict[str, Callable[[Path, StoredBed], None]] = {".ply": write_bed_ply}
     with current().stage("Export", len(wanted)) as stage:
         for suffix, path in wanted.items():

@@ -1,10 +1,11 @@
-"""The run folder: what a run leaves behind, where, and what of it an interrupted run may use again.
+"""The run folder: what a run leaves behind, where, and what of it a later run may use again.
 
-RUN/cloud.las, report.json, report.html, settings.toml, plan.json, log.txt, pictures/*.png, stages/<name>/...,
-and sfm/ where poses had to be found.
+RUN/cloud.las, report.json, report.html, settings.toml, plan.json, result.json, log.txt, pictures/*.png,
+stages/<name>-<key>/..., and sfm/ where poses had to be found.
 
 A stage works in a fresh hidden folder that is renamed when the stage is finished, so that what stands under
-``stages`` is whole. One process at a time writes to a run; a lock says so.
+``stages`` is whole; the name ends in a hash of all that the stage depends on, so that results of other settings stand
+side by side. One process at a time writes to a run; a lock says so.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ from pathlib import Path
 from typing import BinaryIO
 
 from geo.files import write_whole
+from survey.code_hash import code_hash
 from survey.errors import SurveyError
-from survey.run.stored import load_arrays, save_arrays
-from survey.stage_key import code_version, stage_key
-
-__all__ = ["RunDir", "load_arrays", "save_arrays", "stage_key", "versions"]
+from survey.progress import current
+from survey.run import result
+from survey.run.keys import Key
 
 _MARKER, _LOCK, _RECORD, _PART = ".bathynerf-run.json", ".lock", "stage.json", ".part"
 # Structure from motion works there before anything else of a run exists.
@@ -51,12 +52,12 @@ class RunDir:
     as a run and locks it against other processes:
 
     >>> with RunDir("survey/bathynerf") as run:                              # doctest: +SKIP
-    ...     key = stage_key("sweep", settings, image_paths)
-    ...     if not run.stage_is_current("sweep", key):
-    ...         folder = run.open_stage("sweep")
-    ...         save_arrays(folder / "heights.npz", heights=heights)
-    ...         run.finish_stage("sweep", key, folder)
-    ...     heights = load_arrays(run.load_stage("sweep") / "heights.npz")["heights"]
+    ...     folder = run.finished_stage("sweep", key)
+    ...     if folder is None:
+    ...         temp = run.open_stage("sweep")
+    ...         save_arrays(temp / "heights.npz", heights=heights)
+    ...         folder = run.finish_stage("sweep", key, temp)
+    ...     heights = load_arrays(folder / "heights.npz")["heights"]
 
     Attributes
     ----------
@@ -86,11 +87,11 @@ class RunDir:
         with _refusals(self.path):
             self._require_ours_or_empty()
             self.stages_path.mkdir(parents=True, exist_ok=True)
-            self.pictures_path.mkdir(exist_ok=True)
             if not (self.path / _MARKER).exists():
                 made_by = {"made_by": f"bathynerf {importlib.metadata.version('bathynerf')}"}
                 self.write_text(self.path / _MARKER, json.dumps(made_by))
             self._lock = _locked(self.path)
+            result.settle(self.path)
         self._remove_parts()
         return self
 
@@ -109,14 +110,54 @@ class RunDir:
             default = self.path / "bathynerf"
             mend = f"name {default}" if (default / _MARKER).is_file() else "name the folder that process wrote"
             raise SurveyError(f"{self.path} is no run folder; {mend}")
+        if not result.is_settled(self.path):
+            raise SurveyError(
+                f"`bathynerf process` was stopped while it put its result into {self.path}; give the same command again"
+            )
 
-    def stage_is_current(self, name: str, key: str) -> bool:
-        """Whether a stage was finished with this key (see `stage_key`), so that its result can be used."""
-        return self._record(name).get("key") == key
+    def result(self) -> dict:
+        """What result.json says; see `survey.run.result.read_record`."""
+        return result.read_record(self.path)
 
-    def stage_seconds(self, name: str) -> float | None:
-        """How long a finished stage took when it was computed [s]; None if it is not finished."""
-        return self._record(name).get("seconds")
+    def warn_if_unfinished(self) -> None:
+        """Warn where a later `process` began here and did not finish, so that the result is that of the one before."""
+        if result.is_unfinished(self.path):
+            current().warn(
+                f"a later `bathynerf process` in {self.path} has not finished; this is the result of "
+                f"{self.result().get('finished')}, with the settings in settings.toml beside it"
+            )
+
+    def open_result(self) -> Path:
+        """An empty folder for a new result; `publish` puts it in its place."""
+        folder = self.path / f".result{_PART}"
+        with _refusals(folder):
+            result.begin(self.path, folder)
+        return folder
+
+    def publish(self, folder: Path, *, quality: str, stages: dict[str, Path]) -> None:
+        """Put the result in the folder of `open_result` in the place of the one before; remove what nobody needs now.
+
+        ``stages`` are the folders of the stages that it was made from, by name.
+        """
+        finished = time.strftime("%Y-%m-%d %H:%M:%S")
+        names = {name: place.name for name, place in stages.items()}
+        with _refusals(self.path):
+            result.publish(self.path, folder, quality=quality, finished=finished, stages=names)
+            result.prune(self.path)
+
+    def finished_stage(self, name: str, key: Key) -> Path | None:
+        """The folder of a stage that was finished with this key; None if there is none."""
+        folder = self._place(name, key)
+        return folder if _record(folder).get("key") == key.digest else None
+
+    def why_again(self, name: str, key: Key) -> str | None:
+        """Why a stage has to be computed although it was before, in words; None if it never was.
+
+        The finished result of this stage that has most in common with the key tells what changed.
+        """
+        records = [_record(folder) for folder in self.stages_path.glob(f"{name}-*")]
+        found = [key.changes_from(record["parts"]) for record in records if isinstance(record.get("parts"), dict)]
+        return key.sentence_of(min(found, key=len)) if found else None
 
     def open_stage(self, name: str) -> Path:
         """A fresh folder for a stage to work in; `finish_stage` gives it its place."""
@@ -130,50 +171,41 @@ class RunDir:
         self._started[folder] = time.monotonic()
         return folder
 
-    def finish_stage(self, name: str, key: str, temp: Path) -> Path:
-        """Put the folder of `open_stage` in its place, with a record of key, seconds and versions; return it.
-
-        An older result of the stage is replaced in the moment the new one is whole.
-        """
+    def finish_stage(self, name: str, key: Key, temp: Path) -> Path:
+        """Put the folder of `open_stage` in its place, with a record of key, seconds and versions; return it."""
         seconds = round(time.monotonic() - self._started.pop(temp), 3)
-        record = {"key": key, "seconds": seconds, "versions": versions()}
+        record = {"key": key.digest, "parts": key.parts, "seconds": seconds, "versions": versions()}
         self.write_text(temp / _RECORD, json.dumps(record, indent=2))
-        place, old = self.stages_path / name, self.stages_path / f".{name}.old{_PART}"
+        place = self._place(name, key)
         with _refusals(place):
-            if place.exists():
-                place.rename(old)
+            # Computed again on demand, or with a record that cannot be read.
+            shutil.rmtree(place, ignore_errors=True)
             temp.rename(place)
-            shutil.rmtree(old, ignore_errors=True)
         return place
 
     def load_stage(self, name: str) -> Path:
-        """The folder of a finished stage.
+        """The folder of a stage of the result that stands in the run.
 
         Raises
         ------
         SurveyError
             If there is none.
         """
-        folder = self.stages_path / name
-        if not self._record(name):
+        folder = self.stages_path / self.result().get("stages", {}).get(name, f"{name}-none")
+        if not _record(folder):
             raise SurveyError(
                 f"the run {self.path} has no finished stage {name}; give the same `bathynerf process` again, "
                 "it goes on where it stopped"
             )
         return folder
 
+    def _place(self, name: str, key: Key) -> Path:
+        return self.stages_path / f"{name}-{key.digest[:12]}"
+
     def write_text(self, path: Path, text: str) -> None:
         """Write a text file as UTF-8, whole or not at all."""
         with write_whole(path) as stream:
             stream.write(text.encode())
-
-    def _record(self, name: str) -> dict:
-        """The record of a finished stage; empty if there is none, or none that can be read."""
-        try:
-            record = json.loads((self.stages_path / name / _RECORD).read_text(encoding="utf-8"))
-        except (FileNotFoundError, NotADirectoryError, ValueError):
-            return {}
-        return record if isinstance(record, dict) else {}
 
     def _require_ours_or_empty(self) -> None:
         if self.path.exists() and not self.path.is_dir():
@@ -192,14 +224,31 @@ class RunDir:
         """Remove what a run that was killed, or failed, left unfinished: folders of stages and half-written files."""
         for folder in self.stages_path.glob(f".*{_PART}"):
             shutil.rmtree(folder, ignore_errors=True)
-        for place in (self.path, self.pictures_path):
-            for file in place.glob(f".*{_PART}"):
-                file.unlink(missing_ok=True)
+        for part in self.path.glob(f".*{_PART}"):
+            if part.is_dir():
+                shutil.rmtree(part, ignore_errors=True)
+            else:
+                part.unlink(missing_ok=True)
+
+
+def _record(folder: Path) -> dict:
+    """The record of a finished stage; empty if there is none, or none that can be read."""
+    try:
+        record = json.loads((folder / _RECORD).read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError, ValueError):
+        return {}
+    return record if isinstance(record, dict) else {}
+
+
+def seconds_of(folder: Path) -> float:
+    """How long the finished stage in a folder took when it was computed [s]."""
+    return _record(folder)["seconds"]
 
 
 def versions() -> dict[str, str]:
     """Versions of what computes, by name; what is not installed is left out."""
-    found = {"bathynerf": code_version(), "python": ".".join(str(v) for v in sys.version_info[:3])}
+    program = f"{importlib.metadata.version('bathynerf')}+{code_hash('survey.run.process')[:8]}"
+    found = {"bathynerf": program, "python": ".".join(str(v) for v in sys.version_info[:3])}
     for name in _NAMED_VERSIONS:
         try:
             found[name] = importlib.metadata.version(name)

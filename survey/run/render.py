@@ -57,6 +57,7 @@ def render(run: Path, cameras: Path, output: Path, *, dry: bool = False, device:
     folder = RunDir(run)
     folder.require_run()
     stage_folder = _field_folder(folder)
+    folder.warn_if_unfinished()
     frame, water = load_place(stage_folder)
     posed = _cameras(read_poses(cameras), cameras, frame, read_config(folder.settings_path))
     field = load_field(stage_folder, choose_device(device))

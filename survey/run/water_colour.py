@@ -5,22 +5,17 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fields.colour.absorption import estimate_absorption
-from fields.slab.train import Sources
 from geo.files import write_whole
 from survey.errors import SurveyError
-from survey.folder.survey import Survey
 
-_RESULT = "water_colour.json"
+if TYPE_CHECKING:
+    from fields.slab.train import Sources
+    from survey.folder.survey import Survey
 
-
-def require_water(survey: Survey) -> None:
-    """Raise SurveyError where there is no water to take away."""
-    if survey.water is None:
-        raise SurveyError(
-            "--true-colour takes the water away, but the survey has none; leave the option out, or give [water]"
-        )
+COLOUR_FILE = "water_colour.json"
 
 
 def colour_of(survey: Survey) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
@@ -49,13 +44,13 @@ def save_colour(folder: Path, sources: Sources) -> None:
             f"the photographs do not tell the absorption of the water: {error}; give [water] absorption_per_m and "
             "veiling_light in survey.toml, or leave --true-colour out"
         ) from error
-    with write_whole(folder / _RESULT) as stream:
+    with write_whole(folder / COLOUR_FILE) as stream:
         stream.write(json.dumps({"absorption_per_m": absorption}, indent=2).encode())
 
 
 def with_colour(survey: Survey, folder: Path) -> Survey:
     """The survey with the colour that `save_colour` found, and none for the veil."""
-    record = json.loads((folder / _RESULT).read_text(encoding="utf-8"))
+    record = json.loads((folder / COLOUR_FILE).read_text(encoding="utf-8"))
     absorption = tuple(record["absorption_per_m"])
     water = replace(survey.config.water, absorption_per_m=absorption, veiling_light=(0.0, 0.0, 0.0))
     said = ", ".join(f"{a:.3f}" for a in absorption)

@@ -23,6 +23,7 @@ from geo.crs import height_unit_m
 from geo.files import write_whole
 from geo.frames import LocalFrame
 from refract.lens import Lens
+from survey.code_hash import code_hash
 from survey.errors import FILE_NAME, ImageError, SurveyError
 from survey.photos.exif import Exif, read_exif
 from survey.sfm import block as sfm_block
@@ -32,8 +33,6 @@ from survey.stage_key import stage_key
 
 __all__ = ["SfmResult", "SfmView", "solve_poses"]
 
-# Raise it when a change of the code changes the poses, so that stored ones are not used again.
-_FORMAT = 1
 _RECORD, _MODEL, _WORK = "solved.json", "model", ".work.part"
 # Features and matches of an image take about 2 MB in the database.
 _BYTES_PER_IMAGE, _BYTES_AT_LEAST = 4_000_000, 50_000_000
@@ -130,7 +129,8 @@ def solve_poses(
     _require_size(images, heads, size_px)
     focal_px = _one_focal(focal_px)
     gps = gps_positions(heads, crs, gps_height)
-    key = stage_key("sfm", _FORMAT, gps.frame, gps_height, focal_px, list(images), list(images.values()))
+    code = code_hash("survey.sfm.solve")
+    key = stage_key("sfm", code, gps.frame, gps_height, focal_px, list(images), list(images.values()))
     with _refusals(workspace):
         solved = _stored(workspace, key)
         if solved is not None:

@@ -1,0 +1,36 @@
+"""What a quality means: all its numbers together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How much work is spent.
+
+    Attributes
+    ----------
+    megapixels : [Mpx]
+        Largest image that is worked on; larger ones are halved until they fit.
+    times_seen : (int, int)
+        How often every place is to be seen by views with a height map of their own: by steep ones, and by oblique ones
+        from each quarter. Three confirm each other; docs/sweep.md has what more bring.
+    field : bool
+        Whether the survey field refines the heights of the sweep.
+    rays_per_cell : float
+        Rays that the field learns from, per cell of one ground sampling distance.
+    """
+
+    megapixels: float
+    times_seen: tuple[int, int]
+    field: bool
+    rays_per_cell: float = 15.0
+
+
+RECIPES = {
+    "draft": Recipe(megapixels=2.0, times_seen=(4, 1), field=False),
+    "standard": Recipe(megapixels=6.0, times_seen=(6, 2), field=False),
+    # More than any place is seen: every view is matched.
+    "fine": Recipe(megapixels=100.0, times_seen=(1000, 1000), field=True),
+}

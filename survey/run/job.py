@@ -1,0 +1,89 @@
+"""What the stages of a run share: the survey and its plan, the photographs, and what each part of them hashes to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from survey.plan.block import load_block
+from survey.run.water_colour import colour_of
+from survey.stage_key import stage_key
+
+if TYPE_CHECKING:
+    from fields.sweep.block import Block
+    from survey.folder.survey import Survey
+    from survey.plan.plan import Plan
+    from survey.progress import Progress
+
+
+class Job:
+    """One survey on its way through the stages.
+
+    Attributes
+    ----------
+    survey : Survey
+        With the water, and its colour, that earlier stages found.
+    plan : Plan
+    progress : Progress
+    calibrate_water, true_colour : bool
+        Whether the water is estimated first; whether points get the colour of the bed without its water.
+    """
+
+    def __init__(
+        self,
+        survey: Survey,
+        plan_of: Callable[[Survey], Plan],
+        progress: Progress,
+        *,
+        calibrate_water: bool = False,
+        true_colour: bool = False,
+    ):
+        self.survey, self.plan, self.progress = survey, plan_of(survey), progress
+        self.calibrate_water, self.true_colour = calibrate_water and survey.water is not None, true_colour
+        self._plan_of = plan_of
+
+    def take(self, survey: Survey) -> None:
+        """Go on with another survey of the same photographs: with other water."""
+        self.survey, self.plan = survey, self._plan_of(survey)
+        self.__dict__.pop("block", None)
+
+    @cached_property
+    def block(self) -> Block:
+        """The grey images with their cameras, loaded when the first stage needs them."""
+        with self.progress.stage("Images", len(self.survey.views)) as stage:
+            return load_block(self.survey, self.plan, stage.advance)
+
+    def part(self, name: str) -> str:
+        """The hash of a part of the job that stages depend on; the names are those in `survey.run.keys`."""
+        return self._photographs if name == "photographs" else stage_key(self._part(name))
+
+    @cached_property
+    def _photographs(self) -> str:
+        """Of all photographs and masks, read whole, several at a time."""
+        views = self.survey.views
+        paths = [path for view in views for path in (view.path, view.mask_path) if path is not None]
+        with ThreadPoolExecutor() as pool:
+            content = dict(zip(paths, pool.map(stage_key, paths), strict=True))
+        return stage_key([(view.name, content[view.path], content.get(view.mask_path)) for view in views])
+
+    def _part(self, name: str):
+        survey, plan = self.survey, self.plan
+        parts = {
+            "cameras": lambda: [(view.name, view.camera, view.lens) for view in survey.views],
+            "water": lambda: survey.water,
+            "water_settings": lambda: survey.config.water,
+            "heights": lambda: None,
+            "area": lambda: survey.bounds,
+            "frame": lambda: survey.frame,
+            "name": lambda: survey.name,
+            "size": lambda: plan.image_scale,
+            "gsd": lambda: plan.gsd_m,
+            "coverage": lambda: plan.recipe.times_seen,
+            "rays": lambda: plan.recipe.rays_per_cell,
+            "device": lambda: plan.device,
+            "water_colour": lambda: colour_of(survey),
+            "true_colour": lambda: colour_of(survey) if self.true_colour else None,
+        }
+        return parts[name]()

@@ -1,0 +1,61 @@
+"""What a stage depends on, part by part, so that a run can say why a stage is computed again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+from survey.stage_key import stage_key
+
+# Parts in words; a part without words is the result of another stage.
+_WORDS = {
+    "photographs": "the photographs or masks",
+    "cameras": "poses or lenses",
+    "water": "the water",
+    "water_settings": "the water",
+    "heights": "the range of heights",
+    "area": "the area",
+    "frame": "the local frame",
+    "name": "the name of the survey",
+    "size": "the size that images are worked on",
+    "gsd": "the ground sampling distance",
+    "coverage": "the number of views per place (--quality)",
+    "rays": "the rays that the field learns from (--quality)",
+    "device": "the device",
+    "water_colour": "the colour of the water",
+    "true_colour": "--true-colour",
+    "code": "the program",
+}
+
+
+@dataclass(frozen=True)
+class Key:
+    """What a stage depends on.
+
+    Attributes
+    ----------
+    parts : dict of str to str
+        A hash for each part, by its name.
+    """
+
+    parts: Mapping[str, str]
+
+    @cached_property
+    def digest(self) -> str:
+        """One hash for all parts."""
+        return stage_key(dict(self.parts))
+
+    def changes_from(self, earlier: Mapping[str, str]) -> list[str]:
+        """Names of the parts that differ from those of an earlier key."""
+        names = [*self.parts, *(name for name in earlier if name not in self.parts)]
+        return [name for name in names if self.parts.get(name) != earlier.get(name)]
+
+    @staticmethod
+    def sentence_of(names: list[str]) -> str:
+        """Why a stage is computed again, in words; of no names, that its earlier result cannot be read."""
+        if not names:
+            return "its earlier result is not whole"
+        words = [_WORDS.get(name, f"the result of the stage {name}") for name in names]
+        listed = " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
+        return f"{listed} changed"

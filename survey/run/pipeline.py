@@ -1,0 +1,82 @@
+"""The stages of a run, in their order."""
+
+from __future__ import annotations
+
+from survey.run.job import Job
+from survey.run.stage import Stage
+from survey.run.stage_bed import FILES, make_bed
+from survey.run.stage_field import train_field
+from survey.run.stage_sweep import MAPS, sweep_views
+from survey.run.stage_water import ESTIMATE, calibrate_water, use_water
+from survey.run.stage_water_colour import estimate_colour, use_colour
+from survey.run.stored_field import FIELD_FILES
+from survey.run.water_colour import COLOUR_FILE, colour_is_known
+
+
+def _calibrates(job: Job) -> bool:
+    return job.calibrate_water
+
+
+def _needs_colour(job: Job) -> bool:
+    return job.true_colour and not colour_is_known(job.survey)
+
+
+def _has_field(job: Job) -> bool:
+    return job.plan.is_on("field")
+
+
+# What decides the rays of the photographs, and where the bed is looked for.
+_VIEWS = ("photographs", "cameras", "water", "size", "device")
+
+STAGES = (
+    Stage(
+        name="water",
+        needs=(),
+        depends_on=("photographs", "cameras", "water_settings", "area", "heights", "device"),
+        leaves=(ESTIMATE,),
+        compute=calibrate_water,
+        is_on=_calibrates,
+        apply=use_water,
+    ),
+    Stage(
+        name="sweep",
+        needs=(),
+        depends_on=(*_VIEWS, "heights", "area", "coverage"),
+        leaves=(MAPS,),
+        compute=sweep_views,
+    ),
+    Stage(
+        name="water_colour",
+        needs=("sweep",),
+        depends_on=_VIEWS,
+        leaves=(COLOUR_FILE,),
+        compute=estimate_colour,
+        is_on=_needs_colour,
+        apply=use_colour,
+    ),
+    Stage(
+        name="field",
+        needs=("sweep",),
+        depends_on=(*_VIEWS, "area", "frame", "gsd", "rays", "water_colour"),
+        leaves=FIELD_FILES,
+        compute=train_field,
+        is_on=_has_field,
+    ),
+    Stage(
+        name="bed",
+        needs=("sweep", "field"),
+        depends_on=(*_VIEWS, "area", "frame", "name", "gsd", "true_colour"),
+        leaves=FILES,
+        compute=make_bed,
+    ),
+)
+
+# What the cloud would be without the field: a baseline for the report.
+BED_OF_SWEEP = Stage(
+    name="bed_of_sweep",
+    needs=("sweep",),
+    depends_on=(*_VIEWS, "area", "frame", "name", "gsd", "true_colour"),
+    leaves=FILES,
+    compute=make_bed,
+    is_on=_has_field,
+)

@@ -1,0 +1,76 @@
+"""A stage of a run, as data: what it needs, what it leaves, what it depends on, and the function that computes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from survey.code_hash import code_hash
+from survey.run.folder import RunDir
+from survey.run.keys import Key
+
+if TYPE_CHECKING:
+    from survey.run.job import Job
+
+Compute = Callable[["Job", Path, Mapping[str, Path]], None]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One step from photographs to points, whose result is kept in the run folder.
+
+    Attributes
+    ----------
+    name : str
+    needs : tuple of str
+        Stages whose results it reads; those that a run leaves out are left out here too.
+    depends_on : tuple of str
+        Parts of the job that decide its result; see `Job.part`.
+    leaves : tuple of str
+        Files in its folder.
+    compute : callable
+        Gets the job, the folder to write to, and the folders of the stages that it needs, by name. The code that this
+        function's module reaches by imports is a part of what the stage depends on.
+    is_on : callable
+        Whether a job has this stage.
+    apply : callable, optional
+        Changes the job by the result in a folder, whether computed now or earlier.
+    """
+
+    name: str
+    needs: tuple[str, ...]
+    depends_on: tuple[str, ...]
+    leaves: tuple[str, ...]
+    compute: Compute
+    is_on: Callable[[Job], bool] = lambda _job: True
+    apply: Callable[[Job, Path], None] | None = None
+
+    def key(self, job: Job, done: Mapping[str, Path]) -> Key:
+        """What the result depends on, given the folders of the stages before."""
+        parts = {name: job.part(name) for name in self.depends_on}
+        # The name of a stage's folder ends in the hash of all that it depends on.
+        parts |= {name: done[name].name for name in self.needs if name in done}
+        return Key(parts | {"code": code_hash(self.compute.__module__)})
+
+
+def run_stage(stage: Stage, job: Job, run: RunDir, done: Mapping[str, Path], *, resume: bool) -> Path:
+    """The folder of a stage: the one in the run where it is still right, else computed now."""
+    key = stage.key(job, done)
+    folder = run.finished_stage(stage.name, key) if resume else None
+    if folder is not None:
+        job.progress.note(f"{stage.name}: used again, nothing that it depends on has changed")
+    else:
+        why = run.why_again(stage.name, key) if resume else "--no-resume"
+        if why is not None:
+            job.progress.note(f"{stage.name}: computed again: {why}")
+        temp = run.open_stage(stage.name)
+        stage.compute(job, temp, {name: done[name] for name in stage.needs if name in done})
+        missing = [name for name in stage.leaves if not (temp / name).is_file()]
+        if missing:
+            raise RuntimeError(f"the stage {stage.name} left no {', '.join(missing)}")
+        folder = run.finish_stage(stage.name, key, temp)
+    if stage.apply is not None:
+        stage.apply(job, folder)
+    return folder

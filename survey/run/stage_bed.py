@@ -1,0 +1,79 @@
+"""The stage of the bed: height maps become points, every piece of the bed once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fields.colour.true_colour import true_colours
+from fields.heads import WaterColumn
+from fields.slab.refine import refine
+from fields.sweep.bed import BedPoints, has_company, points_of, unique_pixels
+from survey.errors import SurveyError
+from survey.photos.images import load_image
+from survey.plan.block import AREA_MARGIN_M, backend, camera_of, grown, local_area, within
+from survey.run.stage_sweep import MAPS
+from survey.run.stored import BED_FILE, SURVEY_FILE, StoredBed, load_depth_maps, save_bed
+from survey.run.stored_field import load_field
+from survey.run.water_colour import colour_of
+
+if TYPE_CHECKING:
+    from fields.slab.tensor_field import TensorField
+    from fields.sweep.sweep import DepthMap
+    from survey.run.job import Job
+
+FILES = (BED_FILE, SURVEY_FILE)
+
+
+def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+    """Points of the bed, with the heights of the field where one was trained.
+
+    Raises
+    ------
+    SurveyError
+        If no two views confirm a point.
+    """
+    survey = job.survey
+    maps = load_depth_maps(needs["sweep"] / MAPS)
+    field = load_field(needs["field"], backend(job.plan)) if "field" in needs else None
+    with job.progress.stage("Bed", len(maps)) as stage:
+        bed, moved = _points(job, maps, field, stage.advance)
+    if field is not None:
+        job.progress.detail(f"{moved:,} of {len(bed):,} points have the field's height")
+    if len(bed) == 0:
+        raise SurveyError(
+            "no point of the bed was confirmed by two views; check that poses, water level and images belong "
+            "together (bathynerf check) and that the views overlap"
+        )
+    if job.true_colour:
+        rgb, too_bright = true_colours(bed, survey.water, WaterColumn(*colour_of(survey)))
+        bed = replace(bed, rgb=rgb)
+        job.progress.detail(f"{100 * too_bright:.1f} % of the points are brighter than white without the water")
+    points_crs = survey.frame.crs_from_local(bed.xyz)
+    save_bed(folder, StoredBed(bed, points_crs, survey.frame.crs, survey.name, job.plan.gsd_m))
+
+
+def _points(job: Job, maps: list[DepthMap], field: TensorField | None, advance) -> tuple[BedPoints, int]:
+    """Every piece of the bed once, coloured from the photograph that shows it steepest.
+
+    Returns the points and how many of them took their height from the field.
+    """
+    survey, plan, block = job.survey, job.plan, job.block
+    parts, moved = [], 0
+    for depth_map, keep in zip(maps, unique_pixels(block, maps), strict=True):
+        view = survey.views[depth_map.view]
+        camera = camera_of(view, plan)
+        rgb = load_image(view, scale=plan.image_scale)
+        keep = keep[: camera.height, : camera.width]
+        if field is not None:
+            height, taken = refine(field, camera, depth_map, rgb, survey.water, keep)
+            depth_map, moved = replace(depth_map, height=height), moved + taken
+        parts.append(points_of(camera, survey.water, depth_map, keep, rgb))
+        advance(1.0)
+    bed = BedPoints.concatenate(parts)
+    area = local_area(survey)
+    if area is not None:
+        bed = bed[within(bed.xyz, grown(area, AREA_MARGIN_M))]
+    return bed[has_company(bed.xyz, plan.gsd_m)], moved

@@ -1,0 +1,33 @@
+"""The stage of the field: a tensor field trained inside the bound of the sweep."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fields.slab.tensor_field import FieldSettings
+from fields.slab.train import Schedule, slab_of, train
+from survey.plan.block import AREA_MARGIN_M, backend, grown, local_area
+from survey.progress import shares
+from survey.run.sources import sources_of
+from survey.run.stage_sweep import MAPS
+from survey.run.stored import load_depth_maps
+from survey.run.stored_field import save_field, save_place
+
+if TYPE_CHECKING:
+    from survey.run.job import Job
+
+
+def train_field(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+    """Train the field on the photographs that have a height map."""
+    survey, plan = job.survey, job.plan
+    sources = sources_of(survey, plan, load_depth_maps(needs["sweep"] / MAPS))
+    area = local_area(survey)
+    slab = slab_of(sources, plan.gsd_m, None if area is None else grown(area, AREA_MARGIN_M))
+    schedule = Schedule(plan.recipe.rays_per_cell)
+    with job.progress.stage("Field", 1.0) as stage:
+        field, figures = train(sources, slab, FieldSettings(), schedule, backend(plan), shares(stage))
+    job.progress.note(f"field: {figures['psnr_db']:.1f} dB after {figures['rays']:,} rays")
+    save_field(folder, field, figures)
+    save_place(folder, survey.frame, survey.water)

@@ -1,0 +1,42 @@
+"""The stage of the sweep: the bound of the bed, and a height map of each view that is needed to cover it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fields.sweep.ranging import find_range
+from fields.sweep.sweep import sweep
+from survey.errors import SurveyError
+from survey.plan.block import limits, local_area, plane_name
+from survey.progress import shares
+from survey.run.stored import save_depth_maps
+
+if TYPE_CHECKING:
+    from survey.run.job import Job
+
+MAPS = "maps.npz"
+
+
+def sweep_views(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
+    """Sweep the views that cover the bed.
+
+    Raises
+    ------
+    SurveyError
+        If the images do not match, or no two views overlap.
+    """
+    survey, block = job.survey, job.block
+    with job.progress.stage("Sweep", 1.0) as stage:
+        try:
+            low, high = find_range(block, limits(survey))
+        except ValueError as error:
+            raise SurveyError(str(error)) from error
+        block.look_at(0.5 * (low + high))
+        chosen = block.cover(*job.plan.recipe.times_seen, local_area(survey))
+        maps = sweep(block, chosen, (low, high), shares(stage))
+    if not maps:
+        raise SurveyError("no two views overlap; check that the poses belong to the images")
+    job.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(survey)}")
+    save_depth_maps(folder / MAPS, maps)

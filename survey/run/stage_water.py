@@ -1,0 +1,37 @@
+"""The stage of the water: level, slopes and index, estimated from the photographs before the bed is looked for."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from geo.files import write_whole
+from survey.adjust.estimate import with_water
+from survey.adjust.water import PARAMETERS, calibrate
+
+if TYPE_CHECKING:
+    from survey.run.job import Job
+
+ESTIMATE = "waterline.json"
+
+
+def calibrate_water(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
+    """Estimate the water."""
+    with job.progress.stage("Water", 1.0) as stage:
+        found = calibrate(job.survey, device=job.plan.device_asked, advance=stage.advance)
+    with write_whole(folder / ESTIMATE) as stream:
+        stream.write(found.to_json().encode())
+
+
+def use_water(job: Job, folder: Path) -> None:
+    """Give the job the water that was found; what the photographs cannot tell stays as it was given."""
+    record = json.loads((folder / ESTIMATE).read_text(encoding="utf-8"))
+    for estimate in record["estimates"]:
+        job.progress.note(f"water: {estimate['name']}: {estimate['verdict']}")
+    notes = tuple(f"{found['name']} {found['verdict']} (from the photographs)" for found in record["estimates"])
+    survey = job.survey
+    water = replace(survey.config.water, **{name: record["water"][name] for name in PARAMETERS})
+    job.take(replace(with_water(survey, water), assumptions=survey.assumptions + notes))

@@ -1,0 +1,28 @@
+"""The stage of the water's colour: its absorption, estimated from the photographs where survey.toml does not say it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from survey.run.sources import sources_of
+from survey.run.stage_sweep import MAPS
+from survey.run.stored import load_depth_maps
+from survey.run.water_colour import save_colour, with_colour
+
+if TYPE_CHECKING:
+    from survey.run.job import Job
+
+
+def estimate_colour(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+    """Estimate what the water absorbs, from the photographs that have a height map."""
+    maps = load_depth_maps(needs["sweep"] / MAPS)
+    with job.progress.stage("Water colour"):
+        save_colour(folder, sources_of(job.survey, job.plan, maps))
+
+
+def use_colour(job: Job, folder: Path) -> None:
+    """Give the job's survey the absorption that was found."""
+    job.survey = with_colour(job.survey, folder)
+    job.progress.note(f"water colour: {job.survey.assumptions[-1]}")

@@ -1,0 +1,85 @@
+"""The hash of the code of a stage, on a copy of the code that is edited."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from survey.code_hash import code_hash
+
+ROOT = Path(__file__).resolve().parent.parent
+SWEEP, BED = "survey.run.stage_sweep", "survey.run.stage_bed"
+A_LINE = ("from __future__ import annotations", "from __future__ import annotations\nX = 1")
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory):
+    """A copy of the rooms."""
+    folder = tmp_path_factory.mktemp("copy")
+    for room in ("refract", "geo", "evaluation", "fields", "survey"):
+        shutil.copytree(ROOT / room, folder / room, ignore=shutil.ignore_patterns("__pycache__"))
+    return folder
+
+
+def hashes_in(folder: Path) -> dict[str, str]:
+    """The hashes of both stages' code in a copy."""
+    code = f"from survey.code_hash import code_hash\nfor name in {SWEEP!r}, {BED!r}: print(name, code_hash(name))"
+    shown = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=True)
+    return dict(line.split() for line in shown.stdout.splitlines())
+
+
+@pytest.fixture(scope="module")
+def first(copy):
+    return hashes_in(copy)
+
+
+@pytest.fixture
+def edit(copy):
+    """A function that replaces text in a file of the copy, undone at the end."""
+    before = {}
+
+    def replace(name: str, old: str, new: str) -> None:
+        path = copy / name
+        before[path] = path.read_text(encoding="utf-8")
+        assert old in before[path], f"{name} has no {old!r}"
+        path.write_text(before[path].replace(old, new), encoding="utf-8")
+
+    yield replace
+    for path, text in before.items():
+        path.write_text(text, encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "changed"),
+    [
+        ("survey/photos/images.py", "cv2.INTER_LANCZOS4", "cv2.INTER_LINEAR", (SWEEP, BED)),
+        ("survey/plan/block.py", "HIGHEST, DEEPEST = 0.8, 1.5", "HIGHEST, DEEPEST = 0.8, 1.4", (SWEEP, BED)),
+        ("fields/sweep/sweep.py", "Pass(0.5, 2, 11,", "Pass(0.5, 2, 13,", (SWEEP, BED)),
+        ("fields/slab/refine.py", "CHUNK = 65536", "CHUNK = 32768", (BED,)),
+        ("refract/kernels.py", *A_LINE, (SWEEP, BED)),
+        # Comments, docstrings and layout decide nothing.
+        ("fields/sweep/sweep.py", "PEERS = 12", "PEERS = (\n    12  # views\n)", ()),
+        ("fields/sweep/sweep.py", '"""Refractive plane sweep', '"""The plane sweep', ()),
+        # Nor does code that a stage never reaches: other fields, reports, the reading of folders.
+        ("fields/volume/sdf.py", *A_LINE, ()),
+        ("survey/report/page.py", *A_LINE, ()),
+        ("survey/folder/infer.py", *A_LINE, ()),
+        ("survey/plan/recipe.py", "(6, 2)", "(7, 2)", ()),
+    ],
+)
+def test_a_stage_depends_on_the_code_that_it_calls_and_on_no_other(copy, first, edit, name, old, new, changed):
+    edit(name, old, new)
+    after = hashes_in(copy)
+    found = {module for module in first if first[module] != after[module]}
+    assert found == set(changed)
+
+
+def test_a_name_that_is_no_module_of_the_project_is_refused():
+    with pytest.raises(ModuleNotFoundError, match=r"survey\.gone is no module"):
+        code_hash("survey.gone")
+    with pytest.raises(ModuleNotFoundError, match="json is no module"):
+        code_hash("json")

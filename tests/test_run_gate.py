@@ -1,0 +1,79 @@
+"""The quality gate: ground that two views see and points that are known well enough, against counts by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_survey import small_survey
+
+from fields.sweep.bed import BedPoints
+from refract import FlatWater, PinholeCamera
+from survey.folder.survey import load_survey
+from survey.run.gate import CELL_GSD, MAX_STD_GSD, cells_seen, verdict_of
+
+DOWN = np.diag([1.0, -1.0, -1.0])
+GSD = 0.05
+DEPTH_M, FLYING_M = 2.0, 10.0
+# A camera that sees 10 m x 6 m of a level at its flying height, 200 px a side of 10 m.
+SIZE, FOCAL = (200, 120), 200.0
+
+
+@pytest.fixture
+def survey(tmp_path):
+    """Two nadir views 4 m apart along x over a bed 2 m under water of index 1; without bounds."""
+    loaded = load_survey(small_survey(tmp_path / "s", num=3))
+    cameras = [
+        PinholeCamera(np.array([x, 0.0, FLYING_M - DEPTH_M]), DOWN, FOCAL, FOCAL, 100.0, 60.0, *SIZE)
+        for x in (0.0, 4.0)
+    ]
+    views = tuple(replace(view, camera=camera) for view, camera in zip(loaded.views, cameras, strict=False))
+    return replace(loaded, views=views, water=FlatWater((0.0, 0.0, 0.0), n_water=1.0), bounds=None)
+
+
+def bed_over(x0: float, x1: float, *, std: float = 0.01) -> BedPoints:
+    """Points 10 cm apart at 2 m depth, from x0 to x1 and over all of y that the views see."""
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(x0, x1, 0.1), np.arange(-3.5, 3.5, 0.1)))
+    count = len(x)
+    return BedPoints(
+        xyz=np.stack([x, y, np.full(count, -DEPTH_M)], axis=-1),
+        rgb=np.zeros((count, 3), dtype=np.uint8),
+        std=np.full(count, std, dtype=np.float32),
+        num_views=np.full(count, 2, dtype=np.uint8),
+        depth=np.full(count, DEPTH_M, dtype=np.float32),
+        incidence=np.zeros(count, dtype=np.float32),
+        wet=np.ones(count, dtype=bool),
+    )
+
+
+def test_cells_are_counted_by_the_views_that_see_them(survey):
+    _, num_views = cells_seen(survey, bed_over(-5.0, 9.0).xyz, GSD)
+    cell_m2 = (CELL_GSD * GSD) ** 2
+    # Each sees 10 m x 6 m, and 6 m x 6 m together; a cell on an edge counts or not.
+    for times, area in ((1, 2 * 4.0 * 6.0), (2, 6.0 * 6.0)):
+        assert (num_views == times).sum() * cell_m2 == pytest.approx(area, rel=0.15)
+
+
+@pytest.mark.parametrize(("until", "passed"), [(9.0, True), (2.6, True), (1.4, False)])
+def test_only_ground_that_two_views_see_is_asked_for(survey, until, passed):
+    """Both see x from -1 to 5 m: half of it ends at 2 m; what one view sees does not count."""
+    (ground, _) = verdict_of(survey, bed_over(-5.0, until), GSD).gates
+    assert ground.value == pytest.approx(100.0 * (min(until, 5.0) + 1.0) / 6.0, abs=9.0)
+    assert ground.passed == passed
+    assert "that two views or more see has a point of the bed" in ground.sentence
+
+
+def test_ground_beyond_the_bounds_is_not_asked_for(survey):
+    low, high = survey.frame.crs_from_local(np.array([[0.0, -2.0, 0.0], [2.0, 2.0, 0.0]]))
+    bounded = replace(survey, bounds=(low[0], low[1], high[0], high[1]))
+    (ground, _) = verdict_of(bounded, bed_over(-0.5, 2.5), GSD).gates
+    assert ground.value == 100.0
+
+
+@pytest.mark.parametrize(("share", "passed"), [(0.99, True), (1.01, False)])
+def test_points_have_to_be_known_to_one_and_a_half_pixels(survey, share, passed):
+    verdict = verdict_of(survey, bed_over(-5.0, 9.0, std=share * MAX_STD_GSD * GSD), GSD)
+    assert [gate.passed for gate in verdict.gates] == [True, passed]
+    assert verdict.passed == passed
+    assert verdict.gates[1].sentence.endswith("at most 7.5 cm (1.5 ground sampling distances) is asked")

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from fields.colour.true_colour import true_colours
-from fields.heads import WaterColumn
+from fields.water_column import WaterColumn
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.errors import SurveyError
 from survey.folder.config import dump_config

@@ -9,10 +9,11 @@ from scipy.ndimage import distance_transform_edt
 
 from fields.slab.refine import refine
 from fields.slab.tensor_field import FieldSettings, TensorField
-from fields.slab.train import Schedule, Sources, slab_of, train
+from fields.slab.train import Schedule, slab_of, train
 from fields.sweep.bed import BedPoints, has_company, points_of, trusted, unique_pixels
 from fields.sweep.block import Block
 from fields.sweep.ranging import find_range
+from fields.sweep.sources import Sources
 from fields.sweep.sweep import DepthMap, sweep
 from survey.errors import SurveyError
 from survey.folder.survey import Survey

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from fields.colour.absorption import estimate_absorption
-from fields.slab.train import Sources
+from fields.sweep.sources import Sources
 from geo.files import write_whole
 from survey.errors import SurveyError
 from survey.folder.survey import Survey

@@ -31,7 +31,6 @@ from object_scenes import NAMES, ObjectScene, chamfer, load_scene, thinned
 from PIL import Image
 
 from fields.device import choose_device
-from fields.heads import WaterColumn
 from fields.volume.hash_grid import HashSettings, HashVolume
 from fields.volume.mlp import MlpSettings, MlpVolume
 from fields.volume.model import VolumeModel
@@ -41,6 +40,7 @@ from fields.volume.scene import Backdrop, Scene
 from fields.volume.sdf import SdfSettings, SdfVolume
 from fields.volume.tensor import TensorSettings, TensorVolume
 from fields.volume.train import Training, render_volume, train_scene
+from fields.water_column import WaterColumn
 
 ABLATION = ("tensorf", "dw", "m", "mdw")
 BASELINES = ("nerf", "tinynerf", "hash", "neus")

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fields.slab.rays import GAMMA
+from fields.gamma import GAMMA
 from fields.volume.paths import Box
 from fields.volume.priors import PriorImages
 from fields.volume.train import Photographs

@@ -7,12 +7,13 @@ import torch
 from plane_survey import PlaneBed, texture
 
 from fields.device import Device
-from fields.heads import WaterColumn
+from fields.gamma import GAMMA
 from fields.slab.grid import Slab
-from fields.slab.rays import GAMMA, Rays, rays_of
+from fields.slab.rays import Rays, rays_of
 from fields.slab.tensor_field import FieldSettings, TensorField
-from fields.slab.train import Sources
+from fields.sweep.sources import Sources
 from fields.sweep.sweep import DepthMap
+from fields.water_column import WaterColumn
 from refract import PinholeCamera
 
 ABSORPTION = np.array([0.3, 0.07, 0.05])  # 1/m

@@ -10,10 +10,10 @@ from plane_survey import PlaneBed, look, ring
 
 from fields.colour.absorption import estimate_absorption
 from fields.colour.true_colour import true_colours
-from fields.heads import WaterColumn
-from fields.slab.rays import GAMMA
-from fields.slab.train import Sources
+from fields.gamma import GAMMA
 from fields.sweep.bed import BedPoints
+from fields.sweep.sources import Sources
+from fields.water_column import WaterColumn
 from refract import FlatWater, fresnel_coefficients
 
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.34)

@@ -1,4 +1,4 @@
-"""Heads of the field: density coarse and weighted, colour, and the water column, against their equations."""
+"""Heads of the field: density coarse and weighted, and colour, against their equations."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import torch
 
 from fields import heads
 from fields.device import choose_device
-from fields.heads import GATE_OF_ONE, ColourHead, DensityHead, WaterColumn, spherical_harmonics
+from fields.heads import GATE_OF_ONE, ColourHead, DensityHead, spherical_harmonics
 
 L, D, F = 3, 2, 4
 # Of the largest: normal laws within 1e-7 and sums of a few hundred rows in float32; measured 6e-7.
@@ -226,27 +226,3 @@ def test_spherical_harmonics_are_orthonormal_over_the_sphere():
         with_constant = np.column_stack([np.full(len(z), 0.5 / math.sqrt(math.pi)), found])
         gram = with_constant.T @ (area[:, None] * with_constant)
         np.testing.assert_allclose(gram, np.eye((degree + 1) ** 2), atol=1e-6)  # constants have seven digits
-
-
-def test_the_water_column_absorbs_and_veils_and_its_surface_reflects():
-    column = randomised(WaterColumn())
-    bed, length, r = torch.tensor([[0.6, 0.4, 0.2]]).double(), torch.tensor([2.5]).double(), torch.tensor([0.03])
-    a, veil, sky = (
-        np.log1p(np.exp(p.detach().numpy())) for p in (column.raw_absorption, column.raw_veil, column.raw_sky)
-    )
-    kept = np.exp(-a * 2.5)
-    below = kept * (0.6, 0.4, 0.2) + (1.0 - kept) * veil
-    np.testing.assert_allclose(column(bed, length, r.double())[0].detach(), 0.97 * below + 0.03 * sky, rtol=1e-6)
-
-
-def test_no_water_shows_the_bed_and_endless_water_the_veil():
-    column = WaterColumn()
-    bed = torch.rand(4, 3)
-    dark = torch.zeros(4)
-    torch.testing.assert_close(column(bed, torch.zeros(4), dark), bed)
-    veil = torch.nn.functional.softplus(column.raw_veil).expand(4, 3)
-    torch.testing.assert_close(column(bed, torch.full((4,), 1e4), dark), veil)
-
-
-def test_water_begins_as_clear_coastal_water_and_takes_red_first():
-    torch.testing.assert_close(WaterColumn().absorption.detach(), torch.tensor([0.3, 0.07, 0.05]))

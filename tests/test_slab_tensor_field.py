@@ -11,7 +11,7 @@ from plane_field import field_over, level_slab, rays_at
 from plane_survey import PlaneBed, ring
 
 from fields.device import choose_device
-from fields.slab.rays import GAMMA
+from fields.gamma import GAMMA
 from fields.slab.tensor_field import MIN_COLOUR_WEIGHT, FieldSettings, TensorField
 from refract import FlatWater
 

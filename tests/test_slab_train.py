@@ -12,11 +12,12 @@ from plane_field import level_slab, plane_sources
 from plane_survey import TILTED, PlaneBed, ring
 
 from fields.device import choose_device
-from fields.heads import WaterColumn
 from fields.slab import train as training
 from fields.slab.refine import refine
 from fields.slab.tensor_field import FieldSettings, TensorField
-from fields.slab.train import Schedule, Sources, draw_rays, slab_of, train
+from fields.slab.train import Schedule, draw_rays, slab_of, train
+from fields.sweep.sources import Sources
+from fields.water_column import WaterColumn
 
 BED = PlaneBed(TILTED, -2.0, 0.1)
 GSD = 0.03

@@ -12,12 +12,12 @@ from plane_survey import look
 from volume_models import check_learning, positions
 from volume_scenes import BOX
 
-from fields.heads import WaterColumn
 from fields.volume.hash_grid import HashSettings, HashVolume
 from fields.volume.paths import Paths, paths_of
 from fields.volume.proposal import EVEN_SHARE, Histogram, Proposal, ProposalSettings, bound_of, interlevel_loss
 from fields.volume.scene import Scene
 from fields.volume.train import Photographs, Training, train_scene
+from fields.water_column import WaterColumn
 
 SMALL = ProposalSettings(samples=(40, 24), n_max=(12, 24), n_min=6, levels=3, log2_table=10, hidden=8)
 

@@ -9,11 +9,11 @@ from test_volume_paths import whole
 from torch import nn
 from volume_scenes import BOX, WATER, Slab, looking_down
 
-from fields.heads import WaterColumn
-from fields.slab.rays import GAMMA
+from fields.gamma import GAMMA
 from fields.volume.sampling import Cells
 from fields.volume.scene import Backdrop, Scene
 from fields.volume.train import render_volume
+from fields.water_column import WaterColumn
 
 # Colours are looked up above a weight of 1 %, and the rest takes their mean: of one colour nothing is lost.
 ROUNDING = 2e-6

@@ -9,12 +9,12 @@ import numpy as np
 import torch
 from volume_scenes import BOX, bed_photographs
 
-from fields.heads import WaterColumn
 from fields.volume.model import VolumeModel
 from fields.volume.proposal import Proposal
 from fields.volume.sampling import Cells
 from fields.volume.scene import Scene
 from fields.volume.train import Training, train_scene
+from fields.water_column import WaterColumn
 
 APPEARANCE = 3
 Make = Callable[[int], VolumeModel]

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fields.slab.rays import GAMMA
+from fields.gamma import GAMMA
 from fields.volume.model import Rates, VolumeModel
 from fields.volume.paths import Box
 from fields.volume.train import Photographs

@@ -15,11 +15,11 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize_scalar
 
-from fields.heads import WaterColumn
-from fields.slab.rays import GAMMA
-from fields.slab.train import Sources
+from fields.gamma import GAMMA
 from fields.sweep.bed import trusted
+from fields.sweep.sources import Sources
 from fields.sweep.sweep import DepthMap
+from fields.water_column import WaterColumn
 from refract import FlatWater, PinholeCamera, fresnel_coefficients
 
 # Patches of so many pixels a side, all together about so many.

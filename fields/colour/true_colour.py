@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from fields.heads import WaterColumn
-from fields.slab.rays import GAMMA
+from fields.gamma import GAMMA
 from fields.sweep.bed import BedPoints
+from fields.water_column import WaterColumn
 from refract import FlatWater, fresnel_coefficients
 
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from fields.slab.grid import Slab
 from fields.slab.rays import Rays, rays_of
 from fields.slab.tensor_field import TensorField
-from fields.slab.train import half_the_threads
+from fields.threads import half_the_threads
 from refract import FlatWater, PinholeCamera
 
 CHUNK = 65536

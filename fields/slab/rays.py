@@ -11,8 +11,6 @@ from torch import Tensor
 from fields.slab.grid import Slab
 from refract import FlatWater, PinholeCamera, fresnel_coefficients
 
-# sRGB-like photographs are linear in light to the power of 2.2.
-GAMMA = 2.2
 # A ray meets the proxy where these many steps along it settle, from the height that the sweep or the bound gives.
 MEETING_STEPS = 4
 

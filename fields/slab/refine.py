@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from fields.slab.tensor_field import TensorField
-from fields.slab.train import half_the_threads, slab_rays
+from fields.slab.train import slab_rays
 from fields.sweep.sweep import DepthMap
+from fields.threads import half_the_threads
 from refract import FlatWater, PinholeCamera
 
 CHUNK = 65536

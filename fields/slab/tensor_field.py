@@ -11,9 +11,11 @@ from torch import Tensor, nn
 from fields.compositing import log_transmittance, quantile_height, render_weights
 from fields.device import Device
 from fields.factors import Factors, anisotropic_grids
-from fields.heads import ColourHead, DensityHead, WaterColumn
+from fields.gamma import as_stored
+from fields.heads import ColourHead, DensityHead
 from fields.slab.grid import Slab
-from fields.slab.rays import GAMMA, Rays
+from fields.slab.rays import Rays
+from fields.water_column import WaterColumn
 
 # Colour is looked up only where a sample matters (MDW-NeRF).
 MIN_COLOUR_WEIGHT = 1e-2
@@ -123,7 +125,7 @@ class TensorField(nn.Module):
             way = self.column.way(depth, depth * rays.wet.norm(dim=1))
             # Light of dry ground crosses no surface.
             radiance = self.column(radiance, way, torch.where(bed < 0.0, rays.reflectance, 0.0))
-        return radiance.clamp(min=1e-4) ** (1.0 / GAMMA), weights, ends
+        return as_stored(radiance), weights, ends
 
     @torch.no_grad()
     def heights(self, rays: Rays) -> tuple[Tensor, Tensor]:

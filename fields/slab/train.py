@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import torch
 
 from fields.device import Device
-from fields.heads import WaterColumn
 from fields.slab.grid import Slab
 from fields.slab.rays import Rays, rays_of
 from fields.slab.tensor_field import FieldSettings, TensorField
 from fields.sweep.bed import trusted
+from fields.sweep.sources import Sources
 from fields.sweep.sweep import DepthMap
+from fields.threads import half_the_threads
+from fields.water_column import WaterColumn
 from refract import FlatWater, PinholeCamera
 
 # A ray belongs to the slab's bed where the sweep's own height lies this deep inside the slab, in halves of it.
@@ -52,38 +52,6 @@ class Schedule:
     width: float = 0.005
 
 
-@dataclass
-class Sources:
-    """Photographs with a height map: what training rays are drawn from, one entry per matched view.
-
-    Attributes
-    ----------
-    cameras : list of PinholeCamera
-    maps : list of DepthMap
-    images : list of (height, width, 3) uint8
-    water : FlatWater or None
-    absorption, veil : (3,) floats, optional
-        Of the water, where they are known; see `fields.heads.WaterColumn`.
-    """
-
-    cameras: list[PinholeCamera]
-    maps: list[DepthMap]
-    images: list[np.ndarray]
-    water: FlatWater | None
-    absorption: tuple[float, ...] | None = None
-    veil: tuple[float, ...] | None = None
-
-    @cached_property
-    def pixels(self) -> list[np.ndarray]:
-        """Flat indices of the trusted pixels of each map, inside its image."""
-        found = []
-        for camera, depth_map in zip(self.cameras, self.maps, strict=True):
-            keep = trusted(depth_map)
-            keep[camera.height :], keep[:, camera.width :] = False, False
-            found.append(np.flatnonzero(keep))
-        return found
-
-
 def slab_of(sources: Sources, gsd: float, area: tuple[float, float, float, float] | None) -> Slab:
     """The slab about the trusted heights inside an area (x0, y0, x1, y1) [m], local: cells of one GSD.
 
@@ -111,21 +79,6 @@ def slab_of(sources: Sources, gsd: float, area: tuple[float, float, float, float
         raise ValueError("no confirmed height lies inside the area: there is nothing to train a field about")
     spread = float(np.median(np.concatenate(spreads)))
     return Slab.of_points(np.concatenate(xy), np.concatenate(heights), gsd, max(2.0 * gsd, 3.0 * spread))
-
-
-@contextmanager
-def half_the_threads() -> Iterator[None]:
-    """Torch on half of its threads: all of them wait for each other some hundred times a step.
-
-    A thread that has to share its core, with Dr.Jit's or with another program, holds up the others for a time slice
-    each: on two cores, one of them taken, two threads need 5 times as long as one (25 times for small batches).
-    """
-    before = torch.get_num_threads()
-    torch.set_num_threads(max(before // 2, 1))
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 @half_the_threads()

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from fields.slab.train import half_the_threads
+from fields.threads import half_the_threads
 from fields.volume.sampling import Cells
 from fields.volume.scene import Scene
 from fields.volume.train import Photographs

@@ -8,17 +8,15 @@ import torch
 from torch import Tensor, nn
 
 from fields.compositing import quantile_height, render_weights
-from fields.heads import WaterColumn
-from fields.slab.rays import GAMMA
+from fields.gamma import GAMMA, as_stored
 from fields.volume.model import Rates, VolumeModel
 from fields.volume.paths import Paths
 from fields.volume.proposal import Proposal
 from fields.volume.sampling import Cells, Samples
+from fields.water_column import WaterColumn
 
 # Colour is asked for only where a sample matters (MDW-NeRF).
 MIN_COLOUR_WEIGHT = 1e-2
-# Stored grey of a path that is darker than any photograph tells: below, the slope of the gamma curve is without bound.
-DARKEST = 1e-4
 
 
 @dataclass
@@ -115,7 +113,7 @@ class Scene(nn.Module):
             # Light of dry ground crosses no surface.
             way = self.column.way(paths.fall * length, length)
             colour = self.column(colour, way, torch.where(length > 0.0, paths.reflectance, 0.0))
-        return Rendered(colour.clamp(min=DARKEST) ** (1.0 / GAMMA), weights, samples)
+        return Rendered(as_stored(colour), weights, samples)
 
     def penalty(self, paths: Paths, rendered: Rendered) -> Tensor:
         """What the parts ask for themselves in training, a scalar: the model at a sample of each path, the proposal."""

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from scipy.ndimage import minimum_filter
 
-from fields.slab.train import half_the_threads
+from fields.threads import half_the_threads
 from fields.volume.density_loss import NodeScores
 from fields.volume.losses import Losses
 from fields.volume.paths import Box, Paths, paths_of

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from fields.slab.train import Sources
+from fields.sweep.sources import Sources
 from survey.photos.images import load_image
 from survey.plan.block import camera_of
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fields.colour.true_colour import true_colours
-from fields.heads import WaterColumn
+from fields.water_column import WaterColumn
 from fields.slab.refine import refine
 from fields.sweep.bed import BedPoints, has_company, points_of, unique_pixels
 from survey.errors import SurveyError

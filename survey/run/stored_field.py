@@ -13,9 +13,9 @@ import torch
 from pyproj import CRS
 
 from fields.device import Device
-from fields.heads import WaterColumn
 from fields.slab.grid import Slab
 from fields.slab.tensor_field import FieldSettings, TensorField
+from fields.water_column import WaterColumn
 from geo.files import write_whole
 from geo.frames import LocalFrame
 from refract import FlatWater

@@ -12,7 +12,7 @@ from geo.files import write_whole
 from survey.errors import SurveyError
 
 if TYPE_CHECKING:
-    from fields.slab.train import Sources
+    from fields.sweep.sources import Sources
     from survey.folder.survey import Survey
 
 COLOUR_FILE = "water_colour.json"

@@ -1,0 +1,44 @@
+"""Photographs with a height map: what the sweep leaves to those that look at colours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from fields.sweep.bed import trusted
+from fields.sweep.sweep import DepthMap
+from refract import FlatWater, PinholeCamera
+
+
+@dataclass
+class Sources:
+    """Photographs with a height map: one entry per matched view.
+
+    Attributes
+    ----------
+    cameras : list of PinholeCamera
+    maps : list of DepthMap
+    images : list of (height, width, 3) uint8
+    water : FlatWater or None
+    absorption, veil : (3,) floats, optional
+        Of the water, where they are known; see `fields.water_column.WaterColumn`.
+    """
+
+    cameras: list[PinholeCamera]
+    maps: list[DepthMap]
+    images: list[np.ndarray]
+    water: FlatWater | None
+    absorption: tuple[float, ...] | None = None
+    veil: tuple[float, ...] | None = None
+
+    @cached_property
+    def pixels(self) -> list[np.ndarray]:
+        """Flat indices of the trusted pixels of each map, inside its image."""
+        found = []
+        for camera, depth_map in zip(self.cameras, self.maps, strict=True):
+            keep = trusted(depth_map)
+            keep[camera.height :], keep[:, camera.width :] = False, False
+            found.append(np.flatnonzero(keep))
+        return found

@@ -1,8 +1,11 @@
 # What there is to do here. Everything runs in a virtual environment of its own, .venv, made when it is needed first:
+#   make install  the environment alone
 #   make demo     draw a small survey, process it, compare the cloud with the true bed
-#   make test     the tests
-#   make check    style
-#   make bench    the benchmarks that take minutes at most
+#   make test     style, then all tests, with the examples in docstrings and documentation
+#   make check    style alone: what ruff finds
+#   make types    what the type checker finds (mypy)
+#   make format   let ruff mend what it can
+#   make bench    the benchmarks of minutes, on what they draw themselves: tables and figures of the documentation
 #   make clean    remove the demo and what tools left; make distclean: the environment too
 # PYTHON=python3.12 chooses the interpreter; otherwise the first of 3.11 to 3.13 that is found.
 
@@ -15,6 +18,8 @@ BIN := $(VENV)/bin
 READY := $(VENV)/ready
 DEMO := .demo/survey
 RUN := $(DEMO)/bathynerf
+# Those that need neither survey data nor hours; each file says at its head how it is run.
+BENCHMARKS := optics surfaces lookup sweep slab compare
 TRUTH := $(DEMO)/truth
 BOUNDS = $$($(BIN)/python -c 'import tomllib; print(*tomllib.load(open("$(DEMO)/survey.toml", "rb"))["area"]["bounds"])')
 
@@ -23,7 +28,7 @@ ifneq ($(shell cat $(READY) 2>/dev/null),$(CURDIR))
 .PHONY: $(READY)
 endif
 
-.PHONY: help install demo test check format bench clean distclean
+.PHONY: help install demo test check types format bench clean distclean
 
 help:
 	@sed -n '2,/^$$/s/^# \{0,1\}//p' Makefile
@@ -46,22 +51,25 @@ demo: $(READY)
 	@echo "Cloud:   $(CURDIR)/$(RUN)/cloud.las"
 	@echo "Report:  $(CURDIR)/$(RUN)/report.html"
 
-test: $(READY)
+test: check
 	@$(BIN)/python -m pytest
 
 check: $(READY)
 	@$(BIN)/python -m ruff check .
 	@$(BIN)/python -m ruff format --check .
 
+types: $(READY)
+	@$(BIN)/python -m mypy
+
 format: $(READY)
 	@$(BIN)/python -m ruff check --fix .
 	@$(BIN)/python -m ruff format .
 
 bench: $(READY)
-	@for file in benchmarks/bench_*.py; do echo "$$file"; $(BIN)/python "$$file"; done
+	@for name in $(BENCHMARKS); do echo "benchmarks/bench_$$name.py"; $(BIN)/python "benchmarks/bench_$$name.py"; done
 
 clean:
-	rm -rf .demo build dist .pytest_cache .ruff_cache .hypothesis
+	rm -rf .demo build dist .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +
 
 distclean: clean

@@ -44,7 +44,8 @@ from fields.water_column import WaterColumn
 
 ABLATION = ("tensorf", "dw", "m", "mdw")
 BASELINES = ("nerf", "tinynerf", "hash", "neus")
-# Steps of each model in turn, to compare their times: (rounds, steps of a round).
+# Steps of each model in turn, to compare their times: (rounds, steps of a round). After the switch from coarse to fine
+# density, where a model has one: most steps of a training are such.
 TIMED = (4, 8)
 # Of the factors after the switch: with the paper's 0.001 the ship's factors all but stand still for the rest of a short
 # training (500 steps: 27.3 instead of 28.2 dB; TensoRF, whose rate does not fall, has 27.7).
@@ -75,6 +76,12 @@ def _volume(model: str, scene: ObjectScene, cells: int) -> VolumeModel:
     if model not in others:
         raise SystemExit(f"there is no model {model}; expected one of {', '.join(ABLATION + BASELINES)}")
     return others[model]()
+
+
+def switch_to_fine(scene: Scene) -> None:
+    """Let the density weighting network run, where a model has one: only from then on it takes memory and time."""
+    if isinstance(scene.model, TensorVolume) and scene.model.settings.weighting:
+        scene.model.regression.switch_to_fine()
 
 
 def scene_of(name: str, options) -> ObjectScene:
@@ -128,8 +135,10 @@ def surface_of(built: Scene, scene: ObjectScene, cells: Cells, samples: int) -> 
 
 
 def step_times(models: tuple[str, ...], scene: ObjectScene, options) -> dict[str, float]:
-    """Seconds of a training step of each model, median of rounds in which all take their turn."""
+    """Seconds of a training step of each model in its fine stage, median of rounds in which all take their turn."""
     scenes = {model: build(model, scene, options.cells) for model in models}
+    for built in scenes.values():
+        switch_to_fine(built)
     training = Training(steps=TIMED[1], rays=options.rays, samples=options.samples, refresh=())
     seconds: dict[str, list[float]] = {model: [] for model in models}
     for turn in range(TIMED[0] + 1):
@@ -138,9 +147,6 @@ def step_times(models: tuple[str, ...], scene: ObjectScene, options) -> dict[str
             train_scene(built, scene.train, training, lambda share: None)
             if turn:  # the first compiles
                 seconds[model].append((time.perf_counter() - start) / TIMED[1])
-        for built in scenes.values():  # half of the rounds with the weighting network, where there is one
-            if turn == TIMED[0] // 2 and isinstance(built.model, TensorVolume) and built.model.settings.weighting:
-                built.model.regression.switch_to_fine()
     return {model: statistics.median(s) for model, s in seconds.items()}
 
 
@@ -160,6 +166,7 @@ def print_memory(scene: str, model: str, options) -> None:
     before = _resident_mb("VmRSS")
     Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
     built = build(model, loaded, options.cells)
+    switch_to_fine(built)
     render_volume(
         built, loaded.held.cameras[0], loaded.held.water, Cells.everywhere(loaded.box, 32), samples=options.samples
     )

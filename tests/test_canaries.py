@@ -17,7 +17,6 @@ from typer.testing import CliRunner
 from survey.commands.app import app
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = ("refract", "fields", "survey", "geo", "evaluation")
 VERBS = ("check", "process", "waterline", "export", "render", "compare", "simulate")
 # The suite has had more than this since its first release; fewer mean that a folder is no longer collected.
 LEAST_TESTS = 600

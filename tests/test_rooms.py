@@ -1,9 +1,11 @@
-"""The rooms: who may import whom, who may touch the disk and the console, and what each room offers."""
+"""The rooms and their folders: who may import whom, who touches the disk and the console, what each room offers."""
 
 from __future__ import annotations
 
 import ast
 import importlib
+from collections.abc import Iterable, Mapping
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -15,12 +17,55 @@ MAY_IMPORT = {
     "evaluation": set(),
     "fields": {"refract"},
     "survey": {"refract", "geo", "evaluation", "fields"},
+    "bathynerf": {"refract", "geo", "evaluation", "fields", "survey"},
 }
+# Folders by layer, the lowest first: a folder imports only folders of the layers below its own, within what its room
+# may import at all.
+LAYERS = (
+    {"refract", "geo", "evaluation/images"},
+    {"evaluation", "fields", "survey"},
+    {"fields/sweep", "survey/photos", "survey/simulate/flight"},
+    {"fields/slab", "survey/photos/formats", "survey/sfm", "survey/compare", "survey/simulate"},
+    {"fields/colour", "fields/volume", "survey/folder", "survey/simulate/drawn"},
+    {"survey/plan"},
+    {"survey/adjust", "survey/report"},
+    {"survey/run"},
+    {"survey/commands"},
+    {"bathynerf"},
+)
+# What every part of survey uses stands in its folder itself, and nothing else; twelve files at most.
+SURVEY_SHARED = {"__init__.py", "errors.py", "progress.py", "stage_key.py"}
+MOST_SHARED = 12
 OUTSIDE = {"tests", "benchmarks", "docs"}
-TOUCH_DISK = {"geo", "survey"}
-CONSOLE = {"survey/commands/app.py", "survey/progress.py"}
-DISK = {"open", ".open", ".write_text", ".write_bytes", ".read_text", ".read_bytes", ".unlink", ".mkdir"} | {
-    f"{module}.{verb}" for module in ("np", "torch") for verb in ("save", "load", "savez", "savetxt", "loadtxt")
+CONSOLE_FOLDER, CONSOLE_FILE = "survey/commands", "survey/progress.py"
+CONSOLE = {"print", "input", "sys.exit", "exit", "quit", "typer.echo", "Console"}
+DISK = (
+    {"open", ".open", ".read_text", ".read_bytes", ".write_text", ".write_bytes", "write_whole"}
+    | {".unlink", ".mkdir", ".rmdir", ".rename", ".touch"}
+    | {".exists", ".is_file", ".is_dir", ".iterdir", ".glob", ".rglob"}
+    | {f"{module}.{verb}" for module in ("np", "torch") for verb in ("save", "load", "savez", "savetxt", "loadtxt")}
+    | {f"shutil.{verb}" for verb in ("copy", "copyfile", "copytree", "move", "rmtree")}
+    | {"cv2.imread", "cv2.imwrite", "laspy.read", "trimesh.load_scene", "pye57.E57"}
+    | {"tempfile.mkdtemp", "tempfile.TemporaryDirectory"}
+)
+# The files that touch the disk, by folder. fields/device.py only looks for libLLVM.
+DISK_FILES = {
+    f"{folder}/{name}.py"
+    for folder, names in {
+        "fields": ("device",),
+        "geo": ("e57", "files", "gltf", "las", "las_header", "obj", "ply", "ply_reading", "raster"),
+        "survey": ("progress", "stage_key"),
+        "survey/adjust": ("estimate",),
+        "survey/compare": ("canvas", "checkpoints", "comparison"),
+        "survey/folder": ("config", "found", "infer", "pairing", "water_level"),
+        "survey/photos": ("exif", "images", "priors"),
+        "survey/photos/formats": ("__init__", "colmap", "opk_csv"),
+        "survey/report": ("__init__", "page"),
+        "survey/run": ("folder", "process", "render", "stored", "stored_field", "water", "water_colour"),
+        "survey/sfm": ("block", "poses", "solve"),
+        "survey/simulate": ("planning", "scene_file", "sidecars", "simulate", "texture", "truth", "writing"),
+    }.items()
+    for name in names
 }
 NETWORK = {"socket", "urllib", "http", "requests", "ftplib"}
 FILES = sorted(path for room in MAY_IMPORT for path in (ROOT / room).rglob("*.py"))
@@ -30,23 +75,29 @@ def name_of(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
 
+def folder_of(name: str) -> str:
+    """The folder of a file by its name, e.g. fields/sweep of fields/sweep/bed.py."""
+    return name.rpartition("/")[0]
+
+
+@cache
 def tree_of(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
 
 
 def imported(tree: ast.Module) -> set[str]:
-    """Dotted names of all modules that a file imports, at its head or inside functions."""
+    """Dotted names of all that a file imports, at its head or in functions: of ``from a import b`` a and a.b."""
     names = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
-            names.add(node.module)
+            names |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
     return names
 
 
 def called(tree: ast.Module) -> set[str]:
-    """Names that a file calls: ``open``, ``print``, and the last part of ``a.b.c()`` with a dot before it."""
+    """Names that a file calls: ``open``, ``print``, and of ``a.b.c()`` the last part with a dot before it."""
     names = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Call):
@@ -60,10 +111,72 @@ def called(tree: ast.Module) -> set[str]:
     return names
 
 
+def module_files(files: Iterable[str]) -> dict[str, str]:
+    """The file of each module by its dotted name: survey/run/folder.py is survey.run.folder."""
+    return {name.removesuffix(".py").removesuffix("/__init__").replace("/", "."): name for name in files}
+
+
+def file_imports(trees: Mapping[str, ast.Module]) -> dict[str, set[str]]:
+    """For each file those among them that it imports. ``from a import b`` means a/b.py where there is one, else a."""
+    files = module_files(trees)
+    found: dict[str, set[str]] = {}
+    for name, tree in trees.items():
+        modules = set()
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Import):
+                modules |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                dotted = {f"{node.module}.{alias.name}" for alias in node.names}
+                modules |= {module if module in files else node.module for module in dotted}
+        found[name] = {files[module] for module in modules & files.keys()} - {name}
+    return found
+
+
+def between_folders(imports: Mapping[str, set[str]]) -> dict[str, set[str]]:
+    """For each folder the other folders that its files import."""
+    found: dict[str, set[str]] = {}
+    for name, others in imports.items():
+        found.setdefault(folder_of(name), set()).update(folder_of(other) for other in others)
+    return {folder: others - {folder} for folder, others in found.items()}
+
+
+def circles(graph: Mapping[str, set[str]]) -> list[list[str]]:
+    """The groups of two nodes or more that reach each other (strongly connected components, R. Tarjan 1972)."""
+    number: dict[str, int] = {}
+    lowest: dict[str, int] = {}
+    open_nodes: list[str] = []
+    found = []
+
+    def visit(node: str) -> None:
+        number[node] = lowest[node] = len(number)
+        open_nodes.append(node)
+        for other in sorted(graph.get(node, ())):
+            if other not in number:
+                visit(other)
+            if other in open_nodes:
+                lowest[node] = min(lowest[node], lowest[other])
+        if lowest[node] == number[node]:
+            start = open_nodes.index(node)
+            group = sorted(open_nodes[start:])
+            del open_nodes[start:]
+            if len(group) > 1:
+                found.append(group)
+
+    for node in sorted(graph):
+        if node not in number:
+            visit(node)
+    return found
+
+
+@pytest.fixture(scope="module")
+def imports() -> dict[str, set[str]]:
+    return file_imports({name_of(path): tree_of(path) for path in FILES})
+
+
 def test_every_room_is_there():
     for room in MAY_IMPORT:
         assert (ROOT / room / "__init__.py").is_file(), f"{room} has no __init__.py"
-    assert len(FILES) >= 20
+    assert len(FILES) >= 200
 
 
 @pytest.mark.parametrize("path", FILES, ids=name_of)
@@ -74,25 +187,59 @@ def test_a_file_imports_only_the_rooms_below_its_own(path):
     assert not extra, f"{name_of(path)} imports {sorted(extra)}; {room} may import {sorted(MAY_IMPORT[room])}"
 
 
-@pytest.mark.parametrize("path", FILES, ids=name_of)
-def test_only_geo_and_survey_touch_the_disk(path):
-    if path.relative_to(ROOT).parts[0] in TOUCH_DISK:
-        return
-    found = called(tree_of(path)) & DISK
-    assert not found, f"{name_of(path)} calls {sorted(found)}; only geo and survey touch the disk"
+def test_files_do_not_import_each_other_in_a_circle(imports):
+    assert circles(imports) == []
+
+
+def test_folders_do_not_import_each_other_in_a_circle(imports):
+    assert circles(between_folders(imports)) == []
+
+
+def test_every_folder_has_one_layer():
+    folders = {folder_of(name_of(path)) for path in FILES}
+    named = [folder for layer in LAYERS for folder in layer]
+    assert len(named) == len(set(named))
+    assert folders - set(named) == set(), "these folders are in no layer of LAYERS"
+    assert set(named) - folders == set(), "LAYERS names folders that do not exist"
+
+
+def test_a_folder_imports_only_folders_of_the_layers_below_its_own(imports):
+    height = {folder: level for level, layer in enumerate(LAYERS) for folder in layer}
+    wrong = [
+        f"{name} imports {other}"
+        for name, others in imports.items()
+        for other in sorted(others)
+        if folder_of(other) != folder_of(name) and height[folder_of(other)] >= height[folder_of(name)]
+    ]
+    assert wrong == []
+
+
+def test_survey_itself_holds_only_what_all_its_parts_share():
+    files = {path.name for path in (ROOT / "survey").glob("*.py")}
+    assert files == SURVEY_SHARED, "a new file belongs into one of the folders of survey"
+    assert len(files) <= MOST_SHARED
+
+
+def test_only_the_files_that_are_named_touch_the_disk():
+    found = {name_of(path): sorted(called(tree_of(path)) & DISK) for path in FILES}
+    touching = {name for name, calls in found.items() if calls}
+    assert {name: found[name] for name in touching - DISK_FILES} == {}, "these files touch the disk and are not named"
+    assert DISK_FILES - touching == set(), "DISK_FILES names files that do not touch the disk (any more)"
+    assert {name.split("/")[0] for name in DISK_FILES} == {"geo", "survey", "fields"}
 
 
 @pytest.mark.parametrize("path", FILES, ids=name_of)
-def test_only_cli_and_progress_touch_the_console(path):
-    if name_of(path) in CONSOLE:
+def test_only_commands_and_progress_touch_the_console(path):
+    name = name_of(path)
+    if folder_of(name) == CONSOLE_FOLDER or name == CONSOLE_FILE:
         return
     tree = tree_of(path)
-    found = called(tree) & {"print", "input", "sys.exit", "exit", "quit", "typer.echo", "Console"}
-    found |= {name for name in imported(tree) if name.split(".")[0] in {"rich", "typer", "click"}}
+    found = called(tree) & CONSOLE
+    found |= {module for module in imported(tree) if module.split(".")[0] in {"rich", "typer", "click"}}
     for node in ast.walk(tree):
         if isinstance(node, ast.Attribute) and ast.unparse(node) in {"sys.stdout", "sys.stderr"}:
             found.add(ast.unparse(node))
-    assert not found, f"{name_of(path)} uses {sorted(found)}; only {sorted(CONSOLE)} touch the console"
+    assert not found, f"{name} uses {sorted(found)}; only {CONSOLE_FOLDER} and {CONSOLE_FILE} touch the console"
 
 
 @pytest.mark.parametrize("path", FILES, ids=name_of)
@@ -111,5 +258,37 @@ def test_every_public_name_of_a_room_can_be_imported(room):
 
 def test_the_walk_sees_what_it_forbids():
     tree = ast.parse("def f():\n    from survey.commands import app\n    p.write_text(open(q))\n    sys.exit(print())")
-    assert imported(tree) == {"survey.commands"}
+    assert imported(tree) == {"survey.commands", "survey.commands.app"}
     assert {"open", ".write_text", "sys.exit", "print"} <= called(tree)
+
+
+def parsed(**files: str) -> dict[str, ast.Module]:
+    """Trees of made-up files; ``a__b`` is a/b.py."""
+    return {name.replace("__", "/") + ".py": ast.parse(text) for name, text in files.items()}
+
+
+def test_an_import_of_a_module_is_told_from_one_of_a_name():
+    trees = parsed(
+        room__part__a="from room.part import b\nfrom room.other.c import name\nimport room.top", room__part__b=""
+    )
+    trees |= parsed(room__other__c="from room.part import b", room__top="") | {
+        "room/part/__init__.py": ast.parse("from room.part.a import one"),
+        "room/last.py": ast.parse("from room.part import b, one\nimport numpy"),
+    }
+    found = file_imports(trees)
+    assert found["room/part/a.py"] == {"room/part/b.py", "room/other/c.py", "room/top.py"}
+    assert found["room/last.py"] == {"room/part/b.py", "room/part/__init__.py"}
+    assert between_folders(found)["room/part"] == {"room/other", "room"}
+
+
+@pytest.mark.parametrize(
+    ("graph", "expected"),
+    [
+        ({"a": {"b"}, "b": {"c"}, "c": set()}, []),
+        ({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}, [["a", "b", "c"]]),
+        ({"a": {"b"}, "b": {"a", "c"}, "c": {"d"}, "d": {"c"}}, [["c", "d"], ["a", "b"]]),
+        ({"a": {"b", "c"}, "b": {"d"}, "c": {"d"}, "d": set()}, []),
+    ],
+)
+def test_circles_are_found_where_there_are_some(graph: dict[str, set[str]], expected: list[list[str]]):
+    assert circles(graph) == expected

@@ -1,0 +1,127 @@
+"""The Python interface of bathynerf: what the command line does, and what it is made of, under one name.
+
+>>> from bathynerf import LocalFrame, Survey, compare, process, simulate
+
+Everything is defined in the rooms (`survey`, `refract`, `geo`, `fields`, `evaluation`) and imported from there when it
+is first used, so that ``import bathynerf`` itself is quick. docs/python.md has examples.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from geo.errors import GeoError
+    from geo.frames import LocalFrame
+    from geo.las import read_cloud, write_cloud
+    from geo.reading import read_reference
+    from geo.shapes import Cloud, Mesh
+    from refract.camera import PinholeCamera
+    from refract.height_field import HeightFieldWater
+    from refract.media import water_index
+    from refract.paths import trace
+    from refract.projection import project
+    from refract.surfaces import FlatWater, WaterSurface
+    from refract.wavy import WavyWater
+    from survey.adjust.estimate import estimate_water
+    from survey.compare.comparison import compare_files as compare
+    from survey.compare.options import CompareOptions
+    from survey.errors import SurveyError
+    from survey.folder.survey import Survey, load_survey
+    from survey.photos.cameras import View
+    from survey.plan.plan import Plan, make_plan
+    from survey.progress import Progress
+    from survey.run.export import export
+    from survey.run.process import process
+    from survey.run.render import render
+    from survey.simulate.drawn import draw_survey
+    from survey.simulate.drawn_scene import DrawnScene
+    from survey.simulate.simulate import simulate
+
+    __version__: str
+
+__all__ = [
+    "Cloud",
+    "CompareOptions",
+    "DrawnScene",
+    "FlatWater",
+    "GeoError",
+    "HeightFieldWater",
+    "LocalFrame",
+    "Mesh",
+    "PinholeCamera",
+    "Plan",
+    "Progress",
+    "Survey",
+    "SurveyError",
+    "View",
+    "WaterSurface",
+    "WavyWater",
+    "__version__",
+    "compare",
+    "draw_survey",
+    "estimate_water",
+    "export",
+    "load_survey",
+    "make_plan",
+    "process",
+    "project",
+    "read_cloud",
+    "read_reference",
+    "render",
+    "simulate",
+    "trace",
+    "water_index",
+    "write_cloud",
+]
+
+# Where each name is defined; editors and type checkers read the same from the imports above.
+_MODULES = {
+    "geo.errors": ("GeoError",),
+    "geo.frames": ("LocalFrame",),
+    "geo.las": ("read_cloud", "write_cloud"),
+    "geo.reading": ("read_reference",),
+    "geo.shapes": ("Cloud", "Mesh"),
+    "refract.camera": ("PinholeCamera",),
+    "refract.height_field": ("HeightFieldWater",),
+    "refract.media": ("water_index",),
+    "refract.paths": ("trace",),
+    "refract.projection": ("project",),
+    "refract.surfaces": ("FlatWater", "WaterSurface"),
+    "refract.wavy": ("WavyWater",),
+    "survey.adjust.estimate": ("estimate_water",),
+    "survey.compare.comparison": ("compare",),
+    "survey.compare.options": ("CompareOptions",),
+    "survey.errors": ("SurveyError",),
+    "survey.folder.survey": ("Survey", "load_survey"),
+    "survey.photos.cameras": ("View",),
+    "survey.plan.plan": ("Plan", "make_plan"),
+    "survey.progress": ("Progress",),
+    "survey.run.export": ("export",),
+    "survey.run.process": ("process",),
+    "survey.run.render": ("render",),
+    "survey.simulate.drawn": ("draw_survey",),
+    "survey.simulate.drawn_scene": ("DrawnScene",),
+    "survey.simulate.simulate": ("simulate",),
+}
+_OTHER_NAMES = {"compare": "compare_files"}
+_HOME = {name: module for module, names in _MODULES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    """A name at its first use, from where it is defined."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        value: Any = version("bathynerf")
+    elif name in _HOME:
+        value = getattr(importlib.import_module(_HOME[name]), _OTHER_NAMES.get(name, name))
+    else:
+        raise AttributeError(f"module 'bathynerf' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,89 @@
+"""How long does a survey's field have to learn, and what do colours in bfloat16 cost it?
+
+    python benchmarks/bench_slab.py [SURVEY ...] [--quality Q] [--rays R ...] [-o FOLDER]
+
+The sweep runs once; fields with different numbers of training rays for each cell of one GSD (RAYS_PER_CELL in
+survey.run.stages), and one whose colour head multiplies in bfloat16, are trained from its height maps. Accuracy and
+surveys as in bench_sweep; PSNR is of the training rays of the last steps, time that of training. One JSON for each
+survey in FOLDER, not computed again; prints tables in Markdown, docs/field.md has them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from functools import partial
+from pathlib import Path
+from unittest.mock import patch
+
+from bench_sweep import Case
+
+from fields.heads import ColourHead
+from fields.slab import tensor_field
+from fields.sweep.sweep import DepthMap
+from survey.progress import current
+from survey.run import stages
+from survey.simulate.drawn import DrawnScene, draw_survey
+
+KEPT = stages.RAYS_PER_CELL
+
+
+def trained(case: Case, maps: list[DepthMap], rays_per_cell: float) -> dict:
+    """Figures of a field, of its training and of the cloud that it refines."""
+    start, used = time.monotonic(), time.process_time()
+    with patch.object(stages, "RAYS_PER_CELL", rays_per_cell), current().stage("field", 1.0) as stage:
+        field, figures = stages.train_field(case.survey, case.plan, maps, stage)
+    spent = {"seconds": time.monotonic() - start, "processor_s": time.process_time() - used}
+    bed, moved = stages.bed_points(case.block, case.survey, case.plan, maps, field, lambda done: None)
+    return figures | spent | case.figures(bed) | {"share_of_field": moved / len(bed)}
+
+
+def rows_of(case: Case, rays: list[float]) -> dict[str, dict]:
+    """The sweep alone, the field by number of rays, and in bfloat16."""
+    maps, _ = case.maps()
+    rows = {"sweep alone": case.figures(case.points(maps))}
+    for number in rays:
+        rows[f"{number:g} rays a cell" + (" (kept)" if number == KEPT else "")] = trained(case, maps, number)
+    with patch.object(tensor_field, "ColourHead", partial(ColourHead, bfloat16=True)):
+        rows[f"{KEPT:g} rays a cell, colours in bfloat16"] = trained(case, maps, KEPT)
+    return rows
+
+
+def markdown(name: str, rows: dict[str, dict]) -> str:
+    """The rows of one survey."""
+    lines = [
+        f"| {name} | mean | std | at 0.2 m | at 0.05 m | steps | PSNR | time |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for title, r in rows.items():
+        cells = [f"{1e3 * r['mean_inner90_m']:.1f} mm", f"{1e3 * r['std_inner90_m']:.2f} mm"]
+        cells += [f"{100 * r[k]:.2f} %" for k in ("complete_0.2", "complete_0.05")]
+        cells += [f"{r['steps']}", f"{r['psnr_db']:.2f} dB", f"{r['seconds']:.0f} s"] if "steps" in r else [""] * 3
+        lines.append(f"| {title} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("surveys", nargs="*", type=Path)
+    parser.add_argument("--quality", default="standard", choices=list(stages.TIMES_SEEN))
+    parser.add_argument("--rays", nargs="+", type=float, default=[KEPT / 3.0, KEPT, 3.0 * KEPT])
+    parser.add_argument("-o", "--output", type=Path)
+    options = parser.parse_args()
+    work = options.output or Path(tempfile.mkdtemp(prefix="bathynerf_bench_"))
+    work.mkdir(parents=True, exist_ok=True)
+    if not options.surveys:
+        options.surveys = [work / "demo"]
+        draw_survey(work / "demo", DrawnScene())
+    for folder in options.surveys:
+        path = work / f"{folder.name}_{options.quality}_slab.json"
+        if not path.exists():
+            path.write_text(json.dumps(rows_of(Case(folder, options.quality), options.rays), indent=2))
+        sys.stdout.write(markdown(folder.name, json.loads(path.read_text())) + "\n")
+
+
+if __name__ == "__main__":
+    main()

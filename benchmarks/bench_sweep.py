@@ -1,0 +1,195 @@
+"""What do windows, rungs, views and the rules of trust of the sweep bring? One choice changed at a time.
+
+    python benchmarks/bench_sweep.py [SURVEY ...] [--quality Q] [--tables passes views trust once] [-o FOLDER]
+
+A SURVEY is a folder with known truth (reference.ply and visible.ply in it, or in truth/); without any, that of
+`make demo` is drawn. Accuracy is that of `bathynerf compare` inside the bounds, nothing aligned: mean and standard
+deviation of the inner 90 % of the signed distances, completeness over the points that three cameras see. One JSON for
+each survey and table in FOLDER, not computed again; prints the tables in Markdown, docs/sweep.md has them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+
+from fields.sweep import bed as bed_module
+from fields.sweep import views
+from fields.sweep.bed import BedPoints, trusted
+from fields.sweep.block import Block
+from fields.sweep.ranging import find_range
+from fields.sweep.sweep import PASSES, DepthMap, Pass, sweep
+from survey.compare.comparison import CompareOptions, compare_surfaces
+from survey.folder.survey import Survey, load_survey
+from survey.plan.block import limits, load_block, local_area
+from survey.plan.plan import Plan, make_plan
+from survey.run import stages
+from survey.run.export import write_bed_las
+from survey.run.stored import StoredBed
+from survey.simulate.drawn import DrawnScene, draw_survey
+
+START = PASSES[:3]
+# A pass at full size that averages the heights of the views that agree.
+WIDE, NARROW = Pass(1.0, 2, 5, 0.25, 8, True), Pass(1.0, 1, 3, 0.25, 12, True)
+AFTER_START = {
+    "nothing": (),
+    "`r2 5 8*`": (WIDE,),
+    "`r2 5 12*`": (replace(WIDE, neighbours=12),),
+    "`r2 5 8*`, `r2 3 12*`": (WIDE, replace(NARROW, radius=2)),
+    "`r2 5 8*`, `r1 3 12*` (kept)": (WIDE, NARROW),
+    "`r2 5 8*`, `r1 3 20*`": (WIDE, replace(NARROW, neighbours=20)),
+    "`r2 9 8*`, `r1 5 12*`": (replace(WIDE, rungs=9), replace(NARROW, rungs=5)),
+    "`r1 5 12*`, `r1 3 12*`": (replace(NARROW, rungs=5), NARROW),
+    "`r2 5 8`, `r1 3 12*` (averaged at the end only)": (replace(WIDE, fuse=False), NARROW),
+}
+# How often every place is to be seen: by steep views, and by oblique ones of each quarter.
+TIMES_SEEN = ((2, 1), (4, 1), (6, 2), (1000, 1000))
+ANY_VIEWS = 3
+# (agreeing views that are enough, correlation from which one is enough; above 1 none is)
+TRUST = {
+    "two agree": (2, 2.0),
+    "two agree, or one and NCC above 0.8 (kept)": (2, 0.8),
+    "one agrees": (1, 0.8),
+}
+
+
+class Case:
+    """A survey loaded once, with its truth."""
+
+    def __init__(self, folder: Path, quality: str):
+        truth = folder / "truth" if (folder / "truth").is_dir() else folder
+        self.reference, self.visible = truth / "reference.ply", truth / "visible.ply"
+        self.survey: Survey = load_survey(folder)
+        self.plan: Plan = make_plan(self.survey, quality=quality)
+        self.block: Block = load_block(self.survey, self.plan, lambda done: None)
+        self.bound = find_range(self.block, limits(self.survey))
+        self.block.look_at(0.5 * (self.bound[0] + self.bound[1]))
+        self.chosen = self.block.cover(*stages.TIMES_SEEN[quality], local_area(self.survey))
+
+    def maps(self, passes: tuple[Pass, ...] = PASSES, chosen: list[int] | None = None) -> tuple[list[DepthMap], float]:
+        """Height maps, and the seconds that they took."""
+        start = time.monotonic()
+        maps = sweep(self.block, self.chosen if chosen is None else chosen, self.bound, lambda done: None, passes)
+        return maps, time.monotonic() - start
+
+    def points(self, maps: list[DepthMap]) -> BedPoints:
+        return stages.bed_points(self.block, self.survey, self.plan, maps, None, lambda done: None)[0]
+
+    def figures(self, bed: BedPoints) -> dict:
+        """How far the points are from the truth, and what of it they reach."""
+        survey = self.survey
+        stored = StoredBed(bed, survey.frame.crs_from_local(bed.xyz), survey.frame.crs, survey.name, self.plan.gsd_m)
+        options = CompareOptions(tolerances_m=(0.2, 0.05), visible=self.visible, bounds=survey.bounds)
+        with tempfile.TemporaryDirectory() as folder:
+            write_bed_las(Path(folder) / "cloud.las", stored)
+            found = compare_surfaces(Path(folder) / "cloud.las", self.reference, options)
+        figures = {"points": len(found.distances), "farthest_m": float(np.abs(found.distances).max())}
+        figures |= {k: found.numbers[k] for k in ("mean_inner90_m", "std_inner90_m")}
+        far = float((np.abs(found.distances) > 0.2).mean())
+        complete = {f"complete_{s['tolerance_m']:g}": s["completeness_visible"] for s in found.numbers["tolerances"]}
+        return figures | complete | {"beyond_0.2": far}
+
+
+def passes_table(case: Case) -> dict[str, dict]:
+    """What comes after the common start."""
+    rows = {}
+    for name, after in AFTER_START.items():
+        maps, seconds = case.maps(START + after)
+        rows[name] = case.figures(case.points(maps)) | {"seconds": seconds}
+    return rows
+
+
+def views_table(case: Case) -> dict[str, dict]:
+    """Which views get a height map."""
+    area = local_area(case.survey)
+    choices = {f"{steep} times steeply, {q} from each quarter": (steep, q) for steep, q in TIMES_SEEN}
+    picked = {name: case.block.cover(*times, area) for name, times in choices.items()}
+    picked[f"{ANY_VIEWS} times by any view"] = sorted(views._greedy(case.block.seen, [], ANY_VIEWS))
+    rows = {}
+    for name, chosen in picked.items():
+        maps, seconds = case.maps(chosen=chosen)
+        rows[f"{name}: {len(maps)}"] = case.figures(case.points(maps)) | {"seconds": seconds}
+    return rows
+
+
+def trust_table(case: Case) -> dict[str, dict]:
+    """Which heights become points."""
+    maps, _ = case.maps()
+    rows = {}
+    for name, (enough, ncc) in TRUST.items():
+        with patch.multiple(bed_module, CONFIRMED_TWICE=enough, TRUSTED_NCC=ncc):
+            rows[name] = case.figures(case.points(maps))
+    return rows
+
+
+def once_table(case: Case) -> dict[str, dict]:
+    """How duplicates and strays are left out."""
+    maps, _ = case.maps()
+    rows = {"a kept pixel claims those of later views (kept)": case.figures(case.points(maps))}
+    with patch.object(stages, "has_company", lambda xyz, gsd: np.ones(len(xyz), dtype=bool)):
+        rows["the same, with points that stand alone"] = case.figures(case.points(maps))
+    with patch.object(stages, "unique_pixels", lambda block, found: [trusted(m) for m in found]):
+        everything = case.points(maps)
+    rows["nothing left out"] = case.figures(everything)
+    rows["mean of the points in cubes of one GSD"] = case.figures(in_cubes(everything, case.plan.gsd_m))
+    return rows
+
+
+def in_cubes(bed: BedPoints, size: float) -> BedPoints:
+    """One point for each cube of this size [m]: the first in it, at the mean of all."""
+    _, first, cube, count = np.unique(
+        np.floor(bed.xyz / size).astype(np.int64), axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
+    sums = [np.bincount(cube.ravel(), weights=bed.xyz[:, axis]) for axis in range(3)]
+    return replace(bed[first], xyz=np.stack(sums, axis=-1) / count[:, None])
+
+
+TABLES = {"passes": passes_table, "views": views_table, "trust": trust_table, "once": once_table}
+
+
+def markdown(title: str, rows: dict[str, dict]) -> str:
+    """The rows of one table."""
+    has_time = any("seconds" in r for r in rows.values())
+    head = ["mean", "std", "at 0.2 m", "at 0.05 m", "beyond 0.2 m", "farthest", "points"] + ["time"] * has_time
+    lines = [f"| {title} | " + " | ".join(head) + " |", "|---|" + "---|" * len(head)]
+    for name, r in rows.items():
+        cells = [f"{1e3 * r['mean_inner90_m']:.1f} mm", f"{1e3 * r['std_inner90_m']:.2f} mm"]
+        cells += [f"{100 * r[k]:.2f} %" for k in ("complete_0.2", "complete_0.05", "beyond_0.2")]
+        cells += [f"{r['farthest_m']:.2f} m", f"{r['points']:,}"] + [f"{r['seconds']:.0f} s"] * has_time
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("surveys", nargs="*", type=Path)
+    parser.add_argument("--quality", default="standard", choices=list(stages.TIMES_SEEN))
+    parser.add_argument("--tables", nargs="+", default=list(TABLES), choices=list(TABLES))
+    parser.add_argument("-o", "--output", type=Path)
+    options = parser.parse_args()
+    work = options.output or Path(tempfile.mkdtemp(prefix="bathynerf_bench_"))
+    work.mkdir(parents=True, exist_ok=True)
+    if not options.surveys:
+        options.surveys = [work / "demo"]
+        draw_survey(work / "demo", DrawnScene())
+    for folder in options.surveys:
+        case = None
+        for name in options.tables:
+            path = work / f"{folder.name}_{options.quality}_{name}.json"
+            if not path.exists():
+                case = case or Case(folder, options.quality)
+                path.write_text(json.dumps(TABLES[name](case), indent=2))
+            sys.stdout.write(markdown(f"{folder.name}, {name}", json.loads(path.read_text())) + "\n")
+            sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
-
 import numpy as np
 from pyproj import CRS
 
 from geo.crs import horizontal_crs, vertical_crs
 from survey.folder.survey import Survey
+from survey.json_values import plain
 from survey.photos.images import list_images
 from survey.plan.plan import Plan
 from survey.report.baselines import baselines_of
@@ -38,23 +36,6 @@ def figures_of(facts: ReportFacts) -> dict:
         "notes": list(facts.notes),
     }
     return plain(figures)
-
-
-def plain(value):
-    """A value as JSON knows it: numpy scalars and arrays, tuples and dataclasses undone, NaN as None."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return plain(dataclasses.asdict(value))
-    if isinstance(value, dict):
-        return {str(name): plain(item) for name, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if value is None or isinstance(value, bool | int | float | str):
-        return value
-    return str(value)
 
 
 def _survey(survey: Survey) -> dict:

@@ -18,9 +18,10 @@ from geo import LocalFrame
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.folder.survey import load_survey
 from survey.plan.plan import Decision, Plan
+from survey.plan_grid import PlanGrid
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.figures import figures_of
-from survey.report.raster import PlanGrid, hillshade, without_pinholes
+from survey.report.raster import hillshade, without_pinholes
 from survey.run.export import write_bed_las
 from survey.run.folder import RunDir
 from survey.run.stored import StoredBed

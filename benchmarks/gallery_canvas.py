@@ -11,8 +11,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
+from survey.palette import INK, SOFT
+
 # Okabe and Ito's colours, told apart by all eyes; on white, with a pale water.
-INK, SOFT, BLUE, ORANGE, GREEN, RED = "#22303c", "#6b7885", "#0072b2", "#e69f00", "#009e73", "#d55e00"
+BLUE, ORANGE, GREEN, RED = "#0072b2", "#e69f00", "#009e73", "#d55e00"
 DARK_ORANGE, IN_WATER, BED = "#a86f00", "#e3f0f7", "#8a6f4e"
 
 

@@ -9,13 +9,14 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from survey.compare.canvas import INK, SOFT, save
+from survey.compare.canvas import save
 from survey.compare.text import band_label
+from survey.palette import BLUE, INK, RED, SOFT
+from survey.quantities import LengthUnit, count
 
 _PANELS = (("depth_bands", "depth below the water [m]", "m"), ("incidence_bands", "incidence at the water [°]", "deg"),
            ("views_bands", "views that agree", "views"))  # fmt: skip
-_RED, _BLUE = "#c3140d", "#2f6f9f"
-# Bands of fewer points are shown without their spread.
+# Bands of fewer points say nothing: only their number is shown.
 _FEWEST = 20
 
 
@@ -44,10 +45,12 @@ def draw_bands(numbers: dict, path: Path) -> None:
     FigureCanvasAgg(figure)
     widths = [len(numbers[key]) + 2 for key, _, _ in panels]
     row = figure.subplots(1, len(panels), sharey=True, squeeze=False, width_ratios=widths)[0]
+    shown = [band for key, _, _ in panels for band in numbers[key] if band["n_points"] >= _FEWEST]
+    length_unit = LengthUnit.of([v for b in shown for v in (b["mean_m"] - b["std_m"], b["mean_m"] + b["std_m"])])
     for axes, (key, label, unit) in zip(row, panels, strict=True):
-        _panel(axes, numbers[key], unit)
+        _panel(axes, numbers[key], unit, length_unit.per_metre)
         axes.set_xlabel(label, color=INK)
-    row[0].set_ylabel("distance to the reference [mm]", color=INK)
+    row[0].set_ylabel(f"distance to the reference [{length_unit.name}]", color=INK)
     for axes in row:
         axes.use_sticky_edges = False  # bars would end on the frame
     row[0].margins(y=0.08)
@@ -56,23 +59,22 @@ def draw_bands(numbers: dict, path: Path) -> None:
     save(figure, path)
 
 
-def _panel(axes: Axes, bands: list[dict], unit: str) -> None:
-    at = np.arange(len(bands))
-    mean, std = (1000.0 * np.array([band[key] for band in bands], dtype=float) for key in ("mean_m", "std_m"))
-    enough = np.array([band["n_points"] for band in bands]) >= _FEWEST
-    axes.bar(at[enough], 2.0 * std[enough], bottom=(mean - std)[enough], width=0.62, color=_BLUE, alpha=0.25, lw=0,
+def _panel(axes: Axes, bands: list[dict], unit: str, per_metre: float) -> None:
+    at = np.array([i for i, band in enumerate(bands) if band["n_points"] >= _FEWEST], dtype=int)
+    mean, std = (per_metre * np.array([bands[i][key] for i in at], dtype=float) for key in ("mean_m", "std_m"))
+    axes.bar(at, 2.0 * std, bottom=mean - std, width=0.62, color=BLUE, alpha=0.25, lw=0,
              label="mean ± standard deviation")  # fmt: skip
-    known = [i for i, band in enumerate(bands) if None not in (band.get("mean_ci95_m") or [None])]
+    known = [i for i in at if None not in (bands[i].get("mean_ci95_m") or [None])]
     if known:
-        ends = 1000.0 * np.array([bands[i]["mean_ci95_m"] for i in known])
-        axes.vlines(known, ends[:, 0], ends[:, 1], color=_RED, lw=2.2, label="95 % confidence of the mean")
-    axes.plot(at, mean, "o", ms=4.5, color=_RED, label="mean")
+        ends = per_metre * np.array([bands[i]["mean_ci95_m"] for i in known])
+        axes.vlines(known, ends[:, 0], ends[:, 1], color=RED, lw=2.2, label="95 % confidence of the mean")
+    axes.plot(at, mean, "o", ms=4.5, color=RED, label="mean")
     axes.axhline(0.0, color=INK, lw=0.8)
     labels = [band_label(band, unit).replace(" views", "").replace(" m", "").replace("°", "") for band in bands]
-    axes.set_xticks(at, [text.replace(" to ", "–").replace(" and more", "+") for text in labels])
+    axes.set_xticks(range(len(bands)), [text.replace(" to ", "–").replace(" and more", "+") for text in labels])
     axes.set_xlim(-0.7, len(bands) - 0.3)
     axes.tick_params(colors=SOFT, labelsize=8.5)
-    for band, x in zip(bands, at, strict=True):
-        axes.text(x, 1.0, f"{band['n_points']:,}".replace(",", "\u202f"), transform=axes.get_xaxis_transform(),
+    for x, band in enumerate(bands):
+        axes.text(x, 1.0, count(band["n_points"]), transform=axes.get_xaxis_transform(),
                   ha="center", va="bottom", color=SOFT, fontsize=7, rotation=30 if len(bands) > 6 else 0)  # fmt: skip
     axes.spines[["right", "top"]].set_visible(False)

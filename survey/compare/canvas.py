@@ -1,4 +1,4 @@
-"""Canvases of the pictures of a comparison: colours, axes in plan view, cells, scale bar.
+"""Canvases of pictures: plots, maps true to scale with a bar of metres, bars of colours.
 
 Drawn without a display, on figures of their own: nothing of matplotlib's global state is used or changed.
 """
@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
@@ -20,20 +19,22 @@ from pyproj import CRS
 
 from geo import write_whole
 from geo.crs import is_geographic
+from survey.palette import EMPTY, INK, SOFT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colorbar import Colorbar
+    from matplotlib.image import AxesImage
 
 Extent = tuple[float, float, float, float]
 
-INK, SOFT, EMPTY = "#22303c", "#6b7885", "#d9dde1"
-_DPI = 140
+_DPI = 170
+# Width and height of the largest map [inch]: small, so that its words can still be read at half the width of a page.
+_MAP_IN = (4.8, 5.4)
+_TICK_PT = 8.5
 # Share of |d| that the colours and the histogram span; the rest has the colour of the end.
 _SHOWN = 0.98
-# Cells along the longer side of a map.
-_CELLS = 500
-# A few stray points must not shrink the picture of all others.
-_STRAY_SHARE, _MARGIN = 0.001, 0.05
 _EARTH_RADIUS_M = 6.371e6
 # Height over width of a map; long narrow surveys get empty margins, so that title and ticks have room.
 _FLATTEST, _TALLEST = 0.3, 1.5
@@ -50,76 +51,23 @@ def nice_limit(distances: np.ndarray) -> float:
     return next(step * power for step in (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0) if step * power >= quantile * (1 - 1e-9))
 
 
-def mean_per_cell(points: np.ndarray, values: np.ndarray, per_cell: float) -> tuple[np.ndarray, Extent]:
-    """Means over square cells in plan view.
-
-    Parameters
-    ----------
-    points : (N, 3), in crs
-        Those beyond the outermost 0.1 % by more than a twentieth of the extent are left out as strays.
-    values : (N,)
-    per_cell : float
-        Points that a cell should hold on average; there are at most 500 cells along a side.
-
-    Returns
-    -------
-    means : (rows, columns), south first
-        NaN in cells without a point.
-    extent : (e0, e1, n0, n1), in crs
-    """
-    plan = points[:, :2]
-    if not len(plan):
-        return np.full((1, 1), np.nan), (0.0, 1.0, 0.0, 1.0)
-    low, high = np.quantile(plan, [_STRAY_SHARE, 1.0 - _STRAY_SHARE], axis=0)
-    margin = _MARGIN * (high - low)
-    kept = ((plan >= low - margin) & (plan <= high + margin)).all(axis=1)
-    plan, values = plan[kept], values[kept]
-    low, high = plan.min(axis=0), plan.max(axis=0)
-    # Points on a line or on one spot still need a cell of some size.
-    size = np.maximum(high - low, 1e-9 * np.maximum(np.abs(high), 1.0))
-    size = np.maximum(size, 1e-3 * size.max())
-    cell = max(size.max() / _CELLS, math.sqrt(size.prod() * per_cell / len(plan)))
-    shape = np.ceil(size / cell).astype(np.int64)
-    at = np.floor((plan - low) / cell).astype(np.int64)
-    at = np.minimum(at, shape - 1)
-    flat = at[:, 1] * shape[0] + at[:, 0]
-    counts = np.bincount(flat, minlength=shape.prod())
-    sums = np.bincount(flat, weights=values, minlength=shape.prod())
-    means = np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > 0)
-    east, north = low + shape * cell
-    return means.reshape(shape[1], shape[0]), (float(low[0]), float(east), float(low[1]), float(north))
+def show(axes: Axes, image: np.ndarray, extent: Extent, **colours) -> AxesImage:
+    """Draw a raster, its first row in the north, into axes in crs, whose limits stay as they are."""
+    across, along = axes.get_xlim(), axes.get_ylim()
+    drawn = axes.imshow(image, extent=extent, aspect=axes.get_aspect(), interpolation="nearest", zorder=1, **colours)
+    axes.set(xlim=across, ylim=along)
+    return drawn
 
 
-def draw_cells(
-    image: np.ndarray,
-    extent: Extent,
-    crs: CRS | None,
-    *,
-    colours: str | Colormap,
-    limits: tuple[float, float],
-    label: str,
-    extend: str = "neither",
-) -> tuple[Figure, Axes]:
-    """A map of cells as `mean_per_cell` gives them, with a bar of its colours between two limits."""
-    figure, axes = _map_canvas(extent, crs)
-    limits_e, limits_n = axes.get_xlim(), axes.get_ylim()
-    drawn = axes.imshow(
-        image,
-        origin="lower",
-        extent=extent,
-        cmap=colours,
-        vmin=limits[0],
-        vmax=limits[1],
-        interpolation="nearest",
-        aspect=axes.get_aspect(),
-    )
-    axes.set(xlim=limits_e, ylim=limits_n)
+def colour_bar(axes: Axes, scale: ScalarMappable, label: str, *, extend: str = "both") -> Colorbar:
+    """A bar beside axes that explains their colours."""
+    figure = axes.figure
     beside = axes.inset_axes([1.025, 0.06, _BAR_WIDTH_IN / (axes.bbox.width / figure.dpi), 0.88])
-    bar = figure.colorbar(drawn, cax=beside, extend=extend)
+    bar = figure.colorbar(scale, cax=beside, extend=extend)
     bar.set_label(label, color=INK)
     bar.outline.set_visible(False)
-    bar.ax.tick_params(colors=SOFT, labelsize=8.5)
-    return figure, axes
+    bar.ax.tick_params(colors=SOFT, labelsize=_TICK_PT)
+    return bar
 
 
 def canvas(width: float, height: float) -> tuple[Figure, Axes]:
@@ -127,7 +75,7 @@ def canvas(width: float, height: float) -> tuple[Figure, Axes]:
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    axes.tick_params(colors=SOFT, labelsize=8.5)
+    axes.tick_params(colors=SOFT, labelsize=_TICK_PT)
     axes.xaxis.label.set_color(INK)
     axes.yaxis.label.set_color(INK)
     for side in ("top", "right"):
@@ -137,7 +85,7 @@ def canvas(width: float, height: float) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def _map_canvas(extent: Extent, crs: CRS | None) -> tuple[Figure, Axes]:
+def map_canvas(extent: Extent, crs: CRS | None) -> tuple[Figure, Axes]:
     """Axes in easting and northing, or longitude and latitude, true to scale, with a bar of metres."""
     angular = crs is not None and is_geographic(crs)
     aspect = 1.0 / max(math.cos(math.radians(0.5 * (extent[2] + extent[3]))), 0.01) if angular else 1.0
@@ -164,9 +112,9 @@ def _map_canvas(extent: Extent, crs: CRS | None) -> tuple[Figure, Axes]:
 
 
 def _size_for(height_over_width: float) -> tuple[float, float]:
-    """Size [inch] of a figure whose map is at most 6.4 inches wide and 7.2 high, with room for the rest."""
-    width = min(6.4, 7.2 / height_over_width)
-    return width + 2.4, width * height_over_width + 1.3
+    """Size [inch] of a figure whose map is as large as a map may be, with room for the rest."""
+    width = min(_MAP_IN[0], _MAP_IN[1] / height_over_width)
+    return width + 2.1, width * height_over_width + 1.2
 
 
 def _scale_bar(axes: Axes, metres_per_unit: float) -> None:
@@ -208,9 +156,3 @@ def save(figure: Figure, path: Path) -> None:
     figure.savefig(buffer, format="png", dpi=_DPI)
     with write_whole(path) as stream:
         stream.write(buffer.getvalue())
-
-
-def length_text(value_m: float) -> str:
-    """A length [m] as 12.3 mm or 1.234 m, with a true minus sign."""
-    text = f"{value_m * 1000.0:.1f} mm" if abs(value_m) < 0.5 else f"{value_m:.3f} m"
-    return text.replace("-", "−")

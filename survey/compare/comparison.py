@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +11,7 @@ from evaluation import Blocks, is_outlier, scores, spatial_blocks, summarise
 from evaluation.bootstrap import LEVEL, NUM_DRAWS
 from evaluation.bootstrap import SEED as SEED_OF_DRAWS
 from evaluation.completeness import SEED
-from geo import Mesh, write_whole
+from geo import Mesh
 from survey.compare import measure
 from survey.compare.checkpoints import checkpoint_accuracy, read_checkpoints
 from survey.compare.inputs import (
@@ -29,6 +27,7 @@ from survey.compare.inputs import (
 from survey.compare.options import CompareOptions, check_options, outlier_filter
 from survey.compare.pictures import write_report
 from survey.compare.result import Comparison
+from survey.json_values import plain, write_json
 from survey.progress import current
 
 __all__ = ["CompareOptions", "Comparison", "compare_files", "compare_surfaces"]
@@ -65,9 +64,7 @@ def compare_files(cloud: Path, reference: Path, *, options: CompareOptions | Non
         with current().stage("Pictures"):
             write_report(comparison, Path(options.report_dir))
     if options.json_path is not None:
-        text = json.dumps(comparison.numbers, indent=2, allow_nan=False) + "\n"
-        with write_whole(options.json_path) as stream:
-            stream.write(text.encode())
+        write_json(options.json_path, comparison.numbers)
     return comparison.numbers
 
 
@@ -104,7 +101,7 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     reached = reaches[0].get("is_reached_visible", reaches[0]["is_reached"])
     targets = inputs.frame.crs_from_local(scene.targets)
     points = inputs.cloud.points[inputs.inside]
-    return Comparison(without_nan(numbers), points, distances, nearest, depth, targets, reached, inputs)
+    return Comparison(plain(numbers), points, distances, nearest, depth, targets, reached, inputs)
 
 
 def _circumstances(
@@ -159,15 +156,6 @@ def _without_outliers(
         f"{neighbours} neighbours over its mean plus {num_std:g} standard deviations)"
     )
     return replace(inputs, inside=inputs.inside & is_left), is_left
-
-
-def without_nan(value):
-    """A tree of dicts and lists with None in place of NaN and infinity, which JSON does not have."""
-    if isinstance(value, dict):
-        return {key: without_nan(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [without_nan(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _make_folder(folder: Path) -> None:

@@ -7,19 +7,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.colors import LinearSegmentedColormap
 from pyproj import CRS
 
 from survey.compare.bands import draw_bands, has_bands
-from survey.compare.canvas import INK, canvas, draw_cells, length_text, mean_per_cell, nice_limit, save, write_title
+from survey.compare.canvas import Extent, canvas, colour_bar, map_canvas, nice_limit, save, show, write_title
+from survey.palette import BLUE, DIFFERENCES, INK, NOT_REACHED, PALE, RED, SIZES
+from survey.plan_grid import PlanGrid
+from survey.quantities import LengthUnit, count, length, share
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from survey.compare.result import Comparison
 
-_BLUE, _RED = "#2f6f9f", "#c3140d"
-_REACHED = LinearSegmentedColormap.from_list("reached", ["#c9d6df", "#f0a48c", _RED])
 # Points that a cell should have on average: few where a hole is a hole, more where points lie at random.
 _POINTS_PER_CELL, _SAMPLES_PER_CELL = 3.0, 6.0
+# Cells along the longer side of a map.
+_CELLS = 500
+# A map of no points: a cell without a value, somewhere.
+_NOWHERE = np.full((1, 1), np.nan), (0.0, 1.0, 0.0, 1.0)
 
 
 def write_report(comparison: Comparison, folder: Path) -> list[Path]:
@@ -37,13 +43,13 @@ def write_report(comparison: Comparison, folder: Path) -> list[Path]:
     histogram(comparison.distances, paths[0], tolerance_m=numbers["tolerance_m"])
     error_map(comparison.points, comparison.distances, paths[1], crs=crs, subtitle=_in_short(numbers))
     is_visible = "completeness_visible" in numbers
-    share = numbers["completeness_visible" if is_visible else "completeness"]
+    reached = numbers["completeness_visible" if is_visible else "completeness"]
     completeness_map(
         comparison.targets,
         comparison.is_reached,
         paths[2],
         crs=crs,
-        subtitle=f"{100.0 * share:.2f} % of {'the visible points' if is_visible else 'the reference'} "
+        subtitle=f"{share(reached)} of {'the visible points' if is_visible else 'the reference'} "
         f"closer than {numbers['tolerance_m']:g} m",
     )
     if has_bands(numbers):
@@ -66,33 +72,25 @@ def histogram(distances: np.ndarray, path: Path, *, tolerance_m: float | None = 
     """
     d = distances[np.isfinite(distances)]
     limit = nice_limit(d)
-    factor, unit = (1000.0, "mm") if limit < 0.5 else (1.0, "m")
+    unit = LengthUnit.of([limit])
     is_signed = bool((d < 0.0).any())
-    figure, axes = canvas(7.2, 4.2)
-    edges = np.linspace(-limit if is_signed else 0.0, limit, 121 if is_signed else 81)
-    inner = np.quantile(np.abs(d), 0.9) if len(d) else math.nan
-    axes.axvspan((-inner if is_signed else 0.0) * factor, inner * factor, color="#e8eef3", lw=0, label="inner 90 %")
-    counts, _ = np.histogram(d, bins=edges)
+    figure, axes = canvas(7.2, 4.0)
+    edges = np.linspace(-limit if is_signed else 0.0, limit, 121 if is_signed else 81) * unit.per_metre
+    d_in_unit = d * unit.per_metre
+    inner = float(np.quantile(np.abs(d_in_unit), 0.9)) if len(d) else math.nan
+    axes.axvspan(-inner if is_signed else 0.0, inner, color=PALE, lw=0, label="inner 90 %")
+    counts, _ = np.histogram(d_in_unit, bins=edges)
     shares = 100.0 * counts / max(len(d), 1)
-    axes.bar(edges[:-1] * factor, shares, width=np.diff(edges) * factor, align="edge", color=_BLUE, lw=0)
+    axes.bar(edges[:-1], shares, width=np.diff(edges), align="edge", color=BLUE, lw=0)
     axes.axvline(0.0, color=INK, lw=0.8)
     if len(d):
-        axes.axvline(d.mean() * factor, color=_RED, lw=1.4, label=f"mean {length_text(d.mean())}")
-        axes.axvline(np.median(d) * factor, color=_RED, lw=1.4, ls=":", label=f"median {length_text(np.median(d))}")
-    axes.set_xlim(edges[0] * factor, edges[-1] * factor)
-    axes.set_xlabel(f"distance to the reference{', above it positive' if is_signed else ''} [{unit}]")
+        axes.axvline(d_in_unit.mean(), color=RED, lw=1.4, label=f"mean {length(d.mean())}")
+        axes.axvline(np.median(d_in_unit), color=RED, lw=1.4, ls=":", label=f"median {length(np.median(d))}")
+    axes.set_xlim(edges[0], edges[-1])
+    axes.set_xlabel(f"distance to the reference{', above it positive' if is_signed else ''} [{unit.name}]")
     axes.set_ylabel("share of the points [%]")
     axes.legend(loc="upper left" if is_signed else "center right", frameon=False, fontsize=9)
-    axes.text(
-        0.985,
-        0.97,
-        _text_of(d, limit, tolerance_m),
-        transform=axes.transAxes,
-        ha="right",
-        va="top",
-        fontsize=9,
-    )
-    write_title(axes, "Distance of the cloud to the reference", "")
+    write_title(axes, "Distance of the cloud to the reference", _spread_in_words(d, limit, tolerance_m))
     save(figure, path)
 
 
@@ -114,21 +112,18 @@ def error_map(
     """
     known = np.isfinite(distances)
     points, d = points[known], distances[known]
-    image, extent = mean_per_cell(points, d, _POINTS_PER_CELL)
     limit = nice_limit(d)
-    factor, unit = (1000.0, "mm") if limit < 0.5 else (1.0, "m")
+    unit = LengthUnit.of([limit])
     is_signed = bool((d < 0.0).any())
-    figure, axes = draw_cells(
-        image * factor,
-        extent,
-        crs,
-        colours="RdBu_r" if is_signed else "viridis",
-        limits=(-limit * factor if is_signed else 0.0, limit * factor),
-        label=f"{'above (+) or below (−)' if is_signed else 'distance to'} the reference [{unit}]",
-        extend="both" if is_signed else "max",
+    axes, image, extent = _map_of_means(points, d * unit.per_metre, _POINTS_PER_CELL, crs)
+    end = limit * unit.per_metre
+    drawn = show(
+        axes, image, extent, cmap=DIFFERENCES if is_signed else SIZES, vmin=-end if is_signed else 0.0, vmax=end
     )
+    label = f"{'above (+) or below (−)' if is_signed else 'distance to'} the reference [{unit.name}]"
+    colour_bar(axes, drawn, label, extend="both" if is_signed else "max")
     write_title(axes, "Distance to the reference in plan view", subtitle)
-    save(figure, path)
+    save(axes.figure, path)
 
 
 def completeness_map(
@@ -144,35 +139,45 @@ def completeness_map(
     path, crs, subtitle :
         As `error_map`.
     """
-    image, extent = mean_per_cell(targets, 1.0 - is_reached, _SAMPLES_PER_CELL)
-    figure, axes = draw_cells(
-        100.0 * image, extent, crs, colours=_REACHED, limits=(0.0, 100.0), label="not reached [%]"
-    )
+    axes, image, extent = _map_of_means(targets, 100.0 * (1.0 - is_reached), _SAMPLES_PER_CELL, crs)
+    drawn = show(axes, image, extent, cmap=NOT_REACHED, vmin=0.0, vmax=100.0)
+    colour_bar(axes, drawn, "not reached [%]", extend="neither")
     axes.set_facecolor("white")
     write_title(axes, "What the cloud does not reach", subtitle)
-    save(figure, path)
+    save(axes.figure, path)
+
+
+def _map_of_means(
+    points: np.ndarray, values: np.ndarray, per_cell: float, crs: CRS | None
+) -> tuple[Axes, np.ndarray, Extent]:
+    """Axes of a map of points (N, 3), and means (rows, columns) of values (N,) over its cells with their extent."""
+    image, extent = _NOWHERE
+    if len(points):
+        grid = PlanGrid.over(points, crs, max_cells=_CELLS, per_cell=per_cell)
+        image, extent = grid.mean(values), grid.extent
+    return map_canvas(extent, crs)[1], image, extent
 
 
 def _in_short(numbers: dict) -> str:
     is_visible = "completeness_visible" in numbers
-    share = numbers["completeness_visible" if is_visible else "completeness"]
-    mean, std = (length_text(numbers[f"{name}_inner90_m"]) for name in ("mean", "std"))
+    reached = numbers["completeness_visible" if is_visible else "completeness"]
+    mean, std = (length(numbers[f"{name}_inner90_m"]) for name in ("mean", "std"))
     return (
         f"inner 90 %: mean {mean}, std {std}  ·  "
-        f"{100.0 * share:.1f} % complete at {numbers['tolerance_m']:g} m{' (visible)' if is_visible else ''}"
+        f"{share(reached)} complete at {numbers['tolerance_m']:g} m{' (visible)' if is_visible else ''}"
     )
 
 
-def _text_of(d: np.ndarray, limit: float, tolerance_m: float | None) -> str:
+def _spread_in_words(d: np.ndarray, limit: float, tolerance_m: float | None) -> str:
     if not len(d):
         return "no points"
     inner = d[np.abs(d) <= np.quantile(np.abs(d), 0.9)]
-    lines = [
-        f"{len(d):,} points".replace(",", " "),
-        f"std {length_text(d.std())}",
-        f"inner 90 %: {length_text(inner.mean())} ± {length_text(inner.std())}",
-        f"beyond the axis {100.0 * np.mean(np.abs(d) > limit):.1f} %",
+    parts = [
+        f"{count(len(d))} points",
+        f"std {length(d.std())}",
+        f"of the inner 90 % {length(inner.std())}",
+        f"beyond the axis {share(np.mean(np.abs(d) > limit))}",
     ]
     if tolerance_m is not None:
-        lines.append(f"closer than {tolerance_m:g} m {100.0 * np.mean(np.abs(d) < tolerance_m):.1f} %")
-    return "\n".join(lines)
+        parts.append(f"closer than {tolerance_m:g} m {share(np.mean(np.abs(d) < tolerance_m))}")
+    return "  ·  ".join(parts)

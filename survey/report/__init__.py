@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
 from geo.files import write_whole
+from survey.json_values import write_json
 from survey.report.facts import ReportFacts
 from survey.report.figures import figures_of
 from survey.report.page import render_page
@@ -43,11 +43,7 @@ def write_report(folder: Path, facts: ReportFacts, advance: Callable[[], None] =
     (folder / "pictures").mkdir(exist_ok=True)
     pictures = draw_pictures(folder / "pictures", facts, advance)
     page = render_page(figures, pictures)
-    _write(folder / "report.json", json.dumps(figures, indent=2, ensure_ascii=False, allow_nan=False))
-    _write(folder / "report.html", page)
+    write_json(folder / "report.json", figures)
+    with write_whole(folder / "report.html") as stream:
+        stream.write(page.encode())
     return figures
-
-
-def _write(path: Path, text: str) -> None:
-    with write_whole(path) as stream:
-        stream.write(text.encode())

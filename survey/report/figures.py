@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
-
 import numpy as np
 from pyproj import CRS
 
 from geo.crs import horizontal_crs, vertical_crs
 from survey.folder.survey import Survey
+from survey.json_values import plain
 from survey.photos.images import list_images
 from survey.plan.plan import Plan
+from survey.plan_grid import PlanGrid
 from survey.report.baselines import baselines_of
 from survey.report.facts import ReportFacts
 
@@ -38,23 +37,6 @@ def figures_of(facts: ReportFacts) -> dict:
         "notes": list(facts.notes),
     }
     return plain(figures)
-
-
-def plain(value):
-    """A value as JSON knows it: numpy scalars and arrays, tuples and dataclasses undone, NaN as None."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return plain(dataclasses.asdict(value))
-    if isinstance(value, dict):
-        return {str(name): plain(item) for name, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if value is None or isinstance(value, bool | int | float | str):
-        return value
-    return str(value)
 
 
 def _survey(survey: Survey) -> dict:
@@ -118,7 +100,7 @@ def _plan(plan: Plan) -> dict:
 
 def _cloud(facts: ReportFacts) -> dict:
     bed = facts.bed
-    area = _covered_area_m2(bed.xyz, _COVERED_CELL_GSD * facts.plan.gsd_m)
+    area = PlanGrid.of_cells(bed.xyz, _COVERED_CELL_GSD * facts.plan.gsd_m).covered_m2 if len(bed) else 0.0
     wet = int(bed.wet.sum())
     depth = bed.depth[bed.wet]
     return {
@@ -149,11 +131,3 @@ def _spread(values: np.ndarray, *names: str) -> dict | None:
     """Statistics by name, over what is finite; None where nothing is."""
     values = values[np.isfinite(values)].astype(np.float64)
     return {name: float(_STATISTICS[name](values)) for name in names} if values.size else None
-
-
-def _covered_area_m2(xyz: np.ndarray, cell_m: float) -> float:
-    """Area in plan of the cells that hold a point of (N, 3) [m], local."""
-    if not len(xyz):
-        return 0.0
-    cells = np.floor((xyz[:, :2] - xyz[:, :2].min(axis=0)) / cell_m).astype(np.int64)
-    return float(len(np.unique(cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]))) * cell_m**2

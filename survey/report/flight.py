@@ -12,13 +12,14 @@ from matplotlib.colors import to_rgba
 from matplotlib.patches import Rectangle
 
 from refract import PinholeCamera
-from survey.compare.canvas import INK, _map_canvas, save, write_title
+from survey.compare.canvas import map_canvas, save, show, write_title
 from survey.folder.survey import Survey
+from survey.palette import BOUNDS, INK, LAND, OBLIQUE, WATER
+from survey.plan_grid import PlanGrid, metres_per_unit
+from survey.quantities import number
 from survey.report.facts import ReportFacts
-from survey.report.raster import PlanGrid, metres_per_unit
-from survey.report.shading import Picture, show
+from survey.report.shading import Picture
 
-_WATER, _LAND, _OBLIQUE, _BOUNDS = "#8fc3d3", "#d8c9a6", "#d98032", "#c2452d"
 _OBLIQUE_DEG = 15.0
 _CELLS = 150
 # With more outlines than this each is drawn fainter.
@@ -34,7 +35,7 @@ def draw_plan(path: Path, facts: ReportFacts) -> Picture:
     corners = np.array([_footprint(camera, survey, ground) for camera in cameras])
     footprints = survey.frame.crs_from_local(corners)[..., :2]
     extent, size = _extent(survey, centres, footprints)
-    figure, axes = _map_canvas(extent, survey.frame.crs)
+    figure, axes = map_canvas(extent, survey.frame.crs)
     axes.set_facecolor("white")
     if len(facts.bed):
         _draw_wet_and_dry(axes, facts)
@@ -43,7 +44,7 @@ def draw_plan(path: Path, facts: ReportFacts) -> Picture:
     _draw_cameras(axes, survey, centres, size)
     if survey.bounds is not None:
         e0, n0, e1, n1 = survey.bounds
-        frame = Rectangle((e0, n0), e1 - e0, n1 - n0, fill=False, ec=_BOUNDS, lw=1.6, ls="--", zorder=4)
+        frame = Rectangle((e0, n0), e1 - e0, n1 - n0, fill=False, ec=BOUNDS, lw=1.6, ls="--", zorder=4)
         frame.set_label("bounds")
         axes.add_patch(frame)
     figure.legend(loc="outside lower center", ncols=5, frameon=False, fontsize=9)
@@ -66,16 +67,16 @@ def _extent(survey: Survey, centres: np.ndarray, footprints: np.ndarray) -> tupl
 
 
 def _draw_wet_and_dry(axes: Axes, facts: ReportFacts) -> None:
-    grid = PlanGrid.over(facts.points_crs, facts.survey.frame.crs, cell_m=0.0, max_cells=_CELLS)
+    grid = PlanGrid.over(facts.points_crs, facts.survey.frame.crs, max_cells=_CELLS)
     count, wet = grid.count(), grid.count(facts.bed.wet)
     is_wet = 2 * wet >= np.maximum(count, 1)
     for part, colour, label in (
-        (is_wet, _WATER, "bed under water"),
-        ((count > 0) & ~is_wet, _LAND, "dry ground"),
+        (is_wet, WATER, "bed under water"),
+        ((count > 0) & ~is_wet, LAND, "dry ground"),
     ):
         if part.any():
             image = np.where(part[..., None], to_rgba(colour), (0.0, 0.0, 0.0, 0.0))
-            show(axes, image, grid)
+            show(axes, image, grid.extent)
             axes.add_patch(Rectangle((0.0, 0.0), 0.0, 0.0, color=colour, label=label, transform=axes.transAxes))
 
 
@@ -84,8 +85,8 @@ def _draw_cameras(axes: Axes, survey: Survey, centres: np.ndarray, length: np.nd
     looks = np.array([view.camera.cam_from_local[2] for view in survey.views])
     is_oblique = np.degrees(np.arccos(np.clip(-looks[:, 2], -1.0, 1.0))) > _OBLIQUE_DEG
     lines = np.stack([centres, centres + looks[:, :2] * length], axis=1)[is_oblique]
-    axes.add_collection(LineCollection(lines, colors=_OBLIQUE, lw=1.2, zorder=5))
-    for part, colour, label in ((~is_oblique, INK, "camera"), (is_oblique, _OBLIQUE, "camera, oblique")):
+    axes.add_collection(LineCollection(lines, colors=OBLIQUE, lw=1.2, zorder=5))
+    for part, colour, label in ((~is_oblique, INK, "camera"), (is_oblique, OBLIQUE, "camera, oblique")):
         if part.any():
             axes.plot(*centres[part].T, "o", ms=4.5, mfc=colour, mec="white", mew=0.6, label=label, zorder=6)
 
@@ -116,4 +117,4 @@ def _over(survey: Survey) -> str:
     if water is None:
         return "the ground"
     slope = math.hypot(water.slope_east, water.slope_north)
-    return f"the water at {water.level_m:g} m" + (f", which rises by {100.0 * slope:.2g} %" if slope else "")
+    return f"the water at {number(water.level_m, 2)} m" + (f", which rises by {100.0 * slope:.2g} %" if slope else "")

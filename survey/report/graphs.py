@@ -10,34 +10,34 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from survey.compare.canvas import INK, SOFT, canvas, nice_limit, save, write_title
+from survey.compare.canvas import canvas, nice_limit, save, write_title
+from survey.palette import BLUE, INK, RED, SERIES, SOFT
+from survey.quantities import LengthUnit, with_unit
 from survey.report.facts import ReportFacts
 from survey.report.shading import Picture
 
 _BANDS, _FEWEST = 16, 20
-_RED, _BLUE = "#c3140d", "#2f6f9f"
 
 
 def draw_histograms(path: Path, facts: ReportFacts) -> Picture:
     """Distributions of depth, spread, views and incidence over the points."""
     bed = facts.bed
     is_dry = facts.survey.water is None
+    std = LengthUnit.of([float(np.nanquantile(bed.std, 0.95))] if np.isfinite(bed.std).any() else [])
     angle = "angle off nadir" if is_dry else "incidence at the water"
     graphs = (
         ("height", "m", facts.points_crs[:, 2]) if is_dry else ("true depth", "m", bed.depth[bed.wet]),
-        ("standard deviation", "mm", 1000.0 * bed.std),
+        ("standard deviation", std.name, std.per_metre * bed.std),
         ("views that agree", "", bed.num_views),
         (angle, "°", np.degrees(bed.incidence)),
     )
-    colours = ("#3a6e97", "#8a4f7d", "#4b8b6f", "#c07c3e")
     figure = Figure(figsize=(11.0, 2.7), layout="constrained")
     FigureCanvasAgg(figure)
-    for axes, (label, unit, values), colour in zip(figure.subplots(1, 4), graphs, colours, strict=True):
+    for axes, (label, unit, values), colour in zip(figure.subplots(1, 4), graphs, SERIES, strict=True):
         values = values[np.isfinite(values)].astype(np.float64)
         if values.size:
             _histogram(axes, values, colour, is_count=not unit)
-            shown = f"{np.median(values):.3g}" + (unit if unit == "°" else f" {unit}")
-            axes.set_title(f"median {shown}", loc="right", color=SOFT, fontsize=9)
+            axes.set_title(f"median {with_unit(f'{np.median(values):.3g}', unit)}", loc="right", color=SOFT, fontsize=9)
         axes.set(yticks=[])
         axes.set_xlabel(f"{label} [{unit}]" if unit else label, color=INK)
         axes.tick_params(colors=SOFT, labelsize=8.5)
@@ -63,7 +63,9 @@ def draw_error_over_depth(path: Path, facts: ReportFacts, distances: np.ndarray)
     is_dry = facts.survey.water is None
     along = np.asarray(facts.points_crs[:, 2] if is_dry else facts.bed.depth, dtype=np.float64)
     use = np.isfinite(distances) & np.isfinite(along)
-    along, distances = along[use], 1000.0 * distances[use]
+    along, distances = along[use], distances[use]
+    limit = nice_limit(distances)
+    unit = LengthUnit.of([limit])
     figure, axes = canvas(7.2, 3.4)
     if along.size:
         edges = np.linspace(*np.quantile(along, [0.002, 0.998]), _BANDS + 1)
@@ -75,16 +77,15 @@ def draw_error_over_depth(path: Path, facts: ReportFacts, distances: np.ndarray)
             if len(part) >= _FEWEST
         ]
         if rows:
-            middle, low, median, high = np.array(rows).T
-            axes.fill_between(middle, low, high, color=_BLUE, alpha=0.25, lw=0, label="inner 68 %")
-            axes.plot(middle, median, "o-", ms=3.5, color=_RED, lw=1.3, label="median")
+            middle, low, median, high = np.array(rows).T * [[1.0], *[[unit.per_metre]] * 3]
+            axes.fill_between(middle, low, high, color=BLUE, alpha=0.25, lw=0, label="inner 68 %")
+            axes.plot(middle, median, "o-", ms=3.5, color=RED, lw=1.3, label="median")
             axes.legend(frameon=False, fontsize=9, ncols=2, loc="upper right")
-        limit = 1000.0 * nice_limit(distances / 1000.0)
-        axes.set_ylim(-limit, limit)
+        axes.set_ylim(-limit * unit.per_metre, limit * unit.per_metre)
     axes.axhline(0.0, color=INK, lw=0.8)
     ground = ", dry ground negative" if (along < 0.0).any() else ""
     name = "height [m]" if is_dry else f"true depth below the water{ground} [m]"
-    axes.set(xlabel=name, ylabel="distance to the reference [mm]")
+    axes.set(xlabel=name, ylabel=f"distance to the reference [{unit.name}]")
     title = f"Distance to the reference over {'height' if is_dry else 'depth'}"
     write_title(axes, title, f"bands with at least {_FEWEST} points")
     save(figure, path)

@@ -12,11 +12,14 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, Normalize
 from matplotlib.figure import Figure
 
-from survey.compare.canvas import EMPTY, INK, _map_canvas, save, write_title
+from survey.compare.canvas import colour_bar, map_canvas, save, show, write_title
+from survey.palette import COUNTS, EMPTY, INK, SPREADS
 from survey.photos.images import load_image
+from survey.plan_grid import PlanGrid
+from survey.quantities import LengthUnit
 from survey.report.facts import ReportFacts
-from survey.report.raster import PlanGrid, without_pinholes
-from survey.report.shading import Picture, colour_bar, shaded_bed, show
+from survey.report.raster import without_pinholes
+from survey.report.shading import Picture, shaded_bed
 
 if TYPE_CHECKING:
     from fields.sweep.sweep import DepthMap
@@ -58,7 +61,7 @@ def draw_surface(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     image, scale = shaded_bed(depth, height, grid.cell_m)
     axes = _show(image, facts, grid)
     axes.set_facecolor("white")  # the grey of other maps' gaps is that of dry ground here
-    colour_bar(axes, scale, label, is_depth=depth is not None)
+    _bar(axes, scale, label, is_depth=depth is not None)
     write_title(axes, title, f"cells of {_centimetres(grid.cell_m)}")
     save(axes.figure, path)
     return Picture(path, title, words)
@@ -69,7 +72,7 @@ def draw_num_views(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     values = without_pinholes(grid.mean(facts.bed.num_views.astype(np.float64)))
     top = max(4, int(np.nanquantile(values, 0.99)) + 1)
     steps = np.arange(1, top + 1, max(1, top // 10))
-    scale = ScalarMappable(BoundaryNorm(np.append(steps, steps[-1] + 1), 256), "viridis")
+    scale = ScalarMappable(BoundaryNorm(np.append(steps, steps[-1] + 1), 256), COUNTS)
     axes = _show(scale.to_rgba(np.ma.masked_invalid(values)), facts, grid)
     colour_bar(axes, scale, "views", extend="max").minorticks_off()
     title = "Views that agree"
@@ -80,12 +83,13 @@ def draw_num_views(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
 
 def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     """Standard deviation of the height over the views that agree, in plan."""
-    values = without_pinholes(1000.0 * grid.mean(facts.bed.std))
+    values = without_pinholes(grid.mean(facts.bed.std))
     known = values[np.isfinite(values)]
-    top = float(np.quantile(known, 0.98)) if known.size else 1.0
-    scale = ScalarMappable(Normalize(0.0, max(top, 1e-3)), "magma_r")
-    axes = _show(scale.to_rgba(np.ma.masked_invalid(values)), facts, grid)
-    colour_bar(axes, scale, "standard deviation [mm]", extend="max")
+    top_m = max(float(np.quantile(known, 0.98)), 1e-6) if known.size else 0.001
+    unit = LengthUnit.of([top_m])
+    scale = ScalarMappable(Normalize(0.0, top_m * unit.per_metre), SPREADS)
+    axes = _show(scale.to_rgba(np.ma.masked_invalid(values * unit.per_metre)), facts, grid)
+    colour_bar(axes, scale, f"standard deviation [{unit.name}]", extend="max")
     title = "Spread of the height"
     write_title(axes, title, f"mean of each cell of {_centimetres(grid.cell_m)}")
     save(axes.figure, path)
@@ -116,16 +120,23 @@ def draw_view(path: Path, facts: ReportFacts) -> Picture:
     name = "height" if depth is None else "true depth along its rays"
     right.set_title(f"Its depth map: {name}", loc="left", color=INK, fontsize=12, weight="bold")
     label = "height over the local origin [m]" if depth is None else _DEPTH_LABEL
-    colour_bar(right, scale, label, is_depth=depth is not None)
+    _bar(right, scale, label, is_depth=depth is not None)
     save(figure, path)
     words = f"Another view confirms {is_confirmed.mean():.0%} of the pixels; the others are left grey."
     return Picture(path, "A photograph and its depth map", words)
 
 
+def _bar(axes: Axes, scale: ScalarMappable, label: str, *, is_depth: bool) -> None:
+    """A bar of the colours of a bed; depths grow downwards."""
+    bar = colour_bar(axes, scale, label)
+    if is_depth:
+        bar.ax.invert_yaxis()
+
+
 def _show(image: np.ndarray, facts: ReportFacts, grid: PlanGrid) -> Axes:
     """An image (rows, columns, 4) of a grid, in axes in crs and true to scale."""
-    _, axes = _map_canvas(grid.extent, facts.survey.frame.crs)
-    show(axes, image, grid)
+    _, axes = map_canvas(grid.extent, facts.survey.frame.crs)
+    show(axes, image, grid.extent)
     return axes
 
 

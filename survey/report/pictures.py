@@ -10,9 +10,9 @@ import numpy as np
 
 from survey.compare import bands as compare_bands
 from survey.compare import pictures as compare_report
+from survey.plan_grid import PlanGrid
 from survey.report import flight, graphs, maps, profile
 from survey.report.facts import ReportFacts, distances_of
-from survey.report.raster import PlanGrid
 from survey.report.shading import Picture
 
 # Cells of the orthophoto and of the maps along the longer side, at most.

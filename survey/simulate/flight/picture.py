@@ -9,6 +9,7 @@ import matplotlib.figure
 import numpy as np
 
 from refract import PinholeCamera
+from survey.palette import BLUE, INK, OBLIQUE, SOFT
 from survey.simulate.flight.coverage import Coverage
 from survey.simulate.flight.patterns import Site
 
@@ -24,17 +25,17 @@ def picture(cameras: Sequence[PinholeCamera], cover: Coverage, site: Site) -> by
     shades = axes.pcolormesh(cover.east, cover.north, cover.num_views, cmap="YlGnBu", vmin=0, vmax=most)
     figure.colorbar(shades, label="views of the bed through the water", shrink=0.7)
     for corners in cover.footprints:
-        axes.plot(*corners.T, color="0.5", linewidth=0.4, alpha=0.6)
+        axes.plot(*corners.T, color=SOFT, linewidth=0.4, alpha=0.6)
     centres = np.array([camera.centre for camera in cameras])
     forward = np.array([camera.cam_from_local[2] for camera in cameras])
     down = -forward[:, 2] > _LOOKS_DOWN
-    axes.plot(*centres[:, :2].T, color="0.2", linewidth=0.6, alpha=0.7)
-    axes.plot(*centres[down, :2].T, "o", color="tab:blue", markersize=4, label="looks down")
+    axes.plot(*centres[:, :2].T, color=INK, linewidth=0.6, alpha=0.7)
+    axes.plot(*centres[down, :2].T, "o", color=BLUE, markersize=4, label="looks down")
     if not down.all():
-        axes.plot(*centres[~down, :2].T, "o", color="tab:red", markersize=4, label="oblique")
+        axes.plot(*centres[~down, :2].T, "o", color=OBLIQUE, markersize=4, label="oblique")
         reach = (centres[~down, 2] - site.level)[:, None] * forward[~down, :2] / -forward[~down, 2:]
         axes.quiver(
-            *centres[~down, :2].T, *reach.T, angles="xy", scale_units="xy", scale=2.0, width=0.002, color="tab:red"
+            *centres[~down, :2].T, *reach.T, angles="xy", scale_units="xy", scale=2.0, width=0.002, color=OBLIQUE
         )
     axes.set(xlabel="east of the origin [m]", ylabel="north of the origin [m]", aspect="equal")
     height = float(np.median(centres[:, 2]) - site.level)

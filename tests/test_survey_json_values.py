@@ -1,0 +1,40 @@
+"""Values in JSON files: plain, without NaN, each file whole."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from pyproj import CRS
+
+from geo.errors import UnwritableFile
+from survey.json_values import plain, write_json
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Something with fields."""
+
+    low: float
+    others: tuple
+
+
+def test_values_become_plain_and_what_is_not_finite_becomes_none():
+    value = {"a": np.float32(0.5), "b": (np.arange(2), [np.nan, -np.inf]), "c": np.bool_(True), 3: CRS(4326)}
+    assert plain(value) == {"a": 0.5, "b": [[0, 1], [None, None]], "c": True, "3": "EPSG:4326"}
+
+
+def test_dataclasses_become_dicts_of_plain_values():
+    assert plain([Pair(np.float64(1.0), (float("nan"), "x"))]) == [{"low": 1.0, "others": [None, "x"]}]
+
+
+def test_a_file_reads_back_as_it_was_written(tmp_path):
+    write_json(tmp_path / "some.json", {"tiefe": "1 m – 2 m", "n": np.int64(3)})
+    assert json.loads((tmp_path / "some.json").read_text(encoding="utf-8")) == {"tiefe": "1 m – 2 m", "n": 3}
+
+
+def test_a_folder_that_is_missing_is_named(tmp_path):
+    with pytest.raises(UnwritableFile, match="missing"):
+        write_json(tmp_path / "missing" / "some.json", {})

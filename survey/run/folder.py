@@ -9,7 +9,6 @@ A stage works in a fresh hidden folder that is renamed when the stage is finishe
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import importlib.metadata
 import json
@@ -17,12 +16,10 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from geo.files import write_whole
+from geo.files import disk_refusals, write_whole
 from survey.errors import SurveyError
 from survey.run.stored import load_arrays, save_arrays
 from survey.stage_key import code_version, stage_key
@@ -66,7 +63,9 @@ class RunDir:
     Raises
     ------
     SurveyError
-        On entering, if the folder holds something else, is in use by another process, or cannot be made.
+        On entering, if the folder holds something else or is in use by another process.
+    UnwritableFile
+        If the folder cannot be made or written to.
     """
 
     def __init__(self, path: str | Path):
@@ -83,7 +82,7 @@ class RunDir:
         self._started: dict[Path, float] = {}
 
     def __enter__(self) -> RunDir:
-        with _refusals(self.path):
+        with disk_refusals(self.path):
             self._require_ours_or_empty()
             self.stages_path.mkdir(parents=True, exist_ok=True)
             self.pictures_path.mkdir(exist_ok=True)
@@ -123,7 +122,7 @@ class RunDir:
         if self._lock is None:
             raise RuntimeError("open_stage outside a with block: stages are written while the run is locked")
         folder = self.stages_path / f".{name}{_PART}"
-        with _refusals(folder):
+        with disk_refusals(folder):
             if folder.exists():
                 shutil.rmtree(folder)
             folder.mkdir()
@@ -139,7 +138,7 @@ class RunDir:
         record = {"key": key, "seconds": seconds, "versions": versions()}
         self.write_text(temp / _RECORD, json.dumps(record, indent=2))
         place, old = self.stages_path / name, self.stages_path / f".{name}.old{_PART}"
-        with _refusals(place):
+        with disk_refusals(place):
             if place.exists():
                 place.rename(old)
             temp.rename(place)
@@ -240,21 +239,3 @@ def _locked(folder: Path) -> BinaryIO:
     lock.write(str(os.getpid()).encode())
     lock.flush()
     return lock
-
-
-@contextmanager
-def _refusals(path: Path) -> Iterator[None]:
-    """What the disk refuses, as SurveyError that names the path and the mend."""
-    try:
-        yield
-    except OSError as error:
-        path = error.filename or path
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            mend = "no room is left on the disk; free some and give the same command again"
-        elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-            mend = "permission is denied; name a run folder with -o that you may write to"
-        elif error.errno in (errno.ENOLCK, errno.ENOTSUP):
-            mend = "its disk cannot lock files; name a run folder on another disk with -o"
-        else:
-            mend = f"{error.strerror}; name another run folder with -o"
-        raise SurveyError(f"cannot write {path}: {mend}") from error

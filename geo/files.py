@@ -1,9 +1,10 @@
-"""Files that are written whole or not at all."""
+"""Files that are written whole or not at all, and the one sentence for what a disk refuses."""
 
 from __future__ import annotations
 
 import errno
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,24 +12,78 @@ from typing import BinaryIO
 
 from geo.errors import UnreadableFile, UnwritableFile
 
+_NO_PERMISSION = "permission is denied; change its permissions or choose another folder"
 _MENDS = {
     errno.ENOSPC: "no room is left on the disk; free some or write elsewhere",
     errno.EDQUOT: "the disk quota is used up; free some room or write elsewhere",
     errno.EFBIG: "the file grows larger than this disk or process may write; write elsewhere",
     errno.ENOENT: "its folder does not exist; create it or correct the path",
     errno.ENOTDIR: "its folder is a file; correct the path",
+    errno.EEXIST: "a file is in the way; choose another name",
     errno.EISDIR: "a folder has this name; choose another name",
-    errno.EACCES: "permission is denied; choose a folder that you may write to",
+    errno.EACCES: _NO_PERMISSION,
+    errno.EPERM: _NO_PERMISSION,
     errno.EROFS: "the disk is read-only; write elsewhere",
+    errno.ENAMETOOLONG: "the name is too long; shorten it",
+    errno.ENOLCK: "its disk cannot lock files; choose a folder on another disk",
+    errno.ENOTSUP: "its disk does not support this; choose a folder on another disk",
+    errno.EMFILE: "too many files are open; raise the limit (ulimit -n)",
+    errno.EIO: "the disk reports a fault (input/output error); check it or write elsewhere",
 }
+# Where the file was perhaps to be read.
+_MENDS_OF_USE = _MENDS | {
+    errno.ENOENT: "it does not exist; correct the path",
+    errno.ENOTDIR: "a part of the path is a file; correct the path",
+    errno.EISDIR: "it is a folder; name a file",
+}
+# Libraries that lose the number of an error on the way (numpy, Pillow): with less room than this, it was the room.
+_NO_ROOM_BYTES = 1 << 20
+
+
+def refusal(error: OSError, path: str | Path, *, verb: str = "write") -> str | None:
+    """What the system refuses, as one sentence that names the path and the mend.
+
+    Parameters
+    ----------
+    path : str or Path
+        What was being written or used.
+    verb : "write" or "use"
+        "use" where it is not known whether the path was to be read or written.
+
+    Returns
+    -------
+    str or None
+        None for an error that says nothing about a disk, e.g. an invalid argument.
+    """
+    number = error.errno
+    if number is None and _is_full(Path(path)):
+        number = errno.ENOSPC
+    mend = (_MENDS if verb == "write" else _MENDS_OF_USE).get(number)
+    return None if mend is None else f"cannot {verb} {path}: {mend}"
+
+
+@contextmanager
+def disk_refusals(path: str | Path) -> Iterator[None]:
+    """Turn every error of the system in the block into UnwritableFile, see `refusal`.
+
+    Parameters
+    ----------
+    path : str or Path
+        Named where the error does not say which file it is about.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise _unwritable(error, error.filename or path) from error
 
 
 @contextmanager
 def write_whole(path: str | Path) -> Iterator[BinaryIO]:
     """A binary stream that becomes the file ``path`` when the block ends well.
 
-    Written under a temporary name in the same folder and renamed at the end; after any error the temporary
-    file is gone and an older file of that name is untouched.
+    Written under a temporary name in the same folder and renamed at the end; after any error the temporary file is
+    gone and an older file of that name is untouched. A symbolic link is followed, as by `cp`; into a device or a pipe,
+    e.g. /dev/stdout, the bytes go at once.
 
     Raises
     ------
@@ -36,19 +91,23 @@ def write_whole(path: str | Path) -> Iterator[BinaryIO]:
         If the system refuses (no room, no folder, no permission); the message names the path and the mend.
     """
     path = Path(path)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
+        if path.exists() and not path.is_file() and not path.is_dir():
+            with path.open("wb") as stream:
+                yield stream
+            return
+        target = Path(os.path.realpath(path))
+        part = target.with_name(f".{target.name}.{os.getpid()}.part")
         try:
             with part.open("wb") as stream:
                 yield stream
                 stream.flush()
                 os.fsync(stream.fileno())
-            part.replace(path)
+            part.replace(target)
         finally:
             part.unlink(missing_ok=True)
     except OSError as error:
-        mend = _MENDS.get(error.errno, error.strerror or str(error))
-        raise UnwritableFile(f"cannot write {path}: {mend}.") from error
+        raise _unwritable(error, path) from error
 
 
 def existing_file(path: str | Path) -> Path:
@@ -65,3 +124,16 @@ def existing_file(path: str | Path) -> Path:
     if not path.is_file():
         raise UnreadableFile(f"{path} does not exist; correct the path.")
     return path
+
+
+def _unwritable(error: OSError, path: str | Path) -> UnwritableFile:
+    text = refusal(error, path) or f"cannot write {path}: {error.strerror or error}; write elsewhere"
+    return UnwritableFile(f"{text}.")
+
+
+def _is_full(path: Path) -> bool:
+    """Whether the disk that has, or would have, a path has no room left."""
+    for place in (path, *path.absolute().parents):
+        if place.exists():
+            return shutil.disk_usage(place).free < _NO_ROOM_BYTES
+    return False

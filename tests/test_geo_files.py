@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
+from types import SimpleNamespace
 
 import pytest
 
 from geo.errors import UnreadableFile, UnwritableFile
-from geo.files import existing_file, write_whole
+from geo.files import disk_refusals, existing_file, refusal, write_whole
 
 
 def test_a_file_appears_only_when_it_is_whole(tmp_path):
@@ -42,7 +44,8 @@ def test_an_error_of_the_writer_passes_and_leaves_the_old_file(tmp_path):
         (errno.ENOSPC, "no room is left on the disk"),
         (errno.EDQUOT, "quota"),
         (errno.EROFS, "read-only"),
-        (errno.EIO, os.strerror(errno.EIO)),
+        (errno.EIO, "the disk reports a fault"),
+        (errno.EBADF, os.strerror(errno.EBADF)),
     ],
 )
 def test_an_error_of_the_disk_names_the_file_and_the_mend(tmp_path, monkeypatch, number, words):
@@ -77,3 +80,49 @@ def test_only_a_file_that_is_there_can_be_read(tmp_path):
         existing_file(tmp_path)
     with pytest.raises(UnreadableFile, match="none does not exist; correct the path"):
         existing_file(tmp_path / "none")
+
+
+def test_a_library_that_hides_the_number_of_the_error_is_seen_through_where_the_disk_is_full(tmp_path, monkeypatch):
+    def write():
+        with write_whole(tmp_path / "result.bin"):
+            raise OSError("262144 requested and 8192 written")
+
+    with pytest.raises(UnwritableFile, match="262144 requested"):
+        write()
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=0))
+    with pytest.raises(UnwritableFile, match="no room is left on the disk"):
+        write()
+
+
+def test_a_symbolic_link_is_followed_and_stays_a_link(tmp_path):
+    (tmp_path / "target.bin").write_bytes(b"old")
+    (tmp_path / "link.bin").symlink_to("target.bin")
+    with write_whole(tmp_path / "link.bin") as stream:
+        stream.write(b"new")
+    assert (tmp_path / "link.bin").is_symlink()
+    assert (tmp_path / "target.bin").read_bytes() == b"new"
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_pipe_is_written_into_and_not_replaced(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    with write_whole(tmp_path / "pipe") as stream:
+        stream.write(b"new")
+    assert os.read(reader, 10) == b"new"
+    assert (tmp_path / "pipe").is_fifo()
+    os.close(reader)
+
+
+def test_any_error_of_the_system_in_a_block_names_its_file_or_else_the_block_s(tmp_path):
+    with pytest.raises(UnwritableFile, match=r"cannot write .*gone/a: its folder does not exist"), disk_refusals("run"):
+        (tmp_path / "gone" / "a").touch()
+    with pytest.raises(UnwritableFile, match=r"cannot write run: the disk quota"), disk_refusals("run"):
+        raise OSError(errno.EDQUOT, "quota")
+
+
+def test_an_error_that_says_nothing_of_a_disk_is_no_refusal(tmp_path):
+    assert refusal(OSError(errno.EINVAL, "invalid argument"), tmp_path) is None
+    assert refusal(OSError("of a library"), tmp_path) is None
+    missing = FileNotFoundError(errno.ENOENT, "no such file")
+    assert refusal(missing, "r.ply", verb="use") == "cannot use r.ply: it does not exist; correct the path"

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from fields.sweep.sweep import DepthMap
-from geo.errors import GeoError
+from geo.errors import GeoError, UnwritableFile
 from survey.errors import SurveyError
 from survey.run.folder import RunDir, seconds_of, versions
 from survey.run.keys import Key
@@ -242,7 +242,7 @@ def test_a_file_in_place_of_the_run_folder_is_refused(tmp_path):
     path.touch()
     with pytest.raises(SurveyError, match=r"run is a file.*-o"):
         RunDir(path).__enter__()
-    with pytest.raises(SurveyError, match=r"cannot write .*run.*: "):
+    with pytest.raises(UnwritableFile, match=r"cannot write .*run.*: "):
         RunDir(path / "below").__enter__()
 
 
@@ -281,7 +281,7 @@ def test_a_disk_without_room_is_named_and_earlier_stages_stay(tmp_path):
 def test_a_folder_without_permission_is_named(tmp_path):
     tmp_path.chmod(0o500)
     try:
-        with pytest.raises(SurveyError, match=r"cannot write .*run: permission is denied.*-o"):
+        with pytest.raises(UnwritableFile, match=r"cannot write .*run: permission is denied"):
             RunDir(tmp_path / "run").__enter__()
     finally:
         tmp_path.chmod(0o700)

@@ -17,7 +17,7 @@ from pyproj import CRS, Geod
 from scipy.spatial.transform import Rotation
 
 from geo.crs import parse_crs
-from geo.errors import MissingVerticalDatum
+from geo.errors import MissingVerticalDatum, UnwritableFile
 from geo.frames import LocalFrame
 from geo.similarity import fit_similarity, robust_similarity
 from refract import PinholeCamera
@@ -400,7 +400,7 @@ def test_settings_that_cannot_be_are_named(tmp_path, rng):
 def test_a_workspace_that_cannot_be_written_is_named(tmp_path, rng):
     paths = noise_images(tmp_path, rng)
     (tmp_path / "file").write_text("no folder")
-    with pytest.raises(SurveyError, match=r"cannot write .*file"):
+    with pytest.raises(UnwritableFile, match=r"cannot write .*file"):
         solve_poses(paths, None, tmp_path / "file" / "work")
 
 

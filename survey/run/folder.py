@@ -10,7 +10,6 @@ side by side. One process at a time writes to a run; a lock says so.
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import importlib.metadata
 import json
@@ -18,12 +17,10 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from geo.files import write_whole
+from geo.files import disk_refusals, write_whole
 from survey.code_hash import code_hash
 from survey.errors import SurveyError
 from survey.progress import current
@@ -67,7 +64,9 @@ class RunDir:
     Raises
     ------
     SurveyError
-        On entering, if the folder holds something else, is in use by another process, or cannot be made.
+        On entering, if the folder holds something else or is in use by another process.
+    UnwritableFile
+        If the folder cannot be made or written to.
     """
 
     def __init__(self, path: str | Path):
@@ -84,7 +83,7 @@ class RunDir:
         self._started: dict[Path, float] = {}
 
     def __enter__(self) -> RunDir:
-        with _refusals(self.path):
+        with disk_refusals(self.path):
             self._require_ours_or_empty()
             self.stages_path.mkdir(parents=True, exist_ok=True)
             if not (self.path / _MARKER).exists():
@@ -130,7 +129,7 @@ class RunDir:
     def open_result(self) -> Path:
         """An empty folder for a new result; `publish` puts it in its place."""
         folder = self.path / f".result{_PART}"
-        with _refusals(folder):
+        with disk_refusals(folder):
             result.begin(self.path, folder)
         return folder
 
@@ -141,7 +140,7 @@ class RunDir:
         """
         finished = time.strftime("%Y-%m-%d %H:%M:%S")
         names = {name: place.name for name, place in stages.items()}
-        with _refusals(self.path):
+        with disk_refusals(self.path):
             result.publish(self.path, folder, quality=quality, finished=finished, stages=names)
             result.prune(self.path)
 
@@ -164,7 +163,7 @@ class RunDir:
         if self._lock is None:
             raise RuntimeError("open_stage outside a with block: stages are written while the run is locked")
         folder = self.stages_path / f".{name}{_PART}"
-        with _refusals(folder):
+        with disk_refusals(folder):
             if folder.exists():
                 shutil.rmtree(folder)
             folder.mkdir()
@@ -177,7 +176,7 @@ class RunDir:
         record = {"key": key.digest, "parts": key.parts, "seconds": seconds, "versions": versions()}
         self.write_text(temp / _RECORD, json.dumps(record, indent=2))
         place = self._place(name, key)
-        with _refusals(place):
+        with disk_refusals(place):
             # Computed again on demand, or with a record that cannot be read.
             shutil.rmtree(place, ignore_errors=True)
             temp.rename(place)
@@ -289,21 +288,3 @@ def _locked(folder: Path) -> BinaryIO:
     lock.write(str(os.getpid()).encode())
     lock.flush()
     return lock
-
-
-@contextmanager
-def _refusals(path: Path) -> Iterator[None]:
-    """What the disk refuses, as SurveyError that names the path and the mend."""
-    try:
-        yield
-    except OSError as error:
-        path = error.filename or path
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            mend = "no room is left on the disk; free some and give the same command again"
-        elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-            mend = "permission is denied; name a run folder with -o that you may write to"
-        elif error.errno in (errno.ENOLCK, errno.ENOTSUP):
-            mend = "its disk cannot lock files; name a run folder on another disk with -o"
-        else:
-            mend = f"{error.strerror}; name another run folder with -o"
-        raise SurveyError(f"cannot write {path}: {mend}") from error

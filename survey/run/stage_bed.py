@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fields.colour.true_colour import true_colours
-from fields.water_column import WaterColumn
 from fields.slab.refine import refine
 from fields.sweep.bed import BedPoints, has_company, points_of, unique_pixels
+from fields.water_column import WaterColumn
 from survey.errors import SurveyError
 from survey.photos.images import load_image
 from survey.plan.block import AREA_MARGIN_M, backend, camera_of, grown, local_area, within

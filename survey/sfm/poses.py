@@ -20,7 +20,7 @@ import numpy as np
 from pyproj import CRS
 
 from geo.crs import height_unit_m
-from geo.files import write_whole
+from geo.files import disk_refusals, write_whole
 from geo.frames import LocalFrame
 from refract.lens import Lens
 from survey.code_hash import code_hash
@@ -117,7 +117,9 @@ def solve_poses(
     Raises
     ------
     SurveyError
-        Where positions, overlap or the disk do not suffice; the message says what to give instead.
+        Where positions, overlap or room on the disk do not suffice; the message says what to give instead.
+    UnwritableFile
+        Where the workspace cannot be written to.
 
     Notes
     -----
@@ -131,7 +133,7 @@ def solve_poses(
     gps = gps_positions(heads, crs, gps_height)
     code = code_hash("survey.sfm.solve")
     key = stage_key("sfm", code, gps.frame, gps_height, focal_px, list(images), list(images.values()))
-    with _refusals(workspace):
+    with disk_refusals(workspace):
         solved = _stored(workspace, key)
         if solved is not None:
             say(f"structure from motion: poses of {solved.block.num_reg_images()} images from {workspace}")
@@ -169,18 +171,6 @@ def _one_focal(focal_px: float | tuple[float, float] | None) -> float | None:
             "pixels; give one number, or poses made elsewhere in [cameras] poses"
         )
     return focal_px[0]
-
-
-@contextmanager
-def _refusals(workspace: Path) -> Iterator[None]:
-    """What the disk refuses, as SurveyError that names the path and the mend."""
-    try:
-        yield
-    except OSError as error:
-        raise SurveyError(
-            f"cannot write {error.filename or workspace}: {error.strerror}; free some room, or name a run folder "
-            "elsewhere with -o"
-        ) from error
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from geo.errors import GeoError
 from survey.errors import SurveyError
 from survey.progress import Progress
 from survey.simulate.drawn import draw_survey
@@ -26,7 +27,7 @@ def main(arguments: list[str] | None = None) -> None:
         with Progress() as progress:
             scene = make(shore=given.shore, water=not given.dry, seed=given.seed)
             draw_survey(given.folder, scene, again=given.again, progress=progress)
-    except (SurveyError, OSError) as error:
+    except (GeoError, SurveyError, OSError) as error:
         parser.error(str(error))
 
 

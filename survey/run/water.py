@@ -5,29 +5,27 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
-from survey.adjust.estimate import with_water
-from survey.adjust.water import PARAMETERS, calibrate
+from survey.adjust.calibration import calibrate_water, with_water
+from survey.adjust.water_estimate import PARAMETERS
 from survey.folder.survey import Survey
 from survey.progress import Progress
 from survey.run.folder import RunDir, stage_key
 
-_RESULT = "waterline.json"
+_STAGE, _RESULT = "water", "water.json"
 # Raise it when a change of the code changes the estimate, so that stored ones are not used again.
 _FORMAT = 1
 
 
 def calibrated(run: RunDir, survey: Survey, device: str, progress: Progress, *, resume: bool) -> Survey:
     """The survey with the water that its photographs tell; what they cannot tell stays as it was given."""
-    key = stage_key(
-        "waterline", _FORMAT, *(view.path for view in survey.views), survey.views, survey.config.water, device
-    )
-    if not (resume and run.stage_is_current("waterline", key)):
-        folder = run.open_stage("waterline")
+    key = stage_key(_STAGE, _FORMAT, *(view.path for view in survey.views), survey.views, survey.config.water, device)
+    if not (resume and run.stage_is_current(_STAGE, key)):
+        folder = run.open_stage(_STAGE)
         with progress.stage("Water", 1.0) as stage:
-            found = calibrate(survey, device=device, advance=stage.advance)
+            found = calibrate_water(survey, device=device, advance=stage.advance)
         run.write_text(folder / _RESULT, found.to_json())
-        run.finish_stage("waterline", key, folder)
-    record = json.loads((run.load_stage("waterline") / _RESULT).read_text(encoding="utf-8"))
+        run.finish_stage(_STAGE, key, folder)
+    record = json.loads((run.load_stage(_STAGE) / _RESULT).read_text(encoding="utf-8"))
     for estimate in record["estimates"]:
         progress.note(f"water: {estimate['name']}: {estimate['verdict']}")
     notes = tuple(

@@ -9,7 +9,9 @@ from scipy.stats import chi2
 
 from refract import FlatWater, PinholeCamera
 from survey.adjust.free_errors import Errors, free_errors
-from survey.adjust.least_squares import TiePoints, adjust, by_parameters, by_point, intersect, pixels_of
+from survey.adjust.least_squares import adjust, intersect
+from survey.adjust.projection import by_parameters, by_point, pixels_of
+from survey.adjust.tie_points import TiePoints
 from survey.errors import SurveyError
 from tests.small_water_block import TRUTH, convergent, nadir, tie_points, water_of
 

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from refract.lens import Lens
-from survey.adjust.water import PARAMETERS, calibrate, estimate, nadir_views
+from survey.adjust.calibration import calibrate_water, nadir_views
+from survey.adjust.water import water_from_ties
+from survey.adjust.water_estimate import PARAMETERS
 from survey.folder.place import water_plane
 from survey.folder.survey import load_survey
 from survey.photos.cameras import View
@@ -37,7 +39,7 @@ def survey_with(tmp_path, cameras, *, level=0.3, index=1.335):
 def test_a_convergent_block_tells_its_water_and_a_verdict_for_each_parameter(tmp_path, rng):
     cameras = convergent()
     survey = survey_with(tmp_path, cameras, level=0.8, index=1.30)
-    found = estimate(survey, tie_points(cameras, rng, count=600, std_px=STD_PX))
+    found = water_from_ties(survey, tie_points(cameras, rng, count=600, std_px=STD_PX))
     assert [e.name for e in found.estimates] == list(PARAMETERS)
     assert all(e.is_observable and e.verdict.startswith("estimated") for e in found.estimates)
     level, _, _, index = found.estimates
@@ -51,7 +53,7 @@ def test_a_convergent_block_tells_its_water_and_a_verdict_for_each_parameter(tmp
 def test_a_block_from_above_says_that_it_cannot_know_and_keeps_what_was_given(tmp_path, rng):
     cameras = nadir()
     survey = survey_with(tmp_path, cameras, level=0.8, index=1.30)
-    found = estimate(survey, tie_points(cameras, rng, count=600, std_px=STD_PX))
+    found = water_from_ties(survey, tie_points(cameras, rng, count=600, std_px=STD_PX))
     assert not found.is_observable
     assert all(e.verdict.startswith("not observable: 1 sigma is") for e in found.estimates)
     assert found.estimates[0].std > 0.05
@@ -60,7 +62,7 @@ def test_a_block_from_above_says_that_it_cannot_know_and_keeps_what_was_given(tm
 
 def test_all_of_it_goes_into_json(tmp_path, rng):
     cameras = convergent()
-    found = estimate(survey_with(tmp_path, cameras), tie_points(cameras, rng, std_px=STD_PX))
+    found = water_from_ties(survey_with(tmp_path, cameras), tie_points(cameras, rng, std_px=STD_PX))
     record = json.loads(found.to_json())
     assert record["estimates"][0]["name"] == "level_m"
     assert np.allclose(np.diag(record["correlation"]), 1.0)
@@ -78,8 +80,8 @@ def test_wreck_under_water_gives_its_level_and_index_from_a_wrong_start(data_dir
     truth = survey.config.water
     start = replace(truth, level_m=truth.level_m + 0.5, refractive_index=1.30)
     wrong = replace(survey, config=replace(survey.config, water=start), water=water_plane(survey.frame, start))
-    level, _, _, index = calibrate(wrong).estimates
+    level, _, _, index = calibrate_water(wrong).estimates
     # The truth within two standard deviations, and those small enough to be of use.
     assert abs(level.value - truth.level_m) < 2.0 * level.std < 0.05
     assert abs(index.value - truth.refractive_index) < 2.0 * index.std < 0.01
-    assert not calibrate(nadir_views(wrong)).is_observable
+    assert not calibrate_water(nadir_views(wrong)).is_observable

@@ -1,1 +1,1 @@
-"""The water estimated from the photographs: tie points, least squares, and what the errors of poses and lens cost."""
+"""Adjustment of a survey to its photographs: tie points, least squares, errors of poses and lens, and the water."""

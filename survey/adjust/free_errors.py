@@ -28,7 +28,9 @@ from scipy.sparse import block_diag, csr_array, hstack
 from scipy.spatial.transform import Rotation
 
 from refract import FlatWater, PinholeCamera, crossing_point
-from survey.adjust.least_squares import Adjusted, TiePoints, by_parameters, by_point, pixels_of, robust_weights
+from survey.adjust.least_squares import Adjusted, robust_weights
+from survey.adjust.projection import by_parameters, by_point, pixels_of
+from survey.adjust.tie_points import TiePoints
 
 # Half a step of central differences, in m and rad: 2e-3 and 0.2 px, over which a projection is straight to 1e-6.
 _STEP = 1e-4

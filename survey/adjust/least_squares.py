@@ -18,53 +18,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from refract import FlatWater, PinholeCamera, crossing_point
+from refract import FlatWater, PinholeCamera
+from survey.adjust.projection import by_parameters, by_point, residuals_of
+from survey.adjust.tie_points import TiePoints
 from survey.errors import SurveyError
 
-# Half a step of the central differences: the projection is exact to 1e-12 px or so and curves on the scale of metres,
-# so that their error stays under 1e-7 of a derivative.
-_STEP = 1e-4
 # Residuals beyond this many standard deviations pull with constant force (Huber): 95 % of good ones lie within.
 _HUBER = 2.0
 # The median of the length of a two-dimensional normal deviate of unit standard deviation per axis, sqrt(2 ln 2).
 _MEDIAN_LENGTH = 1.1774
 _MOST_STEPS = 50
-# Four are exact to the last bits in drone geometry (docs/optics.md), two more for what is flown lower.
-_NEWTON_STEPS = 6
 # A step under this share of the standard deviations changes no digit that is reported.
 _DONE = 1e-3
 # Keeps the elimination of a point finite that hardly any ray fixes.
 _DAMPING = 1e-9
-
-
-@dataclass(frozen=True)
-class TiePoints:
-    """Points of the bed measured in two photographs or more; observations are sorted by point.
-
-    Attributes
-    ----------
-    start : (M, 3) float64 [m], local
-        Where the points are about.
-    point : (N,) int64, ascending
-        Which point an observation is of; every point has one at least.
-    view : (N,) int64
-    pixel : (N, 2) float64 [px], img
-    """
-
-    start: np.ndarray
-    point: np.ndarray
-    view: np.ndarray
-    pixel: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.start)
-
-    def only(self, keep: np.ndarray) -> TiePoints:
-        """The points that have at least three observations left among those to keep, (N,) bool."""
-        enough = np.bincount(self.point[keep], minlength=len(self)) >= 3
-        keep = keep & enough[self.point]
-        number = np.cumsum(enough) - 1
-        return TiePoints(self.start[enough], number[self.point[keep]], self.view[keep], self.pixel[keep])
 
 
 @dataclass(frozen=True)
@@ -157,13 +124,6 @@ def adjust(
     return _solution(_linearised(cameras, ties, points, water_of, parameters), ties, points, parameters, prior)
 
 
-def residuals_of(
-    cameras: Sequence[PinholeCamera], ties: TiePoints, points: np.ndarray, water: FlatWater | None
-) -> np.ndarray:
-    """Measured minus predicted pixels (N, 2) [px] for points (M, 3) [m], local."""
-    return ties.pixel - pixels_of(cameras, ties, points, water)
-
-
 def intersect(
     cameras: Sequence[PinholeCamera], ties: TiePoints, water: FlatWater | None, steps: int = 10
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -241,36 +201,6 @@ def robust_weights(residuals: np.ndarray) -> tuple[np.ndarray, float]:
     std = max(float(np.nanmedian(length)) / _MEDIAN_LENGTH, 1e-9)
     weights = np.minimum(1.0, _HUBER * std / np.maximum(length, 1e-300)) / std**2
     return np.where(np.isfinite(length), weights, 0.0), std
-
-
-def by_point(cameras, ties: TiePoints, points: np.ndarray, water) -> np.ndarray:
-    """Derivative of the pixels by the points, (N, 2, 3)."""
-    moves = _STEP * np.eye(3)
-    return np.stack([_difference(cameras, ties, (points + m, water), (points - m, water)) for m in moves], axis=-1)
-
-
-def by_parameters(cameras, ties: TiePoints, points: np.ndarray, water_of, parameters: np.ndarray) -> np.ndarray:
-    """Derivative of the pixels by the parameters of the water, (N, 2, P)."""
-    moves = _STEP * np.eye(len(parameters))
-    ends = [(water_of(parameters + m), water_of(parameters - m)) for m in moves]
-    return np.stack([_difference(cameras, ties, (points, a), (points, b)) for a, b in ends], axis=-1)
-
-
-def _difference(cameras, ties: TiePoints, ahead, behind) -> np.ndarray:
-    return (pixels_of(cameras, ties, *ahead) - pixels_of(cameras, ties, *behind)) / (2.0 * _STEP)
-
-
-def pixels_of(
-    cameras: Sequence[PinholeCamera], ties: TiePoints, points: np.ndarray, water: FlatWater | None
-) -> np.ndarray:
-    """Predicted pixels (N, 2) of all observations: `PinholeCamera.project` for many cameras at once."""
-    centres = np.array([camera.centre for camera in cameras])[ties.view]
-    rotations = np.array([camera.cam_from_local for camera in cameras])[ties.view]
-    inner = np.array([(camera.fx, camera.fy, camera.cx, camera.cy) for camera in cameras])[ties.view]
-    seen = crossing_point(points[ties.point], centres, water, steps=_NEWTON_STEPS) - centres
-    x, y, z = np.einsum("nij,nj->in", rotations, seen)
-    z = np.where(z > 0.0, z, np.nan)
-    return np.stack([inner[:, 0] * x / z + inner[:, 2], inner[:, 1] * y / z + inner[:, 3]], axis=-1)
 
 
 def _sum(ties: TiePoints, values: np.ndarray) -> np.ndarray:

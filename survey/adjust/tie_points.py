@@ -1,255 +1,37 @@
-"""Tie points of the bed: where the sweep finds it, each measured to a fraction of a pixel in many photographs.
-
-A coarse sweep tells where the bed is about. At its well textured places a window of one photograph is laid on a level
-piece of bed and warped into the others, and least-squares matching moves it there until the two look the same.
-The sweep's heights only say where to look; what is measured is where the window lies in each photograph.
-
-    template  the window in its own photograph, at whole pixels: (S, S) samples
-    affine    pixels in another photograph per pixel of the template, by the bed and the water (2, 2)
-"""
+"""Tie points: points of the bed measured in several photographs, as every adjustment of this package takes them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import cv2
 import numpy as np
-from scipy.ndimage import map_coordinates, spline_filter
-
-from fields.sweep.bed import trusted
-from fields.sweep.block import Block
-from fields.sweep.ranging import find_range
-from fields.sweep.sweep import PASSES, DepthMap, sweep
-from refract import FlatWater, PinholeCamera
-from survey.adjust.least_squares import TiePoints
-
-# Half the side of a window [px]: 13 x 13 hold texture enough, and little relief.
-_RADIUS = 6
-# Windows in one photograph are at least this far apart [px], so that each sees bed of its own.
-_APART_PX = 20
-_MOST_PER_VIEW = 250
-# How often every place is seen by photographs that lend windows: from above, and from each quarter.
-_TIMES_SEEN = (2, 1)
-# Photographs in which a window is looked for, at most, and how different their direction of view may be: more
-# and wider ones are alike less often, and leave the water less certain (docs/waterline.md).
-_MOST_OTHERS = 24
-_WIDEST_DEG = 40.0
-_NARROWEST_DEG = 3.0
-# Least-squares matching: steps, and how far [px] a window may end from where it was expected.
-_STEPS, _FARTHEST_PX = 12, 4.0
-# A step shorter than this [px] is below what the noise of a photograph allows.
-_DONE_PX = 0.005
-# Windows that look less alike than this (NCC) show another surface.
-_ALIKE = 0.85
-# A window is left out where the relief under it spreads by more than this many pixels of parallax.
-_RELIEF_PX = 2.0
 
 
 @dataclass(frozen=True)
-class _Windows:
-    """The windows of one photograph: K of them, each of S*S samples, and where else they are looked for."""
+class TiePoints:
+    """Points of the bed measured in two photographs or more; observations are sorted by point.
 
-    view: int
-    corners: np.ndarray
-    height: np.ndarray
-    points: np.ndarray
-    templates: np.ndarray
-    slopes: np.ndarray
-    others: list[int]
-
-
-def measure(block: Block, limits: tuple[float, float], advance: Callable[[float], None]) -> TiePoints:
-    """Tie points of a block.
-
-    Parameters
+    Attributes
     ----------
-    block : Block
-        Its water is only the start.
-    limits : (low, high) [m] over the water plane
-        Heights beyond which no bed is looked for.
-    advance : callable
-        Told each further share that is done; all of it is 1.
-
-    Returns
-    -------
-    TiePoints, in the pixels of the block's images
-
-    Raises
-    ------
-    ValueError
-        If the images hardly match anywhere.
+    start : (M, 3) float64 [m], local
+        Where the points are about.
+    point : (N,) int64, ascending
+        Which point an observation is of; every point has one at least.
+    view : (N,) int64
+    pixel : (N, 2) float64 [px], img
     """
-    bound = find_range(block, limits)
-    block.look_at(0.5 * (bound[0] + bound[1]))
-    shares = [0.0]
 
-    def halfway(share: float) -> None:
-        advance(0.5 * (share - shares[-1]))
-        shares.append(share)
+    start: np.ndarray
+    point: np.ndarray
+    view: np.ndarray
+    pixel: np.ndarray
 
-    maps = sweep(block, block.cover(*_TIMES_SEEN), bound, halfway, (PASSES[0], replace(PASSES[1], fuse=True)))
-    windows = [_windows_of(block, depth_map) for depth_map in maps]
-    parts: list[list[tuple[np.ndarray, int, np.ndarray]]] = [
-        [(np.arange(len(w.corners)), w.view, w.corners)] for w in windows
-    ]
-    # One photograph after the other, so that only one has to be made ready for cubic interpolation.
-    for other, camera in enumerate(block.cameras):
-        asking = [i for i, w in enumerate(windows) if other in w.others]
-        spline = spline_filter(block.images[other], order=3, output=np.float32) if asking else None
-        for i in asking:
-            w = windows[i]
-            offsets = _warp(block.cameras[w.view], camera, w.corners, w.height, block.water)
-            found, ok = match(spline, w.templates, w.slopes, camera.project(w.points, block.water), offsets)
-            parts[i].append((np.flatnonzero(ok), other, found[ok]))
-        advance(0.5 / len(block.cameras))
-    return _joined(windows, parts)
+    def __len__(self) -> int:
+        return len(self.start)
 
-
-def _windows_of(block: Block, depth_map: DepthMap) -> _Windows:
-    view, water = depth_map.view, block.water
-    camera, image = block.cameras[view], block.images[view]
-    corners, height = _corners(image, camera, depth_map, block)
-    points = camera.paths(corners, water).at_height(height, water)
-    templates, slopes = _templates(image, corners)
-    return _Windows(view, corners, height, points, templates, slopes, _others(block, view, points))
-
-
-def _corners(image: np.ndarray, camera: PinholeCamera, depth_map: DepthMap, block: Block):
-    """Textured pixel centres (K, 2) of a view where the sweep is sure and the bed has no step, and heights (K,)."""
-    size = (camera.width, camera.height)
-    parallax = block.parallax(depth_map.view, block.neighbours(depth_map.view, 8), float(np.median(depth_map.height)))
-    height = depth_map.height
-    kernel = np.ones((7, 7))
-    relief = cv2.dilate(height, kernel) - cv2.erode(height, kernel)
-    smooth = trusted(depth_map) & (relief * parallax < 2 * _RELIEF_PX)
-    mask = cv2.resize(smooth.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
-    edge = _RADIUS + 2
-    mask[:edge], mask[-edge:], mask[:, :edge], mask[:, -edge:] = 0, 0, 0, 0
-    mask[~np.isfinite(image)] = 0
-    grey = np.nan_to_num(image)
-    found = cv2.goodFeaturesToTrack(grey, _MOST_PER_VIEW, 0.02, _APART_PX, mask=mask, blockSize=2 * _RADIUS + 1)
-    corners = np.zeros((0, 2)) if found is None else found[:, 0].astype(np.float64)
-    full = cv2.resize(height, size, interpolation=cv2.INTER_LINEAR)
-    columns, lines = corners.T.astype(int)
-    return corners + 0.5, full[lines, columns].astype(np.float64)
-
-
-def _templates(image: np.ndarray, corners: np.ndarray):
-    """Windows (K, S*S) about pixel centres, and their slopes (K, S*S, 2) per pixel along x and y."""
-    dy, dx = np.gradient(image)
-    x, y = _window()
-    columns, lines = (corners - 0.5).round().astype(int).T
-    at = (lines[:, None] + y, columns[:, None] + x)
-    return image[at].astype(np.float64), np.stack([dx[at], dy[at]], axis=-1).astype(np.float64)
-
-
-def _window() -> tuple[np.ndarray, np.ndarray]:
-    y, x = np.mgrid[-_RADIUS : _RADIUS + 1, -_RADIUS : _RADIUS + 1]
-    return x.ravel(), y.ravel()
-
-
-def _warp(camera, there, corners, height, water: FlatWater | None) -> np.ndarray:
-    """Where the samples of windows lie in another view, beside their middle, on a level bed: (K, 2, S*S) [px].
-
-    Exact at nine nodes and a parabola between them: over a window the perspective bends by hundredths of a pixel,
-    always to the same side, and its next term is a hundred times smaller.
-    """
-    nodes = np.array([(x, y) for y in (-_RADIUS, 0.0, _RADIUS) for x in (-_RADIUS, 0.0, _RADIUS)])
-    ends = camera.paths(corners[:, None] + nodes, water).at_height(height[:, None], water)
-    ends = there.project(ends, water)
-    ends = ends - ends[:, 4:5]
-    return np.einsum("sn,kna->kas", _parabola(nodes), ends)
-
-
-def _parabola(nodes: np.ndarray) -> np.ndarray:
-    """Values at the samples of a window per value at its nodes (S*S, 9), by a polynomial of degree 2 in x and y."""
-    x, y = _window()
-    return _powers(x, y) @ np.linalg.inv(_powers(*nodes.T))
-
-
-def _powers(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    x, y = x / _RADIUS, y / _RADIUS
-    return np.stack([x**i * y**j for j in range(3) for i in range(3)], axis=-1)
-
-
-def _others(block: Block, view: int, points: np.ndarray) -> list[int]:
-    """Views whose direction to the middle of the points differs usefully, spread over the angles."""
-    middle = np.nanmedian(points, axis=0)
-    rays = np.array([camera.centre for camera in block.cameras]) - middle
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    angle = np.degrees(np.arccos(np.clip(rays @ rays[view], -1.0, 1.0)))
-    overlap = (block.seen & block.seen[view]).sum(axis=1) / max(block.seen[view].sum(), 1)
-    able = [o for o in np.argsort(-overlap) if o != view and overlap[o] > 0.2]
-    able = [o for o in able if _NARROWEST_DEG < angle[o] < _WIDEST_DEG]
-    # The farthest from those already taken, so that they come from all around.
-    chosen = [view]
-    while able and len(chosen) <= _MOST_OTHERS:
-        gaps = [min(float(np.linalg.norm(rays[o] - rays[c])) for c in chosen) for o in able]
-        chosen.append(able.pop(int(np.argmax(gaps))))
-    return [int(o) for o in chosen[1:]]
-
-
-def match(spline: np.ndarray, templates, slopes, expected, offsets) -> tuple[np.ndarray, np.ndarray]:
-    """Least-squares matching of windows in another photograph.
-
-    Returns
-    -------
-    pixels (K, 2) [px], and which of them (K,) bool were found
-
-    Notes
-    -----
-    The inverse compositional form (S. Baker and I. Matthews, IJCV 56(3), 2004, section 3.2), of a shift alone, with
-    brightness and contrast free: steps are solved in the template, whose slopes stay as they are.
-    """
-    x, y = _window()
-    affine = np.einsum("kas,bs->kab", offsets, np.stack([x / (x @ x), y / (y @ y)]))
-    centred = templates - templates.mean(axis=1, keepdims=True)
-    norm = np.maximum(np.linalg.norm(centred, axis=1, keepdims=True), 1e-9)
-    unit = centred / norm
-    free = slopes - slopes.mean(axis=1, keepdims=True)
-    free = free - unit[..., None] * np.einsum("ks,ksa->ka", unit, free)[:, None]
-    hessian = np.einsum("ksa,ksb->kab", free, free)
-    inverse = np.linalg.inv(hessian + 1e-6 * np.eye(2))
-    at = expected.copy()
-    height, width = spline.shape
-    reach = np.abs(offsets).max(axis=2) + 2.0
-    moved = np.full(len(at), np.inf)
-    alike = np.full(len(at), -1.0)
-    usable = np.isfinite(at).all(axis=1)
-    for _ in range(_STEPS):
-        inside = (at > reach).all(axis=1) & (at < np.array([width, height]) - reach).all(axis=1)
-        usable &= inside & (np.linalg.norm(at - expected, axis=1) < _FARTHEST_PX)
-        active = np.nonzero(usable & (moved > _DONE_PX))[0]
-        if not len(active):
-            break
-        # Pixel centres are at 0.5; array indices count from the centre of the first one.
-        places = at[active, :, None] - 0.5 + offsets[active]
-        values = map_coordinates(spline, places[:, ::-1].transpose(1, 0, 2), order=3, prefilter=False)
-        values = values.astype(np.float64)
-        values = values - values.mean(axis=1, keepdims=True)
-        length = np.maximum(np.linalg.norm(values, axis=1), 1e-9)
-        alike[active] = np.einsum("ks,ks->k", values, unit[active]) / length
-        gain = np.einsum("ks,ks->k", values, unit[active]) / norm[active, 0]
-        gain = np.where(np.abs(gain) > 1e-3, gain, 1e-3)
-        difference = values / gain[:, None] - centred[active]
-        step = np.einsum("kab,ksb,ks->ka", inverse[active], free[active], difference)
-        step = np.einsum("kab,kb->ka", affine[active], step)
-        at[active] -= step
-        moved[active] = np.linalg.norm(step, axis=1)
-    return at, usable & (moved <= _DONE_PX) & (alike > _ALIKE)
-
-
-def _joined(windows: list[_Windows], parts) -> TiePoints:
-    """All windows as one, those with three measurements or more."""
-    first = np.cumsum([0, *(len(w.points) for w in windows)])
-    rows = [
-        (shift + index, view, pixels) for shift, part in zip(first, parts, strict=False) for index, view, pixels in part
-    ]
-    point = np.concatenate([index for index, _, _ in rows])
-    view = np.concatenate([np.full(len(index), view) for index, view, _ in rows])
-    pixel = np.concatenate([pixels for _, _, pixels in rows])
-    order = np.argsort(point, kind="stable")
-    points = np.concatenate([w.points for w in windows])
-    ties = TiePoints(points, point[order], view[order], pixel[order])
-    return ties.only(np.isfinite(points).all(axis=1)[ties.point])
+    def only(self, keep: np.ndarray) -> TiePoints:
+        """The points that have at least three observations left among those to keep, (N,) bool."""
+        enough = np.bincount(self.point[keep], minlength=len(self)) >= 3
+        keep = keep & enough[self.point]
+        number = np.cumsum(enough) - 1
+        return TiePoints(self.start[enough], number[self.point[keep]], self.view[keep], self.pixel[keep])

@@ -1,7 +1,7 @@
 """Self-calibration: the level, the tilt and the index of the water from the photographs, and whether they can tell.
 
-Photographs that see a place from well apart disagree about it unless the water is where it is taken to be. The tie
-points of the block (`survey.adjust.tie_points`) are adjusted for the water that makes them agree best
+Photographs that see a place from well apart disagree about it unless the water is where it is taken to be. Its tie
+points (`survey.adjust.windows` measures them) are adjusted for the water that makes them agree best
 (`survey.adjust.least_squares`), and what the poses and the lens may be wrong by is carried into the result
 (`survey.adjust.free_errors`). A parameter that comes out less certain than it would be of use is "not observable": it
 keeps the value that was given.
@@ -9,24 +9,19 @@ keeps the value that was given.
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from survey.adjust.free_errors import Errors, Freed, free_errors
-from survey.adjust.least_squares import Adjusted, TiePoints, adjust
-from survey.errors import SurveyError
+from survey.adjust.least_squares import Adjusted, adjust
+from survey.adjust.tie_points import TiePoints
+from survey.adjust.water_estimate import PARAMETERS, ParameterEstimate, WaterEstimate
 from survey.folder.config import WaterConfig
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey
-from survey.plan.block import camera_of, limits, load_block
 from survey.plan.plan import make_plan
-
-PARAMETERS = ("level_m", "slope_east", "slope_north", "refractive_index")
-NADIR_DEG = 5.0
 
 # What a photograph's pose and the lens are taken to be wrong by, unless the caller knows better: a block with RTK
 # positions or control, adjusted; and a lens calibrated to a twentieth of a pixel.
@@ -49,160 +44,14 @@ _OUTLIER = 4.0
 _INDEX_RANGE = (1.0, 2.0)
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """One parameter of the water.
-
-    Attributes
-    ----------
-    name : one of `PARAMETERS`
-    value, std : as the block has them
-        Heights in m, in crs; slopes in m per m along the grid axes; the index relative to air.
-    std_measured, std_pose, std_lens, std_bed :
-        The parts of `std`: scatter of the tie points, errors of the poses and of the lens, roughness of the bed.
-    given : what the search started from
-    is_observable : bool
-    verdict : a sentence
-    """
-
-    name: str
-    value: float
-    std: float
-    std_measured: float
-    std_pose: float
-    std_lens: float
-    std_bed: float
-    given: float
-    is_observable: bool
-    verdict: str
-
-
-@dataclass(frozen=True)
-class Waterline:
-    """What a block says about its water.
-
-    Attributes
-    ----------
-    water : WaterConfig
-        To be used: the estimates that are observable, and what was given for the others.
-    estimates : tuple of Estimate, in the order of `PARAMETERS`
-    covariance : 4 x 4, in that order
-    num_views, num_points, num_measurements : int
-    num_dry : int
-        Points above the water, which say nothing about it.
-    rms_px : [px]
-        Of the residuals of a pixel coordinate.
-    pose_std_m, pose_std_deg, lens_std_px :
-        What was assumed.
-    """
-
-    water: WaterConfig
-    estimates: tuple[Estimate, ...]
-    covariance: tuple[tuple[float, ...], ...]
-    num_views: int
-    num_points: int
-    num_measurements: int
-    num_dry: int
-    rms_px: float
-    pose_std_m: float
-    pose_std_deg: float
-    lens_std_px: float
-
-    @property
-    def is_observable(self) -> bool:
-        """Whether the block can tell anything at all: without the level, nothing."""
-        return self.estimates[0].is_observable
-
-    def correlation(self) -> np.ndarray:
-        """Correlations (4, 4) of the estimates."""
-        covariance = np.array(self.covariance)
-        std = np.sqrt(np.diag(covariance))
-        return covariance / np.outer(std, std)
-
-    def to_json(self) -> str:
-        """All of it as JSON; units are in the names."""
-        return json.dumps({**asdict(self), "correlation": self.correlation().tolist()}, indent=2)
-
-
-def calibrate(
-    survey: Survey,
-    *,
-    device: str = "auto",
-    pose_std_m: float = POSE_STD_M,
-    pose_std_deg: float = POSE_STD_DEG,
-    lens_std_px: float = LENS_STD_PX,
-    advance: Callable[[float], None] = lambda _share: None,
-) -> Waterline:
-    """Estimate the water of a survey from its photographs.
-
-    Parameters
-    ----------
-    survey : Survey
-        Its water is where the search starts; half a metre off is near enough.
-    device : "auto", "cpu" or "cuda"
-    pose_std_m, pose_std_deg : [m], [deg]
-        Standard deviation of a pose, per axis; of each photograph on its own.
-    lens_std_px : [px]
-        Root mean square of the worst error of the lens over an image.
-    advance : callable
-        Told each further share that is done; all of it is 1.
-
-    Raises
-    ------
-    SurveyError
-        If the survey is dry, or its photographs do not match.
-    """
-    if survey.water is None:
-        raise SurveyError("a dry survey has no water to estimate; give [water] level_m to start from")
-    ties = measure_ties(survey, device=device, advance=advance)
-    return estimate(survey, ties, pose_std_m=pose_std_m, pose_std_deg=pose_std_deg, lens_std_px=lens_std_px)
-
-
-def measure_ties(survey: Survey, *, device: str = "auto", advance: Callable[[float], None]) -> TiePoints:
-    """The tie points of a survey, in pixels of its full-size photographs.
-
-    Raises
-    ------
-    SurveyError
-        If the photographs do not match.
-    """
-    # Starts Dr.Jit, which `estimate` does not need.
-    from survey.adjust.tie_points import measure
-
-    plan = make_plan(survey, device=device)
-    block = load_block(survey, plan, lambda _amount: None)
-    try:
-        ties = measure(block, limits(survey), advance)
-    except ValueError as error:
-        raise SurveyError(str(error)) from error
-    full = [(view.camera, camera_of(view, plan)) for view in survey.views]
-    enlarge = np.array([(camera.fx / used.fx, camera.fy / used.fy) for camera, used in full])
-    return replace(ties, pixel=ties.pixel * enlarge[ties.view])
-
-
-def nadir_views(survey: Survey) -> Survey:
-    """The survey with those views alone that look down within 5 degrees of the vertical.
-
-    Raises
-    ------
-    SurveyError
-        If there are fewer than three.
-    """
-    steep = math.cos(math.radians(NADIR_DEG))
-    views = tuple(view for view in survey.views if -view.camera.cam_from_local[2, 2] > steep)
-    if len(views) < 3:
-        raise SurveyError(f"{len(views)} views look down within {NADIR_DEG:g} degrees, expected three or more")
-    return replace(survey, views=views)
-
-
-def estimate(
+def water_from_ties(
     survey: Survey,
     ties: TiePoints,
     *,
     pose_std_m: float = POSE_STD_M,
     pose_std_deg: float = POSE_STD_DEG,
     lens_std_px: float = LENS_STD_PX,
-) -> Waterline:
+) -> WaterEstimate:
     """The water from tie points that are measured; parameters as for `calibrate`."""
     cameras = [view.camera for view in survey.views]
     given = np.array([getattr(survey.config.water, name) for name in PARAMETERS])
@@ -233,7 +82,7 @@ def estimate(
         freed = freed_with(prior_std)
     estimates = tuple(_estimate(i, freed, first, given[i], held[i], limits[i]) for i in range(len(PARAMETERS)))
     water = water_of(freed.parameters)
-    return Waterline(
+    return WaterEstimate(
         water=_config_of(survey.config.water, np.where(held, given, freed.parameters)),
         estimates=estimates,
         covariance=tuple(tuple(float(v) for v in row) for row in freed.covariance),
@@ -270,7 +119,7 @@ def _without_mistakes(cameras, ties: TiePoints, water_of, start, prior_std) -> t
     return kept, adjust(cameras, kept, water_of, solved.parameters, prior_std, centre=start)
 
 
-def _estimate(i: int, freed: Freed, first: Freed, given: float, is_held: bool, limit: float) -> Estimate:
+def _estimate(i: int, freed: Freed, first: Freed, given: float, is_held: bool, limit: float) -> ParameterEstimate:
     unit, value = " m" if i == 0 else "", float(freed.parameters[i])
     *parts, std, first_std = (
         float(np.sqrt(part[i, i]))
@@ -283,4 +132,4 @@ def _estimate(i: int, freed: Freed, first: Freed, given: float, is_held: bool, l
         )
     else:
         verdict = f"estimated: {value:.5f} +- {std:.2g}{unit}"
-    return Estimate(PARAMETERS[i], value, std, *parts, float(given), not bool(is_held), verdict)
+    return ParameterEstimate(PARAMETERS[i], value, std, *parts, float(given), not bool(is_held), verdict)

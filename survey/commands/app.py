@@ -163,7 +163,7 @@ def waterline(
 ) -> None:
     """Say what the photographs tell about level, slopes and index of the water; nothing is changed."""
     with _errors_as_exit_codes(verbose - quiet, json or survey):
-        from survey.adjust.estimate import estimate_water
+        from survey.adjust.calibration import estimate_water
 
         found = estimate_water(
             survey,

@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+from survey.photos.store import ImageStore
 from survey.plan.block import load_block
 from survey.run.water_colour import colour_of
 from survey.stage_key import stage_key
@@ -50,10 +51,15 @@ class Job:
         self.__dict__.pop("block", None)
 
     @cached_property
+    def photographs(self) -> ImageStore:
+        """The photographs in colour, decoded and undistorted once."""
+        return ImageStore()
+
+    @cached_property
     def block(self) -> Block:
         """The grey images with their cameras, loaded when the first stage needs them."""
         with self.progress.stage("Images", len(self.survey.views)) as stage:
-            return load_block(self.survey, self.plan, stage.advance)
+            return load_block(self.survey, self.plan, stage.advance, self.photographs)
 
     def part(self, name: str) -> str:
         """The hash of a part of the job that stages depend on; the names are those in `survey.run.keys`."""

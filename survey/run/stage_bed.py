@@ -12,7 +12,6 @@ from fields.slab.refine import refine
 from fields.sweep.bed import BedPoints, has_company, points_of, unique_pixels
 from fields.water_column import WaterColumn
 from survey.errors import SurveyError
-from survey.photos.images import load_image
 from survey.plan.block import AREA_MARGIN_M, backend, camera_of, grown, local_area, within
 from survey.run.stage_sweep import MAPS
 from survey.run.stored import BED_FILE, SURVEY_FILE, StoredBed, load_depth_maps, save_bed
@@ -65,7 +64,7 @@ def _points(job: Job, maps: list[DepthMap], field: TensorField | None, advance) 
     for depth_map, keep in zip(maps, unique_pixels(block, maps), strict=True):
         view = survey.views[depth_map.view]
         camera = camera_of(view, plan)
-        rgb = load_image(view, scale=plan.image_scale)
+        rgb = job.photographs.load(view, scale=plan.image_scale)
         keep = keep[: camera.height, : camera.width]
         if field is not None:
             height, taken = refine(field, camera, depth_map, rgb, survey.water, keep)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def train_field(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Train the field on the photographs that have a height map."""
     survey, plan = job.survey, job.plan
-    sources = sources_of(survey, plan, load_depth_maps(needs["sweep"] / MAPS))
+    sources = sources_of(job, load_depth_maps(needs["sweep"] / MAPS))
     area = local_area(survey)
     slab = slab_of(sources, plan.gsd_m, None if area is None else grown(area, AREA_MARGIN_M))
     schedule = Schedule(plan.recipe.rays_per_cell)

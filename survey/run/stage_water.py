@@ -9,19 +9,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geo.files import write_whole
-from survey.adjust.estimate import with_water
-from survey.adjust.water import PARAMETERS, calibrate
+from survey.adjust import calibration
+from survey.adjust.water_estimate import PARAMETERS
 
 if TYPE_CHECKING:
     from survey.run.job import Job
 
-ESTIMATE = "waterline.json"
+ESTIMATE = "water.json"
 
 
 def calibrate_water(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
     """Estimate the water."""
     with job.progress.stage("Water", 1.0) as stage:
-        found = calibrate(job.survey, device=job.plan.device_asked, advance=stage.advance)
+        found = calibration.calibrate_water(job.survey, device=job.plan.device_asked, advance=stage.advance)
     with write_whole(folder / ESTIMATE) as stream:
         stream.write(found.to_json().encode())
 
@@ -34,4 +34,4 @@ def use_water(job: Job, folder: Path) -> None:
     notes = tuple(f"{found['name']} {found['verdict']} (from the photographs)" for found in record["estimates"])
     survey = job.survey
     water = replace(survey.config.water, **{name: record["water"][name] for name in PARAMETERS})
-    job.take(replace(with_water(survey, water), assumptions=survey.assumptions + notes))
+    job.take(replace(calibration.with_water(survey, water), assumptions=survey.assumptions + notes))

@@ -19,7 +19,7 @@ def estimate_colour(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Estimate what the water absorbs, from the photographs that have a height map."""
     maps = load_depth_maps(needs["sweep"] / MAPS)
     with job.progress.stage("Water colour"):
-        save_colour(folder, sources_of(job.survey, job.plan, maps))
+        save_colour(folder, sources_of(job, maps))
 
 
 def use_colour(job: Job, folder: Path) -> None:

@@ -1,0 +1,75 @@
+"""Least-squares matching: where a window of one photograph lies in another, to a fraction of a pixel.
+
+template  the window in its own photograph, at whole pixels: (S, S) samples
+affine    pixels in the other photograph per pixel of the template, by the bed and the water (2, 2)
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+# Half the side of a window [px]: 13 x 13 hold texture enough, and little relief.
+RADIUS = 6
+# Steps, and how far [px] a window may end from where it was expected.
+_STEPS, _FARTHEST_PX = 12, 4.0
+# A step shorter than this [px] is below what the noise of a photograph allows.
+_DONE_PX = 0.005
+# Windows that look less alike than this (NCC) show another surface.
+_ALIKE = 0.85
+
+
+def window() -> tuple[np.ndarray, np.ndarray]:
+    """Places x and y of the samples of a window from its middle, (S*S,) each [px]."""
+    y, x = np.mgrid[-RADIUS : RADIUS + 1, -RADIUS : RADIUS + 1]
+    return x.ravel(), y.ravel()
+
+
+def match(spline: np.ndarray, templates, slopes, expected, offsets) -> tuple[np.ndarray, np.ndarray]:
+    """Least-squares matching of windows in another photograph.
+
+    Returns
+    -------
+    pixels (K, 2) [px], and which of them (K,) bool were found
+
+    Notes
+    -----
+    The inverse compositional form (S. Baker and I. Matthews, IJCV 56(3), 2004, section 3.2), of a shift alone, with
+    brightness and contrast free: steps are solved in the template, whose slopes stay as they are.
+    """
+    x, y = window()
+    affine = np.einsum("kas,bs->kab", offsets, np.stack([x / (x @ x), y / (y @ y)]))
+    centred = templates - templates.mean(axis=1, keepdims=True)
+    norm = np.maximum(np.linalg.norm(centred, axis=1, keepdims=True), 1e-9)
+    unit = centred / norm
+    free = slopes - slopes.mean(axis=1, keepdims=True)
+    free = free - unit[..., None] * np.einsum("ks,ksa->ka", unit, free)[:, None]
+    hessian = np.einsum("ksa,ksb->kab", free, free)
+    inverse = np.linalg.inv(hessian + 1e-6 * np.eye(2))
+    at = expected.copy()
+    height, width = spline.shape
+    reach = np.abs(offsets).max(axis=2) + 2.0
+    moved = np.full(len(at), np.inf)
+    alike = np.full(len(at), -1.0)
+    usable = np.isfinite(at).all(axis=1)
+    for _ in range(_STEPS):
+        inside = (at > reach).all(axis=1) & (at < np.array([width, height]) - reach).all(axis=1)
+        usable &= inside & (np.linalg.norm(at - expected, axis=1) < _FARTHEST_PX)
+        active = np.nonzero(usable & (moved > _DONE_PX))[0]
+        if not len(active):
+            break
+        # Pixel centres are at 0.5; array indices count from the centre of the first one.
+        places = at[active, :, None] - 0.5 + offsets[active]
+        values = map_coordinates(spline, places[:, ::-1].transpose(1, 0, 2), order=3, prefilter=False)
+        values = values.astype(np.float64)
+        values = values - values.mean(axis=1, keepdims=True)
+        length = np.maximum(np.linalg.norm(values, axis=1), 1e-9)
+        alike[active] = np.einsum("ks,ks->k", values, unit[active]) / length
+        gain = np.einsum("ks,ks->k", values, unit[active]) / norm[active, 0]
+        gain = np.where(np.abs(gain) > 1e-3, gain, 1e-3)
+        difference = values / gain[:, None] - centred[active]
+        step = np.einsum("kab,ksb,ks->ka", inverse[active], free[active], difference)
+        step = np.einsum("kab,kb->ka", affine[active], step)
+        at[active] -= step
+        moved[active] = np.linalg.norm(step, axis=1)
+    return at, usable & (moved <= _DONE_PX) & (alike > _ALIKE)

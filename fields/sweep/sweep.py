@@ -2,7 +2,8 @@
 
 Heights are measured over the water plane along its normal (over local z = 0 in a dry survey), so that a hypothesis
 passes the shoreline without a step. Every pass is one ladder of heights about what the pass before found; from the
-second on the ladder follows the relief (`fields.sweep.matching`), so that windows do not flatten what is known already.
+second on the ladder follows the relief (`fields.sweep.warping_drjit`), so that windows do not flatten what is already
+known.
 """
 
 from __future__ import annotations

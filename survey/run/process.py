@@ -184,7 +184,7 @@ class _Run:
         maps = load_depth_maps(sweep_folder / "maps.npz")
         with self.progress.stage("Field", 1.0) as stage:
             field, figures = stages.train_field(self.survey, self.plan, maps, stage)
-        self.progress.note(f"field: {figures['psnr_db']:.1f} dB after {figures['rays']:,} rays")
+        self.progress.note(f"field: {figures.psnr_db:.1f} dB after {figures.rays:,} rays")
         save_field(folder, field, figures)
         save_place(folder, self.survey.frame, self.survey.water)
 

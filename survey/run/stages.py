@@ -9,7 +9,7 @@ from scipy.ndimage import distance_transform_edt
 
 from fields.slab.refine import refine
 from fields.slab.tensor_field import FieldSettings, TensorField
-from fields.slab.train import Schedule, slab_of, train
+from fields.slab.train import FieldFigures, Schedule, slab_of, train
 from fields.sweep.bed import BedPoints, has_company, points_of, trusted, unique_pixels
 from fields.sweep.block import Block
 from fields.sweep.ranging import find_range
@@ -66,7 +66,7 @@ def sources_of(survey: Survey, plan: Plan, maps: list[DepthMap]) -> Sources:
     )
 
 
-def train_field(survey: Survey, plan: Plan, maps: list[DepthMap], stage) -> tuple[TensorField, dict]:
+def train_field(survey: Survey, plan: Plan, maps: list[DepthMap], stage) -> tuple[TensorField, FieldFigures]:
     """The field inside the bound of the sweep, and the figures of its training."""
     sources = sources_of(survey, plan, maps)
     area = local_area(survey)

@@ -15,6 +15,7 @@ from pyproj import CRS
 from fields.device import Device
 from fields.slab.grid import Slab
 from fields.slab.tensor_field import FieldSettings, TensorField
+from fields.slab.train import FieldFigures
 from fields.water_column import WaterColumn
 from geo.files import write_whole
 from geo.frames import LocalFrame
@@ -25,7 +26,7 @@ FIELD_FILE, FIGURES_FILE, PLACE_FILE = "field.pt", "field.json", "place.json"
 _DAMAGE = (OSError, RuntimeError, KeyError, TypeError, ValueError, EOFError, pickle.UnpicklingError, zipfile.BadZipFile)
 
 
-def save_field(folder: Path, field: TensorField, figures: dict) -> None:
+def save_field(folder: Path, field: TensorField, figures: FieldFigures) -> None:
     """Write a field and the figures of its training into the folder of its stage."""
     slab = {f.name: getattr(field.slab, f.name) for f in dataclasses.fields(Slab)}
     stored = {
@@ -39,7 +40,7 @@ def save_field(folder: Path, field: TensorField, figures: dict) -> None:
     with write_whole(folder / FIELD_FILE) as stream:
         torch.save(stored, stream)
     with write_whole(folder / FIGURES_FILE) as stream:
-        stream.write(json.dumps(figures, indent=2).encode())
+        stream.write(json.dumps(dataclasses.asdict(figures), indent=2).encode())
 
 
 def load_field(folder: Path, device: Device) -> TensorField:

@@ -21,7 +21,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -110,7 +110,7 @@ def row(model: str, scene: ObjectScene, options, folder: Path) -> dict:
             held = view.rgb
     picture = np.round(255.0 * np.clip(held, 0.0, 1.0)).astype(np.uint8)
     Image.fromarray(picture).save(folder / f"{scene.name}_{model}.png")
-    return figures | {
+    return asdict(figures) | {
         "object": scene.name,
         "model": model,
         "held_out_psnr_db": float(-10.0 * np.log10(np.mean(error))),

@@ -122,7 +122,7 @@ def measure(row: Row, training: Training, seed: int) -> dict:
     if length:
         scene.appearance = match_appearance(scene, left_half_of(data.held), cells)
     quality = compare(scene, data, cells, right_half=row.kind == "exposed")
-    return {**quality, "seconds": seconds, "steps": training.steps, "train_psnr_db": figures["psnr_db"]}
+    return {**quality, "seconds": seconds, "steps": training.steps, "train_psnr_db": figures.psnr_db}
 
 
 def behind(part: str, photographs: Photographs) -> nn.Module | None:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import ctypes.util
-import importlib
 import os
 import sys
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 # Dr.Jit loads older ones too, but up to 16 LLVM has no x86 code for its minimum and maximum and ends the process.
@@ -34,15 +32,6 @@ class Device:
     module: Any
     reason: str
     place: str = "cpu"
-
-    @property
-    def kernels(self) -> ModuleType:
-        """The inner loops for this device: `fields.sweep.matching` in Dr.Jit or its twin `fields.sweep.matching_torch`.
-
-        Both hold the same functions with the same signatures; only the one asked for is imported.
-        """
-        name = "fields.sweep.matching_torch" if self.name == "torch" else "fields.sweep.matching"
-        return importlib.import_module(name)
 
 
 def _find_llvm() -> str | None:

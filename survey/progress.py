@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
@@ -16,12 +17,14 @@ from pathlib import Path
 from typing import TextIO
 
 from rich.console import Console
-from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, ProgressColumn, Task, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
+from rich.text import Text
 
 # Seconds between plain lines of one stage, where there is no terminal.
 _LINE_EVERY_S = 20.0
-
+# No time left is told before this share of a stage is done and this time [s] has passed: too little to tell a pace by.
+_LEAST_SHARE, _LEAST_S = 0.05, 5.0
 
 _CURRENT: ContextVar[Progress] = ContextVar("progress")
 
@@ -38,7 +41,9 @@ class Stage:
         self.name, self.total, self.done = name, total, 0.0
         self._progress = progress
         self._start = self._last_line = time.monotonic()
-        self._task = progress._bars.add_task(name, total=total) if progress._bars else None
+        # When how much was done: the last entry before the middle of the stage's time so far, and all that follow.
+        self._history = deque([(self._start, 0.0)])
+        self._task = progress._bars.add_task(name, total=total, stage=self) if progress._bars else None
 
     @property
     def seconds(self) -> float:
@@ -47,23 +52,42 @@ class Stage:
 
     @property
     def seconds_left(self) -> float | None:
-        """Estimate from the pace so far [s]; None before there is one."""
-        if not self.total or self.done <= 0.0:
+        """Estimate from the pace over the later half of the time so far [s]; None before there is one.
+
+        The earlier half, in which a stage may load and compile, is forgotten; the rest smooths the estimate.
+        """
+        if not self.total or self.done < _LEAST_SHARE * self.total or self.seconds < _LEAST_S:
             return None
-        return self.seconds * max(self.total - self.done, 0.0) / self.done
+        (then, before), (last, done) = self._history[0], self._history[-1]
+        if done <= before:
+            return None
+        needed = (last - then) * max(self.total - done, 0.0) / (done - before)
+        return max(needed - (time.monotonic() - last), 0.0)
 
     def advance(self, amount: float = 1.0, *, detail: str = "") -> None:
         """Say that ``amount`` more of the total is done; ``detail`` is a word or number to show beside."""
         self.done += amount
+        now = time.monotonic()
+        self._history.append((now, self.done))
+        while self._history[1][0] <= 0.5 * (self._start + now) and len(self._history) > 2:
+            self._history.popleft()
         if self._task is not None:
             description = f"{self.name}  {detail}" if detail else self.name
             self._progress._bars.update(self._task, completed=self.done, description=description)
-        elif time.monotonic() - self._last_line >= _LINE_EVERY_S:
-            self._last_line = time.monotonic()
+        elif now - self._last_line >= _LINE_EVERY_S:
+            self._last_line = now
             share = f"{100.0 * self.done / self.total:3.0f} %" if self.total else f"{self.done:g}"
             left = self.seconds_left
             parts = (share, "" if left is None else f"{clock(left)} left", detail)
             self._progress._line(f"{self.name}: {', '.join(part for part in parts if part)}")
+
+
+class _TimeLeft(ProgressColumn):
+    """The stage's own estimate, beside its bar."""
+
+    def render(self, task: Task) -> Text:
+        left = task.fields["stage"].seconds_left
+        return Text("" if left is None else f"{clock(left)} left")
 
 
 class Progress:
@@ -103,7 +127,7 @@ class Progress:
                 TextColumn("{task.description}"),
                 BarColumn(),
                 TimeElapsedColumn(),
-                TimeRemainingColumn(),
+                _TimeLeft(),
             )
             self._bars = Bars(*columns, console=self._console, transient=True)
             self._bars.start()

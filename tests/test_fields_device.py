@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from fields.device import Device, choose_device
+from fields.sweep.backends import scoring, warping
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -67,12 +68,13 @@ def test_cuda_is_refused_where_there_is_none():
         choose_device("cuda")
 
 
-def test_each_device_has_its_kernels_and_says_why_it_was_chosen():
+def test_each_device_has_its_inner_loops_and_says_why_it_was_chosen():
     for wanted in ("cpu", "torch"):
         device = choose_device(wanted)
         assert device is choose_device(wanted)
-        expected = "fields.sweep.matching_torch" if device.name == "torch" else "fields.sweep.matching"
-        assert device.kernels.__name__ == expected
+        library = "torch" if device.name == "torch" else "drjit"
+        assert warping(device).__name__ == f"fields.sweep.warping_{library}"
+        assert scoring(device).__name__ == f"fields.sweep.scoring_{library}"
         assert (device.module is None) == (device.name == "torch")
         assert device.reason
     assert choose_device("torch") == Device("torch", None, "torch was asked for", choose_device("torch").place)

@@ -11,6 +11,7 @@ from plane_field import field_over, level_slab
 from pyproj import CRS
 
 from fields.device import choose_device
+from fields.slab.train import FieldFigures
 from geo.frames import LocalFrame
 from refract import FlatWater
 from survey.errors import SurveyError
@@ -39,7 +40,7 @@ def run(tmp_path, frame):
     with RunDir(tmp_path / "run") as folder:
         stage = folder.open_stage("field")
         field = field_over(level_slab(-2.0), choose_device("torch"))
-        save_field(stage, field, {"psnr_db": 30.0})
+        save_field(stage, field, FieldFigures(300, 614400, None, 30.0, 0.01, 26383))
         save_place(stage, frame, FlatWater((0.0, 0.0, 0.5)))
         stage = folder.finish_stage("field", Key({}), stage)
         result = folder.open_result()

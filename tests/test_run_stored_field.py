@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -11,10 +12,11 @@ from plane_field import field_over, level_slab, rays_at
 from plane_survey import TILTED, PlaneBed, ring
 
 from fields.slab.tensor_field import TensorField
+from fields.slab.train import FieldFigures
 from survey.errors import SurveyError
 from survey.run.stored_field import FIELD_FILE, FIGURES_FILE, load_field, save_field
 
-FIGURES = {"steps": 300, "switched_at": None, "psnr_db": np.float64(38.25), "width_m": 0.0125}
+FIGURES = FieldFigures(300, 614400, 101, 31.5, 0.01, 26383)
 
 
 def learned(device, **settings) -> TensorField:
@@ -66,7 +68,7 @@ def test_a_field_in_its_coarse_stage_stays_there(tmp_path, device):
 
 def test_the_figures_lie_beside_it_as_json(tmp_path, device):
     save_field(tmp_path, learned(device), FIGURES)
-    assert json.loads((tmp_path / FIGURES_FILE).read_text(encoding="utf-8")) == FIGURES
+    assert json.loads((tmp_path / FIGURES_FILE).read_text(encoding="utf-8")) == asdict(FIGURES)
     assert sorted(p.name for p in tmp_path.iterdir()) == [FIGURES_FILE, FIELD_FILE]
 
 

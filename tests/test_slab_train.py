@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +16,7 @@ from fields.slab.refine import refine
 from fields.slab.tensor_field import FieldSettings, TensorField
 from fields.slab.train import Schedule, draw_rays, slab_of, train
 from fields.sweep.sources import Sources
+from fields.training import set_rates
 from fields.water_column import WaterColumn
 
 BED = PlaneBed(TILTED, -2.0, 0.1)
@@ -64,14 +64,14 @@ def test_training_brings_a_displaced_bed_back_in_both_stages():
     # Half a cell off at the start; measured 0.4 mm and 2.2 mm.
     assert abs(np.median(after)) < 2.0
     assert after.std() < 4.0
-    assert figures["switched_at"] is not None
-    assert figures["switched_at"] < figures["steps"] - 50
+    assert figures.switched_at is not None
+    assert figures.switched_at < figures.steps - 50
     assert field.density.is_fine
     assert not torch.equal(field.density.fine.weight, field.density.coarse.weight)
-    assert figures["psnr_db"] > 45.0  # of photographs rounded to 8 bits: 58 dB at best
-    assert 0.2 * GSD < figures["width_m"] < GSD
-    assert figures["parameters"] == sum(p.numel() for p in field.parameters())
-    assert len(shares) == figures["steps"]
+    assert figures.psnr_db > 45.0  # of photographs rounded to 8 bits: 58 dB at best
+    assert 0.2 * GSD < figures.width_m < GSD
+    assert figures.parameters == sum(p.numel() for p in field.parameters())
+    assert len(shares) == figures.steps
     assert shares[-1] == 1.0
 
 
@@ -94,21 +94,29 @@ def test_colours_learn_first_and_the_bed_stays_where_it_is(cameras, device, shor
     assert not field.density.coarse.weight.any()
     assert field.log_width == start.log_width
     assert field.colour.last.bias.std() > 0.0
-    assert figures["psnr_db"] > 15.0
-    assert figures["switched_at"] is None
+    assert figures.psnr_db > 15.0
+    assert figures.switched_at is None
     assert np.abs(errors_mm(sources, field)).max() < 3.0  # medians of the true heights, bilinear over tilted cells
 
 
-def test_learning_rates_hold_the_bed_first_and_fall_to_a_twentieth():
-    groups = [{"top": 2.0, "lr": None} for _ in range(4)]
-    rates = {}
-    for done in (0.0, 0.29, 0.3, 0.65, 1.0):
-        training._set_rates(SimpleNamespace(param_groups=groups), done)
-        rates[done] = [g["lr"] for g in groups]
-    assert rates[0.0] == rates[0.29] == [2.0, 0.0, 2.0, 0.0]
-    assert rates[0.3] == [2.0] * 4
-    assert rates[0.65] == pytest.approx([2.0 * 0.05**0.5] * 4)
-    assert rates[1.0] == pytest.approx([0.1] * 4)
+def test_learning_rates_hold_the_bed_first_and_fall_to_a_twentieth(cameras, short, monkeypatch):
+    rates: dict[str, list[float]] = {name: [] for name in ("factors", "density", "heads", "width")}
+
+    def note(optimiser, share, *, held=()):
+        set_rates(optimiser, share, held=held)
+        for group in optimiser.param_groups:
+            rates[group["name"]].append(group["lr"] / group["top"])
+
+    monkeypatch.setattr(training, "set_rates", note)
+    sources = plane_sources(BED, cameras)
+    slab = slab_of(sources, GSD, None)
+    train(sources, slab, FieldSettings(), Schedule(1.0), choose_device("torch"), quietly)
+    fall = np.maximum(0.0, (np.arange(40) / 40 - 0.3) / 0.7)
+    for name in ("factors", "heads"):
+        np.testing.assert_allclose(rates[name], 0.05**fall)
+    for name in ("density", "width"):
+        assert not np.any(rates[name][:12])
+        np.testing.assert_allclose(rates[name][12:], 0.05 ** fall[12:])
 
 
 @pytest.mark.parametrize(
@@ -128,7 +136,7 @@ def test_a_dry_survey_trains_without_a_water_column(short):
         sources, slab_of(sources, GSD, None), FieldSettings(), Schedule(1.0), choose_device("cpu"), quietly
     )
     assert field.column is None
-    assert figures["steps"] == 40
+    assert figures.steps == 40
 
 
 def test_the_slab_spans_the_heights_inside_the_area_with_room_for_their_noise(cameras):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from plane_survey import TILTED, PlaneBed, ring
 
+from fields.sweep.backends import warping
 from fields.sweep.climbing import climb_view
 from refract import FlatWater
 
@@ -89,7 +90,7 @@ def test_strips_give_what_the_whole_image_gives(device, monkeypatch):
     bed, cameras = BEDS["wet"], ring(3)
     stack, start = bed.stack(device, cameras), bed.true_height(cameras[0]) - 0.1
     whole = climb_view(stack, 0, [1, 2, 3], start, STEP, 5, RADIUS)
-    monkeypatch.setattr(device.kernels, "STRIP_SAMPLES", 1)  # the fewest rows that a strip may have
+    monkeypatch.setattr(warping(device), "STRIP_SAMPLES", 1)  # the fewest rows that a strip may have
     for array, in_strips in zip(whole, climb_view(stack, 0, [1, 2, 3], start, STEP, 5, RADIUS), strict=True):
         np.testing.assert_array_equal(in_strips, array)
 
@@ -124,7 +125,7 @@ def test_an_image_without_texture_gives_scores_near_zero(device):
             image[:] = 30.0
 
     _, _, score, _ = climb_plane(device, BEDS["wet"], 0.0, spoil=flatten)
-    # Sums of squares of 30 in float32 against the floor of 1: a tenth of the figure of 97 in test_sweep_matching.
+    # Sums of squares of 30 in float32 against the floor of 1: a tenth of the figure of 97 in test_sweep_scoring.
     assert np.abs(score[score > -1.0]).max() < 1e-3
 
 

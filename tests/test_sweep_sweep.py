@@ -10,8 +10,10 @@ import pytest
 from plane_survey import SIZE, TILTED, PlaneBed, look, ring
 
 from fields.device import choose_device
+from fields.sweep import sweep as sweeping
 from fields.sweep.bed import trusted, unique_pixels
 from fields.sweep.block import Block
+from fields.sweep.climbing import climb_view
 from fields.sweep.sweep import PASSES, DepthMap, Pass, sweep
 from refract import FlatWater
 from survey.simulate import Scene
@@ -133,15 +135,25 @@ def test_a_view_that_overlaps_with_no_other_is_left_out(device):
     assert [m.view for m in maps] == [0, 1, 2, 3]
 
 
-def test_maps_come_in_the_order_of_the_chosen_views_and_progress_rises_to_one(device):
-    bed, shares = BEDS["dry"], []
-    block = bed.block(device, ring(4))
-    maps = sweep(block, [3, 0, 2], (-2.2, -1.8), shares.append, SMALL[:2])
+def test_maps_come_in_the_order_of_the_chosen_views(device):
+    maps = sweep(BEDS["dry"].block(device, ring(4)), [3, 0, 2], (-2.2, -1.8), ignore, SMALL[:2])
     assert [m.view for m in maps] == [3, 0, 2]
-    assert len(shares) == 6
-    assert shares == sorted(shares)
-    assert shares[-1] == pytest.approx(1.0)
     assert all(m.height.shape == SIZE[::-1] and m.height.dtype == np.float32 for m in maps)
+
+
+def test_progress_is_the_share_of_the_samples_compared(device, monkeypatch):
+    counted, shares = [], []
+
+    def counting(stack, view, others, start, step, rungs, radius):
+        counted.append(start.size * rungs * len(others))
+        return climb_view(stack, view, others, start, step, rungs, radius)
+
+    monkeypatch.setattr(sweeping, "climb_view", counting)
+    sweep(BEDS["dry"].block(device, ring(4)), [3, 0, 2], (-4.5, -0.5), shares.append, SMALL[:2])
+    fusing = SIZE[0] * SIZE[1] * 3 * 2  # three views, each compared with the other two
+    assert counted[0] > 2 * counted[3]  # the ladder of a wide bound is the longest part of the work
+    np.testing.assert_allclose(shares, np.cumsum([*counted, fusing]) / (sum(counted) + fusing))
+    assert shares[-1] == 1.0
 
 
 @pytest.fixture(scope="module")

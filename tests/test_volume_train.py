@@ -46,10 +46,10 @@ def test_training_finds_a_bed_under_water_from_nothing_coarse_to_fine():
     cell = BOX.edge / 32
     assert abs(np.median(found) - BED_M) < cell
     assert np.median(np.abs(found - BED_M)) < 1.5 * cell
-    assert figures["psnr_db"] > 30.0
+    assert figures.psnr_db > 30.0
     assert cells.occupied.float().mean() < 0.8
     assert (len(shares), shares[-1]) == (300, 1.0)
-    assert len(figures["changed_at"]) == 1
+    assert len(figures.changed_at) == 1
 
 
 def test_without_water_the_same_photographs_put_the_bed_too_high():

@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from fields.gamma import GAMMA
-from fields.volume.model import Rates, VolumeModel
+from fields.training import Rates
+from fields.volume.model import VolumeModel
 from fields.volume.paths import Box
 from fields.volume.train import Photographs
 from refract import FlatWater, PinholeCamera

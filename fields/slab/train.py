@@ -16,6 +16,7 @@ from fields.sweep.bed import trusted
 from fields.sweep.sources import Sources
 from fields.sweep.sweep import DepthMap
 from fields.threads import half_the_threads
+from fields.training import Rates, adam, descend, has_settled, psnr_db, set_rates
 from fields.water_column import WaterColumn
 from refract import FlatWater, PinholeCamera
 
@@ -23,8 +24,12 @@ from refract import FlatWater, PinholeCamera
 INSIDE = 0.7
 # Rays are drawn for this many steps at once.
 POOL_STEPS = 64
-# The share of the steps that colours alone learn, with the bed held at its proxy; later it would follow wrong colours.
+# The share of the steps that colours alone learn, with the bed held at its proxy: it would follow colours that are
+# still wrong. These groups of parameters move it.
 COLOUR_FIRST = 0.3
+MOVE_THE_BED = ("density", "width")
+# Learning rates fall to this share of their start.
+FINAL_RATE = 0.05
 # The paper switches from coarse to fine where the variance of the loss over 100 steps falls under 1 % of that of the
 # first 100.
 SWITCH_WINDOW, SWITCH_RATIO = 100, 0.01
@@ -50,6 +55,31 @@ class Schedule:
     heads: float = 0.002
     density: float = 0.005
     width: float = 0.005
+
+
+@dataclass(frozen=True)
+class FieldFigures:
+    """What is told of the training of a field.
+
+    Attributes
+    ----------
+    steps, rays : int
+        Steps, and the rays of all of them.
+    switched_at : int or None
+        Step at which the fine density took over from the coarse one.
+    psnr_db : float
+        Of the photographs, over the last steps.
+    width_m : float
+        Of the bed: of the Laplace law of its density.
+    parameters : int
+    """
+
+    steps: int
+    rays: int
+    switched_at: int | None
+    psnr_db: float
+    width_m: float
+    parameters: int
 
 
 def slab_of(sources: Sources, gsd: float, area: tuple[float, float, float, float] | None) -> Slab:
@@ -89,15 +119,8 @@ def train(
     schedule: Schedule,
     device: Device,
     progress: Callable[[float], None],
-) -> tuple[TensorField, dict]:
-    """A field fitted to the photographs inside the slab.
-
-    Returns
-    -------
-    field : TensorField
-    figures : dict
-        Steps, rays, the step of the switch from coarse to fine density, PSNR [dB] over the last pool, and the width
-        of the bed [m].
+) -> tuple[TensorField, FieldFigures]:
+    """A field fitted to the photographs inside the slab, and the figures of its training.
 
     Raises
     ------
@@ -108,36 +131,27 @@ def train(
     column = None if sources.water is None else WaterColumn(sources.absorption, sources.veil)
     field = TensorField(slab, settings, device, column)
     steps, batch = _steps(schedule.rays_per_cell, int(slab.known.sum()))
-    groups = [
-        {"params": [field.factors.planes, field.factors.vectors], "top": schedule.factors},
-        {"params": list(field.density.parameters()), "top": schedule.density},
-        {"params": _colour_parameters(field), "top": schedule.heads},
-        {"params": [field.log_width], "top": schedule.width},
-    ]
-    optimiser = torch.optim.Adam([{**g, "lr": g["top"]} for g in groups], betas=(0.9, 0.99), eps=1e-12, fused=True)
+    optimiser = adam(_rates(field, schedule), eps=1e-12)
     losses, switched = [], None
     for step, rays in enumerate(_batches(sources, slab, batch, steps)):
-        _set_rates(optimiser, step / steps)
+        done = step / steps
+        set_rates(optimiser, _rate_at(done), held=MOVE_THE_BED if done < COLOUR_FIRST else ())
         colour, _, _ = field.render(rays, jitter=True)
         loss = ((colour - rays.rgb) ** 2).mean()
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        optimiser.step()
+        descend(optimiser, loss)
         losses.append(float(loss.detach()))
-        if switched is None and step > COLOUR_FIRST * steps and _has_settled(losses):
+        if switched is None and step > COLOUR_FIRST * steps and has_settled(losses, SWITCH_WINDOW, SWITCH_RATIO):
             field.density.switch_to_fine()
             switched = step
         progress((step + 1) / steps)
-    mse = float(np.mean(losses[-POOL_STEPS:]))
-    figures = {
-        "steps": steps,
-        "rays": steps * batch,
-        "switched_at": switched,
-        "psnr_db": -10.0 * np.log10(mse),
-        "width_m": float(field.log_width.detach().exp()),
-        "parameters": sum(p.numel() for p in field.parameters()),
-    }
-    return field, figures
+    return field, FieldFigures(
+        steps=steps,
+        rays=steps * batch,
+        switched_at=switched,
+        psnr_db=psnr_db(losses[-POOL_STEPS:]),
+        width_m=float(field.log_width.detach().exp()),
+        parameters=sum(p.numel() for p in field.parameters()),
+    )
 
 
 def _steps(rays_per_cell: float, known: int) -> tuple[int, int]:
@@ -148,35 +162,32 @@ def _steps(rays_per_cell: float, known: int) -> tuple[int, int]:
     return max(int(np.ceil(total / batch)), MIN_STEPS), batch
 
 
-def _colour_parameters(field: TensorField) -> list:
+def _rates(field: TensorField, schedule: Schedule) -> list[Rates]:
     column = [] if field.column is None else list(field.column.parameters())
-    return [*field.colour.parameters(), *column]
+    return [
+        Rates([field.factors.planes, field.factors.vectors], schedule.factors, "factors"),
+        Rates(list(field.density.parameters()), schedule.density, "density"),
+        Rates([*field.colour.parameters(), *column], schedule.heads, "heads"),
+        Rates([field.log_width], schedule.width, "width"),
+    ]
 
 
-def _set_rates(optimiser, done: float) -> None:
-    """Learning rates at a share of the training: full for the first part, then falling to a twentieth."""
-    fall = 0.05 ** max(0.0, (done - COLOUR_FIRST) / (1.0 - COLOUR_FIRST))
-    for index, group in enumerate(optimiser.param_groups):
-        moves_bed = index in (1, 3)
-        group["lr"] = 0.0 if moves_bed and done < COLOUR_FIRST else group["top"] * fall
-
-
-def _has_settled(losses: list[float]) -> bool:
-    if len(losses) < 2 * SWITCH_WINDOW:
-        return False
-    return np.var(losses[-SWITCH_WINDOW:]) < SWITCH_RATIO * np.var(losses[:SWITCH_WINDOW])
+def _rate_at(done: float) -> float:
+    """Share of the learning rates at a share of the training: all of it while colours learn alone, then it falls."""
+    return FINAL_RATE ** max(0.0, (done - COLOUR_FIRST) / (1.0 - COLOUR_FIRST))
 
 
 def _batches(sources: Sources, slab: Slab, batch: int, steps: int) -> Iterator[Rays]:
+    """Rays of each step."""
     rng = np.random.default_rng(0)
-    given = 0
-    while given < steps:
-        count = min(POOL_STEPS, steps - given)
+    drawn = 0
+    while drawn < steps:
+        count = min(POOL_STEPS, steps - drawn)
         pool = draw_rays(sources, slab, count * batch, rng)
         parts = torch.from_numpy(rng.permutation(len(pool))).tensor_split(min(count, len(pool)))
         for part in parts:
             yield pool[part]
-        given += len(parts)
+        drawn += len(parts)
 
 
 def draw_rays(sources: Sources, slab: Slab, count: int, rng: np.random.Generator) -> Rays:

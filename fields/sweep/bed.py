@@ -7,6 +7,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from scipy.spatial import cKDTree
 
+from fields.sweep.arrays import host, indices
+from fields.sweep.backends import warping
 from fields.sweep.block import Block
 from fields.sweep.stack import ViewStack
 from fields.sweep.sweep import DepthMap
@@ -78,21 +80,21 @@ def unique_pixels(block: Block, maps: list[DepthMap]) -> list[np.ndarray]:
     cameras = [block.cameras[m.view] for m in maps]
     order = sorted(range(len(maps)), key=lambda i: cameras[i].cam_from_local[2][2])
     chosen = [m.view for m in maps]
-    device, kernels = block.device, block.device.kernels
+    device, images = block.device, warping(block.device)
     heights = ViewStack.build(device, cameras, [m.height for m in maps], block.water)
     shape = (heights.height, heights.width)
-    claimed = [kernels.indices(device, np.zeros(shape)) for _ in maps]
+    claimed = [indices(device, np.zeros(shape)) for _ in maps]
     kept: dict[int, np.ndarray] = {}
     for place, index in enumerate(order):
         m = maps[index]
-        kept[index] = trusted(m) & (kernels.host(claimed[index]).reshape(shape) == 0)
+        kept[index] = trusted(m) & (host(device, claimed[index]).reshape(shape) == 0)
         if not kept[index].any():
             continue
-        legs, own = kernels.paths_of(heights, index, np.flatnonzero(kept[index]))
+        legs, own = images.paths_of(heights, index, np.flatnonzero(kept[index]))
         others = block.neighbours(m.view, 8, among=chosen)
         tolerance = block.agreement_tolerance(m.view, others, float(np.median(m.height))) if others else 0.0
         for later in order[place + 1 :]:
-            kernels.claim(heights, legs, own, later, tolerance, claimed[later])
+            images.claim(heights, legs, own, later, tolerance, claimed[later])
     return [kept[i] for i in range(len(maps))]
 
 

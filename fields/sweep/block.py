@@ -7,6 +7,7 @@ import numpy as np
 
 from fields.device import Device
 from fields.sweep import views
+from fields.sweep.arrays import release
 from fields.sweep.stack import ViewStack
 from refract import FlatWater, PinholeCamera
 
@@ -74,7 +75,7 @@ class Block:
     def release(self, scale: float) -> None:
         """Forget the images at a scale."""
         self._stacks.pop(scale, None)
-        self.device.kernels.release()
+        release(self.device)
 
     def cover(self, times: int, times_oblique: int, area: tuple[float, float, float, float] | None = None) -> list[int]:
         """Views that see every place from every side; see `fields.sweep.views.cover`.

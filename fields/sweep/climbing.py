@@ -5,6 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from fields.sweep.arrays import floats, host, indices
+from fields.sweep.backends import scoring, warping
 from fields.sweep.stack import ViewStack
 
 # A score below this says nothing: no window was complete (-1), or the windows have no texture (0, but for rounding).
@@ -38,22 +40,23 @@ def climb_view(
         Where no window is complete (at the image's edge, by masked pixels, out of sight of the others) the score is
         -1 and the curvature 0. There, and where there is no texture, the height is that of the nearest matched pixel.
     """
-    device, kernels = stack.device, stack.device.kernels
+    device = stack.device
+    images, scores = warping(device), scoring(device)
     width, height = stack.width, stack.height
-    rows = max(4 * radius + 4, min(height, kernels.STRIP_SAMPLES // (len(others) * rungs * width)))
-    neighbours = kernels.indices(device, others)
+    rows = max(4 * radius + 4, min(height, images.STRIP_SAMPLES // (len(others) * rungs * width)))
+    neighbours = indices(device, others)
     found = [np.empty((height, width), dtype=np.float32) for _ in range(3)]
     for first in range(0, height, rows):
         last = min(first + rows, height)
         top, bottom = max(first - radius, 0), min(last + radius, height)
-        legs = kernels.legs_of(stack, view, top, bottom - top)
-        begin = kernels.floats(device, start[top:bottom])
-        grey = kernels.pixels_of(stack, view, top, bottom - top)
-        values = kernels.warp(stack, legs, begin, neighbours, step, rungs)
-        score = kernels.ncc(device, grey, values, width, radius)
-        mean = kernels.best_half(device, score, len(others))
-        for target, result in zip(found, kernels.climb(device, mean, begin, step, rungs), strict=True):
-            target[first:last] = kernels.host(result).reshape(bottom - top, width)[first - top : last - top]
+        legs = images.legs_of(stack, view, top, bottom - top)
+        begin = floats(device, start[top:bottom])
+        grey = images.pixels_of(stack, view, top, bottom - top)
+        values = images.warp(stack, legs, begin, neighbours, step, rungs)
+        score = scores.ncc(device, grey, values, width, radius)
+        mean = scores.best_half(device, score, len(others))
+        for target, result in zip(found, scores.climb(device, mean, begin, step, rungs), strict=True):
+            target[first:last] = host(device, result).reshape(bottom - top, width)[first - top : last - top]
     for array, value in zip(found[1:], (-1.0, 0.0), strict=True):
         array[:radius], array[-radius:] = value, value
         array[:, :radius], array[:, -radius:] = value, value

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from fields.sweep.arrays import host
+from fields.sweep.backends import warping
 from fields.sweep.stack import ViewStack
 
 
@@ -30,11 +32,11 @@ def agreement(
     spread : (height, width) float32 [m]
         Standard deviation (population) of the same.
     """
-    kernels = heights.device.kernels
+    device, images = heights.device, warping(heights.device)
     shape = (heights.height, heights.width)
-    own = kernels.host(kernels.pixels_of(heights, view, 0, heights.height)).reshape(shape)
-    sums = kernels.compare(heights, view, peers, tolerance)
-    count, total, square = (kernels.host(s).reshape(shape) for s in sums)
+    own = host(device, images.pixels_of(heights, view, 0, heights.height)).reshape(shape)
+    sums = images.compare(heights, view, peers, tolerance)
+    count, total, square = (host(device, s).reshape(shape) for s in sums)
     mean = total / (count + 1.0)
     spread = np.sqrt(np.maximum(square / (count + 1.0) - mean * mean, 0.0))
     return count.astype(np.uint8), own + mean, spread

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from fields.device import Device
+from fields.sweep.arrays import floats
 from refract import FlatWater, PinholeCamera
 
 CAMERA_ROW = 18
@@ -56,7 +57,6 @@ class ViewStack:
                     f"a stack holds images of one size {size}, that of their cameras; got an image of {image.shape} "
                     f"with a camera of {(camera.height, camera.width)}"
                 )
-        floats = device.kernels.floats
         flat = np.concatenate([np.asarray(image, dtype=np.float32).ravel() for image in images])
         return ViewStack(device, list(cameras), floats(device, flat), floats(device, camera_table(cameras)), water)
 

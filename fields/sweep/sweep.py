@@ -2,7 +2,8 @@
 
 Heights are measured over the water plane along its normal (over local z = 0 in a dry survey), so that a hypothesis
 passes the shoreline without a step. Every pass is one ladder of heights about what the pass before found; from the
-second on the ladder follows the relief (`fields.sweep.matching`), so that windows do not flatten what is known already.
+second on the ladder follows the relief (`fields.sweep.warping_drjit`), so that windows do not flatten what is already
+known.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from fields.sweep.climbing import MATCHED_NCC, climb_view
 from fields.sweep.consistency import agreement
 from fields.sweep.stack import ViewStack
 
+# Height maps that each is compared with where heights are fused.
 PEERS = 12
 
 
@@ -29,7 +31,7 @@ class Pass:
     ----------
     scale : of the image, 1 is full size
     radius : of the NCC window [px]
-    rungs : odd number of heights tried; None for as many as the bound holds
+    rungs : odd number of heights tried; None, and of the first pass, as many as the bound holds
     step_px : parallax between two rungs [px at this scale]
     neighbours : views compared with
     fuse : after the pass, average each height with those of the views that agree
@@ -43,8 +45,8 @@ class Pass:
     fuse: bool
 
 
-# Windows shrink as the relief becomes known: 5x5 finds the height, 3x3 about the relief resolves it. Measured with
-# benchmarks/bench_sweep.py; docs/sweep.md has the table.
+# Windows shrink as the relief becomes known: 5x5 finds the height, 3x3 about the relief resolves it. docs/sweep.md has
+# what other passes give.
 PASSES = (
     Pass(0.25, 2, None, 0.5, 8, False),
     Pass(0.5, 2, 11, 0.4, 8, False),
@@ -97,43 +99,90 @@ def sweep(
     bound : (low, high) [m] over the water plane
         The ladder of the first pass.
     progress : called with the share done, 0 to 1
+        Of the samples (pixels x rungs x views compared with) of all passes, which nearly all of the time goes into.
 
     Returns
     -------
     list of DepthMap at the scale of the last pass, in the order of `chosen`
         Views that overlap with no other are left out.
     """
-    work = sum(p.scale**2 * (p.rungs or 9) * p.neighbours for p in passes) * len(chosen)
-    done = 0.0
+    climbs = [climbs_of(block, chosen, p, bound if number == 0 else None) for number, p in enumerate(passes)]
+    views = sorted(climb.view for climb in climbs[0])
+    peers = {view: block.neighbours(view, PEERS, among=views) for view in views}
+    fused = [_pixels(block, p) * sum(map(len, peers.values())) if p.fuse else 0 for p in passes]
+    total, done = sum(fused) + sum(climb.samples for each in climbs for climb in each), 0
     maps: dict[int, DepthMap] = {}
     for number, p in enumerate(passes):
-        for view in chosen:
-            others = block.neighbours(view, p.neighbours)
-            if others:
-                maps[view] = _climb(block, view, others, p, bound, maps.get(view))
-            done += p.scale**2 * (p.rungs or 9) * p.neighbours
-            progress(min(done / work, 1.0))
-        if p.fuse:
-            fuse(block, maps, p.scale)
+        for climb in climbs[number]:
+            maps[climb.view] = _climbed(block, p, climb, bound, maps.get(climb.view))
+            done += climb.samples
+            progress(done / total)
+        if fused[number]:
+            fuse(block, maps, p.scale, peers)
+            done += fused[number]
+            progress(done / total)
         if number + 1 == len(passes) or passes[number + 1].scale != p.scale:
             block.release(p.scale)
     return [maps[view] for view in chosen if view in maps]
 
 
-def _climb(
-    block: Block, view: int, others: list[int], p: Pass, bound: tuple[float, float], before: DepthMap | None
-) -> DepthMap:
+@dataclass(frozen=True)
+class Climb:
+    """What one pass does for one view.
+
+    Attributes
+    ----------
+    view : index of the view
+    others : indices of the views that it is compared with
+    rungs : number of heights tried
+    samples : pixels x rungs x others
+    """
+
+    view: int
+    others: list[int]
+    rungs: int
+    samples: int
+
+
+def climbs_of(block: Block, chosen: list[int], p: Pass, bound: tuple[float, float] | None) -> list[Climb]:
+    """What a pass does for each of the chosen views; those that overlap with no other are left out.
+
+    The ladder reaches over the bound (low, high) [m], or has the rungs of the pass where that is None.
+    """
+    found = []
+    for view in chosen:
+        others = block.neighbours(view, p.neighbours)
+        if not others:
+            continue
+        rungs = p.rungs
+        if bound is not None:
+            step = _step(block, p, view, others, 0.5 * (bound[0] + bound[1]))
+            rungs = int(np.ceil((bound[1] - bound[0]) / step)) + 1
+        found.append(Climb(view, others, rungs, _pixels(block, p) * rungs * len(others)))
+    return found
+
+
+def _pixels(block: Block, p: Pass) -> int:
+    """Of an image at the scale of a pass."""
+    camera = block.cameras[0].scaled(p.scale)
+    return camera.width * camera.height
+
+
+def _step(block: Block, p: Pass, view: int, others: list[int], height: float) -> float:
+    """Distance [m] between two rungs of a pass about a height [m]."""
+    return p.step_px / (p.scale * block.parallax(view, others, height))
+
+
+def _climbed(block: Block, p: Pass, climb: Climb, bound: tuple[float, float], before: DepthMap | None) -> DepthMap:
     """One pass over one view: the ladder of the bound, or one about the heights of the pass before."""
-    stack = block.stack(p.scale)
+    stack, view = block.stack(p.scale), climb.view
     middle = 0.5 * (bound[0] + bound[1]) if before is None else float(np.median(before.height))
-    step = p.step_px / (p.scale * block.parallax(view, others, middle))
+    step = _step(block, p, view, climb.others, middle)
     if before is None:
-        rungs = int(np.ceil((bound[1] - bound[0]) / step)) + 1
         start = np.full((stack.height, stack.width), bound[0], dtype=np.float32)
     else:
-        rungs = p.rungs
-        start = _enlarged(before.height, stack) - np.float32(step * (rungs // 2))
-    height, score, curvature = climb_view(stack, view, others, start, step, rungs, p.radius)
+        start = _enlarged(before.height, stack) - np.float32(step * (climb.rungs // 2))
+    height, score, curvature = climb_view(stack, view, climb.others, start, step, climb.rungs, p.radius)
     nobody = np.zeros(height.shape, dtype=np.uint8)
     return DepthMap(view, height, score, curvature, nobody, np.zeros_like(height))
 
@@ -146,8 +195,8 @@ def _enlarged(height: np.ndarray, stack: ViewStack) -> np.ndarray:
     return cv2.medianBlur(height, 5)
 
 
-def fuse(block: Block, maps: dict[int, DepthMap], scale: float) -> None:
-    """Replace the heights by the mean over the views that agree, and note how many do and how closely.
+def fuse(block: Block, maps: dict[int, DepthMap], scale: float, peers: dict[int, list[int]]) -> None:
+    """Replace the heights by the mean over the peers that agree, and note how many do and how closely.
 
     A pixel that no other view confirms takes the median of its surroundings: a better start for the next pass. A
     pixel that matched nothing confirms nothing either.
@@ -157,10 +206,9 @@ def fuse(block: Block, maps: dict[int, DepthMap], scale: float) -> None:
     matched = [np.where(maps[v].score > MATCHED_NCC, maps[v].height, np.float32(np.nan)) for v in chosen]
     heights = ViewStack.build(block.device, cameras, matched, block.water)
     for index, view in enumerate(chosen):
-        peers = block.neighbours(view, PEERS, among=chosen)
-        if not peers:
+        if not peers[view]:
             continue
         m = maps[view]
-        tolerance = block.agreement_tolerance(view, peers, float(np.median(m.height)))
-        m.agreeing, height, m.spread = agreement(heights, index, [chosen.index(p) for p in peers], tolerance)
+        tolerance = block.agreement_tolerance(view, peers[view], float(np.median(m.height)))
+        m.agreeing, height, m.spread = agreement(heights, index, [chosen.index(p) for p in peers[view]], tolerance)
         m.height = np.where(m.agreeing > 0, height, cv2.medianBlur(m.height, 5))

@@ -17,7 +17,8 @@ from torch import Tensor, nn
 
 from fields.factors import geometric_scales
 from fields.heads import spherical_harmonics
-from fields.volume.model import Rates, VolumeModel, density_of
+from fields.training import Rates
+from fields.volume.model import VolumeModel, density_of
 from fields.volume.paths import Box
 from fields.volume.tensor import grid_of
 

@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor, nn
 
-from fields.volume.model import Rates, VolumeModel, density_of
+from fields.training import Rates
+from fields.volume.model import VolumeModel, density_of
 from fields.volume.paths import Box
 
 

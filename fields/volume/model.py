@@ -4,20 +4,12 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
+from fields.training import Rates
 from fields.volume.paths import Box
-
-
-@dataclass(frozen=True)
-class Rates:
-    """A group of parameters with its learning rate for Adam."""
-
-    parameters: list[nn.Parameter]
-    rate: float
 
 
 class VolumeModel(nn.Module):

@@ -17,8 +17,9 @@ import torch
 from torch import Tensor, nn
 
 from fields.compositing import render_weights
+from fields.training import Rates
 from fields.volume.hash_grid import PER_LEVEL, HashGrid
-from fields.volume.model import Rates, density_of
+from fields.volume.model import density_of
 from fields.volume.paths import Box, Paths
 from fields.volume.sampling import Samples, samples_by_mass
 

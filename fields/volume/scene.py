@@ -9,7 +9,8 @@ from torch import Tensor, nn
 
 from fields.compositing import quantile_height, render_weights
 from fields.gamma import GAMMA, as_stored
-from fields.volume.model import Rates, VolumeModel
+from fields.training import Rates
+from fields.volume.model import VolumeModel
 from fields.volume.paths import Paths
 from fields.volume.proposal import Proposal
 from fields.volume.sampling import Cells, Samples

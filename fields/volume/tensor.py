@@ -10,7 +10,8 @@ from torch import Tensor, nn
 from fields.device import Device
 from fields.factors import Factors, Grid, geometric_scales
 from fields.heads import ColourHead, DensityHead
-from fields.volume.model import Rates, VolumeModel, density_of
+from fields.training import Rates, has_settled
+from fields.volume.model import VolumeModel, density_of
 from fields.volume.paths import Box
 
 
@@ -125,19 +126,14 @@ class TensorVolume(VolumeModel):
         ]
 
     def observe(self, losses: list[float]) -> bool:
-        if self.regression.is_fine or not self.settings.weighting or not self._settled(losses):
+        if self.regression.is_fine or not self.settings.weighting or not self._has_settled(losses):
             return False
         self.regression.switch_to_fine()
         return True
 
-    def _settled(self, losses: list[float]) -> bool:
-        window = self.settings.switch_window
-        if len(losses) < 2 * window:
-            return False
-        limit = self.settings.switch_variance
-        if limit is None:
-            limit = self.settings.switch_ratio * np.var(losses[:window])
-        return bool(np.var(losses[-window:]) < limit)
+    def _has_settled(self, losses: list[float]) -> bool:
+        of = self.settings
+        return has_settled(losses, of.switch_window, of.switch_ratio, variance=of.switch_variance)
 
     def get_extra_state(self) -> dict:
         return {"is_fine": self.regression.is_fine}

@@ -10,6 +10,7 @@ import torch
 from scipy.ndimage import minimum_filter
 
 from fields.threads import half_the_threads
+from fields.training import adam, descend, psnr_db, set_rates
 from fields.volume.density_loss import NodeScores
 from fields.volume.losses import Losses
 from fields.volume.paths import Box, Paths, paths_of
@@ -20,6 +21,9 @@ from refract import PinholeCamera, WaterSurface
 
 # Paths are drawn for this many steps at once.
 POOL_STEPS = 32
+# The figures tell the error over the last steps.
+LAST_STEPS = 100
+ADAM_EPS = 1e-15
 CHUNK = 1 << 18
 # What the samples of paths that are rendered together may take: more is no faster, since it leaves the cache.
 WORKING_BYTES = 16 << 20
@@ -141,6 +145,26 @@ class Training:
     losses_from: float = 0.0
 
 
+@dataclass(frozen=True)
+class VolumeFigures:
+    """What is told of the training of a volume.
+
+    Attributes
+    ----------
+    steps : int
+    changed_at : tuple of int
+        Steps at which the model changed its parameters or their rates.
+    psnr_db : float
+        Of the photographs, over the last steps.
+    parameters : int
+    """
+
+    steps: int
+    changed_at: tuple[int, ...]
+    psnr_db: float
+    parameters: int
+
+
 @half_the_threads()
 def train_scene(
     scene: Scene,
@@ -150,7 +174,7 @@ def train_scene(
     *,
     cells: Cells | None = None,
     seed: int = 0,
-) -> tuple[Cells, dict]:
+) -> tuple[Cells, VolumeFigures]:
     """Fit a scene to photographs.
 
     Parameters
@@ -162,8 +186,7 @@ def train_scene(
     -------
     cells : Cells
         The proxy, taken from the field itself.
-    figures : dict
-        Steps, the steps at which the model changed, PSNR [dB] of the photographs over the last steps, and parameters.
+    figures : VolumeFigures
     """
     if scene.proposal is not None and training.by_score:
         raise ValueError(f"by_score is {training.by_score}, but the scene's proposal draws samples: use one of both")
@@ -172,11 +195,11 @@ def train_scene(
     cells = cells if cells is not None else Cells.everywhere(box, training.cells)
     scores = NodeScores(box, box.edge / training.cells) if training.by_score else None
     refresh = {round(share * training.steps) for share in training.refresh}
-    optimiser, losses, changed = _optimiser(scene), [], []
+    optimiser, losses, changed = adam(scene.rates(), eps=ADAM_EPS), [], []
     for step, paths in enumerate(_batches(photographs, box, training, seed)):
         if step in refresh:
             cells = proxy_of(scene, cells, training.margin * box.edge / max(cells.occupied.shape))
-        _set_rates(optimiser, training.final_rate ** (step / training.steps))
+        set_rates(optimiser, training.final_rate ** (step / training.steps))
         if scores is None:
             samples = scene.samples(paths, cells, training.samples, jitter=True)
         else:
@@ -187,21 +210,14 @@ def train_scene(
         total = error + scene.penalty(paths, rendered)
         if step >= training.losses_from * training.steps:
             total = total + training.losses(scene, paths, rendered, cells, photographs.water)
-        optimiser.zero_grad(set_to_none=True)
-        total.backward()
-        optimiser.step()
+        descend(optimiser, total)
         losses.append(float(error.detach()))
         if scene.model.observe(losses):
             changed.append(step)
-            optimiser = _optimiser(scene)
+            optimiser = adam(scene.rates(), eps=ADAM_EPS)
         progress((step + 1) / training.steps)
-    figures = {
-        "steps": training.steps,
-        "changed_at": changed,
-        "psnr_db": float(-10.0 * np.log10(np.mean(losses[-100:]))),
-        "parameters": sum(p.numel() for p in scene.parameters()),
-    }
-    return cells, figures
+    parameters = sum(p.numel() for p in scene.parameters())
+    return cells, VolumeFigures(training.steps, tuple(changed), psnr_db(losses[-LAST_STEPS:]), parameters)
 
 
 @torch.no_grad()
@@ -289,13 +305,3 @@ def _batches(photographs: Photographs, box: Box, training: Training, seed: int) 
         pool = photographs.draw(count * patches, box, rng, patch)
         for part in torch.arange(len(pool)).split(patches * patch**2):
             yield pool[part]
-
-
-def _optimiser(scene: Scene) -> torch.optim.Adam:
-    groups = [{"params": g.parameters, "lr": g.rate, "top": g.rate} for g in scene.rates() if g.parameters]
-    return torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
-
-
-def _set_rates(optimiser: torch.optim.Adam, share: float) -> None:
-    for group in optimiser.param_groups:
-        group["lr"] = group["top"] * share

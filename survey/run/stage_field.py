@@ -28,6 +28,6 @@ def train_field(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     schedule = Schedule(plan.recipe.rays_per_cell)
     with job.progress.stage("Field", 1.0) as stage:
         field, figures = train(sources, slab, FieldSettings(), schedule, backend(plan), shares(stage))
-    job.progress.note(f"field: {figures['psnr_db']:.1f} dB after {figures['rays']:,} rays")
+    job.progress.note(f"field: {figures.psnr_db:.1f} dB after {figures.rays:,} rays")
     save_field(folder, field, figures)
     save_place(folder, survey.frame, survey.water)

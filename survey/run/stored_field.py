@@ -7,6 +7,7 @@ import json
 import pickle
 import zipfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -21,11 +22,14 @@ from geo.frames import LocalFrame
 from refract import FlatWater
 from survey.errors import SurveyError
 
+if TYPE_CHECKING:
+    from fields.slab.train import FieldFigures
+
 FIELD_FILES = FIELD_FILE, FIGURES_FILE, PLACE_FILE = "field.pt", "field.json", "place.json"
 _DAMAGE = (OSError, RuntimeError, KeyError, TypeError, ValueError, EOFError, pickle.UnpicklingError, zipfile.BadZipFile)
 
 
-def save_field(folder: Path, field: TensorField, figures: dict) -> None:
+def save_field(folder: Path, field: TensorField, figures: FieldFigures) -> None:
     """Write a field and the figures of its training into the folder of its stage."""
     slab = {f.name: getattr(field.slab, f.name) for f in dataclasses.fields(Slab)}
     stored = {
@@ -39,7 +43,7 @@ def save_field(folder: Path, field: TensorField, figures: dict) -> None:
     with write_whole(folder / FIELD_FILE) as stream:
         torch.save(stored, stream)
     with write_whole(folder / FIGURES_FILE) as stream:
-        stream.write(json.dumps(figures, indent=2).encode())
+        stream.write(json.dumps(dataclasses.asdict(figures), indent=2).encode())
 
 
 def load_field(folder: Path, device: Device) -> TensorField:

@@ -1,4 +1,4 @@
-"""The kernels of the sweep, in Dr.Jit and in torch, against closed forms, float64 optics and slow twins."""
+"""Images carried along bent paths, in Dr.Jit and in torch, against float64 optics and closed forms."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import pytest
 from plane_survey import TILTED, PlaneBed, look, ring
 
 from fields.device import choose_device
-from fields.sweep import matching_torch
+from fields.sweep.arrays import floats, host, indices
+from fields.sweep.backends import scoring, warping
 from fields.sweep.stack import ViewStack
 from refract import FlatWater, PinholeCamera
 
 EPS32 = np.finfo(np.float32).eps
 # Local coordinates of 10 m after some ten float32 operations; measured 2.3e-6 m.
 POINT_M = 5e-6
-# The same through a camera of 800 px focal length, two Newton steps included; measured 1.0e-4 px.
+# The same through a camera of 800 px focal length, the search for the crossing included; measured 1.0e-4 px.
 PIXEL_PX = 2e-4
 # Sums of up to 49 products of grey levels in float32, less the product of their means; measured 2.5e-7.
 SCORE = 1e-6
 WATERS = {"wet": TILTED, "dry": None, "index one": FlatWater((0.0, 0.0, 0.0), n_water=1.0)}
-NOWHERE = -1.0
 
 
 def heights_everywhere(rng, stack: ViewStack) -> np.ndarray:
@@ -31,21 +31,21 @@ def heights_everywhere(rng, stack: ViewStack) -> np.ndarray:
 
 def points_of_legs(stack: ViewStack, view: int, heights: np.ndarray) -> np.ndarray:
     """Points (height, width, 3) of the paths of a view at their heights, by `legs_of`."""
-    kernels = stack.device.kernels
-    legs = [kernels.host(row) for row in kernels.legs_of(stack, view, 0, stack.height)]
+    images, device = warping(stack.device), stack.device
+    legs = [host(device, row) for row in images.legs_of(stack, view, 0, stack.height)]
     foot, air, wet = (np.stack(legs[i : i + 3], -1).reshape(*heights.shape, 3) for i in (0, 3, 6))
     return foot + heights[..., None] * np.where(heights[..., None] > 0.0, air, wet)
 
 
 def project_all(stack: ViewStack, view: int, other: int, heights: np.ndarray):
     """Pixels (height, width, 2) in `other`, and whether inside it, of the paths of a view at their heights."""
-    kernels, device = stack.device.kernels, stack.device
-    legs = kernels.legs_of(stack, view, 0, stack.height)
-    pixel = kernels.indices(device, np.arange(heights.size))
-    which = kernels.indices(device, np.full(heights.size, other))
-    u, v, inside = kernels.project_at(stack, legs, kernels.floats(device, heights), pixel, which)
-    uv = np.stack([kernels.host(u), kernels.host(v)], -1).reshape(*heights.shape, 2)
-    return uv, kernels.host(inside).reshape(heights.shape)
+    images, device = warping(stack.device), stack.device
+    legs = images.legs_of(stack, view, 0, stack.height)
+    pixel = indices(device, np.arange(heights.size))
+    which = indices(device, np.full(heights.size, other))
+    u, v, inside = images.project_at(stack, legs, floats(device, heights), pixel, which)
+    uv = np.stack([host(device, u), host(device, v)], -1).reshape(*heights.shape, 2)
+    return uv, host(device, inside).reshape(heights.shape)
 
 
 @pytest.mark.parametrize("water", WATERS.values(), ids=WATERS.keys())
@@ -113,10 +113,10 @@ def two_images(device, image: np.ndarray) -> ViewStack:
 
 
 def sampled(stack: ViewStack, u: np.ndarray, v: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    kernels, device = stack.device.kernels, stack.device
-    which = kernels.indices(device, np.ones(u.size))
-    held = kernels.floats(device, inside) > 0.5
-    return kernels.host(kernels.sample(stack, which, kernels.floats(device, u), kernels.floats(device, v), held))
+    images, device = warping(stack.device), stack.device
+    which = indices(device, np.ones(u.size))
+    held = floats(device, inside) > 0.5
+    return host(device, images.sample(stack, which, floats(device, u), floats(device, v), held))
 
 
 def test_lookups_at_pixel_centres_give_the_pixels_back(device, rng):
@@ -141,10 +141,10 @@ def test_lookups_between_pixels_are_bilinear_and_nan_outside(device, rng):
 
 def warped(stack: ViewStack, start: np.ndarray, others: list[int], step: float, rungs: int) -> np.ndarray:
     """W (neighbours, rungs, height, width) of view 0."""
-    kernels, device = stack.device.kernels, stack.device
-    legs = kernels.legs_of(stack, 0, 0, stack.height)
-    values = kernels.warp(stack, legs, kernels.floats(device, start), kernels.indices(device, others), step, rungs)
-    return kernels.host(values).reshape(len(others), rungs, stack.height, stack.width)
+    images, device = warping(stack.device), stack.device
+    legs = images.legs_of(stack, 0, 0, stack.height)
+    values = images.warp(stack, legs, floats(device, start), indices(device, others), step, rungs)
+    return host(device, values).reshape(len(others), rungs, stack.height, stack.width)
 
 
 @pytest.mark.parametrize(
@@ -163,120 +163,10 @@ def test_the_neighbours_warped_at_the_true_height_show_the_reference(device, bed
     assert np.abs(found[:, 0] - reference)[seen & np.isfinite(found[:, 0])].mean() > 5.0 * error.mean()
 
 
-def slow_ncc(reference: np.ndarray, image: np.ndarray, radius: int) -> np.ndarray:
-    """NCC over windows by loops in float64, with the noise floor; -1 in the halo and where NaN is in the window."""
-    result = np.full(image.shape, NOWHERE)
-    for row in range(radius, image.shape[0] - radius):
-        for column in range(radius, image.shape[1] - radius):
-            window = np.s_[row - radius : row + radius + 1, column - radius : column + radius + 1]
-            i, w = reference[window].astype(np.float64), image[window].astype(np.float64)
-            if np.isfinite(i).all() and np.isfinite(w).all():
-                scale = max(i.var(), 1.0) * max(w.var(), 1.0)
-                result[row, column] = max(((i - i.mean()) * (w - w.mean())).mean() / np.sqrt(scale), -0.999)
-    return result
-
-
-def ncc_of(device, reference: np.ndarray, images: np.ndarray, radius: int) -> np.ndarray:
-    kernels = device.kernels
-    floats = kernels.floats(device, reference), kernels.floats(device, images)
-    return kernels.host(kernels.ncc(device, *floats, reference.shape[1], radius)).reshape(images.shape)
-
-
-@pytest.mark.parametrize("radius", [1, 2, 3])
-def test_ncc_agrees_with_a_slow_twin_where_windows_are_whole(device, rng, radius):
-    reference = rng.normal(0.0, 40.0, (14, 17)).astype(np.float32)
-    noise = rng.normal(0.0, 40.0, (3, *reference.shape))
-    images = np.float32(
-        [reference + noise[0], -0.5 * reference + noise[1], np.where(noise[2] > 70.0, np.nan, noise[2])]
-    )
-    found = ncc_of(device, reference, images, radius)
-    inner = np.s_[:, radius:-radius, radius:-radius]
-    slow = np.stack([slow_ncc(reference, image, radius) for image in images])
-    assert (slow[2][inner[1:]] == NOWHERE).any()
-    np.testing.assert_allclose(found[inner], slow[inner], atol=SCORE)
-    np.testing.assert_array_equal(found[inner] == NOWHERE, slow[inner] == NOWHERE)
-
-
-def test_ncc_does_not_see_gain_and_offset_and_marks_windows_with_masked_pixels(device, rng):
-    reference = rng.normal(0.0, 40.0, (9, 11)).astype(np.float32)
-    inner = np.s_[1:-1, 1:-1]
-    found = ncc_of(device, reference, np.float32([0.4 * reference + 30.0, -2.0 * reference]), 1)
-    # A mean of 30 in the image adds its rounding; measured 1.5e-6.
-    np.testing.assert_allclose(found[0][inner], 1.0, atol=3 * SCORE)
-    np.testing.assert_allclose(found[1][inner], -0.999, atol=3 * SCORE)
-    masked = reference.copy()
-    masked[4, 5] = np.nan
-    found = ncc_of(device, masked, reference[None], 1)[0][inner]
-    expected = np.zeros(found.shape, dtype=bool)
-    expected[2:5, 3:6] = True
-    np.testing.assert_array_equal(found == NOWHERE, expected)
-
-
-def test_windows_without_texture_score_near_zero(device, rng):
-    grey = np.full((12, 13), 97.0, np.float32)
-    images = np.float32([grey, grey + rng.normal(0.0, 0.1, grey.shape), rng.normal(0.0, 40.0, grey.shape)])
-    # The mean of 25 squares of 97 rounds by 1e-3 grey levels squared in float32, against a floor of 1.
-    assert np.abs(ncc_of(device, grey, images, 2)[:, 2:-2, 2:-2]).max() < 2e-3
-
-
-def slow_best_half(score: np.ndarray) -> np.ndarray:
-    """Mean over the better half (rounded up, at least two) of the scores above -1, by sorting each column."""
-    means = []
-    for column in score.T:
-        seen = sorted((s for s in column if s > NOWHERE), reverse=True)
-        half = seen[: max((len(seen) + 1) // 2, min(len(seen), 2))]
-        means.append(np.mean(half) if half else NOWHERE)
-    return np.array(means)
-
-
-@pytest.mark.parametrize("neighbours", [1, 2, 3, 4, 7, 8])
-def test_best_half_agrees_with_a_slow_twin_whoever_sees_the_window(device, rng, neighbours):
-    score = rng.uniform(-0.999, 1.0, (neighbours, 400)).astype(np.float32)
-    score[rng.uniform(size=score.shape) < rng.uniform(0.0, 1.2, 400)] = NOWHERE
-    assert (score == NOWHERE).all(axis=0).any()
-    assert (score > NOWHERE).all(axis=0).any()
-    kernels = device.kernels
-    found = kernels.host(kernels.best_half(device, kernels.floats(device, score), neighbours))
-    np.testing.assert_allclose(found, slow_best_half(score), atol=4 * EPS32)
-
-
-def climbed(device, ladder: np.ndarray, start: np.ndarray, step: float):
-    kernels = device.kernels
-    found = kernels.climb(device, kernels.floats(device, ladder), kernels.floats(device, start), step, len(ladder))
-    return [kernels.host(array) for array in found]
-
-
-def test_climb_finds_the_top_of_a_parabola(device, rng):
-    step, bend, start = 0.1, 3.0, rng.uniform(-3.0, 3.0, 200)
-    top = start + rng.uniform(1.1, 6.9, 200) * step  # on a ladder of nine, away from its ends
-    rungs = start + step * np.arange(9)[:, None]
-    height, best, curvature = climbed(device, 0.9 - bend * (rungs - top) ** 2, start, step)
-    # The scores round by EPS32; their second difference is 0.06.
-    np.testing.assert_allclose(height, top, atol=8 * EPS32 / 0.06)
-    np.testing.assert_allclose(curvature, 2.0 * bend, rtol=16 * EPS32 / 0.06)
-    np.testing.assert_allclose(best, 0.9 - bend * (np.round((top - start) / step) * step + start - top) ** 2, atol=1e-6)
-
-
-def test_climb_trusts_no_top_at_the_end_of_the_ladder(device):
-    ladder = np.array([[0.1, 0.9, NOWHERE], [0.2, 0.5, NOWHERE], [0.6, 0.2, NOWHERE], [0.8, 0.1, NOWHERE]])
-    height, best, curvature = climbed(device, ladder, np.zeros(3), 0.5)
-    np.testing.assert_allclose(height, [1.5, 0.0, 0.0])
-    np.testing.assert_allclose(best, [0.8, 0.9, NOWHERE], rtol=EPS32)
-    np.testing.assert_array_equal(curvature, 0.0)
-
-
-def test_climb_takes_the_first_of_equal_rungs_and_leaves_no_rung_by_more_than_half(device):
-    ladder = np.array([[0.0, NOWHERE], [0.7, 0.5], [0.7, 0.6], [0.0, 0.59]])
-    height, _, _ = climbed(device, ladder, np.zeros(2), 1.0)
-    assert height[0] == 1.5
-    assert 1.5 <= height[1] <= 2.5
-
-
 def test_strips_of_an_image_are_its_rows(device, rng):
     image = rng.normal(size=(12, 16)).astype(np.float32)
     stack = two_images(device, image)
-    kernels = device.kernels
-    np.testing.assert_array_equal(kernels.host(kernels.pixels_of(stack, 1, 3, 5)), image[3:8].ravel())
+    np.testing.assert_array_equal(host(device, warping(device).pixels_of(stack, 1, 3, 5)), image[3:8].ravel())
 
 
 def test_a_stack_refuses_images_of_another_size_than_their_camera(device):
@@ -297,19 +187,29 @@ def both():
     return found, choose_device("torch")
 
 
-def test_the_twin_has_the_same_functions_signatures_and_constants(both):
-    original = both[0].kernels
-    functions = {
-        name: f
-        for name, f in inspect.getmembers(original, inspect.isfunction)
-        if f.__module__ == original.__name__ and not name.startswith("_")
-    }
-    assert len(functions) >= 13
-    for name, function in functions.items():
-        twin = getattr(matching_torch, name)
-        assert list(inspect.signature(twin).parameters) == list(inspect.signature(function).parameters), name
-    assert matching_torch.CROSSING_STEPS == original.CROSSING_STEPS
-    assert matching_torch.NOISE_VARIANCE == original.NOISE_VARIANCE
+def functions_of(module) -> dict:
+    """The functions that a module defines for others."""
+    found = inspect.getmembers(module, inspect.isfunction)
+    return {name: f for name, f in found if f.__module__ == module.__name__ and not name.startswith("_")}
+
+
+@pytest.mark.parametrize(("library", "least"), [(warping, 7), (scoring, 3)])
+def test_the_twin_has_the_same_functions_and_signatures(both, library, least):
+    original, twin = (functions_of(library(device)) for device in both)
+    assert len(original) >= least
+    assert twin.keys() == original.keys()
+    for name, function in original.items():
+        assert list(inspect.signature(twin[name]).parameters) == list(inspect.signature(function).parameters), name
+
+
+def test_the_twin_has_the_same_constants(both):
+    assert len({scoring(device).NOISE_VARIANCE for device in both}) == 1
+
+
+def scored(device, reference: np.ndarray, images: np.ndarray) -> np.ndarray:
+    """NCC of images with a reference over windows of 5 x 5."""
+    flat = floats(device, reference), floats(device, images)
+    return host(device, scoring(device).ncc(device, *flat, reference.shape[1], 2)).reshape(images.shape)
 
 
 def test_the_twin_warps_and_scores_as_dr_jit_does(both):
@@ -321,5 +221,5 @@ def test_the_twin_warps_and_scores_as_dr_jit_does(both):
     # Positions differ by 1e-4 px, the texture rises by up to 40 grey levels a pixel; measured 2e-3.
     assert np.abs(w[0] - w[1])[both_seen].max() < 4e-3
     inner = np.s_[..., 2:-2, 2:-2]
-    scores = [ncc_of(d, reference, w[0].reshape(-1, *reference.shape), 2)[inner] for d in both]
+    scores = [scored(d, reference, w[0].reshape(-1, *reference.shape))[inner] for d in both]
     np.testing.assert_allclose(*scores, atol=SCORE)

@@ -1,0 +1,45 @@
+"""Flat arrays between numpy and the device that the sweep runs on: Dr.Jit, or torch where that is the device."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from fields.device import Device
+
+
+def floats(device: Device, array: np.ndarray) -> Any:
+    """An array of any shape as one flat array of float32, copied."""
+    flat = np.ascontiguousarray(array, dtype=np.float32).ravel()
+    if device.module is not None:
+        return device.module.Float(flat)
+    import torch
+
+    return torch.tensor(flat, device=device.place)
+
+
+def indices(device: Device, array) -> Any:
+    """Whole numbers from zero as one flat array, copied: 32 bits without sign in Dr.Jit, int64 in torch."""
+    if device.module is not None:
+        return device.module.UInt(np.ascontiguousarray(array, dtype=np.uint32).ravel())
+    import torch
+
+    return torch.tensor(np.asarray(array, dtype=np.int64), device=device.place).reshape(-1)
+
+
+def host(device: Device, array) -> np.ndarray:
+    """An array of the device as numpy, flat."""
+    return array.numpy() if device.module is not None else array.reshape(-1).cpu().numpy()
+
+
+def release(device: Device) -> None:
+    """Give memory that is no longer used back to the system."""
+    if device.module is not None:
+        import drjit
+
+        drjit.flush_malloc_cache()
+    elif device.place == "cuda":
+        import torch
+
+        torch.cuda.empty_cache()

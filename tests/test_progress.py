@@ -1,0 +1,101 @@
+"""The estimate of the time left, by a clock that the test turns."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+
+from survey import progress as progress_room
+from survey.progress import Progress, Stage
+
+
+class Clock:
+    """A clock that stands still until it is turned."""
+
+    def __init__(self):
+        self.now = 1000.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def strftime(self, form: str) -> str:
+        return form
+
+
+@pytest.fixture
+def clock(monkeypatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(progress_room, "time", clock)
+    return clock
+
+
+@pytest.fixture
+def stage(clock):
+    """A stage of 100 parts."""
+    with Progress(verbosity=-1) as progress, progress.stage("sweep", total=100) as stage:
+        yield stage
+
+
+def work(stage: Stage, clock: Clock, parts: int, seconds_each: float) -> None:
+    """Do so many parts, each in the same time."""
+    for _ in range(parts):
+        clock.now += seconds_each
+        stage.advance()
+
+
+def test_an_even_pace_tells_the_time_that_is_left(stage, clock):
+    work(stage, clock, 20, 2.0)
+    assert stage.seconds_left == pytest.approx(160.0)
+    work(stage, clock, 80, 2.0)
+    assert stage.seconds_left == 0.0
+
+
+def test_nothing_is_told_from_too_small_a_share_or_too_short_a_time(stage, clock):
+    work(stage, clock, 4, 60.0)
+    assert stage.seconds_left is None
+    work(stage, clock, 1, 60.0)
+    assert stage.seconds_left == pytest.approx(95 * 60.0)
+
+
+def test_a_stage_that_is_quick_so_far_tells_nothing_in_its_first_seconds(stage, clock):
+    work(stage, clock, 20, 0.2)
+    assert stage.seconds_left is None
+    work(stage, clock, 5, 0.2)
+    assert stage.seconds_left == pytest.approx(15.0)
+
+
+def test_what_a_stage_needs_to_begin_is_forgotten(stage, clock):
+    clock.now += 10.0  # images are loaded, kernels compiled
+    work(stage, clock, 20, 1.0)
+    assert stage.seconds_left == pytest.approx(80.0)
+
+
+def test_one_slow_part_moves_the_estimate_by_its_share_of_the_later_half(stage, clock):
+    work(stage, clock, 40, 1.0)
+    work(stage, clock, 1, 4.0)
+    assert stage.seconds_left == pytest.approx(59 * 23 / 20, rel=0.1)
+
+
+def test_the_time_runs_down_while_a_part_is_worked_on_and_not_below_zero(stage, clock):
+    work(stage, clock, 50, 1.0)
+    clock.now += 10.0
+    assert stage.seconds_left == pytest.approx(40.0)
+    clock.now += 100.0
+    assert stage.seconds_left == 0.0
+
+
+def test_a_stage_without_a_total_tells_nothing(clock):
+    with Progress(verbosity=-1) as progress, progress.stage("reading") as stage:
+        work(stage, clock, 50, 1.0)
+        assert stage.seconds_left is None
+
+
+def test_a_terminal_shows_the_same_estimate_beside_the_bar(clock, monkeypatch):
+    progress = Progress(stream=io.StringIO())
+    monkeypatch.setattr(progress._console, "_force_terminal", True)
+    with progress, progress.stage("sweep", total=100) as stage:
+        work(stage, clock, 40, 1.0)
+        (task,) = progress._bars.tasks
+        shown = [column(task) for column in progress._bars.columns]
+    assert str(shown[-1]) == "1 min 00 s left"

@@ -1,0 +1,120 @@
+"""Scores of warped images and the ladder that is climbed on them, in Dr.Jit and in torch, against slow twins."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fields.sweep.arrays import floats, host
+from fields.sweep.backends import scoring
+
+EPS32 = np.finfo(np.float32).eps
+# Sums of up to 49 products of grey levels in float32, less the product of their means; measured 2.5e-7.
+SCORE = 1e-6
+NOWHERE = -1.0
+
+
+def slow_ncc(reference: np.ndarray, image: np.ndarray, radius: int) -> np.ndarray:
+    """NCC over windows by loops in float64, with the noise floor; -1 in the halo and where NaN is in the window."""
+    result = np.full(image.shape, NOWHERE)
+    for row in range(radius, image.shape[0] - radius):
+        for column in range(radius, image.shape[1] - radius):
+            window = np.s_[row - radius : row + radius + 1, column - radius : column + radius + 1]
+            i, w = reference[window].astype(np.float64), image[window].astype(np.float64)
+            if np.isfinite(i).all() and np.isfinite(w).all():
+                scale = max(i.var(), 1.0) * max(w.var(), 1.0)
+                result[row, column] = max(((i - i.mean()) * (w - w.mean())).mean() / np.sqrt(scale), -0.999)
+    return result
+
+
+def ncc_of(device, reference: np.ndarray, images: np.ndarray, radius: int) -> np.ndarray:
+    flat = floats(device, reference), floats(device, images)
+    return host(device, scoring(device).ncc(device, *flat, reference.shape[1], radius)).reshape(images.shape)
+
+
+@pytest.mark.parametrize("radius", [1, 2, 3])
+def test_ncc_agrees_with_a_slow_twin_where_windows_are_whole(device, rng, radius):
+    reference = rng.normal(0.0, 40.0, (14, 17)).astype(np.float32)
+    noise = rng.normal(0.0, 40.0, (3, *reference.shape))
+    images = np.float32(
+        [reference + noise[0], -0.5 * reference + noise[1], np.where(noise[2] > 70.0, np.nan, noise[2])]
+    )
+    found = ncc_of(device, reference, images, radius)
+    inner = np.s_[:, radius:-radius, radius:-radius]
+    slow = np.stack([slow_ncc(reference, image, radius) for image in images])
+    assert (slow[2][inner[1:]] == NOWHERE).any()
+    np.testing.assert_allclose(found[inner], slow[inner], atol=SCORE)
+    np.testing.assert_array_equal(found[inner] == NOWHERE, slow[inner] == NOWHERE)
+
+
+def test_ncc_does_not_see_gain_and_offset_and_marks_windows_with_masked_pixels(device, rng):
+    reference = rng.normal(0.0, 40.0, (9, 11)).astype(np.float32)
+    inner = np.s_[1:-1, 1:-1]
+    found = ncc_of(device, reference, np.float32([0.4 * reference + 30.0, -2.0 * reference]), 1)
+    # A mean of 30 in the image adds its rounding; measured 1.5e-6.
+    np.testing.assert_allclose(found[0][inner], 1.0, atol=3 * SCORE)
+    np.testing.assert_allclose(found[1][inner], -0.999, atol=3 * SCORE)
+    masked = reference.copy()
+    masked[4, 5] = np.nan
+    found = ncc_of(device, masked, reference[None], 1)[0][inner]
+    expected = np.zeros(found.shape, dtype=bool)
+    expected[2:5, 3:6] = True
+    np.testing.assert_array_equal(found == NOWHERE, expected)
+
+
+def test_windows_without_texture_score_near_zero(device, rng):
+    grey = np.full((12, 13), 97.0, np.float32)
+    images = np.float32([grey, grey + rng.normal(0.0, 0.1, grey.shape), rng.normal(0.0, 40.0, grey.shape)])
+    # The mean of 25 squares of 97 rounds by 1e-3 grey levels squared in float32, against a floor of 1.
+    assert np.abs(ncc_of(device, grey, images, 2)[:, 2:-2, 2:-2]).max() < 2e-3
+
+
+def slow_best_half(score: np.ndarray) -> np.ndarray:
+    """Mean over the better half (rounded up, at least two) of the scores above -1, by sorting each column."""
+    means = []
+    for column in score.T:
+        seen = sorted((s for s in column if s > NOWHERE), reverse=True)
+        half = seen[: max((len(seen) + 1) // 2, min(len(seen), 2))]
+        means.append(np.mean(half) if half else NOWHERE)
+    return np.array(means)
+
+
+@pytest.mark.parametrize("neighbours", [1, 2, 3, 4, 7, 8])
+def test_best_half_agrees_with_a_slow_twin_whoever_sees_the_window(device, rng, neighbours):
+    score = rng.uniform(-0.999, 1.0, (neighbours, 400)).astype(np.float32)
+    score[rng.uniform(size=score.shape) < rng.uniform(0.0, 1.2, 400)] = NOWHERE
+    assert (score == NOWHERE).all(axis=0).any()
+    assert (score > NOWHERE).all(axis=0).any()
+    found = host(device, scoring(device).best_half(device, floats(device, score), neighbours))
+    np.testing.assert_allclose(found, slow_best_half(score), atol=4 * EPS32)
+
+
+def climbed(device, ladder: np.ndarray, start: np.ndarray, step: float):
+    found = scoring(device).climb(device, floats(device, ladder), floats(device, start), step, len(ladder))
+    return [host(device, array) for array in found]
+
+
+def test_climb_finds_the_top_of_a_parabola(device, rng):
+    step, bend, start = 0.1, 3.0, rng.uniform(-3.0, 3.0, 200)
+    top = start + rng.uniform(1.1, 6.9, 200) * step  # on a ladder of nine, away from its ends
+    rungs = start + step * np.arange(9)[:, None]
+    height, best, curvature = climbed(device, 0.9 - bend * (rungs - top) ** 2, start, step)
+    # The scores round by EPS32; their second difference is 0.06.
+    np.testing.assert_allclose(height, top, atol=8 * EPS32 / 0.06)
+    np.testing.assert_allclose(curvature, 2.0 * bend, rtol=16 * EPS32 / 0.06)
+    np.testing.assert_allclose(best, 0.9 - bend * (np.round((top - start) / step) * step + start - top) ** 2, atol=1e-6)
+
+
+def test_climb_trusts_no_top_at_the_end_of_the_ladder(device):
+    ladder = np.array([[0.1, 0.9, NOWHERE], [0.2, 0.5, NOWHERE], [0.6, 0.2, NOWHERE], [0.8, 0.1, NOWHERE]])
+    height, best, curvature = climbed(device, ladder, np.zeros(3), 0.5)
+    np.testing.assert_allclose(height, [1.5, 0.0, 0.0])
+    np.testing.assert_allclose(best, [0.8, 0.9, NOWHERE], rtol=EPS32)
+    np.testing.assert_array_equal(curvature, 0.0)
+
+
+def test_climb_takes_the_first_of_equal_rungs_and_leaves_no_rung_by_more_than_half(device):
+    ladder = np.array([[0.0, NOWHERE], [0.7, 0.5], [0.7, 0.6], [0.0, 0.59]])
+    height, _, _ = climbed(device, ladder, np.zeros(2), 1.0)
+    assert height[0] == 1.5
+    assert 1.5 <= height[1] <= 2.5

@@ -93,6 +93,7 @@ def _path_tracer(plan: Plan, renderer: DirectRenderer, light: Light) -> PathTrac
         None if mean is None else (np.array(mean.point), np.array(mean.up), float(mean.n_water)),
         colour=renderer.colour,
         light=light,
+        pixel=1.0 / plan.lens.focal[0],
         max_bounces=plan.settings.render.max_bounces,
     )
 

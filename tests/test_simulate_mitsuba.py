@@ -11,19 +11,19 @@ from scipy.integrate import quad
 from refract import FlatWater, HeightFieldWater, PinholeCamera, WavyWater
 from refract.lens import Lens
 from survey.errors import ConfigError
-from survey.simulate.ground import Ground, Look, shade_of_normals
+from survey.simulate.ground.ground import Ground, Look, shade_of_normals
+from survey.simulate.ground.shapes import BedGrid, rotation
+from survey.simulate.ground.texture import skin_of_bed
 from survey.simulate.light import Light
-from survey.simulate.render_direct import DirectRenderer
+from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.scene_file import TextureSettings
 from survey.simulate.sensor import Sensor
-from survey.simulate.shapes import BedGrid, rotation
-from survey.simulate.texture import skin_of_bed
 from survey.simulate.watercolour import WaterColour
 
 pytest.importorskip("mitsuba", reason="the physical mode needs the extra [simulate]: pip install 'bathynerf[simulate]'")
 
-from survey.simulate.mitsuba_scene import load_mitsuba, solid_scene, water_scene
-from survey.simulate.path_tracer import PathTracer
+from survey.simulate.render.mitsuba_scene import load_mitsuba, solid_scene, water_scene
+from survey.simulate.render.path_tracer import PathTracer
 
 # What the two modes may differ by on the image [px].
 SAME_PX = 0.02

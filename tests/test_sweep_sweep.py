@@ -14,8 +14,8 @@ from fields.sweep.bed import trusted, unique_pixels
 from fields.sweep.block import Block
 from fields.sweep.sweep import PASSES, DepthMap, Pass, sweep
 from refract import FlatWater
-from survey.simulate import Scene
 from survey.simulate.drawn import DrawnScene, stage_drawing
+from survey.simulate.output.staged_scene import StagedScene
 
 # Coarse to fine in small: images of 96 x 72 px have too few pixels left at a quarter, where PASSES begin.
 SMALL = (
@@ -145,7 +145,7 @@ def test_maps_come_in_the_order_of_the_chosen_views_and_progress_rises_to_one(de
 
 
 @pytest.fixture(scope="module")
-def drawn() -> Scene:
+def drawn() -> StagedScene:
     """A drawn survey of 8 views of 160 x 120 px, with stones and objects."""
     return stage_drawing(DrawnScene.tiny())
 

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from survey.simulate.ground.shapes import BedGrid, Solid
 from survey.simulate.light import Light
-from survey.simulate.shapes import BedGrid, Solid
 
 # Texels along a side of the periodic tile.
 TILE = 512

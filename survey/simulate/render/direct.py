@@ -12,7 +12,7 @@ import numpy as np
 
 from refract import FlatWater, PinholeCamera, trace
 from refract.surfaces import WaterSurface
-from survey.simulate.ground import Ground
+from survey.simulate.ground.ground import Ground
 from survey.simulate.watercolour import WaterColour
 
 # Rays at a time: they and what is derived from them stay in the cache.

@@ -20,21 +20,21 @@ from PIL import Image
 from geo import write_whole
 from survey.errors import SurveyError
 from survey.progress import Progress, Stage
-from survey.simulate.scene import Scene
-from survey.simulate.sidecars import cameras_csv, exif_of_views, survey_toml, write_image
-from survey.simulate.truth import depth_map, ground_mesh, points_on, seen_by, write_ply
+from survey.simulate.output.sidecars import cameras_csv, exif_of_views, survey_toml, write_image
+from survey.simulate.output.staged_scene import StagedScene
+from survey.simulate.output.truth import depth_map, ground_mesh, points_on, seen_by, write_ply
 
 MARKER = "simulated.json"
 # As many cameras have to see a point for it to count as visible.
 _MIN_VIEWS = 3
 # Code that decides what a survey looks like.
-_CODE = ("simulate", "drawn", "flight")
+_CODE = ("", "ground", "render", "output", "staging", "drawn", "flight")
 
 
 def write_survey(
     folder: Path,
     settings: dict,
-    stage_scene: Callable[[], Scene],
+    stage_scene: Callable[[], StagedScene],
     *,
     again: bool = False,
     progress: Progress | None = None,
@@ -112,7 +112,7 @@ def _replace(folder: Path, work: Path) -> None:
                 entry.rename(folder / entry.name)
 
 
-def _write(folder: Path, scene: Scene, progress: Progress) -> None:
+def _write(folder: Path, scene: StagedScene, progress: Progress) -> None:
     for name in ("images", "truth/depth", "truth/wet"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     (folder / "survey.toml").write_text(survey_toml(scene), encoding="utf-8")
@@ -133,7 +133,7 @@ def _write(folder: Path, scene: Scene, progress: Progress) -> None:
         _write_truth(folder / "truth", scene, pool, stage)
 
 
-def _write_truth(folder: Path, scene: Scene, pool: ThreadPoolExecutor, stage: Stage) -> None:
+def _write_truth(folder: Path, scene: StagedScene, pool: ThreadPoolExecutor, stage: Stage) -> None:
     frame, ground = scene.frame, scene.renderer.ground
     e0, n0, e1, n1 = scene.bounds
 
@@ -166,7 +166,7 @@ def _write_picture(path: Path, picture: Image.Image, **options) -> None:
         picture.save(stream, {".tif": "TIFF", ".png": "PNG"}[path.suffix], **options)
 
 
-def _threads(scene: Scene | None = None) -> int:
+def _threads(scene: StagedScene | None = None) -> int:
     """Each view takes about 0.2 GB while it is looked at; an eye of its own has its own threads."""
     if scene is not None and scene.eye is not None:
         return 1

@@ -33,7 +33,7 @@ import drjit as dr
 import numpy as np
 
 from survey.simulate.light import Light
-from survey.simulate.sunlight import Sunlight, absorbed, not_
+from survey.simulate.render.sunlight import Sunlight, absorbed, not_
 from survey.simulate.watercolour import WaterColour
 
 # Bounces that no path is ended before by chance.

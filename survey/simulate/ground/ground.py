@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from survey.simulate.ground.shapes import BedGrid, Solid, near_solids
+from survey.simulate.ground.skin import ImageSkin, VertexSkin, look_up
+from survey.simulate.ground.triangles import TriangleMesh
 from survey.simulate.light import Light
-from survey.simulate.shapes import BedGrid, Solid, near_solids
-from survey.simulate.skin import ImageSkin, VertexSkin, look_up
-from survey.simulate.triangles import TriangleMesh
 
 # The body of a hit on the bed, and of a ray that meets nothing.
 BED, NOTHING = -1, -2

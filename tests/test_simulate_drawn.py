@@ -314,6 +314,23 @@ def test_a_finished_folder_is_left_alone_until_told_and_keeps_what_is_not_of_it(
     assert [p.name for p in tmp_path.iterdir()] == ["survey"]
 
 
+def test_a_change_of_any_file_of_the_simulator_draws_the_survey_anew(tmp_path, monkeypatch):
+    code = tmp_path / "simulate"
+    for place in (".", "drawn", "render"):
+        (code / place).mkdir(exist_ok=True)
+        (code / place / "module.py").write_text("", encoding="utf-8")
+    assert (writing.CODE / "render" / "path_tracer.py").is_file()
+    monkeypatch.setattr(writing, "CODE", code)
+    scene = DrawnScene.tiny(num_views=3)
+    draw_survey(tmp_path / "survey", scene)
+    marker = tmp_path / "survey" / writing.MARKER
+    for place in (".", "drawn", "render"):
+        before = marker.read_text(encoding="utf-8")
+        (code / place / "module.py").write_text("changed = True", encoding="utf-8")
+        draw_survey(tmp_path / "survey", scene)
+        assert marker.read_text(encoding="utf-8") != before
+
+
 def test_what_fails_leaves_no_survey_and_the_next_try_takes_no_photograph_twice(tmp_path, monkeypatch):
     def disk_is_full(*_):
         raise OSError("no space left on device")

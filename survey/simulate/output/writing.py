@@ -28,7 +28,7 @@ MARKER = "simulated.json"
 # As many cameras have to see a point for it to count as visible.
 _MIN_VIEWS = 3
 # Code that decides what a survey looks like.
-_CODE = ("", "ground", "render", "output", "staging", "drawn", "flight")
+CODE = Path(__file__).parent.parent
 
 
 def write_survey(
@@ -86,9 +86,8 @@ def write_survey(
 def _mark(settings: dict) -> str:
     """What the scene was made of, and a hash of it and of the code that photographs it, as the text of the marker."""
     code = hashlib.sha256(json.dumps(settings).encode())
-    for package in _CODE:
-        for path in sorted((Path(__file__).parent.parent / package).glob("*.py")):
-            code.update(path.read_bytes())
+    for path in sorted(CODE.rglob("*.py")):
+        code.update(path.read_bytes())
     return json.dumps({"scene": settings, "sha256": code.hexdigest()}, indent=1) + "\n"
 
 

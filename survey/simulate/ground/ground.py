@@ -61,7 +61,7 @@ class Ground:
         body = np.where(np.isfinite(t), BED, NOTHING)
         ends = np.minimum(t, t_end)
         top = max((solid.centre[2] + solid.radius for solid in self.solids), default=-np.inf)
-        # Ways through air mostly end above all bodies.
+        # Most rays through air end above all bodies.
         low = np.flatnonzero(origin[:, 2] + ends * direction[:, 2] < top)
         if not low.size:
             return t, body, face
@@ -102,7 +102,7 @@ def shade_of_normals(normals: np.ndarray, light: Light) -> Shade:
 
 
 def shade_beside_bed(solid: Solid | TriangleMesh, bed: BedGrid | TriangleMesh, light: Light) -> Shade:
-    """Light by the normals of a body, scarce in the corner between it and the bed."""
+    """Light by the normals of a body, darker near the corner between it and the bed."""
     lit = light.on(solid.normals)
 
     def shade(points: np.ndarray, face: np.ndarray) -> np.ndarray:

@@ -46,7 +46,7 @@ def place_object(settings: ObjectSettings, folder: Path, bed, light: Light) -> t
     x, y = settings.at
     z = float(bed.height(x, y)) + settings.above_bed_m
     if not np.isfinite(z):
-        raise SurveyError(f"{path} is placed at {x:g}, {y:g} m, beside the bed; correct at, in metres from the origin")
+        raise SurveyError(f"{path} is placed at {x:g}, {y:g} m, outside the bed; correct at, in metres from the origin")
     shape = TriangleMesh(points - [*(0.5 * (low + high)[:2]), low[2]] + (x, y, z), mesh.faces)
     if mesh.rgb is not None:
         skin = vertex_skin(shape, mesh.rgb)

@@ -108,7 +108,7 @@ def noise(rng: np.random.Generator, shape: tuple[int, int], spacing: float) -> n
 
 
 def periodic(rng: np.random.Generator, spacing: int) -> np.ndarray:
-    """Smooth noise (512, 512) float32 that goes on at its borders."""
+    """Smooth noise (512, 512) float32 that can be tiled."""
     lattice = rng.standard_normal((TILE // spacing, TILE // spacing), dtype=np.float32)
     wrapped = np.pad(lattice, 2, mode="wrap")
     return cv2.resize(wrapped, None, fx=spacing, fy=spacing, interpolation=cv2.INTER_CUBIC)[

@@ -1,7 +1,7 @@
-"""The folder of a simulated survey: survey.toml, cameras.csv, images, and beside them what is true, in truth/.
+"""The folder of a simulated survey: survey.toml, cameras.csv and images, and the truth beside them in truth/.
 
-Images are kept as they are finished in a hidden folder beside the survey, which takes its name at the end: what
-was stopped goes on from there.
+Images are written to a hidden folder beside the survey, which is renamed at the end; a run that was stopped
+continues with the images that are there.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def _write(folder: Path, scene: StagedScene, progress: Progress) -> None:
     with progress.stage("photographing the scene", count) as stage, ThreadPoolExecutor(_threads(scene)) as pool:
         for _ in pool.map(take, range(count)):
             stage.advance()
-    with progress.stage("writing what is true", count) as stage, ThreadPoolExecutor(_threads()) as pool:
+    with progress.stage("writing the truth", count) as stage, ThreadPoolExecutor(_threads()) as pool:
         _write_truth(folder / "truth", scene, pool, stage)
 
 

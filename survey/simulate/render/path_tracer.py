@@ -36,12 +36,12 @@ from survey.simulate.light import Light
 from survey.simulate.render.sunlight import Sunlight, absorbed, not_
 from survey.simulate.watercolour import WaterColour
 
-# Bounces that no path is ended before by chance.
+# Russian roulette starts after as many bounces.
 _SURE_BOUNCES = 4
 
 
 class PathTracer:
-    """Radiance along rays; an `Eye`. No dataclass, of which Dr.Jit would take the fields for variables of its loops.
+    """Radiance along rays; an `Eye`. Not a dataclass: Dr.Jit would treat its fields as loop variables.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ class PathTracer:
                 surface = self.surface.ray_intersect(ray, active)
                 at_surface = active & surface.is_valid() & (surface.t < t)
                 t = dr.select(at_surface, surface.t, t)
-            # On its way through water a path is absorbed, and scattered by chance.
+            # Water absorbs along the way, and scatters after a random length.
             flight = mi.Float(dr.inf)
             if dr.hint(self.scattering > 0.0, mode="scalar"):
                 flight = dr.select(wet, -dr.log(1.0 - sampler.next_1d(active)) / self.scattering, dr.inf)
@@ -147,7 +147,7 @@ class PathTracer:
             ray = ahead
             bounce += 1
             active &= bounce < self.max_bounces
-            # Faint paths are ended by chance, the others take over their share.
+            # Russian roulette: faint paths end, and those that are left count for them.
             keep = dr.minimum(dr.max(share), 0.95)
             late = bounce > _SURE_BOUNCES
             active &= not_(late) | (sampler.next_1d(active) < keep)
@@ -155,7 +155,7 @@ class PathTracer:
         return light
 
     def _cross(self, sampler, surface, ray):
-        """Mirrored or bent at the water: the ray ahead, the share that goes on, and whether it was bent."""
+        """Reflected or refracted by the water: the next ray, its share of the light, and whether it was refracted."""
         mi = self.mi
         sample, through = surface.bsdf(ray).sample(mi.BSDFContext(), surface, sampler.next_1d(), sampler.next_2d())
         bent = mi.Frame3f.cos_theta(sample.wo) * mi.Frame3f.cos_theta(surface.wi) < 0.0
@@ -172,7 +172,7 @@ class PathTracer:
         return mi.Color3f(dr.select(active, mirrored * self.sun.seen_radiance, 0.0))
 
     def _leave_ground(self, sampler, ground, ray, wet):
-        """Reflected by the ground: the ray ahead, the share that goes on, and the sun's light that is reflected."""
+        """Reflected by the ground: the next ray, its share of the light, and the sunlight that is reflected."""
         mi = self.mi
         bsdf, context = ground.bsdf(ray), mi.BSDFContext()
         toward, irradiance = self.sun.on(sampler, ground.p, ground.n, wet)
@@ -181,13 +181,13 @@ class PathTracer:
         return ground.spawn_ray(ground.to_world(sample.wo)), mi.Color3f(reflected), mi.Color3f(value) * irradiance
 
     def _scatter(self, sampler, ray, flight):
-        """Scattered in water: the ray ahead, and the sun's light that is scattered into the path."""
+        """Scattered in water: the next ray, and the sunlight that is scattered into the path."""
         mi, g = self.mi, self.asymmetry
         place = ray(flight)
         toward, irradiance = self.sun.on(sampler, place, mi.Normal3f(0.0), mi.Bool(True))
         cosine = dr.dot(toward, ray.d)
         value = (1.0 - g * g) / (4.0 * math.pi * (1.0 + g * g - 2.0 * g * cosine) ** 1.5)
-        # Henyey and Greenstein's law drawn from, by its inverse.
+        # A direction by Henyey and Greenstein's law, from the inverse of its distribution.
         drawn = sampler.next_2d()
         turn = (1.0 - g * g) / (1.0 - g + 2.0 * g * drawn.x)
         cosine = dr.clip((1.0 + g * g - turn * turn) / (2.0 * g), -1.0, 1.0)

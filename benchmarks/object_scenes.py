@@ -15,14 +15,14 @@ from fields.volume.train import Photographs
 from geo import read_reference
 from refract import FlatWater, PinholeCamera
 from survey.folder.survey import load_image, load_survey
-from survey.simulate.bed import plane
-from survey.simulate.ground import NOTHING, Ground, Look
+from survey.simulate.ground.bed import plane
+from survey.simulate.ground.ground import NOTHING, Ground, Look
+from survey.simulate.ground.objects import place_object
+from survey.simulate.ground.texture import skin_of_bed
+from survey.simulate.ground.triangles import TriangleMesh
 from survey.simulate.light import Light
-from survey.simulate.objects import place_object
-from survey.simulate.render_direct import DirectRenderer
+from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.scene_file import ObjectSettings, TextureSettings
-from survey.simulate.texture import skin_of_bed
-from survey.simulate.triangles import TriangleMesh
 from survey.simulate.watercolour import WaterColour
 
 GAMMA = 2.2

@@ -19,19 +19,19 @@ from survey.commands.app import app
 from survey.errors import SurveyError
 from survey.folder.config import read_config
 from survey.folder.survey import load_image, load_survey
-from survey.simulate import writing
-from survey.simulate.ground import NOTHING, Ground, Look, shade_of_normals
+from survey.simulate.ground.ground import NOTHING, Ground, Look, shade_of_normals
+from survey.simulate.ground.shapes import BedGrid
+from survey.simulate.ground.skin import VertexSkin
+from survey.simulate.ground.triangles import TriangleMesh
 from survey.simulate.light import Light
-from survey.simulate.planning import plan_scene
-from survey.simulate.render_direct import DirectRenderer
+from survey.simulate.output import writing
+from survey.simulate.output.truth import depth_map
+from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.scene_file import read_scene
 from survey.simulate.sensor import Sensor
-from survey.simulate.shapes import BedGrid
-from survey.simulate.simulate import simulate
-from survey.simulate.skin import VertexSkin
-from survey.simulate.staging import light_of, stage_scene
-from survey.simulate.triangles import TriangleMesh
-from survey.simulate.truth import depth_map
+from survey.simulate.staging.planning import plan_scene
+from survey.simulate.staging.simulate import simulate
+from survey.simulate.staging.stage import light_of, stage_scene
 from survey.simulate.watercolour import WaterColour
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"

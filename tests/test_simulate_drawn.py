@@ -13,10 +13,11 @@ from survey.errors import SurveyError
 from survey.folder.config import read_config
 from survey.folder.survey import load_survey
 from survey.photos.exif import read_exif
-from survey.simulate import Scene, writing
 from survey.simulate.drawn import DrawnScene, draw_survey, stage_drawing
 from survey.simulate.drawn.__main__ import main
-from survey.simulate.shapes import BedGrid, Solid
+from survey.simulate.ground.shapes import BedGrid, Solid
+from survey.simulate.output import writing
+from survey.simulate.output.staged_scene import StagedScene
 
 # Rounding of float64 over 10 m of path, and the projection's 1e-9 m, at 280 px focal length and 8 m: 4e-8 px.
 EXACT_PX = 1e-6
@@ -29,7 +30,7 @@ SHORE = DrawnScene.tiny(shore=True, slope_east=-0.002, slope_north=0.004)
 
 
 @pytest.fixture(scope="module")
-def drawing() -> Scene:
+def drawing() -> StagedScene:
     return stage_drawing(SHORE)
 
 
@@ -313,6 +314,23 @@ def test_a_finished_folder_is_left_alone_until_told_and_keeps_what_is_not_of_it(
     assert [p.name for p in tmp_path.iterdir()] == ["survey"]
 
 
+def test_a_change_of_any_file_of_the_simulator_draws_the_survey_anew(tmp_path, monkeypatch):
+    code = tmp_path / "simulate"
+    for place in (".", "drawn", "render"):
+        (code / place).mkdir(exist_ok=True)
+        (code / place / "module.py").write_text("", encoding="utf-8")
+    assert (writing.CODE / "render" / "path_tracer.py").is_file()
+    monkeypatch.setattr(writing, "CODE", code)
+    scene = DrawnScene.tiny(num_views=3)
+    draw_survey(tmp_path / "survey", scene)
+    marker = tmp_path / "survey" / writing.MARKER
+    for place in (".", "drawn", "render"):
+        before = marker.read_text(encoding="utf-8")
+        (code / place / "module.py").write_text("changed = True", encoding="utf-8")
+        draw_survey(tmp_path / "survey", scene)
+        assert marker.read_text(encoding="utf-8") != before
+
+
 def test_what_fails_leaves_no_survey_and_the_next_try_takes_no_photograph_twice(tmp_path, monkeypatch):
     def disk_is_full(*_):
         raise OSError("no space left on device")
@@ -324,7 +342,7 @@ def test_what_fails_leaves_no_survey_and_the_next_try_takes_no_photograph_twice(
             draw_survey(tmp_path / "survey", scene)
     assert not (tmp_path / "survey").exists()
     with monkeypatch.context() as patch:
-        patch.setattr(Scene, "photograph", lambda *_: pytest.fail("an image was taken twice"))
+        patch.setattr(StagedScene, "photograph", lambda *_: pytest.fail("an image was taken twice"))
         draw_survey(tmp_path / "survey", scene)
     assert [p.name for p in tmp_path.iterdir()] == ["survey"]
     draw_survey(tmp_path / "whole", scene)

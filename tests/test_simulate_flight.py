@@ -183,7 +183,7 @@ def test_the_picture_of_a_plan_is_a_png_that_shows_views_and_cameras():
 def test_planned_poses_are_read_back_from_cameras_csv():
     from geo.crs import parse_crs
     from geo.frames import LocalFrame
-    from survey.simulate.sidecars import cameras_csv
+    from survey.simulate.output.sidecars import cameras_csv
 
     frame = LocalFrame(parse_crs("EPSG:25832+7837"), (676120.0, 5311480.0, 584.2))
     cameras = fly()

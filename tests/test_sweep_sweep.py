@@ -16,8 +16,8 @@ from fields.sweep.block import Block
 from fields.sweep.climbing import climb_view
 from fields.sweep.sweep import PASSES, DepthMap, Pass, sweep
 from refract import FlatWater
-from survey.simulate import Scene
 from survey.simulate.drawn import DrawnScene, stage_drawing
+from survey.simulate.output.staged_scene import StagedScene
 
 # Coarse to fine in small: images of 96 x 72 px have too few pixels left at a quarter, where PASSES begin.
 SMALL = (
@@ -157,7 +157,7 @@ def test_progress_is_the_share_of_the_samples_compared(device, monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def drawn() -> Scene:
+def drawn() -> StagedScene:
     """A drawn survey of 8 views of 160 x 120 px, with stones and objects."""
     return stage_drawing(DrawnScene.tiny())
 

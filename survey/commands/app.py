@@ -288,8 +288,8 @@ def simulate(
 ) -> None:
     """Make a survey of a scene that is known exactly: photographs, poses, and the truth beside them."""
     with _errors_as_exit_codes(verbose - quiet, output):
-        from survey.simulate.simulate import simulate as run
-        from survey.simulate.simulate import simulate_flight
+        from survey.simulate.staging.simulate import simulate as run
+        from survey.simulate.staging.simulate import simulate_flight
 
         if flight_only:
             simulate_flight(scene, output)

@@ -1,6 +1,7 @@
-"""Surveys with known truth: a bed, water and a flight become photographs, and what is true stands beside them."""
+"""Surveys with known truth: a bed, water and a flight become photographs, and the truth is written beside them.
 
-from survey.simulate.scene import Scene
-from survey.simulate.writing import write_survey
-
-__all__ = ["Scene", "write_survey"]
+`scene_file` reads what is asked for; `light`, `water`, `watercolour` and `sensor` describe conditions. `ground` holds
+shapes and their colours, `flight` the cameras, `render` finds the light along rays (exactly, or by path tracing), and
+`output` writes the survey folder. Two packages put them together: `staging`, the verb ``simulate``, from a scene file;
+`drawn`, the small survey of the demo and the tests, from a few numbers.
+"""

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from survey.errors import ConfigError
+
 # Radiance of an overcast sky at the horizon, as a share of that at the zenith (CIE 1955, Moon and Spencer).
 _HORIZON_SHARE = 1.0 / 3.0
 
@@ -22,24 +24,41 @@ class Light:
     sun_share : [-]
         Of the light on level ground that comes from the sun; 0 without one.
     sun_radius : [rad]
-        Half the angle under which the sun is seen; 0.0046 in nature.
+        Half the angle under which the sun is seen; 0.0046 in nature, 0 for a point. All of the disc is above the
+        horizon.
     overcast : bool
         A sky three times as bright at the zenith as at the horizon, instead of one that is alike everywhere.
-    colour : (3,)
-        Red, green and blue of all light.
+
+    Raises
+    ------
+    ConfigError
+        If the disc of the sun reaches below the horizon.
     """
 
     to_sun: tuple[float, float, float] = (0.45, 0.30, 0.84)
     sun_share: float = 0.4
     sun_radius: float = 0.0046
     overcast: bool = False
-    colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+    def __post_init__(self):
+        # Straight above, both are a right angle, but for rounding.
+        if not 0.0 <= self.sun_radius <= self.elevation + 1e-9:
+            raise ConfigError(
+                f"the sun is {math.degrees(2.0 * self.sun_radius):.4g} deg across and its middle "
+                f"{math.degrees(self.elevation):.4g} deg above the horizon; light.sun_diameter_deg is expected at 0 "
+                "to twice the elevation"
+            )
 
     @property
     def sun(self) -> np.ndarray:
         """Unit direction (3,) toward the sun, local."""
         direction = np.array(self.to_sun)
         return direction / np.linalg.norm(direction)
+
+    @property
+    def elevation(self) -> float:
+        """Of the middle of the sun above the horizon [rad]."""
+        return math.asin(min(float(self.sun[2]), 1.0))
 
     def on(self, normal: np.ndarray) -> np.ndarray:
         """Light (...) that a surface of unit normals (..., 3) gets where nothing stands in its way; 1 if level."""
@@ -65,10 +84,5 @@ class Light:
 
     @property
     def sun_irradiance(self) -> float:
-        """On a surface that faces the sun."""
+        """On a surface that faces the sun, if all of the disc is above it."""
         return math.pi * self.sun_share / float(self.sun[2])
-
-    @property
-    def sun_solid_angle(self) -> float:
-        """[sr]"""
-        return 2.0 * math.pi * (1.0 - math.cos(self.sun_radius))

@@ -29,7 +29,7 @@ class Sensor:
     samples : int
         Rays per pixel.
     by_chance : bool
-        Whether they fall anywhere in the pixel, or on a regular square grid.
+        Whether they are random in the pixel, or on a regular square grid.
     noise : [grey levels]
         Standard deviation of the noise that is alike everywhere.
     photons_at_white : [-]
@@ -64,7 +64,7 @@ class Sensor:
 
     def light(self, eye: Eye, camera: PinholeCamera, lens: Lens, seed: tuple[int, int]) -> np.ndarray:
         """Mean radiance (height, width, 3) of the pixels of a camera."""
-        # Rays by chance are for an eye that works in float32: 1e-4 px.
+        # An eye that samples at random works in float32: 1e-4 px.
         dtype = np.float32 if self.by_chance else np.float64
         middle, across, down = (part.astype(dtype) for part in _rays_of(lens, camera))
         total = np.zeros((camera.height * camera.width, 3))

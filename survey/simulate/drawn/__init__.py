@@ -10,12 +10,12 @@ from pathlib import Path
 
 from survey.progress import Progress
 from survey.simulate.drawn.drawing import stage_drawing
-from survey.simulate.drawn_scene import DrawnScene
-from survey.simulate.writing import write_survey
+from survey.simulate.drawn.settings import DrawnScene
+from survey.simulate.output.writing import write_survey
 
 __all__ = ["DrawnScene", "draw_survey", "stage_drawing"]
 
 
 def draw_survey(folder: Path, scene: DrawnScene, *, again: bool = False, progress: Progress | None = None) -> None:
-    """Draw a survey into a folder; see `survey.simulate.writing.write_survey`."""
+    """Draw a survey into a folder; see `survey.simulate.output.writing.write_survey`."""
     write_survey(folder, dataclasses.asdict(scene), lambda: stage_drawing(scene), again=again, progress=progress)

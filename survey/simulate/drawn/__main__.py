@@ -9,7 +9,7 @@ from geo.errors import GeoError
 from survey.errors import SurveyError
 from survey.progress import Progress
 from survey.simulate.drawn import draw_survey
-from survey.simulate.drawn_scene import DrawnScene
+from survey.simulate.drawn.settings import DrawnScene
 
 
 def main(arguments: list[str] | None = None) -> None:

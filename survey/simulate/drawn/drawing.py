@@ -5,17 +5,17 @@ from __future__ import annotations
 from geo.crs import parse_crs
 from geo.frames import LocalFrame
 from refract.lens import Lens
-from survey.simulate.drawn_ground import build_ground
-from survey.simulate.drawn_scene import DrawnScene
+from survey.simulate.drawn.ground import build_ground
+from survey.simulate.drawn.settings import DrawnScene
 from survey.simulate.light import Light
-from survey.simulate.render_direct import DirectRenderer
-from survey.simulate.scene import Scene
+from survey.simulate.output.staged_scene import StagedScene
+from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.sensor import Sensor
 from survey.simulate.water import WaterLevel
 from survey.simulate.watercolour import WaterColour
 
 
-def stage_drawing(scene: DrawnScene) -> Scene:
+def stage_drawing(scene: DrawnScene) -> StagedScene:
     """Build the ground of a drawn scene; the origin of its frame lies on the water surface, in the middle."""
     frame = LocalFrame(parse_crs(scene.crs), (*scene.origin, scene.level_m))
     level = None
@@ -25,7 +25,7 @@ def stage_drawing(scene: DrawnScene) -> Scene:
     ground = build_ground(scene, cameras, Light())
     width, height = scene.image_px
     (e, n), (wide, deep) = scene.origin, scene.size_m
-    return Scene(
+    return StagedScene(
         name="drawn",
         crs=scene.crs,
         frame=frame,

@@ -153,7 +153,7 @@ def _outer(flight: FlightSettings, lens: Lens, site: Site, height: float, headin
     """x, y [m], tilt and heading [rad] of strips outside the four sides that look at the area's border."""
     tilt = math.radians(flight.tilt_deg)
     reach = (height + site.seeming_depth) * math.tan(tilt)
-    # Seen aslant the footprint is wider; that of the middle row counts.
+    # The footprint of an oblique view widens with distance; that of its middle row counts.
     across = _footprint(lens, site, height)[0] / math.cos(tilt)
     step = across * (1.0 - flight.forward_overlap)
     poses = []

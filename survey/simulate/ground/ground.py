@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from survey.simulate.ground.shapes import BedGrid, Solid, near_solids
+from survey.simulate.ground.skin import ImageSkin, VertexSkin, look_up
+from survey.simulate.ground.triangles import TriangleMesh
 from survey.simulate.light import Light
-from survey.simulate.shapes import BedGrid, Solid, near_solids
-from survey.simulate.skin import ImageSkin, VertexSkin, look_up
-from survey.simulate.triangles import TriangleMesh
 
 # The body of a hit on the bed, and of a ray that meets nothing.
 BED, NOTHING = -1, -2
@@ -61,7 +61,7 @@ class Ground:
         body = np.where(np.isfinite(t), BED, NOTHING)
         ends = np.minimum(t, t_end)
         top = max((solid.centre[2] + solid.radius for solid in self.solids), default=-np.inf)
-        # Ways through air mostly end above all bodies.
+        # Most rays through air end above all bodies.
         low = np.flatnonzero(origin[:, 2] + ends * direction[:, 2] < top)
         if not low.size:
             return t, body, face
@@ -102,7 +102,7 @@ def shade_of_normals(normals: np.ndarray, light: Light) -> Shade:
 
 
 def shade_beside_bed(solid: Solid | TriangleMesh, bed: BedGrid | TriangleMesh, light: Light) -> Shade:
-    """Light by the normals of a body, scarce in the corner between it and the bed."""
+    """Light by the normals of a body, darker near the corner between it and the bed."""
     lit = light.on(solid.normals)
 
     def shade(points: np.ndarray, face: np.ndarray) -> np.ndarray:

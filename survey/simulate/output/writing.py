@@ -1,7 +1,7 @@
-"""The folder of a simulated survey: survey.toml, cameras.csv, images, and beside them what is true, in truth/.
+"""The folder of a simulated survey: survey.toml, cameras.csv and images, and the truth beside them in truth/.
 
-Images are kept as they are finished in a hidden folder beside the survey, which takes its name at the end: what
-was stopped goes on from there.
+Images are written to a hidden folder beside the survey, which is renamed at the end; a run that was stopped
+continues with the images that are there.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from PIL import Image
 from geo import write_whole
 from survey.errors import SurveyError
 from survey.progress import Progress, Stage
-from survey.simulate.scene import Scene
-from survey.simulate.sidecars import cameras_csv, exif_of_views, survey_toml, write_image
-from survey.simulate.truth import depth_map, ground_mesh, points_on, seen_by, write_ply
+from survey.simulate.output.sidecars import cameras_csv, exif_of_views, survey_toml, write_image
+from survey.simulate.output.staged_scene import StagedScene
+from survey.simulate.output.truth import depth_map, ground_mesh, points_on, seen_by, write_ply
 
 MARKER = "simulated.json"
 # As many cameras have to see a point for it to count as visible.
 _MIN_VIEWS = 3
 # Code that decides what a survey looks like.
-_CODE = ("simulate", "drawn", "flight")
+CODE = Path(__file__).parent.parent
 
 
 def write_survey(
     folder: Path,
     settings: dict,
-    stage_scene: Callable[[], Scene],
+    stage_scene: Callable[[], StagedScene],
     *,
     again: bool = False,
     progress: Progress | None = None,
@@ -86,9 +86,8 @@ def write_survey(
 def _mark(settings: dict) -> str:
     """What the scene was made of, and a hash of it and of the code that photographs it, as the text of the marker."""
     code = hashlib.sha256(json.dumps(settings).encode())
-    for package in _CODE:
-        for path in sorted((Path(__file__).parent.parent / package).glob("*.py")):
-            code.update(path.read_bytes())
+    for path in sorted(CODE.rglob("*.py")):
+        code.update(path.read_bytes())
     return json.dumps({"scene": settings, "sha256": code.hexdigest()}, indent=1) + "\n"
 
 
@@ -112,7 +111,7 @@ def _replace(folder: Path, work: Path) -> None:
                 entry.rename(folder / entry.name)
 
 
-def _write(folder: Path, scene: Scene, progress: Progress) -> None:
+def _write(folder: Path, scene: StagedScene, progress: Progress) -> None:
     for name in ("images", "truth/depth", "truth/wet"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     (folder / "survey.toml").write_text(survey_toml(scene), encoding="utf-8")
@@ -129,11 +128,11 @@ def _write(folder: Path, scene: Scene, progress: Progress) -> None:
     with progress.stage("photographing the scene", count) as stage, ThreadPoolExecutor(_threads(scene)) as pool:
         for _ in pool.map(take, range(count)):
             stage.advance()
-    with progress.stage("writing what is true", count) as stage, ThreadPoolExecutor(_threads()) as pool:
+    with progress.stage("writing the truth", count) as stage, ThreadPoolExecutor(_threads()) as pool:
         _write_truth(folder / "truth", scene, pool, stage)
 
 
-def _write_truth(folder: Path, scene: Scene, pool: ThreadPoolExecutor, stage: Stage) -> None:
+def _write_truth(folder: Path, scene: StagedScene, pool: ThreadPoolExecutor, stage: Stage) -> None:
     frame, ground = scene.frame, scene.renderer.ground
     e0, n0, e1, n1 = scene.bounds
 
@@ -166,7 +165,7 @@ def _write_picture(path: Path, picture: Image.Image, **options) -> None:
         picture.save(stream, {".tif": "TIFF", ".png": "PNG"}[path.suffix], **options)
 
 
-def _threads(scene: Scene | None = None) -> int:
+def _threads(scene: StagedScene | None = None) -> int:
     """Each view takes about 0.2 GB while it is looked at; an eye of its own has its own threads."""
     if scene is not None and scene.eye is not None:
         return 1

@@ -10,13 +10,13 @@ from geo.frames import LocalFrame
 from refract import PinholeCamera
 from refract.lens import Lens
 from refract.surfaces import WaterSurface
-from survey.simulate.render_direct import DirectRenderer
+from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.sensor import Eye, Sensor
 from survey.simulate.water import WaterLevel
 
 
 @dataclass(frozen=True)
-class Scene:
+class StagedScene:
     """A scene with its cameras and its ground, ready to be photographed.
 
     Attributes

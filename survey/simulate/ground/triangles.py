@@ -18,7 +18,7 @@ class TriangleMesh:
     ----------
     vertices : (V, 3) [m], local
     faces : (F, 3)
-        Normals point to the side from which corners run against the clock.
+        Counter-clockwise as seen from the side that normals point to.
 
     Attributes
     ----------

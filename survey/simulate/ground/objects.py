@@ -9,14 +9,14 @@ import numpy as np
 
 from geo import Mesh, read_reference
 from survey.errors import SurveyError
-from survey.simulate.ground import Look, shade_beside_bed
+from survey.simulate.ground.ground import Look, shade_beside_bed
+from survey.simulate.ground.paint import periodic
+from survey.simulate.ground.shapes import rotation
+from survey.simulate.ground.skin import ImageSkin
+from survey.simulate.ground.texture import vertex_skin
+from survey.simulate.ground.triangles import TriangleMesh
 from survey.simulate.light import Light
-from survey.simulate.paint import periodic
 from survey.simulate.scene_file import ObjectSettings
-from survey.simulate.shapes import rotation
-from survey.simulate.skin import ImageSkin
-from survey.simulate.texture import vertex_skin
-from survey.simulate.triangles import TriangleMesh
 
 # From a file in which y points up to one in which z does.
 _Z_UP_FROM_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -46,7 +46,7 @@ def place_object(settings: ObjectSettings, folder: Path, bed, light: Light) -> t
     x, y = settings.at
     z = float(bed.height(x, y)) + settings.above_bed_m
     if not np.isfinite(z):
-        raise SurveyError(f"{path} is placed at {x:g}, {y:g} m, beside the bed; correct at, in metres from the origin")
+        raise SurveyError(f"{path} is placed at {x:g}, {y:g} m, outside the bed; correct at, in metres from the origin")
     shape = TriangleMesh(points - [*(0.5 * (low + high)[:2]), low[2]] + (x, y, z), mesh.faces)
     if mesh.rgb is not None:
         skin = vertex_skin(shape, mesh.rgb)

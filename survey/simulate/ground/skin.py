@@ -28,7 +28,7 @@ class ImageSkin:
     map_of_face : (F,)
         Which of the K matrices holds on each face; not read where there is only one.
     repeats : bool
-        Whether the image goes on at its border from the other side, or its border does.
+        Whether the image is tiled; otherwise its border texels are repeated.
     sharp : bool
         The nearest texel instead of a mixture of four.
     """

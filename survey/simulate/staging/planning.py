@@ -13,11 +13,11 @@ from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera
 from refract.lens import MODELS, Lens, LensError
 from survey.errors import ConfigError, SurveyError
-from survey.simulate.bed import bed_from_file
 from survey.simulate.flight import plan_flight
 from survey.simulate.flight.patterns import Site
+from survey.simulate.ground.bed import bed_from_file
+from survey.simulate.ground.triangles import TriangleMesh
 from survey.simulate.scene_file import CameraSettings, SceneSettings
-from survey.simulate.triangles import TriangleMesh
 from survey.simulate.water import WaterLevel
 
 # A mesh, and colours (V, 3) uint8 of its vertices if it has any.

@@ -8,8 +8,8 @@ import numpy as np
 
 from refract import PinholeCamera
 from refract.lens import Lens, distorted, normalised
-from survey.simulate.ground import Ground
-from survey.simulate.render_direct import DirectRenderer, depth_below
+from survey.simulate.ground.ground import Ground
+from survey.simulate.render.direct import DirectRenderer, depth_below
 
 # Visible points are sought among so many per square metre of ground.
 _POINTS_PER_M2 = 1000

@@ -9,11 +9,11 @@ from geo import write_whole
 from survey.progress import current
 from survey.simulate.flight.coverage import Coverage, coverage
 from survey.simulate.flight.picture import picture
-from survey.simulate.planning import Plan, marks_of, plan_scene
+from survey.simulate.output.sidecars import cameras_csv
+from survey.simulate.output.writing import write_survey
 from survey.simulate.scene_file import SceneSettings, read_scene
-from survey.simulate.sidecars import cameras_csv
-from survey.simulate.staging import stage_scene
-from survey.simulate.writing import write_survey
+from survey.simulate.staging.planning import Plan, marks_of, plan_scene
+from survey.simulate.staging.stage import stage_scene
 
 
 def simulate(path: Path, output: Path, *, mode: str | None = None, preview: bool = False, again: bool = False) -> None:
@@ -24,7 +24,7 @@ def simulate(path: Path, output: Path, *, mode: str | None = None, preview: bool
     path : Path
         Scene file; names of files in it are relative to its folder.
     output : Path
-        See `survey.simulate.writing.write_survey`.
+        See `survey.simulate.output.writing.write_survey`.
     mode : "direct" or "physical", optional
         Instead of that of the scene file.
     preview : bool

@@ -8,33 +8,33 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from refract.surfaces import WaterSurface
-from survey.simulate.bed import plane
-from survey.simulate.drawn_ground import build_ground
-from survey.simulate.drawn_scene import DrawnScene
-from survey.simulate.extent import seen_area
-from survey.simulate.ground import Ground, Look, shade_of_normals
+from survey.simulate.drawn.ground import build_ground
+from survey.simulate.drawn.settings import DrawnScene
+from survey.simulate.ground.bed import plane
+from survey.simulate.ground.extent import seen_area
+from survey.simulate.ground.ground import Ground, Look, shade_of_normals
+from survey.simulate.ground.objects import place_object
+from survey.simulate.ground.shapes import BedGrid
+from survey.simulate.ground.texture import require_texels, skin_of_bed
+from survey.simulate.ground.triangles import TriangleMesh
 from survey.simulate.light import Light
-from survey.simulate.mitsuba_scene import load_mitsuba, solid_scene, water_scene
-from survey.simulate.objects import place_object
-from survey.simulate.planning import Plan
-from survey.simulate.render_direct import DirectRenderer
-from survey.simulate.scene import Scene
+from survey.simulate.output.staged_scene import StagedScene
+from survey.simulate.render.direct import DirectRenderer
+from survey.simulate.render.mitsuba_scene import load_mitsuba, solid_scene, water_scene
 from survey.simulate.scene_file import LightSettings
 from survey.simulate.sensor import Sensor
-from survey.simulate.shapes import BedGrid
-from survey.simulate.texture import require_texels, skin_of_bed
-from survey.simulate.triangles import TriangleMesh
+from survey.simulate.staging.planning import Plan
 from survey.simulate.water import measured, with_waves
 from survey.simulate.watercolour import WaterColour
 
 if TYPE_CHECKING:
-    from survey.simulate.path_tracer import PathTracer
+    from survey.simulate.render.path_tracer import PathTracer
 
 # Rays per pixel of the mode without noise: a regular grid of 2 x 2.
 _DIRECT_SAMPLES = 4
 
 
-def stage_scene(plan: Plan) -> Scene:
+def stage_scene(plan: Plan) -> StagedScene:
     """Build what was planned, ready to be photographed."""
     settings = plan.settings
     light = light_of(settings.light)
@@ -47,7 +47,7 @@ def stage_scene(plan: Plan) -> Scene:
     e, n = settings.origin[:2]
     wide, deep = settings.area.size_m
     renderer = DirectRenderer(ground, _surface(plan), colour)
-    return Scene(
+    return StagedScene(
         name=settings.name,
         crs=settings.crs,
         frame=plan.frame,
@@ -83,7 +83,7 @@ def _surface(plan: Plan) -> WaterSurface | None:
 def _path_tracer(plan: Plan, renderer: DirectRenderer, light: Light) -> PathTracer:
     mi = load_mitsuba()
     # Only now: it takes Mitsuba's Dr.Jit to be there.
-    from survey.simulate.path_tracer import PathTracer
+    from survey.simulate.render.path_tracer import PathTracer
 
     water, mean = renderer.water, plan.site.water
     return PathTracer(
@@ -93,6 +93,7 @@ def _path_tracer(plan: Plan, renderer: DirectRenderer, light: Light) -> PathTrac
         None if mean is None else (np.array(mean.point), np.array(mean.up), float(mean.n_water)),
         colour=renderer.colour,
         light=light,
+        pixel=1.0 / plan.lens.focal[0],
         max_bounces=plan.settings.render.max_bounces,
     )
 

@@ -104,10 +104,6 @@ class DrawnScene:
         """What objects and the large shapes of the bed scale with: 1 for an area of 12 m."""
         return min(self.size_m) / 12.0
 
-    @property
-    def suffix(self) -> str:
-        return ".jpg" if self.noise > 0.0 else ".png"
-
     def cameras(self) -> list[PinholeCamera]:
         """The flight: strips of views that look down, then convergent views, tilted by 10 to 35 degrees."""
         rng = np.random.default_rng([self.seed, 1])

@@ -10,8 +10,8 @@ from fields.device import choose_device
 from refract import HeightFieldWater, WavyWater
 from refract.surfaces import WaterSurface
 from survey.errors import SurveyError
-from survey.simulate.ground import Ground, Shape
-from survey.simulate.skin import ImageSkin, VertexSkin
+from survey.simulate.ground.ground import Ground, Shape
+from survey.simulate.ground.skin import ImageSkin, VertexSkin
 
 # The plane of the water reaches this far beyond what is solid, as a share of its extent: light comes from there.
 _BEYOND = 0.1

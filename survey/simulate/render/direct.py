@@ -1,7 +1,7 @@
-"""What rays see of a ground through water, exact in geometry and free of noise: bent rays, and simple light.
+"""What rays see of a ground through water, exact in geometry and free of noise: refracted rays and simple light.
 
-A flat surface is met and crossed by formulas of its own, not by those of `refract`: what is photographed here
-is a test of the optics there. Other surfaces are crossed by `refract`.
+Rays cross a flat surface by formulas of this module, not by those of `refract`, so that the photographs test the
+optics there. Other surfaces are crossed by `refract`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 
 from refract import FlatWater, PinholeCamera, trace
 from refract.surfaces import WaterSurface
-from survey.simulate.ground import Ground
+from survey.simulate.ground.ground import Ground
 from survey.simulate.watercolour import WaterColour
 
 # Rays at a time: they and what is derived from them stay in the cache.
@@ -128,7 +128,7 @@ def depth_below(water: WaterSurface | None, points: np.ndarray) -> np.ndarray:
 
 
 def _incidence(cosine_of_bend: np.ndarray, n: float) -> np.ndarray:
-    """Cosine of incidence (N,) of rays that were bent by an angle of which the cosine is given.
+    """Cosine of incidence (N,) of rays, from the cosine of the angle by which they were bent.
 
     From ``sin a = n sin(a - bend)``: ``tan a = n sin(bend) / (n cos(bend) - 1)``.
     """

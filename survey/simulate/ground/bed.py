@@ -11,9 +11,9 @@ from scipy.spatial import Delaunay
 
 from geo import LocalFrame, Mesh, crs_difference, read_reference
 from survey.errors import SurveyError
+from survey.simulate.ground.shapes import BedGrid
+from survey.simulate.ground.triangles import TriangleMesh
 from survey.simulate.scene_file import BedSettings
-from survey.simulate.shapes import BedGrid
-from survey.simulate.triangles import TriangleMesh
 
 # Between the vertices of a plane [m]: it is one in any case, and light is mixed between vertices.
 _PLANE_CELL_M = 0.5

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from survey.simulate.ground.shapes import BedGrid, Solid
 from survey.simulate.light import Light
-from survey.simulate.shapes import BedGrid, Solid
 
 # Texels along a side of the periodic tile.
 TILE = 512
@@ -108,7 +108,7 @@ def noise(rng: np.random.Generator, shape: tuple[int, int], spacing: float) -> n
 
 
 def periodic(rng: np.random.Generator, spacing: int) -> np.ndarray:
-    """Smooth noise (512, 512) float32 that goes on at its borders."""
+    """Smooth noise (512, 512) float32 that can be tiled."""
     lattice = rng.standard_normal((TILE // spacing, TILE // spacing), dtype=np.float32)
     wrapped = np.pad(lattice, 2, mode="wrap")
     return cv2.resize(wrapped, None, fx=spacing, fy=spacing, interpolation=cv2.INTER_CUBIC)[

@@ -9,13 +9,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from refract import PinholeCamera
-from survey.simulate.drawn_scene import DrawnScene
-from survey.simulate.extent import seen_area
-from survey.simulate.ground import Ground, Look, shade_beside_bed, shade_of_map
+from survey.simulate.drawn.settings import DrawnScene
+from survey.simulate.ground.extent import seen_area
+from survey.simulate.ground.ground import Ground, Look, shade_beside_bed, shade_of_map
+from survey.simulate.ground.paint import ROCK, in_texels, light_of_bed, noise, periodic, sand
+from survey.simulate.ground.shapes import BedGrid, Solid, rotation
+from survey.simulate.ground.skin import ImageSkin, skin_from_above
 from survey.simulate.light import Light
-from survey.simulate.paint import ROCK, in_texels, light_of_bed, noise, periodic, sand
-from survey.simulate.shapes import BedGrid, Solid, rotation
-from survey.simulate.skin import ImageSkin, skin_from_above
 
 # A body, its colour, and the direction of its grain.
 Body = tuple[Solid, tuple[float, float, float], np.ndarray | None]

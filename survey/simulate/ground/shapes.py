@@ -43,7 +43,7 @@ class BedGrid:
         self._highest = [(size, _highest_around(self.heights, size)) for size in _BLOCKS]
 
     def height(self, x, y) -> np.ndarray:
-        """Height (...) [m] of the bed at x, y (...) [m]; beyond the grid its border goes on."""
+        """Height (...) [m] of the bed at x, y (...) [m]; beyond the grid that of its border."""
         return self._height_in_cells((np.asarray(x) - self.west) / self.cell, (np.asarray(y) - self.south) / self.cell)
 
     def vertices(self) -> np.ndarray:
@@ -101,7 +101,7 @@ class BedGrid:
         return _Rays(u, v, origin[:, 2], du, dv, direction[:, 2], reach)
 
     def _fall(self, ray: _Rays, t: np.ndarray, t_end: np.ndarray) -> None:
-        """Move `t` on, in place, through the air that is certainly above the bed."""
+        """Advance `t`, in place, through air above the highest vertices nearby."""
         for size, highest in self._highest:
             live = np.flatnonzero(t < t_end)
             here, at = ray.take(live), t[live]

@@ -18,14 +18,14 @@ from geo.frames import LocalFrame
 from refract import PinholeCamera
 from refract.lens import MODELS
 from survey.photos.cameras import CAM_FROM_OPK_CAM
-from survey.simulate.scene import Scene
+from survey.simulate.output.staged_scene import StagedScene
 
 _JPEG_QUALITY = 92
 _GPS_STD_M = 0.02
 
 
-def survey_toml(scene: Scene) -> str:
-    """The text of survey.toml: all that a reconstruction may know beside the poses."""
+def survey_toml(scene: StagedScene) -> str:
+    """The text of survey.toml: what a reconstruction may know, poses aside."""
     lens, level = scene.lens, scene.level
     fx, fy = lens.focal
     lines = [
@@ -73,7 +73,7 @@ def cameras_csv(names: Sequence[str], cameras: Sequence[PinholeCamera], frame: L
     return "\n".join([*lines, ""])
 
 
-def exif_of_views(scene: Scene) -> list[Image.Exif]:
+def exif_of_views(scene: StagedScene) -> list[Image.Exif]:
     """EXIF of all images: positions as a good receiver knows them, heights in crs, and the focal length."""
     rng = np.random.default_rng([scene.seed, 5])
     centres = np.array([camera.centre for camera in scene.cameras])

@@ -1,0 +1,201 @@
+"""Light followed from the camera to the sky, through the surface of the water and between bed and water.
+
+Path tracing (Kajiya 1986; Veach 1997) on shapes and materials of Mitsuba 3, with its own treatment of the sun: a
+scattered path rarely hits a disc of half a degree, and when it does, a single pixel becomes far too bright; Mitsuba's
+connections to lights end at a refracting surface. Each kind of path from the sun to the camera is counted once:
+
+=========================================================  =============================================================
+the light of the sun arrives                               and is counted
+=========================================================  =============================================================
+at ground, or at a point in the water that scatters it     there, by a direct connection to the sun, refracted at the
+                                                           mean plane of the water if the point is in it
+in the camera, directly                                    where the camera ray ends
+at the water, which reflects it into the camera (maybe     at that reflection, weighted by Fresnel's reflectance; its
+by way of further reflections and refractions)             direction is unique, and the path need not take it
+in the water through its surface, and leaves it toward     by paths that happen to leave toward the sun: nearly all
+the camera without meeting anything (wave crests)          that reach such a crossing do
+at ground after a reflection by the water                  not at all
+=========================================================  =============================================================
+
+A path that ground or water has scattered therefore adds nothing when it ends in the disc of the sun. The direct
+connection is exact for still water, level or tilted: flux through the surface, less Fresnel reflection, absorption
+and scattering along the way. Two biases remain. Under waves there are no caustics: the sunlight in the water is that
+under the mean plane. And the last row is missing everywhere. Light of the sky, and sunlight after its first
+scattering, follows every wave.
+"""
+
+from __future__ import annotations
+
+import math
+from types import ModuleType
+
+import drjit as dr
+import numpy as np
+
+from survey.simulate.light import Light
+from survey.simulate.render.sunlight import Sunlight, absorbed, not_
+from survey.simulate.watercolour import WaterColour
+
+# Russian roulette starts after as many bounces.
+_SURE_BOUNCES = 4
+
+
+class PathTracer:
+    """Radiance along rays; an `Eye`. Not a dataclass: Dr.Jit would treat its fields as loop variables.
+
+    Parameters
+    ----------
+    mi : the Mitsuba module, with its variant set
+    solids, surface : Mitsuba scenes
+        What is solid; the surface of the water, or None.
+    plane : (point, normal, index) or None
+        Mean plane of the water: (3,) [m], (3,), [-].
+    colour : WaterColour
+    light : Light
+    pixel : [rad]
+        Angle of a pixel; see `Sunlight`.
+    max_bounces : int
+    """
+
+    def __init__(
+        self,
+        mi: ModuleType,
+        solids,
+        surface,
+        plane,
+        *,
+        colour: WaterColour,
+        light: Light,
+        pixel: float,
+        max_bounces: int,
+    ):
+        self.mi, self.solids, self.surface = mi, solids, surface
+        self.n_water = 1.0 if plane is None else float(plane[2])
+        self.colour, self.light, self.max_bounces = colour, light, max_bounces
+        self.sun = Sunlight(mi, solids, plane, colour=colour, light=light, pixel=pixel)
+        self.scattering, self.asymmetry = colour.similar
+
+    def __call__(self, origin: np.ndarray, direction: np.ndarray, seed: int) -> np.ndarray:
+        """Linear radiance (N, 3) along rays from origins in unit directions (N, 3), local."""
+        mi = self.mi
+        origin = np.broadcast_to(origin, direction.shape).astype(np.float32)
+        direction = direction.astype(np.float32)
+        sampler = mi.load_dict({"type": "independent"})
+        if self.is_scalar:
+            sampler.seed(seed)
+            rays = (mi.Ray3f(o, d) for o, d in zip(origin.tolist(), direction.tolist(), strict=True))
+            return np.array([np.array(self._follow(sampler, ray)).ravel() for ray in rays])
+        sampler.seed(seed, len(direction))
+        columns = (np.ascontiguousarray(part.T) for part in (origin, direction))
+        ray = mi.Ray3f(mi.Point3f(next(columns)), mi.Vector3f(next(columns)))
+        return np.array(self._follow(sampler, ray)).T.reshape(-1, 3)
+
+    @property
+    def is_scalar(self) -> bool:
+        """Whether rays are followed one by one."""
+        return self.mi.variant().startswith("scalar")
+
+    @dr.syntax
+    def _follow(self, sampler, ray):
+        """Radiance along rays.
+
+        The state of a path: the share of light that comes through it so far, whether it is in water, whether it was
+        only mirrored and bent since the camera, and whether the sun ahead of it was counted at its last mirror.
+        """
+        mi = self.mi
+        light, share = mi.Color3f(0.0), mi.Color3f(1.0)
+        wet, straight, counted, active = mi.Bool(False), mi.Bool(True), mi.Bool(False), mi.Bool(True)
+        bounce = mi.UInt32(0)
+        while active:
+            ground = self.solids.ray_intersect(ray, active)
+            t = dr.select(ground.is_valid(), ground.t, dr.inf)
+            at_surface = mi.Bool(False)
+            surface = ground
+            if dr.hint(self.surface is not None, mode="scalar"):
+                surface = self.surface.ray_intersect(ray, active)
+                at_surface = active & surface.is_valid() & (surface.t < t)
+                t = dr.select(at_surface, surface.t, t)
+            # Water absorbs along the way, and scatters after a random length.
+            flight = mi.Float(dr.inf)
+            if dr.hint(self.scattering > 0.0, mode="scalar"):
+                flight = dr.select(wet, -dr.log(1.0 - sampler.next_1d(active)) / self.scattering, dr.inf)
+            scattered = active & (flight < t)
+            way = dr.minimum(t, flight)
+            share = dr.select(wet, share * absorbed(mi, self.colour, way), share)
+            gone = active & not_(scattered) & not_(dr.isfinite(t))
+            light += dr.select(gone & not_(wet), share * self._above(ray.d, straight & not_(counted)), 0.0)
+            active &= not_(gone)
+            at_surface &= active & not_(scattered)
+            at_ground = active & not_(scattered) & not_(at_surface)
+
+            ahead = mi.Ray3f(ray)
+            if at_surface:
+                light += dr.select(straight & not_(wet), share * self._glint(surface, straight & not_(wet)), 0.0)
+                ahead, through, bent = self._cross(sampler, surface, ray)
+                share *= through
+                counted = not_(wet) & not_(bent)
+                wet ^= bent
+            if at_ground:
+                ahead, reflected, sun = self._leave_ground(sampler, ground, ray, wet)
+                light += share * sun
+                share *= reflected
+                straight = mi.Bool(False)
+            if scattered:
+                ahead, sun = self._scatter(sampler, ray, flight)
+                light += share * sun
+                straight = mi.Bool(False)
+            ray = ahead
+            bounce += 1
+            active &= bounce < self.max_bounces
+            # Russian roulette: faint paths end, and those that are left count for them.
+            keep = dr.minimum(dr.max(share), 0.95)
+            late = bounce > _SURE_BOUNCES
+            active &= not_(late) | (sampler.next_1d(active) < keep)
+            share = dr.select(late, share / dr.maximum(keep, 1e-6), share)
+        return light
+
+    def _cross(self, sampler, surface, ray):
+        """Reflected or refracted by the water: the next ray, its share of the light, and whether it was refracted."""
+        mi = self.mi
+        sample, through = surface.bsdf(ray).sample(mi.BSDFContext(), surface, sampler.next_1d(), sampler.next_2d())
+        bent = mi.Frame3f.cos_theta(sample.wo) * mi.Frame3f.cos_theta(surface.wi) < 0.0
+        return surface.spawn_ray(surface.to_world(sample.wo)), mi.Color3f(through), bent
+
+    def _glint(self, surface, active):
+        """Radiance of the sun that the water mirrors into rays from above, where nothing hides the sun."""
+        mi = self.mi
+        toward = surface.to_world(mi.Vector3f(-surface.wi.x, -surface.wi.y, surface.wi.z))
+        active &= self.sun.seen(toward)
+        ahead = surface.spawn_ray(toward)
+        active &= not_(self.solids.ray_test(ahead, active)) & not_(self.surface.ray_test(ahead, active))
+        mirrored = mi.fresnel(mi.Frame3f.cos_theta(surface.wi), self.n_water)[0]
+        return mi.Color3f(dr.select(active, mirrored * self.sun.seen_radiance, 0.0))
+
+    def _leave_ground(self, sampler, ground, ray, wet):
+        """Reflected by the ground: the next ray, its share of the light, and the sunlight that is reflected."""
+        mi = self.mi
+        bsdf, context = ground.bsdf(ray), mi.BSDFContext()
+        toward, irradiance = self.sun.on(sampler, ground.p, ground.n, wet)
+        value = bsdf.eval(context, ground, ground.to_local(toward))
+        sample, reflected = bsdf.sample(context, ground, sampler.next_1d(), sampler.next_2d())
+        return ground.spawn_ray(ground.to_world(sample.wo)), mi.Color3f(reflected), mi.Color3f(value) * irradiance
+
+    def _scatter(self, sampler, ray, flight):
+        """Scattered in water: the next ray, and the sunlight that is scattered into the path."""
+        mi, g = self.mi, self.asymmetry
+        place = ray(flight)
+        toward, irradiance = self.sun.on(sampler, place, mi.Normal3f(0.0), mi.Bool(True))
+        cosine = dr.dot(toward, ray.d)
+        value = (1.0 - g * g) / (4.0 * math.pi * (1.0 + g * g - 2.0 * g * cosine) ** 1.5)
+        # A direction by Henyey and Greenstein's law, from the inverse of its distribution.
+        drawn = sampler.next_2d()
+        turn = (1.0 - g * g) / (1.0 - g + 2.0 * g * drawn.x)
+        cosine = dr.clip((1.0 + g * g - turn * turn) / (2.0 * g), -1.0, 1.0)
+        sine, angle = dr.sqrt(1.0 - cosine * cosine), 2.0 * math.pi * drawn.y
+        local = mi.Vector3f(sine * dr.cos(angle), sine * dr.sin(angle), cosine)
+        return mi.Ray3f(place, mi.Frame3f(ray.d).to_world(local)), irradiance * value
+
+    def _above(self, direction, sees_sun):
+        """Radiance of the sky along directions, and of the sun where it is seen."""
+        sky = dr.select(direction.z > 0.0, self.light.sky(direction.z), 0.0)
+        return self.mi.Color3f(sky + dr.select(sees_sun & self.sun.seen(direction), self.sun.seen_radiance, 0.0))

@@ -1,0 +1,1 @@
+"""The verb simulate: a scene file is planned, staged and photographed."""

@@ -18,7 +18,9 @@ from typing import TYPE_CHECKING
 from survey.errors import SurveyError
 from survey.folder.config import dump_config
 from survey.folder.survey import Survey, load_survey
+from survey.plan.check import require_processable
 from survey.plan.plan import Plan, make_plan
+from survey.plan.workload import require_room, workload_of
 from survey.progress import Progress, current
 from survey.run.folder import RunDir, seconds_of, versions
 
@@ -80,21 +82,32 @@ def process(
     for name, path in (("--reference", reference), ("--visible", visible)):
         if path is not None and not path.exists():
             raise SurveyError(f"{name} {path} does not exist; give the path of a PLY, OBJ, LAS or LAZ file")
-    survey = load_survey(survey_folder, workspace=run_folder / "sfm", report=progress.note)
-    if true_colour and survey.water is None:
+    checked = require_processable(survey_folder)
+    if true_colour and checked.found.config.water is None:
         raise SurveyError(
             "--true-colour takes the water away, but the survey has none; leave the option out, or give [water]"
         )
+    start = time.monotonic()
+    survey = checked.survey or load_survey(
+        survey_folder, found=checked.found, workspace=run_folder / "sfm", report=progress.note
+    )
+    sfm_s = time.monotonic() - start if checked.survey is None else None
     plan_of = partial(make_plan, quality=quality, device=device, field=field)
     plan = plan_of(survey)
+    workload = workload_of(survey, plan)
+    shortages = require_room(workload, run_folder)
     # Starts torch and Dr.Jit: only after everything that the user may have to mend was looked at.
     from survey.run.job import Job
 
     with RunDir(run_folder) as run:
         progress.log_to(run.log_path)
         _announce(progress, survey, plan)
+        progress.note(f"workload: {workload}")
+        for text in shortages:
+            progress.warn(text)
         job = Job(survey, plan_of, progress, calibrate_water=calibrate_water, true_colour=true_colour)
-        return _to_the_end(run, job, resume, reference, visible)
+        timings = {} if sfm_s is None else {"structure from motion": sfm_s}
+        return _to_the_end(run, job, timings, resume, reference, visible)
 
 
 def _announce(progress: Progress, survey: Survey, plan: Plan) -> None:
@@ -107,7 +120,9 @@ def _announce(progress: Progress, survey: Survey, plan: Plan) -> None:
         progress.note(f"plan: {decision.name}: {decision.choice} ({decision.reason})")
 
 
-def _to_the_end(run: RunDir, job: Job, resume: bool, reference: Path | None, visible: Path | None) -> int:
+def _to_the_end(
+    run: RunDir, job: Job, timings: dict[str, float], resume: bool, reference: Path | None, visible: Path | None
+) -> int:
     """Stages, result and verdict; the exit code."""
     from survey.run.pipeline import BED_OF_SWEEP, STAGES
     from survey.run.stage import run_stage
@@ -118,7 +133,7 @@ def _to_the_end(run: RunDir, job: Job, resume: bool, reference: Path | None, vis
     for stage in stages:
         if stage.is_on(job):
             done[stage.name] = run_stage(stage, job, run, done, resume=resume)
-    verdict = _write_result(result, job, done, reference, visible)
+    verdict = _write_result(result, job, timings, done, reference, visible)
     run.publish(result, quality=job.plan.quality, stages=done)
     job.progress.note(f"cloud: {run.cloud_path}")
     job.progress.note(f"report: {run.report_html_path}")
@@ -129,7 +144,12 @@ def _to_the_end(run: RunDir, job: Job, resume: bool, reference: Path | None, vis
 
 
 def _write_result(
-    folder: Path, job: Job, done: dict[str, Path], reference: Path | None, visible: Path | None
+    folder: Path,
+    job: Job,
+    timings: dict[str, float],
+    done: dict[str, Path],
+    reference: Path | None,
+    visible: Path | None,
 ) -> Verdict:
     """Everything that the user gets, in the folder of a new result."""
     from survey.report import ReportFacts, write_report
@@ -141,7 +161,7 @@ def _write_result(
     survey, plan, progress = job.survey, job.plan, job.progress
     (folder / "settings.toml").write_text(dump_config(survey.config), encoding="utf-8")
     (folder / "plan.json").write_text(json.dumps(plan.as_dict(), indent=2), encoding="utf-8")
-    timings = {name: seconds_of(place) for name, place in done.items()}
+    timings = timings | {name: seconds_of(place) for name, place in done.items()}
     stored = load_bed(done["bed"])
     cloud = folder / "cloud.las"
     write_bed_las(cloud, stored)

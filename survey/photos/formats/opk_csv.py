@@ -10,6 +10,7 @@ import numpy as np
 
 from survey.errors import PosesError
 from survey.photos.cameras import CAM_FROM_OPK_CAM, Pose, grid_from_opk
+from survey.photos.formats.format import Format
 
 COLUMNS = ("image", "easting", "northing", "height", "omega", "phi", "kappa")
 
@@ -78,3 +79,11 @@ def _number(text: str, key: str, name: str, where: str) -> float:
             "the line"
         )
     return value
+
+
+FORMAT = Format(
+    name="a table image,easting,northing,height,omega,phi,kappa (.csv)",
+    find=lambda folder: sorted(path for path in folder.glob("*.csv") if is_opk_csv(path)),
+    recognises=lambda path: path.is_file() and (path.suffix.lower() == ".csv" or is_opk_csv(path)),
+    read=read_opk_csv,
+)

@@ -47,6 +47,8 @@ BASELINES = ("nerf", "tinynerf", "hash", "neus")
 # Steps of each model in turn, to compare their times: (rounds, steps of a round). After the switch from coarse to fine
 # density, where a model has one: most steps of a training are such.
 TIMED = (4, 8)
+# Renderings whose memory is measured: one may take twice that of another, as the allocator and its threads go.
+MEMORY_RUNS = 5
 # Of the factors after the switch: with the paper's 0.001 the ship's factors all but stand still for the rest of a short
 # training (500 steps: 27.3 instead of 28.2 dB; TensoRF, whose rate does not fall, has 27.7).
 FINE_RATE = 0.02
@@ -151,10 +153,11 @@ def step_times(models: tuple[str, ...], scene: ObjectScene, options) -> dict[str
 
 
 def inference_mb(model: str, scene: str, options) -> float:
-    """What rendering a view takes in memory, parameters and all, in a process of its own [MB]."""
+    """What rendering a view takes in memory, parameters and all [MB]: median of processes of their own."""
     numbers = [f"--{name}={getattr(options, name)}" for name in ("scale", "cells", "samples")]
     command = [sys.executable, __file__, str(options.work), "--memory", scene, model, *numbers]
-    return float(subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()[-1])
+    runs = [subprocess.run(command, check=True, capture_output=True, text=True) for _ in range(MEMORY_RUNS)]
+    return statistics.median(float(run.stdout.split()[-1]) for run in runs)
 
 
 def print_memory(scene: str, model: str, options) -> None:

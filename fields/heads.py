@@ -96,8 +96,8 @@ class ColourHead(nn.Module):
     extra : int
         Length of an appearance vector; 0 without.
     bfloat16 : bool
-        Multiply in bfloat16, where the processor has instructions for it: a quarter less time for large batches, and
-        0.01 dB of PSNR.
+        Multiply in bfloat16, where the processor has instructions for it; docs/field.md, Speed, has its rate and what
+        it costs.
     """
 
     def __init__(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.metadata
+import os
 import re
 import shutil
 import subprocess
@@ -12,12 +13,9 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
-
-from survey.commands.app import app
 
 ROOT = Path(__file__).resolve().parent.parent
-VERBS = ("check", "process", "waterline", "export", "render", "compare", "simulate")
+ROOMS = ("bathynerf", "refract", "fields", "survey", "geo", "evaluation")
 # The suite has had more than this since its first release; fewer mean that a folder is no longer collected.
 LEAST_TESTS = 600
 # Homes and mounts of single machines, and hosts that serve packages; in pieces, so that this file does not hold them.
@@ -81,12 +79,14 @@ def test_the_version_is_the_one_at_the_head_of_the_changelog():
 
 
 def test_help_and_readme_list_the_same_verbs():
-    shown = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "200", "TERM": "dumb"}).output
-    readme = text_of("README.md")
-    for verb in VERBS:
-        assert re.search(rf"^\W*{verb}\b", shown, re.MULTILINE), f"--help does not list {verb}"
-        assert f"bathynerf {verb} " in readme, f"README.md does not show bathynerf {verb}"
-    assert set(re.findall(r"\bbathynerf ([a-z]+) [A-Z]", readme)) <= set(VERBS)
+    code = "from survey.commands.app import main; main()"
+    environment = {**os.environ, "COLUMNS": "200", "TERM": "dumb"}
+    command = [sys.executable, "-c", code, "--help"]
+    shown = subprocess.run(command, capture_output=True, text=True, check=True, env=environment, cwd=ROOT).stdout
+    listed = shown.partition("Commands")[2].partition("Exit codes")[0]
+    verbs = set(re.findall(r"^\W*([a-z]+) {2,}\S", listed, re.MULTILINE))
+    assert {"check", "process", "compare"} < verbs
+    assert set(re.findall(r"^ +bathynerf ([a-z]+) [A-Z]", text_of("README.md"), re.MULTILINE)) == verbs
 
 
 def test_the_console_command_is_the_command_line():
@@ -111,22 +111,49 @@ def test_every_dependency_is_imported_somewhere():
 
 
 def python_files() -> list[Path]:
+    return [path for room in ROOMS for path in (ROOT / room).rglob("*.py")]
+
+
+def documents() -> list[Path]:
     return [
-        path for room in ("refract", "fields", "survey", "geo", "evaluation") for path in (ROOT / room).rglob("*.py")
+        *(ROOT / name for name in ("README.md", "CONVENTIONS.md", "CONTRIBUTING.md")),
+        *(ROOT / "docs").glob("*.md"),
     ]
 
 
-def test_what_conventions_names_exists():
-    for name in re.findall(r"`([a-z]+(?:\.\w+)+)`", text_of("CONVENTIONS.md")):
-        first, *rest = name.split(".")
-        thing = importlib.import_module(first)
-        for part in rest:
-            assert hasattr(thing, part), f"CONVENTIONS.md names {name}, which does not exist"
-            thing = getattr(thing, part)
+@pytest.mark.parametrize("path", documents(), ids=lambda path: path.name)
+def test_what_a_document_names_exists(path):
+    text = path.read_text(encoding="utf-8")
+    rooms = "|".join(ROOMS)
+    for name in set(re.findall(rf"`((?:{rooms})(?:\.\w+)+)`", text)) - {"survey.toml"}:
+        assert exists(name), f"{path.name} names {name}, which does not exist"
+    for name in re.findall(rf"`((?:{rooms}|benchmarks|tests|scripts|docs|examples)/[\w/]+\.\w+)`", text):
+        assert (ROOT / name).exists(), f"{path.name} names {name}, which does not exist"
+    for name in re.findall(r"\b(benchmarks/\w+\.py)", text):
+        assert (ROOT / name).exists(), f"{path.name} names {name}, which does not exist"
+
+
+def exists(name: str) -> bool:
+    """Whether a dotted name is a module, or leads to something from one."""
+    thing = importlib.import_module(name.split(".")[0])
+    for count, part in enumerate(name.split(".")[1:], start=2):
+        if not hasattr(thing, part):
+            try:
+                importlib.import_module(".".join(name.split(".")[:count]))
+            except ModuleNotFoundError:
+                return False
+        thing = getattr(thing, part)
+    return True
+
+
+def test_code_and_tests_cite_only_benchmarks_that_exist():
+    for path in [*python_files(), *(ROOT / "tests").rglob("*.py")]:
+        for name in re.findall(r"\b(benchmarks/\w+\.py)", path.read_text(encoding="utf-8")):
+            assert (ROOT / name).exists(), f"{path.relative_to(ROOT)} cites {name}, which does not exist"
 
 
 def test_links_between_the_documents_lead_somewhere():
-    for path in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]:
+    for path in documents():
         for target in re.findall(r"\]\(([^)#]+)", path.read_text(encoding="utf-8")):
             if "://" not in target:
                 assert (path.parent / target).exists(), f"{path.name} points to {target}, which does not exist"

@@ -12,11 +12,13 @@ from survey.photos.formats import colmap, opk_csv
 _NOT_READ = ("cameras.xml", "transforms.json", "reconstruction.json", "nvm", "bundle.out")
 
 
+# Asked in this order which of them a path is of.
+FORMATS = (opk_csv.FORMAT, colmap.FORMAT)
+
+
 def find_poses(folder: Path) -> list[Path]:
     """Poses files and folders of a known format in a survey folder, best known places only."""
-    tables = sorted(p for p in folder.glob("*.csv") if opk_csv.is_opk_csv(p))
-    models = [folder, *(folder / name for name in ("sparse/0", "sparse", "colmap/sparse/0", "colmap"))]
-    return tables + [path for path in models if colmap.is_model(path)]
+    return [path for known in FORMATS for path in known.find(folder)]
 
 
 def find_unread(folder: Path) -> list[str]:
@@ -34,13 +36,8 @@ def read_poses(path: Path) -> list[Pose]:
     """
     if not path.exists():
         raise PosesError(f"the poses file {path} does not exist; correct [cameras] poses in survey.toml")
-    if path.suffix in (".txt", ".bin") and path.stem in ("images", "cameras") and colmap.is_model(path.parent):
-        return colmap.read_model(path.parent)
-    if colmap.is_model(path):
-        return colmap.read_model(path)
-    if path.is_file() and path.suffix.lower() in (".csv", ".txt"):
-        return opk_csv.read_opk_csv(path)
-    raise PosesError(
-        f"{path} is no poses file that is known here; expected a table image,easting,northing,height,omega,phi,kappa "
-        "(.csv) or the folder of a COLMAP model (cameras and images, .txt or .bin)"
-    )
+    for known in FORMATS:
+        if known.recognises(path):
+            return known.read(path)
+    expected = " or ".join(known.name for known in FORMATS)
+    raise PosesError(f"{path} is no poses file that is known here; expected {expected}")

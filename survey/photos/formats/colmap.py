@@ -14,7 +14,10 @@ import numpy as np
 from refract.lens import MODELS, Lens, LensError
 from survey.errors import PosesError
 from survey.photos.cameras import Pose, rotation_from_quaternion
+from survey.photos.formats.format import Format
 
+# Where models lie in a survey folder, beside the folder itself.
+_PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "colmap")
 _NAME_OF_ID = {number: name for name, (number, _) in MODELS.items()}
 # Names and number of parameters of the models that COLMAP has beyond ours, so that an error can name them.
 _OTHER_IDS = {
@@ -124,3 +127,18 @@ def _images_bin(path: Path) -> list[tuple[str, int, list[float]]]:
         if at > len(data):
             raise ValueError(f"it ends after {len(data)} bytes, within the points of {images[-1][0]}")
     return images
+
+
+def _model_of(path: Path) -> Path | None:
+    """The folder of the model that a path names: itself, or that of its images or cameras file."""
+    is_file_of_it = path.suffix in (".txt", ".bin") and path.stem in ("images", "cameras")
+    folder = path.parent if is_file_of_it else path
+    return folder if is_model(folder) else None
+
+
+FORMAT = Format(
+    name="the folder of a COLMAP model (cameras and images, .txt or .bin)",
+    find=lambda folder: [p for p in (folder, *(folder / name for name in _PLACES)) if is_model(p)],
+    recognises=lambda path: _model_of(path) is not None,
+    read=lambda path: read_model(_model_of(path) or path),
+)

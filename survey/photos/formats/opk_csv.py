@@ -10,6 +10,7 @@ import numpy as np
 from survey.csv_table import Row, column_names, read_table
 from survey.errors import PosesError
 from survey.photos.cameras import CAM_FROM_OPK_CAM, Pose, grid_from_opk
+from survey.photos.formats.format import Format
 
 COLUMNS = ("image", "easting", "northing", "height", "omega", "phi", "kappa")
 
@@ -40,3 +41,11 @@ def _pose(row: Row) -> Pose:
     e, n, h, *degrees = (row.number(name) for name in COLUMNS[1:])
     grid_from_cam = grid_from_opk(*(math.radians(angle) for angle in degrees)) @ CAM_FROM_OPK_CAM
     return Pose(row.text("image"), np.array([e, n, h]), grid_from_cam.T, in_crs=True, lens=None)
+
+
+FORMAT = Format(
+    name="a table image,easting,northing,height,omega,phi,kappa (.csv)",
+    find=lambda folder: sorted(path for path in folder.glob("*.csv") if is_opk_csv(path)),
+    recognises=lambda path: path.is_file() and (path.suffix.lower() == ".csv" or is_opk_csv(path)),
+    read=read_opk_csv,
+)

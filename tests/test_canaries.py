@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from survey.commands.app import app
+from survey.commands.verbs import app
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = ("refract", "fields", "survey", "geo", "evaluation")

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from geo import read_reference
 from refract import FlatWater
 from refract.lens import Lens, distorted, undistorted
-from survey.commands.app import app
+from survey.commands.verbs import app
 from survey.errors import SurveyError
 from survey.folder.config import read_config
 from survey.folder.survey import load_image, load_survey

@@ -9,8 +9,10 @@ from geo.files import write_whole
 from survey.adjust.water import Waterline, calibrate, nadir_views
 from survey.errors import SurveyError
 from survey.folder.config import WaterConfig
+from survey.folder.inputs import survey_inputs
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey, load_survey
+from survey.outputs import is_json, require_file
 from survey.progress import current
 
 
@@ -39,9 +41,10 @@ def estimate_water(
     Raises
     ------
     SurveyError, GeoError
-        Where the survey cannot be used, or its photographs do not match.
+        Where the survey cannot be used, its photographs do not match, or the file cannot be written.
     """
     progress = current()
+    require_file("--json", json_path, survey_inputs(Path(folder)), kind="a JSON file", is_of_kind=is_json)
     survey = load_survey(folder, report=progress.note)
     if survey.water is None:
         raise SurveyError("a dry survey has no water to estimate; give [water] level_m to start from")

@@ -5,7 +5,6 @@ A verb's file has its options and prints its results; what it computes is elsewh
 
 from __future__ import annotations
 
-import importlib.metadata
 import inspect
 import textwrap
 from typing import Annotated
@@ -47,6 +46,8 @@ app = typer.Typer(
 @app.callback(invoke_without_command=True)
 def _root(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
     if version:
+        import importlib.metadata
+
         typer.echo(f"bathynerf {importlib.metadata.version('bathynerf')}")
         raise typer.Exit(0)
 

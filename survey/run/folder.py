@@ -21,6 +21,7 @@ from typing import BinaryIO
 
 from geo.files import disk_refusals, write_whole
 from survey.errors import SurveyError
+from survey.outputs import Inputs
 from survey.run.stored import load_arrays, save_arrays
 from survey.stage_key import code_version, stage_key
 
@@ -108,6 +109,12 @@ class RunDir:
             default = self.path / "bathynerf"
             mend = f"name {default}" if (default / _MARKER).is_file() else "name the folder that process wrote"
             raise SurveyError(f"{self.path} is no run folder; {mend}")
+
+    def inputs(self) -> Inputs:
+        """What other commands read of the run, or would spoil."""
+        files = (self.cloud_path, self.report_json_path, self.report_html_path, self.settings_path, self.plan_path)
+        folders = (self.stages_path, self.pictures_path, *(self.path / name for name in _BEFORE))
+        return Inputs.of(*files, *folders)
 
     def stage_is_current(self, name: str, key: str) -> bool:
         """Whether a stage was finished with this key (see `stage_key`), so that its result can be used."""

@@ -19,7 +19,9 @@ from fields.heads import WaterColumn
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.errors import SurveyError
 from survey.folder.config import dump_config
+from survey.folder.inputs import survey_inputs
 from survey.folder.survey import Survey, load_survey
+from survey.outputs import Inputs, require_folder
 from survey.plan.block import backend, load_block, plane_name
 from survey.plan.plan import Plan, make_plan
 from survey.progress import Progress, current
@@ -85,6 +87,7 @@ def process(
     for name, path in (("--reference", reference), ("--visible", visible)):
         if path is not None and not path.exists():
             raise SurveyError(f"{name} {path} does not exist; give the path of a PLY, OBJ, LAS or LAZ file")
+    require_folder("-o", run_folder, survey_inputs(survey_folder) + Inputs.of(reference, visible))
     survey = load_survey(survey_folder, workspace=run_folder / "sfm", report=progress.note)
     if true_colour:
         require_water(survey)
@@ -243,7 +246,7 @@ class _Run:
         )
         with self.progress.stage("Report"):
             write_report(self.run.path, facts)
-        self.progress.note(f"report: {self.run.report_html_path}")
+        self.progress.detail(f"report: {self.run.report_html_path}")
         return self._gate(share, stored)
 
     def _gate(self, share: float | None, stored: StoredBed) -> int:

@@ -485,14 +485,18 @@ def test_a_standard_error_that_is_full_does_not_stop_a_run_nor_its_log(tmp_path)
     assert [line.split(" ", 2)[2] for line in (tmp_path / "log.txt").read_text().splitlines()] == ["a note", "another"]
 
 
-@pytest.mark.parametrize("module", ["typer", "rich", "survey.progress", "geo", "cv2"])
+@pytest.mark.parametrize(
+    "module", ["survey.commands.streams", "dataclasses", "typer", "rich", "survey.progress", "geo", "cv2"]
+)
 def test_ctrl_c_during_an_import_is_one_sentence(tmp_path, module):
     folder = small_survey(tmp_path / "s")
     stop = (
         "import sys\n"
         "class Stop:\n"
         "    def find_spec(self, name, path=None, target=None):\n"
-        f"        if name == {module!r}: raise KeyboardInterrupt\n"
+        f"        if name == {module!r}:\n"
+        "            del sys.meta_path[0]\n"
+        "            raise KeyboardInterrupt\n"
         f"sys.meta_path.insert(0, Stop())\n{MAIN}"
     )
     result = console("check", folder, code=stop, stdout=subprocess.PIPE)

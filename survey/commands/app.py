@@ -1,31 +1,48 @@
 """The entry point of the console command: from arguments to an exit code.
 
-Nothing but the standard library is imported before Ctrl-C, closed streams and broken pipes are taken care of; the
-verbs are in `survey.commands.verbs`.
+Nothing is imported before Ctrl-C, closed streams and broken pipes are taken care of; the verbs are in
+`survey.commands.verbs`.
 """
 
 from __future__ import annotations
 
 import sys
-from pathlib import Path
-
-from survey.commands import streams
-from survey.commands.faults import BAD_INPUT, BROKEN_PIPE, STANDARD_OUTPUT, fault_of, has, refusal_of
 
 
 def main() -> None:
     """Run the verb that the arguments name, and exit with the code that says how it ended."""
-    streams.open_closed()
-    code = _run()
-    error = streams.flush_all()
-    if error is not None and code == 0:
-        code = BROKEN_PIPE if isinstance(error, BrokenPipeError) else BAD_INPUT
-        if code == BAD_INPUT:
-            streams.say_error(refusal_of(error, STANDARD_OUTPUT))
+    try:
+        code = _run()
+    except KeyboardInterrupt:
+        # In the first moments, or for the second time.
+        from survey.commands.faults import STOPPED as code
+        from survey.commands.streams import say_error
+
+        say_error("stopped")
     sys.exit(code)
 
 
 def _run() -> int:
+    from survey.commands import streams
+    from survey.commands.faults import BAD_INPUT, BROKEN_PIPE, STANDARD_OUTPUT, refusal_of
+
+    streams.open_closed()
+    code = _run_verb()
+    error = streams.flush_all()
+    if error is None or code != 0:
+        return code
+    if isinstance(error, BrokenPipeError):
+        return BROKEN_PIPE
+    streams.say_error(refusal_of(error, STANDARD_OUTPUT) or f"{STANDARD_OUTPUT} is broken: {error}")
+    return BAD_INPUT
+
+
+def _run_verb() -> int:
+    from pathlib import Path
+
+    from survey.commands.faults import STANDARD_OUTPUT, fault_of, has
+    from survey.commands.streams import say_error
+
     try:
         from survey.commands.console import Ended
         from survey.commands.verbs import app
@@ -40,5 +57,5 @@ def _run() -> int:
     except BaseException as error:
         # Outside of a verb nothing but the console is written to.
         fault = fault_of(error, Path(STANDARD_OUTPUT))
-    streams.say_error(fault.message)
+    say_error(fault.message)
     return fault.code

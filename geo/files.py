@@ -36,6 +36,7 @@ _MENDS_OF_USE = _MENDS | {
     errno.ENOTDIR: "a part of the path is a file; correct the path",
     errno.EISDIR: "it is a folder; name a file",
 }
+_ONLY_WRITING = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 # Libraries that lose the number of an error on the way (numpy, Pillow): with less room than this, it was the room.
 _NO_ROOM_BYTES = 1 << 20
 
@@ -58,6 +59,8 @@ def refusal(error: OSError, path: str | Path, *, verb: str = "write") -> str | N
     number = error.errno
     if number is None and _is_full(Path(path)):
         number = errno.ENOSPC
+    if number in _ONLY_WRITING:
+        verb = "write"
     mend = (_MENDS if verb == "write" else _MENDS_OF_USE).get(number)
     return None if mend is None else f"cannot {verb} {path}: {mend}"
 

@@ -47,7 +47,8 @@ def write_ply(path: str | Path, points_crs: np.ndarray, *, rgb: np.ndarray, scal
         table[name] = values
     words = {"<f8": "double", "u1": "uchar", "<f4": "float"}
     properties = "".join(f"property {words[kind]} {name}\n" for name, kind in fields)
-    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{properties}end_header\n"
+    head = "ply\nformat binary_little_endian 1.0\ncomment bathynerf\n"
+    header = f"{head}element vertex {len(points)}\n{properties}end_header\n"
     with write_whole(path) as stream:
         stream.write(header.encode())
         stream.write(table.tobytes())

@@ -20,3 +20,7 @@ class PosesError(SurveyError):
 
 class ImageError(SurveyError):
     """An image is missing, damaged or not of the size that its camera has."""
+
+
+class OutputError(SurveyError):
+    """A result must not, or cannot, be written where it was asked for."""

@@ -1,7 +1,7 @@
 """Progress on the console and in the log of a run: named stages with the time left.
 
-On a terminal stages are bars; elsewhere, and in the log, they are plain lines. Together with `survey.commands.app` the
-only place that writes to the console.
+On a terminal stages are bars; elsewhere, and in the log, they are plain lines. Together with `survey.commands` the only
+place that writes to the console.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class Progress:
     Parameters
     ----------
     verbosity : int
-        -1 only warnings, 0 stages and notes, 1 also details.
+        -2 nothing, -1 only warnings, 0 stages and notes, 1 also details.
     log_path : Path, optional
         Gets every line, details and times included, whatever the verbosity. Appended to, so that the log of a
         run that went on after an interruption is complete.
@@ -176,8 +176,14 @@ class Progress:
         self.close()
 
     def _line(self, text: str, *, at_verbosity: float = 0) -> None:
-        if self.verbosity >= at_verbosity:
-            self._console.print(text)
+        if self.verbosity >= at_verbosity and not self._console.quiet:
+            try:
+                self._console.print(text)
+            except BrokenPipeError:
+                raise
+            except OSError:
+                # A full device behind standard error loses lines that nobody reads; the run and its log go on.
+                self._console.quiet = True
         if self._log is not None:
             self._log.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
 

@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import errno
 import io
+import os
 import re
 import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import pytest
 from small_survey import CRS, LEVEL, camera_lines, replaced, small_survey, write_image, write_poses
 from typer.testing import CliRunner
 
-from geo.errors import EmptyCloud
+from geo.errors import EmptyCloud, GeoError
 from survey import progress as progress_room
-from survey.commands.app import app
+from survey.commands.faults import BAD_INPUT as BAD_INPUT_CODE
+from survey.commands.faults import BROKEN_PIPE, OUR_BUG, STOPPED
+from survey.commands.verbs import VERBS, app
 from survey.errors import SurveyError
 from survey.progress import Progress, clock
+from survey.run.process import QUALITY_GATE_FAILED
 
 
 def bathynerf(*arguments):
@@ -110,9 +114,6 @@ def test_bad_input_ends_with_code_2_and_one_sentence_that_names_it_and_the_mend(
     ids=lambda arguments: arguments[0],
 )
 def test_a_path_that_does_not_exist_ends_with_code_2_and_is_named(tmp_path, arguments):
-    module = {"process": "pipeline"}.get(arguments[0], arguments[0])
-    if not (Path(progress_room.__file__).parent / f"{module}.py").is_file():
-        pytest.skip(f"survey.{module} does not exist in this checkout")
     command, *paths = arguments
     result = bathynerf(command, *[p if p.startswith("--") else tmp_path / p for p in paths])
     assert result.exit_code == 2
@@ -129,11 +130,68 @@ def test_check_of_a_good_survey_prints_findings_and_plan_and_ends_with_code_0(tm
         assert words in result.stdout
 
 
-def test_a_quiet_check_prints_only_warnings(tmp_path):
+def test_one_q_leaves_out_the_progress_and_two_the_results_too(monkeypatch):
+    def process(*_args, **_options):
+        progress_room.current().note("a note")
+        progress_room.current().warn("a doubt")
+        return 3
+
+    fake_module(monkeypatch, "survey.run.process", process=process)
+    paths = "s/bathynerf/cloud.las\ns/bathynerf/report.html\n"
+    for options, stdout, stderr in (
+        ((), paths, "a note\nwarning: a doubt\n"),
+        (("-q",), paths, "warning: a doubt\n"),
+        (("-qq",), "", ""),
+    ):
+        result = bathynerf("process", "s", *options)
+        assert (result.exit_code, result.stdout, result.stderr) == (3, stdout, stderr)
+
+
+@pytest.mark.parametrize("quiet", [(), ("-q",), ("-qq",)])
+def test_an_error_is_said_however_quiet_the_command_is(monkeypatch, quiet):
+    fake_module(monkeypatch, "survey.run.process", process=raising(SurveyError("wrong")))
+    assert bathynerf("process", "s", *quiet).stderr == "error: wrong\n"
+
+
+def test_a_quiet_check_and_comparison_still_print_what_they_found(monkeypatch, tmp_path):
     folder = small_survey(tmp_path / "s")
-    assert bathynerf("check", folder, "-q").stdout == ""
-    write_image(folder / "images" / "more.jpg")
-    assert bathynerf("check", folder, "-q").stdout == "Warnings\n  -  1 image without a pose, left out: more.jpg\n"
+    assert bathynerf("check", folder, "-q").stdout == bathynerf("check", folder).stdout
+    assert bathynerf("check", folder, "-qq").stdout == ""
+    options = SimpleNamespace(CompareOptions=SimpleNamespace, compare_files=lambda *_, **__: {"n_points": 12})
+    fake_module(monkeypatch, "survey.compare.comparison", **vars(options))
+    assert bathynerf("compare", "c.las", "r.ply", "-q").stdout == "n points  12\n"
+    assert bathynerf("compare", "c.las", "r.ply", "-qq").stdout == ""
+
+
+@pytest.mark.parametrize("width", [60, 80])
+@pytest.mark.parametrize("verb", [None, *(verb.__name__.rpartition(".")[2] for verb in VERBS)])
+def test_every_page_of_help_has_an_example_and_breaks_no_word(verb, width, monkeypatch, capsys):
+    def page(columns: int) -> str:
+        monkeypatch.setenv("COLUMNS", str(columns))
+        app([verb, "--help"] if verb else ["--help"], standalone_mode=False, prog_name="bathynerf")
+        return capsys.readouterr().out
+
+    narrow = page(width)
+    assert max(map(len, narrow.splitlines())) <= width
+    # The same words, however the lines are broken.
+    assert sorted(narrow.split()) == sorted(page(200).split())
+    examples = re.findall(r"^    bathynerf (.*)", narrow.partition("Examples:\n")[2].replace("\\\n", ""), re.MULTILINE)
+    assert examples
+    for example in examples:
+        name, *words = example.split()
+        assert verb in (None, name)
+        for option in (word for word in words if word.startswith("-")):
+            assert re.search(rf"(^|\W){option}\b", narrow), f"{option} is not explained"
+
+
+def test_units_in_brackets_are_shown():
+    assert "this level [m]" in bathynerf("waterline", "--help").stdout
+    assert "F-score [m]" in bathynerf("compare", "--help").stdout
+
+
+def test_help_lists_the_exit_codes():
+    listed = re.findall(r"^    (\d+) ", bathynerf("--help").stdout, re.MULTILINE)
+    assert [int(code) for code in listed] == [0, OUR_BUG, BAD_INPUT_CODE, QUALITY_GATE_FAILED, STOPPED, BROKEN_PIPE]
 
 
 def test_help_version_and_errors_come_before_anything_slow_is_imported(tmp_path):
@@ -246,6 +304,11 @@ def test_compare_hands_its_options_on_and_prints_the_numbers_with_their_units(mo
     assert calls == [(Path("c.las"), Path("r.ply"), options)]
 
 
+def caused_by(error: Exception, cause: BaseException) -> Exception:
+    error.__cause__ = cause
+    return error
+
+
 def raising(error):
     def process(*_args, **_options):
         raise error
@@ -258,13 +321,29 @@ def raising(error):
     [
         (SurveyError("a survey is wrong; mend it"), 2, "a survey is wrong; mend it"),
         (EmptyCloud("cloud.las has no points"), 2, "cloud.las has no points"),
-        (OSError(errno.ENOSPC, "No space left on device"), 2, "no room left on the disk to write run;"),
-        (OSError(errno.ENOSPC, "No space left", "run/a.npy"), 2, "no room left on the disk to write run/a.npy;"),
-        (PermissionError(errno.EACCES, "Permission denied", "run/log"), 2, "no permission to use run/log"),
-        (FileNotFoundError(errno.ENOENT, "No such file", "r.ply"), 2, "r.ply cannot be used (No such file)"),
+        (OSError(errno.ENOSPC, "No space left on device"), 2, "cannot write run: no room is left on the disk"),
+        (OSError(errno.ENOSPC, "No space left", "run/a.npy"), 2, "cannot write run/a.npy: no room is left on the disk"),
+        (RuntimeError("database or disk is full"), 2, "cannot write run: no room is left on the disk"),
+        (PermissionError(errno.EACCES, "Permission denied", "run/log"), 2, "cannot use run/log: permission is denied"),
+        (FileNotFoundError(errno.ENOENT, "No such file", "r.ply"), 2, "cannot use r.ply: it does not exist"),
+        (OSError(errno.EIO, "Input/output error"), 2, "the disk reports a fault"),
+        (MemoryError(), 2, "memory ran out; take --quality draft"),
+        (
+            RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 8 bytes"),
+            2,
+            "memory ran out",
+        ),
+        (RuntimeError("jit_malloc(): out of memory! Could not allocate 8 bytes"), 2, "memory ran out"),
+        (RuntimeError("OpenCV(4.9) (-4:Insufficient memory) Failed to allocate 8 bytes"), 2, "memory ran out"),
+        (RuntimeError("bad allocation"), 2, "memory ran out"),
+        (ImportError("libtorch_cpu.so: failed to map segment from shared object"), 2, "memory ran out"),
+        (ImportError("x.so: failed to map segment from shared object: Operation not permitted"), 1, "a fault of"),
+        (OSError(errno.ENOMEM, "Cannot allocate memory", "torch"), 2, "memory ran out"),
+        (caused_by(GeoError("c.las is damaged"), MemoryError()), 2, "memory ran out"),
+        (caused_by(ImportError("numpy failed"), KeyboardInterrupt()), 130, "stopped; what was finished is kept"),
         (KeyboardInterrupt(), 130, "stopped; what was finished is kept"),
         (RuntimeError("no such tile"), 1, "RuntimeError: no such tile; a fault of bathynerf, -v shows where"),
-        (OSError(errno.EIO, "Input/output error"), 1, "Input/output error"),
+        (OSError(errno.EINVAL, "Invalid argument"), 1, "OSError: [Errno 22] Invalid argument; a fault of bathynerf"),
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else None,
 )
@@ -301,10 +380,7 @@ def test_a_full_disk_under_the_log_does_not_hide_the_error(monkeypatch):
     fake_module(monkeypatch, "survey.run.process", process=process)
     result = bathynerf("process", "s", "-o", "run", "-q")
     assert result.exit_code == 2
-    assert result.stderr == (
-        "error: no room left on the disk to write run; free some and give the same command again; "
-        "what was finished is kept\n"
-    )
+    assert result.stderr == ("error: cannot write run: no room is left on the disk; free some or write elsewhere\n")
 
 
 def test_stages_are_plain_lines_with_the_time_left_where_there_is_no_terminal(monkeypatch, tmp_path):
@@ -352,3 +428,76 @@ def test_a_quiet_run_says_only_warnings():
 )
 def test_durations_are_for_people(seconds, text):
     assert clock(seconds) == text
+
+
+MAIN = "import sys; from survey.commands.app import main; sys.argv[0] = 'bathynerf'; main()"
+
+
+def console(*arguments, code: str = MAIN, **options) -> subprocess.CompletedProcess:
+    """The command line in a process of its own, as a shell would start it."""
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    return subprocess.run(command, stderr=subprocess.PIPE, text=True, check=False, **options)
+
+
+@pytest.mark.parametrize("arguments", [("--help",), ("check", "{survey}")], ids=lambda arguments: arguments[0])
+def test_a_pipe_whose_reader_has_gone_ends_the_command_without_a_word(tmp_path, arguments):
+    folder = small_survey(tmp_path / "s")
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        result = console(*(word.format(survey=folder) for word in arguments), stdout=writer)
+    finally:
+        os.close(writer)
+    assert (result.returncode, result.stderr) == (BROKEN_PIPE, "")
+
+
+@pytest.mark.parametrize("arguments", [("--help",), ("check", "{survey}")], ids=lambda arguments: arguments[0])
+def test_a_full_device_behind_standard_output_is_said_in_one_sentence(tmp_path, arguments):
+    if not Path("/dev/full").exists():
+        pytest.skip("this system has no device that is always full")
+    folder = small_survey(tmp_path / "s")
+    with Path("/dev/full").open("w") as full:
+        result = console(*(word.format(survey=folder) for word in arguments), stdout=full)
+    assert result.stderr == (
+        "error: cannot write standard output: no room is left on the disk; free some or write elsewhere\n"
+    )
+    assert result.returncode == BAD_INPUT_CODE
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&- <&-"])
+def test_closed_standard_streams_do_not_stop_a_command(tmp_path, closed):
+    folder = small_survey(tmp_path / "s")
+    command = ["sh", "-c", f'exec "$0" "$@" {closed}', sys.executable, "-c", MAIN, "check", str(folder)]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert ("Found" in result.stdout) == (closed == "2>&-")
+
+
+class FullDevice(io.StringIO):
+    def write(self, _text):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_standard_error_that_is_full_does_not_stop_a_run_nor_its_log(tmp_path):
+    with Progress(stream=FullDevice(), log_path=tmp_path / "log.txt") as progress:
+        progress.note("a note")
+        progress.note("another")
+    assert [line.split(" ", 2)[2] for line in (tmp_path / "log.txt").read_text().splitlines()] == ["a note", "another"]
+
+
+@pytest.mark.parametrize(
+    "module", ["survey.commands.streams", "dataclasses", "typer", "rich", "survey.progress", "geo", "cv2"]
+)
+def test_ctrl_c_during_an_import_is_one_sentence(tmp_path, module):
+    folder = small_survey(tmp_path / "s")
+    stop = (
+        "import sys\n"
+        "class Stop:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        f"        if name == {module!r}:\n"
+        "            del sys.meta_path[0]\n"
+        "            raise KeyboardInterrupt\n"
+        f"sys.meta_path.insert(0, Stop())\n{MAIN}"
+    )
+    result = console("check", folder, code=stop, stdout=subprocess.PIPE)
+    assert (result.returncode, result.stdout, result.stderr) == (STOPPED, "", "error: stopped\n")

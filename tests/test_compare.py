@@ -17,6 +17,7 @@ from geo.errors import CRSMismatch, EmptyCloud, GeoError, PlaceMismatch, Unreada
 from survey.compare.comparison import CompareOptions, compare_files, compare_surfaces
 from survey.compare.inputs import CompareError
 from survey.compare.pictures import completeness_map, error_map, histogram
+from survey.errors import OutputError
 
 # Six standard deviations of a share of that many samples.
 SAMPLING = 6 * 0.5 / NUM_SAMPLES**0.5
@@ -143,6 +144,7 @@ def test_the_same_files_give_the_same_numbers(tmp_path, cloud, plane):
 
 
 def test_json_is_written_whole_with_all_promised_keys(tmp_path, cloud, plane):
+    (tmp_path / "new").mkdir()
     path = tmp_path / "new" / "numbers.json"
     numbers = compare_files(cloud, plane, options=CompareOptions(json_path=path, visible=plane))
     read = json.loads(path.read_text())
@@ -267,12 +269,22 @@ def test_a_reference_without_area_is_refused(tmp_path, cloud):
 
 
 def test_a_place_for_results_that_cannot_be_is_refused_before_anything_is_computed(tmp_path, cloud, plane):
-    for options in (
-        CompareOptions(report_dir=cloud),
-        CompareOptions(json_path=cloud / "numbers.json"),
+    before = cloud.read_bytes()
+    for options, words in (
+        (CompareOptions(report_dir=cloud), "which is a file; name another folder"),
+        (CompareOptions(json_path=cloud / "numbers.json"), "whose folder is a file"),
+        (CompareOptions(json_path=tmp_path / "no" / "deep" / "numbers.json"), "whose folder does not exist"),
+        (CompareOptions(json_path=cloud), "would overwrite the input"),
+        (CompareOptions(json_path=plane), "would overwrite the input"),
+        (CompareOptions(json_path=tmp_path / "visible.ply", visible=tmp_path / "visible.ply"), "would overwrite"),
+        (CompareOptions(json_path=tmp_path / "k.csv", checkpoints=tmp_path / "k.csv"), "would overwrite the input"),
     ):
-        with pytest.raises(CompareError, match=r"cloud.las cannot be a folder, because a file is in the way"):
+        for path in (options.visible, options.checkpoints):
+            if path is not None:
+                path.touch()
+        with pytest.raises(OutputError, match=words):
             compare_files(cloud, plane, options=options)
+    assert cloud.read_bytes() == before
 
 
 def test_every_refusal_is_an_input_error_of_the_command_line(tmp_path, cloud, plane):

@@ -8,8 +8,7 @@ from small_bed import plane_bed
 from small_survey import small_survey
 
 from geo import read_cloud, read_reference
-from geo.errors import GeoError
-from survey.errors import SurveyError
+from survey.errors import OutputError, SurveyError
 from survey.folder.survey import load_survey
 from survey.run.export import export
 from survey.run.folder import RunDir
@@ -92,8 +91,39 @@ def test_a_name_that_ends_otherwise_than_its_format_is_refused_before_anything_i
 
 
 def test_a_target_folder_that_does_not_exist_is_named(run_folder, tmp_path):
-    with pytest.raises(GeoError, match=r"cannot write .*missing/out\.las: its folder does not exist"):
+    with pytest.raises(OutputError, match=r"--las names .*missing/out\.las, whose folder does not exist"):
         export(run_folder, las=tmp_path / "missing" / "out.las")
+
+
+@pytest.mark.parametrize("suffix", ["las", "laz", "ply"])
+def test_an_earlier_export_is_replaced_and_nothing_else(run_folder, tmp_path, suffix):
+    path = tmp_path / f"out.{suffix}"
+    export(run_folder, **{suffix: path})
+    first = path.read_bytes()
+    path.write_bytes(first[:2000])
+    export(run_folder, **{suffix: path})
+    assert len(path.read_bytes()) == len(first)
+    # A reference of the same format, and a file that only has the name.
+    foreign = {"ply": b"ply\nformat ascii 1.0\nelement vertex 0\nend_header\n"}
+    for content in (foreign.get(suffix, b"LASF" + bytes(300)), b"bathynerf"):
+        path.write_bytes(content)
+        with pytest.raises(OutputError, match=rf"--{suffix} names .*out.*, which exists and is not a cloud"):
+            export(run_folder, **{suffix: path})
+        assert path.read_bytes() == content
+        assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_the_run_itself_needs_is_not_overwritten(stored, tmp_path):
+    with RunDir(tmp_path / "run") as run:
+        folder = run.open_stage("bed")
+        save_bed(folder, stored)
+        run.finish_stage("bed", "key", folder)
+    export(run.path, las=tmp_path / "a.las")
+    run.cloud_path.write_bytes((tmp_path / "a.las").read_bytes())
+    (tmp_path / "link.las").symlink_to(run.cloud_path)
+    for path in (run.cloud_path, tmp_path / "link.las"):
+        with pytest.raises(OutputError, match=r"would overwrite the input .*run/cloud\.las"):
+            export(run.path, las=path)
 
 
 def test_what_is_no_run_is_refused(tmp_path):

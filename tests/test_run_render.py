@@ -14,7 +14,7 @@ from fields.device import choose_device
 from fields.slab.train import FieldFigures
 from geo.frames import LocalFrame
 from refract import FlatWater
-from survey.errors import SurveyError
+from survey.errors import OutputError, SurveyError
 from survey.folder.config import CamerasConfig, SurveyConfig, dump_config
 from survey.progress import Progress
 from survey.run.folder import RunDir
@@ -97,6 +97,35 @@ def test_a_run_without_a_field_is_told_how_to_get_one(tmp_path):
         pass
     with pytest.raises(SurveyError, match="has no field to render; give `bathynerf process` again with --field on"):
         render(tmp_path / "run", poses(tmp_path, ABOVE), tmp_path)
+
+
+def test_a_photograph_is_not_overwritten_by_the_picture_of_its_camera(run, tmp_path):
+    views = tmp_path / "views"
+    render(run, poses(tmp_path, ABOVE), views, device="cpu")
+    render(run, poses(tmp_path, ABOVE), views, device="cpu", dry=True)
+    Image.new("RGB", (40, 30)).save(views / "nadir.png")
+    before = (views / "nadir.png").read_bytes()
+    with pytest.raises(
+        OutputError, match=r"-o names .*nadir\.png, which exists and is not a picture that render wrote"
+    ):
+        render(run, poses(tmp_path, ABOVE), views, device="cpu")
+    assert (views / "nadir.png").read_bytes() == before
+
+
+@pytest.mark.parametrize("place", ["images", "images/views", "run/stages/field", "run/pictures"])
+def test_pictures_do_not_go_among_photographs_nor_into_the_run_s_own_folders(run, tmp_path, place):
+    (tmp_path / "survey.toml").write_text('crs = "EPSG:25832+5783"')
+    (tmp_path / "images").mkdir()
+    with pytest.raises(OutputError, match="whose files are read; name a folder elsewhere"):
+        render(run, poses(tmp_path, ABOVE), tmp_path / place, device="cpu")
+    assert not list((tmp_path / "images").iterdir())
+
+
+def test_a_camera_with_the_path_of_a_photograph_does_not_leave_the_folder(run, tmp_path):
+    for name in ("../nadir.jpg", str(tmp_path / "nadir.jpg")):
+        with pytest.raises(OutputError, match=rf"the camera {name} in .*cameras\.csv would be written outside of"):
+            render(run, poses(tmp_path, ABOVE.replace("nadir.jpg", name)), tmp_path / "views", device="cpu")
+    assert not (tmp_path / "nadir.png").exists()
 
 
 def test_poses_off_the_map_are_refused(run, tmp_path):

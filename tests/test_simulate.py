@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 from geo import read_reference
 from refract import FlatWater
 from refract.lens import Lens, distorted, undistorted
-from survey.commands.app import app
-from survey.errors import SurveyError
+from survey.commands.verbs import app
+from survey.errors import OutputError, SurveyError
 from survey.folder.config import read_config
 from survey.folder.survey import load_image, load_survey
 from survey.simulate.ground.ground import NOTHING, Ground, Look, shade_of_normals
@@ -30,7 +30,7 @@ from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.scene_file import read_scene
 from survey.simulate.sensor import Sensor
 from survey.simulate.staging.planning import plan_scene
-from survey.simulate.staging.simulate import simulate
+from survey.simulate.staging.simulate import simulate, simulate_flight
 from survey.simulate.staging.stage import light_of, stage_scene
 from survey.simulate.watercolour import WaterColour
 
@@ -164,6 +164,29 @@ def test_the_verb_simulates_plans_and_refuses(tmp_path):
     run = CliRunner().invoke(app, ["simulate", str(path), "-o", str(tmp_path / "plan")])
     assert run.exit_code == 2
     assert "not simulated here" in run.stderr
+
+
+def test_a_flight_is_not_planned_over_the_cameras_of_a_survey(survey, tmp_path):
+    path = scene_file(tmp_path)
+    simulate_flight(path, tmp_path / "plan")
+    simulate_flight(path, tmp_path / "plan")
+    before = (survey / "cameras.csv").read_bytes()
+    with pytest.raises(OutputError, match=r"has images and is no flight made by --flight-only; name a new or empty"):
+        simulate_flight(path, survey)
+    assert (survey / "cameras.csv").read_bytes() == before
+    (tmp_path / "plan" / "flight.png").unlink()
+    with pytest.raises(OutputError, match=r"has cameras\.csv and is no flight"):
+        simulate_flight(path, tmp_path / "plan")
+
+
+@pytest.mark.parametrize("make", [simulate, simulate_flight])
+def test_a_scene_does_not_replace_the_survey_that_its_bed_comes_from(survey, tmp_path, make):
+    bed = survey / "truth" / "reference.ply"
+    before = bed.read_bytes()
+    path = scene_file(tmp_path, kind=f'kind = "mesh"\nfile = "{bed}"')
+    with pytest.raises(OutputError, match=r"-o names .*survey, which holds the input .*reference\.ply; move that"):
+        make(path, survey)
+    assert bed.read_bytes() == before
 
 
 def test_rays_meet_any_mesh_where_they_meet_the_same_bed_as_a_grid(rng):

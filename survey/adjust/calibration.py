@@ -15,8 +15,10 @@ from survey.adjust.water import LENS_STD_PX, POSE_STD_DEG, POSE_STD_M, water_fro
 from survey.adjust.water_estimate import WaterEstimate
 from survey.errors import SurveyError
 from survey.folder.config import WaterConfig
+from survey.folder.inputs import survey_inputs
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey, load_survey
+from survey.outputs import is_json, require_file
 from survey.plan.block import camera_of, limits, load_block
 from survey.plan.plan import make_plan
 from survey.progress import current
@@ -49,9 +51,10 @@ def estimate_water(
     Raises
     ------
     SurveyError, GeoError
-        Where the survey cannot be used, or its photographs do not match.
+        Where the survey cannot be used, its photographs do not match, or the file cannot be written.
     """
     progress = current()
+    require_file("--json", json_path, survey_inputs(Path(folder)), kind="a JSON file", is_of_kind=is_json)
     survey = load_survey(folder, report=progress.note)
     if survey.water is None:
         raise SurveyError("a dry survey has no water to estimate; give [water] level_m to start from")

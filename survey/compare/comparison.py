@@ -12,11 +12,11 @@ from evaluation.bootstrap import LEVEL, NUM_DRAWS
 from evaluation.bootstrap import SEED as SEED_OF_DRAWS
 from evaluation.completeness import SEED
 from geo import Mesh
+from geo.files import disk_refusals
 from survey.compare import measure
 from survey.compare.checkpoints import checkpoint_accuracy, read_checkpoints
 from survey.compare.inputs import (
     Bounds,
-    CompareError,
     Inputs,
     load_inputs,
     metres_in_crs,
@@ -24,7 +24,7 @@ from survey.compare.inputs import (
     vertices_of,
     within,
 )
-from survey.compare.options import CompareOptions, check_options, outlier_filter
+from survey.compare.options import CompareOptions, check_options, check_outputs, outlier_filter
 from survey.compare.pictures import write_report
 from survey.compare.result import Comparison
 from survey.json_values import plain, write_json
@@ -56,13 +56,14 @@ def compare_files(cloud: Path, reference: Path, *, options: CompareOptions | Non
         If a file or an option cannot be used; see `survey.compare.inputs.load_inputs`.
     """
     options = options or CompareOptions()
-    for folder in (options.json_path and Path(options.json_path).parent, options.report_dir):
-        if folder is not None:
-            _make_folder(Path(folder))
+    check_outputs(options, cloud, reference)
     comparison = compare_surfaces(cloud, reference, options)
     if options.report_dir is not None:
         with current().stage("Pictures"):
-            write_report(comparison, Path(options.report_dir))
+            folder = Path(options.report_dir)
+            with disk_refusals(folder):
+                folder.mkdir(parents=True, exist_ok=True)
+            write_report(comparison, folder)
     if options.json_path is not None:
         write_json(options.json_path, comparison.numbers)
     return comparison.numbers
@@ -156,14 +157,6 @@ def _without_outliers(
         f"{neighbours} neighbours over its mean plus {num_std:g} standard deviations)"
     )
     return replace(inputs, inside=inputs.inside & is_left), is_left
-
-
-def _make_folder(folder: Path) -> None:
-    """Before anything is computed, so that a wrong path costs no time."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except (FileExistsError, NotADirectoryError) as error:
-        raise CompareError(f"{folder} cannot be a folder, because a file is in the way; name another one") from error
 
 
 def _note_extent(inputs: Inputs, bounds: Bounds | None, path: Path, notes: list[str]) -> None:

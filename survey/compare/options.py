@@ -1,4 +1,4 @@
-"""How a cloud is compared: what the options of `bathynerf compare` mean, and which of them cannot be meant."""
+"""How a cloud is compared: what the options of `bathynerf compare` mean, and which values are refused."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 
 from evaluation.c2m import Sign
 from survey.compare.inputs import Bounds, CompareError, check_bounds
+from survey.outputs import Inputs, is_json, require_file, require_folder
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class CompareOptions:
 
 
 def check_options(options: CompareOptions) -> None:
-    """Raise CompareError where an option cannot be meant or needs what is not installed."""
+    """Raise CompareError where the value of an option makes no sense, or it needs what is not installed."""
     if not options.tolerances_m:
         raise CompareError("--tolerance has no value, expected at least one in metres, e.g. 0.2")
     for tolerance in options.tolerances_m:
@@ -69,6 +70,15 @@ def check_options(options: CompareOptions) -> None:
         _require_length("--m3c2", options.m3c2_radius_m, "0.5")
         if importlib.util.find_spec("py4dgeo") is None:
             raise CompareError("--m3c2 needs py4dgeo, which is not installed: pip install 'bathynerf[m3c2]'")
+
+
+def check_outputs(options: CompareOptions, cloud: Path, reference: Path) -> None:
+    """Raise OutputError where the numbers or the pictures must not, or cannot, be written; see `survey.outputs`."""
+    given = (cloud, reference, options.visible, options.checkpoints)
+    inputs = Inputs.of(*(Path(path) for path in given if path is not None))
+    json_path, report_dir = (path and Path(path) for path in (options.json_path, options.report_dir))
+    require_file("--json", json_path, inputs, kind="a JSON file", is_of_kind=is_json)
+    require_folder("--report", report_dir, inputs, may_hold_inputs=True)
 
 
 def outlier_filter(text: str) -> tuple[int, float]:

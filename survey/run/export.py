@@ -10,12 +10,15 @@ import numpy as np
 from geo.las import write_cloud
 from geo.ply import write_ply
 from survey.errors import SurveyError
+from survey.outputs import require_file
 from survey.progress import current
 from survey.run.folder import RunDir
 from survey.run.stored import StoredBed, load_bed
 
 # The stage whose folder holds the cloud.
 BED_STAGE = "bed"
+# Where the header of LAS says which system made it.
+_LAS_SYSTEM = slice(26, 58)
 
 
 def export(run: Path, *, las: Path | None = None, laz: Path | None = None, ply: Path | None = None) -> list[Path]:
@@ -40,6 +43,9 @@ def export(run: Path, *, las: Path | None = None, laz: Path | None = None, ply: 
     SurveyError
         If nothing is asked for, a name does not end as its format does, the folder is no run, or the run has
         not come as far as the cloud.
+    OutputError
+        If a file must not be written, see `survey.outputs`: a file that is there is replaced only where bathynerf
+        wrote it.
     GeoError
         If a file cannot be written.
     """
@@ -51,6 +57,9 @@ def export(run: Path, *, las: Path | None = None, laz: Path | None = None, ply: 
         _require_suffix(path, suffix)
     folder = RunDir(run)
     folder.require_run()
+    for suffix, path in wanted.items():
+        option = suffix.replace(".", "--")
+        require_file(option, path, folder.inputs(), kind="a cloud that bathynerf wrote", is_of_kind=is_our_cloud)
     stored = load_bed(folder.load_stage(BED_STAGE))
     folder.warn_if_unfinished()
     writers: dict[str, Callable[[Path, StoredBed], None]] = {".ply": write_bed_ply}
@@ -87,6 +96,13 @@ def write_bed_ply(path: Path, stored: StoredBed) -> None:
         "incidence_deg": np.degrees(bed.incidence),
     }
     write_ply(path, stored.points_crs, rgb=bed.rgb, scalars=scalars)
+
+
+def is_our_cloud(head: bytes) -> bool:
+    """Whether a file that begins so is a cloud that bathynerf wrote."""
+    if head.startswith(b"LASF"):
+        return head[_LAS_SYSTEM].startswith(b"bathynerf")
+    return head.startswith(b"ply\n") and b"\ncomment bathynerf\n" in head
 
 
 def _require_suffix(path: Path, suffix: str) -> None:

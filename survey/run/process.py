@@ -17,7 +17,9 @@ from typing import TYPE_CHECKING
 
 from survey.errors import SurveyError
 from survey.folder.config import dump_config
+from survey.folder.inputs import survey_inputs
 from survey.folder.survey import Survey, load_survey
+from survey.outputs import Inputs, require_folder
 from survey.plan.check import require_processable
 from survey.plan.plan import Plan, make_plan
 from survey.plan.workload import require_room, workload_of
@@ -82,6 +84,7 @@ def process(
     for name, path in (("--reference", reference), ("--visible", visible)):
         if path is not None and not path.exists():
             raise SurveyError(f"{name} {path} does not exist; give the path of a PLY, OBJ, LAS or LAZ file")
+    require_folder("-o", run_folder, survey_inputs(survey_folder) + Inputs.of(reference, visible))
     checked = require_processable(survey_folder)
     if true_colour and checked.found.config.water is None:
         raise SurveyError(
@@ -135,8 +138,7 @@ def _to_the_end(
             done[stage.name] = run_stage(stage, job, run, done, resume=resume)
     verdict = _write_result(result, job, timings, done, reference, visible)
     run.publish(result, quality=job.plan.quality, stages=done)
-    job.progress.note(f"cloud: {run.cloud_path}")
-    job.progress.note(f"report: {run.report_html_path}")
+    job.progress.detail(f"report: {run.report_html_path}")
     for gate in verdict.gates:
         if not gate.passed:
             job.progress.warn(f"quality gate: {gate.sentence}; all outputs are written")

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from fields.device import choose_device
 from fields.slab.novel_view import NovelView, render_view
-from geo.files import write_whole
+from geo.files import disk_refusals, write_whole
 from geo.frames import LocalFrame
 from refract import PinholeCamera
 from refract.lens import Lens
-from survey.errors import SurveyError
+from survey.errors import FILE_NAME, ConfigError, OutputError, SurveyError
 from survey.folder.config import CamerasConfig, SurveyConfig, read_config
+from survey.folder.inputs import poses_inputs, survey_inputs
 from survey.folder.lens import lens_from_config
+from survey.outputs import Inputs, require_file, require_folder
 from survey.photos.cameras import Pose
 from survey.photos.formats import read_poses
 from survey.progress import current
@@ -23,6 +27,10 @@ from survey.run.folder import RunDir
 from survey.run.stored_field import load_field, load_place
 
 FIELD_STAGE = "field"
+# In the order of the layers that `write_view` makes.
+_ENDINGS = (".png", "_normal.png", "_height.tif", "_distance.tif")
+# By which render knows its own pictures.
+_SOFTWARE = "bathynerf render"
 
 
 def render(run: Path, cameras: Path, output: Path, *, dry: bool = False, device: str = "auto") -> list[Path]:
@@ -53,13 +61,21 @@ def render(run: Path, cameras: Path, output: Path, *, dry: bool = False, device:
     ------
     SurveyError, GeoError
         If the run has no field, or the cameras are unusable.
+    OutputError
+        If the pictures must not be written there, see `survey.outputs`: a picture that is there is replaced only where
+        render wrote it.
     """
     folder = RunDir(run)
     folder.require_run()
+    inputs = _inputs(folder, cameras)
+    require_folder("-o", output, inputs, may_hold_inputs=True)
     stage_folder = _field_folder(folder)
     folder.warn_if_unfinished()
     frame, water = load_place(stage_folder)
     posed = _cameras(read_poses(cameras), cameras, frame, read_config(folder.settings_path))
+    stems = {name: _stem(output, name, cameras) for name in posed}
+    for picture in (path for stem in stems.values() for path in _pictures(stem) if path.exists()):
+        require_file("-o", picture, inputs, kind="a picture that render wrote", is_of_kind=is_our_picture)
     field = load_field(stage_folder, choose_device(device))
     written, empty = [], []
     with current().stage("Render", len(posed)) as stage:
@@ -67,11 +83,24 @@ def render(run: Path, cameras: Path, output: Path, *, dry: bool = False, device:
             view = render_view(field, camera, water, dry=dry)
             if not view.seen.any():
                 empty.append(name)
-            written.append(write_view(output / Path(name).with_suffix(""), view))
+            written.append(write_view(stems[name], view))
             stage.advance()
     if empty:
         current().warn(f"{len(empty)} of {len(posed)} cameras do not look at the field: {', '.join(empty[:5])}")
     return written
+
+
+def _inputs(folder: RunDir, cameras: Path) -> Inputs:
+    """What is read, and the photographs of the surveys in whose folders the run and the cameras lie."""
+    inputs = folder.inputs()
+    if cameras.exists():
+        inputs += poses_inputs(cameras)
+    for place in {folder.path.absolute().parent, cameras.absolute().parent}:
+        if (place / FILE_NAME).is_file():
+            # A survey that cannot be read is not needed either: the run has its own settings.
+            with suppress(ConfigError):
+                inputs += survey_inputs(place)
+    return inputs
 
 
 def _field_folder(folder: RunDir) -> Path:
@@ -120,18 +149,37 @@ def _lens(config: CamerasConfig, path: Path) -> Lens:
     return lens_from_config(config, {}, [])
 
 
+def is_our_picture(head: bytes) -> bool:
+    """Whether a file that begins so is a picture that `write_view` wrote."""
+    return _SOFTWARE.encode() in head
+
+
+def _stem(output: Path, name: str, path: Path) -> Path:
+    """Where the pictures of a camera go: below the folder, whatever the camera is called."""
+    stem = output / Path(name).with_suffix("")
+    if not stem.resolve().is_relative_to(output.resolve()):
+        raise OutputError(f"the camera {name} in {path} would be written outside of {output}; rename it")
+    return stem
+
+
+def _pictures(stem: Path) -> list[Path]:
+    return [stem.with_name(stem.name + ending) for ending in _ENDINGS]
+
+
 def write_view(stem: Path, view: NovelView) -> Path:
     """Write the pictures of a view under names that begin with `stem`; the path of the colours."""
-    stem.parent.mkdir(parents=True, exist_ok=True)
+    with disk_refusals(stem.parent):
+        stem.parent.mkdir(parents=True, exist_ok=True)
     alpha = 255 * view.seen.astype(np.uint8)
     tilt = np.nan_to_num(np.round(127.5 * (view.normal + 1.0)), nan=0.0).astype(np.uint8)
-    pictures = {
-        ".png": np.dstack([view.rgb, alpha]),
-        "_normal.png": np.dstack([tilt, alpha]),
-        "_height.tif": view.bed_height,
-        "_distance.tif": view.distance,
-    }
-    for ending, pixels in pictures.items():
-        with write_whole(stem.with_name(stem.name + ending)) as stream:
-            Image.fromarray(pixels).save(stream, "PNG" if ending.endswith("png") else "TIFF")
-    return stem.with_name(stem.name + ".png")
+    layers = (np.dstack([view.rgb, alpha]), np.dstack([tilt, alpha]), view.bed_height, view.distance)
+    mark = PngInfo()
+    mark.add_text("Software", _SOFTWARE)
+    paths = _pictures(stem)
+    for path, pixels in zip(paths, layers, strict=True):
+        with write_whole(path) as stream:
+            if path.suffix == ".png":
+                Image.fromarray(pixels).save(stream, "PNG", pnginfo=mark)
+            else:
+                Image.fromarray(pixels).save(stream, "TIFF", software=_SOFTWARE)
+    return paths[0]

@@ -79,13 +79,18 @@ def plan_scene(settings: SceneSettings, folder: Path) -> Plan:
     return Plan(settings, folder, frame, level, lens, site, bed, cameras)
 
 
-def marks_of(settings: SceneSettings, folder: Path) -> dict:
-    """All that a scene is made of, as JSON can hold it: its settings, and a hash of every file that they name."""
+def files_of(settings: SceneSettings) -> list[str]:
+    """The files that a scene file names."""
     files = [settings.bed.file, settings.texture.file, *(o.file for o in settings.objects)]
     if settings.water is not None:
         files.append(settings.water.heights)
+    return [name for name in files if name]
+
+
+def marks_of(settings: SceneSettings, folder: Path) -> dict:
+    """All that a scene is made of, as JSON can hold it: its settings, and a hash of every file that they name."""
     hashes = {}
-    for name in filter(None, files):
+    for name in files_of(settings):
         path = folder / name
         if not path.is_file():
             raise SurveyError(f"{path} is named in the scene file but does not exist; correct the path")

@@ -6,14 +6,19 @@ import dataclasses
 from pathlib import Path
 
 from geo import write_whole
+from survey.errors import OutputError
+from survey.outputs import Inputs, require_folder
 from survey.progress import current
 from survey.simulate.flight.coverage import Coverage, coverage
 from survey.simulate.flight.picture import picture
 from survey.simulate.output.sidecars import cameras_csv
 from survey.simulate.output.writing import write_survey
 from survey.simulate.scene_file import SceneSettings, read_scene
-from survey.simulate.staging.planning import Plan, marks_of, plan_scene
+from survey.simulate.staging.planning import Plan, files_of, marks_of, plan_scene
 from survey.simulate.staging.stage import stage_scene
+
+# What --flight-only writes.
+_FLIGHT = ("cameras.csv", "flight.png")
 
 
 def simulate(path: Path, output: Path, *, mode: str | None = None, preview: bool = False, again: bool = False) -> None:
@@ -38,6 +43,7 @@ def simulate(path: Path, output: Path, *, mode: str | None = None, preview: bool
         If the scene cannot be simulated, or the folder holds something else.
     """
     settings = _changed(read_scene(path), mode, preview)
+    _require_output(output, path, settings)
     plan = plan_scene(settings, path.parent)
     _say_of(plan, coverage(plan.cameras, plan.site))
     marks = marks_of(settings, path.parent)
@@ -46,15 +52,34 @@ def simulate(path: Path, output: Path, *, mode: str | None = None, preview: bool
 
 def simulate_flight(path: Path, output: Path) -> None:
     """Write the flight of a scene file: cameras.csv, and flight.png with what it sees of the bed."""
-    plan = plan_scene(read_scene(path), path.parent)
+    settings = read_scene(path)
+    _require_output(output, path, settings)
+    _require_flight_or_empty(output)
+    plan = plan_scene(settings, path.parent)
     cover = coverage(plan.cameras, plan.site)
     _say_of(plan, cover)
     output.mkdir(parents=True, exist_ok=True)
     names = [f"{k:04d}.jpg" for k in range(len(plan.cameras))]
-    with write_whole(output / "cameras.csv") as stream:
+    table, drawing = (output / name for name in _FLIGHT)
+    with write_whole(table) as stream:
         stream.write(cameras_csv(names, plan.cameras, plan.frame).encode("utf-8"))
-    with write_whole(output / "flight.png") as stream:
+    with write_whole(drawing) as stream:
         stream.write(picture(plan.cameras, cover, plan.site))
+
+
+def _require_output(output: Path, path: Path, settings: SceneSettings) -> None:
+    named = (path.parent / name for name in files_of(settings))
+    require_folder("-o", output, Inputs.of(path, *named))
+
+
+def _require_flight_or_empty(output: Path) -> None:
+    """Raise OutputError where a folder has other things than an earlier flight, e.g. the cameras.csv of a survey."""
+    found = {entry.name for entry in output.iterdir() if entry.name[0] != "."} if output.is_dir() else set()
+    if found and found != set(_FLIGHT):
+        other = min(found - set(_FLIGHT), default=min(found))
+        raise OutputError(
+            f"-o names {output}, which has {other} and is no flight made by --flight-only; name a new or empty folder"
+        )
 
 
 def _changed(settings: SceneSettings, mode: str | None, preview: bool) -> SceneSettings:

@@ -1,0 +1,34 @@
+"""`bathynerf check`: what `survey.plan.check` finds, on the console."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from survey.commands.console import command
+from survey.commands.options import Device, Quality, Quiet, SurveyFolder, Verbose
+
+EXAMPLES = """
+    bathynerf check my_survey
+    bathynerf check my_survey --quality fine
+"""
+
+
+def run(
+    survey: SurveyFolder,
+    quality: Annotated[Quality, typer.Option(help="Plan for this quality.")] = Quality.standard,
+    device: Annotated[Device, typer.Option(help="Plan for this device.")] = Device.auto,
+    verbose: Verbose = 0,
+    quiet: Quiet = 0,
+) -> None:
+    """Say what a survey has, what it lacks, and what process would do.
+
+    Nothing is computed and nothing is written.
+    """
+    with command(verbose, quiet, survey) as results:
+        from survey.plan.check import check_survey
+
+        for section in check_survey(survey, quality=quality.value, device=device.value):
+            rows = [(f"  {label}" if label else "  -", text) for label, text in section.rows]
+            results.columns(section.title, rows)

@@ -1,0 +1,87 @@
+"""`bathynerf compare`: the options and results of `survey.compare`."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from survey.commands.console import command
+from survey.commands.options import Quiet, Verbose
+
+EXAMPLES = """
+    bathynerf compare cloud.las reference.ply
+    bathynerf compare cloud.las lidar.laz --json out.json
+    bathynerf compare cloud.las lidar.laz --tolerance 0.1 \\
+        --bounds 500000 5200000 500100 5200100
+"""
+_TOLERANCES_M = [0.2]
+
+
+class Sign(StrEnum):
+    """Which side of a triangle is above it."""
+
+    up = "up"
+    winding = "winding"
+
+
+def run(
+    cloud: Annotated[Path, typer.Argument(metavar="CLOUD", help="LAS, LAZ, COPC, PLY or E57.")],
+    reference: Annotated[
+        Path, typer.Argument(metavar="REFERENCE", help="PLY, OBJ, GLB, GeoTIFF, or points like CLOUD.")
+    ],
+    tolerance: Annotated[
+        list[float], typer.Option(metavar="M", help="For completeness and F-score [m]; may be given several times.")
+    ] = _TOLERANCES_M,
+    visible: Annotated[Path | None, typer.Option(metavar="FILE", help="Its points that cameras see.")] = None,
+    bounds: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(metavar="E0 N0 E1 N1", help="Crop the cloud to this."),
+    ] = None,
+    sign: Annotated[Sign, typer.Option(help="Positive above, or on the side of the winding.")] = Sign.up,
+    water_level: Annotated[
+        float | None,
+        typer.Option(metavar="HEIGHT", help="Of the water in the CRS; default: as the cloud says."),
+    ] = None,
+    checkpoints: Annotated[
+        Path | None, typer.Option(metavar="CSV", help="Check points: easting, northing, height and, if known, sigma.")
+    ] = None,
+    outliers: Annotated[
+        str | None, typer.Option(metavar="sor:K,S", help="Leave statistical outliers out; default: none.")
+    ] = None,
+    c2c: Annotated[bool, typer.Option("--c2c", help="Distances from cloud to cloud too, both ways.")] = False,
+    m3c2: Annotated[
+        float | None, typer.Option(metavar="RADIUS", help="M3C2 distances too, cylinders of this radius [m].")
+    ] = None,
+    json: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for the numbers.")] = None,
+    report: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for pictures.")] = None,
+    verbose: Verbose = 0,
+    quiet: Quiet = 0,
+) -> None:
+    """Say how far a cloud is from a reference: signed distances, completeness, F-score.
+
+    Nothing is aligned.
+    """
+    with command(verbose, quiet, report or json or cloud) as results:
+        from survey.compare.comparison import CompareOptions, compare_files
+        from survey.compare.text import sections_of
+
+        options = CompareOptions(
+            tolerances_m=tuple(tolerance),
+            visible=visible,
+            bounds=bounds,
+            sign=sign.value,
+            water_level=water_level,
+            checkpoints=checkpoints,
+            outliers=outliers,
+            c2c=c2c,
+            m3c2_radius_m=m3c2,
+            json_path=json,
+            report_dir=report,
+        )
+        for title, rows in sections_of(compare_files(cloud, reference, options=options)):
+            if title is not None:
+                results.line("")
+            results.columns(title, rows)

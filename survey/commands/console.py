@@ -1,0 +1,105 @@
+"""A command on the console: its results on standard output, its progress and its errors on standard error."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import textwrap
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import typer
+
+from survey.commands.faults import STANDARD_OUTPUT, fault_of, refusal_of
+
+# One -q leaves out the progress, two leave out the results too.
+_NO_RESULTS = -2
+# Lines of a pipe or a file are not wrapped.
+_NO_TERMINAL_WIDTH = 1000
+
+
+class Ended(typer.Exit):
+    """The exit of a command after its error was said."""
+
+
+class Results:
+    """Standard output, for what a command is asked for: numbers, verdicts, the paths of what it wrote."""
+
+    def __init__(self, *, is_silent: bool):
+        self._is_silent = is_silent
+
+    def line(self, text: str | Path, *, bold: bool = False) -> None:
+        """Print a line.
+
+        Raises
+        ------
+        SurveyError
+            If standard output does not take it.
+        """
+        if self._is_silent:
+            return
+        try:
+            typer.secho(str(text), bold=bold)
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            from survey.errors import SurveyError
+
+            raise SurveyError(refusal_of(error, STANDARD_OUTPUT) or f"standard output is broken: {error}") from error
+
+    def columns(self, title: str | None, rows: list[tuple[str, str]]) -> None:
+        """Print labels and texts in two columns, wrapped to the terminal."""
+        width = shutil.get_terminal_size().columns if sys.stdout.isatty() else _NO_TERMINAL_WIDTH
+        left = max((len(label) for label, _ in rows), default=0) + 2
+        if title is not None:
+            self.line(title, bold=True)
+        for label, text in rows:
+            self.line(
+                textwrap.fill(
+                    text,
+                    max(width, left + 20),
+                    initial_indent=label.ljust(left),
+                    subsequent_indent=" " * left,
+                    break_long_words=False,
+                    break_on_hyphens=False,
+                )
+            )
+
+
+@contextmanager
+def command(verbose: int, quiet: int, place: Path, *, stopped: str = "") -> Iterator[Results]:
+    """The body of a verb: an error in it becomes one sentence on standard error and an exit code.
+
+    Parameters
+    ----------
+    verbose, quiet : int
+        How often -v and -q were given.
+    place : Path
+        Named where the disk is full or refuses something and does not say what.
+    stopped : str
+        What becomes of the work that Ctrl-C stops.
+    """
+    from survey.progress import Progress
+
+    verbosity = verbose - quiet
+    with Progress(verbosity=verbosity) as progress:
+        try:
+            yield Results(is_silent=verbosity <= _NO_RESULTS)
+            return
+        except typer.Exit:
+            raise
+        except (Exception, KeyboardInterrupt) as error:
+            fault = fault_of(error, place, stopped=stopped)
+            trace = traceback.format_exc()
+        if fault.message:
+            # A disk that is full takes no log either; the sentence still has to reach the user.
+            with suppress(OSError):
+                progress.log_only(f"error: {fault.message}\n{trace if fault.is_ours else ''}".rstrip())
+    with suppress(OSError):
+        if fault.is_ours and verbosity > 0:
+            typer.echo(trace, err=True)
+        if fault.message:
+            typer.echo(f"error: {fault.message}", err=True)
+    raise Ended(fault.code)

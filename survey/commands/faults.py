@@ -1,0 +1,103 @@
+"""What ended a command: an error as the sentence that the user reads, and as the exit code that says whose fault."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+OUR_BUG, BAD_INPUT, STOPPED, BROKEN_PIPE = 1, 2, 130, 141
+
+# As sentences name it.
+STANDARD_OUTPUT = "standard output"
+# In what libraries say when they get no memory: torch, Dr.Jit, numpy, OpenCV, the C++ library, the loader.
+_NO_MEMORY = (
+    "out of memory",
+    "allocate memory",
+    "unable to allocate",
+    "failed to allocate",
+    "insufficient memory",
+    "bad allocation",
+    "bad_alloc",
+    "failed to map segment from shared object",
+)
+# The loader says the same of a disk from which nothing may be executed.
+_NOT_MEMORY = "not permitted"
+_NO_ROOM = ("no space left on device", "disk is full")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """How a command ended before its end.
+
+    Attributes
+    ----------
+    code : int
+        Of the exit.
+    message : str
+        For the user; empty where there is nobody to read it.
+    """
+
+    code: int
+    message: str
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether a traceback is of use."""
+        return self.code == OUR_BUG
+
+
+def fault_of(error: BaseException, place: Path | None = None, *, stopped: str = "") -> Fault:
+    """What to say of an error, and the exit code.
+
+    Parameters
+    ----------
+    error : BaseException
+    place : Path, optional
+        Named where a disk refuses something and does not say what.
+    stopped : str
+        What becomes of the work that Ctrl-C stops.
+    """
+    if has(error, KeyboardInterrupt):
+        return Fault(STOPPED, f"stopped; {stopped}" if stopped else "stopped")
+    if has(error, BrokenPipeError):
+        return Fault(BROKEN_PIPE, "")
+    from geo.errors import GeoError
+    from survey.errors import SurveyError
+
+    if any(_is_of_memory(link) for link in _chain(error) if not isinstance(link, GeoError | SurveyError)):
+        mend = "take --quality draft, a smaller area ([area] bounds, --bounds) or a machine with more memory"
+        return Fault(BAD_INPUT, f"memory ran out; {mend}")
+    if isinstance(error, GeoError | SurveyError):
+        return Fault(BAD_INPUT, str(error))
+    if isinstance(error, OSError) and (text := refusal_of(error, error.filename or place)):
+        return Fault(BAD_INPUT, text)
+    if any(phrase in str(link).lower() for link in _chain(error) for phrase in _NO_ROOM):
+        return Fault(BAD_INPUT, f"cannot write {place}: no room is left on the disk; free some or write elsewhere")
+    return Fault(OUR_BUG, f"{type(error).__name__}: {error}; a fault of bathynerf, -v shows where")
+
+
+def refusal_of(error: OSError, path: Path | str | None) -> str | None:
+    """What the system refuses, see `geo.files.refusal`."""
+    from geo.files import refusal
+
+    return refusal(error, path if path is not None else Path(), verb="use")
+
+
+def _chain(error: BaseException | None) -> Iterator[BaseException]:
+    """An error and those that led to it."""
+    seen: list[BaseException] = []
+    while error is not None and error not in seen:
+        seen.append(error)
+        yield error
+        error = error.__cause__ or error.__context__
+
+
+def has(error: BaseException, *kinds: type[BaseException]) -> bool:
+    """Whether an error is, or came of, one of these kinds."""
+    return any(isinstance(link, kinds) for link in _chain(error))
+
+
+def _is_of_memory(error: BaseException) -> bool:
+    text = str(error).lower()
+    return isinstance(error, MemoryError) or (any(word in text for word in _NO_MEMORY) and _NOT_MEMORY not in text)

@@ -1,0 +1,68 @@
+"""`bathynerf process`: the options of `survey.run.process`."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from survey.commands.console import command
+from survey.commands.options import KEPT, Device, DeviceOption, Quality, Quiet, SurveyFolder, Verbose
+
+EXAMPLES = """
+    bathynerf process my_survey
+    bathynerf process my_survey -o draft --quality draft
+    bathynerf process my_survey --reference lidar.las
+"""
+
+
+class Switch(StrEnum):
+    """A part of the work: as the plan decides, on, or off."""
+
+    auto = "auto"
+    on = "on"
+    off = "off"
+
+
+def run(
+    survey: SurveyFolder,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="RUN", help="Run folder; default: SURVEY/bathynerf.")
+    ] = None,
+    quality: Annotated[Quality, typer.Option(help="How much time is spent.")] = Quality.standard,
+    device: DeviceOption = Device.auto,
+    field: Annotated[Switch, typer.Option(help="Refine the sweep by the tensor field.")] = Switch.auto,
+    resume: Annotated[bool, typer.Option(help="Go on with what an earlier run finished.")] = True,
+    calibrate_water: Annotated[
+        bool, typer.Option("--calibrate-water", help="First estimate the water from the photographs.")
+    ] = False,
+    true_colour: Annotated[
+        bool, typer.Option("--true-colour", help="Give points the colour of the bed without the water.")
+    ] = False,
+    reference: Annotated[Path | None, typer.Option(metavar="FILE", help="True surface, for the report only.")] = None,
+    visible: Annotated[Path | None, typer.Option(metavar="FILE", help="Its points that cameras see.")] = None,
+    verbose: Verbose = 0,
+    quiet: Quiet = 0,
+) -> None:
+    """Make the point cloud of the bed, with a report, in a run folder."""
+    folder = output or survey / "bathynerf"
+    with command(verbose, quiet, folder, stopped=KEPT) as results:
+        from survey.run.process import process
+
+        code = process(
+            survey,
+            output,
+            quality=quality.value,
+            device=device.value,
+            field=field.value,
+            resume=resume,
+            calibrate_water=calibrate_water,
+            true_colour=true_colour,
+            reference=reference,
+            visible=visible,
+        )
+        results.line(folder / "cloud.las")
+        results.line(folder / "report.html")
+        raise typer.Exit(code)

@@ -1,0 +1,33 @@
+"""`bathynerf render`: the options of `survey.run.render`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from survey.commands.console import command
+from survey.commands.options import Device, DeviceOption, Quiet, RunFolder, Verbose
+
+EXAMPLES = """
+    bathynerf render my_survey/bathynerf -o pictures --dry \\
+        --cameras my_survey/cameras.csv
+"""
+
+
+def run(
+    run: RunFolder,
+    cameras: Annotated[Path, typer.Option(metavar="FILE", help="Poses: a table like cameras.csv, or a COLMAP model.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the pictures.")],
+    dry: Annotated[bool, typer.Option("--dry", help="Take the water away.")] = False,
+    device: DeviceOption = Device.auto,
+    verbose: Verbose = 0,
+    quiet: Quiet = 0,
+) -> None:
+    """Render the field of a run for other cameras: colours, heights, distances and normals."""
+    with command(verbose, quiet, output) as results:
+        from survey.run.render import render
+
+        for path in render(run, cameras, output, dry=dry, device=device.value):
+            results.line(path)

@@ -1,0 +1,47 @@
+"""`bathynerf simulate`: the options of `survey.simulate.staging.simulate`."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from survey.commands.console import command
+from survey.commands.options import KEPT, Quiet, Verbose
+
+EXAMPLES = """
+    bathynerf simulate cove.toml -o cove --preview
+    bathynerf simulate cove.toml -o plan --flight-only
+"""
+
+
+class Mode(StrEnum):
+    """How light is followed."""
+
+    direct = "direct"
+    physical = "physical"
+
+
+def run(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file in TOML (docs/simulation.md).")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="SURVEY", help="Becomes a survey folder.")],
+    mode: Annotated[Mode | None, typer.Option(help="Instead of that of the scene file.")] = None,
+    flight_only: Annotated[bool, typer.Option("--flight-only", help="Write cameras.csv and flight.png only.")] = False,
+    preview: Annotated[bool, typer.Option("--preview", help="One ray per pixel.")] = False,
+    again: Annotated[bool, typer.Option("--again", help="Start again, even if the survey is there already.")] = False,
+    verbose: Verbose = 0,
+    quiet: Quiet = 0,
+) -> None:
+    """Make a survey of a known scene: photographs, poses, and the truth beside them."""
+    with command(verbose, quiet, output, stopped=KEPT) as results:
+        from survey.simulate.staging.simulate import simulate, simulate_flight
+
+        if flight_only:
+            simulate_flight(scene, output)
+            results.line(output / "cameras.csv")
+            results.line(output / "flight.png")
+        else:
+            simulate(scene, output, mode=mode.value if mode else None, preview=preview, again=again)
+            results.line(output)

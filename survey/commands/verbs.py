@@ -1,0 +1,63 @@
+"""The verbs of `bathynerf`, each in a file of its own that is named like it.
+
+A verb's file has its options and prints its results; what it computes is elsewhere, and imported when it runs.
+"""
+
+from __future__ import annotations
+
+import inspect
+import textwrap
+from typing import Annotated
+
+import typer
+
+from survey.commands import check, compare, export, process, render, simulate, waterline
+
+# In the order of `bathynerf --help`.
+VERBS = (check, process, waterline, export, render, compare, simulate)
+
+_EPILOG = """\b
+Exit codes:
+  0    done
+  1    a fault of bathynerf; -v shows where
+  2    the input, the options, the disk or the memory
+  3    done, but the result failed a quality gate
+  130  stopped by Ctrl-C
+  141  the reader of the output has gone
+
+\b
+Examples:
+  bathynerf check my_survey
+  bathynerf process my_survey
+"""
+
+# Plain help: rich takes [m] for markup and breaks words where the columns are narrow.
+app = typer.Typer(
+    help="Drone photographs of shallow water become a georeferenced point cloud of the bed.",
+    epilog=_EPILOG,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+@app.callback(invoke_without_command=True)
+def _root(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+    if version:
+        import importlib.metadata
+
+        typer.echo(f"bathynerf {importlib.metadata.version('bathynerf')}")
+        raise typer.Exit(0)
+
+
+def _add(verb) -> None:
+    name = verb.__name__.rpartition(".")[2]
+    summary = inspect.getdoc(verb.run).partition("\n\n")[0]
+    examples = textwrap.indent(textwrap.dedent(verb.EXAMPLES).strip(), "  ")
+    app.command(name, short_help=summary, epilog=f"\b\nExamples:\n{examples}\n")(verb.run)
+
+
+for _verb in VERBS:
+    _add(_verb)

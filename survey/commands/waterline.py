@@ -1,0 +1,46 @@
+"""`bathynerf waterline`: the options and results of `survey.adjust.calibration`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from survey.commands.console import command
+from survey.commands.options import Device, DeviceOption, Quiet, SurveyFolder, Verbose
+
+EXAMPLES = """
+    bathynerf waterline my_survey
+    bathynerf waterline my_survey --start-level 12.3
+"""
+
+
+def run(
+    survey: SurveyFolder,
+    device: DeviceOption = Device.auto,
+    nadir_only: Annotated[bool, typer.Option("--nadir-only", help="Use only views that look straight down.")] = False,
+    start_level: Annotated[float | None, typer.Option(metavar="M", help="Start from this level [m].")] = None,
+    start_index: Annotated[float | None, typer.Option(metavar="N", help="Start from this refractive index.")] = None,
+    json: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for everything that was found.")] = None,
+    verbose: Verbose = 0,
+    quiet: Quiet = 0,
+) -> None:
+    """Estimate level, slopes and refractive index of the water from the photographs.
+
+    The survey is not changed.
+    """
+    with command(verbose, quiet, json or survey) as results:
+        from survey.adjust.calibration import estimate_water
+
+        found = estimate_water(
+            survey,
+            device=device.value,
+            nadir_only=nadir_only,
+            start_level=start_level,
+            start_index=start_index,
+            json_path=json,
+        )
+        rows = [(estimate.name, estimate.verdict) for estimate in found.estimates]
+        points = f"{found.num_points} in {found.num_views} views, {found.num_measurements} measurements"
+        results.columns(None, [*rows, ("tie points", points), ("residuals", f"{found.rms_px:.3f} px rms")])

@@ -1,0 +1,42 @@
+"""The files of a survey that no result may overwrite."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from survey.errors import FILE_NAME
+from survey.folder import infer
+from survey.folder.config import read_config
+from survey.folder.water_level import SOURCES
+from survey.outputs import Inputs
+from survey.photos.exif import SUFFIXES
+from survey.photos.formats import find_poses
+
+
+def survey_inputs(folder: Path) -> Inputs:
+    """Settings, poses, photographs, masks and measured water levels of a survey folder.
+
+    Raises
+    ------
+    ConfigError
+        Where the settings cannot be read, or there are neither settings nor images.
+    """
+    if not folder.is_dir():
+        return Inputs()
+    toml = folder / FILE_NAME
+    config = read_config(toml) if toml.is_file() else infer.config_of_folder(folder)
+    named = [toml]
+    if config.water is not None:
+        named += [folder / name for source in SOURCES if (name := getattr(config.water, source))]
+    poses = find_poses(folder) if config.cameras.poses is None else [folder / config.cameras.poses]
+    folders = [] if config.images.masks is None else [folder / config.images.masks]
+    if config.images.dir == ".":
+        named += [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
+    else:
+        folders.append(folder / config.images.dir)
+    return sum((poses_inputs(path) for path in poses), Inputs.of(*named, *folders))
+
+
+def poses_inputs(path: Path) -> Inputs:
+    """The files of poses: a table, or those of a COLMAP model, but not what lies below the folder of a model."""
+    return Inputs.of(*(file for file in path.iterdir() if file.is_file())) if path.is_dir() else Inputs.of(path)

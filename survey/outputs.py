@@ -1,0 +1,137 @@
+"""Where results may go: one rule for every command, applied before anything is computed.
+
+- The folder of a named file has to exist; a folder that is named (-o DIR) is made, with those above it.
+- No output is a file that the command reads, under whatever name, nor lies in a folder of them.
+- A file that is already there is replaced only where it is of the kind that would be written, and not write-protected.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from survey.errors import OutputError
+
+# Longer than every head by which a kind of file is known.
+_HEAD_BYTES = 2048
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What a command reads.
+
+    Attributes
+    ----------
+    files : tuple of Path
+        Those that do not exist are no input.
+    folders : tuple of Path
+        Everything in them and below them is read.
+    """
+
+    files: tuple[Path, ...] = ()
+    folders: tuple[Path, ...] = ()
+
+    @classmethod
+    def of(cls, *paths: Path | None) -> Inputs:
+        """Files and folders by what they are; None stands for an option that was not given."""
+        there = [path for path in paths if path is not None]
+        files = tuple(path for path in there if path.is_file())
+        return cls(files, tuple(path for path in there if path.is_dir()))
+
+    def __add__(self, other: Inputs) -> Inputs:
+        return Inputs(self.files + other.files, self.folders + other.folders)
+
+    def same_as(self, path: Path) -> Path | None:
+        """The input that is the same file as an existing one: by name, symbolic link or hard link."""
+        status = path.stat()
+        for file in self._all_files() if status.st_nlink > 1 else self.files:
+            if os.path.samestat(file.stat(), status):
+                return file
+        return next((folder for folder in self.folders if _is_within(path, folder)), None)
+
+    def _all_files(self) -> Iterator[Path]:
+        yield from self.files
+        for folder in self.folders:
+            yield from (path for path in folder.rglob("*") if path.is_file())
+
+
+def require_file(
+    option: str, path: Path | None, inputs: Inputs, *, kind: str, is_of_kind: Callable[[bytes], bool]
+) -> None:
+    """Raise OutputError where a file must not or cannot be written.
+
+    Parameters
+    ----------
+    option : str
+        That names the file, e.g. ``--json``.
+    path : Path, optional
+        None: the option was not given.
+    inputs : Inputs
+        Of the command.
+    kind : str
+        Of the file, e.g. "a JSON file".
+    is_of_kind : callable
+        Whether a file that begins with these bytes is one, and may be replaced.
+    """
+    if path is None:
+        return
+    said = f"{option} names {path}, "
+    if path.is_dir():
+        raise OutputError(f"{said}which is a folder; name a file")
+    if not path.parent.is_dir():
+        what = "is a file" if path.parent.exists() else "does not exist"
+        raise OutputError(f"{said}whose folder {what}; create the folder or correct the path")
+    # A device or a pipe, e.g. /dev/stdout, is written into.
+    if path.is_file():
+        same = inputs.same_as(path)
+        if same is not None:
+            raise OutputError(f"{said}which would overwrite the input {same}; choose another name")
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD_BYTES)
+        if not is_of_kind(head):
+            raise OutputError(f"{said}which exists and is not {kind}; remove it or choose another name")
+        if not os.access(path, os.W_OK):
+            raise OutputError(f"{said}which is write-protected; remove the protection or choose another name")
+    elif not path.exists():
+        _require_permission(said, path.parent)
+
+
+def require_folder(option: str, path: Path | None, inputs: Inputs, *, may_hold_inputs: bool = False) -> None:
+    """Raise OutputError where a folder cannot be made, or must not be written to.
+
+    Parameters
+    ----------
+    option, path, inputs : as `require_file`
+    may_hold_inputs : bool
+        For folders in which the command replaces no file but its own.
+    """
+    if path is None:
+        return
+    said = f"{option} names {path}, "
+    above = next(place for place in (path, *path.absolute().parents) if place.exists())
+    if not above.is_dir():
+        what = "which is a file" if above == path else f"but {above} is a file"
+        raise OutputError(f"{said}{what}; name another folder")
+    _require_permission(said, above)
+    for folder in inputs.folders:
+        if _is_within(path, folder):
+            raise OutputError(f"{said}which lies in {folder}, whose files are read; name a folder elsewhere")
+    held = [place for place in (*inputs.files, *inputs.folders) if _is_within(place, path)]
+    if held and not may_hold_inputs:
+        raise OutputError(f"{said}which holds the input {held[0]}; move that, or name another folder")
+
+
+def is_json(head: bytes) -> bool:
+    """Whether a file that begins so is an object in JSON, or empty."""
+    return head.lstrip()[:1] in (b"{", b"")
+
+
+def _is_within(path: Path, folder: Path) -> bool:
+    return path.resolve().is_relative_to(folder.resolve())
+
+
+def _require_permission(said: str, folder: Path) -> None:
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise OutputError(f"{said}but {folder} must not be written to; change its permissions or name another place")

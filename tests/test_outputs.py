@@ -1,0 +1,157 @@
+"""Where results may go: never over an input, never over a file of another kind."""
+
+from __future__ import annotations
+
+import os
+from functools import partial
+from pathlib import Path
+
+import pytest
+from small_survey import small_survey
+from survey.adjust.estimate import estimate_water
+
+from survey.errors import OutputError
+from survey.outputs import Inputs, is_json, require_file, require_folder
+from survey.run.process import process
+
+require_json = partial(require_file, "--json", kind="a JSON file", is_of_kind=is_json)
+
+
+@pytest.fixture
+def cloud(tmp_path):
+    path = tmp_path / "cloud.las"
+    path.write_bytes(b"LASF")
+    return path
+
+
+@pytest.mark.parametrize("link", ["name", "symbolic link", "hard link", "other spelling"])
+def test_an_input_is_not_overwritten_under_any_name(tmp_path, cloud, link):
+    # Of the right kind, so that nothing but its being an input speaks against it.
+    cloud.write_bytes(b"{}")
+    path = cloud if link == "name" else tmp_path / "n.json"
+    if link == "symbolic link":
+        path.symlink_to(cloud)
+    elif link == "hard link":
+        path.hardlink_to(cloud)
+    elif link == "other spelling":
+        path = tmp_path / "gone" / ".." / "cloud.las"
+        (tmp_path / "gone").mkdir()
+    with pytest.raises(OutputError, match=r"--json names .*, which would overwrite the input .*cloud\.las; choose"):
+        require_json(path, Inputs.of(None, cloud))
+
+
+@pytest.mark.parametrize("link", [False, True])
+def test_a_file_below_a_folder_of_inputs_is_an_input(tmp_path, link):
+    photo = tmp_path / "images" / "a" / "0001.png"
+    photo.parent.mkdir(parents=True)
+    photo.write_bytes(b"{}")
+    path = photo
+    if link:
+        path = tmp_path / "n.json"
+        path.hardlink_to(photo)
+    with pytest.raises(OutputError, match="would overwrite the input"):
+        require_json(path, Inputs.of(tmp_path / "images"))
+
+
+def test_only_a_file_of_the_same_kind_is_replaced(tmp_path, cloud):
+    with pytest.raises(OutputError, match=r"cloud\.las, which exists and is not a JSON file; remove it or choose"):
+        require_json(cloud, Inputs())
+    for content in ("", ' \n{"n_points": 1}'):
+        (tmp_path / "n.json").write_text(content)
+        require_json(tmp_path / "n.json", Inputs.of(cloud))
+
+
+def test_a_new_file_needs_a_folder_that_exists_and_nothing_is_made(tmp_path, cloud):
+    require_json(None, Inputs())
+    require_json(tmp_path / "new.json", Inputs())
+    for path, words in (
+        (tmp_path / "no" / "deep" / "n.json", "whose folder does not exist; create the folder or correct the path"),
+        (cloud / "n.json", "whose folder is a file"),
+        (tmp_path, "which is a folder; name a file"),
+    ):
+        with pytest.raises(OutputError, match=words):
+            require_json(path, Inputs())
+    assert list(tmp_path.iterdir()) == [cloud]
+
+
+def test_a_device_is_written_into():
+    require_json(Path(os.devnull), Inputs())
+
+
+def test_a_folder_is_made_unless_a_file_is_in_the_way(tmp_path, cloud):
+    require_folder("-o", None, Inputs())
+    require_folder("-o", tmp_path / "new" / "deep", Inputs())
+    with pytest.raises(OutputError, match=r"-o names .*cloud\.las, which is a file; name another folder"):
+        require_folder("-o", cloud, Inputs())
+    with pytest.raises(OutputError, match=r"-o names .*run, but .*cloud\.las is a file"):
+        require_folder("-o", cloud / "new" / "run", Inputs())
+    assert list(tmp_path.iterdir()) == [cloud]
+
+
+@pytest.mark.parametrize("name", ["images", "images/run", "link/run"])
+def test_a_folder_of_results_does_not_lie_among_inputs(tmp_path, name):
+    (tmp_path / "images").mkdir()
+    (tmp_path / "link").symlink_to("images")
+    inputs = Inputs.of(tmp_path / "images")
+    with pytest.raises(OutputError, match=r"lies in .*images, whose files are read; name a folder elsewhere"):
+        require_folder("-o", tmp_path / name, inputs)
+    require_folder("-o", tmp_path / "images_2", inputs)
+
+
+def test_a_folder_of_results_does_not_hold_inputs_unless_it_replaces_only_its_own_files(tmp_path, cloud):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "link.las").symlink_to(cloud)
+    with pytest.raises(OutputError, match=r"which holds the input .*link\.las; move that, or name another folder"):
+        require_folder("-o", tmp_path, Inputs.of(tmp_path / "link.las"))
+    require_folder("-o", tmp_path / "run", Inputs.of(cloud))
+    require_folder("-o", tmp_path, Inputs.of(cloud), may_hold_inputs=True)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="nothing is forbidden to root")
+def test_what_may_not_be_written_to_is_refused(tmp_path):
+    (tmp_path / "n.json").write_text("{}")
+    (tmp_path / "n.json").chmod(0o400)
+    with pytest.raises(OutputError, match="write-protected"):
+        require_json(tmp_path / "n.json", Inputs())
+    tmp_path.chmod(0o500)
+    try:
+        with pytest.raises(OutputError, match="must not be written to"):
+            require_json(tmp_path / "new.json", Inputs())
+        with pytest.raises(OutputError, match="must not be written to"):
+            require_folder("-o", tmp_path / "new" / "run", Inputs())
+    finally:
+        tmp_path.chmod(0o700)
+
+
+@pytest.fixture
+def survey_folder(tmp_path, monkeypatch):
+    """A survey whose reading would already be too late."""
+
+    def too_late(*_args, **_options):
+        raise AssertionError("the survey was read before the outputs were looked at")
+
+    monkeypatch.setattr("survey.adjust.estimate.load_survey", too_late)
+    monkeypatch.setattr("survey.run.process.load_survey", too_late)
+    return small_survey(tmp_path / "s")
+
+
+@pytest.mark.parametrize("name", ["survey.toml", "cameras.csv", "images/0001.jpg"])
+def test_waterline_refuses_to_overwrite_its_survey_before_it_is_read(survey_folder, name):
+    before = (survey_folder / name).read_bytes()
+    with pytest.raises(OutputError, match="would overwrite the input"):
+        estimate_water(survey_folder, json_path=survey_folder / name)
+    assert (survey_folder / name).read_bytes() == before
+
+
+def test_process_refuses_a_run_folder_among_its_inputs_before_the_survey_is_read(survey_folder):
+    (survey_folder / "run").mkdir()
+    reference = survey_folder / "run" / "cloud.las"
+    reference.touch()
+    for run, options, words in (
+        ("images/run", {}, "lies in .*images, whose files are read"),
+        (".", {}, "holds the input .*survey.toml"),
+        ("run", {"reference": reference}, "holds the input .*cloud.las"),
+        ("run", {"reference": survey_folder / "cameras.csv", "visible": reference}, "holds the input .*cloud.las"),
+    ):
+        with pytest.raises(OutputError, match=words):
+            process(survey_folder, survey_folder / run, **options)

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from survey.run.job import Job
 
 QUALITY_GATE_FAILED = 3
+# Where poses that had to be found are kept, in the run folder.
+SFM = "sfm"
 # At which the report asks how complete the cloud is: that of the study which this work follows, and a finer one.
 TOLERANCES_M = (0.2, 0.05)
 
@@ -80,7 +82,7 @@ def process(
     for name, path in (("--reference", reference), ("--visible", visible)):
         if path is not None and not path.exists():
             raise SurveyError(f"{name} {path} does not exist; give the path of a PLY, OBJ, LAS or LAZ file")
-    survey = load_survey(survey_folder, workspace=run_folder / "sfm", report=progress.note)
+    survey = load_survey(survey_folder, workspace=run_folder / SFM, report=progress.note)
     if true_colour and survey.water is None:
         raise SurveyError(
             "--true-colour takes the water away, but the survey has none; leave the option out, or give [water]"
@@ -118,7 +120,7 @@ def _to_the_end(run: RunDir, job: Job, resume: bool, reference: Path | None, vis
     for stage in stages:
         if stage.is_on(job):
             done[stage.name] = run_stage(stage, job, run, done, resume=resume)
-    verdict = _write_result(result, job, done, reference, visible)
+    verdict = _write_result(result, job, done, _timings(run, job.survey, done), reference, visible)
     run.publish(result, quality=job.plan.quality, stages=done)
     job.progress.note(f"cloud: {run.cloud_path}")
     job.progress.note(f"report: {run.report_html_path}")
@@ -128,11 +130,27 @@ def _to_the_end(run: RunDir, job: Job, resume: bool, reference: Path | None, vis
     return 0 if verdict.passed else QUALITY_GATE_FAILED
 
 
+def _timings(run: RunDir, survey: Survey, done: dict[str, Path]) -> dict[str, float]:
+    """Seconds of the search for poses, where there was one, and of the stages, each when it was computed [s]."""
+    timings = {name: seconds_of(place) for name, place in done.items()}
+    if survey.config.cameras.poses is not None:
+        return timings
+    from survey.sfm.poses import seconds_of_solve
+
+    seconds = seconds_of_solve(run.path / SFM)
+    return timings if seconds is None else {"structure from motion": seconds} | timings
+
+
 def _write_result(
-    folder: Path, job: Job, done: dict[str, Path], reference: Path | None, visible: Path | None
+    folder: Path,
+    job: Job,
+    done: dict[str, Path],
+    timings: dict[str, float],
+    reference: Path | None,
+    visible: Path | None,
 ) -> Verdict:
     """Everything that the user gets, in the folder of a new result."""
-    from survey.report import ReportFacts, write_report
+    from survey.report import NUM_STEPS, ReportFacts, write_report
     from survey.run.export import write_bed_las
     from survey.run.gate import verdict_of
     from survey.run.stage_sweep import MAPS
@@ -141,7 +159,6 @@ def _write_result(
     survey, plan, progress = job.survey, job.plan, job.progress
     (folder / "settings.toml").write_text(dump_config(survey.config), encoding="utf-8")
     (folder / "plan.json").write_text(json.dumps(plan.as_dict(), indent=2), encoding="utf-8")
-    timings = {name: seconds_of(place) for name, place in done.items()}
     stored = load_bed(done["bed"])
     cloud = folder / "cloud.las"
     write_bed_las(cloud, stored)
@@ -155,7 +172,7 @@ def _write_result(
         of_sweep = _compare(cloud_of_sweep, survey, reference, visible)
         cloud_of_sweep.unlink()
     if comparison is not None:
-        timings["comparison"] = time.monotonic() - start
+        timings = timings | {"comparison": time.monotonic() - start}
     verdict = verdict_of(survey, stored.bed, plan.gsd_m)
     facts = ReportFacts(
         survey=survey,
@@ -170,8 +187,8 @@ def _write_result(
         versions=versions(),
         verdict=verdict,
     )
-    with progress.stage("Report"):
-        write_report(folder, facts)
+    with progress.stage("Report", NUM_STEPS) as stage:
+        write_report(folder, facts, stage.advance)
     return verdict
 
 

@@ -12,6 +12,10 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from survey.adjust.estimate import estimate_water
+    from survey.simulate.drawn_scene import DrawnScene
+    from survey.simulate.simulate import simulate
+
     from geo.errors import GeoError
     from geo.frames import LocalFrame
     from geo.las import read_cloud, write_cloud
@@ -24,7 +28,6 @@ if TYPE_CHECKING:
     from refract.projection import project
     from refract.surfaces import FlatWater, WaterSurface
     from refract.wavy import WavyWater
-    from survey.adjust.estimate import estimate_water
     from survey.compare.comparison import compare_files as compare
     from survey.compare.options import CompareOptions
     from survey.errors import SurveyError
@@ -36,8 +39,6 @@ if TYPE_CHECKING:
     from survey.run.process import process
     from survey.run.render import render
     from survey.simulate.drawn import draw_survey
-    from survey.simulate.drawn_scene import DrawnScene
-    from survey.simulate.simulate import simulate
 
     __version__: str
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,9 +19,15 @@ from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.folder.survey import load_survey
 from survey.plan.plan import Decision, Plan
 from survey.plan_grid import PlanGrid
+from survey.quantities import LengthUnit, length
 from survey.report import NUM_STEPS, ReportFacts, write_report
+from survey.report.cut import choose_cut
 from survey.report.figures import figures_of
+from survey.report.headline import headline
+from survey.report.page import render_page
+from survey.report.profile import _medians
 from survey.report.raster import hillshade, without_pinholes
+from survey.report.verdict import Gate, Verdict
 from survey.run.export import write_bed_las
 from survey.run.folder import RunDir
 from survey.run.stored import StoredBed
@@ -33,6 +39,9 @@ LAS_STD_M = 1e-3 / np.sqrt(12.0)
 LAS_BIAS_M = 1e-4
 # The water touches a level surface 5 m from the origin; over 12 m that is (12 m)^2 / 6.4e6 m at most.
 CURVATURE_M = 2.3e-5
+
+MET = Gate("covered", 87.5, 50.0, "%", True, "87.5 % of the ground has a point, at least 50 % is asked")
+MISSED = Gate("spread", 9.9, 5.0, "cm", False, "The median standard deviation is 9.9 cm; 5 cm are allowed.")
 
 PLAN = Plan(
     quality="standard",
@@ -68,7 +77,7 @@ def report(survey, tmp_path_factory):
     """A finished report against a reference 4 mm above the bed, its run and its figures."""
     folder = tmp_path_factory.mktemp("report")
     bed = plane_bed(survey)
-    facts = _facts(survey, bed, depth_maps=[plane_depth_map(survey, 1)], wet_pixel_share=0.875, notes=("a note",))
+    facts = _facts(survey, bed, depth_maps=[plane_depth_map(survey, 1)], verdict=Verdict((MET,)), notes=("a note",))
     write_bed_las(folder / "cloud.las", StoredBed(bed, facts.points_crs, survey.frame.crs, "small", 0.05))
     reference = write_plane_mesh(folder / "reference.ply", survey, raised_m=RAISED_M)
     facts = replace(
@@ -102,7 +111,6 @@ def test_the_figures_of_a_plane_are_those_of_its_geometry(report):
     assert cloud["std_m"]["p95"] == pytest.approx(0.0145, abs=1e-6)
     assert cloud["views_per_point"] == {"min": 2.0, "median": 4.0, "mean": pytest.approx(4.0), "max": 6.0}
     assert cloud["incidence_deg"]["max"] == pytest.approx(np.degrees(0.5), abs=1e-5)
-    assert cloud["wet_pixel_share"] == 0.875
 
 
 def test_survey_and_water_say_where_they_come_from(report):
@@ -159,7 +167,7 @@ def test_report_json_holds_exactly_the_figures(report):
 def test_report_html_loads_nothing_and_runs_nothing(report):
     page = report.run.report_html_path.read_text(encoding="utf-8")
     assert "<script" not in page
-    assert not re.search(r"""(src|href)=["'](?!data:)|url\(|@import|https?:""", page)
+    assert not re.search(r"""(src|href)=["'](?!data:|#)|url\(|@import|https?:""", page)
     assert page.count('src="data:image/png;base64,') == len(list(report.run.pictures_path.glob("*.png")))
 
 
@@ -171,17 +179,71 @@ def test_report_html_shows_the_figures_of_report_json(report):
         "water of index 1.3330 &lt;here&gt;",
         "EPSG:25832+5778",
         "19\u202f600",
-        f"{cloud['depth_m']['median']:.2f} m",
-        f"{1000 * cloud['std_m']['median']:.1f} mm",
-        f"{1000 * comparison['std_inner90_m']:.1f} mm",
-        f"{1000 * comparison['mean_inner90_m']:.1f} mm".replace("-", "−"),
-        "87.5 %",
-        "1 min 01 s",
+        f"{cloud['depth_m']['median']:.2f}\u00a0m",
+        f"{1000 * cloud['std_m']['median']:.1f}\u00a0mm",
+        f"{1000 * comparison['mean_inner90_m']:.1f}".replace("-", "−"),
+        f"±\u00a0{1000 * comparison['std_inner90_m']:.1f}\u00a0mm",
+        "87.5\u00a0%",
+        "<td>sweep</td>",
+        "61.2</td>",
         "meets TVU",
         "a note",
-        "quality = &quot;standard&quot;",
+        "quality = &#34;standard&#34;",
     ):
         assert text in page, text
+
+
+def test_every_number_in_report_html_stays_with_its_unit(report):
+    page = re.sub(r"<(style|pre)>.*?</\1>", "", report.run.report_html_path.read_text(encoding="utf-8"), flags=re.S)
+    cards = re.findall(r"<div><span>.*?</div>", page)
+    assert len(cards) == 8
+    for card in cards:
+        assert " " not in re.search("<b>(.*?)</b>", card).group(1)
+
+
+def test_columns_of_lengths_have_one_unit():
+    unit = LengthUnit.of([0.0123, None, -0.0871])
+    assert [unit.text(v) for v in (0.0123, -0.0871, None)] == ["12.3\u00a0mm", "−87.1\u00a0mm", "unknown"]
+    assert LengthUnit.of([0.0123, 0.2]).text(0.0123) == "12\u00a0mm"
+    assert LengthUnit.of([0.0123, 2.5]).text(0.0123) == "0.012\u00a0m"
+    assert length(-1e-9) == "0.0\u00a0mm"
+
+
+# --- verdict ------------------------------------------------------------------------------------------------
+
+
+def test_a_failed_gate_is_in_the_verdict_and_among_the_warnings(survey):
+    facts = _facts(survey, plane_bed(survey, num=20), verdict=Verdict((MET, MISSED)))
+    figures = figures_of(facts)
+    assert figures["verdict"]["passed"] is False
+    assert figures["verdict"]["gates"][1] == asdict(MISSED)
+    assert figures["warnings"] == [MISSED.sentence]
+
+
+def test_the_verdict_stands_on_top_in_words_and_colour(report):
+    figures = report.figures | {"verdict": {"passed": False, "gates": [asdict(MET), asdict(MISSED)]}}
+    page = render_page(figures, [])
+    assert page.index('class="verdict failed"') < page.index('class="cards"') < page.index("<h2>Pictures</h2>")
+    assert "<strong>Failed</strong> 1 of 2 quality gates is not met." in page
+    assert MISSED.sentence in page
+
+
+@pytest.mark.parametrize(
+    ("verdict", "warnings", "colour"),
+    [
+        (None, [], "unjudged"),
+        ((MET,), [], "passed"),
+        ((MET,), ["poses are old"], "doubtful"),
+        ((MET, MISSED), [MISSED.sentence], "failed"),
+    ],
+)
+def test_the_colour_of_a_verdict_is_that_of_its_gates_and_warnings(verdict, warnings, colour):
+    if verdict is not None:
+        verdict = {"passed": all(g.passed for g in verdict), "gates": [asdict(g) for g in verdict]}
+    assert headline(verdict, warnings).colour == colour
+
+
+# --- pictures -----------------------------------------------------------------------------------------------
 
 
 def test_all_pictures_are_drawn_and_are_whole(report):
@@ -217,6 +279,7 @@ def test_every_kind_of_bed_gets_a_report(survey, dry_survey, tmp_path, kind):
     assert figures["cloud"]["points"] == len(bed)
     assert (run.pictures_path / "plan.png").exists()
     assert (run.pictures_path / "depth.png").exists() == (len(bed) > 0)
+    assert figures["verdict"] is None
     if kind == "dry":
         assert figures["water"] is None
         assert figures["cloud"]["depth_m"] is None
@@ -351,14 +414,25 @@ def test_a_sweep_without_its_field_has_a_row_of_its_own(survey, report):
 # --- profile ------------------------------------------------------------------------------------------------
 
 
-def test_a_profile_runs_along_the_longer_side_and_its_medians_skip_gaps(rng):
-    from survey.report.profile import _line, _medians
+def test_the_cut_runs_down_the_slope_of_the_bed(survey):
+    """The bed of the small survey falls to the west alone."""
+    cut = choose_cut(_facts(survey, plane_bed(survey)))
+    along, across = cut.along_and_across(cut.ends)
+    np.testing.assert_allclose(across, 0.0, atol=1e-9)
+    np.testing.assert_allclose(along, [0.0, cut.length_m], atol=1e-9)
+    # From edge to edge, in one of twelve directions.
+    assert abs(cut.direction[0]) * cut.length_m == pytest.approx(14.0, rel=0.1)
 
-    local = np.column_stack([rng.uniform(0.0, 2.0, 5000), rng.uniform(0.0, 30.0, 5000), np.zeros(5000)])
-    along, across, ends = _line(local)
-    np.testing.assert_allclose(ends[1, :2] - ends[0, :2], [0.0, 30.0], atol=0.2)
-    np.testing.assert_allclose(along, local[:, 1] - local[:, 1].min(), atol=0.05)
-    assert np.abs(across).max() < 1.1
+
+def test_the_cut_of_a_bed_with_a_pit_goes_through_it(survey):
+    bed = plane_bed(survey)
+    in_pit = np.hypot(bed.xyz[:, 0] - 3.0, bed.xyz[:, 1] + 4.0) < 1.5
+    bed = replace(bed, depth=np.where(in_pit, 5.0, 0.3).astype(bed.depth.dtype))
+    _, across = choose_cut(_facts(survey, bed)).along_and_across(np.array([[3.0, -4.0]]))
+    assert abs(across[0]) < 1.5
+
+
+def test_the_medians_of_a_profile_skip_gaps():
     x, y = _medians(np.array([0.1, 0.2, 0.3, 2.4, np.nan]), np.array([5.0, 7.0, 6.0, 1.0, np.nan]), 1.0)
-    np.testing.assert_array_equal(x, [0.5, np.nan, 2.5])
+    np.testing.assert_array_equal(x, [0.5, 1.5, 2.5])
     np.testing.assert_array_equal(y, [6.0, np.nan, 1.0])

@@ -28,7 +28,7 @@ from survey.sfm import block as sfm_block
 from survey.sfm import solve as sfm_solve
 from survey.sfm.gps import gps_positions
 from survey.sfm.gps_fit import MIN_STD_M, gps_std, require_area
-from survey.sfm.poses import solve_poses
+from survey.sfm.poses import seconds_of_solve, solve_poses
 
 # Some hundred roundings of coordinates of 1e3.
 EXACT = 1e-10
@@ -355,9 +355,13 @@ def test_nadir_photographs_get_their_true_poses_and_keep_them(data_dir, tmp_path
     assert any("straight rays" in note for note in result.notes)
     assert told[0].startswith("structure from motion: features of 10 images")
     assert not (work / ".work.part").exists()
+    seconds = seconds_of_solve(work)
+    assert seconds > 0.0
 
     again = solve_poses([*paths, stranger], crs, work, focal_px=900.0, report=told.append)
     assert "poses of 9 images from" in told[-1]
+    assert seconds_of_solve(work) == seconds
+    assert seconds_of_solve(tmp_path / "elsewhere") is None
     assert (again.points == result.points).all()
     assert (again.gps_residual_m == result.gps_residual_m).all()
     assert again.frame == result.frame

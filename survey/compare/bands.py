@@ -16,8 +16,9 @@ from survey.quantities import LengthUnit, count
 
 _PANELS = (("depth_bands", "depth below the water [m]", "m"), ("incidence_bands", "incidence at the water [°]", "deg"),
            ("views_bands", "views that agree", "views"))  # fmt: skip
-# Bands of fewer points say nothing: only their number is shown.
-_FEWEST = 20
+# Bands of fewer points say nothing: only their number is shown. Those of a smaller share of the points than this may
+# reach beyond the axis, so that the others can be told apart.
+_FEWEST, _SHOWN_WHOLE = 20, 0.001
 
 
 def has_bands(numbers: dict) -> bool:
@@ -45,18 +46,27 @@ def draw_bands(numbers: dict, path: Path) -> None:
     FigureCanvasAgg(figure)
     widths = [len(numbers[key]) + 2 for key, _, _ in panels]
     row = figure.subplots(1, len(panels), sharey=True, squeeze=False, width_ratios=widths)[0]
-    shown = [band for key, _, _ in panels for band in numbers[key] if band["n_points"] >= _FEWEST]
-    length_unit = LengthUnit.of([v for b in shown for v in (b["mean_m"] - b["std_m"], b["mean_m"] + b["std_m"])])
+    low, high = _limits([numbers[key] for key, _, _ in panels])
+    length_unit = LengthUnit.of([low, high])
     for axes, (key, label, unit) in zip(row, panels, strict=True):
         _panel(axes, numbers[key], unit, length_unit.per_metre)
         axes.set_xlabel(label, color=INK)
     row[0].set_ylabel(f"distance to the reference [{length_unit.name}]", color=INK)
-    for axes in row:
-        axes.use_sticky_edges = False  # bars would end on the frame
-    row[0].margins(y=0.08)
+    row[0].set_ylim(low * length_unit.per_metre, high * length_unit.per_metre)
     handles, labels = row[0].get_legend_handles_labels()
     figure.legend(handles, labels, frameon=False, fontsize=8.5, loc="outside lower center", ncols=3)
     save(figure, path)
+
+
+def _limits(panels: list[list[dict]]) -> tuple[float, float]:
+    """Ends [m] of the axis of distances, which holds zero and the bands with a fair share of the points."""
+    ends = [0.0]
+    for bands in panels:
+        enough = max(_FEWEST, _SHOWN_WHOLE * sum(band["n_points"] for band in bands))
+        shown = [band for band in bands if band["n_points"] >= enough]
+        ends += [band["mean_m"] + sign * band["std_m"] for band in shown for sign in (-1.0, 1.0)]
+    margin = 0.1 * max(max(ends) - min(ends), 0.001)
+    return min(ends) - margin, max(ends) + margin
 
 
 def _panel(axes: Axes, bands: list[dict], unit: str, per_metre: float) -> None:

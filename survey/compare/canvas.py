@@ -32,6 +32,8 @@ Extent = tuple[float, float, float, float]
 _DPI = 170
 # Width and height of the largest map [inch]: small, so that its words can still be read at half the width of a page.
 _MAP_IN = (4.8, 5.4)
+# Left of it, right of it, below and above: for ticks and labels, a bar of colours, a title of two lines.
+_MARGINS_IN = (1.0, 1.05, 0.6, 0.6)
 _TICK_PT = 8.5
 # Share of |d| that the colours and the histogram span; the rest has the colour of the end.
 _SHOWN = 0.98
@@ -74,26 +76,21 @@ def canvas(width: float, height: float) -> tuple[Figure, Axes]:
     """A figure [inch] with one plot in the colours of the report."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    axes.tick_params(colors=SOFT, labelsize=_TICK_PT)
-    axes.xaxis.label.set_color(INK)
-    axes.yaxis.label.set_color(INK)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_color(SOFT)
-    return figure, axes
+    return figure, _plain(figure.add_subplot())
 
 
-def map_canvas(extent: Extent, crs: CRS | None) -> tuple[Figure, Axes]:
-    """Axes in easting and northing, or longitude and latitude, true to scale, with a bar of metres."""
+def map_canvas(extent: Extent, crs: CRS | None, *, below_in: float = 0.0) -> tuple[Figure, Axes]:
+    """Axes in easting and northing, or longitude and latitude, true to scale, with a bar of metres.
+
+    There is room for a title above, for a bar of colours to the right, and for ``below_in`` inches of more below.
+    """
     angular = crs is not None and is_geographic(crs)
     aspect = 1.0 / max(math.cos(math.radians(0.5 * (extent[2] + extent[3]))), 0.01) if angular else 1.0
     centre = 0.5 * (extent[0] + extent[1]), 0.5 * (extent[2] + extent[3])
     width, height = extent[1] - extent[0], extent[3] - extent[2]
     width = max(width, height * aspect / _TALLEST)
     height = max(height, width / aspect * _FLATTEST)
-    figure, axes = canvas(*_size_for(height * aspect / width))
+    figure, axes = _placed(height * aspect / width, below_in)
     axes.set_facecolor(EMPTY)
     axes.set_aspect(aspect, adjustable="box")
     axes.set_xlim(centre[0] - 0.5 * width, centre[0] + 0.5 * width)
@@ -102,7 +99,7 @@ def map_canvas(extent: Extent, crs: CRS | None) -> tuple[Figure, Axes]:
     unit = {"metre": "m", "degree": "°"}.get(unit, unit)
     axes.set_xlabel(f"{'longitude' if angular else 'easting'} [{unit}]")
     axes.set_ylabel(f"{'latitude' if angular else 'northing'} [{unit}]")
-    for axis, count in ((axes.xaxis, 5), (axes.yaxis, 7)):
+    for axis, count in ((axes.xaxis, 4), (axes.yaxis, 7)):
         axis.set_major_locator(MaxNLocator(count, steps=[1, 2, 5, 10]))
         axis.set_major_formatter(ScalarFormatter(useOffset=False))
         axis.get_major_formatter().set_scientific(False)
@@ -111,10 +108,26 @@ def map_canvas(extent: Extent, crs: CRS | None) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def _size_for(height_over_width: float) -> tuple[float, float]:
-    """Size [inch] of a figure whose map is as large as a map may be, with room for the rest."""
+def _placed(height_over_width: float, below_in: float) -> tuple[Figure, Axes]:
+    """A figure around a map of this shape, as large as a map may be."""
     width = min(_MAP_IN[0], _MAP_IN[1] / height_over_width)
-    return width + 2.1, width * height_over_width + 1.2
+    height = width * height_over_width
+    left, right, below, above = _MARGINS_IN
+    whole = width + left + right, height + below + above + below_in
+    figure = Figure(figsize=whole)
+    FigureCanvasAgg(figure)
+    place = (left / whole[0], (below + below_in) / whole[1], width / whole[0], height / whole[1])
+    return figure, _plain(figure.add_axes(place))
+
+
+def _plain(axes: Axes) -> Axes:
+    """Axes in the colours of the report, with two of their four sides."""
+    axes.tick_params(colors=SOFT, labelsize=_TICK_PT)
+    axes.xaxis.label.set_color(INK)
+    axes.yaxis.label.set_color(INK)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(SOFT)
+    return axes
 
 
 def _scale_bar(axes: Axes, metres_per_unit: float) -> None:

@@ -171,13 +171,8 @@ def _in_short(numbers: dict) -> str:
 def _spread_in_words(d: np.ndarray, limit: float, tolerance_m: float | None) -> str:
     if not len(d):
         return "no points"
-    inner = d[np.abs(d) <= np.quantile(np.abs(d), 0.9)]
-    parts = [
-        f"{count(len(d))} points",
-        f"std {length(d.std())}",
-        f"of the inner 90 % {length(inner.std())}",
-        f"beyond the axis {share(np.mean(np.abs(d) > limit))}",
-    ]
+    parts = [f"{count(len(d))} points", f"std {length(d.std())}"]
+    parts.append(f"{share(np.mean(np.abs(d) > limit))} beyond the axis")
     if tolerance_m is not None:
-        parts.append(f"closer than {tolerance_m:g} m {share(np.mean(np.abs(d) < tolerance_m))}")
+        parts.append(f"{share(np.mean(np.abs(d) < tolerance_m))} closer than {tolerance_m:g} m")
     return "  ·  ".join(parts)

@@ -35,8 +35,6 @@ class ReportFacts:
         The same points, in crs.
     depth_maps : list of DepthMap or None
         One of them is shown beside its photograph, see `survey.report.maps.representative`.
-    wet_pixel_share : float or None
-        Share of the pixels that look into water that have a point of the bed.
     comparison : Comparison or None
         Of the cloud of these points with a reference, from `survey.compare.comparison.compare_surfaces`.
     sweep_comparison : Comparison or None
@@ -56,7 +54,6 @@ class ReportFacts:
     bed: BedPoints
     points_crs: np.ndarray
     depth_maps: list[DepthMap] | None = None
-    wet_pixel_share: float | None = None
     comparison: Comparison | None = None
     sweep_comparison: Comparison | None = None
     notes: tuple[str, ...] = ()

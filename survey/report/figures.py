@@ -13,15 +13,19 @@ from survey.plan.plan import Plan
 from survey.plan_grid import PlanGrid
 from survey.report.baselines import baselines_of
 from survey.report.facts import ReportFacts
+from survey.report.verdict import Verdict
 
 # Density is asked over the ground that has points; cells of this many ground sampling distances tell which.
 _COVERED_CELL_GSD = 5.0
+_UNITS = {"metre": "m", "degree": "°"}
 
 
 def figures_of(facts: ReportFacts) -> dict:
     """All figures of a report as plain values, the units in their names; None where there is none."""
     survey = facts.survey
+    failed = [gate.sentence for gate in facts.verdict.gates if not gate.passed] if facts.verdict else []
     figures = {
+        "verdict": _verdict(facts.verdict),
         "survey": _survey(survey),
         "water": _water(survey),
         "plan": _plan(facts.plan),
@@ -33,10 +37,14 @@ def figures_of(facts: ReportFacts) -> dict:
         "versions": facts.versions,
         "settings": facts.settings,
         "assumptions": list(survey.assumptions),
-        "warnings": list(survey.warnings),
+        "warnings": [*failed, *survey.warnings],
         "notes": list(facts.notes),
     }
     return plain(figures)
+
+
+def _verdict(verdict: Verdict | None) -> dict | None:
+    return None if verdict is None else {"passed": verdict.passed, "gates": verdict.gates}
 
 
 def _survey(survey: Survey) -> dict:
@@ -45,7 +53,7 @@ def _survey(survey: Survey) -> dict:
     images = list_images(survey.folder / config.images.dir, deep=config.images.dir != ".")
     return {
         "name": survey.name,
-        "crs": {"name": survey.frame.crs.name, "code": crs_code(survey.frame.crs)},
+        "crs": _crs(survey.frame.crs),
         "bounds": survey.bounds,
         "views_used": len(survey.views),
         "views_left_out": max(len(images) - len(survey.views), 0),
@@ -54,6 +62,11 @@ def _survey(survey: Survey) -> dict:
         "poses": config.cameras.poses or "structure from motion",
         "local_frame_origin": survey.frame.origin,
     }
+
+
+def _crs(crs: CRS) -> dict:
+    units = [_UNITS.get(axis.unit_name, axis.unit_name) for axis in crs.axis_info]
+    return {"name": crs.name, "code": crs_code(crs), "unit": units[0], "height_unit": units[-1]}
 
 
 def crs_code(crs: CRS) -> str | None:
@@ -110,7 +123,6 @@ def _cloud(facts: ReportFacts) -> dict:
         "extent": None if not len(bed) else {"low": facts.points_crs.min(axis=0), "high": facts.points_crs.max(axis=0)},
         "covered_area_m2": area,
         "density_per_m2": len(bed) / area if area else None,
-        "wet_pixel_share": facts.wet_pixel_share,
         "depth_m": _spread(depth, "min", "median", "p95", "max"),
         "std_m": _spread(bed.std, "median", "p95"),
         "views_per_point": _spread(bed.num_views, "min", "median", "mean", "max"),

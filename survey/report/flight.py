@@ -35,7 +35,7 @@ def draw_plan(path: Path, facts: ReportFacts) -> Picture:
     corners = np.array([_footprint(camera, survey, ground) for camera in cameras])
     footprints = survey.frame.crs_from_local(corners)[..., :2]
     extent, size = _extent(survey, centres, footprints)
-    figure, axes = map_canvas(extent, survey.frame.crs)
+    figure, axes = map_canvas(extent, survey.frame.crs, below_in=0.5)
     axes.set_facecolor("white")
     if len(facts.bed):
         _draw_wet_and_dry(axes, facts)
@@ -47,7 +47,7 @@ def draw_plan(path: Path, facts: ReportFacts) -> Picture:
         frame = Rectangle((e0, n0), e1 - e0, n1 - n0, fill=False, ec=BOUNDS, lw=1.6, ls="--", zorder=4)
         frame.set_label("bounds")
         axes.add_patch(frame)
-    figure.legend(loc="outside lower center", ncols=5, frameon=False, fontsize=9)
+    figure.legend(loc="lower center", ncols=3, frameon=False, fontsize=9)
     title = "The flight in plan"
     write_title(axes, title, f"{len(cameras)} views, {facts.plan.height_m:.1f} m over {_over(survey)}")
     save(figure, path)

@@ -17,7 +17,9 @@ from survey.palette import COUNTS, EMPTY, INK, SPREADS
 from survey.photos.images import load_image
 from survey.plan_grid import PlanGrid
 from survey.quantities import LengthUnit
+from survey.report.cut import Cut
 from survey.report.facts import ReportFacts
+from survey.report.profile import draw_line
 from survey.report.raster import without_pinholes
 from survey.report.shading import Picture, shaded_bed
 
@@ -43,8 +45,8 @@ def draw_orthophoto(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     return Picture(path, title, "The cloud in its own colours; where points lie above each other, the highest.")
 
 
-def draw_surface(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
-    """Depth below the water in plan, or height in a dry survey, shaded by the relief."""
+def draw_surface(path: Path, facts: ReportFacts, grid: PlanGrid, cut: Cut) -> Picture:
+    """Depth below the water in plan, or height in a dry survey, shaded by the relief; with the line of a cut."""
     height = without_pinholes(grid.mean(facts.points_crs[:, 2]))
     depth = None
     title, label, words = (
@@ -60,6 +62,7 @@ def draw_surface(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
         words = f"Mean true depth of each cell, shaded by the relief{ground}."
     image, scale = shaded_bed(depth, height, grid.cell_m)
     axes = _show(image, facts, grid)
+    draw_line(axes, facts, cut)
     axes.set_facecolor("white")  # the grey of other maps' gaps is that of dry ground here
     _bar(axes, scale, label, is_depth=depth is not None)
     write_title(axes, title, f"cells of {_centimetres(grid.cell_m)}")

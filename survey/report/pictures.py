@@ -12,6 +12,7 @@ from survey.compare import bands as compare_bands
 from survey.compare import pictures as compare_report
 from survey.plan_grid import PlanGrid
 from survey.report import flight, graphs, maps, profile
+from survey.report.cut import choose_cut
 from survey.report.facts import ReportFacts, distances_of
 from survey.report.shading import Picture
 
@@ -45,12 +46,12 @@ def draw_pictures(folder: Path, facts: ReportFacts, advance: Callable[[], None] 
     drawings: dict[str, Callable[[Path], Picture]] = {}
     if len(facts.bed):
         grid, fine_grid = _grid(facts, _MAP_CELLS), _grid(facts, _ORTHO_CELLS)
-        drawings["depth"] = partial(maps.draw_surface, facts=facts, grid=grid)
+        cut = choose_cut(facts)
+        drawings["depth"] = partial(maps.draw_surface, facts=facts, grid=grid, cut=cut)
         drawings["orthophoto"] = partial(maps.draw_orthophoto, facts=facts, grid=fine_grid)
+        drawings["profile"] = partial(profile.draw_profile, facts=facts, cut=cut)
     if facts.comparison is not None:
         drawings |= _of_comparison(facts)
-    if len(facts.bed) > 1:
-        drawings["profile"] = partial(profile.draw_profile, facts=facts)
     if facts.depth_maps:
         drawings["view"] = partial(maps.draw_view, facts=facts)
     if len(facts.bed):

@@ -1,61 +1,115 @@
-"""A cut through the bed along its longer side: cloud, reference and water in one picture."""
+"""A cut through the bed: water, bed, points and reference in one picture."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 
-from survey.compare.canvas import INK, canvas, save, write_title
+from geo.crs import is_geographic
+from survey.compare.canvas import canvas, save, write_title
+from survey.palette import BLUE, INK, LAND, RED, WATER, WATER_LINE
+from survey.quantities import NO_BREAK, metres, number
+from survey.report.cut import Cut
 from survey.report.facts import ReportFacts
 from survey.report.shading import Picture
 
-_RED, _BLUE, _WATER = "#c3140d", "#2f6f9f", "#7fb2c6"
 # The strip that is looked at, and the steps along it, in ground sampling distances; steps at most.
 _STRIP_GSD, _STEP_GSD, _MOST_STEPS = 4.0, 2.0, 600
+# Empty space above and below, in parts of the heights that are shown.
+_ABOVE, _BELOW = 0.18, 0.12
 
 
-def draw_profile(path: Path, facts: ReportFacts) -> Picture:
-    """Heights along a line through the middle of the cloud: points, their median, the reference, the water.
+def draw_profile(path: Path, facts: ReportFacts, cut: Cut) -> Picture:
+    """Heights along a cut: the points near it, the bed as their median, the water over it, the reference.
 
     The reference is drawn where points of the cloud are near it.
     """
-    xyz = facts.bed.xyz
-    along, across, ends = _line(xyz)
-    strip = np.abs(across) <= 0.5 * _STRIP_GSD * facts.plan.gsd_m
-    heights = facts.points_crs[strip, 2]
-    figure, axes = canvas(11.0, 3.4)
-    axes.plot(along[strip], heights, ".", ms=1.6, color=_BLUE, alpha=0.35, rasterized=True, label="points")
-    length_m = float(np.ptp(along[strip])) if strip.any() else 0.0
-    step = max(_STEP_GSD * facts.plan.gsd_m, length_m / _MOST_STEPS)
+    along, across = cut.along_and_across(facts.bed.xyz)
+    width_m = _STRIP_GSD * facts.plan.gsd_m
+    # Half a cell of the grid that chose the cut may lie beside it.
+    strip = (np.abs(across) <= 0.5 * width_m) & (along >= 0.0) & (along <= cut.length_m)
+    along, heights = along[strip], facts.points_crs[strip, 2]
+    step = max(_STEP_GSD * facts.plan.gsd_m, cut.length_m / _MOST_STEPS)
+    figure, axes = canvas(11.0, 3.8)
+    axes.set_xlim(0.0, max(cut.length_m, step))
+    x, bed = _medians(along, heights, step)
+    level = _level(facts, cut, x)
+    _set_heights(axes, heights, level)
+    if level is not None:
+        _draw_water(axes, x, bed, level)
+    axes.fill_between(x, bed, axes.get_ylim()[0], color=LAND, lw=0, zorder=1)
+    axes.plot(x, bed, color=INK, lw=1.1, label="bed", zorder=3)
+    axes.plot(along, heights, ".", ms=1.8, color=BLUE, alpha=0.4, rasterized=True, label="points", zorder=2)
     if facts.comparison is not None:
         reference = _reference_heights(facts, strip)
-        axes.plot(*_medians(along[strip], reference, step), color=_RED, lw=1.3, label="reference")
-    if facts.survey.water is not None:
-        level = facts.survey.frame.crs_from_local(_on_water(facts, ends))[:, 2]
-        axes.plot([along.min(), along.max()], level, color=_WATER, lw=2.0, label="water")
-    axes.set(xlabel="along the line [m]", ylabel="height [m]")
+        axes.plot(*_medians(along, reference, step), color=RED, lw=1.3, label="reference", zorder=4)
+    axes.set(xlabel="along the line from A to B [m]", ylabel="height [m]")
     axes.yaxis.get_major_formatter().set_useOffset(False)
-    axes.legend(frameon=False, fontsize=9, ncols=3, loc="best", markerscale=6.0, labelcolor=INK)
-    first, last = (facts.survey.frame.crs_from_local(end)[:2] for end in ends)
-    title = "Profile through the middle"
-    shown = f"from {first[0]:.8g}, {first[1]:.8g} to {last[0]:.8g}, {last[1]:.8g}"
-    width = f"{100.0 * _STRIP_GSD * facts.plan.gsd_m:.0f} cm wide"
-    write_title(axes, title, f"{shown}; a strip {width}, heights stretched")
+    axes.legend(frameon=False, fontsize=9, ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0), markerscale=6.0,
+                labelcolor=INK)  # fmt: skip
+    for x_end, name, side in ((0.0, "A", "left"), (1.0, "B", "right")):
+        axes.text(x_end, 0.97, f" {name} ", transform=axes.transAxes, ha=side, va="top", color=INK, weight="bold")
+    title = "Profile from A to B"
+    scale = f"heights drawn {_stretch(axes):.2g} times as large as lengths"
+    write_title(axes, title, f"a strip {100.0 * width_m:.0f}{NO_BREAK}cm wide, {scale}")
     save(figure, path)
-    return Picture(path, title, "Heights of the points in a narrow strip along the longer side of the bed.")
+    ends = facts.survey.frame.crs_from_local(np.column_stack([cut.ends, np.zeros(2)]))[:, :2]
+    decimals = 7 if is_geographic(facts.survey.frame.crs) else 2
+    first, last = (", ".join(number(value, decimals) for value in end) for end in ends)
+    what = "the ground" if level is None else "the bed under water"
+    return Picture(path, title, f"Where {what} changes most along a line: from A ({first}) to B ({last}).")
 
 
-def _line(xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Coordinates (N,) along and across the longer axis of points (N, 3) [m], and its two ends (2, 3)."""
-    middle = np.median(xyz, axis=0)
-    plan = xyz[:, :2] - middle[:2]
-    _, axes = np.linalg.eigh(plan.T @ plan)
-    # Eastwards, or northwards where it runs north.
-    direction = axes[:, 1] * (-1.0 if axes[np.argmax(np.abs(axes[:, 1])), 1] < 0.0 else 1.0)
-    along, across = plan @ direction, plan @ np.array([-direction[1], direction[0]])
-    ends = np.array([[*(middle[:2] + s * direction), middle[2]] for s in (along.min(), along.max())])
-    return along - along.min(), across, ends
+def draw_line(axes: Axes, facts: ReportFacts, cut: Cut) -> None:
+    """Where the profile lies, into a map."""
+    ends = facts.survey.frame.crs_from_local(np.column_stack([cut.ends, np.zeros(2)]))[:, :2]
+    axes.plot(*ends.T, color="white", lw=2.4, alpha=0.7, zorder=4)
+    axes.plot(*ends.T, color=INK, lw=1.0, ls=(0, (5, 3)), zorder=5)
+    for end, name in zip(ends, "AB", strict=True):
+        frame = {"boxstyle": "circle,pad=0.18", "fc": "white", "ec": INK, "lw": 0.8}
+        axes.text(*end, name, ha="center", va="center", fontsize=8, color=INK, bbox=frame, zorder=6, clip_on=False)
+
+
+def _level(facts: ReportFacts, cut: Cut, x: np.ndarray) -> np.ndarray | None:
+    """Height (K,) of the water in crs at places ``x`` (K,) along the cut; None for a dry survey."""
+    water = facts.survey.water
+    if water is None:
+        return None
+    places = cut.start + np.linspace(0.0, cut.length_m, 2)[:, None] * cut.direction
+    on_water = np.column_stack([places, np.asarray(water.height(places[:, 0], places[:, 1]))])
+    return np.interp(x, [0.0, cut.length_m], facts.survey.frame.crs_from_local(on_water)[:, 2])
+
+
+def _set_heights(axes: Axes, heights: np.ndarray, level: np.ndarray | None) -> None:
+    """Limits of the axis of heights, which hold the bed without its strays, and the water."""
+    shown = np.quantile(heights, [0.002, 0.998]) if len(heights) else np.zeros(2)
+    if level is not None and np.isfinite(level).any():
+        shown = np.append(shown, [np.nanmin(level), np.nanmax(level)])
+    low, high = float(shown.min()), float(shown.max())
+    size = max(high - low, 0.01)
+    axes.set_ylim(low - _BELOW * size, high + _ABOVE * size)
+
+
+def _draw_water(axes: Axes, x: np.ndarray, bed: np.ndarray, level: np.ndarray) -> None:
+    """Water between bed and surface, and its level in words."""
+    wet = np.flatnonzero(bed < level)
+    if not len(wet):
+        return
+    axes.fill_between(x, bed, level, where=bed < level, color=WATER, alpha=0.45, lw=0, zorder=1)
+    axes.plot(x, np.where(bed < level, level, np.nan), color=WATER_LINE, lw=1.8, label="water", zorder=3)
+    middle = wet[len(wet) // 2]
+    axes.text(x[middle], level[middle], f"▽ water {metres(level[middle])}", color=WATER_LINE, fontsize=9,
+              ha="center", va="bottom", zorder=5)  # fmt: skip
+
+
+def _stretch(axes: Axes) -> float:
+    """How much larger heights are drawn than lengths along the line."""
+    axes.figure.draw_without_rendering()  # the layout is done at the first drawing
+    box = axes.get_window_extent()
+    (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
+    return (box.height / (y1 - y0)) / (box.width / (x1 - x0))
 
 
 def _reference_heights(facts: ReportFacts, strip: np.ndarray) -> np.ndarray:
@@ -68,19 +122,14 @@ def _reference_heights(facts: ReportFacts, strip: np.ndarray) -> np.ndarray:
     return heights[strip]
 
 
-def _on_water(facts: ReportFacts, ends: np.ndarray) -> np.ndarray:
-    """The ends (2, 3) of the line, moved straight up or down to the water; local."""
-    return np.column_stack([ends[:, :2], np.asarray(facts.survey.water.height(ends[:, 0], ends[:, 1]))])
-
-
 def _medians(along: np.ndarray, values: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Middle of each step that holds a value, and the median of its values; NaN in gaps of several steps."""
+    """Middle of each step up to the last with a value, and the median of its values; NaN where it has none."""
     known = np.isfinite(values)
     cell = np.floor(along[known] / step).astype(np.int64)
     order = np.lexsort((values[known], cell))
     cell, sorted_values = cell[order], values[known][order]
     cells, first, count = np.unique(cell, return_index=True, return_counts=True)
-    x = np.full(cells.max(initial=-1) + 1, np.nan)
-    y = x.copy()
-    x[cells], y[cells] = (cells + 0.5) * step, sorted_values[first + count // 2]
+    x = (np.arange(cells.max(initial=-1) + 1) + 0.5) * step
+    y = np.full(len(x), np.nan)
+    y[cells] = sorted_values[first + count // 2]
     return x, y

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from survey.run.job import Job
 
 QUALITY_GATE_FAILED = 3
+# Where poses that had to be found are kept, in the run folder.
+SFM = "sfm"
 # At which the report asks how complete the cloud is: that of the study which this work follows, and a finer one.
 TOLERANCES_M = (0.2, 0.05)
 
@@ -90,11 +92,9 @@ def process(
         raise SurveyError(
             "--true-colour takes the water away, but the survey has none; leave the option out, or give [water]"
         )
-    start = time.monotonic()
     survey = checked.survey or load_survey(
-        survey_folder, found=checked.found, workspace=run_folder / "sfm", report=progress.note
+        survey_folder, found=checked.found, workspace=run_folder / SFM, report=progress.note
     )
-    sfm_s = time.monotonic() - start if checked.survey is None else None
     plan_of = partial(make_plan, quality=quality, device=device, field=field)
     plan = plan_of(survey)
     workload = workload_of(survey, plan)
@@ -109,8 +109,7 @@ def process(
         for text in shortages:
             progress.warn(text)
         job = Job(survey, plan_of, progress, calibrate_water=calibrate_water, true_colour=true_colour)
-        timings = {} if sfm_s is None else {"structure from motion": sfm_s}
-        return _to_the_end(run, job, timings, resume, reference, visible)
+        return _to_the_end(run, job, resume, reference, visible)
 
 
 def _announce(progress: Progress, survey: Survey, plan: Plan) -> None:
@@ -123,9 +122,7 @@ def _announce(progress: Progress, survey: Survey, plan: Plan) -> None:
         progress.note(f"plan: {decision.name}: {decision.choice} ({decision.reason})")
 
 
-def _to_the_end(
-    run: RunDir, job: Job, timings: dict[str, float], resume: bool, reference: Path | None, visible: Path | None
-) -> int:
+def _to_the_end(run: RunDir, job: Job, resume: bool, reference: Path | None, visible: Path | None) -> int:
     """Stages, result and verdict; the exit code."""
     from survey.run.pipeline import BED_OF_SWEEP, STAGES
     from survey.run.stage import run_stage
@@ -136,7 +133,7 @@ def _to_the_end(
     for stage in stages:
         if stage.is_on(job):
             done[stage.name] = run_stage(stage, job, run, done, resume=resume)
-    verdict = _write_result(result, job, timings, done, reference, visible)
+    verdict = _write_result(result, job, done, _timings(run, job.survey, done), reference, visible)
     run.publish(result, quality=job.plan.quality, stages=done)
     job.progress.detail(f"report: {run.report_html_path}")
     for gate in verdict.gates:
@@ -145,16 +142,27 @@ def _to_the_end(
     return 0 if verdict.passed else QUALITY_GATE_FAILED
 
 
+def _timings(run: RunDir, survey: Survey, done: dict[str, Path]) -> dict[str, float]:
+    """Seconds of the search for poses, where there was one, and of the stages, each when it was computed [s]."""
+    timings = {name: seconds_of(place) for name, place in done.items()}
+    if survey.config.cameras.poses is not None:
+        return timings
+    from survey.sfm.poses import seconds_of_solve
+
+    seconds = seconds_of_solve(run.path / SFM)
+    return timings if seconds is None else {"structure from motion": seconds} | timings
+
+
 def _write_result(
     folder: Path,
     job: Job,
-    timings: dict[str, float],
     done: dict[str, Path],
+    timings: dict[str, float],
     reference: Path | None,
     visible: Path | None,
 ) -> Verdict:
     """Everything that the user gets, in the folder of a new result."""
-    from survey.report import ReportFacts, write_report
+    from survey.report import NUM_STEPS, ReportFacts, write_report
     from survey.run.export import write_bed_las
     from survey.run.gate import verdict_of
     from survey.run.stage_sweep import MAPS
@@ -163,7 +171,6 @@ def _write_result(
     survey, plan, progress = job.survey, job.plan, job.progress
     (folder / "settings.toml").write_text(dump_config(survey.config), encoding="utf-8")
     (folder / "plan.json").write_text(json.dumps(plan.as_dict(), indent=2), encoding="utf-8")
-    timings = timings | {name: seconds_of(place) for name, place in done.items()}
     stored = load_bed(done["bed"])
     cloud = folder / "cloud.las"
     write_bed_las(cloud, stored)
@@ -177,7 +184,7 @@ def _write_result(
         of_sweep = _compare(cloud_of_sweep, survey, reference, visible)
         cloud_of_sweep.unlink()
     if comparison is not None:
-        timings["comparison"] = time.monotonic() - start
+        timings = timings | {"comparison": time.monotonic() - start}
     verdict = verdict_of(survey, stored.bed, plan.gsd_m)
     facts = ReportFacts(
         survey=survey,
@@ -192,8 +199,8 @@ def _write_result(
         versions=versions(),
         verdict=verdict,
     )
-    with progress.stage("Report"):
-        write_report(folder, facts)
+    with progress.stage("Report", NUM_STEPS) as stage:
+        write_report(folder, facts, stage.advance)
     return verdict
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,11 +21,12 @@ import numpy as np
 from pyproj import CRS
 
 from geo.crs import height_unit_m
-from geo.files import disk_refusals, write_whole
+from geo.files import disk_refusals
 from geo.frames import LocalFrame
 from refract.lens import Lens
 from survey.code_hash import code_hash
 from survey.errors import ImageError, SurveyError
+from survey.json_values import write_json
 from survey.photos.exif import read_exif
 from survey.sfm import block as sfm_block
 from survey.sfm.gps import GpsPositions, gps_positions
@@ -32,7 +34,7 @@ from survey.sfm.settings import one_focal, require_size
 from survey.sfm.solve import Solved, aliases, solve
 from survey.stage_key import stage_key
 
-__all__ = ["SfmResult", "SfmView", "solve_poses"]
+__all__ = ["SfmResult", "SfmView", "seconds_of_solve", "solve_poses"]
 
 _RECORD, _MODEL, _WORK = "solved.json", "model", ".work.part"
 # Features and matches of an image take about 2 MB in the database.
@@ -140,8 +142,9 @@ def solve_poses(
             say(f"structure from motion: poses of {solved.block.num_reg_images()} images from {workspace}")
         else:
             with _work_folder(workspace, len(images)) as work:
+                start = time.monotonic()
                 solved = solve(images, heads, gps, focal_px, work, say)
-                _store(workspace, key, work, solved)
+                _store(workspace, key, work, solved, time.monotonic() - start)
     return _result(solved, gps, images)
 
 
@@ -173,19 +176,30 @@ def _work_folder(workspace: Path, num_images: int) -> Iterator[Path]:
         shutil.rmtree(work, ignore_errors=True)
 
 
-def _stored(workspace: Path, key: str) -> Solved | None:
-    """What `_store` left with this key; None if there is nothing, or something else."""
+def seconds_of_solve(workspace: Path) -> float | None:
+    """How long the poses in a workspace took when they were solved [s]; None where there are none, or none says."""
+    return _record(workspace).get("seconds")
+
+
+def _record(workspace: Path) -> dict:
+    """What `_store` wrote about its block; empty if there is nothing that can be read."""
     try:
         record = json.loads((workspace / _RECORD).read_text(encoding="utf-8"))
     except (FileNotFoundError, NotADirectoryError, ValueError):
-        return None
-    if not isinstance(record, dict) or record.get("key") != key or not (workspace / _MODEL).is_dir():
+        return {}
+    return record if isinstance(record, dict) else {}
+
+
+def _stored(workspace: Path, key: str) -> Solved | None:
+    """What `_store` left with this key; None if there is nothing, or something else."""
+    record = _record(workspace)
+    if record.get("key") != key or not (workspace / _MODEL).is_dir():
         return None
     frame = LocalFrame(CRS(record["crs"]), tuple(record["origin"]))
     return Solved(sfm_block.read_block(workspace / _MODEL), frame, tuple(record["notes"]))
 
 
-def _store(workspace: Path, key: str, work: Path, solved: Solved) -> None:
+def _store(workspace: Path, key: str, work: Path, solved: Solved, seconds: float) -> None:
     """Keep a block; the record, written last, says that it is whole."""
     (workspace / _RECORD).unlink(missing_ok=True)
     shutil.rmtree(workspace / _MODEL, ignore_errors=True)
@@ -195,8 +209,7 @@ def _store(workspace: Path, key: str, work: Path, solved: Solved) -> None:
     model.rename(workspace / _MODEL)
     frame = solved.frame
     record = {"key": key, "crs": frame.crs.to_wkt(), "origin": frame.origin, "notes": solved.notes}
-    with write_whole(workspace / _RECORD) as stream:
-        stream.write(json.dumps(record, indent=2).encode())
+    write_json(workspace / _RECORD, record | {"seconds": round(seconds, 3)})
 
 
 def _result(solved: Solved, gps: GpsPositions, images: Mapping[str, Path]) -> SfmResult:

@@ -1,0 +1,62 @@
+"""What a section of report.html is made of: texts and tables, in words and numbers that are ready to be shown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph; a soft one stands back."""
+
+    kind: ClassVar[str] = "text"
+    text: str
+    is_soft: bool = False
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Labels with a text each."""
+
+    kind: ClassVar[str] = "rows"
+    rows: list[tuple[str, str]]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with a line of titles; all but the first ``num_texts`` columns hold numbers.
+
+    Attributes
+    ----------
+    titles : tuple of str
+        With the unit of the column.
+    rows : list of tuple of str
+    num_texts : int
+    heading : str
+    """
+
+    kind: ClassVar[str] = "table"
+    titles: tuple[str, ...]
+    rows: list[tuple[str, ...]]
+    num_texts: int = 1
+    heading: str = ""
+
+
+@dataclass(frozen=True)
+class Sentences:
+    """A list of sentences."""
+
+    kind: ClassVar[str] = "sentences"
+    sentences: list[str]
+
+
+Block = Text | Rows | Table | Sentences
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page with a title."""
+
+    title: str
+    blocks: list[Block]

@@ -54,7 +54,7 @@ def cloud_figures(cloud: Path, reference: Path, visible: Path, survey: Survey) -
     of_mast = mast[cKDTree(seen).query(inside, workers=-1)[1]]
     for name, part in (("all", np.ones(len(inside), bool)), ("bed", ~of_mast), ("masts", of_mast)):
         numbers = distance_statistics(distances[part])
-        figures |= {f"{k}_{name}": numbers[f"{k}_inner90_m"] for k in ("mean", "std")}
+        figures |= {f"mean_{name}": numbers.mean_inner90_m, f"std_{name}": numbers.std_inner90_m}
     return figures
 
 

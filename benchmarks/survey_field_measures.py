@@ -10,7 +10,7 @@ from scipy.ndimage import distance_transform_edt, grey_opening
 from scipy.spatial import cKDTree
 
 from evaluation import distance_statistics, distance_to_mesh, image_quality, is_reached, psnr
-from evaluation.images.parts import largest_rectangle
+from evaluation.images.inputs import largest_rectangle
 from geo import read_cloud, read_reference
 from survey.folder.survey import Survey, View, load_image, load_mask
 from survey.plan.block import local_area, within

@@ -26,8 +26,8 @@ from pyproj import CRS
 
 from geo import LocalFrame, write_ply
 from geo.errors import CRSMismatch, EmptyCloud, GeoError, PlaceMismatch, UnreadableFile
+from survey.compare.area import CompareError
 from survey.compare.comparison import CompareOptions, compare_surfaces
-from survey.compare.inputs import CompareError
 from survey.compare.pictures import completeness_map, error_map, histogram
 
 # Six standard deviations of a share of that many samples.

@@ -8,8 +8,8 @@ from compare_plane import FRAME, HALF, LAS_M, NUM_SAMPLES, ORIGIN, compared, gri
 
 from evaluation import DistanceStatistics
 from geo import write_ply
+from survey.compare.area import CompareError
 from survey.compare.comparison import CompareOptions, compare_files
-from survey.compare.inputs import CompareError
 from survey.compare.text import _short, sections_of
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from evaluation import asprs_vertical, height_at
 from evaluation.standards import MIN_CHECKPOINTS
 from geo.files import existing_file
+from survey.compare.area import CompareError, to_local
 from survey.compare.figures import Checkpoints
-from survey.compare.inputs import CompareError, to_local
 from survey.compare.scene import Scene
 from survey.csv_table import read_table
 

@@ -11,18 +11,10 @@ from evaluation import Blocks, is_outlier, spatial_blocks, summarise
 from evaluation.completeness import SEED
 from geo import Mesh
 from survey.compare import clouds, measure
+from survey.compare.area import Bounds, CompareError, metres_in_crs, to_local, within
 from survey.compare.checkpoints import checkpoint_accuracy, read_checkpoints
 from survey.compare.figures import Circumstances, Figures
-from survey.compare.inputs import (
-    Bounds,
-    CompareError,
-    Inputs,
-    load_inputs,
-    metres_in_crs,
-    to_local,
-    vertices_of,
-    within,
-)
+from survey.compare.inputs import Inputs, Paths, load_inputs, vertices_of
 from survey.compare.options import CompareOptions, check_options, outlier_filter
 from survey.compare.pictures import write_report
 from survey.compare.result import Comparison
@@ -62,23 +54,23 @@ def compare_files(cloud: Path, reference: Path, *, options: CompareOptions | Non
 def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> Comparison:
     """The comparison itself, with its distances; writes nothing. Parameters as `compare_files`."""
     check_options(options)
-    paths = Path(cloud), Path(reference), Path(options.visible) if options.visible is not None else None
+    paths = Paths(Path(cloud), Path(reference), None if options.visible is None else Path(options.visible))
     with current().stage("Reading"):
-        inputs = load_inputs(*paths, options.bounds)
+        inputs = load_inputs(paths, options.bounds)
         checkpoints = None if options.checkpoints is None else read_checkpoints(Path(options.checkpoints))
     notes = list(inputs.notes)
     num_cropped = int((~inputs.inside).sum())
-    inputs, is_left = _without_outliers(inputs, options, paths[0], notes)
-    scene = Scene.of(inputs, options.bounds, is_left, max(options.tolerances_m), paths)
+    inputs, is_left = _without_outliers(inputs, options, notes)
+    scene = Scene.of(inputs, options.bounds, is_left, max(options.tolerances_m))
     distances, nearest = measure.distances_of(scene, options.sign, notes)
     blocks = spatial_blocks(scene.points[:, :2], distances)
-    depth = measure.bed_depth(scene, nearest, options.water_level, paths[0])
+    depth = measure.bed_depth(scene, nearest, options.water_level)
     with current().stage("Completeness", len(options.tolerances_m)) as stage:
         reaches = []
         for tolerance_m in options.tolerances_m:
             reaches.append(measure.reached_at(scene, tolerance_m))
             stage.advance()
-    _note_extent(inputs, options.bounds, paths[1], notes)
+    _note_extent(inputs, options.bounds, notes)
     first = reaches[0]
     vertical, errors = measure.vertical(scene, depth, blocks)
     places = None if checkpoints is None else Path(options.checkpoints)
@@ -99,17 +91,15 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
         c2c=clouds.cloud_to_cloud(scene) if options.c2c else None,
         m3c2=None if options.m3c2_radius_m is None else clouds.m3c2(scene, options.m3c2_radius_m),
         # Last: the others add to the notes.
-        circumstances=_circumstances(scene, options, blocks, paths, notes),
+        circumstances=_circumstances(scene, options, blocks, notes),
     )
     points, targets = inputs.cloud.points[inputs.inside], inputs.frame.crs_from_local(scene.targets)
     is_reached = first.samples if first.visible is None else first.visible
     return Comparison(figures, points, distances, nearest, depth, targets, is_reached, inputs)
 
 
-def _circumstances(
-    scene: Scene, options: CompareOptions, blocks: Blocks, paths: tuple, notes: list[str]
-) -> Circumstances:
-    is_mesh, crs = isinstance(scene.inputs.reference, Mesh), scene.inputs.crs
+def _circumstances(scene: Scene, options: CompareOptions, blocks: Blocks, notes: list[str]) -> Circumstances:
+    is_mesh, crs, paths = isinstance(scene.inputs.reference, Mesh), scene.inputs.crs, scene.inputs.paths
     if blocks.is_narrow:
         notes.append(
             f"the errors are correlated over {blocks.correlation_m:.3g} m, too far for the extent of the cloud: the "
@@ -125,25 +115,23 @@ def _circumstances(
         sign=options.sign if is_mesh else None,
         crs=None if crs is None else crs.name,
         bounds=options.bounds,
-        cloud=str(paths[0]),
-        reference=str(paths[1]),
-        visible=None if paths[2] is None else str(paths[2]),
+        cloud=str(paths.cloud),
+        reference=str(paths.reference),
+        visible=None if paths.visible is None else str(paths.visible),
         n_samples=len(scene.samples),
         seed=SEED if is_mesh else None,
         notes=tuple(notes),
     )
 
 
-def _without_outliers(
-    inputs: Inputs, options: CompareOptions, path: Path, notes: list[str]
-) -> tuple[Inputs, np.ndarray]:
+def _without_outliers(inputs: Inputs, options: CompareOptions, notes: list[str]) -> tuple[Inputs, np.ndarray]:
     """The inputs without outliers among what is compared, and which points of the file (N,) are left."""
     is_left = np.ones(len(inputs.inside), dtype=bool)
     if options.outliers is None:
         return inputs, is_left
     neighbours, num_std = outlier_filter(options.outliers)
     with current().stage("Outliers"):
-        points = to_local(inputs.frame, inputs.cloud.points, path)
+        points = to_local(inputs.frame, inputs.cloud.points, inputs.paths.cloud)
         is_left = ~is_outlier(points, neighbours=neighbours, num_std=num_std)
     lost = int((inputs.inside & ~is_left).sum())
     notes.append(
@@ -161,13 +149,13 @@ def _make_folder(folder: Path) -> None:
         raise CompareError(f"{folder} cannot be a folder, because a file is in the way; name another one") from error
 
 
-def _note_extent(inputs: Inputs, bounds: Bounds | None, path: Path, notes: list[str]) -> None:
+def _note_extent(inputs: Inputs, bounds: Bounds | None, notes: list[str]) -> None:
     if bounds is None:
         return
     vertices = vertices_of(inputs.reference)
     outside = 1.0 - float(np.mean(within(vertices, bounds, metres_in_crs(inputs.frame, 0.01))))
     if outside > 0.001:
         notes.append(
-            f"{100.0 * outside:.1f} % of {path.name} lies outside the bounds: completeness counts it as not "
-            "reached where the cropped cloud does not reach it"
+            f"{100.0 * outside:.1f} % of {inputs.paths.reference.name} lies outside the bounds: completeness counts it "
+            "as not reached where the cropped cloud does not reach it"
         )

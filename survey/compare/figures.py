@@ -8,7 +8,7 @@ import numpy as np
 
 from evaluation import AsprsAccuracy, Band, DepthParts, DistanceStatistics, IhoS44, Scores, Summary
 from evaluation.c2m import Sign
-from survey.compare.inputs import Bounds
+from survey.compare.area import Bounds
 
 
 @dataclass(frozen=True)

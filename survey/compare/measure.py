@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from evaluation import (
     Blocks,
+    DepthParts,
     Scores,
     by_band,
     by_depth,
@@ -23,8 +23,8 @@ from evaluation import (
 from evaluation.c2m import Sign
 from evaluation.strata import INCIDENCE_EDGES_DEG, VIEWS_EDGES
 from geo import Mesh
+from survey.compare.area import metres_in_crs, to_local, within
 from survey.compare.figures import Parts, Vertical, VerticalUncertainty
-from survey.compare.inputs import metres_in_crs, to_local, within
 from survey.compare.scene import Scene
 from survey.progress import current
 
@@ -82,7 +82,7 @@ def reached_at(scene: Scene, tolerance_m: float) -> Reach:
     )
 
 
-def bed_depth(scene: Scene, nearest: np.ndarray, water_level: float | None, name: Path) -> np.ndarray | None:
+def bed_depth(scene: Scene, nearest: np.ndarray, water_level: float | None) -> np.ndarray | None:
     """Depth (N,) [m] of the nearest point of the reference; None if neither a level nor the cloud tells it.
 
     The cloud's depth alone would sort its points by what it got wrong; its sum with the height is the water
@@ -92,7 +92,7 @@ def bed_depth(scene: Scene, nearest: np.ndarray, water_level: float | None, name
     if water_level is not None:
         surface = inputs.cloud.points[inputs.inside].copy()
         surface[:, 2] = water_level
-        return to_local(inputs.frame, surface, name)[:, 2] - nearest[:, 2]
+        return to_local(inputs.frame, surface, inputs.paths.cloud)[:, 2] - nearest[:, 2]
     depth = scene.extra(_DEPTH_NAMES)
     return None if depth is None else depth + scene.points[:, 2] - nearest[:, 2]
 
@@ -103,8 +103,7 @@ def parts(scene: Scene, distances: np.ndarray, depth: np.ndarray | None, blocks:
         () if (values := scene.extra(names)) is None else by_band(distances, values, edges, blocks)
         for names, edges in ((_INCIDENCE_NAMES, INCIDENCE_EDGES_DEG), (_VIEWS_NAMES, VIEWS_EDGES))
     )
-    is_known = depth is not None and np.isfinite(depth).any()
-    return Parts(by_depth(distances, depth, blocks) if is_known else None, incidence, views)
+    return Parts(_by_depth(distances, depth, blocks), incidence, views)
 
 
 def vertical(scene: Scene, depth: np.ndarray | None, blocks: Blocks) -> tuple[Vertical | None, np.ndarray | None]:
@@ -114,9 +113,7 @@ def vertical(scene: Scene, depth: np.ndarray | None, blocks: Blocks) -> tuple[Ve
     faces = scene.inputs.reference.faces
     with current().stage("Vertical differences", len(scene.points)) as stage:
         errors = vertical_difference(scene.points, scene.reference, faces, advance=stage.advance)
-    is_known = depth is not None and np.isfinite(depth).any()
-    by = by_depth(errors, depth, blocks) if is_known else None
-    return Vertical(distance_statistics(errors, blocks), by), errors
+    return Vertical(distance_statistics(errors, blocks), _by_depth(errors, depth, blocks)), errors
 
 
 def uncertainty(
@@ -131,3 +128,7 @@ def uncertainty(
         errors, said = distances, "distance to the nearest point of the reference"
     iho = None if depth is None else iho_s44(errors, depth)
     return None if iho is None else VerticalUncertainty(iho, said)
+
+
+def _by_depth(distances: np.ndarray, depth: np.ndarray | None, blocks: Blocks) -> DepthParts | None:
+    return None if depth is None or not np.isfinite(depth).any() else by_depth(distances, depth, blocks)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from evaluation import sample_mesh
 from evaluation.completeness import NUM_SAMPLES
 from geo import Cloud, Mesh
-from survey.compare.inputs import Bounds, Inputs, metres_in_crs, to_local, vertices_of, within
+from survey.compare.area import Bounds, metres_in_crs, to_local, within
+from survey.compare.inputs import Inputs, vertices_of
 
 
 @dataclass(frozen=True)
@@ -43,20 +43,15 @@ class Scene:
     targets: np.ndarray
 
     @staticmethod
-    def of(
-        inputs: Inputs,
-        bounds: Bounds | None,
-        is_left: np.ndarray,
-        largest_m: float,
-        paths: tuple[Path, Path, Path | None],
-    ) -> Scene:
+    def of(inputs: Inputs, bounds: Bounds | None, is_left: np.ndarray, largest_m: float) -> Scene:
         """Bring the points that are left (N,) bool, the reference and the visible points into the local frame."""
         around = within(inputs.cloud.points, bounds, metres_in_crs(inputs.frame, largest_m)) & is_left
-        cloud = to_local(inputs.frame, inputs.cloud.points[around], paths[0])
-        reference = to_local(inputs.frame, vertices_of(inputs.reference), paths[1])
+        cloud = to_local(inputs.frame, inputs.cloud.points[around], inputs.paths.cloud)
+        reference = to_local(inputs.frame, vertices_of(inputs.reference), inputs.paths.reference)
         samples = targets = _samples(reference, inputs.reference)
         if inputs.visible is not None:
-            targets = _samples(to_local(inputs.frame, vertices_of(inputs.visible), paths[2]), inputs.visible)
+            visible = to_local(inputs.frame, vertices_of(inputs.visible), inputs.paths.visible)
+            targets = _samples(visible, inputs.visible)
         points = cloud[inputs.inside[around]]
         return Scene(inputs, bounds, np.flatnonzero(around), cloud, points, reference, samples, targets)
 

@@ -14,7 +14,7 @@ Section = tuple[str | None, list[tuple[str, str]]]
 def sections_of(figures: Figures) -> list[Section]:
     """Titles (None: no title) with rows of label and text, in the order in which they are to be read."""
     numbers, depth = numbers_of(figures), figures.parts.depth
-    sections = [(None, _rows(numbers))]
+    sections: list[Section] = [(None, _rows(numbers))]
     if len(figures.tolerances) > 1:
         sections.append(("By tolerance", [(f"{s.tolerance_m:g} m", _scores(s)) for s in figures.tolerances]))
     if depth is not None:

@@ -10,7 +10,7 @@ from scipy.ndimage import distance_transform_edt, grey_opening
 from scipy.spatial import cKDTree
 
 from evaluation import distance_statistics, distance_to_mesh, image_quality, is_reached, psnr
-from evaluation.images.parts import largest_rectangle
+from evaluation.images.inputs import largest_rectangle
 from geo import read_cloud, read_reference
 from survey.folder.survey import Survey, View, load_image, load_mask
 from survey.plan.block import local_area, within
@@ -54,7 +54,7 @@ def cloud_figures(cloud: Path, reference: Path, visible: Path, survey: Survey) -
     of_mast = mast[cKDTree(seen).query(inside, workers=-1)[1]]
     for name, part in (("all", np.ones(len(inside), bool)), ("bed", ~of_mast), ("masts", of_mast)):
         numbers = distance_statistics(distances[part])
-        figures |= {f"{k}_{name}": numbers[f"{k}_inner90_m"] for k in ("mean", "std")}
+        figures |= {f"mean_{name}": numbers.mean_inner90_m, f"std_{name}": numbers.std_inner90_m}
     return figures
 
 

@@ -9,16 +9,23 @@ from evaluation.images.feature_similarity import fsim, vsi
 from evaluation.images.quality import gmsd, image_quality, ms_gmsd, ms_ssim, psnr, ssim
 from evaluation.m3c2 import M3C2Distances, m3c2_distances
 from evaluation.outliers import is_outlier
-from evaluation.standards import asprs_vertical, iho_s44
-from evaluation.strata import by_band, by_depth
-from evaluation.summary import distance_statistics, scores, summarise
+from evaluation.standards import AsprsAccuracy, IhoS44, asprs_vertical, iho_s44
+from evaluation.strata import Band, DepthParts, by_band, by_depth
+from evaluation.summary import DistanceStatistics, Scores, Summary, distance_statistics, scores, summarise
 from evaluation.triangles import weld
 from evaluation.vertical import vertical_difference
 
 __all__ = [
+    "AsprsAccuracy",
+    "Band",
     "Blocks",
+    "DepthParts",
+    "DistanceStatistics",
+    "IhoS44",
     "M3C2Distances",
     "MeshDistances",
+    "Scores",
+    "Summary",
     "apparent_points",
     "asprs_vertical",
     "by_band",

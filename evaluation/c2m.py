@@ -1,4 +1,10 @@
-"""Signed distance from a cloud to a mesh, exact to rounding in float64."""
+"""Signed distance from a cloud to a mesh (C2M), exact to rounding in float64.
+
+**Sign: positive above the reference, negative below it.** A bed that is too shallow has a positive mean, a bed that is
+too deep a negative one. "Above" is the side to which the upward normal of the triangle points (``sign="up"``, z up), or
+the side from which its corners run counter-clockwise (``sign="winding"``, as in CloudCompare). The sign is the same in
+`evaluation.vertical_difference` and `evaluation.m3c2_distances`.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +21,7 @@ from evaluation.triangles import FEATURE_CORNERS, INSIDE, area_vectors, closest_
 
 Sign = Literal["up", "winding"]
 
-# A steeper triangle has no side that is above it to speak of; its winding decides.
+# Neither side of a steeper triangle can be called the upper one: its winding decides.
 _STEEP_NZ = 0.05
 # Points at a time for each thread: about 75 MB of intermediate values. The tree is searched on all cores at once;
 # threads keep them busy with what comes after.
@@ -113,7 +119,7 @@ def distance_to_mesh(
 
 
 class _Surface:
-    """A mesh made ready for queries: tree of boxes, normals that point to the positive side, vertex stars."""
+    """A mesh prepared for queries: tree of boxes, normals to the positive side, triangles around each vertex."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, sign: Sign):
         self._vertices = np.ascontiguousarray(vertices)

@@ -6,6 +6,7 @@ Only what was tested is judged; both standards ask for more than vertical accura
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,8 +28,100 @@ _TVU_NOTE = (
 MIN_CHECKPOINTS = 30
 
 
-def iho_s44(errors: np.ndarray, depth_m: np.ndarray) -> dict | None:
-    """Which orders' total vertical uncertainty the points under water meet.
+@dataclass(frozen=True)
+class TvuBand:
+    """Points in a band of depth.
+
+    Attributes
+    ----------
+    low_m, high_m : [m]
+        The lower limit belongs to the band; the upper one may be infinite.
+    n_points : int
+    share_within : [-]
+        Share of them whose error is at most the uncertainty that the order allows at their own depth.
+    """
+
+    low_m: float
+    high_m: float
+    n_points: int
+    share_within: float
+
+
+@dataclass(frozen=True)
+class TvuOrder:
+    """How one order of IHO S-44 is met.
+
+    Attributes
+    ----------
+    name : str
+    tvu_at_median_depth_m : [m]
+        Total vertical uncertainty that the order allows there.
+    share_within : [-]
+        Share of the points whose error is at most the uncertainty at their own depth.
+    meets_tvu : bool
+        Whether those are 95 %.
+    bands : tuple of TvuBand
+    """
+
+    name: str
+    tvu_at_median_depth_m: float
+    share_within: float
+    meets_tvu: bool
+    bands: tuple[TvuBand, ...]
+
+
+@dataclass(frozen=True)
+class IhoS44:
+    """Which orders' total vertical uncertainty a cloud meets.
+
+    Attributes
+    ----------
+    n_points : int
+        Points under water with a known error.
+    error_95_m : [m]
+        95 % of the errors are smaller.
+    orders : tuple of TvuOrder
+        The strictest first.
+    note : str
+        What is not judged.
+    """
+
+    n_points: int
+    error_95_m: float
+    orders: tuple[TvuOrder, ...]
+    note: str = _TVU_NOTE
+
+
+@dataclass(frozen=True)
+class AsprsAccuracy:
+    """Vertical accuracy by check points; all but the counts are NaN where the product covers none.
+
+    Attributes
+    ----------
+    n_checkpoints, n_not_covered : int
+        Check points that the product covers, and others.
+    is_enough : bool
+        Whether they are 30 or more.
+    mean_m, std_m, min_m, max_m : [m]
+        Of the residuals; the standard deviation is that of a sample.
+    rmse_fit_m, rmse_checkpoints_m, rmse_v_m : [m]
+        Root mean square of the residuals, of the check points' own errors, and the root of the sum of their squares.
+    """
+
+    n_checkpoints: int
+    n_not_covered: int
+    is_enough: bool
+    mean_m: float = math.nan
+    std_m: float = math.nan
+    min_m: float = math.nan
+    max_m: float = math.nan
+    rmse_fit_m: float = math.nan
+    rmse_checkpoints_m: float = math.nan
+    rmse_v_m: float = math.nan
+
+
+def iho_s44(errors: np.ndarray, depth_m: np.ndarray) -> IhoS44 | None:
+    """Which orders' total vertical uncertainty the points under water meet; None if there is no such point.
 
     Parameters
     ----------
@@ -36,46 +129,27 @@ def iho_s44(errors: np.ndarray, depth_m: np.ndarray) -> dict | None:
         Vertical, of either sign; NaN is left out.
     depth_m : (N,) [m]
         Of the bed, positive below the water; other points are left out.
-
-    Returns
-    -------
-    dict or None
-        None if no point is left. ``points``, ``error_95_m`` (below which 95 % of the errors are), ``note`` and
-        ``orders``, each with ``order``, ``tvu_at_median_depth_m``, ``share_within`` (share of the points whose error
-        is at most the uncertainty at their own depth), ``meets_tvu`` (whether those are 95 %), and
-        ``depth_bands`` with ``from_m``, ``to_m``, ``n_points`` and ``share_within``.
     """
     use = np.isfinite(errors) & (depth_m > 0.0)
     if not use.any():
         return None
     size, depth = np.abs(errors[use]), depth_m[use].astype(np.float64)
-    return {
-        "points": len(size),
-        "error_95_m": float(np.quantile(size, _TVU_SHARE)),
-        "orders": [_order(*row, size, depth) for row in TVU],
-        "note": _TVU_NOTE,
-    }
+    orders = tuple(_order(*row, size, depth) for row in TVU)
+    return IhoS44(len(size), float(np.quantile(size, _TVU_SHARE)), orders)
 
 
-def _order(name: str, a: float, b: float, size: np.ndarray, depth: np.ndarray) -> dict:
+def _order(name: str, a: float, b: float, size: np.ndarray, depth: np.ndarray) -> TvuOrder:
     within = size <= np.hypot(a, b * depth)
     band = np.searchsorted(DEPTH_EDGES_M, depth, side="right") - 1
     bands = []
     for i in np.unique(band):
-        part, top = within[band == i], DEPTH_EDGES_M[i + 1]
-        limits = {"from_m": DEPTH_EDGES_M[i], "to_m": None if math.isinf(top) else top}
-        bands.append(limits | {"n_points": len(part), "share_within": float(part.mean())})
+        part = within[band == i]
+        bands.append(TvuBand(DEPTH_EDGES_M[i], DEPTH_EDGES_M[i + 1], len(part), float(part.mean())))
     share = float(within.mean())
-    return {
-        "order": name,
-        "tvu_at_median_depth_m": float(np.hypot(a, b * np.median(depth))),
-        "share_within": share,
-        "meets_tvu": share >= _TVU_SHARE,
-        "depth_bands": bands,
-    }
+    return TvuOrder(name, float(np.hypot(a, b * np.median(depth))), share, share >= _TVU_SHARE, tuple(bands))
 
 
-def asprs_vertical(residuals: np.ndarray, sigma_m: np.ndarray) -> dict:
+def asprs_vertical(residuals: np.ndarray, sigma_m: np.ndarray) -> AsprsAccuracy:
     """Vertical accuracy by check points.
 
     Parameters
@@ -85,13 +159,6 @@ def asprs_vertical(residuals: np.ndarray, sigma_m: np.ndarray) -> dict:
     sigma_m : (K,) [m]
         Standard deviation of each check point's own height.
 
-    Returns
-    -------
-    dict
-        ``n_checkpoints``, ``n_not_covered``, ``mean_m``, ``std_m`` (of a sample), ``min_m``, ``max_m``; ``rmse_fit_m``
-        of the residuals, ``rmse_checkpoints_m`` of the check points, and ``rmse_v_m``, the root of the sum of their
-        squares; ``is_enough`` (30 or more). All but the counts are NaN where nothing is covered.
-
     Notes
     -----
     ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2: the survey error of the check points is
@@ -99,11 +166,17 @@ def asprs_vertical(residuals: np.ndarray, sigma_m: np.ndarray) -> dict:
     """
     covered = np.isfinite(residuals)
     r, sigma = residuals[covered], sigma_m[covered]
-    counts = {"n_checkpoints": len(r), "n_not_covered": int((~covered).sum()), "is_enough": len(r) >= MIN_CHECKPOINTS}
-    names = ("mean_m", "std_m", "min_m", "max_m", "rmse_fit_m", "rmse_checkpoints_m", "rmse_v_m")
+    counts = (len(r), int((~covered).sum()), len(r) >= MIN_CHECKPOINTS)
     if not len(r):
-        return counts | dict.fromkeys(names, math.nan)
+        return AsprsAccuracy(*counts)
     fit, own = math.sqrt(np.square(r).mean()), math.sqrt(np.square(sigma).mean())
-    std = float(r.std(ddof=1)) if len(r) > 1 else math.nan
-    values = (float(r.mean()), std, float(r.min()), float(r.max()), fit, own, math.hypot(fit, own))
-    return counts | dict(zip(names, values, strict=True))
+    return AsprsAccuracy(
+        *counts,
+        mean_m=float(r.mean()),
+        std_m=float(r.std(ddof=1)) if len(r) > 1 else math.nan,
+        min_m=float(r.min()),
+        max_m=float(r.max()),
+        rmse_fit_m=fit,
+        rmse_checkpoints_m=own,
+        rmse_v_m=math.hypot(fit, own),
+    )

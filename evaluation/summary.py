@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,6 +14,84 @@ from evaluation.completeness import f_score
 _STD_PER_MAD = 1.4826
 
 
+@dataclass(frozen=True)
+class DistanceStatistics:
+    """Counts and moments of distances; all but the counts are NaN where there is no distance.
+
+    Attributes
+    ----------
+    n_points, n_nan : int
+        Finite distances, and others, which are left out.
+    mean_m, median_m, std_m, rms_m : [m]
+        The standard deviation is that of a population.
+    mean_inner90_m, std_inner90_m : [m]
+        Of the distances d whose |d| is at most the 0.9 quantile of |d| (linear between points).
+    nmad_m : [m]
+        1.4826 times the median absolute deviation from the median.
+    p95_abs_m : [m]
+        0.95 quantile of |d|.
+    min_m, max_m : [m]
+    mean_ci95_m, mean_inner90_ci95_m : (low, high) [m] or None
+        Intervals of 95 % confidence of the two means; None where no blocks were given.
+    """
+
+    n_points: int
+    n_nan: int
+    mean_m: float = math.nan
+    median_m: float = math.nan
+    std_m: float = math.nan
+    rms_m: float = math.nan
+    mean_inner90_m: float = math.nan
+    std_inner90_m: float = math.nan
+    nmad_m: float = math.nan
+    p95_abs_m: float = math.nan
+    min_m: float = math.nan
+    max_m: float = math.nan
+    mean_ci95_m: tuple[float, float] | None = None
+    mean_inner90_ci95_m: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Accuracy and completeness at one tolerance; shares are NaN where there is nothing to count.
+
+    Attributes
+    ----------
+    completeness : [-]
+        Share of the samples of the reference that are closer than the tolerance to the cloud.
+    accuracy_share : [-]
+        Share of the points of the cloud that are closer than the tolerance to the reference.
+    f_score : [-]
+        Harmonic mean of both.
+    tolerance_m : [m]
+    completeness_visible : [-] or None
+        As `completeness`, of the points of the reference that cameras see; None where those are not known.
+    """
+
+    completeness: float
+    accuracy_share: float
+    f_score: float
+    tolerance_m: float
+    completeness_visible: float | None = None
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The numbers of a comparison over all its points.
+
+    Attributes
+    ----------
+    n_cropped : int
+        Points that were left out before.
+    distances : DistanceStatistics
+    scores : Scores
+    """
+
+    n_cropped: int
+    distances: DistanceStatistics
+    scores: Scores
+
+
 def summarise(
     distances: np.ndarray,
     *,
@@ -21,32 +100,25 @@ def summarise(
     is_reached_visible: np.ndarray | None = None,
     num_cropped: int = 0,
     blocks: Blocks | None = None,
-) -> dict:
+) -> Summary:
     """The numbers of a comparison over all its points.
 
     Parameters
     ----------
     distances : (N,) [m]
-        Signed (unsigned if the reference is a cloud). NaN is counted as ``n_nan`` and left out.
+        Signed (unsigned if the reference is a cloud). NaN is counted and left out.
     tolerance_m, is_reached, is_reached_visible :
         As `scores`.
     num_cropped : int
         Points that were left out before.
     blocks : Blocks of the N points, optional
         As `distance_statistics`.
-
-    Returns
-    -------
-    dict
-        ``n_points``, ``n_cropped`` and those of `distance_statistics` and `scores`.
     """
-    statistics = distance_statistics(distances, blocks)
-    return {
-        "n_points": statistics.pop("n_points"),
-        "n_cropped": int(num_cropped),
-        **statistics,
-        **scores(distances, tolerance_m=tolerance_m, is_reached=is_reached, is_reached_visible=is_reached_visible),
-    }
+    return Summary(
+        int(num_cropped),
+        distance_statistics(distances, blocks),
+        scores(distances, tolerance_m=tolerance_m, is_reached=is_reached, is_reached_visible=is_reached_visible),
+    )
 
 
 def scores(
@@ -55,7 +127,7 @@ def scores(
     tolerance_m: float,
     is_reached: np.ndarray,
     is_reached_visible: np.ndarray | None = None,
-) -> dict:
+) -> Scores:
     """Accuracy and completeness at one tolerance.
 
     Parameters
@@ -67,86 +139,60 @@ def scores(
         Which samples of the reference lie closer than the tolerance to the cloud.
     is_reached_visible : (K,) bool, optional
         The same for points of the reference that cameras see.
-
-    Returns
-    -------
-    dict
-        ``completeness``, ``accuracy_share`` (share with |d| below the tolerance), ``f_score``, ``tolerance_m``;
-        with ``is_reached_visible`` also ``completeness_visible``.
     """
     finite = distances[np.isfinite(distances)]
     accuracy_share, completeness = _mean(np.abs(finite) < tolerance_m), _mean(is_reached)
-    numbers = {
-        "completeness": completeness,
-        "accuracy_share": accuracy_share,
-        "f_score": f_score(accuracy_share, completeness),
-        "tolerance_m": float(tolerance_m),
-    }
-    if is_reached_visible is not None:
-        numbers["completeness_visible"] = _mean(is_reached_visible)
-    return numbers
+    return Scores(
+        completeness,
+        accuracy_share,
+        f_score(accuracy_share, completeness),
+        float(tolerance_m),
+        None if is_reached_visible is None else _mean(is_reached_visible),
+    )
 
 
-def distance_statistics(distances: np.ndarray, blocks: Blocks | None = None) -> dict:
-    """Counts and moments of distances (N,) [m].
+def distance_statistics(distances: np.ndarray, blocks: Blocks | None = None) -> DistanceStatistics:
+    """Counts and moments of distances.
 
     Parameters
     ----------
     distances : (N,) [m]
     blocks : Blocks of the N points, optional
-        From `evaluation.spatial_blocks`; with them each mean gets an interval of 95 % confidence.
+        From `evaluation.spatial_blocks`; with them the means get intervals of 95 % confidence.
 
-    Returns
-    -------
-    dict
-        ``n_points`` (finite ones), ``n_nan``; ``mean_m``, ``median_m``, ``std_m`` (population), ``rms_m``;
-        ``mean_inner90_m`` and ``std_inner90_m`` over the points whose |d| is at most the 0.9 quantile of |d|
-        (linear between points); ``nmad_m`` (1.4826 times the median absolute deviation from the median),
-        ``p95_abs_m``, ``min_m``, ``max_m``; with blocks ``mean_ci95_m`` and ``mean_inner90_ci95_m``, each
-        [low, high]. All but the counts are NaN if there is no point.
+    Examples
+    --------
+    >>> found = distance_statistics(np.array([-0.1, 0.1, 0.3, np.nan]))
+    >>> found.n_points, found.n_nan, round(found.mean_m, 3), found.median_m
+    (3, 1, 0.1, 0.1)
     """
     finite = np.isfinite(distances)
     d = distances[finite].astype(np.float64, copy=False)
     counts = {"n_points": len(d), "n_nan": len(distances) - len(d)}
     if not len(d):
-        names = (
-            "mean",
-            "median",
-            "std",
-            "rms",
-            "mean_inner90",
-            "std_inner90",
-            "nmad",
-            "p95_abs",
-            "min",
-            "max",
-        )
-        values = {f"{name}_m": math.nan for name in names}
-        intervals = ("mean_ci95_m", "mean_inner90_ci95_m") if blocks is not None else ()
-        return counts | values | {name: [math.nan, math.nan] for name in intervals}
+        unknown = None if blocks is None else (math.nan, math.nan)
+        return DistanceStatistics(**counts, mean_ci95_m=unknown, mean_inner90_ci95_m=unknown)
     size = np.abs(d)
     q90, q95 = np.quantile(size, [0.9, 0.95])
     is_inner = size <= q90
     inner = d[is_inner]
     median = np.median(d)
-    values = {
-        "mean_m": d.mean(),
-        "median_m": median,
-        "std_m": d.std(),
-        "rms_m": np.sqrt(np.square(d).mean()),
-        "mean_inner90_m": inner.mean(),
-        "std_inner90_m": inner.std(),
-        "nmad_m": _STD_PER_MAD * np.median(np.abs(d - median)),
-        "p95_abs_m": q95,
-        "min_m": d.min(),
-        "max_m": d.max(),
-    }
-    numbers = counts | {name: float(value) for name, value in values.items()}
-    if blocks is not None:
-        held = blocks.among(finite)
-        numbers["mean_ci95_m"] = list(mean_interval(d, held))
-        numbers["mean_inner90_ci95_m"] = list(mean_interval(inner, held.among(is_inner)))
-    return numbers
+    held = None if blocks is None else blocks.among(finite)
+    return DistanceStatistics(
+        **counts,
+        mean_m=float(d.mean()),
+        median_m=float(median),
+        std_m=float(d.std()),
+        rms_m=float(np.sqrt(np.square(d).mean())),
+        mean_inner90_m=float(inner.mean()),
+        std_inner90_m=float(inner.std()),
+        nmad_m=float(_STD_PER_MAD * np.median(np.abs(d - median))),
+        p95_abs_m=float(q95),
+        min_m=float(d.min()),
+        max_m=float(d.max()),
+        mean_ci95_m=None if held is None else mean_interval(d, held),
+        mean_inner90_ci95_m=None if held is None else mean_interval(inner, held.among(is_inner)),
+    )
 
 
 def _mean(is_true: np.ndarray) -> float:

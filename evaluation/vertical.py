@@ -1,6 +1,6 @@
-"""Vertical difference between a cloud and a mesh: what a chart or a terrain model gets wrong.
+"""Vertical difference between a cloud and a mesh, positive above the mesh: the error of a chart or a terrain model.
 
-The distance to the nearest point of a surface is shorter than that wherever the surface is steep.
+Wherever the surface is steep, the distance to its nearest point is shorter than that.
 """
 
 from __future__ import annotations

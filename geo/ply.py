@@ -1,4 +1,4 @@
-"""Clouds as PLY files with double coordinates, as CloudCompare, MeshLab and Open3D read them."""
+"""Clouds written as PLY with double coordinates, which CloudCompare, MeshLab and Open3D read; see `geo.ply_reading`."""
 
 from __future__ import annotations
 
@@ -51,4 +51,4 @@ def write_ply(path: str | Path, points_crs: np.ndarray, *, rgb: np.ndarray, scal
     header = f"{head}element vertex {len(points)}\n{properties}end_header\n"
     with write_whole(path) as stream:
         stream.write(header.encode())
-        stream.write(table.tobytes())
+        stream.write(table.view(np.uint8))

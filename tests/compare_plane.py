@@ -6,6 +6,8 @@ import numpy as np
 from pyproj import CRS
 
 from geo import LocalFrame, write_cloud
+from survey.compare.comparison import CompareOptions, compare_files
+from survey.compare.json_numbers import numbers_of
 
 UTM32 = CRS("EPSG:25832+5778")
 # On the central meridian, so that rows of the grid are rows of the local frame.
@@ -56,3 +58,8 @@ def grid(step, height=0.0, half=HALF):
     """Points in rows and columns over the plane, local [m]."""
     x, y = np.meshgrid(np.arange(-half, half + 1e-9, step), np.arange(-half, half + 1e-9, step))
     return np.stack([x.ravel(), y.ravel(), np.full(x.size, height)], axis=1)
+
+
+def compared(cloud, reference, **options):
+    """The numbers of a comparison as JSON holds them; options as `CompareOptions`."""
+    return numbers_of(compare_files(cloud, reference, options=CompareOptions(**options)))

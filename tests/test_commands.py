@@ -263,7 +263,7 @@ def test_export_needs_something_to_write_and_prints_what_it_wrote(monkeypatch):
     assert calls == [(Path("run"), {"las": Path("a.las"), "laz": None, "ply": Path("b.ply")})]
 
 
-def test_compare_hands_its_options_on_and_prints_the_numbers_with_their_units(monkeypatch):
+def test_compare_hands_its_options_on_and_prints_the_lines_in_columns(monkeypatch):
     @dataclass(frozen=True)
     class CompareOptions:
         tolerances_m: tuple[float, ...]
@@ -282,10 +282,13 @@ def test_compare_hands_its_options_on_and_prints_the_numbers_with_their_units(mo
 
     def compare_files(cloud, reference, *, options):
         calls.append((cloud, reference, options))
-        return {"n_points": 12, "mean_m": -0.00123, "max_m": -1e-6, "completeness": 0.9, "seen": None,
-                "histogram": [1], "notes": ["c.las does not say its CRS", "nothing else"]}  # fmt: skip
+        return "figures"
 
+    sections = {
+        "figures": [(None, [("n points", "12"), ("completeness", "0.9000")]), ("By depth", [("0 to 1 m", "mean 0.1")])]
+    }
     fake_module(monkeypatch, "survey.compare.comparison", CompareOptions=CompareOptions, compare_files=compare_files)
+    fake_module(monkeypatch, "survey.compare.text", sections_of=sections.get)
     result = bathynerf("compare", "c.las", "r.ply", "--tolerance", "0.05", "--bounds", "-1", "2", "3", "4.5",
                        "--tolerance", "0.2", "--water-level", "3.5", "--checkpoints", "k.csv", "--outliers", "sor:6,2",
                        "--c2c", "--m3c2", "0.5", "--sign", "winding", "--json", "n.json", "--report", "d",
@@ -293,11 +296,10 @@ def test_compare_hands_its_options_on_and_prints_the_numbers_with_their_units(mo
     assert result.exit_code == 0
     assert result.stdout.splitlines() == [
         "n points      12",
-        "mean          -0.0012 m",
-        "max           0.0000 m",
         "completeness  0.9000",
-        "note  c.las does not say its CRS",
-        "note  nothing else",
+        "",
+        "By depth",
+        "0 to 1 m  mean 0.1",
     ]
     options = CompareOptions((0.05, 0.2), Path("v.ply"), (-1.0, 2.0, 3.0, 4.5), "winding", 3.5, Path("k.csv"),
                              "sor:6,2", True, 0.5, Path("n.json"), Path("d"))  # fmt: skip

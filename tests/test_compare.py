@@ -8,14 +8,26 @@ import shutil
 import laspy
 import numpy as np
 import pytest
-from compare_plane import FRAME, HALF, LAS_M, NUM_SAMPLES, ORIGIN, UTM32, grid, write_las, write_mesh, write_plane
+from compare_plane import (
+    FRAME,
+    HALF,
+    LAS_M,
+    NUM_SAMPLES,
+    ORIGIN,
+    UTM32,
+    compared,
+    grid,
+    write_las,
+    write_mesh,
+    write_plane,
+)
 from PIL import Image
 from pyproj import CRS
 
 from geo import LocalFrame, write_ply
 from geo.errors import CRSMismatch, EmptyCloud, GeoError, PlaceMismatch, UnreadableFile
-from survey.compare.comparison import CompareOptions, compare_files, compare_surfaces
-from survey.compare.inputs import CompareError
+from survey.compare.area import CompareError
+from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.compare.pictures import completeness_map, error_map, histogram
 from survey.errors import OutputError
 
@@ -25,7 +37,7 @@ SAMPLING = 6 * 0.5 / NUM_SAMPLES**0.5
 
 @pytest.fixture(autouse=True)
 def _fewer_samples(monkeypatch):
-    monkeypatch.setattr("survey.compare.measure.NUM_SAMPLES", NUM_SAMPLES)
+    monkeypatch.setattr("survey.compare.scene.NUM_SAMPLES", NUM_SAMPLES)
 
 
 @pytest.fixture
@@ -39,7 +51,7 @@ def cloud(tmp_path):
 
 
 def test_a_cloud_above_the_reference_is_found_at_its_height(cloud, plane):
-    numbers = compare_files(cloud, plane)
+    numbers = compared(cloud, plane)
     assert numbers["method"] == "cloud to mesh"
     assert numbers["n_points"] == 101**2
     assert numbers["mean_m"] == pytest.approx(0.1, abs=LAS_M / 10)
@@ -52,7 +64,7 @@ def test_a_cloud_above_the_reference_is_found_at_its_height(cloud, plane):
 
 
 def test_winding_decides_where_it_is_asked_to(cloud, plane):
-    numbers = compare_files(cloud, plane, options=CompareOptions(sign="winding"))
+    numbers = compared(cloud, plane, sign="winding")
     assert numbers["mean_m"] == pytest.approx(-0.1, abs=LAS_M / 10)
     assert numbers["sign"] == "winding"
 
@@ -62,15 +74,13 @@ def test_distances_are_metres_on_the_ground_and_not_of_the_map_grid(tmp_path, pl
     points = FRAME.crs_from_local(np.array([[0.0, 0.0, 0.0], [HALF + 100.0, 0.0, 0.0]]))
     assert np.linalg.norm(points[1, :2] - points[0, :2]) < 105.0 - 0.07
     cloud = write_las(tmp_path / "far.las", points)
-    assert compare_files(cloud, plane)["max_m"] == pytest.approx(100.0, abs=2 * LAS_M)
+    assert compared(cloud, plane)["max_m"] == pytest.approx(100.0, abs=2 * LAS_M)
 
 
 def test_bounds_crop_the_cloud_first_and_completeness_sees_a_tolerance_more(tmp_path, cloud, plane):
     """Bounds over x up to 0.01 m: the points up to 0.31 m count for completeness and reach 0.3 m around."""
     e, n, _ = ORIGIN
-    numbers = compare_files(
-        cloud, plane, options=CompareOptions(tolerances_m=(0.3,), bounds=(e - 20.0, n - 20.0, e + 0.01, n + 20.0))
-    )
+    numbers = compared(cloud, plane, tolerances_m=(0.3,), bounds=(e - 20.0, n - 20.0, e + 0.01, n + 20.0))
     assert (numbers["n_points"], numbers["n_cropped"]) == (51 * 101, 50 * 101)
     # The last column of them stands at 0.3 m, 0.1 m above the plane, and reaches sqrt(0.3² - 0.1²) further.
     assert numbers["completeness"] == pytest.approx((5.0 + 0.3 + np.sqrt(0.08)) / 10.0, abs=SAMPLING)
@@ -82,14 +92,14 @@ def test_completeness_over_visible_points_counts_all_of_them(tmp_path, cloud, pl
     visible = tmp_path / "visible.ply"
     points = FRAME.crs_from_local(local)
     write_ply(visible, points, rgb=np.zeros((4, 3), np.uint8), scalars={})
-    numbers = compare_files(cloud, plane, options=CompareOptions(tolerances_m=(0.2,), visible=visible))
+    numbers = compared(cloud, plane, tolerances_m=(0.2,), visible=visible)
     assert numbers["completeness_visible"] == 0.75
     assert numbers["completeness"] == 1.0
 
 
 def test_a_reference_of_points_is_compared_cloud_to_cloud_and_says_so(tmp_path, cloud):
     reference = write_las(tmp_path / "reference.las", FRAME.crs_from_local(grid(0.1)[::2]))
-    numbers = compare_files(cloud, reference)
+    numbers = compared(cloud, reference)
     assert (numbers["method"], numbers["sign"], numbers["seed"]) == ("cloud to cloud", None, None)
     assert any("have no sign" in note for note in numbers["notes"])
     # Every second point lies 0.1 m straight above one, the others 0.1 m beside that.
@@ -101,7 +111,7 @@ def test_a_reference_of_points_is_compared_cloud_to_cloud_and_says_so(tmp_path, 
 def test_without_any_crs_coordinates_are_metres_and_the_notes_say_so(tmp_path, plane):
     points = FRAME.crs_from_local(grid(0.5, 0.1))
     write_ply(tmp_path / "cloud.ply", points, rgb=np.zeros(points.shape, np.uint8), scalars={})
-    numbers = compare_files(tmp_path / "cloud.ply", plane)
+    numbers = compared(tmp_path / "cloud.ply", plane)
     assert numbers["crs"] is None
     assert "neither cloud.ply nor reference.ply says its CRS" in numbers["notes"][0]
     # A level square of 10 m bends by (5 m)² / 2 R = 2 µm.
@@ -114,9 +124,7 @@ def test_geographic_coordinates_give_the_same_distances(tmp_path):
     plane = write_mesh(tmp_path / "m.ply", frame.crs_from_local(corners), [[0, 1, 2], [0, 2, 3]])
     cloud = write_las(tmp_path / "c.las", frame.crs_from_local(grid(0.1, -0.1)), CRS("EPSG:4979"))
     east, north = frame.crs_from_local(np.array([0.01, 0.0, 0.0]))[:2]
-    numbers = compare_files(
-        cloud, plane, options=CompareOptions(tolerances_m=(0.3,), bounds=(east - 1, north - 1, east, north + 1))
-    )
+    numbers = compared(cloud, plane, tolerances_m=(0.3,), bounds=(east - 1, north - 1, east, north + 1))
     assert numbers["mean_m"] == pytest.approx(-0.1, abs=LAS_M / 10)
     # As in the grid: the tolerance in degrees is another one to the east than to the north.
     assert numbers["completeness"] == pytest.approx((5.0 + 0.3 + np.sqrt(0.08)) / 10.0, abs=SAMPLING)
@@ -126,7 +134,7 @@ def test_depths_in_the_cloud_split_the_numbers_by_the_true_depth(tmp_path, plane
     """Water 0.08 m above the reference; a cloud 0.1 m too high calls itself dry and is counted as wet."""
     local = grid(0.5, 0.1)
     cloud = write_las(tmp_path / "c.las", FRAME.crs_from_local(local), depth=0.08 - local[:, 2])
-    numbers = compare_files(cloud, plane)
+    numbers = compared(cloud, plane)
     assert "dry" not in numbers
     assert numbers["wet"]["n_points"] == len(local)
     assert [band["to_m"] for band in numbers["depth_bands"]] == [0.5]
@@ -134,11 +142,11 @@ def test_depths_in_the_cloud_split_the_numbers_by_the_true_depth(tmp_path, plane
 
 def test_a_million_samples_of_the_reference_are_asked_for(monkeypatch, cloud, plane):
     monkeypatch.undo()
-    assert compare_files(cloud, plane)["n_samples"] == 1_000_000
+    assert compared(cloud, plane)["n_samples"] == 1_000_000
 
 
 def test_the_same_files_give_the_same_numbers(tmp_path, cloud, plane):
-    first, second = (compare_files(cloud, plane, options=CompareOptions(tolerances_m=(0.11,))) for _ in range(2))
+    first, second = (compared(cloud, plane, tolerances_m=(0.11,)) for _ in range(2))
     assert first == second
     assert 0.0 < first["completeness"] < 1.0
 
@@ -146,7 +154,7 @@ def test_the_same_files_give_the_same_numbers(tmp_path, cloud, plane):
 def test_json_is_written_whole_with_all_promised_keys(tmp_path, cloud, plane):
     (tmp_path / "new").mkdir()
     path = tmp_path / "new" / "numbers.json"
-    numbers = compare_files(cloud, plane, options=CompareOptions(json_path=path, visible=plane))
+    numbers = compared(cloud, plane, json_path=path, visible=plane)
     read = json.loads(path.read_text())
     assert read == numbers
     promised = (
@@ -159,7 +167,7 @@ def test_json_is_written_whole_with_all_promised_keys(tmp_path, cloud, plane):
 
 def test_the_report_has_four_pictures(tmp_path, cloud, plane):
     folder = tmp_path / "report"
-    compare_files(cloud, plane, options=CompareOptions(report_dir=folder))
+    compared(cloud, plane, report_dir=folder)
     assert sorted(p.stem for p in folder.iterdir()) == ["bands", "completeness", "histogram", "map"]
     for path in folder.iterdir():
         with Image.open(path) as image:
@@ -190,48 +198,48 @@ def test_distances_for_a_whole_file_are_nan_where_it_was_cropped(cloud, plane):
 def test_a_reference_in_another_crs_is_refused_by_name(tmp_path, cloud):
     other = write_las(tmp_path / "other.las", FRAME.crs_from_local(grid(1.0)), CRS("EPSG:25833+5778"))
     with pytest.raises(CRSMismatch, match=r"cloud.las and .*other.las are in different .* 32N against .* 33N"):
-        compare_files(cloud, other)
+        compared(cloud, other)
 
 
 def test_a_reference_with_other_heights_is_refused_by_name(tmp_path, cloud):
     other = write_las(tmp_path / "other.las", FRAME.crs_from_local(grid(1.0)), CRS("EPSG:25832+7837"))
     with pytest.raises(CRSMismatch, match="heights"):
-        compare_files(cloud, other)
+        compared(cloud, other)
 
 
 def test_a_reference_in_another_place_is_refused_with_both_extents(tmp_path, cloud):
     vertices = FRAME.crs_from_local(grid(10.0) + np.array([5000.0, 0.0, 0.0]))
     other = write_mesh(tmp_path / "other.ply", vertices, [[0, 1, 2], [1, 3, 2]])
     with pytest.raises(PlaceMismatch, match=r"easting 499995.* and .*other.ply .*easting 504991.* do not overlap"):
-        compare_files(cloud, other)
+        compared(cloud, other)
 
 
 def test_visible_points_of_another_place_are_refused(tmp_path, cloud, plane):
     visible = tmp_path / "visible.ply"
     write_ply(visible, np.zeros((3, 3)), rgb=np.zeros((3, 3), np.uint8), scalars={})
     with pytest.raises(PlaceMismatch, match=r"visible.ply"):
-        compare_files(cloud, plane, options=CompareOptions(visible=visible))
+        compared(cloud, plane, visible=visible)
 
 
 def test_heights_of_another_datum_are_noted_and_absurd_ones_refused(tmp_path, plane):
     low = write_las(tmp_path / "low.las", FRAME.crs_from_local(grid(1.0)) - [0, 0, 47.0])
-    numbers = compare_files(low, plane)
+    numbers = compared(low, plane)
     assert numbers["mean_m"] == pytest.approx(-47.0, abs=0.01)
     assert any("do not meet: check that both count from the same vertical datum" in n for n in numbers["notes"])
     depths = write_las(tmp_path / "depths.las", FRAME.crs_from_local(grid(1.0)) * [1, 1, 0])
     with pytest.raises(CompareError, match=r"do not meet; check .* same vertical datum, and in the same unit"):
-        compare_files(depths, plane)
+        compared(depths, plane)
 
 
 def test_an_empty_cloud_is_refused(tmp_path, plane):
     empty = write_las(tmp_path / "empty.las", np.empty((0, 3)))
     with pytest.raises(EmptyCloud, match=r"empty.las has no points"):
-        compare_files(empty, plane)
+        compared(empty, plane)
 
 
 def test_bounds_that_leave_nothing_are_refused_with_the_extent_of_the_cloud(cloud, plane):
     with pytest.raises(CompareError, match=r"none of the 10201 points of .*cloud.las lies within .* 0 0 1 1; it"):
-        compare_files(cloud, plane, options=CompareOptions(bounds=(0.0, 0.0, 1.0, 1.0)))
+        compared(cloud, plane, bounds=(0.0, 0.0, 1.0, 1.0))
 
 
 @pytest.mark.parametrize(
@@ -250,40 +258,40 @@ def test_bounds_that_leave_nothing_are_refused_with_the_extent_of_the_cloud(clou
         ({"water_level": float("nan")}, "--water-level is nan"),
     ],
 )
-def test_options_that_cannot_be_meant_are_refused_before_anything_is_read(tmp_path, options, message):
+def test_options_without_meaning_are_refused_before_anything_is_read(tmp_path, options, message):
     with pytest.raises(CompareError, match=message):
-        compare_files(tmp_path / "none.las", tmp_path / "none.ply", options=CompareOptions(**options))
+        compared(tmp_path / "none.las", tmp_path / "none.ply", **options)
 
 
 @pytest.mark.parametrize("which", ["cloud", "reference", "visible"])
 def test_a_path_that_does_not_exist_is_named(tmp_path, cloud, plane, which):
     paths = {"cloud": cloud, "reference": plane, "visible": plane} | {which: tmp_path / "nowhere.ply"}
     with pytest.raises(UnreadableFile, match=r"nowhere.ply does not exist"):
-        compare_files(paths["cloud"], paths["reference"], options=CompareOptions(visible=paths["visible"]))
+        compared(paths["cloud"], paths["reference"], visible=paths["visible"])
 
 
 def test_a_reference_without_area_is_refused(tmp_path, cloud):
     line = write_mesh(tmp_path / "line.ply", FRAME.crs_from_local(grid(10.0)), [[0, 0, 3], [0, 3, 3]])
     with pytest.raises(CompareError, match=r"none of the 2 triangles of .*line.ply has an area"):
-        compare_files(cloud, line)
+        compared(cloud, line)
 
 
 def test_a_place_for_results_that_cannot_be_is_refused_before_anything_is_computed(tmp_path, cloud, plane):
     before = cloud.read_bytes()
     for options, words in (
-        (CompareOptions(report_dir=cloud), "which is a file; name another folder"),
-        (CompareOptions(json_path=cloud / "numbers.json"), "whose folder is a file"),
-        (CompareOptions(json_path=tmp_path / "no" / "deep" / "numbers.json"), "whose folder does not exist"),
-        (CompareOptions(json_path=cloud), "would overwrite the input"),
-        (CompareOptions(json_path=plane), "would overwrite the input"),
-        (CompareOptions(json_path=tmp_path / "visible.ply", visible=tmp_path / "visible.ply"), "would overwrite"),
-        (CompareOptions(json_path=tmp_path / "k.csv", checkpoints=tmp_path / "k.csv"), "would overwrite the input"),
+        ({"report_dir": cloud}, "which is a file; name another folder"),
+        ({"json_path": cloud / "numbers.json"}, "whose folder is a file"),
+        ({"json_path": tmp_path / "no" / "deep" / "numbers.json"}, "whose folder does not exist"),
+        ({"json_path": cloud}, "would overwrite the input"),
+        ({"json_path": plane}, "would overwrite the input"),
+        ({"json_path": tmp_path / "visible.ply", "visible": tmp_path / "visible.ply"}, "would overwrite"),
+        ({"json_path": tmp_path / "k.csv", "checkpoints": tmp_path / "k.csv"}, "would overwrite the input"),
     ):
-        for path in (options.visible, options.checkpoints):
-            if path is not None:
-                path.touch()
+        for name in ("visible", "checkpoints"):
+            if name in options:
+                options[name].touch()
         with pytest.raises(OutputError, match=words):
-            compare_files(cloud, plane, options=options)
+            compared(cloud, plane, **options)
     assert cloud.read_bytes() == before
 
 
@@ -292,7 +300,7 @@ def test_every_refusal_is_an_input_error_of_the_command_line(tmp_path, cloud, pl
     data = (tmp_path / "cut.las").read_bytes()
     (tmp_path / "cut.las").write_bytes(data[: len(data) // 2])
     with pytest.raises(GeoError, match=r"cut.las"):
-        compare_files(tmp_path / "cut.las", plane)
+        compared(tmp_path / "cut.las", plane)
 
 
 def test_a_cloud_whose_crs_has_no_heights_is_compared_and_noted(tmp_path, plane):
@@ -302,6 +310,6 @@ def test_a_cloud_whose_crs_has_no_heights_is_compared_and_noted(tmp_path, plane)
     las = laspy.LasData(header)
     las.x, las.y, las.z = FRAME.crs_from_local(grid(0.5, 0.1)).T
     las.write(tmp_path / "flat.las")
-    numbers = compare_files(tmp_path / "flat.las", plane)
+    numbers = compared(tmp_path / "flat.las", plane)
     assert numbers["mean_m"] == pytest.approx(0.1, abs=LAS_M / 5)
     assert any("does not say what heights count from" in note for note in numbers["notes"])

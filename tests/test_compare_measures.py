@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from compare_plane import FRAME, HALF, LAS_M, NUM_SAMPLES, ORIGIN, grid, write_las, write_mesh, write_plane
+from compare_plane import FRAME, HALF, LAS_M, NUM_SAMPLES, ORIGIN, compared, grid, write_las, write_mesh, write_plane
 
+from evaluation import DistanceStatistics
 from geo import write_ply
+from survey.compare.area import CompareError
 from survey.compare.comparison import CompareOptions, compare_files
-from survey.compare.inputs import CompareError
-from survey.compare.text import sections_of
+from survey.compare.text import _short, sections_of
 
 
 @pytest.fixture(autouse=True)
 def _fewer_samples(monkeypatch):
-    monkeypatch.setattr("survey.compare.measure.NUM_SAMPLES", NUM_SAMPLES)
+    monkeypatch.setattr("survey.compare.scene.NUM_SAMPLES", NUM_SAMPLES)
 
 
 @pytest.fixture
@@ -27,8 +28,82 @@ def cloud(tmp_path):
     return write_las(tmp_path / "cloud.las", FRAME.crs_from_local(grid(0.1, 0.1)))
 
 
+STATISTICS = [
+    "n_points",
+    "n_nan",
+    "mean_m",
+    "median_m",
+    "std_m",
+    "rms_m",
+    "mean_inner90_m",
+    "std_inner90_m",
+    "nmad_m",
+    "p95_abs_m",
+    "min_m",
+    "max_m",
+]
+INTERVALS = ["mean_ci95_m", "mean_inner90_ci95_m"]
+SCORES = ["completeness", "accuracy_share", "f_score", "tolerance_m", "completeness_visible"]
+CIRCUMSTANCES = [
+    "outliers",
+    "confidence",
+    "water_level",
+    "method",
+    "sign",
+    "crs",
+    "bounds",
+    "cloud",
+    "reference",
+    "visible",
+    "n_samples",
+    "seed",
+    "notes",
+]
+BANDS = ["depth_bands", "incidence_bands", "views_bands"]
+
+
+def test_the_numbers_keep_their_names(tmp_path, plane):
+    """Scripts read `--json` and report.json by these names."""
+    local = np.concatenate([grid(0.2, 0.1), [[0.0, 0.0, 1.5]]])
+    cloud = write_las(
+        tmp_path / "c.las", FRAME.crs_from_local(local), num_views=3, incidence_deg=20.5, depth=1.0 - local[:, 2]
+    )
+    table = tmp_path / "points.csv"
+    table.write_text(",".join(f"{v:.4f}" for v in FRAME.crs_from_local(np.zeros(3))))
+    numbers = compared(cloud, plane, visible=plane, checkpoints=table, c2c=True, water_level=ORIGIN[2] + 1.0)
+    at_the_top = {*STATISTICS, "n_cropped", *INTERVALS, *SCORES}
+    below = {"tolerances", "wet", "dry", *BANDS, "vertical", "iho_s44", "asprs", "c2c"}
+    assert set(numbers) == (at_the_top | below | {*CIRCUMSTANCES}) - {"dry"}
+    part = [*STATISTICS, *INTERVALS]
+    assert list(numbers["wet"]) == part
+    for key, unit in zip(BANDS, ("m", "deg", "views"), strict=True):
+        assert list(numbers[key][0]) == [f"from_{unit}", f"to_{unit}", *part]
+    assert list(numbers["tolerances"][0]) == SCORES
+    assert list(numbers["vertical"]) == [*part, "n_holes", "wet", "depth_bands"]
+    assert {name: list(found) for name, found in numbers["c2c"].items()} == {
+        "to_reference": STATISTICS, "to_cloud": STATISTICS,
+    }  # fmt: skip
+    iho = numbers["iho_s44"]
+    assert list(iho) == ["points", "error_95_m", "orders", "note", "error"]
+    order = ["order", "tvu_at_median_depth_m", "share_within", "meets_tvu", "depth_bands"]
+    assert list(iho["orders"][0]) == order
+    assert list(iho["orders"][0]["depth_bands"][0]) == ["from_m", "to_m", "n_points", "share_within"]
+    rmse = ["rmse_fit_m", "rmse_checkpoints_m", "rmse_v_m"]
+    counts = ["n_checkpoints", "n_not_covered", "is_enough"]
+    assert list(numbers["asprs"]) == [*counts, "mean_m", "std_m", "min_m", "max_m", *rmse, "residuals"]
+    assert list(numbers["asprs"]["residuals"][0]) == ["easting", "northing", "height", "residual_m"]
+    confidence = ["level", "method", "block_m", "correlation_length_m", "widening", "draws", "seed"]
+    assert list(numbers["confidence"]) == confidence
+    assert numbers["asprs"]["std_m"] is None  # of one check point
+
+
+def test_what_was_not_asked_for_or_cannot_be_known_is_not_there(cloud, plane):
+    names = set(compared(cloud, plane))
+    assert not names & {"completeness_visible", "wet", "dry", "depth_bands", "iho_s44", "asprs", "c2c", "m3c2"}
+
+
 def test_several_tolerances_stand_beside_each_other_and_the_first_is_at_the_top(cloud, plane):
-    numbers = compare_files(cloud, plane, options=CompareOptions(tolerances_m=(0.2, 0.05)))
+    numbers = compared(cloud, plane, tolerances_m=(0.2, 0.05))
     wide, narrow = numbers["tolerances"]
     assert {name: numbers[name] for name in wide} == wide
     assert (wide["tolerance_m"], wide["completeness"], wide["accuracy_share"]) == (0.2, 1.0, 1.0)
@@ -44,7 +119,7 @@ def test_bias_and_spread_are_told_by_depth_incidence_and_views(tmp_path, plane):
         tmp_path / "c.las", FRAME.crs_from_local(local), num_views=np.where(west, 2, 5),
         incidence_deg=np.where(west, 12.0, 33.0), depth=np.where(west, 1.2, 2.5) - local[:, 2],
     )  # fmt: skip
-    numbers = compare_files(cloud, plane)
+    numbers = compared(cloud, plane)
     for key, unit, limits in (
         ("depth_bands", "m", [(1.0, 2.0), (2.0, 3.0)]),
         ("incidence_bands", "deg", [(10.0, 15.0), (30.0, 35.0)]),
@@ -60,7 +135,7 @@ def test_bias_and_spread_are_told_by_depth_incidence_and_views(tmp_path, plane):
 def test_a_water_level_gives_depths_to_a_cloud_that_has_none(tmp_path, plane):
     points = FRAME.crs_from_local(grid(0.5, 0.1))
     write_ply(tmp_path / "cloud.ply", points, rgb=np.zeros(points.shape, np.uint8), scalars={})
-    numbers = compare_files(tmp_path / "cloud.ply", plane, options=CompareOptions(water_level=ORIGIN[2] + 2.4))
+    numbers = compared(tmp_path / "cloud.ply", plane, water_level=ORIGIN[2] + 2.4)
     assert [(b["from_m"], b["to_m"]) for b in numbers["depth_bands"]] == [(2.0, 3.0)]
     assert numbers["iho_s44"]["points"] == len(points)
 
@@ -69,7 +144,7 @@ def test_the_interval_of_a_mean_holds_it_and_is_that_of_independent_errors(tmp_p
     local = grid(0.1)
     local[:, 2] = rng.normal(0.03, 0.02, len(local))
     cloud = write_las(tmp_path / "c.las", FRAME.crs_from_local(local))
-    numbers = compare_files(cloud, plane)
+    numbers = compared(cloud, plane)
     low, high = numbers["mean_ci95_m"]
     assert low < numbers["mean_m"] < high
     # The standard error from its 150 blocks is known to 6 %; the quantiles of 1000 draws add 4 %; three of both.
@@ -85,7 +160,7 @@ def test_vertical_differences_are_longer_than_distances_and_holes_are_counted(tm
     local[:, 2] = 0.75 * local[:, 0] + 0.1
     beyond = np.array([[HALF + 1.0, 0.0, 3.75]])
     cloud = write_las(tmp_path / "c.las", FRAME.crs_from_local(np.concatenate([local, beyond])))
-    numbers = compare_files(cloud, plane)
+    numbers = compared(cloud, plane)
     assert numbers["vertical"]["mean_m"] == pytest.approx(0.1, abs=LAS_M)
     assert (numbers["vertical"]["n_points"], numbers["vertical"]["n_holes"]) == (len(local), 1)
     assert numbers["median_m"] == pytest.approx(0.08, abs=LAS_M)
@@ -95,7 +170,7 @@ def test_vertical_differences_are_longer_than_distances_and_holes_are_counted(tm
 def test_s44_judges_the_vertical_difference_under_water(tmp_path, plane):
     local = grid(0.1, 0.3)
     cloud = write_las(tmp_path / "c.las", FRAME.crs_from_local(local), depth=1.0 - local[:, 2])
-    iho = compare_files(cloud, plane)["iho_s44"]
+    iho = compared(cloud, plane)["iho_s44"]
     assert iho["error"].startswith("vertical difference to the reference")
     assert [o["meets_tvu"] for o in iho["orders"]] == [False, False, True, True]
 
@@ -106,7 +181,7 @@ def test_check_points_are_compared_with_the_cloud_under_them(tmp_path, cloud, pl
     lines = [f"{e:.6f}, {n:.6f}, {h:.6f}, 0.02" for e, n, h in FRAME.crs_from_local(local)]
     table = tmp_path / "points.csv"
     table.write_text("\n".join(["easting,northing,height,sigma", "# surveyed by level", *lines]) + "\n")
-    numbers = compare_files(cloud, plane, options=CompareOptions(checkpoints=table))
+    numbers = compared(cloud, plane, checkpoints=table)
     asprs = numbers["asprs"]
     residuals = [row["residual_m"] for row in asprs["residuals"]]
     assert residuals[:3] == pytest.approx([0.1, 0.0, -0.1], abs=LAS_M)
@@ -130,16 +205,16 @@ def test_check_points_are_compared_with_the_cloud_under_them(tmp_path, cloud, pl
 def test_a_table_of_check_points_that_cannot_be_read_is_refused_by_line(tmp_path, cloud, plane, text, message):
     (tmp_path / "points.csv").write_text(text)
     with pytest.raises(CompareError, match=message):
-        compare_files(cloud, plane, options=CompareOptions(checkpoints=tmp_path / "points.csv"))
+        compared(cloud, plane, checkpoints=tmp_path / "points.csv")
 
 
 def test_outliers_are_left_out_only_when_asked_for_and_said_so(tmp_path, plane):
     local = grid(0.1, 0.0)
     local[::1000, 2] = 3.0
     cloud = write_las(tmp_path / "c.las", FRAME.crs_from_local(local))
-    as_it_is = compare_files(cloud, plane)
+    as_it_is = compared(cloud, plane)
     assert (as_it_is["outliers"], as_it_is["n_points"], as_it_is["max_m"]) == (None, len(local), pytest.approx(3.0))
-    numbers = compare_files(cloud, plane, options=CompareOptions(outliers="sor:6,2.0"))
+    numbers = compared(cloud, plane, outliers="sor:6,2.0")
     lost = len(local[::1000])
     assert (numbers["n_points"], numbers["n_cropped"], numbers["outliers"]) == (len(local) - lost, 0, "sor:6,2.0")
     assert numbers["max_m"] < LAS_M
@@ -149,22 +224,20 @@ def test_outliers_are_left_out_only_when_asked_for_and_said_so(tmp_path, plane):
 def test_cloud_to_cloud_is_measured_both_ways(tmp_path, cloud, plane):
     """The cloud covers the western half only: from it all is near, from the reference half is far."""
     e, n, _ = ORIGIN
-    options = CompareOptions(c2c=True, bounds=(e - 20.0, n - 20.0, e + 0.01, n + 20.0))
-    c2c = compare_files(cloud, plane, options=options)["c2c"]
+    c2c = compared(cloud, plane, c2c=True, bounds=(e - 20.0, n - 20.0, e + 0.01, n + 20.0))["c2c"]
     assert c2c["to_reference"]["min_m"] >= 0.1 - 2 * LAS_M
     assert c2c["to_reference"]["max_m"] < 0.2
     assert c2c["to_cloud"]["max_m"] == pytest.approx(np.hypot(5.0, 0.1), abs=0.02)
 
 
 def test_m3c2_is_measured_where_py4dgeo_is_there_and_asked_for_by_name_where_not(monkeypatch, cloud, plane):
-    options = CompareOptions(m3c2_radius_m=0.5)
     with monkeypatch.context() as without:
         without.setattr("importlib.util.find_spec", lambda name: None)
         with pytest.raises(CompareError, match=r"--m3c2 needs py4dgeo, .* pip install 'bathynerf\[m3c2\]'"):
-            compare_files(cloud, plane, options=options)
+            compared(cloud, plane, m3c2_radius_m=0.5)
     pytest.importorskip("py4dgeo", reason="py4dgeo is not installed: pip install 'bathynerf[m3c2]'")
-    monkeypatch.setattr("survey.compare.measure._CORE_POINTS", 300)
-    numbers = compare_files(cloud, plane, options=options)["m3c2"]
+    monkeypatch.setattr("survey.compare.clouds._CORE_POINTS", 300)
+    numbers = compared(cloud, plane, m3c2_radius_m=0.5)["m3c2"]
     assert numbers["mean_m"] == pytest.approx(0.1, abs=LAS_M / 5)
     assert numbers["significant_share"] == 1.0
 
@@ -173,7 +246,15 @@ def test_everything_that_was_measured_reaches_the_terminal(tmp_path, plane):
     local = grid(0.1, 0.1)
     cloud = write_las(tmp_path / "c.las", FRAME.crs_from_local(local), num_views=3, incidence_deg=20.5, depth=1.5)
     options = CompareOptions(tolerances_m=(0.2, 0.05), c2c=True, bounds=None)
-    sections = dict(sections_of(compare_files(cloud, plane, options=options)))
+    found = sections_of(compare_files(cloud, plane, options=options))
+    sections, notes = dict(found[:-1]), found[-1]
+    label, note = notes[1][0]
+    assert (label, note.split(":")[0]) == ("note", "reference.ply does not say its CRS")
+    whole = dict(sections[None])
+    assert whole["n points"] == str(len(local))
+    assert whole["min"] == "0.1000 m"
+    assert whole["mean"].startswith("0.1000 m (0.")
+    assert whole["completeness"] == "1.0000"
     titles = {"By tolerance", "Wet and dry", "By depth", "By incidence", "By number of views", "Other distances"}
     assert titles <= set(sections)
     others = ["vertical", "cloud to cloud, to reference", "cloud to cloud, to cloud"]
@@ -181,3 +262,8 @@ def test_everything_that_was_measured_reaches_the_terminal(tmp_path, plane):
     assert sections["By incidence"][0][0] == "20 to 25°"
     assert sections["By number of views"][0][0] == "3 views"
     assert sections["By depth"][0][1].startswith("mean 0.1000")
+
+
+def test_a_tiny_negative_mean_is_shown_without_its_sign():
+    part = DistanceStatistics(n_points=1, n_nan=0, mean_m=-1e-6, std_m=0.0, mean_inner90_m=-1e-6, std_inner90_m=0.0)
+    assert _short(part) == "mean 0.0000, std 0.0000; inner 90 %: mean 0.0000, std 0.0000 m; 1 points"

@@ -14,29 +14,29 @@ from evaluation import asprs_vertical, height_at, iho_s44, is_outlier
     ("depth_m", "limits"), [(1.0, [0.150, 0.250, 0.500, 1.000]), (10.0, [0.168, 0.261, 0.517, 1.026])]
 )
 def test_tvu_limits_are_those_of_iho_s44(depth_m, limits):
-    orders = iho_s44(np.zeros(100), np.full(100, depth_m))["orders"]
-    assert [o["tvu_at_median_depth_m"] for o in orders] == pytest.approx(limits, abs=5e-4)
-    assert all(o["meets_tvu"] for o in orders)
+    orders = iho_s44(np.zeros(100), np.full(100, depth_m)).orders
+    assert [o.tvu_at_median_depth_m for o in orders] == pytest.approx(limits, abs=5e-4)
+    assert all(o.meets_tvu for o in orders)
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 @pytest.mark.parametrize(("num_bad", "meets"), [(5, True), (6, False)])
 def test_an_order_is_met_where_95_per_cent_of_the_errors_are_within_its_tvu(num_bad, meets, sign):
     errors = np.where(np.arange(100) < num_bad, sign * 0.2, 0.0)
-    exclusive, special, *_ = iho_s44(errors, np.ones(100))["orders"]
-    assert exclusive["share_within"] == pytest.approx(1.0 - num_bad / 100)
-    assert exclusive["meets_tvu"] is meets
-    assert special["meets_tvu"] is True  # 0.2 m is within 0.25 m
+    exclusive, special, *_ = iho_s44(errors, np.ones(100)).orders
+    assert exclusive.share_within == pytest.approx(1.0 - num_bad / 100)
+    assert exclusive.meets_tvu is meets
+    assert special.meets_tvu is True  # 0.2 m is within 0.25 m
 
 
 def test_the_share_within_is_told_by_depth_and_dry_points_do_not_count():
     depth = np.array([-1.0, 0.2, 0.4, 1.5, 1.6, 50.0, 1.0, np.nan])
     errors = np.array([9.0, 0.0, 0.2, 0.0, -0.1, 0.3, np.nan, 0.0])
     numbers = iho_s44(errors, depth)
-    assert numbers["points"] == 5
-    bands = [(b["from_m"], b["to_m"], b["n_points"], b["share_within"]) for b in numbers["orders"][0]["depth_bands"]]
+    assert numbers.n_points == 5
+    bands = [(b.low_m, b.high_m, b.n_points, b.share_within) for b in numbers.orders[0].bands]
     # At 50 m the order "Exclusive" allows sqrt(0.15^2 + 0.375^2) = 0.40 m.
-    assert bands == [(0.0, 0.5, 2, 0.5), (1.0, 2.0, 2, 1.0), (30.0, None, 1, 1.0)]
+    assert bands == [(0.0, 0.5, 2, 0.5), (1.0, 2.0, 2, 1.0), (30.0, math.inf, 1, 1.0)]
 
 
 def test_nothing_is_judged_without_a_point_under_water():
@@ -45,13 +45,13 @@ def test_nothing_is_judged_without_a_point_under_water():
 
 def test_rmse_by_hand_holds_the_error_of_the_check_points():
     numbers = asprs_vertical(np.array([0.03, -0.01, np.nan, 0.01, -0.03]), np.full(5, 0.02))
-    assert (numbers["n_checkpoints"], numbers["n_not_covered"], numbers["is_enough"]) == (4, 1, False)
-    assert numbers["rmse_fit_m"] == pytest.approx(math.sqrt(5e-4))
-    assert numbers["rmse_v_m"] == pytest.approx(0.03)  # 5e-4 + 4e-4
-    assert numbers["mean_m"] == pytest.approx(0.0, abs=1e-15)
-    assert numbers["std_m"] == pytest.approx(math.sqrt(20e-4 / 3))
-    assert asprs_vertical(np.zeros(30), np.zeros(30))["is_enough"]
-    assert math.isnan(asprs_vertical(np.full(2, np.nan), np.zeros(2))["rmse_v_m"])
+    assert (numbers.n_checkpoints, numbers.n_not_covered, numbers.is_enough) == (4, 1, False)
+    assert numbers.rmse_fit_m == pytest.approx(math.sqrt(5e-4))
+    assert numbers.rmse_v_m == pytest.approx(0.03)  # 5e-4 + 4e-4
+    assert numbers.mean_m == pytest.approx(0.0, abs=1e-15)
+    assert numbers.std_m == pytest.approx(math.sqrt(20e-4 / 3))
+    assert asprs_vertical(np.zeros(30), np.zeros(30)).is_enough
+    assert math.isnan(asprs_vertical(np.full(2, np.nan), np.zeros(2)).rmse_v_m)
 
 
 def test_a_plane_is_met_exactly_and_noise_on_it_by_its_twelfth(rng):

@@ -96,6 +96,22 @@ def test_a_written_ply_cloud_comes_back_to_the_last_bit(tmp_path, rng):
     assert b"property double x\n" in (tmp_path / "c.ply").read_bytes()[:300]
 
 
+def test_another_library_reads_the_written_ply_cloud_to_the_last_bit(tmp_path, rng):
+    trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed: pip install 'bathynerf[gltf]'")
+    points = NORTHING + rng.uniform(-20.0, 20.0, (500, 3))
+    rgb = rng.integers(0, 256, (500, 3), dtype=np.uint8)
+    write_ply(tmp_path / "c.ply", points, rgb=rgb, scalars={"depth_m": rng.uniform(0, 4, 500)})
+    cloud = trimesh.load(tmp_path / "c.ply")
+    np.testing.assert_array_equal(cloud.vertices, points)
+    np.testing.assert_array_equal(cloud.colors[:, :3], rgb)
+
+
+def test_an_empty_ply_cloud_is_a_whole_file(tmp_path):
+    write_ply(tmp_path / "c.ply", np.empty((0, 3)), rgb=np.empty((0, 3), np.uint8), scalars={})
+    with pytest.raises(EmptyCloud, match=r"c\.ply has no points"):
+        read_reference(tmp_path / "c.ply")
+
+
 def test_a_ply_cloud_that_cannot_be_written_says_so(tmp_path):
     points, rgb = np.zeros((2, 3)), np.zeros((2, 3), np.uint8)
     for scalars, words in (

@@ -14,6 +14,7 @@ from pyproj import CRS
 from small_bed import SLOPE, SPACING_M, plane_bed, plane_depth_map, write_plane_mesh
 from small_survey import TOML, small_survey
 
+from evaluation import DistanceStatistics
 from geo import LocalFrame
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.folder.survey import load_survey
@@ -403,8 +404,8 @@ def test_straight_rays_and_their_corrections_stand_beside_what_was_measured(repo
 
 
 def test_a_sweep_without_its_field_has_a_row_of_its_own(survey, report):
-    numbers = {"vertical": {"wet": {"mean_m": 0.1, "median_m": 0.2, "nmad_m": 0.3}}}
-    facts = replace(report.facts, sweep_comparison=SimpleNamespace(numbers=numbers))
+    wet = DistanceStatistics(n_points=1, n_nan=0, mean_m=0.1, median_m=0.2, nmad_m=0.3)
+    facts = replace(report.facts, sweep_comparison=SimpleNamespace(figures=SimpleNamespace(wet=wet)))
     rows = figures_of(facts)["baselines"]["rows"]
     assert [row["name"] for row in rows[3:]] == ["refractive sweep only", "full chain: sweep and field"]
     assert rows[3]["median_m"] == 0.2

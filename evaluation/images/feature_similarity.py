@@ -9,7 +9,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from evaluation.images.parts import SCHARR, checked_pair, gradient, pooled, similarity, yiq
+from evaluation.images.filters import SCHARR, gradient, pooled, similarity, yiq
+from evaluation.images.inputs import checked_pair
 from evaluation.images.phase_congruency import log_gabor, phase_congruency
 
 _SIDE_PX = 256
@@ -50,7 +51,7 @@ def vsi(reference: np.ndarray, image: np.ndarray) -> float:
     Raises
     ------
     ValueError
-        If the images are grey, and as `evaluation.images.parts.checked_pair`.
+        If the images are grey, and as `evaluation.images.inputs.checked_pair`.
 
     Notes
     -----

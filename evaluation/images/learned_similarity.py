@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from evaluation.images.parts import checked_pair
+from evaluation.images.inputs import checked_pair
 
 # Indices of the convolutions among torchvision's ``features``; after each group comes a pooling.
 _VGG16 = ((0, 2), (5, 7), (10, 12, 14), (17, 19, 21), (24, 26, 28))
@@ -34,7 +34,7 @@ def lpips(reference: np.ndarray, image: np.ndarray, weights: Mapping[str, Tensor
     Raises
     ------
     ValueError
-        If weights are missing, and as `evaluation.images.parts.checked_pair`.
+        If weights are missing, and as `evaluation.images.inputs.checked_pair`.
 
     Notes
     -----
@@ -58,7 +58,7 @@ def dists(reference: np.ndarray, image: np.ndarray, weights: Mapping[str, Tensor
     Raises
     ------
     ValueError
-        If weights are missing, and as `evaluation.images.parts.checked_pair`.
+        If weights are missing, and as `evaluation.images.inputs.checked_pair`.
 
     Notes
     -----

@@ -13,7 +13,8 @@ import numpy as np
 from scipy import ndimage
 
 from evaluation.images.feature_similarity import fsim, vsi
-from evaluation.images.parts import PREWITT, checked_pair, gradient, largest_rectangle, pooled, similarity, yiq
+from evaluation.images.filters import PREWITT, gradient, pooled, similarity, yiq
+from evaluation.images.inputs import checked_pair, largest_rectangle
 
 # Wang et al. 2004: Gaussian window and the constants that keep quotients finite.
 _WINDOW_PX, _SIGMA_PX = 11, 1.5
@@ -50,7 +51,7 @@ def image_quality(
     Raises
     ------
     ValueError
-        As `evaluation.images.parts.checked_pair`, for the rectangle too, and where weights are missing.
+        As `evaluation.images.inputs.checked_pair`, for the rectangle too, and where weights are missing.
     """
     measures = {"ssim": ssim, "ms_ssim": ms_ssim, "gmsd": gmsd, "ms_gmsd": ms_gmsd, "fsim": fsim}
     if np.ndim(reference) == 3:
@@ -73,7 +74,7 @@ def psnr(reference: np.ndarray, image: np.ndarray, mask: np.ndarray | None = Non
     Raises
     ------
     ValueError
-        As `evaluation.images.parts.checked_pair`, and if the mask is of another shape or empty.
+        As `evaluation.images.inputs.checked_pair`, and if the mask is of another shape or empty.
     """
     a, b = checked_pair(reference, image, smallest=1)
     if mask is not None:

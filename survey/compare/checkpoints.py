@@ -9,8 +9,9 @@ import numpy as np
 from evaluation import asprs_vertical, height_at
 from evaluation.standards import MIN_CHECKPOINTS
 from geo.files import existing_file
-from survey.compare.inputs import CompareError, to_local
-from survey.compare.measure import Scene
+from survey.compare.area import CompareError, to_local
+from survey.compare.figures import Checkpoints
+from survey.compare.scene import Scene
 from survey.csv_table import read_table
 
 _COLUMNS = ("easting", "northing", "height", "sigma")
@@ -39,27 +40,16 @@ def read_checkpoints(path: Path) -> np.ndarray:
     return table
 
 
-def checkpoint_accuracy(scene: Scene, table: np.ndarray, path: Path, notes: list[str]) -> dict:
-    """Vertical accuracy of the compared cloud at check points (K, 4).
-
-    Returns
-    -------
-    dict
-        Those of `evaluation.asprs_vertical`, and ``residuals``, a list with ``easting``, ``northing``, ``height``,
-        ``residual_m`` (cloud minus check point; NaN where the cloud does not surround it).
-    """
+def checkpoint_accuracy(scene: Scene, table: np.ndarray, path: Path, notes: list[str]) -> Checkpoints:
+    """Vertical accuracy of the compared cloud at check points (K, 4); notes say what it lacks as a test."""
     places = to_local(scene.inputs.frame, table[:, :3], path)
     residuals = height_at(scene.points, places[:, :2]) - places[:, 2]
-    numbers = asprs_vertical(residuals, table[:, 3])
-    if not numbers["is_enough"]:
+    accuracy = asprs_vertical(residuals, table[:, 3])
+    if not accuracy.is_enough:
         notes.append(
-            f"{numbers['n_checkpoints']} check points of {path.name} lie on the cloud: ASPRS (Edition 2) asks for "
+            f"{accuracy.n_checkpoints} check points of {path.name} lie on the cloud: ASPRS (Edition 2) asks for "
             f"{MIN_CHECKPOINTS} at least, so that this is no test of the product"
         )
     if not table[:, 3].any():
         notes.append(f"{path.name} gives no standard deviations: its check points are taken as free of error")
-    rows = [
-        {"easting": e, "northing": n, "height": h, "residual_m": float(r)}
-        for (e, n, h), r in zip(table[:, :3].tolist(), residuals, strict=True)
-    ]
-    return numbers | {"residuals": rows}
+    return Checkpoints(accuracy, table[:, :3], residuals)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,31 +12,19 @@ from evaluation import weld
 from evaluation.triangles import has_area
 from geo import Cloud, LocalFrame, Mesh, read_reference, require_same_crs, require_same_place
 from geo.crs import has_height
-from survey.errors import SurveyError
-
-Bounds = tuple[float, float, float, float]
+from survey.compare.area import Bounds, CompareError, ShiftedFrame, as_text, within
 
 # Heights further apart than this many times the size of the data are another place, not an error of the bed.
 _FARTHEST_HEIGHT = 10.0
 
 
-class CompareError(SurveyError):
-    """Two data sets that cannot be compared, or options that cannot be meant."""
-
-
 @dataclass(frozen=True)
-class ShiftedFrame:
-    """In place of a `LocalFrame` where no file says its CRS: coordinates in metres, shifted near zero."""
+class Paths:
+    """The files of a comparison; ``visible`` is None where it is not known what cameras see."""
 
-    origin: tuple[float, float, float]
-
-    def local_from_crs(self, points: np.ndarray) -> np.ndarray:
-        """Points (..., 3) as given, minus the origin [m]."""
-        return np.asarray(points, dtype=np.float64) - self.origin
-
-    def crs_from_local(self, points: np.ndarray) -> np.ndarray:
-        """The inverse."""
-        return np.asarray(points, dtype=np.float64) + self.origin
+    cloud: Path
+    reference: Path
+    visible: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -46,6 +33,7 @@ class Inputs:
 
     Attributes
     ----------
+    paths : Paths
     cloud : Cloud
         As read, not cropped.
     inside : (N,) bool
@@ -60,6 +48,7 @@ class Inputs:
         What was taken to be so without a file saying it.
     """
 
+    paths: Paths
     cloud: Cloud
     inside: np.ndarray
     reference: Mesh | Cloud
@@ -69,7 +58,7 @@ class Inputs:
     notes: tuple[str, ...]
 
 
-def load_inputs(cloud_path: Path, reference_path: Path, visible_path: Path | None, bounds: Bounds | None) -> Inputs:
+def load_inputs(paths: Paths, bounds: Bounds | None) -> Inputs:
     """Read the files of a comparison and refuse what cannot be compared.
 
     Raises
@@ -80,74 +69,37 @@ def load_inputs(cloud_path: Path, reference_path: Path, visible_path: Path | Non
         If no point is within the bounds, or the heights cannot be of one place.
     """
     notes: list[str] = []
-    cloud = _as_cloud(read_reference(cloud_path), cloud_path, notes)
-    reference = _surface(read_reference(reference_path), reference_path)
-    visible = _surface(read_reference(visible_path), visible_path) if visible_path is not None else None
-    others = {reference_path: reference} | ({visible_path: visible} if visible is not None else {})
+    cloud = _as_cloud(read_reference(paths.cloud), paths.cloud, notes)
+    reference = _surface(read_reference(paths.reference), paths.reference)
+    visible = None if paths.visible is None else _surface(read_reference(paths.visible), paths.visible)
+    others = {paths.reference: reference}
+    if paths.visible is not None and visible is not None:
+        others[paths.visible] = visible
     for path, other in others.items():
-        require_same_crs(cloud.crs, other.crs, str(cloud_path), str(path))
-        require_same_place(cloud.points, vertices_of(other), str(cloud_path), str(path))
+        require_same_crs(cloud.crs, other.crs, str(paths.cloud), str(path))
+        require_same_place(cloud.points, vertices_of(other), str(paths.cloud), str(path))
     inside = within(cloud.points, bounds)
     if not inside.any():
         low, high = cloud.points.min(axis=0), cloud.points.max(axis=0)
         raise CompareError(
-            f"none of the {len(cloud.points)} points of {cloud_path} lies within the bounds "
-            f"{_numbers(bounds)}; it reaches from {_numbers(low[:2])} to {_numbers(high[:2])}: correct "
+            f"none of the {len(cloud.points)} points of {paths.cloud} lies within the bounds "
+            f"{as_text(bounds)}; it reaches from {as_text(low[:2])} to {as_text(high[:2])}: correct "
             "--bounds (E0 N0 E1 N1 in its CRS)"
         )
     kept = cloud.points[inside]
-    require_same_place(kept, vertices_of(reference), f"{cloud_path} (cropped)", str(reference_path))
+    require_same_place(kept, vertices_of(reference), f"{paths.cloud} (cropped)", str(paths.reference))
     notes += [note for shape in (cloud, *others.values()) for note in getattr(shape, "notes", ())]
-    crs = _common_crs(cloud, cloud_path, others, notes)
-    origin = tuple(float(v) for v in 0.5 * (kept.min(axis=0) + kept.max(axis=0)))
+    crs = _common_crs(cloud, paths.cloud, others, notes)
+    east, north, height = (float(v) for v in 0.5 * (kept.min(axis=0) + kept.max(axis=0)))
+    origin = (east, north, height)
     frame = ShiftedFrame(origin) if crs is None else LocalFrame(crs, origin)
-    _check_heights(kept, cloud_path, vertices_of(reference), reference_path, frame, notes)
-    return Inputs(cloud, inside, reference, visible, crs, frame, tuple(notes))
+    _check_heights(kept, vertices_of(reference), paths, frame, notes)
+    return Inputs(paths, cloud, inside, reference, visible, crs, frame, tuple(notes))
 
 
 def vertices_of(shape: Mesh | Cloud) -> np.ndarray:
     """Points (N, 3) of a cloud or vertices of a mesh."""
     return shape.vertices if isinstance(shape, Mesh) else shape.points
-
-
-def within(points: np.ndarray, bounds: Bounds | None, margins: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
-    """Whether points (N, 3) lie in bounds (edges included) that grow by margins in easting and northing."""
-    if bounds is None:
-        return np.ones(len(points), dtype=bool)
-    e0, n0, e1, n1 = bounds
-    east, north = points[:, 0], points[:, 1]
-    return (
-        (east >= e0 - margins[0]) & (east <= e1 + margins[0]) & (north >= n0 - margins[1]) & (north <= n1 + margins[1])
-    )
-
-
-def to_local(frame: LocalFrame | ShiftedFrame, points: np.ndarray, name: Path) -> np.ndarray:
-    """Points (N, 3) in the local frame [m].
-
-    Raises
-    ------
-    CompareError
-        If some lie where the projection of the CRS ends.
-    """
-    local = frame.local_from_crs(points)
-    bad = int((~np.isfinite(local).all(axis=1)).sum())
-    if bad:
-        raise CompareError(
-            f"{bad} of {len(points)} points of {name} lie off the map of {frame.crs.name}; remove them or "
-            "correct the CRS of the file"
-        )
-    return local
-
-
-def metres_in_crs(frame: LocalFrame | ShiftedFrame, length_m: float) -> tuple[float, float]:
-    """A length [m] near the origin in units of easting and of northing (degrees in a geographic CRS)."""
-    e, n, h = frame.origin
-    step = 1e-6 * max(abs(e), abs(n), 1.0)
-    ends = np.array([[e + step, n, h], [e - step, n, h], [e, n + step, h], [e, n - step, h]])
-    local = frame.local_from_crs(ends)
-    east = float(np.linalg.norm(local[0] - local[1])) / (2.0 * step)
-    north = float(np.linalg.norm(local[2] - local[3])) / (2.0 * step)
-    return length_m / east, length_m / north
 
 
 def _as_cloud(shape: Mesh | Cloud, path: Path, notes: list[str]) -> Cloud:
@@ -192,12 +144,7 @@ def _common_crs(cloud: Cloud, path: Path, others: dict[Path, Mesh | Cloud], note
 
 
 def _check_heights(
-    points: np.ndarray,
-    cloud_path: Path,
-    vertices: np.ndarray,
-    reference_path: Path,
-    frame: LocalFrame | ShiftedFrame,
-    notes: list[str],
+    points: np.ndarray, vertices: np.ndarray, paths: Paths, frame: LocalFrame | ShiftedFrame, notes: list[str]
 ) -> None:
     """Refuse heights that are of another place, and note those that do not meet."""
     # Two points tell the size, whatever the units of the CRS.
@@ -209,28 +156,10 @@ def _check_heights(
     if gap <= 0.0:
         return
     said = (
-        f"the heights of {cloud_path} ({low:.10g} to {high:.10g}) and of {reference_path} ({ref_low:.10g} to "
+        f"the heights of {paths.cloud} ({low:.10g} to {high:.10g}) and of {paths.reference} ({ref_low:.10g} to "
         f"{ref_high:.10g}) do not meet"
     )
     mend = "check that both count from the same vertical datum"
     if gap > _FARTHEST_HEIGHT * size_m:
         raise CompareError(f"{said}; {mend}, and in the same unit")
     notes.append(f"{said}: {mend}")
-
-
-def _numbers(values) -> str:
-    return " ".join(f"{value:.10g}" for value in values)
-
-
-def check_bounds(bounds: Bounds | None) -> None:
-    """Raise CompareError unless bounds are four finite numbers, the low ones first."""
-    if bounds is None:
-        return
-    if len(bounds) != 4 or not all(math.isfinite(v) for v in bounds):
-        raise CompareError(f"--bounds is {tuple(bounds)}, expected four finite numbers E0 N0 E1 N1")
-    e0, n0, e1, n1 = bounds
-    if e0 >= e1 or n0 >= n1:
-        raise CompareError(
-            f"--bounds is {_numbers(bounds)}, expected E0 N0 E1 N1 with E0 below E1 and N0 below N1; put the "
-            "south-west corner first"
-        )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from evaluation.c2m import Sign
-from survey.compare.inputs import Bounds, CompareError, check_bounds
+from survey.compare.area import Bounds, CompareError, check_bounds
 from survey.outputs import Inputs, is_json, require_file, require_folder
 
 

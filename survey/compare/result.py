@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from survey.compare.figures import Figures
 from survey.compare.inputs import Inputs
+from survey.compare.json_numbers import numbers_of
 
 
 @dataclass(frozen=True)
@@ -15,8 +17,7 @@ class Comparison:
 
     Attributes
     ----------
-    numbers : dict
-        As `compare_files` returns it.
+    figures : Figures
     points : (N, 3), in crs
         The compared points.
     distances : (N,) [m]
@@ -32,7 +33,7 @@ class Comparison:
     inputs : Inputs
     """
 
-    numbers: dict
+    figures: Figures
     points: np.ndarray
     distances: np.ndarray
     nearest: np.ndarray
@@ -40,6 +41,11 @@ class Comparison:
     targets: np.ndarray
     is_reached: np.ndarray
     inputs: Inputs
+
+    @property
+    def numbers(self) -> dict:
+        """The figures as JSON holds them, see `survey.compare.json_numbers`."""
+        return numbers_of(self.figures)
 
     @property
     def distances_of_cloud(self) -> np.ndarray:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from evaluation import apparent_points, distance_statistics, per_camera, times_index
+from evaluation import DistanceStatistics, apparent_points, distance_statistics, per_camera, times_index
 from refract import crossing_point
 
 if TYPE_CHECKING:
@@ -87,18 +87,14 @@ def _rays(survey: Survey, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
 
 def _measured(facts: ReportFacts) -> list[dict]:
     """The refractive sweep alone and the full chain, which are one where no field was trained."""
-    whole = _wet(facts.comparison)
+    whole = facts.comparison.figures.wet
     if facts.sweep_comparison is None:
         named = {"refractive sweep (the full chain of this run, without a field)": whole}
     else:
-        named = {"refractive sweep only": _wet(facts.sweep_comparison), "full chain: sweep and field": whole}
+        named = {"refractive sweep only": facts.sweep_comparison.figures.wet, "full chain: sweep and field": whole}
     return [_row(name, "measured", part) for name, part in named.items() if part]
 
 
-def _wet(comparison) -> dict | None:
-    """Statistics of the points under water: of vertical differences, of distances where the reference is a cloud."""
-    return comparison.numbers.get("vertical", comparison.numbers).get("wet")
-
-
-def _row(name: str, kind: str, statistics: dict) -> dict:
-    return {"name": name, "kind": kind, **{key: statistics[key] for key in ("median_m", "nmad_m", "mean_m")}}
+def _row(name: str, kind: str, found: DistanceStatistics) -> dict:
+    values = {"median_m": found.median_m, "nmad_m": found.nmad_m, "mean_m": found.mean_m}
+    return {"name": name, "kind": kind, **values}

@@ -1,0 +1,57 @@
+"""What is measured: two images of one shape, (H, W) or (H, W, 3), 0 to 1, and the rectangle that a mask leaves."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def checked_pair(reference, image, *, smallest: int) -> tuple[np.ndarray, np.ndarray]:
+    """Both images as float64.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ or are no image's, a side is shorter than ``smallest``, or values are not within 0 to 1.
+    """
+    pair = np.asarray(reference, dtype=np.float64), np.asarray(image, dtype=np.float64)
+    shape = pair[0].shape
+    if pair[1].shape != shape or len(shape) not in (2, 3) or (len(shape) == 3 and shape[2] != 3):
+        raise ValueError(f"expected two images of one shape (H, W) or (H, W, 3), got {shape} and {pair[1].shape}")
+    if min(shape[:2]) < smallest:
+        raise ValueError(f"expected images of at least {smallest} x {smallest} pixels, got {shape[1]} x {shape[0]}")
+    for values in pair:
+        # False for NaN too.
+        if not (values.min() >= 0.0 and values.max() <= 1.0):
+            raise ValueError(f"expected values from 0 to 1, got {values.min():g} to {values.max():g}; divide by 255?")
+    return pair
+
+
+def largest_rectangle(mask: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns of the largest rectangle of a mask (H, W) bool whose pixels are all true, the first of equals.
+
+    Notes
+    -----
+    Row by row, the columns of true pixels that end there are the bars of a histogram; each bar is extended to both
+    sides as far as none is shorter.
+
+    Examples
+    --------
+    >>> largest_rectangle(np.array([[True, False, True], [True, True, True], [True, True, False]]))
+    (slice(1, 3, None), slice(0, 2, None))
+    """
+    best, found = 0, (slice(0, 0), slice(0, 0))
+    bars = np.zeros(mask.shape[1] + 1, dtype=np.int64)
+    for row, line in enumerate(mask):
+        bars[:-1] = np.where(line, bars[:-1] + 1, 0)
+        # Bars that still go on, each higher than the one before it: first column and height. The last bar, of height
+        # zero, ends them all.
+        rising: list[tuple[int, int]] = []
+        for column, height in enumerate(bars.tolist()):
+            first = column
+            while rising and rising[-1][1] >= height:
+                first, tall = rising.pop()
+                if tall * (column - first) > best:
+                    best = tall * (column - first)
+                    found = (slice(row + 1 - tall, row + 1), slice(first, column))
+            rising.append((first, height))
+    return found

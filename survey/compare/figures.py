@@ -1,0 +1,188 @@
+"""What a comparison measured: all its figures, and how they came about."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from evaluation import AsprsAccuracy, Band, DepthParts, DistanceStatistics, IhoS44, Scores, Summary
+from evaluation.c2m import Sign
+from survey.compare.area import Bounds
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Bias and spread of the parts of a cloud; what the cloud does not tell is None or empty.
+
+    Attributes
+    ----------
+    depth : DepthParts or None
+    incidence, views : tuple of Band
+        By incidence at the water [deg] and by the number of views that agree.
+    """
+
+    depth: DepthParts | None = None
+    incidence: tuple[Band, ...] = ()
+    views: tuple[Band, ...] = ()
+
+
+@dataclass(frozen=True)
+class Vertical:
+    """Vertical differences to a mesh.
+
+    Attributes
+    ----------
+    distances : DistanceStatistics
+        Points with no surface straight above or below them have no difference: they are in ``n_nan``.
+    depth : DepthParts or None
+    """
+
+    distances: DistanceStatistics
+    depth: DepthParts | None
+
+
+@dataclass(frozen=True)
+class VerticalUncertainty:
+    """What IHO S-44 says about vertical errors.
+
+    Attributes
+    ----------
+    iho : IhoS44
+    error : str
+        Which error was judged.
+    """
+
+    iho: IhoS44
+    error: str
+
+
+@dataclass(frozen=True)
+class Checkpoints:
+    """A cloud at surveyed places.
+
+    Attributes
+    ----------
+    accuracy : AsprsAccuracy
+    places : (K, 3), in crs
+    residuals : (K,) [m]
+        Height of the cloud minus height of the check point; NaN where the cloud does not surround it.
+    """
+
+    accuracy: AsprsAccuracy
+    places: np.ndarray
+    residuals: np.ndarray
+
+
+@dataclass(frozen=True)
+class CloudToCloud:
+    """Distances without sign from the cloud to the samples of the reference, and from those to the cloud."""
+
+    to_reference: DistanceStatistics
+    to_cloud: DistanceStatistics
+
+
+@dataclass(frozen=True)
+class M3C2:
+    """M3C2 distances at some places of the reference.
+
+    Attributes
+    ----------
+    distances : DistanceStatistics
+    radius_m : [m]
+        Of the cylinders.
+    detection_median_m : [m]
+        Median level of detection at 95 %.
+    significant_share : [-]
+        Share of the distances beyond their level of detection.
+    """
+
+    distances: DistanceStatistics
+    radius_m: float
+    detection_median_m: float
+    significant_share: float
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """How figures came about.
+
+    Attributes
+    ----------
+    outliers : str or None
+        The filter, as the option.
+    block_m, correlation_length_m, widening : [m], [m], [-]
+        Of the block bootstrap, see `evaluation.Blocks`.
+    water_level : float or None, in crs
+    method : str
+        ``"cloud to mesh"`` or ``"cloud to cloud"``.
+    sign : {"up", "winding"} or None
+        None where distances have none.
+    crs : str or None
+        Name of the coordinate reference system.
+    bounds : (E0, N0, E1, N1) or None, in crs
+    cloud, reference : str
+        Paths.
+    visible : str or None
+        Path.
+    n_samples : int
+        Of the reference.
+    seed : int or None
+        Of the samples; None where the reference is a cloud.
+    notes : tuple of str
+        Sentences for the reader.
+    """
+
+    outliers: str | None
+    block_m: float
+    correlation_length_m: float
+    widening: float
+    water_level: float | None
+    method: str
+    sign: Sign | None
+    crs: str | None
+    bounds: Bounds | None
+    cloud: str
+    reference: str
+    visible: str | None
+    n_samples: int
+    seed: int | None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Figures:
+    """All figures of a comparison; what was not asked for or cannot be known is None.
+
+    Attributes
+    ----------
+    summary : Summary
+        Over all compared points, at the first tolerance.
+    tolerances : tuple of Scores
+        At each tolerance.
+    parts : Parts
+    circumstances : Circumstances
+    vertical : Vertical or None
+        Where the reference is a mesh.
+    uncertainty : VerticalUncertainty or None
+        Where depths are known.
+    checkpoints : Checkpoints or None
+    c2c : CloudToCloud or None
+    m3c2 : M3C2 or None
+    """
+
+    summary: Summary
+    tolerances: tuple[Scores, ...]
+    parts: Parts
+    circumstances: Circumstances
+    vertical: Vertical | None = None
+    uncertainty: VerticalUncertainty | None = None
+    checkpoints: Checkpoints | None = None
+    c2c: CloudToCloud | None = None
+    m3c2: M3C2 | None = None
+
+    @property
+    def wet(self) -> DistanceStatistics | None:
+        """Of the points under water: their vertical differences, or distances where the reference is a cloud."""
+        depth = self.parts.depth if self.vertical is None else self.vertical.depth
+        return None if depth is None else depth.wet

@@ -54,9 +54,10 @@ class WaterConfig:
 
 @dataclass(frozen=True)
 class AreaConfig:
-    """[area]: easting and northing, low then high, inside which the bed is wanted."""
+    """[area]: inside which the bed is wanted."""
 
-    bounds: tuple[float, float, float, float] | None = None
+    bounds: tuple[float, float, float, float] | None = None  # easting and northing, low then high
+    heights: tuple[float, float] | None = None  # in m in crs, low then high: no bed is looked for beyond
 
 
 @dataclass(frozen=True)

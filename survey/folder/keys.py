@@ -84,6 +84,13 @@ def _bounds(key: str, value) -> tuple[float, ...]:
     return (e0, n0, e1, n1)
 
 
+def _heights(key: str, value) -> tuple[float, ...]:
+    low, high = _numbers(2, "[low, high], in the heights of crs")(key, value)
+    if not low < high:
+        raise ConfigError(f"{key} is {value}, expected [low, high] in metres with low below high; swap or correct them")
+    return (low, high)
+
+
 def _frame(key: str, value) -> str:
     text = _text(key, value)
     if text != "topocentric east-north-up":
@@ -123,7 +130,7 @@ SECTIONS = {
         "gnss_points": _text,
         "gauge": _text,
     },
-    "area": {"bounds": _bounds},
+    "area": {"bounds": _bounds, "heights": _heights},
     "local": {"frame": _frame, "origin": _numbers(3, "[easting, northing, height]")},
     "control": {},
 }

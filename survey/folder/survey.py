@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+
+import numpy as np
 
 from geo.frames import LocalFrame
 from refract import FlatWater
@@ -14,7 +16,7 @@ from survey.folder.config import SurveyConfig
 from survey.folder.found import MIN_VIEWS, Found, find_survey
 from survey.folder.pairing import pair, require_image, warn_of, with_lenses, with_masks
 from survey.photos.cameras import View
-from survey.photos.formats import read_poses
+from survey.photos.formats import MIN_TRACK, read_points, read_poses
 from survey.photos.images import load_image, load_mask, require_complete
 
 __all__ = ["Found", "Survey", "View", "find_survey", "load_image", "load_mask", "load_survey"]
@@ -39,6 +41,8 @@ class Survey:
     config : SurveyConfig
         The settings that took effect, defaults filled in.
     assumptions, warnings : sentences
+    points : (N, 3) float64 [m], local, or None
+        Matched points that three photographs or more see, on straight rays; None where the poses came without any.
     """
 
     name: str
@@ -50,6 +54,7 @@ class Survey:
     config: SurveyConfig
     assumptions: tuple[str, ...]
     warnings: tuple[str, ...]
+    points: np.ndarray | None = field(default=None, compare=False, repr=False)
 
 
 def load_survey(folder: Path, *, workspace: Path | None = None, report: Callable[[str], None] | None = None) -> Survey:
@@ -71,9 +76,9 @@ def load_survey(folder: Path, *, workspace: Path | None = None, report: Callable
     found = find_survey(folder)
     assumptions, warnings = list(found.assumptions), list(found.warnings)
     if found.poses_path is None:
-        frame, views = _solve(found, workspace, report, assumptions, warnings)
+        frame, views, points = _solve(found, workspace, report, assumptions, warnings)
     else:
-        poses = pair(found, read_poses(found.poses_path), warnings)
+        poses, points = pair(found, read_poses(found.poses_path), warnings), read_points(found.poses_path)
         poses = with_lenses(found, poses, assumptions, warnings)
         frame, views = place.views_in_local(found, poses)
     views = with_masks(found, sorted(views, key=lambda view: view.name), warnings)
@@ -95,6 +100,7 @@ def load_survey(folder: Path, *, workspace: Path | None = None, report: Callable
         config=config,
         assumptions=tuple(assumptions),
         warnings=tuple(warnings),
+        points=points,
     )
 
 
@@ -104,8 +110,8 @@ def _solve(
     report: Callable[[str], None] | None,
     assumptions: list[str],
     warnings: list[str],
-) -> tuple[LocalFrame, list[View]]:
-    """Views by structure from motion, for a folder without poses."""
+) -> tuple[LocalFrame, list[View], np.ndarray]:
+    """Views and points by structure from motion, for a folder without poses."""
     from survey.sfm.poses import solve_poses
 
     place.require_level_fits_exif(found)
@@ -133,4 +139,4 @@ def _solve(
     assumptions.extend(result.notes)
     solved = {view.name for view in views}
     warn_of([name for name in found.images if name not in solved], "without a pose, left out", "image", warnings)
-    return result.frame, views
+    return result.frame, views, result.points[result.num_views >= MIN_TRACK]

@@ -10,6 +10,7 @@ import numpy as np
 from refract import PinholeCamera
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
+from survey.plan.heights import told
 
 QUALITIES = ("draft", "standard", "fine")
 DEVICES = ("auto", "cpu", "cuda")
@@ -111,6 +112,7 @@ def make_plan(survey: Survey, *, quality: str = "standard", device: str = "auto"
             f"{100.0 * gsd:.2g} cm",
             f"cameras {height:.1f} m over the {_over(survey)}",
         ),
+        Decision("range of heights", *told(survey, height)),
         chosen,
     )
     return Plan(quality, chosen.choice, scale, gsd, height, footprint, decisions)

@@ -20,7 +20,7 @@ from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.errors import SurveyError
 from survey.folder.config import dump_config
 from survey.folder.survey import Survey, load_survey
-from survey.plan.block import backend, load_block, plane_name
+from survey.plan.block import backend, limits, load_block, plane_name
 from survey.plan.plan import Plan, make_plan
 from survey.progress import Progress, current
 from survey.report import ReportFacts, write_report
@@ -123,7 +123,7 @@ class _Run:
         """All stages in their order; the exit code."""
         key = stage_key(
             *(view.path for view in self.survey.views), self.survey.views, self.survey.water, self.survey.bounds,
-            self.plan.image_scale, self.plan.quality, self.plan.device,
+            self.plan.image_scale, self.plan.quality, self.plan.device, limits(self.survey),
         )  # fmt: skip
         sweep_key, sweep_folder = key, self._stage("sweep", key, self._sweep)
         if self.true_colour and not colour_is_known(self.survey):

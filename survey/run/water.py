@@ -8,17 +8,21 @@ from dataclasses import replace
 from survey.adjust.calibration import calibrate_water, with_water
 from survey.adjust.water_estimate import PARAMETERS
 from survey.folder.survey import Survey
+from survey.plan.block import limits
 from survey.progress import Progress
 from survey.run.folder import RunDir, stage_key
 
 _STAGE, _RESULT = "water", "water.json"
 # Raise it when a change of the code changes the estimate, so that stored ones are not used again.
-_FORMAT = 1
+_FORMAT = 2
 
 
 def calibrated(run: RunDir, survey: Survey, device: str, progress: Progress, *, resume: bool) -> Survey:
     """The survey with the water that its photographs tell; what they cannot tell stays as it was given."""
-    key = stage_key(_STAGE, _FORMAT, *(view.path for view in survey.views), survey.views, survey.config.water, device)
+    key = stage_key(
+        _STAGE, _FORMAT, *(view.path for view in survey.views), survey.views, survey.config.water, survey.bounds,
+        limits(survey), device,
+    )  # fmt: skip
     if not (resume and run.stage_is_current(_STAGE, key)):
         folder = run.open_stage(_STAGE)
         with progress.stage("Water", 1.0) as stage:

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from survey.errors import PosesError
 from survey.photos.cameras import Pose
 from survey.photos.formats import colmap, opk_csv
 
+# Two photographs may agree by chance on a point that is not there; a third hardly does.
+MIN_TRACK = 3
 # What other programs leave beside the images; named so that nobody wonders why they are not read.
 _NOT_READ = ("cameras.xml", "transforms.json", "reconstruction.json", "nvm", "bundle.out")
 
@@ -44,3 +48,18 @@ def read_poses(path: Path) -> list[Pose]:
         f"{path} is no poses file that is known here; expected a table image,easting,northing,height,omega,phi,kappa "
         "(.csv) or the folder of a COLMAP model (cameras and images, .txt or .bin)"
     )
+
+
+def read_points(path: Path) -> np.ndarray | None:
+    """Matched points (N, 3) [m], local, that came with poses and that three photographs see; None where none came.
+
+    Raises
+    ------
+    PosesError
+        Where their file is damaged.
+    """
+    folder = path if path.is_dir() else path.parent
+    if not colmap.is_model(folder) or path.suffix.lower() == ".csv":
+        return None
+    points, num_views = colmap.read_points(folder)
+    return points[num_views >= MIN_TRACK] if len(points) else None

@@ -17,7 +17,7 @@ from survey.errors import SurveyError
 from survey.folder.config import WaterConfig
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey, load_survey
-from survey.plan.block import camera_of, limits, load_block
+from survey.plan.block import camera_of, limits, load_block, local_area
 from survey.plan.plan import make_plan
 from survey.progress import current
 
@@ -124,12 +124,25 @@ def measure_ties(survey: Survey, *, device: str = "auto", advance: Callable[[flo
     plan = make_plan(survey, device=device)
     block = load_block(survey, plan, lambda _amount: None)
     try:
-        ties = measure(block, limits(survey), advance)
+        ties = measure(block, limits(survey), local_area(survey), advance)
     except ValueError as error:
         raise SurveyError(str(error)) from error
     full = [(view.camera, camera_of(view, plan)) for view in survey.views]
     enlarge = np.array([(camera.fx / used.fx, camera.fy / used.fy) for camera, used in full])
-    return replace(ties, pixel=ties.pixel * enlarge[ties.view])
+    return within_bounds(survey, replace(ties, pixel=ties.pixel * enlarge[ties.view]))
+
+
+def within_bounds(survey: Survey, ties: TiePoints) -> TiePoints:
+    """The tie points inside the bounds of a survey, without a margin.
+
+    The sweep knows their places to centimetres, and beyond the bounds there may be other water: a pond, a weir.
+    """
+    if survey.bounds is None:
+        return ties
+    e0, n0, e1, n1 = survey.bounds
+    east, north, _ = survey.frame.crs_from_local(ties.start).T
+    inside = (east >= e0) & (east <= e1) & (north >= n0) & (north <= n1)
+    return ties.only(inside[ties.point])
 
 
 def nadir_views(survey: Survey) -> Survey:

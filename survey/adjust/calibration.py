@@ -31,9 +31,10 @@ def estimate_water(
     nadir_only: bool = False,
     start_level: float | None = None,
     start_index: float | None = None,
+    run_folder: Path | None = None,
     json_path: Path | None = None,
 ) -> WaterEstimate:
-    """What the photographs of a survey folder say about its water; nothing in the folder changes.
+    """What the photographs of a survey folder say about its water; no setting and no result of a run changes.
 
     Parameters
     ----------
@@ -43,6 +44,9 @@ def estimate_water(
         Use only views that look down within 5 degrees of the vertical.
     start_level, start_index : [m], [-]
         Where the search starts, instead of at what the survey says.
+    run_folder : Path, optional
+        Whose poses by structure from motion are used, for a survey that comes without poses; default
+        ``folder/bathynerf``. Where it has none of these photographs they are solved for, and kept there.
     json_path : Path, optional
         Gets everything that was found.
 
@@ -52,7 +56,13 @@ def estimate_water(
         Where the survey cannot be used, or its photographs do not match.
     """
     progress = current()
-    survey = load_survey(folder, report=progress.note)
+    workspace = None if run_folder is None else run_folder / "sfm"
+    if workspace is not None and not workspace.is_dir():
+        raise SurveyError(
+            f"{run_folder} has no poses by structure from motion (there is no folder {workspace}); name a run folder "
+            "of this survey that has, or leave --run out"
+        )
+    survey = load_survey(folder, workspace=workspace, report=progress.note)
     if survey.water is None:
         raise SurveyError("a dry survey has no water to estimate; give [water] level_m to start from")
     given = survey.config.water

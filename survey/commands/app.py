@@ -157,6 +157,9 @@ def waterline(
     nadir_only: Annotated[bool, typer.Option("--nadir-only", help="Use views that look straight down alone.")] = False,
     start_level: Annotated[float | None, typer.Option(help="Start from this level [m] instead of level_m.")] = None,
     start_index: Annotated[float | None, typer.Option(help="Start from this refractive index.")] = None,
+    run: Annotated[
+        Path | None, typer.Option(metavar="RUN", help="Take the poses that this run found. [SURVEY/bathynerf]")
+    ] = None,
     json: Annotated[Path | None, typer.Option(help="Write everything that was found to this file.")] = None,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
@@ -171,12 +174,14 @@ def waterline(
             nadir_only=nadir_only,
             start_level=start_level,
             start_index=start_index,
+            run_folder=run,
             json_path=json,
         )
         if verbose >= quiet:
             rows = [(estimate.name, estimate.verdict) for estimate in found.estimates]
             points = f"{found.num_points} in {found.num_views} views, {found.num_measurements} measurements"
-            _print_columns(None, [*rows, ("tie points", points), ("residuals", f"{found.rms_px:.3f} px rms")])
+            residuals = "none, nothing was adjusted" if found.rms_px is None else f"{found.rms_px:.3f} px rms"
+            _print_columns(None, [*rows, ("tie points", points), ("residuals", residuals)])
 
 
 @app.command()

@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 
 from refract.lens import Lens
-from survey.adjust.calibration import calibrate_water, nadir_views
+from survey.adjust import calibration
+from survey.adjust.calibration import calibrate_water, nadir_views, within_bounds
+from survey.adjust.tie_points import TiePoints
 from survey.adjust.water import water_from_ties
 from survey.adjust.water_estimate import PARAMETERS
+from survey.errors import SurveyError
 from survey.folder.place import water_plane
 from survey.folder.survey import load_survey
 from survey.photos.cameras import View
@@ -60,6 +63,64 @@ def test_a_block_from_above_says_that_it_cannot_know_and_keeps_what_was_given(tm
     assert found.water == survey.config.water
 
 
+@pytest.mark.parametrize("num_wet", [0, 12])
+def test_too_few_tie_points_under_water_make_every_parameter_not_observable(tmp_path, rng, num_wet):
+    cameras = convergent()
+    survey = survey_with(tmp_path, cameras)
+    ties = tie_points(cameras, rng, count=200, std_px=STD_PX, low=0.8, high=3.0)
+    if num_wet:
+        ties = joined(ties, tie_points(cameras, rng, count=num_wet, std_px=STD_PX))
+    found = water_from_ties(survey, ties)
+    assert not found.is_observable
+    assert found.water == survey.config.water
+    for estimate in found.estimates:
+        assert estimate.verdict.startswith(f"not observable: {num_wet} of {len(ties)} tie points lie under water")
+    assert found.num_dry == len(ties) - num_wet
+
+
+def test_no_tie_points_at_all_are_a_verdict_too(tmp_path):
+    survey = survey_with(tmp_path, convergent())
+    none = TiePoints(np.zeros((0, 3)), np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros((0, 2)))
+    found = water_from_ties(survey, none)
+    assert all("0 of 0 tie points lie under water" in estimate.verdict for estimate in found.estimates)
+    assert json.loads(found.to_json())["rms_px"] is None
+
+
+def test_views_from_above_of_a_shore_are_not_observable_instead_of_an_error(tmp_path, rng):
+    """Points near the water line are wet at one level and dry at the next: the least squares swing to and fro."""
+    cameras = nadir()
+    survey = survey_with(tmp_path, cameras)
+    found = water_from_ties(survey, tie_points(cameras, rng, count=300, std_px=STD_PX, low=-0.5, high=1.0))
+    assert not found.is_observable
+    assert all("not observable" in e.verdict and "kept as given" in e.verdict for e in found.estimates)
+    assert found.water == survey.config.water
+
+
+def test_tie_points_beyond_the_bounds_are_not_used(tmp_path, rng):
+    cameras = convergent()
+    survey = survey_with(tmp_path, cameras)
+    ties = tie_points(cameras, rng)
+    easting, northing, _ = survey.frame.origin
+    bounds = (easting - 4.0, northing - 3.0, easting + 2.0, northing + 5.0)
+    kept = within_bounds(replace(survey, bounds=bounds), ties)
+    east, north, _ = survey.frame.crs_from_local(kept.start).T
+    assert 0 < len(kept) < len(ties)
+    assert (bounds[0] <= east).all()
+    assert (east <= bounds[2]).all()
+    assert (bounds[1] <= north).all()
+    assert (north <= bounds[3]).all()
+    assert within_bounds(survey, ties) is ties
+
+
+def joined(a: TiePoints, b: TiePoints) -> TiePoints:
+    return TiePoints(
+        np.concatenate([a.start, b.start]),
+        np.concatenate([a.point, b.point + len(a)]),
+        np.concatenate([a.view, b.view]),
+        np.concatenate([a.pixel, b.pixel]),
+    )
+
+
 def test_all_of_it_goes_into_json(tmp_path, rng):
     cameras = convergent()
     found = water_from_ties(survey_with(tmp_path, cameras), tie_points(cameras, rng, std_px=STD_PX))
@@ -67,6 +128,24 @@ def test_all_of_it_goes_into_json(tmp_path, rng):
     assert record["estimates"][0]["name"] == "level_m"
     assert np.allclose(np.diag(record["correlation"]), 1.0)
     assert np.array(record["covariance"]).shape == (4, 4)
+
+
+def test_poses_of_a_run_that_is_named_are_used_and_a_run_without_poses_is_refused(tmp_path, monkeypatch):
+    asked = []
+
+    def load(folder, *, workspace, report):
+        asked.append(workspace)
+        raise SurveyError("seen enough")
+
+    monkeypatch.setattr(calibration, "load_survey", load)
+    run = tmp_path / "run"
+    with pytest.raises(SurveyError, match=r"has no poses by structure from motion .*leave --run out"):
+        calibration.estimate_water(tmp_path, run_folder=run)
+    (run / "sfm").mkdir(parents=True)
+    for named in (run, None):
+        with pytest.raises(SurveyError, match="seen enough"):
+            calibration.estimate_water(tmp_path, run_folder=named)
+    assert asked == [run / "sfm", None]
 
 
 def test_nadir_views_are_those_that_look_down(tmp_path):

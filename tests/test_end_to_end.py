@@ -231,7 +231,14 @@ def test_the_same_command_again_computes_nothing_and_changes_nothing(calm, monke
     np.testing.assert_array_equal(after.rgb, before.rgb)
 
 
-@pytest.mark.parametrize(("old", "new"), [("level_m = 584.2", "level_m = 584.3"), ("\nbounds", "\n# bounds")])
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("level_m = 584.2", "level_m = 584.3"),
+        ("\nbounds", "\n# bounds"),
+        ("\nbounds", "\nheights = [580.0, 585.0]\nbounds"),
+    ],
+)
 def test_a_changed_setting_is_not_served_from_what_was_finished(calm, monkeypatch, old, new):
     asked = []
 

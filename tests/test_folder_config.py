@@ -36,6 +36,7 @@ absorption_per_m = [0.3, 0.07, 0.05]
 veiling_light = [0, 0.1, 0.2]
 [area]
 bounds = [589000, 5194700, 589050, 5194750]
+heights = [2.5, 14]
 [local]
 frame = "topocentric east-north-up"
 origin = [589012.0, 5194736.0, 2105.0]
@@ -50,6 +51,7 @@ def test_every_known_key_is_read_and_written_back_to_the_same_settings():
     assert config.water.absorption_per_m == (0.3, 0.07, 0.05)
     assert config.water.veiling_light == (0.0, 0.1, 0.2)
     assert config.area.bounds == (589000.0, 5194700.0, 589050.0, 5194750.0)
+    assert config.area.heights == (2.5, 14.0)
     unset = [f.name for f in dataclasses.fields(config) if getattr(config, f.name) is None]
     assert unset == []
     assert parse_config(dump_config(config)) == config

@@ -17,7 +17,7 @@ from refract.lens import MODELS, Lens, LensError
 from survey.errors import PosesError
 from survey.folder.survey import load_survey
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
-from survey.photos.formats import colmap, find_poses, find_unread, opk_csv, read_poses
+from survey.photos.formats import colmap, find_poses, find_unread, opk_csv, read_points, read_poses
 
 # cameras.csv of the drawn surveys is written to 1e-5 m and 1e-8 degrees, the COLMAP model to 1e-12.
 CENTRE_TOLERANCE_M = 1e-3
@@ -132,6 +132,35 @@ def test_text_and_binary_are_read_as_pycolmap_reads_them(tmp_path, rng):
             assert pose.cam_from_world == pytest.approx(rotation, abs=1e-14)
             assert pose.lens.model == image.camera.model.name
             assert pose.lens.params == tuple(image.camera.params)
+
+
+def test_points_are_those_of_pycolmap_in_text_and_binary_and_a_cut_is_refused(tmp_path, rng):
+    text = write_model(tmp_path / "text", "".join(f"{i} 1 0 0 0 0 0 0 1 {i}.jpg\n1 2 1 3 4 2\n" for i in (1, 2, 3)))
+    xyz = rng.normal(size=(2, 3))
+    lines = [" ".join(f"{v:.17g}" for v in point) for point in xyz]
+    tracks = "1 0 2 0 3 0", "1 1 2 1"
+    (text / "points3D.txt").write_text(
+        "# a comment\n" + "".join(f"{i} {lines[i - 1]} 9 9 9 0.5 {tracks[i - 1]}\n" for i in (1, 2))
+    )
+    binary = tmp_path / "binary"
+    binary.mkdir()
+    pycolmap.Reconstruction(text).write_binary(binary)
+    for folder in (text, binary):
+        points, num_views = colmap.read_points(folder)
+        order = np.argsort(-num_views)
+        assert (points[order] == xyz).all()
+        assert list(num_views[order]) == [3, 2]
+        assert (read_points(folder) == xyz[:1]).all()
+    data = (binary / "points3D.bin").read_bytes()
+    for length in range(len(data)):
+        (binary / "points3D.bin").write_bytes(data[:length])
+        with pytest.raises(PosesError, match=r"points3D\.bin is damaged"):
+            colmap.read_points(binary)
+    (text / "points3D.txt").write_text("1 0 0 0 9 9 9 0.5 1\n")
+    with pytest.raises(PosesError, match=r"points3D\.txt is damaged"):
+        colmap.read_points(text)
+    (text / "points3D.txt").unlink()
+    assert read_points(text) is None
 
 
 def test_the_ids_of_our_models_are_those_of_colmap():

@@ -391,6 +391,16 @@ def test_photographs_that_do_not_match_are_refused_with_a_mend(tmp_path, rng):
     assert list((tmp_path / "work").iterdir()) == []
 
 
+def test_stored_poses_that_do_not_belong_to_the_photographs_are_not_used_without_a_word(tmp_path, rng):
+    paths, told = noise_images(tmp_path, rng), []
+    work = tmp_path / "work"
+    work.mkdir()
+    (work / "solved.json").write_text('{"key": "of other photographs"}')
+    with pytest.raises(PosesError):
+        solve_poses(paths, None, work, report=told.append)
+    assert "has poses of other photographs or settings" in told[0]
+
+
 def test_settings_that_cannot_be_are_named(tmp_path, rng):
     paths = noise_images(tmp_path, rng)
     with pytest.raises(ImageError, match=r"0\.jpg has 160 x 120 pixels, expected 800 x 600"):

@@ -19,7 +19,7 @@ from survey.folder.inputs import survey_inputs
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey, load_survey
 from survey.outputs import is_json, require_file
-from survey.plan.block import camera_of, limits, load_block
+from survey.plan.block import camera_of, limits, load_block, local_area
 from survey.plan.plan import make_plan
 from survey.progress import current
 
@@ -33,9 +33,10 @@ def estimate_water(
     nadir_only: bool = False,
     start_level: float | None = None,
     start_index: float | None = None,
+    run_folder: Path | None = None,
     json_path: Path | None = None,
 ) -> WaterEstimate:
-    """What the photographs of a survey folder say about its water; nothing in the folder changes.
+    """What the photographs of a survey folder say about its water; no setting and no result of a run changes.
 
     Parameters
     ----------
@@ -45,6 +46,9 @@ def estimate_water(
         Use only views that look down within 5 degrees of the vertical.
     start_level, start_index : [m], [-]
         Where the search starts, instead of at what the survey says.
+    run_folder : Path, optional
+        Whose poses by structure from motion are used, for a survey that comes without poses; default
+        ``folder/bathynerf``. Where it has none of these photographs they are solved for, and kept there.
     json_path : Path, optional
         Gets everything that was found.
 
@@ -55,7 +59,13 @@ def estimate_water(
     """
     progress = current()
     require_file("--json", json_path, survey_inputs(Path(folder)), kind="a JSON file", is_of_kind=is_json)
-    survey = load_survey(folder, report=progress.note)
+    workspace = None if run_folder is None else run_folder / "sfm"
+    if workspace is not None and not workspace.is_dir():
+        raise SurveyError(
+            f"{run_folder} has no poses by structure from motion (there is no folder {workspace}); name a run folder "
+            "of this survey that has, or leave --run out"
+        )
+    survey = load_survey(folder, workspace=workspace, report=progress.note)
     if survey.water is None:
         raise SurveyError("a dry survey has no water to estimate; give [water] level_m to start from")
     given = survey.config.water
@@ -127,12 +137,25 @@ def measure_ties(survey: Survey, *, device: str = "auto", advance: Callable[[flo
     plan = make_plan(survey, device=device)
     block = load_block(survey, plan, lambda _amount: None)
     try:
-        ties = measure(block, limits(survey), advance)
+        ties = measure(block, limits(survey), local_area(survey), advance)
     except ValueError as error:
         raise SurveyError(str(error)) from error
     full = [(view.camera, camera_of(view, plan)) for view in survey.views]
     enlarge = np.array([(camera.fx / used.fx, camera.fy / used.fy) for camera, used in full])
-    return replace(ties, pixel=ties.pixel * enlarge[ties.view])
+    return within_bounds(survey, replace(ties, pixel=ties.pixel * enlarge[ties.view]))
+
+
+def within_bounds(survey: Survey, ties: TiePoints) -> TiePoints:
+    """The tie points inside the bounds of a survey, without a margin.
+
+    The sweep knows their places to centimetres, and beyond the bounds there may be other water: a pond, a weir.
+    """
+    if survey.bounds is None:
+        return ties
+    e0, n0, e1, n1 = survey.bounds
+    east, north, _ = survey.frame.crs_from_local(ties.start).T
+    inside = (east >= e0) & (east <= e1) & (north >= n0) & (north <= n1)
+    return ties.only(inside[ties.point])
 
 
 def nadir_views(survey: Survey) -> Survey:

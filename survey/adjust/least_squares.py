@@ -34,6 +34,10 @@ _DONE = 1e-3
 _DAMPING = 1e-9
 
 
+class NotAtRestError(SurveyError):
+    """An adjustment that does not converge, e.g. where points near the shoreline become wet and dry in turn."""
+
+
 @dataclass(frozen=True)
 class Adjusted:
     """A solution of `adjust`.
@@ -90,7 +94,9 @@ def adjust(
     Raises
     ------
     SurveyError
-        If there are no more measurements than unknowns, or the search does not come to rest.
+        If there are no more measurements than unknowns.
+    NotAtRestError
+        If the search does not come to rest.
 
     Notes
     -----
@@ -117,9 +123,9 @@ def adjust(
         if (np.abs(step) < _DONE * np.sqrt(np.diag(np.linalg.inv(normal)))).all():
             break
     else:
-        raise SurveyError(
-            f"the adjustment of the water did not come to rest in {_MOST_STEPS} steps; check that poses and images "
-            "belong together, or give the water by hand"
+        raise NotAtRestError(
+            f"the adjustment did not come to rest in {_MOST_STEPS} steps: the photographs tell too little of the "
+            "water, or poses and images do not belong together"
         )
     return _solution(_linearised(cameras, ties, points, water_of, parameters), ties, points, parameters, prior)
 

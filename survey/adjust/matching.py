@@ -6,8 +6,11 @@ affine    pixels in the other photograph per pixel of the template, by the bed a
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+import cv2
 import numpy as np
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import distance_transform_edt, map_coordinates, spline_filter
 
 # Half the side of a window [px]: 13 x 13 hold texture enough, and little relief.
 RADIUS = 6
@@ -17,6 +20,38 @@ _STEPS, _FARTHEST_PX = 12, 4.0
 _DONE_PX = 0.005
 # Windows that look less alike than this (NCC) show another surface.
 _ALIKE = 0.85
+# A window keeps this far [px] from masked pixels. The cubic spline spreads what they are filled with, by a factor of
+# 0.27 from pixel to pixel: five pixels on, a thousandth of it is left, less than a grey level.
+_CLEAR_PX = 5
+
+
+@dataclass(frozen=True)
+class Searched:
+    """A photograph made ready to look for windows in.
+
+    Attributes
+    ----------
+    spline : (height, width) float32
+        Its coefficients as a cubic spline.
+    clear : (height, width) bool
+        Where samples of a window may lie: no masked pixel is near.
+    """
+
+    spline: np.ndarray
+    clear: np.ndarray
+
+
+def searched(image: np.ndarray) -> Searched:
+    """Make a photograph (height, width) ready; masked pixels are NaN."""
+    masked = ~np.isfinite(image)
+    if masked.all():
+        return Searched(np.zeros_like(image), ~masked)
+    if masked.any():
+        # One NaN would make the whole spline NaN. The nearest pixel's value makes no step for the spline to spread.
+        lines, columns = distance_transform_edt(masked, return_distances=False, return_indices=True)
+        image = image[lines, columns]
+    near = cv2.dilate(masked.astype(np.uint8), np.ones((2 * _CLEAR_PX + 1, 2 * _CLEAR_PX + 1), np.uint8))
+    return Searched(spline_filter(image, order=3, output=np.float32), near == 0)
 
 
 def window() -> tuple[np.ndarray, np.ndarray]:
@@ -25,8 +60,19 @@ def window() -> tuple[np.ndarray, np.ndarray]:
     return x.ravel(), y.ravel()
 
 
-def match(spline: np.ndarray, templates, slopes, expected, offsets) -> tuple[np.ndarray, np.ndarray]:
+def match(there: Searched, templates, slopes, expected, offsets) -> tuple[np.ndarray, np.ndarray]:
     """Least-squares matching of windows in another photograph.
+
+    Parameters
+    ----------
+    there : Searched
+        The other photograph.
+    templates, slopes : (K, S*S), (K, S*S, 2)
+        The windows, and their slopes per pixel along x and y.
+    expected : (K, 2) [px]
+        Where the middle of each window is looked for.
+    offsets : (K, 2, S*S) [px]
+        Where the samples of each window lie beside its middle.
 
     Returns
     -------
@@ -47,7 +93,7 @@ def match(spline: np.ndarray, templates, slopes, expected, offsets) -> tuple[np.
     hessian = np.einsum("ksa,ksb->kab", free, free)
     inverse = np.linalg.inv(hessian + 1e-6 * np.eye(2))
     at = expected.copy()
-    height, width = spline.shape
+    height, width = there.spline.shape
     reach = np.abs(offsets).max(axis=2) + 2.0
     moved = np.full(len(at), np.inf)
     alike = np.full(len(at), -1.0)
@@ -60,7 +106,7 @@ def match(spline: np.ndarray, templates, slopes, expected, offsets) -> tuple[np.
             break
         # Pixel centres are at 0.5; array indices count from the centre of the first one.
         places = at[active, :, None] - 0.5 + offsets[active]
-        values = map_coordinates(spline, places[:, ::-1].transpose(1, 0, 2), order=3, prefilter=False)
+        values = map_coordinates(there.spline, places[:, ::-1].transpose(1, 0, 2), order=3, prefilter=False)
         values = values.astype(np.float64)
         values = values - values.mean(axis=1, keepdims=True)
         length = np.maximum(np.linalg.norm(values, axis=1), 1e-9)
@@ -72,4 +118,12 @@ def match(spline: np.ndarray, templates, slopes, expected, offsets) -> tuple[np.
         step = np.einsum("kab,kb->ka", affine[active], step)
         at[active] -= step
         moved[active] = np.linalg.norm(step, axis=1)
-    return at, usable & (moved <= _DONE_PX) & (alike > _ALIKE)
+    found = usable & (moved <= _DONE_PX) & (alike > _ALIKE)
+    found[found] = _is_clear(there.clear, at[found], offsets[found])
+    return at, found
+
+
+def _is_clear(clear: np.ndarray, at: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """Which windows (K,) bool have all of their samples, which lie inside the photograph, clear of masked pixels."""
+    columns, lines = np.floor(at[:, :, None] + offsets).astype(int).transpose(1, 0, 2)
+    return clear[lines, columns].all(axis=1)

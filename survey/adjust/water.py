@@ -14,8 +14,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from refract import FlatWater
 from survey.adjust.free_errors import Errors, Freed, free_errors
-from survey.adjust.least_squares import Adjusted, adjust
+from survey.adjust.least_squares import Adjusted, NotAtRestError, adjust
 from survey.adjust.tie_points import TiePoints
 from survey.adjust.water_estimate import PARAMETERS, ParameterEstimate, WaterEstimate
 from survey.folder.config import WaterConfig
@@ -42,6 +43,9 @@ MOST_STD_LEVEL_M, MOST_STD_INDEX = 0.05, 0.01
 # Tie points farther off than this many standard deviations are mistakes.
 _OUTLIER = 4.0
 _INDEX_RANGE = (1.0, 2.0)
+# The covariance comes from the scatter of the points themselves; from N of them it is told to one part in sqrt(2 N), an
+# eighth. Fewer under water also come and go as the level moves, and the search swings with them.
+FEWEST_WET = 30
 
 
 def water_from_ties(
@@ -52,7 +56,11 @@ def water_from_ties(
     pose_std_deg: float = POSE_STD_DEG,
     lens_std_px: float = LENS_STD_PX,
 ) -> WaterEstimate:
-    """The water from tie points that are measured; parameters as for `calibrate`."""
+    """The water from tie points that are measured; parameters as for `calibrate_water`.
+
+    Where too few of them lie under water, or the search does not come to rest, nothing is observable, and the verdicts
+    say why.
+    """
     cameras = [view.camera for view in survey.views]
     given = np.array([getattr(survey.config.water, name) for name in PARAMETERS])
 
@@ -62,10 +70,17 @@ def water_from_ties(
     def freed_with(prior_std: np.ndarray) -> Freed:
         return free_errors(cameras, kept, solved, water_of, given, prior_std, errors)
 
-    prior_std, limits = _PRIOR_STD.copy(), _limits(ties)
     gsd = make_plan(survey).gsd_m
     errors = Errors(pose_std_m, math.radians(pose_std_deg), lens_std_px, BED_STD_GSD * gsd, CELL_GSD * gsd)
-    kept, solved = _without_mistakes(cameras, ties, water_of, given, prior_std)
+    if _num_wet(ties.start, water_of(given)) < FEWEST_WET:
+        return _unknown(survey.config.water, ties, water_of(given), errors)
+    prior_std, limits = _PRIOR_STD.copy(), _useful_std(ties)
+    try:
+        kept, solved = _without_mistakes(cameras, ties, water_of, given, prior_std)
+    except NotAtRestError as error:
+        return _unknown(survey.config.water, ties, water_of(given), errors, str(error))
+    if _num_wet(solved.points, water_of(solved.parameters)) < FEWEST_WET:
+        return _unknown(survey.config.water, replace(kept, start=solved.points), water_of(solved.parameters), errors)
     first = freed = freed_with(prior_std)
     held = np.zeros(len(PARAMETERS), dtype=bool)
     for _ in PARAMETERS:
@@ -89,12 +104,47 @@ def water_from_ties(
         num_views=len(np.unique(kept.view)),
         num_points=len(kept),
         num_measurements=len(kept.view),
-        num_dry=int((water.depth(solved.points) <= 0.0).sum()),
+        num_dry=len(kept) - _num_wet(solved.points, water),
         rms_px=float(np.sqrt(np.mean(np.square(solved.residuals)))),
         pose_std_m=pose_std_m,
         pose_std_deg=pose_std_deg,
         lens_std_px=lens_std_px,
     )
+
+
+def _num_wet(points: np.ndarray, water: FlatWater) -> int:
+    return int((water.depth(points) > 0.0).sum())
+
+
+def _unknown(
+    given: WaterConfig, ties: TiePoints, water: FlatWater, errors: Errors, why: str | None = None
+) -> WaterEstimate:
+    """The verdict of tie points that tell nothing: all stays as given, as uncertain as before they were measured."""
+    num_wet = _num_wet(ties.start, water)
+    under = f"{num_wet} of {len(ties)} tie points lie under water"
+    why = f"{under}, expected at least {FEWEST_WET}" if why is None else f"{why}; {under}"
+    estimates = []
+    for name, std in zip(PARAMETERS, _PRIOR_STD, strict=True):
+        value = float(getattr(given, name))
+        verdict = f"not observable: {why}; {_told(name, value)} is kept as given"
+        estimates.append(ParameterEstimate(name, value, float(std), float(std), 0.0, 0.0, 0.0, value, False, verdict))
+    return WaterEstimate(
+        water=given,
+        estimates=tuple(estimates),
+        covariance=tuple(tuple(float(v) for v in row) for row in np.diag(_PRIOR_STD**2)),
+        num_views=len(np.unique(ties.view)),
+        num_points=len(ties),
+        num_measurements=len(ties.view),
+        num_dry=len(ties) - num_wet,
+        rms_px=None,
+        pose_std_m=errors.position_m,
+        pose_std_deg=math.degrees(errors.direction_rad),
+        lens_std_px=errors.lens_px,
+    )
+
+
+def _told(name: str, value: float) -> str:
+    return f"{value:.5f} m" if name == "level_m" else f"{value:.5f}"
 
 
 def _config_of(given: WaterConfig, parameters: np.ndarray) -> WaterConfig:
@@ -104,7 +154,7 @@ def _config_of(given: WaterConfig, parameters: np.ndarray) -> WaterConfig:
     return replace(given, **dict(zip(PARAMETERS, values, strict=True)))
 
 
-def _limits(ties: TiePoints) -> np.ndarray:
+def _useful_std(ties: TiePoints) -> np.ndarray:
     """The largest standard deviations that are of use."""
     middle = np.median(ties.start[:, :2], axis=0)
     reach = float(np.quantile(np.linalg.norm(ties.start[:, :2] - middle, axis=1), 0.95))
@@ -128,7 +178,7 @@ def _estimate(i: int, freed: Freed, first: Freed, given: float, is_held: bool, l
     if is_held:
         verdict = (
             f"not observable: 1 sigma is {first_std:.2g}{unit}, at most {limit:.2g}{unit} would be of use; "
-            f"{given:.5f}{unit} is kept as given"
+            f"{_told(PARAMETERS[i], given)} is kept as given"
         )
     else:
         verdict = f"estimated: {value:.5f} +- {std:.2g}{unit}"

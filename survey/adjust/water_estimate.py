@@ -54,7 +54,7 @@ class WaterEstimate:
     num_dry : int
         Points above the water, which say nothing about it.
     rms_px : [px]
-        Of the residuals of a pixel coordinate.
+        Of the residuals of a pixel coordinate; None where there was no adjustment.
     pose_std_m, pose_std_deg, lens_std_px :
         What was assumed.
     """
@@ -66,7 +66,7 @@ class WaterEstimate:
     num_points: int
     num_measurements: int
     num_dry: int
-    rms_px: float
+    rms_px: float | None
     pose_std_m: float
     pose_std_deg: float
     lens_std_px: float

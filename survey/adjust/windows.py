@@ -12,16 +12,18 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from scipy.ndimage import spline_filter
 
 from fields.sweep.bed import trusted
 from fields.sweep.block import Block
 from fields.sweep.ranging import find_range
 from fields.sweep.sweep import PASSES, DepthMap, sweep
 from refract import FlatWater, PinholeCamera
-from survey.adjust.matching import RADIUS, match, window
+from survey.adjust.matching import RADIUS, match, searched, window
 from survey.adjust.tie_points import TiePoints
+from survey.plan.block import within
 
+# The coarse sweep that tells where the bed is about.
+_SWEPT = (PASSES[0], replace(PASSES[1], fuse=True))
 # Windows in one photograph are at least this far apart [px], so that each sees bed of its own.
 _APART_PX = 20
 _MOST_PER_VIEW = 250
@@ -34,6 +36,8 @@ _WIDEST_DEG = 40.0
 _NARROWEST_DEG = 3.0
 # A window is left out where the relief under it spreads by more than this many pixels of parallax.
 _RELIEF_PX = 2.0
+
+Area = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -49,8 +53,10 @@ class _Windows:
     others: list[int]
 
 
-def measure(block: Block, limits: tuple[float, float], advance: Callable[[float], None]) -> TiePoints:
-    """Tie points of a block.
+def measure(
+    block: Block, limits: tuple[float, float], area: Area | None, advance: Callable[[float], None]
+) -> TiePoints:
+    """Tie points of a block; none where no window is alike in three photographs.
 
     Parameters
     ----------
@@ -58,6 +64,8 @@ def measure(block: Block, limits: tuple[float, float], advance: Callable[[float]
         Its water is only the start.
     limits : (low, high) [m] over the water plane
         Heights beyond which no bed is looked for.
+    area : (x0, y0, x1, y1) [m], local, or None
+        Where windows are chosen, to a pixel of the sweep.
     advance : callable
         Told each further share that is done; all of it is 1.
 
@@ -78,49 +86,60 @@ def measure(block: Block, limits: tuple[float, float], advance: Callable[[float]
         advance(0.5 * (share - shares[-1]))
         shares.append(share)
 
-    maps = sweep(block, block.cover(*_TIMES_SEEN), bound, halfway, (PASSES[0], replace(PASSES[1], fuse=True)))
-    windows = [_windows_of(block, depth_map) for depth_map in maps]
+    maps = sweep(block, block.cover(*_TIMES_SEEN, area), bound, halfway, _SWEPT)
+    windows = [w for w in (_windows_of(block, depth_map, area) for depth_map in maps) if len(w.corners)]
     parts: list[list[tuple[np.ndarray, int, np.ndarray]]] = [
         [(np.arange(len(w.corners)), w.view, w.corners)] for w in windows
     ]
     # One photograph after the other, so that only one has to be made ready for cubic interpolation.
     for other, camera in enumerate(block.cameras):
         asking = [i for i, w in enumerate(windows) if other in w.others]
-        spline = spline_filter(block.images[other], order=3, output=np.float32) if asking else None
+        there = searched(block.images[other]) if asking else None
         for i in asking:
             w = windows[i]
             offsets = _warp(block.cameras[w.view], camera, w.corners, w.height, block.water)
-            found, ok = match(spline, w.templates, w.slopes, camera.project(w.points, block.water), offsets)
+            found, ok = match(there, w.templates, w.slopes, camera.project(w.points, block.water), offsets)
             parts[i].append((np.flatnonzero(ok), other, found[ok]))
         advance(0.5 / len(block.cameras))
     return _joined(windows, parts)
 
 
-def _windows_of(block: Block, depth_map: DepthMap) -> _Windows:
+def _windows_of(block: Block, depth_map: DepthMap, area: Area | None) -> _Windows:
     view, water = depth_map.view, block.water
     camera, image = block.cameras[view], block.images[view]
-    corners, height = _corners(image, camera, depth_map, block)
+    corners, height = _corners(image, camera, depth_map, _able(block, depth_map, area))
     points = camera.paths(corners, water).at_height(height, water)
     templates, slopes = _templates(image, corners)
-    return _Windows(view, corners, height, points, templates, slopes, _others(block, view, points))
+    others = _others(block, view, points) if len(points) else []
+    return _Windows(view, corners, height, points, templates, slopes, others)
 
 
-def _corners(image: np.ndarray, camera: PinholeCamera, depth_map: DepthMap, block: Block):
-    """Textured pixel centres (K, 2) of a view where the sweep is sure and the bed has no step, and heights (K,)."""
-    size = (camera.width, camera.height)
-    parallax = block.parallax(depth_map.view, block.neighbours(depth_map.view, 8), float(np.median(depth_map.height)))
-    height = depth_map.height
+def _able(block: Block, depth_map: DepthMap, area: Area | None) -> np.ndarray:
+    """Pixels of a depth map (height, width) bool where the sweep is sure, the bed has no step and lies in the area."""
+    camera, height = block.cameras[depth_map.view], depth_map.height
+    parallax = block.parallax(depth_map.view, block.neighbours(depth_map.view, 8), float(np.median(height)))
     kernel = np.ones((7, 7))
     relief = cv2.dilate(height, kernel) - cv2.erode(height, kernel)
-    smooth = trusted(depth_map) & (relief * parallax < 2 * _RELIEF_PX)
-    mask = cv2.resize(smooth.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+    able = trusted(depth_map) & (relief * parallax < 2 * _RELIEF_PX)
+    if area is not None:
+        small = camera.scaled(_SWEPT[-1].scale)
+        points = small.paths(small.pixel_centres(), block.water).at_height(height, block.water)
+        able &= within(points.reshape(-1, 3), area).reshape(able.shape)
+    return able
+
+
+def _corners(image: np.ndarray, camera: PinholeCamera, depth_map: DepthMap, able: np.ndarray):
+    """Textured pixel centres (K, 2) of a view at the able pixels of its depth map, and heights (K,)."""
+    size = (camera.width, camera.height)
+    mask = cv2.resize(able.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+    # A window and the slopes at its rim lie inside the photograph and hold no masked pixel.
     edge = RADIUS + 2
     mask[:edge], mask[-edge:], mask[:, :edge], mask[:, -edge:] = 0, 0, 0, 0
-    mask[~np.isfinite(image)] = 0
+    mask &= cv2.erode(np.isfinite(image).astype(np.uint8), np.ones((2 * edge + 1, 2 * edge + 1), np.uint8))
     grey = np.nan_to_num(image)
     found = cv2.goodFeaturesToTrack(grey, _MOST_PER_VIEW, 0.02, _APART_PX, mask=mask, blockSize=2 * RADIUS + 1)
     corners = np.zeros((0, 2)) if found is None else found[:, 0].astype(np.float64)
-    full = cv2.resize(height, size, interpolation=cv2.INTER_LINEAR)
+    full = cv2.resize(depth_map.height, size, interpolation=cv2.INTER_LINEAR)
     columns, lines = corners.T.astype(int)
     return corners + 0.5, full[lines, columns].astype(np.float64)
 
@@ -177,6 +196,8 @@ def _others(block: Block, view: int, points: np.ndarray) -> list[int]:
 
 def _joined(windows: list[_Windows], parts) -> TiePoints:
     """All windows as one, those with three measurements or more."""
+    if not windows:
+        return TiePoints(np.zeros((0, 3)), np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros((0, 2)))
     first = np.cumsum([0, *(len(w.points) for w in windows)])
     rows = [
         (shift + index, view, pixels) for shift, part in zip(first, parts, strict=False) for index, view, pixels in part

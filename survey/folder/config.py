@@ -156,17 +156,23 @@ class WaterConfig:
 
 @dataclass(frozen=True)
 class AreaConfig:
-    """[area]: easting and northing, low then high, inside which the bed is wanted."""
+    """[area]: inside which the bed is wanted."""
 
     bounds: tuple[float, float, float, float] | None = key(
         None, "[easting_low, northing_low, easting_high, northing_high]"
     )
+    heights: tuple[float, float] | None = key(None, "[low, high], in the heights of crs")
 
     def __post_init__(self):
         if self.bounds is not None and not (self.bounds[0] < self.bounds[2] and self.bounds[1] < self.bounds[3]):
             raise ConfigError(
                 f"area.bounds is {list(self.bounds)}, expected [easting_low, northing_low, easting_high, "
                 "northing_high] with low below high"
+            )
+        if self.heights is not None and not self.heights[0] < self.heights[1]:
+            raise ConfigError(
+                f"area.heights is {list(self.heights)}, expected [low, high] in metres with low below high; swap or "
+                "correct them"
             )
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+
+import numpy as np
 
 from geo.frames import LocalFrame
 from refract import FlatWater
@@ -16,7 +18,7 @@ from survey.folder.pairing import pair, require_image, with_lenses, with_masks
 from survey.folder.plausible import doubts_of_places, require_true
 from survey.folder.unposed import solve_views
 from survey.photos.cameras import View
-from survey.photos.formats import read_poses
+from survey.photos.formats import read_points, read_poses
 from survey.photos.images import load_image, load_mask
 
 __all__ = ["Found", "Survey", "View", "find_survey", "load_image", "load_mask", "load_survey"]
@@ -41,6 +43,8 @@ class Survey:
     config : SurveyConfig
         The settings that took effect, defaults filled in.
     assumptions, warnings : sentences
+    points : (N, 3) float64 [m], local, or None
+        Matched points that three photographs or more see, on straight rays; None where the poses came without any.
     """
 
     name: str
@@ -52,6 +56,7 @@ class Survey:
     config: SurveyConfig
     assumptions: tuple[str, ...]
     warnings: tuple[str, ...]
+    points: np.ndarray | None = field(default=None, compare=False, repr=False)
 
 
 def load_survey(
@@ -81,11 +86,11 @@ def load_survey(
     found = find_survey(folder) if found is None else found
     assumptions, warnings = list(found.assumptions), list(found.warnings)
     if found.poses_path is None:
-        frame, views, notes, doubts = solve_views(found, workspace, report)
+        frame, views, points, notes, doubts = solve_views(found, workspace, report)
         assumptions += notes
         warnings += doubts
     else:
-        poses = pair(found, read_poses(found.poses_path), warnings)
+        poses, points = pair(found, read_poses(found.poses_path), warnings), read_points(found.poses_path)
         poses = with_lenses(found, poses, assumptions, warnings)
         warnings += angle_doubts(poses)
         frame, views = place.views_in_local(found, poses)
@@ -111,4 +116,5 @@ def load_survey(
         config=config,
         assumptions=tuple(assumptions),
         warnings=tuple(warnings),
+        points=points,
     )

@@ -15,6 +15,7 @@ from survey.folder.found import MIN_VIEWS, Found
 from survey.folder.plausible import require_level_fits_exif
 from survey.folder.words import named
 from survey.photos.cameras import View
+from survey.photos.formats import MIN_TRACK
 from survey.photos.images import require_complete
 from survey.sfm.gps import gps_positions
 from survey.sfm.gps_fit import MIN_STD_M, require_area
@@ -46,8 +47,8 @@ def require_solvable(found: Found) -> list[str]:
 
 def solve_views(
     found: Found, workspace: Path | None, report: Callable[[str], None] | None
-) -> tuple[LocalFrame, list[View], list[str], list[str]]:
-    """The local frame and the views that structure from motion finds, with what it assumed and warns of.
+) -> tuple[LocalFrame, list[View], np.ndarray, list[str], list[str]]:
+    """What structure from motion finds: the local frame, views and points, and what it assumed and warns of.
 
     Raises
     ------
@@ -79,4 +80,11 @@ def solve_views(
         )
     solved = {view.name for view in views}
     without = [name for name in found.images if name not in solved]
-    return result.frame, views, list(result.notes), warnings + named(without, "image", "without a pose, left out")
+    points = result.points[result.num_views >= MIN_TRACK]
+    return (
+        result.frame,
+        views,
+        points,
+        list(result.notes),
+        warnings + named(without, "image", "without a pose, left out"),
+    )

@@ -15,15 +15,13 @@ from refract import PinholeCamera
 from survey.errors import SurveyError
 from survey.photos.images import load_image, load_mask
 from survey.plan.ground import ground_height
+from survey.plan.heights import height_range
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey, View
     from survey.photos.store import ImageStore
     from survey.plan.plan import Plan
 
-# No bed is looked for higher over the water than this share of the flying height, nor deeper than that one: drones fly
-# 8 m over 10 m of clear water, and beside banks that nearly reach them.
-HIGHEST, DEEPEST = 0.8, 1.5
 # The cloud ends this far beyond the bounds that the survey asks for.
 AREA_MARGIN_M = 0.5
 
@@ -73,12 +71,12 @@ def plane_name(survey: Survey) -> str:
 def limits(survey: Survey) -> tuple[float, float]:
     """Heights [m] over the water plane (over local z = 0) beyond which no bed is looked for."""
     if survey.water is None:
-        top = float(np.median([v.camera.centre[2] for v in survey.views]))
-        # The flying height over dry ground is only guessed from the overlap; look from a third of it to three times.
-        flying = top - ground_height([view.camera for view in survey.views])
-        return top - 3.0 * flying, top - flying / 3.0
-    flying = float(np.median([-survey.water.depth(v.camera.centre) for v in survey.views]))
-    return -DEEPEST * flying, HIGHEST * flying
+        cameras = [view.camera for view in survey.views]
+        flying = float(np.median([camera.centre[2] for camera in cameras])) - ground_height(cameras)
+    else:
+        flying = float(np.median([-survey.water.depth(v.camera.centre) for v in survey.views]))
+    found = height_range(survey, flying)
+    return found.low, found.high
 
 
 def local_area(survey: Survey) -> tuple[float, float, float, float] | None:

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from survey.photos.store import ImageStore
-from survey.plan.block import load_block
+from survey.plan.block import limits, load_block
 from survey.run.water_colour import colour_of
 from survey.stage_key import stage_key
 
@@ -80,7 +80,7 @@ class Job:
             "cameras": lambda: [(view.name, view.camera, view.lens) for view in survey.views],
             "water": lambda: survey.water,
             "water_settings": lambda: survey.config.water,
-            "heights": lambda: None,
+            "heights": lambda: limits(survey),
             "area": lambda: survey.bounds,
             "frame": lambda: survey.frame,
             "name": lambda: survey.name,

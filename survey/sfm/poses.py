@@ -141,6 +141,8 @@ def solve_poses(
         if solved is not None:
             say(f"structure from motion: poses of {solved.block.num_reg_images()} images from {workspace}")
         else:
+            if (workspace / _RECORD).is_file():
+                say(f"structure from motion: {workspace} has poses of other photographs or settings, or by other code")
             with _work_folder(workspace, len(images)) as work:
                 start = time.monotonic()
                 solved = solve(images, heads, gps, focal_px, work, say)

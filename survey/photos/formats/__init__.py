@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from survey.errors import PosesError
 from survey.photos.cameras import Pose
 from survey.photos.formats import colmap, opk_csv
+from survey.photos.formats.format import Format
 
+# Two photographs may agree by chance on a point that is not there; a third hardly does.
+MIN_TRACK = 3
 # What other programs leave beside the images; named so that nobody wonders why they are not read.
 _NOT_READ = ("cameras.xml", "transforms.json", "reconstruction.json", "nvm", "bundle.out")
 
@@ -36,8 +41,27 @@ def read_poses(path: Path) -> list[Pose]:
     """
     if not path.exists():
         raise PosesError(f"the poses file {path} does not exist; correct [cameras] poses in survey.toml")
-    for known in FORMATS:
-        if known.recognises(path):
-            return known.read(path)
-    expected = " or ".join(known.name for known in FORMATS)
-    raise PosesError(f"{path} is no poses file that is known here; expected {expected}")
+    known = _format_of(path)
+    if known is None:
+        expected = " or ".join(known.name for known in FORMATS)
+        raise PosesError(f"{path} is no poses file that is known here; expected {expected}")
+    return known.read(path)
+
+
+def read_points(path: Path) -> np.ndarray | None:
+    """Matched points (N, 3) [m], local, that came with poses and that three photographs see; None where none came.
+
+    Raises
+    ------
+    PosesError
+        Where their file is damaged.
+    """
+    known = _format_of(path)
+    if known is None or known.read_points is None:
+        return None
+    points, num_views = known.read_points(path)
+    return points[num_views >= MIN_TRACK] if len(points) else None
+
+
+def _format_of(path: Path) -> Format | None:
+    return next((known for known in FORMATS if known.recognises(path)), None)

@@ -1,7 +1,7 @@
-"""COLMAP models, text and binary: cameras and images; poses in the topocentric frame of [local].
+"""COLMAP models, text and binary: cameras, images and points in the topocentric frame of [local].
 
-The layouts are those of COLMAP's ``doc/format.rst`` and ``reconstruction_io_binary.cc``; rigs, frames and
-points are not needed, because images still carry the pose of each photograph.
+The layouts are those of COLMAP's ``doc/format.rst`` and ``reconstruction_io_binary.cc``; rigs and frames are not
+needed, because images still carry the pose of each photograph.
 """
 
 from __future__ import annotations
@@ -60,6 +60,23 @@ def read_model(folder: Path) -> list[Pose]:
         centre = -cam_from_local.T @ np.array(numbers[4:])
         poses[name] = Pose(name, centre, cam_from_local, in_crs=False, lens=lenses[camera_id])
     return list(poses.values())
+
+
+def read_points(folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Points (N, 3) [m] of a model, in its frame, and how many images see each, (N,); empty without a file of them.
+
+    Raises
+    ------
+    PosesError
+        Where the file is damaged.
+    """
+    for name, reader in (("points3D.bin", _points_bin), ("points3D.txt", _points_txt)):
+        if (folder / name).is_file():
+            found = _guarded(reader, folder / name)
+            points = np.array([point for point, _ in found], dtype=np.float64).reshape(-1, 3)
+            good = np.isfinite(points).all(axis=1)
+            return points[good], np.array([count for _, count in found], dtype=np.int64)[good]
+    return np.empty((0, 3)), np.empty(0, dtype=np.int64)
 
 
 def _guarded(reader, path: Path):
@@ -129,6 +146,30 @@ def _images_bin(path: Path) -> list[tuple[str, int, list[float]]]:
     return images
 
 
+def _points_txt(path: Path) -> list[tuple[tuple[float, ...], int]]:
+    points = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if line.strip() and not line.startswith("#"):
+            numbers = line.split()
+            if len(numbers) < 8 or len(numbers) % 2:
+                raise ValueError(f"the line of point {numbers[0]} has {len(numbers)} numbers")
+            points.append((tuple(float(v) for v in numbers[1:4]), (len(numbers) - 8) // 2))
+    return points
+
+
+def _points_bin(path: Path) -> list[tuple[tuple[float, ...], int]]:
+    data = path.read_bytes()
+    (count,) = struct.unpack_from("<Q", data)
+    at, points = 8, []
+    for _ in range(count):
+        _, x, y, z, *_, length = struct.unpack_from("<Q3d3BdQ", data, at)
+        points.append(((x, y, z), length))
+        at += 51 + 8 * length
+    if at > len(data):
+        raise ValueError(f"it ends after {len(data)} bytes, within its points")
+    return points
+
+
 def _model_of(path: Path) -> Path | None:
     """The folder of the model that a path names: itself, or that of its images or cameras file."""
     is_file_of_it = path.suffix in (".txt", ".bin") and path.stem in ("images", "cameras")
@@ -141,4 +182,5 @@ FORMAT = Format(
     find=lambda folder: [p for p in (folder, *(folder / name for name in _PLACES)) if is_model(p)],
     recognises=lambda path: _model_of(path) is not None,
     read=lambda path: read_model(_model_of(path) or path),
+    read_points=lambda path: read_points(_model_of(path) or path),
 )

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from survey.photos.cameras import Pose
 
 
@@ -23,9 +25,13 @@ class Format:
         Whether a path, which exists, is of this format.
     read : callable
         The poses in such a path; raises PosesError.
+    read_points : callable, optional
+        Matched points (N, 3) [m], local, that came with the poses, and how many images see each (N,); raises
+        PosesError.
     """
 
     name: str
     find: Callable[[Path], list[Path]]
     recognises: Callable[[Path], bool]
     read: Callable[[Path], list[Pose]]
+    read_points: Callable[[Path], tuple[np.ndarray, np.ndarray]] | None = None

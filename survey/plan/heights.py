@@ -1,0 +1,155 @@
+"""Between which heights a bed is looked for at all, and why.
+
+Every height in this range is tried, and chance matches far from the bed cost time and points; a bed beyond it is lost.
+So the range is the one in survey.toml, else the one of the matched points that came with the poses, else what
+drones do.
+
+Matched points under water come from straight rays and seem too shallow: two rays from the same side meet between their
+tangential images, two from opposite sides between their sagittal ones (`refract.apparent`), and the least squares of
+many is a weighted mean of where the pairs meet. The tangential image of the most oblique view is the highest of all
+these, so that its share of the true depth gives the greatest depth at which the point can lie.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geo.crs import height_unit_m
+from refract import apparent_depth_tangential
+from survey.errors import FILE_NAME, ConfigError
+
+if TYPE_CHECKING:
+    from survey.folder.survey import Survey
+
+# No bed is looked for higher over the water than this share of the flying height, nor deeper than that one: drones fly
+# 8 m over 10 m of clear water, and beside banks that nearly reach them.
+HIGHEST, DEEPEST = 0.8, 1.5
+# Over dry ground without points the flying height is only guessed from the overlap: a third of it to three times.
+_DRY_NEAREST, _DRY_FARTHEST = 1.0 / 3.0, 3.0
+# Wrong matches lie beyond these quantiles of the points; fewer points do not tell them.
+_OUTER = (0.005, 0.995)
+_FEWEST_POINTS = 200
+# Added above and below: the quantiles leave out one point in a hundred, and the deepest bed shows the least texture.
+# Half of what the points span covers slopes that go on, a tenth of the flying height what stands alone: a mast, a pool.
+_MARGIN_SPAN, _MARGIN_FLYING = 0.5, 0.1
+# Views of a point nearer to the horizon than this tell nothing of its height.
+_GRAZING_DEG = 80.0
+
+
+@dataclass(frozen=True)
+class HeightRange:
+    """Heights [m] over the water plane (over local z = 0 in a dry survey) between which a bed is looked for.
+
+    Attributes
+    ----------
+    low, high : [m]
+    reason : a sentence
+    """
+
+    low: float
+    high: float
+    reason: str
+
+
+def height_range(survey: Survey, flying_m: float) -> HeightRange:
+    """Where a bed is looked for.
+
+    Parameters
+    ----------
+    survey : Survey
+    flying_m : [m]
+        Median height of the cameras over the water, or over the ground as far as it is known.
+
+    Raises
+    ------
+    ConfigError
+        If [area] heights reach up to the cameras.
+    """
+    if survey.config.area.heights is not None:
+        return _of_config(survey)
+    if survey.points is not None and len(survey.points) >= _FEWEST_POINTS:
+        return _of_points(survey, flying_m)
+    mend = "[area] heights, or poses that come with matched points, would narrow it"
+    if survey.water is not None:
+        low, high = -DEEPEST * flying_m, HIGHEST * flying_m
+        return HeightRange(
+            low,
+            high,
+            f"{DEEPEST:g} times the flying height down and {HIGHEST:g} of it up, as nothing tells more; {mend}",
+        )
+    top = float(np.median(_centres(survey)[:, 2]))
+    low, high = top - _DRY_FARTHEST * flying_m, top - _DRY_NEAREST * flying_m
+    return HeightRange(low, high, f"a third to three times as far under the cameras as the overlap suggests; {mend}")
+
+
+def told(survey: Survey, flying_m: float) -> tuple[str, str]:
+    """The range and the reason for it in words, for the plan."""
+    found = height_range(survey, flying_m)
+    over = "water" if survey.water is not None else "local origin"
+    return f"{found.low:.1f} to {found.high:.1f} m over the {over}", found.reason
+
+
+def _of_config(survey: Survey) -> HeightRange:
+    """The heights in crs as heights over the plane, under all cameras: it may be sloped."""
+    unit, centres = height_unit_m(survey.frame.crs), survey.frame.crs_from_local(_centres(survey))
+    ends = []
+    for height_m in survey.config.area.heights:
+        centres[:, 2] = height_m / unit
+        ends.append(_heights(survey, survey.frame.local_from_crs(centres)))
+    low, high = float(ends[0].min()), float(ends[1].max())
+    lowest = float(_heights(survey, _centres(survey)).min())
+    if high >= lowest:
+        given = list(survey.config.area.heights)
+        raise ConfigError(
+            f"[area] heights is {given} in {FILE_NAME}, whose upper end lies {high - lowest:.1f} m above the lowest "
+            "camera; give the lowest and highest ground that is looked for, in the heights of crs"
+        )
+    return HeightRange(low, high, f"[area] heights in {FILE_NAME}")
+
+
+def _of_points(survey: Survey, flying_m: float) -> HeightRange:
+    seeming = _heights(survey, survey.points)
+    base = 0.0 if survey.water is not None else float(np.median(seeming))
+    if survey.water is None:
+        flying_m = float(np.median(_heights(survey, _centres(survey)))) - base
+    lowest, highest = base - DEEPEST * flying_m, base + HIGHEST * flying_m
+    low = float(np.quantile(np.maximum(_deepest(survey, seeming), lowest), _OUTER[0]))
+    seeming_low, high = (float(v) for v in np.quantile(seeming, _OUTER))
+    margin = max(_MARGIN_SPAN * (high - low), _MARGIN_FLYING * flying_m)
+    wet = f", the deepest no lower than {low:.1f} m through the water" if low < seeming_low else ""
+    reason = (
+        f"{len(seeming):,} matched points seem to lie at {seeming_low:.1f} to {high:.1f} m{wet}; {margin:.1f} m are "
+        "added on both sides"
+    )
+    return HeightRange(max(low - margin, lowest), min(high + margin, highest), reason)
+
+
+def _deepest(survey: Survey, seeming: np.ndarray) -> np.ndarray:
+    """The lowest heights (N,) [m] over the plane at which points can lie that seem to lie at heights (N,)."""
+    water, wet = survey.water, seeming < 0.0
+    if water is None or not wet.any():
+        return seeming
+    points, up = survey.points[wet], np.array(water.up)
+    cosine = np.ones(len(points))
+    for view in survey.views:
+        pixel, camera = view.camera.project(points, None), view.camera
+        is_seen = ((pixel > 0.0) & (pixel < (camera.width, camera.height))).all(axis=1)
+        ray = camera.centre - points
+        own = ray @ up / np.linalg.norm(ray, axis=1)
+        cosine = np.where(is_seen, np.minimum(cosine, own), cosine)
+    angle = np.arccos(np.maximum(cosine, np.cos(np.radians(_GRAZING_DEG))))
+    deepest = seeming.copy()
+    deepest[wet] /= apparent_depth_tangential(1.0, angle, n_water=water.n_water)
+    return deepest
+
+
+def _centres(survey: Survey) -> np.ndarray:
+    return np.array([view.camera.centre for view in survey.views])
+
+
+def _heights(survey: Survey, points: np.ndarray) -> np.ndarray:
+    """Heights (N,) [m] of points (N, 3), local, over the water plane, or over local z = 0."""
+    return points[:, 2] if survey.water is None else -survey.water.depth(points)

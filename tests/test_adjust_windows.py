@@ -1,0 +1,115 @@
+"""Windows in photographs with masked pixels and with lens distortion taken out, and the water that they tell."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.ndimage import gaussian_filter
+from survey.simulate.writing import write_survey
+
+from refract.lens import Lens
+from survey.adjust.calibration import measure_ties
+from survey.adjust.matching import RADIUS, match, searched, window
+from survey.adjust.water import water_from_ties
+from survey.folder.survey import Survey, load_survey
+from survey.photos.images import load_mask
+from survey.simulate.drawn import DrawnScene, stage_drawing
+
+SCENE = DrawnScene(
+    size_m=(3.2, 2.6), depth_m=1.2, num_views=10, image_px=(200, 150), focal_px=300.0, flying_m=7.0, noise=0.0
+)
+# A pincushion: where it is taken out, the corners of the image lie beyond the photograph.
+PINCUSHION = (0.15, 0.02, 1e-3, -1e-3)
+
+
+def drawn(folder: Path, distortion: tuple[float, ...] | None = None) -> Survey:
+    def stage():
+        scene = stage_drawing(SCENE)
+        if distortion is None:
+            return scene
+        (width, height), focal = SCENE.image_px, SCENE.focal_px
+        lens = Lens("OPENCV", (focal, focal, width / 2, height / 2, *distortion), width, height)
+        return replace(scene, lens=lens)
+
+    write_survey(folder, {**asdict(SCENE), "distortion": distortion}, stage)
+    survey = load_survey(folder)
+    area = replace(survey.config.area, heights=(SCENE.level_m - 2.0, SCENE.level_m + 0.3))
+    return replace(survey, bounds=None, config=replace(survey.config, area=area))
+
+
+def measured(survey: Survey):
+    return measure_ties(survey, device="cpu", advance=lambda share: None)
+
+
+@pytest.fixture(scope="module")
+def pinhole(tmp_path_factory):
+    """A survey without distortion and masks, and its estimate."""
+    survey = drawn(tmp_path_factory.mktemp("pinhole") / "survey")
+    return survey, water_from_ties(survey, measured(survey))
+
+
+def require_as_good(found, survey: Survey, pinhole) -> None:
+    """The same verdicts as of the pinhole survey, the truth as near as said, and hardly less certain."""
+    truth = survey.config.water
+    for mine, theirs in zip(found.estimates, pinhole[1].estimates, strict=True):
+        assert mine.is_observable == theirs.is_observable
+        # Both surveys show the same bed from the same places, and what small blocks err by is common to them.
+        assert abs(mine.value - theirs.value) < 3.0 * np.hypot(mine.std, theirs.std)
+    level, theirs = found.estimates[0], pinhole[1].estimates[0]
+    assert level.is_observable
+    assert abs(level.value - truth.level_m) < 3.0 * level.std
+    assert level.std < 1.5 * theirs.std
+
+
+def test_a_lens_with_distortion_ends_in_verdicts_as_good_as_those_of_a_pinhole(tmp_path, pinhole):
+    survey = drawn(tmp_path / "survey", PINCUSHION)
+    assert not load_mask(survey.views[0]).all()
+    require_as_good(water_from_ties(survey, measured(survey)), survey, pinhole)
+
+
+def test_masked_photographs_end_in_verdicts_as_good_and_no_window_touches_a_mask(tmp_path, pinhole):
+    masks = tmp_path / "masks"
+    masks.mkdir()
+    for i, view in enumerate(pinhole[0].views):
+        mask = np.full((150, 200), 255, dtype=np.uint8)
+        mask[:, 20 * i : 20 * i + 12] = 0
+        Image.fromarray(mask).save(masks / f"{Path(view.name).stem}.png")
+    views = tuple(replace(view, mask_path=masks / f"{Path(view.name).stem}.png") for view in pinhole[0].views)
+    survey = replace(pinhole[0], views=views)
+    ties = measured(survey)
+    require_as_good(water_from_ties(survey, ties), survey, pinhole)
+    for i in range(len(survey.views)):
+        across = ties.pixel[ties.view == i, 0]
+        # Windows of 13 pixels a side, warped and shrunk to 10 at least by the views of this survey.
+        assert not ((across > 20 * i - 5) & (across < 20 * i + 12 + 5)).any()
+
+
+def test_windows_beside_a_mask_are_found_where_they_are_without_it_and_refused_where_they_touch_it(rng):
+    image = (40.0 * gaussian_filter(rng.normal(size=(150, 200)), 1.5) / 0.19).astype(np.float32)
+    masked = image.copy()
+    masked[60:80, 90:120] = np.nan
+    x, y = window()
+    middles = np.stack(np.meshgrid(np.arange(20, 180, 4), np.arange(20, 130, 4)), axis=-1).reshape(-1, 2)
+    at = (middles[:, 1, None] + y, middles[:, 0, None] + x)
+    dy, dx = np.gradient(image)
+    slopes = np.stack([dx[at], dy[at]], axis=-1).astype(float)
+    offsets = np.broadcast_to(np.stack([x, y]).astype(float), (len(middles), 2, len(x)))
+    expected = middles + 0.5 + [0.7, -0.4]
+    whole, was = match(searched(image), image[at].astype(float), slopes, expected, offsets)
+    found, is_found = match(searched(masked), image[at].astype(float), slopes, expected, offsets)
+    gap = np.maximum(
+        np.maximum(90 - middles[:, 0], middles[:, 0] - 119), np.maximum(60 - middles[:, 1], middles[:, 1] - 79)
+    )
+    assert was.all()
+    assert not is_found[gap <= RADIUS].any()
+    assert is_found[gap > RADIUS + 6].all()
+    np.testing.assert_allclose(found[is_found], middles[is_found] + 0.5, atol=0.01)
+    np.testing.assert_allclose(found[is_found], whole[is_found], atol=0.002)
+
+
+def test_a_photograph_that_is_masked_whole_has_no_place_for_a_window():
+    assert not searched(np.full((20, 30), np.nan, dtype=np.float32)).clear.any()

@@ -1,0 +1,148 @@
+"""Between which heights a bed is looked for: as asked for, by matched points on straight rays, or by the flight."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_survey import E0, LEVEL, N0, TOML, small_survey
+from small_water_block import HEIGHT, TRUTH, convergent, nadir, tie_points, water_of
+from test_adjust_water import survey_with
+
+from survey.adjust.least_squares import intersect
+from survey.errors import ConfigError
+from survey.folder.config import parse_config
+from survey.folder.survey import load_survey
+from survey.plan.block import limits
+from survey.plan.plan import make_plan
+
+BED = (-5.0, -0.5)
+
+
+def with_straight_points(tmp_path, cameras, rng, *, bed=BED):
+    """A survey with points where straight rays to a bed between two heights, local, meet best."""
+    ties = tie_points(cameras, rng, count=400, std_px=0.1, low=bed[0], high=bed[1])
+    survey = survey_with(tmp_path, cameras)
+    return replace(survey, points=intersect(cameras, ties, None)[0])
+
+
+@pytest.mark.parametrize("cameras", [nadir(), convergent(), convergent()[5:13], convergent()[13:17]])
+def test_points_of_straight_rays_give_a_range_that_holds_the_whole_bed_and_little_more(tmp_path, rng, cameras):
+    survey = with_straight_points(tmp_path, cameras, rng)
+    low, high = limits(survey)
+    seeming = survey.points[:, 2] - TRUTH[0]
+    assert seeming.min() > 0.85 * (BED[0] - TRUTH[0])
+    assert low < BED[0] - TRUTH[0] - 1.0
+    assert high > BED[1] - TRUTH[0] + 1.0
+    far_low, far_high = limits(replace(survey, points=None))
+    assert far_high - far_low > 3.0 * (high - low)
+
+
+def test_points_to_one_side_lie_above_their_sagittal_and_within_their_tangential_images(tmp_path, rng):
+    """Four views from one quarter, 45 degrees off: times n is not deep enough for what they see."""
+    cameras = convergent()[13:17]
+    survey = with_straight_points(tmp_path, cameras, rng, bed=(-5.0, -4.9))
+    water = water_of(TRUTH)
+    seeming = np.median(water.depth(survey.points))
+    assert 1.335 * seeming < 4.5
+    assert "no lower than" in make_plan(survey, device="cpu").decisions[-2].reason
+    assert limits(survey)[0] < -5.3
+
+
+def test_wrong_matches_do_not_widen_the_range_and_too_few_points_are_not_asked(tmp_path, rng):
+    survey = with_straight_points(tmp_path, convergent(), rng)
+    wrong = np.array([[0.0, 0.0, 25.0]])
+    spoilt = replace(survey, points=np.concatenate([survey.points, wrong]))
+    assert limits(spoilt) == pytest.approx(limits(survey), abs=0.3)
+    assert limits(replace(survey, points=survey.points[:50])) == limits(replace(survey, points=None))
+
+
+def test_no_range_goes_beyond_what_a_flight_allows(tmp_path, rng):
+    survey = with_straight_points(tmp_path, convergent(), rng)
+    up = np.array([0.0, 0.0, 30.0])
+    far_low, far_high = limits(replace(survey, points=None))
+    low, high = limits(replace(survey, points=np.concatenate([survey.points + up, survey.points - up])))
+    assert (low, high) == (far_low, far_high)
+    assert far_high < HEIGHT
+
+
+def test_points_give_the_ground_of_a_dry_survey_whatever_the_overlap_suggests(tmp_path, rng):
+    survey = with_straight_points(tmp_path, nadir(), rng)
+    dry = replace(survey, water=None, config=replace(survey.config, water=None))
+    low, high = limits(dry)
+    assert low < survey.points[:, 2].min()
+    assert survey.points[:, 2].max() < high
+    assert high - low < 15.0
+
+
+def test_heights_in_the_settings_are_taken_as_they_are(tmp_path):
+    toml = TOML + f"[area]\nheights = [{LEVEL - 4.0}, {LEVEL + 1.5}]\n"
+    survey = load_survey(small_survey(tmp_path / "s", toml=toml))
+    # Level water lies under its tangential plane by a hundredth of a millimetre at 10 m.
+    assert limits(survey) == pytest.approx((-4.0, 1.5), abs=1e-3)
+    decision = next(d for d in make_plan(survey, device="cpu").decisions if d.name == "range of heights")
+    assert decision.choice == "-4.0 to 1.5 m over the water"
+    assert "[area] heights" in decision.reason
+
+
+def test_heights_hold_everywhere_over_sloped_water(tmp_path):
+    toml = TOML + f"slope_east = 0.1\n[area]\nheights = [{LEVEL - 4.0}, {LEVEL + 1.5}]\n"
+    survey = load_survey(small_survey(tmp_path / "s", toml=toml))
+    low, high = limits(survey)
+    # The cameras stand 0 to 9 m east of where the level holds.
+    for east, height in ((0.0, LEVEL + 1.5), (9.0, LEVEL - 4.0)):
+        over = -survey.water.depth(survey.frame.local_from_crs([E0 + east, N0, height]))
+        assert low - 1e-6 <= over <= high + 1e-6
+
+
+@pytest.mark.parametrize("value", ["[3.0, 3.0]", "[4.0, 3.0]", "[1.0]", "3.0", "[1.0, 'a']"])
+def test_heights_that_are_no_range_are_refused(value):
+    with pytest.raises(ConfigError, match=r"area\.heights"):
+        parse_config(f"[area]\nheights = {value}")
+
+
+def test_heights_above_the_cameras_are_refused_with_a_mend(tmp_path):
+    toml = TOML + f"[area]\nheights = [0.0, {LEVEL + 25.0}]\n"
+    survey = load_survey(small_survey(tmp_path / "s", toml=toml))
+    with pytest.raises(ConfigError, match=r"upper end lies 5\.0 m above the lowest camera; give"):
+        limits(survey)
+
+
+def test_without_points_and_heights_the_plan_says_what_would_narrow_the_range(tmp_path):
+    survey = load_survey(small_survey(tmp_path / "s"))
+    decision = next(d for d in make_plan(survey, device="cpu").decisions if d.name == "range of heights")
+    assert "[area] heights" in decision.reason
+    assert survey.points is None
+
+
+def test_a_colmap_model_brings_its_points_along(tmp_path, rng):
+    folder = small_survey(tmp_path / "s", toml=TOML.replace('poses = "cameras.csv"', 'poses = "model"'))
+    cameras = load_survey(small_survey(tmp_path / "csv")).views
+    model = folder / "model"
+    model.mkdir()
+    (model / "cameras.txt").write_text("1 PINHOLE 64 48 100 100 32 24\n")
+    lines = []
+    for i, view in enumerate(cameras, start=1):
+        x, y, z = -view.camera.cam_from_local @ view.camera.centre
+        w, qx, qy, qz = quaternion(view.camera.cam_from_local)
+        lines.append(f"{i} {w} {qx} {qy} {qz} {x} {y} {z} 1 {view.name}\n\n")
+    (model / "images.txt").write_text("".join(lines))
+    xyz = np.column_stack([rng.uniform(-3.0, 3.0, (300, 2)), rng.uniform(-2.0, 0.5, 300)])
+    (model / "points3D.txt").write_text(
+        "".join(f"{i} {x} {y} {z} 9 9 9 0.4 1 0 2 0 3 0\n" for i, (x, y, z) in enumerate(xyz, start=1))
+    )
+    text = (folder / "survey.toml").read_text()
+    (folder / "survey.toml").write_text(text + f"[local]\norigin = [{E0}, {N0}, {LEVEL}]\n")
+    survey = load_survey(folder)
+    np.testing.assert_array_equal(survey.points, xyz)
+    low, high = limits(survey)
+    assert low < -2.0 * 1.333
+    assert 0.5 < high < 5.0
+
+
+def quaternion(rotation: np.ndarray) -> tuple[float, ...]:
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+    return w, x, y, z

@@ -12,9 +12,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from survey.adjust.estimate import estimate_water
     from survey.simulate.drawn_scene import DrawnScene
-    from survey.simulate.simulate import simulate
 
     from geo.errors import GeoError
     from geo.frames import LocalFrame
@@ -28,6 +26,7 @@ if TYPE_CHECKING:
     from refract.projection import project
     from refract.surfaces import FlatWater, WaterSurface
     from refract.wavy import WavyWater
+    from survey.adjust.calibration import estimate_water
     from survey.compare.comparison import compare_files as compare
     from survey.compare.options import CompareOptions
     from survey.errors import SurveyError
@@ -39,6 +38,7 @@ if TYPE_CHECKING:
     from survey.run.process import process
     from survey.run.render import render
     from survey.simulate.drawn import draw_survey
+    from survey.simulate.staging.simulate import simulate
 
     __version__: str
 
@@ -91,7 +91,7 @@ _MODULES = {
     "refract.projection": ("project",),
     "refract.surfaces": ("FlatWater", "WaterSurface"),
     "refract.wavy": ("WavyWater",),
-    "survey.adjust.estimate": ("estimate_water",),
+    "survey.adjust.calibration": ("estimate_water",),
     "survey.compare.comparison": ("compare",),
     "survey.compare.options": ("CompareOptions",),
     "survey.errors": ("SurveyError",),
@@ -104,7 +104,7 @@ _MODULES = {
     "survey.run.render": ("render",),
     "survey.simulate.drawn": ("draw_survey",),
     "survey.simulate.drawn_scene": ("DrawnScene",),
-    "survey.simulate.simulate": ("simulate",),
+    "survey.simulate.staging.simulate": ("simulate",),
 }
 _OTHER_NAMES = {"compare": "compare_files"}
 _HOME = {name: module for module, names in _MODULES.items() for name in names}

@@ -3,7 +3,7 @@
     python benchmarks/bench_slab.py [SURVEY ...] [--quality Q] [--rays R ...] [-o FOLDER]
 
 The sweep runs once; fields with different numbers of training rays for each cell of one GSD (RAYS_PER_CELL in
-survey.run.stages), and one whose colour head multiplies in bfloat16, are trained from its height maps. Accuracy and
+survey.run.sources), and one whose colour head multiplies in bfloat16, are trained from its height maps. Accuracy and
 surveys as in bench_sweep; PSNR is of the training rays of the last steps, time that of training. One JSON for each
 survey in FOLDER, not computed again; prints tables in Markdown, docs/field.md has them.
 """

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy.ndimage import gaussian_filter
-from survey.simulate.writing import write_survey
 
 from refract.lens import Lens
 from survey.adjust.calibration import measure_ties
@@ -18,6 +17,7 @@ from survey.adjust.water import water_from_ties
 from survey.folder.survey import Survey, load_survey
 from survey.photos.images import load_mask
 from survey.simulate.drawn import DrawnScene, stage_drawing
+from survey.simulate.output.writing import write_survey
 
 SCENE = DrawnScene(
     size_m=(3.2, 2.6), depth_m=1.2, num_views=10, image_px=(200, 150), focal_px=300.0, flying_m=7.0, noise=0.0

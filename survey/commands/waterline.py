@@ -22,6 +22,9 @@ def run(
     nadir_only: Annotated[bool, typer.Option("--nadir-only", help="Use only views that look straight down.")] = False,
     start_level: Annotated[float | None, typer.Option(metavar="M", help="Start from this level [m].")] = None,
     start_index: Annotated[float | None, typer.Option(metavar="N", help="Start from this refractive index.")] = None,
+    poses_of: Annotated[
+        Path | None, typer.Option("--run", metavar="RUN", help="Take the poses that this run found.")
+    ] = None,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for everything that was found.")] = None,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
@@ -39,8 +42,10 @@ def run(
             nadir_only=nadir_only,
             start_level=start_level,
             start_index=start_index,
+            run_folder=poses_of,
             json_path=json,
         )
         rows = [(estimate.name, estimate.verdict) for estimate in found.estimates]
         points = f"{found.num_points} in {found.num_views} views, {found.num_measurements} measurements"
-        results.columns(None, [*rows, ("tie points", points), ("residuals", f"{found.rms_px:.3f} px rms")])
+        residuals = "none, nothing was adjusted" if found.rms_px is None else f"{found.rms_px:.3f} px rms"
+        results.columns(None, [*rows, ("tie points", points), ("residuals", residuals)])

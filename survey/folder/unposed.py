@@ -81,10 +81,5 @@ def solve_views(
     solved = {view.name for view in views}
     without = [name for name in found.images if name not in solved]
     points = result.points[result.num_views >= MIN_TRACK]
-    return (
-        result.frame,
-        views,
-        points,
-        list(result.notes),
-        warnings + named(without, "image", "without a pose, left out"),
-    )
+    warnings += named(without, "image", "without a pose, left out")
+    return result.frame, views, points, list(result.notes), warnings

@@ -15,8 +15,6 @@ from survey.photos.formats.format import Format
 MIN_TRACK = 3
 # What other programs leave beside the images; named so that nobody wonders why they are not read.
 _NOT_READ = ("cameras.xml", "transforms.json", "reconstruction.json", "nvm", "bundle.out")
-
-
 # Asked in this order which of them a path is of.
 FORMATS = (opk_csv.FORMAT, colmap.FORMAT)
 

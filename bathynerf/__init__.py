@@ -12,8 +12,6 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from survey.simulate.drawn_scene import DrawnScene
-
     from geo.errors import GeoError
     from geo.frames import LocalFrame
     from geo.las import read_cloud, write_cloud
@@ -38,6 +36,7 @@ if TYPE_CHECKING:
     from survey.run.process import process
     from survey.run.render import render
     from survey.simulate.drawn import draw_survey
+    from survey.simulate.drawn.settings import DrawnScene
     from survey.simulate.staging.simulate import simulate
 
     __version__: str
@@ -103,7 +102,7 @@ _MODULES = {
     "survey.run.process": ("process",),
     "survey.run.render": ("render",),
     "survey.simulate.drawn": ("draw_survey",),
-    "survey.simulate.drawn_scene": ("DrawnScene",),
+    "survey.simulate.drawn.settings": ("DrawnScene",),
     "survey.simulate.staging.simulate": ("simulate",),
 }
 _OTHER_NAMES = {"compare": "compare_files"}

@@ -15,6 +15,7 @@ import json
 import sys
 import tempfile
 import time
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from unittest.mock import patch
@@ -24,21 +25,23 @@ from bench_sweep import Case
 from fields.heads import ColourHead
 from fields.slab import tensor_field
 from fields.sweep.sweep import DepthMap
-from survey.progress import current
-from survey.run import stages
+from survey.plan.recipe import RECIPES
+from survey.progress import current, shares
+from survey.run import stage_bed, stage_field
 from survey.simulate.drawn import DrawnScene, draw_survey
 
-KEPT = stages.RAYS_PER_CELL
+KEPT = RECIPES["standard"].rays_per_cell
 
 
 def trained(case: Case, maps: list[DepthMap], rays_per_cell: float) -> dict:
     """Figures of a field, of its training and of the cloud that it refines."""
     start, used = time.monotonic(), time.process_time()
-    with patch.object(stages, "RAYS_PER_CELL", rays_per_cell), current().stage("field", 1.0) as stage:
-        field, figures = stages.train_field(case.survey, case.plan, maps, stage)
+    recipe = replace(case.plan.recipe, rays_per_cell=rays_per_cell)
+    with patch.dict(RECIPES, {case.plan.quality: recipe}), current().stage("field", 1.0) as stage:
+        field, figures = stage_field.trained(case.job, maps, shares(stage))
     spent = {"seconds": time.monotonic() - start, "processor_s": time.process_time() - used}
-    bed, moved = stages.bed_points(case.block, case.survey, case.plan, maps, field, lambda done: None)
-    return figures | spent | case.figures(bed) | {"share_of_field": moved / len(bed)}
+    bed, moved = stage_bed.bed_points(case.job, maps, field, lambda done: None)
+    return asdict(figures) | spent | case.figures(bed) | {"share_of_field": moved / len(bed)}
 
 
 def rows_of(case: Case, rays: list[float]) -> dict[str, dict]:
@@ -69,7 +72,7 @@ def markdown(name: str, rows: dict[str, dict]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("surveys", nargs="*", type=Path)
-    parser.add_argument("--quality", default="standard", choices=list(stages.TIMES_SEEN))
+    parser.add_argument("--quality", default="standard", choices=list(RECIPES))
     parser.add_argument("--rays", nargs="+", type=float, default=[KEPT / 3.0, KEPT, 3.0 * KEPT])
     parser.add_argument("-o", "--output", type=Path)
     options = parser.parse_args()

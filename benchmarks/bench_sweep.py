@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from unittest.mock import patch
 
@@ -24,15 +25,17 @@ import numpy as np
 from fields.sweep import bed as bed_module
 from fields.sweep import views
 from fields.sweep.bed import BedPoints, trusted
-from fields.sweep.block import Block
 from fields.sweep.ranging import find_range
 from fields.sweep.sweep import PASSES, DepthMap, Pass, sweep
 from survey.compare.comparison import CompareOptions, compare_surfaces
-from survey.folder.survey import Survey, load_survey
-from survey.plan.block import limits, load_block, local_area
-from survey.plan.plan import Plan, make_plan
-from survey.run import stages
+from survey.folder.survey import load_survey
+from survey.plan.block import limits, local_area
+from survey.plan.plan import make_plan
+from survey.plan.recipe import RECIPES
+from survey.progress import current
+from survey.run import stage_bed
 from survey.run.export import write_bed_las
+from survey.run.job import Job
 from survey.run.stored import StoredBed
 from survey.simulate.drawn import DrawnScene, draw_survey
 
@@ -67,12 +70,11 @@ class Case:
     def __init__(self, folder: Path, quality: str):
         truth = folder / "truth" if (folder / "truth").is_dir() else folder
         self.reference, self.visible = truth / "reference.ply", truth / "visible.ply"
-        self.survey: Survey = load_survey(folder)
-        self.plan: Plan = make_plan(self.survey, quality=quality)
-        self.block: Block = load_block(self.survey, self.plan, lambda done: None)
+        self.job = Job(load_survey(folder), partial(make_plan, quality=quality), current())
+        self.survey, self.plan, self.block = self.job.survey, self.job.plan, self.job.block
         self.bound = find_range(self.block, limits(self.survey))
         self.block.look_at(0.5 * (self.bound[0] + self.bound[1]))
-        self.chosen = self.block.cover(*stages.TIMES_SEEN[quality], local_area(self.survey))
+        self.chosen = self.block.cover(*RECIPES[quality].times_seen, local_area(self.survey))
 
     def maps(self, passes: tuple[Pass, ...] = PASSES, chosen: list[int] | None = None) -> tuple[list[DepthMap], float]:
         """Height maps, and the seconds that they took."""
@@ -81,7 +83,7 @@ class Case:
         return maps, time.monotonic() - start
 
     def points(self, maps: list[DepthMap]) -> BedPoints:
-        return stages.bed_points(self.block, self.survey, self.plan, maps, None, lambda done: None)[0]
+        return stage_bed.bed_points(self.job, maps, None, lambda done: None)[0]
 
     def figures(self, bed: BedPoints) -> dict:
         """How far the points are from the truth, and what of it they reach."""
@@ -134,9 +136,9 @@ def once_table(case: Case) -> dict[str, dict]:
     """How duplicates and strays are left out."""
     maps, _ = case.maps()
     rows = {"a kept pixel claims those of later views (kept)": case.figures(case.points(maps))}
-    with patch.object(stages, "has_company", lambda xyz, gsd: np.ones(len(xyz), dtype=bool)):
+    with patch.object(stage_bed, "has_company", lambda xyz, gsd: np.ones(len(xyz), dtype=bool)):
         rows["the same, with points that stand alone"] = case.figures(case.points(maps))
-    with patch.object(stages, "unique_pixels", lambda block, found: [trusted(m) for m in found]):
+    with patch.object(stage_bed, "unique_pixels", lambda block, found: [trusted(m) for m in found]):
         everything = case.points(maps)
     rows["nothing left out"] = case.figures(everything)
     rows["mean of the points in cubes of one GSD"] = case.figures(in_cubes(everything, case.plan.gsd_m))
@@ -172,7 +174,7 @@ def markdown(title: str, rows: dict[str, dict]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("surveys", nargs="*", type=Path)
-    parser.add_argument("--quality", default="standard", choices=list(stages.TIMES_SEEN))
+    parser.add_argument("--quality", default="standard", choices=list(RECIPES))
     parser.add_argument("--tables", nargs="+", default=list(TABLES), choices=list(TABLES))
     parser.add_argument("-o", "--output", type=Path)
     options = parser.parse_args()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -38,7 +38,7 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     maps = load_depth_maps(needs["sweep"] / MAPS)
     field = load_field(needs["field"], backend(job.plan)) if "field" in needs else None
     with job.progress.stage("Bed", len(maps)) as stage:
-        bed, moved = _points(job, maps, field, stage.advance)
+        bed, moved = bed_points(job, maps, field, stage.advance)
     if field is not None:
         job.progress.detail(f"{moved:,} of {len(bed):,} points have the field's height")
     if len(bed) == 0:
@@ -54,7 +54,9 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     save_bed(folder, StoredBed(bed, points_crs, survey.frame.crs, survey.name, job.plan.gsd_m))
 
 
-def _points(job: Job, maps: list[DepthMap], field: TensorField | None, advance) -> tuple[BedPoints, int]:
+def bed_points(
+    job: Job, maps: list[DepthMap], field: TensorField | None, advance: Callable[[float], None]
+) -> tuple[BedPoints, int]:
     """Every piece of the bed once, coloured from the photograph that shows it steepest.
 
     Returns the points and how many of them took their height from the field.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,18 +16,25 @@ from survey.run.stored import load_depth_maps
 from survey.run.stored_field import save_field, save_place
 
 if TYPE_CHECKING:
+    from fields.slab.tensor_field import TensorField
+    from fields.slab.train import FieldFigures
+    from fields.sweep.sweep import DepthMap
     from survey.run.job import Job
 
 
 def train_field(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Train the field on the photographs that have a height map."""
-    survey, plan = job.survey, job.plan
-    sources = sources_of(job, load_depth_maps(needs["sweep"] / MAPS))
-    area = local_area(survey)
-    slab = slab_of(sources, plan.gsd_m, None if area is None else grown(area, AREA_MARGIN_M))
-    schedule = Schedule(plan.recipe.rays_per_cell)
+    maps = load_depth_maps(needs["sweep"] / MAPS)
     with job.progress.stage("Field", 1.0) as stage:
-        field, figures = train(sources, slab, FieldSettings(), schedule, backend(plan), shares(stage))
+        field, figures = trained(job, maps, shares(stage))
     job.progress.note(f"field: {figures.psnr_db:.1f} dB after {figures.rays:,} rays")
     save_field(folder, field, figures)
-    save_place(folder, survey.frame, survey.water)
+    save_place(folder, job.survey.frame, job.survey.water)
+
+
+def trained(job: Job, maps: list[DepthMap], progress: Callable[[float], None]) -> tuple[TensorField, FieldFigures]:
+    """The field inside the bound of the sweep, and the figures of its training."""
+    plan, area = job.plan, local_area(job.survey)
+    sources = sources_of(job, maps)
+    slab = slab_of(sources, plan.gsd_m, None if area is None else grown(area, AREA_MARGIN_M))
+    return train(sources, slab, FieldSettings(), Schedule(plan.recipe.rays_per_cell), backend(plan), progress)

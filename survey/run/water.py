@@ -18,7 +18,7 @@ _FORMAT = 2
 
 
 def calibrated(run: RunDir, survey: Survey, device: str, progress: Progress, *, resume: bool) -> Survey:
-    """The survey with the water that its photographs tell; what they cannot tell stays as it was given."""
+    """The survey with the water estimated from its photographs; what is not observable keeps its value."""
     key = stage_key(
         _STAGE, _FORMAT, *(view.path for view in survey.views), survey.views, survey.config.water, survey.bounds,
         limits(survey), device,

@@ -1,4 +1,4 @@
-"""GPS positions of photographs on their way from EXIF into the local frame."""
+"""GPS positions of photographs, from EXIF into the local frame."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _GIVE_POSES = f"name a file of poses in [cameras] poses in {FILE_NAME}"
 
 @dataclass(frozen=True)
 class GpsPositions:
-    """Where the receivers of the cameras say that they were.
+    """GPS positions of the cameras.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ def _crs_from_wgs84(crs: CRS, lon, lat, height, gps_height: str, notes: list[str
 def _exact_transformer(crs: CRS, area: AreaOfInterest) -> Transformer:
     """From WGS 84 with ellipsoidal heights to crs, only if PROJ has every grid that it takes.
 
-    Without the grid PROJ would hand the height through unchanged, tens of metres wrong, without a word.
+    Without the grid PROJ would leave the height unchanged, tens of metres wrong, without a warning.
     """
     said = f'gps_height = "ellipsoidal" needs a transformation of heights from the ellipsoid to {crs.name}'
     instead = f'or give heights in crs and gps_height = "crs" in {FILE_NAME}'

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 from refract.lens import Lens
 from survey.adjust.calibration import measure_ties
-from survey.adjust.matching import RADIUS, match, searched, window
+from survey.adjust.matching import RADIUS, match, prepared, window
 from survey.adjust.water import water_from_ties
 from survey.folder.survey import Survey, load_survey
 from survey.photos.images import load_mask
@@ -99,8 +99,8 @@ def test_windows_beside_a_mask_are_found_where_they_are_without_it_and_refused_w
     slopes = np.stack([dx[at], dy[at]], axis=-1).astype(float)
     offsets = np.broadcast_to(np.stack([x, y]).astype(float), (len(middles), 2, len(x)))
     expected = middles + 0.5 + [0.7, -0.4]
-    whole, was = match(searched(image), image[at].astype(float), slopes, expected, offsets)
-    found, is_found = match(searched(masked), image[at].astype(float), slopes, expected, offsets)
+    whole, was = match(prepared(image), image[at].astype(float), slopes, expected, offsets)
+    found, is_found = match(prepared(masked), image[at].astype(float), slopes, expected, offsets)
     gap = np.maximum(
         np.maximum(90 - middles[:, 0], middles[:, 0] - 119), np.maximum(60 - middles[:, 1], middles[:, 1] - 79)
     )
@@ -112,4 +112,4 @@ def test_windows_beside_a_mask_are_found_where_they_are_without_it_and_refused_w
 
 
 def test_a_photograph_that_is_masked_whole_has_no_place_for_a_window():
-    assert not searched(np.full((20, 30), np.nan, dtype=np.float32)).clear.any()
+    assert not prepared(np.full((20, 30), np.nan, dtype=np.float32)).clear.any()

@@ -16,6 +16,7 @@ from survey.folder.config import parse_config
 from survey.folder.survey import load_survey
 from survey.plan.block import limits
 from survey.plan.plan import make_plan
+from survey.sfm.poses import SfmResult, SfmView
 
 BED = (-5.0, -0.5)
 
@@ -139,6 +140,18 @@ def test_a_colmap_model_brings_its_points_along(tmp_path, rng):
     low, high = limits(survey)
     assert low < -2.0 * 1.333
     assert 0.5 < high < 5.0
+
+
+def test_structure_from_motion_brings_the_points_that_three_photographs_see(tmp_path, monkeypatch, rng):
+    posed = load_survey(small_survey(tmp_path / "posed", gps=True))
+    views = tuple(SfmView(v.name, v.lens, v.camera.centre, v.camera.cam_from_local) for v in posed.views)
+    xyz, num_views = rng.normal(size=(6, 3)), np.array([2, 3, 4, 2, 5, 3])
+    solved = SfmResult(posed.frame, views, [], xyz, num_views, np.ones(6), np.zeros((len(views), 3)))
+    monkeypatch.setattr("survey.sfm.poses.solve_poses", lambda *arguments, **settings: solved)
+    toml = TOML.replace('poses = "cameras.csv"\n', "")
+    folder = small_survey(tmp_path / "bare", gps=True, toml=toml)
+    (folder / "cameras.csv").unlink()
+    np.testing.assert_array_equal(load_survey(folder).points, xyz[num_views >= 3])
 
 
 def quaternion(rotation: np.ndarray) -> tuple[float, ...]:

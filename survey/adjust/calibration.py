@@ -1,4 +1,4 @@
-"""The water of a survey from its photographs: as `bathynerf waterline` tells it, and as a run takes it."""
+"""The water of a survey from its photographs: for `bathynerf waterline`, and for the first stage of a run."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def estimate_water(
     run_folder: Path | None = None,
     json_path: Path | None = None,
 ) -> WaterEstimate:
-    """What the photographs of a survey folder say about its water; no setting and no result of a run changes.
+    """The water of a survey folder, estimated from its photographs; no setting and no result of a run changes.
 
     Parameters
     ----------

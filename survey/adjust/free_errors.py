@@ -1,11 +1,11 @@
 """The water with poses and lens free within their errors: a bundle adjustment from the solution that holds them.
 
-Poses and lens are not known to the last digit, and what they are wrong by looks a little like other water. So each
-photograph gets an error of position and direction of its own, and each camera one field of displacements over the
-image, a polynomial of degree 3, which holds errors of focal length, principal point and k1 and those of affine and
-decentring kind. And a rough bed hides its hollows from oblique views and shows each side another face, so that it
-seems to rise a little with the side it is seen from. All have zero mean and a standard deviation that is given. The
-photographs tell most of them; what they cannot tell stays in the covariance of the water.
+Poses and lens have errors, whose effect on the pixels is partly that of other water. So each photograph gets an error
+of position and direction of its own, and each camera one field of displacements over the image, a polynomial of degree
+3, which includes errors of focal length, principal point and k1 and affine and decentring terms. Besides, a rough bed
+hides its hollows from oblique views and shows each side another face, so that it appears to rise a little, depending on
+the direction of view. All have zero mean and an assumed standard deviation. The photographs determine most of them; the
+rest remains in the covariance of the water.
 
     e    the errors, P water parameters first; B their derivatives (2 N, P + E), sparse
     H    normal matrix, points eliminated, with the prior Q on its diagonal
@@ -35,7 +35,7 @@ from survey.adjust.tie_points import TiePoints
 # Half a step of central differences, in m and rad: 2e-3 and 0.2 px, over which a projection is straight to 1e-6.
 _STEP = 1e-4
 _DEGREE = 3
-# Weights follow the residuals that are left when poses and lens are free; they rest after two.
+# Rounds of renewing the weights from the residuals with poses and lens free; they have converged after two.
 _ROUNDS = 3
 
 
@@ -49,9 +49,9 @@ class Errors:
         Of the coefficient of each orthonormal polynomial, in x and in y: the root mean square over the image of the
         displacement by that polynomial alone.
     bed_m : [m]
-        Height that the bed seems to gain where it is seen 45 degrees off the vertical, under water.
+        By how much higher the bed appears at 45 degrees off the vertical, under water.
     cell_m : [m]
-        Points nearer to each other than this share relief and texture, and may be wrong together.
+        Points nearer to each other than this share relief and texture, so that their errors are correlated.
     """
 
     position_m: float
@@ -179,7 +179,7 @@ def _by_cell(points: np.ndarray, cell_m: float) -> csr_array:
 
 
 def _by_side(cameras, ties: TiePoints, points: np.ndarray, water: FlatWater, jx: np.ndarray) -> np.ndarray:
-    """Derivatives of the pixels (N, 2, 3) by three heights [m] that a rough bed seems to gain with the side of view.
+    """Derivatives of the pixels (N, 2, 3) by three apparent rises [m] of a rough bed with the direction of view.
 
     Along the leg in water, t the tangent of its angle to the vertical: t^2 for all sides, and t east and north.
     """

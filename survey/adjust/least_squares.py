@@ -23,19 +23,19 @@ from survey.adjust.projection import by_parameters, by_point, residuals_of
 from survey.adjust.tie_points import TiePoints
 from survey.errors import SurveyError
 
-# Residuals beyond this many standard deviations pull with constant force (Huber): 95 % of good ones lie within.
+# Huber's bound [standard deviations]: 95 % of good residuals lie within.
 _HUBER = 2.0
 # The median of the length of a two-dimensional normal deviate of unit standard deviation per axis, sqrt(2 ln 2).
 _MEDIAN_LENGTH = 1.1774
 _MOST_STEPS = 50
 # A step under this share of the standard deviations changes no digit that is reported.
 _DONE = 1e-3
-# Keeps the elimination of a point finite that hardly any ray fixes.
+# Keeps the elimination finite for a point that its rays hardly determine.
 _DAMPING = 1e-9
 
 
-class NotAtRestError(SurveyError):
-    """An adjustment that does not converge, e.g. where points near the shoreline become wet and dry in turn."""
+class NotConvergedError(SurveyError):
+    """An adjustment that does not converge, e.g. as points near the shoreline become wet and dry in turn."""
 
 
 @dataclass(frozen=True)
@@ -84,19 +84,19 @@ def adjust(
     cameras : local, indexed by `TiePoints.view`
     ties : TiePoints
     water_of : function of (P,) parameters
-        Gives the water; derivatives are taken through it.
+        Returns the water; it is differentiated numerically.
     start, prior_std : (P,)
-        Where the search starts, and how far from there the parameters may be. The prior keeps a block that cannot
-        tell them finite; its pull on one that can is the square of the ratio of the standard deviations.
+        Start and prior standard deviations of the parameters. The prior keeps the solution finite where the block does
+        not determine them; elsewhere its weight is the square of the ratio of the standard deviations.
     centre : (P,), optional
-        Of the prior, where the search starts elsewhere.
+        Mean of the prior, if it differs from the start.
 
     Raises
     ------
     SurveyError
         If there are no more measurements than unknowns.
-    NotAtRestError
-        If the search does not come to rest.
+    NotConvergedError
+        If the adjustment does not converge.
 
     Notes
     -----
@@ -116,15 +116,15 @@ def adjust(
         system = _linearised(cameras, ties, points, water_of, parameters)
         normal = system.normal + prior
         step = np.linalg.solve(normal, system.gradient - prior @ (parameters - centre))
-        # A search that starts far off must not leave the physical range on its way.
+        # From a distant start a full step could leave the physical range.
         step /= max(1.0, float(np.max(np.abs(step) / prior_std)) * 4.0)
         parameters = parameters + step
         points = points + system.point_steps(step)
         if (np.abs(step) < _DONE * np.sqrt(np.diag(np.linalg.inv(normal)))).all():
             break
     else:
-        raise NotAtRestError(
-            f"the adjustment did not come to rest in {_MOST_STEPS} steps: the photographs tell too little of the "
+        raise NotConvergedError(
+            f"the adjustment did not converge in {_MOST_STEPS} steps: the photographs tell too little of the "
             "water, or poses and images do not belong together"
         )
     return _solution(_linearised(cameras, ties, points, water_of, parameters), ties, points, parameters, prior)

@@ -1,4 +1,4 @@
-"""Least-squares matching: where a window of one photograph lies in another, to a fraction of a pixel.
+"""Least-squares matching: the position of a window of one photograph in another, to a fraction of a pixel.
 
 template  the window in its own photograph, at whole pixels: (S, S) samples
 affine    pixels in the other photograph per pixel of the template, by the bed and the water (2, 2)
@@ -14,44 +14,44 @@ from scipy.ndimage import distance_transform_edt, map_coordinates, spline_filter
 
 # Half the side of a window [px]: 13 x 13 hold texture enough, and little relief.
 RADIUS = 6
-# Steps, and how far [px] a window may end from where it was expected.
+# Most steps, and how far [px] a window may end from where it was expected.
 _STEPS, _FARTHEST_PX = 12, 4.0
 # A step shorter than this [px] is below what the noise of a photograph allows.
 _DONE_PX = 0.005
-# Windows that look less alike than this (NCC) show another surface.
+# With a lower correlation (NCC) a window shows another surface.
 _ALIKE = 0.85
-# A window keeps this far [px] from masked pixels. The cubic spline spreads what they are filled with, by a factor of
-# 0.27 from pixel to pixel: five pixels on, a thousandth of it is left, less than a grey level.
+# A window keeps this far [px] from masked pixels. The cubic spline carries their fill over to its neighbours, less by a
+# factor of 0.27 from pixel to pixel: after five, a thousandth is left, less than a grey level.
 _CLEAR_PX = 5
 
 
 @dataclass(frozen=True)
-class Searched:
-    """A photograph made ready to look for windows in.
+class PreparedImage:
+    """A photograph prepared for matching.
 
     Attributes
     ----------
     spline : (height, width) float32
-        Its coefficients as a cubic spline.
+        Coefficients of its cubic spline.
     clear : (height, width) bool
-        Where samples of a window may lie: no masked pixel is near.
+        Where samples of a window may lie, away from masked pixels.
     """
 
     spline: np.ndarray
     clear: np.ndarray
 
 
-def searched(image: np.ndarray) -> Searched:
-    """Make a photograph (height, width) ready; masked pixels are NaN."""
+def prepared(image: np.ndarray) -> PreparedImage:
+    """Prepare a photograph (height, width) for matching; masked pixels are NaN."""
     masked = ~np.isfinite(image)
     if masked.all():
-        return Searched(np.zeros_like(image), ~masked)
+        return PreparedImage(np.zeros_like(image), ~masked)
     if masked.any():
-        # One NaN would make the whole spline NaN. The nearest pixel's value makes no step for the spline to spread.
+        # A single NaN would make the whole spline NaN. The value of the nearest pixel causes no ringing at the edge.
         lines, columns = distance_transform_edt(masked, return_distances=False, return_indices=True)
         image = image[lines, columns]
     near = cv2.dilate(masked.astype(np.uint8), np.ones((2 * _CLEAR_PX + 1, 2 * _CLEAR_PX + 1), np.uint8))
-    return Searched(spline_filter(image, order=3, output=np.float32), near == 0)
+    return PreparedImage(spline_filter(image, order=3, output=np.float32), near == 0)
 
 
 def window() -> tuple[np.ndarray, np.ndarray]:
@@ -60,23 +60,23 @@ def window() -> tuple[np.ndarray, np.ndarray]:
     return x.ravel(), y.ravel()
 
 
-def match(there: Searched, templates, slopes, expected, offsets) -> tuple[np.ndarray, np.ndarray]:
+def match(image: PreparedImage, templates, slopes, expected, offsets) -> tuple[np.ndarray, np.ndarray]:
     """Least-squares matching of windows in another photograph.
 
     Parameters
     ----------
-    there : Searched
+    image : PreparedImage
         The other photograph.
     templates, slopes : (K, S*S), (K, S*S, 2)
-        The windows, and their slopes per pixel along x and y.
+        The windows and their gradients per pixel along x and y.
     expected : (K, 2) [px]
-        Where the middle of each window is looked for.
+        Approximate positions of the middle of each window.
     offsets : (K, 2, S*S) [px]
-        Where the samples of each window lie beside its middle.
+        Positions of the samples of each window relative to its middle.
 
     Returns
     -------
-    pixels (K, 2) [px], and which of them (K,) bool were found
+    pixels (K, 2) [px], and which of them (K,) bool match
 
     Notes
     -----
@@ -93,7 +93,7 @@ def match(there: Searched, templates, slopes, expected, offsets) -> tuple[np.nda
     hessian = np.einsum("ksa,ksb->kab", free, free)
     inverse = np.linalg.inv(hessian + 1e-6 * np.eye(2))
     at = expected.copy()
-    height, width = there.spline.shape
+    height, width = image.spline.shape
     reach = np.abs(offsets).max(axis=2) + 2.0
     moved = np.full(len(at), np.inf)
     alike = np.full(len(at), -1.0)
@@ -106,7 +106,7 @@ def match(there: Searched, templates, slopes, expected, offsets) -> tuple[np.nda
             break
         # Pixel centres are at 0.5; array indices count from the centre of the first one.
         places = at[active, :, None] - 0.5 + offsets[active]
-        values = map_coordinates(there.spline, places[:, ::-1].transpose(1, 0, 2), order=3, prefilter=False)
+        values = map_coordinates(image.spline, places[:, ::-1].transpose(1, 0, 2), order=3, prefilter=False)
         values = values.astype(np.float64)
         values = values - values.mean(axis=1, keepdims=True)
         length = np.maximum(np.linalg.norm(values, axis=1), 1e-9)
@@ -119,7 +119,7 @@ def match(there: Searched, templates, slopes, expected, offsets) -> tuple[np.nda
         at[active] -= step
         moved[active] = np.linalg.norm(step, axis=1)
     found = usable & (moved <= _DONE_PX) & (alike > _ALIKE)
-    found[found] = _is_clear(there.clear, at[found], offsets[found])
+    found[found] = _is_clear(image.clear, at[found], offsets[found])
     return at, found
 
 

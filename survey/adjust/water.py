@@ -1,10 +1,10 @@
-"""Self-calibration: the level, the tilt and the index of the water from the photographs, and whether they can tell.
+"""Self-calibration: level, tilt and refractive index of the water from tie points, and whether they are observable.
 
-Photographs that see a place from well apart disagree about it unless the water is where it is taken to be. Its tie
+Photographs that see a place at different angles disagree about it unless the assumed water is right. Its tie
 points (`survey.adjust.windows` measures them) are adjusted for the water that makes them agree best
-(`survey.adjust.least_squares`), and what the poses and the lens may be wrong by is carried into the result
-(`survey.adjust.free_errors`). A parameter that comes out less certain than it would be of use is "not observable": it
-keeps the value that was given.
+(`survey.adjust.least_squares`), and errors of the poses and the lens are propagated into the result
+(`survey.adjust.free_errors`). A parameter whose standard deviation is too large to be of use is "not observable": it
+keeps its value from survey.toml.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from refract import FlatWater
 from survey.adjust.free_errors import Errors, Freed, free_errors
-from survey.adjust.least_squares import Adjusted, NotAtRestError, adjust
+from survey.adjust.least_squares import Adjusted, NotConvergedError, adjust
 from survey.adjust.tie_points import TiePoints
 from survey.adjust.water_estimate import PARAMETERS, ParameterEstimate, WaterEstimate
 from survey.folder.config import WaterConfig
@@ -24,27 +24,27 @@ from survey.folder.place import water_plane
 from survey.folder.survey import Survey
 from survey.plan.plan import make_plan
 
-# What a photograph's pose and the lens are taken to be wrong by, unless the caller knows better: a block with RTK
-# positions or control, adjusted; and a lens calibrated to a twentieth of a pixel.
+# Assumed standard deviations of poses and lens, unless the caller knows better: an adjusted block with RTK positions or
+# control, and a lens calibrated to a twentieth of a pixel.
 POSE_STD_M, POSE_STD_DEG = 0.01, 0.003
 LENS_STD_PX = 0.05
-# And what a rough bed seems to rise by, seen at 45 degrees, as a share of the ground sampling distance.
+# How much higher a rough bed appears at 45 degrees, as a share of the ground sampling distance.
 BED_STD_GSD = 0.1
-# Tie points within this many ground sampling distances, two windows side by side, may be wrong together.
+# Tie points within this many ground sampling distances, two windows side by side, have correlated errors.
 CELL_GSD = 40.0
-# How far from where the search starts the water may be. Wide enough to pull on nothing that a block can tell.
+# Prior standard deviations about the start. Too wide to affect a parameter that the block determines.
 _PRIOR_STD = np.array([5.0, 0.05, 0.05, 0.1])
-# A value that the block cannot tell is held this closely while the others are estimated: the index of natural water
-# is known to this without any measurement, and so are the slopes of water that somebody looked at.
+# A parameter that is not observable is held with this standard deviation while the others are estimated: the index of
+# natural water is known to this without any measurement, and so are the slopes of water that somebody has looked at.
 _HELD_STD = np.array([np.nan, 1e-3, 1e-3, 3e-3])
 # One sigma beyond which a parameter is of no use. 5 cm of level move the bed by 2 cm, and so does 0.01 of index in 3 m
 # of water; slopes count by what they do at the edge of the points.
 MOST_STD_LEVEL_M, MOST_STD_INDEX = 0.05, 0.01
-# Tie points farther off than this many standard deviations are mistakes.
+# Residuals of more standard deviations than this are outliers.
 _OUTLIER = 4.0
 _INDEX_RANGE = (1.0, 2.0)
-# The covariance comes from the scatter of the points themselves; from N of them it is told to one part in sqrt(2 N), an
-# eighth. Fewer under water also come and go as the level moves, and the search swings with them.
+# Fewest tie points under water. The covariance is estimated from the scatter of N points, to one part in sqrt(2 N): an
+# eighth. Fewer also turn wet and dry as the level moves, and the adjustment oscillates.
 FEWEST_WET = 30
 
 
@@ -58,7 +58,7 @@ def water_from_ties(
 ) -> WaterEstimate:
     """The water from tie points that are measured; parameters as for `calibrate_water`.
 
-    Where too few of them lie under water, or the search does not come to rest, nothing is observable, and the verdicts
+    Where too few of them lie under water, or the adjustment does not converge, nothing is observable, and the verdicts
     say why.
     """
     cameras = [view.camera for view in survey.views]
@@ -76,8 +76,8 @@ def water_from_ties(
         return _unknown(survey.config.water, ties, water_of(given), errors)
     prior_std, limits = _PRIOR_STD.copy(), _useful_std(ties)
     try:
-        kept, solved = _without_mistakes(cameras, ties, water_of, given, prior_std)
-    except NotAtRestError as error:
+        kept, solved = _without_outliers(cameras, ties, water_of, given, prior_std)
+    except NotConvergedError as error:
         return _unknown(survey.config.water, ties, water_of(given), errors, str(error))
     if _num_wet(solved.points, water_of(solved.parameters)) < FEWEST_WET:
         return _unknown(survey.config.water, replace(kept, start=solved.points), water_of(solved.parameters), errors)
@@ -89,7 +89,7 @@ def water_from_ties(
         if not lost.any():
             break
         if lost[0]:
-            # Without the level nothing is known; what is told is what the block says with nothing held.
+            # Without the level nothing is observable; the values reported are those with nothing held.
             freed, held[:] = first, True
             break
         worst = int(np.argmax(np.where(lost, std / limits, 0.0)))
@@ -119,7 +119,7 @@ def _num_wet(points: np.ndarray, water: FlatWater) -> int:
 def _unknown(
     given: WaterConfig, ties: TiePoints, water: FlatWater, errors: Errors, why: str | None = None
 ) -> WaterEstimate:
-    """The verdict of tie points that tell nothing: all stays as given, as uncertain as before they were measured."""
+    """The estimate where nothing is observable: the values of survey.toml, with their prior standard deviations."""
     num_wet = _num_wet(ties.start, water)
     under = f"{num_wet} of {len(ties)} tie points lie under water"
     why = f"{under}, expected at least {FEWEST_WET}" if why is None else f"{why}; {under}"
@@ -149,7 +149,7 @@ def _told(name: str, value: float) -> str:
 
 def _config_of(given: WaterConfig, parameters: np.ndarray) -> WaterConfig:
     values = [float(value) for value in parameters]
-    # On its way the search may step out of what water can be; at rest it never lies at these ends.
+    # Single steps may leave the physical range; a converged solution never lies at its ends.
     values[3] = min(max(values[3], _INDEX_RANGE[0]), _INDEX_RANGE[1])
     return replace(given, **dict(zip(PARAMETERS, values, strict=True)))
 
@@ -161,8 +161,8 @@ def _useful_std(ties: TiePoints) -> np.ndarray:
     return np.array([MOST_STD_LEVEL_M, MOST_STD_LEVEL_M / reach, MOST_STD_LEVEL_M / reach, MOST_STD_INDEX])
 
 
-def _without_mistakes(cameras, ties: TiePoints, water_of, start, prior_std) -> tuple[TiePoints, Adjusted]:
-    """The adjustment, once more without the measurements that it shows to be wrong."""
+def _without_outliers(cameras, ties: TiePoints, water_of, start, prior_std) -> tuple[TiePoints, Adjusted]:
+    """The adjustment, repeated without its outliers."""
     solved = adjust(cameras, ties, water_of, start, prior_std)
     length = np.linalg.norm(solved.residuals, axis=1)
     kept = replace(ties, start=solved.points).only(length < _OUTLIER * solved.std_px)

@@ -1,4 +1,4 @@
-"""What a block of photographs tells about its water: a value, its standard deviation and a verdict per parameter."""
+"""The water that a block of photographs determines: a value, a standard deviation and a verdict per parameter."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class ParameterEstimate:
     Attributes
     ----------
     name : one of `PARAMETERS`
-    value, std : as the block has them
+    value, std : of the adjustment
         Heights in m, in crs; slopes in m per m along the grid axes; the index relative to air.
     std_measured, std_pose, std_lens, std_bed :
         The parts of `std`: scatter of the tie points, errors of the poses and of the lens, roughness of the bed.
@@ -42,17 +42,17 @@ class ParameterEstimate:
 
 @dataclass(frozen=True)
 class WaterEstimate:
-    """What a block says about its water.
+    """The water as a block determines it.
 
     Attributes
     ----------
     water : WaterConfig
-        To be used: the estimates that are observable, and what was given for the others.
+        To be used: the estimates of what is observable, the values of survey.toml for the rest.
     estimates : tuple of ParameterEstimate, in the order of `PARAMETERS`
     covariance : 4 x 4, in that order
     num_views, num_points, num_measurements : int
     num_dry : int
-        Points above the water, which say nothing about it.
+        Points above the water, which carry no information on it.
     rms_px : [px]
         Of the residuals of a pixel coordinate; None where there was no adjustment.
     pose_std_m, pose_std_deg, lens_std_px :
@@ -73,7 +73,7 @@ class WaterEstimate:
 
     @property
     def is_observable(self) -> bool:
-        """Whether the block can tell anything at all: without the level, nothing."""
+        """Whether anything is observable at all: without the level, nothing is."""
         return self.estimates[0].is_observable
 
     def correlation(self) -> np.ndarray:

@@ -1,8 +1,8 @@
-"""Tie points of the bed: where the sweep finds it, each measured to a fraction of a pixel in many photographs.
+"""Tie points of the bed, each measured to a fraction of a pixel in many photographs.
 
-A coarse sweep tells where the bed is about. At its well textured places a window of one photograph is laid on a level
-piece of bed and warped into the others, and least-squares matching moves it there until the two look the same.
-The sweep's heights only say where to look; what is measured is where the window lies in each photograph.
+A coarse sweep gives approximate heights of the bed. At well textured places a window of one photograph is projected
+over a level piece of bed, through the water, into the others, where least-squares matching refines its position. The
+heights of the sweep are approximate values only; what is measured is the position of the window in each photograph.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from fields.sweep.block import Block
 from fields.sweep.ranging import find_range
 from fields.sweep.sweep import PASSES, DepthMap, sweep
 from refract import FlatWater, PinholeCamera
-from survey.adjust.matching import RADIUS, match, searched, window
+from survey.adjust.matching import RADIUS, match, prepared, window
 from survey.adjust.tie_points import TiePoints
 from survey.plan.block import within
 
-# The coarse sweep that tells where the bed is about.
+# The coarse sweep: approximate heights of the bed.
 _SWEPT = (PASSES[0], replace(PASSES[1], fuse=True))
 # Windows in one photograph are at least this far apart [px], so that each sees bed of its own.
 _APART_PX = 20
 _MOST_PER_VIEW = 250
-# How often every place is seen by photographs that lend windows: from above, and from each quarter.
+# How often every place is seen by the photographs from which windows are taken: from above, and from each quarter.
 _TIMES_SEEN = (2, 1)
-# Photographs in which a window is looked for, at most, and how different their direction of view may be: more
-# and wider ones are alike less often, and leave the water less certain (docs/waterline.md).
+# Most photographs in which a window is searched for, and the angles between directions of view: windows at wider angles
+# match less often, and did not make the water more certain (docs/waterline.md).
 _MOST_OTHERS = 24
 _WIDEST_DEG = 40.0
 _NARROWEST_DEG = 3.0
-# A window is left out where the relief under it spreads by more than this many pixels of parallax.
+# A window is left out where the relief under it has more than this many pixels of parallax.
 _RELIEF_PX = 2.0
 
 Area = tuple[float, float, float, float]
@@ -42,7 +42,7 @@ Area = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class _Windows:
-    """The windows of one photograph: K of them, each of S*S samples, and where else they are looked for."""
+    """The windows of one photograph: K of them, each of S*S samples, and the views in which they are searched for."""
 
     view: int
     corners: np.ndarray
@@ -56,7 +56,7 @@ class _Windows:
 def measure(
     block: Block, limits: tuple[float, float], area: Area | None, advance: Callable[[float], None]
 ) -> TiePoints:
-    """Tie points of a block; none where no window is alike in three photographs.
+    """Tie points of a block; none where no window matches in three photographs.
 
     Parameters
     ----------
@@ -91,14 +91,14 @@ def measure(
     parts: list[list[tuple[np.ndarray, int, np.ndarray]]] = [
         [(np.arange(len(w.corners)), w.view, w.corners)] for w in windows
     ]
-    # One photograph after the other, so that only one has to be made ready for cubic interpolation.
+    # One photograph after the other, so that the spline of only one is in memory.
     for other, camera in enumerate(block.cameras):
         asking = [i for i, w in enumerate(windows) if other in w.others]
-        there = searched(block.images[other]) if asking else None
+        image = prepared(block.images[other]) if asking else None
         for i in asking:
             w = windows[i]
             offsets = _warp(block.cameras[w.view], camera, w.corners, w.height, block.water)
-            found, ok = match(there, w.templates, w.slopes, camera.project(w.points, block.water), offsets)
+            found, ok = match(image, w.templates, w.slopes, camera.project(w.points, block.water), offsets)
             parts[i].append((np.flatnonzero(ok), other, found[ok]))
         advance(0.5 / len(block.cameras))
     return _joined(windows, parts)
@@ -115,7 +115,7 @@ def _windows_of(block: Block, depth_map: DepthMap, area: Area | None) -> _Window
 
 
 def _able(block: Block, depth_map: DepthMap, area: Area | None) -> np.ndarray:
-    """Pixels of a depth map (height, width) bool where the sweep is sure, the bed has no step and lies in the area."""
+    """Pixels of a depth map (height, width) bool whose height is trusted, without a step beside it, in the area."""
     camera, height = block.cameras[depth_map.view], depth_map.height
     parallax = block.parallax(depth_map.view, block.neighbours(depth_map.view, 8), float(np.median(height)))
     kernel = np.ones((7, 7))

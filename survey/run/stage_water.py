@@ -27,7 +27,7 @@ def calibrate_water(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
 
 
 def use_water(job: Job, folder: Path) -> None:
-    """Give the job the water that was found; what the photographs cannot tell stays as it was given."""
+    """Give the job the water that was found; what is not observable keeps its value."""
     record = json.loads((folder / ESTIMATE).read_text(encoding="utf-8"))
     for estimate in record["estimates"]:
         job.progress.note(f"water: {estimate['name']}: {estimate['verdict']}")

@@ -23,10 +23,10 @@ from refract.lens import Lens
 if TYPE_CHECKING:
     import pycolmap
 
-# More threads would be faster; with two, two runs give the same block to the last digits that matter.
+# More threads would be faster; with two, repeated runs agree in all significant digits.
 _THREADS = 2
 _SEED = 0
-# f, cx, cy, k1, k2. One coefficient bends a real block by decimetres, more than two gain nothing (see tests).
+# f, cx, cy, k1, k2. With one coefficient a real block is bent by decimetres; more than two gain nothing (see tests).
 MODEL = "RADIAL"
 # Longest side [px] on which features are looked for; larger images are reduced for it.
 _FEATURE_SIZE_PX = 3200
@@ -71,13 +71,13 @@ def solve_block(
         In which the images lie.
     sensors : of all images
     positions : mapping of name to (3,) [m]
-        Of the cameras, in any one frame: who may see the same. Images without one are tried with all others.
+        Of the cameras, in any one frame; they select the pairs to match. Images without one are paired with all.
     work : Path
         An empty folder for the database of features.
     hold_focal : bool
         Keep the focal lengths of the sensors.
     say : callable
-        Told in words how far it is.
+        Called with a sentence on the progress.
     """
     colmap = _pycolmap()
     database, names = work / "database.db", sorted(name for sensor in sensors for name in sensor.names)
@@ -115,7 +115,7 @@ def _reader(sensor: Sensor) -> pycolmap.ImageReaderOptions:
 
 
 def image_pairs(names: Sequence[str], positions: Mapping[str, np.ndarray]) -> list[tuple[str, str]]:
-    """Pairs of images that may see the same: all of a small survey, else neighbours by their position."""
+    """Pairs of images that may overlap: all of a small survey, else neighbours by position."""
     if len(names) <= _ALL_PAIRS_UP_TO:
         return [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
     placed = [name for name in names if name in positions]
@@ -193,7 +193,7 @@ def points_of(block: pycolmap.Reconstruction) -> tuple[np.ndarray, np.ndarray, n
 
 
 def copy_of(block: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
-    """A block of its own, so that the other one stays as it is."""
+    """A deep copy of a block."""
     return _pycolmap().Reconstruction(block)
 
 
@@ -227,7 +227,7 @@ def adjust(
     block : pycolmap.Reconstruction
         Already near its place in local.
     positions : mapping of name to (3,) [m], local
-        Without wrong ones: they pull with their square.
+        Free of outliers: they enter by their squares.
     std : (3,) [m], local
         Standard deviation of a position, against 1 px for a match.
     hold_focal : bool
@@ -236,7 +236,7 @@ def adjust(
     Raises
     ------
     RuntimeError
-        If the adjustment does not come to a usable end.
+        If the adjustment gives no usable solution.
     """
     colmap = _pycolmap()
     options, config = colmap.BundleAdjustmentOptions(), colmap.BundleAdjustmentConfig()
@@ -252,7 +252,7 @@ def adjust(
         if image.name in positions:
             priors.append(_prior(image, positions[image.name], std))
     prior_options = colmap.PosePriorBundleAdjustmentOptions()
-    # pycolmap fits a similarity of its own before it starts; ours has already sorted the wrong positions out.
+    # pycolmap first fits a similarity of its own; ours has already removed the outliers.
     distances = [np.linalg.norm(poses_of(block)[name][0] - p) for name, p in positions.items()]
     prior_options.alignment_ransac.max_error = 2.0 * max(distances) + 1.0
     prior_options.alignment_ransac.random_seed = _SEED

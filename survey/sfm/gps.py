@@ -1,4 +1,4 @@
-"""GPS positions of photographs on their way from EXIF into the local frame."""
+"""GPS positions of photographs, from EXIF into the local frame."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _GIVE_POSES = f"name a file of poses in [cameras] poses in {FILE_NAME}"
 
 @dataclass(frozen=True)
 class GpsPositions:
-    """Where the receivers of the cameras say that they were.
+    """GPS positions of the cameras.
 
     Attributes
     ----------

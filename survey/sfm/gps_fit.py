@@ -8,16 +8,16 @@ import numpy as np
 
 from survey.errors import PosesError
 
-# What a receiver with carrier-phase corrections reaches; nothing is trusted further.
+# Accuracy of a receiver with carrier-phase corrections: the smallest standard deviation that is assumed.
 MIN_STD_M = 0.02
-# Cameras closer to one line than this many std, or share of its length, do not say how the block is tilted about it.
+# Cameras closer to one line than this many std, or share of its length, leave the tilt of the block about it open.
 _LINE_STD, _LINE_SHARE = 3.0, 0.03
 
 
 def gps_std(residuals) -> np.ndarray:
     """Standard deviation (3,) [m] of GPS positions: east and north alike, up; from residuals (N, 3) [m], local.
 
-    The seven parameters of the similarity are taken off the number of coordinates; never below `MIN_STD_M`.
+    The seven parameters of the similarity reduce the degrees of freedom; never below `MIN_STD_M`.
     """
     residuals = np.asarray(residuals, dtype=np.float64)
     share = max(3.0 * len(residuals) - 7.0, 1.0) / (3.0 * len(residuals))

@@ -1,8 +1,8 @@
 """Structure from motion: poses in the local frame for a survey that comes without them.
 
 Photographs with GPS positions in EXIF (`survey.sfm.gps`) -> a block of poses and points by pycolmap
-(`survey.sfm.block`) -> its place on Earth (`survey.sfm.gps_fit`, `survey.sfm.solve`). Here: the way in, the result,
-and the solved block that is kept to be used again.
+(`survey.sfm.block`) -> georeferenced by the positions (`survey.sfm.gps_fit`, `survey.sfm.solve`). Here: the entry
+point, the result, and the solved block, which is stored to be used again.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def solve_poses(
     focal_px : float, optional
         Of a calibration; it is kept. Without it, the one in EXIF is where the search starts.
     report : callable, optional
-        Told in words how far it is.
+        Called with a sentence on the progress.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """From photographs with GPS positions to one block in the local frame, with every decision noted.
 
-The order: a block by pycolmap -> a robust similarity to the GPS positions -> focal lengths that the block cannot
-tell put back -> the adjustment in which GPS positions count as much as the matches allow.
+The order: a block by pycolmap -> a robust similarity to the GPS positions -> focal lengths that the block does not
+determine reset to EXIF -> an adjustment in which GPS positions have as much weight as the matches allow.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     import pycolmap
 
 _MIN_VIEWS = 3
-# Axes within this angle of their mean leave focal length and flying height to each other.
+# With all axes within this angle of their mean, focal length and flying height are not determined separately.
 _PARALLEL_DEG = 12.0
 # Focal lengths in EXIF are within 5 % of calibrated ones, 35 mm equivalents of cropped images within 8 %.
 _FOCAL_SHARE = 0.08
-# How much larger the reprojection error may get for the sake of the GPS positions; the steps of trying.
+# How much larger the reprojection error may become for the sake of the GPS positions, and the steps of their weight.
 _DEARER = 1.01
 _TIGHTER, _TIGHTER_AT_MOST = 0.6, 5
 _MAX_NAMED = 16
@@ -83,7 +83,7 @@ def solve(
     work : Path
         An empty folder.
     say : callable
-        Told in words how far it is.
+        Called with a sentence on the progress.
 
     Raises
     ------
@@ -171,7 +171,7 @@ def _place(
 
 
 def hold_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | None], notes: list[str]) -> bool:
-    """Put focal lengths that the block cannot tell back to those in EXIF; whether that was done.
+    """Reset focal lengths that the block does not determine to those in EXIF; return whether that was done.
 
     Parameters
     ----------
@@ -184,8 +184,8 @@ def hold_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | No
 
     Notes
     -----
-    Where all axes are parallel over flat ground, a longer focal length and a higher flight look the same; a
-    lens that is not quite the model's then decides, and heights and depths scale with it.
+    Where all axes are parallel over flat ground, a longer focal length and a higher flight give the same images; small
+    errors of the lens model then determine the result, and heights and depths scale with it.
     """
     poses = sfm_block.poses_of(block)
     axes = np.array([rotation[2] for _, rotation in poses.values()])
@@ -203,9 +203,9 @@ def hold_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | No
     if not wrong:
         return False
     notes.append(
-        "all images look the same way, which leaves focal length and flying height to each other: the focal length in "
-        f"EXIF, {nominal[wrong[0]]:.0f} px, is kept instead of the solved {found[wrong[0]]:.0f} px; {scales}, so give "
-        "[cameras] focal_px if it is known better"
+        "all images look the same way, which does not determine focal length and flying height separately; the "
+        f"focal length in EXIF, {nominal[wrong[0]]:.0f} px, is kept instead of the solved {found[wrong[0]]:.0f} px; "
+        f"{scales}, so give [cameras] focal_px if it is known better"
     )
     for alias in wrong:
         sfm_block.set_focal(block, alias, nominal[alias])
@@ -215,7 +215,7 @@ def hold_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | No
 def adjust_as_allowed(
     block: pycolmap.Reconstruction, positions: Mapping[str, np.ndarray], *, hold_focal: bool
 ) -> tuple[pycolmap.Reconstruction, np.ndarray]:
-    """Adjust a block with GPS positions that count as much as the matches take without complaint.
+    """Adjust a block with the greatest weight of the GPS positions that the matches allow.
 
     Parameters
     ----------
@@ -233,9 +233,9 @@ def adjust_as_allowed(
 
     Notes
     -----
-    What bends a block (a lens that is not quite the model's, rays bent by water) puts the same error into
-    thousands of matches, and formal weights let these overrule the receiver in just the shapes in which matches are
-    weak: bowls and tilts. So the positions' weight is raised until it would cost the matches more than 1 %.
+    What bends a block (errors of the lens model, refraction) is common to thousands of matches, and with formal weights
+    these outweigh the receiver just in the shapes that matches determine weakly: bowls and tilts. So the weight of the
+    positions is raised until the reprojection error would grow by more than 1 %.
     On brighton_beach stones at one water line, 10 m apart, differ by 0.43 m in height after the similarity alone,
     by 0.32 m with the standard deviation that the residuals tell, and by 0.06 m with the weight found here.
     """

@@ -20,8 +20,8 @@ from fields.device import Device
 from fields.factors import Factors, anisotropic_grids
 from fields.gamma import as_stored
 from fields.heads import ColourHead, DensityHead
-from fields.slab.grid import Slab
 from fields.slab.rays import Rays
+from fields.slab.slab import Slab
 from fields.water_column import WaterColumn
 
 

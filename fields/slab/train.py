@@ -9,8 +9,8 @@ import numpy as np
 import torch
 
 from fields.device import Device
-from fields.slab.grid import Slab
 from fields.slab.rays import Rays, rays_of
+from fields.slab.slab import Slab
 from fields.slab.tensor_field import FieldSettings, TensorField
 from fields.sweep.bed import trusted
 from fields.sweep.sources import Sources

@@ -13,7 +13,7 @@ import torch
 from pyproj import CRS
 
 from fields.device import Device
-from fields.slab.grid import Slab
+from fields.slab.slab import Slab
 from fields.slab.tensor_field import FieldSettings, TensorField
 from fields.slab.train import FieldFigures
 from fields.water_column import WaterColumn

@@ -1,4 +1,4 @@
-"""A volume with what stands around it: the water, each photograph's appearance, and what lies behind the box."""
+"""From paths to colours: a volume with the water, each photograph's appearance, and what lies behind the box."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fields.water_column import WaterColumn
 
 @dataclass
 class Rendered:
-    """What paths (N) show of a scene.
+    """What paths (N) show of a volume.
 
     Attributes
     ----------
@@ -45,14 +45,14 @@ class Rendered:
         return quantile_height(self.weights, self.samples.edges)
 
 
-class Scene(nn.Module):
-    """A volume, and optionally a water column, appearance vectors and a background.
+class VolumeRenderer(nn.Module):
+    """A volume with all that its rendering needs: optionally a water column, appearance vectors and a background.
 
     Parameters
     ----------
     model : VolumeModel
     column : WaterColumn or None
-        What the water does to light; None for a dry scene.
+        What the water does to light; None for a dry one.
     appearance : nn.Embedding or None
         A vector for each photograph.
     background : nn.Module or None

@@ -12,9 +12,10 @@ from plane_survey import TILTED, PlaneBed, ring
 
 from fields.device import choose_device
 from fields.slab import train as training
+from fields.slab.from_sweep import draw_rays, slab_of
 from fields.slab.refine import refine
 from fields.slab.tensor_field import FieldSettings, TensorField
-from fields.slab.train import Schedule, draw_rays, slab_of, train
+from fields.slab.train import Schedule, train
 from fields.sweep.sources import Sources
 from fields.training import set_rates
 from fields.water_column import WaterColumn

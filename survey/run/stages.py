@@ -7,9 +7,10 @@ from dataclasses import replace
 
 from scipy.ndimage import distance_transform_edt
 
+from fields.slab.from_sweep import slab_of
 from fields.slab.refine import refine
 from fields.slab.tensor_field import FieldSettings, TensorField
-from fields.slab.train import FieldFigures, Schedule, slab_of, train
+from fields.slab.train import FieldFigures, Schedule, train
 from fields.sweep.bed import BedPoints, has_company, points_of, trusted, unique_pixels
 from fields.sweep.block import Block
 from fields.sweep.ranging import find_range

@@ -22,7 +22,7 @@ POOL_STEPS = 32
 # The figures tell the error over the last steps.
 LAST_STEPS = 100
 ADAM_EPS = 1e-15
-# Cells of the proxy that are asked at once.
+# Cells of the proxy whose density is evaluated at once.
 CHUNK = 1 << 18
 
 

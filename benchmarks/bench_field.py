@@ -35,11 +35,12 @@ from fields.volume.hash_grid import HashSettings, HashVolume
 from fields.volume.mlp import MlpSettings, MlpVolume
 from fields.volume.model import VolumeModel
 from fields.volume.proposal import Proposal, ProposalSettings
+from fields.volume.renderer import Backdrop, VolumeRenderer
 from fields.volume.sampling import Cells
-from fields.volume.scene import Backdrop, Scene
 from fields.volume.sdf import SdfSettings, SdfVolume
 from fields.volume.tensor import TensorSettings, TensorVolume
-from fields.volume.train import Training, render_volume, train_scene
+from fields.volume.train import Training, train_volume
+from fields.volume.view import render_volume
 from fields.water_column import WaterColumn
 
 ABLATION = ("tensorf", "dw", "m", "mdw")
@@ -54,14 +55,14 @@ MEMORY_RUNS = 5
 FINE_RATE = 0.02
 
 
-def build(model: str, scene: ObjectScene, cells: int) -> Scene:
+def build(model: str, scene: ObjectScene, cells: int) -> VolumeRenderer:
     """An untrained scene of one of the models, ``cells`` along the longest edge at the finest scale."""
     torch.manual_seed(0)  # of the heads
     column = WaterColumn() if scene.train.water is not None else None
     # What an orbit sees beside the box is black; from above, every path ends in it.
     background = Backdrop((0.0, 0.0, 0.0)) if scene.name == "ship" else None
     proposal = Proposal(scene.box, ProposalSettings((48,), (cells,))) if model == "hash" else None
-    return Scene(_volume(model, scene, cells), column=column, background=background, proposal=proposal)
+    return VolumeRenderer(_volume(model, scene, cells), column=column, background=background, proposal=proposal)
 
 
 def _volume(model: str, scene: ObjectScene, cells: int) -> VolumeModel:
@@ -99,7 +100,7 @@ def row(model: str, scene: ObjectScene, options, folder: Path) -> dict:
     built = build(model, scene, options.cells)
     training = Training(steps=options.steps, rays=options.rays, samples=options.samples)
     start = time.perf_counter()
-    cells, figures = train_scene(built, scene.train, training, lambda share: None)
+    cells, figures = train_volume(built, scene.train, training, lambda share: None)
     seconds = time.perf_counter() - start
     held, rate, error = [], [], []
     for number, camera in enumerate(scene.held.cameras):
@@ -124,7 +125,7 @@ def row(model: str, scene: ObjectScene, options, folder: Path) -> dict:
     }
 
 
-def surface_of(built: Scene, scene: ObjectScene, cells: Cells, samples: int) -> np.ndarray:
+def surface_of(built: VolumeRenderer, scene: ObjectScene, cells: Cells, samples: int) -> np.ndarray:
     """Points (N, 3) [m] at which every third training photograph sees the volume, one per 1/256 of the box."""
     parts = []
     for camera, pixels in list(zip(scene.train.cameras, scene.train.pixels, strict=True))[::3]:
@@ -146,7 +147,7 @@ def step_times(models: tuple[str, ...], scene: ObjectScene, options) -> dict[str
     for turn in range(TIMED[0] + 1):
         for model, built in scenes.items():
             start = time.perf_counter()
-            train_scene(built, scene.train, training, lambda share: None)
+            train_volume(built, scene.train, training, lambda share: None)
             if turn:  # the first compiles
                 seconds[model].append((time.perf_counter() - start) / TIMED[1])
     return {model: statistics.median(s) for model, s in seconds.items()}

@@ -25,11 +25,13 @@ from torch import nn
 from fields.device import choose_device
 from fields.volume.appearance import appearance_vectors, match_appearance
 from fields.volume.losses import Losses, PatchWeights, PriorWeights
+from fields.volume.photographs import Photographs
+from fields.volume.renderer import Backdrop, VolumeRenderer
 from fields.volume.sampling import Cells
-from fields.volume.scene import Backdrop, Scene
 from fields.volume.shell import Shell
 from fields.volume.tensor import TensorSettings, TensorVolume
-from fields.volume.train import Photographs, Training, render_volume, train_scene
+from fields.volume.train import Training, train_volume
+from fields.volume.view import render_volume
 
 SETTINGS = TensorSettings.mdw(scales=3, n_min=16, n_max=64, degree=0)
 TRAINING = Training(steps=400, rays=768, samples=24, cells=48)
@@ -110,14 +112,14 @@ def measure(row: Row, training: Training, seed: int) -> dict:
     data = scene_of(row.kind)
     length = APPEARANCE if row.part == "appearance" else 0
     torch.manual_seed(seed)
-    scene = Scene(
+    scene = VolumeRenderer(
         TensorVolume(BOX, SETTINGS, choose_device("cpu"), appearance=length, seed=seed),
         appearance=appearance_vectors(len(data.train.cameras), length) if length else None,
         background=behind(row.part, data.train),
     )
     training = replace(training, losses=row.losses, **(row.change or {}))
     start = time.process_time()
-    cells, figures = train_scene(scene, data.train, training, lambda done: None, seed=seed)
+    cells, figures = train_volume(scene, data.train, training, lambda done: None, seed=seed)
     seconds = time.process_time() - start
     if length:
         scene.appearance = match_appearance(scene, left_half_of(data.held), cells)
@@ -138,7 +140,7 @@ def behind(part: str, photographs: Photographs) -> nn.Module | None:
     return None
 
 
-def compare(scene: Scene, data: SwitchScene, cells: Cells, *, right_half: bool) -> dict:
+def compare(scene: VolumeRenderer, data: SwitchScene, cells: Cells, *, right_half: bool) -> dict:
     """Against held-out views; with exposures of their own, against the right halves, as the left ones are matched."""
     squares, errors = [], []
     for view, camera in enumerate(data.held.cameras):

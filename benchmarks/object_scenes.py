@@ -11,7 +11,7 @@ from scipy.ndimage import grey_opening
 from scipy.spatial import cKDTree
 
 from fields.volume.paths import Box
-from fields.volume.train import Photographs
+from fields.volume.photographs import Photographs
 from geo import read_reference
 from refract import FlatWater, PinholeCamera
 from survey.folder.survey import load_image, load_survey

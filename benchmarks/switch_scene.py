@@ -12,8 +12,8 @@ import numpy as np
 
 from fields.gamma import GAMMA
 from fields.volume.paths import Box
+from fields.volume.photographs import Photographs
 from fields.volume.priors import PriorImages
-from fields.volume.train import Photographs
 from refract import FlatWater, PinholeCamera
 
 BOX = Box(np.array([-2.0, -2.0, -2.3]), np.array([2.0, 2.0, -0.9]))

@@ -1,9 +1,14 @@
-"""Volume rendering along bent rays: from the thickness of the bed's samples to weights, and from weights to height."""
+"""Volume rendering along bent rays: from the thickness of samples to weights, and from weights to height and colour."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
+
+# Colour is looked up only where a sample matters (MDW-NeRF).
+MIN_COLOUR_WEIGHT = 1e-2
 
 
 def log_transmittance(distance: Tensor, width: Tensor) -> Tensor:
@@ -25,6 +30,30 @@ def render_weights(thickness: Tensor) -> Tensor:
     """
     before = torch.cumsum(thickness, dim=1) - thickness
     return torch.exp(-before) * (1.0 - torch.exp(-thickness))
+
+
+def with_opaque_end(weights: Tensor, meets: Tensor | float = 1.0) -> Tensor:
+    """Weights (rays, samples) whose last sample takes all light that passes the others: every ray ends there.
+
+    ``meets`` (rays, 1) is zero for rays that meet nothing at all.
+    """
+    rest = (1.0 - weights[:, :-1].sum(dim=1, keepdim=True)) * meets
+    return torch.cat([weights[:, :-1], rest], dim=1)
+
+
+def composite(weights: Tensor, look: Callable[[Tensor], Tensor], opacity: Tensor | None = None) -> Tensor:
+    """Linear radiance (rays, 3) of samples with weights (rays, samples), times the opacity (rays, 1), 1 where None.
+
+    ``look`` gives the colours (n, 3) of the samples at flat indices (n,). Samples too light to be looked up take the
+    others' colour: left black, they would push a bed about, and darken what is thin.
+    """
+    painted = weights.detach() > MIN_COLOUR_WEIGHT
+    where = painted.view(-1).nonzero()[:, 0]
+    colours = torch.zeros(weights.numel(), 3).index_put((where,), look(where)).view(*weights.shape, 3)
+    share = weights * painted
+    total = share.sum(dim=1, keepdim=True)
+    share = share / total if opacity is None else share * (opacity / total.clamp(min=MIN_COLOUR_WEIGHT))
+    return (share[..., None] * colours).sum(dim=1)
 
 
 def quantile_height(weights: Tensor, edges: Tensor, level: float = 0.5) -> Tensor:

@@ -144,7 +144,7 @@ def _add_in_order(field: _Field, u, gradient, samples: int, sums: tuple) -> None
 
     Packets share out the scales (and the parts of their channels), and each goes through all samples, as many at a time
     as it has lanes. No two of them write to the same row, a packet runs on one thread, and Dr.Jit adds its lanes' rows
-    one after the other: nothing has to be atomic, and nothing depends on who runs when.
+    one after the other: nothing has to be atomic, and the sums do not depend on the order of threads.
     """
     UInt = field.module.UInt
     lanes, units = _lanes(field.module), field.scales * field.packets

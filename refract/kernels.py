@@ -58,7 +58,7 @@ def cleaned(*triples):
     """Where all components are finite, and the triples with zeros elsewhere.
 
     Through zeros a ray that is not a number leaves the gradients of the others alone; numpy has none, and keeps its
-    numbers. Whoever cleans puts the NaN back into the results.
+    numbers. The caller puts the NaN back into the results.
     """
     total = sum(sum(triple) for triple in triples)
     xp = namespace(total)

@@ -8,8 +8,8 @@ from plane_survey import PlaneBed, texture
 
 from fields.device import Device
 from fields.gamma import GAMMA
-from fields.slab.grid import Slab
 from fields.slab.rays import Rays, rays_of
+from fields.slab.slab import Slab
 from fields.slab.tensor_field import FieldSettings, TensorField
 from fields.sweep.sources import Sources
 from fields.sweep.sweep import DepthMap

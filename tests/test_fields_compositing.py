@@ -9,7 +9,14 @@ import pytest
 import torch
 from scipy.stats import laplace
 
-from fields.compositing import log_transmittance, quantile_height, render_weights
+from fields.compositing import (
+    MIN_COLOUR_WEIGHT,
+    composite,
+    log_transmittance,
+    quantile_height,
+    render_weights,
+    with_opaque_end,
+)
 
 
 def steps_down(num: int, *, top: float = 1.0, bottom: float = -1.0, dtype=torch.float64) -> torch.Tensor:
@@ -122,3 +129,28 @@ def test_quantiles_are_those_of_a_slow_walk_along_the_ray(rng):
 def test_a_ray_without_any_weight_has_a_height_inside_its_ends():
     ends = steps_down(4, dtype=torch.float32)
     assert -1.0 <= float(quantile_height(torch.zeros(1, 4), ends)[0]) <= 1.0
+
+
+def test_an_opaque_end_takes_what_the_samples_before_it_let_pass():
+    weights = torch.tensor([[0.2, 0.3, 0.1], [0.5, 0.5, 0.0]], dtype=torch.float64)
+    torch.testing.assert_close(with_opaque_end(weights).sum(dim=1), torch.ones(2, dtype=torch.float64))
+    torch.testing.assert_close(with_opaque_end(weights)[:, :2], weights[:, :2])
+    meets = torch.tensor([[1.0], [0.0]])
+    assert with_opaque_end(weights, meets)[:, 2].tolist() == pytest.approx([0.5, 0.0])
+
+
+def test_samples_too_light_to_be_looked_up_take_the_colour_of_the_others():
+    weights = torch.tensor([[0.6, 0.5 * MIN_COLOUR_WEIGHT, 0.2], [0.0, 0.0, 0.0]])
+    asked = []
+
+    def look(where: torch.Tensor) -> torch.Tensor:
+        asked.extend(where.tolist())
+        return torch.tensor([[1.0, 0.0, 0.4], [0.0, 1.0, 0.4]])
+
+    opacity = weights.sum(dim=1, keepdim=True)
+    found = composite(weights, look, opacity)
+    assert asked == [0, 2]
+    torch.testing.assert_close(found[0], opacity[0] * torch.tensor([0.75, 0.25, 0.4]))
+    assert not found[1].any()
+    opaque = composite(weights[:1], look)
+    torch.testing.assert_close(opaque[0], torch.tensor([0.75, 0.25, 0.4]))

@@ -10,9 +10,10 @@ import torch
 from plane_field import field_over, level_slab, rays_at
 from plane_survey import PlaneBed, ring
 
+from fields.compositing import MIN_COLOUR_WEIGHT
 from fields.device import choose_device
 from fields.gamma import GAMMA
-from fields.slab.tensor_field import MIN_COLOUR_WEIGHT, FieldSettings, TensorField
+from fields.slab.tensor_field import FieldSettings, TensorField
 from refract import FlatWater
 
 TORCH = choose_device("torch")

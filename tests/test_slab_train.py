@@ -1,4 +1,4 @@
-"""Training inside the bound: which rays are drawn, that a displaced bed comes back, and what refuses to train."""
+"""Training inside the bound: a displaced bed comes back, colours learn first, and what refuses to train."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from plane_survey import TILTED, PlaneBed, ring
 
 from fields.device import choose_device
 from fields.slab import train as training
+from fields.slab.from_sweep import draw_rays, slab_of
 from fields.slab.refine import refine
 from fields.slab.tensor_field import FieldSettings, TensorField
-from fields.slab.train import Schedule, draw_rays, slab_of, train
+from fields.slab.train import Schedule, train
 from fields.sweep.sources import Sources
 from fields.training import set_rates
 from fields.water_column import WaterColumn
@@ -137,99 +138,6 @@ def test_a_dry_survey_trains_without_a_water_column(short):
     )
     assert field.column is None
     assert figures.steps == 40
-
-
-def test_the_slab_spans_the_heights_inside_the_area_with_room_for_their_noise(cameras):
-    sources = plane_sources(BED, cameras, noise=0.01)
-    slab = slab_of(sources, GSD, (-0.3, -0.2, 0.3, 0.4))
-    assert slab.cell == GSD
-    assert slab.half == pytest.approx(2.0 * GSD)  # a spread of 5 mm asks for 1.5 cm
-    np.testing.assert_allclose(slab.low, [-0.33, -0.23], atol=GSD)
-    np.testing.assert_allclose(slab.size[:2], [0.66, 0.66], atol=2.5 * GSD)
-    rows, columns = np.nonzero(slab.known)
-    x, y = slab.low[0] + GSD * (columns + 0.5), slab.low[1] + GSD * (rows + 0.5)
-    truth = -TILTED.depth(np.stack([x, y, BED.level + BED.slope * x], axis=-1))
-    assert np.abs(slab.proxy[rows, columns] - truth).max() < 0.02
-    wide = [replace(m, spread=np.full_like(m.spread, 0.03)) for m in sources.maps]
-    assert slab_of(replace(sources, maps=wide), GSD, None).half == pytest.approx(0.09)
-
-
-def test_rays_are_drawn_from_trusted_pixels_inside_the_image_evenly_over_the_views(cameras, rng):
-    sources = plane_sources(BED, cameras[:3])
-    slab = slab_of(sources, GSD, None)
-    rows, columns = sources.maps[0].height.shape
-    maps, images = [], []
-    for number, m in enumerate(sources.maps):
-        agreeing = np.zeros((rows + 8, columns + 4), dtype=np.uint8)  # padded to a larger image
-        agreeing[number * rows // 4 :] = 3
-        padded = {
-            name: np.pad(getattr(m, name), ((0, 8), (0, 4)), mode="edge")
-            for name in ("height", "score", "curvature", "spread")
-        }
-        maps.append(replace(m, agreeing=agreeing, **padded))
-        image = np.zeros((rows, columns, 3), dtype=np.uint8)
-        image[number * rows // 4 :] = 85 * (number + 1)
-        images.append(image)
-    rays = draw_rays(replace(sources, maps=maps, images=images), slab, 9000, rng)
-    view = torch.round(3.0 * rays.rgb[:, 0])
-    assert (view > 0).all()  # a pixel above the trusted rows would be black
-    counts = np.array([int((view == v).sum()) for v in (1, 2, 3)])
-    np.testing.assert_allclose(counts / 9000, np.array([4, 3, 2]) / 9, atol=0.02)
-    assert abs(len(rays) - 9000) < 200
-
-
-def test_rays_whose_own_height_leaves_the_slab_are_left_out(cameras, rng):
-    sources = plane_sources(BED, cameras)
-    slab = slab_of(sources, GSD, None)
-    for share, kept in ((0.6, True), (0.8, False)):
-        maps = [replace(m, height=m.height + np.float32(share * slab.half)) for m in sources.maps]
-        some = replace(sources, maps=[maps[0], *sources.maps[1:]])
-        drawn = draw_rays(some, slab, 4000, rng)
-        of_first = 4000 // len(cameras)
-        assert len(drawn) == pytest.approx(4000 if kept else 4000 - of_first, abs=20)
-
-
-def test_the_field_leaves_pixels_alone_that_it_was_not_asked_for_or_that_lie_elsewhere(cameras):
-    sources = plane_sources(BED, cameras)
-    slab = slab_of(sources, GSD, None)
-    field = TensorField(slab, FieldSettings(), choose_device("torch"), WaterColumn())
-    mast = sources.maps[0].height.copy()
-    mast[20:30, 40:50] += 0.5
-    depth_map = replace(sources.maps[0], height=mast)
-    keep = np.zeros(mast.shape, dtype=bool)
-    keep[10:40, 30:60] = True
-    height, moved = refine(field, cameras[0], depth_map, sources.images[0], sources.water, keep)
-    changed = height != mast
-    assert not changed[~keep].any()
-    assert not changed[20:30, 40:50].any()
-    assert moved == keep.sum() - 100
-    assert np.abs(height - mast)[keep].max() < 3e-3
-    nothing, none = refine(field, cameras[0], depth_map, sources.images[0], sources.water, np.zeros_like(keep))
-    assert none == 0
-    np.testing.assert_array_equal(nothing, mast)
-
-
-def test_the_field_moves_no_pixel_by_more_than_half_the_slab(cameras):
-    sources = plane_sources(BED, cameras)
-    field = TensorField(slab_of(sources, GSD, None), FieldSettings(), choose_device("torch"), WaterColumn())
-    with torch.no_grad():
-        field.density.coarse.bias.fill_(np.arctanh(0.7))  # the bed 0.7 halves above its proxy
-    for share, moves in ((0.2, True), (-0.2, True), (-0.4, False)):
-        lowered = replace(sources.maps[1], height=sources.maps[1].height + np.float32(share * field.slab.half))
-        keep = np.zeros(lowered.height.shape, dtype=bool)
-        keep[5:-5, 5:-5] = True
-        height, moved = refine(field, cameras[1], lowered, sources.images[1], sources.water, keep)
-        assert moved == (keep.sum() if moves else 0)
-        np.testing.assert_array_equal(height != lowered.height, keep & moves)
-
-
-def test_without_a_confirmed_height_there_is_no_slab(cameras):
-    sources = plane_sources(BED, cameras)
-    alone = [replace(m, agreeing=np.zeros_like(m.agreeing)) for m in sources.maps]
-    with pytest.raises(ValueError, match="no confirmed height lies inside the area"):
-        slab_of(replace(sources, maps=alone), GSD, None)
-    with pytest.raises(ValueError, match="no confirmed height lies inside the area"):
-        slab_of(sources, GSD, (50.0, 50.0, 60.0, 60.0))
 
 
 def test_without_a_ray_in_the_slab_nothing_is_trained(cameras, rng):

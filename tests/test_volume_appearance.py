@@ -10,41 +10,41 @@ from analytic_volume import BOX, floor_at, looking_down, seen_by
 from fields.device import choose_device
 from fields.gamma import GAMMA
 from fields.volume.appearance import appearance_vectors, match_appearance
+from fields.volume.photographs import Photographs
+from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
-from fields.volume.scene import Scene
 from fields.volume.tensor import TensorSettings, TensorVolume
-from fields.volume.train import Photographs
 
 CELLS = Cells.everywhere(BOX, 16)
 
 
-def tensor_scene(photographs: int = 3, length: int = 4) -> Scene:
+def tensor_renderer(photographs: int = 3, length: int = 4) -> VolumeRenderer:
     torch.manual_seed(0)
     settings = TensorSettings(scales=2, n_min=4, n_max=8)
     model = TensorVolume(BOX, settings, choose_device("torch"), appearance=length)
     torch.nn.init.normal_(model.regression.coarse.weight)
-    return Scene(model, appearance=appearance_vectors(photographs, length))
+    return VolumeRenderer(model, appearance=appearance_vectors(photographs, length))
 
 
 def test_another_vector_changes_colour_and_not_a_bit_of_density_or_depth():
-    scene, paths = tensor_scene(), seen_by(looking_down(), view=1)
+    renderer, paths = tensor_renderer(), seen_by(looking_down(), view=1)
     samples = CELLS.samples(paths, 16, jitter=False)
-    before = scene.render(paths, samples)
-    scene.appearance.weight.data[1] += 1.0
-    after = scene.render(paths, samples)
+    before = renderer.render(paths, samples)
+    renderer.appearance.weight.data[1] += 1.0
+    after = renderer.render(paths, samples)
     assert torch.equal(before.weights, after.weights)
     assert torch.equal(before.depth, after.depth)
     assert (before.rgb - after.rgb).abs().max().item() > 1e-3
 
 
 def test_no_gradient_of_density_reaches_the_vectors_and_none_of_colour_those_of_other_views():
-    scene, paths = tensor_scene(), seen_by(looking_down(), view=1)
-    rendered = scene.render(paths, CELLS.samples(paths, 16, jitter=False))
+    renderer, paths = tensor_renderer(), seen_by(looking_down(), view=1)
+    rendered = renderer.render(paths, CELLS.samples(paths, 16, jitter=False))
     (none,) = torch.autograd.grad(
-        rendered.weights.sum(), [scene.appearance.weight], allow_unused=True, retain_graph=True
+        rendered.weights.sum(), [renderer.appearance.weight], allow_unused=True, retain_graph=True
     )
     assert none is None
-    (some,) = torch.autograd.grad(rendered.rgb.sum(), [scene.appearance.weight])
+    (some,) = torch.autograd.grad(rendered.rgb.sum(), [renderer.appearance.weight])
     assert some[1].abs().sum() > 0.0
     assert not some[[0, 2]].any()
 
@@ -53,33 +53,33 @@ def test_all_photographs_begin_with_the_common_look():
     assert not appearance_vectors(5, 3).weight.any()
 
 
-def exposed(gains: list[float]) -> tuple[Scene, Photographs]:
+def exposed(gains: list[float]) -> tuple[VolumeRenderer, Photographs]:
     """A floor whose look is known, and photographs of it with gains in linear light."""
-    scene = Scene(floor_at(0.0), appearance=appearance_vectors(2, 3))
+    renderer = VolumeRenderer(floor_at(0.0), appearance=appearance_vectors(2, 3))
     cameras = [looking_down(0.1 * k) for k in range(len(gains))]
     images = []
     for camera, gain in zip(cameras, gains, strict=True):
         paths = seen_by(camera)
         with torch.no_grad():
-            plain = scene.render(paths, CELLS.samples(paths, 128, jitter=False)).rgb
+            plain = renderer.render(paths, CELLS.samples(paths, 128, jitter=False)).rgb
         stored = (gain ** (1.0 / GAMMA) * plain).clamp(0.0, 1.0).view(camera.height, camera.width, 3)
         images.append((255.0 * stored).round().to(torch.uint8).numpy())
     pixels = [np.arange(camera.width * camera.height) for camera in cameras]
-    return scene, Photographs(cameras, images, pixels)
+    return renderer, Photographs(cameras, images, pixels)
 
 
-def test_matching_finds_the_exposure_of_new_photographs_and_leaves_the_scene_alone():
+def test_matching_finds_the_exposure_of_new_photographs_and_leaves_the_volume_alone():
     gains = [0.5, 0.8, 1.0]
-    scene, photographs = exposed(gains)
-    own, before = scene.appearance, {k: v.clone() for k, v in scene.state_dict().items()}
-    vectors = match_appearance(scene, photographs, CELLS, steps=100, rays=512)
+    renderer, photographs = exposed(gains)
+    own, before = renderer.appearance, {k: v.clone() for k, v in renderer.state_dict().items()}
+    vectors = match_appearance(renderer, photographs, CELLS, steps=100, rays=512)
     # The analytic volume brightens by exp of the mean of the vector; 2 % is one grey value of 100 in linear light.
     assert torch.exp(vectors.weight.detach().mean(dim=1)).tolist() == pytest.approx(gains, rel=0.02)
-    assert scene.appearance is own
-    assert all(torch.equal(before[k], v) for k, v in scene.state_dict().items())
-    assert all(p.grad is None for p in scene.parameters())
+    assert renderer.appearance is own
+    assert all(torch.equal(before[k], v) for k, v in renderer.state_dict().items())
+    assert all(p.grad is None for p in renderer.parameters())
 
 
-def test_a_scene_without_vectors_has_none_to_match():
+def test_a_volume_without_vectors_has_none_to_match():
     with pytest.raises(ValueError, match="no appearance vectors"):
-        match_appearance(Scene(floor_at(0.0)), exposed([1.0])[1], CELLS)
+        match_appearance(VolumeRenderer(floor_at(0.0)), exposed([1.0])[1], CELLS)

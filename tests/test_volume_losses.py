@@ -21,10 +21,11 @@ from fields.volume.losses import (
     orientation_loss,
     transparency_loss,
 )
+from fields.volume.photographs import Photographs
 from fields.volume.priors import COLUMNS
+from fields.volume.renderer import Backdrop, Rendered, VolumeRenderer
 from fields.volume.sampling import Cells, Samples
-from fields.volume.scene import Backdrop, Rendered, Scene
-from fields.volume.train import Photographs, Training, train_scene
+from fields.volume.train import Training, train_volume
 
 LENGTH = 0.1
 BLACK = Backdrop((0.0, 0.0, 0.0))
@@ -97,12 +98,12 @@ def test_only_normals_that_face_away_cost_and_as_the_square_of_their_cosine():
 def test_the_appearance_loss_is_the_mean_square_of_the_vectors_and_asks_for_them():
     paths = seen_by(looking_down(), view=1)
     vectors = appearance_vectors(2, 2)
-    scene = Scene(floor_at(0.0), appearance=vectors)
-    assert number(appearance_loss(scene, paths)) == 0.0
+    renderer = VolumeRenderer(floor_at(0.0), appearance=vectors)
+    assert number(appearance_loss(renderer, paths)) == 0.0
     vectors.weight.data[1] = torch.tensor([3.0, 4.0])
-    assert number(appearance_loss(scene, paths)) == pytest.approx(12.5)
+    assert number(appearance_loss(renderer, paths)) == pytest.approx(12.5)
     with pytest.raises(ValueError, match="no appearance vectors"):
-        appearance_loss(Scene(floor_at(0.0)), paths)
+        appearance_loss(VolumeRenderer(floor_at(0.0)), paths)
 
 
 def opacity_is(formula) -> AnalyticVolume:
@@ -195,7 +196,7 @@ def test_samples_by_score_crowd_where_it_is_high_and_still_add_up_to_the_path(sh
     near_floor = number(((z > -0.125) & (z < 0.125)).float().mean())
     assert near_floor == pytest.approx((1.0 - share) * 0.125 + share, abs=0.03)  # one of 40 samples
     fog = AnalyticVolume(lambda x: torch.full((len(x),), 0.7))
-    even = Scene(fog, background=BLACK).render(paths, samples)
+    even = VolumeRenderer(fog, background=BLACK).render(paths, samples)
     expected = 1.0 - torch.exp(-0.7 * (paths.far - paths.near))
     torch.testing.assert_close(even.opacity, expected, rtol=1e-5, atol=0.0)  # 40 additions in float32
 
@@ -218,29 +219,29 @@ SWITCHES = [
 
 @pytest.fixture
 def trained_on():
-    """A scene, paths with colours and priors that disagree with it, what they show of it, and the proxy."""
+    """A renderer, paths with colours and priors that disagree with it, what they show of it, and the proxy."""
     torch.manual_seed(0)
     vectors = appearance_vectors(1, 2)
     vectors.weight.data += 0.3
     model = AnalyticVolume(lambda x: 6.0 * torch.sigmoid(8.0 * torch.sin(4.0 * x[:, 0] + 3.0 * x[:, 2])))
-    scene = Scene(model, appearance=vectors, background=BLACK)
+    renderer = VolumeRenderer(model, appearance=vectors, background=BLACK)
     paths, cells = seen_by(looking_down()), Cells.everywhere(BOX, 32)
     paths.rgb = torch.rand(len(paths), 3)
     known = torch.rand(len(paths), COLUMNS)
     known[:, 0] += 4.0
     known[:, 4], known[:, 5:] = 1.0, torch.nn.functional.normalize(known[:, 5:], dim=1)
     paths.priors = known
-    return scene, paths, scene.render(paths, cells.samples(paths, 32, jitter=False)), cells
+    return renderer, paths, renderer.render(paths, cells.samples(paths, 32, jitter=False)), cells
 
 
 @pytest.mark.parametrize("losses", SWITCHES, ids=str)
 def test_each_switch_adds_its_weight_times_its_loss_and_reaches_what_it_should(losses, trained_on):
-    scene, paths, rendered, cells = trained_on
+    renderer, paths, rendered, cells = trained_on
     torch.manual_seed(1)
-    once = losses(scene, paths, rendered, cells, None)
+    once = losses(renderer, paths, rendered, cells, None)
     assert math.isfinite(number(once))
     assert number(once) > 0.0
-    reached = scene.appearance.weight if losses.appearance else scene.model.scale
+    reached = renderer.appearance.weight if losses.appearance else renderer.model.scale
     (gradient,) = torch.autograd.grad(once, [reached])
     assert torch.isfinite(gradient).all()
     assert number(gradient.abs().max()) > 0.0
@@ -262,5 +263,7 @@ def test_losses_count_only_after_their_share_of_the_steps(monkeypatch):
     camera = looking_down()
     image = np.full((24, 24, 3), 128, dtype=np.uint8)
     training = Training(steps=10, rays=16, samples=8, cells=8, refresh=(), losses_from=0.4)
-    train_scene(Scene(floor_at(0.0)), Photographs([camera], [image], [np.arange(576)]), training, lambda done: None)
+    train_volume(
+        VolumeRenderer(floor_at(0.0)), Photographs([camera], [image], [np.arange(576)]), training, lambda done: None
+    )
     assert len(counted) == 6

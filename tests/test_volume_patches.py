@@ -11,9 +11,10 @@ from analytic_volume import BOX, WATER, AnalyticVolume, floor_at, looking_down, 
 
 from fields.volume.losses import Losses, PatchWeights
 from fields.volume.patches import C1, C2, NOISE, as_patches, ncc_loss, smooth_normals_loss, ssim_loss
+from fields.volume.photographs import Photographs
+from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
-from fields.volume.scene import Scene
-from fields.volume.train import Photographs, Training, train_scene
+from fields.volume.train import Training, train_volume
 from fields.volume.virtual_views import paths_through, virtual_view_loss
 
 
@@ -108,11 +109,11 @@ def test_patches_larger_than_what_shows_the_scene_are_refused():
 
 def test_training_on_patches_draws_them_whole(monkeypatch):
     drawn = []
-    scene = Scene(floor_at(0.0))
+    renderer = VolumeRenderer(floor_at(0.0))
     monkeypatch.setattr(Photographs, "draw", lambda self, count, box, rng, patch, draw=Photographs.draw: (
         drawn.append((count, patch)), draw(self, count, box, rng, patch))[1])  # fmt: skip
     training = Training(steps=3, rays=100, samples=8, cells=8, refresh=(), losses=Losses(patches=PatchWeights(4, 0.1)))
-    train_scene(scene, photographs(), training, lambda done: None)
+    train_volume(renderer, photographs(), training, lambda done: None)
     assert drawn == [(3 * 6, 4)]
 
 
@@ -128,36 +129,36 @@ def test_virtual_paths_pass_their_points_at_their_lengths_and_bend_as_a_camera_t
     assert ((moved.near <= length) & (length <= moved.far)).all()
 
 
-def virtual_loss(scene: Scene, brighter: float = 0.0) -> float:
+def virtual_loss(renderer: VolumeRenderer, brighter: float = 0.0) -> float:
     """Where photographs show the scene itself, brighter by a number."""
     torch.manual_seed(0)
     paths, cells = seen_by(looking_down(), WATER), Cells.everywhere(BOX, 16)
-    rendered = scene.render(paths, cells.samples(paths, 256, jitter=False))
+    rendered = renderer.render(paths, cells.samples(paths, 256, jitter=False))
     paths.rgb = rendered.rgb.detach() + brighter
-    return virtual_view_loss(scene, paths, rendered, cells, WATER).item()
+    return virtual_view_loss(renderer, paths, rendered, cells, WATER).item()
 
 
 def test_virtual_views_of_a_floor_agree_with_it_and_through_fog_they_do_not():
-    floor = Scene(floor_at(-0.2, width=0.002, density=1000.0))
+    floor = VolumeRenderer(floor_at(-0.2, width=0.002, density=1000.0))
     # Pieces of a virtual path are 2 m / 48 long, half of one over the box's edge of 2 m is 0.01.
     assert virtual_loss(floor) < 0.01
-    fog = Scene(AnalyticVolume(lambda x: torch.full((len(x),), 2.0)))
+    fog = VolumeRenderer(AnalyticVolume(lambda x: torch.full((len(x),), 2.0)))
     # Mean distance from the median of an exponential law of 0.5 m, ln 2 of it, is 0.35 m: over the edge 0.17.
     assert virtual_loss(fog) == pytest.approx(0.17, abs=0.03)
 
 
 def test_colours_of_virtual_views_are_held_to_the_photograph():
-    floor = Scene(floor_at(-0.2, width=0.002, density=1000.0))
+    floor = VolumeRenderer(floor_at(-0.2, width=0.002, density=1000.0))
     # The pieces of virtual paths move colours by up to 0.01.
     assert virtual_loss(floor, brighter=0.3) - virtual_loss(floor) == pytest.approx(0.09, abs=0.01)
 
 
 def test_points_that_a_virtual_view_cannot_see_are_left_out():
     paths, cells = seen_by(looking_down(), None), Cells.everywhere(BOX, 16)
-    scene = Scene(floor_at(0.0))
-    rendered = scene.render(paths, cells.samples(paths, 64, jitter=False))
+    renderer = VolumeRenderer(floor_at(0.0))
+    rendered = renderer.render(paths, cells.samples(paths, 64, jitter=False))
     # Weights moved 0.6 m below the floor: every virtual view stops at the floor before it.
     rendered.samples.edges += 0.6
-    assert virtual_view_loss(scene, paths, rendered, cells, None).item() == 0.0
+    assert virtual_view_loss(renderer, paths, rendered, cells, None).item() == 0.0
     rendered.weights.data.zero_()
-    assert virtual_view_loss(scene, paths, rendered, cells, None).item() == 0.0
+    assert virtual_view_loss(renderer, paths, rendered, cells, None).item() == 0.0

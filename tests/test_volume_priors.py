@@ -11,11 +11,11 @@ import torch
 from analytic_volume import BOX, WATER, floor_at, looking_down, seen_by
 
 from fields.volume.paths import Paths
+from fields.volume.photographs import Photographs
 from fields.volume.prior_losses import fit_views, length_loss, mean_length, normal_prior_loss, relative_depth_loss
 from fields.volume.priors import COLUMNS, PriorImages, Priors
+from fields.volume.renderer import Rendered, VolumeRenderer
 from fields.volume.sampling import Cells, Samples
-from fields.volume.scene import Rendered, Scene
-from fields.volume.train import Photographs
 from refract import PinholeCamera
 from survey.errors import ImageError
 from survey.photos.priors import read_depth_prior, read_normal_prior
@@ -157,9 +157,9 @@ def test_the_normal_loss_is_its_equation_in_the_local_frame():
 
 def test_normals_of_a_floor_agree_with_a_prior_that_points_up():
     paths, cells = seen_by(looking_down(), WATER), Cells.everywhere(BOX, 32)
-    scene = Scene(floor_at(0.0))
-    depth = scene.render(paths, cells.samples(paths, 64, jitter=False)).depth
-    normals = scene.model.normals(paths.at(depth[:, None])[:, 0], 0.03)
+    renderer = VolumeRenderer(floor_at(0.0))
+    depth = renderer.render(paths, cells.samples(paths, 64, jitter=False)).depth
+    normals = renderer.model.normals(paths.at(depth[:, None])[:, 0], 0.03)
     paths.priors = torch.full((len(paths), COLUMNS), math.nan)
     paths.priors[:, 5:] = torch.tensor([0.0, 0.0, 1.0])
     assert normal_prior_loss(paths, normals).item() < 1e-4  # differences of float32 densities

@@ -14,9 +14,10 @@ from volume_scenes import BOX
 
 from fields.volume.hash_grid import HashSettings, HashVolume
 from fields.volume.paths import Paths, paths_of
+from fields.volume.photographs import Photographs
 from fields.volume.proposal import EVEN_SHARE, Histogram, Proposal, ProposalSettings, bound_of, interlevel_loss
-from fields.volume.scene import Scene
-from fields.volume.train import Photographs, Training, train_scene
+from fields.volume.renderer import VolumeRenderer
+from fields.volume.train import Training, train_volume
 from fields.water_column import WaterColumn
 
 SMALL = ProposalSettings(samples=(40, 24), n_max=(12, 24), n_min=6, levels=3, log2_table=10, hidden=8)
@@ -121,8 +122,8 @@ def test_every_sample_lies_in_its_piece_and_a_path_that_misses_has_no_length():
 def test_the_loss_teaches_the_proposal_alone():
     made, paths = proposal(), falling(20)
     model = HashVolume(BOX, HashSettings(3, 8, 6, 12, hidden=8, geometry=3))
-    scene = Scene(model, column=WaterColumn(), proposal=made)
-    rendered = scene.render(paths, scene.samples(paths, None, 32, jitter=True))
+    renderer = VolumeRenderer(model, column=WaterColumn(), proposal=made)
+    rendered = renderer.render(paths, renderer.samples(paths, None, 32, jitter=True))
     opaque = rendered.weights + 0.5
     opaque.retain_grad()
     made.loss(rendered.samples, opaque).backward()
@@ -131,18 +132,18 @@ def test_the_loss_teaches_the_proposal_alone():
     assert [name for name, p in made.named_parameters() if p.grad is None or not p.grad.any()] == []
 
 
-def test_a_scene_has_the_proposals_parameters_and_comes_back_bit_for_bit():
-    scene, again = (
-        Scene(HashVolume(BOX, HashSettings(3, 8, 6, 12, hidden=8, geometry=3)), proposal=proposal(seed))
+def test_a_renderer_has_the_proposals_parameters_and_comes_back_bit_for_bit():
+    renderer, again = (
+        VolumeRenderer(HashVolume(BOX, HashSettings(3, 8, 6, 12, hidden=8, geometry=3)), proposal=proposal(seed))
         for seed in (0, 1)
     )
-    learning = [p for group in scene.rates() for p in group.parameters]
-    assert {id(p) for p in learning} == {id(p) for p in scene.parameters()}
+    learning = [p for group in renderer.rates() for p in group.parameters]
+    assert {id(p) for p in learning} == {id(p) for p in renderer.parameters()}
     stored = io.BytesIO()
-    torch.save(scene.state_dict(), stored)
+    torch.save(renderer.state_dict(), stored)
     stored.seek(0)
     again.load_state_dict(torch.load(stored))
-    assert torch.equal(scene.proposal.density(1, positions(9)), again.proposal.density(1, positions(9)))
+    assert torch.equal(renderer.proposal.density(1, positions(9)), again.proposal.density(1, positions(9)))
 
 
 def test_the_defaults_are_those_of_nerfacto():
@@ -157,9 +158,9 @@ def test_rounds_of_unequal_number_are_refused():
 
 
 def test_a_second_sampler_is_refused():
-    scene = Scene(HashVolume(BOX, HashSettings(3, 8, 6, 12)), proposal=proposal())
-    with pytest.raises(ValueError, match=r"by_score is 0\.3, but the scene's proposal draws samples: use one of both"):
-        train_scene(scene, Photographs([], [], []), Training(by_score=0.3), lambda share: None)
+    renderer = VolumeRenderer(HashVolume(BOX, HashSettings(3, 8, 6, 12)), proposal=proposal())
+    with pytest.raises(ValueError, match=r"by_score is 0\.3, but the volume's proposal draws samples: use one of both"):
+        train_volume(renderer, Photographs([], [], []), Training(by_score=0.3), lambda share: None)
 
 
 def test_a_proposal_learns_with_its_volume():

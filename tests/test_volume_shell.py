@@ -11,8 +11,8 @@ from analytic_volume import BOX, WATER, AnalyticVolume, looking_down, seen_by
 from torch import nn
 
 from fields.volume.paths import Box, paths_along
+from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
-from fields.volume.scene import Scene
 from fields.volume.shell import Shell, inverted, octaves
 from refract import PinholeCamera
 
@@ -124,14 +124,14 @@ def test_octaves_are_sines_and_cosines_of_doubled_coordinates():
 
 def test_a_shell_learns_a_distant_backdrop_behind_an_empty_box():
     torch.manual_seed(0)
-    scene = Scene(AnalyticVolume(lambda x: torch.zeros(len(x))), background=Shell(BOX))
+    renderer = VolumeRenderer(AnalyticVolume(lambda x: torch.zeros(len(x))), background=Shell(BOX))
     camera = PinholeCamera(np.zeros(3), np.eye(3), 12.0, 12.0, 12.0, 12.0, 24, 24)
     paths = seen_by(camera)
     paths.rgb = 0.5 + 0.3 * torch.sin(3.0 * paths.air)
-    optimiser = torch.optim.Adam(scene.background.parameters(), lr=0.01)
+    optimiser = torch.optim.Adam(renderer.background.parameters(), lr=0.01)
     samples = Cells.everywhere(BOX, 8).samples(paths, 4, jitter=False)
     for _ in range(60):
-        loss = ((scene.render(paths, samples).rgb - paths.rgb) ** 2).mean()
+        loss = ((renderer.render(paths, samples).rgb - paths.rgb) ** 2).mean()
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()

@@ -8,10 +8,12 @@ import torch
 from volume_scenes import BOX, WATER, Slab, bed_photographs, looking_down
 
 from fields.device import choose_device
+from fields.volume.photographs import Photographs
+from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
-from fields.volume.scene import Scene
 from fields.volume.tensor import TensorSettings, TensorVolume
-from fields.volume.train import Photographs, Training, proxy_of, render_volume, train_scene
+from fields.volume.train import Training, proxy_of, train_volume
+from fields.volume.view import render_volume
 
 BED_M = -1.5
 SMALL = {"n_min": 8, "n_max": 32, "channels": 4, "degree": 0, "hidden": 16, "switch_window": 20}
@@ -21,15 +23,15 @@ def quietly(share: float) -> None:
     """Progress that nobody looks at."""
 
 
-def tensor_scene(kind: str = "mdw") -> Scene:
+def tensor_renderer(kind: str = "mdw") -> VolumeRenderer:
     torch.manual_seed(0)  # of the heads
-    return Scene(TensorVolume(BOX, getattr(TensorSettings, kind)(**SMALL), choose_device("cpu")))
+    return VolumeRenderer(TensorVolume(BOX, getattr(TensorSettings, kind)(**SMALL), choose_device("cpu")))
 
 
-def heights(scene: Scene, cells: Cells, photographs) -> np.ndarray:
+def heights(renderer: VolumeRenderer, cells: Cells, photographs) -> np.ndarray:
     """Of the bed as the first view sees it, at the pixels that show it."""
     camera, pixels = photographs.cameras[0], photographs.pixels[0]
-    view = render_volume(scene, camera, photographs.water, cells, samples=64)
+    view = render_volume(renderer, camera, photographs.water, cells, samples=64)
     return view.points.reshape(-1, 3)[pixels, 2]
 
 
@@ -40,9 +42,9 @@ SHORT = Training(steps=300, rays=384, samples=24, cells=32, refresh=(0.6,))
 
 def test_training_finds_a_bed_under_water_from_nothing_coarse_to_fine():
     photographs = bed_photographs(BED_M, views=9)
-    scene, shares = tensor_scene("mdw"), []
-    cells, figures = train_scene(scene, photographs, SHORT, shares.append)
-    found = heights(scene, cells, photographs)
+    renderer, shares = tensor_renderer("mdw"), []
+    cells, figures = train_volume(renderer, photographs, SHORT, shares.append)
+    found = heights(renderer, cells, photographs)
     cell = BOX.edge / 32
     assert abs(np.median(found) - BED_M) < cell
     assert np.median(np.abs(found - BED_M)) < 1.5 * cell
@@ -54,11 +56,11 @@ def test_training_finds_a_bed_under_water_from_nothing_coarse_to_fine():
 
 def test_without_water_the_same_photographs_put_the_bed_too_high():
     photographs = bed_photographs(BED_M, views=9)
-    scene = tensor_scene("mdw")
+    renderer = tensor_renderer("mdw")
     photographs.water = None
-    cells, _ = train_scene(scene, photographs, SHORT, quietly)
+    cells, _ = train_volume(renderer, photographs, SHORT, quietly)
     # At small angles depth appears divided by the index: 1.5 m as 1.13 m.
-    assert np.median(heights(scene, cells, photographs)) == pytest.approx(BED_M / WATER.n_water, abs=0.06)
+    assert np.median(heights(renderer, cells, photographs)) == pytest.approx(BED_M / WATER.n_water, abs=0.06)
 
 
 def test_paths_are_drawn_from_the_pixels_given_each_photograph_by_its_share():
@@ -92,19 +94,19 @@ def test_a_bed_in_a_box_is_seen_by_the_pixels_whose_path_leaves_through_the_floo
 def test_the_same_seed_draws_the_same_paths_and_trains_the_same_volume():
     photographs = bed_photographs(views=3)
     training = Training(steps=3, rays=64, samples=8, cells=8, refresh=())
-    scenes = [tensor_scene(), tensor_scene()]
-    for scene in scenes:
-        scene.model.factors.device = choose_device("torch")
-        train_scene(scene, photographs, training, quietly, seed=5)
-    one, other = (s.state_dict() for s in scenes)
+    renderers = [tensor_renderer(), tensor_renderer()]
+    for renderer in renderers:
+        renderer.model.factors.device = choose_device("torch")
+        train_volume(renderer, photographs, training, quietly, seed=5)
+    one, other = (s.state_dict() for s in renderers)
     assert all(torch.equal(one[k], other[k]) for k in one if torch.is_tensor(one[k]))
 
 
 def test_the_proxy_of_a_field_is_where_it_stops_light():
     cells = Cells.everywhere(BOX, 40)
-    proxy = proxy_of(Scene(Slab(100.0, top=BED_M)), cells, margin=0.04)
+    proxy = proxy_of(VolumeRenderer(Slab(100.0, top=BED_M)), cells, margin=0.04)
     z = cells.centres()[:, 2].view(cells.occupied.shape)
     assert proxy.occupied[z < BED_M].all()
     assert not proxy.occupied[z > BED_M + 0.1].any()
-    fog = proxy_of(Scene(Slab(1.0 / BOX.edge)), cells, margin=0.04)
+    fog = proxy_of(VolumeRenderer(Slab(1.0 / BOX.edge)), cells, margin=0.04)
     assert not fog.occupied.any()

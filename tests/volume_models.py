@@ -11,9 +11,9 @@ from volume_scenes import BOX, bed_photographs
 
 from fields.volume.model import VolumeModel
 from fields.volume.proposal import Proposal
+from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
-from fields.volume.scene import Scene
-from fields.volume.train import Training, train_scene
+from fields.volume.train import Training, train_volume
 from fields.water_column import WaterColumn
 
 APPEARANCE = 3
@@ -78,19 +78,19 @@ def check_interface(make: Make) -> None:
     assert all(torch.equal(a, b) for a, b in zip(outputs(again, look), found, strict=True))
 
 
-def check_learning(make: Make, *, steps: int, share: float, proposal: Proposal | None = None) -> Scene:
+def check_learning(make: Make, *, steps: int, share: float, proposal: Proposal | None = None) -> VolumeRenderer:
     """The error on photographs of a painted bed under 1.5 m of water falls to a share of it within few steps."""
-    scene = Scene(seeded(make, 0, 0), column=WaterColumn(), proposal=proposal)
+    renderer = VolumeRenderer(seeded(make, 0, 0), column=WaterColumn(), proposal=proposal)
     photographs, cells = bed_photographs(views=4), Cells.everywhere(BOX, 32)
     paths = photographs.draw(400, BOX, np.random.default_rng(7))
 
     def error() -> float:
         with torch.no_grad():
-            rendered = scene.render(paths, scene.samples(paths, cells, 32, jitter=False))
+            rendered = renderer.render(paths, renderer.samples(paths, cells, 32, jitter=False))
         return float(((rendered.rgb - paths.rgb) ** 2).mean())
 
     before = error()
     training = Training(steps=steps, rays=128, samples=24, refresh=(), final_rate=0.3)
-    train_scene(scene, photographs, training, lambda share: None, cells=cells)
+    train_volume(renderer, photographs, training, lambda share: None, cells=cells)
     assert error() < share * before
-    return scene
+    return renderer

@@ -10,7 +10,7 @@ from fields.gamma import GAMMA
 from fields.training import Rates
 from fields.volume.model import VolumeModel
 from fields.volume.paths import Box
-from fields.volume.train import Photographs
+from fields.volume.photographs import Photographs
 from refract import FlatWater, PinholeCamera
 
 BOX = Box(np.array([-1.0, -1.0, -2.0]), np.array([1.0, 1.0, -0.5]))

@@ -9,8 +9,8 @@ import torch
 from scipy.ndimage import binary_closing, maximum_filter
 from torch import Tensor
 
-from fields.slab.grid import Slab
 from fields.slab.rays import Rays, rays_of
+from fields.slab.slab import Slab
 from fields.slab.tensor_field import TensorField
 from fields.threads import half_the_threads
 from refract import FlatWater, PinholeCamera

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fields.slab.grid import Slab
+from fields.slab.slab import Slab
 from refract import FlatWater, PinholeCamera, fresnel_coefficients
 
 # A ray meets the proxy where these many steps along it settle, from the height that the sweep or the bound gives.

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from fields.slab.from_sweep import slab_rays
 from fields.slab.tensor_field import TensorField
-from fields.slab.train import slab_rays
 from fields.sweep.sweep import DepthMap
 from fields.threads import half_the_threads
 from refract import FlatWater, PinholeCamera

@@ -8,17 +8,21 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from fields.compositing import log_transmittance, quantile_height, render_weights
+from fields.compositing import (
+    MIN_COLOUR_WEIGHT,
+    composite,
+    log_transmittance,
+    quantile_height,
+    render_weights,
+    with_opaque_end,
+)
 from fields.device import Device
 from fields.factors import Factors, anisotropic_grids
 from fields.gamma import as_stored
 from fields.heads import ColourHead, DensityHead
-from fields.slab.grid import Slab
 from fields.slab.rays import Rays
+from fields.slab.slab import Slab
 from fields.water_column import WaterColumn
-
-# Colour is looked up only where a sample matters (MDW-NeRF).
-MIN_COLOUR_WEIGHT = 1e-2
 
 
 @dataclass(frozen=True)
@@ -102,8 +106,7 @@ class TensorField(nn.Module):
         features = self._features(rays.at(z), _middles(zeta))
         weights = render_weights(self._thickness(features, zeta))
         # The bed is opaque: light that passed the slab's lower end met it there.
-        weights = torch.cat([weights[:, :-1], 1.0 - weights[:, :-1].sum(dim=1, keepdim=True)], dim=1)
-        return weights, ends, features
+        return with_opaque_end(weights), ends, features
 
     def render(self, rays: Rays, *, jitter: bool, dry: bool = False) -> tuple[Tensor, Tensor, Tensor]:
         """Colours (rays, 3) as stored in photographs, weights (rays, samples) and interval ends (rays, samples + 1).
@@ -112,13 +115,7 @@ class TensorField(nn.Module):
         """
         weights, ends, features = self.weigh(rays, jitter=jitter)
         z = _middles(ends)
-        painted = weights.detach() > MIN_COLOUR_WEIGHT
-        where = painted.view(-1).nonzero()[:, 0]
-        seen = torch.zeros(z.numel(), 3).index_put((where,), self.colour(features[where], None))
-        # Samples too light to be looked up take the others' colour: left black, they would push the bed about.
-        share = weights * painted
-        share = share / share.sum(dim=1, keepdim=True)
-        radiance = (share[..., None] * seen.view(*z.shape, 3)).sum(dim=1)
+        radiance = composite(weights, lambda where: self.colour(features[where], None))
         if self.column is not None and not dry:
             bed = (weights.detach() * z).sum(dim=1)
             depth = (-bed).clamp(min=0.0)

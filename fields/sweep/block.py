@@ -1,4 +1,4 @@
-"""The views of one survey, ready to be matched: images, cameras, water, and who sees what."""
+"""The views of one survey, ready to be matched: images, cameras, water, and which view sees what."""
 
 from __future__ import annotations
 

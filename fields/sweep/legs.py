@@ -16,7 +16,7 @@ from refract import kernels
 
 # One step leaves 0.015 px at worst in drone geometry, from 5 m over 15 m of water, and 4e-4 px rms (docs/optics.md).
 CROSSING_STEPS = 1
-# A ray that falls less than this per metre never comes down to the plane.
+# A ray that falls less than this per metre never reaches the plane.
 LEAST_FALL = 1e-3
 
 

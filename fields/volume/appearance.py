@@ -11,9 +11,9 @@ import torch
 from torch import nn
 
 from fields.threads import half_the_threads
+from fields.volume.photographs import Photographs
+from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
-from fields.volume.scene import Scene
-from fields.volume.train import Photographs
 
 # Of each path.
 SAMPLES = 48
@@ -36,49 +36,55 @@ def appearance_vectors(photographs: int, length: int) -> nn.Embedding:
 
 @half_the_threads()
 def match_appearance(
-    scene: Scene, photographs: Photographs, cells: Cells, *, steps: int = 100, rays: int = 2048, seed: int = 0
+    renderer: VolumeRenderer,
+    photographs: Photographs,
+    cells: Cells,
+    *,
+    steps: int = 100,
+    rays: int = 2048,
+    seed: int = 0,
 ) -> nn.Embedding:
-    """Vectors of other photographs that make a trained scene look like them; all else stays as it is.
+    """Vectors of other photographs that make a trained volume look like them; all else stays as it is.
 
-    As a submodule of the tidal flats takes on the look of its neighbour: about 100 steps, from the mean of the scene's
+    As a submodule of the tidal flats takes on the look of its neighbour: about 100 steps, from the mean of the volume's
     own vectors.
 
     Parameters
     ----------
     photographs : Photographs
-        Of the scene, not those that it was trained with.
+        Of the same place, not those that it was trained with.
     cells : Cells
         The proxy that training left.
 
     Returns
     -------
     nn.Embedding
-        A vector for each of the photographs; give it to the scene as its ``appearance`` to see it with them.
+        A vector for each of the photographs; give it to the renderer as its ``appearance`` to see it with them.
 
     Raises
     ------
     ValueError
-        If the scene has no appearance vectors.
+        If the renderer has no appearance vectors.
     """
-    own = scene.appearance
+    own = renderer.appearance
     if own is None:
-        raise ValueError("the scene has no appearance vectors to match; train it with `appearance_vectors`")
+        raise ValueError("the volume has no appearance vectors to match; train it with `appearance_vectors`")
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
     vectors = appearance_vectors(len(photographs.cameras), own.embedding_dim)
     vectors.weight.data += own.weight.detach().mean(dim=0)
     optimiser = torch.optim.Adam(vectors.parameters(), lr=0.05)
     falling = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
-    scene.appearance = vectors
+    renderer.appearance = vectors
     try:
         for _ in range(steps):
-            paths = photographs.draw(rays, scene.model.box, rng)
-            rendered = scene.render(paths, scene.samples(paths, cells, SAMPLES, jitter=True))
+            paths = photographs.draw(rays, renderer.model.box, rng)
+            rendered = renderer.render(paths, renderer.samples(paths, cells, SAMPLES, jitter=True))
             error = ((rendered.rgb - paths.rgb) ** 2).mean()
             optimiser.zero_grad(set_to_none=True)
             error.backward(inputs=[vectors.weight])
             optimiser.step()
             falling.step()
     finally:
-        scene.appearance = own
+        renderer.appearance = own
     return vectors

@@ -13,8 +13,8 @@ from fields.volume.density_loss import density_loss, draw_nodes, gaussian_densit
 from fields.volume.patches import as_patches, ncc_loss, smooth_normals_loss, ssim_loss
 from fields.volume.paths import Paths
 from fields.volume.prior_losses import length_loss, normal_prior_loss, relative_depth_loss
+from fields.volume.renderer import Rendered, VolumeRenderer
 from fields.volume.sampling import Cells
-from fields.volume.scene import Rendered, Scene
 from fields.volume.virtual_views import virtual_view_loss
 from refract import WaterSurface
 
@@ -83,19 +83,19 @@ class Losses:
         return patches.size if patches.ncc or patches.ssim or patches.smooth_normals else 1
 
     def __call__(
-        self, scene: Scene, paths: Paths, rendered: Rendered, cells: Cells, water: WaterSurface | None
+        self, renderer: VolumeRenderer, paths: Paths, rendered: Rendered, cells: Cells, water: WaterSurface | None
     ) -> Tensor:
         """The weighted sum, a scalar."""
-        seen = Seen(scene, paths, rendered, cells)
+        seen = Seen(renderer, paths, rendered, cells)
         size = self.patches.size
         terms: list[tuple[float, Callable[[], Tensor]]] = [
             (self.transparency, lambda: transparency_loss(rendered)),
             (self.distortion, lambda: distortion_loss(paths, rendered)),
             (self.orientation, lambda: orientation_loss(seen.normals, seen.direction, rendered.opacity.detach())),
-            (self.appearance, lambda: appearance_loss(scene, paths)),
-            (self.density, lambda: density_loss(draw_nodes(scene.model, seen.cell))),
-            (self.gaussian_density, lambda: gaussian_density_loss(scene.model, seen.cell)),
-            (self.virtual_views, lambda: virtual_view_loss(scene, paths, rendered, cells, water)),
+            (self.appearance, lambda: appearance_loss(renderer, paths)),
+            (self.density, lambda: density_loss(draw_nodes(renderer.model, seen.cell))),
+            (self.gaussian_density, lambda: gaussian_density_loss(renderer.model, seen.cell)),
+            (self.virtual_views, lambda: virtual_view_loss(renderer, paths, rendered, cells, water)),
             (self.patches.ncc, lambda: ncc_loss(as_patches(rendered.rgb, size), as_patches(paths.rgb, size))),
             (self.patches.ssim, lambda: ssim_loss(as_patches(rendered.rgb, size), as_patches(paths.rgb, size))),
             (
@@ -103,7 +103,7 @@ class Losses:
                 lambda: smooth_normals_loss(as_patches(seen.normals, size), as_patches(paths.rgb, size)),
             ),
             (self.priors.length, lambda: length_loss(paths, rendered)),
-            (self.priors.depth, lambda: relative_depth_loss(paths, rendered, scene.model.box.edge)),
+            (self.priors.depth, lambda: relative_depth_loss(paths, rendered, renderer.model.box.edge)),
             (self.priors.normal, lambda: normal_prior_loss(paths, seen.normals)),
         ]
         return sum((weight * loss() for weight, loss in terms if weight), torch.zeros(()))
@@ -113,7 +113,7 @@ class Losses:
 class Seen:
     """What a batch of paths meets, computed once for all losses that ask for it."""
 
-    scene: Scene
+    renderer: VolumeRenderer
     paths: Paths
     rendered: Rendered
     cells: Cells
@@ -136,13 +136,13 @@ class Seen:
     @cached_property
     def normals(self) -> Tensor:
         """Normals (N, 3) there, by differences over one cell of the proxy."""
-        return self.scene.model.normals(self.paths.at(self.depth)[:, 0], 0.5 * self.cell)
+        return self.renderer.model.normals(self.paths.at(self.depth)[:, 0], 0.5 * self.cell)
 
 
 def transparency_loss(rendered: Rendered) -> Tensor:
     """Mean share of the light that passes through: for scenes in which every path ends on the bed.
 
-    Without a background it is zero of itself: what reaches the last sample then comes from there.
+    Without a background it is always zero: the last sample then takes all that reaches it.
     """
     return (1.0 - rendered.opacity).mean()
 
@@ -172,14 +172,14 @@ def orientation_loss(normals: Tensor, direction: Tensor, opacity: Tensor) -> Ten
     return (opacity * (normals * direction).sum(dim=1).clamp(min=0.0) ** 2).mean()
 
 
-def appearance_loss(scene: Scene, paths: Paths) -> Tensor:
+def appearance_loss(renderer: VolumeRenderer, paths: Paths) -> Tensor:
     """Mean square of the appearance vectors of the paths: what all photographs share belongs to the colour itself.
 
     Raises
     ------
     ValueError
-        If the scene has no appearance vectors.
+        If the renderer has no appearance vectors.
     """
-    if scene.appearance is None:
-        raise ValueError("the loss on appearance has a weight, but the scene has no appearance vectors; give it some")
-    return (scene.appearance(paths.view) ** 2).mean()
+    if renderer.appearance is None:
+        raise ValueError("the loss on appearance has a weight, but the volume has no appearance vectors; give it some")
+    return (renderer.appearance(paths.view) ** 2).mean()

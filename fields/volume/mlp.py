@@ -1,12 +1,11 @@
 """Positions through sines and a multilayer perceptron: NeRF and TinyNeRF are one model with two settings.
 
-    gamma_L(p) = (p, sin(2^0 pi p), cos(2^0 pi p), ..., sin(2^(L-1) pi p), cos(2^(L-1) pi p)), p in [-1, 1]      (1)
-    h = trunk(gamma(x)), relu after each layer;  density = softplus of a linear map of h                         (2)
-    colour = a linear map of relu(W [V h, gamma(d)]);  of a matt scene, of h alone                               (3)
+    h = trunk(gamma(x)), relu after each layer;  density = softplus of a linear map of h                         (1)
+    colour = a linear map of relu(W [V h, gamma(d)]);  of a matt scene, of h alone                               (2)
 
-Mildenhall et al. 2020, section 5.1 and figure 7. Different here: p itself goes along, as in the authors' code, since
-sines alone read the same at both ends of the box; softplus instead of relu, which can die over a whole box (mip-NeRF);
-radiance is linear light and may exceed 1; there is one network, and where it is asked is the sampler's business.
+Mildenhall et al. 2020, figure 7; gamma is `frequency_encoding`. Different here: softplus instead of relu, which can die
+over a whole box (mip-NeRF); radiance is linear light and may exceed 1; there is one network, and the sampler decides
+where it is evaluated.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from fields.training import Rates
+from fields.volume.encoding import encoded_length, frequency_encoding
 from fields.volume.model import VolumeModel, density_of
 from fields.volume.paths import Box
 
@@ -109,15 +109,3 @@ class MlpVolume(VolumeModel):
 
     def rates(self) -> list[Rates]:
         return [Rates(list(self.parameters()), self.RATE)]
-
-
-def encoded_length(frequencies: int) -> int:
-    """Length of gamma_L of three coordinates."""
-    return 3 + 6 * frequencies
-
-
-def frequency_encoding(p: Tensor, frequencies: int) -> Tensor:
-    """Equation (1) of coordinates (S, 3): (S, 3 + 6 L), the coordinates, all their sines, all their cosines."""
-    waves = torch.pi * 2.0 ** torch.arange(frequencies, dtype=p.dtype)
-    angle = (p[:, None, :] * waves[:, None]).flatten(1)
-    return torch.cat([p, torch.sin(angle), torch.cos(angle)], dim=1)

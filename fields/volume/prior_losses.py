@@ -1,4 +1,4 @@
-"""Losses that hold a scene to what is known beforehand: lengths with a spread, monocular depth, monocular normals."""
+"""Losses that hold a volume to what is known beforehand: lengths with a spread, monocular depth, monocular normals."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from torch import Tensor
 
 from fields.volume.paths import Paths
 from fields.volume.priors import Priors
-from fields.volume.scene import Rendered
+from fields.volume.renderer import Rendered
 
 # Scale and shift of a photograph are told from at least this many paths of a batch; of two, any depth fits.
 MIN_FITTED = 8

@@ -1,6 +1,6 @@
-"""A small density of its own that says where a volume is worth asking (mip-NeRF 360, Barron et al. 2022; Nerfacto).
+"""A small density of its own that says where a volume is worth evaluating (mip-NeRF 360, Barron et al. 2022; Nerfacto).
 
-Paths are sampled evenly, then where the weights of the first density lie, and so on; the volume is asked last. Its
+Paths are sampled evenly, then where the weights of the first density lie, and so on; the volume is evaluated last. Its
 weights w over pieces T teach each histogram (t', w') of the proposal:
 
     bound(T) = sum of w'_j over the pieces T'_j that overlap T                                    (their eq. 12)

@@ -1,4 +1,4 @@
-"""Where a path is sampled: in the cells of a proxy, or where another field has put weight."""
+"""Where a path is sampled: in the cells of a proxy, or where another field has weight."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Samples:
     Attributes
     ----------
     s : (N, K) [m]
-        Path lengths at which the field is asked.
+        Path lengths at which the field is evaluated.
     length : (N, K) [m]
         Of the piece of path that each sample stands for.
     edges : (N, K + 1) [m]

@@ -19,11 +19,11 @@ from torch import Tensor, nn
 from torch.nn.utils.parametrizations import weight_norm
 
 from fields.training import Rates
-from fields.volume.mlp import encoded_length, frequency_encoding
+from fields.volume.encoding import encoded_length, frequency_encoding
 from fields.volume.model import VolumeModel
 from fields.volume.paths import Box
 
-# Asked without training, so many samples are differentiated at once: 1 GB of activations in the paper's network.
+# Without training so many samples are differentiated at once: 1 GB of activations in the paper's network.
 CHUNK = 1 << 15
 
 

@@ -23,7 +23,7 @@ OCTAVES = 5
 
 
 class Shell(nn.Module):
-    """Colour and density about a box, to infinity; the background of a `Scene`.
+    """Colour and density about a box, to infinity; the background of a `VolumeRenderer`.
 
     Paths go on from where they leave the box, or from where they enter the water if that comes later, in the medium
     that is there. Thickness is density times length in the coordinates (x', y', z', u); what passes it comes from

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from fields.volume.paths import Box, Paths, paths_along
+from fields.volume.renderer import Rendered, VolumeRenderer
 from fields.volume.sampling import Cells
-from fields.volume.scene import Rendered, Scene
 from refract import WaterSurface, crossing_point
 
 # Virtual cameras stand this share of the mean path length away from the photograph's.
@@ -25,7 +25,7 @@ SAMPLES = 48
 
 
 def virtual_view_loss(
-    scene: Scene, paths: Paths, rendered: Rendered, cells: Cells, water: WaterSurface | None
+    renderer: VolumeRenderer, paths: Paths, rendered: Rendered, cells: Cells, water: WaterSurface | None
 ) -> Tensor:
     """Squared error of colour, and error of depth in edges of the box, in virtual views of what the paths meet.
 
@@ -39,12 +39,12 @@ def virtual_view_loss(
     paths, depth = paths[seen], rendered.depth[seen]
     points = paths.at(depth[:, None])[:, 0]
     centres = paths.origin + BASELINE * depth.mean() * _offsets(paths.view)
-    moved, length = paths_through(centres, points, water, paths, scene.model.box)
-    again = scene.render(moved, scene.samples(moved, cells, SAMPLES, jitter=True))
+    moved, length = paths_through(centres, points, water, paths, renderer.model.box)
+    again = renderer.render(moved, renderer.samples(moved, cells, SAMPLES, jitter=True))
     cell = cells.box.edge / max(cells.occupied.shape)
     shown = ((again.depth > length - HIDDEN_CELLS * cell) & (moved.near < moved.far)).detach()
     colour = ((again.rgb - paths.rgb) ** 2).mean(dim=1)
-    away = (again.weights * (again.samples.s - length[:, None]).abs()).sum(dim=1) / scene.model.box.edge
+    away = (again.weights * (again.samples.s - length[:, None]).abs()).sum(dim=1) / renderer.model.box.edge
     return ((colour + away) * shown).sum() / shown.sum().clamp(min=1)
 
 

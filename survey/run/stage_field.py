@@ -6,8 +6,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fields.slab.from_sweep import slab_of
 from fields.slab.tensor_field import FieldSettings
-from fields.slab.train import Schedule, slab_of, train
+from fields.slab.train import Schedule, train
 from survey.plan.block import AREA_MARGIN_M, backend, grown, local_area
 from survey.progress import shares
 from survey.run.sources import sources_of

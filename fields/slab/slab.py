@@ -2,8 +2,8 @@
 
     zeta = z - h0(x, y)      z over the water plane, h0 the proxy; the slab is |zeta| <= half
 
-A product of plane and vector describes a bed whose height varies over metres badly, and in sheared coordinates almost
-exactly.
+A product of a plane and a vector can hardly describe a bed whose height varies over metres; in sheared coordinates it
+does so almost exactly.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A volume with what stands around it: the water, each photograph's appearance, and what lies behind the box."""
+"""From paths to colours: a volume with the water, each photograph's appearance, and what lies behind the box."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from fields.compositing import quantile_height, render_weights
+from fields.compositing import composite, quantile_height, render_weights, with_opaque_end
 from fields.gamma import GAMMA, as_stored
 from fields.training import Rates
 from fields.volume.model import VolumeModel
@@ -16,13 +16,10 @@ from fields.volume.proposal import Proposal
 from fields.volume.sampling import Cells, Samples
 from fields.water_column import WaterColumn
 
-# Colour is asked for only where a sample matters (MDW-NeRF).
-MIN_COLOUR_WEIGHT = 1e-2
-
 
 @dataclass
 class Rendered:
-    """What paths (N) show of a scene.
+    """What paths (N) show of a volume.
 
     Attributes
     ----------
@@ -48,14 +45,14 @@ class Rendered:
         return quantile_height(self.weights, self.samples.edges)
 
 
-class Scene(nn.Module):
-    """A volume, and optionally a water column, appearance vectors and a background.
+class VolumeRenderer(nn.Module):
+    """A volume with all that its rendering needs: optionally a water column, appearance vectors and a background.
 
     Parameters
     ----------
     model : VolumeModel
     column : WaterColumn or None
-        What the water does to light; None for a dry scene.
+        What the water does to light; None for a dry one.
     appearance : nn.Embedding or None
         A vector for each photograph.
     background : nn.Module or None
@@ -94,18 +91,14 @@ class Scene(nn.Module):
         thickness, features = self.model.thickness(x, direction, samples.length.reshape(-1))
         weights = render_weights(thickness.view(count, num))
         if self.background is None:
-            rest = (1.0 - weights[:, :-1].sum(dim=1, keepdim=True)) * (paths.far > paths.near)[:, None]
-            weights = torch.cat([weights[:, :-1], rest], dim=1)
-        painted = weights.detach() > MIN_COLOUR_WEIGHT
-        where = painted.view(-1).nonzero()[:, 0]
-        looks = None if self.appearance is None else self.appearance(paths.view)[where // num]
-        seen = self.model.radiance(features[where], direction[where], looks)
-        radiance = torch.zeros(x.shape).index_put((where,), seen).view(count, num, 3)
-        # Samples too light to be looked up take the others' colour: left black, they would darken what is thin.
-        share = weights * painted
+            weights = with_opaque_end(weights, (paths.far > paths.near)[:, None])
         opacity = weights.sum(dim=1, keepdim=True)
-        share = share * (opacity / share.sum(dim=1, keepdim=True).clamp(min=MIN_COLOUR_WEIGHT))
-        colour = (share[..., None] * radiance).sum(dim=1)
+
+        def look(where: Tensor) -> Tensor:
+            vectors = None if self.appearance is None else self.appearance(paths.view)[where // num]
+            return self.model.radiance(features[where], direction[where], vectors)
+
+        colour = composite(weights, look, opacity)
         if self.background is not None:
             colour = colour + (1.0 - opacity) * self.background(paths)
         if self.column is not None and not dry:

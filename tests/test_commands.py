@@ -6,6 +6,7 @@ import errno
 import io
 import os
 import re
+import resource
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -369,6 +370,19 @@ def test_our_own_fault_leaves_its_traceback_in_the_log_and_shows_it_when_asked(m
     assert "in process\n    raise RuntimeError" in log.read_text()
     assert "error: RuntimeError: no such tile" in log.read_text()
     assert "Traceback" in bathynerf("process", "s", "-v").stderr
+
+
+@pytest.mark.parametrize("arguments", [("process", "s"), ("waterline", "s"), ("simulate", "s.toml", "-o", "s")])
+def test_a_limit_on_memory_below_what_any_survey_needs_is_refused(monkeypatch, arguments):
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (1_536_000_000, resource.RLIM_INFINITY))
+    result = bathynerf(*arguments)
+    assert result.exit_code == 2
+    assert "limited to 1.5 GB (ulimit -v), expected at least 3 GB; raise the limit" in result.stderr
+
+
+def test_an_error_that_speaks_of_memory_itself_is_said_as_it_is(monkeypatch):
+    fake_module(monkeypatch, "survey.run.process", process=raising(SurveyError("out of memory; take 8 GB")))
+    assert bathynerf("process", "s").stderr == "error: out of memory; take 8 GB\n"
 
 
 def test_a_full_disk_under_the_log_does_not_hide_the_error(monkeypatch):

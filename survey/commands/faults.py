@@ -62,12 +62,13 @@ def fault_of(error: BaseException, place: Path | None = None, *, stopped: str = 
         return Fault(STOPPED, f"stopped; {stopped}" if stopped else "stopped")
     if has(error, BrokenPipeError):
         return Fault(BROKEN_PIPE, "")
+    if any(_is_of_memory(link) for link in _chain(error)):
+        mend = "take --quality draft, a smaller area ([area] bounds, --bounds) or a machine with more memory"
+        return Fault(BAD_INPUT, f"memory ran out; {mend}")
+    # Not at the head: they take memory, and Ctrl-C may come while they are imported.
     from geo.errors import GeoError
     from survey.errors import SurveyError
 
-    if any(_is_of_memory(link) for link in _chain(error) if not isinstance(link, GeoError | SurveyError)):
-        mend = "take --quality draft, a smaller area ([area] bounds, --bounds) or a machine with more memory"
-        return Fault(BAD_INPUT, f"memory ran out; {mend}")
     if isinstance(error, GeoError | SurveyError):
         return Fault(BAD_INPUT, str(error))
     if isinstance(error, OSError) and (text := refusal_of(error, error.filename or place)):
@@ -99,5 +100,7 @@ def has(error: BaseException, *kinds: type[BaseException]) -> bool:
 
 
 def _is_of_memory(error: BaseException) -> bool:
+    if type(error).__module__.partition(".")[0] in ("geo", "survey"):
+        return False
     text = str(error).lower()
     return isinstance(error, MemoryError) or (any(word in text for word in _NO_MEMORY) and _NOT_MEMORY not in text)

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from survey.commands.console import command
+from survey.commands.memory import require_address_space
 from survey.commands.options import KEPT, Device, DeviceOption, Quality, Quiet, SurveyFolder, Verbose
 
 EXAMPLES = """
@@ -49,6 +50,7 @@ def run(
     """Make the point cloud of the bed, with a report, in a run folder."""
     folder = output or survey / "bathynerf"
     with command(verbose, quiet, folder, stopped=KEPT) as results:
+        require_address_space()
         from survey.run.process import process
 
         code = process(

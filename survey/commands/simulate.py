@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from survey.commands.console import command
+from survey.commands.memory import require_address_space
 from survey.commands.options import KEPT, Quiet, Verbose
 
 EXAMPLES = """
@@ -36,6 +37,7 @@ def run(
 ) -> None:
     """Make a survey of a known scene: photographs, poses, and the truth beside them."""
     with command(verbose, quiet, output, stopped=KEPT) as results:
+        require_address_space()
         from survey.simulate.staging.simulate import simulate, simulate_flight
 
         if flight_only:

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from survey.commands.console import command
+from survey.commands.memory import require_address_space
 from survey.commands.options import Device, DeviceOption, Quiet, SurveyFolder, Verbose
 
 EXAMPLES = """
@@ -34,6 +35,7 @@ def run(
     The survey is not changed.
     """
     with command(verbose, quiet, json or survey) as results:
+        require_address_space()
         from survey.adjust.calibration import estimate_water
 
         found = estimate_water(

@@ -1,0 +1,21 @@
+"""A limit on memory that cannot do, said before the work: Dr.Jit does not survive it, and no sentence could follow."""
+
+from __future__ import annotations
+
+import resource
+
+from survey.errors import SurveyError
+
+# Address space of the smallest survey in draft quality on four cores: 3.0 GB suffice; with 2.8 GB Dr.Jit ends the
+# process by a segmentation fault or an abort.
+_LEAST_BYTES = 3.0e9
+
+
+def require_address_space() -> None:
+    """Raise SurveyError where this process may not have the address space that kernels take at least."""
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit not in (resource.RLIM_INFINITY, -1) and limit < _LEAST_BYTES:
+        raise SurveyError(
+            f"the memory of this process is limited to {limit / 1e9:.1f} GB (ulimit -v), expected at least "
+            f"{_LEAST_BYTES / 1e9:.0f} GB; raise the limit, or use a machine with more memory"
+        )

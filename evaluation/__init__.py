@@ -1,4 +1,17 @@
-"""How far a result is from the truth: numpy arrays in, numbers out, no files."""
+"""How far a result is from the truth: numpy arrays in, numbers out, no files.
+
+| measure | files |
+|---|---|
+| signed distance to a mesh (C2M), **positive above the mesh** | `c2m`, on `triangles` |
+| vertical difference, positive above the mesh | `vertical` |
+| distance along normals (M3C2), positive above the reference | `m3c2` |
+| distance to a cloud, completeness, F-score | `completeness` |
+| bias, spread and scores | `summary`; by depth, incidence and views: `strata`; intervals of confidence: `bootstrap` |
+| IHO S-44 and ASPRS | `standards`; the height of a cloud at check points: `checkpoints` |
+| statistical outliers | `outliers` |
+| what straight rays would give | `baselines` |
+| quality of images | `images/` |
+"""
 
 from evaluation.baselines import apparent_points, per_camera, times_index
 from evaluation.bootstrap import Blocks, mean_interval, spatial_blocks

@@ -1,7 +1,7 @@
-"""What one would get without bending rays before they are matched: straight rays, and corrections afterwards.
+"""What a reconstruction without refraction would give: straight rays, and corrections of their depth afterwards.
 
 Apparent points are those where straight rays meet: each view sees a point of the bed in the direction of the place
-where its light left the water, and a reconstruction without refraction carries those directions on.
+where its light left the water, and a reconstruction without refraction extends those directions as straight lines.
 
 Symbols: N points, V views; arrays over both are padded, ``is_seen`` says what counts.
 """
@@ -20,7 +20,7 @@ def apparent_points(centres: np.ndarray, directions: np.ndarray, is_seen: np.nda
     Parameters
     ----------
     centres : (N, V, 3) [m]
-        Of the cameras, or anything else on the rays.
+        Of the cameras, or any other points on the rays.
     directions : (N, V, 3)
         In air, unit vectors.
     is_seen : (N, V) bool
@@ -32,7 +32,7 @@ def apparent_points(centres: np.ndarray, directions: np.ndarray, is_seen: np.nda
     """
     across = np.eye(3) - directions[..., :, None] * directions[..., None, :]
     across = np.where(is_seen[..., None, None], across, 0.0)
-    # About one of its centres, so that a distance of 1e2 m costs no digits.
+    # Relative to one of the centres, so that a distance of 1e2 m costs no digits.
     first = np.take_along_axis(centres, np.argmax(is_seen, axis=1)[:, None, None], axis=1)
     offsets = np.where(is_seen[..., None], centres - first, 0.0)
     normal = across.sum(axis=1)

@@ -1,7 +1,7 @@
-"""How sure a mean is whose errors are correlated in space: blocks of the plan are drawn again, not points.
+"""Intervals of confidence of a mean whose errors are correlated in space: blocks of the plan are resampled, not points.
 
 Neighbouring points of a cloud share windows, views and poses, and so their errors: sigma / sqrt(n) of a million
-points promises micrometres that are not there. Blocks some correlation lengths wide are nearly independent.
+points would be micrometres, far too small. Blocks some correlation lengths wide are nearly independent.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from scipy import special
 NUM_DRAWS = 1000
 LEVEL = 0.95
 SEED = 20_060_618  # any number, but always the same
-# Fewer blocks than this say nothing about their spread.
+# Fewer blocks than this do not show their spread.
 MIN_BLOCKS = 10
-# Blocks this many correlation lengths wide miss an eighth of the standard error where correlation falls as an
-# exponential, in pairs across their edges; what is missing is estimated from blocks half as wide.
+# With blocks this many correlation lengths wide and an exponential correlation, the pairs across their edges leave an
+# eighth of the standard error out; that part is estimated from blocks half as wide.
 _LENGTHS_PER_BLOCK = 10.0
-# Not fewer blocks than this where the extent allows no wider ones; not more than this, which costs time and no more.
+# Blocks are narrowed until there are this many; more than this many would only cost time.
 _FEWEST, _MOST = 30, 1024
 _POINTS_PER_CELL, _MOST_CELLS = 4.0, 512
 _CELLS_PER_BLOCK = 4.0
 _STRAY_SHARE = 0.001
-# Standard errors by which the first lag of the correlogram has to stand out to be a correlation at all.
+# Standard errors by which the first lag of the correlogram has to exceed zero to count as correlation.
 _SIGNIFICANT = 3.0
 
 
@@ -42,9 +42,9 @@ class Blocks:
     correlation_m : float [m]
         Lag at which the correlation of the errors has fallen to 1/e; 0 where neighbours are not correlated.
     widening : float
-        By how much intervals are made wider for what correlates across the edges of blocks.
+        Factor of the intervals for correlation across the edges of blocks.
     is_narrow : bool
-        The extent allows no blocks of ten correlation lengths: intervals may be too short all the same.
+        The extent is too small for blocks of ten correlation lengths: intervals may still be too short.
     """
 
     number: np.ndarray
@@ -70,9 +70,9 @@ def spatial_blocks(plan: np.ndarray, errors: np.ndarray) -> Blocks:
 
     Notes
     -----
-    The variance of the mean that blocks of an edge b tell falls short by about c / b. Twice that of b less that of
-    b / 2 does not (D. Politis, J. Romano, Bias-corrected nonparametric spectral estimation, Journal of Time Series
-    Analysis 16, 1995); intervals are widened by the root of what it is more.
+    The variance of the mean from blocks of an edge b is too small by about c / b. Twice that of b less that of
+    b / 2 is not (D. Politis, J. Romano, Bias-corrected nonparametric spectral estimation, Journal of Time Series
+    Analysis 16, 1995); intervals are widened by the root of the ratio.
     """
     known = np.isfinite(errors)
     plan = np.asarray(plan, dtype=np.float64)
@@ -126,7 +126,7 @@ def _variance_of_mean(values: np.ndarray, number: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class _Cells:
-    """Cells of a few points each, in which the correlation of errors is looked for."""
+    """Cells of a few points each, from which the correlation of errors is estimated."""
 
     low: np.ndarray
     cell: float
@@ -161,8 +161,8 @@ class _Cells:
     def correlation_length(self, plan: np.ndarray, errors: np.ndarray) -> float:
         """Lag [m] at which the correlation between cells has fallen to 1/e.
 
-        Noise of single points, which neighbours do not share, is not counted: the correlation at lag 0 is the one to
-        which those at one and two cells lead. 0 where neighbours share nothing; at most half the shorter side.
+        Noise of single points, which neighbours do not share, is not counted: the correlation at lag 0 is extrapolated
+        from those at one and two cells. 0 where neighbours share nothing; at most half the shorter side.
         """
         index, inside = self._index(plan)
         count = np.bincount(index, minlength=self.shape[0] * self.shape[1]).reshape(self.shape)

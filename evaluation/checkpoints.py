@@ -1,4 +1,4 @@
-"""Height of a cloud at given places, by a plane through its points around each."""
+"""Height of a cloud at places in plan, by a plane through its points around each."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 _NEIGHBOURS = 12
-# Fewer do not tell a plane from noise.
+# Fewer do not determine a plane against noise.
 _FEWEST = 4
-# A place whose neighbours lie to one side is beyond the rim: share of the farthest one's distance by which their
-# centre may be off. A place in the corner of an even cloud has 0.6, one on a straight rim 0.42.
+# A place whose neighbours all lie to one side is beyond the rim. Their centre may be off by this share of the distance
+# of the farthest. A place in the corner of an even cloud has 0.6, one on a straight rim 0.42.
 _MOST_OFF = 0.5
 
 

@@ -11,7 +11,7 @@ from evaluation.triangles import area_vectors, distinct
 
 NUM_SAMPLES = 1_000_000
 SEED = 20_060_617  # any number, but always the same: two comparisons of one cloud give one result
-# Relative margin of the search, so that its own rounding leaves the strict test below to us.
+# Relative margin of the search, so that its rounding drops nothing that the strict test below would keep.
 _MARGIN = 1e-9
 
 

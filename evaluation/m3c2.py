@@ -52,7 +52,7 @@ def m3c2_distances(
     """
     import py4dgeo
 
-    # It reports its progress on standard output, which belongs to the command line, and into a file where it stands.
+    # It logs to standard output, which belongs to the command line, and to a file in the working folder.
     logging.getLogger("py4dgeo").handlers = [logging.NullHandler()]
     epochs = tuple(py4dgeo.Epoch(np.ascontiguousarray(points, dtype=np.float64)) for points in (reference, cloud))
     algorithm = py4dgeo.M3C2(

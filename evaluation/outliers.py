@@ -1,4 +1,4 @@
-"""Points that stand apart from all others. Nothing here is done unless it is asked for."""
+"""Statistical outliers of a cloud; `bathynerf compare` leaves them out only if an option says so."""
 
 from __future__ import annotations
 

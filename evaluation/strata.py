@@ -41,7 +41,7 @@ class DepthParts:
     Attributes
     ----------
     wet, dry : DistanceStatistics or None
-        Of the points more than 5 cm below and above the water, where the split is beyond doubt; None without any.
+        Of the points more than 5 cm below and above the water; None without any.
     bands : tuple of Band
         Of the wet points, by depth [m]; empty bands are left out.
     """

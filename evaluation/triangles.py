@@ -12,7 +12,7 @@ import numpy as np
 # (1e-16 relative) would turn its normal by 1e-4 and more.
 _THINNEST = 1e-12
 # Corners of the feature of a triangle on which the nearest point lies, as columns of its face: inside, the
-# edges ab, bc, ca, the vertices a, b, c. A vertex is given twice, inside is marked by -1.
+# edges ab, bc, ca, the vertices a, b, c. A vertex stands twice, inside is -1.
 FEATURE_CORNERS = np.array([[-1, -1], [0, 1], [1, 2], [2, 0], [0, 0], [1, 1], [2, 2]])
 INSIDE = 0
 
@@ -20,7 +20,7 @@ INSIDE = 0
 def weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The same triangles with vertices of exactly equal coordinates made one.
 
-    Triangles of a "soup" (each with vertices of its own) know their neighbours only afterwards. Call it on
+    Only then are the neighbours known of triangles that each have separate vertices. Call it on
     coordinates as they were read: equal ones need not stay equal to the last bit in another frame.
 
     Returns

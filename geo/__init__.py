@@ -1,4 +1,17 @@
-"""Where on Earth: coordinate reference systems, the local frame, and the files that carry coordinates."""
+"""Where on Earth: coordinate reference systems, the local frame, and files of clouds, meshes and terrain models.
+
+| subject | files |
+|---|---|
+| coordinate reference systems | `crs`, `projection`, `ellipsoid`; whether two data sets fit together: `compatibility` |
+| the local frame | `frames`; fitted transforms: `similarity` |
+| clouds and meshes in memory | `shapes` |
+| reading by the suffix of a name | `reading`, which takes `las`, `ply_reading`, `obj`, `gltf`, `raster` and `e57` |
+| writing | `las` (with `las_header`, `las_extra`), `ply` |
+| files that are written whole or not at all | `files`; errors: `errors`; libraries of single formats: `optional` |
+
+The formats have no folder of their own: they need `crs`, `errors` and `files`, this file needs them, and no two folders
+may import each other.
+"""
 
 from geo.compatibility import crs_difference, require_same_crs, require_same_place, same_crs
 from geo.crs import parse_crs, wkt1

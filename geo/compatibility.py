@@ -13,16 +13,16 @@ from geo.errors import CRSMismatch, PlaceMismatch
 from geo.projection import MapProjection
 
 # Two statements of one system differ by rounded parameters, e.g. feet to nine digits (0.4 mm at 1,300 km),
-# and GRS 80 from WGS 84 by 0.1 mm; systems that differ in earnest do so by decimetres and more.
+# and GRS 80 from WGS 84 by 0.1 mm; really different systems do so by decimetres and more.
 _TOLERANCE_M = 0.001
 _SAMPLES_M = np.array([-2e5, 0.0, 3e5])
 
 
 def crs_difference(a: CRS, b: CRS) -> str | None:
-    """What distinguishes two CRSs, as words for a message; None if nothing that is known does.
+    """In what two CRSs differ, as words for a message; None if they do not, as far as is known.
 
-    A part that one of them leaves out (a vertical datum, the name of a datum) distinguishes nothing.
-    The preferred order of axes is ignored: coordinates are always easting, northing, height here.
+    A part that one of them leaves out (a vertical datum, the name of a datum) counts as equal. The order of axes that
+    the authority prefers is ignored: coordinates are always easting, northing, height here.
     """
     if a.equals(b, ignore_axis_order=True):
         return None

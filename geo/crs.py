@@ -1,9 +1,9 @@
-"""Coordinate reference systems: what a survey may be given in, and how it is written into a LAS file.
+"""Coordinate reference systems: those that a survey may have, and how a LAS file states them.
 
 A CRS of this project has a horizontal part (projected or geographic, axes east and north) and heights that
 count upwards, either above a vertical datum (compound) or above the ellipsoid (3D). Coordinates are always
-ordered easting or longitude, northing or latitude, height, whatever order the authority prefers; the order is
-fixed in one place, `geo.projection`.
+ordered easting or longitude, northing or latitude, height, whatever order the authority prefers; `geo.projection` alone
+sets that order.
 """
 
 from __future__ import annotations
@@ -187,6 +187,6 @@ def _wkt1_of_3d(crs: CRS) -> str:
 
 
 def utm_code(lat_deg: float, lon_deg: float) -> int:
-    """EPSG code of the UTM zone (WGS 84) of a place [deg]; the exceptions about Norway and Svalbard are not made."""
+    """EPSG code of the UTM zone (WGS 84) of a place [deg]; without the exceptions for Norway and Svalbard."""
     zone = math.floor((lon_deg + 180.0) / 6.0) % 60 + 1
     return (32600 if lat_deg >= 0.0 else 32700) + zone

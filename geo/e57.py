@@ -24,7 +24,7 @@ def read_e57(path: str | Path) -> Cloud:
     """
     path = existing_file(path)
     pye57 = library_for(path, "pye57", "e57")
-    # The library below answers damage with errors of its own and with RuntimeError.
+    # libE57Format raises its own errors and RuntimeError for damaged files.
     try:
         with pye57.E57(str(path)) as file:
             scans = [file.read_scan(i, ignore_missing_fields=True) for i in range(file.scan_count)]

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-# Bowring's iteration gains about five digits a step below 10 km of height; three end at the last bit.
+# Bowring's iteration gains about five digits a step below 10 km of height; three steps reach the last bit.
 _BOWRING_STEPS = 3
 
 

@@ -1,4 +1,4 @@
-"""What can be wrong with coordinates and files: the user's errors of this room, each with its mend."""
+"""Errors in the user's coordinates and files; each message says how to mend it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ class GeoError(ValueError):
 
 
 class UnknownCRS(GeoError):
-    """The text is no coordinate reference system that PROJ knows."""
+    """The text names no coordinate reference system known to PROJ."""
 
 
 class MissingVerticalDatum(GeoError):

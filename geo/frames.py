@@ -1,7 +1,7 @@
 """The local frame of a survey: topocentric east, north, up, in metres.
 
 `crs` -> geographic (the map projection undone) -> geocentric -> topocentric at the origin. Grid scale, height
-scale and meridian convergence are gone in `local`. Heights go in as they are given, as if they were above the
+scale and meridian convergence are gone in `local`. Heights are used as they are, as if they were above the
 ellipsoid: an undulation of 50 m changes scale by 8e-6, and no geoid grid is needed.
 """
 
@@ -22,7 +22,7 @@ from geo.projection import MapProjection, nan_unless_finite
 # curvature (10 m / 6.4e6 m)² = 2e-12 rad.
 _STEP_M = 10.0
 _EARTH_RADIUS_M = 6.371e6
-# Surveys are flown a few degrees outside a zone; swapped or shifted coordinates land far away.
+# Surveys may lie a few degrees outside a zone; swapped or shifted coordinates lie far away.
 _AREA_MARGIN_DEG = 10.0
 
 
@@ -30,7 +30,7 @@ _AREA_MARGIN_DEG = 10.0
 class LocalFrame:
     """A Cartesian frame that touches the Earth at one point of a survey.
 
-    Use one frame per thread: PROJ's transformations are not made to be shared between threads.
+    Use one frame per thread: PROJ's transformations must not be shared between threads.
 
     Parameters
     ----------

@@ -18,8 +18,8 @@ _Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 def read_gltf(path: str | Path) -> Mesh | Cloud:
     """Read a glTF or GLB file: a mesh if it has triangles, else a cloud. The format knows no CRS.
 
-    Its coordinates are float32: those of a map (5e6 m) are rounded to half a metre in it, so that only meshes with
-    an origin near by are of use.
+    Its coordinates are float32, which rounds those of a map (5e6 m) to half a metre: only meshes with an origin near
+    by are of use.
 
     Raises
     ------
@@ -28,7 +28,7 @@ def read_gltf(path: str | Path) -> Mesh | Cloud:
     """
     path = existing_file(path)
     trimesh = library_for(path, "trimesh", "gltf")
-    # trimesh answers damage with errors of many kinds (KeyError, struct.error, JSONDecodeError, ...).
+    # trimesh raises errors of many kinds for damaged files (KeyError, struct.error, JSONDecodeError, ...).
     try:
         scene = trimesh.load_scene(path, process=False)
         parts = scene.dump()
@@ -46,7 +46,7 @@ def read_gltf(path: str | Path) -> Mesh | Cloud:
 
 
 def _rgb(meshes: list) -> np.ndarray | None:
-    """Colours (V, 3) uint8 of all vertices, of images there too; white where a part has none, None if all have none."""
+    """Colours (V, 3) uint8 of all vertices, also of images; white where a part has none, None if all have none."""
     colours = []
     for part in meshes:
         look = part.visual

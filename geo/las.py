@@ -29,7 +29,7 @@ SCALE_LENGTH = 0.001
 SCALE_ANGLE = 1e-8
 _SUFFIXES = (".las", ".laz")
 
-# laspy reports damage to the log as well; what the user sees is the error that names the file.
+# laspy logs damage as well; the user sees the error raised below, which names the file.
 logging.getLogger("laspy").addHandler(logging.NullHandler())
 
 
@@ -47,14 +47,14 @@ def write_cloud(
 ) -> None:
     """Write a cloud as LAS 1.4, point format 7, whole or not at all; compressed if the suffix is .laz.
 
-    Coordinates are rounded to 0.001 of the unit of crs (1e-8 for longitude and latitude), with offsets in
-    whole units. An empty cloud is written as a valid file without points.
+    Coordinates are rounded to 0.001 of the unit of crs (1e-8 for longitude and latitude); offsets are whole
+    units. An empty cloud is written as a valid file without points.
 
     Parameters
     ----------
     path : .las or .laz
     points_crs : (N, 3) float64, in crs
-        Finite: points without coordinates are left out by the caller, who also counts them.
+        Finite: the caller leaves points without coordinates out and counts them.
     crs : pyproj.CRS
         Written as WKT 1, see `geo.crs.wkt1`.
     rgb : (N, 3) uint8
@@ -155,20 +155,20 @@ def read_cloud(path: str | Path) -> Cloud:
     EmptyCloud
         If the file has no points.
     UnreadableFile
-        If it does not exist, is cut short, is no LAS, or gives coordinates that are not finite.
+        If it does not exist, is cut short, is not LAS, or has coordinates that are not finite.
     """
     path = existing_file(path)
     fault = length_fault(path)
     if fault:
         raise UnreadableFile(f"{path} cannot be read as LAS or LAZ: {fault}; copy or export it again.")
-    # laspy and its LAZ decoder answer damage with errors of many kinds (UnicodeDecodeError, IndexError,
-    # RuntimeError, MemoryError, ...): a damaged file is the one thing they all mean here.
+    # laspy and its LAZ decoder raise errors of many kinds for damaged files (UnicodeDecodeError, IndexError,
+    # RuntimeError, MemoryError, ...). All of them mean a damaged file here.
     try:
         with path.open("rb") as stream, laspy.open(stream, closefd=False) as reader:
             header = reader.header
             las = reader.read() if header.point_count else None
     except BaseException as error:
-        # A panic of the decoder (Rust) is no Exception; an interrupt by the user is not ours to keep.
+        # A panic of the decoder (Rust) is not an Exception; an interrupt by the user is passed on.
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
             raise
         raise UnreadableFile(

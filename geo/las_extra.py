@@ -27,7 +27,7 @@ def add_extra_bytes(header: laspy.LasHeader, values: dict[str, np.ndarray]) -> d
     Notes
     -----
     laspy 2.7 derives the minimum and maximum in the descriptors from the first point alone, so they are made
-    here and put in as a plain record, which laspy leaves as it is.
+    here and stored as a plain record, which laspy does not change.
     """
     stored, descriptors = {}, []
     for name, dtype, description in EXTRA_BYTES:

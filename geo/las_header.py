@@ -1,4 +1,4 @@
-"""The header of a LAS file: whether the file can be as long as it says, and the CRS that it states."""
+"""The header of a LAS file: whether the file is as long as the header says, and the CRS that it states."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ _LAZ_BIT = 0x80
 
 
 def length_fault(path: Path) -> str | None:
-    """What in a LAS header cannot be true of a file this long; None if it can.
+    """What a LAS header says that the length of the file contradicts; None if nothing does.
 
-    Asked before laspy reads: a damaged count of records would keep it busy for hours.
+    Checked before laspy reads: a damaged count of records would keep it busy for hours.
     """
     size = path.stat().st_size
     with path.open("rb") as stream:

@@ -1,4 +1,4 @@
-"""Wavefront OBJ files read in full double precision: vertices and faces, all else is passed over."""
+"""Wavefront OBJ files read in double precision: vertices and faces; everything else is ignored."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def read_obj(path: str | Path) -> Mesh | Cloud:
     """Read an OBJ file: a mesh if it has faces (polygons are cut into triangles), else a cloud.
 
     Faces may count vertices from the first (1, 2, ...) or back from the last one so far (-1, -2, ...) and may
-    carry texture and normal numbers (``7/3/2``), which are passed over.
+    have texture and normal numbers (``7/3/2``), which are ignored.
 
     Raises
     ------
@@ -54,6 +54,6 @@ def _faces(lines: list[list[bytes]], vertices_before: list[int], path: Path) -> 
             f"{path} has a face line that is not whole numbers ({str(error)[:80]}); export it again."
         ) from error
     before = np.repeat(vertices_before, counts)
-    # A face that names vertex 0, which is not there, becomes -1 and is refused with the others out of range.
+    # Vertex 0, which OBJ does not have, becomes -1 and is refused with the others out of range.
     corners = np.where(numbers < 0, before + numbers, numbers - 1)
     return triangulated(counts, corners)

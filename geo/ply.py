@@ -51,4 +51,4 @@ def write_ply(path: str | Path, points_crs: np.ndarray, *, rgb: np.ndarray, scal
     header = f"{head}element vertex {len(points)}\n{properties}end_header\n"
     with write_whole(path) as stream:
         stream.write(header.encode())
-        stream.write(table.view(np.uint8))
+        stream.write(table.view(np.uint8).data)

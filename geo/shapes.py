@@ -1,4 +1,4 @@
-"""Points and triangles in crs coordinates, as they are read from files."""
+"""Points and triangles in crs coordinates, as files hold them."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ class Cloud:
         Easting or longitude, northing or latitude, height.
     rgb : (N, 3) uint8 or None
     crs : pyproj.CRS or None
-        None if the file does not say, or not in a way that is understood; `notes` tells which.
+        None if the file does not state it, or states one that is not understood; `notes` says which.
     classification : (N,) uint8 or None
         Classes of LAS.
     extra : dict of (N,) or (N, k) arrays
         Further values by name; NaN where the file declares "no data".
     notes : tuple of str
-        Sentences about what the file lacks, for the reader's eyes.
+        Sentences for the reader about what the file lacks.
     """
 
     points: np.ndarray
@@ -45,7 +45,7 @@ class Mesh:
     faces : (F, 3) int64
         Vertex numbers in the winding of the file; polygons are cut into fans.
     crs : pyproj.CRS or None
-        None: neither PLY nor OBJ says.
+        None where the format states none: PLY, OBJ, glTF.
     rgb : (V, 3) uint8 or None
         Of the vertices.
     """

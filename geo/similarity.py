@@ -16,8 +16,8 @@ _MIN_POINTS = 3
 _DRAWS = 500
 # Median length of a vector of three unit normals: the root of the median of chi-square with 3 degrees of freedom.
 _MEDIAN_LENGTH = 1.538
-# Beyond this many std a position is wrong. Bent blocks have longer tails than noise, so only gross errors count,
-# and none below what separates a fixed from a lost phase.
+# Beyond this many std a position is wrong. Deformed blocks have longer tails than noise, so only gross
+# errors count, and none below the step between a fixed and a float RTK solution.
 _WRONG_STD, _WRONG_AT_LEAST_M = 6.0, 0.6
 
 

@@ -158,8 +158,9 @@ def test_a_quiet_check_and_comparison_still_print_what_they_found(monkeypatch, t
     folder = small_survey(tmp_path / "s")
     assert bathynerf("check", folder, "-q").stdout == bathynerf("check", folder).stdout
     assert bathynerf("check", folder, "-qq").stdout == ""
-    options = SimpleNamespace(CompareOptions=SimpleNamespace, compare_files=lambda *_, **__: {"n_points": 12})
+    options = SimpleNamespace(CompareOptions=SimpleNamespace, compare_files=lambda *_, **__: "figures")
     fake_module(monkeypatch, "survey.compare.comparison", **vars(options))
+    fake_module(monkeypatch, "survey.compare.text", sections_of=lambda _: [(None, [("n points", "12")])])
     assert bathynerf("compare", "c.las", "r.ply", "-q").stdout == "n points  12\n"
     assert bathynerf("compare", "c.las", "r.ply", "-qq").stdout == ""
 

@@ -9,8 +9,9 @@ from compare_plane import FRAME, HALF, LAS_M, NUM_SAMPLES, ORIGIN, compared, gri
 from evaluation import DistanceStatistics
 from geo import write_ply
 from survey.compare.area import CompareError
+from survey.compare.bands import _tick
 from survey.compare.comparison import CompareOptions, compare_files
-from survey.compare.text import _short, sections_of
+from survey.compare.text import _short, limits_label, sections_of
 
 
 @pytest.fixture(autouse=True)
@@ -262,6 +263,22 @@ def test_everything_that_was_measured_reaches_the_terminal(tmp_path, plane):
     assert sections["By incidence"][0][0] == "20 to 25°"
     assert sections["By number of views"][0][0] == "3 views"
     assert sections["By depth"][0][1].startswith("mean 0.1000")
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "unit", "label", "tick"),
+    [
+        (2.0, 3.0, "m", "2 to 3 m", "2–3"),
+        (30.0, np.inf, "m", "30 m and more", "30+"),
+        (20.0, 25.0, "deg", "20 to 25°", "20–25"),
+        (3, 4, "views", "3 views", "3"),
+        (4, 6, "views", "4 to 5 views", "4–5"),
+        (24, np.inf, "views", "24 views and more", "24+"),
+    ],
+)
+def test_a_band_is_named_by_its_limits(low, high, unit, label, tick):
+    assert limits_label(low, high, unit) == label
+    assert _tick(label) == tick
 
 
 def test_a_tiny_negative_mean_is_shown_without_its_sign():

@@ -11,7 +11,7 @@ def checked_pair(reference, image, *, smallest: int) -> tuple[np.ndarray, np.nda
     Raises
     ------
     ValueError
-        If shapes differ or are no image's, a side is shorter than ``smallest``, or values are not within 0 to 1.
+        If shapes differ or are not those of images, a side is shorter than ``smallest``, or values are outside 0 to 1.
     """
     pair = np.asarray(reference, dtype=np.float64), np.asarray(image, dtype=np.float64)
     shape = pair[0].shape

@@ -22,7 +22,8 @@ def phase_congruency(image: np.ndarray) -> np.ndarray:
     -----
     P. Kovesi, Image features from phase congruency, Videre 1 (1999), with the noise taken from the median response at
     the finest scale. Each orientation gives the sum over scales of ``A (cos d - |sin d|)``, A the amplitude and d the
-    difference of its phase from the mean, less the noise; the sum of those over the sum of all amplitudes is it.
+    difference of its phase from the mean, less the noise; the sum of those over the sum of all amplitudes is the phase
+    congruency.
     """
     radius, angle = _polar_frequencies(image.shape)
     radial = [log_gabor(radius, 1.0 / (_SHORTEST_PX * _STEP**s), _BANDWIDTH) for s in range(_SCALES)]
@@ -59,7 +60,7 @@ def _polar_frequencies(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _noise(finest: np.ndarray, filters: np.ndarray) -> float:
-    """Energy that noise alone would show: its power is told by the median response at the finest scale."""
+    """Energy that noise alone would show; its power is taken from the median response at the finest scale."""
     power = np.median(np.abs(finest) ** 2) / math.log(2.0) / np.sum(filters[0] ** 2)
     # Terms of one filter and of pairs of them together are the square of their sum.
     shapes = np.fft.ifft2(filters).real.sum(axis=0)

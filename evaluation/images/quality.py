@@ -43,8 +43,8 @@ def image_quality(
     Parameters
     ----------
     mask : (H, W) bool, optional
-        Pixels that count. PSNR takes all of them, the others the largest rectangle that they fill: what their windows,
-        scales and spectra would see of pixels beyond is no property of the image.
+        Pixels that count. PSNR takes all of them, the others the largest rectangle that they fill: their windows,
+        scales and spectra would otherwise take in pixels beyond the mask.
     lpips_weights, dists_weights : optional
         Bring ``lpips`` and ``dists``, 0 for equal images; see `evaluation.images.learned_similarity`.
 

@@ -1,1 +1,6 @@
-"""A cloud against a reference, in numbers and pictures; nothing is aligned."""
+"""A cloud against a reference, in figures and pictures; nothing is aligned.
+
+`comparison` reads files (`inputs`, `area`, `checkpoints`), measures in one frame (`scene`, `measure`, `clouds`) and
+returns figures (`figures`, `result`), which are shown as text (`text`), JSON (`json_numbers`) and pictures (`pictures`,
+`bands`).
+"""

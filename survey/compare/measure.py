@@ -85,8 +85,8 @@ def reached_at(scene: Scene, tolerance_m: float) -> Reach:
 def bed_depth(scene: Scene, nearest: np.ndarray, water_level: float | None) -> np.ndarray | None:
     """Depth (N,) [m] of the nearest point of the reference; None if neither a level nor the cloud tells it.
 
-    The cloud's depth alone would sort its points by what it got wrong; its sum with the height is the water
-    surface, which does not depend on the bed.
+    The depth in the cloud alone would sort its points by their errors; its sum with the height is the water surface,
+    which does not depend on the bed.
     """
     inputs = scene.inputs
     if water_level is not None:

@@ -18,6 +18,7 @@ from survey.quantities import LengthUnit, count, length, share
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from survey.compare.figures import Figures
     from survey.compare.result import Comparison
 
 # Points that a cell should have on average: few where a hole is a hole, more where points lie at random.
@@ -38,23 +39,22 @@ def write_report(comparison: Comparison, folder: Path) -> list[Path]:
     UnwritableFile
         If one cannot be written; each is written whole or not at all.
     """
-    numbers, crs = comparison.numbers, comparison.inputs.crs
+    figures, crs = comparison.figures, comparison.inputs.crs
+    tolerance_m, reached, is_visible = _reached(figures)
     paths = [folder / name for name in ("histogram.png", "map.png", "completeness.png")]
-    histogram(comparison.distances, paths[0], tolerance_m=numbers["tolerance_m"])
-    error_map(comparison.points, comparison.distances, paths[1], crs=crs, subtitle=_in_short(numbers))
-    is_visible = "completeness_visible" in numbers
-    reached = numbers["completeness_visible" if is_visible else "completeness"]
+    histogram(comparison.distances, paths[0], tolerance_m=tolerance_m)
+    error_map(comparison.points, comparison.distances, paths[1], crs=crs, subtitle=_in_short(figures))
     completeness_map(
         comparison.targets,
         comparison.is_reached,
         paths[2],
         crs=crs,
         subtitle=f"{share(reached)} of {'the visible points' if is_visible else 'the reference'} "
-        f"closer than {numbers['tolerance_m']:g} m",
+        f"closer than {tolerance_m:g} m",
     )
-    if has_bands(numbers):
+    if has_bands(figures.parts):
         paths.append(folder / "bands.png")
-        draw_bands(numbers, paths[-1])
+        draw_bands(figures.parts, paths[-1])
     return paths
 
 
@@ -158,13 +158,20 @@ def _map_of_means(
     return map_canvas(extent, crs)[1], image, extent
 
 
-def _in_short(numbers: dict) -> str:
-    is_visible = "completeness_visible" in numbers
-    reached = numbers["completeness_visible" if is_visible else "completeness"]
-    mean, std = (length(numbers[f"{name}_inner90_m"]) for name in ("mean", "std"))
+def _reached(figures: Figures) -> tuple[float, float, bool]:
+    """Tolerance [m], the share that is reached, and whether that is one of the visible points."""
+    scores = figures.summary.scores
+    if scores.completeness_visible is None:
+        return scores.tolerance_m, scores.completeness, False
+    return scores.tolerance_m, scores.completeness_visible, True
+
+
+def _in_short(figures: Figures) -> str:
+    tolerance_m, reached, is_visible = _reached(figures)
+    distances = figures.summary.distances
     return (
-        f"inner 90 %: mean {mean}, std {std}  ·  "
-        f"{share(reached)} complete at {numbers['tolerance_m']:g} m{' (visible)' if is_visible else ''}"
+        f"inner 90 %: mean {length(distances.mean_inner90_m)}, std {length(distances.std_inner90_m)}  ·  "
+        f"{share(reached)} complete at {tolerance_m:g} m{' (visible)' if is_visible else ''}"
     )
 
 

@@ -56,7 +56,7 @@ class Scene:
         return Scene(inputs, bounds, np.flatnonzero(around), cloud, points, reference, samples, targets)
 
     def extra(self, names: tuple[str, ...]) -> np.ndarray | None:
-        """Values (N,) of the compared points that the cloud carries under one of the names, else None."""
+        """Values (N,) of the compared points that the cloud has under one of the names, else None."""
         name = next((name for name in names if name in self.inputs.cloud.extra), None)
         if name is None:
             return None

@@ -33,10 +33,11 @@ def sections_of(figures: Figures) -> list[Section]:
 def band_label(band: dict, unit: str) -> str:
     """Limits of a band of `numbers_of`, e.g. "2 to 3 m", "30 m and more", "4 to 5 views", "20 to 25°"."""
     high = band[f"to_{unit}"]
-    return _limits(band[f"from_{unit}"], math.inf if high is None else high, unit)
+    return limits_label(band[f"from_{unit}"], math.inf if high is None else high, unit)
 
 
-def _limits(low: float, high: float, unit: str) -> str:
+def limits_label(low: float, high: float, unit: str) -> str:
+    """As `band_label`, of limits of which the upper one may be infinite; unit "m", "deg" or "views"."""
     shown = {"deg": "°", "m": " m", "views": " views"}[unit]
     if math.isinf(high):
         return f"{low:g}{shown} and more"
@@ -46,7 +47,7 @@ def _limits(low: float, high: float, unit: str) -> str:
 
 
 def _bands(bands: tuple[Band, ...], unit: str) -> list[tuple[str, str]]:
-    return [(_limits(band.low, band.high, unit), _short(band.distances)) for band in bands]
+    return [(limits_label(band.low, band.high, unit), _short(band.distances)) for band in bands]
 
 
 def _rows(numbers: dict) -> list[tuple[str, str]]:
@@ -102,7 +103,7 @@ def _orders(uncertainty: VerticalUncertainty | None) -> list[tuple[str, str]]:
     rows = []
     for order in uncertainty.iho.orders:
         meets = "meets" if order.meets_tvu else "does not meet"
-        shares = [f"{_limits(band.low_m, band.high_m, 'm')} {_percent(band.share_within)}" for band in order.bands]
+        shares = [f"{limits_label(band.low_m, band.high_m, 'm')} {_percent(band.share_within)}" for band in order.bands]
         rows.append((order.name, f"{_percent(order.share_within)}, {meets} the TVU ({', '.join(shares)})"))
     return [*rows, ("judged", f"the {uncertainty.error}. {uncertainty.iho.note}")]
 

@@ -68,6 +68,4 @@ def distances_of(facts: ReportFacts) -> np.ndarray | None:
     inside = facts.comparison.inputs.inside
     if len(inside) != len(facts.bed):
         raise ValueError(f"the comparison is of {len(inside)} points, expected the {len(facts.bed)} of the bed")
-    distances = np.full(len(inside), np.nan)
-    distances[inside] = facts.comparison.distances
-    return distances
+    return facts.comparison.distances_of_cloud

@@ -73,7 +73,7 @@ def _grid(facts: ReportFacts, max_cells: int) -> PlanGrid:
 
 def _of_comparison(facts: ReportFacts) -> dict[str, Callable[[Path], Picture]]:
     comparison, crs = facts.comparison, facts.survey.frame.crs
-    tolerance_m = comparison.numbers["tolerance_m"]
+    tolerance_m = comparison.figures.summary.scores.tolerance_m
 
     def error_map(path: Path) -> Picture:
         compare_report.error_map(comparison.points, comparison.distances, path, crs=crs)
@@ -90,7 +90,7 @@ def _of_comparison(facts: ReportFacts) -> dict[str, Callable[[Path], Picture]]:
         return Picture(path, "What the cloud does not reach", words)
 
     def bands(path: Path) -> Picture:
-        compare_bands.draw_bands(comparison.numbers, path)
+        compare_bands.draw_bands(comparison.figures.parts, path)
         words = "Mean and spread of the distances in each band, with the number of its points above it."
         return Picture(path, "Bias and spread by depth, incidence and number of views", words)
 
@@ -98,6 +98,6 @@ def _of_comparison(facts: ReportFacts) -> dict[str, Callable[[Path], Picture]]:
     distances = distances_of(facts)
     if distances is not None and np.isfinite(distances).any():
         drawings["error_depth"] = partial(graphs.draw_error_over_depth, facts=facts, distances=distances)
-    if compare_bands.has_bands(comparison.numbers):
+    if compare_bands.has_bands(comparison.figures.parts):
         drawings["error_bands"] = bands
     return drawings

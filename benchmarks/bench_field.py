@@ -49,8 +49,7 @@ BASELINES = ("nerf", "tinynerf", "hash", "neus")
 TIMED = (4, 8)
 # Renderings whose memory is measured: one may take twice that of another, as the allocator and its threads go.
 MEMORY_RUNS = 5
-# Of the factors after the switch: with the paper's 0.001 the ship's factors all but stand still for the rest of a short
-# training (500 steps: 27.3 instead of 28.2 dB; TensoRF, whose rate does not fall, has 27.7).
+# Of the factors after the switch: with the paper's 0.001 they all but stand still for the rest of a short training.
 FINE_RATE = 0.02
 
 

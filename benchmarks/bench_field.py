@@ -48,7 +48,7 @@ BASELINES = ("nerf", "tinynerf", "hash", "neus")
 # density, where a model has one: most steps of a training are such.
 TIMED = (4, 8)
 # Renderings whose memory is measured: one may take twice that of another, as the allocator and its threads go.
-MEMORY_RUNS = 5
+MEMORY_RUNS = 3
 # Of the factors after the switch: with the paper's 0.001 they all but stand still for the rest of a short training.
 FINE_RATE = 0.02
 

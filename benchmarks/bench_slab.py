@@ -4,8 +4,8 @@
 
 The sweep runs once; fields with different numbers of training rays for each cell of one GSD (RAYS_PER_CELL in
 survey.run.stages), and one whose colour head multiplies in bfloat16, are trained from its height maps. Accuracy and
-surveys as in bench_sweep; PSNR is of the training rays of the last steps, time that of training. One JSON for each
-row in FOLDER, not computed again; prints tables in Markdown, docs/field.md has them.
+surveys as in bench_sweep; PSNR is of the training rays of the last steps, time the processor time of training. One JSON
+for each row in FOLDER, not computed again; prints tables in Markdown, docs/field.md has them.
 """
 
 from __future__ import annotations
@@ -72,13 +72,13 @@ def rows_of(folder: Path, quality: str, rays: list[float], work: Path) -> dict[s
 def markdown(name: str, rows: dict[str, dict]) -> str:
     """The rows of one survey."""
     lines = [
-        f"| {name} | mean | std | at 0.2 m | at 0.05 m | steps | PSNR | time |",
+        f"| {name} | mean | std | at 0.2 m | at 0.05 m | steps | PSNR | processor time |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for title, r in rows.items():
         cells = [f"{1e3 * r['mean_inner90_m']:.1f} mm", f"{1e3 * r['std_inner90_m']:.2f} mm"]
         cells += [f"{100 * r[k]:.2f} %" for k in ("complete_0.2", "complete_0.05")]
-        cells += [f"{r['steps']}", f"{r['psnr_db']:.2f} dB", f"{r['seconds']:.0f} s"] if "steps" in r else [""] * 3
+        cells += [f"{r['steps']}", f"{r['psnr_db']:.2f} dB", f"{r['processor_s']:.0f} s"] if "steps" in r else [""] * 3
         lines.append(f"| {title} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 

@@ -109,18 +109,21 @@ _OTHER_NAMES = {"compare": "compare_files"}
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 
 
-def __getattr__(name: str) -> Any:
-    """A name at its first use, from where it is defined."""
-    if name == "__version__":
-        from importlib.metadata import version
+# Type checkers see the imports above alone, so that they find a name that does not exist.
+if not TYPE_CHECKING:
 
-        value: Any = version("bathynerf")
-    elif name in _HOME:
-        value = getattr(importlib.import_module(_HOME[name]), _OTHER_NAMES.get(name, name))
-    else:
-        raise AttributeError(f"module 'bathynerf' has no attribute {name!r}")
-    globals()[name] = value
-    return value
+    def __getattr__(name: str) -> Any:
+        """A name at its first use, from where it is defined."""
+        if name == "__version__":
+            from importlib.metadata import version
+
+            value: Any = version("bathynerf")
+        elif name in _HOME:
+            value = getattr(importlib.import_module(_HOME[name]), _OTHER_NAMES.get(name, name))
+        else:
+            raise AttributeError(f"module 'bathynerf' has no attribute {name!r}")
+        globals()[name] = value
+        return value
 
 
 def __dir__() -> list[str]:

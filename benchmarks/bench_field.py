@@ -49,9 +49,8 @@ BASELINES = ("nerf", "tinynerf", "hash", "neus")
 # density, where a model has one: most steps of a training are such.
 TIMED = (4, 8)
 # Renderings whose memory is measured: one may take twice that of another, as the allocator and its threads go.
-MEMORY_RUNS = 5
-# Of the factors after the switch: with the paper's 0.001 the ship's factors all but stand still for the rest of a short
-# training (500 steps: 27.3 instead of 28.2 dB; TensoRF, whose rate does not fall, has 27.7).
+MEMORY_RUNS = 3
+# Of the factors after the switch: with the paper's 0.001 they all but stand still for the rest of a short training.
 FINE_RATE = 0.02
 
 
@@ -81,7 +80,7 @@ def _volume(model: str, scene: ObjectScene, cells: int) -> VolumeModel:
     return others[model]()
 
 
-def switch_to_fine(scene: Scene) -> None:
+def switch_to_fine(scene: VolumeRenderer) -> None:
     """Let the density weighting network run, where a model has one: only from then on it takes memory and time."""
     if isinstance(scene.model, TensorVolume) and scene.model.settings.weighting:
         scene.model.regression.switch_to_fine()

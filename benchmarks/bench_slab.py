@@ -2,21 +2,22 @@
 
     python benchmarks/bench_slab.py [SURVEY ...] [--quality Q] [--rays R ...] [-o FOLDER]
 
-The sweep runs once; fields with different numbers of training rays for each cell of one GSD (RAYS_PER_CELL in
-survey.run.sources), and one whose colour head multiplies in bfloat16, are trained from its height maps. Accuracy and
-surveys as in bench_sweep; PSNR is of the training rays of the last steps, time that of training. One JSON for each
-survey in FOLDER, not computed again; prints tables in Markdown, docs/field.md has them.
+The sweep runs once; fields with different numbers of training rays for each cell of one GSD (`rays_per_cell` in
+survey.plan.recipe), and one whose colour head multiplies in bfloat16, are trained from its height maps. Accuracy and
+surveys as in bench_sweep; PSNR is of the training rays of the last steps, time the processor time of training. One JSON
+for each row in FOLDER, not computed again; prints tables in Markdown, docs/field.md has them.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 import tempfile
 import time
 from dataclasses import asdict, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from unittest.mock import patch
 
@@ -44,27 +45,43 @@ def trained(case: Case, maps: list[DepthMap], rays_per_cell: float) -> dict:
     return asdict(figures) | spent | case.figures(bed) | {"share_of_field": moved / len(bed)}
 
 
-def rows_of(case: Case, rays: list[float]) -> dict[str, dict]:
-    """The sweep alone, the field by number of rays, and in bfloat16."""
-    maps, _ = case.maps()
-    rows = {"sweep alone": case.figures(case.points(maps))}
+def rows_of(folder: Path, quality: str, rays: list[float], work: Path) -> dict[str, dict]:
+    """The sweep alone, the field by number of rays, and in bfloat16; each is kept in a file and not computed again."""
+
+    @cache
+    def swept() -> tuple[Case, list[DepthMap]]:
+        case = Case(folder, quality)
+        return case, case.maps()[0]
+
+    def in_bfloat16() -> dict:
+        with patch.object(tensor_field, "ColourHead", partial(ColourHead, bfloat16=True)):
+            return trained(*swept(), KEPT)
+
+    rows = {"sweep alone": lambda: swept()[0].figures(swept()[0].points(swept()[1]))}
     for number in rays:
-        rows[f"{number:g} rays a cell" + (" (kept)" if number == KEPT else "")] = trained(case, maps, number)
-    with patch.object(tensor_field, "ColourHead", partial(ColourHead, bfloat16=True)):
-        rows[f"{KEPT:g} rays a cell, colours in bfloat16"] = trained(case, maps, KEPT)
-    return rows
+        rows[f"{number:g} rays a cell" + (" (kept)" if number == KEPT else "")] = partial(
+            lambda n: trained(*swept(), n), number
+        )
+    rows[f"{KEPT:g} rays a cell, colours in bfloat16"] = in_bfloat16
+    found = {}
+    for title, compute in rows.items():
+        path = work / f"{folder.name}_{quality}_slab_{re.sub('[^a-z0-9]+', '_', title)}.json"
+        if not path.exists():
+            path.write_text(json.dumps(compute(), indent=2))
+        found[title] = json.loads(path.read_text())
+    return found
 
 
 def markdown(name: str, rows: dict[str, dict]) -> str:
     """The rows of one survey."""
     lines = [
-        f"| {name} | mean | std | at 0.2 m | at 0.05 m | steps | PSNR | time |",
+        f"| {name} | mean | std | at 0.2 m | at 0.05 m | steps | PSNR | processor time |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for title, r in rows.items():
         cells = [f"{1e3 * r['mean_inner90_m']:.1f} mm", f"{1e3 * r['std_inner90_m']:.2f} mm"]
         cells += [f"{100 * r[k]:.2f} %" for k in ("complete_0.2", "complete_0.05")]
-        cells += [f"{r['steps']}", f"{r['psnr_db']:.2f} dB", f"{r['seconds']:.0f} s"] if "steps" in r else [""] * 3
+        cells += [f"{r['steps']}", f"{r['psnr_db']:.2f} dB", f"{r['processor_s']:.0f} s"] if "steps" in r else [""] * 3
         lines.append(f"| {title} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
@@ -82,10 +99,8 @@ def main() -> None:
         options.surveys = [work / "demo"]
         draw_survey(work / "demo", DrawnScene())
     for folder in options.surveys:
-        path = work / f"{folder.name}_{options.quality}_slab.json"
-        if not path.exists():
-            path.write_text(json.dumps(rows_of(Case(folder, options.quality), options.rays), indent=2))
-        sys.stdout.write(markdown(folder.name, json.loads(path.read_text())) + "\n")
+        rows = rows_of(folder, options.quality, options.rays, work)
+        sys.stdout.write(markdown(f"{folder.name}, {options.quality}", rows) + "\n")
 
 
 if __name__ == "__main__":

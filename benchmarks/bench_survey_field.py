@@ -1,4 +1,4 @@
-"""What does the field bring to a survey, and how well does it foretell photographs that were held out?
+"""What does the field bring to a survey, and how well does it predict photographs that were held out?
 
     python benchmarks/bench_survey_field.py SURVEY -o WORK [--quality draft] [--rows sweep field held]
         [--reference F --visible F] [--lpips F] [--dists F]
@@ -87,7 +87,7 @@ def held_survey(survey: Path, folder: Path) -> Path:
 
 
 def held_row(options: argparse.Namespace) -> dict:
-    """Photographs that the field has not seen, foretold."""
+    """Photographs that the field has not seen, predicted."""
     folder, views = options.output / "held", options.output / "views"
     table, run = held_survey(options.survey, folder), folder / "bathynerf"
     arguments = ["process", str(folder), "--quality", options.quality, "--field", "on", "-q"]

@@ -1,4 +1,4 @@
-"""How far over the bed straight rays end: measured, and foretold from the geometry of the views alone."""
+"""How far over the bed straight rays end: measured, and predicted from the geometry of the views alone."""
 
 from __future__ import annotations
 

@@ -121,10 +121,10 @@ def table(records: list[dict]) -> str:
         cells = [_cell(*own) if own else "not given"]
         cells += [_cell(r[k]["mean_m"], r[k]["std_m"], r[k]["completeness"]) for k in ("study", "ours")]
         rows.append(f"| {r['survey']} | {r['chain']} | " + " | ".join(cells) + " |")
-    return "\n".join(rows + [_foretold(r["chain"], r["bias"]) for r in records if "bias" in r]) + "\n"
+    return "\n".join(rows + [_predicted(r["chain"], r["bias"]) for r in records if "bias" in r]) + "\n"
 
 
-def _foretold(chain: str, bias: dict) -> str:
+def _predicted(chain: str, bias: dict) -> str:
     """What straight rays cost, measured and by least squares over the apparent rays."""
     off = 100.0 * (bias["measured_m"] / bias["same_views_m"] - 1.0)
     return (

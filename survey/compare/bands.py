@@ -14,7 +14,7 @@ from survey.compare.text import band_label
 from survey.palette import BLUE, INK, RED, SOFT
 from survey.quantities import LengthUnit, count
 
-_PANELS = (("depth_bands", "depth below the water [m]", "m"), ("incidence_bands", "incidence at the water [°]", "deg"),
+_PANELS = (("depth_bands", "depth below the water [m]", "m"), ("incidence_bands", "incidence [°]", "deg"),
            ("views_bands", "views that agree", "views"))  # fmt: skip
 # Bands of fewer points say nothing: only their number is shown. Those of a smaller share of the points than this may
 # reach beyond the axis, so that the others can be told apart.

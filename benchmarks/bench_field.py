@@ -236,7 +236,7 @@ def main() -> None:
     tables = {"ablation": ablation_table(rows, ABLATION), "baselines": baseline_table(rows, BASELINES)}
     sys.stdout.write("\n\n".join(t for t in tables.values() if t) + "\n")
     if options.write:
-        write_page(tables, options.work, options.objects, options.models)
+        write_page(tables, options.work, options.objects, rows)
 
 
 if __name__ == "__main__":

@@ -5,13 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from gallery_canvas import canvas, save
 from PIL import Image
+
+from survey.palette import INK, SOFT
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 LABELS = {
     "tensorf": "TensoRF", "dw": "DW", "m": "M", "mdw": "MDW", "nerf": "NeRF", "tinynerf": "TinyNeRF",
     "hash": "hash grid, proposals", "neus": "signed distance",
 }  # fmt: skip
+# What the object fills of its held-out photograph, in shares of its sides: left, right, top, bottom.
+PARTS = {"wreck": (0.28, 0.74, 0.24, 0.74), "ship": (0.38, 0.66, 0.05, 0.92), "hull": (0.15, 0.85, 0.24, 0.70)}
+# By which differences are enlarged, and how high a picture of a row may be [inch].
+TIMES, _HIGHEST_IN = 4.0, 3.2
 HEAD = (
     "| object | model | held-out PSNR | Chamfer distance | parameters | memory to render | a step | rays/s rendered |",
     "|---|---|---|---|---|---|---|---|",
@@ -51,7 +58,7 @@ def baseline_table(rows: list[dict], models: tuple[str, ...]) -> str:
     return "\n".join([*HEAD, *lines]) if lines else ""
 
 
-def write_page(tables: dict[str, str], work: Path, objects: list[str], models: list[str]) -> None:
+def write_page(tables: dict[str, str], work: Path, objects: list[str], rows: list[dict]) -> None:
     """Replace the tables of docs/field.md, each between its two marks, and its pictures."""
     page = DOCS / "field.md"
     text = page.read_text(encoding="utf-8")
@@ -62,10 +69,38 @@ def write_page(tables: dict[str, str], work: Path, objects: list[str], models: l
             text = text[:start] + table + "\n" + text[end:]
     page.write_text(text, encoding="utf-8")
     for name in objects:
-        draw_row(work, name, models).save(DOCS / "img" / f"field_{name}.png")
+        of = {r["model"]: r for r in rows if r["object"] == name}
+        draw_row(work, name, of, DOCS / "img" / f"field_{name}.png")
 
 
-def draw_row(work: Path, name: str, models: list[str]) -> Image.Image:
-    """A held-out photograph beside what the models render."""
-    files = [work / f"{name}_photograph.png", *(work / f"{name}_{m}.png" for m in models)]
-    return Image.fromarray(np.hstack([np.asarray(Image.open(f).convert("RGB")) for f in files if f.exists()]))
+def draw_row(work: Path, name: str, rows: dict[str, dict], path: Path) -> None:
+    """A held-out photograph beside what the models render of the object, and below how far each is from it."""
+    photograph = _part(work / f"{name}_photograph.png", name)
+    models = [model for model in rows if (work / f"{name}_{model}.png").exists()]
+    height_over_width = photograph.shape[0] / photograph.shape[1]
+    width = min(2.0, _HIGHEST_IN / height_over_width)
+    size = (width * (len(models) + 1), 2.0 * width * height_over_width + 0.6)
+    figure, plots = canvas(*size, nrows=2, ncols=len(models) + 1)
+    for axes in plots.flat:
+        axes.axis("off")
+    plots[0, 0].imshow(photograph)
+    plots[0, 0].set_title("photograph", loc="left", color=INK, fontsize=9.5)
+    plots[1, 0].text(
+        0.0, 0.5, f"difference,\ntimes {TIMES:g}", transform=plots[1, 0].transAxes, color=SOFT, va="center"
+    )
+    for (above, below), model in zip(plots.T[1:], models, strict=True):
+        rendered = _part(work / f"{name}_{model}.png", name)
+        above.imshow(rendered)
+        psnr = rows[model]["held_out_psnr_db"]
+        above.set_title(f"{LABELS[model]}, {psnr:.1f} dB", loc="left", color=INK, fontsize=9.5)
+        apart = np.abs(rendered.astype(float) - photograph.astype(float)).mean(axis=2) / 255.0
+        below.imshow(apart, cmap="gray_r", vmin=0.0, vmax=1.0 / TIMES)
+    save(figure, path)
+
+
+def _part(file: Path, name: str) -> np.ndarray:
+    """The part of a picture (rows, columns, 3) that the object fills."""
+    picture = np.asarray(Image.open(file).convert("RGB"))
+    height, width = picture.shape[:2]
+    x0, x1, y0, y1 = PARTS[name]
+    return picture[round(y0 * height) : round(y1 * height), round(x0 * width) : round(x1 * width)]

@@ -29,7 +29,7 @@ def has_bands(parts: Parts) -> bool:
 def _panels(parts: Parts) -> list[tuple[tuple[Band, ...], str, str]]:
     """Bands, label of their axis and unit of their limits, of what is known of the points."""
     depth = () if parts.depth is None else parts.depth.bands
-    panels = [(depth, "depth below the water [m]", "m"), (parts.incidence, "incidence at the water [°]", "deg"),
+    panels = [(depth, "depth below the water [m]", "m"), (parts.incidence, "incidence [°]", "deg"),
               (parts.views, "views that agree", "views")]  # fmt: skip
     return [panel for panel in panels if panel[0]]
 

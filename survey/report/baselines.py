@@ -1,4 +1,4 @@
-"""What straight rays and corrections afterwards would have given over the same bed, beside what this run gave."""
+"""What straight rays, and corrections of them, would have given over the same bed, beside what this run gave."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 _PLACES = 2000
 _SEED = 20_060_619
 _NOTE = (
-    "Predicted: where straight rays of all views that have a place in their frame meet, in closed form and without "
-    "matching noise, at places of the reference under water; what stands in the way of a view is not considered. "
-    "Measured: vertical differences of the points under water to the reference; at walls a small offset to the side "
-    "counts whole there, which moves the mean and hardly the median. Too shallow is positive."
+    "Predicted: where the straight rays of all views with a place in their frame meet, in closed form and without "
+    "matching noise, at places of the reference under water; occlusion is not considered. Measured: vertical "
+    "differences of the points under water to the reference; at walls a small horizontal offset counts in full, which "
+    "moves the mean and hardly the median. Positive is too shallow."
 )
 
 

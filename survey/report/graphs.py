@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from survey.compare.canvas import canvas, nice_limit, save, write_title
 from survey.palette import BLUE, INK, RED, SERIES, SOFT
-from survey.quantities import LengthUnit, with_unit
+from survey.quantities import LengthUnit, number, with_unit
 from survey.report.facts import ReportFacts
 from survey.report.shading import Picture
 
@@ -26,18 +26,19 @@ def draw_histograms(path: Path, facts: ReportFacts) -> Picture:
     std = LengthUnit.of([float(np.nanquantile(bed.std, 0.95))] if np.isfinite(bed.std).any() else [])
     angle = "angle off nadir" if is_dry else "incidence at the water"
     graphs = (
-        ("height", "m", facts.points_crs[:, 2]) if is_dry else ("true depth", "m", bed.depth[bed.wet]),
-        ("standard deviation", std.name, std.per_metre * bed.std),
-        ("views that agree", "", bed.num_views),
-        (angle, "°", np.degrees(bed.incidence)),
+        ("height", "m", 2, facts.points_crs[:, 2]) if is_dry else ("true depth", "m", 2, bed.depth[bed.wet]),
+        ("standard deviation", std.name, std.decimals, std.per_metre * bed.std),
+        ("views that agree", "", 0, bed.num_views),
+        (angle, "°", 1, np.degrees(bed.incidence)),
     )
     figure = Figure(figsize=(11.0, 2.7), layout="constrained")
     FigureCanvasAgg(figure)
-    for axes, (label, unit, values), colour in zip(figure.subplots(1, 4), graphs, SERIES, strict=True):
+    for axes, (label, unit, decimals, values), colour in zip(figure.subplots(1, 4), graphs, SERIES, strict=True):
         values = values[np.isfinite(values)].astype(np.float64)
         if values.size:
             _histogram(axes, values, colour, is_count=not unit)
-            axes.set_title(f"median {with_unit(f'{np.median(values):.3g}', unit)}", loc="right", color=SOFT, fontsize=9)
+            median = with_unit(number(float(np.median(values)), decimals), unit)
+            axes.set_title(f"median {median}", loc="right", color=SOFT, fontsize=9)
         axes.set(yticks=[])
         axes.set_xlabel(f"{label} [{unit}]" if unit else label, color=INK)
         axes.tick_params(colors=SOFT, labelsize=8.5)
@@ -48,7 +49,7 @@ def draw_histograms(path: Path, facts: ReportFacts) -> Picture:
 
 def _histogram(axes: Axes, values: np.ndarray, colour: str, *, is_count: bool) -> None:
     """Shares of values in bins, each whole number a bin of its own if they are counts; and their median."""
-    axes.xaxis.set_major_locator(MaxNLocator(6, integer=is_count))
+    axes.xaxis.set_major_locator(MaxNLocator(4, integer=is_count))
     if is_count:
         edges = np.arange(0.5, np.quantile(values, 0.995) + 1.0)
     else:

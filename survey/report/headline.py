@@ -44,7 +44,7 @@ def headline(verdict: dict | None, warnings: list[str]) -> Headline:
     if num_failed:
         said = f"{num_failed} of {len(gates)} quality gates {'is' if num_failed == 1 else 'are'} not met."
         return Headline("failed", "Failed", f"{said} Do not use the cloud without checking it.", gates)
-    met = "The quality gate is met" if len(gates) == 1 else f"All {len(gates)} quality gates are met"
+    met = "All quality gates are met"
     if warnings:
         them = "the warning" if len(warnings) == 1 else f"the {len(warnings)} warnings"
         return Headline("doubtful", "Passed with warnings", f"{met}; read {them} below before use.", gates)

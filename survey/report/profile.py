@@ -98,7 +98,7 @@ def _draw_water(axes: Axes, x: np.ndarray, bed: np.ndarray, level: np.ndarray) -
     if not len(wet):
         return
     axes.fill_between(x, bed, level, where=bed < level, color=WATER, alpha=0.45, lw=0, zorder=1)
-    axes.plot(x, np.where(bed < level, level, np.nan), color=WATER_LINE, lw=1.8, label="water", zorder=3)
+    axes.plot(x, np.where(bed >= level, np.nan, level), color=WATER_LINE, lw=1.8, label="water", zorder=3)
     middle = wet[len(wet) // 2]
     axes.text(x[middle], level[middle], f"▽ water {metres(level[middle])}", color=WATER_LINE, fontsize=9,
               ha="center", va="bottom", zorder=5)  # fmt: skip

@@ -8,7 +8,7 @@ from survey.report.blocks import Block, Rows, Sentences, Table, Text
 
 _BANDS = (
     ("depth_bands", "depth", "m"),
-    ("incidence_bands", "incidence at the water", "deg"),
+    ("incidence_bands", "incidence", "deg"),
     ("views_bands", "views that agree", "views"),
 )
 

@@ -145,7 +145,7 @@ def cross(upright: np.ndarray, level: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("mode", ["direct", "physical"])
-def test_a_corner_of_a_checker_lands_where_refract_projects_it(mi, mode):
+def test_a_corner_of_a_checker_lands_where_refract_projects_it(mode, request):
     ground, water = checkered(), WATER
     if mode == "direct":
         eye, sensor = DirectRenderer(ground, water, CLEAR).radiance_of_rays, Sensor(samples=144)
@@ -154,6 +154,7 @@ def test_a_corner_of_a_checker_lands_where_refract_projects_it(mi, mode):
         # reflected once. Of the 2000 rays of a pixel 2 % miss the bed: 0.003 of its value, 0.011 px of an edge that
         # is found in one line of 25 pixels, half of them bright, and 0.003 px of an edge fitted to 14 such lines.
         sun = Light(sun_share=0.999, sun_radius=1e-4)
+        mi = request.getfixturevalue("mi")
         eye, sensor = tracer(mi, ground, water, light=sun, bounces=3), Sensor(samples=2000, by_chance=True)
     camera = camera_at(0.15, 0.1, 9.0, 0.04)
     expected = camera.project(np.array([0.0, 0.0, -DEPTH]), water)

@@ -7,7 +7,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 
 import laspy
 import numpy as np
@@ -34,9 +33,24 @@ STD_WITHOUT_NOISE_M, STD_WITH_NOISE_M = 0.25 * GSD, 0.32 * GSD
 COMPLETENESS, TOLERANCES_M = 0.99, (0.2, 2.0 * GSD)
 # LAS stores millimetres.
 LAS_STEP_M = 0.001
-KILL_AFTER_S = 120.0
 
 COMMAND = [sys.executable, "-c", "from survey.commands.app import main; main()"]
+# The same command, killed as soon as the sweep is stored.
+KILLED = """
+import os, signal
+from survey.commands.app import main
+from survey.run.folder import RunDir
+
+finish_stage = RunDir.finish_stage
+
+def finish_the_last_stage(run, name, key, folder):
+    finish_stage(run, name, key, folder)
+    if name == "sweep":
+        os.kill(os.getpid(), signal.SIGKILL)
+
+RunDir.finish_stage = finish_the_last_stage
+main()
+"""
 
 
 def bathynerf(*arguments) -> subprocess.CompletedProcess:
@@ -72,12 +86,9 @@ def swept(survey: DrawnRun) -> bool:
 def noisy(tmp_path_factory):
     """JPEG with noise, from the command line: killed after the sweep, then given again."""
     survey = drawn(tmp_path_factory.mktemp("noisy") / "survey", noise=1.0)
-    with subprocess.Popen([*COMMAND, "process", survey.folder, "-q"], stdin=subprocess.DEVNULL) as first:
-        end = time.monotonic() + KILL_AFTER_S
-        while first.poll() is None and not swept(survey) and time.monotonic() < end:
-            time.sleep(0.01)
-        first.kill()
-    assert first.returncode == -signal.SIGKILL, "the run ended before it was killed"
+    killed = [sys.executable, "-c", KILLED, "process", str(survey.folder), "-q"]
+    first = subprocess.run(killed, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+    assert first.returncode == -signal.SIGKILL, first.stderr
     assert swept(survey)
     assert not survey.run.cloud_path.exists()
     truth = survey.folder / "truth"

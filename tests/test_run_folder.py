@@ -64,7 +64,7 @@ def test_the_record_of_a_stage_has_key_parts_seconds_and_versions(tmp_path):
     record = json.loads((folder / "stage.json").read_text())
     assert record["key"] == A.digest
     assert record["parts"] == A.parts
-    assert 0.0 <= record["seconds"] == seconds_of(folder) < 60.0
+    assert 0.0 <= record["seconds"] == seconds_of(folder)
     assert record["versions"] == versions()
     assert {"bathynerf", "python", "numpy"} <= set(record["versions"])
 

@@ -48,7 +48,19 @@ ROUNDING = 1e-5
 
 @pytest.fixture(scope="module")
 def mi():
-    return load_mitsuba("cpu")
+    found = load_mitsuba("cpu")
+    if found.variant() == "scalar_rgb":
+        pytest.skip("without LLVM rays are followed one by one, hours of them here")
+    return found
+
+
+@pytest.fixture
+def scalar_mi():
+    """Mitsuba as it is used where neither CUDA nor LLVM is there."""
+    found = load_mitsuba("cpu")
+    variant = found.variant()
+    yield load_mitsuba("torch")
+    found.set_variant(variant)
 
 
 def camera_at(x: float, y: float, z: float, tilt: float) -> PinholeCamera:
@@ -133,7 +145,7 @@ def cross(upright: np.ndarray, level: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("mode", ["direct", "physical"])
-def test_a_corner_of_a_checker_lands_where_refract_projects_it(mi, mode):
+def test_a_corner_of_a_checker_lands_where_refract_projects_it(mode, request):
     ground, water = checkered(), WATER
     if mode == "direct":
         eye, sensor = DirectRenderer(ground, water, CLEAR).radiance_of_rays, Sensor(samples=144)
@@ -142,6 +154,7 @@ def test_a_corner_of_a_checker_lands_where_refract_projects_it(mi, mode):
         # reflected once. Of the 2000 rays of a pixel 2 % miss the bed: 0.003 of its value, 0.011 px of an edge that
         # is found in one line of 25 pixels, half of them bright, and 0.003 px of an edge fitted to 14 such lines.
         sun = Light(sun_share=0.999, sun_radius=1e-4)
+        mi = request.getfixturevalue("mi")
         eye, sensor = tracer(mi, ground, water, light=sun, bounces=3), Sensor(samples=2000, by_chance=True)
     camera = camera_at(0.15, 0.1, 9.0, 0.04)
     expected = camera.project(np.array([0.0, 0.0, -DEPTH]), water)
@@ -266,13 +279,12 @@ def test_a_sun_that_reaches_below_the_horizon_is_refused():
         Light(to_sun=(1.0, 0.0, 0.1), sun_radius=0.11)
 
 
-@pytest.mark.parametrize("radius", SUN_RADII)
-def test_a_bed_under_still_water_has_the_light_of_the_closed_form_for_any_sun(mi, radius):
-    # A sun at noon, and light that goes to and fro between bed and surface: a geometric series.
-    n, albedo, share, slant = 1.333, 0.5, 0.5, 0.4
-    light = Light(to_sun=(0.0, 0.0, 1.0), sun_share=share, sun_radius=radius)
-    ground = checkered(albedo=albedo, reach=600.0)
-    eye = tracer(mi, ground, FlatWater((0.0, 0.0, 0.0), n_water=n), light=light, bounces=400)
+def bed_under_water(light: Light, albedo: float, slant: float, n: float) -> float:
+    """Radiance of a matt bed under level clear water and a sun at noon, along a ray from above.
+
+    Light goes to and fro between bed and surface, a geometric series; the sky is alike everywhere.
+    """
+    share, radius = light.sun_share, light.sun_radius
     from_sky = let_in(math.pi / 2.0, n)
     from_sun = let_in(radius, n) / math.sin(radius) ** 2 if radius > 0.0 else 1.0 - mirrored(1.0, n)
     # What a matt bed throws up is mirrored down by the surface but for the share that leaves into all of the sky.
@@ -280,7 +292,15 @@ def test_a_bed_under_still_water_has_the_light_of_the_closed_form_for_any_sun(mi
     bed = albedo * down / (1.0 - albedo * (1.0 - from_sky / n**2))
     above = (1.0 - share) + (share / math.sin(radius) ** 2 if slant < radius else 0.0)
     reflected = mirrored(math.cos(slant), n)
-    assert_mean(eye(*rays_down(40_000, slant), 3), (1.0 - reflected) * bed / n**2 + reflected * above)
+    return (1.0 - reflected) * bed / n**2 + reflected * above
+
+
+@pytest.mark.parametrize("radius", SUN_RADII)
+def test_a_bed_under_still_water_has_the_light_of_the_closed_form_for_any_sun(mi, radius):
+    light = Light(to_sun=(0.0, 0.0, 1.0), sun_share=0.5, sun_radius=radius)
+    level = FlatWater((0.0, 0.0, 0.0), n_water=1.333)
+    eye = tracer(mi, checkered(albedo=0.5, reach=600.0), level, light=light, bounces=400)
+    assert_mean(eye(*rays_down(40_000, 0.4), 3), bed_under_water(light, 0.5, 0.4, level.n_water))
 
 
 @pytest.mark.parametrize("radius", SUN_RADII)
@@ -351,19 +371,21 @@ def test_the_same_seed_gives_the_same_light_and_another_seed_another(mi):
     assert np.abs(first - other).max() > 0.0
 
 
-def test_the_scalar_variant_sees_the_same_light(mi):
+def test_the_scalar_variant_has_the_light_of_the_closed_form(scalar_mi):
+    light = Light(to_sun=(0.0, 0.0, 1.0), sun_share=0.5)
+    level = FlatWater((0.0, 0.0, 0.0), n_water=1.333)
+    eye = tracer(scalar_mi, checkered(albedo=0.5), level, light=light, bounces=50)
+    assert eye.is_scalar
+    assert_mean(eye(*rays_down(500, 0.4), 3), bed_under_water(light, 0.5, 0.4, level.n_water))
+
+
+def test_the_scalar_variant_sees_the_same_light(mi, scalar_mi):
     water = WaterColour(absorption=(0.2, 0.05, 0.02), scattering=0.5)
 
     def light(count: int) -> np.ndarray:
         eye = tracer(mi, checkered(albedo=0.5), WATER, colour=water, light=WIDE_SUN)
         return eye(*rays_down(count, 0.3), 4)
 
-    expected = light(50_000)
-    variant = mi.variant()
-    try:
-        # What is taken where neither CUDA nor LLVM is there.
-        assert load_mitsuba("torch").variant() == "scalar_rgb"
-        found = light(2_000)
-    finally:
-        mi.set_variant(variant)
-    assert_mean(found, None, expected)
+    found = light(1_000)
+    load_mitsuba("cpu")
+    assert_mean(found, None, light(50_000))

@@ -31,7 +31,10 @@ def test_the_slab_spans_the_heights_inside_the_area_with_room_for_their_noise(ca
     rows, columns = np.nonzero(slab.known)
     x, y = slab.low[0] + GSD * (columns + 0.5), slab.low[1] + GSD * (rows + 0.5)
     truth = -TILTED.depth(np.stack([x, y, BED.level + BED.slope * x], axis=-1))
-    assert np.abs(slab.proxy[rows, columns] - truth).max() < 0.02
+    # Medians of heights that err by 1 cm each: better than one of them, and none off by more than five deviations.
+    errors = slab.proxy[rows, columns] - truth
+    assert errors.std() < 0.01
+    assert np.abs(errors).max() < 0.05
     wide = [replace(m, spread=np.full_like(m.spread, 0.03)) for m in sources.maps]
     assert slab_of(replace(sources, maps=wide), GSD, None).half == pytest.approx(0.09)
 

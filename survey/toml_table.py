@@ -12,7 +12,7 @@ import math
 import tomllib
 import types
 import typing
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +30,16 @@ def key(default: Any, expected: str) -> Any:
     return dataclasses.field(default=default, metadata={_EXPECTED: expected})
 
 
-def read_toml(
-    path: Path, kind: type, *, synonyms: Mapping[str, str] | None = None, not_yet: Mapping[str, str] | None = None
-) -> Any:
-    """A dataclass filled from a TOML file; see `parse_toml`. Errors name the file."""
+def read_toml(path: Path, parse: Callable[[str], Any]) -> Any:
+    """What `parse` makes of the text in a TOML file.
+
+    Raises
+    ------
+    ConfigError
+        That of `parse`, with the name of the file before it, or where the file is not UTF-8.
+    """
     try:
-        return parse_toml(path.read_text(encoding="utf-8-sig"), kind, synonyms=synonyms, not_yet=not_yet)
+        return parse(path.read_text(encoding="utf-8-sig"))
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8") from error
     except ConfigError as error:

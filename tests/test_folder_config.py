@@ -158,6 +158,11 @@ def test_a_wrong_or_contradictory_value_is_named_with_what_was_expected(text, wo
     assert words in str(error.value)
 
 
+def test_an_estimate_may_leave_the_range_that_a_file_must_keep():
+    water = parse_config("[water]\nlevel_m = 1.0").water
+    assert dataclasses.replace(water, refractive_index=0.97, slope_east=0.3).refractive_index == 0.97
+
+
 def test_an_error_names_the_file(tmp_path):
     path = tmp_path / "survey.toml"
     path.write_text("[water]\nlevel = 3")

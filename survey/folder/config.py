@@ -107,12 +107,6 @@ class WaterConfig:
         self._require_one_level()
         self._require_one_index()
         self._require_colour()
-        for name in ("slope_east", "slope_north"):
-            if abs(getattr(self, name)) > 0.2:
-                raise ConfigError(
-                    f"[water] {name} is {getattr(self, name):g}, expected a rise in metres per metre of at most 0.2; "
-                    "a river has about 0.001 to 0.01"
-                )
 
     def _require_one_level(self) -> None:
         levels = [name for name in _ANY_LEVEL if getattr(self, name) is not None]
@@ -134,11 +128,6 @@ class WaterConfig:
         if by_water == ["salinity_psu"]:
             raise ConfigError(
                 "[water] has salinity_psu without temperature_c; give temperature_c too, or refractive_index"
-            )
-        if self.refractive_index is not None and not 1.0 <= self.refractive_index <= 1.6:
-            raise ConfigError(
-                f"[water] refractive_index is {self.refractive_index:g}, expected 1.0 to 1.6 relative to air; fresh "
-                "water has 1.333, sea water 1.340"
             )
 
     def _require_colour(self) -> None:
@@ -209,12 +198,30 @@ def read_config(path: Path) -> SurveyConfig:
         Where the file is no TOML, or a key is unknown, of the wrong kind, not supported yet or at odds with
         another.
     """
-    return read_toml(path, SurveyConfig, synonyms=_SYNONYMS, not_yet=_NOT_YET)
+    return read_toml(path, parse_config)
 
 
 def parse_config(text: str) -> SurveyConfig:
     """The settings in a text in TOML; see `read_config`."""
-    return parse_toml(text, SurveyConfig, synonyms=_SYNONYMS, not_yet=_NOT_YET)
+    config = parse_toml(text, SurveyConfig, synonyms=_SYNONYMS, not_yet=_NOT_YET)
+    if config.water is not None:
+        _require_sane(config.water)
+    return config
+
+
+def _require_sane(water: WaterConfig) -> None:
+    """Raise ConfigError where a number is out of range; one that was estimated may be, and its verdict says so."""
+    if water.refractive_index is not None and not 1.0 <= water.refractive_index <= 1.6:
+        raise ConfigError(
+            f"[water] refractive_index is {water.refractive_index:g}, expected 1.0 to 1.6 relative to air; fresh water "
+            "has 1.333, sea water 1.340"
+        )
+    for name, slope in (("slope_east", water.slope_east), ("slope_north", water.slope_north)):
+        if abs(slope) > 0.2:
+            raise ConfigError(
+                f"[water] {name} is {slope:g}, expected a rise in metres per metre of at most 0.2; a river has about "
+                "0.001 to 0.01"
+            )
 
 
 def dump_config(config: SurveyConfig) -> str:

@@ -1,4 +1,4 @@
-"""The photographs of a survey as `fields` takes them: a block at the plan's scale, where it looks and how far."""
+"""The photographs of a survey as a block of `fields`, at the plan's scale, with the limits of the search."""
 
 from __future__ import annotations
 
@@ -64,12 +64,12 @@ def camera_of(view: View, plan: Plan) -> PinholeCamera:
 
 
 def plane_name(survey: Survey) -> str:
-    """What heights count from, in words."""
+    """The reference of heights, in words."""
     return "water" if survey.water is not None else "local origin"
 
 
 def limits(survey: Survey) -> tuple[float, float]:
-    """Heights [m] over the water plane (over local z = 0) beyond which no bed is looked for."""
+    """Heights [m] over the water plane (dry: over local z = 0) between which the bed is searched."""
     if survey.water is None:
         cameras = [view.camera for view in survey.views]
         flying = float(np.median([camera.centre[2] for camera in cameras])) - ground_height(cameras)

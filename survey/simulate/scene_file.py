@@ -7,7 +7,7 @@ from pathlib import Path
 
 from survey.errors import ConfigError
 from survey.simulate.flight.settings import FlightSettings
-from survey.toml_table import read_toml, require_one_of, require_positive
+from survey.toml_table import parse_toml, read_toml, require_one_of, require_positive
 
 BEDS = ("drawn", "plane", "mesh", "cloud")
 TEXTURES = ("sand", "checker", "image", "vertex")
@@ -216,4 +216,4 @@ def read_scene(path: Path) -> SceneSettings:
     ConfigError
         Where the file is no TOML, or a key is unknown, missing, of the wrong kind or at odds with another.
     """
-    return read_toml(path, SceneSettings)
+    return read_toml(path, lambda text: parse_toml(text, SceneSettings))

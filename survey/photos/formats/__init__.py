@@ -13,14 +13,14 @@ from survey.photos.formats.format import Format
 
 # Two photographs may agree by chance on a point that is not there; a third hardly does.
 MIN_TRACK = 3
-# What other programs leave beside the images; named so that nobody wonders why they are not read.
+# Files of other programs that are not read; warnings name them.
 _NOT_READ = ("cameras.xml", "transforms.json", "reconstruction.json", "nvm", "bundle.out")
 # Asked in this order which of them a path is of.
 FORMATS = (opk_csv.FORMAT, colmap.FORMAT)
 
 
 def find_poses(folder: Path) -> list[Path]:
-    """Poses files and folders of a known format in a survey folder, best known places only."""
+    """Poses files and model folders of a known format, in their usual places in a survey folder."""
     return [path for known in FORMATS for path in known.find(folder)]
 
 

@@ -103,7 +103,7 @@ def test_make_knows_the_targets_that_readme_names():
 
 
 def test_every_dependency_is_imported_somewhere():
-    modules = {"opencv-python-headless": "cv2", "pillow": "PIL", "libigl": "igl"}
+    modules = {"opencv-python-headless": "cv2", "pillow": "PIL", "libigl": "igl", "tomli-w": "tomli_w"}
     code = "\n".join(path.read_text(encoding="utf-8") for path in python_files())
     for line in project()["dependencies"]:
         name = re.match(r"[\w-]+", line)[0]

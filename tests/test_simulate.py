@@ -99,11 +99,11 @@ def survey(tmp_path_factory) -> Path:
 
 @pytest.mark.parametrize(
     ("change", "named"),
-    [({"depth_m": "dept_m = 1.2"}, r"unknown key dept_m in \[bed\]; the nearest known one is depth_m"),
-     ({"origin": "origin = [1.0, 2.0]"}, "origin is .*expected a list of 3, each a number"),
+    [({"depth_m": "dept_m = 1.2"}, r"unknown key dept_m in \[bed\]; the nearest known one is \[bed\] depth_m"),
+     ({"origin": "origin = [1.0, 2.0]"}, "origin is .*expected a list of 3, each a finite number"),
      ({"crs": ""}, "crs is missing, expected a text in quotes"),
      ({"crs": 'crs = "EPSG:25832"'}, "no vertical part; add a vertical CRS"),
-     ({"height_m": 'height_m = "high"'}, "flight.height_m is 'high', expected a number"),
+     ({"height_m": 'height_m = "high"'}, "flight.height_m is 'high', expected a finite number"),
      ({"kind": 'kind = "lava"'}, 'bed.kind is "lava", expected one of drawn, plane, mesh'),
      ({"kind": 'kind = "mesh"'}, 'give file = "..."'),
      ({"texel_m": "texel_m = 0.0"}, "texture.texel_m is 0, expected a number above zero"),

@@ -3,14 +3,39 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
-import json
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import tomli_w
+
 from survey.errors import ConfigError
-from survey.folder import keys
+from survey.toml_table import key, parse_toml, read_toml, require_one_of, require_positive
+
+_ANY_LEVEL = ("level_m", "shoreline", "gnss_points", "gauge")
+_TOPOCENTRIC = "topocentric east-north-up"
+
+# What other programs and other words call our keys.
+_SYNONYMS = {
+    "gcp": "control.gcps", "gcps": "control.gcps", "ground_control": "control.gcps", "control_points": "control.gcps",
+    "check_points": "control.checkpoints", "epsg": "crs", "srs": "crs", "projection": "crs",
+    "photos": "images.dir", "mask_dir": "images.masks", "lens": "cameras.model", "fx": "cameras.focal_px",
+    "cx": "cameras.principal_point_px", "resolution": "cameras.size_px", "k1": "cameras.distortion",
+    "gps": "cameras.gps_height", "ior": "water.refractive_index", "index": "water.refractive_index",
+    "tide": "water.gauge", "roi": "area.bounds", "extent": "area.bounds", "bbox": "area.bounds",
+}  # fmt: skip
+
+# Keys that a later version will read, and what to do until then.
+_NOT_YET = {
+    "water.mask": "the sweep finds by itself what is wet; remove it",
+    "water.level_std_m": "remove it; process --calibrate-water estimates the level and its uncertainty",
+    "water.index_std": "remove it; process --calibrate-water estimates the index and its uncertainty",
+    "water.slope_std": "remove it; process --calibrate-water estimates the slopes and their uncertainty",
+    "cameras.position_std_m": "remove it; structure from motion finds how good the GPS positions are",
+    "cameras.rotation_std_deg": "remove it; poses of a file are taken as they are",
+    "control.gcps": "give camera poses that are already adjusted to the control points",
+    "control.checkpoints": "remove it and give the file to bathynerf compare --checkpoints",
+    "control.std_m": "give camera poses that are already adjusted to the control points",
+}
 
 
 @dataclass(frozen=True)
@@ -27,11 +52,34 @@ class CamerasConfig:
 
     poses: str | None = None
     model: str | None = None
-    size_px: tuple[int, int] | None = None
-    focal_px: float | tuple[float, float] | None = None
-    principal_point_px: tuple[float, float] | None = None
-    distortion: tuple[float, ...] | None = None
+    size_px: tuple[int, int] | None = key(None, "[width, height] in whole pixels")
+    focal_px: float | tuple[float, float] | None = key(None, "one focal length or [fx, fy] in pixels")
+    principal_point_px: tuple[float, float] | None = key(None, "[x, y] in pixels")
+    distortion: tuple[float, ...] | None = key(None, "a list of coefficients, e.g. [k1, k2, p1, p2]")
     gps_height: str = "crs"
+
+    def __post_init__(self):
+        if self.size_px is not None and min(self.size_px) < 1:
+            raise ConfigError(f"cameras.size_px is {list(self.size_px)}, expected [width, height] in whole pixels")
+        focal = self.focal_px if isinstance(self.focal_px, tuple) else (self.focal_px,)
+        for value in focal:
+            require_positive("cameras", focal_px=value)
+        if self.distortion is not None and self.model is None:
+            raise ConfigError(
+                '[cameras] distortion is given without model; give e.g. model = "OPENCV" with k1, k2, p1, p2'
+            )
+        if self.gps_height not in ("crs", "ellipsoidal"):
+            raise ConfigError(
+                f'[cameras] gps_height is "{self.gps_height}", expected "crs" (EXIF heights are heights in crs) or '
+                '"ellipsoidal"'
+            )
+        if self.principal_point_px is not None and self.size_px is not None:
+            inside = all(0.0 < p < s for p, s in zip(self.principal_point_px, self.size_px, strict=True))
+            if not inside:
+                raise ConfigError(
+                    f"[cameras] principal_point_px {list(self.principal_point_px)} lies outside the image of size_px "
+                    f"{list(self.size_px)}; expected pixels from the upper left corner"
+                )
 
 
 @dataclass(frozen=True)
@@ -39,32 +87,87 @@ class WaterConfig:
     """[water]: a plane through ``level_m`` at ``level_at``, with its rise per metre along the grid axes."""
 
     level_m: float | None = None  # None only until the file that is named instead is read
-    level_at: tuple[float, float] | None = None
+    level_at: tuple[float, float] | None = key(None, "[easting, northing]")
     slope_east: float = 0.0
     slope_north: float = 0.0
     refractive_index: float | None = None
     temperature_c: float | None = None
     salinity_psu: float | None = None
-    absorption_per_m: tuple[float, float, float] | None = None  # of red, green, blue, on the way down and up
-    veiling_light: tuple[float, float, float] | None = None  # linear, of endless water; 1 is a photograph's white
+    absorption_per_m: tuple[float, float, float] | None = key(
+        None, "[red, green, blue], the share of light that a metre of water takes, e.g. [0.3, 0.07, 0.05]"
+    )
+    veiling_light: tuple[float, float, float] | None = key(
+        None, "[red, green, blue], linear light of endless water, 1 for white, e.g. [0.03, 0.17, 0.2]"
+    )
     shoreline: str | None = None  # CSV of points, easting, northing, height, where water meets land
     gnss_points: str | None = None  # the same, of points anywhere on the surface
     gauge: str | None = None  # CSV of time, level
+
+    def __post_init__(self):
+        self._require_one_level()
+        self._require_one_index()
+        self._require_colour()
+
+    def _require_one_level(self) -> None:
+        levels = [name for name in _ANY_LEVEL if getattr(self, name) is not None]
+        if not levels:
+            raise ConfigError(
+                "level_m is missing from [water]. Give the height of the water surface in the survey's vertical "
+                "datum, e.g. level_m = 12.34, or a file of points or readings as shoreline, gnss_points or gauge, or "
+                "remove [water] for a dry survey"
+            )
+        if len(levels) > 1:
+            raise ConfigError(f"[water] has {' and '.join(levels)}, each of which says how high the water is; keep one")
+
+    def _require_one_index(self) -> None:
+        by_water = [name for name in ("temperature_c", "salinity_psu") if getattr(self, name) is not None]
+        if self.refractive_index is not None and by_water:
+            raise ConfigError(
+                f"[water] has both refractive_index and {' and '.join(by_water)}, which contradict each other; keep one"
+            )
+        if by_water == ["salinity_psu"]:
+            raise ConfigError(
+                "[water] has salinity_psu without temperature_c; give temperature_c too, or refractive_index"
+            )
+
+    def _require_colour(self) -> None:
+        values = {name: getattr(self, name) for name in ("absorption_per_m", "veiling_light")}
+        known = [name for name, value in values.items() if value is not None]
+        for name in known:
+            if min(values[name]) < 0.0:
+                raise ConfigError(f"water.{name} is {list(values[name])}, expected [red, green, blue], none below zero")
+        if len(known) == 1:
+            raise ConfigError(
+                f"[water] has {known[0]} alone, expected absorption_per_m and veiling_light together; give both "
+                "(veiling_light = [0, 0, 0] for water that scatters nothing) or neither"
+            )
 
 
 @dataclass(frozen=True)
 class AreaConfig:
     """[area]: easting and northing, low then high, inside which the bed is wanted."""
 
-    bounds: tuple[float, float, float, float] | None = None
+    bounds: tuple[float, float, float, float] | None = key(
+        None, "[easting_low, northing_low, easting_high, northing_high]"
+    )
+
+    def __post_init__(self):
+        if self.bounds is not None and not (self.bounds[0] < self.bounds[2] and self.bounds[1] < self.bounds[3]):
+            raise ConfigError(
+                f"area.bounds is {list(self.bounds)}, expected [easting_low, northing_low, easting_high, "
+                "northing_high] with low below high"
+            )
 
 
 @dataclass(frozen=True)
 class LocalConfig:
     """[local]: the topocentric frame that COLMAP poses are in; its origin in crs."""
 
-    frame: str = "topocentric east-north-up"
-    origin: tuple[float, float, float] | None = None
+    frame: str = _TOPOCENTRIC
+    origin: tuple[float, float, float] | None = key(None, "[easting, northing, height]")
+
+    def __post_init__(self):
+        require_one_of("local.frame", self.frame, (_TOPOCENTRIC,))
 
 
 @dataclass(frozen=True)
@@ -72,21 +175,12 @@ class SurveyConfig:
     """All of survey.toml."""
 
     name: str | None = None
-    crs: str | None = None
+    crs: str | None = key(None, 'a text with a vertical part, e.g. crs = "EPSG:25832+5778"')
     images: ImagesConfig = field(default_factory=ImagesConfig)
     cameras: CamerasConfig = field(default_factory=CamerasConfig)
     water: WaterConfig | None = None
     area: AreaConfig = field(default_factory=AreaConfig)
     local: LocalConfig = field(default_factory=LocalConfig)
-
-
-_SECTIONS = {
-    "images": ImagesConfig,
-    "cameras": CamerasConfig,
-    "water": WaterConfig,
-    "area": AreaConfig,
-    "local": LocalConfig,
-}
 
 
 def read_config(path: Path) -> SurveyConfig:
@@ -98,146 +192,40 @@ def read_config(path: Path) -> SurveyConfig:
         Where the file is no TOML, or a key is unknown, of the wrong kind, not supported yet or at odds with
         another.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8") from error
-    try:
-        return parse_config(text)
-    except ConfigError as error:
-        raise type(error)(f"{path}: {error}") from error
+    return read_toml(path, parse_config)
 
 
 def parse_config(text: str) -> SurveyConfig:
     """The settings in a text in TOML; see `read_config`."""
-    try:
-        tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"not valid TOML: {error}; correct that line") from error
-    _refuse_unknown(tables)
-    top = {key: keys.TOP[key](key, tables[key]) for key in keys.TOP if key in tables}
-    for section, kind in _SECTIONS.items():
-        if section not in tables:
-            continue
-        values = {key: keys.SECTIONS[section][key](f"{section}.{key}", v) for key, v in tables[section].items()}
-        if section == "water":
-            _check_water(values)
-        top[section] = kind(**values)
-    config = SurveyConfig(**top)
-    _check_cameras(config.cameras)
+    config = parse_toml(text, SurveyConfig, synonyms=_SYNONYMS, not_yet=_NOT_YET)
+    if config.water is not None:
+        _require_sane(config.water)
     return config
+
+
+def _require_sane(water: WaterConfig) -> None:
+    """Raise ConfigError where a number is out of range; one that was estimated may be, and its verdict says so."""
+    if water.refractive_index is not None and not 1.0 <= water.refractive_index <= 1.6:
+        raise ConfigError(
+            f"[water] refractive_index is {water.refractive_index:g}, expected 1.0 to 1.6 relative to air; fresh water "
+            "has 1.333, sea water 1.340"
+        )
+    for name, slope in (("slope_east", water.slope_east), ("slope_north", water.slope_north)):
+        if abs(slope) > 0.2:
+            raise ConfigError(
+                f"[water] {name} is {slope:g}, expected a rise in metres per metre of at most 0.2; a river has about "
+                "0.001 to 0.01"
+            )
 
 
 def dump_config(config: SurveyConfig) -> str:
     """The settings as TOML that `parse_config` reads back to the same settings."""
-    lines, tables = [], []
-    for item in dataclasses.fields(config):
-        value = getattr(config, item.name)
-        if dataclasses.is_dataclass(value):
-            tables.append((item.name, value))
-        elif value is not None:
-            lines.append(f"{item.name} = {_toml(value)}")
-    for name, table in tables:
-        pairs = {f.name: getattr(table, f.name) for f in dataclasses.fields(table)}
-        lines += [
-            "",
-            f"[{name}]",
-            *(f"{key} = {_toml(value)}" for key, value in pairs.items() if value is not None),
-        ]
-    return "\n".join(lines) + "\n"
+    return tomli_w.dumps(_without_none(dataclasses.asdict(config)))
 
 
-def _toml(value) -> str:
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, tuple):
-        return "[" + ", ".join(_toml(v) for v in value) + "]"
-    return repr(value)
-
-
-def _refuse_unknown(tables: dict) -> None:
-    """Raise ConfigError at the first key that is not known, or known but not supported yet."""
-    for key, value in tables.items():
-        if key in keys.TOP:
-            continue
-        if key not in keys.SECTIONS:
-            raise ConfigError(_unknown(key, None))
-        if not isinstance(value, dict):
-            raise ConfigError(f"{key} = {value!r} was found where the table [{key}] was expected")
-        for name in value:
-            if f"{key}.{name}" in keys.NOT_YET:
-                raise ConfigError(f"[{key}] {name} is not supported yet; {keys.NOT_YET[f'{key}.{name}']}")
-            if name not in keys.SECTIONS[key]:
-                raise ConfigError(_unknown(name, key))
-
-
-def _unknown(key: str, section: str | None) -> str:
-    """Says that a key is unknown and names the nearest known one, in its own table first."""
-    here = keys.SECTIONS[section] if section else {**keys.TOP, **{name: None for name in keys.SECTIONS}}
-    full_names = {name: f"[{section}] {name}" if section else name for name in here}
-    near = difflib.get_close_matches(key, here, 1, 0.6)
-    if not near:
-        for other, known in keys.SECTIONS.items():
-            full_names |= {name: f"[{other}] {name}" for name in known if name not in full_names}
-        full_names |= {name: f"{name}, above the first table" for name in keys.TOP if name not in full_names}
-        near = difflib.get_close_matches(key, full_names, 1, 0.0)
-    where = f"unknown key {key} in [{section}]" if section else f"unknown key {key}"
-    nearest = full_names[near[0]]
-    if section is None and near[0] in keys.SECTIONS:
-        nearest = f"[{near[0]}]"
-    return f"{where}; the nearest known one is {nearest}. Correct or remove it"
-
-
-def _check_water(values: dict) -> None:
-    levels = [key for key in ("level_m", "shoreline", "gnss_points", "gauge") if key in values]
-    if not levels:
-        raise ConfigError(
-            "level_m is missing from [water]. Give the height of the water surface in the survey's vertical datum, "
-            "e.g. level_m = 12.34, or a file of points or readings as shoreline, gnss_points or gauge, or remove "
-            "[water] for a dry survey"
-        )
-    if len(levels) > 1:
-        raise ConfigError(f"[water] has {' and '.join(levels)}, each of which says how high the water is; keep one")
-    by_water = [key for key in ("temperature_c", "salinity_psu") if key in values]
-    if "refractive_index" in values and by_water:
-        raise ConfigError(
-            f"[water] has both refractive_index and {' and '.join(by_water)}, which contradict each other; keep one"
-        )
-    if by_water == ["salinity_psu"]:
-        raise ConfigError("[water] has salinity_psu without temperature_c; give temperature_c too, or refractive_index")
-    index = values.get("refractive_index", 1.333)
-    if not 1.0 <= index <= 1.6:
-        raise ConfigError(
-            f"[water] refractive_index is {index:g}, expected 1.0 to 1.6 relative to air; fresh water has 1.333, sea "
-            "water 1.340"
-        )
-    of_light = [key for key in ("absorption_per_m", "veiling_light") if key in values]
-    if len(of_light) == 1:
-        raise ConfigError(
-            f"[water] has {of_light[0]} alone, expected absorption_per_m and veiling_light together; give both "
-            "(veiling_light = [0, 0, 0] for water that scatters nothing) or neither"
-        )
-    for key in ("slope_east", "slope_north"):
-        if abs(values.get(key, 0.0)) > 0.2:
-            raise ConfigError(
-                f"[water] {key} is {values[key]:g}, expected a rise in metres per metre of at most 0.2; a river has "
-                "about 0.001 to 0.01"
-            )
-
-
-def _check_cameras(cameras: CamerasConfig) -> None:
-    if cameras.distortion is not None and cameras.model is None:
-        raise ConfigError('[cameras] distortion is given without model; give e.g. model = "OPENCV" with k1, k2, p1, p2')
-    if cameras.gps_height not in ("crs", "ellipsoidal"):
-        raise ConfigError(
-            f'[cameras] gps_height is "{cameras.gps_height}", expected "crs" (EXIF heights are heights in '
-            "crs) "
-            'or "ellipsoidal"'
-        )
-    if cameras.principal_point_px is not None and cameras.size_px is not None:
-        inside = all(0.0 < p < s for p, s in zip(cameras.principal_point_px, cameras.size_px, strict=True))
-        if not inside:
-            raise ConfigError(
-                f"[cameras] principal_point_px {list(cameras.principal_point_px)} lies outside the image of size_px "
-                f"{list(cameras.size_px)}; expected pixels from the upper left corner"
-            )
+def _without_none(table: dict) -> dict:
+    return {
+        name: _without_none(value) if isinstance(value, dict) else value
+        for name, value in table.items()
+        if value is not None
+    }

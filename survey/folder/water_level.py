@@ -88,8 +88,8 @@ def with_level(folder: Path, config: SurveyConfig, heads: Mapping[str, Exif], no
         f"level_m = {level:.3f} +- {std:.3f} from {fit.num_points} points in [water] {name}, slope "
         f"{fit.slope_east:.5f} east and {fit.slope_north:.5f} north"
     )
-    found = replace(water, level_m=level, level_at=level_at, slope_east=fit.slope_east, slope_north=fit.slope_north)
-    return replace(config, water=replace(found, **{name: None}))
+    plane = {"level_at": level_at, "slope_east": fit.slope_east, "slope_north": fit.slope_north}
+    return replace(config, water=replace(water, level_m=level, **plane, **{name: None}))
 
 
 def fit_surface(points: np.ndarray, *, with_slopes: bool = True) -> SurfaceFit:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from survey.errors import ConfigError
 from survey.simulate.flight.settings import FlightSettings
-from survey.simulate.keys import table
+from survey.toml_table import parse_toml, read_toml, require_one_of, require_positive
 
 BEDS = ("drawn", "plane", "mesh", "cloud")
 TEXTURES = ("sand", "checker", "image", "vertex")
@@ -218,25 +216,4 @@ def read_scene(path: Path) -> SceneSettings:
     ConfigError
         Where the file is no TOML, or a key is unknown, missing, of the wrong kind or at odds with another.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-        return table(SceneSettings, "", tomllib.loads(text))
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8") from error
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: not valid TOML: {error}; correct that line") from error
-    except ConfigError as error:
-        raise ConfigError(f"{path}: {error}") from error
-
-
-def require_one_of(key: str, value: str, known: Collection[str]) -> None:
-    """Raise ConfigError unless a word is known."""
-    if value not in known:
-        raise ConfigError(f'{key} is "{value}", expected one of {", ".join(known)}')
-
-
-def require_positive(where: str, **values: float | None) -> None:
-    """Raise ConfigError unless all numbers that are given are above zero."""
-    for name, value in values.items():
-        if value is not None and not value > 0.0:
-            raise ConfigError(f"{where}.{name} is {value:g}, expected a number above zero")
+    return read_toml(path, lambda text: parse_toml(text, SceneSettings))

@@ -1,0 +1,219 @@
+"""Tables of a TOML file as frozen dataclasses: every key known, every value of the kind that its field says.
+
+A dataclass is the schema of a table: its fields are the known keys, their types the kinds of values, their defaults
+what holds without them. What one key must be beyond its kind, and how keys go together, its ``__post_init__`` checks.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import tomllib
+import types
+import typing
+from collections.abc import Callable, Collection, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from survey.errors import ConfigError
+
+_KINDS = {float: "a finite number", int: "a whole number", bool: "true or false", str: "a text in quotes"}
+# Share of letters that two near names have in common, in order: "level" and "level_m", not "gcp" and "gps_height".
+_NEAR = 0.6
+# Metadata of a field: what its value looks like, for the message where it does not.
+_EXPECTED = "expected"
+
+
+def key(default: Any, expected: str) -> Any:
+    """A field of a table whose message says what is expected in its own words, e.g. "[width, height] in pixels"."""
+    return dataclasses.field(default=default, metadata={_EXPECTED: expected})
+
+
+def read_toml(path: Path, parse: Callable[[str], Any]) -> Any:
+    """What `parse` makes of the text in a TOML file.
+
+    Raises
+    ------
+    ConfigError
+        That of `parse`, with the name of the file before it, or where the file is not UTF-8.
+    """
+    try:
+        return parse(path.read_text(encoding="utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8") from error
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
+def parse_toml(
+    text: str, kind: type, *, synonyms: Mapping[str, str] | None = None, not_yet: Mapping[str, str] | None = None
+) -> Any:
+    """A dataclass filled from a text in TOML.
+
+    Parameters
+    ----------
+    text : str
+    kind : dataclass
+        Types of its fields are float, int, bool, str, tuples of them, other dataclasses (tables), tuples of these
+        (arrays of tables), or a union of these and None.
+    synonyms : mapping, optional
+        What other programs call a key, to its dotted name here, e.g. ``{"gcp": "control.gcps"}``.
+    not_yet : mapping, optional
+        Dotted names of keys that are planned but not read, to what to give instead.
+
+    Raises
+    ------
+    ConfigError
+        Where the text is no TOML, at the first key that is unknown, missing or of another kind, and whatever the
+        dataclasses raise when they are made.
+    """
+    try:
+        tables = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"not valid TOML: {error}; correct that line") from error
+    return _Reader(kind, synonyms or {}, not_yet or {}).table(kind, "", tables)
+
+
+def require_one_of(key: str, value: str, known: Collection[str]) -> None:
+    """Raise ConfigError unless a word is known."""
+    if value not in known:
+        raise ConfigError(f'{key} is "{value}", expected one of {", ".join(known)}')
+
+
+def require_positive(where: str, **values: float | None) -> None:
+    """Raise ConfigError unless all numbers that are given are above zero."""
+    for name, value in values.items():
+        if value is not None and not value > 0.0:
+            raise ConfigError(f"{where}.{name} is {value:g}, expected a number above zero")
+
+
+@dataclasses.dataclass(frozen=True)
+class _Reader:
+    root: type
+    synonyms: Mapping[str, str]
+    not_yet: Mapping[str, str]
+
+    def table(self, kind: type, where: str, values: Any) -> Any:
+        """A dataclass from a table whose dotted name is `where`; empty for the whole file."""
+        if not isinstance(values, dict):
+            raise ConfigError(f"{where} = {_shown(values)} was found where the table [{where}] was expected")
+        fields = {field.name: field for field in dataclasses.fields(kind)}
+        for name, value in values.items():
+            if name not in fields:
+                self._refuse(fields, where, name, value)
+        hints, found = typing.get_type_hints(kind), {}
+        for name, field in fields.items():
+            dotted = f"{where}.{name}" if where else name
+            expected = field.metadata.get(_EXPECTED) or _words(hints[name])
+            if name in values:
+                found[name] = self._value(hints[name], dotted, values[name], expected)
+            elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+                raise ConfigError(f"{dotted} is missing, expected {expected}; add it")
+        return kind(**found)
+
+    def _value(self, kind: Any, dotted: str, value: Any, expected: str) -> Any:
+        if isinstance(kind, types.UnionType):
+            parts = [part for part in typing.get_args(kind) if part is not type(None)]
+            of_list = [part for part in parts if (typing.get_origin(part) is tuple) == isinstance(value, list)]
+            kind = (of_list or parts)[0]
+        if dataclasses.is_dataclass(kind):
+            return self.table(kind, dotted, value)
+        if typing.get_origin(kind) is tuple:
+            return self._tuple(typing.get_args(kind), dotted, value, expected)
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if kind is float and is_number and math.isfinite(value):
+            return float(value)
+        if kind is str and isinstance(value, str) and value.strip():
+            return value
+        if (kind is int and is_number and isinstance(value, int)) or (kind is bool and isinstance(value, bool)):
+            return value
+        raise ConfigError(f"{dotted} is {_shown(value)}, expected {expected}")
+
+    def _tuple(self, parts: tuple, dotted: str, value: Any, expected: str) -> tuple:
+        if not isinstance(value, list) or (parts[-1] is not Ellipsis and len(value) != len(parts)):
+            raise ConfigError(f"{dotted} is {_shown(value)}, expected {expected}")
+        kinds = [parts[0]] * len(value) if parts[-1] is Ellipsis else parts
+        return tuple(
+            self._value(part, f"{dotted}[{i}]", v, _words(part))
+            for i, (part, v) in enumerate(zip(kinds, value, strict=True))
+        )
+
+    def _refuse(self, fields: Mapping[str, Any], where: str, name: str, value: Any) -> typing.NoReturn:
+        """Raise ConfigError for an unknown key: what it is called here, the nearest one, or all that are known."""
+        dotted = f"{where}.{name}" if where else name
+        inner = [f"{dotted}.{other}" for other in value] if isinstance(value, dict) else []
+        for planned in (dotted, *inner):
+            if planned in self.not_yet:
+                raise ConfigError(f"{_place(planned)} is not supported yet; {self.not_yet[planned]}")
+        is_table = isinstance(value, dict) or (isinstance(value, list) and value and isinstance(value[0], dict))
+        what = f"table [{dotted}]" if is_table else f"key {name}" + (f" in [{where}]" if where else "")
+        # A table is compared with tables and a key with keys.
+        everywhere = list(_all_keys(self.root))
+        here = [other for other in fields if (_join(where, other) in _tables(everywhere)) == bool(is_table)]
+        near = difflib.get_close_matches(name, here, 1, _NEAR)
+        elsewhere = [path for path, _ in everywhere if path.split(".")[-1] == name]
+        synonym = self.synonyms.get(name.casefold())
+        if near:
+            mend = f"the nearest known one is {_place(_join(where, near[0]), is_table)}. Correct or remove it"
+        elif elsewhere:
+            mend = f"it belongs to {_place(elsewhere[0])}. Move it there, or remove it"
+        elif synonym is not None:
+            later = f", which is not supported yet: {self.not_yet[synonym]}" if synonym in self.not_yet else ""
+            mend = f"that is {_place(synonym)} here{later}. Correct or remove it"
+        else:
+            listed = ", ".join(f"[{_join(where, other)}]" if is_table else other for other in here)
+            mend = f"known are {listed or 'none'}. Correct or remove it"
+        raise ConfigError(f"unknown {what}; {mend}")
+
+
+def _all_keys(kind: type, where: str = "") -> Iterator[tuple[str, bool]]:
+    """Dotted names of all keys under a table, and whether each is a table itself."""
+    hints = typing.get_type_hints(kind)
+    for field in dataclasses.fields(kind):
+        dotted = _join(where, field.name)
+        inner = next((part for part in _parts(hints[field.name]) if dataclasses.is_dataclass(part)), None)
+        yield dotted, inner is not None
+        if inner is not None:
+            yield from _all_keys(inner, dotted)
+
+
+def _parts(kind: Any) -> Iterator[Any]:
+    """A type, and those that a union or a tuple is made of."""
+    yield kind
+    for part in typing.get_args(kind):
+        yield from _parts(part)
+
+
+def _tables(keys: list[tuple[str, bool]]) -> set[str]:
+    return {dotted for dotted, is_table in keys if is_table}
+
+
+def _join(where: str, name: str) -> str:
+    return f"{where}.{name}" if where else name
+
+
+def _place(dotted: str, is_table: bool = False) -> str:
+    """A dotted name as it stands in a file, e.g. "[water] level_m"."""
+    table, _, name = dotted.rpartition(".")
+    if is_table:
+        return f"[{dotted}]"
+    return f"[{table}] {name}" if table else f"{name}, above the first table"
+
+
+def _words(kind: Any) -> str:
+    """A kind of value in words."""
+    if isinstance(kind, types.UnionType):
+        return " or ".join(dict.fromkeys(_words(part) for part in typing.get_args(kind) if part is not type(None)))
+    if dataclasses.is_dataclass(kind):
+        return "a table"
+    if typing.get_origin(kind) is tuple:
+        parts = typing.get_args(kind)
+        count = "a list" if parts[-1] is Ellipsis else f"a list of {len(parts)}"
+        return f"{count}, each {_words(parts[0])}"
+    return _KINDS[kind]
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

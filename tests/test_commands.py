@@ -66,7 +66,7 @@ BAD_INPUT = {
         lambda folder: write_image(folder / "images" / "0002.jpg", size=(60, 48)),
         ["0002.jpg has 60 x 48 pixels, expected 64 x 48", "use the images that the poses were made from"],
     ),
-    "NaN pose": (spoil_poses(",0,0,20", ",0,0,nan"), ["cameras.csv, line 4: kappa of 0002.jpg is nan", "correct it"]),
+    "NaN pose": (spoil_poses(",0,0,20", ",0,0,nan"), ["cameras.csv, line 4: kappa is nan", "correct it"]),
     "camera under the water": (
         spoil_poses("589018.000,5194732.000,2125", "589018.000,5194732.000,2104"),
         ["0002.jpg at 2104.00 m lies 1.00 m under the water", "correct its pose"],

@@ -110,7 +110,7 @@ def test_images_without_a_time_are_refused(tmp_path):
         (["2024-06-01T11:00:00Z,1.0", "2024-06-01T10:00:00Z,1.0"], "sort them"),
         (["ten,1.0", "eleven,1.0"], "is no time"),
         (["2024-06-01T10:00:00Z,high", "2024-06-01T11:00:00Z,1.0"], "finite number"),
-        (["2024-06-01T10:00:00Z"], "has 1 values"),
+        (["2024-06-01T10:00:00Z"], "1 values were found, expected 2"),
     ],
 )
 def test_a_damaged_gauge_is_named(tmp_path, rows, message):
@@ -121,7 +121,7 @@ def test_a_damaged_gauge_is_named(tmp_path, rows, message):
 
 def test_missing_columns_and_files_are_named(tmp_path):
     (tmp_path / "p.csv").write_text("x,y,z\n1,2,3\n")
-    with pytest.raises(ConfigError, match="expected easting, northing, height"):
+    with pytest.raises(ConfigError, match="expected easting,northing,height"):
         read_points(tmp_path / "p.csv")
     with pytest.raises(ConfigError, match="cannot be read"):
         read_points(tmp_path / "none.csv")

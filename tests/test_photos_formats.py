@@ -13,7 +13,7 @@ from pyproj import CRS, Proj
 from small_survey import HEADER
 
 from geo.frames import LocalFrame
-from refract.lens import MODELS, Lens
+from refract.lens import MODELS, Lens, LensError
 from survey.errors import PosesError
 from survey.folder.survey import load_survey
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
@@ -200,12 +200,12 @@ def test_a_binary_model_that_is_cut_off_is_refused_wherever_the_cut_is(tmp_path)
     [
         ("", "the first line has no column image, easting"),
         ("image,easting,northing,height,omega,phi\n", "the first line has no column kappa; expected image,easting"),
-        (f"{HEADER}\na.jpg,1,2,nan,0,0,0\n", "line 2: height of a.jpg is nan, expected a finite number"),
-        (f"{HEADER}\na.jpg,1,2,3,0,,0\n", "line 2: phi of a.jpg is empty, expected a finite number"),
-        (f"{HEADER}\na.jpg,1,2,3,0,0,0\n\nb.jpg,1,2,3,0,0,1e999\n", "line 4: kappa of b.jpg is 1e999"),
+        (f"{HEADER}\na.jpg,1,2,nan,0,0,0\n", "line 2: height is nan, expected a finite number"),
+        (f"{HEADER}\na.jpg,1,2,3,0,,0\n", "line 2: phi is empty, expected a finite number"),
+        (f"{HEADER}\na.jpg,1,2,3,0,0,0\n\nb.jpg,1,2,3,0,0,1e999\n", "line 4: kappa is 1e999"),
         (f"{HEADER}\na.jpg,1,2,3\n", "line 2: 4 values were found, expected 7"),
         (f"{HEADER}\na.jpg,1,2,3,0,0,0\na.jpg,1,2,3,0,0,0\n", "line 3: image a.jpg has a second pose"),
-        (f"{HEADER}\n,1,2,3,0,0,0\n", "line 2: the name of the image is missing"),
+        (f"{HEADER}\n,1,2,3,0,0,0\n", "line 2: image is empty, expected a text"),
     ],
 )
 def test_a_spoilt_table_is_refused_with_the_line_and_the_column(tmp_path, table, words):
@@ -255,7 +255,7 @@ def test_a_model_may_be_named_by_one_of_its_files(tmp_path):
     ],
 )
 def test_a_lens_of_impossible_numbers_is_refused(params, size, words):
-    with pytest.raises(PosesError) as error:
+    with pytest.raises(LensError) as error:
         Lens("PINHOLE", params, *size)
     assert words in str(error.value)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import math
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +11,7 @@ from evaluation.standards import MIN_CHECKPOINTS
 from geo.files import existing_file
 from survey.compare.inputs import CompareError, to_local
 from survey.compare.measure import Scene
+from survey.csv_table import read_table
 
 _COLUMNS = ("easting", "northing", "height", "sigma")
 
@@ -20,8 +19,8 @@ _COLUMNS = ("easting", "northing", "height", "sigma")
 def read_checkpoints(path: Path) -> np.ndarray:
     """Check points (K, 4) of a CSV: easting, northing, height in the CRS of the cloud, standard deviation [m].
 
-    Commas between the columns; the last one may be missing (0 then). A first line without numbers is a title, and
-    lines that start with # or are empty do not count.
+    The last column may be missing (0 then). A first line may name the columns, in any order; without their names they
+    stand in this one. See `survey.csv_table` for what may separate them.
 
     Raises
     ------
@@ -30,27 +29,14 @@ def read_checkpoints(path: Path) -> np.ndarray:
     CompareError
         If a line has other columns, or no line is left.
     """
-    rows = []
-    with existing_file(path).open(encoding="utf-8-sig", newline="") as stream:
-        for line, cells in enumerate(csv.reader(stream), start=1):
-            cells = [cell.strip() for cell in cells]
-            if not any(cells) or cells[0].startswith("#"):
-                continue
-            try:
-                numbers = [float(cell) for cell in cells]
-            except ValueError:
-                if not rows and line == 1:
-                    continue
-                numbers = []
-            if len(numbers) not in (3, 4) or not all(map(math.isfinite, numbers)) or min([*numbers[3:], 0.0]) < 0.0:
-                raise CompareError(
-                    f"line {line} of {path} is {','.join(cells)!r}, expected {', '.join(_COLUMNS)} as numbers with "
-                    "commas between (the standard deviation in metres, not negative, may be left out)"
-                )
-            rows.append([*numbers, 0.0][:4])
+    rows = read_table(existing_file(path), _COLUMNS[:3], optional=_COLUMNS[3:], header=False, error=CompareError)
+    table = np.array([[*(row.number(name) for name in _COLUMNS[:3]), row.number("sigma", default=0.0)] for row in rows])
     if not rows:
         raise CompareError(f"{path} has no check points; expected lines of {', '.join(_COLUMNS)}")
-    return np.array(rows)
+    for row, sigma in zip(rows, table[:, 3], strict=True):
+        if sigma < 0.0:
+            raise CompareError(f"{row.where}: sigma is {sigma:g}, expected metres, not negative")
+    return table
 
 
 def checkpoint_accuracy(scene: Scene, table: np.ndarray, path: Path, notes: list[str]) -> dict:

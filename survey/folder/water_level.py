@@ -8,7 +8,6 @@ Each becomes level_m (and slopes) of [water] before anything else looks at it.
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -17,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from survey.csv_table import Row, read_table
 from survey.errors import FILE_NAME, ConfigError
 from survey.folder.config import SurveyConfig
 from survey.photos.exif import Exif
@@ -149,8 +149,9 @@ def read_points(path: Path) -> np.ndarray:
     ConfigError
         If the file is missing, a column is, or a value is no finite number.
     """
-    rows = _rows(path, ("easting", "northing", "height"))
-    return np.array([[_number(path, line, text) for text in row] for line, row in rows]).reshape(-1, 3)
+    columns = ("easting", "northing", "height")
+    rows = read_table(path, columns, error=ConfigError)
+    return np.array([[row.number(name) for name in columns] for row in rows]).reshape(-1, 3)
 
 
 def read_gauge(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -161,9 +162,9 @@ def read_gauge(path: Path) -> tuple[np.ndarray, np.ndarray]:
     ConfigError
         If the file is missing or damaged, a time has no time zone, or times do not rise.
     """
-    rows = _rows(path, ("time", "level"))
-    times = np.array([_time(path, line, row[0]) for line, row in rows])
-    levels = np.array([_number(path, line, row[1]) for line, row in rows])
+    rows = read_table(path, ("time", "level"), error=ConfigError)
+    times = np.array([_time(row) for row in rows])
+    levels = np.array([row.number("level") for row in rows])
     if len(times) < 2 or (np.diff(times) <= 0.0).any():
         raise ConfigError(f"{path} has {len(times)} readings, expected two or more with rising times; sort them")
     return times, levels
@@ -192,49 +193,14 @@ def _level_at_flight(path: Path, heads: Mapping[str, Exif]) -> tuple[float, str]
     return float(at_images.mean()), note
 
 
-def _rows(path: Path, columns: tuple[str, ...]) -> list[tuple[int, list[str]]]:
-    """Line numbers and the texts of the named columns."""
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path} cannot be read ({error}); correct its name in [water] in {FILE_NAME}") from error
-    reader = csv.reader(line for line in lines if not line.lstrip().startswith("#"))
-    head = [name.strip().casefold() for name in next(reader, [])]
-    missing = [name for name in columns if name not in head]
-    if missing:
-        raise ConfigError(
-            f"{path} has the columns {', '.join(head) or 'none'}, expected {', '.join(columns)}; name them in the "
-            "first line"
-        )
-    where = [head.index(name) for name in columns]
-    found = []
-    for number, row in enumerate(reader, 2):
-        if any(text.strip() for text in row):
-            if len(row) <= max(where):
-                raise ConfigError(f"{path}, row {number} has {len(row)} values, expected {len(head)}; complete it")
-            found.append((number, [row[i].strip() for i in where]))
-    return found
-
-
-def _number(path: Path, line: int, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ConfigError(f"{path}, row {line}: {text!r} was found where a finite number was expected; correct it")
-    return value
-
-
-def _time(path: Path, line: int, text: str) -> float:
+def _time(row: Row) -> float:
+    text = row.text("time")
     try:
         moment = datetime.fromisoformat(text)
     except ValueError as error:
-        raise ConfigError(
-            f"{path}, row {line}: {text!r} is no time, expected e.g. 2024-06-01T10:30:00Z; correct it"
-        ) from error
+        raise ConfigError(f"{row.where}: {text!r} is no time, expected e.g. 2024-06-01T10:30:00Z") from error
     if moment.tzinfo is None:
-        raise ConfigError(f"{path}, row {line}: {text} has no time zone; write Z for UTC or e.g. +02:00 after it")
+        raise ConfigError(f"{row.where}: {text} has no time zone; write Z for UTC or e.g. +02:00 after it")
     return moment.timestamp()
 
 

@@ -11,6 +11,7 @@ from PIL import Image
 from small_survey import write_image
 
 from refract.lens import Lens
+from survey import machine
 from survey.errors import ImageError
 from survey.photos.cameras import View
 from survey.photos.exif import read_exif
@@ -194,6 +195,43 @@ def test_a_file_that_is_no_image_is_refused(tmp_path):
     path.write_text("not a photograph")
     with pytest.raises(ImageError, match=r"a\.jpg is not an image that can be read"):
         read_exif(path)
+
+
+def with_size_in_head(path, width: int, height: int) -> None:
+    """Make a JPEG say that it is larger than it is."""
+    data = bytearray(path.read_bytes())
+    at = data.index(b"\xff\xc0") + 5
+    data[at : at + 4] = height.to_bytes(2, "big") + width.to_bytes(2, "big")
+    path.write_bytes(data)
+
+
+def test_an_image_beyond_the_memory_or_with_too_long_a_side_is_refused_with_its_size_and_the_limit(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(machine, "memory_bytes", lambda: 34 * 400_000_000)
+    path = tmp_path / "a.jpg"
+    write_image(path)
+    with_size_in_head(path, 65535, 65535)
+    with pytest.raises(
+        ImageError, match=r"a\.jpg has 65535 x 65535 pixels \(4295 Mpx\), expected at most 32766 a side"
+    ):
+        read_exif(path)
+    with_size_in_head(path, 20000, 12000)
+    words = r"a\.jpg has 20000 x 12000 pixels \(240 Mpx\), expected at most 200 Mpx on this machine \(34 bytes a pixel"
+    with pytest.raises(ImageError, match=words):
+        read_exif(path)
+    with_size_in_head(path, 16000, 12000)
+    assert read_exif(path).size_px == (16000, 12000)
+
+
+def test_the_limit_of_pillow_does_not_count_and_is_left_as_it_was(tmp_path, monkeypatch):
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
+    path = tmp_path / "a.jpg"
+    write_image(path)
+    assert read_exif(path).size_px == (64, 48)
+    lens = Lens("SIMPLE_PINHOLE", (100.0, 32.0, 24.0), 64, 48)
+    assert load_image(view_of(path, lens)).shape == (48, 64, 3)
+    assert Image.MAX_IMAGE_PIXELS == 100
 
 
 def test_position_and_focal_length_come_from_exif(tmp_path):

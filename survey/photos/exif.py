@@ -9,10 +9,11 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
-from PIL import ExifTags, Image, UnidentifiedImageError
+from PIL import ExifTags
 
 from geo.crs import utm_code
 from survey.errors import ImageError
+from survey.photos.opening import open_image
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
 
@@ -58,14 +59,14 @@ def read_exif(path: Path) -> Exif:
     Raises
     ------
     ImageError
-        Where the file is no image.
+        Where the file is no image, or one that is too large for this machine.
     """
-    try:
-        with Image.open(path) as image:
+    with open_image(path) as image:
+        try:
             size, exif, xmp = image.size, image.getexif(), image.info.get("xmp", b"")
             gps, details = exif.get_ifd(ExifTags.IFD.GPSInfo), exif.get_ifd(ExifTags.IFD.Exif)
-    except (UnidentifiedImageError, SyntaxError, ValueError) as error:
-        raise ImageError(f"{path} is not an image that can be read ({error}); copy it anew or remove it") from error
+        except (SyntaxError, ValueError) as error:
+            raise ImageError(f"{path} has EXIF that cannot be read ({error}); copy it anew or remove it") from error
     if isinstance(xmp, bytes):
         xmp = xmp.decode("utf-8", errors="replace")
     camera = " ".join(str(exif.get(tag, "")).strip("\0 ") for tag in (ExifTags.Base.Make, ExifTags.Base.Model))

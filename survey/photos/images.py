@@ -7,12 +7,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from PIL import Image, UnidentifiedImageError
 
 from refract.lens import Lens
 from survey.errors import ImageError
 from survey.photos.cameras import View
 from survey.photos.exif import SUFFIXES
+from survey.photos.opening import open_image
 
 # A complete JPEG ends with this marker, which the compressed pixels never contain.
 _JPEG_END = b"\xff\xd9"
@@ -101,16 +101,14 @@ def load_mask(view: View, *, scale: float = 1.0) -> np.ndarray | None:
 
 def _decode(path: Path, mode: str) -> np.ndarray:
     try:
-        with Image.open(path) as image:
+        with open_image(path) as image:
             # Pillow would clip these at 255 without a word.
             if image.mode[0] in "IF":
                 raise ImageError(f"{path} has pixels of kind {image.mode}, expected 8 bits per channel; convert it")
             return np.asarray(image.convert(mode))
     except ImageError:
         raise
-    except UnidentifiedImageError as error:
-        raise ImageError(f"{path} is not an image that can be read; copy it anew or remove it") from error
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+    except (OSError, SyntaxError, ValueError) as error:
         # What the disk refuses has a number; what Pillow says about damaged pixels has none.
         if isinstance(error, OSError) and error.errno is not None:
             raise

@@ -1,0 +1,67 @@
+"""Image files opened by Pillow, with a limit on their size that fits the memory of the machine.
+
+Pillow refuses images of more than 179 Mpx whatever the machine is, and photographs of 200 Mpx exist. The limit here:
+an image may take half of the memory while it is decoded and undistorted, and OpenCV, which undistorts it, counts pixels
+of a side in 16 bits.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from PIL import Image, UnidentifiedImageError
+
+from survey import machine
+from survey.errors import ImageError
+
+# The longest side that cv2.remap takes [px].
+MAX_SIDE_PX = 32766
+# Decoded by Pillow 4, as an array 3, undistorted 3; where each pixel comes from 2 x 4, and its gradients 4 x 4.
+_BYTES_PER_PIXEL = 34
+_SHARE_OF_MEMORY = 0.5
+_one_at_a_time = threading.RLock()
+
+
+@contextmanager
+def open_image(path: Path) -> Iterator[Image.Image]:
+    """An image whose head is read and whose size was checked.
+
+    Raises
+    ------
+    ImageError
+        Where the file is no image, or one that is too large for this machine.
+    OSError
+        What the disk refuses.
+    """
+    try:
+        image = _opened(path)
+    except (UnidentifiedImageError, SyntaxError, ValueError) as error:
+        raise ImageError(f"{path} is not an image that can be read ({error}); copy it anew or remove it") from error
+    with image:
+        _require_fit(path, *image.size)
+        yield image
+
+
+def _opened(path: Path) -> Image.Image:
+    """Opened without Pillow's own limit, which is one number for the whole process."""
+    with _one_at_a_time:
+        limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
+        try:
+            return Image.open(path)
+        finally:
+            Image.MAX_IMAGE_PIXELS = limit
+
+
+def _require_fit(path: Path, width: int, height: int) -> None:
+    most = _SHARE_OF_MEMORY * machine.memory_bytes() / _BYTES_PER_PIXEL
+    said = f"{path} has {width} x {height} pixels ({width * height / 1e6:.0f} Mpx)"
+    if max(width, height) > MAX_SIDE_PX:
+        raise ImageError(f"{said}, expected at most {MAX_SIDE_PX} a side; remove it, or cut it into photographs")
+    if width * height > most:
+        raise ImageError(
+            f"{said}, expected at most {most / 1e6:.0f} Mpx on this machine ({_BYTES_PER_PIXEL} bytes a pixel in half "
+            f"of {machine.memory_bytes() / 1e9:.1f} GB); use smaller images with poses made from them, or more memory"
+        )

@@ -14,6 +14,7 @@ from refract import PinholeCamera
 from survey.errors import SurveyError
 from survey.folder.survey import Survey, View
 from survey.photos.images import load_image, load_mask
+from survey.photos.store import ImageStore
 from survey.plan.plan import Plan, ground_height
 
 # No bed is looked for higher over the water than this share of the flying height, nor deeper than that one: drones fly
@@ -21,16 +22,18 @@ from survey.plan.plan import Plan, ground_height
 HIGHEST, DEEPEST = 0.8, 1.5
 
 
-def load_block(survey: Survey, plan: Plan, advance: Callable[[float], None]) -> Block:
+def load_block(survey: Survey, plan: Plan, advance: Callable[[float], None], store: ImageStore | None = None) -> Block:
     """Grey images and cameras at the plan's scale, as a block for `fields`.
 
+    Images come through the store, where there is one, so that later stages need not decode them again.
     Images of several sizes are padded to the largest; padding and masked pixels are NaN, which matches nothing.
     """
     cameras = [camera_of(view, plan) for view in survey.views]
     width, height = max(c.width for c in cameras), max(c.height for c in cameras)
     images = []
+    load = load_image if store is None else store.load
     for view in survey.views:
-        rgb = load_image(view, scale=plan.image_scale)
+        rgb = load(view, scale=plan.image_scale)
         grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) - 128.0
         mask = load_mask(view, scale=plan.image_scale)
         if mask is not None:

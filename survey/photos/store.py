@@ -1,0 +1,47 @@
+"""Photographs that several stages of a run use, decoded and undistorted once."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from survey import machine
+from survey.photos.cameras import View
+from survey.photos.images import load_image
+
+# Of the memory that is free when a store is made.
+_SHARE_OF_FREE = 0.25
+
+
+class ImageStore:
+    """Gives what `survey.photos.images.load_image` gives, and keeps it while its memory lasts.
+
+    Stages go through the photographs in the same order, so that the images that fit first stay: dropping the oldest
+    instead would drop each one just before it is asked for again.
+
+    Parameters
+    ----------
+    budget_bytes : int, optional
+        Memory for kept images; default a quarter of what is free.
+    """
+
+    def __init__(self, budget_bytes: int | None = None):
+        self._left = int(_SHARE_OF_FREE * machine.free_memory_bytes()) if budget_bytes is None else budget_bytes
+        self._images: dict[tuple, np.ndarray] = {}
+
+    def load(self, view: View, *, scale: float = 1.0) -> np.ndarray:
+        """The photograph (height, width, 3) uint8, RGB, not to be written to; see `load_image`.
+
+        Raises
+        ------
+        ImageError
+            As `load_image`.
+        """
+        key = (view.path, view.lens, scale)
+        if key in self._images:
+            return self._images[key]
+        image = load_image(view, scale=scale)
+        if image.nbytes <= self._left:
+            self._left -= image.nbytes
+            self._images[key] = image
+        image.flags.writeable = False
+        return image

@@ -151,6 +151,24 @@ def test_ellipsoidal_heights_need_the_grid_of_the_geoid():
     assert all(np.abs(above.local[n] - same.local[n]).max() < 1e-6 for n in same.local)
 
 
+@pytest.mark.parametrize(
+    ("crs", "place", "grid"),
+    [
+        ("EPSG:26910+5703", (37.8, -122.5), "us_noaa_g2018u0.tif"),
+        ("EPSG:6339+6360", (37.8, -122.5), "us_noaa_g2018u0.tif"),
+        ("EPSG:25832+7837", (53.8, 9.0), "de_bkg_gcg2016.tif"),
+        ("EPSG:2193+7839", (-40.0, 175.0), "nz_linz_nzgeoid2016.tif"),
+        ("EPSG:7856+5711", (-33.0, 152.0), "au_ga_AUSGeoid2020_20180201.tif"),
+        ("EPSG:28356+5711", (-33.0, 152.0), "au_ga_AUSGeoid09_V1.01.tif"),
+        ("EPSG:32632+3855", (51.0, 9.0), "us_nga_egm08_25.tif"),
+    ],
+)
+def test_the_grid_that_is_missing_is_one_of_the_geoid_and_not_of_horizontal_datums(crs, place, grid):
+    heads = {f"{i}.jpg": head((place[0] + 1e-4 * i, place[1], 30.0)) for i in range(3)}
+    with pytest.raises(ConfigError, match=rf"the grid {grid} is not installed; install with pyproj sync --file {grid}"):
+        gps_positions(heads, parse_crs(crs), "ellipsoidal")
+
+
 def test_images_without_positions_are_told_what_to_give():
     heads = some_heads() | {"1.jpg": head(None), "2.jpg": head((46.9, 10.2, math.nan))}
     with pytest.raises(PosesError, match=r"3 of 4 images have a GPS .* 2 of them with a height.*\[cameras\] poses"):

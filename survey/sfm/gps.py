@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from pyproj import CRS, Transformer
 from pyproj.aoi import AreaOfInterest
-from pyproj.exceptions import ProjError
-from pyproj.transformer import TransformerGroup
 
 from geo.crs import height_unit_m, horizontal_crs, is_geographic, parse_crs, vertical_crs
 from geo.frames import LocalFrame
 from survey.errors import FILE_NAME, ConfigError, PosesError
 from survey.photos.exif import Exif, utm_code_of
+from survey.sfm.geoid import height_transformer
 
 # Mean sea level after EGM96: what consumer receivers and drones mean by height.
 _EGM96_HEIGHT = 5773
@@ -94,40 +92,24 @@ def gps_positions(heads: Mapping[str, Exif], crs: CRS | None, gps_height: str) -
 
 def _crs_from_wgs84(crs: CRS, lon, lat, height, gps_height: str, notes: list[str]) -> np.ndarray:
     """WGS 84 longitudes, latitudes [deg] and heights [m] (N,) as points (N, 3) in crs."""
+    # Two dimensions only: the height is not touched by any change of datum.
+    area, horizontal = _area(lon, lat), horizontal_crs(crs)
+    transformer = Transformer.from_crs("EPSG:4326", horizontal, always_xy=True, area_of_interest=area)
+    east, north = transformer.transform(lon, lat)
     if gps_height == "crs":
-        # Two dimensions only: the height is not touched by any change of datum.
-        horizontal = horizontal_crs(crs)
-        transformer = Transformer.from_crs("EPSG:4326", horizontal, always_xy=True, area_of_interest=_area(lon, lat))
-        east, north = transformer.transform(lon, lat)
         vertical = vertical_crs(crs)
         above = f"above {vertical.name}" if vertical is not None else "above the ellipsoid"
         notes.append(f'gps_height = "crs": the GPS heights in EXIF are taken as heights in crs, {above}')
         return np.stack([east, north, height / height_unit_m(crs)], axis=-1)
     if gps_height != "ellipsoidal":
         raise ConfigError(f'[cameras] gps_height is "{gps_height}", expected "crs" or "ellipsoidal"')
-    notes.append('gps_height = "ellipsoidal": the GPS heights in EXIF are taken as heights above the WGS 84 ellipsoid')
-    return np.stack(_exact_transformer(crs, _area(lon, lat)).transform(lon, lat, height), axis=-1)
-
-
-def _exact_transformer(crs: CRS, area: AreaOfInterest) -> Transformer:
-    """From WGS 84 with ellipsoidal heights to crs, only if PROJ has every grid that it takes.
-
-    Without the grid PROJ would hand the height through unchanged, tens of metres wrong, without a word.
-    """
-    said = f'gps_height = "ellipsoidal" needs a transformation of heights from the ellipsoid to {crs.name}'
-    instead = f'or give heights in crs and gps_height = "crs" in {FILE_NAME}'
-    try:
-        with warnings.catch_warnings():
-            # The missing grid is named in our own words below.
-            warnings.simplefilter("ignore", UserWarning)
-            group = TransformerGroup("EPSG:4979", crs, always_xy=True, area_of_interest=area, allow_ballpark=False)
-    except ProjError as error:
-        raise ConfigError(f"{said}, which PROJ does not know ({error}); {instead}") from error
-    if not group.transformers or not group.best_available:
-        grids = sorted({g.short_name for op in group.unavailable_operations for g in op.grids if not g.available})
-        what = f"the grid {' or '.join(grids[:4])}" if grids else "a grid"
-        raise ConfigError(f"{said}, and {what} is not installed; install it with projsync, {instead}")
-    return group.transformers[0]
+    to_height = height_transformer(crs, area)
+    steps = [step for step in to_height.description.split(" + ") if not step.startswith("axis order change")]
+    notes.append(
+        'gps_height = "ellipsoidal": the GPS heights in EXIF are taken as heights above the WGS 84 ellipsoid '
+        f"({' + '.join(steps) or 'no change'})"
+    )
+    return np.stack([east, north, to_height.transform(lon, lat, height)[2]], axis=-1)
 
 
 def _area(lon, lat) -> AreaOfInterest:

@@ -1,0 +1,71 @@
+"""Heights above the ellipsoid as heights of a vertical datum, by the grid of its geoid, or the name of that grid."""
+
+from __future__ import annotations
+
+import math
+import re
+import warnings
+
+from pyproj import CRS, Transformer
+from pyproj.aoi import AreaOfInterest
+from pyproj.crs import CompoundCRS, CoordinateOperation
+from pyproj.exceptions import ProjError
+from pyproj.transformer import TransformerGroup
+
+from geo.crs import horizontal_crs, vertical_crs
+from survey.errors import FILE_NAME, ConfigError
+
+_GEOID_STEP = re.compile(r"\+proj=vgridshift\s+\+grids=(\S+)")
+
+
+def height_transformer(crs: CRS, area: AreaOfInterest) -> Transformer:
+    """From longitude, latitude [deg] and height above the WGS 84 ellipsoid [m] to the height in crs.
+
+    Only heights are asked of it: its horizontal part is WGS 84, so that no grid of horizontal datums is needed.
+
+    Raises
+    ------
+    ConfigError
+        If PROJ does not know the vertical datum, or the grid of its geoid is not installed. Without the grid PROJ would
+        hand heights through unchanged, tens of metres wrong, without a word.
+    """
+    vertical = vertical_crs(crs)
+    target = "EPSG:4979" if vertical is None else CompoundCRS(f"WGS 84 + {vertical.name}", ["EPSG:4326", vertical])
+    said = f'gps_height = "ellipsoidal" needs a transformation of heights from the ellipsoid to {crs.name}'
+    instead = f'or give heights in crs and gps_height = "crs" in {FILE_NAME}'
+    try:
+        with warnings.catch_warnings():
+            # The missing grid is named in our own words below.
+            warnings.simplefilter("ignore", UserWarning)
+            group = TransformerGroup("EPSG:4979", target, always_xy=True, area_of_interest=area, allow_ballpark=False)
+    except ProjError as error:
+        raise ConfigError(f"{said}, which PROJ does not know ({error}); {instead}") from error
+    if group.transformers:
+        return group.transformers[0]
+    grids = _geoid_grids(group.unavailable_operations, horizontal_crs(crs).geodetic_crs.name)
+    if not grids:
+        raise ConfigError(f'{said}, which PROJ does not know; give heights in crs and gps_height = "crs"')
+    missing = f"the grid {grids[0]} is" if len(grids) == 1 else f"the grids {' and '.join(grids)} are"
+    get = " and ".join(f"pyproj sync --file {name}" for name in grids)
+    raise ConfigError(f"{said}, and {missing} not installed; install with {get}, {instead}")
+
+
+def _geoid_grids(operations: list[CoordinateOperation], datum: str) -> list[str]:
+    """Grids of the geoid that the best of some operations needs; of none that needs a grid of horizontal datums too.
+
+    The best one belongs to the horizontal datum of the survey. A shift between horizontal datums by seven parameters
+    belongs to older realisations than the one without.
+    """
+    ranked = []
+    for operation in operations:
+        steps = operation.to_proj4()
+        grids = _GEOID_STEP.findall(steps)
+        if grids and len(grids) == len(operation.grids):
+            rank = (
+                not all(grid.direct_download for grid in operation.grids),
+                datum not in operation.name,
+                "+proj=helmert" in steps,
+                operation.accuracy if operation.accuracy >= 0.0 else math.inf,
+            )
+            ranked.append((rank, grids))
+    return min(ranked)[1] if ranked else []

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 import math
+import subprocess
 import sys
 
 import numpy as np
 import pytest
-from small_survey import E0, LEVEL, N0, TOML, camera_lines, small_survey, write_image
+from small_survey import E0, LEVEL, N0, TOML, camera_lines, replaced, small_survey, write_image, write_poses
 
-from survey.errors import ImageError, SurveyError
+from survey.errors import ConfigError, ImageError, PosesError, SurveyError
 from survey.folder.survey import load_survey
-from survey.plan.check import check_survey
+from survey.plan.check import check_survey, require_processable
 from survey.plan.plan import ground_height, make_plan
 
 
@@ -60,6 +61,143 @@ def test_check_says_that_structure_from_motion_would_run_and_does_not_run_it(tmp
         check_survey(folder)
 
 
+WITHOUT_POSES = ('poses = "cameras.csv"', "")
+
+
+def unposed(folder, *pairs: tuple[str, str]):
+    """A survey for structure from motion."""
+    folder = small_survey(folder, gps=True, toml=replaced(WITHOUT_POSES, *pairs))
+    (folder / "cameras.csv").unlink()
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("pairs", "kind", "words"),
+    [
+        ([("[64, 48]", "[32, 48]"), ("[32.0, 24.0]", "[16, 24]")], ImageError, "has 64 x 48 pixels, expected 32 x 48"),
+        ([("100.0", "100.0\ngps_height = 'ellipsoidal'")], ConfigError, "needs a transformation of heights"),
+        ([("100.0", "[100.0, 90.0]")], SurveyError, "structure from motion solves for square pixels"),
+        ([("100.0", "8.8")], ConfigError, "8.8 px, with which its 64 x 48 px see 155.2 degrees from corner to corner"),
+    ],
+)
+def test_what_structure_from_motion_would_refuse_is_refused_before_it_starts(tmp_path, monkeypatch, pairs, kind, words):
+    monkeypatch.setitem(sys.modules, "survey.sfm.poses", None)  # importing it fails
+    folder = unposed(tmp_path / "s", *pairs)
+    for look in (check_survey, load_survey, require_processable):
+        with pytest.raises(kind) as error:
+            look(folder)
+        assert words in str(error.value)
+
+
+def test_positions_on_one_line_are_refused_before_structure_from_motion_starts(tmp_path):
+    folder = unposed(tmp_path / "s")
+    for line in camera_lines():
+        name, e, n, h, *_ = line.split(",")
+        write_image(folder / "images" / name, gps=(float(e), float(n), float(h)))
+    with pytest.raises(PosesError, match="the GPS positions of the 4 images lie on one line"):
+        check_survey(folder)
+
+
+def test_one_pose_for_all_photographs_is_refused_and_for_two_of_them_doubted(tmp_path):
+    folder = small_survey(tmp_path / "s")
+    lines = camera_lines()
+    write_poses(folder, [lines[0], lines[1], lines[2], lines[1].replace("0001", "0003")])
+    assert load_survey(folder).warnings == ("1 image with the pose of another one: 0003.jpg",)
+    write_poses(folder, [f"{i:04d}.jpg,{E0},{N0},{LEVEL + 20},0,0,{10 * i}" for i in range(4)])
+    for look in (check_survey, load_survey):
+        with pytest.raises(PosesError, match="all 4 cameras stand at one place within 10 mm"):
+            look(folder)
+
+
+@pytest.mark.parametrize(
+    ("focal", "kind", "words"),
+    [
+        # 28 mm on film of 36 mm are 49.8 px of 64.
+        (
+            "498.0",
+            ConfigError,
+            "the focal length of 0002.jpg is 498 px, and EXIF tells 50 px, expected at most 5 times",
+        ),
+        ("4.98", ConfigError, "see 165.8 degrees from corner to corner, expected 1 to 135"),
+    ],
+)
+def test_a_focal_length_ten_times_off_is_refused(tmp_path, focal, kind, words):
+    folder = small_survey(tmp_path / "s", toml=replaced(("100.0", focal)))
+    for line in camera_lines():
+        write_image(folder / "images" / line.split(",")[0], FocalLengthIn35mmFilm=28)
+    for look in (check_survey, load_survey):
+        with pytest.raises(kind) as error:
+            look(folder)
+        assert words in str(error.value)
+
+
+def test_a_focal_length_with_which_no_two_views_overlap_is_refused_even_without_exif(tmp_path):
+    # The cameras stand 3.61 m apart, and 64 x 48 px of 1000 px see 1.28 x 0.96 m from 20 m.
+    folder = small_survey(tmp_path / "s", toml=replaced(("100.0", "1000.0")))
+    with pytest.raises(PosesError, match=r"a view covers 1\.60 m, and the nearest one ends 2\.01 m beside it"):
+        check_survey(folder)
+
+
+def test_a_focal_length_of_a_cropped_photograph_is_doubted_by_check_and_by_process_alike(tmp_path):
+    folder = small_survey(tmp_path / "s")
+    for line in camera_lines():
+        write_image(folder / "images" / line.split(",")[0], FocalLengthIn35mmFilm=28)
+    (warning,) = load_survey(folder).warnings
+    assert warning.startswith("the focal length of 0002.jpg is 100 px, and EXIF tells 50 px; check that")
+    assert said(check_survey(folder), "Warnings")[""] == warning
+
+
+def strips(num: int = 6) -> np.ndarray:
+    """Omega, phi, kappa [degrees] of strips flown to and fro, on a gimbal that is good to a few tenths of a degree."""
+    angles = np.random.default_rng(3).normal(0.0, [0.3, 0.3, 1.0], (num, 3))
+    angles[num // 2 :, 2] += 180.0
+    return angles
+
+
+def with_angles(folder, angles: np.ndarray):
+    """A survey whose poses have these angles, as they are written."""
+    folder = small_survey(folder, num=len(angles))
+    rows = [line.split(",")[:4] for line in camera_lines(len(angles))]
+    write_poses(
+        folder, [",".join([*row, *(f"{a:.9f}" for a in three)]) for row, three in zip(rows, angles, strict=True)]
+    )
+    return load_survey(folder)
+
+
+def test_angles_in_radians_are_doubted_and_degrees_are_not(tmp_path):
+    assert with_angles(tmp_path / "degrees", strips()).warnings == ()
+    (warning,) = with_angles(tmp_path / "radians", np.radians(strips())).warnings
+    assert warning.startswith("omega, phi and kappa lie within 3.1")
+    assert "expected degrees; they look like radians" in warning
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_strips_that_all_look_north_are_not_taken_for_radians(tmp_path, seed):
+    angles = np.random.default_rng(seed).normal(0.0, [0.5, 0.5, 1.5], (8, 3))
+    assert with_angles(tmp_path / "s", angles).warnings == ()
+
+
+def test_a_size_of_the_settings_that_a_model_contradicts_is_said_not_to_be_used(tmp_path):
+    folder = small_survey(tmp_path / "s", toml=replaced(("[64, 48]", "[640, 480]"), ("cameras.csv", "sparse")))
+    (folder / "sparse").mkdir()
+    (folder / "sparse" / "cameras.txt").write_text("1 PINHOLE 64 48 100 100 32 24\n")
+    lines = [f"{i + 1} 0 1 0 0 {-3 * i} 0 20 1 {i:04d}.jpg\n\n" for i in range(4)]
+    (folder / "sparse" / "images.txt").write_text("".join(lines))
+    with (folder / "survey.toml").open("a") as file:
+        file.write(f"[local]\norigin = [{E0}, {N0}, {LEVEL}]\n")
+    (warning,) = load_survey(folder).warnings
+    assert warning.startswith("size_px = [640, 480] in survey.toml is not used")
+
+
+def test_what_process_has_to_know_first_is_read_once_and_without_anything_slow(tmp_path):
+    checked = require_processable(small_survey(tmp_path / "s"))
+    assert [view.name for view in checked.survey.views] == list(checked.found.images)
+    assert require_processable(unposed(tmp_path / "t")).survey is None
+    code = "import sys, survey.plan.check; print({'torch', 'drjit', 'pycolmap', 'matplotlib'} & sys.modules.keys())"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert said.strip() == "set()"
+
+
 def test_a_dry_survey_needs_neither_refraction_nor_a_water_column(tmp_path):
     plan = make_plan(load_survey(small_survey(tmp_path / "s", toml=TOML[: TOML.index("[water]")])))
     assert not plan.is_on("refraction")
@@ -105,12 +243,12 @@ def test_images_are_halved_until_they_fit_the_quality(tmp_path, quality, size, s
     write_image(first, size=size)
     for name in ("0001.jpg", "0002.jpg"):
         (folder / "images" / name).write_bytes(first.read_bytes())
-    toml = TOML.replace("[64, 48]", str(list(size))).replace("principal_point_px = [32.0, 24.0]\n", "")
+    toml = replaced(("[64, 48]", str(list(size))), ("principal_point_px = [32.0, 24.0]\n", ""), ("100.0", f"{size[0]}"))
     (folder / "survey.toml").write_text(toml)
     plan = make_plan(load_survey(folder), quality=quality)
     assert plan.image_scale == scale
-    # 20 m over the water at 100 px, and larger pixels of smaller images.
-    assert plan.gsd_m == pytest.approx(0.2 / scale)
+    # 20 m over the water at a focal length of one width, and larger pixels of smaller images.
+    assert plan.gsd_m == pytest.approx(20.0 / size[0] / scale)
 
 
 def test_the_sampling_distance_of_oblique_views_counts_along_their_axis(tmp_path):

@@ -6,11 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from pyproj import CRS, Transformer
+from pyproj import CRS
 
-from geo.crs import horizontal_crs
 from survey.errors import FILE_NAME, ConfigError
 from survey.folder.config import ImagesConfig, SurveyConfig
+from survey.folder.plausible import distances_to_exif
 from survey.photos.exif import SUFFIXES, Exif, utm_code_of
 from survey.photos.formats import colmap, read_poses
 
@@ -80,19 +80,6 @@ def crs_advice(heads: dict[str, Exif]) -> str:
     """What to write as crs, with the images' own UTM zone where they have positions."""
     code = utm_code_of(heads) or 25832
     return f'give the one of poses and heights, with a vertical part, e.g. crs = "EPSG:{code}+{_EGM96_HEIGHT}"'
-
-
-def distances_to_exif(crs: CRS, centres: dict[str, np.ndarray], heads: dict[str, Exif]) -> np.ndarray:
-    """Horizontal distances (N,) [m] between camera centres in crs and the GPS positions of their images."""
-    names = [name for name in centres if name in heads and heads[name].lat_lon_height is not None]
-    if not names:
-        return np.zeros(0)
-    horizontal = horizontal_crs(crs)
-    lat, lon = np.array([heads[name].lat_lon_height[:2] for name in names]).T
-    to_degrees = Transformer.from_crs(horizontal, "EPSG:4326", always_xy=True)
-    own_lon, own_lat = to_degrees.transform(*np.array([centres[name][:2] for name in names]).T)
-    _, _, metres = CRS("EPSG:4326").get_geod().inv(lon, lat, own_lon, own_lat)
-    return np.where(np.isfinite(metres), metres, np.inf)
 
 
 def _require_same_place(crs: CRS, poses_path: Path, heads: dict[str, Exif]) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path, PurePosixPath
 from survey.errors import ImageError, PosesError
 from survey.folder.found import MIN_VIEWS, Found
 from survey.folder.lens import lens_from_config
+from survey.folder.words import named
 from survey.photos.cameras import Pose, View
 from survey.photos.exif import Exif
 from survey.photos.images import require_complete
@@ -48,8 +49,8 @@ def pair(found: Found, poses: list[Pose], warnings: list[str]) -> list[Pose]:
             f"{len(found.images)} images in {found.folder / found.config.images.dir}, expected at least {MIN_VIEWS}; "
             f"{mend}"
         )
-    warn_of(bare, "without a pose, left out", "image", warnings)
-    warn_of(lonely, "without an image, left out", "pose", warnings)
+    warnings += named(bare, "image", "without a pose, left out")
+    warnings += named(lonely, "pose", "without an image, left out")
     return list(paired.values())
 
 
@@ -64,11 +65,17 @@ def with_lenses(found: Found, poses: list[Pose], assumptions: list[str], warning
     if any(pose.lens is None for pose in poses):
         lens = lens_from_config(cameras, {pose.name: found.heads[pose.name] for pose in poses}, assumptions)
         return [replace(pose, lens=pose.lens or lens) for pose in poses]
-    own = poses[0].lens.focal[0]
+    lens = poses[0].lens
+    own, size = lens.focal[0], (lens.width, lens.height)
     given = cameras.focal_px[0] if isinstance(cameras.focal_px, tuple) else cameras.focal_px
     if given is not None and abs(given / own - 1.0) > 0.01:
         warnings.append(
             f"focal_px = {given:g} in survey.toml is not used: {found.poses_path} carries its own, {own:.1f} px"
+        )
+    if cameras.size_px is not None and cameras.size_px != size:
+        warnings.append(
+            f"size_px = {list(cameras.size_px)} in survey.toml is not used: {found.poses_path} carries its own, "
+            f"{list(size)}"
         )
     return poses
 
@@ -92,7 +99,7 @@ def with_masks(found: Found, views: list[View], warnings: list[str]) -> list[Vie
         raise ImageError(
             f"no mask in {folder} has the name of an image, expected e.g. {Path(views[0].name).stem}.png; rename them"
         )
-    warn_of(without, "without a mask, used whole", "image", warnings)
+    warnings += named(without, "image", "without a mask, used whole")
     return masked
 
 
@@ -108,14 +115,6 @@ def require_image(view: View, head: Exif) -> None:
             f"as its camera has; {mend}"
         )
     require_complete(view.path)
-
-
-def warn_of(names: list[str], what: str, noun: str, warnings: list[str]) -> None:
-    """Add a warning that counts and names, e.g. "2 images without a pose, left out: a.jpg, b.jpg"."""
-    if names:
-        more = f" and {len(names) - 10} more" if len(names) > 10 else ""
-        plural = "s" if len(names) > 1 else ""
-        warnings.append(f"{len(names)} {noun}{plural} {what}: {', '.join(names[:10])}{more}")
 
 
 def _mask_path(like: Path) -> Path | None:

@@ -8,14 +8,16 @@ from pathlib import Path
 
 from geo.frames import LocalFrame
 from refract import FlatWater
-from survey.errors import PosesError
 from survey.folder import place
+from survey.folder.camera_faults import angle_doubts, require_apart, require_focal_lengths
 from survey.folder.config import SurveyConfig
-from survey.folder.found import MIN_VIEWS, Found, find_survey
-from survey.folder.pairing import pair, require_image, warn_of, with_lenses, with_masks
+from survey.folder.found import Found, find_survey
+from survey.folder.pairing import pair, require_image, with_lenses, with_masks
+from survey.folder.plausible import doubts_of_places, require_true
+from survey.folder.unposed import solve_views
 from survey.photos.cameras import View
 from survey.photos.formats import read_poses
-from survey.photos.images import load_image, load_mask, require_complete
+from survey.photos.images import load_image, load_mask
 
 __all__ = ["Found", "Survey", "View", "find_survey", "load_image", "load_mask", "load_survey"]
 
@@ -52,7 +54,13 @@ class Survey:
     warnings: tuple[str, ...]
 
 
-def load_survey(folder: Path, *, workspace: Path | None = None, report: Callable[[str], None] | None = None) -> Survey:
+def load_survey(
+    folder: Path,
+    *,
+    workspace: Path | None = None,
+    report: Callable[[str], None] | None = None,
+    found: Found | None = None,
+) -> Survey:
     """Read a survey into its local frame and check that it can be true.
 
     Parameters
@@ -62,26 +70,34 @@ def load_survey(folder: Path, *, workspace: Path | None = None, report: Callable
         Where structure from motion keeps its files, if it has to run; default ``folder/bathynerf/sfm``.
     report : callable, optional
         Told in words what structure from motion does.
+    found : Found, optional
+        What `find_survey` found in the folder, where it has looked already.
 
     Raises
     ------
     SurveyError, GeoError
         Where something is missing, damaged or contradictory.
     """
-    found = find_survey(folder)
+    found = find_survey(folder) if found is None else found
     assumptions, warnings = list(found.assumptions), list(found.warnings)
     if found.poses_path is None:
-        frame, views = _solve(found, workspace, report, assumptions, warnings)
+        frame, views, notes, doubts = solve_views(found, workspace, report)
+        assumptions += notes
+        warnings += doubts
     else:
         poses = pair(found, read_poses(found.poses_path), warnings)
         poses = with_lenses(found, poses, assumptions, warnings)
+        warnings += angle_doubts(poses)
         frame, views = place.views_in_local(found, poses)
     views = with_masks(found, sorted(views, key=lambda view: view.name), warnings)
     for view in views:
         require_image(view, found.heads[view.name])
     config, water = place.water_in_local(found.config, frame, views, assumptions)
-    place.require_true(frame, views, water, config)
-    warnings += place.doubts(frame, views, water, found.heads)
+    require_true(frame, views, water, config)
+    if found.poses_path is not None:
+        warnings += require_focal_lengths({view.name: view.lens for view in views}, found.heads)
+    warnings += require_apart(views, water)
+    warnings += doubts_of_places(frame, views, water, found.heads)
     if found.poses_path is not None and found.poses_path.is_relative_to(found.folder):
         poses_name = found.poses_path.relative_to(found.folder).as_posix()
         config = replace(config, cameras=replace(config.cameras, poses=poses_name))
@@ -96,41 +112,3 @@ def load_survey(folder: Path, *, workspace: Path | None = None, report: Callable
         assumptions=tuple(assumptions),
         warnings=tuple(warnings),
     )
-
-
-def _solve(
-    found: Found,
-    workspace: Path | None,
-    report: Callable[[str], None] | None,
-    assumptions: list[str],
-    warnings: list[str],
-) -> tuple[LocalFrame, list[View]]:
-    """Views by structure from motion, for a folder without poses."""
-    from survey.sfm.poses import solve_poses
-
-    place.require_level_fits_exif(found)
-    for path in found.images.values():
-        require_complete(path)
-    result = solve_poses(
-        list(found.images.values()),
-        found.crs,
-        workspace or found.folder / "bathynerf" / "sfm",
-        gps_height=found.config.cameras.gps_height,
-        size_px=found.config.cameras.size_px,
-        focal_px=found.config.cameras.focal_px,
-        report=report,
-    )
-    by_file = {path.name: name for name, path in found.images.items()}
-    views = []
-    for file_name, lens, centre, cam_from_local in result.views:
-        name = file_name if file_name in found.images else by_file[Path(file_name).name]
-        views.append(View(name, found.images[name], lens.pinhole(centre, cam_from_local), lens))
-    if len(views) < MIN_VIEWS:
-        raise PosesError(
-            f"structure from motion found the poses of {len(views)} of {len(found.images)} images, expected at least "
-            f"{MIN_VIEWS}; give poses made elsewhere in [cameras] poses"
-        )
-    assumptions.extend(result.notes)
-    solved = {view.name for view in views}
-    warn_of([name for name in found.images if name not in solved], "without a pose, left out", "image", warnings)
-    return result.frame, views

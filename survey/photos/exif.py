@@ -19,6 +19,8 @@ SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
 
 # Width of the film that "focal length in 35 mm film" refers to [mm].
 _FILM_WIDTH_MM = 36.0
+# A calibration further off the 35 mm equivalent than this belongs to another size of the image.
+_RESIZED = 1.5
 _DJI_NUMBER = r"drone-dji:{}\s*(?:=\s*\"|>)\s*([+-]?[0-9.]+)"
 
 
@@ -121,10 +123,11 @@ def _focal(size: tuple[int, int], details: dict, xmp: str) -> float | None:
     calibrated = _dji(xmp, "CalibratedFocalLength")
     # Only of use while the image still has the size that it was calibrated for.
     full_width = details.get(ExifTags.Base.ExifImageWidth, size[0])
-    if calibrated and full_width == size[0]:
-        return calibrated
     film = _number(details.get(ExifTags.Base.FocalLengthIn35mmFilm))
-    return film / _FILM_WIDTH_MM * max(size) if film > 0.0 else None
+    by_film = film / _FILM_WIDTH_MM * max(size) if film > 0.0 else None
+    if calibrated and full_width == size[0] and (by_film is None or 1.0 / _RESIZED < calibrated / by_film < _RESIZED):
+        return calibrated
+    return by_film
 
 
 def _dji(xmp: str, name: str) -> float | None:

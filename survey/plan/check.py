@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from geo.crs import height_unit_m
-from survey.folder import place
 from survey.folder.survey import Found, Survey, find_survey, load_survey
-from survey.photos.images import require_complete
+from survey.folder.unposed import require_solvable
 from survey.plan.plan import Decision, Plan, device_decision, make_plan
 
 
@@ -23,8 +22,25 @@ class Section:
     rows: tuple[tuple[str, str], ...]
 
 
-def check_survey(folder: Path, *, quality: str = "standard", device: str = "auto") -> list[Section]:
-    """Look at a survey and say what `process` would do; nothing is computed and nothing written.
+@dataclass(frozen=True)
+class Checked:
+    """A survey that can be processed, as far as its files tell.
+
+    Attributes
+    ----------
+    found : Found
+    survey : Survey or None
+        None where structure from motion has to find the poses first.
+    warnings : sentences
+    """
+
+    found: Found
+    survey: Survey | None
+    warnings: tuple[str, ...]
+
+
+def require_processable(folder: Path) -> Checked:
+    """Look at a survey as `check` and `process` do before anything is computed; nothing slow is imported.
 
     Raises
     ------
@@ -33,10 +49,26 @@ def check_survey(folder: Path, *, quality: str = "standard", device: str = "auto
     """
     found = find_survey(folder)
     if found.poses_path is None:
-        return _without_poses(found, device)
-    survey = load_survey(folder)
+        return Checked(found, None, (*found.warnings, *require_solvable(found)))
+    survey = load_survey(folder, found=found)
+    return Checked(found, survey, survey.warnings)
+
+
+def check_survey(folder: Path, *, quality: str = "standard", device: str = "auto") -> list[Section]:
+    """Look at a survey and say what `process` would do; nothing is computed and nothing written.
+
+    Raises
+    ------
+    SurveyError, GeoError
+        Where the survey cannot be processed as it is.
+    """
+    checked = require_processable(folder)
+    if checked.survey is None:
+        return _without_poses(checked, device)
+    survey = checked.survey
     plan = make_plan(survey, quality=quality, device=device)
-    return _sections(_rows_of_survey(found, survey, plan), plan.decisions, survey.assumptions, survey.warnings)
+    rows = _rows_of_survey(checked.found, survey, plan)
+    return _sections(rows, plan.decisions, survey.assumptions, checked.warnings)
 
 
 def plan_section(decisions: tuple[Decision, ...]) -> Section:
@@ -91,11 +123,9 @@ def _water(survey: Survey) -> str:
     )
 
 
-def _without_poses(found: Found, device: str) -> list[Section]:
+def _without_poses(checked: Checked, device: str) -> list[Section]:
     """The sections where structure from motion would have to run first."""
-    place.require_level_fits_exif(found)
-    for path in found.images.values():
-        require_complete(path)
+    found = checked.found
     places = [head.lat_lon_height for head in found.heads.values() if head.lat_lon_height is not None]
     sizes = Counter(head.size_px for head in found.heads.values())
     heights = np.array([height for _, _, height in places])
@@ -130,7 +160,7 @@ def _without_poses(found: Found, device: str) -> list[Section]:
         f"there is no poses file; GPS positions place it, their heights as {like}",
     )
     rest = Decision("refraction and the rest", "later", "decided when the poses are known")
-    return _sections(rows, (sfm, device_decision(device), rest), found.assumptions, found.warnings)
+    return _sections(rows, (sfm, device_decision(device), rest), found.assumptions, checked.warnings)
 
 
 def _range(values: np.ndarray) -> str:

@@ -39,6 +39,6 @@ def require_area(positions, std_m: float) -> None:
     if spread[1] < max(_LINE_STD * std_m, _LINE_SHARE * spread[0]):
         raise PosesError(
             f"the GPS positions of the {len(positions)} images lie on one line (spread {spread[0]:.1f} m along and "
-            f"{spread[1]:.1f} m across, positions good to {std_m:.1f} m), which leaves the tilt of the block about it "
+            f"{spread[1]:.1f} m across, positions good to {std_m:.2g} m), which leaves the tilt of the block about it "
             "open; add images of a second strip, or give poses made elsewhere in [cameras] poses"
         )

@@ -23,10 +23,11 @@ from geo.crs import height_unit_m
 from geo.files import write_whole
 from geo.frames import LocalFrame
 from refract.lens import Lens
-from survey.errors import FILE_NAME, ImageError, SurveyError
-from survey.photos.exif import Exif, read_exif
+from survey.errors import ImageError, SurveyError
+from survey.photos.exif import read_exif
 from survey.sfm import block as sfm_block
 from survey.sfm.gps import GpsPositions, gps_positions
+from survey.sfm.settings import one_focal, require_size
 from survey.sfm.solve import Solved, aliases, solve
 from survey.stage_key import stage_key
 
@@ -127,8 +128,8 @@ def solve_poses(
     say = report or (lambda _text: None)
     images = _named(image_paths)
     heads = {name: read_exif(path) for name, path in images.items()}
-    _require_size(images, heads, size_px)
-    focal_px = _one_focal(focal_px)
+    require_size(images, heads, size_px)
+    focal_px = one_focal(focal_px)
     gps = gps_positions(heads, crs, gps_height)
     key = stage_key("sfm", _FORMAT, gps.frame, gps_height, focal_px, list(images), list(images.values()))
     with _refusals(workspace):
@@ -149,26 +150,6 @@ def _named(paths: Sequence[Path]) -> dict[str, Path]:
     paths = [Path(path).absolute() for path in paths]
     folder = Path(os.path.commonpath([path.parent for path in paths]))
     return dict(sorted((path.relative_to(folder).as_posix(), path) for path in paths))
-
-
-def _require_size(images: Mapping[str, Path], heads: Mapping[str, Exif], size_px: tuple[int, int] | None) -> None:
-    for name, head in heads.items():
-        if size_px is not None and head.size_px != tuple(size_px):
-            raise ImageError(
-                f"{images[name]} has {head.size_px[0]} x {head.size_px[1]} pixels, expected {size_px[0]} x "
-                f"{size_px[1]} as [cameras] size_px in {FILE_NAME} says; correct it, or leave the image out"
-            )
-
-
-def _one_focal(focal_px: float | tuple[float, float] | None) -> float | None:
-    if not isinstance(focal_px, tuple | list):
-        return focal_px
-    if focal_px[0] != focal_px[1]:
-        raise SurveyError(
-            f"[cameras] focal_px in {FILE_NAME} is {list(focal_px)}, and structure from motion solves for square "
-            "pixels; give one number, or poses made elsewhere in [cameras] poses"
-        )
-    return focal_px[0]
 
 
 @contextmanager

@@ -1,0 +1,146 @@
+"""Mistakes in lenses and poses whose numbers look right one by one.
+
+A focal length in the wrong unit, angles in radians, one pose for all photographs. What no survey can be is an error;
+what is unlikely is a warning.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from refract import FlatWater
+from refract.lens import Lens
+from survey.errors import ConfigError, PosesError
+from survey.folder.words import named
+from survey.photos.cameras import CAM_FROM_OPK_CAM, Pose, View
+from survey.photos.exif import Exif
+
+# Diagonal field of view [degrees] of a pinhole of the same focal length: a fisheye lens of 180 degrees has 115, the
+# longest lens of a drone 3.
+_WIDEST_DEG, _NARROWEST_DEG = 135.0, 1.0
+# EXIF has design values, of the whole sensor; a photograph may be cropped or enlarged a little, but not to a fifth.
+_DOUBTFUL_RATIO, _WRONG_RATIO = 1.5, 5.0
+# Cameras closer together than this show no parallax.
+_ONE_PLACE_M = 0.01
+# As radians all angles are below this; as degrees they may be too where all views look down and north.
+_FULL_TURN = 2.0 * math.pi + 0.01
+_LOOKS_DOWN = math.cos(math.radians(75.0))
+# Strips turn a camera by quarters of a full turn, and a gimbal is never still to a tenth of a degree.
+_LINED_UP, _STILL_DEG = 0.8, 0.1
+
+
+def require_focal_lengths(lenses: dict[str, Lens], heads: dict[str, Exif]) -> list[str]:
+    """Warnings about focal lengths that do not fit what EXIF says.
+
+    Parameters
+    ----------
+    lenses, heads : by name of the image
+
+    Raises
+    ------
+    ConfigError
+        Where a lens would see more or less than any lens does, or EXIF says another order of magnitude.
+    """
+    for name, lens in lenses.items():
+        degrees = 2.0 * math.degrees(math.atan(0.5 * math.hypot(lens.width, lens.height) / min(lens.focal)))
+        if not _NARROWEST_DEG < degrees < _WIDEST_DEG:
+            raise ConfigError(
+                f"the focal length of {name} is {min(lens.focal):g} px, with which its {lens.width} x {lens.height} px "
+                f"see {degrees:.1f} degrees from corner to corner, expected {_NARROWEST_DEG:g} to {_WIDEST_DEG:g}; "
+                f"give it in pixels of these images{_by_exif(heads[name])}"
+            )
+    known = [name for name, head in heads.items() if name in lenses and head.focal_px is not None]
+    if not known:
+        return []
+    ratios = [lenses[name].focal[0] / heads[name].focal_px for name in known]
+    name = known[int(np.argsort(ratios)[len(ratios) // 2])]
+    focal, by_exif = lenses[name].focal[0], heads[name].focal_px
+    ratio = focal / by_exif
+    said = f"the focal length of {name} is {focal:g} px, and EXIF tells {by_exif:.0f} px"
+    if max(ratio, 1.0 / ratio) > _WRONG_RATIO:
+        raise ConfigError(
+            f"{said}, expected at most {_WRONG_RATIO:g} times more or less; give it in pixels of these images, in "
+            "[cameras] focal_px or in the poses file"
+        )
+    if max(ratio, 1.0 / ratio) > _DOUBTFUL_RATIO:
+        return [f"{said}; check that it is in pixels of these images, unless they are cropped"]
+    return []
+
+
+def require_apart(views: list[View], water: FlatWater | None) -> list[str]:
+    """Warnings about views that share a pose.
+
+    Raises
+    ------
+    PosesError
+        Where all cameras stand at one place, or no two of them see the same water.
+    """
+    centres = np.array([view.camera.centre for view in views])
+    if np.ptp(centres, axis=0).max() < _ONE_PLACE_M:
+        raise PosesError(
+            f"all {len(views)} cameras stand at one place within {1000.0 * _ONE_PLACE_M:.0f} mm, expected places some "
+            "metres apart; give each photograph its own pose"
+        )
+    if water is not None:
+        _require_overlap(views, water)
+    poses = [(*view.camera.centre, *view.camera.cam_from_local.ravel()) for view in views]
+    first = {pose: i for i, pose in reversed(list(enumerate(poses)))}
+    return named([v.name for i, v in enumerate(views) if first[poses[i]] != i], "image", "with the pose of another one")
+
+
+def _require_overlap(views: list[View], water: FlatWater) -> None:
+    """Raise where the circles around what views see of the water do not touch: the bed is not that much further."""
+    places, radii = [], []
+    for view in views:
+        camera = view.camera
+        # Along the axis; views to the horizon end at three flying heights.
+        falling = max(-camera.cam_from_local[2, 2], 1.0 / 3.0)
+        along = float(-water.depth(camera.centre)) / falling
+        places.append((camera.centre + along * camera.cam_from_local[2])[:2])
+        radii.append(0.5 * along * math.hypot(camera.width / camera.fx, camera.height / camera.fy) / falling)
+    apart = np.linalg.norm(np.array(places)[:, None] - np.array(places), axis=-1) - np.add.outer(radii, radii)
+    np.fill_diagonal(apart, np.inf)
+    if apart.min() > 0.0:
+        gap = np.median(apart.min(axis=1))
+        raise PosesError(
+            f"no two views see the same water: at the surface a view covers {2.0 * np.median(radii):.2f} m, and the "
+            f"nearest one ends {gap:.2f} m beside it, expected an overlap of half a view or more; "
+            "correct the focal length, the positions or [water] level_m"
+        )
+
+
+def angle_doubts(poses: list[Pose]) -> list[str]:
+    """A warning where omega, phi and kappa look like radians.
+
+    All are below a full turn in radians, as radians all cameras look down and turn by more than a radian, and their
+    headings are in line with strips, or their tilts as degrees smaller than those of any drone.
+    """
+    if not all(pose.in_crs for pose in poses):
+        return []
+    angles = np.array([_opk_deg(pose.cam_from_world) for pose in poses])
+    omega, phi, kappa = angles.T
+    looks_down = (np.cos(omega) * np.cos(phi) > _LOOKS_DOWN).all()
+    if np.abs(angles).max() > _FULL_TURN or not looks_down or np.ptp(kappa) < 1.0:
+        return []
+    lined_up = abs(np.exp(4j * kappa).mean()) > _LINED_UP
+    still = np.median(np.abs(angles[:, :2])) < _STILL_DEG
+    if not (lined_up or still):
+        return []
+    most = np.abs(angles).max()
+    return [
+        f"omega, phi and kappa lie within {most:.2f}, expected degrees; they look like radians: if they are, multiply "
+        "them by 57.29578"
+    ]
+
+
+def _opk_deg(cam_from_grid: np.ndarray) -> tuple[float, float, float]:
+    """Omega, phi, kappa [degrees] of a rotation, the inverse of `survey.photos.cameras.grid_from_opk`."""
+    r = cam_from_grid.T @ CAM_FROM_OPK_CAM
+    angles = math.atan2(-r[1, 2], r[2, 2]), math.asin(max(-1.0, min(r[0, 2], 1.0))), math.atan2(-r[0, 1], r[0, 0])
+    return tuple(math.degrees(angle) for angle in angles)
+
+
+def _by_exif(head: Exif) -> str:
+    return "" if head.focal_px is None else f"; EXIF tells {head.focal_px:.0f} px"

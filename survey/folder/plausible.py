@@ -1,0 +1,150 @@
+"""Whether the places and heights of cameras, water and bounds can be true together."""
+
+from __future__ import annotations
+
+import numpy as np
+from pyproj import CRS, Transformer
+
+from geo.crs import height_unit_m, horizontal_crs
+from geo.frames import LocalFrame
+from refract import FlatWater
+from survey.errors import FILE_NAME, ConfigError, PosesError
+from survey.folder.config import SurveyConfig
+from survey.folder.words import named
+from survey.photos.cameras import View
+from survey.photos.exif import Exif
+
+# Photographs of a bed are taken from below this height over the water; more means another vertical datum.
+MAX_HEIGHT_OVER_WATER_M = 300.0
+# A plane leaves the level surface by 0.5 cm at 250 m from where it touches and by 2 cm at 500 m.
+_FLAT_WITHIN_M = 250.0
+# Further apart than this, positions are not of one survey.
+_ONE_SURVEY_M = 20e3
+# A GPS position without corrections is within 10 m.
+_EXIF_DOUBT_M = 50.0
+
+
+def require_true(frame: LocalFrame, views: list[View], water: FlatWater | None, config: SurveyConfig) -> None:
+    """Raise where cameras lie under the water, far above it, look at the sky, or far from the bounds.
+
+    Raises
+    ------
+    ConfigError, PosesError
+        With the heights that were found.
+    """
+    rises = np.array([view.camera.cam_from_local[2, 2] for view in views])
+    if (rises > 0.0).mean() > 0.5:
+        raise PosesError(
+            f"{int((rises > 0.0).sum())} of {len(views)} cameras look up at the sky, expected down at the bed; check "
+            "the convention of the angles (omega, phi, kappa about the grid axes; camera x right, y up, z back)"
+        )
+    centres = np.array([view.camera.centre for view in views])
+    _require_together(frame, views, centres)
+    if water is not None:
+        _require_above_water(frame, views, -water.depth(centres), config)
+    if config.area.bounds is not None:
+        _require_bounds_near(frame, centres, config.area.bounds)
+
+
+def _require_together(frame: LocalFrame, views: list[View], centres: np.ndarray) -> None:
+    apart = np.linalg.norm(centres - np.median(centres, axis=0), axis=1)
+    worst = int(np.argmax(apart))
+    if apart[worst] > _ONE_SURVEY_M:
+        place = ", ".join(f"{v:.10g}" for v in frame.crs_from_local(centres[worst]))
+        raise PosesError(
+            f"the camera of {views[worst].name} at {place} lies {apart[worst] / 1000.0:.0f} km from the others, "
+            f"expected at most {_ONE_SURVEY_M / 1000.0:.0f} km; correct its pose or leave the image out"
+        )
+
+
+def _require_above_water(frame: LocalFrame, views: list[View], over_water: np.ndarray, config: SurveyConfig) -> None:
+    unit = height_unit_m(frame.crs)
+    heights = frame.crs_from_local(np.array([view.camera.centre for view in views]))[:, 2] * unit
+    _require_level_fits(config, "the cameras are", heights, over_water, f"the poses ({frame.crs.name})")
+    lowest = int(np.argmin(over_water))
+    if over_water[lowest] <= 0.0:
+        raise PosesError(
+            f"the camera of {views[lowest].name} at {heights[lowest]:.2f} m lies {-over_water[lowest]:.2f} m under "
+            f"the water ([water] level_m = {config.water.level_m:g}); correct its pose or leave the image out, or "
+            "correct level_m"
+        )
+
+
+def require_level_fits_exif(config: SurveyConfig, heads: dict[str, Exif]) -> None:
+    """Raise where the level cannot fit the heights in EXIF, which structure from motion would use.
+
+    Raises
+    ------
+    ConfigError
+        Where all images lie under the water or far above it.
+    """
+    heights = np.array([h.lat_lon_height[2] for h in heads.values() if h.lat_lon_height is not None])
+    heights = heights[np.isfinite(heights)]
+    if config.water is None or config.cameras.gps_height != "crs" or not heights.size:
+        return
+    over_water = heights - config.water.level_m
+    _require_level_fits(config, "EXIF has the cameras", heights, over_water, "the heights in EXIF")
+
+
+def _require_level_fits(config: SurveyConfig, who: str, heights: np.ndarray, over_water: np.ndarray, like: str) -> None:
+    level = config.water.level_m
+    said = f"[water] level_m is {level:g} m and {who} at {heights.min():.1f} to {heights.max():.1f} m"
+    mend = f"give level_m in {FILE_NAME} in the same vertical datum as {like}"
+    if (over_water <= 0.0).all():
+        raise ConfigError(f"{said}, all of them under the water; {mend}")
+    if (over_water > MAX_HEIGHT_OVER_WATER_M).all():
+        raise ConfigError(f"{said}, all of them more than {MAX_HEIGHT_OVER_WATER_M:.0f} m over the water; {mend}")
+
+
+def _require_bounds_near(frame: LocalFrame, centres: np.ndarray, bounds: tuple[float, ...]) -> None:
+    e0, n0, e1, n1 = bounds
+    cameras = frame.crs_from_local(centres)
+    nearest = cameras.copy()
+    nearest[:, 0], nearest[:, 1] = cameras[:, 0].clip(e0, e1), cameras[:, 1].clip(n0, n1)
+    distances = np.linalg.norm(frame.local_from_crs(nearest) - centres, axis=1)
+    # Oblique views reach a few flying heights sideways.
+    if not distances.min() < 1000.0:
+        raise ConfigError(
+            f"[area] bounds {list(bounds)} lie {distances.min() / 1000.0:.1f} km from the nearest camera, which is "
+            f"at {cameras[0, 0]:.6g}, {cameras[0, 1]:.7g}; give them in crs ({frame.crs.name})"
+        )
+
+
+def doubts_of_places(
+    frame: LocalFrame, views: list[View], water: FlatWater | None, heads: dict[str, Exif]
+) -> list[str]:
+    """Sentences about what can be true but is more likely a mistake."""
+    found: list[str] = []
+    centres = np.array([view.camera.centre for view in views])
+    if water is not None:
+        too_high = -water.depth(centres) > MAX_HEIGHT_OVER_WATER_M
+        names = [view.name for view, is_high in zip(views, too_high, strict=True) if is_high]
+        found += named(names, "camera", f"more than {MAX_HEIGHT_OVER_WATER_M:.0f} m over the water")
+        reach = float(np.linalg.norm((centres - water.point)[:, :2], axis=1).max())
+        if reach > _FLAT_WITHIN_M:
+            found.append(
+                f"cameras lie up to {reach:.0f} m from where the water plane touches (level_at); level water lies "
+                f"{100.0 * reach**2 / (2 * 6.371e6):.1f} cm under the plane there: give level_at amid the cameras, and "
+                "a longer survey in parts"
+            )
+    crs_centres = dict(zip((view.name for view in views), frame.crs_from_local(centres), strict=True))
+    distances = distances_to_exif(frame.crs, crs_centres, heads)
+    if distances.size and np.median(distances) > _EXIF_DOUBT_M:
+        found.append(
+            f"the poses lie {np.median(distances):.0f} m (median) from the GPS positions in EXIF; check crs and, for "
+            "local poses, [local] origin"
+        )
+    return found
+
+
+def distances_to_exif(crs: CRS, centres: dict[str, np.ndarray], heads: dict[str, Exif]) -> np.ndarray:
+    """Horizontal distances (N,) [m] between camera centres in crs and the GPS positions of their images."""
+    names = [name for name in centres if name in heads and heads[name].lat_lon_height is not None]
+    if not names:
+        return np.zeros(0)
+    horizontal = horizontal_crs(crs)
+    lat, lon = np.array([heads[name].lat_lon_height[:2] for name in names]).T
+    to_degrees = Transformer.from_crs(horizontal, "EPSG:4326", always_xy=True)
+    own_lon, own_lat = to_degrees.transform(*np.array([centres[name][:2] for name in names]).T)
+    _, _, metres = CRS("EPSG:4326").get_geod().inv(lon, lat, own_lon, own_lat)
+    return np.where(np.isfinite(metres), metres, np.inf)

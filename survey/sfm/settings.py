@@ -1,0 +1,37 @@
+"""What structure from motion takes from [cameras], checked before it starts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from survey.errors import FILE_NAME, ImageError, SurveyError
+from survey.photos.exif import Exif
+
+
+def require_size(images: Mapping[str, Path], heads: Mapping[str, Exif], size_px: tuple[int, int] | None) -> None:
+    """Raise ImageError where an image does not have the size that the settings say."""
+    for name, head in heads.items():
+        if size_px is not None and head.size_px != tuple(size_px):
+            raise ImageError(
+                f"{images[name]} has {head.size_px[0]} x {head.size_px[1]} pixels, expected {size_px[0]} x "
+                f"{size_px[1]} as [cameras] size_px in {FILE_NAME} says; correct it, or leave the image out"
+            )
+
+
+def one_focal(focal_px: float | tuple[float, float] | None) -> float | None:
+    """The focal length [px] of square pixels.
+
+    Raises
+    ------
+    SurveyError
+        If there are two different ones.
+    """
+    if not isinstance(focal_px, tuple | list):
+        return focal_px
+    if focal_px[0] != focal_px[1]:
+        raise SurveyError(
+            f"[cameras] focal_px in {FILE_NAME} is {list(focal_px)}, and structure from motion solves for square "
+            "pixels; give one number, or poses made elsewhere in [cameras] poses"
+        )
+    return focal_px[0]

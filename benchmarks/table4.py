@@ -26,7 +26,7 @@ from straight_bias import straight_bias
 from evaluation import distance_to_mesh, is_reached, sample_mesh
 from geo import read_cloud, read_reference
 from survey.folder.survey import Survey, load_survey
-from survey.run.stages import TIMES_SEEN
+from survey.plan.block import TIMES_SEEN
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("BATHYNERF_DATA", ROOT.parent / "shared" / "data"))

@@ -90,3 +90,16 @@ def replaced(*pairs: tuple[str, str]) -> str:
             raise ValueError(f"{old!r} is not in the settings of the small survey")
         text = text.replace(old, new)
     return text
+
+
+def unposed(folder: Path, *pairs: tuple[str, str]) -> Path:
+    """The small survey without poses, its settings replaced as by `replaced`: one for structure from motion."""
+    folder = small_survey(folder, gps=True, toml=replaced(('poses = "cameras.csv"', ""), *pairs))
+    (folder / "cameras.csv").unlink()
+    return folder
+
+
+def said(sections, title: str) -> dict[str, str]:
+    """The rows of the section of a title that `check` prints."""
+    (section,) = [section for section in sections if section.title == title]
+    return dict(section.rows)

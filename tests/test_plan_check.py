@@ -9,17 +9,24 @@ import sys
 
 import numpy as np
 import pytest
-from small_survey import E0, LEVEL, N0, TOML, camera_lines, replaced, small_survey, write_image, write_poses
+from small_survey import (
+    E0,
+    LEVEL,
+    N0,
+    TOML,
+    camera_lines,
+    replaced,
+    said,
+    small_survey,
+    unposed,
+    write_image,
+    write_poses,
+)
 
 from survey.errors import ConfigError, ImageError, PosesError, SurveyError
 from survey.folder.survey import load_survey
 from survey.plan.check import check_survey, require_processable
 from survey.plan.plan import ground_height, make_plan
-
-
-def said(sections, title: str) -> dict[str, str]:
-    (section,) = [section for section in sections if section.title == title]
-    return dict(section.rows)
 
 
 def test_check_says_what_was_found_and_what_the_plan_is(tmp_path):
@@ -59,16 +66,6 @@ def test_check_says_that_structure_from_motion_would_run_and_does_not_run_it(tmp
     image.write_bytes(image.read_bytes()[:1500])
     with pytest.raises(ImageError, match=r"0001\.jpg is damaged or cut off"):
         check_survey(folder)
-
-
-WITHOUT_POSES = ('poses = "cameras.csv"', "")
-
-
-def unposed(folder, *pairs: tuple[str, str]):
-    """A survey for structure from motion."""
-    folder = small_survey(folder, gps=True, toml=replaced(WITHOUT_POSES, *pairs))
-    (folder / "cameras.csv").unlink()
-    return folder
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,11 @@ from survey.plan.plan import Plan, ground_height
 # No bed is looked for higher over the water than this share of the flying height, nor deeper than that one: drones fly
 # 8 m over 10 m of clear water, and beside banks that nearly reach them.
 HIGHEST, DEEPEST = 0.8, 1.5
+# How often every place is to be seen by views with a height map of their own: by steep ones, and by oblique ones from
+# each quarter. Three confirm each other; docs/sweep.md has what more bring.
+TIMES_SEEN = {"draft": (4, 1), "standard": (6, 2), "fine": (1000, 1000)}
+# The cloud ends this far beyond the bounds that the survey asks for.
+AREA_MARGIN_M = 0.5
 
 
 def load_block(survey: Survey, plan: Plan, advance: Callable[[float], None], store: ImageStore | None = None) -> Block:

@@ -12,6 +12,10 @@ from geo.crs import height_unit_m
 from survey.folder.survey import Found, Survey, find_survey, load_survey
 from survey.folder.unposed import require_solvable
 from survey.plan.plan import Decision, Plan, device_decision, make_plan
+from survey.plan.workload import Workload, require_room, workload_of, workload_of_images
+
+# The run folder in the survey folder, where none is named.
+RUN_NAME = "bathynerf"
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,7 @@ def require_processable(folder: Path) -> Checked:
     SurveyError, GeoError
         Where the survey cannot be processed as it is.
     """
-    found = find_survey(folder)
+    found = find_survey(Path(folder))
     if found.poses_path is None:
         return Checked(found, None, (*found.warnings, *require_solvable(found)))
     survey = load_survey(folder, found=found)
@@ -64,20 +68,18 @@ def check_survey(folder: Path, *, quality: str = "standard", device: str = "auto
     """
     checked = require_processable(folder)
     if checked.survey is None:
-        return _without_poses(checked, device)
+        return _without_poses(checked, quality, device)
     survey = checked.survey
     plan = make_plan(survey, quality=quality, device=device)
+    workload = workload_of(survey, plan)
+    warnings = (*checked.warnings, *require_room(workload, folder / RUN_NAME))
     rows = _rows_of_survey(checked.found, survey, plan)
-    return _sections(rows, plan.decisions, survey.assumptions, checked.warnings)
+    return _sections(rows, plan.decisions, workload, survey.assumptions, warnings)
 
 
-def plan_section(decisions: tuple[Decision, ...]) -> Section:
-    """The plan as `check` and `process` print it."""
-    return Section("Plan", tuple((d.name, f"{d.choice}: {d.reason}") for d in decisions))
-
-
-def _sections(rows, decisions, assumptions, warnings) -> list[Section]:
-    sections = [Section("Found", tuple(rows)), plan_section(decisions)]
+def _sections(rows, decisions: tuple[Decision, ...], workload: Workload, assumptions, warnings) -> list[Section]:
+    plan = [(d.name, f"{d.choice}: {d.reason}") for d in decisions]
+    sections = [Section("Found", tuple(rows)), Section("Plan", (*plan, ("workload", str(workload))))]
     sections += [Section("Assumed", tuple(("", text) for text in assumptions))] if assumptions else []
     sections += [Section("Warnings", tuple(("", text) for text in warnings))] if warnings else []
     return sections
@@ -123,7 +125,7 @@ def _water(survey: Survey) -> str:
     )
 
 
-def _without_poses(checked: Checked, device: str) -> list[Section]:
+def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]:
     """The sections where structure from motion would have to run first."""
     found = checked.found
     places = [head.lat_lon_height for head in found.heads.values() if head.lat_lon_height is not None]
@@ -160,7 +162,11 @@ def _without_poses(checked: Checked, device: str) -> list[Section]:
         f"there is no poses file; GPS positions place it, their heights as {like}",
     )
     rest = Decision("refraction and the rest", "later", "decided when the poses are known")
-    return _sections(rows, (sfm, device_decision(device), rest), found.assumptions, checked.warnings)
+    decisions = (sfm, device_decision(device), rest)
+    sizes = [head.size_px for head in found.heads.values()]
+    workload = workload_of_images(sizes, quality=quality, device=decisions[1].choice)
+    warnings = (*checked.warnings, *require_room(workload, found.folder / RUN_NAME))
+    return _sections(rows, decisions, workload, found.assumptions, warnings)
 
 
 def _range(values: np.ndarray) -> str:

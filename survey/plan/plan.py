@@ -92,7 +92,7 @@ def make_plan(survey: Survey, *, quality: str = "standard", device: str = "auto"
     chosen = device_decision(device)
     cameras = [view.camera for view in survey.views]
     height = _height(survey)
-    scale = min(_scale(camera, quality) for camera in cameras)
+    scale = min(image_scale(camera.width, camera.height, quality) for camera in cameras)
     gsd = float(np.median([_distance_along_axis(c, survey, height) / c.fx for c in cameras])) / scale
     sides = np.median([(camera.width / camera.fx, camera.height / camera.fy) for camera in cameras], axis=0)
     footprint = (float(height * sides[0]), float(height * sides[1]))
@@ -198,8 +198,9 @@ def _image_decision(camera: PinholeCamera, scale: float, quality: str) -> Decisi
     return Decision("image scale", f"{scale:g}", f"{size} are halved until they have {limit}")
 
 
-def _scale(camera: PinholeCamera, quality: str) -> float:
-    halvings = math.ceil(0.5 * math.log2(camera.width * camera.height / (1e6 * _MEGAPIXELS[quality])) - 1e-9)
+def image_scale(width: int, height: int, quality: str) -> float:
+    """The scale [-], at most 1, at which an image of a size [px] is worked on."""
+    halvings = math.ceil(0.5 * math.log2(width * height / (1e6 * _MEGAPIXELS[quality])) - 1e-9)
     return 0.5 ** max(halvings, 0)
 
 

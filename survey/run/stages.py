@@ -17,16 +17,11 @@ from fields.sweep.sweep import DepthMap, sweep
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.photos.images import load_image
-from survey.plan.block import backend, camera_of, grown, limits, local_area, within
+from survey.plan.block import AREA_MARGIN_M, TIMES_SEEN, backend, camera_of, grown, limits, local_area, within
 from survey.plan.plan import Plan
 
-# How often every place is to be seen by views with a height map of their own: by steep ones, and by oblique ones from
-# each quarter. Three confirm each other; docs/sweep.md has what more bring.
-TIMES_SEEN = {"draft": (4, 1), "standard": (6, 2), "fine": (1000, 1000)}
 # Rays that the field learns from, per cell of one GSD (docs/field.md has the figures behind it).
 RAYS_PER_CELL = 15.0
-# The cloud ends this far beyond the bounds that the survey asks for.
-AREA_MARGIN_M = 0.5
 # Gates of the command line: exit code 3 below, or above.
 MIN_WET_SHARE = 0.5
 MAX_STD_GSD = 5.0

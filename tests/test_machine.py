@@ -1,0 +1,29 @@
+"""What this machine has, asked of the machine that the tests run on."""
+
+from __future__ import annotations
+
+import os
+
+from survey import machine
+
+
+def test_free_memory_is_part_of_all_memory_and_a_limit_of_the_container_counts(tmp_path, monkeypatch):
+    monkeypatch.setattr(machine, "_CGROUP", ())
+    assert 0 < machine.free_memory_bytes() <= machine.memory_bytes()
+    limit = tmp_path / "memory.max"
+    monkeypatch.setattr(machine, "_CGROUP", (tmp_path / "none", limit))
+    everything = machine.memory_bytes()
+    limit.write_text("max\n")
+    assert machine.memory_bytes() == everything
+    limit.write_text("100000\n")
+    assert machine.memory_bytes() == machine.free_memory_bytes() == 100000
+
+
+def test_where_the_system_does_not_tell_all_memory_counts_as_free(tmp_path, monkeypatch):
+    monkeypatch.setattr(machine, "_MEMINFO", tmp_path / "none")
+    assert machine.free_memory_bytes() == machine.memory_bytes()
+
+
+def test_room_on_the_disk_is_that_of_the_nearest_folder_that_exists(tmp_path):
+    assert machine.free_disk_bytes(tmp_path / "a" / "b" / "c") > 0
+    assert 1 <= machine.num_cores() <= os.cpu_count()

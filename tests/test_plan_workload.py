@@ -1,0 +1,98 @@
+"""What a run will take: against what three surveys took, and against what the machine has."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from small_survey import E0, N0, TOML, said, small_survey, unposed
+
+from survey import machine
+from survey.errors import SurveyError
+from survey.folder.survey import load_survey
+from survey.plan.check import check_survey
+from survey.plan.plan import make_plan
+from survey.plan.workload import Workload, require_room, workload_of, workload_of_images
+
+GIGA = 1e9
+
+
+@pytest.fixture(autouse=True)
+def two_cores(monkeypatch):
+    monkeypatch.setattr(machine, "num_cores", lambda: 2)
+
+
+@pytest.mark.parametrize(
+    ("name", "quality", "seconds", "memory_gb", "num_maps"),
+    [
+        ("quick", "standard", 31.0, 1.1, 21),
+        ("river", "standard", 173.0, 2.1, 42),
+        ("wreck_water", "draft", 157.0, 2.7, 43),
+    ],
+)
+def test_three_surveys_are_estimated_as_they_were_measured(data_dir, name, quality, seconds, memory_gb, num_maps):
+    survey = load_survey(data_dir / name)
+    plan = replace(make_plan(survey, quality=quality, device="cpu"), device="llvm")
+    workload = workload_of(survey, plan)
+    # The rates come from these surveys; the worst of the six figures is 13 % off.
+    assert workload.seconds == pytest.approx(seconds, rel=0.15)
+    assert workload.memory_bytes / GIGA == pytest.approx(memory_gb, rel=0.15)
+    assert workload.num_maps == num_maps
+
+
+def test_the_field_and_ground_without_bounds_take_more(tmp_path):
+    bounds = f"[area]\nbounds = [{E0 - 1}, {N0 - 1}, {E0 + 1}, {N0 + 1}]\n"
+    inside, everywhere = (load_survey(small_survey(tmp_path / t[:1], toml=TOML + t)) for t in (bounds, "# all\n"))
+    plans = [replace(make_plan(inside, device="cpu", field=field), device="llvm") for field in ("off", "on")]
+    without, with_field = (workload_of(inside, plan) for plan in plans)
+    assert with_field.seconds > without.seconds
+    assert with_field.memory_bytes > without.memory_bytes
+    assert workload_of(everywhere, plans[0]).disk_bytes > without.disk_bytes
+
+
+def test_the_time_is_not_guessed_for_devices_that_were_not_measured(tmp_path):
+    survey = load_survey(small_survey(tmp_path / "s"))
+    workload = workload_of(survey, replace(make_plan(survey, device="cpu"), device="torch"))
+    assert workload.seconds is None
+    assert str(workload).endswith("no time was measured on such a device")
+
+
+def test_the_estimate_in_words():
+    workload = Workload(42, 40, 173.0, 2, 2_070_000_000, 870_000_000)
+    words = "about 3 minutes on 2 cores, about 2.1 GB of memory and 870 MB on the disk; 40 of 42 views get a height map"
+    assert str(workload) == words
+    assert str(replace(workload, seconds=31.0, num_cores=1)).startswith("about 40 seconds on 1 core, ")
+    assert str(replace(workload, seconds=9000.0)).startswith("about 2.5 hours on 2 cores, ")
+
+
+def test_a_disk_without_room_is_refused_and_short_memory_is_a_warning_of_check(tmp_path, monkeypatch):
+    folder = small_survey(tmp_path / "s")
+    monkeypatch.setattr(machine, "free_memory_bytes", lambda: 500_000_000)
+    sections = check_survey(folder, device="cpu")
+    assert "views get a height map" in said(sections, "Plan")["workload"]
+    assert "of memory, and 500 MB are free" in said(sections, "Warnings")[""]
+    monkeypatch.setattr(machine, "free_disk_bytes", lambda _folder: 1_000_000)
+    with pytest.raises(SurveyError, match=r"the run needs about \d+ MB in .*bathynerf, and 10 MB are free there"):
+        check_survey(folder, device="cpu")
+
+
+def test_what_an_earlier_run_left_counts_as_room(tmp_path, monkeypatch):
+    workload = Workload(3, 3, None, 2, 0, 2000)
+    monkeypatch.setattr(machine, "free_disk_bytes", lambda _folder: 1500)
+    with pytest.raises(SurveyError, match="are free there"):
+        require_room(workload, tmp_path)
+    (tmp_path / "stages" / "sweep").mkdir(parents=True)
+    (tmp_path / "stages" / "sweep" / "maps.npz").write_bytes(bytes(600))
+    assert require_room(workload, tmp_path) == []
+
+
+def test_without_poses_the_estimate_is_a_bound_that_refuses_nothing(tmp_path, monkeypatch):
+    workload = workload_of_images([(4000, 3000)] * 100, quality="standard", device="llvm")
+    assert str(workload).startswith("at most ")
+    assert str(workload).endswith("time is known when the poses are")
+    finer = workload_of_images([(4000, 3000)] * 100, quality="fine", device="llvm")
+    assert finer.disk_bytes > 4 * workload.disk_bytes - 2e9
+    monkeypatch.setattr(machine, "free_disk_bytes", lambda _folder: 1_000_000)
+    sections = check_survey(unposed(tmp_path / "s"), device="cpu")
+    assert said(sections, "Plan")["workload"].startswith("at most ")
+    assert "the run needs at most" in said(sections, "Warnings")[""]

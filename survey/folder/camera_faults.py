@@ -1,7 +1,7 @@
-"""Mistakes in lenses and poses whose numbers look right one by one.
+"""Mistakes in lenses and poses that a single number does not show.
 
-A focal length in the wrong unit, angles in radians, one pose for all photographs. What no survey can be is an error;
-what is unlikely is a warning.
+A focal length in the wrong unit, angles in radians, one pose for all photographs. What cannot be true of any survey is
+an error; what is unlikely is a warning.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _ONE_PLACE_M = 0.01
 # As radians all angles are below this; as degrees they may be too where all views look down and north.
 _FULL_TURN = 2.0 * math.pi + 0.01
 _LOOKS_DOWN = math.cos(math.radians(75.0))
-# Strips turn a camera by quarters of a full turn, and a gimbal is never still to a tenth of a degree.
+# Headings of flight strips differ by multiples of 90 degrees; no gimbal holds a tilt to a tenth of a degree.
 _LINED_UP, _STILL_DEG = 0.8, 0.1
 
 
@@ -91,11 +91,11 @@ def require_apart(views: list[View], water: FlatWater | None) -> list[str]:
 
 
 def _require_overlap(views: list[View], water: FlatWater) -> None:
-    """Raise where the circles around what views see of the water do not touch: the bed is not that much further."""
+    """Raise where no two views overlap at the water; circles around footprints allow for a bed far below it."""
     places, radii = [], []
     for view in views:
         camera = view.camera
-        # Along the axis; views to the horizon end at three flying heights.
+        # Along the optical axis; at most three flying heights for views to the horizon.
         falling = max(-camera.cam_from_local[2, 2], 1.0 / 3.0)
         along = float(-water.depth(camera.centre)) / falling
         places.append((camera.centre + along * camera.cam_from_local[2])[:2])

@@ -1,4 +1,4 @@
-"""What lies in a survey folder: settings, images and poses file, looked at before anything is computed."""
+"""Contents of a survey folder: settings, image headers and the poses file, read before anything is computed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MIN_VIEWS = 3
 
 @dataclass(frozen=True)
 class Found:
-    """What lies in a survey folder.
+    """Contents of a survey folder.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Found:
 
 
 def find_survey(folder: Path) -> Found:
-    """Look at a survey folder; no pixel is decoded and no pose read.
+    """Read the settings and image headers of a survey folder; no pixel is decoded.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A survey without survey.toml: what its images and a single poses file tell, and what had to be assumed."""
+"""Settings of a survey without survey.toml, inferred from its images and a single poses file."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _EXAMPLE = 'at least crs = "EPSG:25832+5778", [cameras] and, for water, [water] 
 
 
 def config_of_folder(folder: Path) -> SurveyConfig:
-    """Where the images are: in images/, else beside each other in the folder itself.
+    """Settings with the image folder: images/ where it exists, else the survey folder itself.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The lens of photographs whose poses file carries none: from survey.toml, else from what EXIF says."""
+"""The lens of photographs whose poses file has none: from survey.toml, else from EXIF."""
 
 from __future__ import annotations
 

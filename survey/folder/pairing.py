@@ -1,4 +1,4 @@
-"""Photographs and their poses: paired by name, given lens and mask, and checked against each other."""
+"""Photographs paired with their poses by name, with lens and mask."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from survey.photos.images import require_complete
 def pair(found: Found, poses: list[Pose], warnings: list[str]) -> list[Pose]:
     """The poses that have an image, under the name of that image.
 
-    Warns of images without a pose and of poses without an image; names match exactly, else but for case, for the
-    encoding of accents and for an ending that only one side has.
+    Warns of images without a pose and of poses without an image. Where no name matches exactly, case, the encoding of
+    accents and a suffix that only one of the two has are ignored.
 
     Raises
     ------
@@ -55,12 +55,12 @@ def pair(found: Found, poses: list[Pose], warnings: list[str]) -> list[Pose]:
 
 
 def _key(name: str) -> str:
-    """A name without what differs between systems: case, slashes, and how an accent is put on its letter."""
+    """A name normalised for comparison: case, slashes and the encoding of accents."""
     return unicodedata.normalize("NFC", name.replace("\\", "/")).casefold()
 
 
 def with_lenses(found: Found, poses: list[Pose], assumptions: list[str], warnings: list[str]) -> list[Pose]:
-    """The poses, each with a lens: its own, else the one of [cameras]."""
+    """The poses with a lens each: their own, else that of [cameras]."""
     cameras = found.config.cameras
     if any(pose.lens is None for pose in poses):
         lens = lens_from_config(cameras, {pose.name: found.heads[pose.name] for pose in poses}, assumptions)
@@ -81,7 +81,7 @@ def with_lenses(found: Found, poses: list[Pose], assumptions: list[str], warning
 
 
 def with_masks(found: Found, views: list[View], warnings: list[str]) -> list[View]:
-    """The views, each with its mask: named as the image, or with .png as its ending or after it.
+    """The views with their masks: files named like the image, with .png instead of its suffix, or with .png appended.
 
     Raises
     ------

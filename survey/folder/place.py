@@ -96,7 +96,7 @@ def water_in_local(
 
 
 def water_plane(frame: LocalFrame, given: WaterConfig) -> FlatWater:
-    """The plane in local of settings that have ``level_at`` and ``refractive_index``.
+    """The water plane in local; ``level_at`` and ``refractive_index`` must be set.
 
     Raises
     ------

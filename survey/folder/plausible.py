@@ -1,4 +1,4 @@
-"""Whether the places and heights of cameras, water and bounds can be true together."""
+"""Consistency of the positions and heights of cameras, water and bounds."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from survey.folder.words import named
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 
-# Photographs of a bed are taken from below this height over the water; more means another vertical datum.
+# Bathymetric photographs are taken from lower than this; greater heights mean another vertical datum.
 MAX_HEIGHT_OVER_WATER_M = 300.0
 # A plane leaves the level surface by 0.5 cm at 250 m from where it touches and by 2 cm at 500 m.
 _FLAT_WITHIN_M = 250.0
@@ -113,7 +113,7 @@ def _require_bounds_near(frame: LocalFrame, centres: np.ndarray, bounds: tuple[f
 def doubts_of_places(
     frame: LocalFrame, views: list[View], water: FlatWater | None, heads: dict[str, Exif]
 ) -> list[str]:
-    """Sentences about what can be true but is more likely a mistake."""
+    """Warnings about positions and heights that are possible but more likely a mistake."""
     found: list[str] = []
     centres = np.array([view.camera.centre for view in views])
     if water is not None:

@@ -1,4 +1,4 @@
-"""A survey in its local frame, from a folder: cameras with their images, water, and where bed is wanted."""
+"""A survey read from its folder into the local frame: cameras with their images, water, and the area of interest."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def load_survey(
     report: Callable[[str], None] | None = None,
     found: Found | None = None,
 ) -> Survey:
-    """Read a survey into its local frame and check that it can be true.
+    """Read a survey into its local frame and check its consistency.
 
     Parameters
     ----------

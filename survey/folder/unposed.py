@@ -22,7 +22,7 @@ from survey.sfm.settings import one_focal, require_size
 
 
 def require_solvable(found: Found) -> list[str]:
-    """Warnings about a folder that structure from motion can start with.
+    """Warnings about a survey without poses that structure from motion can start with.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def solve_views(
         As `require_solvable`, and where fewer than three poses are found.
     """
     warnings = require_solvable(found)
-    # Slow to import, and of no use where there are poses.
+    # Slow to import, and needed only without poses.
     from survey.sfm.poses import solve_poses
 
     result = solve_poses(

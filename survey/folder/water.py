@@ -1,4 +1,4 @@
-"""The refractive index that a survey takes, and what it assumes for it."""
+"""The refractive index of a survey, with the assumptions behind it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def refractive_index(given: WaterConfig, assumptions: list[str]) -> float:
     Raises
     ------
     ConfigError
-        Where such water cannot be.
+        Where temperature or salinity are outside the range of liquid water.
     """
     if given.refractive_index is not None:
         return given.refractive_index

@@ -1,4 +1,4 @@
-"""The water level from what was measured beside the photographs: points of the surface, or a gauge.
+"""The water level from measurements on site: points of the water surface, or a gauge.
 
     shoreline, gnss_points   CSV with easting, northing, height in crs: a plane is fitted
     gauge                    CSV with time, level: interpolated at the time of each photograph
@@ -28,7 +28,7 @@ _HUBER = 1.345
 # The median of the absolute value of a normal deviate of unit standard deviation.
 _MEDIAN_DEVIATION = 0.6745
 _ROUNDS = 50
-# Slopes are taken from points only where they stand out of their own uncertainty by this factor.
+# Slopes count only where they exceed their standard deviation by this factor.
 _SIGNIFICANT = 3.0
 # Fewer points than this may lie on a tilted plane by chance.
 _LEAST_FOR_SLOPES = 6
@@ -61,7 +61,7 @@ class SurfaceFit:
 
 
 def with_level(folder: Path, config: SurveyConfig, heads: Mapping[str, Exif], notes: list[str]) -> SurveyConfig:
-    """Settings whose [water] has a level, from the file that it names; a sentence is added to the notes.
+    """Settings with the water level read from the file that [water] names; a sentence is added to the notes.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def with_level(folder: Path, config: SurveyConfig, heads: Mapping[str, Exif], no
         notes.append(f"level_m = {level:.3f} from [water] gauge: {note}")
         return replace(config, water=replace(water, level_m=level, gauge=None))
     fit = fit_surface(read_points(path), with_slopes=water.slope_east == 0.0 == water.slope_north)
-    # The given slopes carry the level from the middle of the points to the place where it is asked for.
+    # By the slopes, from the middle of the points to level_at.
     level_at = water.level_at or fit.level_at
     fit = replace(fit, slope_east=fit.slope_east or water.slope_east, slope_north=fit.slope_north or water.slope_north)
     away = np.subtract(level_at, fit.level_at)
@@ -93,13 +93,13 @@ def with_level(folder: Path, config: SurveyConfig, heads: Mapping[str, Exif], no
 
 
 def fit_surface(points: np.ndarray, *, with_slopes: bool = True) -> SurfaceFit:
-    """A level, or a plane where the points show one, robust against wrong points.
+    """A level surface, or a tilted plane where the points show one; robust against outliers.
 
     Parameters
     ----------
     points : (N, 3) easting, northing, height [m]
     with_slopes : bool
-        Let the plane tilt where its slopes stand out of their uncertainty three times.
+        Allow a tilt where it exceeds three standard deviations.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def fit_surface(points: np.ndarray, *, with_slopes: bool = True) -> SurfaceFit:
         )
     middle = points[:, :2].mean(axis=0)
     design = np.column_stack([np.ones(len(points)), points[:, :2] - middle])
-    # Points in a row cannot tell the slope across it.
+    # Points along one line do not determine the slope across it.
     spread = np.linalg.svd(design[:, 1:], compute_uv=False)
     if with_slopes and len(points) >= _LEAST_FOR_SLOPES and spread[1] > 0.05 * spread[0]:
         values, covariance = _robust(design, points[:, 2])
@@ -128,13 +128,13 @@ def fit_surface(points: np.ndarray, *, with_slopes: bool = True) -> SurfaceFit:
 
 
 def _robust(design: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Huber's estimate and its covariance, the scatter taken from the median deviation."""
+    """Huber's estimate and its covariance; the scatter is the median absolute deviation."""
     weights = np.ones(len(heights))
     for _ in range(_ROUNDS):
         normal = design.T @ (weights[:, None] * design)
         values = np.linalg.solve(normal, design.T @ (weights * heights))
         residuals = heights - design @ values
-        # A millimetre is the last digit of such files; points that agree to it are not better than that.
+        # Such files are rounded to a millimetre: the scatter is not smaller than that.
         std = max(float(np.median(np.abs(residuals))) / _MEDIAN_DEVIATION, 1e-3)
         weights = np.minimum(1.0, _HUBER * std / np.maximum(np.abs(residuals), 1e-12))
     spare = max(len(heights) - design.shape[1], 1)
@@ -187,7 +187,7 @@ def _level_at_flight(path: Path, heads: Mapping[str, Exif]) -> tuple[float, str]
         )
     at_images = np.interp(moments, times, levels)
     rise = float(np.ptp(at_images))
-    note = f"mean at {len(moments)} of {len(heads)} images, which it differs over by {1000.0 * rise:.0f} mm"
+    note = f"mean at {len(moments)} of {len(heads)} images, over which it changes by {1000.0 * rise:.0f} mm"
     if rise > MOST_RISE_M:
         note += f"; more than {1000.0 * MOST_RISE_M:.0f} mm shift the bed: cut the flight into parts of equal level"
     return float(at_images.mean()), note

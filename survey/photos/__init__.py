@@ -1,1 +1,1 @@
-"""Photographs: their pixels, what EXIF says of them, their lens and the files that hold their poses."""
+"""Photographs: pixels, EXIF, lens, and the files of their poses."""

@@ -1,4 +1,4 @@
-"""Poses of cameras on their way into the local frame, and photographs with their cameras."""
+"""Poses as files have them, and photographs with their cameras in the local frame."""
 
 from __future__ import annotations
 

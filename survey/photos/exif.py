@@ -1,4 +1,4 @@
-"""What a photograph says about itself: size, position, focal length; EXIF and DJI's XMP, by Pillow."""
+"""Metadata of a photograph: size, position, focal length, time; from EXIF and DJI's XMP, by Pillow."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def _degrees(parts, reference, negative: str) -> float:
 
 def _focal(size: tuple[int, int], details: dict, xmp: str) -> float | None:
     calibrated = _dji(xmp, "CalibratedFocalLength")
-    # Only of use while the image still has the size that it was calibrated for.
+    # Valid only for the image size of the calibration.
     full_width = details.get(ExifTags.Base.ExifImageWidth, size[0])
     film = _number(details.get(ExifTags.Base.FocalLengthIn35mmFilm))
     by_film = film / _FILM_WIDTH_MM * max(size) if film > 0.0 else None

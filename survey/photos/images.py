@@ -1,4 +1,4 @@
-"""Photographs: found, checked, decoded and freed of the distortion of their lens."""
+"""Photographs: found, checked, decoded and undistorted."""
 
 from __future__ import annotations
 
@@ -102,14 +102,14 @@ def load_mask(view: View, *, scale: float = 1.0) -> np.ndarray | None:
 def _decode(path: Path, mode: str) -> np.ndarray:
     try:
         with open_image(path) as image:
-            # Pillow would clip these at 255 without a word.
+            # Pillow would silently clip these at 255.
             if image.mode[0] in "IF":
                 raise ImageError(f"{path} has pixels of kind {image.mode}, expected 8 bits per channel; convert it")
             return np.asarray(image.convert(mode))
     except ImageError:
         raise
     except (OSError, SyntaxError, ValueError) as error:
-        # What the disk refuses has a number; what Pillow says about damaged pixels has none.
+        # Errors of the disk have an errno, those of Pillow about damaged pixels have none.
         if isinstance(error, OSError) and error.errno is not None:
             raise
         raise ImageError(

@@ -13,10 +13,10 @@ _SHARE_OF_FREE = 0.25
 
 
 class ImageStore:
-    """Gives what `survey.photos.images.load_image` gives, and keeps it while its memory lasts.
+    """`survey.photos.images.load_image` with a cache of bounded memory.
 
-    Stages go through the photographs in the same order, so that the images that fit first stay: dropping the oldest
-    instead would drop each one just before it is asked for again.
+    Stages read the photographs in the same order, so that the first images that fit are kept: evicting the least
+    recently used one would evict each image just before it is used again.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""What a scene needs: the plan, with the reason for every decision, looked at before anything is computed."""
+"""The plan: what a survey needs and why, what it will cost, and what is wrong with it, before anything is computed."""

@@ -1,4 +1,4 @@
-"""The photographs of a survey as `fields` takes them: a block at the plan's scale, where it looks and how far."""
+"""The photographs of a survey as a block of `fields`, at the plan's scale, with the limits of the search."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from survey.photos.images import load_image, load_mask
 from survey.photos.store import ImageStore
 from survey.plan.plan import Plan, ground_height
 
-# No bed is looked for higher over the water than this share of the flying height, nor deeper than that one: drones fly
-# 8 m over 10 m of clear water, and beside banks that nearly reach them.
+# The bed is searched from this share of the flying height above the water down to that one below it: drones fly 8 m
+# over 10 m of clear water, and beside banks nearly as high as they fly.
 HIGHEST, DEEPEST = 0.8, 1.5
 # How often every place is to be seen by views with a height map of their own: by steep ones, and by oblique ones from
 # each quarter. Three confirm each other; docs/sweep.md has what more bring.
@@ -65,12 +65,12 @@ def camera_of(view: View, plan: Plan) -> PinholeCamera:
 
 
 def plane_name(survey: Survey) -> str:
-    """What heights count from, in words."""
+    """The reference of heights, in words."""
     return "water" if survey.water is not None else "local origin"
 
 
 def limits(survey: Survey) -> tuple[float, float]:
-    """Heights [m] over the water plane (over local z = 0) beyond which no bed is looked for."""
+    """Heights [m] over the water plane (dry: over local z = 0) between which the bed is searched."""
     if survey.water is None:
         top = float(np.median([v.camera.centre[2] for v in survey.views]))
         # The flying height over dry ground is only guessed from the overlap; look from a third of it to three times.

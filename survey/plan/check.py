@@ -1,4 +1,4 @@
-"""What `bathynerf check` tells: what was found, assumed and doubted, and what the plan would be."""
+"""`bathynerf check`: what was found and assumed, what is doubtful, and what the plan and its cost would be."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from survey.folder.unposed import require_solvable
 from survey.plan.plan import Decision, Plan, device_decision, make_plan
 from survey.plan.workload import Workload, require_room, workload_of, workload_of_images
 
-# The run folder in the survey folder, where none is named.
+# The default run folder, in the survey folder.
 RUN_NAME = "bathynerf"
 
 

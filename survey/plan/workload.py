@@ -1,4 +1,4 @@
-"""What a run will take: time, memory and room on the disk, estimated before anything is computed.
+"""Time, memory and disk space of a run, estimated before anything is computed.
 
 Rates are those of three surveys (quick and river at standard, wreck_water at draft quality) on two cores with AVX-512:
 31, 173 and 157 s, 1.1, 2.1 and 2.7 GB, which the estimate meets within 13 %. It is rough elsewhere.
@@ -37,9 +37,9 @@ _BYTES_OF_DECODING = 34
 _BYTES_OF_FIELD, _BYTES_OF_RAYS, _RAYS_OF_CELLS = 400, 1000, 500_000
 # On the disk, per pixel of a height map and per cell of the bed; pictures, report and log; structure from motion.
 _DISK_OF_MAP, _DISK_OF_CELL, _DISK_AT_LEAST, _DISK_OF_SFM = 17, 120, 30e6, 4e6
-# More views than this are not asked which ones cover the bed: all count.
+# With more views than this, choosing those that cover the bed takes too long here: all count.
 _MOST_VIEWS = 600
-# Where only images are known: pixels that look at ground which no other photograph shows.
+# Without poses: cells of the bed per pixel; with the usual overlap a place is seen ten times or more.
 _OWN_GROUND = 0.1
 
 
@@ -72,7 +72,7 @@ class Workload:
 
     @property
     def most(self) -> str:
-        """What stands before its sizes in words."""
+        """ "At most" for a bound, "about" for an estimate."""
         return "at most " if self.is_bound else "about "
 
     def __str__(self) -> str:
@@ -119,7 +119,7 @@ def workload_of(survey: Survey, plan: Plan) -> Workload:
 
 
 def workload_of_images(sizes: Iterable[tuple[int, int]], *, quality: str, device: str) -> Workload:
-    """The most that images (width, height) can take whose poses are not known; structure from motion comes on top."""
+    """An upper bound for images (width, height) without poses; structure from motion adds to it."""
     sizes = list(sizes)
     scale = min(image_scale(width, height, quality) for width, height in sizes)
     pixels = np.array([width * height for width, height in sizes]) * scale**2

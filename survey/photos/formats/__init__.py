@@ -8,12 +8,12 @@ from survey.errors import PosesError
 from survey.photos.cameras import Pose
 from survey.photos.formats import colmap, opk_csv
 
-# What other programs leave beside the images; named so that nobody wonders why they are not read.
+# Files of other programs that are not read; warnings name them.
 _NOT_READ = ("cameras.xml", "transforms.json", "reconstruction.json", "nvm", "bundle.out")
 
 
 def find_poses(folder: Path) -> list[Path]:
-    """Poses files and folders of a known format in a survey folder, best known places only."""
+    """Poses files and model folders of a known format, in their usual places in a survey folder."""
     tables = sorted(p for p in folder.glob("*.csv") if opk_csv.is_opk_csv(p))
     models = [folder, *(folder / name for name in ("sparse/0", "sparse", "colmap/sparse/0", "colmap"))]
     return tables + [path for path in models if colmap.is_model(path)]

@@ -30,7 +30,7 @@ def is_model(folder: Path) -> bool:
 
 
 def read_model(folder: Path) -> list[Pose]:
-    """Poses and lenses of a model in a topocentric frame; binary files go before text, as in COLMAP.
+    """Poses and lenses of a model in a topocentric frame; binary files take precedence over text, as in COLMAP.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def read_model(folder: Path) -> list[Pose]:
 
 
 def _guarded(reader, path: Path):
-    """What a reader finds; numbers that are cut off or no numbers become a sentence that names the file."""
+    """The result of a reader; its errors name the file."""
     try:
         return reader(path)
     except (PosesError, LensError) as error:

@@ -6,6 +6,7 @@ import json
 import math
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -24,7 +25,10 @@ from small_survey import (
 )
 
 from survey.errors import ConfigError, ImageError, PosesError, SurveyError
+from survey.folder.camera_faults import angle_doubts
 from survey.folder.survey import load_survey
+from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
+from survey.photos.formats import read_poses
 from survey.plan.check import check_survey, require_processable
 from survey.plan.plan import ground_height, make_plan
 
@@ -131,8 +135,19 @@ def test_a_focal_length_ten_times_off_is_refused(tmp_path, focal, kind, words):
 def test_a_focal_length_with_which_no_two_views_overlap_is_refused_even_without_exif(tmp_path):
     # The cameras stand 3.61 m apart, and 64 x 48 px of 1000 px see 1.28 x 0.96 m from 20 m.
     folder = small_survey(tmp_path / "s", toml=replaced(("100.0", "1000.0")))
-    with pytest.raises(PosesError, match=r"a view covers 1\.60 m, and the nearest one ends 2\.01 m beside it"):
+    with pytest.raises(
+        PosesError, match=r"4 of 4 views .* one covers 1\.60 m, and the next one begins 2\.01 m beside it"
+    ):
         check_survey(folder)
+
+
+def test_a_view_apart_from_the_others_and_a_long_lens_are_doubted(tmp_path):
+    folder = small_survey(tmp_path / "s", toml=replaced(("100.0", "390.0")))
+    lines = [line.replace(f"{E0 + 9:.3f}", f"{E0 + 40:.3f}") for line in camera_lines()]
+    write_poses(folder, lines)
+    warnings = load_survey(folder).warnings
+    assert warnings[0].startswith("the focal length of 0000.jpg is 390 px, with which it sees 11.7 degrees")
+    assert warnings[1:] == ("1 view without overlap with another one at the water: 0003.jpg",)
 
 
 def test_a_focal_length_of_a_cropped_photograph_is_doubted_by_check_and_by_process_alike(tmp_path):
@@ -159,6 +174,18 @@ def with_angles(folder, angles: np.ndarray):
         folder, [",".join([*row, *(f"{a:.9f}" for a in three)]) for row, three in zip(rows, angles, strict=True)]
     )
     return load_survey(folder)
+
+
+@pytest.mark.parametrize("name", ["quick", "river", "wreck_water"])
+def test_the_angles_of_nadir_and_oblique_surveys_are_doubted_only_as_radians(data_dir, name):
+    poses = read_poses(data_dir / name / "cameras.csv")
+    assert angle_doubts(poses) == []
+    angles = np.loadtxt(data_dir / name / "cameras.csv", delimiter=",", skiprows=1, usecols=(4, 5, 6))
+    turned = [
+        replace(p, cam_from_world=(grid_from_opk(*np.radians(a)) @ CAM_FROM_OPK_CAM).T)
+        for p, a in zip(poses, np.radians(angles), strict=True)
+    ]
+    assert len(angle_doubts(turned)) == 1
 
 
 def test_angles_in_radians_are_doubted_and_degrees_are_not(tmp_path):

@@ -14,12 +14,14 @@ from refract import FlatWater
 from refract.lens import Lens
 from survey.errors import ConfigError, PosesError
 from survey.folder.words import named
-from survey.photos.cameras import CAM_FROM_OPK_CAM, Pose, View
+from survey.photos.cameras import CAM_FROM_OPK_CAM, Pose, View, grid_from_opk
 from survey.photos.exif import Exif
 
 # Diagonal field of view [degrees] of a pinhole of the same focal length: a fisheye lens of 180 degrees has 115, the
 # longest lens of a drone 3.
 _WIDEST_DEG, _NARROWEST_DEG = 135.0, 1.0
+# Below this only the longest lenses lie; a common lens whose focal length is ten times too long does too.
+_NARROW_DEG = 12.0
 # EXIF has design values, of the whole sensor; a photograph may be cropped or enlarged a little, but not to a fifth.
 _DOUBTFUL_RATIO, _WRONG_RATIO = 1.5, 5.0
 # Cameras closer together than this show no parallax.
@@ -27,8 +29,8 @@ _ONE_PLACE_M = 0.01
 # As radians all angles are below this; as degrees they may be too where all views look down and north.
 _FULL_TURN = 2.0 * math.pi + 0.01
 _LOOKS_DOWN = math.cos(math.radians(75.0))
-# Headings of flight strips differ by multiples of 90 degrees; no gimbal holds a tilt to a tenth of a degree.
-_LINED_UP, _STILL_DEG = 0.8, 0.1
+# A gimbal keeps the rows of an image level to this sine. Degrees read as radians tilt rows at random.
+_LEVEL_ROWS = 0.03
 
 
 def require_focal_lengths(lenses: dict[str, Lens], heads: dict[str, Exif]) -> list[str]:
@@ -43,6 +45,7 @@ def require_focal_lengths(lenses: dict[str, Lens], heads: dict[str, Exif]) -> li
     ConfigError
         Where a lens would see more or less than any lens does, or EXIF says another order of magnitude.
     """
+    warnings = []
     for name, lens in lenses.items():
         degrees = 2.0 * math.degrees(math.atan(0.5 * math.hypot(lens.width, lens.height) / min(lens.focal)))
         if not _NARROWEST_DEG < degrees < _WIDEST_DEG:
@@ -51,9 +54,14 @@ def require_focal_lengths(lenses: dict[str, Lens], heads: dict[str, Exif]) -> li
                 f"see {degrees:.1f} degrees from corner to corner, expected {_NARROWEST_DEG:g} to {_WIDEST_DEG:g}; "
                 f"give it in pixels of these images{_by_exif(heads[name])}"
             )
+        if degrees < _NARROW_DEG and not warnings:
+            warnings.append(
+                f"the focal length of {name} is {min(lens.focal):g} px, with which it sees {degrees:.1f} degrees from "
+                "corner to corner; check that it is in pixels of these images, unless the lens is a long one"
+            )
     known = [name for name, head in heads.items() if name in lenses and head.focal_px is not None]
     if not known:
-        return []
+        return warnings
     ratios = [lenses[name].focal[0] / heads[name].focal_px for name in known]
     name = known[int(np.argsort(ratios)[len(ratios) // 2])]
     focal, by_exif = lenses[name].focal[0], heads[name].focal_px
@@ -65,8 +73,8 @@ def require_focal_lengths(lenses: dict[str, Lens], heads: dict[str, Exif]) -> li
             "[cameras] focal_px or in the poses file"
         )
     if max(ratio, 1.0 / ratio) > _DOUBTFUL_RATIO:
-        return [f"{said}; check that it is in pixels of these images, unless they are cropped"]
-    return []
+        warnings.append(f"{said}; check that it is in pixels of these images, unless they are cropped")
+    return warnings
 
 
 def require_apart(views: list[View], water: FlatWater | None) -> list[str]:
@@ -75,7 +83,7 @@ def require_apart(views: list[View], water: FlatWater | None) -> list[str]:
     Raises
     ------
     PosesError
-        Where all cameras stand at one place, or no two of them see the same water.
+        Where all cameras stand at one place, or most of them see water that no other one sees.
     """
     centres = np.array([view.camera.centre for view in views])
     if np.ptp(centres, axis=0).max() < _ONE_PLACE_M:
@@ -83,15 +91,21 @@ def require_apart(views: list[View], water: FlatWater | None) -> list[str]:
             f"all {len(views)} cameras stand at one place within {1000.0 * _ONE_PLACE_M:.0f} mm, expected places some "
             "metres apart; give each photograph its own pose"
         )
-    if water is not None:
-        _require_overlap(views, water)
+    warnings = [] if water is None else _overlap_doubts(views, water)
     poses = [(*view.camera.centre, *view.camera.cam_from_local.ravel()) for view in views]
     first = {pose: i for i, pose in reversed(list(enumerate(poses)))}
-    return named([v.name for i, v in enumerate(views) if first[poses[i]] != i], "image", "with the pose of another one")
+    again = [view.name for i, view in enumerate(views) if first[poses[i]] != i]
+    return warnings + named(again, "image", "with the pose of another one")
 
 
-def _require_overlap(views: list[View], water: FlatWater) -> None:
-    """Raise where no two views overlap at the water; circles around footprints allow for a bed far below it."""
+def _overlap_doubts(views: list[View], water: FlatWater) -> list[str]:
+    """Warnings about views that overlap no other at the water; circles around footprints allow for a bed far below it.
+
+    Raises
+    ------
+    PosesError
+        Where most views do.
+    """
     places, radii = [], []
     for view in views:
         camera = view.camera
@@ -102,31 +116,33 @@ def _require_overlap(views: list[View], water: FlatWater) -> None:
         radii.append(0.5 * along * math.hypot(camera.width / camera.fx, camera.height / camera.fy) / falling)
     apart = np.linalg.norm(np.array(places)[:, None] - np.array(places), axis=-1) - np.add.outer(radii, radii)
     np.fill_diagonal(apart, np.inf)
-    if apart.min() > 0.0:
-        gap = np.median(apart.min(axis=1))
+    alone = apart.min(axis=1) > 0.0
+    if alone.mean() > 0.5:
+        gap = np.median(apart.min(axis=1)[alone])
         raise PosesError(
-            f"no two views see the same water: at the surface a view covers {2.0 * np.median(radii):.2f} m, and the "
-            f"nearest one ends {gap:.2f} m beside it, expected an overlap of half a view or more; "
-            "correct the focal length, the positions or [water] level_m"
+            f"{alone.sum()} of {len(views)} views overlap no other at the water: one covers "
+            f"{2.0 * np.median(radii):.2f} m, and the next one begins {gap:.2f} m beside it, expected an overlap of "
+            "half a view or more; correct the focal length, the positions or [water] level_m"
         )
+    names = [view.name for view, is_alone in zip(views, alone, strict=True) if is_alone]
+    return named(names, "view", "without overlap with another one at the water")
 
 
 def angle_doubts(poses: list[Pose]) -> list[str]:
     """A warning where omega, phi and kappa look like radians.
 
-    All are below a full turn in radians, as radians all cameras look down and turn by more than a radian, and their
-    headings are in line with strips, or their tilts as degrees smaller than those of any drone.
+    All are below a full turn in radians; read as radians, all cameras look down, turn by more than a radian, and their
+    image rows are level, as those of a gimbal are in nadir and oblique views alike.
     """
     if not all(pose.in_crs for pose in poses):
         return []
     angles = np.array([_opk_deg(pose.cam_from_world) for pose in poses])
-    omega, phi, kappa = angles.T
-    looks_down = (np.cos(omega) * np.cos(phi) > _LOOKS_DOWN).all()
-    if np.abs(angles).max() > _FULL_TURN or not looks_down or np.ptp(kappa) < 1.0:
+    if np.abs(angles).max() > _FULL_TURN or np.ptp(angles[:, 2]) < 1.0:
         return []
-    lined_up = abs(np.exp(4j * kappa).mean()) > _LINED_UP
-    still = np.median(np.abs(angles[:, :2])) < _STILL_DEG
-    if not (lined_up or still):
+    as_radians = np.array([grid_from_opk(*three) for three in angles])
+    looks_down = (as_radians[:, 2, 2] > _LOOKS_DOWN).all()
+    has_level_rows = np.median(np.abs(as_radians[:, 2, 0])) < _LEVEL_ROWS
+    if not (looks_down and has_level_rows):
         return []
     most = np.abs(angles).max()
     return [

@@ -91,15 +91,18 @@ def _feed_path(digest, path: Path) -> None:
                 _feed_path(digest, file)
             return
         stat = path.stat()
-        content = _content(path, stat.st_mtime_ns, stat.st_size)
+        content = _content(path, stat.st_ctime_ns, stat.st_size)
     except OSError as error:
         raise SurveyError(f"cannot read {path} ({error.strerror}); put the file back or correct it") from error
     _mark(digest, "file", path.name, content)
 
 
 @lru_cache(maxsize=1 << 16)
-def _content(path: Path, _modified: int, _size: int) -> str:
-    """Hash of a file; the same file is read once in a process, for structure from motion and for the sweep."""
+def _content(path: Path, _changed: int, _size: int) -> str:
+    """Hash of a file; the same file is read once in a process, for structure from motion and for the sweep.
+
+    The time of the last change of its inode, unlike that of its content, cannot be set by a program that copies.
+    """
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 

@@ -30,7 +30,7 @@ from survey.run.keys import Key
 
 _MARKER, _LOCK, _RECORD, _PART = ".bathynerf-run.json", ".lock", "stage.json", ".part"
 # Structure from motion works there before anything else of a run exists.
-_BEFORE = ("sfm",)
+_SFM = "sfm"
 _NAMED_VERSIONS = (
     "numpy",
     "scipy",
@@ -60,7 +60,7 @@ class RunDir:
     Attributes
     ----------
     path, cloud_path, report_json_path, report_html_path, settings_path, plan_path, log_path, pictures_path,
-    stages_path : Path
+    stages_path, sfm_path : Path
 
     Raises
     ------
@@ -80,6 +80,7 @@ class RunDir:
         self.log_path = self.path / "log.txt"
         self.pictures_path = self.path / "pictures"
         self.stages_path = self.path / "stages"
+        self.sfm_path = self.path / _SFM
         self._lock: BinaryIO | None = None
         self._started: dict[Path, float] = {}
 
@@ -122,7 +123,7 @@ class RunDir:
     def inputs(self) -> Inputs:
         """What other commands read of the run, or would spoil."""
         files = (self.path / name for name in result.NAMES)
-        return Inputs.of(*files, self.stages_path, *(self.path / name for name in _BEFORE))
+        return Inputs.of(*files, self.stages_path, self.sfm_path)
 
     def warn_if_unfinished(self) -> None:
         """Warn where a later `process` began here and did not finish, so that the result is that of the one before."""
@@ -218,7 +219,7 @@ class RunDir:
         if not self.path.is_dir() or (self.path / _MARKER).is_file():
             return
         # Hidden files are left by file managers and by a first start that was killed.
-        others = sorted(p.name for p in self.path.iterdir() if p.name[0] != "." and p.name not in _BEFORE)
+        others = sorted(p.name for p in self.path.iterdir() if p.name[0] != "." and p.name != _SFM)
         if others:
             raise SurveyError(
                 f"the folder {self.path} is not empty and is no run (it has {others[0]}); name a new or "

@@ -1,0 +1,113 @@
+"""What a run gives to its user: cloud, settings, plan and report, written into the folder of a new result."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from survey.compare.comparison import CompareOptions, compare_surfaces
+from survey.compare.result import Comparison
+from survey.folder.config import dump_config
+from survey.folder.survey import Survey
+from survey.json_values import write_json
+from survey.report import NUM_STEPS, ReportFacts, write_report
+from survey.report.verdict import Verdict
+from survey.run.export import write_bed_las
+from survey.run.folder import RunDir, seconds_of, versions
+from survey.run.gate import verdict_of
+from survey.run.job import Job
+from survey.run.stage_sweep import MAPS
+from survey.run.stored import load_bed, load_depth_maps
+
+# At which the report asks how complete the cloud is: that of the study which this work follows, and a finer one.
+TOLERANCES_M = (0.2, 0.05)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a report compares with; the reconstruction never reads it.
+
+    Attributes
+    ----------
+    reference, visible : Path or None
+        True surface, and the points of it that cameras see.
+    """
+
+    reference: Path | None = None
+    visible: Path | None = None
+
+
+def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path], truth: Truth) -> Verdict:
+    """Write everything that the user gets.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the new result; it takes its place in the run afterwards.
+    run : RunDir
+    job : Job
+    done : mapping
+        Folders of the finished stages, by name.
+    truth : Truth
+    """
+    survey, plan = job.survey, job.plan
+    (folder / "settings.toml").write_text(dump_config(survey.config), encoding="utf-8")
+    write_json(folder / "plan.json", plan.as_dict())
+    stored = load_bed(done["bed"])
+    write_bed_las(folder / "cloud.las", stored)
+    job.progress.note(f"{len(stored.bed):,} points of the bed")
+    start = time.monotonic()
+    comparison, of_sweep = _comparisons(folder, run, survey, done, truth)
+    timings = _timings(run, survey, done)
+    if comparison is not None:
+        timings["comparison"] = time.monotonic() - start
+    verdict = verdict_of(survey, stored.bed, plan.gsd_m)
+    facts = ReportFacts(
+        survey=survey,
+        plan=plan,
+        settings={**asdict(survey.config), "quality": plan.quality, "device": plan.device},
+        timings=timings,
+        bed=stored.bed,
+        points_crs=stored.points_crs,
+        depth_maps=load_depth_maps(done["sweep"] / MAPS),
+        comparison=comparison,
+        sweep_comparison=of_sweep,
+        versions=versions(),
+        verdict=verdict,
+    )
+    with job.progress.stage("Report", NUM_STEPS) as stage:
+        write_report(folder, facts, stage.advance)
+    return verdict
+
+
+def _timings(run: RunDir, survey: Survey, done: Mapping[str, Path]) -> dict[str, float]:
+    """Seconds of the search for poses, where there was one, and of the stages, each when it was computed [s]."""
+    timings = {name: seconds_of(place) for name, place in done.items()}
+    if survey.config.cameras.poses is not None:
+        return timings
+    from survey.sfm.poses import seconds_of_solve
+
+    seconds = seconds_of_solve(run.sfm_path)
+    return timings if seconds is None else {"structure from motion": seconds} | timings
+
+
+def _comparisons(
+    folder: Path, run: RunDir, survey: Survey, done: Mapping[str, Path], truth: Truth
+) -> tuple[Comparison | None, Comparison | None]:
+    """The cloud against the reference, and the cloud that the sweep alone would give; None where there is none."""
+    if truth.reference is None:
+        return None, None
+    options = CompareOptions(tolerances_m=TOLERANCES_M, visible=truth.visible, bounds=survey.bounds)
+    found = compare_surfaces(folder / "cloud.las", truth.reference, options)
+    # The cloud is called as it will be when the result stands in its place.
+    circumstances = replace(found.figures.circumstances, cloud=str(run.cloud_path))
+    found = replace(found, figures=replace(found.figures, circumstances=circumstances))
+    if "bed_of_sweep" not in done:
+        return found, None
+    cloud = folder / "sweep.las"
+    write_bed_las(cloud, load_bed(done["bed_of_sweep"]))
+    of_sweep = compare_surfaces(cloud, truth.reference, options)
+    cloud.unlink()
+    return found, of_sweep

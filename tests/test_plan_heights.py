@@ -51,6 +51,14 @@ def test_points_to_one_side_lie_above_their_sagittal_and_within_their_tangential
     assert limits(survey)[0] < -5.3
 
 
+def test_the_plan_warns_of_a_deeper_bed_where_few_points_are_under_water(tmp_path, rng):
+    survey = with_straight_points(tmp_path, nadir(), rng)
+    raised = replace(survey, points=survey.points + np.array([0.0, 0.0, 4.0]))
+    for found, is_warned in ((survey, False), (raised, True)):
+        decision = next(d for d in make_plan(found, device="cpu").decisions if d.name == "range of heights")
+        assert ("give [area] heights if its bed may lie deeper" in decision.reason) == is_warned
+
+
 def test_wrong_matches_do_not_widen_the_range_and_too_few_points_are_not_asked(tmp_path, rng):
     survey = with_straight_points(tmp_path, convergent(), rng)
     wrong = np.array([[0.0, 0.0, 25.0]])

@@ -124,6 +124,9 @@ def _of_points(survey: Survey, flying_m: float) -> HeightRange:
         f"{len(seeming):,} matched points seem to lie at {seeming_low:.1f} to {high:.1f} m{wet}; {margin:.1f} m are "
         "added on both sides"
     )
+    num_wet = int((seeming < 0.0).sum())
+    if survey.water is not None and num_wet < _FEWEST_POINTS:
+        reason += f"; only {num_wet} of them are under water: give [area] heights if its bed may lie deeper"
     return HeightRange(max(low - margin, lowest), min(high + margin, highest), reason)
 
 

@@ -117,7 +117,8 @@ def require_folder(option: str, path: Path | None, inputs: Inputs, *, may_hold_i
     _require_permission(said, above)
     for folder in inputs.folders:
         if _is_within(path, folder):
-            raise OutputError(f"{said}which lies in {folder}, whose files are read; name a folder elsewhere")
+            where = "whose files" if _is_within(folder, path) else f"which lies in {folder}, whose files"
+            raise OutputError(f"{said}{where} are read; name a folder elsewhere")
     held = [place for place in (*inputs.files, *inputs.folders) if _is_within(place, path)]
     if held and not may_hold_inputs:
         raise OutputError(f"{said}which holds the input {held[0]}; move that, or name another folder")

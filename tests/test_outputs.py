@@ -93,7 +93,7 @@ def test_a_folder_of_results_does_not_lie_among_inputs(tmp_path, name):
     (tmp_path / "images").mkdir()
     (tmp_path / "link").symlink_to("images")
     inputs = Inputs.of(tmp_path / "images")
-    with pytest.raises(OutputError, match=r"lies in .*images, whose files are read; name a folder elsewhere"):
+    with pytest.raises(OutputError, match=r"images.*, whose files are read; name a folder elsewhere"):
         require_folder("-o", tmp_path / name, inputs)
     require_folder("-o", tmp_path / "images_2", inputs)
 

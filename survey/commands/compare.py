@@ -35,7 +35,9 @@ def run(
     tolerance: Annotated[
         list[float], typer.Option(metavar="M", help="For completeness and F-score [m]; may be given several times.")
     ] = _TOLERANCES_M,
-    visible: Annotated[Path | None, typer.Option(metavar="FILE", help="Its points that cameras see.")] = None,
+    visible: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Points of the reference that cameras see.")
+    ] = None,
     bounds: Annotated[
         tuple[float, float, float, float] | None,
         typer.Option(metavar="E0 N0 E1 N1", help="Crop the cloud to this."),

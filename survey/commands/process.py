@@ -43,7 +43,9 @@ def run(
         bool, typer.Option("--true-colour", help="Give points the colour of the bed without the water.")
     ] = False,
     reference: Annotated[Path | None, typer.Option(metavar="FILE", help="True surface, for the report only.")] = None,
-    visible: Annotated[Path | None, typer.Option(metavar="FILE", help="Its points that cameras see.")] = None,
+    visible: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Points of the reference that cameras see.")
+    ] = None,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from survey.errors import SurveyError
+from survey.files.outputs import Inputs, require_folder
 from survey.folder.inputs import survey_inputs
 from survey.folder.survey import Survey, load_survey
-from survey.outputs import Inputs, require_folder
 from survey.plan.check import require_processable
 from survey.plan.plan import Plan, make_plan
 from survey.plan.workload import require_room, workload_of

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.compare.result import Comparison
+from survey.files.json_values import write_json
 from survey.folder.config import dump_config
 from survey.folder.survey import Survey
-from survey.json_values import write_json
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.verdict import Verdict
 from survey.run.export import write_bed_las

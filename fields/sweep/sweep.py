@@ -154,10 +154,13 @@ def climbs_of(block: Block, chosen: list[int], p: Pass, bound: tuple[float, floa
         others = block.neighbours(view, p.neighbours)
         if not others:
             continue
-        rungs = p.rungs
         if bound is not None:
             step = _step(block, p, view, others, 0.5 * (bound[0] + bound[1]))
             rungs = int(np.ceil((bound[1] - bound[0]) / step)) + 1
+        elif p.rungs is not None:
+            rungs = p.rungs
+        else:
+            raise ValueError("a pass after the first expects its own number of rungs, got None")
         found.append(Climb(view, others, rungs, _pixels(block, p) * rungs * len(others)))
     return found
 

@@ -122,7 +122,8 @@ class ColourHead(nn.Module):
     def forward(self, features: Tensor, directions: Tensor | None, appearance: Tensor | None = None) -> Tensor:
         """Linear radiance (samples, 3), at least 0, of features (samples, L D F) seen along unit directions.
 
-        ``appearance`` (samples, extra) is the vector of the photograph of each sample.
+        ``directions`` may be None for a matt bed; ``appearance`` (samples, extra) is the vector of the photograph of
+        each sample.
         """
         known = []
         if self.degree > 0:

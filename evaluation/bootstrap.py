@@ -120,7 +120,7 @@ def mean_interval(values: np.ndarray, blocks: Blocks, *, seed: int = SEED) -> tu
 def _variance_of_mean(values: np.ndarray, number: np.ndarray) -> float:
     """Variance of the mean of values (N,) if their blocks are independent."""
     sums, counts = np.bincount(number, weights=values - values.mean()), np.bincount(number)
-    held = np.count_nonzero(counts)
+    held = int(np.count_nonzero(counts))
     return float(np.square(sums).sum()) / len(values) ** 2 * held / max(held - 1, 1)
 
 

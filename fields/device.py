@@ -39,7 +39,7 @@ def _find_llvm() -> str | None:
         return os.environ["DRJIT_LIBLLVM_PATH"]
     for version in _LLVM_VERSIONS:
         name = ctypes.util.find_library(f"LLVM-{version}")
-        hits = [name] if name else []
+        hits: list[str | Path] = [name] if name else []
         hits += sorted(Path("/usr/lib").glob(f"*-linux-gnu/libLLVM*{version}*.so*"))
         hits += sorted(Path("/usr/lib").glob(f"llvm-{version}/lib/libLLVM*.so*"))
         if hits:

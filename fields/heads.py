@@ -113,7 +113,7 @@ class ColourHead(nn.Module):
     ):
         super().__init__()
         width = scales * directions * channels
-        self.degree, self.bfloat16 = degree, bfloat16
+        self.degree, self.in_bfloat16 = degree, bfloat16
         self.weights = nn.Parameter(torch.ones(width))
         self.first = nn.Linear(width + ((degree + 1) ** 2 - 1) + extra, hidden)
         self.middle = nn.Linear(hidden, hidden)
@@ -122,16 +122,22 @@ class ColourHead(nn.Module):
     def forward(self, features: Tensor, directions: Tensor | None, appearance: Tensor | None = None) -> Tensor:
         """Linear radiance (samples, 3), at least 0, of features (samples, L D F) seen along unit directions.
 
-        ``appearance`` (samples, extra) is the vector of the photograph of each sample.
+        ``directions`` may be None for a matt bed; ``appearance`` (samples, extra) is the vector of the photograph of
+        each sample.
         """
-        beside = [] if self.degree == 0 else [spherical_harmonics(directions, self.degree)]
-        beside += [] if appearance is None else [appearance]
-        beside = torch.cat(beside, dim=1) if beside else features.new_empty(len(features), 0)
+        known = []
+        if self.degree > 0:
+            if directions is None:
+                raise ValueError(f"harmonics of degree {self.degree} expect the directions of the samples, got None")
+            known.append(spherical_harmonics(directions, self.degree))
+        if appearance is not None:
+            known.append(appearance)
+        beside = torch.cat(known, dim=1) if known else features.new_empty(len(features), 0)
         # The colour weights go into the map that follows them: no pass over all features for them alone.
         width = len(self.weights)
         maps = (self.first.weight[:, :width] * self.weights).t(), self.first.weight[:, width:].t()
         parts = zip(features.split(PART), beside.split(PART), strict=True)
-        with torch.autocast(features.device.type, torch.bfloat16, enabled=self.bfloat16):
+        with torch.autocast(features.device.type, torch.bfloat16, enabled=self.in_bfloat16):
             colours = [self._regress(f, torch.addmm(self.first.bias, b, maps[1]), maps[0]) for f, b in parts]
         return torch.cat(colours).to(features.dtype)
 

@@ -192,7 +192,10 @@ def _lanes(module) -> int:
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
         dr.eval(dr.opaque(module.Float, 1.0, 2) + 1.0)
         text = dr.kernel_history((dr.KernelType.JIT,))[-1]["ir"].read()
-    return int(re.search(r"<(\d+) x float>", text)[1])
+    found = re.search(r"<(\d+) x float>", text)
+    if found is None:
+        raise RuntimeError("a kernel of Dr.Jit has no packet of floats: expected <N x float> in the code for LLVM")
+    return int(found[1])
 
 
 def flat_on(module, tensor: Tensor):

@@ -46,14 +46,12 @@ class WaterColumn(nn.Module):
     @property
     def absorption(self) -> Tensor:
         """[1/m] per channel."""
-        if self.given_absorption is not None:
-            return self.given_absorption
-        return nn.functional.softplus(self.raw_absorption)
+        return _given_or_learned(self.given_absorption, self.raw_absorption)
 
     @property
     def veil(self) -> Tensor:
         """Linear radiance of endless water, per channel."""
-        return self.given_veil if self.given_veil is not None else nn.functional.softplus(self.raw_veil)
+        return _given_or_learned(self.given_veil, self.raw_veil)
 
     @property
     def sky(self) -> Tensor:
@@ -89,6 +87,15 @@ class WaterColumn(nn.Module):
         r = reflectance[:, None]
         below = (seen - r * self.sky) / (1.0 - r)
         return (below - (1.0 - kept) * self.veil) / kept
+
+
+def _given_or_learned(given: Tensor | None, raw: nn.Parameter | None) -> Tensor:
+    """What is given, or else the softplus of what is learned; one of the two is there."""
+    if given is not None:
+        return given
+    if raw is None:
+        raise TypeError("a number of a WaterColumn is neither given nor learned")
+    return nn.functional.softplus(raw)
 
 
 def _numbers(values: tuple[float, ...]) -> Tensor:

@@ -8,6 +8,7 @@ the weights are summed per lane over every so many rows, then over the lanes: th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import sqrt
 
 import drjit as dr
@@ -20,7 +21,9 @@ from fields.lookup import PACKET, flat_on, on_host
 LANES = {"llvm": 256, "cuda": 8192}
 
 
-def weighted_drjit(features: Tensor, layers: list[tuple[Tensor, Tensor]], fine: Tensor, shape: tuple, device) -> Tensor:
+def weighted_drjit(
+    features: Tensor, layers: Sequence[tuple[Tensor, Tensor]], fine: Tensor, shape: tuple, device
+) -> Tensor:
     """Density (samples,) of features (samples, L D F), without the bias of the last map.
 
     Parameters
@@ -40,7 +43,7 @@ def weighted_drjit(features: Tensor, layers: list[tuple[Tensor, Tensor]], fine: 
             f"the head weighs {shape[2]} channels, but its kernel reads packets of {PACKET}: "
             f"take a multiple of {PACKET}, or the device torch"
         )
-    sizes = [tuple(weight.shape) for weight, _ in layers]
+    sizes = [(weight.shape[0], weight.shape[1]) for weight, _ in layers]
     flat = torch.cat([t.reshape(-1) for layer in layers for t in layer] + [fine.reshape(-1)])
     return _Weighting.apply(features, flat, _Gate(device, shape, sizes)).sum(dim=1)
 
@@ -92,7 +95,8 @@ class _Gate:
 
     def run(self, layers: list, a: list) -> tuple[list, list]:
         """What each map makes of a row, and the slopes of its GELU."""
-        values, slopes = [a], []
+        values: list[Sequence] = [a]
+        slopes: list[Sequence] = []
         for weights, biases in layers:
             x = values[-1]
             sums = [_dot(weights[j * len(x) : (j + 1) * len(x)], x, bias) for j, bias in enumerate(biases)]
@@ -143,7 +147,7 @@ class _Gate:
         to_weighted = [f * incoming for f in fine] * self.directions
         to_a = [g * w for g, w in zip(gate, to_weighted, strict=True)]
         delta = [x * w for x, w in zip(a, to_weighted, strict=True)]
-        pairs = []
+        pairs: list[tuple] = []
         for k in reversed(range(len(layers))):
             delta = [d * slope for d, slope in zip(delta, slopes[k], strict=True)]
             weights, x = layers[k][0], values[k]
@@ -152,7 +156,7 @@ class _Gate:
         return outside, [t + d for t, d in zip(to_a, delta, strict=True)], pairs
 
 
-def _dot(left: list, right: list, start):
+def _dot(left: Sequence, right: Sequence, start):
     for x, y in zip(left, right, strict=True):
         start = dr.fma(x, y, start)
     return start

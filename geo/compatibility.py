@@ -8,8 +8,16 @@ import numpy as np
 from pyproj import CRS
 from pyproj.crs import Datum
 
-from geo.crs import has_height, height_unit_m, horizontal_crs, vertical_crs
-from geo.errors import CRSMismatch, PlaceMismatch
+from geo.crs import (
+    ellipsoid,
+    has_height,
+    height_unit_m,
+    horizontal_crs,
+    horizontal_unit,
+    prime_meridian_rad,
+    vertical_crs,
+)
+from geo.errors import CRSMismatch, PlaceMismatch, UnsupportedCRS
 from geo.projection import MapProjection
 
 # Two statements of one system differ by rounded parameters, e.g. feet to nine digits (0.4 mm at 1,300 km),
@@ -27,7 +35,10 @@ def crs_difference(a: CRS, b: CRS) -> str | None:
     if a.equals(b, ignore_axis_order=True):
         return None
     if _horizontal_differs(horizontal_crs(a), horizontal_crs(b)):
-        return f"{horizontal_crs(a).name} against {horizontal_crs(b).name}"
+        names = [horizontal_crs(crs).name for crs in (a, b)]
+        if names[0] == names[1]:
+            names = [f"{crs.name} ({crs.axis_info[0].unit_name})" for crs in (a, b)]
+        return f"{names[0]} against {names[1]}"
     if not (has_height(a) and has_height(b)):
         return None
     names = [(v.name if (v := vertical_crs(crs)) else "ellipsoidal height") for crs in (a, b)]
@@ -97,6 +108,9 @@ def _range(ends: np.ndarray) -> str:
 def _horizontal_differs(a: CRS, b: CRS) -> bool:
     if a.is_geographic != b.is_geographic or _names_differ(a.datum, b.datum):
         return True
+    if not all(crs.is_projected or crs.is_geographic for crs in (a, b)):
+        # A site grid, or heights alone: no numbers say where on the Earth it is, only its own statement.
+        return not a.equals(b, ignore_axis_order=True)
     return not np.allclose(_frame_numbers(a), _frame_numbers(b), rtol=0.0, atol=_TOLERANCE_M) or (
         not a.is_geographic and _grids_differ(a, b)
     )
@@ -104,13 +118,12 @@ def _horizontal_differs(a: CRS, b: CRS) -> bool:
 
 def _frame_numbers(crs: CRS) -> list[float]:
     """Semi-axes [m], prime meridian [m on the equator] and unit (of 1000 m, or of a turn)."""
-    meridian = crs.prime_meridian.longitude * crs.prime_meridian.unit_conversion_factor
-    ellipsoid = crs.ellipsoid
+    axes = ellipsoid(crs)
     return [
-        ellipsoid.semi_major_metre,
-        ellipsoid.semi_minor_metre,
-        meridian * ellipsoid.semi_major_metre,
-        1000.0 * crs.axis_info[0].unit_conversion_factor,
+        axes.semi_major_metre,
+        axes.semi_minor_metre,
+        prime_meridian_rad(crs) * axes.semi_major_metre,
+        1000.0 * horizontal_unit(crs),
     ]
 
 
@@ -119,9 +132,12 @@ def _grids_differ(a: CRS, b: CRS) -> bool:
 
     Compared as numbers, because one projection is stated in many ways (EPSG, GDAL, ESRI).
     """
-    unit = a.axis_info[0].unit_conversion_factor
+    unit, projection = horizontal_unit(a), a.coordinate_operation
+    if projection is None:
+        raise UnsupportedCRS(f"{a.name} has no map projection; expected a projected CRS.")
     false_origin = [
-        sum(p.value * p.unit_conversion_factor for p in a.coordinate_operation.params if word in p.name.lower())
+        # Lengths, though pyproj's stubs say str: only names of grid files are text.
+        sum(float(p.value) * p.unit_conversion_factor for p in projection.params if word in p.name.lower())
         for word in ("easting", "northing")
     ]
     x, y = np.meshgrid(*(origin + _SAMPLES_M for origin in false_origin))

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 
 from pyproj import CRS
+from pyproj.crs import Ellipsoid
 from pyproj.exceptions import CRSError, ProjError
 
 from geo.errors import MissingVerticalDatum, UnknownCRS, UnsupportedCRS
@@ -80,7 +81,7 @@ def _require_fit(crs: CRS, text: str, where: str) -> None:
 def _vertical_mend(crs: CRS) -> str:
     code = crs.to_epsg()
     mend = f'add a vertical CRS, e.g. "{_EXAMPLE}"'
-    geodetic = crs.geodetic_crs.to_3d().to_epsg() if code else None
+    geodetic = geodetic_crs(crs).to_3d().to_epsg() if code else None
     if geodetic is None:
         return mend
     ellipsoidal = f"EPSG:{geodetic}" if crs.is_geographic else f"EPSG:{code}+{geodetic}"
@@ -94,7 +95,8 @@ def _short(text: object) -> str:
 
 def _unbound(crs: CRS) -> CRS:
     """The CRS itself where it comes with a transformation to WGS 84 attached (TOWGS84, nadgrids)."""
-    return _unbound(crs.source_crs) if crs.is_bound else crs
+    source = crs.source_crs if crs.is_bound else None
+    return crs if source is None else _unbound(source)
 
 
 def horizontal_crs(crs: CRS) -> CRS:
@@ -133,7 +135,37 @@ def height_unit_m(crs: CRS) -> float:
 
 def angular_unit_rad(crs: CRS) -> float:
     """Unit of longitude and latitude in the geographic system under a CRS: a degree, or a grad."""
-    return horizontal_crs(crs).geodetic_crs.axis_info[0].unit_conversion_factor
+    return geodetic_crs(crs).axis_info[0].unit_conversion_factor
+
+
+def geodetic_crs(crs: CRS) -> CRS:
+    """The geographic system under a projected or geographic CRS.
+
+    Raises
+    ------
+    UnsupportedCRS
+        If there is none: a site grid, or heights alone.
+    """
+    geodetic = horizontal_crs(crs).geodetic_crs
+    if geodetic is None:
+        raise UnsupportedCRS(f"{crs.name} is not placed on the Earth; expected a projected or geographic CRS.")
+    return geodetic
+
+
+def ellipsoid(crs: CRS) -> Ellipsoid:
+    """The ellipsoid under a CRS; UnsupportedCRS as `geodetic_crs`."""
+    found = geodetic_crs(crs).ellipsoid
+    if found is None:
+        raise UnsupportedCRS(f"{crs.name} has no ellipsoid; expected a projected or geographic CRS.")
+    return found
+
+
+def prime_meridian_rad(crs: CRS) -> float:
+    """Longitude of the prime meridian of a CRS, from Greenwich; UnsupportedCRS as `geodetic_crs`."""
+    found = geodetic_crs(crs).prime_meridian
+    if found is None:
+        raise UnsupportedCRS(f"{crs.name} has no prime meridian; expected a projected or geographic CRS.")
+    return found.longitude * float(found.unit_conversion_factor)  # a number, though pyproj's stubs say str
 
 
 def degrees_outside_area(crs: CRS, lon: float, lat: float) -> float:
@@ -145,8 +177,7 @@ def degrees_outside_area(crs: CRS, lon: float, lat: float) -> float:
     area = horizontal.area_of_use
     if area is None:
         return 0.0
-    meridian = horizontal.prime_meridian
-    east = math.degrees(lon + meridian.longitude * meridian.unit_conversion_factor)
+    east = math.degrees(lon + prime_meridian_rad(crs))
     north = math.degrees(lat)
     width = (area.east - area.west) % 360.0 or 360.0
     beyond = (east - area.west) % 360.0

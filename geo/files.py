@@ -61,7 +61,8 @@ def refusal(error: OSError, path: str | Path, *, verb: str = "write") -> str | N
         number = errno.ENOSPC
     if number in _ONLY_WRITING:
         verb = "write"
-    mend = (_MENDS if verb == "write" else _MENDS_OF_USE).get(number)
+    mends = _MENDS if verb == "write" else _MENDS_OF_USE
+    mend = None if number is None else mends.get(number)
     return None if mend is None else f"cannot {verb} {path}: {mend}"
 
 

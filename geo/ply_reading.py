@@ -74,7 +74,8 @@ def read_ply(path: str | Path) -> Mesh | Cloud:
     data = path.read_bytes()
     try:
         is_ascii, order, elements, start = _header(data)
-        tables, body = {}, memoryview(data)[start:]
+        tables: dict[str, dict] = {}
+        body = memoryview(data)[start:]
         if is_ascii:
             body, elements = _binary_of_ascii(body, elements)
         for element in elements:
@@ -90,7 +91,8 @@ def _header(data: bytes) -> tuple[bool, str, list[_Element], int]:
     end = re.search(rb"^end_header[^\n]*\n", data, re.MULTILINE)
     if not data.startswith(b"ply") or end is None:
         raise _Damaged('it does not begin with "ply" and a header up to "end_header"')
-    form, elements = None, []
+    form: str | None = None
+    elements: list[_Element] = []
     for line in data[: end.start()].decode("ascii", "replace").splitlines()[1:]:
         words = line.split()
         try:
@@ -138,10 +140,10 @@ def _table(body: memoryview, element: _Element, order: str) -> tuple[dict[str, n
     return _even_table(body, element, order) or _uneven_table(body, element, order)
 
 
-def _even_table(body: memoryview, element: _Element, order: str):
+def _even_table(body: memoryview, element: _Element, order: str) -> tuple[dict[str, np.ndarray | _Lists], int] | None:
     """As `_table`, if all lists of a column are as long as its first one; else None."""
     _, lengths, _ = _row(body, 0, element, order)
-    fields = []
+    fields: list[tuple] = []
     for index, (p, length) in enumerate(zip(element.properties, lengths, strict=True)):
         if p.count_kind:
             fields.append((f"count {index}", order + p.count_kind))
@@ -150,20 +152,21 @@ def _even_table(body: memoryview, element: _Element, order: str):
     if dtype.itemsize * element.count > len(body):
         return None
     rows = np.frombuffer(body, dtype, element.count)
-    columns = {}
+    columns: dict[str, np.ndarray | _Lists] = {}
     for index, (p, length) in enumerate(zip(element.properties, lengths, strict=True)):
-        columns[p.name] = rows[f"value {index}"]
+        values = rows[f"value {index}"]
+        columns[p.name] = values
         if p.count_kind:
             if (rows[f"count {index}"] != length).any():
                 return None
-            columns[p.name] = _Lists(np.full(element.count, length), columns[p.name].reshape(-1))
+            columns[p.name] = _Lists(np.full(element.count, length), values.reshape(-1))
     return columns, dtype.itemsize * element.count
 
 
-def _uneven_table(body: memoryview, element: _Element, order: str):
+def _uneven_table(body: memoryview, element: _Element, order: str) -> tuple[dict[str, np.ndarray | _Lists], int]:
     """As `_table`, row by row."""
-    columns = [[] for _ in element.properties]
-    counts = [[] for _ in element.properties]
+    columns: list[list[float]] = [[] for _ in element.properties]
+    counts: list[list[int]] = [[] for _ in element.properties]
     offset = 0
     for _ in range(element.count):
         values, lengths, offset = _row(body, offset, element, order)

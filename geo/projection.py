@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from pyproj import CRS, Transformer
 
-from geo.crs import angular_unit_rad, height_unit_m, horizontal_crs, horizontal_unit
+from geo.crs import angular_unit_rad, ellipsoid, geodetic_crs, height_unit_m, horizontal_crs, horizontal_unit
 
 
 @dataclass(frozen=True)
@@ -45,14 +45,14 @@ class MapProjection:
 
     def __post_init__(self):
         horizontal = horizontal_crs(self.crs)
-        geodetic = horizontal.geodetic_crs
         transformer = None
         if not horizontal.is_geographic:
             # The one place that fixes the order of axes: easting before northing, longitude before latitude.
-            transformer = Transformer.from_crs(horizontal, geodetic, always_xy=True)
+            transformer = Transformer.from_crs(horizontal, geodetic_crs(self.crs), always_xy=True)
+        axes = ellipsoid(self.crs)
         values = {
-            "a": geodetic.ellipsoid.semi_major_metre,
-            "b": geodetic.ellipsoid.semi_minor_metre,
+            "a": axes.semi_major_metre,
+            "b": axes.semi_minor_metre,
             "horizontal_unit": horizontal_unit(self.crs),
             "height_unit_m": height_unit_m(self.crs),
             "is_geographic": transformer is None,

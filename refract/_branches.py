@@ -68,8 +68,9 @@ def _cut(surface, path_slope, camera, point, mid_x, mid_y, radius):
         ends = tuple(c[owner] for c in camera), tuple(p[owner] for p in point)
         empty, single, lo, hi = _judge(surface, path_slope, *ends, mid_x, mid_y, half_x, half_y)
         if single.any():
+            single_camera, single_point = (tuple(c[single] for c in end) for end in ends)
             at = _polished(
-                surface, path_slope, *(tuple(c[single] for c in end) for end in ends),
+                surface, path_slope, single_camera, single_point,
                 mid_x[single] + 0.5 * (lo[0] + hi[0])[single], mid_y[single] + 0.5 * (lo[1] + hi[1])[single],
             )  # fmt: skip
             roots.append((owner[single], *at))
@@ -134,7 +135,7 @@ def _polished(surface, path_slope, camera, point, x, y):
 def _distinct(owner, x, y, near):
     """Indices of the roots, by owner, without those that a box shares with its neighbour."""
     order = np.lexsort((x, owner))
-    keep = []
+    keep: list[int] = []
     for i in order:
         own = takewhile(lambda j: owner[j] == owner[i], reversed(keep))  # noqa: B023 (used up at once)
         if all(np.hypot(x[i] - x[j], y[i] - y[j]) >= near[owner[i]] for j in own):

@@ -35,8 +35,8 @@ def crossing(surface, camera, point):
     over = camera[2] - surface.height(camera[0], camera[1])
     bent = (depth > 0.0) & ~(over <= kernels.CONTACT)  # a camera beside the water, where it has no height, is over it
     wet = as_numpy(bent).ravel() > 0.0
-    plain = tuple(tuple(as_numpy(c).ravel()[wet] for c in end) for end in (camera, point))
-    found = _found(surface.detached(), *plain, as_numpy(depth).ravel()[wet])
+    plain_camera, plain_point = (tuple(as_numpy(c).ravel()[wet] for c in end) for end in (camera, point))
+    found = _found(surface.detached(), plain_camera, plain_point, as_numpy(depth).ravel()[wet])
     whole = [np.full(wet.shape, fill) for fill in (math.nan, math.nan, math.nan, 0, -1)]
     for array, values in zip(whole, found, strict=True):
         array[wet] = values
@@ -152,7 +152,8 @@ def _on_edges(surface, camera, point, owner, triangle):
         along.append(kernels.dot(way, unit))
         away.append(np.sqrt(np.maximum(kernels.dot(way, way) - along[-1] ** 2, 0.0)))
     way = along[1] - along[0]
-    tau = along[0] + way * kernels.air_share(way * way, *away, surface.n_water, _FLAT_STEPS)
+    H, h = away
+    tau = along[0] + way * kernels.air_share(way * way, H, h, surface.n_water, _FLAT_STEPS)
     at = kernels.along(start, unit, tau)
     pull = _pull(surface.n_water, camera, point, at)
     keep = (tau >= 0.0) & (tau <= kinks.length[edge])

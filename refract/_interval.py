@@ -7,6 +7,8 @@ functions and operators (NEP 13), so formulas written once for numbers also give
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
@@ -82,7 +84,7 @@ def _cos(a: Interval) -> Interval:
 _QUARTER_TURN = Interval(np.nextafter(np.pi / 2.0, 0.0), np.nextafter(np.pi / 2.0, 2.0))
 
 
-_RULES = {
+_RULES: dict[np.ufunc, Callable[..., Interval]] = {
     np.add: lambda a, b: _outward(a.lo + b.lo, a.hi + b.hi),
     np.subtract: lambda a, b: _outward(a.lo - b.hi, a.hi - b.lo),
     np.multiply: _multiply,

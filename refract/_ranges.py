@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -27,7 +28,7 @@ def require(name: str, values, holds, expected: str) -> None:
         raise ValueError(f"{name} is {wrong[0]:g}, expected {expected}; check its unit and its sign")
 
 
-def warn_outside(model: str, ranges: dict[str, tuple[float, float]], *, stacklevel: int, **given) -> None:
+def warn_outside(model: str, ranges: Mapping[str, tuple[float, float]], *, stacklevel: int, **given) -> None:
     """Warn `OutsideFit`, naming the range of `model`, for each of the `given` values that lies outside it."""
     for name, (low, high) in ranges.items():
         values = as_numpy(given[name])

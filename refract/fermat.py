@@ -15,7 +15,7 @@ Vectors are triples of component arrays (numpy, torch, Dr.Jit), as in `refract.k
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from refract import kernels
 from refract._array import as_like, as_numpy, namespace
 from refract._branches import every_path
 from refract._disc import Bounds, Disc, hypot, search_disc
+from refract.surfaces import WaterSurface
 
 # Newton's last step, as part of the camera's distance: squared, it is far below the rounding.
 _SETTLED = 1e-11
@@ -33,10 +34,8 @@ _MOST_STEPS = 10
 _FIRM = 1e-9
 
 
-class Relief(Protocol):
-    """What this module asks of a smooth surface, beside `refract.surfaces.WaterSurface`."""
-
-    n_water: Any
+class Relief(WaterSurface, Protocol):
+    """What this module asks of a smooth surface, beside what `WaterSurface` has."""
 
     def derivatives(self, x, y) -> tuple:
         """Height and derivatives (f, f_x, f_y, f_xx, f_xy, f_yy); also of an `Interval`."""
@@ -135,8 +134,10 @@ def _located(surface, camera, point, depth, bent):
         proven = disc.convex & settled
         paths = np.where(proven, 1, -1)
         if not proven.all():
-            hard = tuple(tuple(c[~proven] for c in triple) for triple in (camera, point, disc[:3]))
-            found_x[~proven], found_y[~proven], paths[~proven] = _least(surface, *hard[:2], Disc(*hard[2], None))
+            hard = ~proven
+            hard_camera, hard_point = (tuple(c[hard] for c in end) for end in (camera, point))
+            hard_disc = Disc(disc.x[hard], disc.y[hard], disc.radius[hard], None)
+            found_x[hard], found_y[hard], paths[hard] = _least(surface, hard_camera, hard_point, hard_disc)
     x[bent], y[bent], count[bent] = found_x, found_y, paths
     return x, y, count
 
@@ -188,8 +189,8 @@ def crossing(surface: Relief, camera, point):
     if xp.name == "drjit":
         x, y, count = _located_drjit(plain, camera, point, depth, bent)
     else:
-        ends = tuple(tuple(map(as_numpy, end)) for end in (camera, point))
-        x, y, count = _located(plain, *ends, as_numpy(depth), as_numpy(bent) > 0.0)
+        plain_camera, plain_point = (tuple(map(as_numpy, end)) for end in (camera, point))
+        x, y, count = _located(plain, plain_camera, plain_point, as_numpy(depth), as_numpy(bent) > 0.0)
     if xp.name == "torch":
         x, y, count = as_like(x, depth), as_like(y, depth), as_like(count, depth).long()
     found = bent & (count > 0)

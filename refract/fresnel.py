@@ -12,7 +12,7 @@ to 1. Numpy, torch and Dr.Jit alike.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from refract._array import namespace
 
@@ -20,10 +20,10 @@ from refract._array import namespace
 class Fresnel(NamedTuple):
     """Shares of the light of each polarisation that are reflected and that pass, each of the shape of the rays."""
 
-    reflectance_s: object
-    reflectance_p: object
-    transmittance_s: object
-    transmittance_p: object
+    reflectance_s: Any
+    reflectance_p: Any
+    transmittance_s: Any
+    transmittance_p: Any
 
     @property
     def reflectance(self):

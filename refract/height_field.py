@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property
 from typing import Any, final
 
@@ -51,6 +51,7 @@ class HeightFieldWater:
     triangles: Any
     _: KW_ONLY
     n_water: Any = 1.333
+    mesh: Triangulation = field(init=False, repr=False)
 
     def __post_init__(self):
         points = np.asarray(self.points, dtype=np.float64)
@@ -213,7 +214,8 @@ class HeightFieldWater:
         like = origin[0] + direction[0]
         origin, direction = fermat.together(origin, direction)
         xp = namespace(*origin)
-        met = self._first_triangle(*(tuple(as_numpy(c).ravel() for c in v) for v in (origin, direction)), 1.0)
+        plain_origin, plain_direction = (tuple(as_numpy(c).ravel() for c in v) for v in (origin, direction))
+        met = self._first_triangle(plain_origin, plain_direction, 1.0)
         met = met.reshape(tuple(origin[0].shape))
         corner, slopes = self.planes(self.or_any(met), origin[0])
         meets = as_like(met, origin[0]) >= 0
@@ -237,10 +239,11 @@ class HeightFieldWater:
             enters = np.ones(left.size, dtype=bool)
             t = start[left]
             for _ in range(len(self.triangles)):
-                rays = tuple(tuple(c[left] for c in v) for v in (origin, direction))
-                leave, behind = self.mesh.exit(triangle, *rays[0][:2], *rays[1][:2])
+                o, d = (tuple(c[left] for c in v) for v in (origin, direction))
+                leave, behind = self.mesh.exit(triangle, *o[:2], *d[:2])
                 leave = np.maximum(leave, t)
-                over, rate = (side * v for v in _clearance(*self.planes(triangle, t), *rays))
+                corner, slopes = self.planes(triangle, t)
+                over, rate = (side * v for v in _clearance(corner, slopes, o, d))
                 hit = (over + np.where(np.isfinite(leave), leave, 0.0) * rate <= 0.0) & np.isfinite(leave)
                 hit |= np.isinf(leave) & (rate < 0.0)
                 # A ray that comes in from dry land below the level of the water never meets it from its own side.
@@ -260,9 +263,10 @@ class HeightFieldWater:
             way = kernels.minus(crossing, end)
             length = np.sqrt(kernels.dot(way, way))
             flat = np.abs(way[2]) <= self._steepest * np.hypot(way[0], way[1])
-            rays = tuple(c[flat] for c in end), tuple((w / length)[flat] for w in way)
-            met = self._first_triangle(*rays, side)
-            over, rate = _clearance(*self.planes(self.or_any(met), rays[0][0]), *rays)
+            origin, direction = tuple(c[flat] for c in end), tuple((w / length)[flat] for w in way)
+            met = self._first_triangle(origin, direction, side)
+            corner, slopes = self.planes(self.or_any(met), origin[0])
+            over, rate = _clearance(corner, slopes, origin, direction)
             with np.errstate(divide="ignore", invalid="ignore"):
                 first = np.where(met >= 0, -over / rate, np.inf)
             clear[flat] = first >= length[flat] * (1.0 - _ARRIVED)

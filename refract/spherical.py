@@ -84,7 +84,8 @@ class SphericalWater:
 
     def detached(self) -> SphericalWater:
         """The same water in plain numbers, without gradients."""
-        return SphericalWater(tuple(map(_plain, self.point)), _plain(self.radius), n_water=_plain(self.n_water))
+        x, y, z = map(_plain, self.point)
+        return SphericalWater((x, y, z), _plain(self.radius), n_water=_plain(self.n_water))
 
     def derivatives(self, x, y) -> tuple:
         """Height [m], slopes along x and y [-] and second derivatives xx, xy, yy [1/m] at local x, y [m]."""
@@ -124,9 +125,9 @@ class SphericalWater:
         low, high = (self.point[2] - _drop(way * way, self.radius) for way in (far, near))
         endless = far * 0.0 + float("inf")
         return Bounds(
-            *(xp.where(inside, b, e) for b, e in ((low, -endless), (high, endless), (slope, endless))),
-            xp.where(inside, curvature, endless),
-        )
+            xp.where(inside, low, -endless), xp.where(inside, high, endless),
+            xp.where(inside, slope, endless), xp.where(inside, curvature, endless),
+        )  # fmt: skip
 
     def anchor(self) -> tuple:
         """Some x, y where the surface is defined."""

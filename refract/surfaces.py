@@ -27,8 +27,9 @@ class WaterSurface(Protocol):
     number, which broadcasts.
     """
 
-    n_water: Any
-    """Refractive index of the water relative to the air above it [-]."""
+    @property
+    def n_water(self) -> Any:
+        """Refractive index of the water relative to the air above it [-]."""
 
     def height(self, x, y):
         """Height z of the surface at x, y."""

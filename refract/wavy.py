@@ -110,8 +110,9 @@ class WavyWater:
 
     def detached(self) -> WavyWater:
         """The same water in plain numbers, without gradients."""
+        x, y, z = map(_plain, self.point)
         return WavyWater(
-            tuple(map(_plain, self.point)), tuple(map(_plain, self.amplitudes)),
+            (x, y, z), tuple(map(_plain, self.amplitudes)),
             tuple(tuple(map(_plain, k)) for k in self.wave_vectors), tuple(map(_plain, self.phases)),
             frequencies=tuple(map(_plain, self.frequencies)),
             n_water=_plain(self.n_water), slope_x=_plain(self.slope_x), slope_y=_plain(self.slope_y),
@@ -161,10 +162,10 @@ class WavyWater:
         like = origin[0] + direction[0]
         origin, direction = fermat.together(origin, direction)
         xp = namespace(*origin)
-        if xp.name == "drjit":
-            t = self.detached()._first_meeting(*(tuple(map(xp.fixed, v)) for v in (origin, direction)), side=1.0)
-        else:
-            t = self.detached()._first_meeting(*(tuple(map(as_numpy, v)) for v in (origin, direction)), side=1.0)
+        plain = xp.fixed if xp.name == "drjit" else as_numpy
+        plain_origin, plain_direction = (tuple(map(plain, v)) for v in (origin, direction))
+        t = self.detached()._first_meeting(plain_origin, plain_direction, side=1.0)
+        if xp.name != "drjit":
             t = as_like(t, origin[0])
         # One more Newton step at the root: it carries the gradient, and moves the value by a rounding only.
         meets = t >= 0.0
@@ -220,10 +221,8 @@ class WavyWater:
             for _ in range(_MOST_STEPS // _ROUND):
                 if left.size == 0:
                     break
-                rays = (tuple(c[left] for c in v) for v in (origin, direction))
-                t[left], going = self._round(
-                    *rays, t[left], end[left], bend[left], side, np.ones(left.size, dtype=bool)
-                )
+                o, d = (tuple(c[left] for c in v) for v in (origin, direction))
+                t[left], going = self._round(o, d, t[left], end[left], bend[left], side, np.ones(left.size, dtype=bool))
                 left = left[going]
         t[left] = np.nan
         return t.reshape(shape)

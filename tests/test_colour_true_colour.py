@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -84,6 +86,12 @@ def test_absorption_is_told_by_slant_views():
     sources = mirroring(plane_sources(PlaneBed(WATER, -2.0, 0.2), ring(6, radius=5.0)))
     # Rounding to grey levels and the contrast that patches lose at their borders, over ways from 3.6 to 4.6 m.
     np.testing.assert_allclose(estimate_absorption(sources), ABSORPTION, atol=0.015)
+
+
+def test_a_dry_survey_has_no_absorption():
+    sources = replace(plane_sources(PlaneBed(WATER, -2.0), ring(6, radius=5.0)), water=None)
+    with pytest.raises(ValueError, match="the survey is dry"):
+        estimate_absorption(sources)
 
 
 def test_absorption_is_not_told_by_views_that_look_down_nor_by_a_single_one():

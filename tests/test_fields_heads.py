@@ -205,6 +205,15 @@ def test_colours_in_bfloat16_are_the_same_within_its_digits(rng):
     assert (coarse.first.weight.grad - gradient).abs().max() < 2e-2 * gradient.abs().max()
 
 
+def test_a_head_for_colours_can_itself_be_turned_into_bfloat16():
+    assert ColourHead(L, D, F, bfloat16=True).bfloat16().weights.dtype == torch.bfloat16
+
+
+def test_a_bed_that_shines_needs_the_directions_it_is_seen_along(rng):
+    with pytest.raises(ValueError, match="harmonics of degree 2 expect the directions"):
+        ColourHead(L, D, F, degree=2)(torch.from_numpy(features_of(rng)).float(), None)
+
+
 def test_a_matt_bed_looks_the_same_from_everywhere(rng):
     head = ColourHead(L, D, F)
     assert torch.equal(head.weights, torch.ones(L * D * F))

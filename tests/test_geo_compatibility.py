@@ -15,6 +15,13 @@ SYSTEMS = [
     "EPSG:25832+5778", "EPSG:4326+5773", "EPSG:4979", "EPSG:2230+6360", "EPSG:2193+7839", "EPSG:2180+9651",
     "EPSG:32761+3855", "EPSG:27700+5701", "EPSG:4807+5720", "EPSG:32632+4979", "EPSG:3035+5730", "EPSG:3857+3855",
 ]  # fmt: skip
+HEIGHTS = CRS("EPSG:5703").to_wkt("WKT1_GDAL")
+
+
+def site_grid(unit: str, metres: float) -> str:
+    """WKT of coordinates that are not placed on the Earth, as surveying software writes them."""
+    axes = 'AXIS["Easting",EAST],AXIS["Northing",NORTH]'
+    return f'LOCAL_CS["site grid",LOCAL_DATUM["site",0],UNIT["{unit}",{metres}],{axes}]'
 
 
 @pytest.mark.parametrize("text", SYSTEMS)
@@ -36,6 +43,9 @@ def test_a_crs_is_the_same_after_wkt_1_and_differs_from_all_others(text):
         ("EPSG:4326", "EPSG:4258", "WGS 84 against ETRS89"),
         ("EPSG:2994", "EPSG:2993", r"\(ft\) against .*\(m\)"),
         ("EPSG:27572", "EPSG:27571", "Lambert zone II against .*Lambert zone I"),
+        (site_grid("metre", 1.0), site_grid("foot", 0.3048), r"site grid \(metre\) against site grid \(foot\)"),
+        (site_grid("metre", 1.0), "EPSG:25832+5778", "site grid against ETRS89 / UTM zone 32N"),
+        ("EPSG:5703", "EPSG:6360", r"NAVD88 height against NAVD88 height \(ftUS\)"),
     ],
 )
 def test_what_differs_is_said_and_refused(a, b, words):
@@ -50,6 +60,7 @@ def test_what_differs_is_said_and_refused(a, b, words):
         ("EPSG:25832+5778", "+proj=utm +zone=32 +ellps=GRS80 +units=m"),
         ("EPSG:32632+5773", "+proj=utm +zone=32 +datum=WGS84 +units=m"),
         ("EPSG:7415", "EPSG:28992+5709"),
+        (f'COMPD_CS["site",{site_grid("metre", 1.0)},{HEIGHTS}]', site_grid("metre", 1.0)),
     ],
 )
 def test_what_one_of_them_leaves_out_is_no_difference(a, b):

@@ -141,6 +141,11 @@ def test_maps_come_in_the_order_of_the_chosen_views(device):
     assert all(m.height.shape == SIZE[::-1] and m.height.dtype == np.float32 for m in maps)
 
 
+def test_only_the_first_pass_goes_without_its_own_number_of_rungs(device):
+    with pytest.raises(ValueError, match="a pass after the first expects its own number of rungs"):
+        sweep(BEDS["dry"].block(device, ring(4)), [0, 1], (-2.2, -1.8), ignore, (SMALL[0], SMALL[0]))
+
+
 def test_progress_is_the_share_of_the_samples_compared(device, monkeypatch):
     counted, shares = [], []
 

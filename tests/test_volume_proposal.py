@@ -17,6 +17,7 @@ from fields.volume.paths import Paths, paths_of
 from fields.volume.photographs import Photographs
 from fields.volume.proposal import EVEN_SHARE, Histogram, Proposal, ProposalSettings, bound_of, interlevel_loss
 from fields.volume.renderer import VolumeRenderer
+from fields.volume.sampling import samples_by_mass
 from fields.volume.train import Training, train_volume
 from fields.water_column import WaterColumn
 
@@ -130,6 +131,14 @@ def test_the_loss_teaches_the_proposal_alone():
     assert opaque.grad is None
     assert all(p.grad is None for p in model.parameters())
     assert [name for name, p in made.named_parameters() if p.grad is None or not p.grad.any()] == []
+
+
+def test_a_proposal_does_not_learn_from_samples_that_others_drew():
+    renderer = VolumeRenderer(HashVolume(BOX, HashSettings(3, 8, 6, 12, hidden=8, geometry=3)), proposal=proposal())
+    paths = falling(4)
+    even = samples_by_mass(torch.stack([paths.near, paths.far], dim=1), torch.ones(4, 1), 8, False, dense=True)
+    with pytest.raises(TypeError, match="samples that it drew itself"):
+        renderer.penalty(paths, renderer.render(paths, even))
 
 
 def test_a_renderer_has_the_proposals_parameters_and_comes_back_bit_for_bit():

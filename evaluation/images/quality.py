@@ -127,7 +127,8 @@ def gmsd(reference: np.ndarray, image: np.ndarray) -> float:
     quality index, IEEE Transactions on Image Processing 23 (2014), equations 4 and 6.
     """
     a, b = checked_pair(reference, image, smallest=6)
-    return _deviation(*(pooled(yiq(255.0 * x)[0], 2) for x in (a, b)))
+    x, y = (pooled(yiq(255.0 * v)[0], 2) for v in (a, b))
+    return _deviation(x, y)
 
 
 def ms_gmsd(reference: np.ndarray, image: np.ndarray) -> float:

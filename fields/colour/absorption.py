@@ -65,8 +65,10 @@ def estimate_absorption(sources: Sources) -> tuple[float, float, float]:
     Raises
     ------
     ValueError
-        If too little of the bed is seen along ways that differ enough.
+        If the survey is dry, or too little of the bed is seen along ways that differ enough.
     """
+    if sources.water is None:
+        raise ValueError("the survey is dry: it has no water that could absorb light")
     points, patch = _patches(sources)
     parts = [
         _sightings(points, patch, *view, sources.water)
@@ -75,7 +77,8 @@ def estimate_absorption(sources: Sources) -> tuple[float, float, float]:
     seen = Sightings(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("patch", "below", "way")))
     if np.count_nonzero(np.bincount(seen.patch) > 1) < FEWEST:
         raise ValueError("hardly any bed under water is seen by several views")
-    return tuple(_fit(seen.patch, seen.below[:, channel], seen.way) for channel in range(3))
+    red, green, blue = (_fit(seen.patch, seen.below[:, channel], seen.way) for channel in range(3))
+    return red, green, blue
 
 
 def _patches(sources: Sources) -> tuple[np.ndarray, np.ndarray]:

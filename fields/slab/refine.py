@@ -41,8 +41,8 @@ def refine(
         rays, held = slab_rays(camera, depth_map, image, water, field.slab, r, c)
         if len(rays) == 0:
             continue
-        found, _ = field.heights(rays)
-        found = found.numpy()
+        heights, _ = field.heights(rays)
+        found = heights.numpy()
         inside = np.abs(found - height[r[held], c[held]]) < field.slab.half
         height[r[held][inside], c[held][inside]] = found[inside]
         moved += int(inside.sum())

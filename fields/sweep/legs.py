@@ -27,9 +27,9 @@ def legs_through(camera, u, v, plane) -> list:
     """
     xp = kernels.namespace(u)
     x, y = (u - camera[14]) / camera[12], (v - camera[15]) / camera[13]
-    ray = [camera[c] * x + camera[3 + c] * y + camera[6 + c] for c in range(3)]
-    length = xp.rsqrt(kernels.dot(ray, ray))
-    ray = tuple(c * length for c in ray)
+    unscaled = [camera[c] * x + camera[3 + c] * y + camera[6 + c] for c in range(3)]
+    per_length = xp.rsqrt(kernels.dot(unscaled, unscaled))
+    ray = tuple(c * per_length for c in unscaled)
     point, normal, n_water = plane
     centre = camera[9:12]
     fall = kernels.dot(ray, normal)
@@ -49,7 +49,8 @@ def seen_at(camera, legs, z, plane) -> tuple:
     point = tuple(foot + z * s for foot, s in zip(legs[:3], slope, strict=True))
     centre = tuple(camera[9:12])
     if plane is not None:
-        point, _ = kernels.crossing_of_point(centre, point, *plane, CROSSING_STEPS)
+        at, normal, n_water = plane
+        point, _ = kernels.crossing_of_point(centre, point, at, normal, n_water, CROSSING_STEPS)
     d = kernels.minus(point, centre)
     x, y, depth = (kernels.dot(camera[first : first + 3], d) for first in (0, 3, 6))
     u = camera[12] * x / depth + camera[14]

@@ -31,9 +31,9 @@ class Pass:
     ----------
     scale : of the image, 1 is full size
     radius : of the NCC window [px]
-    rungs : odd number of heights tried; None, and of the first pass, as many as the bound holds
+    rungs : number of heights tried, odd; None for the first pass, which tries as many as the bound holds
     step_px : parallax between two rungs [px at this scale]
-    neighbours : views compared with
+    neighbours : number of views compared with
     fuse : after the pass, average each height with those of the views that agree
     """
 
@@ -154,16 +154,19 @@ def climbs_of(block: Block, chosen: list[int], p: Pass, bound: tuple[float, floa
         others = block.neighbours(view, p.neighbours)
         if not others:
             continue
-        rungs = p.rungs
         if bound is not None:
             step = _step(block, p, view, others, 0.5 * (bound[0] + bound[1]))
             rungs = int(np.ceil((bound[1] - bound[0]) / step)) + 1
+        elif p.rungs is not None:
+            rungs = p.rungs
+        else:
+            raise ValueError("a pass after the first expects its own number of rungs, got None")
         found.append(Climb(view, others, rungs, _pixels(block, p) * rungs * len(others)))
     return found
 
 
 def _pixels(block: Block, p: Pass) -> int:
-    """Of an image at the scale of a pass."""
+    """Number of pixels of an image at the scale of a pass."""
     camera = block.cameras[0].scaled(p.scale)
     return camera.width * camera.height
 

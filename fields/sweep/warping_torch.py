@@ -28,10 +28,10 @@ def pixels_of(stack: ViewStack, view: int, first_row: int, rows: int) -> Tensor:
 
 def legs_of(stack: ViewStack, view: int, first_row: int, rows: int) -> list[Tensor]:
     """Legs (see `fields.sweep.legs`) of a strip of pixels of `view`: nine tensors of P = rows * width."""
-    like = {"dtype": torch.float32, "device": stack.device.place}
-    v, u = torch.meshgrid(
-        torch.arange(rows, **like) + (first_row + 0.5), torch.arange(stack.width, **like) + 0.5, indexing="ij"
-    )
+    place = stack.device.place
+    row = torch.arange(rows, dtype=torch.float32, device=place) + (first_row + 0.5)
+    column = torch.arange(stack.width, dtype=torch.float32, device=place) + 0.5
+    v, u = torch.meshgrid(row, column, indexing="ij")
     camera = [float(c) for c in camera_table([stack.cameras[view]])[0]]
     return legs_through(camera, u.reshape(-1), v.reshape(-1), stack.plane)
 

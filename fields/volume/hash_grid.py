@@ -61,6 +61,10 @@ class HashGrid(nn.Module):
         As in `HashSettings`.
     """
 
+    cells: Tensor
+    strides: Tensor
+    first: Tensor
+
     def __init__(self, box: Box, levels: int, log2_table: int, n_min: int, n_max: int):
         super().__init__()
         grids = [grid_of(box, round(n)) for n in geometric_scales(n_min, n_max, levels)]

@@ -85,7 +85,7 @@ class MlpVolume(VolumeModel):
         if settings.direction_frequencies:
             self.bottleneck = nn.Linear(width, width)
             seen = width + encoded_length(settings.direction_frequencies) + appearance
-            self.colour = nn.Sequential(nn.Linear(seen, width // 2), nn.ReLU(), nn.Linear(width // 2, 3))
+            self.colour: nn.Module = nn.Sequential(nn.Linear(seen, width // 2), nn.ReLU(), nn.Linear(width // 2, 3))
         else:
             self.colour = nn.Linear(width + appearance, 3)
 

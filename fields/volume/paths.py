@@ -179,9 +179,15 @@ def paths_along(
         before = -(bent.air_direction[bent.wet] * up).sum(axis=-1)
         reflectance[bent.wet] = fresnel_coefficients(before, n_from=1.0, n_to=water.n_water).reflectance
         fall[bent.wet] = -(wet[bent.wet] * up).sum(axis=-1)
-    columns = (origin, bent.air_direction, wet, crossing, near, far, reflectance, fall)
-    tensors = (torch.as_tensor(np.nan_to_num(c, posinf=np.inf, neginf=-np.inf), dtype=torch.float32) for c in columns)
-    return Paths(*tensors, rgb, view, torch.empty(len(origin), 0))
+    return Paths(
+        _single(origin), _single(bent.air_direction), _single(wet), _single(crossing), _single(near), _single(far),
+        _single(reflectance), _single(fall), rgb, view, torch.empty(len(origin), 0),
+    )  # fmt: skip
+
+
+def _single(values: np.ndarray) -> Tensor:
+    """In single precision, with zeros for NaN; what is infinite stays so."""
+    return torch.as_tensor(np.nan_to_num(values, posinf=np.inf, neginf=-np.inf), dtype=torch.float32)
 
 
 def _like(values: np.ndarray, x: Tensor) -> Tensor:

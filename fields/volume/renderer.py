@@ -12,7 +12,7 @@ from fields.gamma import GAMMA, as_stored
 from fields.training import Rates
 from fields.volume.model import VolumeModel
 from fields.volume.paths import Paths
-from fields.volume.proposal import Proposal
+from fields.volume.proposal import Proposal, Proposed
 from fields.volume.sampling import Cells, Samples
 from fields.water_column import WaterColumn
 
@@ -114,6 +114,8 @@ class VolumeRenderer(nn.Module):
         one = torch.randint(rendered.samples.s.shape[1], (len(paths), 1))
         total = self.model.penalty(paths.at(rendered.samples.s.gather(1, one))[:, 0])
         if self.proposal is not None:
+            if not isinstance(rendered.samples, Proposed):
+                raise TypeError("the proposal is trained by samples that it drew itself, got others")
             total = total + self.proposal.loss(rendered.samples, rendered.weights)
         return total
 
@@ -133,6 +135,8 @@ class Backdrop(nn.Module):
     stored : (3,) floats, 0 to 1
         As a photograph stores it. It is not learned.
     """
+
+    linear: Tensor
 
     def __init__(self, stored: tuple[float, float, float]):
         super().__init__()

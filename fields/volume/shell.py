@@ -39,6 +39,9 @@ class Shell(nn.Module):
         Width of the network.
     """
 
+    centre: Tensor
+    axes: Tensor
+
     def __init__(self, box: Box, *, layers: int = 8, hidden: int = 64):
         super().__init__()
         self.layers = layers

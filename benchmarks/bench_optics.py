@@ -23,7 +23,7 @@ from gallery_canvas import BLUE, IN_WATER, RED, canvas, label, save
 from kernel_limits import Limits, measure_limits, shares
 
 from refract import FlatWater, project, trace
-from survey.palette import INK, SOFT
+from survey.display.palette import INK, SOFT
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 PICTURE = DOCS / "img" / "optics_error.png"

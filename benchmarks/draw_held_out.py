@@ -16,7 +16,7 @@ from gallery_canvas import canvas, save
 from matplotlib.patches import Rectangle
 from PIL import Image
 
-from survey.palette import INK, RED, SOFT
+from survey.display.palette import INK, RED, SOFT
 
 PICTURE = Path(__file__).resolve().parents[1] / "docs" / "img" / "held_out.png"
 # Parts of the photograph, left, top, right, bottom [px]: what is shown whole, and the wreck.

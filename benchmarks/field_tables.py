@@ -8,7 +8,7 @@ import numpy as np
 from gallery_canvas import canvas, save
 from PIL import Image
 
-from survey.palette import INK, SOFT
+from survey.display.palette import INK, SOFT
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 LABELS = {

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from survey.palette import INK, SOFT
+from survey.display.palette import INK, SOFT
 
 # Okabe and Ito's colours, told apart by all eyes; on white, with a pale water.
 BLUE, ORANGE, GREEN, RED = "#0072b2", "#e69f00", "#009e73", "#d55e00"

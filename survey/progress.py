@@ -34,6 +34,17 @@ def current() -> Progress:
     return _CURRENT.get(None) or Progress(verbosity=-1)
 
 
+@contextmanager
+def opened() -> Iterator[Progress]:
+    """The progress of the running command, or one of its own for a block that writes a log."""
+    progress = _CURRENT.get(None)
+    if progress is not None:
+        yield progress
+        return
+    with Progress(verbosity=-1) as progress:
+        yield progress
+
+
 class Stage:
     """A running stage; the pipeline tells it how far it is."""
 

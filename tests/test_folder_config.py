@@ -88,7 +88,7 @@ def test_any_level_survives_the_round_trip_to_the_last_bit(level):
         ("[gcp]\nfile = 'a'", "unknown table [gcp]; that is [control] gcps here, which is not supported yet: give"),
         ("[water]\nior = 1.3", "that is [water] refractive_index here."),
         ("[volcano]\nlava = 1", "unknown table [volcano]; known are [images], [cameras], [water], [area], [local]."),
-        ("[area]\nlava = 1", "unknown key lava in [area]; known are bounds."),
+        ("[area]\nlava = 1", "unknown key lava in [area]; known are bounds, heights."),
         ("lava = 1", "unknown key lava; known are name, crs."),
     ],
 )

@@ -89,7 +89,8 @@ def solved(monkeypatch, names):
         lens = Lens("SIMPLE_RADIAL", (focal_px or 90.0, 32.0, 24.0, -0.01), 64, 48)
         down = np.diag([1.0, -1.0, -1.0])
         views = [(name, lens, np.array([3.0 * i, 0.0, 20.0]), down) for i, name in enumerate(names)]
-        return SimpleNamespace(frame=frame, views=views, notes=["placed by GPS"])
+        points, num_views = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, -2.0]]), np.array([2, 3])
+        return SimpleNamespace(frame=frame, views=views, notes=["placed by GPS"], points=points, num_views=num_views)
 
     monkeypatch.setitem(sys.modules, "survey.sfm.poses", SimpleNamespace(solve_poses=solve_poses))
     return calls

@@ -17,10 +17,10 @@ from small_survey import TOML, small_survey
 from evaluation import DistanceStatistics
 from geo import LocalFrame
 from survey.compare.comparison import CompareOptions, compare_surfaces
+from survey.display.plan_grid import PlanGrid
+from survey.display.quantities import LengthUnit, length
 from survey.folder.survey import load_survey
 from survey.plan.plan import Decision, Plan
-from survey.plan_grid import PlanGrid
-from survey.quantities import LengthUnit, length
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.cut import choose_cut
 from survey.report.figures import figures_of

@@ -22,19 +22,22 @@ MAY_IMPORT = {
 # Folders by layer, the lowest first: a folder imports only folders of the layers below its own, within what its room
 # may import at all.
 LAYERS = (
-    {"refract", "geo", "evaluation/images"},
-    {"evaluation", "fields", "survey"},
-    {"fields/sweep", "survey/photos", "survey/simulate/flight"},
-    {"fields/slab", "survey/photos/formats", "survey/sfm", "survey/compare", "survey/simulate"},
-    {"fields/colour", "fields/volume", "survey/folder", "survey/simulate/drawn"},
-    {"survey/plan"},
-    {"survey/adjust", "survey/report"},
-    {"survey/run"},
+    {"refract", "geo", "evaluation/images", "fields"},
+    {"evaluation", "fields/sweep", "fields/volume", "survey"},
+    {"fields/colour", "fields/slab", "survey/files", "survey/display"},
+    {"survey/photos", "survey/compare"},
+    {"survey/photos/formats", "survey/sfm", "survey/simulate/flight"},
+    {"survey/folder", "survey/simulate"},
+    {"survey/plan", "survey/simulate/ground"},
+    {"survey/adjust", "survey/report", "survey/simulate/render"},
+    {"survey/run", "survey/simulate/output"},
+    {"survey/simulate/drawn"},
+    {"survey/simulate/staging"},
     {"survey/commands"},
     {"bathynerf"},
 )
 # What every part of survey uses stands in its folder itself, and nothing else; twelve files at most.
-SURVEY_SHARED = {"__init__.py", "errors.py", "progress.py", "stage_key.py"}
+SURVEY_SHARED = {"__init__.py", "code_hash.py", "errors.py", "machine.py", "progress.py", "stage_key.py"}
 MOST_SHARED = 12
 OUTSIDE = {"tests", "benchmarks", "docs"}
 CONSOLE_FOLDER, CONSOLE_FILE = "survey/commands", "survey/progress.py"
@@ -54,16 +57,32 @@ DISK_FILES = {
     for folder, names in {
         "fields": ("device",),
         "geo": ("e57", "files", "gltf", "las", "las_header", "obj", "ply", "ply_reading", "raster"),
-        "survey": ("progress", "stage_key"),
-        "survey/adjust": ("estimate",),
-        "survey/compare": ("canvas", "checkpoints", "comparison"),
-        "survey/folder": ("config", "found", "infer", "pairing", "water_level"),
-        "survey/photos": ("exif", "images", "priors"),
+        "survey": ("code_hash", "machine", "progress", "stage_key"),
+        "survey/adjust": ("calibration",),
+        "survey/commands": ("streams",),
+        "survey/compare": ("canvas", "comparison"),
+        "survey/files": ("csv_table", "json_values", "outputs", "toml_table"),
+        "survey/folder": ("found", "infer", "inputs", "pairing"),
+        "survey/photos": ("images", "opening", "priors"),
         "survey/photos/formats": ("__init__", "colmap", "opk_csv"),
+        "survey/plan": ("workload",),
         "survey/report": ("__init__", "page"),
-        "survey/run": ("folder", "process", "render", "stored", "stored_field", "water", "water_colour"),
+        "survey/run": (
+            "folder",
+            "process",
+            "products",
+            "render",
+            "result",
+            "stage",
+            "stage_water",
+            "stored",
+            "stored_field",
+            "water_colour",
+        ),
         "survey/sfm": ("block", "poses", "solve"),
-        "survey/simulate": ("planning", "scene_file", "sidecars", "simulate", "texture", "truth", "writing"),
+        "survey/simulate/ground": ("texture",),
+        "survey/simulate/output": ("sidecars", "truth", "writing"),
+        "survey/simulate/staging": ("planning", "simulate"),
     }.items()
     for name in names
 }

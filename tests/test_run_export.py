@@ -117,7 +117,8 @@ def test_what_the_run_itself_needs_is_not_overwritten(stored, tmp_path):
     with RunDir(tmp_path / "run") as run:
         folder = run.open_stage("bed")
         save_bed(folder, stored)
-        run.finish_stage("bed", "key", folder)
+        folder = run.finish_stage("bed", Key({}), folder)
+        run.publish(run.open_result(), quality="standard", stages={"bed": folder})
     export(run.path, las=tmp_path / "a.las")
     run.cloud_path.write_bytes((tmp_path / "a.las").read_bytes())
     (tmp_path / "link.las").symlink_to(run.cloud_path)

@@ -8,9 +8,11 @@ import math
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 
 from refract import FlatWater
 from refract.lens import Lens
+from survey.display.palette import OBLIQUE
 from survey.errors import SurveyError
 from survey.simulate.flight import FlightSettings, plan_flight
 from survey.simulate.flight.coverage import SYSTEMATIC_PX, coverage
@@ -177,7 +179,8 @@ def test_the_picture_of_a_plan_is_a_png_that_shows_views_and_cameras():
     with Image.open(io.BytesIO(image)) as shown:
         pixels = np.asarray(shown.convert("RGB"))
     assert min(pixels.shape[:2]) > 500
-    assert ((pixels[..., 0] > 180) & (pixels[..., 1] < 80)).sum() > 50  # red: the oblique cameras
+    oblique = 255.0 * np.array(to_rgb(OBLIQUE))
+    assert (np.abs(pixels - oblique).max(axis=-1) < 2.0).sum() > 50
 
 
 def test_planned_poses_are_read_back_from_cameras_csv():

@@ -14,11 +14,11 @@ from survey.adjust.tie_points import TiePoints
 from survey.adjust.water import LENS_STD_PX, POSE_STD_DEG, POSE_STD_M, water_from_ties
 from survey.adjust.water_estimate import WaterEstimate
 from survey.errors import SurveyError
+from survey.files.outputs import is_json, require_file
 from survey.folder.config import WaterConfig
 from survey.folder.inputs import survey_inputs
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey, load_survey
-from survey.outputs import is_json, require_file
 from survey.plan.block import camera_of, limits, load_block, local_area
 from survey.plan.plan import make_plan
 from survey.progress import current
@@ -58,13 +58,14 @@ def estimate_water(
         Where the survey cannot be used, its photographs do not match, or the file cannot be written.
     """
     progress = current()
-    require_file("--json", json_path, survey_inputs(Path(folder)), kind="a JSON file", is_of_kind=is_json)
     workspace = None if run_folder is None else run_folder / "sfm"
     if workspace is not None and not workspace.is_dir():
         raise SurveyError(
             f"{run_folder} has no poses by structure from motion (there is no folder {workspace}); name a run folder "
             "of this survey that has, or leave --run out"
         )
+    if json_path is not None:
+        require_file("--json", json_path, survey_inputs(Path(folder)), kind="a JSON file", is_of_kind=is_json)
     survey = load_survey(folder, workspace=workspace, report=progress.note)
     if survey.water is None:
         raise SurveyError("a dry survey has no water to estimate; give [water] level_m to start from")

@@ -13,8 +13,8 @@ from evaluation import Band
 from survey.compare.canvas import save
 from survey.compare.figures import Parts
 from survey.compare.text import limits_label
-from survey.palette import BLUE, INK, RED, SOFT
-from survey.quantities import LengthUnit, count
+from survey.display.palette import BLUE, INK, RED, SOFT
+from survey.display.quantities import LengthUnit, count
 
 # Bands of fewer points say nothing: only their number is shown. Those of a smaller share of the points than this may
 # reach beyond the axis, so that the others can be told apart.

@@ -19,7 +19,7 @@ from pyproj import CRS
 
 from geo import write_whole
 from geo.crs import is_geographic
-from survey.palette import EMPTY, INK, SOFT
+from survey.display.palette import EMPTY, INK, SOFT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

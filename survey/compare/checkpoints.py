@@ -12,7 +12,7 @@ from geo.files import existing_file
 from survey.compare.area import CompareError, to_local
 from survey.compare.figures import Checkpoints
 from survey.compare.scene import Scene
-from survey.csv_table import read_table
+from survey.files.csv_table import read_table
 
 _COLUMNS = ("easting", "northing", "height", "sigma")
 
@@ -21,7 +21,7 @@ def read_checkpoints(path: Path) -> np.ndarray:
     """Check points (K, 4) of a CSV: easting, northing, height in the CRS of the cloud, standard deviation [m].
 
     The last column may be missing (0 then). A first line may name the columns, in any order; without their names they
-    stand in this one. See `survey.csv_table` for what may separate them.
+    stand in this one. See `survey.files.csv_table` for what may separate them.
 
     Raises
     ------

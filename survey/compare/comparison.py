@@ -20,7 +20,7 @@ from survey.compare.options import CompareOptions, check_options, check_outputs,
 from survey.compare.pictures import write_report
 from survey.compare.result import Comparison
 from survey.compare.scene import Scene
-from survey.json_values import write_json
+from survey.files.json_values import write_json
 from survey.progress import current
 
 __all__ = ["CompareOptions", "Comparison", "compare_files", "compare_surfaces"]

@@ -9,7 +9,7 @@ from evaluation import Band, DepthParts, DistanceStatistics, Scores
 from evaluation.bootstrap import LEVEL, NUM_DRAWS, SEED
 from evaluation.standards import TvuOrder
 from survey.compare.figures import Checkpoints, Circumstances, Figures, Parts, Vertical, VerticalUncertainty
-from survey.json_values import plain
+from survey.files.json_values import plain
 
 
 def numbers_of(figures: Figures) -> dict:

@@ -11,9 +11,9 @@ from pyproj import CRS
 
 from survey.compare.bands import draw_bands, has_bands
 from survey.compare.canvas import Extent, canvas, colour_bar, figure_of, map_canvas, nice_limit, save, show, write_title
-from survey.palette import BLUE, DIFFERENCES, INK, NOT_REACHED, PALE, RED, SIZES
-from survey.plan_grid import PlanGrid
-from survey.quantities import LengthUnit, count, length, share
+from survey.display.palette import BLUE, DIFFERENCES, INK, NOT_REACHED, PALE, RED, SIZES
+from survey.display.plan_grid import PlanGrid
+from survey.display.quantities import LengthUnit, count, length, share
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,7 +9,7 @@ from pathlib import Path
 import tomli_w
 
 from survey.errors import ConfigError
-from survey.toml_table import key, parse_toml, read_toml, require_one_of, require_positive
+from survey.files.toml_table import key, parse_toml, read_toml, require_one_of, require_positive
 
 _ANY_LEVEL = ("level_m", "shoreline", "gnss_points", "gauge")
 _TOPOCENTRIC = "topocentric east-north-up"

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from survey.errors import FILE_NAME
+from survey.files.outputs import Inputs
 from survey.folder import infer
 from survey.folder.config import read_config
 from survey.folder.water_level import SOURCES
-from survey.outputs import Inputs
 from survey.photos.exif import SUFFIXES
 from survey.photos.formats import find_poses
 

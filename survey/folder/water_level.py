@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from survey.csv_table import Row, read_table
 from survey.errors import FILE_NAME, ConfigError
+from survey.files.csv_table import Row, read_table
 from survey.folder.config import SurveyConfig
 from survey.photos.exif import Exif
 

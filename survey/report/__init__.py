@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from geo.files import write_whole
-from survey.json_values import write_json
+from survey.files.json_values import write_json
 from survey.report.facts import ReportFacts
 from survey.report.figures import figures_of
 from survey.report.page import render_page

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from survey.plan_grid import PlanGrid
+from survey.display.plan_grid import PlanGrid
 from survey.report.facts import ReportFacts
 
 # Cells along the longer side of the bed; lines that are tried: directions, and places across each.

@@ -6,11 +6,11 @@ import numpy as np
 from pyproj import CRS
 
 from geo.crs import horizontal_crs, vertical_crs
+from survey.display.plan_grid import PlanGrid
+from survey.files.json_values import plain
 from survey.folder.survey import Survey
-from survey.json_values import plain
 from survey.photos.images import list_images
 from survey.plan.plan import Plan
-from survey.plan_grid import PlanGrid
 from survey.report.baselines import baselines_of
 from survey.report.facts import ReportFacts
 from survey.report.verdict import Verdict

@@ -13,10 +13,10 @@ from matplotlib.patches import Rectangle
 
 from refract import PinholeCamera
 from survey.compare.canvas import map_canvas, save, show, write_title
+from survey.display.palette import BOUNDS, INK, LAND, OBLIQUE, WATER
+from survey.display.plan_grid import PlanGrid, metres_per_unit
+from survey.display.quantities import number
 from survey.folder.survey import Survey
-from survey.palette import BOUNDS, INK, LAND, OBLIQUE, WATER
-from survey.plan_grid import PlanGrid, metres_per_unit
-from survey.quantities import number
 from survey.report.facts import ReportFacts
 from survey.report.shading import Picture
 

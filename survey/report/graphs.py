@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from survey.compare.canvas import canvas, nice_limit, save, write_title
-from survey.palette import BLUE, INK, RED, SERIES, SOFT
-from survey.quantities import LengthUnit, number, with_unit
+from survey.display.palette import BLUE, INK, RED, SERIES, SOFT
+from survey.display.quantities import LengthUnit, number, with_unit
 from survey.report.facts import ReportFacts
 from survey.report.shading import Picture
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from survey.quantities import NO_BREAK, LengthUnit, count, length, metres, number, share
+from survey.display.quantities import NO_BREAK, LengthUnit, count, length, metres, number, share
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,10 @@ from matplotlib.colors import BoundaryNorm, Normalize
 from matplotlib.figure import Figure
 
 from survey.compare.canvas import colour_bar, map_canvas, save, show, write_title
-from survey.palette import COUNTS, EMPTY, INK, SPREADS
+from survey.display.palette import COUNTS, EMPTY, INK, SPREADS
+from survey.display.plan_grid import PlanGrid
+from survey.display.quantities import LengthUnit
 from survey.photos.images import load_image
-from survey.plan_grid import PlanGrid
-from survey.quantities import LengthUnit
 from survey.report.cut import Cut
 from survey.report.facts import ReportFacts
 from survey.report.profile import draw_line

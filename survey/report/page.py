@@ -7,7 +7,7 @@ from functools import cache
 
 import jinja2
 
-from survey import palette
+from survey.display import palette
 from survey.report import reference_tables, survey_tables
 from survey.report.blocks import Rows, Section, Sentences
 from survey.report.headline import cards, headline

@@ -10,7 +10,7 @@ import numpy as np
 
 from survey.compare import bands as compare_bands
 from survey.compare import pictures as compare_report
-from survey.plan_grid import PlanGrid
+from survey.display.plan_grid import PlanGrid
 from survey.report import flight, graphs, maps, profile
 from survey.report.cut import choose_cut
 from survey.report.facts import ReportFacts, distances_of

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 
 from geo.crs import is_geographic
 from survey.compare.canvas import canvas, save, write_title
-from survey.palette import BLUE, INK, LAND, RED, WATER, WATER_LINE
-from survey.quantities import NO_BREAK, metres, number
+from survey.display.palette import BLUE, INK, LAND, RED, WATER, WATER_LINE
+from survey.display.quantities import NO_BREAK, metres, number
 from survey.report.cut import Cut
 from survey.report.facts import ReportFacts
 from survey.report.shading import Picture

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from survey.compare.text import band_label
-from survey.quantities import NO_BREAK, LengthUnit, count, length, share
+from survey.display.quantities import NO_BREAK, LengthUnit, count, length, share
 from survey.report.blocks import Block, Rows, Sentences, Table, Text
 
 _BANDS = (

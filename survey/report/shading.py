@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Colormap, LightSource, Normalize
 
-from survey.palette import DEPTHS, DRY_GROUND, HEIGHTS
+from survey.display.palette import DEPTHS, DRY_GROUND, HEIGHTS
 from survey.report.raster import hillshade
 
 

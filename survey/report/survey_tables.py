@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from survey.quantities import LengthUnit, count, length, metres, number, with_unit
+from survey.display.quantities import LengthUnit, count, length, metres, number, with_unit
 from survey.report.blocks import Block, Rows, Table
 
 # Digits of coordinates by their unit: to the centimetre in metres, to about as much in degrees.

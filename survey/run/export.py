@@ -10,7 +10,7 @@ import numpy as np
 from geo.las import write_cloud
 from geo.ply import write_ply
 from survey.errors import SurveyError
-from survey.outputs import require_file
+from survey.files.outputs import require_file
 from survey.progress import current
 from survey.run.folder import RunDir
 from survey.run.stored import StoredBed, load_bed
@@ -44,7 +44,7 @@ def export(run: Path, *, las: Path | None = None, laz: Path | None = None, ply: 
         If nothing is asked for, a name does not end as its format does, the folder is no run, or the run has
         not come as far as the cloud.
     OutputError
-        If a file must not be written, see `survey.outputs`: a file that is there is replaced only where bathynerf
+        If a file must not be written, see `survey.files.outputs`: a file that is there is replaced only where bathynerf
         wrote it.
     GeoError
         If a file cannot be written.

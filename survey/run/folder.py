@@ -23,7 +23,7 @@ from typing import BinaryIO
 from geo.files import disk_refusals, write_whole
 from survey.code_hash import code_hash
 from survey.errors import SurveyError
-from survey.outputs import Inputs
+from survey.files.outputs import Inputs
 from survey.progress import current
 from survey.run import result
 from survey.run.keys import Key
@@ -124,7 +124,7 @@ class RunDir:
     def inputs(self) -> Inputs:
         """What other commands read of the run, or would spoil."""
         files = (self.path / name for name in result.NAMES)
-        return Inputs.of(*files, self.stages_path, self.sfm_path)
+        return Inputs.of(*files) + Inputs((), (self.stages_path, self.pictures_path, self.sfm_path))
 
     def warn_if_unfinished(self) -> None:
         """Warn where a later `process` began here and did not finish, so that the result is that of the one before."""

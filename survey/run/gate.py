@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
+from survey.display.plan_grid import PlanGrid
 from survey.plan.block import local_area
 from survey.report.verdict import Gate, Verdict
 
@@ -66,25 +67,24 @@ def cells_seen(survey: Survey, xyz: np.ndarray, gsd_m: float) -> tuple[np.ndarra
     Returns
     -------
     has_point : (rows, columns) bool
+        Rows from south to north.
     num_views : (rows, columns) int
     """
     cameras = [view.camera for view in survey.views]
     low, high = _extent(survey, cameras, float(np.median(xyz[:, 2])))
     cell = max(CELL_GSD * gsd_m, float((high - low).max()) / _MOST_CELLS)
-    columns, rows = np.maximum(np.ceil((high - low) / cell), 1).astype(int)
-    index = np.floor((xyz[:, :2] - low) / cell).astype(int)
-    inside = (index >= 0).all(axis=1) & (index < (columns, rows)).all(axis=1)
-    flat = index[inside, 1] * columns + index[inside, 0]
-    count = np.bincount(flat, minlength=rows * columns).reshape(rows, columns)
-    total = np.bincount(flat, xyz[inside, 2], minlength=rows * columns).reshape(rows, columns)
-    has_point = count > 0
+    grid = PlanGrid.within(xyz, low, high, cell)
+    height = grid.mean(xyz[:, 2])[::-1]
+    has_point = np.isfinite(height)
     if not has_point.any():
-        return has_point, np.zeros((rows, columns), dtype=int)
+        return has_point, np.zeros(grid.shape, dtype=int)
     nearest = distance_transform_edt(~has_point, return_distances=False, return_indices=True)
-    height = (total / np.maximum(count, 1))[tuple(nearest)]
-    x, y = low[0] + cell * (np.arange(columns) + 0.5), low[1] + cell * (np.arange(rows) + 0.5)
+    height = height[tuple(nearest)]
+    west, _, south, _ = grid.extent
+    rows, columns = grid.shape
+    x, y = west + cell * (np.arange(columns) + 0.5), south + cell * (np.arange(rows) + 0.5)
     places = np.stack([*np.meshgrid(x, y), height], axis=-1)
-    num_views = np.zeros((rows, columns), dtype=int)
+    num_views = np.zeros(grid.shape, dtype=int)
     for camera in cameras:
         part = _around(camera, x, y, height)
         pixel = camera.project(places[part].reshape(-1, 3), survey.water)

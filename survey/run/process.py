@@ -13,14 +13,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from survey.errors import SurveyError
+from survey.files.outputs import Inputs, require_folder
 from survey.folder.inputs import survey_inputs
 from survey.folder.survey import Survey, load_survey
-from survey.outputs import Inputs, require_folder
 from survey.plan.check import require_processable
 from survey.plan.plan import Plan, make_plan
 from survey.plan.workload import require_room, workload_of
-from survey.progress import Progress, current
+from survey.progress import Progress, opened
 from survey.run.folder import RunDir
+from survey.run.truth import Truth
 
 if TYPE_CHECKING:
     from survey.run.job import Job
@@ -29,8 +30,8 @@ QUALITY_GATE_FAILED = 3
 
 
 def process(
-    survey_folder: Path,
-    run_folder: Path | None = None,
+    survey_folder: str | Path,
+    run_folder: str | Path | None = None,
     *,
     quality: str = "standard",
     device: str = "auto",
@@ -38,15 +39,15 @@ def process(
     field: str = "auto",
     calibrate_water: bool = False,
     true_colour: bool = False,
-    reference: Path | None = None,
-    visible: Path | None = None,
+    reference: str | Path | None = None,
+    visible: str | Path | None = None,
 ) -> int:
     """Make the point cloud of the bed, with a report, in a run folder.
 
     Parameters
     ----------
-    survey_folder : Path
-    run_folder : Path, optional
+    survey_folder : str or Path
+    run_folder : str or Path, optional
         Default ``survey_folder/bathynerf``.
     quality : "draft", "standard" or "fine"
     device : "auto", "cpu" or "cuda"
@@ -58,7 +59,7 @@ def process(
         First estimate level, slopes and index of the water from the photographs; what they cannot tell stays as given.
     true_colour : bool
         Give the points the bed's own colour, the water taken away, instead of the photographs'.
-    reference, visible : Path, optional
+    reference, visible : str or Path, optional
         True surface and the points of it that cameras see, for the report; the reconstruction never reads them.
 
     Returns
@@ -71,35 +72,42 @@ def process(
     SurveyError, GeoError
         Where the input is at fault.
     """
-    progress = current()
-    run_folder = survey_folder / "bathynerf" if run_folder is None else run_folder
-    for name, path in (("--reference", reference), ("--visible", visible)):
-        if path is not None and not path.exists():
-            raise SurveyError(f"{name} {path} does not exist; give the path of a PLY, OBJ, LAS or LAZ file")
-    require_folder("-o", run_folder, survey_inputs(survey_folder) + Inputs.of(reference, visible))
+    survey_folder = Path(survey_folder)
+    run_folder = survey_folder / "bathynerf" if run_folder is None else Path(run_folder)
+    truth = Truth(*(None if path is None else Path(path) for path in (reference, visible)))
+    _require_inputs(survey_folder, run_folder, truth)
     checked = require_processable(survey_folder)
     if true_colour and checked.found.config.water is None:
         raise SurveyError(
             "--true-colour takes the water away, but the survey has none; leave the option out, or give [water]"
         )
-    survey = checked.survey or load_survey(
-        survey_folder, found=checked.found, workspace=RunDir(run_folder).sfm_path, report=progress.note
-    )
-    plan_of = partial(make_plan, quality=quality, device=device, field=field)
-    plan = plan_of(survey)
-    workload = workload_of(survey, plan)
-    shortages = require_room(workload, run_folder)
-    # Starts torch and Dr.Jit: only after everything that the user may have to mend was looked at.
-    from survey.run.job import Job
+    with opened() as progress:
+        survey = checked.survey or load_survey(
+            survey_folder, found=checked.found, workspace=RunDir(run_folder).sfm_path, report=progress.note
+        )
+        plan_of = partial(make_plan, quality=quality, device=device, field=field)
+        plan = plan_of(survey)
+        workload = workload_of(survey, plan)
+        shortages = require_room(workload, run_folder)
+        # Starts torch and Dr.Jit: only after everything that the user may have to mend was looked at.
+        from survey.run.job import Job
 
-    with RunDir(run_folder) as run:
-        progress.log_to(run.log_path)
-        _announce(progress, survey, plan)
-        progress.note(f"workload: {workload}")
-        for text in shortages:
-            progress.warn(text)
-        job = Job(survey, plan_of, progress, calibrate_water=calibrate_water, true_colour=true_colour)
-        return _to_the_end(run, job, resume, reference, visible)
+        with RunDir(run_folder) as run:
+            progress.log_to(run.log_path)
+            _announce(progress, survey, plan)
+            progress.note(f"workload: {workload}")
+            for text in shortages:
+                progress.warn(text)
+            job = Job(survey, plan_of, progress, calibrate_water=calibrate_water, true_colour=true_colour)
+            return _to_the_end(run, job, resume, truth)
+
+
+def _require_inputs(survey_folder: Path, run_folder: Path, truth: Truth) -> None:
+    """Raise where what the report compares with is not there, or the run would overwrite what is read."""
+    for name, path in (("--reference", truth.reference), ("--visible", truth.visible)):
+        if path is not None and not path.exists():
+            raise SurveyError(f"{name} {path} does not exist; give the path of a PLY, OBJ, LAS or LAZ file")
+    require_folder("-o", run_folder, survey_inputs(survey_folder) + Inputs.of(truth.reference, truth.visible))
 
 
 def _announce(progress: Progress, survey: Survey, plan: Plan) -> None:
@@ -112,19 +120,19 @@ def _announce(progress: Progress, survey: Survey, plan: Plan) -> None:
         progress.note(f"plan: {decision.name}: {decision.choice} ({decision.reason})")
 
 
-def _to_the_end(run: RunDir, job: Job, resume: bool, reference: Path | None, visible: Path | None) -> int:
+def _to_the_end(run: RunDir, job: Job, resume: bool, truth: Truth) -> int:
     """Stages, result and verdict; the exit code."""
     from survey.run.pipeline import BED_OF_SWEEP, STAGES
-    from survey.run.products import Truth, write_products
+    from survey.run.products import write_products
     from survey.run.stage import run_stage
 
     result = run.open_result()
-    stages = [*STAGES, BED_OF_SWEEP] if reference is not None else STAGES
+    stages = [*STAGES, BED_OF_SWEEP] if truth.reference is not None else STAGES
     done: dict[str, Path] = {}
     for stage in stages:
         if stage.is_on(job):
             done[stage.name] = run_stage(stage, job, run, done, resume=resume)
-    verdict = write_products(result, run, job, done, Truth(reference, visible))
+    verdict = write_products(result, run, job, done, truth)
     run.publish(result, quality=job.plan.quality, stages=done)
     job.progress.detail(f"report: {run.report_html_path}")
     for gate in verdict.gates:

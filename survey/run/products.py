@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.compare.result import Comparison
+from survey.files.json_values import write_json
 from survey.folder.config import dump_config
 from survey.folder.survey import Survey
-from survey.json_values import write_json
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.verdict import Verdict
 from survey.run.export import write_bed_las
@@ -20,23 +20,10 @@ from survey.run.gate import verdict_of
 from survey.run.job import Job
 from survey.run.stage_sweep import MAPS
 from survey.run.stored import load_bed, load_depth_maps
+from survey.run.truth import Truth
 
 # At which the report asks how complete the cloud is: that of the study which this work follows, and a finer one.
 TOLERANCES_M = (0.2, 0.05)
-
-
-@dataclass(frozen=True)
-class Truth:
-    """What a report compares with; the reconstruction never reads it.
-
-    Attributes
-    ----------
-    reference, visible : Path or None
-        True surface, and the points of it that cameras see.
-    """
-
-    reference: Path | None = None
-    visible: Path | None = None
 
 
 def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path], truth: Truth) -> Verdict:

@@ -16,10 +16,10 @@ from geo.frames import LocalFrame
 from refract import PinholeCamera
 from refract.lens import Lens
 from survey.errors import FILE_NAME, ConfigError, OutputError, SurveyError
+from survey.files.outputs import Inputs, require_file, require_folder
 from survey.folder.config import CamerasConfig, SurveyConfig, read_config
 from survey.folder.inputs import poses_inputs, survey_inputs
 from survey.folder.lens import lens_from_config
-from survey.outputs import Inputs, require_file, require_folder
 from survey.photos.cameras import Pose
 from survey.photos.formats import read_poses
 from survey.progress import current
@@ -62,8 +62,8 @@ def render(run: Path, cameras: Path, output: Path, *, dry: bool = False, device:
     SurveyError, GeoError
         If the run has no field, or the cameras are unusable.
     OutputError
-        If the pictures must not be written there, see `survey.outputs`: a picture that is there is replaced only where
-        render wrote it.
+        If the pictures must not be written there, see `survey.files.outputs`: a picture that is there is replaced
+        only where render wrote it.
     """
     folder = RunDir(run)
     folder.require_run()

@@ -26,7 +26,7 @@ from geo.frames import LocalFrame
 from refract.lens import Lens
 from survey.code_hash import code_hash
 from survey.errors import ImageError, SurveyError
-from survey.json_values import write_json
+from survey.files.json_values import write_json
 from survey.photos.exif import read_exif
 from survey.sfm import block as sfm_block
 from survey.sfm.gps import GpsPositions, gps_positions

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from survey.errors import ConfigError
+from survey.files.toml_table import parse_toml, read_toml, require_one_of, require_positive
 from survey.simulate.flight.settings import FlightSettings
-from survey.toml_table import parse_toml, read_toml, require_one_of, require_positive
 
 BEDS = ("drawn", "plane", "mesh", "cloud")
 TEXTURES = ("sand", "checker", "image", "vertex")

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from survey.csv_table import Row, column_names, read_table
 from survey.errors import PosesError
+from survey.files.csv_table import Row, column_names, read_table
 from survey.photos.cameras import CAM_FROM_OPK_CAM, Pose, grid_from_opk
 from survey.photos.formats.format import Format
 

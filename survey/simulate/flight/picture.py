@@ -9,7 +9,7 @@ import matplotlib.figure
 import numpy as np
 
 from refract import PinholeCamera
-from survey.palette import BLUE, INK, OBLIQUE, SOFT
+from survey.display.palette import BLUE, INK, OBLIQUE, SOFT
 from survey.simulate.flight.coverage import Coverage
 from survey.simulate.flight.patterns import Site
 

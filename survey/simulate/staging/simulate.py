@@ -7,7 +7,7 @@ from pathlib import Path
 
 from geo import write_whole
 from survey.errors import OutputError
-from survey.outputs import Inputs, require_folder
+from survey.files.outputs import Inputs, require_folder
 from survey.progress import current
 from survey.simulate.flight.coverage import Coverage, coverage
 from survey.simulate.flight.picture import picture

@@ -10,7 +10,7 @@ import pytest
 from pyproj import CRS
 
 from geo.errors import UnwritableFile
-from survey.json_values import plain, write_json
+from survey.files.json_values import plain, write_json
 
 
 @dataclass(frozen=True)

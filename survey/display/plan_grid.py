@@ -78,6 +78,11 @@ class PlanGrid:
         return PlanGrid._between(plan, plan.min(axis=0), plan.max(axis=0), np.ones(2), cell_m)
 
     @staticmethod
+    def within(points_m: np.ndarray, low: np.ndarray, high: np.ndarray, cell_m: float) -> PlanGrid:
+        """The grid between two corners (2,) [m], whatever the points (N, 2 or more) [m]; those beyond it are strays."""
+        return PlanGrid._between(points_m[:, :2], low, high, np.ones(2), cell_m)
+
+    @staticmethod
     def _between(plan: np.ndarray, low: np.ndarray, high: np.ndarray, unit: np.ndarray, cell_m: float) -> PlanGrid:
         """Cells from the north-western corner of what lies between ``low`` and ``high`` (2,) in crs."""
         columns, rows = (math.floor(side / cell_m) + 1 for side in (high - low) * unit)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from survey.csv_table import column_names, read_table
 from survey.errors import ConfigError, PosesError
+from survey.files.csv_table import column_names, read_table
 
 COLUMNS = ("easting", "height")
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from refract import PinholeCamera
+from refract import FlatWater, PinholeCamera
 from refract.lens import Lens
-from refract.surfaces import WaterSurface
 from survey.errors import SurveyError
 from survey.simulate.flight.settings import FlightSettings
 
@@ -33,12 +32,12 @@ class Site:
         About the origin.
     depth_m : [m]
         Of the bed below the water, on average; 0 for a dry site.
-    water : WaterSurface or None
+    water : FlatWater or None
     """
 
     size_m: tuple[float, float]
     depth_m: float
-    water: WaterSurface | None
+    water: FlatWater | None
 
     @property
     def level(self) -> float:
@@ -52,6 +51,8 @@ class Site:
         """
         if flight.height_m is not None:
             return flight.height_m
+        if flight.gsd_m is None:
+            raise SurveyError("flight has neither height_m nor gsd_m, expected one of them; give height_m")
         height = flight.gsd_m * focal_px - self.seeming_depth
         if height <= 0.0:
             raise SurveyError(

@@ -41,7 +41,7 @@ def once(marker: Path, arguments: list[str]) -> dict:
     """Run a command of bathynerf unless its marker says that it has finished; the marker's seconds and load."""
     if not marker.exists():
         load, start = os.getloadavg()[0], time.monotonic()
-        code = subprocess.run([*BATHYNERF, *arguments], check=False).returncode
+        code = subprocess.run([*BATHYNERF, *arguments], check=False, stdout=subprocess.DEVNULL).returncode
         if code not in FINISHED:
             raise SystemExit(f"bathynerf {' '.join(arguments)} ended with {code}; what it said stands above")
         record = {"wall_s": round(time.monotonic() - start, 1), "load_before": round(load, 1)}

@@ -43,7 +43,8 @@ def tree_memory_bytes(pid: int) -> int:
 def timed(command: list[str], environment: dict) -> tuple[int, float, float]:
     """Exit code, wall clock [s] and peak memory of the tree [GB] of a command."""
     start = time.monotonic()
-    process = subprocess.Popen(command, env=environment)
+    # Paths of the results, which the command prints, are no part of the JSON.
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL)
     peak = 0
 
     def watch() -> None:

@@ -75,7 +75,7 @@ def process(case: Case, quality: str) -> None:
     """Run the case through the command line; a quality gate that fails (3) is a result too."""
     command = [sys.executable, "-c", "from survey.commands.app import main; main()", "process", str(case.folder)]
     field = "on" if case.chain == "field" else "off"
-    done = subprocess.run([*command, "-o", str(case.run), "--quality", quality, "--field", field, "-q"], check=False)
+    done = subprocess.run([*command, "-o", str(case.run), "--quality", quality, "--field", field, "-qq"], check=False)
     if done.returncode not in (0, 3):
         raise SystemExit(f"{case.name}, {case.chain}: process ended with exit code {done.returncode}")
 

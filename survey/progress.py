@@ -23,7 +23,7 @@ from rich.text import Text
 
 # Seconds between plain lines of one stage, where there is no terminal.
 _LINE_EVERY_S = 20.0
-# No time left is told before this share of a stage is done and this time [s] has passed: too little to tell a pace by.
+# The time left is shown once this share of a stage is done and this time [s] has passed: before, the pace is not known.
 _LEAST_SHARE, _LEAST_S = 0.05, 5.0
 
 _CURRENT: ContextVar[Progress] = ContextVar("progress")

@@ -127,7 +127,7 @@ def _unknown(
     estimates = []
     for name, std in zip(PARAMETERS, _PRIOR_STD, strict=True):
         value = float(getattr(given, name))
-        verdict = f"not observable: {why}; {_told(name, value)} is kept as given"
+        verdict = f"not observable: {why}; {_with_unit(name, value)} is kept as given"
         estimates.append(ParameterEstimate(name, value, float(std), float(std), 0.0, 0.0, 0.0, value, False, verdict))
     return WaterEstimate(
         water=given,
@@ -144,7 +144,7 @@ def _unknown(
     )
 
 
-def _told(name: str, value: float) -> str:
+def _with_unit(name: str, value: float) -> str:
     return f"{value:.5f} m" if name == "level_m" else f"{value:.5f}"
 
 
@@ -179,7 +179,7 @@ def _estimate(i: int, freed: Freed, first: Freed, given: float, is_held: bool, l
     if is_held:
         verdict = (
             f"not observable: 1 sigma is {first_std:.2g}{unit}, at most {limit:.2g}{unit} would be of use; "
-            f"{_told(PARAMETERS[i], given)} is kept as given"
+            f"{_with_unit(PARAMETERS[i], given)} is kept as given"
         )
     else:
         verdict = f"estimated: {value:.5f} +- {std:.2g}{unit}"

@@ -31,26 +31,26 @@ def pair(found: Found, poses: list[Pose], warnings: list[str]) -> list[Pose]:
         for key in (_key(name), _key(str(PurePosixPath(name).with_suffix("")))):
             keys.setdefault(key, []).append(name)
     paired: dict[str, Pose] = {}
-    lonely = []
+    unmatched = []
     for pose in poses:
         candidates = keys.get(_key(pose.name), [])
         image = pose.name if pose.name in found.images else candidates[0] if len(candidates) == 1 else None
         if image is None or image in paired:
-            lonely.append(pose.name)
+            unmatched.append(pose.name)
         else:
             paired[image] = replace(pose, name=image)
-    bare = [name for name in found.images if name not in paired]
+    without_pose = [name for name in found.images if name not in paired]
     if len(paired) < MIN_VIEWS:
         mend = "add photographs with poses"
-        if lonely and bare:
-            mend = f'make the names in the poses those of the images ("{lonely[0]}" against "{bare[0]}")'
+        if unmatched and without_pose:
+            mend = f'make the names in the poses those of the images ("{unmatched[0]}" against "{without_pose[0]}")'
         raise PosesError(
             f"only {len(paired)} of the {len(poses)} poses in {found.poses_path} belong to one of the "
             f"{len(found.images)} images in {found.folder / found.config.images.dir}, expected at least {MIN_VIEWS}; "
             f"{mend}"
         )
-    warnings += named(bare, "image", "without a pose, left out")
-    warnings += named(lonely, "pose", "without an image, left out")
+    warnings += named(without_pose, "image", "without a pose, left out")
+    warnings += named(unmatched, "pose", "without an image, left out")
     return list(paired.values())
 
 

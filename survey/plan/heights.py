@@ -85,7 +85,7 @@ def height_range(survey: Survey, flying_m: float) -> HeightRange:
     return HeightRange(low, high, f"a third to three times as far under the cameras as the overlap suggests; {mend}")
 
 
-def told(survey: Survey, flying_m: float) -> tuple[str, str]:
+def in_words(survey: Survey, flying_m: float) -> tuple[str, str]:
     """The range and the reason for it in words, for the plan."""
     found = height_range(survey, flying_m)
     over = "water" if survey.water is not None else "local origin"
@@ -111,30 +111,30 @@ def _of_config(survey: Survey, heights_m: tuple[float, float]) -> HeightRange:
 
 def _of_points(survey: Survey, points: np.ndarray, flying_m: float) -> HeightRange:
     """From the heights at which matched points (N, 3) [m], local, seem to lie and can lie through the water."""
-    seeming = _heights(survey, points)
-    base = 0.0 if survey.water is not None else float(np.median(seeming))
+    apparent = _heights(survey, points)
+    base = 0.0 if survey.water is not None else float(np.median(apparent))
     if survey.water is None:
         flying_m = float(np.median(_heights(survey, _centres(survey)))) - base
     lowest, highest = base - DEEPEST * flying_m, base + HIGHEST * flying_m
-    low = float(np.quantile(np.maximum(_deepest(survey, points, seeming), lowest), _OUTER[0]))
-    seeming_low, high = (float(v) for v in np.quantile(seeming, _OUTER))
+    low = float(np.quantile(np.maximum(_deepest(survey, points, apparent), lowest), _OUTER[0]))
+    apparent_low, high = (float(v) for v in np.quantile(apparent, _OUTER))
     margin = max(_MARGIN_SPAN * (high - low), _MARGIN_FLYING * flying_m)
-    wet = f", the deepest no lower than {low:.1f} m through the water" if low < seeming_low else ""
+    wet = f", the deepest no lower than {low:.1f} m through the water" if low < apparent_low else ""
     reason = (
-        f"{len(seeming):,} matched points seem to lie at {seeming_low:.1f} to {high:.1f} m{wet}; {margin:.1f} m are "
+        f"{len(apparent):,} matched points seem to lie at {apparent_low:.1f} to {high:.1f} m{wet}; {margin:.1f} m are "
         "added on both sides"
     )
-    num_wet = int((seeming < 0.0).sum())
+    num_wet = int((apparent < 0.0).sum())
     if survey.water is not None and num_wet < _FEWEST_POINTS:
         reason += f"; only {num_wet} of them are under water: give [area] heights if its bed may lie deeper"
     return HeightRange(max(low - margin, lowest), min(high + margin, highest), reason)
 
 
-def _deepest(survey: Survey, points: np.ndarray, seeming: np.ndarray) -> np.ndarray:
-    """The lowest heights (N,) [m] over the plane at which points (N, 3) can lie that seem to lie at heights (N,)."""
-    water, wet = survey.water, seeming < 0.0
+def _deepest(survey: Survey, points: np.ndarray, apparent: np.ndarray) -> np.ndarray:
+    """The lowest heights (N,) [m] over the plane at which points (N, 3) of apparent heights (N,) can lie."""
+    water, wet = survey.water, apparent < 0.0
     if water is None or not wet.any():
-        return seeming
+        return apparent
     points, up = points[wet], np.array(water.up)
     cosine = np.ones(len(points))
     for view in survey.views:
@@ -144,7 +144,7 @@ def _deepest(survey: Survey, points: np.ndarray, seeming: np.ndarray) -> np.ndar
         own = ray @ up / np.linalg.norm(ray, axis=1)
         cosine = np.where(is_seen, np.minimum(cosine, own), cosine)
     angle = np.arccos(np.maximum(cosine, np.cos(np.radians(_GRAZING_DEG))))
-    deepest = seeming.copy()
+    deepest = apparent.copy()
     deepest[wet] /= apparent_depth_tangential(1.0, angle, n_water=water.n_water)
     return deepest
 

@@ -11,7 +11,7 @@ from refract import FlatWater, PinholeCamera
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.plan.ground import ground_height
-from survey.plan.heights import told
+from survey.plan.heights import in_words
 from survey.plan.recipe import RECIPES, Recipe
 
 QUALITIES = tuple(RECIPES)
@@ -110,7 +110,7 @@ def make_plan(survey: Survey, *, quality: str = "standard", device: str = "auto"
             f"{100.0 * gsd:.2g} cm",
             f"cameras {height:.1f} m over the {_over(survey)}",
         ),
-        Decision("range of heights", *told(survey, height)),
+        Decision("range of heights", *in_words(survey, height)),
         chosen,
     )
     return Plan(quality, chosen.choice, scale, gsd, height, footprint, decisions, device)

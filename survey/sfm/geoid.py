@@ -51,7 +51,7 @@ def height_transformer(crs: CRS, area: AreaOfInterest) -> Transformer:
 
 
 def _geoid_grids(operations: list[CoordinateOperation], datum: str) -> list[str]:
-    """Grids of the geoid that the best of some operations needs; of none that needs a grid of horizontal datums too.
+    """Grids of the geoid that the best operation needs, among those that need no grid of horizontal datums.
 
     The best one belongs to the horizontal datum of the survey. A shift between horizontal datums by seven parameters
     belongs to older realisations than the one without.

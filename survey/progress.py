@@ -23,7 +23,7 @@ from rich.text import Text
 
 # Seconds between plain lines of one stage, where there is no terminal.
 _LINE_EVERY_S = 20.0
-# No time left is told before this share of a stage is done and this time [s] has passed: too little to tell a pace by.
+# The time left is shown once this share of a stage is done and this time [s] has passed: before, the pace is not known.
 _LEAST_SHARE, _LEAST_S = 0.05, 5.0
 
 _CURRENT: ContextVar[Progress] = ContextVar("progress")
@@ -54,7 +54,8 @@ class Stage:
         self._start = self._last_line = time.monotonic()
         # When how much was done: the last entry before the middle of the stage's time so far, and all that follow.
         self._history = deque([(self._start, 0.0)])
-        self._task = progress._bars.add_task(name, total=total, stage=self) if progress._bars else None
+        self._bars = progress._bars
+        self._task = self._bars.add_task(name, total=total, stage=self) if self._bars is not None else None
 
     @property
     def seconds(self) -> float:
@@ -82,9 +83,9 @@ class Stage:
         self._history.append((now, self.done))
         while self._history[1][0] <= 0.5 * (self._start + now) and len(self._history) > 2:
             self._history.popleft()
-        if self._task is not None:
+        if self._bars is not None and self._task is not None:
             description = f"{self.name}  {detail}" if detail else self.name
-            self._progress._bars.update(self._task, completed=self.done, description=description)
+            self._bars.update(self._task, completed=self.done, description=description)
         elif now - self._last_line >= _LINE_EVERY_S:
             self._last_line = now
             share = f"{100.0 * self.done / self.total:3.0f} %" if self.total else f"{self.done:g}"

@@ -177,3 +177,13 @@ def test_a_file_in_another_encoding_is_refused_and_a_byte_order_mark_is_not(tmp_
         read_config(path)
     path.write_bytes('name = "Weißensee"'.encode("utf-8-sig"))
     assert read_config(path).name == "Weißensee"
+
+
+def test_a_level_that_stands_in_a_file_is_not_known_before_the_file_is_read():
+    water = parse_config('[water]\ngauge = "tide.csv"').water
+    with pytest.raises(ValueError, match="before the file that"):
+        _ = water.known_level_m
+    with pytest.raises(ValueError, match="before its default is filled in"):
+        _ = water.known_level_at
+    read = dataclasses.replace(water, level_m=12.5, level_at=(1.0, 2.0), gauge=None)
+    assert (read.known_level_m, read.known_level_at) == (12.5, (1.0, 2.0))

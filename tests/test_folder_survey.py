@@ -91,6 +91,8 @@ def test_without_water_a_survey_is_dry(tmp_path):
     survey = load_survey(small_survey(tmp_path / "s", toml=TOML[: TOML.index("[water]")]))
     assert survey.water is None
     assert survey.config.water is None
+    with pytest.raises(SurveyError, match=r"small is a dry survey, expected one with water; give \[water\]"):
+        survey.require_water()
 
 
 def test_a_geographic_crs_with_ellipsoidal_heights_works_like_a_projected_one(tmp_path):

@@ -32,8 +32,8 @@ def with_straight_points(tmp_path, cameras, rng, *, bed=BED):
 def test_points_of_straight_rays_give_a_range_that_holds_the_whole_bed_and_little_more(tmp_path, rng, cameras):
     survey = with_straight_points(tmp_path, cameras, rng)
     low, high = limits(survey)
-    seeming = survey.points[:, 2] - TRUTH[0]
-    assert seeming.min() > 0.85 * (BED[0] - TRUTH[0])
+    apparent = survey.points[:, 2] - TRUTH[0]
+    assert apparent.min() > 0.85 * (BED[0] - TRUTH[0])
     assert low < BED[0] - TRUTH[0] - 1.0
     assert high > BED[1] - TRUTH[0] + 1.0
     far_low, far_high = limits(replace(survey, points=None))
@@ -45,8 +45,8 @@ def test_points_to_one_side_lie_above_their_sagittal_and_within_their_tangential
     cameras = convergent()[13:17]
     survey = with_straight_points(tmp_path, cameras, rng, bed=(-5.0, -4.9))
     water = water_of(TRUTH)
-    seeming = np.median(water.depth(survey.points))
-    assert 1.335 * seeming < 4.5
+    apparent = np.median(water.depth(survey.points))
+    assert 1.335 * apparent < 4.5
     assert "no lower than" in make_plan(survey, device="cpu").decisions[-2].reason
     assert limits(survey)[0] < -5.3
 

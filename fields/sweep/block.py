@@ -15,16 +15,12 @@ from refract import FlatWater, PinholeCamera
 AGREEMENT_PX = 0.7
 
 
-class Block:
-    """Grey images of one size with their cameras, in the local frame.
+class Overlap:
+    """Which cameras see which places of a level bed, in the local frame: a block as far as it needs no images.
 
     Parameters
     ----------
-    device : Device
     cameras : list of PinholeCamera
-        All of the images' size; smaller images are padded with NaN, as are masked pixels.
-    images : list of (height, width) float32
-        Grey levels about zero.
     water : FlatWater or None
     height : [m]
         Rough height of the bed over the water plane (over local z = 0 in a dry survey): overlap is judged there.
@@ -32,23 +28,11 @@ class Block:
     Raises
     ------
     ValueError
-        If fewer than two views are given, or none looks down.
+        If no camera looks down.
     """
 
-    def __init__(
-        self,
-        device: Device,
-        cameras: list[PinholeCamera],
-        images: list[np.ndarray],
-        water: FlatWater | None,
-        height: float,
-    ):
-        if len(cameras) < 2 or len(cameras) != len(images):
-            raise ValueError(
-                f"a block needs two views or more, each with an image; got {len(cameras)} and {len(images)}"
-            )
-        self.device, self.cameras, self.images, self.water = device, cameras, images, water
-        self._stacks: dict[float, ViewStack] = {}
+    def __init__(self, cameras: list[PinholeCamera], water: FlatWater | None, height: float):
+        self.cameras, self.water = cameras, water
         self.look_at(height)
 
     def look_at(self, height: float) -> None:
@@ -60,22 +44,6 @@ class Block:
             plane_z = float(self.water.height(x, y))
         self.seen, self.cells = views.coverage(self.cameras, self.water, plane_z + height)
         self.height = height
-
-    def stack(self, scale: float) -> ViewStack:
-        """Images and cameras at a scale, kept on the device until `release`."""
-        if scale not in self._stacks:
-            cameras = [c.scaled(scale) if scale != 1.0 else c for c in self.cameras]
-            size = (cameras[0].width, cameras[0].height)
-            images = self.images
-            if scale != 1.0:
-                images = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in images]
-            self._stacks[scale] = ViewStack.build(self.device, cameras, images, self.water)
-        return self._stacks[scale]
-
-    def release(self, scale: float) -> None:
-        """Forget the images at a scale."""
-        self._stacks.pop(scale, None)
-        release(self.device)
 
     def cover(self, times: int, times_oblique: int, area: tuple[float, float, float, float] | None = None) -> list[int]:
         """Views that see every place from every side; see `fields.sweep.views.cover`.
@@ -101,3 +69,55 @@ class Block:
     def agreement_tolerance(self, view: int, others: list[int], height: float) -> float:
         """Two heights [m] closer than this agree: their difference is less than `AGREEMENT_PX` of parallax."""
         return AGREEMENT_PX / self.parallax(view, others, height)
+
+
+class Block(Overlap):
+    """Grey images of one size with their cameras, in the local frame.
+
+    Parameters
+    ----------
+    device : Device
+    cameras : list of PinholeCamera
+        All of the images' size; smaller images are padded with NaN, as are masked pixels.
+    images : list of (height, width) float32
+        Grey levels about zero.
+    water, height :
+        As `Overlap`.
+
+    Raises
+    ------
+    ValueError
+        If fewer than two views are given, or none looks down.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        cameras: list[PinholeCamera],
+        images: list[np.ndarray],
+        water: FlatWater | None,
+        height: float,
+    ):
+        if len(cameras) < 2 or len(cameras) != len(images):
+            raise ValueError(
+                f"a block needs two views or more, each with an image; got {len(cameras)} and {len(images)}"
+            )
+        super().__init__(cameras, water, height)
+        self.device, self.images = device, images
+        self._stacks: dict[float, ViewStack] = {}
+
+    def stack(self, scale: float) -> ViewStack:
+        """Images and cameras at a scale, kept on the device until `release`."""
+        if scale not in self._stacks:
+            cameras = [c.scaled(scale) if scale != 1.0 else c for c in self.cameras]
+            size = (cameras[0].width, cameras[0].height)
+            images = self.images
+            if scale != 1.0:
+                images = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in images]
+            self._stacks[scale] = ViewStack.build(self.device, cameras, images, self.water)
+        return self._stacks[scale]
+
+    def release(self, scale: float) -> None:
+        """Forget the images at a scale."""
+        self._stacks.pop(scale, None)
+        release(self.device)

@@ -69,7 +69,7 @@ def estimate_water(
     survey = load_survey(folder, workspace=workspace, report=progress.note)
     if survey.water is None:
         raise SurveyError("a dry survey has no water to estimate; give [water] level_m to start from")
-    given = survey.config.water
+    _, given = survey.require_water()
     start = replace(
         given,
         level_m=given.level_m if start_level is None else start_level,

@@ -62,10 +62,11 @@ def water_from_ties(
     say why.
     """
     cameras = [view.camera for view in survey.views]
-    given = np.array([getattr(survey.config.water, name) for name in PARAMETERS])
+    _, settings = survey.require_water()
+    given = np.array([getattr(settings, name) for name in PARAMETERS])
 
     def water_of(parameters: np.ndarray):
-        return water_plane(survey.frame, _config_of(survey.config.water, parameters))
+        return water_plane(survey.frame, _config_of(settings, parameters))
 
     def freed_with(prior_std: np.ndarray) -> Freed:
         return free_errors(cameras, kept, solved, water_of, given, prior_std, errors)
@@ -73,14 +74,14 @@ def water_from_ties(
     gsd = make_plan(survey).gsd_m
     errors = Errors(pose_std_m, math.radians(pose_std_deg), lens_std_px, BED_STD_GSD * gsd, CELL_GSD * gsd)
     if _num_wet(ties.start, water_of(given)) < FEWEST_WET:
-        return _unknown(survey.config.water, ties, water_of(given), errors)
+        return _unknown(settings, ties, water_of(given), errors)
     prior_std, limits = _PRIOR_STD.copy(), _useful_std(ties)
     try:
         kept, solved = _without_outliers(cameras, ties, water_of, given, prior_std)
     except NotConvergedError as error:
-        return _unknown(survey.config.water, ties, water_of(given), errors, str(error))
+        return _unknown(settings, ties, water_of(given), errors, str(error))
     if _num_wet(solved.points, water_of(solved.parameters)) < FEWEST_WET:
-        return _unknown(survey.config.water, replace(kept, start=solved.points), water_of(solved.parameters), errors)
+        return _unknown(settings, replace(kept, start=solved.points), water_of(solved.parameters), errors)
     first = freed = freed_with(prior_std)
     held = np.zeros(len(PARAMETERS), dtype=bool)
     for _ in PARAMETERS:
@@ -98,7 +99,7 @@ def water_from_ties(
     estimates = tuple(_estimate(i, freed, first, given[i], held[i], limits[i]) for i in range(len(PARAMETERS)))
     water = water_of(freed.parameters)
     return WaterEstimate(
-        water=_config_of(survey.config.water, np.where(held, given, freed.parameters)),
+        water=_config_of(settings, np.where(held, given, freed.parameters)),
         estimates=estimates,
         covariance=tuple(tuple(float(v) for v in row) for row in freed.covariance),
         num_views=len(np.unique(kept.view)),
@@ -126,7 +127,7 @@ def _unknown(
     estimates = []
     for name, std in zip(PARAMETERS, _PRIOR_STD, strict=True):
         value = float(getattr(given, name))
-        verdict = f"not observable: {why}; {_told(name, value)} is kept as given"
+        verdict = f"not observable: {why}; {_with_unit(name, value)} is kept as given"
         estimates.append(ParameterEstimate(name, value, float(std), float(std), 0.0, 0.0, 0.0, value, False, verdict))
     return WaterEstimate(
         water=given,
@@ -143,15 +144,15 @@ def _unknown(
     )
 
 
-def _told(name: str, value: float) -> str:
+def _with_unit(name: str, value: float) -> str:
     return f"{value:.5f} m" if name == "level_m" else f"{value:.5f}"
 
 
 def _config_of(given: WaterConfig, parameters: np.ndarray) -> WaterConfig:
-    values = [float(value) for value in parameters]
+    level, east, north, index = parameters.tolist()
     # Single steps may leave the physical range; a converged solution never lies at its ends.
-    values[3] = min(max(values[3], _INDEX_RANGE[0]), _INDEX_RANGE[1])
-    return replace(given, **dict(zip(PARAMETERS, values, strict=True)))
+    index = min(max(index, _INDEX_RANGE[0]), _INDEX_RANGE[1])
+    return replace(given, level_m=level, slope_east=east, slope_north=north, refractive_index=index)
 
 
 def _useful_std(ties: TiePoints) -> np.ndarray:
@@ -171,15 +172,15 @@ def _without_outliers(cameras, ties: TiePoints, water_of, start, prior_std) -> t
 
 def _estimate(i: int, freed: Freed, first: Freed, given: float, is_held: bool, limit: float) -> ParameterEstimate:
     unit, value = " m" if i == 0 else "", float(freed.parameters[i])
-    *parts, std, first_std = (
+    measured, pose, lens, bed, std, first_std = (
         float(np.sqrt(part[i, i]))
         for part in (freed.measured, freed.pose, freed.lens, freed.bed, freed.covariance, first.covariance)
     )
     if is_held:
         verdict = (
             f"not observable: 1 sigma is {first_std:.2g}{unit}, at most {limit:.2g}{unit} would be of use; "
-            f"{_told(PARAMETERS[i], given)} is kept as given"
+            f"{_with_unit(PARAMETERS[i], given)} is kept as given"
         )
     else:
         verdict = f"estimated: {value:.5f} +- {std:.2g}{unit}"
-    return ParameterEstimate(PARAMETERS[i], value, std, *parts, float(given), not bool(is_held), verdict)
+    return ParameterEstimate(PARAMETERS[i], value, std, measured, pose, lens, bed, float(given), not is_held, verdict)

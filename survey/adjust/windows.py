@@ -94,12 +94,13 @@ def measure(
     # One photograph after the other, so that the spline of only one is in memory.
     for other, camera in enumerate(block.cameras):
         asking = [i for i, w in enumerate(windows) if other in w.others]
-        image = prepared(block.images[other]) if asking else None
-        for i in asking:
-            w = windows[i]
-            offsets = _warp(block.cameras[w.view], camera, w.corners, w.height, block.water)
-            found, ok = match(image, w.templates, w.slopes, camera.project(w.points, block.water), offsets)
-            parts[i].append((np.flatnonzero(ok), other, found[ok]))
+        if asking:
+            image = prepared(block.images[other])
+            for i in asking:
+                w = windows[i]
+                offsets = _warp(block.cameras[w.view], camera, w.corners, w.height, block.water)
+                found, ok = match(image, w.templates, w.slopes, camera.project(w.points, block.water), offsets)
+                parts[i].append((np.flatnonzero(ok), other, found[ok]))
         advance(0.5 / len(block.cameras))
     return _joined(windows, parts)
 
@@ -135,7 +136,8 @@ def _corners(image: np.ndarray, camera: PinholeCamera, depth_map: DepthMap, able
     # A window and the slopes at its rim lie inside the photograph and hold no masked pixel.
     edge = RADIUS + 2
     mask[:edge], mask[-edge:], mask[:, :edge], mask[:, -edge:] = 0, 0, 0, 0
-    mask &= cv2.erode(np.isfinite(image).astype(np.uint8), np.ones((2 * edge + 1, 2 * edge + 1), np.uint8))
+    known = cv2.erode(np.isfinite(image).astype(np.uint8), np.ones((2 * edge + 1, 2 * edge + 1), np.uint8))
+    mask[known == 0] = 0
     grey = np.nan_to_num(image)
     found = cv2.goodFeaturesToTrack(grey, _MOST_PER_VIEW, 0.02, _APART_PX, mask=mask, blockSize=2 * RADIUS + 1)
     corners = np.zeros((0, 2)) if found is None else found[:, 0].astype(np.float64)

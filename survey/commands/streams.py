@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from contextlib import suppress
@@ -21,7 +22,7 @@ def open_closed() -> None:
             setattr(sys, name, os.fdopen(number, "r" if number == 0 else "w", closefd=False))
     for stream in (sys.stdout, sys.stderr):
         # A name of a file need not be text in the encoding of the terminal.
-        with suppress(AttributeError):
+        if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
@@ -30,7 +31,7 @@ def flush_all() -> OSError | None:
 
     A stream that does not take its rest is led to the null device, or the interpreter would complain at its end.
     """
-    errors = []
+    errors: list[OSError | None] = []
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

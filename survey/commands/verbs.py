@@ -54,7 +54,7 @@ def _root(version: Annotated[bool, typer.Option("--version", help="Print the ver
 
 def _add(verb) -> None:
     name = verb.__name__.rpartition(".")[2]
-    summary = inspect.getdoc(verb.run).partition("\n\n")[0]
+    summary = inspect.cleandoc(verb.run.__doc__).partition("\n\n")[0]
     examples = textwrap.indent(textwrap.dedent(verb.EXAMPLES).strip(), "  ")
     app.command(name, short_help=summary, epilog=f"\b\nExamples:\n{examples}\n")(verb.run)
 

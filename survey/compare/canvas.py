@@ -64,7 +64,7 @@ def show(axes: Axes, image: np.ndarray, extent: Extent, **colours) -> AxesImage:
 def colour_bar(axes: Axes, scale: ScalarMappable, label: str, *, extend: str = "both") -> Colorbar:
     """A bar beside axes that explains their colours."""
     figure = axes.figure
-    beside = axes.inset_axes([1.025, 0.06, _BAR_WIDTH_IN / (axes.bbox.width / figure.dpi), 0.88])
+    beside = axes.inset_axes((1.025, 0.06, _BAR_WIDTH_IN / (axes.bbox.width / figure.dpi), 0.88))
     bar = figure.colorbar(scale, cax=beside, extend=extend)
     bar.set_label(label, color=INK)
     bar.outline.set_visible(False)
@@ -101,8 +101,9 @@ def map_canvas(extent: Extent, crs: CRS | None, *, below_in: float = 0.0) -> tup
     axes.set_ylabel(f"{'latitude' if angular else 'northing'} [{unit}]")
     for axis, count in ((axes.xaxis, 4), (axes.yaxis, 7)):
         axis.set_major_locator(MaxNLocator(count, steps=[1, 2, 5, 10]))
-        axis.set_major_formatter(ScalarFormatter(useOffset=False))
-        axis.get_major_formatter().set_scientific(False)
+        formatter = ScalarFormatter(useOffset=False)
+        formatter.set_scientific(False)
+        axis.set_major_formatter(formatter)
     unit_m = crs.axis_info[0].unit_conversion_factor if crs is not None else 1.0
     _scale_bar(axes, unit_m * _EARTH_RADIUS_M / aspect if angular else unit_m)
     return figure, axes
@@ -161,6 +162,14 @@ def write_title(axes: Axes, title: str, subtitle: str = "") -> None:
     axes.set_title(title, loc="left", color=INK, fontsize=12, pad=22 if subtitle else 10, weight="bold")
     if subtitle:
         axes.text(0.0, 1.0, subtitle, transform=axes.transAxes, va="bottom", color=SOFT, fontsize=9.5)
+
+
+def figure_of(axes: Axes) -> Figure:
+    """The whole figure that axes are a part of."""
+    figure = axes.figure
+    if not isinstance(figure, Figure):
+        raise TypeError(f"axes of {type(figure).__name__} are no part of a figure of their own")
+    return figure
 
 
 def save(figure: Figure, path: Path) -> None:

@@ -57,9 +57,10 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     """The comparison itself, with its distances; writes nothing. Parameters as `compare_files`."""
     check_options(options)
     paths = Paths(Path(cloud), Path(reference), None if options.visible is None else Path(options.visible))
+    places = None if options.checkpoints is None else Path(options.checkpoints)
     with current().stage("Reading"):
         inputs = load_inputs(paths, options.bounds)
-        checkpoints = None if options.checkpoints is None else read_checkpoints(Path(options.checkpoints))
+        checkpoints = None if places is None else read_checkpoints(places)
     notes = list(inputs.notes)
     num_cropped = int((~inputs.inside).sum())
     inputs, is_left = _without_outliers(inputs, options, notes)
@@ -75,7 +76,6 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     _note_extent(inputs, options.bounds, notes)
     first = reaches[0]
     vertical, errors = measure.vertical(scene, depth, blocks)
-    places = None if checkpoints is None else Path(options.checkpoints)
     figures = Figures(
         summary=summarise(
             distances,
@@ -89,7 +89,9 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
         parts=measure.parts(scene, distances, depth, blocks),
         vertical=vertical,
         uncertainty=measure.uncertainty(distances, errors, depth),
-        checkpoints=None if places is None else checkpoint_accuracy(scene, checkpoints, places, notes),
+        checkpoints=None
+        if places is None or checkpoints is None
+        else checkpoint_accuracy(scene, checkpoints, places, notes),
         c2c=clouds.cloud_to_cloud(scene) if options.c2c else None,
         m3c2=None if options.m3c2_radius_m is None else clouds.m3c2(scene, options.m3c2_radius_m),
         # Last: the others add to the notes.

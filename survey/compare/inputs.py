@@ -134,10 +134,10 @@ def _common_crs(cloud: Cloud, path: Path, others: dict[Path, Mesh | Cloud], note
         return None
     source = next((file for file, crs in said.items() if has_height(crs)), next(iter(said)))
     crs = said[source]
-    for file in known:
-        if known[file] is None:
+    for file, own in known.items():
+        if own is None:
             notes.append(f"{file.name} does not say its CRS: taken to be that of {source.name}, {crs.name}")
-        elif not has_height(known[file]):
+        elif not has_height(own):
             like = f"those of {source.name}" if has_height(crs) else "metres above one datum in all files"
             notes.append(f"the CRS of {file.name} does not say what heights count from: taken as {like}")
     return crs if has_height(crs) else crs.to_3d()

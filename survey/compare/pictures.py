@@ -10,7 +10,7 @@ import numpy as np
 from pyproj import CRS
 
 from survey.compare.bands import draw_bands, has_bands
-from survey.compare.canvas import Extent, canvas, colour_bar, map_canvas, nice_limit, save, show, write_title
+from survey.compare.canvas import Extent, canvas, colour_bar, figure_of, map_canvas, nice_limit, save, show, write_title
 from survey.display.palette import BLUE, DIFFERENCES, INK, NOT_REACHED, PALE, RED, SIZES
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, count, length, share
@@ -123,7 +123,7 @@ def error_map(
     label = f"{'above (+) or below (−)' if is_signed else 'distance to'} the reference [{unit.name}]"
     colour_bar(axes, drawn, label, extend="both" if is_signed else "max")
     write_title(axes, "Distance to the reference in plan view", subtitle)
-    save(axes.figure, path)
+    save(figure_of(axes), path)
 
 
 def completeness_map(
@@ -144,7 +144,7 @@ def completeness_map(
     colour_bar(axes, drawn, "not reached [%]", extend="neither")
     axes.set_facecolor("white")
     write_title(axes, "What the cloud does not reach", subtitle)
-    save(axes.figure, path)
+    save(figure_of(axes), path)
 
 
 def _map_of_means(

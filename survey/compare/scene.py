@@ -49,7 +49,7 @@ class Scene:
         cloud = to_local(inputs.frame, inputs.cloud.points[around], inputs.paths.cloud)
         reference = to_local(inputs.frame, vertices_of(inputs.reference), inputs.paths.reference)
         samples = targets = _samples(reference, inputs.reference)
-        if inputs.visible is not None:
+        if inputs.visible is not None and inputs.paths.visible is not None:
             visible = to_local(inputs.frame, vertices_of(inputs.visible), inputs.paths.visible)
             targets = _samples(visible, inputs.visible)
         points = cloud[inputs.inside[around]]

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 # Between a number and its unit, and between groups of three digits.
 NO_BREAK, NARROW = "\u00a0", "\u202f"
 MINUS, UNKNOWN = "−", "unknown"
-# Lengths below this are told in millimetres [m].
+# Lengths below this are written in millimetres [m].
 _SMALL_M = 0.5
 
 
 @dataclass(frozen=True)
 class LengthUnit:
-    """A unit in which lengths that stand together are told.
+    """A unit for lengths that stand together.
 
     Attributes
     ----------

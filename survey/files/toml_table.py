@@ -117,7 +117,7 @@ class _Reader:
             parts = [part for part in typing.get_args(kind) if part is not type(None)]
             of_list = [part for part in parts if (typing.get_origin(part) is tuple) == isinstance(value, list)]
             kind = (of_list or parts)[0]
-        if dataclasses.is_dataclass(kind):
+        if isinstance(kind, type) and dataclasses.is_dataclass(kind):
             return self.table(kind, dotted, value)
         if typing.get_origin(kind) is tuple:
             return self._tuple(typing.get_args(kind), dotted, value, expected)
@@ -146,11 +146,11 @@ class _Reader:
         for planned in (dotted, *inner):
             if planned in self.not_yet:
                 raise ConfigError(f"{_place(planned)} is not supported yet; {self.not_yet[planned]}")
-        is_table = isinstance(value, dict) or (isinstance(value, list) and value and isinstance(value[0], dict))
+        is_table = isinstance(value, dict) or (isinstance(value, list) and bool(value) and isinstance(value[0], dict))
         what = f"table [{dotted}]" if is_table else f"key {name}" + (f" in [{where}]" if where else "")
         # A table is compared with tables and a key with keys.
         everywhere = list(_all_keys(self.root))
-        here = [other for other in fields if (_join(where, other) in _tables(everywhere)) == bool(is_table)]
+        here = [other for other in fields if (_join(where, other) in _tables(everywhere)) == is_table]
         near = difflib.get_close_matches(name, here, 1, _NEAR)
         elsewhere = [path for path, _ in everywhere if path.split(".")[-1] == name]
         synonym = self.synonyms.get(name.casefold())
@@ -172,10 +172,12 @@ def _all_keys(kind: type, where: str = "") -> Iterator[tuple[str, bool]]:
     hints = typing.get_type_hints(kind)
     for field in dataclasses.fields(kind):
         dotted = _join(where, field.name)
-        inner = next((part for part in _parts(hints[field.name]) if dataclasses.is_dataclass(part)), None)
-        yield dotted, inner is not None
-        if inner is not None:
-            yield from _all_keys(inner, dotted)
+        inner = [
+            part for part in _parts(hints[field.name]) if isinstance(part, type) and dataclasses.is_dataclass(part)
+        ]
+        yield dotted, bool(inner)
+        if inner:
+            yield from _all_keys(inner[0], dotted)
 
 
 def _parts(kind: Any) -> Iterator[Any]:

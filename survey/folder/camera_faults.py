@@ -45,7 +45,7 @@ def require_focal_lengths(lenses: dict[str, Lens], heads: dict[str, Exif]) -> li
     ConfigError
         Where a lens would see more or less than any lens does, or EXIF says another order of magnitude.
     """
-    warnings = []
+    warnings: list[str] = []
     for name, lens in lenses.items():
         degrees = 2.0 * math.degrees(math.atan(0.5 * math.hypot(lens.width, lens.height) / min(lens.focal)))
         if not _NARROWEST_DEG < degrees < _WIDEST_DEG:
@@ -59,12 +59,12 @@ def require_focal_lengths(lenses: dict[str, Lens], heads: dict[str, Exif]) -> li
                 f"the focal length of {name} is {min(lens.focal):g} px, with which it sees {degrees:.1f} degrees from "
                 "corner to corner; check that it is in pixels of these images, unless the lens is a long one"
             )
-    known = [name for name, head in heads.items() if name in lenses and head.focal_px is not None]
+    known = {name: head.focal_px for name, head in heads.items() if name in lenses and head.focal_px is not None}
     if not known:
         return warnings
-    ratios = [lenses[name].focal[0] / heads[name].focal_px for name in known]
-    name = known[int(np.argsort(ratios)[len(ratios) // 2])]
-    focal, by_exif = lenses[name].focal[0], heads[name].focal_px
+    ratios = [lenses[name].focal[0] / by_exif for name, by_exif in known.items()]
+    name = list(known)[int(np.argsort(ratios)[len(ratios) // 2])]
+    focal, by_exif = lenses[name].focal[0], known[name]
     ratio = focal / by_exif
     said = f"the focal length of {name} is {focal:g} px, and EXIF tells {by_exif:.0f} px"
     if max(ratio, 1.0 / ratio) > _WRONG_RATIO:
@@ -154,8 +154,9 @@ def angle_doubts(poses: list[Pose]) -> list[str]:
 def _opk_deg(cam_from_grid: np.ndarray) -> tuple[float, float, float]:
     """Omega, phi, kappa [degrees] of a rotation, the inverse of `survey.photos.cameras.grid_from_opk`."""
     r = cam_from_grid.T @ CAM_FROM_OPK_CAM
-    angles = math.atan2(-r[1, 2], r[2, 2]), math.asin(max(-1.0, min(r[0, 2], 1.0))), math.atan2(-r[0, 1], r[0, 0])
-    return tuple(math.degrees(angle) for angle in angles)
+    omega, kappa = math.atan2(-r[1, 2], r[2, 2]), math.atan2(-r[0, 1], r[0, 0])
+    phi = math.asin(max(-1.0, min(r[0, 2], 1.0)))
+    return math.degrees(omega), math.degrees(phi), math.degrees(kappa)
 
 
 def _by_exif(head: Exif) -> str:

@@ -31,26 +31,26 @@ def pair(found: Found, poses: list[Pose], warnings: list[str]) -> list[Pose]:
         for key in (_key(name), _key(str(PurePosixPath(name).with_suffix("")))):
             keys.setdefault(key, []).append(name)
     paired: dict[str, Pose] = {}
-    lonely = []
+    unmatched = []
     for pose in poses:
         candidates = keys.get(_key(pose.name), [])
-        name = pose.name if pose.name in found.images else candidates[0] if len(candidates) == 1 else None
-        if name is None or name in paired:
-            lonely.append(pose.name)
+        image = pose.name if pose.name in found.images else candidates[0] if len(candidates) == 1 else None
+        if image is None or image in paired:
+            unmatched.append(pose.name)
         else:
-            paired[name] = replace(pose, name=name)
-    bare = [name for name in found.images if name not in paired]
+            paired[image] = replace(pose, name=image)
+    without_pose = [name for name in found.images if name not in paired]
     if len(paired) < MIN_VIEWS:
         mend = "add photographs with poses"
-        if lonely and bare:
-            mend = f'make the names in the poses those of the images ("{lonely[0]}" against "{bare[0]}")'
+        if unmatched and without_pose:
+            mend = f'make the names in the poses those of the images ("{unmatched[0]}" against "{without_pose[0]}")'
         raise PosesError(
             f"only {len(paired)} of the {len(poses)} poses in {found.poses_path} belong to one of the "
             f"{len(found.images)} images in {found.folder / found.config.images.dir}, expected at least {MIN_VIEWS}; "
             f"{mend}"
         )
-    warnings += named(bare, "image", "without a pose, left out")
-    warnings += named(lonely, "pose", "without an image, left out")
+    warnings += named(without_pose, "image", "without a pose, left out")
+    warnings += named(unmatched, "pose", "without an image, left out")
     return list(paired.values())
 
 
@@ -62,10 +62,10 @@ def _key(name: str) -> str:
 def with_lenses(found: Found, poses: list[Pose], assumptions: list[str], warnings: list[str]) -> list[Pose]:
     """The poses with a lens each: their own, else that of [cameras]."""
     cameras = found.config.cameras
-    if any(pose.lens is None for pose in poses):
-        lens = lens_from_config(cameras, {pose.name: found.heads[pose.name] for pose in poses}, assumptions)
-        return [replace(pose, lens=pose.lens or lens) for pose in poses]
     lens = poses[0].lens
+    if lens is None or any(pose.lens is None for pose in poses):
+        of_config = lens_from_config(cameras, {pose.name: found.heads[pose.name] for pose in poses}, assumptions)
+        return [replace(pose, lens=pose.lens or of_config) for pose in poses]
     own, size = lens.focal[0], (lens.width, lens.height)
     given = cameras.focal_px[0] if isinstance(cameras.focal_px, tuple) else cameras.focal_px
     if given is not None and abs(given / own - 1.0) > 0.01:

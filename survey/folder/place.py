@@ -61,6 +61,8 @@ def _views_of_local_poses(found: Found, poses: list[Pose]) -> tuple[LocalFrame, 
 
 
 def _view(found: Found, pose: Pose, centre: np.ndarray, cam_from_local: np.ndarray) -> View:
+    if pose.lens is None:
+        raise ValueError(f"the pose of {pose.name} has no lens; expected what `with_lenses` returns")
     return View(pose.name, found.images[pose.name], pose.lens.pinhole(centre, cam_from_local), pose.lens)
 
 
@@ -69,7 +71,7 @@ def _origin(found: Found, centres: np.ndarray) -> tuple[float, float, float]:
     e, n, _ = np.median(centres, axis=0)
     digits = 5 if is_geographic(found.crs) else 0
     if found.config.water is not None:
-        height = found.config.water.level_m / height_unit_m(found.crs)
+        height = found.config.water.known_level_m / height_unit_m(found.crs)
     else:
         height = centres[:, 2].min()
     return (round(float(e), digits), round(float(n), digits), float(math.floor(height)))
@@ -96,21 +98,28 @@ def water_in_local(
 
 
 def water_plane(frame: LocalFrame, given: WaterConfig) -> FlatWater:
-    """The water plane in local; ``level_at`` and ``refractive_index`` must be set.
+    """The water plane in local.
 
     Raises
     ------
     ConfigError
         If ``level_at`` does not lie on the map of crs.
+    ValueError
+        If level_m, level_at or refractive_index is not set yet.
     """
-    point_crs = np.array([*given.level_at, given.level_m / height_unit_m(frame.crs)])
+    if given.refractive_index is None:
+        raise ValueError("refractive_index is not known before its default is filled in")
+    point_crs = np.array([*given.known_level_at, given.known_level_m / height_unit_m(frame.crs)])
     point = frame.local_from_crs(point_crs)
     if not np.isfinite(point).all():
-        raise ConfigError(f"[water] level_at is {list(given.level_at)}, which is not on the map of {frame.crs.name}")
+        raise ConfigError(
+            f"[water] level_at is {list(given.known_level_at)}, which is not on the map of {frame.crs.name}"
+        )
     east, north, up = frame.local_from_grid(point_crs).T
     normal = np.cross(east + given.slope_east * up, north + given.slope_north * up)
+    x, y, z = point.tolist()
     return FlatWater(
-        point=tuple(float(v) for v in point),
+        point=(x, y, z),
         n_water=given.refractive_index,
         slope_x=float(-normal[0] / normal[2]),
         slope_y=float(-normal[1] / normal[2]),

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from pyproj import CRS, Transformer
+from pyproj import CRS, Geod, Transformer
 
 from geo.crs import height_unit_m, horizontal_crs
 from geo.frames import LocalFrame
 from refract import FlatWater
 from survey.errors import FILE_NAME, ConfigError, PosesError
-from survey.folder.config import SurveyConfig
+from survey.folder.config import SurveyConfig, WaterConfig
 from survey.folder.words import named
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
@@ -40,8 +40,8 @@ def require_true(frame: LocalFrame, views: list[View], water: FlatWater | None, 
         )
     centres = np.array([view.camera.centre for view in views])
     _require_together(frame, views, centres)
-    if water is not None:
-        _require_above_water(frame, views, -water.depth(centres), config)
+    if water is not None and config.water is not None:
+        _require_above_water(frame, views, -water.depth(centres), config.water)
     if config.area.bounds is not None:
         _require_bounds_near(frame, centres, config.area.bounds)
 
@@ -57,15 +57,15 @@ def _require_together(frame: LocalFrame, views: list[View], centres: np.ndarray)
         )
 
 
-def _require_above_water(frame: LocalFrame, views: list[View], over_water: np.ndarray, config: SurveyConfig) -> None:
+def _require_above_water(frame: LocalFrame, views: list[View], over_water: np.ndarray, water: WaterConfig) -> None:
     unit = height_unit_m(frame.crs)
     heights = frame.crs_from_local(np.array([view.camera.centre for view in views]))[:, 2] * unit
-    _require_level_fits(config, "the cameras are", heights, over_water, f"the poses ({frame.crs.name})")
+    _require_level_fits(water, "the cameras are", heights, over_water, f"the poses ({frame.crs.name})")
     lowest = int(np.argmin(over_water))
     if over_water[lowest] <= 0.0:
         raise PosesError(
             f"the camera of {views[lowest].name} at {heights[lowest]:.2f} m lies {-over_water[lowest]:.2f} m under "
-            f"the water ([water] level_m = {config.water.level_m:g}); correct its pose or leave the image out, or "
+            f"the water ([water] level_m = {water.level_m:g}); correct its pose or leave the image out, or "
             "correct level_m"
         )
 
@@ -82,13 +82,12 @@ def require_level_fits_exif(config: SurveyConfig, heads: dict[str, Exif]) -> Non
     heights = heights[np.isfinite(heights)]
     if config.water is None or config.cameras.gps_height != "crs" or not heights.size:
         return
-    over_water = heights - config.water.level_m
-    _require_level_fits(config, "EXIF has the cameras", heights, over_water, "the heights in EXIF")
+    over_water = heights - config.water.known_level_m
+    _require_level_fits(config.water, "EXIF has the cameras", heights, over_water, "the heights in EXIF")
 
 
-def _require_level_fits(config: SurveyConfig, who: str, heights: np.ndarray, over_water: np.ndarray, like: str) -> None:
-    level = config.water.level_m
-    said = f"[water] level_m is {level:g} m and {who} at {heights.min():.1f} to {heights.max():.1f} m"
+def _require_level_fits(water: WaterConfig, who: str, heights: np.ndarray, over_water: np.ndarray, like: str) -> None:
+    said = f"[water] level_m is {water.level_m:g} m and {who} at {heights.min():.1f} to {heights.max():.1f} m"
     mend = f"give level_m in {FILE_NAME} in the same vertical datum as {like}"
     if (over_water <= 0.0).all():
         raise ConfigError(f"{said}, all of them under the water; {mend}")
@@ -139,12 +138,13 @@ def doubts_of_places(
 
 def distances_to_exif(crs: CRS, centres: dict[str, np.ndarray], heads: dict[str, Exif]) -> np.ndarray:
     """Horizontal distances (N,) [m] between camera centres in crs and the GPS positions of their images."""
-    names = [name for name in centres if name in heads and heads[name].lat_lon_height is not None]
-    if not names:
+    positions = {name: heads[name].lat_lon_height for name in centres if name in heads}
+    known = {name: position for name, position in positions.items() if position is not None}
+    if not known:
         return np.zeros(0)
     horizontal = horizontal_crs(crs)
-    lat, lon = np.array([heads[name].lat_lon_height[:2] for name in names]).T
+    lat, lon = np.array([position[:2] for position in known.values()]).T
     to_degrees = Transformer.from_crs(horizontal, "EPSG:4326", always_xy=True)
-    own_lon, own_lat = to_degrees.transform(*np.array([centres[name][:2] for name in names]).T)
-    _, _, metres = CRS("EPSG:4326").get_geod().inv(lon, lat, own_lon, own_lat)
+    own_lon, own_lat = to_degrees.transform(*np.array([centres[name][:2] for name in known]).T)
+    _, _, metres = Geod(ellps="WGS84").inv(lon, lat, own_lon, own_lat)
     return np.where(np.isfinite(metres), metres, np.inf)

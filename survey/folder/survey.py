@@ -10,9 +10,10 @@ import numpy as np
 
 from geo.frames import LocalFrame
 from refract import FlatWater
+from survey.errors import FILE_NAME, SurveyError
 from survey.folder import place
 from survey.folder.camera_faults import angle_doubts, require_apart, require_focal_lengths
-from survey.folder.config import SurveyConfig
+from survey.folder.config import SurveyConfig, WaterConfig
 from survey.folder.found import Found, find_survey
 from survey.folder.pairing import pair, require_image, with_lenses, with_masks
 from survey.folder.plausible import doubts_of_places, require_true
@@ -58,6 +59,18 @@ class Survey:
     warnings: tuple[str, ...]
     points: np.ndarray | None = field(default=None, compare=False, repr=False)
 
+    def require_water(self) -> tuple[FlatWater, WaterConfig]:
+        """The water plane and its settings, with level, place and index.
+
+        Raises
+        ------
+        SurveyError
+            For a dry survey.
+        """
+        if self.water is None or self.config.water is None:
+            raise SurveyError(f"{self.name} is a dry survey, expected one with water; give [water] in {FILE_NAME}")
+        return self.water, self.config.water
+
 
 def load_survey(
     folder: Path,
@@ -85,6 +98,7 @@ def load_survey(
     """
     found = find_survey(folder) if found is None else found
     assumptions, warnings = list(found.assumptions), list(found.warnings)
+    points: np.ndarray | None
     if found.poses_path is None:
         frame, views, points, notes, doubts = solve_views(found, workspace, report)
         assumptions += notes

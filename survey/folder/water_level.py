@@ -69,7 +69,9 @@ def with_level(folder: Path, config: SurveyConfig, heads: Mapping[str, Exif], no
         If the file is missing or damaged, or does not cover the flight.
     """
     water = config.water
-    name = None if water is None else next((s for s in SOURCES if getattr(water, s) is not None), None)
+    if water is None:
+        return config
+    name = next((s for s in SOURCES if getattr(water, s) is not None), None)
     if name is None:
         return config
     path = folder / getattr(water, name)
@@ -88,8 +90,16 @@ def with_level(folder: Path, config: SurveyConfig, heads: Mapping[str, Exif], no
         f"level_m = {level:.3f} +- {std:.3f} from {fit.num_points} points in [water] {name}, slope "
         f"{fit.slope_east:.5f} east and {fit.slope_north:.5f} north"
     )
-    plane = {"level_at": level_at, "slope_east": fit.slope_east, "slope_north": fit.slope_north}
-    return replace(config, water=replace(water, level_m=level, **plane, **{name: None}))
+    water = replace(
+        water,
+        level_m=level,
+        level_at=level_at,
+        slope_east=fit.slope_east,
+        slope_north=fit.slope_north,
+        shoreline=None,
+        gnss_points=None,
+    )
+    return replace(config, water=water)
 
 
 def fit_surface(points: np.ndarray, *, with_slopes: bool = True) -> SurfaceFit:
@@ -113,6 +123,7 @@ def fit_surface(points: np.ndarray, *, with_slopes: bool = True) -> SurfaceFit:
             "level_m"
         )
     middle = points[:, :2].mean(axis=0)
+    level_at = (float(middle[0]), float(middle[1]))
     design = np.column_stack([np.ones(len(points)), points[:, :2] - middle])
     # Points along one line do not determine the slope across it.
     spread = np.linalg.svd(design[:, 1:], compute_uv=False)
@@ -120,11 +131,12 @@ def fit_surface(points: np.ndarray, *, with_slopes: bool = True) -> SurfaceFit:
         values, covariance = _robust(design, points[:, 2])
         slopes, rough = values[1:], covariance[1:, 1:]
         if slopes @ np.linalg.solve(rough, slopes) > _SIGNIFICANT**2:
-            return SurfaceFit(float(values[0]), tuple(middle), *(float(s) for s in slopes), covariance, len(points))
+            level, east, north = values.tolist()
+            return SurfaceFit(level, level_at, east, north, covariance, len(points))
     values, covariance = _robust(design[:, :1], points[:, 2])
     padded = np.zeros((3, 3))
     padded[0, 0] = covariance[0, 0]
-    return SurfaceFit(float(values[0]), tuple(middle), 0.0, 0.0, padded, len(points))
+    return SurfaceFit(float(values[0]), level_at, 0.0, 0.0, padded, len(points))
 
 
 def _robust(design: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -145,7 +146,7 @@ def _number(value) -> float:
         return math.nan
 
 
-def utm_code_of(heads: dict[str, Exif]) -> int | None:
+def utm_code_of(heads: Mapping[str, Exif]) -> int | None:
     """EPSG code of the UTM zone (WGS 84) in which the GPS positions of photographs lie; None without positions."""
     places = [head.lat_lon_height[:2] for head in heads.values() if head.lat_lon_height is not None]
     return utm_code(*np.median(np.array(places), axis=0)) if places else None

@@ -114,14 +114,15 @@ def _rows_of_survey(found: Found, survey: Survey, plan: Plan) -> list[tuple[str,
 
 
 def _water(survey: Survey) -> str:
-    water = survey.config.water
-    if water is None:
+    if survey.water is None:
         return "none: a dry survey"
+    plane, water = survey.require_water()
+    east, north = water.known_level_at
     centres = np.array([view.camera.centre for view in survey.views])
     return (
-        f"level {water.level_m:g} m at {water.level_at[0]:.10g}, {water.level_at[1]:.10g}, slope "
+        f"level {water.level_m:g} m at {east:.10g}, {north:.10g}, slope "
         f"{water.slope_east:g} east and {water.slope_north:g} north, index {water.refractive_index:g}; cameras "
-        f"{_range(-survey.water.depth(centres))} m over it"
+        f"{_range(-plane.depth(centres))} m over it"
     )
 
 
@@ -129,14 +130,14 @@ def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]
     """The sections where structure from motion would have to run first."""
     found = checked.found
     places = [head.lat_lon_height for head in found.heads.values() if head.lat_lon_height is not None]
-    sizes = Counter(head.size_px for head in found.heads.values())
+    num_of_size = Counter(head.size_px for head in found.heads.values())
     heights = np.array([height for _, _, height in places])
     rows = [
         ("survey", f"{found.config.name or found.folder.resolve().name} in {found.folder}"),
         ("crs", f"{found.config.crs} ({found.crs.name})"),
         (
             "images",
-            ", ".join(f"{n} of {w} x {h} px" for (w, h), n in sizes.items()) + f" in {found.config.images.dir}",
+            ", ".join(f"{n} of {w} x {h} px" for (w, h), n in num_of_size.items()) + f" in {found.config.images.dir}",
         ),
         (
             "positions",
@@ -148,7 +149,7 @@ def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]
     if water is None:
         rows.append(("water", "none: a dry survey"))
     else:
-        level = water.level_m / height_unit_m(found.crs)
+        level = water.known_level_m / height_unit_m(found.crs)
         rows.append(
             (
                 "water",

@@ -69,9 +69,9 @@ def height_range(survey: Survey, flying_m: float) -> HeightRange:
         If [area] heights reach up to the cameras.
     """
     if survey.config.area.heights is not None:
-        return _of_config(survey)
+        return _of_config(survey, survey.config.area.heights)
     if survey.points is not None and len(survey.points) >= _FEWEST_POINTS:
-        return _of_points(survey, flying_m)
+        return _of_points(survey, survey.points, flying_m)
     mend = "[area] heights, or poses that come with matched points, would narrow it"
     if survey.water is not None:
         low, high = -DEEPEST * flying_m, HIGHEST * flying_m
@@ -85,57 +85,57 @@ def height_range(survey: Survey, flying_m: float) -> HeightRange:
     return HeightRange(low, high, f"a third to three times as far under the cameras as the overlap suggests; {mend}")
 
 
-def told(survey: Survey, flying_m: float) -> tuple[str, str]:
+def in_words(survey: Survey, flying_m: float) -> tuple[str, str]:
     """The range and the reason for it in words, for the plan."""
     found = height_range(survey, flying_m)
     over = "water" if survey.water is not None else "local origin"
     return f"{found.low:.1f} to {found.high:.1f} m over the {over}", found.reason
 
 
-def _of_config(survey: Survey) -> HeightRange:
+def _of_config(survey: Survey, heights_m: tuple[float, float]) -> HeightRange:
     """The heights in crs as heights over the plane, under all cameras: it may be sloped."""
     unit, centres = height_unit_m(survey.frame.crs), survey.frame.crs_from_local(_centres(survey))
     ends = []
-    for height_m in survey.config.area.heights:
+    for height_m in heights_m:
         centres[:, 2] = height_m / unit
         ends.append(_heights(survey, survey.frame.local_from_crs(centres)))
     low, high = float(ends[0].min()), float(ends[1].max())
     lowest = float(_heights(survey, _centres(survey)).min())
     if high >= lowest:
-        given = list(survey.config.area.heights)
         raise ConfigError(
-            f"[area] heights is {given} in {FILE_NAME}, whose upper end lies {high - lowest:.1f} m above the lowest "
-            "camera; give the lowest and highest ground that is looked for, in the heights of crs"
+            f"[area] heights is {list(heights_m)} in {FILE_NAME}, whose upper end lies {high - lowest:.1f} m above the "
+            "lowest camera; give the lowest and highest ground that is looked for, in the heights of crs"
         )
     return HeightRange(low, high, f"[area] heights in {FILE_NAME}")
 
 
-def _of_points(survey: Survey, flying_m: float) -> HeightRange:
-    seeming = _heights(survey, survey.points)
-    base = 0.0 if survey.water is not None else float(np.median(seeming))
+def _of_points(survey: Survey, points: np.ndarray, flying_m: float) -> HeightRange:
+    """From the heights at which matched points (N, 3) [m], local, seem to lie and can lie through the water."""
+    apparent = _heights(survey, points)
+    base = 0.0 if survey.water is not None else float(np.median(apparent))
     if survey.water is None:
         flying_m = float(np.median(_heights(survey, _centres(survey)))) - base
     lowest, highest = base - DEEPEST * flying_m, base + HIGHEST * flying_m
-    low = float(np.quantile(np.maximum(_deepest(survey, seeming), lowest), _OUTER[0]))
-    seeming_low, high = (float(v) for v in np.quantile(seeming, _OUTER))
+    low = float(np.quantile(np.maximum(_deepest(survey, points, apparent), lowest), _OUTER[0]))
+    apparent_low, high = (float(v) for v in np.quantile(apparent, _OUTER))
     margin = max(_MARGIN_SPAN * (high - low), _MARGIN_FLYING * flying_m)
-    wet = f", the deepest no lower than {low:.1f} m through the water" if low < seeming_low else ""
+    wet = f", the deepest no lower than {low:.1f} m through the water" if low < apparent_low else ""
     reason = (
-        f"{len(seeming):,} matched points seem to lie at {seeming_low:.1f} to {high:.1f} m{wet}; {margin:.1f} m are "
+        f"{len(apparent):,} matched points seem to lie at {apparent_low:.1f} to {high:.1f} m{wet}; {margin:.1f} m are "
         "added on both sides"
     )
-    num_wet = int((seeming < 0.0).sum())
+    num_wet = int((apparent < 0.0).sum())
     if survey.water is not None and num_wet < _FEWEST_POINTS:
         reason += f"; only {num_wet} of them are under water: give [area] heights if its bed may lie deeper"
     return HeightRange(max(low - margin, lowest), min(high + margin, highest), reason)
 
 
-def _deepest(survey: Survey, seeming: np.ndarray) -> np.ndarray:
-    """The lowest heights (N,) [m] over the plane at which points can lie that seem to lie at heights (N,)."""
-    water, wet = survey.water, seeming < 0.0
+def _deepest(survey: Survey, points: np.ndarray, apparent: np.ndarray) -> np.ndarray:
+    """The lowest heights (N,) [m] over the plane at which points (N, 3) of apparent heights (N,) can lie."""
+    water, wet = survey.water, apparent < 0.0
     if water is None or not wet.any():
-        return seeming
-    points, up = survey.points[wet], np.array(water.up)
+        return apparent
+    points, up = points[wet], np.array(water.up)
     cosine = np.ones(len(points))
     for view in survey.views:
         pixel, camera = view.camera.project(points, None), view.camera
@@ -144,7 +144,7 @@ def _deepest(survey: Survey, seeming: np.ndarray) -> np.ndarray:
         own = ray @ up / np.linalg.norm(ray, axis=1)
         cosine = np.where(is_seen, np.minimum(cosine, own), cosine)
     angle = np.arccos(np.maximum(cosine, np.cos(np.radians(_GRAZING_DEG))))
-    deepest = seeming.copy()
+    deepest = apparent.copy()
     deepest[wet] /= apparent_depth_tangential(1.0, angle, n_water=water.n_water)
     return deepest
 

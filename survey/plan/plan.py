@@ -7,11 +7,11 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from refract import PinholeCamera
+from refract import FlatWater, PinholeCamera
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.plan.ground import ground_height
-from survey.plan.heights import told
+from survey.plan.heights import in_words
 from survey.plan.recipe import RECIPES, Recipe
 
 QUALITIES = tuple(RECIPES)
@@ -110,7 +110,7 @@ def make_plan(survey: Survey, *, quality: str = "standard", device: str = "auto"
             f"{100.0 * gsd:.2g} cm",
             f"cameras {height:.1f} m over the {_over(survey)}",
         ),
-        Decision("range of heights", *told(survey, height)),
+        Decision("range of heights", *in_words(survey, height)),
         chosen,
     )
     return Plan(quality, chosen.choice, scale, gsd, height, footprint, decisions, device)
@@ -153,23 +153,22 @@ def device_decision(device: str) -> Decision:
 
 
 def _refraction(survey: Survey) -> Decision:
-    water = survey.water
-    if water is None:
+    if survey.water is None:
         return Decision("refraction", "off", "a dry survey: there is no [water]")
+    water, given = survey.require_water()
     if water.n_water == 1.0:
         return Decision("refraction", "off", "the index of the water is 1, as if it were air")
     slope = math.hypot(water.slope_x, water.slope_y)
     tilt = f", sloped by {slope:.4f}" if slope > 1e-6 else ""
-    aside = sum(_sees_beside_water(view.camera, survey) for view in survey.views)
+    aside = sum(_sees_beside_water(view.camera, water) for view in survey.views)
     horizon = f"; {aside} of {len(survey.views)} views look past the water to the horizon" if aside else ""
-    level = survey.config.water.level_m
-    return Decision("refraction", "on", f"water of index {water.n_water:.4f} at {level:g} m{tilt}{horizon}")
+    return Decision("refraction", "on", f"water of index {water.n_water:.4f} at {given.level_m:g} m{tilt}{horizon}")
 
 
-def _sees_beside_water(camera: PinholeCamera, survey: Survey) -> bool:
+def _sees_beside_water(camera: PinholeCamera, water: FlatWater) -> bool:
     w, h = camera.width, camera.height
     corners = camera.directions(np.array([[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]]))
-    return bool((corners @ np.array(survey.water.up) >= 0.0).any())
+    return bool((corners @ np.array(water.up) >= 0.0).any())
 
 
 def _image_decision(camera: PinholeCamera, scale: float, quality: str) -> Decision:

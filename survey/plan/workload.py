@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fields.sweep.block import Block
+from fields.sweep.block import Overlap
 from fields.sweep.sweep import PASSES
 from survey import machine
 from survey.errors import SurveyError
@@ -104,15 +104,14 @@ def workload_of(survey: Survey, plan: Plan) -> Workload:
     area = local_area(survey)
     num_cells = _OWN_GROUND * float(pixels.sum())
     if len(cameras) <= _MOST_VIEWS:
-        # Geometry alone: neither device nor images are asked for.
         bed = 0.0 if survey.water is not None else ground_height([view.camera for view in survey.views])
         try:
-            block = Block(None, cameras, [None] * len(cameras), survey.water, bed)
+            overlap = Overlap(cameras, survey.water, bed)
         except ValueError as error:
             raise SurveyError(str(error)) from error
-        chosen = block.cover(*plan.recipe.times_seen, area)
-        covered = block.cells[(block.seen.sum(axis=0) >= 2), :2]
-        num_cells = len(covered) * _cell_area(block.cells) / plan.gsd_m**2
+        chosen = overlap.cover(*plan.recipe.times_seen, area)
+        num_covered = int((overlap.seen.sum(axis=0) >= 2).sum())
+        num_cells = num_covered * _cell_area(overlap.cells) / plan.gsd_m**2
     if area is not None:
         x0, y0, x1, y1 = grown(area, AREA_MARGIN_M)
         num_cells = min(num_cells, (x1 - x0) * (y1 - y0) / plan.gsd_m**2)

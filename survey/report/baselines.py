@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from evaluation import DistanceStatistics, apparent_points, distance_statistics, per_camera, times_index
-from refract import crossing_point
+from refract import FlatWater, crossing_point
 
 if TYPE_CHECKING:
+    from survey.compare.result import Comparison
     from survey.folder.survey import Survey
     from survey.report.facts import ReportFacts
 
@@ -36,8 +37,8 @@ def baselines_of(facts: ReportFacts) -> dict | None:
     comparison, water = facts.comparison, facts.survey.water
     if comparison is None or water is None or comparison.depth is None:
         return None
-    bed = _places(facts)
-    centres, directions, is_seen = _rays(facts.survey, bed)
+    bed = _places(facts.survey, water, comparison, comparison.depth)
+    centres, directions, is_seen = _rays(facts.survey, water, bed)
     apparent = apparent_points(centres, directions, is_seen)
     known = np.isfinite(apparent).all(axis=1)
     if not known.any():
@@ -56,28 +57,27 @@ def baselines_of(facts: ReportFacts) -> dict | None:
     return {
         "places": int(known.sum()),
         "views_per_place": float(np.median(is_seen.sum(axis=1))),
-        "rows": rows + _measured(facts),
+        "rows": rows + _measured(comparison, facts.sweep_comparison),
         "note": _NOTE,
     }
 
 
-def _places(facts: ReportFacts) -> np.ndarray:
-    """Some places (K, 3) of the reference under water, in the local frame of the survey."""
-    comparison = facts.comparison
-    wet = np.flatnonzero((comparison.depth > 0.0) & np.isfinite(comparison.nearest).all(axis=1))
+def _places(survey: Survey, water: FlatWater, comparison: Comparison, depth: np.ndarray) -> np.ndarray:
+    """Some places (K, 3) of the reference under water, its depth (N,) above zero, in the local frame of the survey."""
+    wet = np.flatnonzero((depth > 0.0) & np.isfinite(comparison.nearest).all(axis=1))
     some = np.random.default_rng(_SEED).permutation(wet)[:_PLACES]
     in_crs = comparison.inputs.frame.crs_from_local(comparison.nearest[some])
-    places = facts.survey.frame.local_from_crs(in_crs)
-    return places[np.asarray(facts.survey.water.depth(places)) > 0.0]
+    places = survey.frame.local_from_crs(in_crs)
+    return places[np.asarray(water.depth(places)) > 0.0]
 
 
-def _rays(survey: Survey, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _rays(survey: Survey, water: FlatWater, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centres and directions in air (K, V, 3) of the views, and which of them have each place in their frame."""
     centres, directions, is_seen = [], [], []
     for view in survey.views:
         camera = view.camera
-        towards = crossing_point(places, camera.centre, survey.water) - camera.centre
-        pixels = camera.project(places, survey.water)
+        towards = crossing_point(places, camera.centre, water) - camera.centre
+        pixels = camera.project(places, water)
         inside = (pixels >= 0.0) & (pixels <= [camera.width, camera.height])  # False for NaN
         centres.append(np.broadcast_to(camera.centre, places.shape))
         directions.append(towards / np.linalg.norm(towards, axis=1, keepdims=True))
@@ -85,13 +85,13 @@ def _rays(survey: Survey, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
     return np.stack(centres, axis=1), np.stack(directions, axis=1), np.stack(is_seen, axis=1)
 
 
-def _measured(facts: ReportFacts) -> list[dict]:
+def _measured(comparison: Comparison, of_sweep: Comparison | None) -> list[dict]:
     """The refractive sweep alone and the full chain, which are one where no field was trained."""
-    whole = facts.comparison.figures.wet
-    if facts.sweep_comparison is None:
+    whole = comparison.figures.wet
+    if of_sweep is None:
         named = {"refractive sweep (the full chain of this run, without a field)": whole}
     else:
-        named = {"refractive sweep only": facts.sweep_comparison.figures.wet, "full chain: sweep and field": whole}
+        named = {"refractive sweep only": of_sweep.figures.wet, "full chain: sweep and field": whole}
     return [_row(name, "measured", part) for name, part in named.items() if part]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -31,14 +32,14 @@ class Table:
     ----------
     titles : tuple of str
         With the unit of the column.
-    rows : list of tuple of str
+    rows : sequence of tuple of str
     num_texts : int
     heading : str
     """
 
     kind: ClassVar[str] = "table"
     titles: tuple[str, ...]
-    rows: list[tuple[str, ...]]
+    rows: Sequence[tuple[str, ...]]
     num_texts: int = 1
     heading: str = ""
 

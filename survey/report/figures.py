@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from pyproj import CRS
 
@@ -130,7 +132,7 @@ def _cloud(facts: ReportFacts) -> dict:
     }
 
 
-_STATISTICS = {
+_STATISTICS: dict[str, Callable[[np.ndarray], np.floating]] = {
     "min": np.min,
     "median": np.median,
     "mean": np.mean,

@@ -40,7 +40,7 @@ def draw_plan(path: Path, facts: ReportFacts) -> Picture:
     if len(facts.bed):
         _draw_wet_and_dry(axes, facts)
     outline = to_rgba(INK, min(0.4, max(0.08, 0.4 * _FEW_OUTLINES / len(cameras))))
-    axes.add_collection(PolyCollection(footprints, facecolors="none", edgecolors=outline, lw=0.7))
+    axes.add_collection(PolyCollection(list(footprints), facecolors="none", edgecolors=outline, lw=0.7))
     _draw_cameras(axes, survey, centres, size)
     if survey.bounds is not None:
         e0, n0, e1, n1 = survey.bounds

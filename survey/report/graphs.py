@@ -55,7 +55,7 @@ def _histogram(axes: Axes, values: np.ndarray, colour: str, *, is_count: bool) -
     else:
         low, high = np.quantile(values, [0.002, 0.998])
         edges = np.linspace(low, high if high > low else low + 1.0, 61)
-    axes.hist(values, edges, color=colour, rwidth=0.85 if is_count else 1.0)
+    axes.hist(values, edges.tolist(), color=colour, rwidth=0.85 if is_count else 1.0)
     axes.axvline(float(np.median(values)), color=INK, lw=1.2)
 
 
@@ -69,7 +69,8 @@ def draw_error_over_depth(path: Path, facts: ReportFacts, distances: np.ndarray)
     unit = LengthUnit.of([limit])
     figure, axes = canvas(7.2, 3.4)
     if along.size:
-        edges = np.linspace(*np.quantile(along, [0.002, 0.998]), _BANDS + 1)
+        low, high = np.quantile(along, [0.002, 0.998])
+        edges = np.linspace(low, high, _BANDS + 1)
         band = np.digitize(along, edges)
         parts = [(i, distances[band == i]) for i in range(1, len(edges))]
         rows = [

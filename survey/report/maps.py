@@ -12,7 +12,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, Normalize
 from matplotlib.figure import Figure
 
-from survey.compare.canvas import colour_bar, map_canvas, save, show, write_title
+from survey.compare.canvas import colour_bar, figure_of, map_canvas, save, show, write_title
 from survey.display.palette import COUNTS, EMPTY, INK, SPREADS
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit
@@ -41,7 +41,7 @@ def draw_orthophoto(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     axes = _show(np.concatenate([np.where(known, colours, 0.0), known], axis=-1), facts, grid)
     title = "The bed from above"
     write_title(axes, title, f"the cloud in its own colours, cells of {_centimetres(grid.cell_m)}")
-    save(axes.figure, path)
+    save(figure_of(axes), path)
     return Picture(path, title, "The cloud in its own colours; where points lie above each other, the highest.")
 
 
@@ -66,7 +66,7 @@ def draw_surface(path: Path, facts: ReportFacts, grid: PlanGrid, cut: Cut) -> Pi
     axes.set_facecolor("white")  # the grey of other maps' gaps is that of dry ground here
     _bar(axes, scale, label, is_depth=depth is not None)
     write_title(axes, title, f"cells of {_centimetres(grid.cell_m)}")
-    save(axes.figure, path)
+    save(figure_of(axes), path)
     return Picture(path, title, words)
 
 
@@ -80,7 +80,7 @@ def draw_num_views(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     colour_bar(axes, scale, "views", extend="max").minorticks_off()
     title = "Views that agree"
     write_title(axes, title, f"mean of each cell of {_centimetres(grid.cell_m)}")
-    save(axes.figure, path)
+    save(figure_of(axes), path)
     return Picture(path, title, "How many views see a point at the same height; the more, the surer.")
 
 
@@ -95,13 +95,13 @@ def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     colour_bar(axes, scale, f"standard deviation [{unit.name}]", extend="max")
     title = "Spread of the height"
     write_title(axes, title, f"mean of each cell of {_centimetres(grid.cell_m)}")
-    save(axes.figure, path)
+    save(figure_of(axes), path)
     return Picture(path, title, "Standard deviation of the height over the views that agree.")
 
 
-def draw_view(path: Path, facts: ReportFacts) -> Picture:
-    """One photograph beside its depth map."""
-    depth_map = facts.depth_maps[representative(facts.depth_maps)]
+def draw_view(path: Path, facts: ReportFacts, depth_maps: list[DepthMap]) -> Picture:
+    """One photograph beside its depth map, of those that there are."""
+    depth_map = depth_maps[representative(depth_maps)]
     view = facts.survey.views[depth_map.view]
     rows, columns = depth_map.height.shape
     scale_of_map = columns / view.camera.width

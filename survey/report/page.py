@@ -9,7 +9,7 @@ import jinja2
 
 from survey.display import palette
 from survey.report import reference_tables, survey_tables
-from survey.report.blocks import Rows, Section, Sentences
+from survey.report.blocks import Block, Rows, Section, Sentences
 from survey.report.headline import cards, headline
 from survey.report.shading import Picture
 
@@ -68,7 +68,7 @@ def _sections(figures: dict) -> list[Section]:
     """The parts of the page after the pictures, in their order; some may be empty."""
     survey, plan = figures["survey"], figures["plan"]
 
-    def listed(key: str) -> list[Sentences]:
+    def listed(key: str) -> list[Block]:
         return [Sentences(figures[key])] if figures[key] else []
 
     return [

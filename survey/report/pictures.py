@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from survey.report import flight, graphs, maps, profile
 from survey.report.cut import choose_cut
 from survey.report.facts import ReportFacts, distances_of
 from survey.report.shading import Picture
+
+if TYPE_CHECKING:
+    from survey.compare.result import Comparison
 
 # Cells of the orthophoto and of the maps along the longer side, at most.
 _ORTHO_CELLS, _MAP_CELLS = 2000, 900
@@ -51,9 +55,9 @@ def draw_pictures(folder: Path, facts: ReportFacts, advance: Callable[[], None] 
         drawings["orthophoto"] = partial(maps.draw_orthophoto, facts=facts, grid=fine_grid)
         drawings["profile"] = partial(profile.draw_profile, facts=facts, cut=cut)
     if facts.comparison is not None:
-        drawings |= _of_comparison(facts)
+        drawings |= _of_comparison(facts, facts.comparison)
     if facts.depth_maps:
-        drawings["view"] = partial(maps.draw_view, facts=facts)
+        drawings["view"] = partial(maps.draw_view, facts=facts, depth_maps=facts.depth_maps)
     if len(facts.bed):
         drawings["views"] = partial(maps.draw_num_views, facts=facts, grid=grid)
         drawings["std"] = partial(maps.draw_std, facts=facts, grid=grid)
@@ -71,8 +75,8 @@ def _grid(facts: ReportFacts, max_cells: int) -> PlanGrid:
     return PlanGrid.over(facts.points_crs, facts.survey.frame.crs, cell_m=cell_m, max_cells=max_cells)
 
 
-def _of_comparison(facts: ReportFacts) -> dict[str, Callable[[Path], Picture]]:
-    comparison, crs = facts.comparison, facts.survey.frame.crs
+def _of_comparison(facts: ReportFacts, comparison: Comparison) -> dict[str, Callable[[Path], Picture]]:
+    crs = facts.survey.frame.crs
     tolerance_m = comparison.figures.summary.scores.tolerance_m
 
     def error_map(path: Path) -> Picture:
@@ -94,7 +98,11 @@ def _of_comparison(facts: ReportFacts) -> dict[str, Callable[[Path], Picture]]:
         words = "Mean and spread of the distances in each band, with the number of its points above it."
         return Picture(path, "Bias and spread by depth, incidence and number of views", words)
 
-    drawings = {"error": error_map, "error_histogram": histogram, "completeness": completeness}
+    drawings: dict[str, Callable[[Path], Picture]] = {
+        "error": error_map,
+        "error_histogram": histogram,
+        "completeness": completeness,
+    }
     distances = distances_of(facts)
     if distances is not None and np.isfinite(distances).any():
         drawings["error_depth"] = partial(graphs.draw_error_over_depth, facts=facts, distances=distances)

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from geo.crs import is_geographic
-from survey.compare.canvas import canvas, save, write_title
+from survey.compare.canvas import canvas, figure_of, save, write_title
 from survey.display.palette import BLUE, INK, LAND, RED, WATER, WATER_LINE
 from survey.display.quantities import NO_BREAK, metres, number
 from survey.report.cut import Cut
 from survey.report.facts import ReportFacts
 from survey.report.shading import Picture
+
+if TYPE_CHECKING:
+    from survey.compare.result import Comparison
 
 # The strip that is looked at, and the steps along it, in ground sampling distances; steps at most.
 _STRIP_GSD, _STEP_GSD, _MOST_STEPS = 4.0, 2.0, 600
@@ -43,10 +47,10 @@ def draw_profile(path: Path, facts: ReportFacts, cut: Cut) -> Picture:
     axes.plot(x, bed, color=INK, lw=1.1, label="bed", zorder=3)
     axes.plot(along, heights, ".", ms=1.8, color=BLUE, alpha=0.4, rasterized=True, label="points", zorder=2)
     if facts.comparison is not None:
-        reference = _reference_heights(facts, strip)
+        reference = _reference_heights(facts.comparison, strip)
         axes.plot(*_medians(along, reference, step), color=RED, lw=1.3, label="reference", zorder=4)
     axes.set(xlabel="along the line from A to B [m]", ylabel="height [m]")
-    axes.yaxis.get_major_formatter().set_useOffset(False)
+    axes.ticklabel_format(axis="y", useOffset=False)
     axes.legend(frameon=False, fontsize=9, ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0), markerscale=6.0,
                 labelcolor=INK)  # fmt: skip
     for x_end, name, side in ((0.0, "A", "left"), (1.0, "B", "right")):
@@ -67,9 +71,9 @@ def draw_line(axes: Axes, facts: ReportFacts, cut: Cut) -> None:
     ends = facts.survey.frame.crs_from_local(np.column_stack([cut.ends, np.zeros(2)]))[:, :2]
     axes.plot(*ends.T, color="white", lw=2.4, alpha=0.7, zorder=4)
     axes.plot(*ends.T, color=INK, lw=1.0, ls=(0, (5, 3)), zorder=5)
-    for end, name in zip(ends, "AB", strict=True):
+    for (x, y), name in zip(ends, "AB", strict=True):
         frame = {"boxstyle": "circle,pad=0.18", "fc": "white", "ec": INK, "lw": 0.8}
-        axes.text(*end, name, ha="center", va="center", fontsize=8, color=INK, bbox=frame, zorder=6, clip_on=False)
+        axes.text(x, y, name, ha="center", va="center", fontsize=8, color=INK, bbox=frame, zorder=6, clip_on=False)
 
 
 def _level(facts: ReportFacts, cut: Cut, x: np.ndarray) -> np.ndarray | None:
@@ -106,15 +110,15 @@ def _draw_water(axes: Axes, x: np.ndarray, bed: np.ndarray, level: np.ndarray) -
 
 def _stretch(axes: Axes) -> float:
     """How much larger heights are drawn than lengths along the line."""
-    axes.figure.draw_without_rendering()  # the layout is done at the first drawing
+    figure_of(axes).draw_without_rendering()  # the layout is done at the first drawing
     box = axes.get_window_extent()
     (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
     return (box.height / (y1 - y0)) / (box.width / (x1 - x0))
 
 
-def _reference_heights(facts: ReportFacts, strip: np.ndarray) -> np.ndarray:
+def _reference_heights(comparison: Comparison, strip: np.ndarray) -> np.ndarray:
     """Height in crs of the reference nearest to each point of the strip, a mask (N,); NaN where none was compared."""
-    comparison, inside = facts.comparison, facts.comparison.inputs.inside
+    inside = comparison.inputs.inside
     heights = np.full(len(strip), np.nan)
     rows = np.flatnonzero(strip & inside)
     nearest = comparison.nearest[np.cumsum(inside)[rows] - 1]

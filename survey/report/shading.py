@@ -49,6 +49,6 @@ def _coloured(values: np.ndarray, shade: np.ndarray, colours: Colormap) -> tuple
     known = np.isfinite(values)
     low, high = np.quantile(values[known], [0.01, 0.99]) if known.any() else (0.0, 1.0)
     scale = ScalarMappable(Normalize(low, high if high > low else low + 1e-3), colours)
-    rgb = colours(scale.norm(np.where(known, values, low)))[..., :3]
+    rgb = np.asarray(colours(scale.norm(np.where(known, values, low))))[..., :3]
     image = np.clip(LightSource().blend_soft_light(rgb, shade[..., None]), 0.0, 1.0)
     return np.concatenate([image, known[..., None]], axis=-1), scale

@@ -10,7 +10,7 @@ from survey.report.blocks import Block, Rows, Table
 # Digits of coordinates by their unit: to the centimetre in metres, to about as much in degrees.
 _DECIMALS = {"m": 2, "°": 7}
 _AXES = ("easting", "northing", "height")
-# Longer runs are told in minutes [s].
+# Longer runs are written in minutes [s].
 _LONG_S = 600.0
 
 

@@ -99,7 +99,8 @@ class RunDir:
     def __exit__(self, *_exception) -> None:
         self._remove_parts()
         (self.path / _LOCK).unlink(missing_ok=True)
-        self._lock.close()
+        if self._lock is not None:
+            self._lock.close()
         self._lock = None
 
     def require_run(self) -> None:

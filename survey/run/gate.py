@@ -98,15 +98,15 @@ def _extent(survey: Survey, cameras: list[PinholeCamera], height: float) -> tupl
     area = local_area(survey)
     if area is not None:
         return np.array(area[:2]), np.array(area[2:])
-    centres, reach = np.array([camera.centre for camera in cameras]), []
+    centres, reaches = np.array([camera.centre for camera in cameras]), []
     axes = np.array([camera.cam_from_local[2] for camera in cameras])
     # Views to the horizon are taken to look at most 45 degrees up from the vertical.
     fall = np.minimum(axes[:, 2], -np.sqrt(0.5))
     foot = centres[:, :2] + axes[:, :2] * ((height - centres[:, 2]) / fall)[:, None]
     for camera in cameras:
         half = 0.5 * np.hypot(camera.width / camera.fx, camera.height / camera.fy)
-        reach.append(half * max(camera.centre[2] - height, 0.0))
-    reach = np.array(reach)[:, None]
+        reaches.append(half * max(camera.centre[2] - height, 0.0))
+    reach = np.array(reaches)[:, None]
     return (foot - reach).min(axis=0), (foot + reach).max(axis=0)
 
 

@@ -72,7 +72,11 @@ class Job:
         paths = [path for view in views for path in (view.path, view.mask_path) if path is not None]
         with ThreadPoolExecutor() as pool:
             content = dict(zip(paths, pool.map(stage_key, paths), strict=True))
-        return stage_key([(view.name, content[view.path], content.get(view.mask_path)) for view in views])
+        hashes = [
+            (view.name, content[view.path], None if view.mask_path is None else content[view.mask_path])
+            for view in views
+        ]
+        return stage_key(hashes)
 
     def _part(self, name: str):
         survey, plan = self.survey, self.plan

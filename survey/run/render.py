@@ -119,14 +119,14 @@ def _cameras(poses: list[Pose], path: Path, frame: LocalFrame, config: SurveyCon
             f"the poses in {path} are in a local frame, but the run's cameras were not; give a table of positions in "
             f"{frame.crs.name} instead (image, easting, northing, height, omega, phi, kappa)"
         )
-    lens = None if all(pose.lens for pose in poses) else _lens(config.cameras, path)
     found = {}
     for pose in poses:
         centre, rotation = pose.centre, pose.cam_from_world
         if pose.in_crs:
             centre = _on_the_map(frame, pose, path)
             rotation = rotation @ frame.local_from_grid(pose.centre).T
-        found[pose.name] = (pose.lens or lens).pinhole(centre, rotation)
+        lens = pose.lens or _lens(config.cameras, path)
+        found[pose.name] = lens.pinhole(centre, rotation)
     return found
 
 

@@ -47,7 +47,8 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
             "together (bathynerf check) and that the views overlap"
         )
     if job.true_colour:
-        rgb, too_bright = true_colours(bed, survey.water, WaterColumn(*colour_of(survey)))
+        water, _ = survey.require_water()
+        rgb, too_bright = true_colours(bed, water, WaterColumn(*colour_of(survey)))
         bed = replace(bed, rgb=rgb)
         job.progress.detail(f"{100 * too_bright:.1f} % of the points are brighter than white without the water")
     points_crs = survey.frame.crs_from_local(bed.xyz)

@@ -33,5 +33,6 @@ def use_water(job: Job, folder: Path) -> None:
         job.progress.note(f"water: {estimate['name']}: {estimate['verdict']}")
     notes = tuple(f"{found['name']} {found['verdict']} (from the photographs)" for found in record["estimates"])
     survey = job.survey
-    water = replace(survey.config.water, **{name: record["water"][name] for name in PARAMETERS})
+    _, given = survey.require_water()
+    water = replace(given, **{name: record["water"][name] for name in PARAMETERS})
     job.take(replace(calibration.with_water(survey, water), assumptions=survey.assumptions + notes))

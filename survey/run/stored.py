@@ -7,7 +7,7 @@ import json
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pyproj import CRS
@@ -54,8 +54,9 @@ def save_arrays(path: str | Path, **arrays: np.ndarray) -> None:
     UnwritableFile
         If the system refuses; see `geo.write_whole`.
     """
+    named: dict[str, Any] = dict(arrays)  # to a type checker, one could be called allow_pickle, which is no array
     with write_whole(path) as stream:
-        np.savez(stream, **arrays)
+        np.savez(stream, **named)
 
 
 def load_arrays(path: str | Path) -> dict[str, np.ndarray]:

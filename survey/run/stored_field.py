@@ -7,7 +7,7 @@ import json
 import pickle
 import zipfile
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -61,7 +61,8 @@ def load_field(folder: Path, device: Device) -> TensorField:
         if damaged is not None:
             raise ValueError(f"its part {damaged} is damaged")
         stored = torch.load(path, weights_only=True)
-        slab = Slab(**{k: v.numpy() if torch.is_tensor(v) else v for k, v in stored["slab"].items()})
+        parts: dict[str, Any] = {k: v.numpy() if torch.is_tensor(v) else v for k, v in stored["slab"].items()}
+        slab = Slab(**parts)
         # A field of version 0.1 has nothing given.
         column = WaterColumn(**stored.get("given", {})) if stored["water"] else None
         field = TensorField(slab, FieldSettings(**stored["settings"]), device, column)

@@ -52,7 +52,8 @@ def with_colour(survey: Survey, folder: Path) -> Survey:
     """The survey with the colour that `save_colour` found, and none for the veil."""
     record = json.loads((folder / COLOUR_FILE).read_text(encoding="utf-8"))
     absorption = tuple(record["absorption_per_m"])
-    water = replace(survey.config.water, absorption_per_m=absorption, veiling_light=(0.0, 0.0, 0.0))
+    _, given = survey.require_water()
+    water = replace(given, absorption_per_m=absorption, veiling_light=(0.0, 0.0, 0.0))
     said = ", ".join(f"{a:.3f}" for a in absorption)
     note = f"absorption_per_m = [{said}], from the photographs, and no veiling_light"
     return replace(survey, config=replace(survey.config, water=water), assumptions=(*survey.assumptions, note))

@@ -7,10 +7,9 @@ import re
 import warnings
 
 from pyproj import CRS, Transformer
-from pyproj.aoi import AreaOfInterest
 from pyproj.crs import CompoundCRS, CoordinateOperation
 from pyproj.exceptions import ProjError
-from pyproj.transformer import TransformerGroup
+from pyproj.transformer import AreaOfInterest, TransformerGroup
 
 from geo.crs import horizontal_crs, vertical_crs
 from survey.errors import FILE_NAME, ConfigError
@@ -42,7 +41,8 @@ def height_transformer(crs: CRS, area: AreaOfInterest) -> Transformer:
         raise ConfigError(f"{said}, which PROJ does not know ({error}); {instead}") from error
     if group.transformers:
         return group.transformers[0]
-    grids = _geoid_grids(group.unavailable_operations, horizontal_crs(crs).geodetic_crs.name)
+    geodetic = horizontal_crs(crs).geodetic_crs
+    grids = [] if geodetic is None else _geoid_grids(group.unavailable_operations, geodetic.name)
     if not grids:
         raise ConfigError(f'{said}, which PROJ does not know; give heights in crs and gps_height = "crs"')
     missing = f"the grid {grids[0]} is" if len(grids) == 1 else f"the grids {' and '.join(grids)} are"
@@ -51,7 +51,7 @@ def height_transformer(crs: CRS, area: AreaOfInterest) -> Transformer:
 
 
 def _geoid_grids(operations: list[CoordinateOperation], datum: str) -> list[str]:
-    """Grids of the geoid that the best of some operations needs; of none that needs a grid of horizontal datums too.
+    """Grids of the geoid that the best operation needs, among those that need no grid of horizontal datums.
 
     The best one belongs to the horizontal datum of the survey. A shift between horizontal datums by seven parameters
     belongs to older realisations than the one without.
@@ -59,10 +59,10 @@ def _geoid_grids(operations: list[CoordinateOperation], datum: str) -> list[str]
     ranked = []
     for operation in operations:
         steps = operation.to_proj4()
-        grids = _GEOID_STEP.findall(steps)
-        if grids and len(grids) == len(operation.grids):
+        grids, needed = _GEOID_STEP.findall(steps), list(operation.grids)
+        if grids and len(grids) == len(needed):
             rank = (
-                not all(grid.direct_download for grid in operation.grids),
+                not all(grid.direct_download for grid in needed),
                 datum not in operation.name,
                 "+proj=helmert" in steps,
                 operation.accuracy if operation.accuracy >= 0.0 else math.inf,

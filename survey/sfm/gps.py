@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from pyproj import CRS, Transformer
-from pyproj.aoi import AreaOfInterest
+from pyproj.transformer import AreaOfInterest
 
 from geo.crs import height_unit_m, horizontal_crs, is_geographic, parse_crs, vertical_crs
 from geo.frames import LocalFrame

@@ -193,9 +193,10 @@ def hold_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | No
     if np.degrees(np.arccos(np.clip(axes @ mean, -1.0, 1.0))).max() > _PARALLEL_DEG:
         return False
     found = {alias: sfm_block.focal_of(block, alias) for alias in poses}
-    wrong = [a for a in found if nominal[a] is not None and abs(found[a] / nominal[a] - 1.0) > _FOCAL_SHARE]
+    in_exif = {alias: focal for alias in found if (focal := nominal[alias]) is not None}
+    wrong = [alias for alias, focal in in_exif.items() if abs(found[alias] / focal - 1.0) > _FOCAL_SHARE]
     scales = "heights and depths scale with it"
-    if not wrong and all(nominal[alias] is None for alias in found):
+    if not in_exif:
         notes.append(
             f"all images look the same way and EXIF has no focal length: the solved one may be wrong, and {scales}; "
             "give [cameras] focal_px if it is known"
@@ -204,11 +205,11 @@ def hold_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | No
         return False
     notes.append(
         "all images look the same way, which does not determine focal length and flying height separately; the "
-        f"focal length in EXIF, {nominal[wrong[0]]:.0f} px, is kept instead of the solved {found[wrong[0]]:.0f} px; "
+        f"focal length in EXIF, {in_exif[wrong[0]]:.0f} px, is kept instead of the solved {found[wrong[0]]:.0f} px; "
         f"{scales}, so give [cameras] focal_px if it is known better"
     )
     for alias in wrong:
-        sfm_block.set_focal(block, alias, nominal[alias])
+        sfm_block.set_focal(block, alias, in_exif[alias])
     return True
 
 

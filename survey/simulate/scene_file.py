@@ -13,6 +13,8 @@ BEDS = ("drawn", "plane", "mesh", "cloud")
 TEXTURES = ("sand", "checker", "image", "vertex")
 MODES = ("direct", "physical")
 
+_ONE_FOCAL = "camera: give focal_px, or focal_mm and sensor_mm, and not both"
+
 
 @dataclass(frozen=True)
 class BedSettings:
@@ -148,10 +150,25 @@ class CameraSettings:
     def __post_init__(self):
         by_mm = self.focal_mm is not None and self.sensor_mm is not None
         if (self.focal_px is None) != by_mm:
-            raise ConfigError("camera: give focal_px, or focal_mm and sensor_mm, and not both")
+            raise ConfigError(_ONE_FOCAL)
         require_positive("camera", focal_px=self.focal_px, focal_mm=self.focal_mm, sensor_mm=self.sensor_mm)
         if min(self.size_px) < 16:
             raise ConfigError(f"camera.size_px is {list(self.size_px)}, expected at least 16 pixels a side")
+
+    @property
+    def known_focal_px(self) -> float:
+        """The focal length [px], as given or from millimetres.
+
+        Raises
+        ------
+        ConfigError
+            If neither is given.
+        """
+        if self.focal_px is not None:
+            return self.focal_px
+        if self.focal_mm is None or self.sensor_mm is None:
+            raise ConfigError(_ONE_FOCAL)
+        return self.focal_mm / self.sensor_mm * self.size_px[0]
 
 
 @dataclass(frozen=True)

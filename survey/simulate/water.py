@@ -41,9 +41,9 @@ class WaterLevel:
         """The surface in local."""
         at = np.array([*self.level_at, self.level_m])
         normal = frame.local_from_grid(at) @ (-self.slope_east, -self.slope_north, 1.0)
-        point = tuple(float(v) for v in frame.local_from_crs(at))
+        x, y, z = frame.local_from_crs(at).tolist()
         slopes = -normal[:2] / normal[2]
-        return FlatWater(point, n_water=self.refractive_index, slope_x=float(slopes[0]), slope_y=float(slopes[1]))
+        return FlatWater((x, y, z), n_water=self.refractive_index, slope_x=float(slopes[0]), slope_y=float(slopes[1]))
 
 
 def with_waves(plane: FlatWater, waves: Sequence[WaveSettings]) -> WavyWater:

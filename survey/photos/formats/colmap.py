@@ -160,7 +160,7 @@ def _points_txt(path: Path) -> list[tuple[tuple[float, ...], int]]:
 def _points_bin(path: Path) -> list[tuple[tuple[float, ...], int]]:
     data = path.read_bytes()
     (count,) = struct.unpack_from("<Q", data)
-    at, points = 8, []
+    at, points = 8, list[tuple[tuple[float, ...], int]]()
     for _ in range(count):
         _, x, y, z, *_, length = struct.unpack_from("<Q3d3BdQ", data, at)
         points.append(((x, y, z), length))

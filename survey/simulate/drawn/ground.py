@@ -34,13 +34,16 @@ def build_ground(scene: DrawnScene, cameras: Sequence[PinholeCamera], light: Lig
     heights = _heights(scene, x, y, rng)
     stones = _add_stones(heights, rng, scene)
     bed = BedGrid(heights, west, south, cell)
-    bodies = _bodies(scene, bed, rng) if scene.objects else ()
+    bodies = _bodies(scene, bed, rng) if scene.objects else []
     solids = tuple(solid for solid, _, _ in bodies)
     stone = in_texels(stones, cell, texel)
     skin = skin_from_above(sand(stone.shape, texel, rng, stone), west, south, texel)
     looks = [Look(skin, shade_of_map(bed, light_of_bed(bed, solids, light)))]
     tile = np.exp(sum(0.15 * periodic(rng, size) for size in (2, 4, 8, 32))).astype(np.float32)
-    looks += [Look(_skin(scene, solid, tile, *paint), shade_beside_bed(solid, bed, light)) for solid, *paint in bodies]
+    looks += [
+        Look(_skin(scene, solid, tile, colour, grain), shade_beside_bed(solid, bed, light))
+        for solid, colour, grain in bodies
+    ]
     return Ground(bed, solids, tuple(looks))
 
 
@@ -105,7 +108,7 @@ def _bodies(scene: DrawnScene, bed: BedGrid, rng: np.random.Generator) -> list[B
         return unit * points @ turn.T + (x, y, float(bed.height(x, y)) + unit * lift)
 
     turn = rotation(0.7, 0.02, 0.12)
-    bodies = [(Solid.around(place(_boat(), -0.17, -0.10, turn, 0.02)), _WOOD, turn[:, 0])]
+    bodies: list[Body] = [(Solid.around(place(_boat(), -0.17, -0.10, turn, 0.02)), _WOOD, turn[:, 0])]
     turn = rotation(0.35, 0.1, 0.15)
     box = np.stack(np.meshgrid([-0.4, 0.4], [-0.3, 0.3], [-0.2, 0.3]), axis=-1).reshape(-1, 3)
     bodies.append((Solid.around(place(box, 0.22, 0.10, turn, 0.1)), _WOOD, turn[:, 0]))
@@ -117,8 +120,9 @@ def _bodies(scene: DrawnScene, bed: BedGrid, rng: np.random.Generator) -> list[B
     for x, y in ((-0.33, 0.25), (-0.24, 0.34), (0.34, -0.12), (0.30, 0.34), (-0.35, -0.36), (0.02, 0.04)):
         ball = rng.standard_normal((26, 3))
         ball = ball / np.linalg.norm(ball, axis=1, keepdims=True) * rng.uniform(0.22, 0.5) * np.array([1.0, 0.8, 0.6])
-        colour = tuple(rng.uniform(0.8, 1.3) * np.array(ROCK))
-        bodies.append((Solid.around(place(ball, x, y, rotation(rng.uniform(0.0, 6.0)), 0.08)), colour, None))
+        red, green, blue = rng.uniform(0.8, 1.3) * np.array(ROCK)
+        turn = rotation(rng.uniform(0.0, 6.0))
+        bodies.append((Solid.around(place(ball, x, y, turn, 0.08)), (red, green, blue), None))
     return bodies
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -93,7 +94,7 @@ class DrawnScene:
     @classmethod
     def tiny(cls, **changes) -> DrawnScene:
         """A survey for tests, drawn in about a second: 8 views of 160x120, 2.6 x 2.4 m of bed, no noise."""
-        small = {
+        small: dict[str, Any] = {
             "size_m": (2.6, 2.4), "depth_m": 1.2, "num_views": 8, "image_px": (160, 120),
             "focal_px": 280.0, "flying_m": 7.0, "noise": 0.0,
         }  # fmt: skip

@@ -77,7 +77,9 @@ def coverage(cameras: Sequence[PinholeCamera], site: Site) -> Coverage:
     east, north = (np.linspace(-h, h, _POINTS) for h in half)
     x, y = np.meshgrid(east, north)
     points = np.stack([x, y, np.full_like(x, site.level - site.depth_m)], axis=-1)
-    num_views = sum(_sees(camera, points, site.water) for camera in cameras)
+    num_views = np.zeros(x.shape, dtype=np.int64)
+    for camera in cameras:
+        num_views += _sees(camera, points, site.water)
     footprints = np.array([_footprint(camera, site) for camera in cameras])
     sensitivity = None if site.water is None else _level_sensitivity(cameras, site)
     return Coverage(footprints, east, north, num_views, sensitivity)
@@ -85,7 +87,7 @@ def coverage(cameras: Sequence[PinholeCamera], site: Site) -> Coverage:
 
 def _sees(camera: PinholeCamera, points: np.ndarray, water: WaterSurface | None) -> np.ndarray:
     pixels = camera.project(points, water)
-    return ((pixels > 0.0) & (pixels < (camera.width, camera.height))).all(axis=-1)
+    return np.all((pixels > 0.0) & (pixels < (camera.width, camera.height)), axis=-1)
 
 
 def _footprint(camera: PinholeCamera, site: Site) -> np.ndarray:

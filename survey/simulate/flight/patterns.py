@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from refract import PinholeCamera
+from refract import FlatWater, PinholeCamera
 from refract.lens import Lens
-from refract.surfaces import WaterSurface
 from survey.errors import SurveyError
 from survey.simulate.flight.settings import FlightSettings
 
@@ -33,12 +32,12 @@ class Site:
         About the origin.
     depth_m : [m]
         Of the bed below the water, on average; 0 for a dry site.
-    water : WaterSurface or None
+    water : FlatWater or None
     """
 
     size_m: tuple[float, float]
     depth_m: float
-    water: WaterSurface | None
+    water: FlatWater | None
 
     @property
     def level(self) -> float:
@@ -52,7 +51,9 @@ class Site:
         """
         if flight.height_m is not None:
             return flight.height_m
-        height = flight.gsd_m * focal_px - self.seeming_depth
+        if flight.gsd_m is None:
+            raise SurveyError("flight has neither height_m nor gsd_m, expected one of them; give height_m")
+        height = flight.gsd_m * focal_px - self.apparent_depth
         if height <= 0.0:
             raise SurveyError(
                 f"flight.gsd_m is {flight.gsd_m:g}, for which the camera would have to be {-height:.2f} m under the "
@@ -61,7 +62,7 @@ class Site:
         return height
 
     @property
-    def seeming_depth(self) -> float:
+    def apparent_depth(self) -> float:
         """How far below the water the bed seems to be, straight below a camera [m]."""
         return self.depth_m / (1.0 if self.water is None else float(self.water.n_water))
 
@@ -140,7 +141,7 @@ def _rings(flight: FlightSettings, site: Site, height: float) -> list[Pose]:
     tilts = flight.ring_tilts_deg or (flight.tilt_deg,)
     for ring, tilt_deg in enumerate(tilts):
         tilt = math.radians(tilt_deg)
-        reach = (height + site.seeming_depth) * math.tan(tilt)
+        reach = (height + site.apparent_depth) * math.tan(tilt)
         for view in range(flight.ring_views):
             # Rings are turned against each other, so that no two views look from the same side.
             heading = 2.0 * math.pi * (view + ring / len(tilts)) / flight.ring_views
@@ -152,7 +153,7 @@ def _rings(flight: FlightSettings, site: Site, height: float) -> list[Pose]:
 def _outer(flight: FlightSettings, lens: Lens, site: Site, height: float, heading: float) -> list[Pose]:
     """x, y [m], tilt and heading [rad] of strips outside the four sides that look at the area's border."""
     tilt = math.radians(flight.tilt_deg)
-    reach = (height + site.seeming_depth) * math.tan(tilt)
+    reach = (height + site.apparent_depth) * math.tan(tilt)
     # The footprint of an oblique view widens with distance; that of its middle row counts.
     across = _footprint(lens, site, height)[0] / math.cos(tilt)
     step = across * (1.0 - flight.forward_overlap)

@@ -19,7 +19,7 @@ from survey.simulate.scene_file import BedSettings
 _PLANE_CELL_M = 0.5
 
 
-def bed_from_file(settings: BedSettings, folder: Path, frame: LocalFrame) -> tuple[TriangleMesh, np.ndarray | None]:
+def bed_from_file(path: Path, settings: BedSettings, frame: LocalFrame) -> tuple[TriangleMesh, np.ndarray | None]:
     """The bed of a file, in local, and the colours (V, 3) uint8 of its vertices if it has any.
 
     Raises
@@ -27,16 +27,14 @@ def bed_from_file(settings: BedSettings, folder: Path, frame: LocalFrame) -> tup
     SurveyError, GeoError
         If the file cannot be used as a bed.
     """
-    path = folder / settings.file
     shape = read_reference(path)
-    is_mesh = isinstance(shape, Mesh)
-    if settings.kind == "mesh" and not is_mesh:
+    points, faces = (shape.vertices, shape.faces) if isinstance(shape, Mesh) else (shape.points, None)
+    if settings.kind == "mesh" and faces is None:
         raise SurveyError(f'{path} has no faces; give kind = "cloud" in [bed], or a mesh')
-    points = shape.vertices if is_mesh else shape.points
     if settings.frame == "crs":
         points = _in_local(points, shape.crs, path, frame)
-    if settings.kind == "mesh":
-        return TriangleMesh(points, shape.faces), shape.rgb
+    if settings.kind == "mesh" and faces is not None:
+        return TriangleMesh(points, faces), shape.rgb
     rgb = shape.rgb
     if settings.spacing_m is not None:
         points, rgb = _thinned(points, rgb, settings.spacing_m)

@@ -48,10 +48,7 @@ def place_object(settings: ObjectSettings, folder: Path, bed, light: Light) -> t
     if not np.isfinite(z):
         raise SurveyError(f"{path} is placed at {x:g}, {y:g} m, outside the bed; correct at, in metres from the origin")
     shape = TriangleMesh(points - [*(0.5 * (low + high)[:2]), low[2]] + (x, y, z), mesh.faces)
-    if mesh.rgb is not None:
-        skin = vertex_skin(shape, mesh.rgb)
-    else:
-        skin = _speckled(shape, settings)
+    skin = _speckled(shape, settings) if mesh.rgb is None else vertex_skin(shape, mesh.rgb)
     return shape, Look(skin, shade_beside_bed(shape, bed, light))
 
 

@@ -44,8 +44,8 @@ def skin_of_bed(
         if rgb is None:
             raise SurveyError('texture.kind is "vertex", but the file of the bed has no colours; give another kind')
         return vertex_skin(shape, rgb)
-    if settings.kind == "image":
-        return _image(settings, folder)
+    if settings.file is not None:
+        return _image(folder / settings.file, settings.texel_m)
     if settings.kind == "checker":
         return _checker(settings.square_m, area)
     texel = settings.texel_m
@@ -81,12 +81,12 @@ def linear_image(path: Path) -> np.ndarray:
         raise SurveyError(f"{path} cannot be read as an image ({error}); correct the path or convert it") from error
 
 
-def _image(settings: TextureSettings, folder: Path) -> ImageSkin:
+def _image(path: Path, texel_m: float) -> ImageSkin:
     # The first row of an image is its north.
-    image = np.ascontiguousarray(linear_image(folder / settings.file)[::-1])
+    image = np.ascontiguousarray(linear_image(path)[::-1])
     rows, columns = image.shape[:2]
-    west, south = -0.5 * (columns - 1) * settings.texel_m, -0.5 * (rows - 1) * settings.texel_m
-    return skin_from_above(image, west, south, settings.texel_m)
+    west, south = -0.5 * (columns - 1) * texel_m, -0.5 * (rows - 1) * texel_m
+    return skin_from_above(image, west, south, texel_m)
 
 
 def _checker(square: float, area: Area) -> ImageSkin:

@@ -67,7 +67,7 @@ class DirectRenderer:
         if self.water is None:
             t, body, face = self.ground.first(origin, direction, np.full(len(direction), np.inf))
             return Hits(_at(origin, direction, t), body, face, np.zeros(len(t)), np.ones(len(t)))
-        in_air, bent, incidence = self._cross(origin, direction)
+        in_air, bent, incidence = _cross(self.water, origin, direction)
         t, body, face = self.ground.first(origin, direction, in_air)
         points, in_water = _at(origin, direction, t), np.zeros(len(t))
         wet = np.flatnonzero(~np.isfinite(t) & np.isfinite(in_air))
@@ -98,21 +98,22 @@ class DirectRenderer:
         wet = (hits.in_water > 0.0)[:, None]
         return np.where(wet, (1.0 - mirrored) * seen + mirrored * self.colour.sky, dry)
 
-    def _cross(self, origin: np.ndarray, direction: np.ndarray):
-        """Way to the surface (N,) [m], direction below it (N, 3), and cosine of incidence (N,)."""
-        if not isinstance(self.water, FlatWater):
-            paths = trace(origin, direction, self.water)
-            along = np.einsum("ij,ij->i", paths.water_direction, direction)
-            return paths.air_length, paths.water_direction, _incidence(along, self.water.n_water)
-        normal = np.array(self.water.up)
-        falling = -direction @ normal
-        with np.errstate(divide="ignore"):
-            in_air = (origin - self.water.point) @ normal / falling
-        in_air = np.where(falling > 0.0, in_air, np.inf)
-        # Snell: the component along the surface shrinks by the index, the other fills up to unit length.
-        along = (direction + falling[:, None] * normal) / self.water.n_water
-        bent = along - np.sqrt(1.0 - np.sum(along**2, axis=1, keepdims=True)) * normal
-        return in_air, bent, np.abs(falling)
+
+def _cross(water: WaterSurface, origin: np.ndarray, direction: np.ndarray):
+    """Way to the surface (N,) [m], direction below it (N, 3), and cosine of incidence (N,)."""
+    if not isinstance(water, FlatWater):
+        paths = trace(origin, direction, water)
+        along = np.einsum("ij,ij->i", paths.water_direction, direction)
+        return paths.air_length, paths.water_direction, _incidence(along, water.n_water)
+    normal = np.array(water.up)
+    falling = -direction @ normal
+    with np.errstate(divide="ignore"):
+        in_air = (origin - water.point) @ normal / falling
+    in_air = np.where(falling > 0.0, in_air, np.inf)
+    # Snell: the component along the surface shrinks by the index, the other fills up to unit length.
+    along = (direction + falling[:, None] * normal) / water.n_water
+    bent = along - np.sqrt(1.0 - np.sum(along**2, axis=1, keepdims=True)) * normal
+    return in_air, bent, np.abs(falling)
 
 
 def _at(origin: np.ndarray, direction: np.ndarray, t: np.ndarray) -> np.ndarray:

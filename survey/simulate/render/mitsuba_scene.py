@@ -93,7 +93,7 @@ def _grid(area: tuple[np.ndarray, np.ndarray], spacing: float) -> tuple[np.ndarr
             f"the waves take a point every {100.0 * spacing:.1f} cm over {counts[0] * spacing:.0f} x "
             f"{counts[1] * spacing:.0f} m, more than {_MOST_POINTS}; leave out the shortest, or make the area smaller"
         )
-    x, y = np.meshgrid(*(np.linspace(*ends, n) for ends, n in zip(np.transpose(area), counts, strict=True)))
+    x, y = np.meshgrid(*(np.linspace(low, high, n) for low, high, n in zip(*area, counts, strict=True)))
     sw = (np.arange(counts[1] - 1)[:, None] * counts[0] + np.arange(counts[0] - 1)).ravel()
     se, nw = sw + 1, sw + counts[0]
     faces = np.concatenate([np.stack([sw, se, nw], axis=-1), np.stack([nw + 1, nw, se], axis=-1)])

@@ -73,7 +73,7 @@ def plan_scene(settings: SceneSettings, folder: Path) -> Plan:
         )
     lens = lens_of(settings.camera)
     surface = level.plane(frame) if level else None
-    bed = bed_from_file(settings.bed, folder, frame) if settings.bed.file else None
+    bed = bed_from_file(folder / settings.bed.file, settings.bed, frame) if settings.bed.file else None
     site = Site(settings.area.size_m, _depth(settings, surface, bed), surface)
     cameras = plan_flight(settings.flight, lens, site, settings.seed)
     return Plan(settings, folder, frame, level, lens, site, bed, cameras)
@@ -101,7 +101,7 @@ def marks_of(settings: SceneSettings, folder: Path) -> dict:
 def lens_of(camera: CameraSettings) -> Lens:
     """The lens of [camera]."""
     width, height = camera.size_px
-    focal = camera.focal_px or camera.focal_mm / camera.sensor_mm * width
+    focal = camera.known_focal_px
     cx, cy = camera.principal_point_px or (0.5 * width, 0.5 * height)
     if camera.model not in MODELS:
         raise ConfigError(f'camera.model is "{camera.model}", expected one of {", ".join(MODELS)}')

@@ -95,7 +95,7 @@ def _say_of(plan: Plan, cover: Coverage) -> None:
     """Say what a flight amounts to, and what to mend."""
     heights = [float(camera.centre[2]) - plan.site.level for camera in plan.cameras]
     height, focal = sum(heights) / len(heights), plan.lens.focal[0]
-    gsd_cm = 100.0 * (height + plan.site.seeming_depth) / focal
+    gsd_cm = 100.0 * (height + plan.site.apparent_depth) / focal
     progress = current()
     progress.note(
         f"{len(plan.cameras)} photographs from {height:.1f} m, {gsd_cm:.1f} cm per pixel on the bed, which "

@@ -73,7 +73,7 @@ def stage_scene(plan: Plan) -> StagedScene:
 def _surface(plan: Plan) -> WaterSurface | None:
     """The surface of the water, which the flight takes for a plane."""
     water, plane = plan.settings.water, plan.site.water
-    if water is None:
+    if water is None or plane is None:
         return None
     if water.heights is not None:
         return measured(plan.folder / water.heights, plan.frame, water.refractive_index)
@@ -146,12 +146,14 @@ def _drawn(plan: Plan, light: Light) -> Ground:
 def _bed(plan: Plan, light: Light) -> tuple[BedGrid | TriangleMesh, Look]:
     """A bed that is a plane, or comes from a file."""
     settings = plan.settings
+    shape: BedGrid | TriangleMesh
     if plan.bed is None:
         area = seen_area(plan.cameras, settings.area.size_m, -1.5 * settings.bed.depth_m)
         shape, rgb, normals = plane(area, -settings.bed.depth_m), None, np.array([[0.0, 0.0, 1.0]])
     else:
-        (shape, rgb), normals = plan.bed, plan.bed[0].normals
-        low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
+        mesh, rgb = plan.bed
+        shape, normals = mesh, mesh.normals
+        low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
         area = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
     skin = skin_of_bed(settings.texture, plan.folder, shape, rgb, area, settings.seed)
     return shape, Look(skin, shade_of_normals(normals, light))

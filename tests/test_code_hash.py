@@ -13,6 +13,8 @@ from survey.code_hash import code_hash
 
 ROOT = Path(__file__).resolve().parent.parent
 SWEEP, BED = "survey.run.stage_sweep", "survey.run.stage_bed"
+# Loaded by the device that is chosen: both twins count.
+KERNELS = ("legs", "scoring_drjit", "scoring_torch", "warping_drjit", "warping_torch")
 A_LINE = ("from __future__ import annotations", "from __future__ import annotations\nX = 1")
 
 
@@ -27,7 +29,10 @@ def copy(tmp_path_factory):
 
 def hashes_in(folder: Path) -> dict[str, str]:
     """The hashes of both stages' code in a copy."""
-    code = f"from survey.code_hash import code_hash\nfor name in {SWEEP!r}, {BED!r}: print(name, code_hash(name))"
+    code = (
+        "from survey.code_hash import code_hash\nfrom survey.run.stage import LOADING\n"
+        f"for name in {SWEEP!r}, {BED!r}: print(name, code_hash(name, *LOADING))"
+    )
     shown = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=True)
     return dict(line.split() for line in shown.stdout.splitlines())
 
@@ -61,6 +66,8 @@ def edit(copy):
         ("fields/sweep/sweep.py", "Pass(0.5, 2, 11,", "Pass(0.5, 2, 13,", (SWEEP, BED)),
         ("fields/slab/refine.py", "CHUNK = 65536", "CHUNK = 32768", (BED,)),
         ("refract/kernels.py", *A_LINE, (SWEEP, BED)),
+        *((f"fields/sweep/{name}.py", *A_LINE, (SWEEP, BED)) for name in KERNELS),
+        ("survey/photos/store.py", *A_LINE, (SWEEP, BED)),
         # Comments, docstrings and layout decide nothing.
         ("fields/sweep/sweep.py", "PEERS = 12", "PEERS = (\n    12  # views\n)", ()),
         ("fields/sweep/sweep.py", '"""Refractive plane sweep', '"""The plane sweep', ()),

@@ -253,7 +253,7 @@ def test_the_same_command_again_computes_nothing_and_changes_nothing(calm, monke
 def test_a_changed_setting_is_not_served_from_what_was_finished(calm, monkeypatch, old, new):
     asked = []
 
-    def note(self, name, key):
+    def note(self, name, key, leaves=()):
         asked.append((name, key.digest))
         raise SurveyError("seen enough")
 

@@ -33,7 +33,7 @@ def run_folder(stored, tmp_path_factory):
         folder = run.open_stage("bed")
         save_bed(folder, stored)
         folder = run.finish_stage("bed", Key({}), folder)
-        run.publish(run.open_result(), quality="standard", stages={"bed": folder})
+        run.publish(run.open_result("standard"), quality="standard", stages={"bed": folder})
     return run.path
 
 
@@ -118,7 +118,7 @@ def test_what_the_run_itself_needs_is_not_overwritten(stored, tmp_path):
         folder = run.open_stage("bed")
         save_bed(folder, stored)
         folder = run.finish_stage("bed", Key({}), folder)
-        run.publish(run.open_result(), quality="standard", stages={"bed": folder})
+        run.publish(run.open_result("standard"), quality="standard", stages={"bed": folder})
     export(run.path, las=tmp_path / "a.las")
     run.cloud_path.write_bytes((tmp_path / "a.las").read_bytes())
     (tmp_path / "link.las").symlink_to(run.cloud_path)

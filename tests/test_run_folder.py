@@ -34,7 +34,7 @@ def finish(run: RunDir, name: str, key: Key, **arrays) -> Path:
 
 def publish(run: RunDir, words: str, quality: str = "standard", **stages: Path) -> None:
     """A result whose settings, cloud and a picture hold some words."""
-    folder = run.open_result()
+    folder = run.open_result(quality)
     (folder / "pictures").mkdir()
     for name in ("settings.toml", "cloud.las", f"pictures/{words}.png"):
         (folder / name).write_text(words)
@@ -102,6 +102,27 @@ def test_results_of_other_settings_stand_side_by_side_until_a_result_replaces_th
         assert not first.exists()
 
 
+def test_stages_of_an_unfinished_run_stay_when_another_quality_is_published(tmp_path):
+    with suppress(ZeroDivisionError), RunDir(tmp_path / "run") as run:
+        run.open_result("standard")
+        kept = finish(run, "sweep", A, x=np.ones(2))
+        raise ZeroDivisionError
+    with run:
+        publish(run, "draft", "draft", sweep=finish(run, "sweep", B, x=np.ones(2)))
+        assert kept.exists()
+    with run:
+        publish(run, "standard", "standard", sweep=finish(run, "sweep", Key({"water": "3"}), x=np.ones(2)))
+        assert not kept.exists()
+
+
+def test_a_finished_stage_that_lost_a_file_is_computed_again(tmp_path):
+    with RunDir(tmp_path / "run") as run:
+        folder = finish(run, "sweep", A, x=np.ones(2))
+    assert run.finished_stage("sweep", A, ["data.npz"]) == folder
+    (folder / "data.npz").unlink()
+    assert run.finished_stage("sweep", A, ["data.npz"]) is None
+
+
 def test_a_stage_that_failed_leaves_nothing_behind(tmp_path):
     with RunDir(tmp_path / "run") as run:
         finish(run, "sweep", A, x=np.ones(2))
@@ -127,7 +148,7 @@ def test_until_a_result_is_whole_the_one_before_stands_and_readers_are_warned(tm
     run.warn_if_unfinished()
     assert capsys.readouterr().err == ""
     with suppress(ZeroDivisionError), run:
-        (run.open_result() / "settings.toml").write_text("new")
+        (run.open_result("standard") / "settings.toml").write_text("new")
         raise ZeroDivisionError
     assert contents(run) == {"old"}
     run.warn_if_unfinished()
@@ -168,7 +189,7 @@ def test_a_stage_folder_is_fresh_after_a_killed_run(tmp_path):
 def test_files_that_a_killed_run_left_half_written_are_removed(tmp_path):
     run = RunDir(tmp_path / "run")
     with run:
-        half = run.open_result() / "cloud.las"
+        half = run.open_result("standard") / "cloud.las"
         half.touch()
     (run.path / ".log.4711.part").touch()
     run.cloud_path.touch()

@@ -43,7 +43,7 @@ def run(tmp_path, frame):
         save_field(stage, field, FieldFigures(300, 614400, None, 30.0, 0.01, 26383))
         save_place(stage, frame, FlatWater((0.0, 0.0, 0.5)))
         stage = folder.finish_stage("field", Key({}), stage)
-        result = folder.open_result()
+        result = folder.open_result("fine")
         settings = dump_config(SurveyConfig(crs="EPSG:25832+5783", cameras=LENS))
         (result / "settings.toml").write_text(settings, encoding="utf-8")
         folder.publish(result, quality="fine", stages={"field": stage})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from types import ModuleType
 
 from fields.device import Device
@@ -10,13 +9,21 @@ from fields.device import Device
 
 def warping(device: Device) -> ModuleType:
     """`fields.sweep.warping_drjit` or `fields.sweep.warping_torch`: the same functions with the same signatures."""
-    return importlib.import_module(f"fields.sweep.warping_{_library(device)}")
+    if device.module is None:
+        from fields.sweep import warping_torch
+
+        return warping_torch
+    from fields.sweep import warping_drjit
+
+    return warping_drjit
 
 
 def scoring(device: Device) -> ModuleType:
     """`fields.sweep.scoring_drjit` or `fields.sweep.scoring_torch`: the same functions with the same signatures."""
-    return importlib.import_module(f"fields.sweep.scoring_{_library(device)}")
+    if device.module is None:
+        from fields.sweep import scoring_torch
 
+        return scoring_torch
+    from fields.sweep import scoring_drjit
 
-def _library(device: Device) -> str:
-    return "torch" if device.module is None else "drjit"
+    return scoring_drjit

@@ -16,6 +16,7 @@ from survey.plan.recipe import RECIPES, Recipe
 
 QUALITIES = tuple(RECIPES)
 DEVICES = ("auto", "cpu", "cuda")
+FIELDS = ("auto", "on", "off")
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ def make_plan(survey: Survey, *, quality: str = "standard", device: str = "auto"
 
 
 def _field(quality: str, field: str) -> Decision:
-    require_choice("field", field, ("auto", "on", "off"))
+    require_choice("field", field, FIELDS)
     if field != "auto":
         return Decision("field", field, "asked for")
     if not RECIPES[quality].field:
@@ -131,6 +132,21 @@ def require_choice(name: str, value: str, known: tuple[str, ...]) -> None:
     """Raise SurveyError where a word is not one of the known ones."""
     if value not in known:
         raise SurveyError(f"{name} is {value}, expected one of {', '.join(known)}")
+
+
+def require_choices(*, quality: str, device: str, field: str) -> None:
+    """Look at the options of a run before anything is computed.
+
+    Raises
+    ------
+    SurveyError
+        If a word is not known, or CUDA is asked for and there is none.
+    """
+    require_choice("quality", quality, QUALITIES)
+    require_choice("device", device, DEVICES)
+    require_choice("field", field, FIELDS)
+    if device == "cuda":
+        device_decision(device)
 
 
 def device_decision(device: str) -> Decision:

@@ -10,25 +10,25 @@ side by side. One process at a time writes to a run; a lock says so.
 
 from __future__ import annotations
 
-import fcntl
 import importlib.metadata
 import json
-import os
 import shutil
 import sys
 import time
+from collections.abc import Iterable
+from contextlib import ExitStack
 from pathlib import Path
-from typing import BinaryIO
 
 from geo.files import disk_refusals, write_whole
 from survey.code_hash import code_hash
 from survey.errors import SurveyError
+from survey.files.lock import locked
 from survey.files.outputs import Inputs
 from survey.progress import current
 from survey.run import result
 from survey.run.keys import Key
 
-_MARKER, _LOCK, _RECORD, _PART = ".bathynerf-run.json", ".lock", "stage.json", ".part"
+_MARKER, _RECORD, _PART = ".bathynerf-run.json", "stage.json", ".part"
 # Structure from motion works there before anything else of a run exists.
 _SFM = "sfm"
 _NAMED_VERSIONS = (
@@ -81,27 +81,32 @@ class RunDir:
         self.pictures_path = self.path / "pictures"
         self.stages_path = self.path / "stages"
         self.sfm_path = self.path / _SFM
-        self._lock: BinaryIO | None = None
+        self._held: ExitStack | None = None
         self._started: dict[Path, float] = {}
+        self._quality: str | None = None
 
     def __enter__(self) -> RunDir:
-        with disk_refusals(self.path):
+        with ExitStack() as stack, disk_refusals(self.path):
             self._require_ours_or_empty()
             self.stages_path.mkdir(parents=True, exist_ok=True)
             if not (self.path / _MARKER).exists():
                 made_by = {"made_by": f"bathynerf {importlib.metadata.version('bathynerf')}"}
                 self.write_text(self.path / _MARKER, json.dumps(made_by))
-            self._lock = _locked(self.path)
+            busy = (
+                f"the run {self.path} is being written by another process (number {{pid}}); wait until it ends, "
+                "stop it, or name another run folder with -o"
+            )
+            stack.enter_context(locked(self.path, busy=busy))
+            stack.callback(self._remove_parts)
             result.settle(self.path)
-        self._remove_parts()
+            self._remove_parts()
+            self._held = stack.pop_all()
         return self
 
-    def __exit__(self, *_exception) -> None:
-        self._remove_parts()
-        (self.path / _LOCK).unlink(missing_ok=True)
-        if self._lock is not None:
-            self._lock.close()
-        self._lock = None
+    def __exit__(self, *exception) -> None:
+        held, self._held = self._held, None
+        if held is not None:
+            held.__exit__(*exception)
 
     def require_run(self) -> None:
         """Raise SurveyError where the folder is not one that `bathynerf process` made."""
@@ -130,15 +135,16 @@ class RunDir:
         """Warn where a later `process` began here and did not finish, so that the result is that of the one before."""
         if result.is_unfinished(self.path):
             current().warn(
-                f"a later `bathynerf process` in {self.path} has not finished; this is the result of "
+                f"a `bathynerf process` in {self.path} with other settings has not finished; this is the result of "
                 f"{self.result().get('finished')}, with the settings in settings.toml beside it"
             )
 
-    def open_result(self) -> Path:
-        """An empty folder for a new result; `publish` puts it in its place."""
+    def open_result(self, quality: str) -> Path:
+        """An empty folder for a new result of a quality; `publish` puts it in its place."""
         folder = self.path / f".result{_PART}"
         with disk_refusals(folder):
-            result.begin(self.path, folder)
+            result.begin(self.path, folder, quality)
+        self._quality = quality
         return folder
 
     def publish(self, folder: Path, *, quality: str, stages: dict[str, Path]) -> None:
@@ -152,10 +158,11 @@ class RunDir:
             result.publish(self.path, folder, quality=quality, finished=finished, stages=names)
             result.prune(self.path)
 
-    def finished_stage(self, name: str, key: Key) -> Path | None:
-        """The folder of a stage that was finished with this key; None if there is none."""
+    def finished_stage(self, name: str, key: Key, leaves: Iterable[str] = ()) -> Path | None:
+        """The folder of a stage that was finished with this key and has these files; None if there is none."""
         folder = self._place(name, key)
-        return folder if _record(folder).get("key") == key.digest else None
+        is_whole = _record(folder).get("key") == key.digest and all((folder / leaf).is_file() for leaf in leaves)
+        return folder if is_whole else None
 
     def why_again(self, name: str, key: Key) -> str | None:
         """Why a stage has to be computed although it was before, in words; None if it never was.
@@ -168,7 +175,7 @@ class RunDir:
 
     def open_stage(self, name: str) -> Path:
         """A fresh folder for a stage to work in; `finish_stage` gives it its place."""
-        if self._lock is None:
+        if self._held is None:
             raise RuntimeError("open_stage outside a with block: stages are written while the run is locked")
         folder = self.stages_path / f".{name}{_PART}"
         with disk_refusals(folder):
@@ -188,6 +195,8 @@ class RunDir:
             # Computed again on demand, or with a record that cannot be read.
             shutil.rmtree(place, ignore_errors=True)
             temp.rename(place)
+        if self._quality is not None:
+            result.note_finished(self.path, self._quality, place.name)
         return place
 
     def load_stage(self, name: str) -> Path:
@@ -262,37 +271,3 @@ def versions() -> dict[str, str]:
         except importlib.metadata.PackageNotFoundError:
             continue
     return found
-
-
-def _locked(folder: Path) -> BinaryIO:
-    """The lock file of a run, open and locked; the system frees it when its process ends, however it ends.
-
-    Raises
-    ------
-    SurveyError
-        If another process has it.
-    """
-    path = folder / _LOCK
-    while True:
-        lock = path.open("a+b")
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            lock.seek(0)
-            pid = lock.read().decode(errors="replace").strip() or "unknown"
-            lock.close()
-            raise SurveyError(
-                f"the run {folder} is being written by another process (number {pid}); wait until it ends, "
-                "stop it, or name another run folder with -o"
-            ) from error
-        except OSError:
-            lock.close()
-            raise
-        # Its last owner may have removed the file between our opening and our locking it.
-        if path.exists() and path.stat().st_ino == os.fstat(lock.fileno()).st_ino:
-            break
-        lock.close()
-    lock.truncate(0)
-    lock.write(str(os.getpid()).encode())
-    lock.flush()
-    return lock

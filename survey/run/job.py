@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from survey.photos.store import ImageStore
-from survey.plan.block import limits, load_block
+from survey.plan.block import limits, load_block, local_area
 from survey.run.water_colour import colour_of
 from survey.stage_key import stage_key
 
@@ -42,7 +42,7 @@ class Job:
         true_colour: bool = False,
     ):
         self.survey, self.plan, self.progress = survey, plan_of(survey), progress
-        self.calibrate_water, self.true_colour = calibrate_water and survey.water is not None, true_colour
+        self.calibrate_water, self.true_colour = calibrate_water, true_colour
         self._plan_of = plan_of
 
     def take(self, survey: Survey) -> None:
@@ -83,9 +83,9 @@ class Job:
         parts = {
             "cameras": lambda: [(view.name, view.camera, view.lens) for view in survey.views],
             "water": lambda: survey.water,
-            "water_settings": lambda: survey.config.water,
+            "water_settings": lambda: _settings_of(survey),
             "heights": lambda: limits(survey),
-            "area": lambda: survey.bounds,
+            "area": lambda: local_area(survey),
             "frame": lambda: survey.frame,
             "name": lambda: survey.name,
             "size": lambda: plan.image_scale,
@@ -97,3 +97,10 @@ class Job:
             "true_colour": lambda: colour_of(survey) if self.true_colour else None,
         }
         return parts[name]()
+
+
+def _settings_of(survey: Survey) -> dict | None:
+    """What survey.toml says of level, slopes and index of the water; not of its colour."""
+    given = survey.config.water
+    names = ("level_m", "level_at", "slope_east", "slope_north", "refractive_index")
+    return None if given is None else {name: getattr(given, name) for name in names}

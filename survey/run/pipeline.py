@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from survey.run.job import Job
 from survey.run.stage import Stage
 from survey.run.stage_bed import FILES, make_bed
 from survey.run.stage_field import train_field
-from survey.run.stage_sweep import MAPS, sweep_views
+from survey.run.stage_sweep import BOUND, MAPS, sweep_views
 from survey.run.stage_water import ESTIMATE, calibrate_water, use_water
 from survey.run.stage_water_colour import estimate_colour, use_colour
 from survey.run.stored_field import FIELD_FILES
@@ -32,7 +34,7 @@ STAGES = (
     Stage(
         name="water",
         needs=(),
-        depends_on=("photographs", "cameras", "water_settings", "area", "heights", "device"),
+        depends_on=("photographs", "cameras", "frame", "water", "water_settings", "area", "heights", "device"),
         leaves=(ESTIMATE,),
         compute=calibrate_water,
         is_on=_calibrates,
@@ -42,7 +44,7 @@ STAGES = (
         name="sweep",
         needs=(),
         depends_on=(*_VIEWS, "heights", "area", "coverage"),
-        leaves=(MAPS,),
+        leaves=(MAPS, BOUND),
         compute=sweep_views,
     ),
     Stage(
@@ -72,11 +74,4 @@ STAGES = (
 )
 
 # What the cloud would be without the field: a baseline for the report.
-BED_OF_SWEEP = Stage(
-    name="bed_of_sweep",
-    needs=("sweep",),
-    depends_on=(*_VIEWS, "area", "frame", "name", "gsd", "true_colour"),
-    leaves=FILES,
-    compute=make_bed,
-    is_on=_has_field,
-)
+BED_OF_SWEEP = replace(STAGES[-1], name="bed_of_sweep", needs=("sweep",), is_on=_has_field)

@@ -17,7 +17,7 @@ from survey.files.outputs import Inputs, require_folder
 from survey.folder.inputs import survey_inputs
 from survey.folder.survey import Survey, load_survey
 from survey.plan.check import require_processable
-from survey.plan.plan import Plan, make_plan
+from survey.plan.plan import Plan, make_plan, require_choices
 from survey.plan.workload import require_room, workload_of
 from survey.progress import Progress, opened
 from survey.run.folder import RunDir
@@ -76,30 +76,28 @@ def process(
     run_folder = survey_folder / "bathynerf" if run_folder is None else Path(run_folder)
     truth = Truth(*(None if path is None else Path(path) for path in (reference, visible)))
     _require_inputs(survey_folder, run_folder, truth)
+    require_choices(quality=quality, device=device, field=field)
     checked = require_processable(survey_folder)
-    if true_colour and checked.found.config.water is None:
-        raise SurveyError(
-            "--true-colour takes the water away, but the survey has none; leave the option out, or give [water]"
-        )
-    with opened() as progress:
+    if checked.found.config.water is None and (true_colour or calibrate_water):
+        option = "--true-colour takes the water away" if true_colour else "--calibrate-water estimates the water"
+        raise SurveyError(f"{option}, but the survey has none; leave the option out, or give [water]")
+    with opened() as progress, RunDir(run_folder) as run:
+        progress.log_to(run.log_path)
         survey = checked.survey or load_survey(
-            survey_folder, found=checked.found, workspace=RunDir(run_folder).sfm_path, report=progress.note
+            survey_folder, found=checked.found, workspace=run.sfm_path, report=progress.note
         )
         plan_of = partial(make_plan, quality=quality, device=device, field=field)
         plan = plan_of(survey)
+        _announce(progress, survey, plan)
         workload = workload_of(survey, plan)
-        shortages = require_room(workload, run_folder)
+        progress.note(f"workload: {workload}")
+        for text in require_room(workload, run_folder):
+            progress.warn(text)
         # Starts torch and Dr.Jit: only after everything that the user may have to mend was looked at.
         from survey.run.job import Job
 
-        with RunDir(run_folder) as run:
-            progress.log_to(run.log_path)
-            _announce(progress, survey, plan)
-            progress.note(f"workload: {workload}")
-            for text in shortages:
-                progress.warn(text)
-            job = Job(survey, plan_of, progress, calibrate_water=calibrate_water, true_colour=true_colour)
-            return _to_the_end(run, job, resume, truth)
+        job = Job(survey, plan_of, progress, calibrate_water=calibrate_water, true_colour=true_colour)
+        return _to_the_end(run, job, resume, truth)
 
 
 def _require_inputs(survey_folder: Path, run_folder: Path, truth: Truth) -> None:
@@ -126,7 +124,7 @@ def _to_the_end(run: RunDir, job: Job, resume: bool, truth: Truth) -> int:
     from survey.run.products import write_products
     from survey.run.stage import run_stage
 
-    result = run.open_result()
+    result = run.open_result(job.plan.quality)
     stages = [*STAGES, BED_OF_SWEEP] if truth.reference is not None else STAGES
     done: dict[str, Path] = {}
     for stage in stages:

@@ -11,10 +11,12 @@ import json
 import shutil
 from pathlib import Path
 
+from survey.files.json_values import write_json
+
 NAMES = ("settings.toml", "plan.json", "cloud.las", "report.json", "report.html", "pictures", "result.json")
 _RECORD = "result.json"
 _WHOLE = ".result.whole"
-_UNFINISHED = ".unfinished"
+_UNFINISHED = ".unfinished.json"
 
 
 def read_record(run: Path) -> dict:
@@ -22,23 +24,38 @@ def read_record(run: Path) -> dict:
 
     ``others`` has the stages of the latest result of each other quality, by quality. Empty without a result.
     """
+    return _read(run / _RECORD)
+
+
+def _read(path: Path) -> dict:
     try:
-        record = json.loads((run / _RECORD).read_text(encoding="utf-8"))
+        record = json.loads(path.read_text(encoding="utf-8"))
     except (FileNotFoundError, NotADirectoryError, ValueError):
         return {}
     return record if isinstance(record, dict) else {}
 
 
-def begin(run: Path, part: Path) -> None:
-    """Make an empty folder for a new result, and note that one is being worked on."""
+def begin(run: Path, part: Path, quality: str) -> None:
+    """Make an empty folder for a new result of a quality, and note that it is being worked on."""
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir()
-    (run / _UNFINISHED).touch()
+    write_json(run / _UNFINISHED, {quality: [], **_unfinished(run)})
+
+
+def note_finished(run: Path, quality: str, stage: str) -> None:
+    """Note a finished stage of an unfinished result, so that `prune` keeps its folder for when the work goes on."""
+    unfinished = _unfinished(run)
+    write_json(run / _UNFINISHED, unfinished | {quality: [*unfinished.get(quality, []), stage]})
 
 
 def is_unfinished(run: Path) -> bool:
-    """Whether a later `process` began and has not come to its end: the result is that of the one before."""
-    return (run / _UNFINISHED).exists()
+    """Whether a `process` began and has not come to its end: the result is that of another one."""
+    return bool(_unfinished(run))
+
+
+def _unfinished(run: Path) -> dict[str, list[str]]:
+    """Finished stages of each result that is not finished, by its quality."""
+    return _read(run / _UNFINISHED)
 
 
 def is_settled(run: Path) -> bool:
@@ -65,10 +82,14 @@ def publish(run: Path, part: Path, *, quality: str, finished: str, stages: dict[
     others.pop(quality, None)
     files = [name for name in NAMES if (part / name).exists()] + [_RECORD]
     record = {"quality": quality, "finished": finished, "stages": stages, "others": others, "files": files}
-    (part / _RECORD).write_text(json.dumps(record, indent=2), encoding="utf-8")
+    write_json(part / _RECORD, record)
     part.rename(run / _WHOLE)
     settle(run)
-    (run / _UNFINISHED).unlink(missing_ok=True)
+    others_unfinished = {name: found for name, found in _unfinished(run).items() if name != quality}
+    if others_unfinished:
+        write_json(run / _UNFINISHED, others_unfinished)
+    else:
+        (run / _UNFINISHED).unlink(missing_ok=True)
 
 
 def settle(run: Path) -> None:
@@ -86,11 +107,13 @@ def settle(run: Path) -> None:
 
 
 def prune(run: Path) -> None:
-    """Remove finished stages that belong to the latest result of no quality."""
+    """Remove finished stages that belong neither to the latest result of a quality nor to one that is unfinished."""
     record = read_record(run)
     kept = set(record.get("stages", {}).values())
     for stages in record.get("others", {}).values():
         kept |= set(stages.values())
+    for names in _unfinished(run).values():
+        kept |= set(names)
     for folder in (run / "stages").iterdir():
         if folder.is_dir() and folder.name[0] != "." and folder.name not in kept:
             shutil.rmtree(folder, ignore_errors=True)

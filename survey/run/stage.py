@@ -14,6 +14,9 @@ from survey.run.keys import Key
 if TYPE_CHECKING:
     from survey.run.job import Job
 
+# What gives the photographs to all stages.
+LOADING = ("survey.plan.block", "survey.photos.store")
+
 Compute = Callable[["Job", Path, Mapping[str, Path]], None]
 
 
@@ -52,13 +55,13 @@ class Stage:
         parts = {name: job.part(name) for name in self.depends_on}
         # The name of a stage's folder ends in the hash of all that it depends on.
         parts |= {name: done[name].name for name in self.needs if name in done}
-        return Key(parts | {"code": code_hash(self.compute.__module__)})
+        return Key(parts | {"code": code_hash(self.compute.__module__, *LOADING)})
 
 
 def run_stage(stage: Stage, job: Job, run: RunDir, done: Mapping[str, Path], *, resume: bool) -> Path:
     """The folder of a stage: the one in the run where it is still right, else computed now."""
     key = stage.key(job, done)
-    folder = run.finished_stage(stage.name, key) if resume else None
+    folder = run.finished_stage(stage.name, key, stage.leaves) if resume else None
     if folder is not None:
         job.progress.note(f"{stage.name}: used again, nothing that it depends on has changed")
     else:

@@ -13,7 +13,7 @@ from fields.sweep.bed import BedPoints, has_company, points_of, unique_pixels
 from fields.water_column import WaterColumn
 from survey.errors import SurveyError
 from survey.plan.block import AREA_MARGIN_M, backend, camera_of, grown, local_area, within
-from survey.run.stage_sweep import MAPS
+from survey.run.stage_sweep import MAPS, look_at_bed
 from survey.run.stored import BED_FILE, SURVEY_FILE, StoredBed, load_depth_maps, save_bed
 from survey.run.stored_field import load_field
 from survey.run.water_colour import colour_of
@@ -37,6 +37,7 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     survey = job.survey
     maps = load_depth_maps(needs["sweep"] / MAPS)
     field = load_field(needs["field"], backend(job.plan)) if "field" in needs else None
+    look_at_bed(job, needs["sweep"])
     with job.progress.stage("Bed", len(maps)) as stage:
         bed, moved = bed_points(job, maps, field, stage.advance)
     if field is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING
 from fields.sweep.ranging import find_range
 from fields.sweep.sweep import sweep
 from survey.errors import SurveyError
+from survey.files.json_values import write_json
 from survey.plan.block import limits, local_area, plane_name
 from survey.progress import shares
 from survey.run.stored import save_depth_maps
@@ -16,7 +18,7 @@ from survey.run.stored import save_depth_maps
 if TYPE_CHECKING:
     from survey.run.job import Job
 
-MAPS = "maps.npz"
+MAPS, BOUND = "maps.npz", "bound.json"
 
 
 def sweep_views(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
@@ -40,3 +42,10 @@ def sweep_views(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
         raise SurveyError("no two views overlap; check that the poses belong to the images")
     job.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(survey)}")
     save_depth_maps(folder / MAPS, maps)
+    write_json(folder / BOUND, {"low_m": low, "high_m": high})
+
+
+def look_at_bed(job: Job, folder: Path) -> None:
+    """Let the block judge the overlap of views as at the end of the sweep, whether it ran now or in an earlier run."""
+    bound = json.loads((folder / BOUND).read_text(encoding="utf-8"))
+    job.block.look_at(0.5 * (bound["low_m"] + bound["high_m"]))

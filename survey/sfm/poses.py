@@ -27,6 +27,7 @@ from refract.lens import Lens
 from survey.code_hash import code_hash
 from survey.errors import ImageError, SurveyError
 from survey.files.json_values import write_json
+from survey.files.lock import locked
 from survey.photos.exif import read_exif
 from survey.sfm import block as sfm_block
 from survey.sfm.gps import GpsPositions, gps_positions
@@ -136,7 +137,8 @@ def solve_poses(
     gps = gps_positions(heads, crs, gps_height)
     code = code_hash("survey.sfm.solve")
     key = stage_key("sfm", code, gps.frame, gps_height, focal_px, list(images), list(images.values()))
-    with disk_refusals(workspace):
+    busy = f"another process (number {{pid}}) looks for poses in {workspace}; wait until it ends, or stop it"
+    with disk_refusals(workspace), locked(_made(workspace), busy=busy):
         solved = _stored(workspace, key)
         if solved is not None:
             say(f"structure from motion: poses of {solved.block.num_reg_images()} images from {workspace}")
@@ -159,10 +161,14 @@ def _named(paths: Sequence[Path]) -> dict[str, Path]:
     return dict(sorted((path.relative_to(folder).as_posix(), path) for path in paths))
 
 
+def _made(folder: Path) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
 @contextmanager
 def _work_folder(workspace: Path, num_images: int) -> Iterator[Path]:
     """An empty folder in the workspace, gone at the end; what a killed run left there is removed first."""
-    workspace.mkdir(parents=True, exist_ok=True)
     needed, free = _BYTES_AT_LEAST + num_images * _BYTES_PER_IMAGE, shutil.disk_usage(workspace).free
     if free < needed:
         raise SurveyError(

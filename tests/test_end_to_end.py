@@ -39,6 +39,7 @@ COMMAND = [sys.executable, "-c", "from survey.commands.app import main; main()"]
 KILLED = """
 import os, signal
 from survey.commands.app import main
+from survey.run import stage_bed
 from survey.run.folder import RunDir
 
 finish_stage = RunDir.finish_stage

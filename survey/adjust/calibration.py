@@ -27,14 +27,14 @@ NADIR_DEG = 5.0
 
 
 def estimate_water(
-    folder: Path,
+    folder: str | Path,
     *,
     device: str = "auto",
     nadir_only: bool = False,
     start_level: float | None = None,
     start_index: float | None = None,
-    run_folder: Path | None = None,
-    json_path: Path | None = None,
+    run_folder: str | Path | None = None,
+    json_path: str | Path | None = None,
 ) -> WaterEstimate:
     """The water of a survey folder, estimated from its photographs; no setting and no result of a run changes.
 
@@ -57,7 +57,9 @@ def estimate_water(
     SurveyError, GeoError
         Where the survey cannot be used, its photographs do not match, or the file cannot be written.
     """
-    progress = current()
+    progress, folder = current(), Path(folder)
+    run_folder = None if run_folder is None else Path(run_folder)
+    json_path = None if json_path is None else Path(json_path)
     workspace = None if run_folder is None else run_folder / "sfm"
     if workspace is not None and not workspace.is_dir():
         raise SurveyError(
@@ -65,7 +67,7 @@ def estimate_water(
             "of this survey that has, or leave --run out"
         )
     if json_path is not None:
-        require_file("--json", json_path, survey_inputs(Path(folder)), kind="a JSON file", is_of_kind=is_json)
+        require_file("--json", json_path, survey_inputs(folder), kind="a JSON file", is_of_kind=is_json)
     survey = load_survey(folder, workspace=workspace, report=progress.note)
     if survey.water is None:
         raise SurveyError("a dry survey has no water to estimate; give [water] level_m to start from")

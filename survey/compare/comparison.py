@@ -26,7 +26,7 @@ from survey.progress import current
 __all__ = ["CompareOptions", "Comparison", "compare_files", "compare_surfaces"]
 
 
-def compare_files(cloud: Path, reference: Path, *, options: CompareOptions | None = None) -> Figures:
+def compare_files(cloud: str | Path, reference: str | Path, *, options: CompareOptions | None = None) -> Figures:
     """Compare a cloud with a reference, and write JSON and pictures where the options say.
 
     Parameters
@@ -40,6 +40,7 @@ def compare_files(cloud: Path, reference: Path, *, options: CompareOptions | Non
         If a file or an option cannot be used; see `survey.compare.inputs.load_inputs`.
     """
     options = options or CompareOptions()
+    cloud, reference = Path(cloud), Path(reference)
     check_outputs(options, cloud, reference)
     comparison = compare_surfaces(cloud, reference, options)
     if options.report_dir is not None:

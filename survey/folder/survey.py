@@ -73,7 +73,7 @@ class Survey:
 
 
 def load_survey(
-    folder: Path,
+    folder: str | Path,
     *,
     workspace: Path | None = None,
     report: Callable[[str], None] | None = None,
@@ -96,7 +96,7 @@ def load_survey(
     SurveyError, GeoError
         Where something is missing, damaged or contradictory.
     """
-    found = find_survey(folder) if found is None else found
+    found = find_survey(Path(folder)) if found is None else found
     assumptions, warnings = list(found.assumptions), list(found.warnings)
     points: np.ndarray | None
     if found.poses_path is None:

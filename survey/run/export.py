@@ -21,7 +21,9 @@ BED_STAGE = "bed"
 _LAS_SYSTEM = slice(26, 58)
 
 
-def export(run: Path, *, las: Path | None = None, laz: Path | None = None, ply: Path | None = None) -> list[Path]:
+def export(
+    run: str | Path, *, las: str | Path | None = None, laz: str | Path | None = None, ply: str | Path | None = None
+) -> list[Path]:
     """Write the point cloud of a run, each file whole or not at all.
 
     Parameters

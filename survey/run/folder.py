@@ -261,6 +261,11 @@ def seconds_of(folder: Path) -> float:
     return _record(folder)["seconds"]
 
 
+def versions_of(folder: Path) -> dict[str, str]:
+    """Versions of what computed the finished stage in a folder, by name."""
+    return _record(folder)["versions"]
+
+
 def versions() -> dict[str, str]:
     """Versions of what computes, by name; what is not installed is left out."""
     program = f"{importlib.metadata.version('bathynerf')}+{code_hash('survey.run.process')[:8]}"

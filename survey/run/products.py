@@ -15,7 +15,7 @@ from survey.folder.survey import Survey
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.verdict import Verdict
 from survey.run.export import write_bed_las
-from survey.run.folder import RunDir, seconds_of, versions
+from survey.run.folder import RunDir, seconds_of, versions, versions_of
 from survey.run.gate import verdict_of
 from survey.run.job import Job
 from survey.run.stage_sweep import MAPS
@@ -61,12 +61,24 @@ def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path]
         depth_maps=load_depth_maps(done["sweep"] / MAPS),
         comparison=comparison,
         sweep_comparison=of_sweep,
-        versions=versions(),
+        versions=_versions(done),
         verdict=verdict,
     )
     with job.progress.stage("Report", NUM_STEPS) as stage:
         write_report(folder, facts, stage.advance)
     return verdict
+
+
+def _versions(done: Mapping[str, Path]) -> dict[str, str]:
+    """Versions of what computes, by name; of a stage that other ones computed, these too, as "torch (sweep)"."""
+    now = versions()
+    earlier = {
+        f"{name} ({stage})": version
+        for stage, place in done.items()
+        for name, version in versions_of(place).items()
+        if version != now.get(name)
+    }
+    return now | earlier
 
 
 def _timings(run: RunDir, survey: Survey, done: Mapping[str, Path]) -> dict[str, float]:

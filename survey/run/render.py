@@ -33,7 +33,9 @@ _ENDINGS = (".png", "_normal.png", "_height.tif", "_distance.tif")
 _SOFTWARE = "bathynerf render"
 
 
-def render(run: Path, cameras: Path, output: Path, *, dry: bool = False, device: str = "auto") -> list[Path]:
+def render(
+    run: str | Path, cameras: str | Path, output: str | Path, *, dry: bool = False, device: str = "auto"
+) -> list[Path]:
     """Write what cameras would see of the field of a run.
 
     Of each camera NAME.png (transparent where it does not look at the field), NAME_height.tif (of the bed over the
@@ -65,7 +67,7 @@ def render(run: Path, cameras: Path, output: Path, *, dry: bool = False, device:
         If the pictures must not be written there, see `survey.files.outputs`: a picture that is there is replaced
         only where render wrote it.
     """
-    folder = RunDir(run)
+    folder, cameras, output = RunDir(run), Path(cameras), Path(output)
     folder.require_run()
     inputs = _inputs(folder, cameras)
     require_folder("-o", output, inputs, may_hold_inputs=True)

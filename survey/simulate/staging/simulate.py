@@ -21,7 +21,9 @@ from survey.simulate.staging.stage import stage_scene
 _FLIGHT = ("cameras.csv", "flight.png")
 
 
-def simulate(path: Path, output: Path, *, mode: str | None = None, preview: bool = False, again: bool = False) -> None:
+def simulate(
+    path: str | Path, output: str | Path, *, mode: str | None = None, preview: bool = False, again: bool = False
+) -> None:
     """Photograph the scene of a file into a survey folder.
 
     Parameters
@@ -42,6 +44,7 @@ def simulate(path: Path, output: Path, *, mode: str | None = None, preview: bool
     SurveyError, GeoError
         If the scene cannot be simulated, or the folder holds something else.
     """
+    path, output = Path(path), Path(output)
     settings = _changed(read_scene(path), mode, preview)
     _require_output(output, path, settings)
     plan = plan_scene(settings, path.parent)
@@ -50,8 +53,9 @@ def simulate(path: Path, output: Path, *, mode: str | None = None, preview: bool
     write_survey(output, marks, lambda: stage_scene(plan), again=again, progress=current())
 
 
-def simulate_flight(path: Path, output: Path) -> None:
+def simulate_flight(path: str | Path, output: str | Path) -> None:
     """Write the flight of a scene file: cameras.csv, and flight.png with what it sees of the bed."""
+    path, output = Path(path), Path(output)
     settings = read_scene(path)
     _require_output(output, path, settings)
     _require_flight_or_empty(output)

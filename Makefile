@@ -1,7 +1,7 @@
 # What there is to do here. Everything runs in a virtual environment of its own, .venv, made when it is needed first:
 #   make install  the environment alone
 #   make demo     draw a small survey, process it, compare the cloud with the true bed
-#   make test     style, then all tests, with the examples in docstrings and documentation
+#   make test     style and types, then all tests, with the examples in docstrings and documentation
 #   make check    style alone: what ruff finds
 #   make types    what the type checker finds (mypy)
 #   make format   let ruff mend what it can
@@ -51,7 +51,7 @@ demo: $(READY)
 	@echo "Cloud:   $(CURDIR)/$(RUN)/cloud.las"
 	@echo "Report:  $(CURDIR)/$(RUN)/report.html"
 
-test: check
+test: check types
 	@$(BIN)/python -m pytest
 
 check: $(READY)

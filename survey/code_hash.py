@@ -20,7 +20,7 @@ def code_hash(*modules: str) -> str:
 
     Parameters
     ----------
-    modules : dotted names, e.g. "survey.run.sweep"
+    modules : dotted names, e.g. "survey.run.stage_sweep"
 
     Returns
     -------

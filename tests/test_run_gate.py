@@ -61,7 +61,7 @@ def test_only_ground_that_two_views_see_is_asked_for(survey, until, passed):
     (ground, _) = verdict_of(survey, bed_over(-5.0, until), GSD).gates
     assert ground.value == pytest.approx(100.0 * (min(until, 5.0) + 1.0) / 6.0, abs=9.0)
     assert ground.passed == passed
-    assert "that two views or more see has a point of the bed" in ground.sentence
+    assert "of the ground that two or more views see has a point of the bed" in ground.sentence
 
 
 def test_ground_beyond_the_bounds_is_not_asked_for(survey):
@@ -76,4 +76,4 @@ def test_points_have_to_be_known_to_one_and_a_half_pixels(survey, share, passed)
     verdict = verdict_of(survey, bed_over(-5.0, 9.0, std=share * MAX_STD_GSD * GSD), GSD)
     assert [gate.passed for gate in verdict.gates] == [True, passed]
     assert verdict.passed == passed
-    assert verdict.gates[1].sentence.endswith("at most 7.5 cm (1.5 ground sampling distances) is asked")
+    assert verdict.gates[1].sentence.endswith("at most 75.0\u00a0mm (1.5\u00a0ground sampling distances)")

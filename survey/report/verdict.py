@@ -16,7 +16,7 @@ class Gate:
     value, limit : float or None
         In `unit`; None where there was nothing to measure.
     unit : str
-        "%" or "cm".
+        "%" or "mm".
     passed : bool
     sentence : str
         What was found and what is asked, for people.

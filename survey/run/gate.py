@@ -1,8 +1,8 @@
 """The quality gate of a run: whether its cloud may be used unseen.
 
-Two things are asked. Of the ground that two views or more see, at the height where the bed was found, at least half
-has to have a point: what one view alone sees cannot be measured and does not count. And the points have to be known to
-one and a half ground sampling distances.
+Two things are required. Of the ground that two views or more see, at the height where the bed was found, at least half
+has to have a point: what one view alone sees cannot be measured and does not count. And the median standard deviation of the
+points must not exceed one and a half ground sampling distances.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from survey.display.plan_grid import PlanGrid
+from survey.display.quantities import NO_BREAK, length, share
 from survey.plan.block import local_area
 from survey.report.verdict import Gate, Verdict
 
@@ -23,8 +24,8 @@ if TYPE_CHECKING:
 
 MIN_COVERED_SHARE = 0.5
 MAX_STD_GSD = 1.5
-# Side of a cell: large against the spacing of points of a well matched bed, which is one, and small against what
-# anybody would call a gap.
+# Side of a cell: large against the spacing of points of a well matched bed, which is one, and smaller than a gap that
+# matters.
 CELL_GSD = 10.0
 MIN_VIEWS = 2
 # At most this many cells along an axis; larger areas take larger cells.
@@ -39,30 +40,30 @@ def verdict_of(survey: Survey, bed: BedPoints, gsd_m: float) -> Verdict:
 def _completeness(survey: Survey, bed: BedPoints, gsd_m: float) -> Gate:
     has_point, num_views = cells_seen(survey, bed.xyz, gsd_m)
     seen = num_views >= MIN_VIEWS
-    share = float((has_point & seen).sum() / seen.sum()) if seen.any() else 0.0
+    found = float((has_point & seen).sum() / seen.sum()) if seen.any() else 0.0
     sentence = (
-        f"{100 * share:.0f} % of the ground that two views or more see has a point of the bed, "
-        f"at least {100 * MIN_COVERED_SHARE:.0f} % is asked"
+        f"{share(found)} of the ground that two or more views see has a point of the bed; "
+        f"required: at least {share(MIN_COVERED_SHARE)}"
     )
-    passed = share >= MIN_COVERED_SHARE
-    return Gate("ground with a point", 100.0 * share, 100.0 * MIN_COVERED_SHARE, "%", passed, sentence)
+    passed = found >= MIN_COVERED_SHARE
+    return Gate("ground with a point", 100.0 * found, 100.0 * MIN_COVERED_SHARE, "%", passed, sentence)
 
 
 def _precision(bed: BedPoints, gsd_m: float) -> Gate:
     std, limit = float(np.nanmedian(bed.std)), MAX_STD_GSD * gsd_m
     sentence = (
-        f"the median standard deviation of the points is {100 * std:.1f} cm, at most {100 * limit:.1f} cm "
-        f"({MAX_STD_GSD:g} ground sampling distances) is asked"
+        f"the median standard deviation of the points is {length(std)}; required: at most {length(limit)} "
+        f"({MAX_STD_GSD:g}{NO_BREAK}ground sampling distances)"
     )
-    return Gate("median standard deviation", 100.0 * std, 100.0 * limit, "cm", std <= limit, sentence)
+    return Gate("median standard deviation", 1000.0 * std, 1000.0 * limit, "mm", std <= limit, sentence)
 
 
 def cells_seen(survey: Survey, xyz: np.ndarray, gsd_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Cells of the ground in plan: which have a point of (N, 3) [m], local, and how many views see each.
 
     The cells cover the bounds of the survey, or without bounds where the axes of cameras meet the bed and one view
-    reaches around; a cell without a point lies as high as the nearest that has one. What stands in the way of a view is
-    not considered.
+    reaches around; a cell without a point lies as high as the nearest that has one. Occlusion is
+    ignored.
 
     Returns
     -------

@@ -100,7 +100,7 @@ def _comparisons(
         return None, None
     options = CompareOptions(tolerances_m=TOLERANCES_M, visible=truth.visible, bounds=survey.bounds)
     found = compare_surfaces(folder / "cloud.las", truth.reference, options)
-    # The cloud is called as it will be when the result stands in its place.
+    # The final path, not that of the folder in which the result is written.
     circumstances = replace(found.figures.circumstances, cloud=str(run.cloud_path))
     found = replace(found, figures=replace(found.figures, circumstances=circumstances))
     if "bed_of_sweep" not in done:

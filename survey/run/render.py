@@ -29,7 +29,7 @@ from survey.run.stored_field import load_field, load_place
 FIELD_STAGE = "field"
 # In the order of the layers that `write_view` makes.
 _ENDINGS = (".png", "_normal.png", "_height.tif", "_distance.tif")
-# By which render knows its own pictures.
+# Tag in pictures that render wrote.
 _SOFTWARE = "bathynerf render"
 
 

@@ -1,7 +1,7 @@
 """The result of a run: cloud, report, settings and plan, which take the place of an earlier result all together.
 
-A result is written into a hidden folder of the run. When it is whole the folder is renamed, which decides that it
-counts, and its files are moved to their places; a process that is killed in between leaves the rest of the moving to
+A result is written into a hidden folder of the run. Renaming the complete folder commits the result, and its files are
+then moved to their places; a process that is killed in between leaves the rest of the moving to
 the next one. So settings, cloud and report in a run always belong together.
 """
 

@@ -14,8 +14,8 @@ from survey.simulate.flight.picture import picture
 from survey.simulate.output.sidecars import cameras_csv
 from survey.simulate.output.writing import write_survey
 from survey.simulate.scene_file import SceneSettings, read_scene
+from survey.simulate.staging.build import stage_scene
 from survey.simulate.staging.planning import Plan, files_of, marks_of, plan_scene
-from survey.simulate.staging.stage import stage_scene
 
 # What --flight-only writes.
 _FLIGHT = ("cameras.csv", "flight.png")

@@ -23,7 +23,7 @@ from typing import BinaryIO
 from geo.files import disk_refusals, write_whole
 from survey.code_hash import code_hash
 from survey.errors import SurveyError
-from survey.files.outputs import Inputs
+from survey.files.outputs import ReadFiles
 from survey.progress import current
 from survey.run import result
 from survey.run.keys import Key
@@ -121,10 +121,10 @@ class RunDir:
         """What result.json says; see `survey.run.result.read_record`."""
         return result.read_record(self.path)
 
-    def inputs(self) -> Inputs:
+    def inputs(self) -> ReadFiles:
         """What other commands read of the run, or would spoil."""
         files = (self.path / name for name in result.NAMES)
-        return Inputs.of(*files) + Inputs((), (self.stages_path, self.pictures_path, self.sfm_path))
+        return ReadFiles.of(*files) + ReadFiles((), (self.stages_path, self.pictures_path, self.sfm_path))
 
     def warn_if_unfinished(self) -> None:
         """Warn where a later `process` began here and did not finish, so that the result is that of the one before."""

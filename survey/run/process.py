@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from survey.errors import SurveyError
-from survey.files.outputs import Inputs, require_folder
+from survey.files.outputs import ReadFiles, require_folder
 from survey.folder.inputs import survey_inputs
 from survey.folder.survey import Survey, load_survey
 from survey.plan.check import require_processable
@@ -107,7 +107,7 @@ def _require_inputs(survey_folder: Path, run_folder: Path, truth: Truth) -> None
     for name, path in (("--reference", truth.reference), ("--visible", truth.visible)):
         if path is not None and not path.exists():
             raise SurveyError(f"{name} {path} does not exist; give the path of a PLY, OBJ, LAS or LAZ file")
-    require_folder("-o", run_folder, survey_inputs(survey_folder) + Inputs.of(truth.reference, truth.visible))
+    require_folder("-o", run_folder, survey_inputs(survey_folder) + ReadFiles.of(truth.reference, truth.visible))
 
 
 def _announce(progress: Progress, survey: Survey, plan: Plan) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from geo import write_whole
 from survey.errors import OutputError
-from survey.files.outputs import Inputs, require_folder
+from survey.files.outputs import ReadFiles, require_folder
 from survey.progress import current
 from survey.simulate.flight.coverage import Coverage, coverage
 from survey.simulate.flight.picture import picture
@@ -69,7 +69,7 @@ def simulate_flight(path: Path, output: Path) -> None:
 
 def _require_output(output: Path, path: Path, settings: SceneSettings) -> None:
     named = (path.parent / name for name in files_of(settings))
-    require_folder("-o", output, Inputs.of(path, *named))
+    require_folder("-o", output, ReadFiles.of(path, *named))
 
 
 def _require_flight_or_empty(output: Path) -> None:

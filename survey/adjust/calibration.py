@@ -19,7 +19,8 @@ from survey.folder.config import WaterConfig
 from survey.folder.inputs import survey_inputs
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey, load_survey
-from survey.plan.block import camera_of, limits, load_block, local_area
+from survey.plan.area import limits, local_area
+from survey.plan.block import camera_of, load_block
 from survey.plan.plan import make_plan
 from survey.progress import current
 

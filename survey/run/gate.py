@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from survey.display.plan_grid import PlanGrid
-from survey.plan.block import local_area
+from survey.plan.area import local_area
 from survey.report.verdict import Gate, Verdict
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from fields.sweep.ranging import find_range
 from fields.sweep.sweep import sweep
 from survey.errors import SurveyError
-from survey.plan.block import limits, local_area, plane_name
+from survey.plan.area import limits, local_area, plane_name
 from survey.progress import shares
 from survey.run.stored import save_depth_maps
 

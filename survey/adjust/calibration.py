@@ -19,6 +19,7 @@ from survey.folder.config import WaterConfig
 from survey.folder.inputs import survey_inputs
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey, load_survey
+from survey.names import SFM_FOLDER
 from survey.plan.area import limits, local_area
 from survey.plan.block import camera_of, load_block
 from survey.plan.plan import make_plan
@@ -59,7 +60,7 @@ def estimate_water(
         Where the survey cannot be used, its photographs do not match, or the file cannot be written.
     """
     progress = current()
-    workspace = None if run_folder is None else run_folder / "sfm"
+    workspace = None if run_folder is None else run_folder / SFM_FOLDER
     if workspace is not None and not workspace.is_dir():
         raise SurveyError(
             f"{run_folder} has no poses by structure from motion (there is no folder {workspace}); name a run folder "

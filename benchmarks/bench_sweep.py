@@ -29,7 +29,7 @@ from fields.sweep.ranging import find_range
 from fields.sweep.sweep import PASSES, DepthMap, Pass, sweep
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.folder.survey import load_survey
-from survey.plan.block import limits, local_area
+from survey.plan.area import limits, local_area
 from survey.plan.plan import make_plan
 from survey.plan.recipe import RECIPES
 from survey.progress import current

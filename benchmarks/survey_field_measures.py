@@ -13,7 +13,7 @@ from evaluation import distance_statistics, distance_to_mesh, image_quality, is_
 from evaluation.images.inputs import largest_rectangle
 from geo import read_cloud, read_reference
 from survey.folder.survey import Survey, View, load_image, load_mask
-from survey.plan.block import local_area, within
+from survey.plan.area import local_area, within
 
 TOLERANCES_M = (0.05, 0.2)
 # A point is of a mast if it stands this far over all that is wider than this, in a raster of these cells.

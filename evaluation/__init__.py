@@ -10,6 +10,7 @@
 | IHO S-44 and ASPRS | `standards`; the height of a cloud at check points: `checkpoints` |
 | statistical outliers | `outliers` |
 | what straight rays would give | `baselines` |
+| points binned in plan | `cells` |
 | quality of images | `images/` |
 """
 

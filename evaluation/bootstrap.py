@@ -12,6 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
+from evaluation.cells import cell_counts, cell_means, cell_numbers
+
 NUM_DRAWS = 1000
 LEVEL = 0.95
 SEED = 20_060_618  # any number, but always the same
@@ -141,9 +143,9 @@ class _Cells:
         size = np.maximum(high - low, max(1e-3 * float((high - low).max()), 1e-6))
         cell = max(float(size.max()) / _MOST_CELLS, math.sqrt(_POINTS_PER_CELL * float(size.prod()) / len(plan)))
         columns, rows = (math.floor(side / cell) + 1 for side in size)
-        cells = _Cells(low, cell, (rows, columns), 0.0)
-        occupied = np.count_nonzero(np.bincount(cells._index(plan)[0]))
-        return _Cells(low, cell, (rows, columns), occupied * cell**2)
+        shape = (rows, columns)
+        occupied = np.count_nonzero(cell_counts(cell_numbers((plan - low) / cell, shape), shape))
+        return _Cells(low, cell, shape, occupied * cell**2)
 
     def squares(self, plan: np.ndarray, size: float) -> np.ndarray:
         """Number (N,) of the square of edge ``size`` in which each point lies; those beyond count to the rim."""
@@ -151,25 +153,16 @@ class _Cells:
         column, row = np.clip(np.floor((np.nan_to_num(plan) - self.low) / size), 0, most - 1).astype(np.int64).T
         return row * int(most[0]) + column
 
-    def _index(self, plan: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Cell of each point that is in one, and which points those are."""
-        at = np.floor((plan - self.low) / self.cell)
-        inside = ((at >= 0) & (at < np.array(self.shape[::-1]))).all(axis=1)
-        column, row = at[inside].astype(np.int64).T
-        return row * self.shape[1] + column, inside
-
     def correlation_length(self, plan: np.ndarray, errors: np.ndarray) -> float:
         """Lag [m] at which the correlation between cells has fallen to 1/e.
 
         Noise of single points, which neighbours do not share, is not counted: the correlation at lag 0 is extrapolated
         from those at one and two cells. 0 where neighbours share nothing; at most half the shorter side.
         """
-        index, inside = self._index(plan)
-        count = np.bincount(index, minlength=self.shape[0] * self.shape[1]).reshape(self.shape)
-        total = np.bincount(index, weights=errors[inside], minlength=count.size).reshape(self.shape)
-        mean = np.divide(total, count, out=np.zeros(self.shape), where=count > 0)
-        mean[count > 0] -= mean[count > 0].mean()
-        products, pairs = _autocorrelation(mean), _autocorrelation((count > 0).astype(np.float64))
+        mean = cell_means(cell_numbers((plan - self.low) / self.cell, self.shape), errors, self.shape)
+        held = np.isfinite(mean)
+        mean = np.where(held, mean - mean[held].mean(), 0.0)
+        products, pairs = _autocorrelation(mean), _autocorrelation(held.astype(np.float64))
         lags = np.hypot(*np.meshgrid(*(np.fft.fftfreq(n, 1.0 / n) for n in products.shape), indexing="ij"))
         ring = np.rint(lags).astype(np.int64).ravel()
         longest = max(min(self.shape) // 2, 1)

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from evaluation.cells import cell_numbers
+
 # Weights of corners that are this little below zero count as inside: points on an edge, to rounding.
 _ON_EDGE = -1e-9
 # Pairs of point and triangle at a time for each thread: about 50 MB of intermediate values.
@@ -75,8 +77,8 @@ def vertical_difference(
 class _Grid:
     """Triangles by the square cells of the plan that their boxes touch.
 
-    ``faces[start[i] : start[i + 1]]`` are those of cell i, row by row; ``corner`` (3, F, 2) and ``height`` (3, F)
-    hold the corners a, b, c.
+    ``faces[start[i] : start[i + 1]]`` are those of cell i, row by row, of ``shape`` (rows, columns);
+    ``corner`` (3, F, 2) and ``height`` (3, F) hold the corners a, b, c.
     """
 
     low: np.ndarray
@@ -111,14 +113,11 @@ class _Grid:
         number = row * shape[0] + column
         start = np.concatenate([[0], np.cumsum(np.bincount(number, minlength=shape.prod()))])
         by_cell = face[np.argsort(number, kind="stable")]
-        return _Grid(origin, cell, tuple(shape), start, by_cell, corner[..., :2], corner[..., 2])
+        return _Grid(origin, cell, (int(shape[1]), int(shape[0])), start, by_cell, corner[..., :2], corner[..., 2])
 
     def cell_of(self, plan: np.ndarray) -> np.ndarray:
         """Cell of each point (N, 2), -1 beyond all."""
-        at = np.floor((plan - self.low) / self.cell)
-        inside = ((at >= 0) & (at < np.array(self.shape))).all(axis=1)
-        column, row = np.where(inside[:, None], at, 0.0).astype(np.int64).T
-        return np.where(inside, row * self.shape[0] + column, -1)
+        return cell_numbers((plan - self.low) / self.cell, self.shape)
 
     def nearest_in_height(self, points: np.ndarray, cell: np.ndarray, counts: np.ndarray) -> np.ndarray:
         """Difference (N,) of points in cells of ``counts`` triangles each; NaN where that is none."""

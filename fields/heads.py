@@ -63,7 +63,7 @@ class DensityHead(nn.Module):
         fused = self.device is not None and self.device.module is not None and numbers <= MOST_FUSED
         if not fused or len(features) == 0:
             return self._weighted_torch(features)
-        from fields.weighting import weighted_drjit
+        from fields.density_weighting import weighted_drjit
 
         return weighted_drjit(features, layers, self.fine.weight, self.shape, self.device) + self.fine.bias
 

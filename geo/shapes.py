@@ -48,12 +48,15 @@ class Mesh:
         None where the format states none: PLY, OBJ, glTF.
     rgb : (V, 3) uint8 or None
         Of the vertices.
+    notes : tuple of str
+        Sentences for the reader about what the file lacks.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     crs: CRS | None = None
     rgb: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
 
 
 def triangulated(counts: np.ndarray, corners: np.ndarray) -> np.ndarray:

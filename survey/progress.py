@@ -45,28 +45,28 @@ def opened() -> Iterator[Progress]:
         yield progress
 
 
-class Stage:
-    """A running stage; the pipeline tells it how far it is."""
+class Step:
+    """A part of a run while it lasts; whoever does the work tells it how far it is."""
 
     def __init__(self, progress: Progress, name: str, total: float | None):
         self.name, self.total, self.done = name, total, 0.0
         self._progress = progress
         self._start = self._last_line = time.monotonic()
-        # When how much was done: the last entry before the middle of the stage's time so far, and all that follow.
+        # When how much was done: the last entry before the middle of the step's time so far, and all that follow.
         self._history = deque([(self._start, 0.0)])
         self._bars = progress._bars
-        self._task = self._bars.add_task(name, total=total, stage=self) if self._bars is not None else None
+        self._task = self._bars.add_task(name, total=total, step=self) if self._bars is not None else None
 
     @property
     def seconds(self) -> float:
-        """Since the stage began [s]."""
+        """Since the step began [s]."""
         return time.monotonic() - self._start
 
     @property
     def seconds_left(self) -> float | None:
         """Estimate from the pace over the later half of the time so far [s]; None before there is one.
 
-        The earlier half, in which a stage may load and compile, is forgotten; the rest smooths the estimate.
+        The earlier half, in which a step may load and compile, is forgotten; the rest smooths the estimate.
         """
         if not self.total or self.done < _LEAST_SHARE * self.total or self.seconds < _LEAST_S:
             return None
@@ -95,10 +95,10 @@ class Stage:
 
 
 class _TimeLeft(ProgressColumn):
-    """The stage's own estimate, beside its bar."""
+    """The step's own estimate, beside its bar."""
 
     def render(self, task: Task) -> Text:
-        left = task.fields["stage"].seconds_left
+        left = task.fields["step"].seconds_left
         return Text("" if left is None else f"{clock(left)} left")
 
 
@@ -131,8 +131,8 @@ class Progress:
         self._log = path.open("a", encoding="utf-8", buffering=1)
 
     @contextmanager
-    def stage(self, name: str, total: float | None = None) -> Iterator[Stage]:
-        """A part of the run, or of a stage; ``total`` in any unit in which `Stage.advance` counts."""
+    def stage(self, name: str, total: float | None = None) -> Iterator[Step]:
+        """A part of the run, or of a stage; ``total`` in any unit in which `Step.advance` counts."""
         outermost = self._bars is None
         if outermost and self.verbosity >= 0 and self._console.is_terminal:
             columns = (
@@ -145,14 +145,14 @@ class Progress:
             self._bars.start()
         elif outermost:
             self._line(f"{name} ...")
-        stage = Stage(self, name, total)
+        step = Step(self, name, total)
         try:
-            yield stage
+            yield step
         finally:
             if outermost and self._bars is not None:
                 self._bars.stop()
                 self._bars = None
-        self._line(f"{name}: done in {clock(stage.seconds)}")
+        self._line(f"{name}: done in {clock(step.seconds)}")
 
     def note(self, text: str) -> None:
         """A line that the user should see."""
@@ -200,11 +200,11 @@ class Progress:
             self._log.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
 
 
-def shares(stage: Stage) -> Callable[[float], None]:
-    """A function that takes the share done, and advances a stage whose total is 1."""
+def shares(step: Step) -> Callable[[float], None]:
+    """A function that takes the share done, and advances a step whose total is 1."""
 
     def report(share: float) -> None:
-        stage.advance(share - stage.done)
+        step.advance(share - step.done)
 
     return report
 

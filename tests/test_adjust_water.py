@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -128,6 +129,14 @@ def test_all_of_it_goes_into_json(tmp_path, rng):
     assert record["estimates"][0]["name"] == "level_m"
     assert np.allclose(np.diag(record["correlation"]), 1.0)
     assert np.array(record["covariance"]).shape == (4, 4)
+
+
+def test_a_covariance_that_is_not_known_is_null_in_json(tmp_path, rng):
+    cameras = convergent()
+    found = water_from_ties(survey_with(tmp_path, cameras), tie_points(cameras, rng, std_px=STD_PX))
+    text = replace(found, covariance=((math.nan,) * 4,) * 4).to_json()
+    assert "NaN" not in text
+    assert json.loads(text)["covariance"] == [[None] * 4] * 4
 
 
 def test_poses_of_a_run_that_is_named_are_used_and_a_run_without_poses_is_refused(tmp_path, monkeypatch):

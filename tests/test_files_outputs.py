@@ -11,7 +11,7 @@ from small_survey import small_survey
 
 from survey.adjust.calibration import estimate_water
 from survey.errors import OutputError
-from survey.files.outputs import Inputs, is_json, require_file, require_folder
+from survey.files.outputs import ReadFiles, is_json, require_file, require_folder
 from survey.run.process import process
 
 require_json = partial(require_file, "--json", kind="a JSON file", is_of_kind=is_json)
@@ -37,7 +37,7 @@ def test_an_input_is_not_overwritten_under_any_name(tmp_path, cloud, link):
         path = tmp_path / "gone" / ".." / "cloud.las"
         (tmp_path / "gone").mkdir()
     with pytest.raises(OutputError, match=r"--json names .*, which would overwrite the input .*cloud\.las; choose"):
-        require_json(path, Inputs.of(None, cloud))
+        require_json(path, ReadFiles.of(None, cloud))
 
 
 @pytest.mark.parametrize("link", [False, True])
@@ -50,41 +50,41 @@ def test_a_file_below_a_folder_of_inputs_is_an_input(tmp_path, link):
         path = tmp_path / "n.json"
         path.hardlink_to(photo)
     with pytest.raises(OutputError, match="would overwrite the input"):
-        require_json(path, Inputs.of(tmp_path / "images"))
+        require_json(path, ReadFiles.of(tmp_path / "images"))
 
 
 def test_only_a_file_of_the_same_kind_is_replaced(tmp_path, cloud):
     with pytest.raises(OutputError, match=r"cloud\.las, which exists and is not a JSON file; remove it or choose"):
-        require_json(cloud, Inputs())
+        require_json(cloud, ReadFiles())
     for content in ("", ' \n{"n_points": 1}'):
         (tmp_path / "n.json").write_text(content)
-        require_json(tmp_path / "n.json", Inputs.of(cloud))
+        require_json(tmp_path / "n.json", ReadFiles.of(cloud))
 
 
 def test_a_new_file_needs_a_folder_that_exists_and_nothing_is_made(tmp_path, cloud):
-    require_json(None, Inputs())
-    require_json(tmp_path / "new.json", Inputs())
+    require_json(None, ReadFiles())
+    require_json(tmp_path / "new.json", ReadFiles())
     for path, words in (
         (tmp_path / "no" / "deep" / "n.json", "whose folder does not exist; create the folder or correct the path"),
         (cloud / "n.json", "whose folder is a file"),
         (tmp_path, "which is a folder; name a file"),
     ):
         with pytest.raises(OutputError, match=words):
-            require_json(path, Inputs())
+            require_json(path, ReadFiles())
     assert list(tmp_path.iterdir()) == [cloud]
 
 
 def test_a_device_is_written_into():
-    require_json(Path(os.devnull), Inputs())
+    require_json(Path(os.devnull), ReadFiles())
 
 
 def test_a_folder_is_made_unless_a_file_is_in_the_way(tmp_path, cloud):
-    require_folder("-o", None, Inputs())
-    require_folder("-o", tmp_path / "new" / "deep", Inputs())
+    require_folder("-o", None, ReadFiles())
+    require_folder("-o", tmp_path / "new" / "deep", ReadFiles())
     with pytest.raises(OutputError, match=r"-o names .*cloud\.las, which is a file; name another folder"):
-        require_folder("-o", cloud, Inputs())
+        require_folder("-o", cloud, ReadFiles())
     with pytest.raises(OutputError, match=r"-o names .*run, but .*cloud\.las is a file"):
-        require_folder("-o", cloud / "new" / "run", Inputs())
+        require_folder("-o", cloud / "new" / "run", ReadFiles())
     assert list(tmp_path.iterdir()) == [cloud]
 
 
@@ -92,7 +92,7 @@ def test_a_folder_is_made_unless_a_file_is_in_the_way(tmp_path, cloud):
 def test_a_folder_of_results_does_not_lie_among_inputs(tmp_path, name):
     (tmp_path / "images").mkdir()
     (tmp_path / "link").symlink_to("images")
-    inputs = Inputs.of(tmp_path / "images")
+    inputs = ReadFiles.of(tmp_path / "images")
     with pytest.raises(OutputError, match=r"images.*, whose files are read; name a folder elsewhere"):
         require_folder("-o", tmp_path / name, inputs)
     require_folder("-o", tmp_path / "images_2", inputs)
@@ -102,9 +102,9 @@ def test_a_folder_of_results_does_not_hold_inputs_unless_it_replaces_only_its_ow
     (tmp_path / "run").mkdir()
     (tmp_path / "link.las").symlink_to(cloud)
     with pytest.raises(OutputError, match=r"which holds the input .*link\.las; move that, or name another folder"):
-        require_folder("-o", tmp_path, Inputs.of(tmp_path / "link.las"))
-    require_folder("-o", tmp_path / "run", Inputs.of(cloud))
-    require_folder("-o", tmp_path, Inputs.of(cloud), may_hold_inputs=True)
+        require_folder("-o", tmp_path, ReadFiles.of(tmp_path / "link.las"))
+    require_folder("-o", tmp_path / "run", ReadFiles.of(cloud))
+    require_folder("-o", tmp_path, ReadFiles.of(cloud), may_hold_inputs=True)
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="nothing is forbidden to root")
@@ -112,13 +112,13 @@ def test_what_may_not_be_written_to_is_refused(tmp_path):
     (tmp_path / "n.json").write_text("{}")
     (tmp_path / "n.json").chmod(0o400)
     with pytest.raises(OutputError, match="write-protected"):
-        require_json(tmp_path / "n.json", Inputs())
+        require_json(tmp_path / "n.json", ReadFiles())
     tmp_path.chmod(0o500)
     try:
         with pytest.raises(OutputError, match="must not be written to"):
-            require_json(tmp_path / "new.json", Inputs())
+            require_json(tmp_path / "new.json", ReadFiles())
         with pytest.raises(OutputError, match="must not be written to"):
-            require_folder("-o", tmp_path / "new" / "run", Inputs())
+            require_folder("-o", tmp_path / "new" / "run", ReadFiles())
     finally:
         tmp_path.chmod(0o700)
 

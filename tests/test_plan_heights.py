@@ -14,7 +14,7 @@ from survey.adjust.least_squares import intersect
 from survey.errors import ConfigError
 from survey.folder.config import parse_config
 from survey.folder.survey import load_survey
-from survey.plan.block import limits
+from survey.plan.area import limits
 from survey.plan.plan import make_plan
 from survey.sfm.poses import SfmResult, SfmView
 

@@ -7,7 +7,7 @@ import io
 import pytest
 
 from survey import progress as progress_room
-from survey.progress import Progress, Stage
+from survey.progress import Progress, Step
 
 
 class Clock:
@@ -37,7 +37,7 @@ def stage(clock):
         yield stage
 
 
-def work(stage: Stage, clock: Clock, parts: int, seconds_each: float) -> None:
+def work(stage: Step, clock: Clock, parts: int, seconds_each: float) -> None:
     """Do so many parts, each in the same time."""
     for _ in range(parts):
         clock.now += seconds_each

@@ -29,9 +29,9 @@ from survey.simulate.output.truth import depth_map
 from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.scene_file import read_scene
 from survey.simulate.sensor import Sensor
+from survey.simulate.staging.build import light_of, stage_scene
 from survey.simulate.staging.planning import plan_scene
 from survey.simulate.staging.simulate import simulate, simulate_flight
-from survey.simulate.staging.stage import light_of, stage_scene
 from survey.simulate.watercolour import WaterColour
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"

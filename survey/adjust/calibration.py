@@ -19,7 +19,9 @@ from survey.folder.config import WaterConfig
 from survey.folder.inputs import survey_inputs
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey, load_survey
-from survey.plan.block import camera_of, limits, load_block, local_area
+from survey.names import SFM_FOLDER
+from survey.plan.area import limits, local_area
+from survey.plan.block import camera_of, load_block
 from survey.plan.plan import make_plan
 from survey.progress import current
 
@@ -60,7 +62,7 @@ def estimate_water(
     progress, folder = current(), Path(folder)
     run_folder = None if run_folder is None else Path(run_folder)
     json_path = None if json_path is None else Path(json_path)
-    workspace = None if run_folder is None else run_folder / "sfm"
+    workspace = None if run_folder is None else run_folder / SFM_FOLDER
     if workspace is not None and not workspace.is_dir():
         raise SurveyError(
             f"{run_folder} has no poses by structure from motion (there is no folder {workspace}); name a run folder "

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from survey.files.json_values import json_text
 from survey.folder.config import WaterConfig
 
 PARAMETERS = ("level_m", "slope_east", "slope_north", "refractive_index")
@@ -83,5 +83,5 @@ class WaterEstimate:
         return covariance / np.outer(std, std)
 
     def to_json(self) -> str:
-        """All of it as JSON; units are in the names."""
-        return json.dumps({**asdict(self), "correlation": self.correlation().tolist()}, indent=2)
+        """All of it as JSON; units are in the names, and NaN is null."""
+        return json_text({**asdict(self), "correlation": self.correlation()})

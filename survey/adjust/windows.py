@@ -20,7 +20,7 @@ from fields.sweep.sweep import PASSES, DepthMap, sweep
 from refract import FlatWater, PinholeCamera
 from survey.adjust.matching import RADIUS, match, prepared, window
 from survey.adjust.tie_points import TiePoints
-from survey.plan.block import within
+from survey.plan.area import within
 
 # The coarse sweep: approximate heights of the bed.
 _SWEPT = (PASSES[0], replace(PASSES[1], fuse=True))

@@ -11,6 +11,7 @@ import typer
 from survey.commands.console import command
 from survey.commands.memory import require_address_space
 from survey.commands.options import KEPT, Device, DeviceOption, Quality, Quiet, SurveyFolder, Verbose
+from survey.names import RUN_FOLDER
 
 EXAMPLES = """
     bathynerf process my_survey
@@ -30,7 +31,7 @@ class Switch(StrEnum):
 def run(
     survey: SurveyFolder,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="RUN", help="Run folder; default: SURVEY/bathynerf.")
+        Path | None, typer.Option("-o", "--output", metavar="RUN", help=f"Run folder; default: SURVEY/{RUN_FOLDER}.")
     ] = None,
     quality: Annotated[Quality, typer.Option(help="How much time is spent.")] = Quality.standard,
     device: DeviceOption = Device.auto,
@@ -50,7 +51,7 @@ def run(
     quiet: Quiet = 0,
 ) -> None:
     """Make the point cloud of the bed, with a report, in a run folder."""
-    folder = output or survey / "bathynerf"
+    folder = output or survey / RUN_FOLDER
     with command(verbose, quiet, folder, stopped=KEPT) as results:
         require_address_space()
         from survey.run.process import process

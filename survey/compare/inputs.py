@@ -88,7 +88,7 @@ def load_inputs(paths: Paths, bounds: Bounds | None) -> Inputs:
         )
     kept = cloud.points[inside]
     require_same_place(kept, vertices_of(reference), f"{paths.cloud} (cropped)", str(paths.reference))
-    notes += [note for shape in (cloud, *others.values()) for note in getattr(shape, "notes", ())]
+    notes += [note for shape in (cloud, *others.values()) for note in shape.notes]
     crs = _common_crs(cloud, paths.cloud, others, notes)
     east, north, height = (float(v) for v in 0.5 * (kept.min(axis=0) + kept.max(axis=0)))
     origin = (east, north, height)
@@ -106,7 +106,7 @@ def _as_cloud(shape: Mesh | Cloud, path: Path, notes: list[str]) -> Cloud:
     if isinstance(shape, Cloud):
         return shape
     notes.append(f"{path.name} is a mesh: its vertices are compared")
-    return Cloud(points=shape.vertices, crs=shape.crs)
+    return Cloud(points=shape.vertices, crs=shape.crs, notes=shape.notes)
 
 
 def _surface(shape: Mesh | Cloud, path: Path) -> Mesh | Cloud:
@@ -118,7 +118,7 @@ def _surface(shape: Mesh | Cloud, path: Path) -> Mesh | Cloud:
         raise CompareError(
             f"none of the {len(faces)} triangles of {path} has an area; export the surface again, or its points alone"
         )
-    return Mesh(vertices, faces, crs=shape.crs)
+    return Mesh(vertices, faces, crs=shape.crs, notes=shape.notes)
 
 
 def _common_crs(cloud: Cloud, path: Path, others: dict[Path, Mesh | Cloud], notes: list[str]) -> CRS | None:

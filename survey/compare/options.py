@@ -9,7 +9,7 @@ from pathlib import Path
 
 from evaluation.c2m import Sign
 from survey.compare.area import Bounds, CompareError, check_bounds
-from survey.files.outputs import Inputs, is_json, require_file, require_folder
+from survey.files.outputs import ReadFiles, is_json, require_file, require_folder
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def check_options(options: CompareOptions) -> None:
 def check_outputs(options: CompareOptions, cloud: Path, reference: Path) -> None:
     """Raise OutputError where numbers or pictures must not, or cannot, be written; see `survey.files.outputs`."""
     given = (cloud, reference, options.visible, options.checkpoints)
-    inputs = Inputs.of(*(Path(path) for path in given if path is not None))
+    inputs = ReadFiles.of(*(Path(path) for path in given if path is not None))
     json_path, report_dir = (path and Path(path) for path in (options.json_path, options.report_dir))
     require_file("--json", json_path, inputs, kind="a JSON file", is_of_kind=is_json)
     require_folder("--report", report_dir, inputs, may_hold_inputs=True)

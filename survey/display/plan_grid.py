@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
+from evaluation.cells import cell_counts, cell_means, cell_numbers
 from geo.crs import horizontal_unit, is_geographic
 
 _EARTH_RADIUS_M = 6.371e6
@@ -87,10 +88,8 @@ class PlanGrid:
         """Cells from the north-western corner of what lies between ``low`` and ``high`` (2,) in crs."""
         columns, rows = (math.floor(side / cell_m) + 1 for side in (high - low) * unit)
         cell = cell_m / unit
-        column = np.floor((plan[:, 0] - low[0]) / cell[0]).astype(np.int64)
-        row = np.floor((high[1] - plan[:, 1]) / cell[1]).astype(np.int64)
-        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-        index = np.where(inside, row * columns + column, -1)
+        at = np.column_stack([(plan[:, 0] - low[0]) / cell[0], (high[1] - plan[:, 1]) / cell[1]])
+        index = cell_numbers(at, (rows, columns))
         corner = (float(low[0]), float(high[1]))
         return PlanGrid(*corner, (float(cell[0]), float(cell[1])), cell_m, (rows, columns), index)
 
@@ -112,20 +111,13 @@ class PlanGrid:
 
     def count(self, among: np.ndarray | None = None) -> np.ndarray:
         """Points in each cell, of those ``among`` (N,) bool."""
-        index = self.index[among] if among is not None else self.index
-        index = index[index >= 0]
-        return np.bincount(index, minlength=self.shape[0] * self.shape[1]).reshape(self.shape)
+        return cell_counts(self.index if among is None else self.index[among], self.shape)
 
     def mean(self, values: np.ndarray, among: np.ndarray | None = None) -> np.ndarray:
         """Mean of values (N,) in each cell, NaN where there is none; values that are NaN do not count."""
-        use = (self.index >= 0) & np.isfinite(values)
-        if among is not None:
-            use &= among
-        size = self.shape[0] * self.shape[1]
-        number = np.bincount(self.index[use], minlength=size)
-        total = np.bincount(self.index[use], weights=values[use].astype(np.float64), minlength=size)
-        empty = number == 0
-        return np.where(empty, np.nan, total / np.maximum(number, 1)).reshape(self.shape)
+        if among is None:
+            return cell_means(self.index, values, self.shape)
+        return cell_means(self.index[among], values[among], self.shape)
 
     def highest(self, height: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Values (N, ...) of the highest point of each cell, (rows, columns, ...) float64; NaN where none."""

@@ -37,6 +37,15 @@ def json_text(value) -> str:
     return json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
+def read_json_object(path: str | Path) -> dict:
+    """The object in a JSON file in UTF-8; empty where the file is missing, damaged, or holds something else."""
+    try:
+        value = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError, ValueError):
+        return {}
+    return value if isinstance(value, dict) else {}
+
+
 def write_json(path: str | Path, value) -> None:
     """Write a value as an indented JSON file in UTF-8, whole or not at all; see `plain`.
 

@@ -19,7 +19,7 @@ _HEAD_BYTES = 2048
 
 
 @dataclass(frozen=True)
-class Inputs:
+class ReadFiles:
     """What a command reads.
 
     Attributes
@@ -34,14 +34,14 @@ class Inputs:
     folders: tuple[Path, ...] = ()
 
     @classmethod
-    def of(cls, *paths: Path | None) -> Inputs:
+    def of(cls, *paths: Path | None) -> ReadFiles:
         """Files and folders by what they are; None stands for an option that was not given."""
         there = [path for path in paths if path is not None]
         files = tuple(path for path in there if path.is_file())
         return cls(files, tuple(path for path in there if path.is_dir()))
 
-    def __add__(self, other: Inputs) -> Inputs:
-        return Inputs(self.files + other.files, self.folders + other.folders)
+    def __add__(self, other: ReadFiles) -> ReadFiles:
+        return ReadFiles(self.files + other.files, self.folders + other.folders)
 
     def same_as(self, path: Path) -> Path | None:
         """The input that is the same file as an existing one: by name, symbolic link or hard link."""
@@ -58,7 +58,7 @@ class Inputs:
 
 
 def require_file(
-    option: str, path: Path | None, inputs: Inputs, *, kind: str, is_of_kind: Callable[[bytes], bool]
+    option: str, path: Path | None, inputs: ReadFiles, *, kind: str, is_of_kind: Callable[[bytes], bool]
 ) -> None:
     """Raise OutputError where a file must not or cannot be written.
 
@@ -68,7 +68,7 @@ def require_file(
         That names the file, e.g. ``--json``.
     path : Path, optional
         None: the option was not given.
-    inputs : Inputs
+    inputs : ReadFiles
         Of the command.
     kind : str
         Of the file, e.g. "a JSON file".
@@ -98,7 +98,7 @@ def require_file(
         _require_permission(said, path.parent)
 
 
-def require_folder(option: str, path: Path | None, inputs: Inputs, *, may_hold_inputs: bool = False) -> None:
+def require_folder(option: str, path: Path | None, inputs: ReadFiles, *, may_hold_inputs: bool = False) -> None:
     """Raise OutputError where a folder cannot be made, or must not be written to.
 
     Parameters

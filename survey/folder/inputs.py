@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from survey.errors import FILE_NAME
-from survey.files.outputs import Inputs
+from survey.files.outputs import ReadFiles
 from survey.folder import infer
 from survey.folder.config import read_config
 from survey.folder.water_level import SOURCES
@@ -13,7 +13,7 @@ from survey.photos.exif import SUFFIXES
 from survey.photos.formats import find_poses
 
 
-def survey_inputs(folder: Path) -> Inputs:
+def survey_inputs(folder: Path) -> ReadFiles:
     """Settings, poses, photographs, masks and measured water levels of a survey folder.
 
     Raises
@@ -22,7 +22,7 @@ def survey_inputs(folder: Path) -> Inputs:
         Where the settings cannot be read, or there are neither settings nor images.
     """
     if not folder.is_dir():
-        return Inputs()
+        return ReadFiles()
     toml = folder / FILE_NAME
     config = read_config(toml) if toml.is_file() else infer.config_of_folder(folder)
     named = [toml]
@@ -34,9 +34,9 @@ def survey_inputs(folder: Path) -> Inputs:
         named += [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]
     else:
         folders.append(folder / config.images.dir)
-    return sum((poses_inputs(path) for path in poses), Inputs.of(*named, *folders))
+    return sum((poses_inputs(path) for path in poses), ReadFiles.of(*named, *folders))
 
 
-def poses_inputs(path: Path) -> Inputs:
+def poses_inputs(path: Path) -> ReadFiles:
     """The files of poses: a table, or those of a COLMAP model, but not what lies below the folder of a model."""
-    return Inputs.of(*(file for file in path.iterdir() if file.is_file())) if path.is_dir() else Inputs.of(path)
+    return ReadFiles.of(*(file for file in path.iterdir() if file.is_file())) if path.is_dir() else ReadFiles.of(path)

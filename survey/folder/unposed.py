@@ -14,6 +14,7 @@ from survey.folder.camera_faults import require_focal_lengths
 from survey.folder.found import MIN_VIEWS, Found
 from survey.folder.plausible import require_level_fits_exif
 from survey.folder.words import named
+from survey.names import RUN_FOLDER, SFM_FOLDER
 from survey.photos.cameras import View
 from survey.photos.formats import MIN_TRACK
 from survey.photos.images import require_complete
@@ -62,7 +63,7 @@ def solve_views(
     result = solve_poses(
         list(found.images.values()),
         found.crs,
-        workspace or found.folder / "bathynerf" / "sfm",
+        workspace or found.folder / RUN_FOLDER / SFM_FOLDER,
         gps_height=found.config.cameras.gps_height,
         size_px=found.config.cameras.size_px,
         focal_px=found.config.cameras.focal_px,

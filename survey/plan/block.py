@@ -1,4 +1,4 @@
-"""The photographs of a survey as a block of `fields`, at the plan's scale, with the limits of the search."""
+"""The photographs of a survey as a block of `fields`, at the scale of its plan."""
 
 from __future__ import annotations
 
@@ -15,15 +15,11 @@ from refract import PinholeCamera
 from survey.errors import SurveyError
 from survey.photos.images import load_image, load_mask
 from survey.plan.ground import ground_height
-from survey.plan.heights import height_range
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey, View
     from survey.photos.store import ImageStore
     from survey.plan.plan import Plan
-
-# The cloud ends this far beyond the bounds that the survey asks for.
-AREA_MARGIN_M = 0.5
 
 
 def load_block(survey: Survey, plan: Plan, advance: Callable[[float], None], store: ImageStore | None = None) -> Block:
@@ -61,39 +57,3 @@ def backend(plan: Plan) -> Device:
 def camera_of(view: View, plan: Plan) -> PinholeCamera:
     """The camera of a view at the plan's scale."""
     return view.camera if plan.image_scale == 1.0 else view.camera.scaled(plan.image_scale)
-
-
-def plane_name(survey: Survey) -> str:
-    """The reference of heights, in words."""
-    return "water" if survey.water is not None else "local origin"
-
-
-def limits(survey: Survey) -> tuple[float, float]:
-    """Heights [m] over the water plane (dry: over local z = 0) between which the bed is searched."""
-    if survey.water is None:
-        cameras = [view.camera for view in survey.views]
-        flying = float(np.median([camera.centre[2] for camera in cameras])) - ground_height(cameras)
-    else:
-        flying = float(np.median([-survey.water.depth(v.camera.centre) for v in survey.views]))
-    found = height_range(survey, flying)
-    return found.low, found.high
-
-
-def local_area(survey: Survey) -> tuple[float, float, float, float] | None:
-    """The bounds of the survey as (x0, y0, x1, y1) [m], local, that hold them; None where it has none."""
-    if survey.bounds is None:
-        return None
-    e0, n0, e1, n1 = survey.bounds
-    level = survey.frame.origin[2]
-    corners = survey.frame.local_from_crs([[e0, n0, level], [e1, n0, level], [e1, n1, level], [e0, n1, level]])
-    return (*corners[:, :2].min(axis=0), *corners[:, :2].max(axis=0))
-
-
-def grown(area: tuple[float, float, float, float], margin: float) -> tuple[float, float, float, float]:
-    """An area (x0, y0, x1, y1) [m] with a margin [m] on every side."""
-    return (area[0] - margin, area[1] - margin, area[2] + margin, area[3] + margin)
-
-
-def within(xyz: np.ndarray, area: tuple[float, float, float, float]) -> np.ndarray:
-    """Which points (N, 3) stand over an area (x0, y0, x1, y1), (N,) bool."""
-    return (xyz[:, 0] >= area[0]) & (xyz[:, 1] >= area[1]) & (xyz[:, 0] <= area[2]) & (xyz[:, 1] <= area[3])

@@ -11,11 +11,9 @@ import numpy as np
 from geo.crs import height_unit_m
 from survey.folder.survey import Found, Survey, find_survey, load_survey
 from survey.folder.unposed import require_solvable
+from survey.names import RUN_FOLDER
 from survey.plan.plan import Decision, Plan, device_decision, make_plan
 from survey.plan.workload import Workload, require_room, workload_of, workload_of_images
-
-# The default run folder, in the survey folder.
-RUN_NAME = "bathynerf"
 
 
 @dataclass(frozen=True)
@@ -72,7 +70,7 @@ def check_survey(folder: Path, *, quality: str = "standard", device: str = "auto
     survey = checked.survey
     plan = make_plan(survey, quality=quality, device=device)
     workload = workload_of(survey, plan)
-    warnings = (*checked.warnings, *require_room(workload, folder / RUN_NAME))
+    warnings = (*checked.warnings, *require_room(workload, folder / RUN_FOLDER))
     rows = _rows_of_survey(checked.found, survey, plan)
     return _sections(rows, plan.decisions, workload, survey.assumptions, warnings)
 
@@ -166,7 +164,7 @@ def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]
     decisions = (sfm, device_decision(device), rest)
     sizes = [head.size_px for head in found.heads.values()]
     workload = workload_of_images(sizes, quality=quality, device=decisions[1].choice)
-    warnings = (*checked.warnings, *require_room(workload, found.folder / RUN_NAME))
+    warnings = (*checked.warnings, *require_room(workload, found.folder / RUN_FOLDER))
     return _sections(rows, decisions, workload, found.assumptions, warnings)
 
 

@@ -18,7 +18,8 @@ from fields.sweep.sweep import PASSES
 from survey import machine
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
-from survey.plan.block import AREA_MARGIN_M, camera_of, grown, local_area
+from survey.plan.area import AREA_MARGIN_M, grown, local_area
+from survey.plan.block import camera_of
 from survey.plan.ground import ground_height
 from survey.plan.plan import Plan, image_scale
 from survey.plan.recipe import RECIPES

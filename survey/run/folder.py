@@ -22,15 +22,15 @@ from pathlib import Path
 from geo.files import disk_refusals, write_whole
 from survey.code_hash import code_hash
 from survey.errors import SurveyError
+from survey.files.json_values import read_json_object
 from survey.files.lock import locked
-from survey.files.outputs import Inputs
+from survey.files.outputs import ReadFiles
+from survey.names import RUN_FOLDER, SFM_FOLDER
 from survey.progress import current
 from survey.run import result
 from survey.run.keys import Key
 
 _MARKER, _RECORD, _PART = ".bathynerf-run.json", "stage.json", ".part"
-# Structure from motion works there before anything else of a run exists.
-_SFM = "sfm"
 _NAMED_VERSIONS = (
     "numpy",
     "scipy",
@@ -80,7 +80,7 @@ class RunDir:
         self.log_path = self.path / "log.txt"
         self.pictures_path = self.path / "pictures"
         self.stages_path = self.path / "stages"
-        self.sfm_path = self.path / _SFM
+        self.sfm_path = self.path / SFM_FOLDER
         self._held: ExitStack | None = None
         self._started: dict[Path, float] = {}
         self._quality: str | None = None
@@ -114,7 +114,7 @@ class RunDir:
             what = "is a file" if self.path.exists() else "does not exist"
             raise SurveyError(f"the run folder {self.path} {what}; name the folder that process wrote")
         if not (self.path / _MARKER).is_file():
-            default = self.path / "bathynerf"
+            default = self.path / RUN_FOLDER
             mend = f"name {default}" if (default / _MARKER).is_file() else "name the folder that process wrote"
             raise SurveyError(f"{self.path} is no run folder; {mend}")
         if not result.is_settled(self.path):
@@ -126,10 +126,10 @@ class RunDir:
         """What result.json says; see `survey.run.result.read_record`."""
         return result.read_record(self.path)
 
-    def inputs(self) -> Inputs:
+    def inputs(self) -> ReadFiles:
         """What other commands read of the run, or would spoil."""
         files = (self.path / name for name in result.NAMES)
-        return Inputs.of(*files) + Inputs((), (self.stages_path, self.pictures_path, self.sfm_path))
+        return ReadFiles.of(*files) + ReadFiles((), (self.stages_path, self.pictures_path, self.sfm_path))
 
     def warn_if_unfinished(self) -> None:
         """Warn where a later `process` began here and did not finish, so that the result is that of the one before."""
@@ -229,7 +229,7 @@ class RunDir:
         if not self.path.is_dir() or (self.path / _MARKER).is_file():
             return
         # Hidden files are left by file managers and by a first start that was killed.
-        others = sorted(p.name for p in self.path.iterdir() if p.name[0] != "." and p.name != _SFM)
+        others = sorted(p.name for p in self.path.iterdir() if p.name[0] != "." and p.name != SFM_FOLDER)
         if others:
             raise SurveyError(
                 f"the folder {self.path} is not empty and is no run (it has {others[0]}); name a new or "
@@ -249,11 +249,7 @@ class RunDir:
 
 def _record(folder: Path) -> dict:
     """The record of a finished stage; empty if there is none, or none that can be read."""
-    try:
-        record = json.loads((folder / _RECORD).read_text(encoding="utf-8"))
-    except (FileNotFoundError, NotADirectoryError, ValueError):
-        return {}
-    return record if isinstance(record, dict) else {}
+    return read_json_object(folder / _RECORD)
 
 
 def seconds_of(folder: Path) -> float:

@@ -1,8 +1,8 @@
 """The quality gate of a run: whether its cloud may be used unseen.
 
-Two things are required. Of the ground that two views or more see, at the height where the bed was found, at least half
-has to have a point: what one view alone sees cannot be measured and does not count. And the median standard deviation of the
-points must not exceed one and a half ground sampling distances.
+Two things are required. Of the ground that two or more views see, at the height where the bed was found, at least half
+has a point: what one view alone sees cannot be measured and does not count. And the median standard deviation of the
+points is at most one and a half ground sampling distances.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from scipy.ndimage import distance_transform_edt
 
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import NO_BREAK, length, share
-from survey.plan.block import local_area
+from survey.plan.area import local_area
 from survey.report.verdict import Gate, Verdict
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from survey.photos.store import ImageStore
-from survey.plan.block import limits, load_block, local_area
+from survey.plan.area import limits, local_area
+from survey.plan.block import load_block
 from survey.run.water_colour import colour_of
 from survey.stage_key import stage_key
 

@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from survey.errors import SurveyError
-from survey.files.outputs import Inputs, require_folder
+from survey.files.outputs import ReadFiles, require_folder
 from survey.folder.inputs import survey_inputs
 from survey.folder.survey import Survey, load_survey
+from survey.names import RUN_FOLDER
 from survey.plan.check import require_processable
 from survey.plan.plan import Plan, make_plan, require_choices
 from survey.plan.workload import require_room, workload_of
@@ -73,7 +74,7 @@ def process(
         Where the input is at fault.
     """
     survey_folder = Path(survey_folder)
-    run_folder = survey_folder / "bathynerf" if run_folder is None else Path(run_folder)
+    run_folder = survey_folder / RUN_FOLDER if run_folder is None else Path(run_folder)
     truth = Truth(*(None if path is None else Path(path) for path in (reference, visible)))
     _require_inputs(survey_folder, run_folder, truth)
     require_choices(quality=quality, device=device, field=field)
@@ -105,7 +106,7 @@ def _require_inputs(survey_folder: Path, run_folder: Path, truth: Truth) -> None
     for name, path in (("--reference", truth.reference), ("--visible", truth.visible)):
         if path is not None and not path.exists():
             raise SurveyError(f"{name} {path} does not exist; give the path of a PLY, OBJ, LAS or LAZ file")
-    require_folder("-o", run_folder, survey_inputs(survey_folder) + Inputs.of(truth.reference, truth.visible))
+    require_folder("-o", run_folder, survey_inputs(survey_folder) + ReadFiles.of(truth.reference, truth.visible))
 
 
 def _announce(progress: Progress, survey: Survey, plan: Plan) -> None:

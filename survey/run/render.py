@@ -16,7 +16,7 @@ from geo.frames import LocalFrame
 from refract import PinholeCamera
 from refract.lens import Lens
 from survey.errors import FILE_NAME, ConfigError, OutputError, SurveyError
-from survey.files.outputs import Inputs, require_file, require_folder
+from survey.files.outputs import ReadFiles, require_file, require_folder
 from survey.folder.config import CamerasConfig, SurveyConfig, read_config
 from survey.folder.inputs import poses_inputs, survey_inputs
 from survey.folder.lens import lens_from_config
@@ -92,7 +92,7 @@ def render(
     return written
 
 
-def _inputs(folder: RunDir, cameras: Path) -> Inputs:
+def _inputs(folder: RunDir, cameras: Path) -> ReadFiles:
     """What is read, and the photographs of the surveys in whose folders the run and the cameras lie."""
     inputs = folder.inputs()
     if cameras.exists():

@@ -11,7 +11,7 @@ import json
 import shutil
 from pathlib import Path
 
-from survey.files.json_values import write_json
+from survey.files.json_values import read_json_object, write_json
 
 NAMES = ("settings.toml", "plan.json", "cloud.las", "report.json", "report.html", "pictures", "result.json")
 _RECORD = "result.json"
@@ -24,15 +24,7 @@ def read_record(run: Path) -> dict:
 
     ``others`` has the stages of the latest result of each other quality, by quality. Empty without a result.
     """
-    return _read(run / _RECORD)
-
-
-def _read(path: Path) -> dict:
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-    except (FileNotFoundError, NotADirectoryError, ValueError):
-        return {}
-    return record if isinstance(record, dict) else {}
+    return read_json_object(run / _RECORD)
 
 
 def begin(run: Path, part: Path, quality: str) -> None:
@@ -55,7 +47,7 @@ def is_unfinished(run: Path) -> bool:
 
 def _unfinished(run: Path) -> dict[str, list[str]]:
     """Finished stages of each result that is not finished, by its quality."""
-    return _read(run / _UNFINISHED)
+    return read_json_object(run / _UNFINISHED)
 
 
 def is_settled(run: Path) -> bool:

@@ -12,7 +12,8 @@ from fields.slab.refine import refine
 from fields.sweep.bed import BedPoints, has_company, points_of, unique_pixels
 from fields.water_column import WaterColumn
 from survey.errors import SurveyError
-from survey.plan.block import AREA_MARGIN_M, backend, camera_of, grown, local_area, within
+from survey.plan.area import AREA_MARGIN_M, grown, local_area, within
+from survey.plan.block import backend, camera_of
 from survey.run.stage_sweep import MAPS, look_at_bed
 from survey.run.stored import BED_FILE, SURVEY_FILE, StoredBed, load_depth_maps, save_bed
 from survey.run.stored_field import load_field

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 from fields.slab.from_sweep import slab_of
 from fields.slab.tensor_field import FieldSettings
 from fields.slab.train import Schedule, train
-from survey.plan.block import AREA_MARGIN_M, backend, grown, local_area
+from survey.plan.area import AREA_MARGIN_M, grown, local_area
+from survey.plan.block import backend
 from survey.progress import shares
 from survey.run.sources import sources_of
 from survey.run.stage_sweep import MAPS

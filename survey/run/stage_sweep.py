@@ -11,7 +11,7 @@ from fields.sweep.ranging import find_range
 from fields.sweep.sweep import sweep
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
-from survey.plan.block import limits, local_area, plane_name
+from survey.plan.area import limits, local_area, plane_name
 from survey.progress import shares
 from survey.run.stored import save_depth_maps
 

@@ -7,7 +7,6 @@ point, the result, and the solved block, which is stored to be used again.
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import time
@@ -26,7 +25,7 @@ from geo.frames import LocalFrame
 from refract.lens import Lens
 from survey.code_hash import code_hash
 from survey.errors import ImageError, SurveyError
-from survey.files.json_values import write_json
+from survey.files.json_values import read_json_object, write_json
 from survey.files.lock import locked
 from survey.photos.exif import read_exif
 from survey.sfm import block as sfm_block
@@ -186,21 +185,12 @@ def _work_folder(workspace: Path, num_images: int) -> Iterator[Path]:
 
 def seconds_of_solve(workspace: Path) -> float | None:
     """How long the poses in a workspace took when they were solved [s]; None where there are none, or none says."""
-    return _record(workspace).get("seconds")
-
-
-def _record(workspace: Path) -> dict:
-    """What `_store` wrote about its block; empty if there is nothing that can be read."""
-    try:
-        record = json.loads((workspace / _RECORD).read_text(encoding="utf-8"))
-    except (FileNotFoundError, NotADirectoryError, ValueError):
-        return {}
-    return record if isinstance(record, dict) else {}
+    return read_json_object(workspace / _RECORD).get("seconds")
 
 
 def _stored(workspace: Path, key: str) -> Solved | None:
     """What `_store` left with this key; None if there is nothing, or something else."""
-    record = _record(workspace)
+    record = read_json_object(workspace / _RECORD)
     if record.get("key") != key or not (workspace / _MODEL).is_dir():
         return None
     frame = LocalFrame(CRS(record["crs"]), tuple(record["origin"]))

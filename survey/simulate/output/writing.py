@@ -19,7 +19,7 @@ from PIL import Image
 
 from geo import write_whole
 from survey.errors import SurveyError
-from survey.progress import Progress, Stage
+from survey.progress import Progress, Step
 from survey.simulate.output.sidecars import cameras_csv, exif_of_views, survey_toml, write_image
 from survey.simulate.output.staged_scene import StagedScene
 from survey.simulate.output.truth import depth_map, ground_mesh, points_on, seen_by, write_ply
@@ -125,14 +125,14 @@ def _write(folder: Path, scene: StagedScene, progress: Progress) -> None:
             write_image(path, scene.photograph(index), exifs[index])
 
     count = len(scene.cameras)
-    with progress.stage("photographing the scene", count) as stage, ThreadPoolExecutor(_threads(scene)) as pool:
+    with progress.stage("photographing the scene", count) as step, ThreadPoolExecutor(_threads(scene)) as pool:
         for _ in pool.map(take, range(count)):
-            stage.advance()
-    with progress.stage("writing the truth", count) as stage, ThreadPoolExecutor(_threads()) as pool:
-        _write_truth(folder / "truth", scene, pool, stage)
+            step.advance()
+    with progress.stage("writing the truth", count) as step, ThreadPoolExecutor(_threads()) as pool:
+        _write_truth(folder / "truth", scene, pool, step)
 
 
-def _write_truth(folder: Path, scene: StagedScene, pool: ThreadPoolExecutor, stage: Stage) -> None:
+def _write_truth(folder: Path, scene: StagedScene, pool: ThreadPoolExecutor, step: Step) -> None:
     frame, ground = scene.frame, scene.renderer.ground
     e0, n0, e1, n1 = scene.bounds
 
@@ -156,7 +156,7 @@ def _write_truth(folder: Path, scene: StagedScene, pool: ThreadPoolExecutor, sta
     num_views = np.zeros(len(points), dtype=int)
     for seen in pool.map(look, range(len(scene.cameras))):
         num_views += seen
-        stage.advance()
+        step.advance()
     write_ply(folder / "visible.ply", points_crs[num_views >= _MIN_VIEWS])
 
 

@@ -7,15 +7,15 @@ from pathlib import Path
 
 from geo import write_whole
 from survey.errors import OutputError
-from survey.files.outputs import Inputs, require_folder
+from survey.files.outputs import ReadFiles, require_folder
 from survey.progress import current
 from survey.simulate.flight.coverage import Coverage, coverage
 from survey.simulate.flight.picture import picture
 from survey.simulate.output.sidecars import cameras_csv
 from survey.simulate.output.writing import write_survey
 from survey.simulate.scene_file import SceneSettings, read_scene
+from survey.simulate.staging.build import stage_scene
 from survey.simulate.staging.planning import Plan, files_of, marks_of, plan_scene
-from survey.simulate.staging.stage import stage_scene
 
 # What --flight-only writes.
 _FLIGHT = ("cameras.csv", "flight.png")
@@ -73,7 +73,7 @@ def simulate_flight(path: str | Path, output: str | Path) -> None:
 
 def _require_output(output: Path, path: Path, settings: SceneSettings) -> None:
     named = (path.parent / name for name in files_of(settings))
-    require_folder("-o", output, Inputs.of(path, *named))
+    require_folder("-o", output, ReadFiles.of(path, *named))
 
 
 def _require_flight_or_empty(output: Path) -> None:

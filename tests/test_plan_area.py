@@ -6,7 +6,7 @@ import pytest
 from small_survey import TOML, small_survey
 
 from survey.folder.survey import load_survey
-from survey.plan.block import limits
+from survey.plan.area import limits
 
 FLYING_M = 20.0
 

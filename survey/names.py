@@ -1,0 +1,8 @@
+"""Names of folders that several parts of survey have to agree on."""
+
+from __future__ import annotations
+
+# The run folder in a survey folder, where no other is named.
+RUN_FOLDER = "bathynerf"
+# In a run folder: what structure from motion keeps.
+SFM_FOLDER = "sfm"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -59,9 +60,22 @@ def test_a_block_from_above_says_that_it_cannot_know_and_keeps_what_was_given(tm
     survey = survey_with(tmp_path, cameras, level=0.8, index=1.30)
     found = water_from_ties(survey, tie_points(cameras, rng, count=600, std_px=STD_PX))
     assert not found.is_observable
-    assert all(e.verdict.startswith("not observable: 1 sigma is") for e in found.estimates)
+    assert found.estimates[0].verdict.startswith("not observable: 1 sigma is")
     assert found.estimates[0].std > 0.05
     assert found.water == survey.config.water
+
+
+def test_a_verdict_names_a_standard_deviation_only_where_it_is_too_large(tmp_path, rng):
+    cameras = nadir()
+    survey = survey_with(tmp_path, cameras, level=0.8, index=1.30)
+    found = water_from_ties(survey, tie_points(cameras, rng, count=600, std_px=STD_PX))
+    reasons = [re.search(r"1 sigma is (\S+?)(?: m)?, at most (\S+?)(?: m)? would", e.verdict) for e in found.estimates]
+    assert all(float(reason[1]) > float(reason[2]) for reason in reasons if reason)
+    others = [e for e, reason in zip(found.estimates, reasons, strict=True) if not reason]
+    assert "slope_east" in [e.name for e in others]
+    for estimate in others:
+        words = f"not observable: the level is not, and {estimate.name} cannot be separated from it; "
+        assert estimate.verdict.startswith(words)
 
 
 @pytest.mark.parametrize("num_wet", [0, 12])
@@ -74,8 +88,9 @@ def test_too_few_tie_points_under_water_make_every_parameter_not_observable(tmp_
     found = water_from_ties(survey, ties)
     assert not found.is_observable
     assert found.water == survey.config.water
-    for estimate in found.estimates:
-        assert estimate.verdict.startswith(f"not observable: {num_wet} of {len(ties)} tie points lie under water")
+    level, *others = (estimate.verdict for estimate in found.estimates)
+    assert level.startswith(f"not observable: {num_wet} of {len(ties)} tie points lie under water")
+    assert all(verdict.startswith("not observable: the level is not; ") for verdict in others)
     assert found.num_dry == len(ties) - num_wet
 
 
@@ -83,7 +98,7 @@ def test_no_tie_points_at_all_are_a_verdict_too(tmp_path):
     survey = survey_with(tmp_path, convergent())
     none = TiePoints(np.zeros((0, 3)), np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros((0, 2)))
     found = water_from_ties(survey, none)
-    assert all("0 of 0 tie points lie under water" in estimate.verdict for estimate in found.estimates)
+    assert "0 of 0 tie points lie under water" in found.estimates[0].verdict
     assert json.loads(found.to_json())["rms_px"] is None
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -157,6 +158,40 @@ def test_a_focal_length_of_a_cropped_photograph_is_doubted_by_check_and_by_proce
     (warning,) = load_survey(folder).warnings
     assert warning.startswith("the focal length of 0002.jpg is 100 px, and EXIF tells 50 px; check that")
     assert said(check_survey(folder), "Warnings")[""] == warning
+
+
+def bounds_toml(e0: float, n0: float, e1: float, n1: float) -> str:
+    """The settings of `small_survey` with bounds, in metres from the first camera."""
+    return f"{TOML}[area]\nbounds = [{E0 + e0}, {N0 + n0}, {E0 + e1}, {N0 + n1}]\n"
+
+
+@pytest.mark.parametrize("bounds", [(100.0, -5.0, 105.0, 5.0), (-6000.0, 100.0, 6000.0, 4000.0)])
+@pytest.mark.parametrize("dry", [False, True])
+def test_bounds_that_no_two_photographs_see_are_refused_with_the_extent_of_the_footprints(tmp_path, bounds, dry):
+    toml = bounds_toml(*bounds)
+    folder = small_survey(tmp_path / "s", toml=re.sub(r"(?s)\[water\].*(?=\[area\])", "", toml) if dry else toml)
+    with pytest.raises(ConfigError, match=r"\[area\] bounds .* seen by fewer than two photographs") as error:
+        check_survey(folder)
+    words = str(error.value)
+    assert f"{E0 + bounds[0]:.10g} to {E0 + bounds[2]:.10g} east" in words
+    if not dry:
+        # Four cameras 3 m apart to the east, 20 m over the water, 64 x 48 px of 100 px, turned by up to 30 degrees.
+        low, high = map(float, re.search(r"reach from ([\d.]+) to ([\d.]+) east", words).groups())
+        half = [6.4 * math.cos(math.radians(a)) + 4.8 * math.sin(math.radians(a)) for a in (0, 30)]
+        assert low == pytest.approx(E0 - half[0], abs=0.02)
+        assert high == pytest.approx(E0 + 9.0 + half[1], abs=0.02)
+
+
+@pytest.mark.parametrize(
+    "bounds",
+    [
+        (4.0, -3.0, 4.2, -2.9),  # less than the steps between the places of a photograph
+        (-5e4, -5e4, 5e4, 5e4),
+        (9.0, -6.0, 400.0, 400.0),  # a corner of it
+    ],
+)
+def test_bounds_that_two_photographs_see_a_part_of_are_fine(tmp_path, bounds):
+    assert require_processable(small_survey(tmp_path / "s", toml=bounds_toml(*bounds))).warnings == ()
 
 
 def strips(num: int = 6) -> np.ndarray:

@@ -21,12 +21,12 @@ from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, length
 from survey.folder.survey import load_survey
 from survey.plan.plan import Decision, Plan
-from survey.report import NUM_STEPS, ReportFacts, write_report
+from survey.report import NUM_STEPS, ReportFacts, profile, write_report
 from survey.report.cut import choose_cut
 from survey.report.figures import figures_of
 from survey.report.headline import headline
 from survey.report.page import render_page
-from survey.report.profile import _medians
+from survey.report.profile import _medians, draw_profile, has_profile, two_digits
 from survey.report.raster import hillshade, without_pinholes
 from survey.report.verdict import Gate, Verdict
 from survey.run.export import write_bed_las
@@ -280,6 +280,7 @@ def test_every_kind_of_bed_gets_a_report(survey, dry_survey, tmp_path, kind):
     assert figures["cloud"]["points"] == len(bed)
     assert (run.pictures_path / "plan.png").exists()
     assert (run.pictures_path / "depth.png").exists() == (len(bed) > 0)
+    assert (run.pictures_path / "profile.png").exists() == (kind not in ("empty", "one point"))
     assert figures["verdict"] is None
     if kind == "dry":
         assert figures["water"] is None
@@ -437,3 +438,30 @@ def test_the_medians_of_a_profile_skip_gaps():
     x, y = _medians(np.array([0.1, 0.2, 0.3, 2.4, np.nan]), np.array([5.0, 7.0, 6.0, 1.0, np.nan]), 1.0)
     np.testing.assert_array_equal(x, [0.5, 1.5, 2.5])
     np.testing.assert_array_equal(y, [6.0, np.nan, 1.0])
+
+
+def test_a_handful_of_points_gets_no_profile(survey):
+    bed = plane_bed(survey)
+    few = _facts(survey, bed[np.arange(len(bed)) % (len(bed) // 33) == 0])
+    assert not has_profile(few, choose_cut(few))
+    all_of_it = _facts(survey, bed)
+    assert has_profile(all_of_it, choose_cut(all_of_it))
+
+
+def test_a_profile_of_a_wet_survey_shows_the_level_even_over_a_dry_bed(survey, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(profile, "save", lambda figure, _path: drawn.append(figure.axes[0]))
+    bed = plane_bed(survey)
+    level = survey.config.water.level_m
+    facts = _facts(survey, bed)
+    raised = np.array([0.0, 0.0, level + 3.0 - facts.points_crs[:, 2].min()])
+    facts = replace(facts, points_crs=facts.points_crs + raised)
+    draw_profile(tmp_path / "profile.png", facts, choose_cut(facts))
+    low, high = drawn[0].get_ylim()
+    assert low < level < level + 3.0 < high
+    assert "water" in drawn[0].get_legend_handles_labels()[1]
+
+
+@pytest.mark.parametrize(("value", "text"), [(0.123, "0.12"), (1.0, "1"), (1.849, "1.8"), (18.4, "18"), (183.0, "180")])
+def test_a_factor_has_two_digits_and_no_exponent(value, text):
+    assert two_digits(value) == text

@@ -127,7 +127,9 @@ def _unknown(
     estimates = []
     for name, std in zip(PARAMETERS, _PRIOR_STD, strict=True):
         value = float(getattr(given, name))
-        verdict = f"not observable: {why}; {_with_unit(name, value)} is kept as given"
+        # The reason stands once, with the level.
+        reason = why if name == "level_m" else "the level is not"
+        verdict = f"not observable: {reason}; {_with_unit(name, value)} is kept as given"
         estimates.append(ParameterEstimate(name, value, float(std), float(std), 0.0, 0.0, 0.0, value, False, verdict))
     return WaterEstimate(
         water=given,
@@ -177,10 +179,11 @@ def _estimate(i: int, freed: Freed, first: Freed, given: float, is_held: bool, l
         for part in (freed.measured, freed.pose, freed.lens, freed.bed, freed.covariance, first.covariance)
     )
     if is_held:
-        verdict = (
-            f"not observable: 1 sigma is {first_std:.2g}{unit}, at most {limit:.2g}{unit} would be of use; "
-            f"{_with_unit(PARAMETERS[i], given)} is kept as given"
-        )
+        reason = f"1 sigma is {first_std:.2g}{unit}, at most {limit:.2g}{unit} would be of use"
+        if first_std <= limit:
+            # Held because the level is: what it seems to be depends on where the level is kept.
+            reason = f"the level is not, and {PARAMETERS[i]} cannot be separated from it"
+        verdict = f"not observable: {reason}; {_with_unit(PARAMETERS[i], given)} is kept as given"
     else:
         verdict = f"estimated: {value:.5f} +- {std:.2g}{unit}"
     return ParameterEstimate(PARAMETERS[i], value, std, measured, pose, lens, bed, float(given), not is_held, verdict)

@@ -12,6 +12,7 @@ from geo.crs import height_unit_m
 from survey.folder.survey import Found, Survey, find_survey, load_survey
 from survey.folder.unposed import require_solvable
 from survey.names import RUN_FOLDER
+from survey.plan.bounds import require_seen
 from survey.plan.plan import Decision, Plan, device_decision, make_plan
 from survey.plan.workload import Workload, require_room, workload_of, workload_of_images
 
@@ -53,6 +54,7 @@ def require_processable(folder: Path) -> Checked:
     if found.poses_path is None:
         return Checked(found, None, (*found.warnings, *require_solvable(found)))
     survey = load_survey(folder, found=found)
+    require_seen(survey)
     return Checked(found, survey, survey.warnings)
 
 

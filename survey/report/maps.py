@@ -45,7 +45,7 @@ def draw_orthophoto(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     return Picture(path, title, "The cloud in its own colours; where points lie above each other, the highest.")
 
 
-def draw_surface(path: Path, facts: ReportFacts, grid: PlanGrid, cut: Cut) -> Picture:
+def draw_surface(path: Path, facts: ReportFacts, grid: PlanGrid, cut: Cut | None) -> Picture:
     """Depth below the water in plan, or height in a dry survey, shaded by the relief; with the line of a cut."""
     height = without_pinholes(grid.mean(facts.points_crs[:, 2]))
     depth = None
@@ -62,7 +62,8 @@ def draw_surface(path: Path, facts: ReportFacts, grid: PlanGrid, cut: Cut) -> Pi
         words = f"Mean true depth of each cell, shaded by the relief{ground}."
     image, scale = shaded_bed(depth, height, grid.cell_m)
     axes = _show(image, facts, grid)
-    draw_line(axes, facts, cut)
+    if cut is not None:
+        draw_line(axes, facts, cut)
     axes.set_facecolor("white")  # the grey of other maps' gaps is that of dry ground here
     _bar(axes, scale, label, is_depth=depth is not None)
     write_title(axes, title, f"cells of {_centimetres(grid.cell_m)}")

@@ -50,10 +50,12 @@ def draw_pictures(folder: Path, facts: ReportFacts, advance: Callable[[], None] 
     drawings: dict[str, Callable[[Path], Picture]] = {}
     if len(facts.bed):
         grid, fine_grid = _grid(facts, _MAP_CELLS), _grid(facts, _ORTHO_CELLS)
-        cut = choose_cut(facts)
+        line = choose_cut(facts)
+        cut = line if profile.has_profile(facts, line) else None
         drawings["depth"] = partial(maps.draw_surface, facts=facts, grid=grid, cut=cut)
         drawings["orthophoto"] = partial(maps.draw_orthophoto, facts=facts, grid=fine_grid)
-        drawings["profile"] = partial(profile.draw_profile, facts=facts, cut=cut)
+        if cut is not None:
+            drawings["profile"] = partial(profile.draw_profile, facts=facts, cut=cut)
     if facts.comparison is not None:
         drawings |= _of_comparison(facts, facts.comparison)
     if facts.depth_maps:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,8 +22,49 @@ if TYPE_CHECKING:
 
 # The strip that is looked at, and the steps along it, in ground sampling distances; steps at most.
 _STRIP_GSD, _STEP_GSD, _MOST_STEPS = 4.0, 2.0, 600
+# A profile needs points in so many steps, and in this share of all along its line.
+_FEWEST_STEPS, _LEAST_SHARE = 10, 0.2
 # Empty space above and below, in parts of the heights that are shown.
 _ABOVE, _BELOW = 0.18, 0.12
+
+
+@dataclass(frozen=True)
+class _Strip:
+    """The points near a cut.
+
+    Attributes
+    ----------
+    width_m : [m]
+    inside : (N,) bool
+        Those of the bed that lie in it.
+    along, heights : (K,) [m]
+        From the start of the cut, and heights in crs.
+    step_m : [m]
+        Over which heights are gathered.
+    """
+
+    width_m: float
+    inside: np.ndarray
+    along: np.ndarray
+    heights: np.ndarray
+    step_m: float
+
+
+def has_profile(facts: ReportFacts, cut: Cut) -> bool:
+    """Whether enough of a cut has points near it for its picture to show the bed."""
+    strip = _strip(facts, cut)
+    _, bed = _medians(strip.along, strip.heights, strip.step_m)
+    num_known = np.count_nonzero(np.isfinite(bed))
+    return bool(num_known >= max(_FEWEST_STEPS, _LEAST_SHARE * cut.length_m / strip.step_m))
+
+
+def _strip(facts: ReportFacts, cut: Cut) -> _Strip:
+    along, across = cut.along_and_across(facts.bed.xyz)
+    width_m = _STRIP_GSD * facts.plan.gsd_m
+    # Half a cell of the grid that chose the cut may lie beside it.
+    inside = (np.abs(across) <= 0.5 * width_m) & (along >= 0.0) & (along <= cut.length_m)
+    step_m = max(_STEP_GSD * facts.plan.gsd_m, cut.length_m / _MOST_STEPS)
+    return _Strip(width_m, inside, along[inside], facts.points_crs[inside, 2], step_m)
 
 
 def draw_profile(path: Path, facts: ReportFacts, cut: Cut) -> Picture:
@@ -30,24 +72,20 @@ def draw_profile(path: Path, facts: ReportFacts, cut: Cut) -> Picture:
 
     The reference is drawn where points of the cloud are near it.
     """
-    along, across = cut.along_and_across(facts.bed.xyz)
-    width_m = _STRIP_GSD * facts.plan.gsd_m
-    # Half a cell of the grid that chose the cut may lie beside it.
-    strip = (np.abs(across) <= 0.5 * width_m) & (along >= 0.0) & (along <= cut.length_m)
-    along, heights = along[strip], facts.points_crs[strip, 2]
-    step = max(_STEP_GSD * facts.plan.gsd_m, cut.length_m / _MOST_STEPS)
+    strip = _strip(facts, cut)
+    along, heights, step = strip.along, strip.heights, strip.step_m
     figure, axes = canvas(11.0, 3.8)
     axes.set_xlim(0.0, max(cut.length_m, step))
     x, bed = _medians(along, heights, step)
     level = _level(facts, cut, x)
-    _set_heights(axes, heights, level)
+    _set_heights(axes, heights, _level(facts, cut, np.array([0.0, cut.length_m])))
     if level is not None:
         _draw_water(axes, x, bed, level)
     axes.fill_between(x, bed, axes.get_ylim()[0], color=LAND, lw=0, zorder=1)
     axes.plot(x, bed, color=INK, lw=1.1, label="bed", zorder=3)
     axes.plot(along, heights, ".", ms=1.8, color=BLUE, alpha=0.4, rasterized=True, label="points", zorder=2)
     if facts.comparison is not None:
-        reference = _reference_heights(facts.comparison, strip)
+        reference = _reference_heights(facts.comparison, strip.inside)
         axes.plot(*_medians(along, reference, step), color=RED, lw=1.3, label="reference", zorder=4)
     axes.set(xlabel="along the line from A to B [m]", ylabel="height [m]")
     axes.ticklabel_format(axis="y", useOffset=False)
@@ -56,8 +94,8 @@ def draw_profile(path: Path, facts: ReportFacts, cut: Cut) -> Picture:
     for x_end, name, side in ((0.0, "A", "left"), (1.0, "B", "right")):
         axes.text(x_end, 0.97, f" {name} ", transform=axes.transAxes, ha=side, va="top", color=INK, weight="bold")
     title = "Profile from A to B"
-    scale = f"heights drawn {_stretch(axes):.2g} times as large as lengths"
-    write_title(axes, title, f"a strip {100.0 * width_m:.0f}{NO_BREAK}cm wide, {scale}")
+    scale = f"heights drawn {two_digits(_stretch(axes))} times as large as lengths"
+    write_title(axes, title, f"a strip {100.0 * strip.width_m:.0f}{NO_BREAK}cm wide, {scale}")
     save(figure, path)
     ends = facts.survey.frame.crs_from_local(np.column_stack([cut.ends, np.zeros(2)]))[:, :2]
     decimals = 7 if is_geographic(facts.survey.frame.crs) else 2
@@ -89,8 +127,8 @@ def _level(facts: ReportFacts, cut: Cut, x: np.ndarray) -> np.ndarray | None:
 def _set_heights(axes: Axes, heights: np.ndarray, level: np.ndarray | None) -> None:
     """Limits of the axis of heights, which hold the bed without its strays, and the water."""
     shown = np.quantile(heights, [0.002, 0.998]) if len(heights) else np.zeros(2)
-    if level is not None and np.isfinite(level).any():
-        shown = np.append(shown, [np.nanmin(level), np.nanmax(level)])
+    if level is not None:
+        shown = np.append(shown, [level.min(), level.max()])
     low, high = float(shown.min()), float(shown.max())
     size = max(high - low, 0.01)
     axes.set_ylim(low - _BELOW * size, high + _ABOVE * size)
@@ -99,13 +137,19 @@ def _set_heights(axes: Axes, heights: np.ndarray, level: np.ndarray | None) -> N
 def _draw_water(axes: Axes, x: np.ndarray, bed: np.ndarray, level: np.ndarray) -> None:
     """Water between bed and surface, and its level in words."""
     wet = np.flatnonzero(bed < level)
-    if not len(wet):
-        return
     axes.fill_between(x, bed, level, where=bed < level, color=WATER, alpha=0.45, lw=0, zorder=1)
-    axes.plot(x, np.where(bed >= level, np.nan, level), color=WATER_LINE, lw=1.8, label="water", zorder=3)
-    middle = wet[len(wet) // 2]
+    # Over a bed that is dry all along the cut, the level beside it still says how high it lies.
+    shown = np.where(bed >= level, np.nan, level) if len(wet) else level
+    axes.plot(x, shown, color=WATER_LINE, lw=1.8, label="water", zorder=3)
+    middle = wet[len(wet) // 2] if len(wet) else len(x) // 2
     axes.text(x[middle], level[middle], f"▽ water {metres(level[middle])}", color=WATER_LINE, fontsize=9,
               ha="center", va="bottom", zorder=5)  # fmt: skip
+
+
+def two_digits(value: float) -> str:
+    """A positive factor in two digits, and never with an exponent: 1.8, 18, 180."""
+    rounded = float(f"{value:.2g}")
+    return f"{rounded:.0f}" if rounded >= 10.0 else f"{rounded:.12g}"
 
 
 def _stretch(axes: Axes) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from survey.errors import FILE_NAME, ConfigError
 from survey.folder.survey import Survey, View
-from survey.plan.block import AREA_MARGIN_M, grown, limits, local_area, within
+from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area, within
 from survey.plan.ground import ground_height
 
 # Places along each side of the bounds and of a photograph, and heights of the bed, that are tried.
@@ -51,7 +51,8 @@ def _places(survey: Survey, area: tuple[float, float, float, float]) -> list[np.
     x, y = np.meshgrid(*(np.linspace(area[i], area[i + 2], _PLACES) for i in (0, 1)))
     plan = np.column_stack([x.ravel(), y.ravel()])
     base = 0.0 if survey.water is None else np.asarray(survey.water.height(*plan.T))
-    heights = np.linspace(*limits(survey), _HEIGHTS)
+    low, high = limits(survey)
+    heights = np.linspace(low, high, _HEIGHTS)
     return [np.column_stack([plan, np.broadcast_to(base + height, len(plan))]) for height in (0.0, *heights)]
 
 

@@ -45,7 +45,7 @@ def test_check_says_what_was_found_and_what_the_plan_is(tmp_path):
     assert found["views"] == "0.0 to 0.0 degrees off nadir, one covers 12.8 x 9.6 m"
     assert "level 2105 m at 589012, 5194736, slope 0 east and 0 north, index 1.333" in found["water"]
     assert found["water"].endswith("cameras 20.0 to 20.0 m over it")
-    assert said(sections, "Plan")["ground sampling distance"] == "20 cm: cameras 20.0 m over the water"
+    assert said(sections, "Found")["pixels"].startswith("200\u00a0mm on the ground")
 
 
 def test_check_says_what_was_assumed_and_what_is_doubtful(tmp_path):
@@ -259,7 +259,7 @@ def test_what_process_has_to_know_first_is_read_once_and_without_anything_slow(t
 
 def test_a_dry_survey_needs_no_refraction(tmp_path):
     plan = make_plan(load_survey(small_survey(tmp_path / "s", toml=TOML[: TOML.index("[water]")])))
-    assert not plan.is_on("refraction")
+    assert {d.name: d.choice for d in plan.decisions}["refraction"] == "off"
     reasons = {decision.name: decision.reason for decision in plan.decisions}
     assert reasons["refraction"] == "a dry survey: there is no [water]"
 
@@ -267,7 +267,7 @@ def test_a_dry_survey_needs_no_refraction(tmp_path):
 def test_water_of_index_one_is_not_bent(tmp_path):
     toml = TOML.replace("refractive_index = 1.333", "refractive_index = 1.0")
     plan = make_plan(load_survey(small_survey(tmp_path / "s", toml=toml)))
-    assert not plan.is_on("refraction")
+    assert {d.name: d.choice for d in plan.decisions}["refraction"] == "off"
 
 
 def test_views_to_the_horizon_are_counted(tmp_path):

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from geo.crs import height_unit_m
+from survey.display.quantities import length
 from survey.folder.survey import Found, Survey, find_survey, load_survey
 from survey.folder.unposed import require_solvable
 from survey.names import RUN_FOLDER
@@ -104,6 +105,7 @@ def _rows_of_survey(found: Found, survey: Survey, plan: Plan) -> list[tuple[str,
             f"{_range(off_nadir)} degrees off nadir, one covers {plan.footprint_m[0]:.1f} x "
             f"{plan.footprint_m[1]:.1f} m",
         ),
+        ("pixels", f"{length(plan.gsd_m)} on the ground at the size that is worked on, median"),
         ("local frame", f"topocentric at {', '.join(f'{v:.10g}' for v in survey.frame.origin)}"),
         ("water", _water(survey)),
     ]

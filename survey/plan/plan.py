@@ -47,6 +47,8 @@ class Plan:
     footprint_m : (width, height) [m]
         What one image covers there, median.
     decisions : tuple of Decision
+    field : bool
+        Whether the survey field refines the heights of the sweep.
     device_asked : "auto", "cpu" or "cuda"
     """
 
@@ -57,6 +59,7 @@ class Plan:
     height_m: float
     footprint_m: tuple[float, float]
     decisions: tuple[Decision, ...]
+    field: bool = False
     device_asked: str = "auto"
 
     @property
@@ -67,16 +70,6 @@ class Plan:
     def as_dict(self) -> dict:
         """Plain numbers, texts and lists, to be saved with the run."""
         return asdict(self)
-
-    def is_on(self, name: str) -> bool:
-        """Whether the decision of that name is to do it.
-
-        Raises
-        ------
-        KeyError
-            If there is none of that name.
-        """
-        return {decision.name: decision.choice != "off" for decision in self.decisions}[name]
 
 
 def make_plan(survey: Survey, *, quality: str = "standard", device: str = "auto", field: str = "auto") -> Plan:
@@ -102,19 +95,15 @@ def make_plan(survey: Survey, *, quality: str = "standard", device: str = "auto"
     gsd = float(np.median([_distance_along_axis(c, survey, height) / c.fx for c in cameras])) / scale
     sides = np.median([(camera.width / camera.fx, camera.height / camera.fy) for camera in cameras], axis=0)
     footprint = (float(height * sides[0]), float(height * sides[1]))
+    refined = _field(quality, field)
     decisions = (
         _refraction(survey),
-        _field(quality, field),
+        refined,
         _image_decision(cameras[0], scale, quality),
-        Decision(
-            "ground sampling distance",
-            f"{100.0 * gsd:.2g} cm",
-            f"cameras {height:.1f} m over the {_over(survey)}",
-        ),
         Decision("range of heights", *in_words(survey, height)),
         chosen,
     )
-    return Plan(quality, chosen.choice, scale, gsd, height, footprint, decisions, device)
+    return Plan(quality, chosen.choice, scale, gsd, height, footprint, decisions, refined.choice == "on", device)
 
 
 def _field(quality: str, field: str) -> Decision:
@@ -123,9 +112,11 @@ def _field(quality: str, field: str) -> Decision:
         return Decision("field", field, "asked for")
     if not RECIPES[quality].field:
         return Decision(
-            "field", "off", f"it takes some noise off at twice the time; {quality} takes the sweep's heights"
+            "field",
+            "off",
+            f"it reduces noise slightly and doubles the run time; {quality} takes the heights of the sweep",
         )
-    return Decision("field", "on", "trained inside the bound of the sweep, it takes some noise off the heights")
+    return Decision("field", "on", "trained inside the bound of the sweep, it reduces the noise of the heights")
 
 
 def require_choice(name: str, value: str, known: tuple[str, ...]) -> None:
@@ -199,10 +190,6 @@ def image_scale(width: int, height: int, quality: str) -> float:
     """The scale [-], at most 1, at which an image of a size [px] is worked on."""
     halvings = math.ceil(0.5 * math.log2(width * height / (1e6 * RECIPES[quality].megapixels)) - 1e-9)
     return 0.5 ** max(halvings, 0)
-
-
-def _over(survey: Survey) -> str:
-    return "water" if survey.water is not None else "ground, as far as the cameras tell"
 
 
 def _height(survey: Survey) -> float:

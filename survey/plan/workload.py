@@ -117,7 +117,7 @@ def workload_of(survey: Survey, plan: Plan) -> Workload:
         x0, y0, x1, y1 = grown(area, AREA_MARGIN_M)
         num_cells = min(num_cells, (x1 - x0) * (y1 - y0) / plan.gsd_m**2)
     largest = max(view.lens.width * view.lens.height for view in survey.views)
-    field = num_cells if plan.is_on("field") else 0.0
+    field = num_cells if plan.field else 0.0
     return _workload(pixels, pixels[chosen], largest, num_cells, field, plan.device)
 
 

@@ -24,7 +24,7 @@ def _needs_colour(job: Job) -> bool:
 
 
 def _has_field(job: Job) -> bool:
-    return job.plan.is_on("field")
+    return job.plan.field
 
 
 # What decides the rays of the photographs, and where the bed is looked for.

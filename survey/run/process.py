@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.files.outputs import ReadFiles, require_folder
 from survey.folder.inputs import survey_inputs
@@ -110,7 +111,7 @@ def _require_inputs(survey_folder: Path, run_folder: Path, truth: Truth) -> None
 
 
 def _announce(progress: Progress, survey: Survey, plan: Plan) -> None:
-    progress.note(f"{survey.name}: {len(survey.views)} views")
+    progress.note(f"{survey.name}: {len(survey.views)} views, a pixel covers {length(plan.gsd_m)} of the ground")
     for text in survey.assumptions:
         progress.note(f"assumed: {text}")
     for text in survey.warnings:

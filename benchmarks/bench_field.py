@@ -34,6 +34,7 @@ from fields.device import choose_device
 from fields.volume.hash_grid import HashSettings, HashVolume
 from fields.volume.mlp import MlpSettings, MlpVolume
 from fields.volume.model import VolumeModel
+from fields.volume.paths import Box
 from fields.volume.proposal import Proposal, ProposalSettings
 from fields.volume.renderer import Backdrop, VolumeRenderer
 from fields.volume.sampling import Cells
@@ -44,7 +45,15 @@ from fields.volume.view import render_volume
 from fields.water_column import WaterColumn
 
 ABLATION = ("tensorf", "dw", "m", "mdw")
-BASELINES = ("nerf", "tinynerf", "hash", "neus")
+# Beside them; each takes its box and the cells along its longest edge.
+OTHERS: dict[str, Callable[[Box, int], VolumeModel]] = {
+    "nerf": lambda box, _cells: MlpVolume(box, MlpSettings.nerf()),
+    "tinynerf": lambda box, _cells: MlpVolume(box, MlpSettings.tiny_nerf()),
+    # The hash grid and its proposal in a size that suits a CPU: Nerfacto's own take 5.6 s for a step.
+    "hash": lambda box, cells: HashVolume(box, HashSettings(levels=8, log2_table=15, n_max=4 * cells)),
+    "neus": lambda box, _cells: SdfVolume(box, SdfSettings.small()),
+}
+BASELINES = tuple(OTHERS)
 # Steps of each model in turn, to compare their times: (rounds, steps of a round). After the switch from coarse to fine
 # density, where a model has one: most steps of a training are such.
 TIMED = (4, 8)
@@ -68,16 +77,9 @@ def _volume(model: str, scene: ObjectScene, cells: int) -> VolumeModel:
     if model in ABLATION:
         settings = getattr(TensorSettings, model)(n_min=cells // 4, n_max=cells, fine_rate=FINE_RATE)
         return TensorVolume(scene.box, settings, choose_device("auto"))
-    others: dict[str, Callable[[], VolumeModel]] = {
-        # The hash grid and its proposal in a size that suits a CPU: Nerfacto's own take 5.6 s for a step.
-        "nerf": lambda: MlpVolume(scene.box, MlpSettings.nerf()),
-        "tinynerf": lambda: MlpVolume(scene.box, MlpSettings.tiny_nerf()),
-        "hash": lambda: HashVolume(scene.box, HashSettings(levels=8, log2_table=15, n_max=4 * cells)),
-        "neus": lambda: SdfVolume(scene.box, SdfSettings.small()),
-    }
-    if model not in others:
+    if model not in OTHERS:
         raise SystemExit(f"there is no model {model}; expected one of {', '.join(ABLATION + BASELINES)}")
-    return others[model]()
+    return OTHERS[model](scene.box, cells)
 
 
 def switch_to_fine(scene: VolumeRenderer) -> None:

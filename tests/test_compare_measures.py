@@ -265,6 +265,20 @@ def test_everything_that_was_measured_reaches_the_terminal(tmp_path, plane):
     assert sections["By depth"][0][1].startswith("mean 0.1000")
 
 
+def test_check_points_reach_the_terminal_without_what_one_alone_cannot_tell(tmp_path, cloud, plane):
+    """The cloud lies 0.1 m high; one residual has no standard deviation."""
+    table = tmp_path / "points.csv"
+    table.write_text(",".join(f"{v:.6f}" for v in FRAME.crs_from_local(np.zeros(3))) + ", 0.02\n")
+    options = CompareOptions(checkpoints=table)
+    rows = dict(sections_of(compare_files(cloud, plane, options=options)))["Check points (ASPRS, Edition 2)"]
+    assert [label for label, _ in rows] == [
+        "n checkpoints", "n not covered", "is enough", "mean", "min", "max", "rmse fit", "rmse checkpoints", "rmse v",
+    ]  # fmt: skip
+    shown = dict(rows)
+    assert (shown["n checkpoints"], shown["is enough"], shown["rmse checkpoints"]) == ("1", "False", "0.0200 m")
+    assert float(shown["mean"].removesuffix(" m")) == pytest.approx(0.1, abs=LAS_M)
+
+
 @pytest.mark.parametrize(
     ("low", "high", "unit", "label", "tick"),
     [

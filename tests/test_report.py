@@ -22,9 +22,11 @@ from survey.display.quantities import LengthUnit, length
 from survey.folder.survey import load_survey
 from survey.plan.plan import Decision, Plan
 from survey.report import NUM_STEPS, ReportFacts, profile, write_report
+from survey.report.collect import figures_of
 from survey.report.cut import choose_cut
-from survey.report.figures import figures_of
+from survey.report.figures import Spread
 from survey.report.headline import headline
+from survey.report.json_figures import json_of
 from survey.report.page import render_page
 from survey.report.profile import _medians, draw_profile, has_profile, two_digits
 from survey.report.raster import hillshade, without_pinholes
@@ -95,34 +97,34 @@ def report(survey, tmp_path_factory):
 
 
 def test_the_figures_of_a_plane_are_those_of_its_geometry(report):
-    cloud, bed = report.figures["cloud"], report.facts.bed
-    assert (cloud["points"], cloud["points_wet"] + cloud["points_dry"]) == (len(bed), len(bed))
+    cloud, bed = report.figures.cloud, report.facts.bed
+    assert (cloud.points, cloud.points_wet + cloud.points_dry) == (len(bed), len(bed))
     # Wet where SLOPE * x < 0.3, i.e. 134 of 140 columns (-6.95 to 6.35 m).
-    assert cloud["points_wet"] == 134 * 140
+    assert cloud.points_wet == 134 * 140
     # One point per SPACING_M squared; the 56 cells of 0.25 m along a side are covered whole.
-    assert cloud["covered_area_m2"] == pytest.approx((56 * 0.25) ** 2)
-    assert cloud["density_per_m2"] == pytest.approx(1.0 / SPACING_M**2)
+    assert cloud.covered_area_m2 == pytest.approx((56 * 0.25) ** 2)
+    assert cloud.density_per_m2 == pytest.approx(1.0 / SPACING_M**2)
     # Depths run evenly between the two ends.
     low, high = 0.3 - SLOPE * 6.35, 0.3 + SLOPE * 6.95
-    assert cloud["depth_m"]["min"] == pytest.approx(low, abs=CURVATURE_M)
-    assert cloud["depth_m"]["max"] == pytest.approx(high, abs=CURVATURE_M)
-    assert cloud["depth_m"]["median"] == pytest.approx(0.5 * (low + high), abs=SLOPE * SPACING_M)
+    assert cloud.depth_m.min == pytest.approx(low, abs=CURVATURE_M)
+    assert cloud.depth_m.max == pytest.approx(high, abs=CURVATURE_M)
+    assert cloud.depth_m.median == pytest.approx(0.5 * (low + high), abs=SLOPE * SPACING_M)
     # Evenly from 5 to 15 mm.
-    assert cloud["std_m"]["median"] == pytest.approx(0.010, abs=1e-6)
-    assert cloud["std_m"]["p95"] == pytest.approx(0.0145, abs=1e-6)
-    assert cloud["views_per_point"] == {"min": 2.0, "median": 4.0, "mean": pytest.approx(4.0), "max": 6.0}
-    assert cloud["incidence_deg"]["max"] == pytest.approx(np.degrees(0.5), abs=1e-5)
+    assert cloud.std_m.median == pytest.approx(0.010, abs=1e-6)
+    assert cloud.std_m.p95 == pytest.approx(0.0145, abs=1e-6)
+    assert cloud.views_per_point == Spread(2.0, 4.0, pytest.approx(4.0), 6.0, 6.0)
+    assert cloud.incidence_deg.max == pytest.approx(np.degrees(0.5), abs=1e-5)
 
 
 def test_survey_and_water_say_where_they_come_from(report):
-    survey, water = report.figures["survey"], report.figures["water"]
-    assert survey["crs"]["code"] == "EPSG:25832+5778"
-    assert (survey["views_used"], survey["views_left_out"]) == (4, 0)
-    assert survey["bounds"] == [589006, 5194730, 589019, 5194742]
-    assert (water["level_m"], water["refractive_index"]) == (2105.0, 1.333)
-    assert water["refractive_index_from"] == "survey.toml"
-    assert report.figures["timings_s"] == {"sweep": 61.2, "bed": 4.0, "total": pytest.approx(65.2)}
-    assert report.figures["versions"] == {"bathynerf": "0.1.0"}
+    survey, water = report.figures.survey, report.figures.water
+    assert survey.crs.code == "EPSG:25832+5778"
+    assert (survey.views_used, survey.views_left_out) == (4, 0)
+    assert survey.bounds == (589006, 5194730, 589019, 5194742)
+    assert (water.level_m, water.refractive_index) == (2105.0, 1.333)
+    assert water.refractive_index_from == "survey.toml"
+    assert report.figures.total_s == pytest.approx(65.2)
+    assert report.figures.versions == {"bathynerf": "0.1.0"}
 
 
 def test_an_assumed_index_and_an_image_left_out_are_told(tmp_path):
@@ -131,38 +133,76 @@ def test_an_assumed_index_and_an_image_left_out_are_told(tmp_path):
     (folder / "images" / "9999.jpg").write_bytes((folder / "images" / "0000.jpg").read_bytes())
     survey = load_survey(folder)
     figures = figures_of(_facts(survey, plane_bed(survey, num=20)))
-    assert re.match(r"assumed: refractive_index = 1\.333, fresh water", figures["water"]["refractive_index_from"])
-    assert figures["survey"]["views_left_out"] == 1
-    assert "9999.jpg" in figures["warnings"][0]
+    assert re.match(r"assumed: refractive_index = 1\.333, fresh water", figures.water.refractive_index_from)
+    assert figures.survey.views_left_out == 1
+    assert "9999.jpg" in figures.warnings[0]
 
 
 def test_the_comparison_is_that_of_the_cloud_with_the_raised_plane(report):
-    comparison = report.figures["comparison"]
+    comparison = report.figures.comparison.summary
     # The distance to a plane is along its normal; the cloud lies below it.
-    assert comparison["mean_m"] == pytest.approx(-RAISED_M / np.hypot(1.0, SLOPE), abs=LAS_BIAS_M)
-    assert comparison["std_m"] == pytest.approx(LAS_STD_M, rel=0.1)
-    assert comparison["n_points"] + comparison["n_cropped"] == len(report.facts.bed)
+    assert comparison.distances.mean_m == pytest.approx(-RAISED_M / np.hypot(1.0, SLOPE), abs=LAS_BIAS_M)
+    assert comparison.distances.std_m == pytest.approx(LAS_STD_M, rel=0.1)
+    assert comparison.distances.n_points + comparison.n_cropped == len(report.facts.bed)
 
 
 def test_vertical_uncertainty_is_that_of_the_comparison(report):
-    iho = report.figures["iho_s44"]
-    assert iho == report.figures["comparison"]["iho_s44"]
+    iho = report.figures.comparison.uncertainty.iho
     # The bed lies 4 mm under the reference everywhere, and LAS rounds to half a millimetre.
-    assert iho["error_95_m"] == pytest.approx(RAISED_M, abs=0.6e-3)
-    assert all(order["meets_tvu"] for order in iho["orders"])
+    assert iho.error_95_m == pytest.approx(RAISED_M, abs=0.6e-3)
+    assert all(order.meets_tvu for order in iho.orders)
 
 
 def test_no_order_is_claimed_without_a_reference(survey):
     figures = figures_of(_facts(survey, plane_bed(survey, num=20)))
-    assert figures["comparison"] is None
-    assert figures["iho_s44"] is None
+    assert figures.comparison is None
+    assert json_of(figures)["iho_s44"] is None
+    assert "IHO S-44" not in render_page(figures, [])
 
 
 # --- files --------------------------------------------------------------------------------------------------
 
 
 def test_report_json_holds_exactly_the_figures(report):
-    assert json.loads(report.run.report_json_path.read_text(encoding="utf-8")) == report.figures
+    assert json.loads(report.run.report_json_path.read_text(encoding="utf-8")) == json_of(report.figures)
+
+
+def test_report_json_keeps_its_names(report):
+    """Scripts read it by these names."""
+    found = json_of(report.figures)
+    assert {name: list(found[name]) for name in ("verdict", "survey", "water", "plan", "cloud", "baselines")} == {
+        "verdict": ["passed", "gates"],
+        "survey": [
+            "name", "crs", "bounds", "views_used", "views_left_out", "image_size_px", "focal_px", "poses",
+            "local_frame_origin",
+        ],
+        "water": [
+            "level_m", "level_at", "level_from", "slope_east", "slope_north", "slope_from", "refractive_index",
+            "refractive_index_from",
+        ],
+        "plan": ["quality", "device", "image_scale", "gsd_m", "height_m", "footprint_m", "decisions"],
+        "cloud": [
+            "points", "points_wet", "points_dry", "extent", "covered_area_m2", "density_per_m2", "depth_m", "std_m",
+            "views_per_point", "incidence_deg",
+        ],
+        "baselines": ["places", "views_per_place", "rows", "note"],
+    }  # fmt: skip
+    assert list(found) == [
+        "verdict", "survey", "water", "plan", "cloud", "comparison", "iho_s44", "baselines", "timings_s", "versions",
+        "settings", "assumptions", "warnings", "notes",
+    ]  # fmt: skip
+    assert list(found["verdict"]["gates"][0]) == ["name", "value", "limit", "unit", "passed", "sentence"]
+    assert list(found["survey"]["crs"]) == ["name", "code", "unit", "height_unit"]
+    assert list(found["plan"]["decisions"][0]) == ["name", "choice", "reason"]
+    assert list(found["baselines"]["rows"][0]) == ["name", "kind", "median_m", "nmad_m", "mean_m"]
+    cloud = found["cloud"]
+    assert list(cloud["extent"]) == ["low", "high"]
+    assert list(cloud["depth_m"]) == ["min", "median", "p95", "max"]
+    assert list(cloud["std_m"]) == ["median", "p95"]
+    assert list(cloud["views_per_point"]) == ["min", "median", "mean", "max"]
+    assert list(cloud["incidence_deg"]) == ["median", "p95", "max"]
+    assert found["iho_s44"] == found["comparison"]["iho_s44"]
+    assert found["timings_s"] == {"sweep": 61.2, "bed": 4.0, "total": pytest.approx(65.2)}
 
 
 def test_report_html_loads_nothing_and_runs_nothing(report):
@@ -174,16 +214,16 @@ def test_report_html_loads_nothing_and_runs_nothing(report):
 
 def test_report_html_shows_the_figures_of_report_json(report):
     page = report.run.report_html_path.read_text(encoding="utf-8")
-    cloud, comparison = report.figures["cloud"], report.figures["comparison"]
+    cloud, distances = report.figures.cloud, report.figures.comparison.summary.distances
     for text in (
         "small &amp; &lt;shallow&gt;",
         "water of index 1.3330 &lt;here&gt;",
         "EPSG:25832+5778",
         "19\u202f600",
-        f"{cloud['depth_m']['median']:.2f}\u00a0m",
-        f"{1000 * cloud['std_m']['median']:.1f}\u00a0mm",
-        f"{1000 * comparison['mean_inner90_m']:.1f}".replace("-", "−"),
-        f"±\u00a0{1000 * comparison['std_inner90_m']:.1f}\u00a0mm",
+        f"{cloud.depth_m.median:.2f}\u00a0m",
+        f"{1000 * cloud.std_m.median:.1f}\u00a0mm",
+        f"{1000 * distances.mean_inner90_m:.1f}".replace("-", "−"),
+        f"±\u00a0{1000 * distances.std_inner90_m:.1f}\u00a0mm",
         "87.5\u00a0%",
         "<td>sweep</td>",
         "61.2</td>",
@@ -203,8 +243,9 @@ def test_every_number_in_report_html_stays_with_its_unit(report):
 
 
 def test_columns_of_lengths_have_one_unit():
-    unit = LengthUnit.of([0.0123, None, -0.0871])
-    assert [unit.text(v) for v in (0.0123, -0.0871, None)] == ["12.3\u00a0mm", "−87.1\u00a0mm", "unknown"]
+    unit = LengthUnit.of([0.0123, None, np.nan, -0.0871])
+    assert [unit.text(v) for v in (0.0123, -0.0871)] == ["12.3\u00a0mm", "−87.1\u00a0mm"]
+    assert {unit.text(None), unit.text(np.nan), unit.number(np.nan)} == {"unknown"}
     assert LengthUnit.of([0.0123, 0.2]).text(0.0123) == "12\u00a0mm"
     assert LengthUnit.of([0.0123, 2.5]).text(0.0123) == "0.012\u00a0m"
     assert length(-1e-9) == "0.0\u00a0mm"
@@ -216,14 +257,12 @@ def test_columns_of_lengths_have_one_unit():
 def test_a_failed_gate_is_in_the_verdict_and_among_the_warnings(survey):
     facts = _facts(survey, plane_bed(survey, num=20), verdict=Verdict((MET, MISSED)))
     figures = figures_of(facts)
-    assert figures["verdict"]["passed"] is False
-    assert figures["verdict"]["gates"][1] == asdict(MISSED)
-    assert figures["warnings"] == [MISSED.sentence]
+    assert figures.warnings == (MISSED.sentence,)
+    assert json_of(figures)["verdict"] == {"passed": False, "gates": [asdict(MET), asdict(MISSED)]}
 
 
 def test_the_verdict_stands_on_top_in_words_and_colour(report):
-    figures = report.figures | {"verdict": {"passed": False, "gates": [asdict(MET), asdict(MISSED)]}}
-    page = render_page(figures, [])
+    page = render_page(replace(report.figures, verdict=Verdict((MET, MISSED))), [])
     assert page.index('class="verdict failed"') < page.index('class="cards"') < page.index("<h2>Pictures</h2>")
     assert "<strong>Failed</strong> 1 of 2 quality gates is not met." in page
     assert MISSED.sentence in page
@@ -232,15 +271,13 @@ def test_the_verdict_stands_on_top_in_words_and_colour(report):
 @pytest.mark.parametrize(
     ("verdict", "warnings", "colour"),
     [
-        (None, [], "unjudged"),
-        ((MET,), [], "passed"),
-        ((MET,), ["poses are old"], "doubtful"),
-        ((MET, MISSED), [MISSED.sentence], "failed"),
+        (None, (), "unjudged"),
+        (Verdict((MET,)), (), "passed"),
+        (Verdict((MET,)), ("poses are old",), "doubtful"),
+        (Verdict((MET, MISSED)), (MISSED.sentence,), "failed"),
     ],
 )
 def test_the_colour_of_a_verdict_is_that_of_its_gates_and_warnings(verdict, warnings, colour):
-    if verdict is not None:
-        verdict = {"passed": all(g.passed for g in verdict), "gates": [asdict(g) for g in verdict]}
     assert headline(verdict, warnings).colour == colour
 
 
@@ -277,14 +314,14 @@ def test_every_kind_of_bed_gets_a_report(survey, dry_survey, tmp_path, kind):
     maps = [plane_depth_map(survey, 0)] if kind == "dry" else None
     with RunDir(tmp_path / "run") as run:
         figures = write_report(run.path, _facts(survey, bed, depth_maps=maps))
-    assert figures["cloud"]["points"] == len(bed)
+    assert figures.cloud.points == len(bed)
     assert (run.pictures_path / "plan.png").exists()
     assert (run.pictures_path / "depth.png").exists() == (len(bed) > 0)
     assert (run.pictures_path / "profile.png").exists() == (kind not in ("empty", "one point"))
-    assert figures["verdict"] is None
+    assert figures.verdict is None
     if kind == "dry":
-        assert figures["water"] is None
-        assert figures["cloud"]["depth_m"] is None
+        assert figures.water is None
+        assert figures.cloud.depth_m is None
         assert "a dry survey" in run.report_html_path.read_text(encoding="utf-8")
 
 
@@ -391,15 +428,14 @@ def test_unknown_cells_stay_unlit():
 
 def test_straight_rays_and_their_corrections_stand_beside_what_was_measured(report):
     """The bed is a plane of 0.05 to 0.65 m depth; every view sees it through index 1.333."""
-    figures = report.figures["baselines"]
-    by_name = {row["name"]: row for row in figures["rows"]}
+    by_name = {row.name: row for row in report.figures.baselines.rows}
     straight, times_n, dietrich, measured = by_name.values()
-    depth = report.figures["cloud"]["depth_m"]["median"]
-    assert [row["kind"] for row in by_name.values()] == ["predicted"] * 3 + ["measured"]
+    depth = report.figures.cloud.depth_m.median
+    assert [row.kind for row in by_name.values()] == ["predicted"] * 3 + ["measured"]
     # At nadir a quarter of the depth; more where rays are slanted.
-    assert 0.25 < straight["median_m"] / depth < 0.5
-    assert abs(dietrich["median_m"]) < abs(times_n["median_m"]) < straight["median_m"]
-    assert measured["mean_m"] == pytest.approx(-RAISED_M, abs=LAS_BIAS_M)
+    assert 0.25 < straight.median_m / depth < 0.5
+    assert abs(dietrich.median_m) < abs(times_n.median_m) < straight.median_m
+    assert measured.mean_m == pytest.approx(-RAISED_M, abs=LAS_BIAS_M)
     page = report.run.report_html_path.read_text(encoding="utf-8")
     assert "per-camera correction (Dietrich)" in page
 
@@ -407,10 +443,10 @@ def test_straight_rays_and_their_corrections_stand_beside_what_was_measured(repo
 def test_a_sweep_without_its_field_has_a_row_of_its_own(survey, report):
     wet = DistanceStatistics(n_points=1, n_nan=0, mean_m=0.1, median_m=0.2, nmad_m=0.3)
     facts = replace(report.facts, sweep_comparison=SimpleNamespace(figures=SimpleNamespace(wet=wet)))
-    rows = figures_of(facts)["baselines"]["rows"]
-    assert [row["name"] for row in rows[3:]] == ["refractive sweep only", "full chain: sweep and field"]
-    assert rows[3]["median_m"] == 0.2
-    assert figures_of(replace(report.facts, comparison=None))["baselines"] is None
+    rows = figures_of(facts).baselines.rows
+    assert [row.name for row in rows[3:]] == ["refractive sweep only", "full chain: sweep and field"]
+    assert rows[3].median_m == 0.2
+    assert figures_of(replace(report.facts, comparison=None)).baselines is None
 
 
 # --- profile ------------------------------------------------------------------------------------------------

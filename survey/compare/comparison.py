@@ -16,6 +16,7 @@ from survey.compare.area import Bounds, metres_in_crs, to_local, within
 from survey.compare.checkpoints import checkpoint_accuracy, read_checkpoints
 from survey.compare.figures import Circumstances, Figures
 from survey.compare.inputs import Inputs, Paths, load_inputs, vertices_of
+from survey.compare.json_numbers import numbers_of
 from survey.compare.options import CompareOptions, check_options, check_outputs, outlier_filter
 from survey.compare.pictures import write_report
 from survey.compare.result import Comparison
@@ -50,7 +51,7 @@ def compare_files(cloud: str | Path, reference: str | Path, *, options: CompareO
                 folder.mkdir(parents=True, exist_ok=True)
             write_report(comparison, folder)
     if options.json_path is not None:
-        write_json(options.json_path, comparison.numbers)
+        write_json(options.json_path, numbers_of(comparison.figures))
     return comparison.figures
 
 

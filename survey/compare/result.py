@@ -8,7 +8,6 @@ import numpy as np
 
 from survey.compare.figures import Figures
 from survey.compare.inputs import Inputs
-from survey.compare.json_numbers import numbers_of
 
 
 @dataclass(frozen=True)
@@ -41,11 +40,6 @@ class Comparison:
     targets: np.ndarray
     is_reached: np.ndarray
     inputs: Inputs
-
-    @property
-    def numbers(self) -> dict:
-        """The figures as JSON holds them, see `survey.compare.json_numbers`."""
-        return numbers_of(self.figures)
 
     @property
     def distances_of_cloud(self) -> np.ndarray:

@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 
 from evaluation import Band, DistanceStatistics, Scores
-from survey.compare.figures import Figures, VerticalUncertainty
-from survey.compare.json_numbers import numbers_of
+from survey.compare.figures import Checkpoints, Circumstances, Figures, VerticalUncertainty
 
 Section = tuple[str | None, list[tuple[str, str]]]
 
 
 def sections_of(figures: Figures) -> list[Section]:
     """Titles (None: no title) with rows of label and text, in the order in which they are to be read."""
-    numbers, depth = numbers_of(figures), figures.parts.depth
-    sections: list[Section] = [(None, _rows(numbers))]
+    depth = figures.parts.depth
+    sections: list[Section] = [(None, _overall(figures))]
     if len(figures.tolerances) > 1:
         sections.append(("By tolerance", [(f"{s.tolerance_m:g} m", _scores(s)) for s in figures.tolerances]))
     if depth is not None:
@@ -24,20 +23,20 @@ def sections_of(figures: Figures) -> list[Section]:
     sections.append(("By incidence", _bands(figures.parts.incidence, "deg")))
     sections.append(("By number of views", _bands(figures.parts.views, "views")))
     sections.append(("Other distances", _others(figures)))
-    sections.append(("Check points (ASPRS, Edition 2)", _rows(numbers.get("asprs", {}))))
+    sections.append(("Check points (ASPRS, Edition 2)", _asprs(figures.checkpoints)))
     sections.append(("Vertical uncertainty (IHO S-44), share of the points under water", _orders(figures.uncertainty)))
     sections.append((None, [("note", note) for note in figures.circumstances.notes]))
     return [section for section in sections if section[1]]
 
 
-def band_label(band: dict, unit: str) -> str:
-    """Limits of a band of `numbers_of`, e.g. "2 to 3 m", "30 m and more", "4 to 5 views", "20 to 25°"."""
-    high = band[f"to_{unit}"]
-    return limits_label(band[f"from_{unit}"], math.inf if high is None else high, unit)
-
-
 def limits_label(low: float, high: float, unit: str) -> str:
-    """As `band_label`, of limits of which the upper one may be infinite; unit "m", "deg" or "views"."""
+    """Limits of a band, the upper one perhaps infinite, in "m", "deg" or "views".
+
+    Examples
+    --------
+    >>> limits_label(2.0, 3.0, "m"), limits_label(30.0, math.inf, "m"), limits_label(4, 6, "views")
+    ('2 to 3 m', '30 m and more', '4 to 5 views')
+    """
     shown = {"deg": "°", "m": " m", "views": " views"}[unit]
     if math.isinf(high):
         return f"{low:g}{shown} and more"
@@ -50,19 +49,82 @@ def _bands(bands: tuple[Band, ...], unit: str) -> list[tuple[str, str]]:
     return [(limits_label(band.low, band.high, unit), _short(band.distances)) for band in bands]
 
 
-def _rows(numbers: dict) -> list[tuple[str, str]]:
-    """Single values, an interval beside its mean."""
-    rows = []
-    for name, value in numbers.items():
-        if value is None or isinstance(value, dict | list):
-            continue
-        unit = " m" if name.endswith("_m") else ""
-        shown = f"{_metres(value)}{unit}" if isinstance(value, float) else str(value)
-        interval = numbers.get(f"{name.removesuffix('_m')}_ci95_m")
-        if interval is not None and None not in interval:
-            shown += f" ({_metres(interval[0])} to {_metres(interval[1])} with 95 % confidence)"
-        rows.append((name.removesuffix("_m").replace("_", " "), shown))
-    return rows
+def _overall(figures: Figures) -> list[tuple[str, str]]:
+    """All points together, at the first tolerance, and what was compared how."""
+    distances, scores = figures.summary.distances, figures.summary.scores
+    return _known([
+        ("n points", str(distances.n_points)),
+        ("n cropped", str(figures.summary.n_cropped)),
+        ("n nan", str(distances.n_nan)),
+        ("mean", _length(distances.mean_m, distances.mean_ci95_m)),
+        ("median", _length(distances.median_m)),
+        ("std", _length(distances.std_m)),
+        ("rms", _length(distances.rms_m)),
+        ("mean inner90", _length(distances.mean_inner90_m, distances.mean_inner90_ci95_m)),
+        ("std inner90", _length(distances.std_inner90_m)),
+        ("nmad", _length(distances.nmad_m)),
+        ("p95 abs", _length(distances.p95_abs_m)),
+        ("min", _length(distances.min_m)),
+        ("max", _length(distances.max_m)),
+        ("completeness", _decimal(scores.completeness)),
+        ("accuracy share", _decimal(scores.accuracy_share)),
+        ("f score", _decimal(scores.f_score)),
+        ("tolerance", _length(scores.tolerance_m)),
+        ("completeness visible", _decimal(scores.completeness_visible)),
+        *_circumstances(figures.circumstances),
+    ])  # fmt: skip
+
+
+def _circumstances(held: Circumstances) -> list[tuple[str, str | None]]:
+    return [
+        ("outliers", held.outliers),
+        ("water level", _decimal(held.water_level)),
+        ("method", held.method),
+        ("sign", held.sign),
+        ("crs", held.crs),
+        ("cloud", held.cloud),
+        ("reference", held.reference),
+        ("visible", held.visible),
+        ("n samples", str(held.n_samples)),
+        ("seed", None if held.seed is None else str(held.seed)),
+    ]
+
+
+def _asprs(checkpoints: Checkpoints | None) -> list[tuple[str, str]]:
+    if checkpoints is None:
+        return []
+    accuracy = checkpoints.accuracy
+    return _known([
+        ("n checkpoints", str(accuracy.n_checkpoints)),
+        ("n not covered", str(accuracy.n_not_covered)),
+        ("is enough", str(accuracy.is_enough)),
+        ("mean", _length(accuracy.mean_m)),
+        ("std", _length(accuracy.std_m)),
+        ("min", _length(accuracy.min_m)),
+        ("max", _length(accuracy.max_m)),
+        ("rmse fit", _length(accuracy.rmse_fit_m)),
+        ("rmse checkpoints", _length(accuracy.rmse_checkpoints_m)),
+        ("rmse v", _length(accuracy.rmse_v_m)),
+    ])  # fmt: skip
+
+
+def _known(rows: list[tuple[str, str | None]]) -> list[tuple[str, str]]:
+    return [(label, text) for label, text in rows if text is not None]
+
+
+def _length(value: float, interval: tuple[float, float] | None = None) -> str | None:
+    """A length [m] with its interval of confidence, if there is one; None where it is not known."""
+    if not math.isfinite(value):
+        return None
+    if interval is None or not all(math.isfinite(end) for end in interval):
+        return f"{_metres(value)} m"
+    low, high = interval
+    return f"{_metres(value)} m ({_metres(low)} to {_metres(high)} with 95 % confidence)"
+
+
+def _decimal(value: float | None) -> str | None:
+    """A number without a unit; None where it is not known."""
+    return None if value is None or not math.isfinite(value) else _metres(value)
 
 
 def _scores(scores: Scores) -> str:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TypeGuard
 
 # Between a number and its unit, and between groups of three digits.
 NO_BREAK, NARROW = "\u00a0", "\u202f"
@@ -30,7 +32,7 @@ class LengthUnit:
     @staticmethod
     def of(values_m: Iterable[float | None]) -> LengthUnit:
         """The unit for values [m] of one column, by the largest: millimetres below half a metre, else metres."""
-        largest = max((abs(value) for value in values_m if value is not None), default=0.0)
+        largest = max((abs(value) for value in values_m if is_known(value)), default=0.0)
         if largest >= _SMALL_M:
             return LengthUnit("m", 1.0, 3 if largest < 10.0 else 2)
         return LengthUnit("mm", 1000.0, 1 if largest < 0.1 else 0)
@@ -41,12 +43,17 @@ class LengthUnit:
 
     def text(self, value_m: float | None) -> str:
         """A length with its unit."""
-        return UNKNOWN if value_m is None else self.number(value_m) + NO_BREAK + self.name
+        return self.number(value_m) + NO_BREAK + self.name if is_known(value_m) else UNKNOWN
+
+
+def is_known(value: float | None) -> TypeGuard[float]:
+    """Whether there is a finite value; None, NaN and infinity are shown as unknown."""
+    return value is not None and math.isfinite(value)
 
 
 def number(value: float | None, decimals: int) -> str:
     """A number with so many decimals, and never a minus before zero."""
-    return UNKNOWN if value is None else f"{value:z.{decimals}f}".replace("-", MINUS)
+    return f"{value:z.{decimals}f}".replace("-", MINUS) if is_known(value) else UNKNOWN
 
 
 def length(value_m: float | None) -> str:
@@ -56,7 +63,7 @@ def length(value_m: float | None) -> str:
 
 def share(value: float | None) -> str:
     """A share of one as per cent."""
-    return UNKNOWN if value is None else f"{100.0 * value:.1f}{NO_BREAK}%"
+    return f"{100.0 * value:.1f}{NO_BREAK}%" if is_known(value) else UNKNOWN
 
 
 def count(value: float) -> str:

@@ -7,8 +7,10 @@ from pathlib import Path
 
 from geo.files import write_whole
 from survey.files.json_values import write_json
+from survey.report.collect import figures_of
 from survey.report.facts import ReportFacts
-from survey.report.figures import figures_of
+from survey.report.figures import ReportFigures
+from survey.report.json_figures import json_of
 from survey.report.page import render_page
 from survey.report.pictures import draw_pictures
 
@@ -18,7 +20,7 @@ __all__ = ["NUM_STEPS", "ReportFacts", "write_report"]
 NUM_STEPS = 13
 
 
-def write_report(folder: Path, facts: ReportFacts, advance: Callable[[], None] = lambda: None) -> dict:
+def write_report(folder: Path, facts: ReportFacts, advance: Callable[[], None] = lambda: None) -> ReportFigures:
     """Write pictures/, report.json and report.html into a folder; each file is written whole or not at all.
 
     Parameters
@@ -31,8 +33,8 @@ def write_report(folder: Path, facts: ReportFacts, advance: Callable[[], None] =
 
     Returns
     -------
-    dict
-        The figures, as report.json has them.
+    ReportFigures
+        What the page and report.json show.
 
     Raises
     ------
@@ -43,7 +45,7 @@ def write_report(folder: Path, facts: ReportFacts, advance: Callable[[], None] =
     (folder / "pictures").mkdir(exist_ok=True)
     pictures = draw_pictures(folder / "pictures", facts, advance)
     page = render_page(figures, pictures)
-    write_json(folder / "report.json", figures)
+    write_json(folder / "report.json", json_of(figures))
     with write_whole(folder / "report.html") as stream:
         stream.write(page.encode())
     return figures

@@ -8,6 +8,7 @@ import numpy as np
 
 from evaluation import DistanceStatistics, apparent_points, distance_statistics, per_camera, times_index
 from refract import FlatWater, crossing_point
+from survey.report.figures import BaselineRow, Baselines
 
 if TYPE_CHECKING:
     from survey.compare.result import Comparison
@@ -25,15 +26,8 @@ _NOTE = (
 )
 
 
-def baselines_of(facts: ReportFacts) -> dict | None:
-    """Vertical errors of baselines and of this run; None without water, reference or points under water.
-
-    Returns
-    -------
-    dict
-        ``places``, ``views_per_place`` (median), ``note``, and ``rows`` with ``name``, ``kind`` (``"predicted"`` or
-        ``"measured"``), ``median_m``, ``nmad_m`` (1.4826 times the median absolute deviation) and ``mean_m``.
-    """
+def baselines_of(facts: ReportFacts) -> Baselines | None:
+    """Vertical errors of baselines and of this run; None without water, reference or points under water."""
     comparison, water = facts.comparison, facts.survey.water
     if comparison is None or water is None or comparison.depth is None:
         return None
@@ -54,12 +48,12 @@ def baselines_of(facts: ReportFacts) -> dict | None:
         "per-camera correction (Dietrich)": per_camera(seen, np.arccos(np.clip(cos, -1.0, 1.0)), is_seen, n),
     }
     rows = [_row(name, "predicted", distance_statistics(true - depth)) for name, depth in predicted.items()]
-    return {
-        "places": int(known.sum()),
-        "views_per_place": float(np.median(is_seen.sum(axis=1))),
-        "rows": rows + _measured(comparison, facts.sweep_comparison),
-        "note": _NOTE,
-    }
+    return Baselines(
+        places=int(known.sum()),
+        views_per_place=float(np.median(is_seen.sum(axis=1))),
+        rows=(*rows, *_measured(comparison, facts.sweep_comparison)),
+        note=_NOTE,
+    )
 
 
 def _places(survey: Survey, water: FlatWater, comparison: Comparison, depth: np.ndarray) -> np.ndarray:
@@ -85,8 +79,8 @@ def _rays(survey: Survey, water: FlatWater, places: np.ndarray) -> tuple[np.ndar
     return np.stack(centres, axis=1), np.stack(directions, axis=1), np.stack(is_seen, axis=1)
 
 
-def _measured(comparison: Comparison, of_sweep: Comparison | None) -> list[dict]:
-    """The refractive sweep alone and the full chain, which are one where no field was trained."""
+def _measured(comparison: Comparison, of_sweep: Comparison | None) -> list[BaselineRow]:
+    """The refractive sweep alone and the full chain; identical if no field was trained, then one row."""
     whole = comparison.figures.wet
     if of_sweep is None:
         named = {"refractive sweep (the full chain of this run, without a field)": whole}
@@ -95,6 +89,5 @@ def _measured(comparison: Comparison, of_sweep: Comparison | None) -> list[dict]
     return [_row(name, "measured", part) for name, part in named.items() if part]
 
 
-def _row(name: str, kind: str, found: DistanceStatistics) -> dict:
-    values = {"median_m": found.median_m, "nmad_m": found.nmad_m, "mean_m": found.mean_m}
-    return {"name": name, "kind": kind, **values}
+def _row(name: str, kind: str, found: DistanceStatistics) -> BaselineRow:
+    return BaselineRow(name, kind, found.median_m, found.nmad_m, found.mean_m)

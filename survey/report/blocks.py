@@ -9,7 +9,7 @@ from typing import ClassVar
 
 @dataclass(frozen=True)
 class Text:
-    """A paragraph; a soft one stands back."""
+    """A paragraph; ``is_soft``: printed in grey."""
 
     kind: ClassVar[str] = "text"
     text: str
@@ -49,7 +49,7 @@ class Sentences:
     """A list of sentences."""
 
     kind: ClassVar[str] = "sentences"
-    sentences: list[str]
+    sentences: Sequence[str]
 
 
 Block = Text | Rows | Table | Sentences

@@ -1,147 +1,226 @@
-"""The figures of a report, that both report.json and report.html show, from its facts."""
+"""The figures of a report, as frozen dataclasses; report.html shows them, report.json holds them by `json_figures`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 
-import numpy as np
-from pyproj import CRS
-
-from geo.crs import horizontal_crs, vertical_crs
-from survey.display.plan_grid import PlanGrid
-from survey.files.json_values import plain
-from survey.folder.survey import Survey
-from survey.photos.images import list_images
+from survey.compare.figures import Figures
 from survey.plan.plan import Plan
-from survey.report.baselines import baselines_of
-from survey.report.facts import ReportFacts
 from survey.report.verdict import Verdict
 
-# Density is asked over the ground that has points; cells of this many ground sampling distances tell which.
-_COVERED_CELL_GSD = 5.0
-_UNITS = {"metre": "m", "degree": "°"}
+
+@dataclass(frozen=True)
+class CrsFigures:
+    """A coordinate reference system.
+
+    Attributes
+    ----------
+    name : str
+    code : str or None
+        E.g. "EPSG:25832+5778".
+    unit, height_unit : str
+        "m", "°" or another name, of the horizontal axes and of the height.
+    """
+
+    name: str
+    code: str | None
+    unit: str
+    height_unit: str
 
 
-def figures_of(facts: ReportFacts) -> dict:
-    """All figures of a report as plain values, the units in their names; None where there is none."""
-    survey = facts.survey
-    failed = [gate.sentence for gate in facts.verdict.gates if not gate.passed] if facts.verdict else []
-    figures = {
-        "verdict": _verdict(facts.verdict),
-        "survey": _survey(survey),
-        "water": _water(survey),
-        "plan": _plan(facts.plan),
-        "cloud": _cloud(facts),
-        "comparison": None if facts.comparison is None else facts.comparison.numbers,
-        "iho_s44": None if facts.comparison is None else facts.comparison.numbers.get("iho_s44"),
-        "baselines": baselines_of(facts),
-        "timings_s": {**facts.timings, "total": sum(facts.timings.values())},
-        "versions": facts.versions,
-        "settings": facts.settings,
-        "assumptions": list(survey.assumptions),
-        "warnings": [*failed, *survey.warnings],
-        "notes": list(facts.notes),
-    }
-    return plain(figures)
+@dataclass(frozen=True)
+class SurveyFigures:
+    """Where and with what was photographed.
+
+    Attributes
+    ----------
+    name : str
+    crs : CrsFigures
+    bounds : (e0, n0, e1, n1) or None, in crs
+    views_used, views_left_out : int
+    image_size_px : (width, height)
+    focal_px : float
+        Of the first view, as the size.
+    poses : str
+        Name of the file, or "structure from motion".
+    local_frame_origin : (easting, northing, height), in crs
+    """
+
+    name: str
+    crs: CrsFigures
+    bounds: tuple[float, float, float, float] | None
+    views_used: int
+    views_left_out: int
+    image_size_px: tuple[int, int]
+    focal_px: float
+    poses: str
+    local_frame_origin: tuple[float, float, float]
 
 
-def _verdict(verdict: Verdict | None) -> dict | None:
-    return None if verdict is None else {"passed": verdict.passed, "gates": verdict.gates}
+@dataclass(frozen=True)
+class WaterFigures:
+    """The water plane, and where its values come from.
+
+    Attributes
+    ----------
+    level_m : float, in crs
+    level_at : (easting, northing), in crs
+    slope_east, slope_north : [-]
+        Rise per metre along the axes of the grid.
+    refractive_index : [-]
+    level_from, slope_from, refractive_index_from : str
+    """
+
+    level_m: float
+    level_at: tuple[float, float]
+    level_from: str
+    slope_east: float
+    slope_north: float
+    slope_from: str
+    refractive_index: float
+    refractive_index_from: str
 
 
-def _survey(survey: Survey) -> dict:
-    config = survey.config
-    camera = survey.views[0].camera
-    images = list_images(survey.folder / config.images.dir, deep=config.images.dir != ".")
-    return {
-        "name": survey.name,
-        "crs": _crs(survey.frame.crs),
-        "bounds": survey.bounds,
-        "views_used": len(survey.views),
-        "views_left_out": max(len(images) - len(survey.views), 0),
-        "image_size_px": (camera.width, camera.height),
-        "focal_px": camera.fx,
-        "poses": config.cameras.poses or "structure from motion",
-        "local_frame_origin": survey.frame.origin,
-    }
+@dataclass(frozen=True)
+class Spread:
+    """Statistics of values over the points, in their unit."""
+
+    min: float
+    median: float
+    mean: float
+    p95: float
+    max: float
 
 
-def _crs(crs: CRS) -> dict:
-    units = [_UNITS.get(axis.unit_name, axis.unit_name) for axis in crs.axis_info]
-    return {"name": crs.name, "code": crs_code(crs), "unit": units[0], "height_unit": units[-1]}
+@dataclass(frozen=True)
+class Extent:
+    """The lowest and the highest easting, northing and height of points, in crs."""
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
 
 
-def crs_code(crs: CRS) -> str | None:
-    """Codes of a CRS, e.g. "EPSG:25832+5778"; None where it has none."""
-    whole = crs.to_authority()
-    if whole is not None:
-        return ":".join(whole)
-    parts = [part.to_authority() for part in (horizontal_crs(crs), vertical_crs(crs)) if part is not None]
-    if len(parts) != 2 or None in parts:
-        return None
-    (authority, first), (other, second) = parts
-    return f"{authority}:{first}+" + (second if authority == other else f"{other}:{second}")
+@dataclass(frozen=True)
+class CloudFigures:
+    """The points of the bed.
+
+    Attributes
+    ----------
+    points, points_wet : int
+        All, and those under water.
+    extent : Extent or None
+        None without points.
+    covered_area_m2 : [m^2]
+        Of the cells, five ground sampling distances wide, that have points.
+    depth_m : Spread or None
+        True depth of the points under water [m]; None, as the next three, where no value is finite.
+    std_m, views_per_point, incidence_deg : Spread or None
+        Of all points: standard deviation of the height [m], number of views that agree [-], incidence at the water
+        or, in a dry survey, angle off nadir [deg].
+    """
+
+    points: int
+    points_wet: int
+    extent: Extent | None
+    covered_area_m2: float
+    depth_m: Spread | None
+    std_m: Spread | None
+    views_per_point: Spread | None
+    incidence_deg: Spread | None
+
+    @property
+    def points_dry(self) -> int:
+        """Points that are not under water."""
+        return self.points - self.points_wet
+
+    @property
+    def density_per_m2(self) -> float | None:
+        """Points on a square metre of the covered area; None without points."""
+        return self.points / self.covered_area_m2 if self.covered_area_m2 else None
 
 
-def _water(survey: Survey) -> dict | None:
-    water = survey.config.water
-    if water is None:
-        return None
-    assumed = [text for text in survey.assumptions if text.startswith("refractive_index")]
-    level = [text for text in survey.assumptions if text.startswith("level_m")]
-    return {
-        "level_m": water.level_m,
-        "level_at": water.level_at,
-        "level_from": level[-1] if level else "survey.toml, [water] level_m",
-        "slope_east": water.slope_east,
-        "slope_north": water.slope_north,
-        "slope_from": "survey.toml; level where it says nothing",
-        "refractive_index": water.refractive_index,
-        "refractive_index_from": f"assumed: {assumed[0]}" if assumed else "survey.toml",
-    }
+@dataclass(frozen=True)
+class BaselineRow:
+    """Vertical errors of one method.
+
+    Attributes
+    ----------
+    name : str
+    kind : "predicted" or "measured"
+    median_m, nmad_m, mean_m : [m]
+        `nmad_m` is 1.4826 times the median absolute deviation.
+    """
+
+    name: str
+    kind: str
+    median_m: float
+    nmad_m: float
+    mean_m: float
 
 
-def _plan(plan: Plan) -> dict:
-    return {
-        "quality": plan.quality,
-        "device": plan.device,
-        "image_scale": plan.image_scale,
-        "gsd_m": plan.gsd_m,
-        "height_m": plan.height_m,
-        "footprint_m": plan.footprint_m,
-        "decisions": [{"name": d.name, "choice": d.choice, "reason": d.reason} for d in plan.decisions],
-    }
+@dataclass(frozen=True)
+class Baselines:
+    """Other methods beside this run.
+
+    Attributes
+    ----------
+    places : int
+        Of the bed, at which the others are predicted.
+    views_per_place : float
+        Median.
+    rows : tuple of BaselineRow
+    note : str
+        How the rows of both kinds were computed.
+    """
+
+    places: int
+    views_per_place: float
+    rows: tuple[BaselineRow, ...]
+    note: str
 
 
-def _cloud(facts: ReportFacts) -> dict:
-    bed = facts.bed
-    area = PlanGrid.of_cells(bed.xyz, _COVERED_CELL_GSD * facts.plan.gsd_m).covered_m2 if len(bed) else 0.0
-    wet = int(bed.wet.sum())
-    depth = bed.depth[bed.wet]
-    return {
-        "points": len(bed),
-        "points_wet": wet,
-        "points_dry": len(bed) - wet,
-        "extent": None if not len(bed) else {"low": facts.points_crs.min(axis=0), "high": facts.points_crs.max(axis=0)},
-        "covered_area_m2": area,
-        "density_per_m2": len(bed) / area if area else None,
-        "depth_m": _spread(depth, "min", "median", "p95", "max"),
-        "std_m": _spread(bed.std, "median", "p95"),
-        "views_per_point": _spread(bed.num_views, "min", "median", "mean", "max"),
-        "incidence_deg": _spread(np.degrees(bed.incidence), "median", "p95", "max"),
-    }
+@dataclass(frozen=True)
+class ReportFigures:
+    """All figures of a report.
 
+    Attributes
+    ----------
+    verdict : Verdict or None
+        None where the run was not judged.
+    survey : SurveyFigures
+    water : WaterFigures or None
+        None for a dry survey.
+    plan : Plan
+    cloud : CloudFigures
+    comparison : survey.compare.figures.Figures or None
+        None without a reference.
+    baselines : Baselines or None
+        None without water or reference.
+    timings_s : dict
+        Seconds by stage [s], in order.
+    versions : dict
+        Of what computed, by name.
+    settings : dict
+        The effective settings, by section and key, as JSON holds them.
+    assumptions, warnings, notes : tuple of str
+        Sentences for the reader.
+    """
 
-_STATISTICS: dict[str, Callable[[np.ndarray], np.floating]] = {
-    "min": np.min,
-    "median": np.median,
-    "mean": np.mean,
-    "p95": lambda values: np.quantile(values, 0.95),
-    "max": np.max,
-}
+    verdict: Verdict | None
+    survey: SurveyFigures
+    water: WaterFigures | None
+    plan: Plan
+    cloud: CloudFigures
+    comparison: Figures | None
+    baselines: Baselines | None
+    timings_s: dict[str, float]
+    versions: dict[str, str]
+    settings: dict
+    assumptions: tuple[str, ...]
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
 
-
-def _spread(values: np.ndarray, *names: str) -> dict | None:
-    """Statistics by name, over what is finite; None where nothing is."""
-    values = values[np.isfinite(values)].astype(np.float64)
-    return {name: float(_STATISTICS[name](values)) for name in names} if values.size else None
+    @property
+    def total_s(self) -> float:
+        """Seconds of all stages together [s]."""
+        return sum(self.timings_s.values())

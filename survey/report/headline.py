@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from survey.display.quantities import NO_BREAK, LengthUnit, count, length, metres, number, share
+from survey.display.quantities import NO_BREAK, LengthUnit, count, is_known, length, metres, number, share
+from survey.report.figures import ReportFigures
+from survey.report.verdict import Gate, Verdict
 
 
 @dataclass(frozen=True)
@@ -16,31 +18,30 @@ class Headline:
     colour : "passed", "doubtful", "failed" or "unjudged"
     word : str
     sentence : str
-    gates : list of dict
-        As in report.json.
+    gates : tuple of Gate
     """
 
     colour: str
     word: str
     sentence: str
-    gates: list[dict]
+    gates: tuple[Gate, ...]
 
 
 @dataclass(frozen=True)
 class Card:
-    """A number with what it is, and a line that says more."""
+    """A number with its name, and a line of detail."""
 
     label: str
     value: str
     detail: str = ""
 
 
-def headline(verdict: dict | None, warnings: list[str]) -> Headline:
+def headline(verdict: Verdict | None, warnings: tuple[str, ...]) -> Headline:
     """Green where all gates are met without a warning, amber with one, red where a gate failed."""
     if verdict is None:
-        return Headline("unjudged", "Not judged", "No quality gates were applied to this run.", [])
-    gates = verdict["gates"]
-    num_failed = sum(not gate["passed"] for gate in gates)
+        return Headline("unjudged", "Not judged", "No quality gates were applied to this run.", ())
+    gates = verdict.gates
+    num_failed = sum(not gate.passed for gate in gates)
     if num_failed:
         said = f"{num_failed} of {len(gates)} quality gates {'is' if num_failed == 1 else 'are'} not met."
         return Headline("failed", "Failed", f"{said} Do not use the cloud without checking it.", gates)
@@ -51,36 +52,46 @@ def headline(verdict: dict | None, warnings: list[str]) -> Headline:
     return Headline("passed", "Passed", f"{met}, and there are no warnings.", gates)
 
 
-def cards(figures: dict) -> list[Card]:
+def cards(figures: ReportFigures) -> list[Card]:
     """The few numbers that matter most."""
-    survey, cloud, comparison = figures["survey"], figures["cloud"], figures["comparison"]
-    left_out = survey["views_left_out"]
+    return [*_of_cloud(figures), *_of_flight(figures), *_of_comparison(figures)]
+
+
+def _of_cloud(figures: ReportFigures) -> list[Card]:
+    cloud = figures.cloud
     area = ""
-    if cloud["density_per_m2"]:
-        area = f"{count(cloud['density_per_m2'])} per m² over {count(cloud['covered_area_m2'])}{NO_BREAK}m²"
-    found = [Card("Points of the bed", count(cloud["points"]), area)]
-    if cloud["depth_m"]:
-        depth = cloud["depth_m"]
-        found.append(
-            Card("Median depth", metres(depth["median"]), f"{number(depth['min'], 2)} to {metres(depth['max'])}")
-        )
-    if cloud["std_m"]:
-        std = cloud["std_m"]
-        found.append(Card("Height std, median", length(std["median"]), f"95 % below {length(std['p95'])}"))
-    for gate in (figures["verdict"] or {}).get("gates", []):
-        if gate["unit"] == "%" and gate["value"] is not None:
-            value, limit = share(0.01 * gate["value"]), share(0.01 * gate["limit"])
-            found.append(Card(gate["name"].capitalize(), value, f"{limit} asked for"))
-    found.append(Card("Photographs", count(survey["views_used"]), f"{left_out} left out" if left_out else "all used"))
-    plan = figures["plan"]
-    found.append(Card("Ground resolution", length(plan["gsd_m"]), f"from {number(plan['height_m'], 1)} m above"))
-    if comparison:
-        unit = LengthUnit.of([comparison["std_inner90_m"], comparison["mean_inner90_m"]])
-        value = (
-            f"{unit.number(comparison['mean_inner90_m'])}{NO_BREAK}±{NO_BREAK}{unit.text(comparison['std_inner90_m'])}"
-        )
-        found.append(Card("From the reference", value, "mean ± std, inner 90 %"))
-    if figures["iho_s44"]:
-        met = [o["order"] for o in figures["iho_s44"]["orders"] if o["meets_tvu"]]
+    if cloud.density_per_m2:
+        area = f"{count(cloud.density_per_m2)} per m² over {count(cloud.covered_area_m2)}{NO_BREAK}m²"
+    found = [Card("Points of the bed", count(cloud.points), area)]
+    if (depth := cloud.depth_m) is not None:
+        found.append(Card("Median depth", metres(depth.median), f"{number(depth.min, 2)} to {metres(depth.max)}"))
+    if (std := cloud.std_m) is not None:
+        found.append(Card("Height std, median", length(std.median), f"95 % below {length(std.p95)}"))
+    for gate in () if figures.verdict is None else figures.verdict.gates:
+        if gate.unit == "%" and is_known(gate.value):
+            value, limit = share(0.01 * gate.value), share(0.01 * gate.limit)
+            found.append(Card(gate.name.capitalize(), value, f"{limit} asked for"))
+    return found
+
+
+def _of_flight(figures: ReportFigures) -> list[Card]:
+    survey, plan = figures.survey, figures.plan
+    left_out = f"{survey.views_left_out} left out" if survey.views_left_out else "all used"
+    return [
+        Card("Photographs", count(survey.views_used), left_out),
+        Card("Ground resolution", length(plan.gsd_m), f"from {number(plan.height_m, 1)} m above"),
+    ]
+
+
+def _of_comparison(figures: ReportFigures) -> list[Card]:
+    if figures.comparison is None:
+        return []
+    distances, uncertainty = figures.comparison.summary.distances, figures.comparison.uncertainty
+    mean_m, std_m = distances.mean_inner90_m, distances.std_inner90_m
+    unit = LengthUnit.of([std_m, mean_m])
+    value = f"{unit.number(mean_m)}{NO_BREAK}±{NO_BREAK}{unit.text(std_m)}"
+    found = [Card("From the reference", value, "mean ± std, inner 90 %")]
+    if uncertainty is not None:
+        met = [order.name for order in uncertainty.iho.orders if order.meets_tvu]
         found.append(Card("IHO S-44, vertical only", met[0] if met else "none", "strictest order whose TVU is met"))
     return found

@@ -10,6 +10,7 @@ import jinja2
 from survey.display import palette
 from survey.report import reference_tables, survey_tables
 from survey.report.blocks import Block, Rows, Section, Sentences
+from survey.report.figures import ReportFigures
 from survey.report.headline import cards, headline
 from survey.report.shading import Picture
 
@@ -24,13 +25,12 @@ _GROUPS = (
 _WIDE = ("view", "histograms", "profile", "error_bands")
 
 
-def render_page(figures: dict, pictures: list[Picture]) -> str:
+def render_page(figures: ReportFigures, pictures: list[Picture]) -> str:
     """The page.
 
     Parameters
     ----------
-    figures : dict
-        From `survey.report.figures.figures_of`.
+    figures : ReportFigures
     pictures : list of Picture
         Their files are put into the page.
 
@@ -41,14 +41,14 @@ def render_page(figures: dict, pictures: list[Picture]) -> str:
     """
     return _template().render(
         palette=palette,
-        survey=figures["survey"],
-        verdict=headline(figures["verdict"], figures["warnings"]),
+        survey=figures.survey,
+        verdict=headline(figures.verdict, figures.warnings),
         cards=cards(figures),
-        num_warnings=len(figures["warnings"]),
+        num_warnings=len(figures.warnings),
         groups=_grouped(pictures),
         sections=[section for section in _sections(figures) if section.blocks],
-        settings=survey_tables.settings(figures["settings"]),
-        version=figures["versions"].get("bathynerf", ""),
+        settings=survey_tables.settings(figures.settings),
+        version=figures.versions.get("bathynerf", ""),
     )
 
 
@@ -64,26 +64,27 @@ def _template() -> jinja2.Template:
     return environment.get_template("page.html")
 
 
-def _sections(figures: dict) -> list[Section]:
+def _sections(figures: ReportFigures) -> list[Section]:
     """The parts of the page after the pictures, in their order; some may be empty."""
-    survey, plan = figures["survey"], figures["plan"]
-
-    def listed(key: str) -> list[Block]:
-        return [Sentences(figures[key])] if figures[key] else []
-
+    comparison, survey = figures.comparison, figures.survey
+    uncertainty = None if comparison is None else comparison.uncertainty
     return [
-        Section("Against the reference", reference_tables.comparison(figures["comparison"])),
-        Section("Vertical uncertainty (IHO S-44)", reference_tables.iho_s44(figures["iho_s44"])),
-        Section("What refraction would cost if ignored", reference_tables.baselines(figures["baselines"])),
-        Section("The cloud", survey_tables.cloud(figures["cloud"], survey["crs"])),
-        Section("Survey and water", survey_tables.survey(survey, figures["water"], plan)),
-        Section("What was done, and why", survey_tables.decisions(plan["decisions"])),
-        Section("Assumptions", listed("assumptions")),
-        Section("Warnings", listed("warnings")),
-        Section("Notes", listed("notes")),
-        Section("Time", survey_tables.timings(figures["timings_s"])),
-        Section("Versions", [Rows(list(figures["versions"].items()))] if figures["versions"] else []),
+        Section("Against the reference", reference_tables.comparison(comparison)),
+        Section("Vertical uncertainty (IHO S-44)", reference_tables.iho_s44(uncertainty)),
+        Section("What refraction would cost if ignored", reference_tables.baselines(figures.baselines)),
+        Section("The cloud", survey_tables.cloud(figures.cloud, survey.crs)),
+        Section("Survey and water", survey_tables.survey(survey, figures.water, figures.plan)),
+        Section("What was done, and why", survey_tables.decisions(figures.plan.decisions)),
+        Section("Assumptions", _listed(figures.assumptions)),
+        Section("Warnings", _listed(figures.warnings)),
+        Section("Notes", _listed(figures.notes)),
+        Section("Time", survey_tables.timings(figures.timings_s, figures.total_s)),
+        Section("Versions", [Rows(list(figures.versions.items()))] if figures.versions else []),
     ]
+
+
+def _listed(sentences: tuple[str, ...]) -> list[Block]:
+    return [Sentences(sentences)] if sentences else []
 
 
 def _grouped(pictures: list[Picture]) -> list[tuple[str, list[dict]]]:

@@ -2,99 +2,120 @@
 
 from __future__ import annotations
 
-from survey.compare.text import band_label
-from survey.display.quantities import NO_BREAK, LengthUnit, count, length, share
+from evaluation import Band, DistanceStatistics, Scores
+from survey.compare.figures import Figures, VerticalUncertainty
+from survey.compare.text import limits_label
+from survey.display.quantities import NO_BREAK, LengthUnit, count, is_known, length, share
 from survey.report.blocks import Block, Rows, Sentences, Table, Text
-
-_BANDS = (
-    ("depth_bands", "depth", "m"),
-    ("incidence_bands", "incidence", "deg"),
-    ("views_bands", "views that agree", "views"),
-)
+from survey.report.figures import Baselines
 
 
-def comparison(c: dict | None) -> list[Block]:
+def comparison(found: Figures | None) -> list[Block]:
     """Distances to the reference and completeness, whole and in parts; nothing without a reference."""
-    if not c:
+    if found is None:
         return []
-    cropped = f", {count(c['n_cropped'])} outside the bounds left out" if c["n_cropped"] else ""
+    held, distances, num_cropped = found.circumstances, found.summary.distances, found.summary.n_cropped
+    cropped = f", {count(num_cropped)} outside the bounds left out" if num_cropped else ""
     method = Rows([
-        ("method", f"{c['method']}, nothing aligned or shifted"),
-        ("points compared", count(c["n_points"]) + cropped),
+        ("method", f"{held.method}, nothing aligned or shifted"),
+        ("points compared", count(distances.n_points) + cropped),
     ])  # fmt: skip
-    unit = LengthUnit.of([c["std_m"]])
-    vertical = [("vertical difference", c["vertical"])] if c.get("vertical") else []
-    parts = [("all points", c), *vertical, *((f"{name} points", c[name]) for name in ("wet", "dry") if c.get(name))]
-    tables = [_bias_and_spread("part", parts, unit, "Bias and spread")]
-    for key, title, of in _BANDS:
-        bands = [(band_label(band, of), band) for band in c.get(key) or []]
-        if bands:
-            tables.append(_bias_and_spread(title, bands, unit, f"By {title}"))
-    notes = [Sentences(c["notes"])] if c["notes"] else []
-    return [method, _completeness(c), *tables, *notes]
+    unit = LengthUnit.of([distances.std_m])
+    notes = [Sentences(held.notes)] if held.notes else []
+    whole = _bias_and_spread("part", _parts(found), unit, "Bias and spread")
+    return [method, _completeness(found.tolerances), whole, *_bands(found, unit), *notes]
 
 
-def _bias_and_spread(title: str, parts: list[tuple[str, dict]], unit: LengthUnit, heading: str) -> Table:
+def _parts(found: Figures) -> list[tuple[str, DistanceStatistics]]:
+    depth = found.parts.depth
+    parts = {
+        "all points": found.summary.distances,
+        "vertical difference": None if found.vertical is None else found.vertical.distances,
+        "wet points": None if depth is None else depth.wet,
+        "dry points": None if depth is None else depth.dry,
+    }
+    return [(name, part) for name, part in parts.items() if part is not None]
+
+
+def _bands(found: Figures, unit: LengthUnit) -> list[Table]:
+    parts = found.parts
+    kinds: tuple[tuple[tuple[Band, ...], str, str], ...] = (
+        (() if parts.depth is None else parts.depth.bands, "depth", "m"),
+        (parts.incidence, "incidence", "deg"),
+        (parts.views, "views that agree", "views"),
+    )
+    return [
+        _bias_and_spread(
+            title, [(limits_label(band.low, band.high, of), band.distances) for band in bands], unit, f"By {title}"
+        )
+        for bands, title, of in kinds
+        if bands
+    ]
+
+
+def _bias_and_spread(title: str, parts: list[tuple[str, DistanceStatistics]], unit: LengthUnit, heading: str) -> Table:
     inner = f"inner{NO_BREAK}90{NO_BREAK}%"
     names = ("mean", f"mean, 95{NO_BREAK}% confidence", "std", f"mean, {inner}", f"std, {inner}")
     titles = (title, "points", *(f"{name} [{unit.name}]" for name in names))
     rows = [
-        (name, count(p["n_points"]), unit.number(p["mean_m"]), _interval(p.get("mean_ci95_m"), unit),
-         unit.number(p["std_m"]), unit.number(p["mean_inner90_m"]), unit.number(p["std_inner90_m"]))
+        (name, count(p.n_points), unit.number(p.mean_m), _interval(p.mean_ci95_m, unit),
+         unit.number(p.std_m), unit.number(p.mean_inner90_m), unit.number(p.std_inner90_m))
         for name, p in parts
     ]  # fmt: skip
     return Table(titles, rows, heading=heading)
 
 
-def _interval(interval: list | None, unit: LengthUnit) -> str:
-    if interval is None or None in interval:
+def _interval(interval: tuple[float, float] | None, unit: LengthUnit) -> str:
+    if interval is None or not all(is_known(end) for end in interval):
         return "unknown"
     return f"{unit.number(interval[0])} to {unit.number(interval[1])}"
 
 
-def _completeness(c: dict) -> Table:
+def _completeness(tolerances: tuple[Scores, ...]) -> Table:
     """Completeness, accuracy share and F-score at each tolerance."""
-    tolerances = c.get("tolerances") or [c]
-    is_visible = any(t.get("completeness_visible") is not None for t in tolerances)
+    is_visible = any(is_known(scores.completeness_visible) for scores in tolerances)
     titles = ("tolerance [m]", "reference reached [%]", *(["of what cameras see [%]"] if is_visible else []),
               "points this near [%]", "F-score [%]")  # fmt: skip
     rows = []
-    for t in tolerances:
-        visible = [t.get("completeness_visible")] if is_visible else []
-        shares = [t["completeness"], *visible, t["accuracy_share"], t["f_score"]]
-        rows.append((f"{t['tolerance_m']:g}", *(_percent(value) for value in shares)))
+    for scores in tolerances:
+        visible = [scores.completeness_visible] if is_visible else []
+        shares = [scores.completeness, *visible, scores.accuracy_share, scores.f_score]
+        rows.append((f"{scores.tolerance_m:g}", *(_percent(value) for value in shares)))
     return Table(titles, rows, num_texts=0, heading="Completeness")
 
 
-def iho_s44(iho: dict | None) -> list[Block]:
+def iho_s44(found: VerticalUncertainty | None) -> list[Block]:
     """Which orders' vertical uncertainty is met, and by how many points in each band of depth; nothing without."""
-    if not iho:
+    if found is None:
         return []
-    bands = [f"{band_label(band, 'm').replace(' ', NO_BREAK)} [%]" for band in iho["orders"][0]["depth_bands"]]
+    iho = found.iho
+    labels = [limits_label(band.low_m, band.high_m, "m") for band in iho.orders[0].bands]
     rows = [
-        (o["order"], "meets TVU" if o["meets_tvu"] else "does not meet TVU", f"{o['tvu_at_median_depth_m']:.2f}",
-         _percent(o["share_within"]), *(_percent(band["share_within"]) for band in o["depth_bands"]))
-        for o in iho["orders"]
+        (order.name, "meets TVU" if order.meets_tvu else "does not meet TVU", f"{order.tvu_at_median_depth_m:.2f}",
+         _percent(order.share_within), *(_percent(band.share_within) for band in order.bands))
+        for order in iho.orders
     ]  # fmt: skip
-    titles = ("order", "", "TVU at the median depth [m]", "wet points within their TVU [%]", *bands)
+    titles = ("order", "", "TVU at the median depth [m]", "wet points within their TVU [%]",
+              *(f"{label.replace(' ', NO_BREAK)} [%]" for label in labels))  # fmt: skip
     said = (
-        f"The error of 95 % of the {count(iho['points'])} wet points is below {length(iho['error_95_m'])} "
-        f"({iho['error']})."
+        f"The error of 95 % of the {count(iho.n_points)} wet points is below {length(iho.error_95_m)} ({found.error})."
     )
-    return [Text(said), Table(titles, rows, num_texts=2), Text(iho["note"], is_soft=True)]
+    return [Text(said), Table(titles, rows, num_texts=2), Text(iho.note, is_soft=True)]
 
 
-def baselines(b: dict | None) -> list[Block]:
+def baselines(found: Baselines | None) -> list[Block]:
     """Vertical errors of other methods beside those of this run; nothing without water or reference."""
-    if not b:
+    if found is None:
         return []
-    keys = ("median_m", "nmad_m", "mean_m")
     # In the digits of what was measured, of which the predictions have too few.
-    measured = [row for row in b["rows"] if row["kind"] == "measured"] or b["rows"]
-    unit = LengthUnit.of([row[key] for row in measured for key in keys])
-    rows = [(row["name"], row["kind"], *(unit.number(row[key]) for key in keys)) for row in b["rows"]]
+    measured = [row for row in found.rows if row.kind == "measured"] or found.rows
+    unit = LengthUnit.of([value for row in measured for value in (row.median_m, row.nmad_m, row.mean_m)])
+    rows = [
+        (row.name, row.kind, *(unit.number(value) for value in (row.median_m, row.nmad_m, row.mean_m)))
+        for row in found.rows
+    ]
     titles = ("method", "", *(f"{name} [{unit.name}]" for name in ("median", "spread (NMAD)", "mean")))
-    return [Table(titles, rows, num_texts=2), Text(b["note"], is_soft=True)]
+    return [Table(titles, rows, num_texts=2), Text(found.note, is_soft=True)]
 
 
 def _percent(value: float | None) -> str:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 
 from survey.display.quantities import LengthUnit, count, length, metres, number, with_unit
+from survey.plan.plan import Decision, Plan
 from survey.report.blocks import Block, Rows, Table
+from survey.report.figures import CloudFigures, CrsFigures, Extent, SurveyFigures, WaterFigures
 
 # Digits of coordinates by their unit: to the centimetre in metres, to about as much in degrees.
 _DECIMALS = {"m": 2, "°": 7}
@@ -14,80 +16,80 @@ _AXES = ("easting", "northing", "height")
 _LONG_S = 600.0
 
 
-def cloud(c: dict, crs: dict) -> list[Block]:
+def cloud(found: CloudFigures, crs: CrsFigures) -> list[Block]:
     """Number of points, density, extent, and how depth, spread, views and incidence are distributed."""
-    rows = [("points", f"{count(c['points'])}: {count(c['points_wet'])} wet, {count(c['points_dry'])} dry")]
-    if c["density_per_m2"]:
-        rows.append(("density", f"{count(c['density_per_m2'])} points per m² over {count(c['covered_area_m2'])} m²"))
-    return [Rows(rows), *_distributions(c), *_extent(c["extent"], crs)]
+    rows = [("points", f"{count(found.points)}: {count(found.points_wet)} wet, {count(found.points_dry)} dry")]
+    if found.density_per_m2:
+        rows.append(("density", f"{count(found.density_per_m2)} points per m² over {count(found.covered_area_m2)} m²"))
+    return [Rows(rows), *_distributions(found), *_extent(found.extent, crs)]
 
 
-def _distributions(c: dict) -> list[Table]:
-    std = LengthUnit.of((c["std_m"] or {}).values())
-    kinds = (
-        ("depth_m", "true depth [m]", lambda v: number(v, 2)),
-        ("std_m", f"standard deviation [{std.name}]", std.number),
-        ("views_per_point", "views per point", lambda v: number(v, 0)),
-        ("incidence_deg", "incidence [°]", lambda v: number(v, 1)),
-    )
-    statistics = ("min", "median", "p95", "max")
-    rows = [
-        (label, *(show(c[key][name]) if name in c[key] else "" for name in statistics))
-        for key, label, show in kinds if c[key]
-    ]  # fmt: skip
+def _distributions(found: CloudFigures) -> list[Table]:
+    """A row for each quantity that is known; a statistic that says nothing of it is left empty."""
+    rows = []
+    if (depth := found.depth_m) is not None:
+        values = (depth.min, depth.median, depth.p95, depth.max)
+        rows.append(("true depth [m]", *(number(value, 2) for value in values)))
+    if (std := found.std_m) is not None:
+        unit = LengthUnit.of([std.median, std.p95])
+        rows.append((f"standard deviation [{unit.name}]", "", unit.number(std.median), unit.number(std.p95), ""))
+    if (views := found.views_per_point) is not None:
+        rows.append(("views per point", number(views.min, 0), number(views.median, 0), "", number(views.max, 0)))
+    if (angle := found.incidence_deg) is not None:
+        rows.append(("incidence [°]", "", *(number(value, 1) for value in (angle.median, angle.p95, angle.max))))
     return [Table(("over all points", "lowest", "median", "95 % below", "highest"), rows)] if rows else []
 
 
-def _extent(extent: dict | None, crs: dict) -> list[Table]:
-    if not extent:
+def _extent(extent: Extent | None, crs: CrsFigures) -> list[Table]:
+    if extent is None:
         return []
-    units = (crs["unit"], crs["unit"], crs["height_unit"])
+    units = (crs.unit, crs.unit, crs.height_unit)
     rows = []
-    for name, unit, low, high in zip(_AXES, units, extent["low"], extent["high"], strict=True):
+    for name, unit, low, high in zip(_AXES, units, extent.low, extent.high, strict=True):
         digits = _DECIMALS.get(unit, 2)
         rows.append((f"{name} [{unit}]", number(low, digits), number(high, digits), number(high - low, digits)))
     return [Table(("extent", "from", "to", "size"), rows)]
 
 
-def survey(s: dict, water: dict | None, plan: dict) -> list[Block]:
+def survey(taken: SurveyFigures, water: WaterFigures | None, plan: Plan) -> list[Block]:
     """Where, with what, from how high, and through which water."""
-    crs = s["crs"]
-    width, height = s["image_size_px"]
-    size = " x ".join(number(side, 1) for side in plan["footprint_m"])
+    crs, decimals = taken.crs, _DECIMALS.get(taken.crs.unit, 2)
+    width, height = taken.image_size_px
+    size = " x ".join(number(side, 1) for side in plan.footprint_m)
     rows = [
-        ("coordinate reference system", crs["name"] + (f", {crs['code']}" if crs["code"] else "")),
-        ("photographs", f"{s['views_used']} used, {s['views_left_out']} left out"),
-        ("images", f"{width} x {height} px, focal length {s['focal_px']:.1f} px"),
-        ("poses", s["poses"]),
-        ("flying height", f"{with_unit(number(plan['height_m'], 1), 'm')}, one image covers {with_unit(size, 'm')}"),
-        ("ground sampling distance", length(plan["gsd_m"])),
+        ("coordinate reference system", crs.name + (f", {crs.code}" if crs.code else "")),
+        ("photographs", f"{taken.views_used} used, {taken.views_left_out} left out"),
+        ("images", f"{width} x {height} px, focal length {taken.focal_px:.1f} px"),
+        ("poses", taken.poses),
+        ("flying height", f"{with_unit(number(plan.height_m, 1), 'm')}, one image covers {with_unit(size, 'm')}"),
+        ("ground sampling distance", length(plan.gsd_m)),
     ]
-    if s["bounds"]:
-        e0, n0, e1, n1 = (number(v, _DECIMALS.get(crs["unit"], 2)) for v in s["bounds"])
+    if taken.bounds is not None:
+        e0, n0, e1, n1 = (number(v, decimals) for v in taken.bounds)
         rows.append(("bounds", f"{e0} to {e1} east, {n0} to {n1} north"))
     if water is None:
         return [Rows([*rows, ("water", "none: a dry survey")])]
-    at = ", ".join(number(v, _DECIMALS.get(crs["unit"], 2)) for v in water["level_at"])
-    slope = f"{water['slope_east']:g} to the east, {water['slope_north']:g} to the north"
+    at = ", ".join(number(v, decimals) for v in water.level_at)
+    slope = f"{water.slope_east:g} to the east, {water.slope_north:g} to the north"
     rows += [
-        ("water level", f"{metres(water['level_m'])} at {at} ({water['level_from']})"),
-        ("slope of the water", f"{slope} ({water['slope_from']})"),
-        ("refractive index", f"{water['refractive_index']:.4f} ({water['refractive_index_from']})"),
+        ("water level", f"{metres(water.level_m)} at {at} ({water.level_from})"),
+        ("slope of the water", f"{slope} ({water.slope_from})"),
+        ("refractive index", f"{water.refractive_index:.4f} ({water.refractive_index_from})"),
     ]
     return [Rows(rows)]
 
 
-def decisions(plan: list[dict]) -> list[Block]:
+def decisions(taken: tuple[Decision, ...]) -> list[Block]:
     """The plan with its reasons."""
-    return [Table(("decision", "choice", "reason"), [(d["name"], d["choice"], d["reason"]) for d in plan], num_texts=3)]
+    rows = [(decision.name, decision.choice, decision.reason) for decision in taken]
+    return [Table(("decision", "choice", "reason"), rows, num_texts=3)]
 
 
-def timings(seconds: dict[str, float]) -> list[Block]:
-    """How long each stage took when it was computed, in one unit."""
-    is_long = seconds["total"] >= _LONG_S
-    unit, factor = ("min", 1.0 / 60.0) if is_long else ("s", 1.0)
+def timings(seconds: dict[str, float], total_s: float) -> list[Block]:
+    """How long each stage took when it was computed, and all together, in one unit."""
+    unit, factor = ("min", 1.0 / 60.0) if total_s >= _LONG_S else ("s", 1.0)
     rows = [(name.replace("_", " "), number(value * factor, 1)) for name, value in seconds.items()]
-    return [Table(("stage", f"time [{unit}]"), rows)]
+    return [Table(("stage", f"time [{unit}]"), [*rows, ("total", number(total_s * factor, 1))])]
 
 
 def settings(values: dict, prefix: str = "") -> str:

@@ -1,0 +1,126 @@
+"""From what a run knows at its end to the figures of its report."""
+
+from __future__ import annotations
+
+import numpy as np
+from pyproj import CRS
+
+from geo.crs import horizontal_crs, vertical_crs
+from survey.display.plan_grid import PlanGrid
+from survey.files.json_values import plain
+from survey.folder.survey import Survey
+from survey.photos.images import list_images
+from survey.report.baselines import baselines_of
+from survey.report.facts import ReportFacts
+from survey.report.figures import CloudFigures, CrsFigures, Extent, ReportFigures, Spread, SurveyFigures, WaterFigures
+
+# Density is that of the ground that has points, found in cells of this many ground sampling distances.
+_COVERED_CELL_GSD = 5.0
+_UNITS = {"metre": "m", "degree": "°"}
+
+
+def figures_of(facts: ReportFacts) -> ReportFigures:
+    """All figures of a report; a gate that was not met is one of its warnings."""
+    survey = facts.survey
+    failed = [gate.sentence for gate in facts.verdict.gates if not gate.passed] if facts.verdict else []
+    return ReportFigures(
+        verdict=facts.verdict,
+        survey=_survey(survey),
+        water=_water(survey),
+        plan=facts.plan,
+        cloud=_cloud(facts),
+        comparison=None if facts.comparison is None else facts.comparison.figures,
+        baselines=baselines_of(facts),
+        timings_s=facts.timings,
+        versions=facts.versions,
+        settings=plain(facts.settings),
+        assumptions=tuple(survey.assumptions),
+        warnings=(*failed, *survey.warnings),
+        notes=facts.notes,
+    )
+
+
+def _survey(survey: Survey) -> SurveyFigures:
+    config = survey.config
+    camera = survey.views[0].camera
+    images = list_images(survey.folder / config.images.dir, deep=config.images.dir != ".")
+    return SurveyFigures(
+        name=survey.name,
+        crs=_crs(survey.frame.crs),
+        bounds=survey.bounds,
+        views_used=len(survey.views),
+        views_left_out=max(len(images) - len(survey.views), 0),
+        image_size_px=(camera.width, camera.height),
+        focal_px=camera.fx,
+        poses=config.cameras.poses or "structure from motion",
+        local_frame_origin=survey.frame.origin,
+    )
+
+
+def _crs(crs: CRS) -> CrsFigures:
+    units = [_UNITS.get(axis.unit_name, axis.unit_name) for axis in crs.axis_info]
+    return CrsFigures(crs.name, crs_code(crs), units[0], units[-1])
+
+
+def crs_code(crs: CRS) -> str | None:
+    """Codes of a CRS, e.g. "EPSG:25832+5778"; None where it has none."""
+    whole = crs.to_authority()
+    if whole is not None:
+        return ":".join(whole)
+    parts = [part.to_authority() for part in (horizontal_crs(crs), vertical_crs(crs)) if part is not None]
+    if len(parts) != 2 or None in parts:
+        return None
+    (authority, first), (other, second) = parts
+    return f"{authority}:{first}+" + (second if authority == other else f"{other}:{second}")
+
+
+def _water(survey: Survey) -> WaterFigures | None:
+    if survey.water is None:
+        return None
+    water, config = survey.require_water()
+    assumed = [text for text in survey.assumptions if text.startswith("refractive_index")]
+    level = [text for text in survey.assumptions if text.startswith("level_m")]
+    return WaterFigures(
+        level_m=config.known_level_m,
+        level_at=config.known_level_at,
+        level_from=level[-1] if level else "survey.toml, [water] level_m",
+        slope_east=config.slope_east,
+        slope_north=config.slope_north,
+        slope_from="survey.toml; level where it says nothing",
+        refractive_index=float(water.n_water),
+        refractive_index_from=f"assumed: {assumed[0]}" if assumed else "survey.toml",
+    )
+
+
+def _cloud(facts: ReportFacts) -> CloudFigures:
+    bed = facts.bed
+    area = PlanGrid.of_cells(bed.xyz, _COVERED_CELL_GSD * facts.plan.gsd_m).covered_m2 if len(bed) else 0.0
+    return CloudFigures(
+        points=len(bed),
+        points_wet=int(bed.wet.sum()),
+        extent=_extent(facts.points_crs) if len(bed) else None,
+        covered_area_m2=area,
+        depth_m=_spread(bed.depth[bed.wet]),
+        std_m=_spread(bed.std),
+        views_per_point=_spread(bed.num_views),
+        incidence_deg=_spread(np.degrees(bed.incidence)),
+    )
+
+
+def _extent(points: np.ndarray) -> Extent:
+    low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    return Extent((low[0], low[1], low[2]), (high[0], high[1], high[2]))
+
+
+def _spread(values: np.ndarray) -> Spread | None:
+    """Statistics over what is finite; None where nothing is."""
+    values = values[np.isfinite(values)].astype(np.float64)
+    if not values.size:
+        return None
+    return Spread(
+        min=float(np.min(values)),
+        median=float(np.median(values)),
+        mean=float(np.mean(values)),
+        p95=float(np.quantile(values, 0.95)),
+        max=float(np.max(values)),
+    )

@@ -27,8 +27,9 @@ from pathlib import Path
 import numpy as np
 import torch
 from field_tables import ablation_table, baseline_table, write_page
-from object_scenes import NAMES, ObjectScene, chamfer, load_scene, thinned
+from object_scenes import NAMES, ObjectScene, chamfer, load_scene
 from PIL import Image
+from point_clouds import thinned
 
 from fields.device import choose_device
 from fields.volume.hash_grid import HashSettings, HashVolume

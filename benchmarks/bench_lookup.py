@@ -57,7 +57,6 @@ class Model:
         shape = (len(cells), len(directions), CHANNELS)
         self.factors = Factors(cells, directions, CHANNELS, chosen)
         self.density, self.colour = DensityHead(*shape, 4, device=chosen), ColourHead(*shape, degree=2)
-        self.coarse_colour = ColourHead(*shape, degree=2, bfloat16=True)
         self.density.switch_to_fine()
         self.incoming: torch.Tensor | None = None
 
@@ -72,15 +71,14 @@ class Model:
             self.incoming = torch.ones_like(features)
         features.backward(self.incoming)
 
-    def with_heads(self, u: torch.Tensor, every: int = 1, bfloat16: bool = False) -> None:
+    def with_heads(self, u: torch.Tensor, every: int = 1) -> None:
         """Density of all samples, and colour of every so many: training leaves out samples that take little light."""
-        for module in (self.factors, self.density, self.colour, self.coarse_colour):
+        for module in (self.factors, self.density, self.colour):
             module.zero_grad()
         features = self.factors(u)
         density = self.density(features)
         seen = features if every == 1 else features[::every]
-        head = self.coarse_colour if bfloat16 else self.colour
-        colour = head(seen, torch.nn.functional.normalize(u[::every], dim=1))
+        colour = self.colour(seen, torch.nn.functional.normalize(u[::every], dim=1))
         torch.autograd.backward([density, colour], [torch.ones_like(density), torch.ones_like(colour)])
 
 
@@ -88,7 +86,6 @@ KINDS: dict[str, Callable[[Model, torch.Tensor], None]] = {
     "lookup forward": Model.forward,
     "lookup forward and backward": Model.with_gradients,
     "with heads": Model.with_heads,
-    "with heads, bfloat16": lambda model, u: model.with_heads(u, bfloat16=True),
     "with heads, colour of a quarter": lambda model, u: model.with_heads(u, 4),
 }
 

@@ -1,11 +1,11 @@
-"""How long does a survey's field have to learn, and what do colours in bfloat16 cost it?
+"""How long does a survey's field have to learn?
 
     python benchmarks/bench_slab.py [SURVEY ...] [--quality Q] [--rays R ...] [-o FOLDER]
 
 The sweep runs once; fields with different numbers of training rays for each cell of one GSD (`rays_per_cell` in
-survey.plan.recipe), and one whose colour head multiplies in bfloat16, are trained from its height maps. Accuracy and
-surveys as in bench_sweep; PSNR is of the training rays of the last steps, time the processor time of training. One JSON
-for each row in FOLDER, not computed again; prints tables in Markdown, docs/field.md has them.
+survey.plan.recipe) are trained from its height maps. Accuracy and surveys as in bench_sweep; PSNR is of the training
+rays of the last steps, time the processor time of training. One JSON for each row in FOLDER, not computed again; prints
+tables in Markdown, docs/field.md has them.
 """
 
 from __future__ import annotations
@@ -23,8 +23,6 @@ from unittest.mock import patch
 
 from bench_sweep import Case
 
-from fields.heads import ColourHead
-from fields.slab import tensor_field
 from fields.sweep.sweep import DepthMap
 from survey.plan.recipe import RECIPES
 from survey.progress import current, shares
@@ -46,23 +44,18 @@ def trained(case: Case, maps: list[DepthMap], rays_per_cell: float) -> dict:
 
 
 def rows_of(folder: Path, quality: str, rays: list[float], work: Path) -> dict[str, dict]:
-    """The sweep alone, the field by number of rays, and in bfloat16; each is kept in a file and not computed again."""
+    """The sweep alone, and the field by number of rays; each is kept in a file and not computed again."""
 
     @cache
     def swept() -> tuple[Case, list[DepthMap]]:
         case = Case(folder, quality)
         return case, case.maps()[0]
 
-    def in_bfloat16() -> dict:
-        with patch.object(tensor_field, "ColourHead", partial(ColourHead, bfloat16=True)):
-            return trained(*swept(), KEPT)
-
     rows = {"sweep alone": lambda: swept()[0].figures(swept()[0].points(swept()[1]))}
     for number in rays:
         rows[f"{number:g} rays a cell" + (" (kept)" if number == KEPT else "")] = partial(
             lambda n: trained(*swept(), n), number
         )
-    rows[f"{KEPT:g} rays a cell, colours in bfloat16"] = in_bfloat16
     found = {}
     for title, compute in rows.items():
         path = work / f"{folder.name}_{quality}_slab_{re.sub('[^a-z0-9]+', '_', title)}.json"

@@ -16,6 +16,7 @@ from gallery_canvas import (
     BLUE,
     DARK_ORANGE,
     GREEN,
+    GRID,
     IN_WATER,
     INK,
     ORANGE,
@@ -90,7 +91,7 @@ def draw_apparent_depth() -> Figure:
     sagittal = apparent_depth(1.0, angle, n_water=N_WATER)
     tangential = apparent_depth_tangential(1.0, angle, n_water=N_WATER)
     for axes, base, draw in ((left, 1.0, lambda h: h), (right, 0.0, lambda h: 100.0 * (N_WATER * h - 1.0))):
-        axes.grid(color="#e6e9ec", lw=0.7)
+        axes.grid(color=GRID, lw=0.7)
         axes.axhline(base, color=INK, lw=1.4)
         axes.plot(degrees, draw(sagittal), color=BLUE, lw=2.0)
         axes.plot(degrees, draw(tangential), color=ORANGE, lw=2.0, ls=(0, (6, 1.5)))
@@ -242,7 +243,7 @@ def draw_shifts(axes: Axes, water: WavyWater) -> None:
     taken = trace(OVER_WAVES, fan(4001), WATER).at_height(-OVER_BED, WATER)[:, 0]
     axes.plot(true, 100.0 * (taken - true), color=RED, lw=1.4)
     axes.axhline(0.0, color=INK, lw=1.0)
-    axes.grid(color="#e6e9ec", lw=0.7)
+    axes.grid(color=GRID, lw=0.7)
     axes.set(xlim=(-2.0, 2.0), ylim=(-27.0, 27.0))
     x = np.linspace(-2.0, 2.0, 801)
     bed = np.stack([x, 0.0 * x, 0.0 * x - OVER_BED], axis=-1)

@@ -7,6 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from point_clouds import thinned, tops
 from scipy.ndimage import grey_opening
 from scipy.spatial import cKDTree
 
@@ -97,12 +98,10 @@ def _wreck(folder: Path, scale: float) -> ObjectScene:
 def standing_out(points: np.ndarray, reach: float) -> np.ndarray:
     """Heights (N,) [m] of points over the ground that a square of ``reach`` [m] can touch from below."""
     cell = 0.5
-    index = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / cell).astype(int)
-    top = np.full(index.max(axis=0) + 1, -np.inf)
-    np.maximum.at(top, tuple(index.T), points[:, 2])
+    top, row, column = tops(points, cell)
     top[np.isinf(top)] = np.median(points[:, 2])
     ground = grey_opening(top, size=round(reach / cell))
-    return points[:, 2] - ground[tuple(index.T)]
+    return points[:, 2] - ground[row, column]
 
 
 def _looks_at(camera: PinholeCamera, box: Box) -> bool:
@@ -197,12 +196,6 @@ def _split(name, box, cameras, pictures, pixels, water, surface) -> ObjectScene:
         for of in (rest, held)
     )
     return ObjectScene(name, box, *parts, surface)
-
-
-def thinned(points: np.ndarray, cell: float) -> np.ndarray:
-    """One point (the first) of each cubic cell [m]."""
-    _, first = np.unique(np.floor(points / cell).astype(np.int64), axis=0, return_index=True)
-    return points[first]
 
 
 def chamfer(points: np.ndarray, surface: np.ndarray) -> float:

@@ -6,6 +6,7 @@ Heights and distances in metres, local frame. The study moved its dry field by 1
 from __future__ import annotations
 
 import numpy as np
+from point_clouds import thinned, tops
 from scipy.ndimage import binary_dilation, median_filter
 from scipy.spatial import cKDTree
 
@@ -24,12 +25,6 @@ def cropped(points: np.ndarray, middle: np.ndarray, width: float, height: float)
     """Points (N, 3) over a rectangle about a middle (2,)."""
     away = np.abs(points[:, :2] - middle)
     return points[(away[:, 0] <= width / 2) & (away[:, 1] <= height / 2)]
-
-
-def thinned(points: np.ndarray, cell: float) -> np.ndarray:
-    """One point, the first, of each cube of that edge."""
-    _, first = np.unique(np.floor(points / cell).astype(np.int64), axis=0, return_index=True)
-    return points[np.sort(first)]
 
 
 def without_outliers(points: np.ndarray) -> np.ndarray:
@@ -55,10 +50,7 @@ def study_cloud(points: np.ndarray, middle: np.ndarray, *, wet: bool, field: boo
 
 def away_from_objects(points: np.ndarray) -> np.ndarray:
     """Which points (N,) of a surface lie more than 1 m from anything that rises out of its bed."""
-    low = points[:, :2].min(axis=0)
-    column, row = np.floor((points[:, :2] - low) / RASTER_M).astype(int).T
-    top = np.full((row.max() + 1, column.max() + 1), -np.inf)
-    np.maximum.at(top, (row, column), points[:, 2])
+    top, row, column = tops(points, RASTER_M)
     known = np.isfinite(top)
     middle = np.median(points[:, 2])
     bed = median_filter(np.where(known, top, middle), size=int(OBJECT_WINDOW_M / RASTER_M) | 1, mode="nearest")

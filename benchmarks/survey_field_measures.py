@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from point_clouds import tops
 from scipy.ndimage import distance_transform_edt, grey_opening
 from scipy.spatial import cKDTree
 
@@ -27,10 +28,7 @@ def is_mast(points: np.ndarray) -> np.ndarray:
 
     The opening of the raster of greatest heights by a disc is the surface without anything narrower than the disc.
     """
-    low = points[:, :2].min(axis=0)
-    column, row = np.floor((points[:, :2] - low) / CELL_M).astype(int).T
-    top = np.full((row.max() + 1, column.max() + 1), -np.inf)
-    np.maximum.at(top, (row, column), points[:, 2])
+    top, row, column = tops(points, CELL_M)
     nearest = distance_transform_edt(np.isinf(top), return_distances=False, return_indices=True)
     across = np.arange(-int(WIDE_M / CELL_M / 2), int(WIDE_M / CELL_M / 2) + 1)
     disc = np.add.outer(across**2, across**2) <= (WIDE_M / CELL_M / 2) ** 2

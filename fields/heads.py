@@ -95,9 +95,6 @@ class ColourHead(nn.Module):
         Of the spherical harmonics of the direction in the medium where the sample lies; 0 for a matt bed.
     extra : int
         Length of an appearance vector; 0 without.
-    bfloat16 : bool
-        Multiply in bfloat16, where the processor has instructions for it; docs/field.md, Speed, has its rate and what
-        it costs.
     """
 
     def __init__(
@@ -109,11 +106,10 @@ class ColourHead(nn.Module):
         hidden: int = 32,
         degree: int = 0,
         extra: int = 0,
-        bfloat16: bool = False,
     ):
         super().__init__()
         width = scales * directions * channels
-        self.degree, self.in_bfloat16 = degree, bfloat16
+        self.degree = degree
         self.weights = nn.Parameter(torch.ones(width))
         self.first = nn.Linear(width + ((degree + 1) ** 2 - 1) + extra, hidden)
         self.middle = nn.Linear(hidden, hidden)
@@ -137,9 +133,7 @@ class ColourHead(nn.Module):
         width = len(self.weights)
         maps = (self.first.weight[:, :width] * self.weights).t(), self.first.weight[:, width:].t()
         parts = zip(features.split(PART), beside.split(PART), strict=True)
-        with torch.autocast(features.device.type, torch.bfloat16, enabled=self.in_bfloat16):
-            colours = [self._regress(f, torch.addmm(self.first.bias, b, maps[1]), maps[0]) for f, b in parts]
-        return torch.cat(colours).to(features.dtype)
+        return torch.cat([self._regress(f, torch.addmm(self.first.bias, b, maps[1]), maps[0]) for f, b in parts])
 
     def _regress(self, features: Tensor, start: Tensor, weighted: Tensor) -> Tensor:
         """Radiance, from what the first map makes of all but the features, and its weights of these."""

@@ -189,26 +189,6 @@ def test_colours_and_their_gradients_do_not_depend_on_how_many_are_regressed_at_
             torch.testing.assert_close(other, found[0], rtol=1e-12, atol=1e-12 * float(found[0].abs().max()))
 
 
-def test_colours_in_bfloat16_are_the_same_within_its_digits(rng):
-    exact = ColourHead(L, D, F, degree=2)
-    coarse = ColourHead(L, D, F, degree=2, bfloat16=True)
-    coarse.load_state_dict(exact.state_dict())
-    features, directions = (torch.from_numpy(rng.standard_normal((200, n))).float() for n in (L * D * F, 3))
-    found, truth = coarse(features, directions), exact(features, directions)
-    assert found.dtype == torch.float32
-    assert not torch.equal(found, truth)
-    # Eight bits in each of three maps, some halves of a step of 2^-8 of numbers about 0.3; measured 2e-3.
-    assert (found - truth).abs().max() < 4e-3
-    found.sum().backward()
-    truth.sum().backward()
-    gradient = exact.first.weight.grad
-    assert (coarse.first.weight.grad - gradient).abs().max() < 2e-2 * gradient.abs().max()
-
-
-def test_a_head_for_colours_can_itself_be_turned_into_bfloat16():
-    assert ColourHead(L, D, F, bfloat16=True).bfloat16().weights.dtype == torch.bfloat16
-
-
 def test_a_bed_that_shines_needs_the_directions_it_is_seen_along(rng):
     with pytest.raises(ValueError, match="harmonics of degree 2 expect the directions"):
         ColourHead(L, D, F, degree=2)(torch.from_numpy(features_of(rng)).float(), None)

@@ -31,7 +31,9 @@ from survey.folder.survey import load_survey
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.photos.formats import read_poses
 from survey.plan.check import check_survey, require_processable
+from survey.plan.choices import Quality
 from survey.plan.plan import ground_height, make_plan
+from survey.plan.recipe import RECIPES
 
 
 def test_check_says_what_was_found_and_what_the_plan_is(tmp_path):
@@ -351,3 +353,7 @@ def test_the_area_is_shown_in_crs(tmp_path):
     toml = TOML + f"[area]\nbounds = [{E0}, {N0}, {E0 + 5}, {N0 + 6}]\n"
     found = said(check_survey(small_survey(tmp_path / "s", toml=toml)), "Found")
     assert found["area"] == "589012 to 589017 east, 5194736 to 5194742 north"
+
+
+def test_every_quality_that_can_be_chosen_has_a_recipe():
+    assert set(RECIPES) == {quality.value for quality in Quality}

@@ -7,7 +7,8 @@ from typing import Annotated
 import typer
 
 from survey.commands.console import command
-from survey.commands.options import Device, Quality, Quiet, SurveyFolder, Verbose
+from survey.commands.options import Quiet, SurveyFolder, Verbose
+from survey.plan.choices import Device, Quality
 
 EXAMPLES = """
     bathynerf check my_survey

@@ -2,31 +2,15 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from survey.plan.choices import Device
+
 # Of Ctrl-C, for verbs that go on where they stopped.
 KEPT = "what was finished is kept, and the same command goes on from there"
-
-
-class Quality(StrEnum):
-    """How much time is spent."""
-
-    draft = "draft"
-    standard = "standard"
-    fine = "fine"
-
-
-class Device(StrEnum):
-    """Where kernels run."""
-
-    auto = "auto"
-    cpu = "cpu"
-    cuda = "cuda"
-
 
 SurveyFolder = Annotated[Path, typer.Argument(metavar="SURVEY", help="Folder with images and survey.toml.")]
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder that process made.")]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -10,22 +9,15 @@ import typer
 
 from survey.commands.console import command
 from survey.commands.memory import require_address_space
-from survey.commands.options import KEPT, Device, DeviceOption, Quality, Quiet, SurveyFolder, Verbose
+from survey.commands.options import KEPT, DeviceOption, Quiet, SurveyFolder, Verbose
 from survey.names import RUN_FOLDER
+from survey.plan.choices import Device, Quality, Switch
 
 EXAMPLES = """
     bathynerf process my_survey
     bathynerf process my_survey -o draft --quality draft
     bathynerf process my_survey --reference lidar.las
 """
-
-
-class Switch(StrEnum):
-    """A part of the work: as the plan decides, on, or off."""
-
-    auto = "auto"
-    on = "on"
-    off = "off"
 
 
 def run(

@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from survey.commands.console import command
-from survey.commands.options import Device, DeviceOption, Quiet, RunFolder, Verbose
+from survey.commands.options import DeviceOption, Quiet, RunFolder, Verbose
+from survey.plan.choices import Device
 
 EXAMPLES = """
     bathynerf render my_survey/bathynerf -o pictures --dry \\

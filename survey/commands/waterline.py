@@ -9,7 +9,8 @@ import typer
 
 from survey.commands.console import command
 from survey.commands.memory import require_address_space
-from survey.commands.options import Device, DeviceOption, Quiet, SurveyFolder, Verbose
+from survey.commands.options import DeviceOption, Quiet, SurveyFolder, Verbose
+from survey.plan.choices import Device
 
 EXAMPLES = """
     bathynerf waterline my_survey

@@ -10,13 +10,14 @@ import numpy as np
 from refract import FlatWater, PinholeCamera
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
+from survey.plan.choices import Device, Switch
 from survey.plan.ground import ground_height
 from survey.plan.heights import in_words
 from survey.plan.recipe import RECIPES, Recipe
 
 QUALITIES = tuple(RECIPES)
-DEVICES = ("auto", "cpu", "cuda")
-FIELDS = ("auto", "on", "off")
+DEVICES = tuple(each.value for each in Device)
+FIELDS = tuple(each.value for each in Switch)
 
 
 @dataclass(frozen=True)

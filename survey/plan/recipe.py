@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from survey.plan.choices import Quality
+
 
 @dataclass(frozen=True)
 class Recipe:
@@ -29,8 +31,8 @@ class Recipe:
 
 
 RECIPES = {
-    "draft": Recipe(megapixels=2.0, times_seen=(4, 1), field=False),
-    "standard": Recipe(megapixels=6.0, times_seen=(6, 2), field=False),
+    Quality.draft.value: Recipe(megapixels=2.0, times_seen=(4, 1), field=False),
+    Quality.standard.value: Recipe(megapixels=6.0, times_seen=(6, 2), field=False),
     # More than any place is seen: every view is matched.
-    "fine": Recipe(megapixels=100.0, times_seen=(1000, 1000), field=True),
+    Quality.fine.value: Recipe(megapixels=100.0, times_seen=(1000, 1000), field=True),
 }

@@ -1,0 +1,29 @@
+"""What can be chosen for a run, in words; light to import, for the command line offers the same."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class Quality(StrEnum):
+    """How much time is spent; `survey.plan.recipe` says what each means."""
+
+    draft = "draft"
+    standard = "standard"
+    fine = "fine"
+
+
+class Device(StrEnum):
+    """Where kernels run."""
+
+    auto = "auto"
+    cpu = "cpu"
+    cuda = "cuda"
+
+
+class Switch(StrEnum):
+    """A part of the work: as the plan decides, on, or off."""
+
+    auto = "auto"
+    on = "on"
+    off = "off"

@@ -35,7 +35,7 @@ _FIRM = 1e-9
 
 
 class Relief(WaterSurface, Protocol):
-    """What this module asks of a smooth surface, beside what `WaterSurface` has."""
+    """A smooth surface: what this module requires beyond `WaterSurface`."""
 
     def derivatives(self, x, y) -> tuple:
         """Height and derivatives (f, f_x, f_y, f_xx, f_xy, f_yy); also of an `Interval`."""

@@ -55,7 +55,7 @@ class Schedule:
 
 @dataclass(frozen=True)
 class FieldFigures:
-    """What is told of the training of a field.
+    """Figures reported about the training of a field.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ def _rates(field: TensorField, schedule: Schedule) -> list[Rates]:
 
 
 def _rate_at(done: float) -> float:
-    """Share of the learning rates at a share of the training: all of it while colours learn alone, then it falls."""
+    """Factor of the learning rates at a share of the training: 1 while colours are trained alone, then it decays."""
     return FINAL_RATE ** max(0.0, (done - COLOUR_FIRST) / (1.0 - COLOUR_FIRST))
 
 

@@ -115,9 +115,9 @@ def test_what_may_not_be_written_to_is_refused(tmp_path):
         require_json(tmp_path / "n.json", Inputs())
     tmp_path.chmod(0o500)
     try:
-        with pytest.raises(OutputError, match="must not be written to"):
+        with pytest.raises(OutputError, match="is not writable"):
             require_json(tmp_path / "new.json", Inputs())
-        with pytest.raises(OutputError, match="must not be written to"):
+        with pytest.raises(OutputError, match="is not writable"):
             require_folder("-o", tmp_path / "new" / "run", Inputs())
     finally:
         tmp_path.chmod(0o700)

@@ -73,7 +73,7 @@ class WaterEstimate:
 
     @property
     def is_observable(self) -> bool:
-        """Whether anything is observable at all: without the level, nothing is."""
+        """Whether anything is observable: without the level, nothing is."""
         return self.estimates[0].is_observable
 
     def correlation(self) -> np.ndarray:

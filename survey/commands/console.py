@@ -21,11 +21,11 @@ _NO_TERMINAL_WIDTH = 1000
 
 
 class Ended(typer.Exit):
-    """The exit of a command after its error was said."""
+    """Raised to exit after the error has been printed."""
 
 
 class Results:
-    """Standard output, for what a command is asked for: numbers, verdicts, the paths of what it wrote."""
+    """Standard output, for results: numbers, verdicts and the paths of written files."""
 
     def __init__(self, *, is_silent: bool):
         self._is_silent = is_silent

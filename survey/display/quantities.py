@@ -14,7 +14,7 @@ _SMALL_M = 0.5
 
 @dataclass(frozen=True)
 class LengthUnit:
-    """A unit for lengths that stand together.
+    """A unit for lengths shown together.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class LengthUnit:
 
 
 def number(value: float | None, decimals: int) -> str:
-    """A number with so many decimals, and never a minus before zero."""
+    """A number with a fixed number of decimals, and never a minus before zero."""
     return UNKNOWN if value is None else f"{value:z.{decimals}f}".replace("-", MINUS)
 
 
@@ -70,5 +70,5 @@ def metres(value: float) -> str:
 
 
 def with_unit(text: str, unit: str) -> str:
-    """A number and its unit, if it has one; degrees stand without a space."""
+    """A number and its unit, if it has one; degrees have no space before them."""
     return text + (unit if unit == "°" else f"{NO_BREAK}{unit}" if unit else "")

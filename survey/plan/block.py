@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from survey.photos.store import ImageStore
     from survey.plan.plan import Plan
 
-# The cloud ends this far beyond the bounds that the survey asks for.
+# The cloud extends this far beyond the bounds in survey.toml.
 AREA_MARGIN_M = 0.5
 
 
@@ -95,5 +95,5 @@ def grown(area: tuple[float, float, float, float], margin: float) -> tuple[float
 
 
 def within(xyz: np.ndarray, area: tuple[float, float, float, float]) -> np.ndarray:
-    """Which points (N, 3) stand over an area (x0, y0, x1, y1), (N,) bool."""
+    """Which points (N, 3) lie within an area (x0, y0, x1, y1), (N,) bool."""
     return (xyz[:, 0] >= area[0]) & (xyz[:, 1] >= area[1]) & (xyz[:, 0] <= area[2]) & (xyz[:, 1] <= area[3])

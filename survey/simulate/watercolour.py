@@ -1,4 +1,4 @@
-"""The colour of water: what it absorbs, what it scatters into the path."""
+"""The colour of water: absorption, and scattering into the path."""
 
 from __future__ import annotations
 

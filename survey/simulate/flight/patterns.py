@@ -105,7 +105,7 @@ def plan_flight(flight: FlightSettings, lens: Lens, site: Site, seed: int) -> li
 
 
 def _footprint(lens: Lens, site: Site, height: float) -> tuple[float, float]:
-    """Width and height [m] of what a camera that looks down sees of the bed."""
+    """Width and height [m] of the footprint on the bed of a camera that looks down."""
     sizes = []
     for size, focal in zip((lens.width, lens.height), lens.focal, strict=True):
         tangent = 0.5 * size / focal

@@ -1,4 +1,4 @@
-"""A body of any triangles, and where straight rays meet it: Embree says which triangle, float64 says where."""
+"""A body of any triangles, and where straight rays meet it: Embree finds the triangle, float64 arithmetic the point."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ class StagedScene:
     lens : Lens
         Of all photographs.
     level : WaterLevel or None
-        What survey.toml says of the water.
+        Water settings for survey.toml.
     renderer : DirectRenderer
         Exact in geometry: the truth is what it finds, whatever takes the photographs.
     sensor : Sensor

@@ -18,7 +18,7 @@ GATE_OF_ONE = 1.1444507183528787
 # The weighting network's kernel keeps a sum for each number of its maps. With this many at most it is 6 times as
 # fast as its twin; with 1300 hardly faster, and LLVM takes 15 s to compile it.
 MOST_FUSED = 400
-# Samples whose colours are regressed at once: what lies between the maps stays in a processor's cache.
+# Samples whose colours are regressed at once: the activations between the maps stay in a processor's cache.
 PART = 8192
 
 

@@ -37,7 +37,7 @@ _MENDS_OF_USE = _MENDS | {
     errno.EISDIR: "it is a folder; name a file",
 }
 _ONLY_WRITING = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-# Libraries that lose the number of an error on the way (numpy, Pillow): with less room than this, it was the room.
+# numpy and Pillow lose the error number: with less free space than this, the cause is taken to be a full disk.
 _NO_ROOM_BYTES = 1 << 20
 
 

@@ -203,7 +203,7 @@ def crossing_of_point(camera, point, plane_point, normal, n, steps, like=None):
     depth = -dot(to_point, normal)
     H = dot(to_camera, normal) + depth * 0.0
     straight = (depth <= 0.0) | (H <= CONTACT)
-    # Foot points of camera and bed point on the plane, and the way between them.
+    # Foot points of camera and bed point on the plane, and the vector between them.
     way = minus(along(to_camera, normal, -H), along(to_point, normal, depth))
     # Straight rays get harmless numbers, so that neither their values nor their gradients can be NaN.
     share = air_share(

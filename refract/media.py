@@ -48,7 +48,7 @@ def water_index(wavelength_nm, temperature_c, salinity_psu):
     Raises
     ------
     ValueError
-        For what cannot be: a wavelength or salinity that is not positive, ice, steam.
+        For impossible values: a wavelength or salinity that is not positive, ice, steam.
 
     Warns
     -----

@@ -65,7 +65,7 @@ def estimate_absorption(sources: Sources) -> tuple[float, float, float]:
     Raises
     ------
     ValueError
-        If the survey is dry, or too little of the bed is seen along ways that differ enough.
+        If the survey is dry, or too little of the bed is seen along paths of sufficiently different length.
     """
     if sources.water is None:
         raise ValueError("the survey is dry: it has no water that could absorb light")

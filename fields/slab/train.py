@@ -20,7 +20,7 @@ from fields.water_column import WaterColumn
 
 # Rays are drawn for this many steps at once.
 POOL_STEPS = 64
-# The share of the steps that colours alone learn, with the bed held at its proxy: it would follow colours that are
+# The share of the steps that train colours alone, with the bed fixed at its proxy: it would follow colours that are
 # still wrong. These groups of parameters move it.
 COLOUR_FIRST = 0.3
 MOVE_THE_BED = ("density", "width")

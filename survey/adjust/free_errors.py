@@ -149,7 +149,7 @@ class _System:
         columns = 3 * np.repeat(ties.point, 2)[:, None] + np.arange(3)
         places = (np.repeat(np.arange(rows), 3), columns.ravel())
         by_points = csr_array((self.jx.reshape(-1, 3).ravel(), places), shape=(rows, 3 * len(ties)))
-        # With the root of the points' own matrices on its left, what they follow is one product.
+        # With the root of the points' own matrices as left factor, the elimination is one product.
         root = block_diag(list(np.linalg.inv(np.linalg.cholesky(own))), format="csr")
         mixed = root @ (by_points.T @ weighted)
         normal = (design.T @ weighted - mixed.T @ mixed).toarray()

@@ -90,7 +90,7 @@ def water_from_ties(
         if not lost.any():
             break
         if lost[0]:
-            # Without the level nothing is observable; the values reported are those with nothing held.
+            # Without the level nothing is observable; the reported values are those with all parameters free.
             freed, held[:] = first, True
             break
         worst = int(np.argmax(np.where(lost, std / limits, 0.0)))

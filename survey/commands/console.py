@@ -36,7 +36,7 @@ class Results:
         Raises
         ------
         SurveyError
-            If standard output does not take it.
+            If standard output cannot be written.
         """
         if self._is_silent:
             return
@@ -77,7 +77,7 @@ def command(verbose: int, quiet: int, place: Path, *, stopped: str = "") -> Iter
     verbose, quiet : int
         How often -v and -q were given.
     place : Path
-        Named where the disk is full or refuses something and does not say what.
+        Named when a disk error does not name a file.
     stopped : str
         What becomes of the work that Ctrl-C stops.
     """

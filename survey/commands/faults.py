@@ -10,7 +10,7 @@ OUR_BUG, BAD_INPUT, STOPPED, BROKEN_PIPE = 1, 2, 130, 141
 
 # As sentences name it.
 STANDARD_OUTPUT = "standard output"
-# In what libraries say when they get no memory: torch, Dr.Jit, numpy, OpenCV, the C++ library, the loader.
+# In messages of libraries that get no memory: torch, Dr.Jit, numpy, OpenCV, the C++ library, the loader.
 _NO_MEMORY = (
     "out of memory",
     "allocate memory",

@@ -33,7 +33,7 @@ class CompareOptions:
     outliers : str, optional
         ``"sor:K,S"``: leave statistical outliers out, see `evaluation.is_outlier`. Nothing is left out without it.
     c2c : bool
-        Distances from cloud to cloud too, both ways.
+        Also cloud-to-cloud distances, in both directions.
     m3c2_radius_m : float, optional [m]
         M3C2 distances too, see `evaluation.m3c2_distances`.
     json_path, report_dir : Path, optional

@@ -11,7 +11,7 @@ BLUE, RED, PALE = "#2f6f9f", "#c3140d", "#e8eef3"
 WATER, WATER_LINE, LAND, OBLIQUE, BOUNDS = "#8fc3d3", "#4f94ad", "#d8c9a6", "#d98032", "#c2452d"
 # Distributions shown side by side.
 SERIES = ("#3a6e97", "#8a4f7d", "#4b8b6f", "#c07c3e")
-# Of a verdict, dark enough to be read as text on white.
+# Colours of a verdict, dark enough to be read as text on white.
 PASSED, DOUBTFUL, FAILED = "#1f7a3d", "#8f5600", "#b3261e"
 
 # Light and yellowish where shallow, dark blue where deep; lightness falls steadily.

@@ -21,7 +21,7 @@ from survey.errors import ConfigError
 _KINDS = {float: "a finite number", int: "a whole number", bool: "true or false", str: "a text in quotes"}
 # Share of letters that two near names have in common, in order: "level" and "level_m", not "gcp" and "gps_height".
 _NEAR = 0.6
-# Metadata of a field: what its value looks like, for the message where it does not.
+# Metadata of a field: a description of valid values, for the error message.
 _EXPECTED = "expected"
 
 
@@ -60,7 +60,7 @@ def parse_toml(
     synonyms : mapping, optional
         What other programs call a key, to its dotted name here, e.g. ``{"gcp": "control.gcps"}``.
     not_yet : mapping, optional
-        Dotted names of keys that are planned but not read, to what to give instead.
+        Dotted names of keys that are planned but not read, with advice on what to give instead.
 
     Raises
     ------

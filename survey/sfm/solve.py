@@ -180,7 +180,7 @@ def hold_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | No
     nominal : mapping of name to float or None
         Focal lengths [px] in EXIF, by name in the block.
     notes : list
-        Gets a sentence on what was found.
+        Called with a sentence on the result.
 
     Notes
     -----

@@ -22,12 +22,12 @@ class Light:
     to_sun : (3,)
         Direction toward the middle of the sun, local, any length.
     sun_share : [-]
-        Of the light on level ground that comes from the sun; 0 without one.
+        Share of the light on level ground that comes from the sun; 0 without one.
     sun_radius : [rad]
         Half the angle under which the sun is seen; 0.0046 in nature, 0 for a point. All of the disc is above the
         horizon.
     overcast : bool
-        A sky three times as bright at the zenith as at the horizon, instead of one that is alike everywhere.
+        A sky three times as bright at the zenith as at the horizon, instead of a uniform one.
 
     Raises
     ------

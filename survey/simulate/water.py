@@ -70,7 +70,7 @@ def measured(path: Path, frame: LocalFrame, n_water: float) -> HeightFieldWater:
     Raises
     ------
     SurveyError, GeoError
-        If no surface can be laid through them.
+        If no surface can be fitted through them.
     """
     shape = read_reference(path)
     points = frame.local_from_crs(shape.vertices if isinstance(shape, Mesh) else shape.points)

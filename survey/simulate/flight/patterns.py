@@ -12,7 +12,7 @@ from refract.lens import Lens
 from survey.errors import SurveyError
 from survey.simulate.flight.settings import FlightSettings
 
-# The upper border of an image stays this far below the horizon [rad]: water mirrors there, and footprints are endless.
+# Least angle of an image's upper border below the horizon [rad]: water reflects there, and footprints are endless.
 _BELOW_HORIZON = math.radians(10.0)
 # A thousand photographs a hectare are no survey but a slip in an overlap.
 _MOST_VIEWS = 5000

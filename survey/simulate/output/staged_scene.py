@@ -31,7 +31,7 @@ class StagedScene:
     level : WaterLevel or None
         Water settings for survey.toml.
     renderer : DirectRenderer
-        Exact in geometry: the truth is what it finds, whatever takes the photographs.
+        Exact in geometry: it computes the ground truth, whichever renderer takes the photographs.
     sensor : Sensor
     bounds : (e0, n0, e1, n1), in crs
         What is evaluated.

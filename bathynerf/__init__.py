@@ -1,4 +1,4 @@
-"""The Python interface of bathynerf: what the command line does, and what it is made of, under one name.
+"""The Python interface of bathynerf: the commands and their building blocks under one name.
 
 >>> from bathynerf import LocalFrame, Survey, compare, process, simulate
 

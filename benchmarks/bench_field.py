@@ -3,8 +3,8 @@
     python benchmarks/bench_field.py WORK [--objects wreck ship hull] [--models tensorf dw m mdw ...] [--steps N]
                                      [--scale S] [--cells N_MAX] [--rays N] [--write]
 
-TensoRF, DW, M and MDW-NeRF are one code with four settings; NeRF, TinyNeRF, a hash grid with proposals (as Nerfacto)
-and a signed distance (as NeuS) stand beside them. All see the same photographs, paths and steps, and sample alike (the
+TensoRF, DW, M and MDW-NeRF are one code with four settings, compared with NeRF, TinyNeRF, a hash grid with proposals
+(as Nerfacto) and a signed distance (as NeuS). All see the same photographs, paths and steps, and sample alike (the
 hash grid by its proposals). One photograph in eight is held out. Every row is a file in WORK; what is there is not
 computed again. With --write the tables and pictures go to docs/field.md. The defaults are for two cores; full size is
 --scale 1 --cells 256 --steps 30000 --rays 4096.
@@ -60,7 +60,7 @@ BASELINES = tuple(OTHERS)
 TIMED = (4, 8)
 # Renderings whose memory is measured: one may take twice that of another, as the allocator and its threads go.
 MEMORY_RUNS = 3
-# Of the factors after the switch: with the paper's 0.001 they all but stand still for the rest of a short training.
+# Learning rate of the factors after the switch: with the paper's 0.001 they hardly change in a short training.
 FINE_RATE = 0.02
 
 
@@ -156,7 +156,7 @@ def step_times(models: tuple[str, ...], scene: ObjectScene, options) -> dict[str
 
 
 def inference_mb(model: str, scene: str, options) -> float:
-    """What rendering a view takes in memory, parameters and all [MB]: median of processes of their own."""
+    """Memory [MB] to render a view, with parameters: median over separate processes."""
     numbers = [f"--{name}={getattr(options, name)}" for name in ("scale", "cells", "samples")]
     command = [sys.executable, __file__, str(options.work), "--memory", scene, model, *numbers]
     runs = [subprocess.run(command, check=True, capture_output=True, text=True) for _ in range(MEMORY_RUNS)]
@@ -197,7 +197,7 @@ def kept(path: Path, compute: Callable[[], dict]) -> dict:
 
 
 def measure(options) -> list[dict]:
-    """All rows that were asked for."""
+    """All requested rows."""
     rows = []
     for name in options.objects:
         scene = scene_of(name, options)
@@ -216,7 +216,7 @@ def measure(options) -> list[dict]:
 
 
 def main() -> None:
-    """Measure, print, and write if asked to."""
+    """Measure, print, and write with --write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("work", type=Path, help="folder for rows and pictures")
     parser.add_argument("--objects", nargs="+", default=NAMES, choices=NAMES)

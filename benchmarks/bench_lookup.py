@@ -4,7 +4,7 @@ python benchmarks/bench_lookup.py [--grid cube|survey] [--samples N] [--rounds N
 
 The cube is MDW-NeRF's: six scales from 64 to 256, three directions; the survey grid has four scales and one direction.
 Samples lie anywhere, or 32 to a ray as in training. `unordered` is the kernel with sums in any order, as CUDA has them.
-Rates are of the best round: the others tell more about what else the machine does.
+Rates are of the best round: the others depend more on other load of the machine.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ KINDS: dict[str, Callable[[Model, torch.Tensor], None]] = {
 
 @contextmanager
 def in_any_order() -> Iterator[None]:
-    """The kernel that CUDA has, on this device in the fastest way: each thread adds to a copy of its own."""
+    """The kernel used on CUDA, in the fastest way on this device: each thread adds to its own copy."""
     unordered = partial(lookup._add_in_any_order, mode=dr.ReduceMode.Expand)
     ordered, lookup._add_in_order = lookup._add_in_order, unordered
     try:

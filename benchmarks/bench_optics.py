@@ -214,7 +214,7 @@ def write(tables: dict[str, str]) -> None:
 
 
 def main() -> None:
-    """Measure, print, and write if asked to."""
+    """Measure, print, and write with --write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--write", action="store_true", help="put tables and picture into docs/")
     parser.add_argument("--picture", action="store_true", help="draw the picture of docs/ alone")

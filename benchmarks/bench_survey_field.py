@@ -38,12 +38,12 @@ BATHYNERF = [sys.executable, "-c", "from survey.commands.app import main; main()
 
 
 def once(marker: Path, arguments: list[str]) -> dict:
-    """Run a command of bathynerf unless its marker says that it has finished; the marker's seconds and load."""
+    """Run a command of bathynerf unless its marker shows it finished; returns the marker's seconds and load."""
     if not marker.exists():
         load, start = os.getloadavg()[0], time.monotonic()
         code = subprocess.run([*BATHYNERF, *arguments], check=False, stdout=subprocess.DEVNULL).returncode
         if code not in FINISHED:
-            raise SystemExit(f"bathynerf {' '.join(arguments)} ended with {code}; what it said stands above")
+            raise SystemExit(f"bathynerf {' '.join(arguments)} failed with exit code {code}; see its output above")
         record = {"wall_s": round(time.monotonic() - start, 1), "load_before": round(load, 1)}
         marker.write_text(json.dumps(record))
     return json.loads(marker.read_text())
@@ -112,7 +112,7 @@ def table(rows: list[dict]) -> str:
     if clouds:
         share = 100.0 * clouds[0]["mast_share"]
         lines += [
-            f"Masts, with yards, rails and all that stands up narrowly, are {share:.2f} % of what three cameras see.",
+            f"Masts, with yards, rails and other narrow objects, are {share:.2f} % of what three cameras see.",
             "",
             "| row | seconds | of | complete at 0.05 m | at 0.2 m | mean, mm | std, mm |",
             "|---|---|---|---|---|---|---|",

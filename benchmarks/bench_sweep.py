@@ -86,7 +86,7 @@ class Case:
         return stage_bed.bed_points(self.job, maps, None, lambda done: None)[0]
 
     def figures(self, bed: BedPoints) -> dict:
-        """How far the points are from the truth, and what of it they reach."""
+        """Distances of the points from the truth, and their completeness."""
         survey = self.survey
         stored = StoredBed(bed, survey.frame.crs_from_local(bed.xyz), survey.frame.crs, survey.name, self.plan.gsd_m)
         options = CompareOptions(tolerances_m=(0.2, 0.05), visible=self.visible, bounds=survey.bounds)
@@ -138,7 +138,7 @@ def once_table(case: Case) -> dict[str, dict]:
     maps, _ = case.maps()
     rows = {"a kept pixel claims those of later views (kept)": case.figures(case.points(maps))}
     with patch.object(stage_bed, "has_company", lambda xyz, gsd: np.ones(len(xyz), dtype=bool)):
-        rows["the same, with points that stand alone"] = case.figures(case.points(maps))
+        rows["the same, with isolated points"] = case.figures(case.points(maps))
     with patch.object(stage_bed, "unique_pixels", lambda block, found: [trusted(m) for m in found]):
         everything = case.points(maps)
     rows["nothing left out"] = case.figures(everything)

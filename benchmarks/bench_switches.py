@@ -141,7 +141,7 @@ def behind(part: str, photographs: Photographs) -> nn.Module | None:
 
 
 def compare(scene: VolumeRenderer, data: SwitchScene, cells: Cells, *, right_half: bool) -> dict:
-    """Against held-out views; with exposures of their own, against the right halves, as the left ones are matched."""
+    """Against held-out views; with exposures per view, against the right halves: the left ones fit the exposures."""
     squares, errors = [], []
     for view, camera in enumerate(data.held.cameras):
         seen = render_volume(scene, camera, WATER, cells, samples=64, view=view)

@@ -84,7 +84,7 @@ def draw_bending() -> Figure:
 
 
 def draw_apparent_depth() -> Figure:
-    """Both apparent depths over incidence, and what is left of the error where they are multiplied by the index."""
+    """Both apparent depths over incidence, and the error that remains after multiplying them by the index."""
     figure, ((left, right),) = canvas(8.0, 3.7, ncols=2)
     degrees = np.linspace(0.0, 80.0, 801)
     angle = np.radians(degrees)
@@ -148,7 +148,7 @@ def caustic_of_point(axes: Axes) -> None:
 
 
 def caustic_of_camera(axes: Axes) -> None:
-    """Rays of a camera one metre up go on in the water as if they came from places above it."""
+    """Rays of a camera one metre up continue in the water as if they came from places above it."""
     section(axes, -2.2, 2.2, -1.1, 2.8875)
     camera = np.array([0.0, 0.0, 1.0])
     for angle in np.radians(np.arange(-60.0, 60.1, 6.0)):
@@ -236,7 +236,7 @@ def draw_rays(axes: Axes, water: WavyWater) -> None:
 
 
 def draw_shifts(axes: Axes, water: WavyWater) -> None:
-    """How far from their places points of the bed are seen if the water is taken for flat, along every path."""
+    """Apparent displacement of points of the bed if the water is assumed flat, along every path."""
     path = trace(OVER_WAVES, fan(4001), water)
     fall = (path.crossing[:, 2] + OVER_BED) / path.water_direction[:, 2]
     true = path.crossing[:, 0] - fall * path.water_direction[:, 0]

@@ -1,4 +1,4 @@
-"""Draw docs/img/held_out.png: a photograph that the field has not seen, beside what it renders of it.
+"""Draw docs/img/held_out.png: a photograph held out from training, beside the rendering of its view.
 
     python benchmarks/draw_held_out.py SURVEY WORK [--image 0116.jpg]
 

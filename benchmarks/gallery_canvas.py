@@ -13,7 +13,7 @@ from PIL import Image
 
 from survey.display.palette import INK, SOFT
 
-# Okabe and Ito's colours, told apart by all eyes; on white, with a pale water.
+# Okabe and Ito's colours, distinguishable with colour blindness; on white, with pale water.
 BLUE, ORANGE, GREEN, RED = "#0072b2", "#e69f00", "#009e73", "#d55e00"
 DARK_ORANGE, IN_WATER, BED, GRID = "#a86f00", "#e3f0f7", "#8a6f4e", "#e6e9ec"
 

@@ -1,4 +1,4 @@
-"""Networks of cameras over a flat bed, and what straight rays make of it. Used by draw_gallery.py."""
+"""Networks of cameras over a flat bed, and its shape from straight rays. Used by draw_gallery.py."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from survey.folder.survey import Survey
 
 # Heights are tried up to this share of the depth over the bed.
 HIGHEST, RUNGS = 0.6, 241
-# Of the bed, drawn evenly: what is asked is a median.
+# Points drawn evenly from the bed: enough for a median.
 POINTS = 2000
 
 
@@ -24,7 +24,7 @@ POINTS = 2000
 class Bias:
     """Medians over points of the bed of how far straight rays end above it, [m].
 
-    ``same_views_m`` asks the views that the sweep compares, of each the half that agrees best; ``all_views_m`` all that
+    ``same_views_m`` uses the views that the sweep compares, the best-agreeing half of each; ``all_views_m`` all that
     see the point.
     """
 

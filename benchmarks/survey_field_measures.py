@@ -17,14 +17,14 @@ from survey.folder.survey import Survey, View, load_image, load_mask
 from survey.plan.area import local_area, within
 
 TOLERANCES_M = (0.05, 0.2)
-# A point is of a mast if it stands this far over all that is wider than this, in a raster of these cells.
+# A point belongs to a mast if it rises this far above everything wider than this, in a raster of these cells.
 RISE_M, WIDE_M, CELL_M = 0.5, 1.0, 0.1
-# The least side of an image of five scales.
+# The shortest side of an image that allows five scales.
 SMALLEST_PX = 176
 
 
 def is_mast(points: np.ndarray) -> np.ndarray:
-    """Which points (N, 3) [m] of a surface, local, belong to what stands up narrowly: (N,) bool.
+    """Which points (N, 3) [m] of a surface, local, belong to narrow upright objects: (N,) bool.
 
     The opening of the raster of greatest heights by a disc is the surface without anything narrower than the disc.
     """
@@ -59,7 +59,7 @@ def cloud_figures(cloud: Path, reference: Path, visible: Path, survey: Survey) -
 def water_pixels(survey: Survey, view: View, deepest_m: float) -> np.ndarray:
     """Pixels (height, width) whose path lies over the bounds of the survey from the surface down to the deepest bed.
 
-    The rendering has no say in it, so that what it leaves black counts.
+    Independent of the rendering, so that pixels it leaves black count.
     """
     path = view.camera.paths(view.camera.pixel_centres(), survey.water)
     area = local_area(survey)

@@ -125,7 +125,7 @@ def table(records: list[dict]) -> str:
 
 
 def _predicted(chain: str, bias: dict) -> str:
-    """What straight rays cost, measured and by least squares over the apparent rays."""
+    """The error of straight rays, measured and by least squares over the apparent rays."""
     off = 100.0 * (bias["measured_m"] / bias["same_views_m"] - 1.0)
     return (
         f"\nStraight rays, {chain}: {bias['measured_m']:+.3f} m over the bed at {bias['num_points']:,} points away "

@@ -3,7 +3,7 @@
 Apparent points are those where straight rays meet: each view sees a point of the bed in the direction of the place
 where its light left the water, and a reconstruction without refraction extends those directions as straight lines.
 
-Symbols: N points, V views; arrays over both are padded, ``is_seen`` says what counts.
+Symbols: N points, V views; arrays over both are padded, ``is_seen`` marks valid entries.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def apparent_points(centres: np.ndarray, directions: np.ndarray, is_seen: np.nda
 
 
 def times_index(apparent_depth: np.ndarray, n_water: float) -> np.ndarray:
-    """Depth (N,) [m] of points at an apparent depth [m], taken for small angles: the depth times the index."""
+    """Depth (N,) [m] of points from their apparent depth [m] for small angles: apparent depth times index."""
     return n_water * apparent_depth
 
 

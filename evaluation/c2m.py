@@ -24,7 +24,7 @@ Sign = Literal["up", "winding"]
 # Neither side of a steeper triangle can be called the upper one: its winding decides.
 _STEEP_NZ = 0.05
 # Points at a time for each thread: about 75 MB of intermediate values. The tree is searched on all cores at once;
-# threads keep them busy with what comes after.
+# threads keep them busy with the next ones.
 _CHUNK = 100_000
 _WORKERS = min(os.cpu_count() or 1, 4)
 # Pairs of point and triangle at a time, where several triangles are equally near.

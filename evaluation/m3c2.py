@@ -17,7 +17,7 @@ class M3C2Distances:
     signed : (K,) [m]
         At the core points; NaN where a cylinder holds no points of either cloud.
     detection_m : (K,) [m]
-        Level of detection at 95 %: smaller distances are not significant. NaN where too few points tell it.
+        Level of detection at 95 %: smaller distances are not significant. NaN where there are too few points.
     """
 
     signed: np.ndarray

@@ -1,4 +1,4 @@
-"""Statistical outliers of a cloud; `bathynerf compare` leaves them out only if an option says so."""
+"""Statistical outliers of a cloud; `bathynerf compare` keeps them unless an option removes them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def is_outlier(points: np.ndarray, *, neighbours: int, num_std: float) -> np.nda
     ----------
     points : (N, 3) [m]
     neighbours : int
-        How many nearest others are looked at.
+        Number of nearest neighbours.
     num_std : float
         A point is an outlier where its mean distance exceeds the mean of all mean distances by more than this many
         of their standard deviations (of a population), as the filter "SOR" of CloudCompare has it.

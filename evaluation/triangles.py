@@ -12,7 +12,7 @@ import numpy as np
 # (1e-16 relative) would turn its normal by 1e-4 and more.
 _THINNEST = 1e-12
 # Corners of the feature of a triangle on which the nearest point lies, as columns of its face: inside, the
-# edges ab, bc, ca, the vertices a, b, c. A vertex stands twice, inside is -1.
+# edges ab, bc, ca, the vertices a, b, c. A vertex is listed twice, inside is -1.
 FEATURE_CORNERS = np.array([[-1, -1], [0, 1], [1, 2], [2, 0], [0, 0], [1, 1], [2, 2]])
 INSIDE = 0
 

@@ -1,4 +1,4 @@
-"""Directions of planes and vectors: the axis that a vector stands along, and the two that its plane spans."""
+"""Directions of planes and vectors: the axis along which a vector runs, and the two that its plane spans."""
 
 from __future__ import annotations
 

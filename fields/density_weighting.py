@@ -83,7 +83,7 @@ class _Gate:
         return [number for packet in packets for number in packet]
 
     def load(self, flat, scale) -> tuple[list, list]:
-        """Weights and biases of the maps, and what the last map takes of this scale."""
+        """Weights and biases of the maps, and the last map's weights for this scale."""
         Float, UInt = self.module.Float, self.module.UInt
         layers, first = [], 0
         for outputs, inputs in self.sizes:

@@ -78,7 +78,7 @@ def _llvm() -> Device | None:
         return None
     import drjit.llvm as module
 
-    return Device("llvm", module, f"no CUDA device asked for or found; LLVM at {path or 'its default place'}")
+    return Device("llvm", module, f"no CUDA device requested or found; LLVM at {path or 'its default place'}")
 
 
 @cache
@@ -93,7 +93,7 @@ def choose_device(wanted: str = "auto") -> Device:
     Raises
     ------
     ValueError
-        If CUDA is asked for and there is none, or the word is unknown.
+        If CUDA is requested but not available, or the word is unknown.
     """
     if wanted not in ("auto", "cpu", "cuda", "torch"):
         raise ValueError(f"device is {wanted!r}, expected auto, cpu, cuda or torch")
@@ -109,12 +109,12 @@ def choose_device(wanted: str = "auto") -> Device:
             return found
     path = os.environ.get("DRJIT_LIBLLVM_PATH")
     why = (
-        f"{path} is no LLVM {_OLDEST_LLVM} or newer that Dr.Jit loads"
+        f"{path} is not LLVM {_OLDEST_LLVM} or newer that Dr.Jit can load"
         if path
         else f"no libLLVM {_OLDEST_LLVM} or newer was found (DRJIT_LIBLLVM_PATH takes its full path)"
     )
     import torch
 
     place = "cuda" if torch.cuda.is_available() and wanted != "cpu" else "cpu"
-    reason = "torch was asked for" if wanted == "torch" else f"{why}: torch runs the sweep, slower"
+    reason = "torch was requested" if wanted == "torch" else f"{why}: torch runs the sweep, slower"
     return Device("torch", None, reason, place)

@@ -6,10 +6,10 @@ from torch import Tensor
 
 # sRGB-like photographs are linear in light to the power of 2.2.
 GAMMA = 2.2
-# Light that is darker than any photograph tells: below, the slope of the stored value has no bound.
+# Clamp, darker than any photograph resolves: below it the derivative of the gamma curve diverges.
 DARKEST = 1e-4
 
 
 def as_stored(radiance: Tensor) -> Tensor:
-    """What a photograph stores, 0 to 1 (more where it is overexposed), of linear radiance; at least `DARKEST` of it."""
+    """Stored values, 0 to 1 (more where overexposed), of linear radiance, which is clamped to `DARKEST`."""
     return radiance.clamp(min=DARKEST) ** (1.0 / GAMMA)

@@ -13,12 +13,12 @@ from torch import Tensor, nn
 
 from fields.device import Device
 
-# GELU is one here: the gate of a weighting network that leaves the features as they are.
+# GELU(x) = 1 at this x: as the bias of the gate it leaves the features unchanged.
 GATE_OF_ONE = 1.1444507183528787
 # The weighting network's kernel keeps a sum for each number of its maps. With this many at most it is 6 times as
 # fast as its twin; with 1300 hardly faster, and LLVM takes 15 s to compile it.
 MOST_FUSED = 400
-# Samples whose colours are regressed at once: what lies between the maps stays in a processor's cache.
+# Samples whose colours are regressed at once: the activations between the maps stay in a processor's cache.
 PART = 8192
 
 
@@ -77,7 +77,7 @@ class DensityHead(nn.Module):
         return self.fine(weighted.sum(dim=2).flatten(1))[:, 0]
 
     def switch_to_fine(self) -> None:
-        """Let the weighting network take over where the coarse regression stands: gates of one, the same map."""
+        """Switch to the weighting network, initialised with gates of one to the same map as the coarse regression."""
         self.is_fine = True
         with torch.no_grad():
             self.fine.weight.copy_(self.coarse.weight)
@@ -136,7 +136,7 @@ class ColourHead(nn.Module):
         return torch.cat([self._regress(f, torch.addmm(self.first.bias, b, maps[1]), maps[0]) for f, b in parts])
 
     def _regress(self, features: Tensor, start: Tensor, weighted: Tensor) -> Tensor:
-        """Radiance, from what the first map makes of all but the features, and its weights of these."""
+        """Radiance, from the first map's output for all but the features, and its weights of the features."""
         gelu = nn.functional.gelu
         hidden = gelu(self.middle(gelu(torch.addmm(start, features, weighted))))
         return nn.functional.softplus(self.last(hidden), beta=4.0)

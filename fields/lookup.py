@@ -165,7 +165,7 @@ def _add_in_order(field: _Field, u, gradient, samples: int, sums: tuple) -> None
                 read.add(sums, incoming, part, dr.ReduceMode.NoConflicts)
             return (sample + lanes,)
 
-        # Lanes leave together: a packet goes on while its first one has a sample.
+        # Lanes leave the loop together: a packet continues while its first lane has a sample.
         dr.while_loop((UInt(lane),), lambda sample: sample - lane < num, some_samples, mode="symbolic")
         return (unit + workers,)
 
@@ -188,7 +188,7 @@ def _add_in_any_order(
 
 @cache
 def _lanes(module) -> int:
-    """Lanes of a SIMD packet of LLVM, read from a kernel: Dr.Jit tells them nowhere else."""
+    """Lanes of a SIMD packet of LLVM, read from a kernel: Dr.Jit has no other way to get them."""
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
         dr.eval(dr.opaque(module.Float, 1.0, 2) + 1.0)
         text = dr.kernel_history((dr.KernelType.JIT,))[-1]["ir"].read()

@@ -10,7 +10,7 @@ import torch
 
 @contextmanager
 def half_the_threads() -> Iterator[None]:
-    """Torch on half of its threads: all of them wait for each other some hundred times a step.
+    """Halve torch's threads: they synchronise hundreds of times per step.
 
     A thread that has to share its core, with Dr.Jit's or with another program, holds up the others for a time slice
     each: on two cores, one of them taken, two threads need 5 times as long as one (25 times for small batches).

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 @dataclass(frozen=True)
 class Rates:
-    """A group of parameters with its learning rate for Adam, and a name to hold it by."""
+    """A group of parameters with its learning rate for Adam, and a name used to freeze it."""
 
     parameters: list[nn.Parameter]
     rate: float
@@ -31,7 +31,7 @@ def adam(groups: list[Rates], *, eps: float) -> torch.optim.Adam:
 
 
 def set_rates(optimiser: torch.optim.Adam, share: float, *, held: Collection[str] = ()) -> None:
-    """Learning rates at a share of what they were at the start; zero for the groups whose names are held."""
+    """Set the learning rates to a share of the initial ones; zero for frozen groups."""
     for group in optimiser.param_groups:
         group["lr"] = 0.0 if group["name"] in held else group["top"] * share
 

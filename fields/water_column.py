@@ -1,4 +1,4 @@
-"""The water between the bed and the camera: what it absorbs and scatters, and what its surface mirrors."""
+"""The water between the bed and the camera: absorption, scattering, and reflection at its surface."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class WaterColumn(nn.Module):
         super().__init__()
         self.register_buffer("given_absorption", None if absorption is None else _numbers(absorption))
         self.register_buffer("given_veil", None if veil is None else _numbers(veil))
-        # Softplus keeps what is learned positive; this is its inverse.
+        # Softplus keeps learned values positive; this is its inverse.
         start = torch.log(torch.expm1(_numbers(COASTAL)))
         self.register_parameter("raw_absorption", nn.Parameter(start) if absorption is None else None)
         self.register_parameter("raw_veil", nn.Parameter(torch.full((3,), RAW_VEIL)) if veil is None else None)
@@ -59,7 +59,7 @@ class WaterColumn(nn.Module):
         return nn.functional.softplus(self.raw_sky)
 
     def given(self) -> dict[str, tuple[float, ...]]:
-        """Those of the constructor's arguments that were given."""
+        """The constructor's arguments that are not None."""
         values = {"absorption": self.given_absorption, "veil": self.given_veil}
         return {name: tuple(value.tolist()) for name, value in values.items() if value is not None}
 
@@ -67,7 +67,7 @@ class WaterColumn(nn.Module):
         """Length (rays,) [m] over which light is absorbed, from the bed's depth and the length of the path up from it.
 
         A given coefficient is that of the water itself and acts on the way down too, straight down to the bed; a
-        learned one is fitted to the path up alone and stands for both ways.
+        learned one is fitted to the path up alone and accounts for both.
         """
         return length if self.given_absorption is None else length + depth
 
@@ -79,7 +79,7 @@ class WaterColumn(nn.Module):
         return (1.0 - r) * below + r * self.sky
 
     def bed_of(self, seen: Tensor, way: Tensor, reflectance: Tensor) -> Tensor:
-        """Radiance (rays, 3) of the bed, of what is seen of it above the water (rays, 3); undoes `forward`.
+        """Radiance (rays, 3) of the bed from the radiance seen above the water (rays, 3); the inverse of `forward`.
 
         Below zero where the veil and the sky's reflection alone are brighter than what is seen.
         """
@@ -90,7 +90,7 @@ class WaterColumn(nn.Module):
 
 
 def _given_or_learned(given: Tensor | None, raw: nn.Parameter | None) -> Tensor:
-    """What is given, or else the softplus of what is learned; one of the two is there."""
+    """The given value, else the softplus of the learned one; exactly one of the two exists."""
     if given is not None:
         return given
     if raw is None:

@@ -130,7 +130,7 @@ def _frame_numbers(crs: CRS) -> list[float]:
 def _grids_differ(a: CRS, b: CRS) -> bool:
     """Whether places around the origin of the grid of a have other coordinates in b.
 
-    Compared as numbers, because one projection is stated in many ways (EPSG, GDAL, ESRI).
+    Compared as numbers, because one projection has several notations (EPSG, GDAL, ESRI).
     """
     unit, projection = horizontal_unit(a), a.coordinate_operation
     if projection is None:

@@ -44,7 +44,7 @@ def parse_crs(text: str | CRS, *, where: str = "crs") -> CRS:
         crs = CRS.from_user_input(text)
     except CRSError as error:
         raise UnknownCRS(
-            f"{where} is {_short(text)}, which is no known coordinate reference system; give an EPSG code "
+            f"{where} is {_short(text)}, which is not a known coordinate reference system; give an EPSG code "
             f'with a vertical part such as "{_EXAMPLE}", WKT or a PROJ string.'
         ) from error
     _require_fit(crs, text if isinstance(text, str) else crs.name, where)
@@ -114,7 +114,7 @@ def vertical_crs(crs: CRS) -> CRS | None:
 
 
 def has_height(crs: CRS) -> bool:
-    """Whether the CRS says what heights count from."""
+    """Whether the CRS defines a vertical datum."""
     return len(crs.axis_info) == 3
 
 

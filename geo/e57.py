@@ -13,7 +13,7 @@ from geo.shapes import Cloud
 
 
 def read_e57(path: str | Path) -> Cloud:
-    """Read the points of all scans of an E57 file, each moved by its pose; the format hardly ever names a CRS.
+    """Read the points of all scans of an E57 file, each moved by its pose; files rarely name a CRS.
 
     Raises
     ------

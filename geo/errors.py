@@ -1,10 +1,10 @@
-"""Errors in the user's coordinates and files; each message says how to mend it."""
+"""Errors in the user's coordinates and files; each message says how to fix it."""
 
 from __future__ import annotations
 
 
 class GeoError(ValueError):
-    """An error that the user can mend: a CRS, an origin or a file. The command line ends with exit code 2."""
+    """An error that the user can fix: a CRS, an origin or a file. The command line ends with exit code 2."""
 
 
 class UnknownCRS(GeoError):
@@ -28,7 +28,7 @@ class PlaceMismatch(GeoError):
 
 
 class UnreadableFile(GeoError):
-    """A file is missing, cut short, or not what its name says."""
+    """A file is missing, cut short, or not of the type its name implies."""
 
 
 class EmptyCloud(UnreadableFile):

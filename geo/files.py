@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, and the one sentence for what a disk refuses."""
+"""Files written completely or not at all, and the message for an operation that the disk refuses."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from geo.errors import UnreadableFile, UnwritableFile
 
 _NO_PERMISSION = "permission is denied; change its permissions or choose another folder"
 _MENDS = {
-    errno.ENOSPC: "no room is left on the disk; free some or write elsewhere",
+    errno.ENOSPC: "no space is left on the disk; free some or write elsewhere",
     errno.EDQUOT: "the disk quota is used up; free some room or write elsewhere",
     errno.EFBIG: "the file grows larger than this disk or process may write; write elsewhere",
     errno.ENOENT: "its folder does not exist; create it or correct the path",
@@ -37,12 +37,12 @@ _MENDS_OF_USE = _MENDS | {
     errno.EISDIR: "it is a folder; name a file",
 }
 _ONLY_WRITING = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-# Libraries that lose the number of an error on the way (numpy, Pillow): with less room than this, it was the room.
+# numpy and Pillow lose the error number: with less free space than this, the cause is taken to be a full disk.
 _NO_ROOM_BYTES = 1 << 20
 
 
 def refusal(error: OSError, path: str | Path, *, verb: str = "write") -> str | None:
-    """What the system refuses, as one sentence that names the path and the mend.
+    """The system's error as one sentence with the path and a remedy.
 
     Parameters
     ----------

@@ -107,7 +107,7 @@ def _write(las: laspy.LasData, path: Path) -> None:
         except LazrsError as error:
             # The LAZ encoder hides the system's error.
             raise UnwritableFile(
-                f"cannot write {path} ({_first_line(error)}); most likely no room is left on the disk: free "
+                f"cannot write {path} ({_first_line(error)}); most likely no space is left on the disk: free "
                 "some or write elsewhere."
             ) from error
 

@@ -1,4 +1,4 @@
-"""The header of a LAS file: whether the file is as long as the header says, and the CRS that it states."""
+"""The header of a LAS file: whether the file has the length it declares, and its CRS."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LAZ_BIT = 0x80
 
 
 def length_fault(path: Path) -> str | None:
-    """What a LAS header says that the length of the file contradicts; None if nothing does.
+    """The claim of a LAS header that the length of the file contradicts; None if there is none.
 
     Checked before laspy reads: a damaged count of records would keep it busy for hours.
     """
@@ -51,7 +51,7 @@ def length_fault(path: Path) -> str | None:
 
 
 def crs_of_header(header: laspy.LasHeader, path: Path) -> tuple[CRS | None, tuple[str, ...]]:
-    """The CRS of a LAS file and notes on what is missing: (None, why) where the file does not say.
+    """The CRS of a LAS file and notes on what is missing: (None, why) if the file has none.
 
     Taken from OGC WKT, else from GeoTIFF keys. A CRS without a vertical part is returned as it is, with a note.
     """

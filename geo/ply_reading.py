@@ -4,8 +4,8 @@ Source: the PLY format of the Stanford 3D scanning repository. Every element bec
 is read as if it were binary with doubles throughout.
 
 No library reads it here, for two reasons. plyfile, the usual one, is under the GNU General Public License (3 or later),
-which would bind whoever passes on this package, which is under the Apache License. And plyfile 1.1.5 reads lists row by
-row unless it is told their length: 500,000 vertices with 1,000,000 triangles take it 5.5 s (ASCII 21 s), this module
+which would bind anyone who redistributes this package under the Apache License. And plyfile 1.1.5 reads lists row by
+row unless their length is declared: 500,000 vertices with 1,000,000 triangles take it 5.5 s (ASCII 21 s), this module
 0.3 s (ASCII 4 s), on one core. A binary cloud of 10 million points is read in about a second and written in about three
 by both.
 """

@@ -24,7 +24,7 @@ class Cloud:
     extra : dict of (N,) or (N, k) arrays
         Further values by name; NaN where the file declares "no data".
     notes : tuple of str
-        Sentences for the reader about what the file lacks.
+        Sentences for the user about missing parts of the file.
     """
 
     points: np.ndarray

@@ -77,8 +77,8 @@ def robust_similarity(a, b) -> tuple[Similarity, np.ndarray]:
     Notes
     -----
     Least median of squares over seeded samples of three points (Rousseeuw 1984, "Least median of squares
-    regression"), which needs no threshold; then fits to the points within six times the spread that the median
-    tells, until they stay the same. Points within 0.6 m always agree.
+    regression"), which needs no threshold; then fits to the points within six times the spread estimated from the
+    median, until they stay the same. Points within 0.6 m always agree.
     """
     a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     if len(a) < _MIN_POINTS:

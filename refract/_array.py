@@ -20,7 +20,7 @@ def _is_array(x) -> bool:
 
 # Beside the functions: `fma(a, b, c)` is a b + c, in one instruction where there is one; `double` and `like` change
 # the precision of arrays, to float64 and to that of the second argument, and leave plain numbers alone; `fixed` is
-# the value without its gradient, and `tracked` says if any has one; `eps` is the step of numbers about one.
+# the value without its gradient, and `tracked` is whether any has one; `eps` is the spacing of numbers near one.
 _NUMPY = SimpleNamespace(
     name="numpy", sqrt=np.sqrt, sin=np.sin, cos=np.cos, exp=np.exp, isnan=np.isnan,
     where=np.where, minimum=np.minimum, maximum=np.maximum, abs=np.abs,
@@ -122,7 +122,7 @@ def as_numpy(array) -> np.ndarray:
     return np.asarray(array, dtype=np.float64)
 
 
-# Numbers of a block [-]: a dozen temporaries of it, 64 kB each, stay in the second cache, and no page is new.
+# Numbers of a block [-]: a dozen temporaries of 64 kB each stay in the L2 cache, and no new page is allocated.
 _BLOCK = 8192
 
 

@@ -3,9 +3,9 @@
 Over one plane the optical length is convex, so each triangle has one shortest path, in closed form through its plane;
 it counts where it lies inside the triangle. Between triangles the length has a kink. At a ridge both sides lead away
 from it; at a trough, where the bed has a strip that no ray of either side reaches, the edge itself or a corner may be
-the shortest way: it stands for the rays that a rounded trough would send there, and counts as well.
+the shortest way: it represents the rays that a rounded trough would send there, and counts as well.
 
-Only triangles that reach into the disc of `refract._disc.search_disc` are looked at. All in numpy float64; torch gets
+Only triangles that reach into the disc of `refract._disc.search_disc` are examined. All in numpy float64; torch gets
 the gradients of the plane that was found, and none on an edge, where the derivative jumps.
 """
 
@@ -103,7 +103,7 @@ def _shortest(surface, camera, point, owner, triangle):
     owner, x, y, z, triangle = (a[clear] for a in (owner, x, y, z, triangle))
     to_camera, to_point = (kernels.minus(tuple(c[owner] for c in end), (x, y, z)) for end in (camera, point))
     length = np.sqrt(kernels.dot(to_camera, to_camera)) + surface.n_water * np.sqrt(kernels.dot(to_point, to_point))
-    # Sorted by point and place, paths that two triangles share stand side by side; a triangle goes before an edge.
+    # Sorted by point and place, paths that two triangles share are adjacent; a triangle precedes an edge.
     order = np.lexsort((-triangle, np.round(y / _SAME), np.round(x / _SAME), owner))
     owner, x, y, z, triangle, length = (a[order] for a in (owner, x, y, z, triangle, length))
     again = (np.diff(owner) == 0) & (np.hypot(np.diff(x), np.diff(y)) < _SAME)

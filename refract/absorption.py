@@ -40,7 +40,7 @@ def absorption(wavelength_nm) -> np.ndarray:
     Raises
     ------
     ValueError
-        Outside the table: there is no value to go on from.
+        Outside the table: it is not extrapolated.
 
     Examples
     --------

@@ -11,7 +11,7 @@ from refract.paths import BentPaths, trace
 from refract.projection import EXACT_STEPS, crossing_point
 from refract.surfaces import WaterSurface
 
-# Poses in files carry six to nine digits; a matrix worse than this is not a rotation but a mistake.
+# Poses in files carry six to nine digits; a matrix with a larger deviation is a mistake, not a rotation.
 _ROTATION_TOLERANCE = 1e-5
 
 # 0.29 of 100 px is 29 px, although the product rounds to 28.999999999999996.

@@ -27,7 +27,7 @@ from refract.surfaces import WaterSurface
 
 # Newton's last step, as part of the camera's distance: squared, it is far below the rounding.
 _SETTLED = 1e-11
-# Newton's steps on a convex length take four or five; what needs more goes to the full search.
+# Newton's steps on a convex length take four or five; harder cases go to the full search.
 _MOST_STEPS = 10
 # A path is left without gradient where the determinant of its curvature falls below this part of the squared norm:
 # it lies on a caustic, where the crossing moves infinitely fast. Grazing rays, too: 89.9 deg has 3e-6.
@@ -35,7 +35,7 @@ _FIRM = 1e-9
 
 
 class Relief(WaterSurface, Protocol):
-    """What this module asks of a smooth surface, beside what `WaterSurface` has."""
+    """A smooth surface: what this module requires beyond `WaterSurface`."""
 
     def derivatives(self, x, y) -> tuple:
         """Height and derivatives (f, f_x, f_y, f_xx, f_xy, f_yy); also of an `Interval`."""

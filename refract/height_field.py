@@ -79,7 +79,7 @@ class HeightFieldWater:
         Parameters
         ----------
         x : (columns,) [m], y : (rows,) [m], local
-            Of the nodes; each rises or falls all the way.
+            Of the nodes; each is strictly monotonic.
         heights : (rows, columns) [m]
             At the nodes, not of cells; NaN where there is no water.
 

@@ -22,7 +22,7 @@ GRAZING = 1e-12
 # `air_share` begins, and an atom is 1e5 times larger.
 CONTACT = 1e-15
 
-# The smallest positive number that may stand under a fraction of lengths [m]: 1e-30 times 1e8 still is a float32.
+# The smallest positive denominator in a fraction of lengths [m]: 1e-30 times 1e8 is still a float32.
 _NOTHING = 1e-30
 
 
@@ -116,7 +116,7 @@ def air_share(D_squared, H, h, n, steps, like=None):
     that in water, and the two legs together cover D. The left side rises and is concave. `_start` and ``steps``
     steps of Halley find the root; four reach the last bits of float64 for any H, h and D (docs/optics.md).
 
-    With an array ``like`` in float32 and the others in float64, only what is left of the equation is computed in
+    With an array ``like`` in float32 and the others in float64, only the residual of the equation is computed in
     float64, and that only in the last step, which triples the digits of float32: three steps are enough.
 
     Only ``D^2`` enters, so all is smooth where the camera is straight above. The gradient is that of the implicit
@@ -172,7 +172,7 @@ def _square(u, a, b_squared, h):
 
 
 def _left(u, r, a, b_squared, h):
-    """What is left of the equation at ``u``, where ``r = 1 / S``."""
+    """Residual of the equation at ``u``, where ``r = 1 / S``."""
     return namespace(u).fma(u, h * r, u - 1.0)
 
 
@@ -203,7 +203,7 @@ def crossing_of_point(camera, point, plane_point, normal, n, steps, like=None):
     depth = -dot(to_point, normal)
     H = dot(to_camera, normal) + depth * 0.0
     straight = (depth <= 0.0) | (H <= CONTACT)
-    # Foot points of camera and bed point on the plane, and the way between them.
+    # Foot points of camera and bed point on the plane, and the vector between them.
     way = minus(along(to_camera, normal, -H), along(to_point, normal, depth))
     # Straight rays get harmless numbers, so that neither their values nor their gradients can be NaN.
     share = air_share(
@@ -215,7 +215,7 @@ def crossing_of_point(camera, point, plane_point, normal, n, steps, like=None):
 
 
 def at_height(origin, direction, height, plane_point, normal, n):
-    """Where a path from ``origin`` stands ``height`` over the plane, below it behind the bend; NaN where it never does.
+    """Where a path from ``origin`` reaches ``height`` over the plane, below it after the bend; NaN where it never does.
 
     In closed form, the direction of any length: along the plane the path runs ``|d_t| / d_n`` per metre of height
     in air, and ``eta |d_t| / sqrt((1 - eta^2) |d|^2 + eta^2 d_n^2)`` in water, ``eta = 1 / n``. So both legs meet at

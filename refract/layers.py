@@ -161,7 +161,7 @@ class ParallelLayers:
         down = kernels.dot(across, self.normal)
         along = tuple(a - down * m for a, m in zip(across, self.normal, strict=True))
         slope = self._tangent(kernels.dot(along, along), (H, *self.thicknesses, rest))
-        # The first leg falls H and runs `slope` of the way along the layers per metre of it.
+        # The first leg descends H and advances `slope` along the layers per metre of descent.
         leg = tuple(slope * a - m for a, m in zip(along, self.normal, strict=True))
         length = xp.sqrt(kernels.dot(leg, leg))
         return stack(*(xp.where(seen, c / length, math.nan) for c in leg))

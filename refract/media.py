@@ -1,7 +1,7 @@
 """Refractive index of water, from wavelength, temperature and salinity.
 
 All arguments may be plain numbers or arrays of one library (numpy, torch, Dr.Jit), which broadcast against each
-other; results are differentiable in all of them. Arrays are looked at to check their ranges, so Dr.Jit evaluates
+other; results are differentiable in all of them. The ranges of arrays are checked, so Dr.Jit evaluates
 them. NaN gives NaN.
 
 An index *relative to air* is what Snell's law at the water surface takes, with 1 for the air above. An *absolute*
@@ -48,7 +48,7 @@ def water_index(wavelength_nm, temperature_c, salinity_psu):
     Raises
     ------
     ValueError
-        For what cannot be: a wavelength or salinity that is not positive, ice, steam.
+        For impossible values: a wavelength or salinity that is not positive, ice, steam.
 
     Warns
     -----

@@ -77,11 +77,11 @@ class BentPaths:
         return stack(*kernels.chosen(valid, points, math.nan))
 
     def at_height(self, height, water: FlatWater | None):
-        """Points (..., 3) [m] where the paths stand ``height`` (...) [m] above the water plane.
+        """Points (..., 3) [m] where the paths are ``height`` (...) [m] above the water plane.
 
         Heights are measured along the normal of the plane and negative below it. Both legs meet at height
         zero, so a hypothesis in height passes the shoreline without a step. Without water, ``height`` counts
-        from local z = 0. NaN where the path never stands at that height: it lies behind the camera, or the
+        from local z = 0. NaN where the path never reaches that height: it lies behind the camera, or the
         ray runs along the surface.
 
         Raises
@@ -117,7 +117,7 @@ def trace(origin, direction, surface: WaterSurface | None) -> BentPaths:
     BentPaths
         A ray that never meets the water (it looks up, or runs along the surface) is straight and not wet, and
         only its crossing is NaN. A camera on or below the surface looks straight through the water; it counts
-        as wet, with a crossing at the camera. Nothing raises for a single ray; `BentPaths.counts` tells.
+        as wet, with a crossing at the camera. A single bad ray never raises; `BentPaths.counts` reports it.
 
     Raises
     ------

@@ -91,7 +91,7 @@ def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_
     -------
     Projection
         Rays to points above the water, from a camera on or below it, and without water are straight. A point that
-        is NaN, or lies in the camera, has a direction of NaN. Nothing raises for a single ray; `counts` tells.
+        is NaN, or lies in the camera, has a direction of NaN. A single bad ray never raises; `counts` reports it.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What became of a ray: a code per ray, so that none that has no answer goes uncounted."""
+"""Status code per ray; every failed ray is counted."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ def bend(ray, normal, *, n_from, n_to):
         NaN where the ray is totally reflected (only possible if ``n_from > n_to``), runs along the surface or
         comes from the other side; gradients of such rays are zero, not NaN. So are those of rays that come out
         within 0.007 degrees of the surface (float64; 1.1 degrees in float32), where the derivative diverges;
-        `bend_regime` tells them apart.
+        `bend_regime` distinguishes them.
 
     Raises
     ------

@@ -40,7 +40,7 @@ class WaterSurface(Protocol):
     def intersect(self, origin, direction):
         """Distance along rays (unit directions) to their first meeting with the surface from above.
 
-        Finite and at least zero; NaN where a ray never meets it. Rays that start below are not asked about.
+        Finite and at least zero; NaN where a ray never meets it. Rays that start below are never passed.
         """
 
     def crossing(self, camera, point, steps: int) -> tuple[tuple[Any, Any, Any], Any, Any]:

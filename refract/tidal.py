@@ -26,7 +26,7 @@ class TidalWater:
     levels : (readings,) [m], local
         Height z of the water at x, y of `point`.
     point : (2,) [m], local
-        Where the gauge level holds; matters only with slopes.
+        Place of the gauge; matters only with slopes.
     n_water, slope_x, slope_y :
         As for `FlatWater`.
 

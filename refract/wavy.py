@@ -16,11 +16,11 @@ from refract.surfaces import _number, _plain
 # Steps along a ray to its first meeting with the waves: 4 to 8 for most; at 89.9 deg to the vertical over waves of
 # slope 0.3 some 40, and 130 at worst. A ray that needs this many runs along the surface.
 _MOST_STEPS = 10_000
-# Steps between two looks at which rays are still under way.
+# Steps between checks for rays that have not arrived.
 _ROUND = 4
 # A step below this part of the distance has reached its rounding.
 _TINY = 4 * float(np.finfo(np.float64).eps)
-# A leg that has this part of its length to go has arrived: roots are good to about 1e-14 of it, near tangency 1e-8.
+# A leg has arrived if this part of its length remains: roots are accurate to about 1e-14 of it, near tangency 1e-8.
 _ARRIVED = 1e-7
 # A ray that falls less than this per metre against the water where it meets it gets no gradient.
 _GRAZING = 1e-9

@@ -1,4 +1,4 @@
-"""What can be wrong with a survey; each message says what was found, what was expected and the mend."""
+"""Errors of a survey; each message says what was found, what was expected and how to fix it."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ FILE_NAME = "survey.toml"
 
 
 class SurveyError(ValueError):
-    """The survey, or what was asked of it, cannot be used as it is; the command line ends with code 2."""
+    """The survey or the options cannot be used as they are; the command line exits with code 2."""
 
 
 class ConfigError(SurveyError):
-    """A key of survey.toml is missing, unknown, of the wrong kind or at odds with another one."""
+    """A key of survey.toml is missing, unknown, of the wrong kind or contradicts another one."""
 
 
 class PosesError(SurveyError):
@@ -23,4 +23,4 @@ class ImageError(SurveyError):
 
 
 class OutputError(SurveyError):
-    """A result must not, or cannot, be written where it was asked for."""
+    """A result must not, or cannot, be written to the requested place."""

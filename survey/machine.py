@@ -23,7 +23,7 @@ def memory_bytes() -> int:
 
 
 def free_memory_bytes() -> int:
-    """Memory that can be had without swapping; all of it where the system does not tell."""
+    """Memory available without swapping; all of it if the system does not report this."""
     try:
         for line in _MEMINFO.read_text(encoding="ascii").splitlines():
             if line.startswith("MemAvailable:"):

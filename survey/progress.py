@@ -23,14 +23,15 @@ from rich.text import Text
 
 # Seconds between plain lines of one stage, where there is no terminal.
 _LINE_EVERY_S = 20.0
-# The time left is shown once this share of a stage is done and this time [s] has passed: before, the pace is not known.
+# The time left is shown once this share of a stage is done and this time [s] has passed; before that the rate
+# is too uncertain.
 _LEAST_SHARE, _LEAST_S = 0.05, 5.0
 
 _CURRENT: ContextVar[Progress] = ContextVar("progress")
 
 
 def current() -> Progress:
-    """The progress of the running command; one that shows only warnings where nobody opened any."""
+    """The progress of the running command; one that shows only warnings if none was opened."""
     return _CURRENT.get(None) or Progress(verbosity=-1)
 
 
@@ -46,7 +47,7 @@ def opened() -> Iterator[Progress]:
 
 
 class Step:
-    """A part of a run while it lasts; whoever does the work tells it how far it is."""
+    """A part of a run while it lasts; whoever does the work reports progress to it."""
 
     def __init__(self, progress: Progress, name: str, total: float | None):
         self.name, self.total, self.done = name, total, 0.0
@@ -103,7 +104,7 @@ class _TimeLeft(ProgressColumn):
 
 
 class Progress:
-    """Where a run says what it does.
+    """Where a run reports what it does.
 
     Parameters
     ----------
@@ -111,7 +112,7 @@ class Progress:
         -2 nothing, -1 only warnings, 0 stages and notes, 1 also details.
     log_path : Path, optional
         Gets every line, details and times included, whatever the verbosity. Appended to, so that the log of a
-        run that went on after an interruption is complete.
+        resumed run is complete.
     stream : text file, optional
         Default: standard error, so that results on standard output can be piped.
     """
@@ -159,7 +160,7 @@ class Progress:
         self._line(text)
 
     def detail(self, text: str) -> None:
-        """A line for the log, and for those who ask for details."""
+        """A line for the log, shown with ``-v`` only."""
         self._line(text, at_verbosity=1)
 
     def warn(self, text: str) -> None:
@@ -173,7 +174,7 @@ class Progress:
     def close(self) -> None:
         """Close the log."""
         if self._log is not None:
-            # What a full disk did not take was already an error when its line was written.
+            # A full disk has already raised an error when the line was written.
             with suppress(OSError):
                 self._log.close()
             self._log = None
@@ -194,7 +195,7 @@ class Progress:
             except BrokenPipeError:
                 raise
             except OSError:
-                # A full device behind standard error loses lines that nobody reads; the run and its log go on.
+                # If standard error cannot be written, progress lines are dropped; the run and its log go on.
                 self._console.quiet = True
         if self._log is not None:
             self._log.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")

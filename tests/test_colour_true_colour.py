@@ -97,7 +97,7 @@ def test_a_dry_survey_has_no_absorption():
 def test_absorption_is_not_told_by_views_that_look_down_nor_by_a_single_one():
     bed = PlaneBed(WATER, -2.0)
     down = [look((0.1 * i, 0.1 * i, 10.0), (0.1 * i, 0.1 * i, -2.0)) for i in range(1, 4)]
-    with pytest.raises(ValueError, match=r"too similar ways of water to tell it: the error is \d"):
+    with pytest.raises(ValueError, match=r"too similar to estimate absorption: its error is \d"):
         estimate_absorption(plane_sources(bed, down))
-    with pytest.raises(ValueError, match="hardly any bed under water is seen by several views"):
+    with pytest.raises(ValueError, match="too little of the bed under water is seen by several views"):
         estimate_absorption(plane_sources(bed, down[:1]))

@@ -66,7 +66,7 @@ BAD_INPUT = {
     "no survey.toml": (remove_toml, ["no survey.toml", "GPS position", 'crs = "EPSG']),
     "unknown key": (spoil_toml(("level_m", "levl_m")), ["survey.toml", "unknown key levl_m", "[water] level_m"]),
     "no images": (remove_images, ["no images in", "images"]),
-    "truncated JPEG": (cut_image, ["0003.jpg", "damaged or cut off", "copy it anew"]),
+    "truncated JPEG": (cut_image, ["0003.jpg", "damaged or cut off", "copy it again"]),
     "wrong image size": (
         lambda folder: write_image(folder / "images" / "0002.jpg", size=(60, 48)),
         ["0002.jpg has 60 x 48 pixels, expected 64 x 48", "use the images that the poses were made from"],
@@ -325,13 +325,17 @@ def raising(error):
     [
         (SurveyError("a survey is wrong; mend it"), 2, "a survey is wrong; mend it"),
         (EmptyCloud("cloud.las has no points"), 2, "cloud.las has no points"),
-        (OSError(errno.ENOSPC, "No space left on device"), 2, "cannot write run: no room is left on the disk"),
-        (OSError(errno.ENOSPC, "No space left", "run/a.npy"), 2, "cannot write run/a.npy: no room is left on the disk"),
-        (RuntimeError("database or disk is full"), 2, "cannot write run: no room is left on the disk"),
+        (OSError(errno.ENOSPC, "No space left on device"), 2, "cannot write run: no space is left on the disk"),
+        (
+            OSError(errno.ENOSPC, "No space left", "run/a.npy"),
+            2,
+            "cannot write run/a.npy: no space is left on the disk",
+        ),
+        (RuntimeError("database or disk is full"), 2, "cannot write run: no space is left on the disk"),
         (PermissionError(errno.EACCES, "Permission denied", "run/log"), 2, "cannot use run/log: permission is denied"),
         (FileNotFoundError(errno.ENOENT, "No such file", "r.ply"), 2, "cannot use r.ply: it does not exist"),
         (OSError(errno.EIO, "Input/output error"), 2, "the disk reports a fault"),
-        (MemoryError(), 2, "memory ran out; take --quality draft"),
+        (MemoryError(), 2, "memory ran out; use --quality draft"),
         (
             RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 8 bytes"),
             2,
@@ -341,13 +345,17 @@ def raising(error):
         (RuntimeError("OpenCV(4.9) (-4:Insufficient memory) Failed to allocate 8 bytes"), 2, "memory ran out"),
         (RuntimeError("bad allocation"), 2, "memory ran out"),
         (ImportError("libtorch_cpu.so: failed to map segment from shared object"), 2, "memory ran out"),
-        (ImportError("x.so: failed to map segment from shared object: Operation not permitted"), 1, "a fault of"),
+        (ImportError("x.so: failed to map segment from shared object: Operation not permitted"), 1, "a bug in"),
         (OSError(errno.ENOMEM, "Cannot allocate memory", "torch"), 2, "memory ran out"),
         (caused_by(GeoError("c.las is damaged"), MemoryError()), 2, "memory ran out"),
-        (caused_by(ImportError("numpy failed"), KeyboardInterrupt()), 130, "stopped; what was finished is kept"),
-        (KeyboardInterrupt(), 130, "stopped; what was finished is kept"),
-        (RuntimeError("no such tile"), 1, "RuntimeError: no such tile; a fault of bathynerf, -v shows where"),
-        (OSError(errno.EINVAL, "Invalid argument"), 1, "OSError: [Errno 22] Invalid argument; a fault of bathynerf"),
+        (caused_by(ImportError("numpy failed"), KeyboardInterrupt()), 130, "stopped; finished work is kept"),
+        (KeyboardInterrupt(), 130, "stopped; finished work is kept"),
+        (RuntimeError("no such tile"), 1, "RuntimeError: no such tile; this is a bug in bathynerf, -v shows where"),
+        (
+            OSError(errno.EINVAL, "Invalid argument"),
+            1,
+            "OSError: [Errno 22] Invalid argument; this is a bug in bathynerf",
+        ),
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else None,
 )
@@ -397,7 +405,7 @@ def test_a_full_disk_under_the_log_does_not_hide_the_error(monkeypatch):
     fake_module(monkeypatch, "survey.run.process", process=process)
     result = bathynerf("process", "s", "-o", "run", "-q")
     assert result.exit_code == 2
-    assert result.stderr == ("error: cannot write run: no room is left on the disk; free some or write elsewhere\n")
+    assert result.stderr == ("error: cannot write run: no space is left on the disk; free some or write elsewhere\n")
 
 
 def test_stages_are_plain_lines_with_the_time_left_where_there_is_no_terminal(monkeypatch, tmp_path):
@@ -476,7 +484,7 @@ def test_a_full_device_behind_standard_output_is_said_in_one_sentence(tmp_path, 
     with Path("/dev/full").open("w") as full:
         result = console(*(word.format(survey=folder) for word in arguments), stdout=full)
     assert result.stderr == (
-        "error: cannot write standard output: no room is left on the disk; free some or write elsewhere\n"
+        "error: cannot write standard output: no space is left on the disk; free some or write elsewhere\n"
     )
     assert result.returncode == BAD_INPUT_CODE
 

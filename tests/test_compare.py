@@ -113,7 +113,7 @@ def test_without_any_crs_coordinates_are_metres_and_the_notes_say_so(tmp_path, p
     write_ply(tmp_path / "cloud.ply", points, rgb=np.zeros(points.shape, np.uint8), scalars={})
     numbers = compared(tmp_path / "cloud.ply", plane)
     assert numbers["crs"] is None
-    assert "neither cloud.ply nor reference.ply says its CRS" in numbers["notes"][0]
+    assert "neither cloud.ply nor reference.ply has a CRS" in numbers["notes"][0]
     # A level square of 10 m bends by (5 m)² / 2 R = 2 µm.
     assert numbers["mean_m"] == pytest.approx(0.1, abs=5e-6)
 

@@ -77,7 +77,7 @@ def test_each_device_has_its_inner_loops_and_says_why_it_was_chosen():
         assert scoring(device).__name__ == f"fields.sweep.scoring_{library}"
         assert (device.module is None) == (device.name == "torch")
         assert device.reason
-    assert choose_device("torch") == Device("torch", None, "torch was asked for", choose_device("torch").place)
+    assert choose_device("torch") == Device("torch", None, "torch was requested", choose_device("torch").place)
 
 
 def test_torch_sweeps_without_dr_jit():
@@ -87,7 +87,7 @@ def test_torch_sweeps_without_dr_jit():
 def test_without_llvm_the_cpu_falls_back_on_torch_and_names_the_library_it_was_given():
     lines = run(NO_LLVM, DRJIT_LIBLLVM_PATH="/nowhere/libLLVM.so", CUDA_VISIBLE_DEVICES="").splitlines()
     assert [line.split("|")[0] for line in lines] == ["torch", "torch"]
-    assert all("/nowhere/libLLVM.so is no LLVM 17 or newer" in line and "slower" in line for line in lines)
+    assert all("/nowhere/libLLVM.so is not LLVM 17 or newer" in line and "slower" in line for line in lines)
 
 
 def test_an_old_llvm_that_would_end_the_process_is_not_used():
@@ -96,4 +96,4 @@ def test_an_old_llvm_that_would_end_the_process_is_not_used():
         pytest.skip("this machine has no LLVM 14 to 16")
     lines = run(NO_LLVM, DRJIT_LIBLLVM_PATH=str(old[-1]), CUDA_VISIBLE_DEVICES="").splitlines()
     assert [line.split("|")[0] for line in lines] == ["torch", "torch"]
-    assert all(f"{old[-1]} is no LLVM 17 or newer" in line for line in lines)
+    assert all(f"{old[-1]} is not LLVM 17 or newer" in line for line in lines)

@@ -115,9 +115,9 @@ def test_what_may_not_be_written_to_is_refused(tmp_path):
         require_json(tmp_path / "n.json", ReadFiles())
     tmp_path.chmod(0o500)
     try:
-        with pytest.raises(OutputError, match="must not be written to"):
+        with pytest.raises(OutputError, match="is not writable"):
             require_json(tmp_path / "new.json", ReadFiles())
-        with pytest.raises(OutputError, match="must not be written to"):
+        with pytest.raises(OutputError, match="is not writable"):
             require_folder("-o", tmp_path / "new" / "run", ReadFiles())
     finally:
         tmp_path.chmod(0o700)

@@ -180,7 +180,7 @@ def test_fewer_than_three_views_whose_names_fit_are_asked_to_become_more(tmp_pat
     ("pairs", "kind", "words"),
     [
         ([(CRS, "EPSG:25832")], MissingVerticalDatum, "has no vertical part; add a vertical CRS"),
-        ([(CRS, "EPSG:9999999")], GeoError, "no known coordinate reference system"),
+        ([(CRS, "EPSG:9999999")], GeoError, "not a known coordinate reference system"),
         ([(f'crs = "{CRS}"', "")], ConfigError, "survey.toml: crs is missing; give the one of poses and heights"),
         ([(f"{LEVEL}", "2605.0")], ConfigError, "the cameras are at 2125.0 to 2125.0 m, all of them under the water"),
         ([(f"{LEVEL}", "1605.0")], ConfigError, "all of them more than 300 m over the water; give level_m"),
@@ -287,7 +287,7 @@ def test_local_poses_need_an_origin_and_take_their_frame_from_it(tmp_path):
     centres = [view.camera.centre for view in survey.views]
     assert centres == pytest.approx(np.array([[3.0 * i, 0.0, 20.0] for i in range(4)]), abs=1e-12)
     assert survey.views[0].lens.model == "SIMPLE_RADIAL"
-    assert survey.warnings == (f"focal_px = 100 in survey.toml is not used: {model} carries its own, 120.0 px",)
+    assert survey.warnings == (f"focal_px = 100 in survey.toml is not used: {model} has its own, 120.0 px",)
 
 
 @pytest.mark.parametrize(
@@ -335,13 +335,13 @@ def test_poses_far_from_the_positions_in_exif_are_doubted(tmp_path):
     assert warning.startswith("the poses lie 100 m (median) from the GPS positions in EXIF; check crs")
 
 
-def test_an_image_that_exif_asks_to_turn_is_said_to_be_used_as_stored(tmp_path):
+def test_an_image_that_exif_marks_as_rotated_is_reported_as_used_as_stored(tmp_path):
     folder = small_survey(tmp_path / "s")
     write_image(folder / "images" / "0001.jpg", Orientation=6)
-    assert load_survey(folder).warnings[0].startswith("EXIF asks to turn 1 of 4 images; they are used as stored")
+    assert load_survey(folder).warnings[0].startswith("EXIF marks 1 of 4 images as rotated; pixels are used as stored")
     (folder / "survey.toml").write_text(replaced(("[64, 48]", "[48, 64]"), ("[32.0, 24.0]", "[24.0, 32.0]")))
     write_image(folder / "images" / "0000.jpg", Orientation=6)
-    with pytest.raises(ImageError, match=r"EXIF asks to turn it, which is not done here"):
+    with pytest.raises(ImageError, match=r"EXIF marks it as rotated, which is ignored here"):
         load_survey(folder)
 
 

@@ -99,7 +99,7 @@ def test_a_gauge_that_does_not_cover_the_flight_is_refused(tmp_path):
 
 def test_images_without_a_time_are_refused(tmp_path):
     write_gauge(tmp_path, "2024-06-01T10:00:00Z,1.0", "2024-06-01T10:15:00Z,1.1")
-    with pytest.raises(ConfigError, match="no image says when it was taken"):
+    with pytest.raises(ConfigError, match="no image has its time of exposure"):
         with_level(tmp_path, gauge_config(), {"a.jpg": HEAD}, [])
 
 
@@ -108,7 +108,7 @@ def test_images_without_a_time_are_refused(tmp_path):
     [
         (["2024-06-01T10:00:00,1.0", "2024-06-01T11:00:00,1.0"], "no time zone"),
         (["2024-06-01T11:00:00Z,1.0", "2024-06-01T10:00:00Z,1.0"], "sort them"),
-        (["ten,1.0", "eleven,1.0"], "is no time"),
+        (["ten,1.0", "eleven,1.0"], "is not a time"),
         (["2024-06-01T10:00:00Z,high", "2024-06-01T11:00:00Z,1.0"], "finite number"),
         (["2024-06-01T10:00:00Z"], "1 values were found, expected 2"),
     ],

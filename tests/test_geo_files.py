@@ -41,7 +41,7 @@ def test_an_error_of_the_writer_passes_and_leaves_the_old_file(tmp_path):
 @pytest.mark.parametrize(
     ("number", "words"),
     [
-        (errno.ENOSPC, "no room is left on the disk"),
+        (errno.ENOSPC, "no space is left on the disk"),
         (errno.EDQUOT, "quota"),
         (errno.EROFS, "read-only"),
         (errno.EIO, "the disk reports a fault"),
@@ -90,7 +90,7 @@ def test_a_library_that_hides_the_number_of_the_error_is_seen_through_where_the_
     with pytest.raises(UnwritableFile, match="262144 requested"):
         write()
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=0))
-    with pytest.raises(UnwritableFile, match="no room is left on the disk"):
+    with pytest.raises(UnwritableFile, match="no space is left on the disk"):
         write()
 
 

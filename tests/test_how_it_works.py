@@ -50,7 +50,7 @@ def water(frame) -> FlatWater:
 
 
 def test_the_camera_stands_where_the_page_says(frame, camera):
-    assert told("example goes the pixel") == pytest.approx(PIXEL)
+    assert told("example is the pixel") == pytest.approx(PIXEL)
     np.testing.assert_allclose(frame.crs_from_local(camera.centre), told("The centre of `0009.jpg` at"), atol=1e-6)
     np.testing.assert_allclose(camera.centre, told("becomes"), atol=1e-5)
 
@@ -59,7 +59,7 @@ def test_the_path_bends_as_the_page_says(camera, water):
     path = camera.paths(np.array(PIXEL), water)
     np.testing.assert_allclose(path.air_direction, told("made a unit vector:"), atol=1e-6)
     np.testing.assert_allclose(path.crossing, told("it meets the water at"), atol=1e-5)
-    np.testing.assert_allclose(path.water_direction, told("the ray goes on along"), atol=1e-6)
+    np.testing.assert_allclose(path.water_direction, told("the ray continues along"), atol=1e-6)
     assert f"After {path.air_length:.5f} m it meets" in TEXT
     for direction in (path.air_direction, path.water_direction):
         angle = math.degrees(math.acos(-direction @ np.array(water.up)))

@@ -200,8 +200,8 @@ def test_an_unsupported_model_in_a_binary_file_is_refused_by_name(tmp_path):
         ("1 1 0 0 0 0 0 0 9 a.jpg\n\n", "image a.jpg has the camera 9, which cameras.txt does not have"),
         ("1 1 0 0 0 0 0 0 1 a.jpg\n\n2 1 0 0 0 0 0 0 1 a.jpg\n\n", "image a.jpg has a second pose"),
         ("1 1 0 0 0 0 0 0 1 a.jpg\n2 1 0 0 0 0 0 0 1 b.jpg\n", "the line after image a.jpg is no list of points"),
-        ("1 1 0 0 0 zero 0 0 1 a.jpg\n\n", "images.txt is damaged or no file of COLMAP"),
-        ("1 1 0 0\n\n", "images.txt is damaged or no file of COLMAP"),
+        ("1 1 0 0 0 zero 0 0 1 a.jpg\n\n", "images.txt is damaged or not a COLMAP file"),
+        ("1 1 0 0\n\n", "images.txt is damaged or not a COLMAP file"),
     ],
 )
 def test_a_spoilt_model_is_refused_with_the_file_and_the_image(tmp_path, images, words):
@@ -265,7 +265,7 @@ def test_poses_are_found_beside_the_images_and_other_formats_are_named(tmp_path)
     assert find_poses(tmp_path) == [tmp_path / "poses.csv", tmp_path / "sparse"]
     (tmp_path / "transforms.json").write_text("{}")
     assert find_unread(tmp_path) == ["transforms.json"]
-    with pytest.raises(PosesError, match="is no poses file that is known here"):
+    with pytest.raises(PosesError, match="is not a known kind of poses file"):
         read_poses(tmp_path / "transforms.json")
 
 

@@ -147,7 +147,7 @@ def test_a_photograph_that_is_cut_off_is_refused_by_name(tmp_path):
     path.write_bytes(data[:-2])
     require_complete(path)
     path.write_bytes(data[: len(data) // 2])
-    with pytest.raises(ImageError, match=r"a\.jpg is damaged or cut off .* copy it anew"):
+    with pytest.raises(ImageError, match=r"a\.jpg is damaged or cut off .* copy it again"):
         require_complete(path)
     with pytest.raises(ImageError, match=r"a\.jpg is damaged or cut off"):
         load_image(view_of(path, Lens("PINHOLE", (100.0, 100.0, 32.0, 24.0), 64, 48)))

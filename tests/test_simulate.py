@@ -171,11 +171,11 @@ def test_a_flight_is_not_planned_over_the_cameras_of_a_survey(survey, tmp_path):
     simulate_flight(path, tmp_path / "plan")
     simulate_flight(path, tmp_path / "plan")
     before = (survey / "cameras.csv").read_bytes()
-    with pytest.raises(OutputError, match=r"has images and is no flight made by --flight-only; name a new or empty"):
+    with pytest.raises(OutputError, match=r"has images and is not a flight of --flight-only; name a new or empty"):
         simulate_flight(path, survey)
     assert (survey / "cameras.csv").read_bytes() == before
     (tmp_path / "plan" / "flight.png").unlink()
-    with pytest.raises(OutputError, match=r"has cameras\.csv and is no flight"):
+    with pytest.raises(OutputError, match=r"has cameras\.csv and is not a flight"):
         simulate_flight(path, tmp_path / "plan")
 
 

@@ -211,13 +211,13 @@ def refused_depths(folder, depth):
     cv2.imwrite(str(folder / "coarse.png"), depth.astype(np.uint8))
     yield "coarse.png", "256 steps"
     np.save(folder / "even.npy", np.full((8, 6), 3.0))
-    yield "even.npy", "tells no depths apart"
+    yield "even.npy", "is constant"
     np.save(folder / "empty.npy", np.full((8, 6), np.nan))
-    yield "empty.npy", "tells no depths apart"
+    yield "empty.npy", "is constant"
     np.save(folder / "words.npy", np.full((8, 6), "deep"))
     yield "words.npy", "expected real numbers"
     (folder / "broken.npy").write_bytes(b"nothing")
-    yield "broken.npy", "no array that numpy can read"
+    yield "broken.npy", "not an array that numpy can read"
     (folder / "broken.tif").write_bytes(b"nothing")
     yield "broken.tif", "not an image that can be read"
     yield "missing.png", "does not exist"

@@ -195,7 +195,7 @@ def test_the_default_networks_have_the_sizes_of_the_paper():
     [
         ({"start": "cube"}, "start is 'cube', expected 'sphere' or 'plane'"),
         ({"skip": 8}, "skip is 8, expected a layer from 1 to 7, or None"),
-        ({"width": 39}, "width is 39, but at the skip 39 of it are the encoded position"),
+        ({"width": 39}, "width is 39, but at the skip 39 of it hold the encoded position"),
     ],
 )
 def test_settings_that_cannot_be_built_are_refused(change, message):

@@ -74,7 +74,7 @@ def vsi(reference: np.ndarray, image: np.ndarray) -> float:
 
 
 def _saliency(image: np.ndarray) -> np.ndarray:
-    """Saliency (H, W), 0 to 1: what stands out by its band of frequencies, lies central, and has colour.
+    """Saliency (H, W), 0 to 1: by a band of frequencies, distance from the centre, and colour.
 
     L. Zhang, Z. Gu, H. Li, SDSP: a novel saliency detection method by combining simple priors, ICIP (2013).
     """

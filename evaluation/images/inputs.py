@@ -32,7 +32,7 @@ def largest_rectangle(mask: np.ndarray) -> tuple[slice, slice]:
     Notes
     -----
     Row by row, the columns of true pixels that end there are the bars of a histogram; each bar is extended to both
-    sides as far as none is shorter.
+    sides until a shorter one.
 
     Examples
     --------

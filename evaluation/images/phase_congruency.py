@@ -11,7 +11,7 @@ _SCALES, _ORIENTATIONS = 4, 4
 _SHORTEST_PX, _STEP, _BANDWIDTH = 6.0, 2.0, 0.55
 _ANGLE_SPREAD = math.pi / (_ORIENTATIONS * 1.2)
 _CUTOFF, _ORDER = 0.45, 15
-# Energy below the noise's mean plus this many of its standard deviations is none, and by what that is divided.
+# Energy below the noise's mean plus this many of its standard deviations counts as zero; the divisor of that limit.
 _NOISE_STDS, _NOISE_SHARE = 2.0, 1.7
 
 

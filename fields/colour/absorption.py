@@ -1,10 +1,10 @@
-"""What the water takes of the light, from views that see the same bed along ways of different length.
+"""Absorption of the water, from views that see the same bed along paths of different length.
 
-    seen_i = (1 - R_i) exp(-a w_i) bed + R_i sky        of one patch in view i; w the light's way in water, down and up
+    seen_i = (1 - R_i) exp(-a w_i) bed + R_i sky        of one patch in view i; w the light's path in water, down and up
 
-Means over patches are compared, since single pixels lose contrast where a view is slant and coarse, which looks like
-absorption. The veil is left out: few angles cannot tell it from the colour of the bed, so that `a` is what is lost net
-of it, and too small in turbid water.
+Means over patches are compared, since single pixels lose contrast in oblique, coarse views, which looks like
+absorption. The veil is left out: a few angles cannot separate it from the colour of the bed, so that `a` is the net
+loss, too small in turbid water.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from fields.sweep.sweep import DepthMap
 from fields.water_column import WaterColumn
 from refract import FlatWater, PinholeCamera, fresnel_coefficients
 
-# Patches of so many pixels a side, all together about so many.
+# Side of a patch, and the approximate number of patches in all.
 SIDE_PX, PATCHES = 16, 2000
-# Less water than this takes no light that shows.
+# Shorter paths absorb too little to measure.
 SHALLOWEST_M = 0.1
-# A patch counts where so much of it is trusted, and where so much of that is seen.
+# A patch counts if at least this share of it is trusted, and this share of that is seen.
 TRUSTED_SHARE, SEEN_SHARE = 0.9, 0.95
-# Fewer patches that several views see tell nothing of a survey.
+# Fewer patches that several views see are too few for an estimate.
 FEWEST = 10
-# A point is seen by a view whose own height there differs by less than so many pixels of it.
+# A view sees a point if its own height there differs by less than this many of its pixels.
 SAME_HEIGHT_PX = 3.0
-# Absorption [1/m] is looked for up to this; pure water takes 0.3 of red light, brown water 3 of blue.
+# Upper limit of the search [1/m]; pure water absorbs 0.3 of red light, brown water 3 of blue.
 MOST = 5.0
-# Standard deviation [1/m] of an estimate that is of no use: 3 m down and up, it makes a third of the light.
+# Standard deviation [1/m] of a useless estimate: over 3 m down and up it changes the light by a third.
 USELESS_STD = 0.05
 TRIMS, TRIM_STDS = 4, 3.0
-# Of a derivative by absorption [1/m]: far below what is asked for, far above rounding.
+# Step of the derivative by absorption [1/m]: far below the required accuracy, far above rounding.
 STEP = 1e-4
 
 
@@ -49,9 +49,9 @@ class Sightings:
     ----------
     patch : (N,) int
     below : (N, 3)
-        Mean linear radiance under the surface, without what the surface mirrors.
+        Mean linear radiance under the surface, without the light that the surface reflects.
     way : (N,) [m]
-        Mean way of the light in water, down and up.
+        Mean path of the light in water, down and up.
     """
 
     patch: np.ndarray
@@ -65,7 +65,7 @@ def estimate_absorption(sources: Sources) -> tuple[float, float, float]:
     Raises
     ------
     ValueError
-        If the survey is dry, or too little of the bed is seen along ways that differ enough.
+        If the survey is dry, or too little of the bed is seen along paths of sufficiently different length.
     """
     if sources.water is None:
         raise ValueError("the survey is dry: it has no water that could absorb light")
@@ -76,7 +76,7 @@ def estimate_absorption(sources: Sources) -> tuple[float, float, float]:
     ]
     seen = Sightings(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("patch", "below", "way")))
     if np.count_nonzero(np.bincount(seen.patch) > 1) < FEWEST:
-        raise ValueError("hardly any bed under water is seen by several views")
+        raise ValueError("too little of the bed under water is seen by several views")
     red, green, blue = (_fit(seen.patch, seen.below[:, channel], seen.way) for channel in range(3))
     return red, green, blue
 
@@ -132,7 +132,7 @@ def _sightings(
 
 
 def _fit(patch: np.ndarray, below: np.ndarray, way: np.ndarray) -> float:
-    """Absorption [1/m] of one channel: least squares, each patch with a bed of its own, without outliers."""
+    """Absorption [1/m] of one channel: least squares with a bed radiance per patch, outliers removed."""
     share = np.ones(len(patch))
 
     def misfit(absorption: float) -> np.ndarray:
@@ -145,12 +145,14 @@ def _fit(patch: np.ndarray, below: np.ndarray, way: np.ndarray) -> float:
         std = np.sqrt(np.sum(misfit(found) ** 2) / (max(share.sum(), 1.0) * max(np.sum(change**2), 1e-30)))
         share = (np.abs(residual) <= TRIM_STDS * 1.4826 * np.median(np.abs(residual))) * 1.0
     if not std < USELESS_STD:
-        raise ValueError(f"the views look through too similar ways of water to tell it: the error is {std:.2g} per m")
+        raise ValueError(
+            f"the paths through the water are too similar to estimate absorption: its error is {std:.2g} per m"
+        )
     return found
 
 
 def _without_bed(patch: np.ndarray, below: np.ndarray, kept: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """What sightings (N,) have beyond the bed that fits those of its patch best, which count as ``share`` says."""
+    """Residuals (N,) after a weighted fit of one bed radiance per patch; ``share`` (N,) are the weights."""
     squares = np.bincount(patch, share * kept * kept)
     bed = np.bincount(patch, share * kept * below) / np.maximum(squares, 1e-30)
     return below - kept * bed[patch]

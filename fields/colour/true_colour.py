@@ -1,4 +1,4 @@
-"""The bed's own colours: what photographs show of it, with the water taken away."""
+"""The colours of the bed with the effect of the water removed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from refract import FlatWater, fresnel_coefficients
 def true_colours(bed: BedPoints, water: FlatWater, column: WaterColumn) -> tuple[np.ndarray, float]:
     """Colours (N, 3) uint8 of points as photographs would store them without water, and the share too bright for that.
 
-    Dry points keep theirs. What the water left nothing of is black.
+    Dry points keep theirs. Fully absorbed channels are black.
     """
     depth = torch.as_tensor(np.where(bed.wet, bed.depth, 0.0))
     cos_wet = np.sqrt(1.0 - (np.sin(bed.incidence) / water.n_water) ** 2)

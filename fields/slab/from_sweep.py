@@ -12,7 +12,7 @@ from fields.sweep.sources import Sources
 from fields.sweep.sweep import DepthMap
 from refract import FlatWater, PinholeCamera
 
-# A ray belongs to the slab's bed where the sweep's own height lies this deep inside the slab, in halves of it.
+# A ray is used if the sweep's height lies within this share of the slab's half thickness from its middle.
 INSIDE = 0.7
 
 

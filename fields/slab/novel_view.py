@@ -16,11 +16,11 @@ from fields.threads import half_the_threads
 from refract import FlatWater, PinholeCamera
 
 CHUNK = 65536
-# A ray that falls less than this per metre leaves every survey before it comes down to the bed.
+# A ray that falls less than this per metre leaves the survey before it reaches the bed.
 MIN_FALL = 1e-3
-# Halvings of a march's step of one cell: to a thousandth of it.
+# Bisections of the last step of one cell: to a thousandth of a cell.
 HALVINGS = 10
-# Steps that are taken at once over what lies lower.
+# Steps skipped at once where all of the bed below lies lower.
 STRIDE = 8
 # Unknown cells with known ones on two sides, each this near, are shown.
 GAP_CELLS = 4

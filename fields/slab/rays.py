@@ -19,7 +19,7 @@ MEETING_STEPS = 4
 class Rays:
     """Rays (N) through the slab, torch float32, local frame.
 
-    A path stands at ``foot + z * slope`` at height z over the water plane, with one slope above and one below it.
+    A path is at ``foot + z * slope`` at height z over the water plane, with one slope above and one below it.
 
     Attributes
     ----------

@@ -53,7 +53,7 @@ class FieldSettings:
 class TensorField(nn.Module):
     """Density and colour inside a slab about the bed's proxy.
 
-    Vectors stand along zeta, planes lie in x and y: in the thin slab other directions carry nothing. The raw density
+    Vectors run along zeta, planes lie in x and y: in the thin slab other directions add nothing. The raw density
     moves the bed: signed distance = zeta - half * tanh(raw), with a Laplace law of learned width, so that the middle of
     a ray's weights is the bed and a field of zero the proxy. The bed is matt. (A box of any content, with three
     directions and colours that depend on the view: `fields.volume`.) ``column`` is the water over the bed, None for a

@@ -20,7 +20,7 @@ from fields.water_column import WaterColumn
 
 # Rays are drawn for this many steps at once.
 POOL_STEPS = 64
-# The share of the steps that colours alone learn, with the bed held at its proxy: it would follow colours that are
+# The share of the steps that train colours alone, with the bed fixed at its proxy: it would follow colours that are
 # still wrong. These groups of parameters move it.
 COLOUR_FIRST = 0.3
 MOVE_THE_BED = ("density", "width")
@@ -55,7 +55,7 @@ class Schedule:
 
 @dataclass(frozen=True)
 class FieldFigures:
-    """What is told of the training of a field.
+    """Figures reported about the training of a field.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ def _rates(field: TensorField, schedule: Schedule) -> list[Rates]:
 
 
 def _rate_at(done: float) -> float:
-    """Share of the learning rates at a share of the training: all of it while colours learn alone, then it falls."""
+    """Factor of the learning rates at a share of the training: 1 while colours are trained alone, then it decays."""
     return FINAL_RATE ** max(0.0, (done - COLOUR_FIRST) / (1.0 - COLOUR_FIRST))
 
 

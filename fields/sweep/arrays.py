@@ -34,7 +34,7 @@ def host(device: Device, array) -> np.ndarray:
 
 
 def release(device: Device) -> None:
-    """Give memory that is no longer used back to the system."""
+    """Return unused memory to the system."""
     if device.module is not None:
         import drjit
 

@@ -1,4 +1,4 @@
-"""From height maps to points of the bed: every piece of it once, with what is known of it."""
+"""From height maps to points of the bed: each piece of the bed once, with its attributes."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def has_company(xyz: np.ndarray, gsd: float) -> np.ndarray:
     """Which points (N, 3) [m] are part of a surface: `COMPANY` others lie within `COMPANY_GSD` of them, (N,) bool.
 
     A surface sampled once per GSD (ground sampling distance [m]) has 50 there, one that only very oblique views show
-    about 6; a chance agreement of views stands alone.
+    about 6; a chance agreement of views has no neighbours.
     """
     if len(xyz) <= COMPANY:
         return np.zeros(len(xyz), dtype=bool)

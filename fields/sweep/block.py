@@ -16,7 +16,7 @@ AGREEMENT_PX = 0.7
 
 
 class Overlap:
-    """Which cameras see which places of a level bed, in the local frame: a block as far as it needs no images.
+    """Which cameras see which places of a level bed, in the local frame; needs no images.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class Overlap:
         """Judge overlap at another height [m] over the water plane."""
         plane_z = 0.0
         if self.water is not None:
-            # Under the cameras: the point that the plane is given by may lie far away.
+            # Under the cameras: the reference point of the plane may be far away.
             x, y, _ = np.mean([camera.centre for camera in self.cameras], axis=0)
             plane_z = float(self.water.height(x, y))
         self.seen, self.cells = views.coverage(self.cameras, self.water, plane_z + height)

@@ -9,7 +9,7 @@ from fields.sweep.arrays import floats, host, indices
 from fields.sweep.backends import scoring, warping
 from fields.sweep.stack import ViewStack
 
-# A score below this says nothing: no window was complete (-1), or the windows have no texture (0, but for rounding).
+# A score below this is meaningless: no window was complete (-1), or the windows have no texture (0, but for rounding).
 MATCHED_NCC = 0.05
 
 
@@ -64,9 +64,9 @@ def climb_view(
 
 
 def _filled(height: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Heights where those that are not known are replaced by that of the nearest pixel where it is.
+    """Heights in which unknown ones are replaced by that of the nearest known pixel.
 
-    Left alone, they would stand at the foot of the ladder in all views alike, and seem to agree.
+    Otherwise they would stay at the lowest rung in all views alike, and seem to agree.
     """
     if known.all() or not known.any():
         return height

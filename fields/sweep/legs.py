@@ -2,7 +2,7 @@
 
     camera  a row of `fields.sweep.stack.camera_table`: rotation (9), centre (3), fx, fy, cx, cy, width, height
     legs    nine numbers of a path: its foot on the water plane (3), its slope in air (3) and in water (3), both in
-            metres per metre of height; at height z over the plane the path stands at ``foot + z * slope``
+            metres per metre of height; at height z over the plane the path is at ``foot + z * slope``
     plane   point, normal and index of water, as `ViewStack.plane`
 
 Each of these numbers may be an array of the device; `fields.sweep.warping_drjit` and its twin prepare them.

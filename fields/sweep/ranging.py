@@ -12,7 +12,7 @@ THUMBNAIL_PX = 128
 NUM_VIEWS = 8
 NUM_NEIGHBOURS = 8
 WINDOW_RADIUS = 3
-# A thumbnail pixel counts where half of its neighbours correlate this well and the best height is no end of the ladder.
+# A thumbnail pixel counts where half of its neighbours correlate this well and the best height is not an end rung.
 CONFIDENT_NCC = 0.7
 MIN_PIXELS = 200
 
@@ -23,7 +23,7 @@ def find_range(block: Block, limits: tuple[float, float]) -> tuple[float, float]
     Parameters
     ----------
     limits : (low, high) [m]
-        Heights beyond which nothing is looked for.
+        Range of heights searched.
 
     Returns
     -------
@@ -34,7 +34,7 @@ def find_range(block: Block, limits: tuple[float, float]) -> tuple[float, float]
     Raises
     ------
     ValueError
-        If the images hardly match anywhere.
+        If too few pixels match.
     """
     scale = min(1.0, THUMBNAIL_PX / block.cameras[0].width)
     stack = block.stack(scale)
@@ -49,7 +49,7 @@ def find_range(block: Block, limits: tuple[float, float]) -> tuple[float, float]
         rungs = int(np.ceil((limits[1] - limits[0]) / step)) + 1
         start = np.full((stack.height, stack.width), limits[0], dtype=np.float32)
         z, score, curvature = climb_view(stack, view, others, start, step, rungs, WINDOW_RADIUS)
-        # A chance match stands alone; the bed continues in the pixels around.
+        # A chance match is isolated; the bed continues in the pixels around.
         supported = np.abs(z - cv2.medianBlur(z, 5)) < step
         heights.append(z[(score > CONFIDENT_NCC) & (curvature > 0.0) & supported])
         steps.append(step)

@@ -1,4 +1,4 @@
-"""Photographs with a height map: what the sweep leaves to those that look at colours."""
+"""Photographs with their height maps, as the sweep passes them to the estimation of colours."""
 
 from __future__ import annotations
 

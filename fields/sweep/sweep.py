@@ -99,7 +99,7 @@ def sweep(
     bound : (low, high) [m] over the water plane
         The ladder of the first pass.
     progress : called with the share done, 0 to 1
-        Of the samples (pixels x rungs x views compared with) of all passes, which nearly all of the time goes into.
+        Number of samples (pixels x rungs x compared views) of all passes, which take nearly all of the time.
 
     Returns
     -------

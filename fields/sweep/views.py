@@ -78,7 +78,7 @@ def cover(
 
 
 def _greedy(seen: np.ndarray, chosen: list[int], times: int) -> list[int]:
-    """``chosen`` and the views still needed so that each cell is seen ``times`` times, or as often as it is at all."""
+    """``chosen`` and the views still needed so that each cell is seen ``times`` times, or by all that see it."""
     chosen = list(chosen)
     need = np.minimum(seen.sum(axis=0), times)
     have = seen[chosen].sum(axis=0)

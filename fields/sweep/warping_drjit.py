@@ -1,4 +1,4 @@
-"""Images carried along bent paths, in Dr.Jit: what the neighbours show of the bed at every height that is tried.
+"""Images warped along bent paths, in Dr.Jit: the bed in the neighbours at every height that is tried.
 
 One call takes a strip of rows of a reference view, a height per pixel and a ladder of steps about it. Because the rungs
 are offsets to a *per-pixel* height, the window of each pixel follows the relief found so far.
@@ -6,7 +6,7 @@ are offsets to a *per-pixel* height, the window of each pixel follows the relief
     K neighbours, J rungs, P pixels of the strip (with a halo of the window's radius)
     W  neighbour intensity at (k, j, p): the bed point of pixel p at rung j, seen by neighbour k
 
-`fields.sweep.scoring_drjit` says how well W agrees with the reference. Callers get these functions from
+`fields.sweep.scoring_drjit` scores the agreement of W with the reference. Callers get these functions from
 `fields.sweep.backends.warping`; `fields.sweep.warping_torch` is the twin without Dr.Jit.
 """
 

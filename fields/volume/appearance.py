@@ -1,4 +1,4 @@
-"""A vector for each photograph that tells its exposure and light; it reaches colour, never density.
+"""A vector per photograph for its exposure and light; it affects colour, never density.
 
 In the NeRF of tidal flats (and before it in NeRF in the Wild, Martin-Brualla et al. 2021): [density, z] = MLP1(x),
 colour = MLP2(z, direction, vector). Here MLP1 is the volume's `evaluate` and MLP2 its `radiance`.
@@ -44,7 +44,7 @@ def match_appearance(
     rays: int = 2048,
     seed: int = 0,
 ) -> nn.Embedding:
-    """Vectors of other photographs that make a trained volume look like them; all else stays as it is.
+    """Vectors fitted so that a trained volume matches other photographs; all else is unchanged.
 
     As a submodule of the tidal flats takes on the look of its neighbour: about 100 steps, from the mean of the volume's
     own vectors.

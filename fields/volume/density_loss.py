@@ -1,4 +1,4 @@
-"""The density loss for large scenes, and samples that follow what it measures.
+"""The density loss for large scenes, and sampling that follows it.
 
     a        = 1 - exp(-density l), the opacity of a piece of length l                                            (1)
     L_dens   = mean (exp |l da/dx| - 1) + mean (exp var a - 1)                                                    (2)

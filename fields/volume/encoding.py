@@ -1,4 +1,4 @@
-"""Sines of coordinates, so that a perceptron tells fine detail apart (Mildenhall et al. 2020, section 5.1).
+"""Sines of coordinates, so that a perceptron resolves fine detail (Mildenhall et al. 2020, section 5.1).
 
     gamma_L(p) = (p, sin(2^0 pi p), cos(2^0 pi p), ..., sin(2^(L-1) pi p), cos(2^(L-1) pi p)), p in [-1, 1]      (1)
 

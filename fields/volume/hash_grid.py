@@ -28,7 +28,7 @@ PER_LEVEL = 2
 
 @dataclass(frozen=True)
 class HashSettings:
-    """What a hash grid volume is made of; the defaults are Nerfacto's.
+    """Settings of a hash grid volume; the defaults are Nerfacto's.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What may be added to the squared error of the colours; every term is off unless it is given a weight."""
+"""Optional terms beside the squared error of the colours; each is off unless it has a weight."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def distortion_loss(paths: Paths, rendered: Rendered) -> Tensor:
 def orientation_loss(normals: Tensor, direction: Tensor, opacity: Tensor) -> Tensor:
     """Mean of ``opacity max(0, n . d)^2``: no visible surface faces away (Ref-NeRF, Verbin et al. 2022, equation 11).
 
-    Asked at the median of the weights of each path; the paper asks at every sample.
+    Evaluated at the median of the weights of each path; the paper evaluates every sample.
     """
     return (opacity * (normals * direction).sum(dim=1).clamp(min=0.0) ** 2).mean()
 

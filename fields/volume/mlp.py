@@ -23,7 +23,7 @@ from fields.volume.paths import Box
 
 @dataclass(frozen=True)
 class MlpSettings:
-    """What a perceptron volume is made of.
+    """Settings of a perceptron volume.
 
     Attributes
     ----------
@@ -55,15 +55,15 @@ class MlpSettings:
 
     @staticmethod
     def tiny_nerf(**changes) -> MlpSettings:
-        """Three layers of 128, 6 frequencies, matt; asked at 32 samples a path."""
+        """Three layers of 128, 6 frequencies, matt; evaluated at 32 samples a path."""
         return replace(MlpSettings(3, 128, None, 6, 0), **changes)
 
 
 class MlpVolume(VolumeModel):
     """Density and colour of a perceptron, drawn from torch's generator.
 
-    Density is ``softplus`` per half the shortest wave, ``edge / 2^L`` [m], the finest detail that the encoding tells
-    apart; an untrained box lets about 1/e of the light through along its longest edge.
+    Density is ``softplus`` per half the shortest wave, ``edge / 2^L`` [m], the finest detail that the encoding
+    resolves; an untrained box lets about 1/e of the light through along its longest edge.
 
     Parameters
     ----------

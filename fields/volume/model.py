@@ -37,7 +37,7 @@ class VolumeModel(nn.Module):
 
     @abstractmethod
     def rates(self) -> list[Rates]:
-        """Every parameter once, with its learning rate; asked again after `observe` has said that the model changed."""
+        """Every parameter once, with its learning rate; read again whenever `observe` reports a change of the model."""
 
     def thickness(self, x: Tensor, direction: Tensor, length: Tensor) -> tuple[Tensor, Tensor]:
         """Density times length (S,) of pieces of path about positions (S, 3) [m], and features (S, F)."""
@@ -49,7 +49,7 @@ class VolumeModel(nn.Module):
         return False
 
     def penalty(self, x: Tensor) -> Tensor:
-        """What the model itself asks for in training, beside the photographs, at positions (S, 3) [m]: a scalar."""
+        """A scalar loss of the model itself in training, beside the photographs, at positions (S, 3) [m]."""
         return torch.zeros(())
 
     def normals(self, x: Tensor, step: float) -> Tensor:

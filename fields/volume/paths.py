@@ -1,7 +1,7 @@
-"""Bent light paths through a box, by path length: what a volume is sampled along.
+"""Bent light paths through a box, by path length, along which a volume is sampled.
 
-Rays through the slab of a survey stand at heights (`fields.slab.rays`); those of a volume may run level or upwards,
-and are measured from the camera on.
+Rays through the slab of a survey are parametrised by height (`fields.slab.rays`); those of a volume may run level or
+upwards, and are measured from the camera.
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ def paths_along(
 
 
 def _single(values: np.ndarray) -> Tensor:
-    """In single precision, with zeros for NaN; what is infinite stays so."""
+    """In single precision, with zeros for NaN; infinite values are kept."""
     return torch.as_tensor(np.nan_to_num(values, posinf=np.inf, neginf=-np.inf), dtype=torch.float32)
 
 

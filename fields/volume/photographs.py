@@ -40,7 +40,7 @@ class Photographs:
     ) -> Photographs:
         """Photographs of a bed inside a box, of the pixels whose path would leave it through its floor.
 
-        Whatever such a path shows, it met it inside. Others leave through a side, and may show what lies beyond.
+        Such a path meets everything it shows inside. Others leave through a side, and may show objects beyond.
         """
         pixels = []
         for camera in cameras:

@@ -1,4 +1,4 @@
-"""Losses that hold a volume to what is known beforehand: lengths with a spread, monocular depth, monocular normals."""
+"""Losses from prior knowledge: lengths with a spread, monocular depth, monocular normals."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from fields.volume.paths import Paths
 from fields.volume.priors import Priors
 from fields.volume.renderer import Rendered
 
-# Scale and shift of a photograph are told from at least this many paths of a batch; of two, any depth fits.
+# Scale and shift of a photograph are fitted to at least this many paths of a batch; to two, any depth fits.
 MIN_FITTED = 8
-# A path is on a surface where it keeps less light than this.
+# A path meets a surface if its opacity exceeds this.
 MIN_OPACITY = 0.5
 
 
@@ -77,7 +77,7 @@ def fit_views(terms: Tensor, target: Tensor, view: Tensor) -> tuple[Tensor, Tens
     (a, b) : (N, 2)
         Of the view of each row, dtype of `target`.
     fitted : (N,) bool
-        The view has rows enough, and they tell scale from shift.
+        The view has enough rows, and they separate scale from shift.
     """
     views, index = torch.unique(view, return_inverse=True)
     t, y = terms.double(), target.double()

@@ -1,4 +1,4 @@
-"""A small density of its own that says where a volume is worth evaluating (mip-NeRF 360, Barron et al. 2022; Nerfacto).
+"""A small separate density that selects where to evaluate a volume (mip-NeRF 360, Barron et al. 2022; Nerfacto).
 
 Paths are sampled evenly, then where the weights of the first density lie, and so on; the volume is evaluated last. Its
 weights w over pieces T teach each histogram (t', w') of the proposal:
@@ -23,13 +23,13 @@ from fields.volume.model import density_of
 from fields.volume.paths import Box, Paths
 from fields.volume.sampling import Samples, samples_by_mass
 
-# Of the samples, this share is spread evenly whatever the weights say: what a proposal calls empty is still looked at.
+# Share of the samples spread evenly whatever the weights, so that space a proposal calls empty is still sampled.
 EVEN_SHARE = 0.1
 
 
 @dataclass(frozen=True)
 class ProposalSettings:
-    """What a proposal is made of; the defaults are Nerfacto's.
+    """Settings of a proposal; the defaults are Nerfacto's.
 
     Attributes
     ----------
@@ -121,9 +121,9 @@ class Proposal(nn.Module):
 
 
 def interlevel_loss(own: Histogram, proposed: Histogram) -> Tensor:
-    """Equation 13, mean over paths: how far a volume's own histogram stands above what was proposed."""
+    """Equation 13, mean over paths: how far a volume's own histogram exceeds the bound from the proposal."""
     excess = (own.weights - bound_of(proposed, own.edges)).clamp(min=0.0)
-    # Nothing stands above a bound by more than itself: no weight at all gives 0, not 0 / 0.
+    # The excess is at most the weight itself: a weight of zero gives 0, not 0 / 0.
     return (excess**2 / own.weights.clamp(min=1e-7)).sum(dim=1).mean()
 
 

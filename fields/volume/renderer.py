@@ -41,7 +41,7 @@ class Rendered:
 
     @property
     def depth(self) -> Tensor:
-        """Path length (N,) [m] to the median of the weights; no gradient for what is beyond."""
+        """Path length (N,) [m] to the median of the weights; no gradient beyond it."""
         return quantile_height(self.weights, self.samples.edges)
 
 
@@ -85,7 +85,7 @@ class VolumeRenderer(nn.Module):
         return self.proposal.samples(paths, num, jitter=jitter)
 
     def render(self, paths: Paths, samples: Samples, *, dry: bool = False) -> Rendered:
-        """Colours and weights of paths; ``dry`` leaves out what the water does to the light."""
+        """Colours and weights of paths; ``dry`` leaves out the effect of the water on the light."""
         count, num = samples.s.shape
         x, direction = paths.at(samples.s).view(-1, 3), paths.direction(samples.s).view(-1, 3)
         thickness, features = self.model.thickness(x, direction, samples.length.reshape(-1))

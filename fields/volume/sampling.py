@@ -24,7 +24,7 @@ class Samples:
     s : (N, K) [m]
         Path lengths at which the field is evaluated.
     length : (N, K) [m]
-        Of the piece of path that each sample stands for.
+        Of the piece of path that each sample represents.
     edges : (N, K + 1) [m]
         Path lengths at which the pieces begin and end.
     """
@@ -49,7 +49,7 @@ def inverse_cdf(bin_edges: Tensor, mass: Tensor, level: Tensor) -> Tensor:
 
 
 def samples_by_mass(bin_edges: Tensor, mass: Tensor, num: int, jitter: bool, *, dense: bool) -> Samples:
-    """``num`` samples a path, as many as its mass asks for in each bin.
+    """``num`` samples a path, distributed over the bins by their mass.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def samples_by_mass(bin_edges: Tensor, mass: Tensor, num: int, jitter: bool, *, 
 
 @dataclass
 class Cells:
-    """The cells of a box that may hold a surface: a proxy, and what lies within +-margin of it.
+    """The cells of a box that may hold a surface: those within +-margin of a proxy.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class Cells:
 
     @torch.no_grad()
     def samples(self, paths: Paths, num: int, *, jitter: bool) -> Samples:
-        """``num`` samples a path, spread evenly over the occupied part of it; over all of it where there is none."""
+        """``num`` samples a path, spread evenly over its occupied part, or over the whole path if none is occupied."""
         share = torch.linspace(0.0, 1.0, BINS + 1)
         edges = paths.near[:, None] + share * (paths.far - paths.near)[:, None]
         if self.occupied.all():

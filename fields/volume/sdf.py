@@ -23,13 +23,13 @@ from fields.volume.encoding import encoded_length, frequency_encoding
 from fields.volume.model import VolumeModel
 from fields.volume.paths import Box
 
-# Without training so many samples are differentiated at once: 1 GB of activations in the paper's network.
+# Samples differentiated at once without training: 1 GB of activations in the paper's network.
 CHUNK = 1 << 15
 
 
 @dataclass(frozen=True)
 class SdfSettings:
-    """What a signed-distance volume is made of; the defaults are those of NeuS.
+    """Settings of a signed-distance volume; the defaults are those of NeuS.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class SdfSettings:
             raise ValueError(f"skip is {self.skip}, expected a layer from 1 to {self.layers - 1}, or None")
         if self.skip is not None and self.width <= encoded_length(self.frequencies):
             raise ValueError(
-                f"width is {self.width}, but at the skip {encoded_length(self.frequencies)} of it are the encoded "
+                f"width is {self.width}, but at the skip {encoded_length(self.frequencies)} of it hold the encoded "
                 f"position; widen the network or take skip = None"
             )
 

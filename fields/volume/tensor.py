@@ -17,7 +17,7 @@ from fields.volume.paths import Box
 
 @dataclass(frozen=True)
 class TensorSettings:
-    """What a plane-times-vector volume is made of.
+    """Settings of a plane-times-vector volume.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class TensorSettings:
         Width of the colour head.
     fine_rate : float
         Learning rate of the factors after the switch. The paper's 0.001 is for 150,000 steps; in a thousand they hardly
-        move any more.
+        change.
     switch_window, switch_ratio : int, float
         The variance of the loss over the last ``window`` steps falls below ``ratio`` times that over the first.
     switch_variance : float or None

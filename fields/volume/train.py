@@ -19,7 +19,7 @@ from fields.volume.sampling import Cells
 
 # Paths are drawn for this many steps at once.
 POOL_STEPS = 32
-# The figures tell the error over the last steps.
+# Number of last steps over which the reported error is taken.
 LAST_STEPS = 100
 ADAM_EPS = 1e-15
 # Cells of the proxy whose density is evaluated at once.
@@ -66,7 +66,7 @@ class Training:
 
 @dataclass(frozen=True)
 class VolumeFigures:
-    """What is told of the training of a volume.
+    """Figures reported about the training of a volume.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ def train_volume(
     cells: Cells | None = None,
     seed: int = 0,
 ) -> tuple[Cells, VolumeFigures]:
-    """Fit a volume, and what is around it, to photographs.
+    """Fit a volume and its surroundings to photographs.
 
     Parameters
     ----------

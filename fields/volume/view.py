@@ -13,7 +13,7 @@ from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
 from refract import PinholeCamera, WaterSurface
 
-# What the samples of paths that are rendered together may take: more is no faster, since it leaves the cache.
+# Memory for the samples of paths rendered together: more is no faster, since it exceeds the cache.
 WORKING_BYTES = 16 << 20
 BYTES_PER_NUMBER = 4
 
@@ -30,7 +30,7 @@ class View:
         Along the path to the median of the weights.
     opacity : (height, width) float32
     points : (height, width, 3) float32 [m]
-        Where the path stands at `distance`.
+        Position of the path at `distance`.
     """
 
     rgb: np.ndarray

@@ -1,4 +1,4 @@
-"""Agreement with virtual views: what a photograph shows must look the same, and lie as deep, from a camera nearby.
+"""Agreement with virtual views: a surface must have the same colour and depth from a camera nearby.
 
 MonoPatchNeRF (Wu et al. 2024) renders virtual views close to the photographs' own and holds them to what those show.
 """
@@ -14,9 +14,9 @@ from fields.volume.renderer import Rendered, VolumeRenderer
 from fields.volume.sampling import Cells
 from refract import WaterSurface, crossing_point
 
-# Virtual cameras stand this share of the mean path length away from the photograph's.
+# Distance of virtual cameras from the photograph's, as a share of the mean path length.
 BASELINE = 0.1
-# Of every so many paths of a batch, one is seen again.
+# One in this many paths of a batch gets a virtual view.
 EVERY = 4
 # A point is hidden where the virtual view stops these many cells of the proxy before it.
 HIDDEN_CELLS = 3.0
@@ -27,7 +27,7 @@ SAMPLES = 48
 def virtual_view_loss(
     renderer: VolumeRenderer, paths: Paths, rendered: Rendered, cells: Cells, water: WaterSurface | None
 ) -> Tensor:
-    """Squared error of colour, and error of depth in edges of the box, in virtual views of what the paths meet.
+    """Squared error of colour, and error of depth in edges of the box, in virtual views of the surfaces met.
 
     The points at the median of the weights are taken as they are, without gradient. Colours are compared with those
     photographed; weights of the virtual paths are drawn to the point. Points that the virtual view hides are left out.

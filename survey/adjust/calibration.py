@@ -47,7 +47,7 @@ def estimate_water(
     nadir_only : bool
         Use only views that look down within 5 degrees of the vertical.
     start_level, start_index : [m], [-]
-        Where the search starts, instead of at what the survey says.
+        Start of the search, instead of the values of the survey.
     run_folder : Path, optional
         Whose poses by structure from motion are used, for a survey that comes without poses; default
         ``folder/bathynerf``. Where it has none of these photographs they are solved for, and kept there.
@@ -115,7 +115,7 @@ def calibrate_water(
     lens_std_px : [px]
         Root mean square of the worst error of the lens over an image.
     advance : callable
-        Told each further share that is done; all of it is 1.
+        Called with the increment; increments sum to 1.
 
     Raises
     ------

@@ -1,11 +1,11 @@
 """The water with poses and lens free within their errors: a bundle adjustment from the solution that holds them.
 
-Poses and lens have errors, whose effect on the pixels is partly that of other water. So each photograph gets an error
-of position and direction of its own, and each camera one field of displacements over the image, a polynomial of degree
-3, which includes errors of focal length, principal point and k1 and affine and decentring terms. Besides, a rough bed
-hides its hollows from oblique views and shows each side another face, so that it appears to rise a little, depending on
-the direction of view. All have zero mean and an assumed standard deviation. The photographs determine most of them; the
-rest remains in the covariance of the water.
+Poses and lens have errors, whose effect on the pixels partly resembles that of different water. So each photograph gets
+an error of position and direction of its own, and each camera one field of displacements over the image, a polynomial
+of degree 3, which includes errors of focal length, principal point and k1 and affine and decentring terms. Besides, a
+rough bed hides its hollows from oblique views and looks different from each side, so that it appears to rise a little,
+depending on the direction of view. All have zero mean and an assumed standard deviation. The photographs determine most
+of them; the rest remains in the covariance of the water.
 
     e    the errors, P water parameters first; B their derivatives (2 N, P + E), sparse
     H    normal matrix, points eliminated, with the prior Q on its diagonal
@@ -41,7 +41,7 @@ _ROUNDS = 3
 
 @dataclass(frozen=True)
 class Errors:
-    """Standard deviations of what is freed: per axis of a position [m] and direction [rad], of lens and bed.
+    """Standard deviations of the freed parameters: per axis of a position [m] and direction [rad], of lens and bed.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ def free_errors(
     prior_std: np.ndarray,
     errors: Errors,
 ) -> Freed:
-    """The whole adjustment from a solution of `adjust`: linear, as what is freed is small, with weights renewed.
+    """The whole adjustment from a solution of `adjust`: linear, as the freed errors are small, with weights renewed.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ class _System:
         columns = 3 * np.repeat(ties.point, 2)[:, None] + np.arange(3)
         places = (np.repeat(np.arange(rows), 3), columns.ravel())
         by_points = csr_array((self.jx.reshape(-1, 3).ravel(), places), shape=(rows, 3 * len(ties)))
-        # With the root of the points' own matrices on its left, what they follow is one product.
+        # With the root of the points' own matrices as left factor, the elimination is one product.
         root = block_diag(list(np.linalg.inv(np.linalg.cholesky(own))), format="csr")
         mixed = root @ (by_points.T @ weighted)
         normal = (design.T @ weighted - mixed.T @ mixed).toarray()

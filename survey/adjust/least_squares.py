@@ -1,7 +1,7 @@
 """Least squares on tie points through the water surface: the parameters of the water, with the poses held.
 
-Each tie point has three unknowns of its own, which are eliminated point by point (a Schur complement), so that what
-is solved has as many unknowns as the water has parameters.
+Each tie point has three unknowns of its own, which are eliminated point by point (a Schur complement), so that the
+reduced system has only the parameters of the water as unknowns.
 
     M points, N observations (a point in a photograph), P parameters of the water
     r    residual, measured minus predicted pixel (N, 2)
@@ -124,7 +124,7 @@ def adjust(
             break
     else:
         raise NotConvergedError(
-            f"the adjustment did not converge in {_MOST_STEPS} steps: the photographs tell too little of the "
+            f"the adjustment did not converge in {_MOST_STEPS} steps: the photographs hardly constrain the "
             "water, or poses and images do not belong together"
         )
     return _solution(_linearised(cameras, ties, points, water_of, parameters), ties, points, parameters, prior)
@@ -186,7 +186,7 @@ def _linearised(cameras, ties: TiePoints, points: np.ndarray, water_of, paramete
 def _solution(system: _System, ties: TiePoints, points, parameters, prior) -> Adjusted:
     inverse = np.linalg.inv(system.normal + prior)
     scores = _sum(ties, np.einsum("nap,na,n->np", system.reduced, system.residuals, system.weights))
-    # The points took their share of the scatter: scores are made of residuals that are too small by this much.
+    # Fitting the points absorbed part of the scatter: residuals, and so the scores, are too small by this factor.
     spare = 2 * len(ties.view) - 3 * len(ties)
     meat = scores.T @ scores * (2 * len(ties.view) / spare) + prior
     return Adjusted(

@@ -16,7 +16,7 @@ from scipy.ndimage import distance_transform_edt, map_coordinates, spline_filter
 RADIUS = 6
 # Most steps, and how far [px] a window may end from where it was expected.
 _STEPS, _FARTHEST_PX = 12, 4.0
-# A step shorter than this [px] is below what the noise of a photograph allows.
+# A step shorter than this [px] is below the noise of a photograph.
 _DONE_PX = 0.005
 # With a lower correlation (NCC) a window shows another surface.
 _ALIKE = 0.85

@@ -12,7 +12,7 @@ from survey.adjust.tie_points import TiePoints
 # Half a step of the central differences: the projection is exact to 1e-12 px or so and curves on the scale of metres,
 # so that their error stays under 1e-7 of a derivative.
 _STEP = 1e-4
-# Four are exact to the last bits in drone geometry (docs/optics.md), two more for what is flown lower.
+# Four are exact to the last bits in drone geometry (docs/optics.md), two more for lower flights.
 _NEWTON_STEPS = 6
 
 

@@ -35,10 +35,10 @@ CELL_GSD = 40.0
 # Prior standard deviations about the start. Too wide to affect a parameter that the block determines.
 _PRIOR_STD = np.array([5.0, 0.05, 0.05, 0.1])
 # A parameter that is not observable is held with this standard deviation while the others are estimated: the index of
-# natural water is known to this without any measurement, and so are the slopes of water that somebody has looked at.
+# natural water is known this well without measurement, and so are the slopes of water seen on site.
 _HELD_STD = np.array([np.nan, 1e-3, 1e-3, 3e-3])
 # One sigma beyond which a parameter is of no use. 5 cm of level move the bed by 2 cm, and so does 0.01 of index in 3 m
-# of water; slopes count by what they do at the edge of the points.
+# of water; slopes count by their effect at the edge of the points.
 MOST_STD_LEVEL_M, MOST_STD_INDEX = 0.05, 0.01
 # Residuals of more standard deviations than this are outliers.
 _OUTLIER = 4.0
@@ -90,7 +90,7 @@ def water_from_ties(
         if not lost.any():
             break
         if lost[0]:
-            # Without the level nothing is observable; the values reported are those with nothing held.
+            # Without the level nothing is observable; the reported values are those with all parameters free.
             freed, held[:] = first, True
             break
         worst = int(np.argmax(np.where(lost, std / limits, 0.0)))

@@ -47,12 +47,12 @@ class WaterEstimate:
     Attributes
     ----------
     water : WaterConfig
-        To be used: the estimates of what is observable, the values of survey.toml for the rest.
+        Values to use: estimates of the observable parameters, those of survey.toml for the rest.
     estimates : tuple of ParameterEstimate, in the order of `PARAMETERS`
     covariance : 4 x 4, in that order
     num_views, num_points, num_measurements : int
     num_dry : int
-        Points above the water, which carry no information on it.
+        Points above the water, which do not constrain it.
     rms_px : [px]
         Of the residuals of a pixel coordinate; None where there was no adjustment.
     pose_std_m, pose_std_deg, lens_std_px :
@@ -73,7 +73,7 @@ class WaterEstimate:
 
     @property
     def is_observable(self) -> bool:
-        """Whether anything is observable at all: without the level, nothing is."""
+        """Whether anything is observable: without the level, nothing is."""
         return self.estimates[0].is_observable
 
     def correlation(self) -> np.ndarray:

@@ -24,7 +24,7 @@ from survey.plan.area import within
 
 # The coarse sweep: approximate heights of the bed.
 _SWEPT = (PASSES[0], replace(PASSES[1], fuse=True))
-# Windows in one photograph are at least this far apart [px], so that each sees bed of its own.
+# Windows in one photograph are at least this far apart [px], so that each sees a separate piece of bed.
 _APART_PX = 20
 _MOST_PER_VIEW = 250
 # How often every place is seen by the photographs from which windows are taken: from above, and from each quarter.
@@ -63,11 +63,11 @@ def measure(
     block : Block
         Its water is only the start.
     limits : (low, high) [m] over the water plane
-        Heights beyond which no bed is looked for.
+        Range of heights searched for the bed.
     area : (x0, y0, x1, y1) [m], local, or None
-        Where windows are chosen, to a pixel of the sweep.
+        Where windows are chosen, to one pixel of the sweep.
     advance : callable
-        Told each further share that is done; all of it is 1.
+        Called with the increment; increments sum to 1.
 
     Returns
     -------
@@ -76,7 +76,7 @@ def measure(
     Raises
     ------
     ValueError
-        If the images hardly match anywhere.
+        If too few pixels match.
     """
     bound = find_range(block, limits)
     block.look_at(0.5 * (bound[0] + bound[1]))

@@ -10,7 +10,7 @@ import sys
 
 
 def main() -> None:
-    """Run the verb that the arguments name, and exit with the code that says how it ended."""
+    """Run the verb named by the arguments and exit with its exit code."""
     try:
         code = _run()
     except KeyboardInterrupt:

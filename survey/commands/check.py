@@ -1,4 +1,4 @@
-"""`bathynerf check`: what `survey.plan.check` finds, on the console."""
+"""`bathynerf check`: prints the findings of `survey.plan.check`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def run(
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:
-    """Say what a survey has, what it lacks, and what process would do.
+    """Report what a survey has, what it lacks, and what process would do.
 
     Nothing is computed and nothing is written.
     """

@@ -21,7 +21,7 @@ _TOLERANCES_M = [0.2]
 
 
 class Sign(StrEnum):
-    """Which side of a triangle is above it."""
+    """Which side of a triangle counts as positive."""
 
     up = "up"
     winding = "winding"
@@ -33,36 +33,36 @@ def run(
         Path, typer.Argument(metavar="REFERENCE", help="PLY, OBJ, GLB, GeoTIFF, or points like CLOUD.")
     ],
     tolerance: Annotated[
-        list[float], typer.Option(metavar="M", help="For completeness and F-score [m]; may be given several times.")
+        list[float], typer.Option(metavar="M", help="For completeness and F-score [m]; repeatable.")
     ] = _TOLERANCES_M,
     visible: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Points of the reference that cameras see.")
     ] = None,
     bounds: Annotated[
         tuple[float, float, float, float] | None,
-        typer.Option(metavar="E0 N0 E1 N1", help="Crop the cloud to this."),
+        typer.Option(metavar="E0 N0 E1 N1", help="Crop the cloud to these bounds."),
     ] = None,
-    sign: Annotated[Sign, typer.Option(help="Positive above, or on the side of the winding.")] = Sign.up,
+    sign: Annotated[Sign, typer.Option(help="Positive above, or on the front of a face by its winding.")] = Sign.up,
     water_level: Annotated[
         float | None,
-        typer.Option(metavar="HEIGHT", help="Of the water in the CRS; default: as the cloud says."),
+        typer.Option(metavar="HEIGHT", help="Water level in the CRS; default: that of the cloud."),
     ] = None,
     checkpoints: Annotated[
         Path | None, typer.Option(metavar="CSV", help="Check points: easting, northing, height and, if known, sigma.")
     ] = None,
     outliers: Annotated[
-        str | None, typer.Option(metavar="sor:K,S", help="Leave statistical outliers out; default: none.")
+        str | None, typer.Option(metavar="sor:K,S", help="Remove statistical outliers; default: keep all.")
     ] = None,
-    c2c: Annotated[bool, typer.Option("--c2c", help="Distances from cloud to cloud too, both ways.")] = False,
+    c2c: Annotated[bool, typer.Option("--c2c", help="Also cloud-to-cloud distances, both ways.")] = False,
     m3c2: Annotated[
-        float | None, typer.Option(metavar="RADIUS", help="M3C2 distances too, cylinders of this radius [m].")
+        float | None, typer.Option(metavar="RADIUS", help="Also M3C2 distances, with this cylinder radius [m].")
     ] = None,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for the numbers.")] = None,
     report: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for pictures.")] = None,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:
-    """Say how far a cloud is from a reference: signed distances, completeness, F-score.
+    """Compare a cloud with a reference: signed distances, completeness, F-score.
 
     Nothing is aligned.
     """

@@ -21,11 +21,11 @@ _NO_TERMINAL_WIDTH = 1000
 
 
 class Ended(typer.Exit):
-    """The exit of a command after its error was said."""
+    """Raised to exit after the error has been printed."""
 
 
 class Results:
-    """Standard output, for what a command is asked for: numbers, verdicts, the paths of what it wrote."""
+    """Standard output, for results: numbers, verdicts and the paths of written files."""
 
     def __init__(self, *, is_silent: bool):
         self._is_silent = is_silent
@@ -36,7 +36,7 @@ class Results:
         Raises
         ------
         SurveyError
-            If standard output does not take it.
+            If standard output cannot be written.
         """
         if self._is_silent:
             return
@@ -77,7 +77,7 @@ def command(verbose: int, quiet: int, place: Path, *, stopped: str = "") -> Iter
     verbose, quiet : int
         How often -v and -q were given.
     place : Path
-        Named where the disk is full or refuses something and does not say what.
+        Named when a disk error does not name a file.
     stopped : str
         What becomes of the work that Ctrl-C stops.
     """

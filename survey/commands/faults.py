@@ -1,4 +1,4 @@
-"""What ended a command: an error as the sentence that the user reads, and as the exit code that says whose fault."""
+"""Errors that end a command, turned into a message for the user and an exit code."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ OUR_BUG, BAD_INPUT, STOPPED, BROKEN_PIPE = 1, 2, 130, 141
 
 # As sentences name it.
 STANDARD_OUTPUT = "standard output"
-# In what libraries say when they get no memory: torch, Dr.Jit, numpy, OpenCV, the C++ library, the loader.
+# In messages of libraries that get no memory: torch, Dr.Jit, numpy, OpenCV, the C++ library, the loader.
 _NO_MEMORY = (
     "out of memory",
     "allocate memory",
@@ -21,21 +21,21 @@ _NO_MEMORY = (
     "bad_alloc",
     "failed to map segment from shared object",
 )
-# The loader says the same of a disk from which nothing may be executed.
+# The loader reports a disk mounted without permission to execute in the same words.
 _NOT_MEMORY = "not permitted"
 _NO_ROOM = ("no space left on device", "disk is full")
 
 
 @dataclass(frozen=True)
 class Fault:
-    """How a command ended before its end.
+    """How a command failed.
 
     Attributes
     ----------
     code : int
-        Of the exit.
+        Exit code.
     message : str
-        For the user; empty where there is nobody to read it.
+        For the user; empty if standard output was closed.
     """
 
     code: int
@@ -43,29 +43,29 @@ class Fault:
 
     @property
     def is_ours(self) -> bool:
-        """Whether a traceback is of use."""
+        """Whether a traceback is useful."""
         return self.code == OUR_BUG
 
 
 def fault_of(error: BaseException, place: Path | None = None, *, stopped: str = "") -> Fault:
-    """What to say of an error, and the exit code.
+    """The message and the exit code for an error.
 
     Parameters
     ----------
     error : BaseException
     place : Path, optional
-        Named where a disk refuses something and does not say what.
+        Named when a system error does not name a file.
     stopped : str
-        What becomes of the work that Ctrl-C stops.
+        What happens to unfinished work after Ctrl-C.
     """
     if has(error, KeyboardInterrupt):
         return Fault(STOPPED, f"stopped; {stopped}" if stopped else "stopped")
     if has(error, BrokenPipeError):
         return Fault(BROKEN_PIPE, "")
     if any(_is_of_memory(link) for link in _chain(error)):
-        mend = "take --quality draft, a smaller area ([area] bounds, --bounds) or a machine with more memory"
+        mend = "use --quality draft, a smaller area ([area] bounds, --bounds) or a machine with more memory"
         return Fault(BAD_INPUT, f"memory ran out; {mend}")
-    # Not at the head: they take memory, and Ctrl-C may come while they are imported.
+    # Not imported at the top: they take memory, and Ctrl-C may arrive during the import.
     from geo.errors import GeoError
     from survey.errors import SurveyError
 
@@ -74,19 +74,19 @@ def fault_of(error: BaseException, place: Path | None = None, *, stopped: str = 
     if isinstance(error, OSError) and (text := refusal_of(error, error.filename or place)):
         return Fault(BAD_INPUT, text)
     if any(phrase in str(link).lower() for link in _chain(error) for phrase in _NO_ROOM):
-        return Fault(BAD_INPUT, f"cannot write {place}: no room is left on the disk; free some or write elsewhere")
-    return Fault(OUR_BUG, f"{type(error).__name__}: {error}; a fault of bathynerf, -v shows where")
+        return Fault(BAD_INPUT, f"cannot write {place}: no space is left on the disk; free some or write elsewhere")
+    return Fault(OUR_BUG, f"{type(error).__name__}: {error}; this is a bug in bathynerf, -v shows where")
 
 
 def refusal_of(error: OSError, path: Path | str | None) -> str | None:
-    """What the system refuses, see `geo.files.refusal`."""
+    """What the system refuses; see `geo.files.refusal`."""
     from geo.files import refusal
 
     return refusal(error, path if path is not None else Path(), verb="use")
 
 
 def _chain(error: BaseException | None) -> Iterator[BaseException]:
-    """An error and those that led to it."""
+    """An error and its causes."""
     seen: list[BaseException] = []
     while error is not None and error not in seen:
         seen.append(error)
@@ -95,7 +95,7 @@ def _chain(error: BaseException | None) -> Iterator[BaseException]:
 
 
 def has(error: BaseException, *kinds: type[BaseException]) -> bool:
-    """Whether an error is, or came of, one of these kinds."""
+    """Whether an error is, or was caused by, one of these kinds."""
     return any(isinstance(link, kinds) for link in _chain(error))
 
 

@@ -1,4 +1,4 @@
-"""A limit on memory that cannot do, said before the work: Dr.Jit does not survive it, and no sentence could follow."""
+"""Refuses an address-space limit (ulimit -v) too small for Dr.Jit, which would crash without a message."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _LEAST_BYTES = 3.0e9
 
 
 def require_address_space() -> None:
-    """Raise SurveyError where this process may not have the address space that kernels take at least."""
+    """Raise SurveyError if the address space of this process is limited to less than the kernels need."""
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     if limit not in (resource.RLIM_INFINITY, -1) and limit < _LEAST_BYTES:
         raise SurveyError(

@@ -9,13 +9,15 @@ import typer
 
 from survey.plan.choices import Device
 
-# Of Ctrl-C, for verbs that go on where they stopped.
-KEPT = "what was finished is kept, and the same command goes on from there"
+# After Ctrl-C, for verbs that resume.
+KEPT = "finished work is kept, and the same command resumes from there"
 
 SurveyFolder = Annotated[Path, typer.Argument(metavar="SURVEY", help="Folder with images and survey.toml.")]
-RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder that process made.")]
-DeviceOption = Annotated[Device, typer.Option(help="Where it runs.")]
-Verbose = Annotated[int, typer.Option("-v", "--verbose", count=True, show_default=False, help="More; tracebacks too.")]
+RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder written by process.")]
+DeviceOption = Annotated[Device, typer.Option(help="Where to compute.")]
+Verbose = Annotated[
+    int, typer.Option("-v", "--verbose", count=True, show_default=False, help="More details, and tracebacks.")
+]
 Quiet = Annotated[
-    int, typer.Option("-q", "--quiet", count=True, show_default=False, help="Results without progress; -qq: nothing.")
+    int, typer.Option("-q", "--quiet", count=True, show_default=False, help="Results without progress; -qq: no output.")
 ]

@@ -25,10 +25,10 @@ def run(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="RUN", help=f"Run folder; default: SURVEY/{RUN_FOLDER}.")
     ] = None,
-    quality: Annotated[Quality, typer.Option(help="How much time is spent.")] = Quality.standard,
+    quality: Annotated[Quality, typer.Option(help="Trades run time for detail.")] = Quality.standard,
     device: DeviceOption = Device.auto,
-    field: Annotated[Switch, typer.Option(help="Refine the sweep by the tensor field.")] = Switch.auto,
-    resume: Annotated[bool, typer.Option(help="Go on with what an earlier run finished.")] = True,
+    field: Annotated[Switch, typer.Option(help="Refine the heights with the tensor field.")] = Switch.auto,
+    resume: Annotated[bool, typer.Option(help="Reuse finished stages of an earlier run.")] = True,
     calibrate_water: Annotated[
         bool, typer.Option("--calibrate-water", help="First estimate the water from the photographs.")
     ] = False,
@@ -42,7 +42,7 @@ def run(
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:
-    """Make the point cloud of the bed, with a report, in a run folder."""
+    """Compute the point cloud of the bed and a report in a run folder."""
     folder = output or survey / RUN_FOLDER
     with command(verbose, quiet, folder, stopped=KEPT) as results:
         require_address_space()

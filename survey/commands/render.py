@@ -21,7 +21,7 @@ def run(
     run: RunFolder,
     cameras: Annotated[Path, typer.Option(metavar="FILE", help="Poses: a table like cameras.csv, or a COLMAP model.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the pictures.")],
-    dry: Annotated[bool, typer.Option("--dry", help="Take the water away.")] = False,
+    dry: Annotated[bool, typer.Option("--dry", help="Remove the effect of the water.")] = False,
     device: DeviceOption = Device.auto,
     verbose: Verbose = 0,
     quiet: Quiet = 0,

@@ -19,7 +19,7 @@ EXAMPLES = """
 
 
 class Mode(StrEnum):
-    """How light is followed."""
+    """How light is traced."""
 
     direct = "direct"
     physical = "physical"
@@ -27,15 +27,15 @@ class Mode(StrEnum):
 
 def run(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file in TOML (docs/simulation.md).")],
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="SURVEY", help="Becomes a survey folder.")],
-    mode: Annotated[Mode | None, typer.Option(help="Instead of that of the scene file.")] = None,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="SURVEY", help="Survey folder to write.")],
+    mode: Annotated[Mode | None, typer.Option(help="Overrides the mode of the scene file.")] = None,
     flight_only: Annotated[bool, typer.Option("--flight-only", help="Write cameras.csv and flight.png only.")] = False,
     preview: Annotated[bool, typer.Option("--preview", help="One ray per pixel.")] = False,
-    again: Annotated[bool, typer.Option("--again", help="Start again, even if the survey is there already.")] = False,
+    again: Annotated[bool, typer.Option("--again", help="Start again even if the survey exists.")] = False,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:
-    """Make a survey of a known scene: photographs, poses, and the truth beside them."""
+    """Simulate a survey of a known scene: photographs, poses and ground truth."""
     with command(verbose, quiet, output, stopped=KEPT) as results:
         require_address_space()
         from survey.simulate.staging.simulate import simulate, simulate_flight

@@ -1,4 +1,4 @@
-"""Standard output and error that may be closed, full, or a pipe whose reader has gone."""
+"""Standard output and error, which may be closed, full, or a broken pipe."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from contextlib import suppress
 
 
 def open_closed() -> None:
-    """Open what the caller closed (``>&-``) on the null device.
+    """Open standard streams that the caller closed (``>&-``) on the null device.
 
-    Otherwise the first file that is opened would get the number of the stream, and with it what libraries print.
+    Otherwise the first file that is opened would get file descriptor 1 or 2 and receive library output.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
@@ -21,15 +21,15 @@ def open_closed() -> None:
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(number, "r" if number == 0 else "w", closefd=False))
     for stream in (sys.stdout, sys.stderr):
-        # A name of a file need not be text in the encoding of the terminal.
+        # A file name may contain characters that the terminal's encoding lacks.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
 def flush_all() -> OSError | None:
-    """Flush both streams; the error of standard output, if there was one.
+    """Flush both streams; returns the error of standard output, if there was one.
 
-    A stream that does not take its rest is led to the null device, or the interpreter would complain at its end.
+    A stream that cannot be flushed is redirected to the null device, so that Python does not report it again at exit.
     """
     errors: list[OSError | None] = []
     for stream in (sys.stdout, sys.stderr):
@@ -43,7 +43,7 @@ def flush_all() -> OSError | None:
 
 
 def say_error(message: str) -> None:
-    """Write a sentence to standard error; nothing if it is empty, or if nobody can be told."""
+    """Write a message to standard error, unless it is empty or standard error cannot be written."""
     if message:
         with suppress(OSError):
             sys.stderr.write(f"error: {message}\n")

@@ -1,4 +1,4 @@
-"""The verbs of `bathynerf`, each in a file of its own that is named like it.
+"""The verbs of `bathynerf`, each in its own file of the same name.
 
 A verb's file has its options and prints its results; what it computes is elsewhere, and imported when it runs.
 """
@@ -19,11 +19,11 @@ VERBS = (check, process, waterline, export, render, compare, simulate)
 _EPILOG = """\b
 Exit codes:
   0    done
-  1    a fault of bathynerf; -v shows where
-  2    the input, the options, the disk or the memory
+  1    a bug in bathynerf; -v shows where
+  2    a problem with the input, options, disk or memory
   3    done, but the result failed a quality gate
   130  stopped by Ctrl-C
-  141  the reader of the output has gone
+  141  standard output was closed (broken pipe)
 
 \b
 Examples:
@@ -31,7 +31,7 @@ Examples:
   bathynerf process my_survey
 """
 
-# Plain help: rich takes [m] for markup and breaks words where the columns are narrow.
+# Plain help: rich treats [m] as markup and breaks words in narrow columns.
 app = typer.Typer(
     help="Drone photographs of shallow water become a georeferenced point cloud of the bed.",
     epilog=_EPILOG,

@@ -25,9 +25,9 @@ def run(
     start_level: Annotated[float | None, typer.Option(metavar="M", help="Start from this level [m].")] = None,
     start_index: Annotated[float | None, typer.Option(metavar="N", help="Start from this refractive index.")] = None,
     poses_of: Annotated[
-        Path | None, typer.Option("--run", metavar="RUN", help="Take the poses that this run found.")
+        Path | None, typer.Option("--run", metavar="RUN", help="Use the poses computed by this run.")
     ] = None,
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for everything that was found.")] = None,
+    json: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for all results.")] = None,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:

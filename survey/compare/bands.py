@@ -17,7 +17,7 @@ from survey.display.palette import BLUE, INK, RED, SOFT
 from survey.display.quantities import LengthUnit, count
 
 # Bands of fewer points say nothing: only their number is shown. Those of a smaller share of the points than this may
-# reach beyond the axis, so that the others can be told apart.
+# reach beyond the axis, so that the others can be distinguished.
 _FEWEST, _SHOWN_WHOLE = 20, 0.001
 
 
@@ -27,7 +27,7 @@ def has_bands(parts: Parts) -> bool:
 
 
 def _panels(parts: Parts) -> list[tuple[tuple[Band, ...], str, str]]:
-    """Bands, label of their axis and unit of their limits, of what is known of the points."""
+    """Bands, label of their axis and unit of their limits, from the attributes of the points."""
     depth = () if parts.depth is None else parts.depth.bands
     panels = [(depth, "depth below the water [m]", "m"), (parts.incidence, "incidence [°]", "deg"),
               (parts.views, "views that agree", "views")]  # fmt: skip

@@ -32,7 +32,7 @@ Extent = tuple[float, float, float, float]
 _DPI = 170
 # Width and height of the largest map [inch]: small, so that its words can still be read at half the width of a page.
 _MAP_IN = (4.8, 5.4)
-# Left of it, right of it, below and above: for ticks and labels, a bar of colours, a title of two lines.
+# Margins left, right, below and above: for ticks and labels, a bar of colours, a title of two lines.
 _MARGINS_IN = (1.0, 1.05, 0.6, 0.6)
 _TICK_PT = 8.5
 # Share of |d| that the colours and the histogram span; the rest has the colour of the end.

@@ -20,8 +20,8 @@ _COLUMNS = ("easting", "northing", "height", "sigma")
 def read_checkpoints(path: Path) -> np.ndarray:
     """Check points (K, 4) of a CSV: easting, northing, height in the CRS of the cloud, standard deviation [m].
 
-    The last column may be missing (0 then). A first line may name the columns, in any order; without their names they
-    stand in this one. See `survey.files.csv_table` for what may separate them.
+    The last column may be missing (0 then). A first line may name the columns, in any order; without names this
+    order holds. See `survey.files.csv_table` for separators.
 
     Raises
     ------
@@ -41,14 +41,14 @@ def read_checkpoints(path: Path) -> np.ndarray:
 
 
 def checkpoint_accuracy(scene: Scene, table: np.ndarray, path: Path, notes: list[str]) -> Checkpoints:
-    """Vertical accuracy of the compared cloud at check points (K, 4); notes say what it lacks as a test."""
+    """Vertical accuracy of the compared cloud at check points (K, 4); notes list its shortcomings as a test."""
     places = to_local(scene.inputs.frame, table[:, :3], path)
     residuals = height_at(scene.points, places[:, :2]) - places[:, 2]
     accuracy = asprs_vertical(residuals, table[:, 3])
     if not accuracy.is_enough:
         notes.append(
-            f"{accuracy.n_checkpoints} check points of {path.name} lie on the cloud: ASPRS (Edition 2) asks for "
-            f"{MIN_CHECKPOINTS} at least, so that this is no test of the product"
+            f"{accuracy.n_checkpoints} check points of {path.name} lie on the cloud: ASPRS (Edition 2) requires "
+            f"at least {MIN_CHECKPOINTS}, so that this is no test of the product"
         )
     if not table[:, 3].any():
         notes.append(f"{path.name} gives no standard deviations: its check points are taken as free of error")

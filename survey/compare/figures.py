@@ -13,7 +13,7 @@ from survey.compare.area import Bounds
 
 @dataclass(frozen=True)
 class Parts:
-    """Bias and spread of the parts of a cloud; what the cloud does not tell is None or empty.
+    """Bias and spread of the parts of a cloud; what the cloud lacks is None or empty.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Vertical:
 
 @dataclass(frozen=True)
 class VerticalUncertainty:
-    """What IHO S-44 says about vertical errors.
+    """Vertical errors against IHO S-44.
 
     Attributes
     ----------
@@ -152,7 +152,7 @@ class Circumstances:
 
 @dataclass(frozen=True)
 class Figures:
-    """All figures of a comparison; what was not asked for or cannot be known is None.
+    """All figures of a comparison; what was not requested or is unknown is None.
 
     Attributes
     ----------

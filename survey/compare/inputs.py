@@ -41,7 +41,7 @@ class Inputs:
     reference : Mesh or Cloud
     visible : Mesh or Cloud or None
     crs : pyproj.CRS or None
-        Of all coordinates; None if no file says.
+        Of all coordinates; None if no file has one.
     frame : LocalFrame or ShiftedFrame
         Near the points that are compared.
     notes : tuple of str
@@ -110,7 +110,7 @@ def _as_cloud(shape: Mesh | Cloud, path: Path, notes: list[str]) -> Cloud:
 
 
 def _surface(shape: Mesh | Cloud, path: Path) -> Mesh | Cloud:
-    """A mesh with its equal vertices made one, so that triangles know their neighbours; a cloud as it is."""
+    """A mesh with equal vertices merged, so that triangles share edges; a cloud unchanged."""
     if isinstance(shape, Cloud):
         return shape
     vertices, faces = weld(shape.vertices, shape.faces)
@@ -122,14 +122,13 @@ def _surface(shape: Mesh | Cloud, path: Path) -> Mesh | Cloud:
 
 
 def _common_crs(cloud: Cloud, path: Path, others: dict[Path, Mesh | Cloud], notes: list[str]) -> CRS | None:
-    """The CRS of all files, None if none says it: the first that has heights, else the first."""
+    """The CRS of all files, None if none has one: the first that has heights, else the first."""
     known = {path: cloud.crs} | {other_path: other.crs for other_path, other in others.items()}
     said = {file: crs for file, crs in known.items() if crs is not None}
     if not said:
         names = " nor ".join(dict.fromkeys(file.name for file in known))
         notes.append(
-            f"neither {names} says its CRS: coordinates are taken as metres, and the scale of a map grid is "
-            "not taken out"
+            f"neither {names} has a CRS: coordinates are taken as metres, and the scale of a map grid is not corrected"
         )
         return None
     source = next((file for file, crs in said.items() if has_height(crs)), next(iter(said)))
@@ -147,7 +146,7 @@ def _check_heights(
     points: np.ndarray, vertices: np.ndarray, paths: Paths, frame: LocalFrame | ShiftedFrame, notes: list[str]
 ) -> None:
     """Refuse heights that are of another place, and note those that do not meet."""
-    # Two points tell the size, whatever the units of the CRS.
+    # Two points give the size in metres, whatever the units of the CRS.
     corners = frame.local_from_crs(np.array([points.min(axis=0), points.max(axis=0)]))
     size_m = max(float(np.linalg.norm(corners[1] - corners[0])), 1.0)
     low, high = points[:, 2].min(), points[:, 2].max()

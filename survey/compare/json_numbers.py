@@ -20,7 +20,7 @@ def numbers_of(figures: Figures) -> dict:
     dict
         At the top `evaluation.DistanceStatistics` and `evaluation.Scores` over all points (the latter at the first
         tolerance), ``n_cropped``, ``wet``, ``dry``, the bands and the circumstances; below it ``tolerances``,
-        ``vertical``, ``iho_s44``, ``asprs``, ``c2c`` and ``m3c2``. What was not asked for is not there; a value that
+        ``vertical``, ``iho_s44``, ``asprs``, ``c2c`` and ``m3c2``. What was not requested is missing; a value that
         does not exist is None.
     """
     summary = figures.summary

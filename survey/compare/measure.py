@@ -83,7 +83,7 @@ def reached_at(scene: Scene, tolerance_m: float) -> Reach:
 
 
 def bed_depth(scene: Scene, nearest: np.ndarray, water_level: float | None) -> np.ndarray | None:
-    """Depth (N,) [m] of the nearest point of the reference; None if neither a level nor the cloud tells it.
+    """Depth (N,) [m] of the nearest point of the reference; None if neither a level nor the cloud gives it.
 
     The depth in the cloud alone would sort its points by their errors; its sum with the height is the water surface,
     which does not depend on the bed.
@@ -98,7 +98,7 @@ def bed_depth(scene: Scene, nearest: np.ndarray, water_level: float | None) -> n
 
 
 def parts(scene: Scene, distances: np.ndarray, depth: np.ndarray | None, blocks: Blocks) -> Parts:
-    """Statistics by depth, incidence and number of views, of what is known of the points."""
+    """Statistics by depth, incidence and number of views, as far as the points have them."""
     incidence, views = (
         () if (values := scene.extra(names)) is None else by_band(distances, values, edges, blocks)
         for names, edges in ((_INCIDENCE_NAMES, INCIDENCE_EDGES_DEG), (_VIEWS_NAMES, VIEWS_EDGES))

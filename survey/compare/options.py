@@ -1,4 +1,4 @@
-"""How a cloud is compared: what the options of `bathynerf compare` mean, and which values are refused."""
+"""Options of `bathynerf compare`: their meaning, and which values are refused."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class CompareOptions:
     outliers : str, optional
         ``"sor:K,S"``: leave statistical outliers out, see `evaluation.is_outlier`. Nothing is left out without it.
     c2c : bool
-        Distances from cloud to cloud too, both ways.
+        Also cloud-to-cloud distances, in both directions.
     m3c2_radius_m : float, optional [m]
         M3C2 distances too, see `evaluation.m3c2_distances`.
     json_path, report_dir : Path, optional
@@ -54,7 +54,7 @@ class CompareOptions:
 
 
 def check_options(options: CompareOptions) -> None:
-    """Raise CompareError where the value of an option makes no sense, or it needs what is not installed."""
+    """Raise CompareError if the value of an option is invalid, or needs a package that is not installed."""
     if not options.tolerances_m:
         raise CompareError("--tolerance has no value, expected at least one in metres, e.g. 0.2")
     for tolerance in options.tolerances_m:

@@ -1,4 +1,4 @@
-"""Pictures of a comparison: histogram and map of the distances, map of what was not reached."""
+"""Pictures of a comparison: histogram and map of the distances, map of unreached parts."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ class Scene:
     reference : (V, 3)
         Vertices, or points.
     samples, targets : (K, 3), (M, 3)
-        Points that a complete cloud would reach: of the reference; of what cameras see, else the same.
+        Points that a complete cloud would reach: of the reference, and those that cameras see, if known.
     """
 
     inputs: Inputs

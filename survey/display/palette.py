@@ -1,17 +1,17 @@
-"""The colours of all pictures and of the report, named by what they stand for."""
+"""The colours of all pictures and of the report, named by their meaning."""
 
 from __future__ import annotations
 
 from matplotlib.colors import LinearSegmentedColormap
 
-# Text and axes; text that stands back; places without data; the ground under a cut.
+# Text and axes; secondary text; places without data; the ground under a cut.
 INK, SOFT, EMPTY = "#22303c", "#5d6a76", "#d9dde1"
-# What was measured, what it is held against, and a pale field behind both.
+# Measured values, their reference, and a pale field behind both.
 BLUE, RED, PALE = "#2f6f9f", "#c3140d", "#e8eef3"
 WATER, WATER_LINE, LAND, OBLIQUE, BOUNDS = "#8fc3d3", "#4f94ad", "#d8c9a6", "#d98032", "#c2452d"
-# Distributions that stand side by side.
+# Distributions shown side by side.
 SERIES = ("#3a6e97", "#8a4f7d", "#4b8b6f", "#c07c3e")
-# Of a verdict, dark enough to be read as text on white.
+# Colours of a verdict, dark enough to be read as text on white.
 PASSED, DOUBTFUL, FAILED = "#1f7a3d", "#8f5600", "#b3261e"
 
 # Light and yellowish where shallow, dark blue where deep; lightness falls steadily.

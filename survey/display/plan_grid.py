@@ -15,7 +15,7 @@ _EARTH_RADIUS_M = 6.371e6
 # A few stray points must not shrink the picture of all others.
 _STRAY_SHARE = 0.001
 _MARGIN = 0.05
-# Points that tell the extent of all.
+# Points that suffice to find the extent of all.
 _ENOUGH = 200_000
 # So that the outermost point, on the edge of the last cell, does not need a further one.
 _A_LITTLE_MORE = 1.0 + 1e-6

@@ -16,7 +16,7 @@ _SMALL_M = 0.5
 
 @dataclass(frozen=True)
 class LengthUnit:
-    """A unit for lengths that stand together.
+    """A unit for lengths shown together.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ def is_known(value: float | None) -> TypeGuard[float]:
 
 
 def number(value: float | None, decimals: int) -> str:
-    """A number with so many decimals, and never a minus before zero."""
+    """A number with a fixed number of decimals, and never a minus before zero."""
     return f"{value:z.{decimals}f}".replace("-", MINUS) if is_known(value) else UNKNOWN
 
 
@@ -77,5 +77,5 @@ def metres(value: float) -> str:
 
 
 def with_unit(text: str, unit: str) -> str:
-    """A number and its unit, if it has one; degrees stand without a space."""
+    """A number and its unit, if it has one; degrees have no space before them."""
     return text + (unit if unit == "°" else f"{NO_BREAK}{unit}" if unit else "")

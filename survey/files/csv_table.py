@@ -1,7 +1,7 @@
 """Tables with named columns in text files: comma, semicolon or tab between the values, every error with its line.
 
-The first line that is neither empty nor a comment (#) decides what separates: a tab where it has one, else a
-semicolon, else a comma. Where it is no comma, a comma in a number is the decimal one.
+The first line that is neither empty nor a comment (#) decides the separator: a tab if it has one, else a
+semicolon, else a comma. Unless that is a comma, a comma in a number is the decimal one.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Row:
     where : str
         Path and line number, for messages.
     cells : dict of str to str
-        Texts of the columns asked for, by name; of optional ones only those that the table has.
+        Texts of the requested columns, by name; of optional ones only those that the table has.
     decimal : "." or ","
     error : type
         What is raised.
@@ -77,7 +77,7 @@ def read_table(
     header: bool = True,
     error: type[SurveyError] = SurveyError,
 ) -> list[Row]:
-    """Rows of a table with the named columns, in any order, whatever others stand between them.
+    """Rows of a table with the named columns, in any order, with any others between them.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def read_table(
     optional : names, lower case
         That it may have.
     header : bool
-        Whether the first line must name the columns; if not, values may stand in the order of `columns` and
+        Whether the first line must name the columns; if not, values may be in the order of `columns` and
         `optional`, after a first line of other words or none.
     error : type
         What is raised.
@@ -128,7 +128,7 @@ def read_table(
 
 
 def column_names(path: Path) -> list[str]:
-    """Names of the columns of a table, lower case; none where the file is no text."""
+    """Names of the columns of a table, lower case; none if the file is not text."""
     try:
         first = next(_lines(path, SurveyError), None)
         return [] if first is None else [c.casefold() for c in _cells("", first[1], _delimiter(first[1]), SurveyError)]

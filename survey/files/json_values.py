@@ -1,4 +1,4 @@
-"""Values as JSON knows them, and JSON files that are written whole or not at all."""
+"""Values converted for JSON, and JSON files written completely or not at all."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ class ReadFiles:
 
     @classmethod
     def of(cls, *paths: Path | None) -> ReadFiles:
-        """Files and folders by what they are; None stands for an option that was not given."""
+        """Sorts paths into files and folders; None is an option that was not given."""
         there = [path for path in paths if path is not None]
         files = tuple(path for path in there if path.is_file())
         return cls(files, tuple(path for path in there if path.is_dir()))
@@ -135,4 +135,4 @@ def _is_within(path: Path, folder: Path) -> bool:
 
 def _require_permission(said: str, folder: Path) -> None:
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise OutputError(f"{said}but {folder} must not be written to; change its permissions or name another place")
+        raise OutputError(f"{said}but {folder} is not writable; change its permissions or name another place")

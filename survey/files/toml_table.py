@@ -1,7 +1,7 @@
-"""Tables of a TOML file as frozen dataclasses: every key known, every value of the kind that its field says.
+"""Tables of a TOML file as frozen dataclasses: every key known, every value of the type of its field.
 
-A dataclass is the schema of a table: its fields are the known keys, their types the kinds of values, their defaults
-what holds without them. What one key must be beyond its kind, and how keys go together, its ``__post_init__`` checks.
+A dataclass is the schema of a table: its fields are the known keys, their types those of the values, their defaults
+the values of missing keys. Its ``__post_init__`` checks ranges and how keys go together.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from survey.errors import ConfigError
 _KINDS = {float: "a finite number", int: "a whole number", bool: "true or false", str: "a text in quotes"}
 # Share of letters that two near names have in common, in order: "level" and "level_m", not "gcp" and "gps_height".
 _NEAR = 0.6
-# Metadata of a field: what its value looks like, for the message where it does not.
+# Metadata of a field: a description of valid values, for the error message.
 _EXPECTED = "expected"
 
 
 def key(default: Any, expected: str) -> Any:
-    """A field of a table whose message says what is expected in its own words, e.g. "[width, height] in pixels"."""
+    """A field of a table with its own wording of what is expected, e.g. "[width, height] in pixels"."""
     return dataclasses.field(default=default, metadata={_EXPECTED: expected})
 
 
@@ -60,13 +60,13 @@ def parse_toml(
     synonyms : mapping, optional
         What other programs call a key, to its dotted name here, e.g. ``{"gcp": "control.gcps"}``.
     not_yet : mapping, optional
-        Dotted names of keys that are planned but not read, to what to give instead.
+        Dotted names of keys that are planned but not read, with advice on what to give instead.
 
     Raises
     ------
     ConfigError
-        Where the text is no TOML, at the first key that is unknown, missing or of another kind, and whatever the
-        dataclasses raise when they are made.
+        If the text is not TOML, at the first key that is unknown, missing or of another type, and from the checks
+        of the dataclasses.
     """
     try:
         tables = tomllib.loads(text)
@@ -140,7 +140,7 @@ class _Reader:
         )
 
     def _refuse(self, fields: Mapping[str, Any], where: str, name: str, value: Any) -> typing.NoReturn:
-        """Raise ConfigError for an unknown key: what it is called here, the nearest one, or all that are known."""
+        """Raise ConfigError for an unknown key, with the right name, the nearest one, or all known keys."""
         dotted = f"{where}.{name}" if where else name
         inner = [f"{dotted}.{other}" for other in value] if isinstance(value, dict) else []
         for planned in (dotted, *inner):
@@ -181,7 +181,7 @@ def _all_keys(kind: type, where: str = "") -> Iterator[tuple[str, bool]]:
 
 
 def _parts(kind: Any) -> Iterator[Any]:
-    """A type, and those that a union or a tuple is made of."""
+    """A type, and the members of a union or a tuple."""
     yield kind
     for part in typing.get_args(kind):
         yield from _parts(part)
@@ -196,7 +196,7 @@ def _join(where: str, name: str) -> str:
 
 
 def _place(dotted: str, is_table: bool = False) -> str:
-    """A dotted name as it stands in a file, e.g. "[water] level_m"."""
+    """A dotted name as written in a file, e.g. "[water] level_m"."""
     table, _, name = dotted.rpartition(".")
     if is_table:
         return f"[{dotted}]"

@@ -34,7 +34,7 @@ _LEVEL_ROWS = 0.03
 
 
 def require_focal_lengths(lenses: dict[str, Lens], heads: dict[str, Exif]) -> list[str]:
-    """Warnings about focal lengths that do not fit what EXIF says.
+    """Warnings about focal lengths that disagree with EXIF.
 
     Parameters
     ----------
@@ -43,21 +43,21 @@ def require_focal_lengths(lenses: dict[str, Lens], heads: dict[str, Exif]) -> li
     Raises
     ------
     ConfigError
-        Where a lens would see more or less than any lens does, or EXIF says another order of magnitude.
+        If a field of view is impossible for a lens, or EXIF gives another order of magnitude.
     """
     warnings: list[str] = []
     for name, lens in lenses.items():
         degrees = 2.0 * math.degrees(math.atan(0.5 * math.hypot(lens.width, lens.height) / min(lens.focal)))
         if not _NARROWEST_DEG < degrees < _WIDEST_DEG:
             raise ConfigError(
-                f"the focal length of {name} is {min(lens.focal):g} px, with which its {lens.width} x {lens.height} px "
-                f"see {degrees:.1f} degrees from corner to corner, expected {_NARROWEST_DEG:g} to {_WIDEST_DEG:g}; "
+                f"the focal length of {name} is {min(lens.focal):g} px, so that its {lens.width} x {lens.height} px "
+                f"span {degrees:.1f} degrees from corner to corner, expected {_NARROWEST_DEG:g} to {_WIDEST_DEG:g}; "
                 f"give it in pixels of these images{_by_exif(heads[name])}"
             )
         if degrees < _NARROW_DEG and not warnings:
             warnings.append(
-                f"the focal length of {name} is {min(lens.focal):g} px, with which it sees {degrees:.1f} degrees from "
-                "corner to corner; check that it is in pixels of these images, unless the lens is a long one"
+                f"the focal length of {name} is {min(lens.focal):g} px, a view of {degrees:.1f} degrees from "
+                "corner to corner; check that it is in pixels of these images, unless it is a telephoto lens"
             )
     known = {name: head.focal_px for name, head in heads.items() if name in lenses and head.focal_px is not None}
     if not known:
@@ -66,11 +66,11 @@ def require_focal_lengths(lenses: dict[str, Lens], heads: dict[str, Exif]) -> li
     name = list(known)[int(np.argsort(ratios)[len(ratios) // 2])]
     focal, by_exif = lenses[name].focal[0], known[name]
     ratio = focal / by_exif
-    said = f"the focal length of {name} is {focal:g} px, and EXIF tells {by_exif:.0f} px"
+    said = f"the focal length of {name} is {focal:g} px, and EXIF gives {by_exif:.0f} px"
     if max(ratio, 1.0 / ratio) > _WRONG_RATIO:
         raise ConfigError(
-            f"{said}, expected at most {_WRONG_RATIO:g} times more or less; give it in pixels of these images, in "
-            "[cameras] focal_px or in the poses file"
+            f"{said}, expected a factor of at most {_WRONG_RATIO:g} between them; give it in pixels of these images, "
+            "in [cameras] focal_px or in the poses file"
         )
     if max(ratio, 1.0 / ratio) > _DOUBTFUL_RATIO:
         warnings.append(f"{said}; check that it is in pixels of these images, unless they are cropped")
@@ -83,12 +83,12 @@ def require_apart(views: list[View], water: FlatWater | None) -> list[str]:
     Raises
     ------
     PosesError
-        Where all cameras stand at one place, or most of them see water that no other one sees.
+        If all cameras are at one place, or most of them do not overlap any other at the water.
     """
     centres = np.array([view.camera.centre for view in views])
     if np.ptp(centres, axis=0).max() < _ONE_PLACE_M:
         raise PosesError(
-            f"all {len(views)} cameras stand at one place within {1000.0 * _ONE_PLACE_M:.0f} mm, expected places some "
+            f"all {len(views)} cameras are at one place within {1000.0 * _ONE_PLACE_M:.0f} mm, expected places some "
             "metres apart; give each photograph its own pose"
         )
     warnings = [] if water is None else _overlap_doubts(views, water)
@@ -121,7 +121,7 @@ def _overlap_doubts(views: list[View], water: FlatWater) -> list[str]:
         gap = np.median(apart.min(axis=1)[alone])
         raise PosesError(
             f"{alone.sum()} of {len(views)} views overlap no other at the water: one covers "
-            f"{2.0 * np.median(radii):.2f} m, and the next one begins {gap:.2f} m beside it, expected an overlap of "
+            f"{2.0 * np.median(radii):.2f} m, and the next one begins {gap:.2f} m away, expected an overlap of "
             "half a view or more; correct the focal length, the positions or [water] level_m"
         )
     names = [view.name for view, is_alone in zip(views, alone, strict=True) if is_alone]
@@ -160,4 +160,4 @@ def _opk_deg(cam_from_grid: np.ndarray) -> tuple[float, float, float]:
 
 
 def _by_exif(head: Exif) -> str:
-    return "" if head.focal_px is None else f"; EXIF tells {head.focal_px:.0f} px"
+    return "" if head.focal_px is None else f"; EXIF gives {head.focal_px:.0f} px"

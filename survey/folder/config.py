@@ -1,4 +1,4 @@
-"""survey.toml: the settings of a survey, checked key by key, and written back as they took effect."""
+"""survey.toml: the settings of a survey, checked key by key, and written back with defaults filled in."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from survey.files.toml_table import key, parse_toml, read_toml, require_one_of, 
 _ANY_LEVEL = ("level_m", "shoreline", "gnss_points", "gauge")
 _TOPOCENTRIC = "topocentric east-north-up"
 
-# What other programs and other words call our keys.
+# Synonyms used by other programs.
 _SYNONYMS = {
     "gcp": "control.gcps", "gcps": "control.gcps", "ground_control": "control.gcps", "control_points": "control.gcps",
     "check_points": "control.checkpoints", "epsg": "crs", "srs": "crs", "projection": "crs",
@@ -26,12 +26,12 @@ _SYNONYMS = {
 
 # Keys that a later version will read, and what to do until then.
 _NOT_YET = {
-    "water.mask": "the sweep finds by itself what is wet; remove it",
+    "water.mask": "the sweep detects wet areas itself; remove it",
     "water.level_std_m": "remove it; process --calibrate-water estimates the level and its uncertainty",
     "water.index_std": "remove it; process --calibrate-water estimates the index and its uncertainty",
     "water.slope_std": "remove it; process --calibrate-water estimates the slopes and their uncertainty",
-    "cameras.position_std_m": "remove it; structure from motion finds how good the GPS positions are",
-    "cameras.rotation_std_deg": "remove it; poses of a file are taken as they are",
+    "cameras.position_std_m": "remove it; structure from motion estimates the accuracy of the GPS positions",
+    "cameras.rotation_std_deg": "remove it; poses from a file are not adjusted",
     "control.gcps": "give camera poses that are already adjusted to the control points",
     "control.checkpoints": "remove it and give the file to bathynerf compare --checkpoints",
     "control.std_m": "give camera poses that are already adjusted to the control points",
@@ -143,7 +143,9 @@ class WaterConfig:
                 "remove [water] for a dry survey"
             )
         if len(levels) > 1:
-            raise ConfigError(f"[water] has {' and '.join(levels)}, each of which says how high the water is; keep one")
+            raise ConfigError(
+                f"[water] has {' and '.join(levels)}, each of which gives the height of the water; keep one"
+            )
 
     def _require_one_index(self) -> None:
         by_water = [name for name in ("temperature_c", "salinity_psu") if getattr(self, name) is not None]
@@ -171,7 +173,7 @@ class WaterConfig:
 
 @dataclass(frozen=True)
 class AreaConfig:
-    """[area]: inside which the bed is wanted."""
+    """[area]: the region to reconstruct."""
 
     bounds: tuple[float, float, float, float] | None = key(
         None, "[easting_low, northing_low, easting_high, northing_high]"
@@ -221,7 +223,7 @@ def read_config(path: Path) -> SurveyConfig:
     Raises
     ------
     ConfigError
-        Where the file is no TOML, or a key is unknown, of the wrong kind, not supported yet or at odds with
+        If the file is not TOML, or a key is unknown, of the wrong kind, not supported yet or contradicts
         another.
     """
     return read_toml(path, parse_config)
@@ -236,7 +238,7 @@ def parse_config(text: str) -> SurveyConfig:
 
 
 def _require_sane(water: WaterConfig) -> None:
-    """Raise ConfigError where a number is out of range; one that was estimated may be, and its verdict says so."""
+    """Raise ConfigError if a number is out of range; estimated ones may be, and their verdict reports it."""
     if water.refractive_index is not None and not 1.0 <= water.refractive_index <= 1.6:
         raise ConfigError(
             f"[water] refractive_index is {water.refractive_index:g}, expected 1.0 to 1.6 relative to air; fresh water "

@@ -114,5 +114,6 @@ def _turned(heads: dict[str, Exif]) -> list[str]:
     if not num:
         return []
     return [
-        f"EXIF asks to turn {num} of {len(heads)} images; they are used as stored, and poses taken to belong to that"
+        f"EXIF marks {num} of {len(heads)} images as rotated; pixels are used as stored and poses are assumed to refer "
+        "to them"
     ]

@@ -62,7 +62,7 @@ def config_of_images(
         )
     if poses_path is not None and colmap.is_model(poses_path):
         raise ConfigError(
-            f"{folder} has no {FILE_NAME}, and the model in {poses_path} does not say where it lies; write "
+            f"{folder} has no {FILE_NAME}, and the model in {poses_path} is not georeferenced; write "
             f"{FILE_NAME} with crs and [local] origin = [easting, northing, height]"
         )
     crs = f"EPSG:{code}+{_EGM96_HEIGHT}"
@@ -77,7 +77,7 @@ def config_of_images(
 
 
 def crs_advice(heads: dict[str, Exif]) -> str:
-    """What to write as crs, with the images' own UTM zone where they have positions."""
+    """Advice on crs, with the UTM zone of the images if they have positions."""
     code = utm_code_of(heads) or 25832
     return f'give the one of poses and heights, with a vertical part, e.g. crs = "EPSG:{code}+{_EGM96_HEIGHT}"'
 

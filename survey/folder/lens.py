@@ -68,12 +68,12 @@ def _focal(cameras: CamerasConfig, heads: dict[str, Exif], assumptions: list[str
     found = sorted({head.focal_px for head in heads.values() if head.focal_px is not None})
     if not found:
         raise ConfigError(
-            f"focal_px is missing from [cameras] in {FILE_NAME}, and EXIF does not tell it; give the calibrated "
+            f"focal_px is missing from [cameras] in {FILE_NAME}, and EXIF does not give it; give the calibrated "
             "focal length in pixels, e.g. focal_px = 3650.0"
         )
     if found[-1] > 1.01 * found[0]:
         raise ConfigError(
-            f"EXIF tells focal lengths from {found[0]:.0f} to {found[-1]:.0f} px, expected one camera; give focal_px "
+            f"EXIF gives focal lengths from {found[0]:.0f} to {found[-1]:.0f} px, expected one camera; give focal_px "
             f"in [cameras] in {FILE_NAME}, or poses with a camera per image (COLMAP)"
         )
     assumptions.append(f"the focal length is {found[0]:.1f} px, a design value from EXIF and not a calibration")

@@ -70,11 +70,11 @@ def with_lenses(found: Found, poses: list[Pose], assumptions: list[str], warning
     given = cameras.focal_px[0] if isinstance(cameras.focal_px, tuple) else cameras.focal_px
     if given is not None and abs(given / own - 1.0) > 0.01:
         warnings.append(
-            f"focal_px = {given:g} in survey.toml is not used: {found.poses_path} carries its own, {own:.1f} px"
+            f"focal_px = {given:g} in survey.toml is not used: {found.poses_path} has its own, {own:.1f} px"
         )
     if cameras.size_px is not None and cameras.size_px != size:
         warnings.append(
-            f"size_px = {list(cameras.size_px)} in survey.toml is not used: {found.poses_path} carries its own, "
+            f"size_px = {list(cameras.size_px)} in survey.toml is not used: {found.poses_path} has its own, "
             f"{list(size)}"
         )
     return poses
@@ -109,7 +109,7 @@ def require_image(view: View, head: Exif) -> None:
     if head.size_px != expected:
         mend = "use the images that the poses were made from, or correct the size of the camera"
         if head.orientation >= 5 and head.size_px == expected[::-1]:
-            mend = "EXIF asks to turn it, which is not done here: turn the file for good and remove the tag"
+            mend = "EXIF marks it as rotated, which is ignored here: rotate the pixels and remove the orientation tag"
         raise ImageError(
             f"{view.path} has {head.size_px[0]} x {head.size_px[1]} pixels, expected {expected[0]} x {expected[1]} "
             f"as its camera has; {mend}"

@@ -53,7 +53,7 @@ def _views_of_local_poses(found: Found, poses: list[Pose]) -> tuple[LocalFrame, 
     origin = found.config.local.origin
     if origin is None:
         raise ConfigError(
-            f"the poses in {found.poses_path} are in a local frame, but {FILE_NAME} does not say where it lies; give "
+            f"the poses in {found.poses_path} are in a local frame, but {FILE_NAME} does not give its place; give "
             "[local] origin = [easting, northing, height] of its zero point in crs"
         )
     frame = LocalFrame(found.crs, origin)

@@ -87,7 +87,7 @@ def load_survey(
     workspace : Path, optional
         Where structure from motion keeps its files, if it has to run; default ``folder/bathynerf/sfm``.
     report : callable, optional
-        Told in words what structure from motion does.
+        Called with messages on the progress of structure from motion.
     found : Found, optional
         What `find_survey` found in the folder, where it has looked already.
 

@@ -29,7 +29,7 @@ def require_solvable(found: Found) -> list[str]:
     Raises
     ------
     SurveyError, GeoError
-        Where it would stop: sizes, focal length, heights, positions and images are looked at, no pixel is decoded.
+        If it would fail: sizes, focal length, heights, positions and images are checked, no pixel is decoded.
     """
     cameras = found.config.cameras
     require_level_fits_exif(found.config, found.heads)
@@ -49,7 +49,7 @@ def require_solvable(found: Found) -> list[str]:
 def solve_views(
     found: Found, workspace: Path | None, report: Callable[[str], None] | None
 ) -> tuple[LocalFrame, list[View], np.ndarray, list[str], list[str]]:
-    """What structure from motion finds: the local frame, views and points, and what it assumed and warns of.
+    """The result of structure from motion: local frame, views and points, with assumptions and warnings.
 
     Raises
     ------

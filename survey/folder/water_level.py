@@ -3,7 +3,7 @@
     shoreline, gnss_points   CSV with easting, northing, height in crs: a plane is fitted
     gauge                    CSV with time, level: interpolated at the time of each photograph
 
-Each becomes level_m (and slopes) of [water] before anything else looks at it.
+Each is converted to level_m (and slopes) of [water] when the survey is read.
 """
 
 from __future__ import annotations
@@ -159,7 +159,7 @@ def read_points(path: Path) -> np.ndarray:
     Raises
     ------
     ConfigError
-        If the file is missing, a column is, or a value is no finite number.
+        If the file or a column is missing, or a value is not a finite number.
     """
     columns = ("easting", "northing", "height")
     rows = read_table(path, columns, error=ConfigError)
@@ -188,8 +188,8 @@ def _level_at_flight(path: Path, heads: Mapping[str, Exif]) -> tuple[float, str]
     taken = {name: head.taken for name, head in heads.items() if head.taken is not None}
     if not taken:
         raise ConfigError(
-            f"no image says when it was taken in UTC (EXIF GPS time, or DateTimeOriginal with OffsetTimeOriginal), so "
-            f"that {path} cannot be asked; give level_m in {FILE_NAME}"
+            f"no image has its time of exposure in UTC (EXIF GPS time, or DateTimeOriginal with OffsetTimeOriginal), "
+            f"so no level can be interpolated from {path}; give level_m in {FILE_NAME}"
         )
     moments = np.array([moment.timestamp() for moment in taken.values()])
     if moments.min() < times[0] or moments.max() > times[-1]:
@@ -210,7 +210,7 @@ def _time(row: Row) -> float:
     try:
         moment = datetime.fromisoformat(text)
     except ValueError as error:
-        raise ConfigError(f"{row.where}: {text!r} is no time, expected e.g. 2024-06-01T10:30:00Z") from error
+        raise ConfigError(f"{row.where}: {text!r} is not a time, expected e.g. 2024-06-01T10:30:00Z") from error
     if moment.tzinfo is None:
         raise ConfigError(f"{row.where}: {text} has no time zone; write Z for UTC or e.g. +02:00 after it")
     return moment.timestamp()

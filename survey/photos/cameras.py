@@ -30,7 +30,7 @@ class Pose:
         where `in_crs`, else from the axes of the topocentric frame.
     in_crs : bool
     lens : Lens or None
-        None where the file carries no lens.
+        None if the file has no lens.
     """
 
     name: str

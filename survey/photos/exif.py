@@ -32,7 +32,7 @@ class Exif:
     Attributes
     ----------
     size_px : (width, height)
-        As stored, without the rotation that `orientation` asks viewers for.
+        As stored, without the rotation in `orientation`.
     lat_lon_height : (latitude [deg], longitude [deg], height [m]) or None
         GPS position, WGS 84; the height is NaN where the file has none. Its vertical datum is not known.
     focal_px : float or None
@@ -69,7 +69,7 @@ def read_exif(path: Path) -> Exif:
             size, exif, xmp = image.size, image.getexif(), image.info.get("xmp", b"")
             gps, details = exif.get_ifd(ExifTags.IFD.GPSInfo), exif.get_ifd(ExifTags.IFD.Exif)
         except (SyntaxError, ValueError) as error:
-            raise ImageError(f"{path} has EXIF that cannot be read ({error}); copy it anew or remove it") from error
+            raise ImageError(f"{path} has EXIF that cannot be read ({error}); copy it again or remove it") from error
     if isinstance(xmp, bytes):
         xmp = xmp.decode("utf-8", errors="replace")
     camera = " ".join(str(exif.get(tag, "")).strip("\0 ") for tag in (ExifTags.Base.Make, ExifTags.Base.Model))

@@ -113,7 +113,7 @@ def _decode(path: Path, mode: str) -> np.ndarray:
         if isinstance(error, OSError) and error.errno is not None:
             raise
         raise ImageError(
-            f"{path} is damaged or cut off ({error}); copy it anew from the camera or remove it"
+            f"{path} is damaged or cut off ({error}); copy it again from the camera or remove it"
         ) from error
 
 

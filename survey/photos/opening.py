@@ -39,7 +39,7 @@ def open_image(path: Path) -> Iterator[Image.Image]:
     try:
         image = _opened(path)
     except (UnidentifiedImageError, SyntaxError, ValueError) as error:
-        raise ImageError(f"{path} is not an image that can be read ({error}); copy it anew or remove it") from error
+        raise ImageError(f"{path} is not an image that can be read ({error}); copy it again or remove it") from error
     with image:
         _require_fit(path, *image.size)
         yield image

@@ -40,7 +40,7 @@ def read_depth_prior(path: Path, camera: PinholeCamera) -> np.ndarray:
     depth = values.astype(np.float32)
     depth[~np.isfinite(depth) | (whole & (values == 0))] = np.nan
     if not np.nanmax(depth, initial=-np.inf) > np.nanmin(depth, initial=np.inf):
-        raise ImageError(f"{path} tells no depths apart: all of its known pixels are equal; remove it or make it anew")
+        raise ImageError(f"{path} is constant: all of its known pixels are equal; remove it or generate it again")
     return depth
 
 
@@ -69,7 +69,7 @@ def read_normal_prior(path: Path, camera: PinholeCamera) -> np.ndarray:
     length = np.linalg.norm(normals, axis=2)
     known = np.isfinite(length) & (length > 0.0)
     if not known.any():
-        raise ImageError(f"{path} has no normals: all of its pixels are zero or NaN; remove it or make it anew")
+        raise ImageError(f"{path} has no normals: all of its pixels are zero or NaN; remove it or generate it again")
     middle = float(np.median(length[known]))
     if abs(middle - 1.0) > MAX_LENGTH_ERROR:
         raise ImageError(
@@ -90,18 +90,20 @@ def _read(path: Path) -> np.ndarray:
     if path.suffix.lower() not in SUFFIXES:
         raise ImageError(f"{path} is of an unknown kind; expected a file ending in {', '.join(SUFFIXES)}")
     if not path.is_file():
-        raise ImageError(f"the prior {path} does not exist; make it, or correct its path")
+        raise ImageError(f"the prior {path} does not exist; generate it, or correct its path")
     if path.suffix.lower() == ".npy":
         try:
             values = np.load(path, allow_pickle=False)
         except (ValueError, EOFError) as error:
-            raise ImageError(f"{path} is no array that numpy can read ({error}); save it with numpy.save") from error
+            raise ImageError(
+                f"{path} is not an array that numpy can read ({error}); save it with numpy.save"
+            ) from error
         if values.dtype.kind not in "uif":
             raise ImageError(f"{path} holds {values.dtype}, expected real numbers")
         return values
     values = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     if values is None:
-        raise ImageError(f"{path} is not an image that can be read; make it anew")
+        raise ImageError(f"{path} is not an image that can be read; generate it again")
     return values[:, :, ::-1] if values.ndim == 3 and values.shape[2] == 3 else values
 
 

@@ -21,7 +21,7 @@ class ImageStore:
     Parameters
     ----------
     budget_bytes : int, optional
-        Memory for kept images; default a quarter of what is free.
+        Memory for kept images; default a quarter of the free memory.
     """
 
     def __init__(self, budget_bytes: int | None = None):

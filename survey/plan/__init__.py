@@ -1,1 +1,1 @@
-"""The plan: what a survey needs and why, what it will cost, and what is wrong with it, before anything is computed."""
+"""The plan: the decisions for a survey with reasons, its cost, and its faults, before anything is computed."""

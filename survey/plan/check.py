@@ -1,4 +1,4 @@
-"""`bathynerf check`: what was found and assumed, what is doubtful, and what the plan and its cost would be."""
+"""`bathynerf check`: findings, assumptions, warnings, and the plan with its cost."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Checked:
-    """A survey that can be processed, as far as its files tell.
+    """A survey whose files pass all checks.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ def require_processable(folder: Path) -> Checked:
 
 
 def check_survey(folder: Path, *, quality: str = "standard", device: str = "auto") -> list[Section]:
-    """Look at a survey and say what `process` would do; nothing is computed and nothing written.
+    """Check a survey and describe what `process` would do; nothing is computed and nothing written.
 
     Raises
     ------
@@ -129,7 +129,7 @@ def _water(survey: Survey) -> str:
 
 
 def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]:
-    """The sections where structure from motion would have to run first."""
+    """The sections of a survey that needs structure from motion first."""
     found = checked.found
     places = [head.lat_lon_height for head in found.heads.values() if head.lat_lon_height is not None]
     num_of_size = Counter(head.size_px for head in found.heads.values())
@@ -162,9 +162,9 @@ def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]
     sfm = Decision(
         "structure from motion",
         "on",
-        f"there is no poses file; GPS positions place it, their heights as {like}",
+        f"there is no poses file; georeferenced by GPS positions, heights taken as {like}",
     )
-    rest = Decision("refraction and the rest", "later", "decided when the poses are known")
+    rest = Decision("refraction and the rest", "later", "decided once the poses are known")
     decisions = (sfm, device_decision(device), rest)
     sizes = [head.size_px for head in found.heads.values()]
     workload = workload_of_images(sizes, quality=quality, device=decisions[1].choice)

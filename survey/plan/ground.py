@@ -9,7 +9,7 @@ import numpy as np
 
 from refract import PinholeCamera
 
-# Overlap along the flight line that planners aim at; used only where nothing tells the height of dry ground.
+# Overlap along the flight line that planners aim at; used only where the height of dry ground is unknown.
 _USUAL_OVERLAP = 0.75
 
 

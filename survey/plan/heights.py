@@ -1,8 +1,8 @@
-"""Between which heights a bed is looked for at all, and why.
+"""The range of heights searched for the bed, and its source.
 
-Every height in this range is tried, and chance matches far from the bed cost time and points; a bed beyond it is lost.
-So the range is the one in survey.toml, else the one of the matched points that came with the poses, else what
-drones do.
+Every height in this range is tried: chance matches far from the bed cost time and points, and a bed beyond it is lost.
+So the range is the one in survey.toml, else that of the matched points that came with the poses, else a multiple of
+the flying height.
 
 Matched points under water come from straight rays and seem too shallow: two rays from the same side meet between their
 tangential images, two from opposite sides between their sagittal ones (`refract.apparent`), and the least squares of
@@ -24,24 +24,24 @@ from survey.errors import FILE_NAME, ConfigError
 if TYPE_CHECKING:
     from survey.folder.survey import Survey
 
-# No bed is looked for higher over the water than this share of the flying height, nor deeper than that one: drones fly
-# 8 m over 10 m of clear water, and beside banks that nearly reach them.
+# Search limits in flying heights: up above the water, and down below it. Drones fly 8 m over 10 m of clear water, and
+# beside banks that nearly reach them.
 HIGHEST, DEEPEST = 0.8, 1.5
-# Over dry ground without points the flying height is only guessed from the overlap: a third of it to three times.
+# Over dry ground without points the flying height is only estimated from the overlap: a third of it to three times it.
 _DRY_NEAREST, _DRY_FARTHEST = 1.0 / 3.0, 3.0
-# Wrong matches lie beyond these quantiles of the points; fewer points do not tell them.
+# Wrong matches lie beyond these quantiles of the points; with fewer points the quantiles are too uncertain.
 _OUTER = (0.005, 0.995)
 _FEWEST_POINTS = 200
 # Added above and below: the quantiles leave out one point in a hundred, and the deepest bed shows the least texture.
-# Half of what the points span covers slopes that go on, a tenth of the flying height what stands alone: a mast, a pool.
+# Half of the points' span covers continuing slopes, a tenth of the flying height isolated objects (a mast, a pool).
 _MARGIN_SPAN, _MARGIN_FLYING = 0.5, 0.1
-# Views of a point nearer to the horizon than this tell nothing of its height.
+# Views of a point nearer to the horizon than this do not determine its height.
 _GRAZING_DEG = 80.0
 
 
 @dataclass(frozen=True)
 class HeightRange:
-    """Heights [m] over the water plane (over local z = 0 in a dry survey) between which a bed is looked for.
+    """Heights [m] over the water plane (over local z = 0 in a dry survey) between which the bed is searched.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class HeightRange:
 
 
 def height_range(survey: Survey, flying_m: float) -> HeightRange:
-    """Where a bed is looked for.
+    """The range of heights searched for the bed.
 
     Parameters
     ----------
@@ -72,17 +72,22 @@ def height_range(survey: Survey, flying_m: float) -> HeightRange:
         return _of_config(survey, survey.config.area.heights)
     if survey.points is not None and len(survey.points) >= _FEWEST_POINTS:
         return _of_points(survey, survey.points, flying_m)
-    mend = "[area] heights, or poses that come with matched points, would narrow it"
     if survey.water is not None:
         low, high = -DEEPEST * flying_m, HIGHEST * flying_m
         return HeightRange(
             low,
             high,
-            f"{DEEPEST:g} times the flying height down and {HIGHEST:g} of it up, as nothing tells more; {mend}",
+            f"{DEEPEST:g} flying heights down and {HIGHEST:g} up, because neither [area] heights nor "
+            f"{_FEWEST_POINTS} matched points are given; either would narrow it",
         )
     top = float(np.median(_centres(survey)[:, 2]))
     low, high = top - _DRY_FARTHEST * flying_m, top - _DRY_NEAREST * flying_m
-    return HeightRange(low, high, f"a third to three times as far under the cameras as the overlap suggests; {mend}")
+    return HeightRange(
+        low,
+        high,
+        "a third to three times the distance below the cameras that the overlap suggests; [area] heights, or poses "
+        "with matched points, would narrow it",
+    )
 
 
 def in_words(survey: Survey, flying_m: float) -> tuple[str, str]:
@@ -104,13 +109,13 @@ def _of_config(survey: Survey, heights_m: tuple[float, float]) -> HeightRange:
     if high >= lowest:
         raise ConfigError(
             f"[area] heights is {list(heights_m)} in {FILE_NAME}, whose upper end lies {high - lowest:.1f} m above the "
-            "lowest camera; give the lowest and highest ground that is looked for, in the heights of crs"
+            "lowest camera; give the lowest and highest ground to search, in the heights of crs"
         )
     return HeightRange(low, high, f"[area] heights in {FILE_NAME}")
 
 
 def _of_points(survey: Survey, points: np.ndarray, flying_m: float) -> HeightRange:
-    """From the heights at which matched points (N, 3) [m], local, seem to lie and can lie through the water."""
+    """From the apparent and the lowest true heights of matched points (N, 3) [m], local."""
     apparent = _heights(survey, points)
     base = 0.0 if survey.water is not None else float(np.median(apparent))
     if survey.water is None:
@@ -121,8 +126,8 @@ def _of_points(survey: Survey, points: np.ndarray, flying_m: float) -> HeightRan
     margin = max(_MARGIN_SPAN * (high - low), _MARGIN_FLYING * flying_m)
     wet = f", the deepest no lower than {low:.1f} m through the water" if low < apparent_low else ""
     reason = (
-        f"{len(apparent):,} matched points seem to lie at {apparent_low:.1f} to {high:.1f} m{wet}; {margin:.1f} m are "
-        "added on both sides"
+        f"apparent heights of the {len(apparent):,} matched points: {apparent_low:.1f} to {high:.1f} m{wet}; "
+        f"{margin:.1f} m are added on both sides"
     )
     num_wet = int((apparent < 0.0).sum())
     if survey.water is not None and num_wet < _FEWEST_POINTS:
@@ -131,7 +136,7 @@ def _of_points(survey: Survey, points: np.ndarray, flying_m: float) -> HeightRan
 
 
 def _deepest(survey: Survey, points: np.ndarray, apparent: np.ndarray) -> np.ndarray:
-    """The lowest heights (N,) [m] over the plane at which points (N, 3) of apparent heights (N,) can lie."""
+    """Lowest true heights (N,) [m] over the plane for points (N, 3) with apparent heights (N,)."""
     water, wet = survey.water, apparent < 0.0
     if water is None or not wet.any():
         return apparent

@@ -1,4 +1,4 @@
-"""The plan: what a scene needs, what is skipped, and the reason for each; from geometry only."""
+"""The plan: what is done and what is skipped, with reasons; from geometry only."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FIELDS = tuple(each.value for each in Switch)
 
 @dataclass(frozen=True)
 class Decision:
-    """One line of the plan: what it is about, what was chosen, and why."""
+    """One line of the plan: subject, choice and reason."""
 
     name: str
     choice: str
@@ -110,14 +110,14 @@ def make_plan(survey: Survey, *, quality: str = "standard", device: str = "auto"
 def _field(quality: str, field: str) -> Decision:
     require_choice("field", field, FIELDS)
     if field != "auto":
-        return Decision("field", field, "asked for")
+        return Decision("field", field, "set by --field")
     if not RECIPES[quality].field:
         return Decision(
-            "field",
-            "off",
-            f"it reduces noise slightly and doubles the run time; {quality} takes the heights of the sweep",
+            "field", "off", f"it reduces noise slightly and doubles the run time; {quality} uses the sweep's heights"
         )
-    return Decision("field", "on", "trained inside the bound of the sweep, it reduces the noise of the heights")
+    return Decision(
+        "field", "on", "trained inside the bound of the sweep, it reduces the noise of the heights slightly"
+    )
 
 
 def require_choice(name: str, value: str, known: tuple[str, ...]) -> None:
@@ -162,7 +162,7 @@ def device_decision(device: str) -> Decision:
 
 def _refraction(survey: Survey) -> Decision:
     if survey.water is None:
-        return Decision("refraction", "off", "a dry survey: there is no [water]")
+        return Decision("refraction", "off", "a dry survey, without [water]")
     water, given = survey.require_water()
     if water.n_water == 1.0:
         return Decision("refraction", "off", "the index of the water is 1, as if it were air")

@@ -1,4 +1,4 @@
-"""What a quality means: all its numbers together."""
+"""All numbers that define each quality."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ class Recipe:
     Attributes
     ----------
     megapixels : [Mpx]
-        Largest image that is worked on; larger ones are halved until they fit.
+        Largest image to process; larger ones are halved until they fit.
     times_seen : (int, int)
         How often every place is to be seen by views with a height map of their own: by steep ones, and by oblique ones
-        from each quarter. Three confirm each other; docs/sweep.md has what more bring.
+        from each quarter. Three confirm each other; docs/sweep.md has the gain from more.
     field : bool
         Whether the survey field refines the heights of the sweep.
     rays_per_cell : float

@@ -33,7 +33,7 @@ _FIELD_CORE_S_PER_CELL = 2.3e-4
 _START_S = 11.0
 _BASE_BYTES = 950e6
 # Per pixel: of every view its grey image twice in float32, and its colours, kept while there is room (a quarter of what
-# is free); of a view with a height map what the sweep and the bed know.
+# is free); of a view with a height map the arrays of sweep and bed.
 _BYTES_OF_VIEW, _BYTES_OF_MAP = 11, 26
 # Per pixel of a whole photograph while it is decoded, undistorted and made smaller.
 _BYTES_OF_DECODING = 34
@@ -63,7 +63,7 @@ class Workload:
     disk_bytes : int
         Of the run folder.
     is_bound : bool
-        More than this it will not be: poses are not known yet, and all views count.
+        Whether this is an upper bound: poses are not known yet, and all views count.
     """
 
     num_views: int
@@ -139,7 +139,7 @@ def require_room(workload: Workload, run_folder: Path) -> list[str]:
     Raises
     ------
     SurveyError
-        Where the disk of the run folder has no room for the run; what an earlier run left there counts as room.
+        If the disk of the run folder has too little space; files of an earlier run there count as free.
     """
     warnings = []
     there = sum(p.stat().st_size for p in run_folder.glob("stages/**/*") if p.is_file()) if run_folder.is_dir() else 0
@@ -147,7 +147,7 @@ def require_room(workload: Workload, run_folder: Path) -> list[str]:
     if workload.disk_bytes > free:
         words = (
             f"the run needs {workload.most}{_size(workload.disk_bytes)} in {run_folder}, and {_size(free)} are free "
-            "there; free some, name a run folder elsewhere with -o, or take a lower --quality"
+            "there; free some, name a run folder elsewhere with -o, or use a lower --quality"
         )
         if not workload.is_bound:
             raise SurveyError(words)
@@ -156,7 +156,7 @@ def require_room(workload: Workload, run_folder: Path) -> list[str]:
     if workload.memory_bytes > free:
         warnings.append(
             f"the run needs {workload.most}{_size(workload.memory_bytes)} of memory, and {_size(free)} are free: the "
-            "system may stop it; end other programs, take a lower --quality, or give [area] bounds"
+            "system may stop it; close other programs, use a lower --quality, or give [area] bounds"
         )
     return warnings
 

@@ -1,4 +1,4 @@
-"""`bathynerf export`: the cloud of a finished run in the formats that are asked for."""
+"""`bathynerf export`: the cloud of a finished run in the requested formats."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
-"""The run folder: what a run leaves behind, where, and what of it a later run may use again.
+"""The run folder: its contents, and which of them a later run may reuse.
 
 RUN/cloud.las, report.json, report.html, settings.toml, plan.json, result.json, log.txt, pictures/*.png,
 stages/<name>-<key>/..., and sfm/ where poses had to be found.
 
-A stage works in a fresh hidden folder that is renamed when the stage is finished, so that what stands under
-``stages`` is whole; the name ends in a hash of all that the stage depends on, so that results of other settings stand
-side by side. One process at a time writes to a run; a lock says so.
+A stage works in a fresh hidden folder that is renamed when the stage is finished, so that every folder
+under ``stages`` is complete; the name ends in a hash of all that the stage depends on, so that results of other settings
+are kept side by side. One process at a time writes to a run; a lock ensures this.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ class RunDir:
             )
 
     def result(self) -> dict:
-        """What result.json says; see `survey.run.result.read_record`."""
+        """The contents of result.json; see `survey.run.result.read_record`."""
         return result.read_record(self.path)
 
     def inputs(self) -> ReadFiles:
@@ -148,7 +148,7 @@ class RunDir:
         return folder
 
     def publish(self, folder: Path, *, quality: str, stages: dict[str, Path]) -> None:
-        """Put the result in the folder of `open_result` in the place of the one before; remove what nobody needs now.
+        """Put the result in the folder of `open_result` in the place of the one before; remove results no longer needed.
 
         ``stages`` are the folders of the stages that it was made from, by name.
         """
@@ -167,7 +167,7 @@ class RunDir:
     def why_again(self, name: str, key: Key) -> str | None:
         """Why a stage has to be computed although it was before, in words; None if it never was.
 
-        The finished result of this stage that has most in common with the key tells what changed.
+        The finished result of this stage that has most in common with the key shows what changed.
         """
         records = [_record(folder) for folder in self.stages_path.glob(f"{name}-*")]
         found = [key.changes_from(record["parts"]) for record in records if isinstance(record.get("parts"), dict)]
@@ -211,7 +211,7 @@ class RunDir:
         if not _record(folder):
             raise SurveyError(
                 f"the run {self.path} has no finished stage {name}; give the same `bathynerf process` again, "
-                "it goes on where it stopped"
+                "it resumes where it stopped"
             )
         return folder
 

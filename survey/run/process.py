@@ -58,7 +58,8 @@ def process(
     resume : bool
         Use what an earlier run in this folder finished, where nothing that it depends on has changed.
     calibrate_water : bool
-        First estimate level, slopes and index of the water from the photographs; what they cannot tell stays as given.
+        First estimate level, slopes and index of the water from the photographs; those that are not observable keep
+        their given values.
     true_colour : bool
         Give the points the bed's own colour, the water taken away, instead of the photographs'.
     reference, visible : str or Path, optional

@@ -20,7 +20,7 @@ _UNFINISHED = ".unfinished.json"
 
 
 def read_record(run: Path) -> dict:
-    """What result.json of a run says: ``quality``, ``finished``, ``stages`` (name to folder), and ``others``.
+    """The contents of result.json of a run: ``quality``, ``finished``, ``stages`` (name to folder), and ``others``.
 
     ``others`` has the stages of the latest result of each other quality, by quality. Empty without a result.
     """

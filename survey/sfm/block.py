@@ -6,7 +6,7 @@ orientation, and the centre of the first pixel is at (0.5, 0.5).
 
 from __future__ import annotations
 
-# pycolmap 4.2.1 carries its own zlib; loaded before the system's, it lets the next PNG file corrupt the heap.
+# pycolmap 4.2.1 bundles its own zlib; if that is loaded before the system's, reading a PNG file corrupts the heap.
 import zlib  # noqa: F401
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -28,7 +28,7 @@ _THREADS = 2
 _SEED = 0
 # f, cx, cy, k1, k2. With one coefficient a real block is bent by decimetres; more than two gain nothing (see tests).
 MODEL = "RADIAL"
-# Longest side [px] on which features are looked for; larger images are reduced for it.
+# Longest side [px] of an image for feature detection; larger images are reduced.
 _FEATURE_SIZE_PX = 3200
 # Up to this many images every pair is tried, beyond it each image with its nearest neighbours.
 _ALL_PAIRS_UP_TO = 40

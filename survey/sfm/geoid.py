@@ -20,7 +20,7 @@ _GEOID_STEP = re.compile(r"\+proj=vgridshift\s+\+grids=(\S+)")
 def height_transformer(crs: CRS, area: AreaOfInterest) -> Transformer:
     """From longitude, latitude [deg] and height above the WGS 84 ellipsoid [m] to the height in crs.
 
-    Only heights are asked of it: its horizontal part is WGS 84, so that no grid of horizontal datums is needed.
+    Only heights are transformed: its horizontal part is WGS 84, so that no grid of horizontal datums is needed.
 
     Raises
     ------

@@ -16,7 +16,7 @@ from survey.errors import FILE_NAME, ConfigError, PosesError
 from survey.photos.exif import Exif, utm_code_of
 from survey.sfm.geoid import height_transformer
 
-# Mean sea level after EGM96: what consumer receivers and drones mean by height.
+# Mean sea level by EGM96: the heights of consumer receivers and drones.
 _EGM96_HEIGHT = 5773
 _MIN_POSITIONS = 3
 _GIVE_POSES = f"name a file of poses in [cameras] poses in {FILE_NAME}"

@@ -32,7 +32,7 @@ def require_area(positions, std_m: float) -> None:
     Raises
     ------
     PosesError
-        With the extent along and across, and what to do.
+        With the extent along and across, and advice.
     """
     positions = np.asarray(positions, dtype=np.float64)
     spread = np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False) / math.sqrt(len(positions))

@@ -167,7 +167,7 @@ def _made(folder: Path) -> Path:
 
 @contextmanager
 def _work_folder(workspace: Path, num_images: int) -> Iterator[Path]:
-    """An empty folder in the workspace, gone at the end; what a killed run left there is removed first."""
+    """A temporary folder in the workspace; remains of a killed run are removed first."""
     needed, free = _BYTES_AT_LEAST + num_images * _BYTES_PER_IMAGE, shutil.disk_usage(workspace).free
     if free < needed:
         raise SurveyError(
@@ -184,7 +184,7 @@ def _work_folder(workspace: Path, num_images: int) -> Iterator[Path]:
 
 
 def seconds_of_solve(workspace: Path) -> float | None:
-    """How long the poses in a workspace took when they were solved [s]; None where there are none, or none says."""
+    """Time [s] that the poses in a workspace took to solve; None if there are none or it was not recorded."""
     return read_json_object(workspace / _RECORD).get("seconds")
 
 
@@ -198,7 +198,7 @@ def _stored(workspace: Path, key: str) -> Solved | None:
 
 
 def _store(workspace: Path, key: str, work: Path, solved: Solved, seconds: float) -> None:
-    """Keep a block; the record, written last, says that it is whole."""
+    """Store a block; the record is written last and marks it as complete."""
     (workspace / _RECORD).unlink(missing_ok=True)
     shutil.rmtree(workspace / _MODEL, ignore_errors=True)
     model = work / _MODEL

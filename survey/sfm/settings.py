@@ -15,7 +15,7 @@ def require_size(images: Mapping[str, Path], heads: Mapping[str, Exif], size_px:
         if size_px is not None and head.size_px != tuple(size_px):
             raise ImageError(
                 f"{images[name]} has {head.size_px[0]} x {head.size_px[1]} pixels, expected {size_px[0]} x "
-                f"{size_px[1]} as [cameras] size_px in {FILE_NAME} says; correct it, or leave the image out"
+                f"{size_px[1]} as in [cameras] size_px in {FILE_NAME}; correct it, or leave the image out"
             )
 
 

@@ -180,7 +180,7 @@ def hold_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | No
     nominal : mapping of name to float or None
         Focal lengths [px] in EXIF, by name in the block.
     notes : list
-        Gets a sentence on what was found.
+        Called with a sentence on the result.
 
     Notes
     -----
@@ -238,7 +238,7 @@ def adjust_as_allowed(
     these outweigh the receiver just in the shapes that matches determine weakly: bowls and tilts. So the weight of the
     positions is raised until the reprojection error would grow by more than 1 %.
     On brighton_beach stones at one water line, 10 m apart, differ by 0.43 m in height after the similarity alone,
-    by 0.32 m with the standard deviation that the residuals tell, and by 0.06 m with the weight found here.
+    by 0.32 m with the standard deviation from the residuals, and by 0.06 m with the weight found here.
     """
     block = sfm_block.copy_of(block)
     # Twice: a focal length that was put back has moved the block before the first round.

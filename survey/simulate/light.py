@@ -22,12 +22,12 @@ class Light:
     to_sun : (3,)
         Direction toward the middle of the sun, local, any length.
     sun_share : [-]
-        Of the light on level ground that comes from the sun; 0 without one.
+        Share of the light on level ground that comes from the sun; 0 without one.
     sun_radius : [rad]
         Half the angle under which the sun is seen; 0.0046 in nature, 0 for a point. All of the disc is above the
         horizon.
     overcast : bool
-        A sky three times as bright at the zenith as at the horizon, instead of one that is alike everywhere.
+        A sky three times as bright at the zenith as at the horizon, instead of a uniform one.
 
     Raises
     ------
@@ -61,9 +61,9 @@ class Light:
         return math.asin(min(float(self.sun[2]), 1.0))
 
     def on(self, normal: np.ndarray) -> np.ndarray:
-        """Light (...) that a surface of unit normals (..., 3) gets where nothing stands in its way; 1 if level."""
+        """Light (...) that a surface of unit normals (..., 3) gets where nothing shades it; 1 if level."""
         sky = 0.5 + 0.5 * normal[..., 2]
-        # Nothing is lost by leaving the sky alike: the mode that asks for this is about geometry.
+        # A uniform sky suffices: the mode that uses this is about geometry.
         sun = np.maximum(normal @ self.sun, 0.0) / self.sun[2]
         return (1.0 - self.sun_share) * sky + self.sun_share * sun
 

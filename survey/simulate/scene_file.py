@@ -1,4 +1,4 @@
-"""The scene file: what is simulated, in TOML, every key checked (docs/simulation.md lists them)."""
+"""The scene file: settings of a simulation in TOML, every key checked (docs/simulation.md lists them)."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ class CameraSettings:
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """[sensor]: what is not ideal in it."""
+    """[sensor]: its imperfections."""
 
     noise: float = 1.0  # [grey levels]
     photons_at_white: float = 0.0  # 0: no noise of counting
@@ -197,7 +197,7 @@ class RenderSettings:
 
 @dataclass(frozen=True)
 class AreaSettings:
-    """[area]: what is evaluated and flown over."""
+    """[area]: the area flown over and evaluated."""
 
     size_m: tuple[float, float]  # east and north, about the origin
 
@@ -231,6 +231,6 @@ def read_scene(path: Path) -> SceneSettings:
     Raises
     ------
     ConfigError
-        Where the file is no TOML, or a key is unknown, missing, of the wrong kind or at odds with another.
+        If the file is not TOML, or a key is unknown, missing, of the wrong kind or contradicts another.
     """
     return read_toml(path, lambda text: parse_toml(text, SceneSettings))

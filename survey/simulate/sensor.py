@@ -10,7 +10,7 @@ import numpy as np
 from refract import PinholeCamera
 from refract.lens import Lens, normalised
 
-# Radiance (N, 3) along rays from origins (N, 3) in directions (N, 3), with a seed for what is left to chance.
+# Radiance (N, 3) along rays from origins (N, 3) in directions (N, 3), with a seed for random sampling.
 Eye = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
 
 GAMMA = 2.2

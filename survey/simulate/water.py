@@ -18,7 +18,7 @@ from survey.simulate.scene_file import WaveSettings
 
 @dataclass(frozen=True)
 class WaterLevel:
-    """Still water: what survey.toml says of it.
+    """Still water, as in survey.toml.
 
     Attributes
     ----------
@@ -65,12 +65,12 @@ def with_waves(plane: FlatWater, waves: Sequence[WaveSettings]) -> WavyWater:
 
 
 def measured(path: Path, frame: LocalFrame, n_water: float) -> HeightFieldWater:
-    """The surface between measured points of it, in crs: of a raster, cloud or mesh.
+    """The surface interpolated between measured points in crs, from a raster, cloud or mesh.
 
     Raises
     ------
     SurveyError, GeoError
-        If no surface can be laid through them.
+        If no surface can be fitted through them.
     """
     shape = read_reference(path)
     points = frame.local_from_crs(shape.vertices if isinstance(shape, Mesh) else shape.points)

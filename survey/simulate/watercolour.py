@@ -1,4 +1,4 @@
-"""The colour of water: what it absorbs, what it scatters into the path."""
+"""The colour of water: absorption, and scattering into the path."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class WaterColour:
     asymmetry : [-]
         Mean cosine of scattering; natural water scatters forward (0.92: Mobley 1994, for Petzold's measurements).
     veil : (3,)
-        Radiance of water without end, for the mode without light transport.
+        Radiance of infinitely deep water, for the mode without light transport.
     veiling : [1/m]
-        How fast the veil sets in, in the same mode.
+        Rate at which the veil builds up, in the same mode.
     sky : [-]
-        Radiance that the surface mirrors, in the same mode.
+        Radiance that the surface reflects, in the same mode.
     """
 
     absorption: tuple[float, float, float] = (0.17, 0.042, 0.055)
@@ -51,7 +51,7 @@ class WaterColour:
         Parameters
         ----------
         depth : (N,) [m]
-            Of the ground: light goes down this way.
+            Of the ground: the path of the light down.
         in_water : (N,) [m]
             Way of the ray up to the surface.
         """

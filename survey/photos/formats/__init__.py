@@ -11,7 +11,7 @@ from survey.photos.cameras import Pose
 from survey.photos.formats import colmap, opk_csv
 from survey.photos.formats.format import Format
 
-# Two photographs may agree by chance on a point that is not there; a third hardly does.
+# Two photographs may agree by chance on a false point; a third rarely does.
 MIN_TRACK = 3
 # Files of other programs that are not read; warnings name them.
 _NOT_READ = ("cameras.xml", "transforms.json", "reconstruction.json", "nvm", "bundle.out")
@@ -42,7 +42,7 @@ def read_poses(path: Path) -> list[Pose]:
     known = _format_of(path)
     if known is None:
         expected = " or ".join(known.name for known in FORMATS)
-        raise PosesError(f"{path} is no poses file that is known here; expected {expected}")
+        raise PosesError(f"{path} is not a known kind of poses file; expected {expected}")
     return known.read(path)
 
 

@@ -87,7 +87,7 @@ def _guarded(reader, path: Path):
         raise PosesError(f"{path}: {error}") from error
     except (struct.error, ValueError, IndexError) as error:
         raise PosesError(
-            f"{path} is damaged or no file of COLMAP ({error}); write the model anew with COLMAP's model_converter"
+            f"{path} is damaged or not a COLMAP file ({error}); write the model again with COLMAP's model_converter"
         ) from error
 
 

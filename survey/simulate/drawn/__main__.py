@@ -1,4 +1,4 @@
-"""Draw a small survey into a folder; nothing is done where it lies there already."""
+"""Draw a small survey into a folder, unless it is there already."""
 
 from __future__ import annotations
 

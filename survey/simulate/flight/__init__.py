@@ -1,4 +1,4 @@
-"""Flight planning over water: where photographs are taken from, what they see of the bed, and what they can tell."""
+"""Flight planning over water: cameras, coverage of the bed, and whether the block determines the water level."""
 
 from survey.simulate.flight.patterns import plan_flight
 from survey.simulate.flight.settings import FlightSettings

@@ -1,4 +1,4 @@
-"""What a planned block sees of the bed through the water, and whether it can tell the level of the water."""
+"""Coverage of the bed by a planned block through the water, and whether the block determines the water level."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from survey.simulate.flight.patterns import Site
 
 # Points along each axis of the area at which views are counted.
 _POINTS = 41
-# Points along each axis that stand for tie points.
+# Simulated tie points along each axis.
 _TIES = 9
 # Changes of the level [m] and of a point [m] over which derivatives are taken: the projection is smooth over metres.
 _STEP = 1e-3
@@ -53,7 +53,7 @@ class Coverage:
 
     @property
     def warnings(self) -> list[str]:
-        """What to mend before flying, in sentences."""
+        """What to improve before flying, in sentences."""
         found = []
         hidden = self.level_hidden_m
         if hidden is not None and hidden > _LEVEL_KNOWN_M:

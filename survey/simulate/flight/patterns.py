@@ -12,7 +12,7 @@ from refract.lens import Lens
 from survey.errors import SurveyError
 from survey.simulate.flight.settings import FlightSettings
 
-# The upper border of an image stays this far below the horizon [rad]: water mirrors there, and footprints are endless.
+# Least angle of an image's upper border below the horizon [rad]: water reflects there, and footprints are endless.
 _BELOW_HORIZON = math.radians(10.0)
 # A thousand photographs a hectare are no survey but a slip in an overlap.
 _MOST_VIEWS = 5000
@@ -105,7 +105,7 @@ def plan_flight(flight: FlightSettings, lens: Lens, site: Site, seed: int) -> li
 
 
 def _footprint(lens: Lens, site: Site, height: float) -> tuple[float, float]:
-    """Width and height [m] of what a camera that looks down sees of the bed."""
+    """Width and height [m] of the footprint on the bed of a camera that looks down."""
     sizes = []
     for size, focal in zip((lens.width, lens.height), lens.focal, strict=True):
         tangent = 0.5 * size / focal

@@ -1,4 +1,4 @@
-"""A picture of a flight plan: where the cameras are, what they see of the bed, and how often."""
+"""A picture of a flight plan: camera positions, and how many views cover the bed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a flight is asked to be: [flight] of a scene file."""
+"""Settings of a flight: [flight] of a scene file."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The ground of a scene: shapes that rays meet, what they are coloured with, and the light on them in dry air."""
+"""The ground of a scene: shapes that rays meet, their colours, and the light on them in dry air."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from refract import PinholeCamera
 
-# Beyond what the outermost pixels see [m].
+# Margin beyond the view of the outermost pixels [m].
 _MARGIN_M = 0.5
 
 

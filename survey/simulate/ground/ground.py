@@ -1,4 +1,4 @@
-"""Everything solid in a scene: the bed, the bodies on it, what they look like, and what a ray meets first."""
+"""Everything solid in a scene: the bed, the bodies on it, their appearance, and the first hit of a ray."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Look:
 
 @dataclass(frozen=True)
 class Ground:
-    """Everything solid in a scene; what it looks like does not depend on the viewer.
+    """Everything solid in a scene; its appearance does not depend on the viewer.
 
     Attributes
     ----------

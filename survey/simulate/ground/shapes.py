@@ -158,7 +158,7 @@ class _Rays(NamedTuple):
             way = np.where(way < _ON_LINE, 1.0, way)
             with np.errstate(divide="ignore"):
                 step = np.minimum(step, way / np.abs(rate))
-        # A plumb ray meets no line: one metre is as good as any, the bed is linear all the way.
+        # A vertical ray crosses no line: any length will do, as the bed is linear along it.
         return np.where(np.isfinite(step), step, 1.0)
 
 

@@ -33,12 +33,12 @@ def skin_of_bed(
     rgb : (V, 3) uint8 or None
         Colours of its vertices.
     area : west, south, east, north [m], local
-        What the paint has to cover; an image is laid with its middle on the origin.
+        Area to cover; an image is centred on the origin.
 
     Raises
     ------
     SurveyError
-        If the paint is too fine for memory, or the bed or the image lacks what it needs.
+        If the texture is too fine for memory, or data of the bed or the image is missing.
     """
     if settings.kind == "vertex":
         if rgb is None:

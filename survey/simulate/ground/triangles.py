@@ -1,4 +1,4 @@
-"""A body of any triangles, and where straight rays meet it: Embree says which triangle, float64 says where."""
+"""A body of any triangles, and where straight rays meet it: Embree finds the triangle, float64 arithmetic the point."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class TriangleMesh:
 
     def hit(self, origin: np.ndarray, direction: np.ndarray, t_end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distance (N,) [m] to the first triangle on rays (N, 3), infinite for a miss, and the triangle (N,)."""
-        # Rays start where they come near, so that float32 has to hold a short way only.
+        # Rays start near the body, so that float32 covers only a short distance.
         start = np.einsum("ij,ij->i", self.centre - origin, direction) - self.radius
         start = np.maximum(start, 0.0)
         near = (origin + start[:, None] * direction - self.centre).astype(np.float32)

@@ -1,1 +1,1 @@
-"""A staged scene becomes a survey folder: photographs, what a reconstruction may know, and the truth beside it."""
+"""A staged scene becomes a survey folder: photographs, the inputs of a reconstruction, and the ground truth."""

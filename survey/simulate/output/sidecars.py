@@ -25,7 +25,7 @@ _GPS_STD_M = 0.02
 
 
 def survey_toml(scene: StagedScene) -> str:
-    """The text of survey.toml: what a reconstruction may know, poses aside."""
+    """The text of survey.toml: the inputs of a reconstruction, without poses."""
     lens, level = scene.lens, scene.level
     fx, fy = lens.focal
     lines = [

@@ -29,9 +29,9 @@ class StagedScene:
     lens : Lens
         Of all photographs.
     level : WaterLevel or None
-        What survey.toml says of the water.
+        Water settings for survey.toml.
     renderer : DirectRenderer
-        Exact in geometry: the truth is what it finds, whatever takes the photographs.
+        Exact in geometry: it computes the ground truth, whichever renderer takes the photographs.
     sensor : Sensor
     bounds : (e0, n0, e1, n1), in crs
         What is evaluated.

@@ -1,4 +1,4 @@
-"""What is known of a simulated survey: the mesh of its ground, and the points of it that the cameras see."""
+"""Ground truth of a simulated survey: the mesh of its ground, and the points of it that the cameras see."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from refract.lens import Lens, distorted, normalised
 from survey.simulate.ground.ground import Ground
 from survey.simulate.render.direct import DirectRenderer, depth_below
 
-# Visible points are sought among so many per square metre of ground.
+# Candidates for visible points per square metre of ground.
 _POINTS_PER_M2 = 1000
 # A point is seen if the ray through its pixel ends this close to it [m]: far above the error of projection
-# (1e-9 m, more along faces that are seen edge on), far below anything that could stand before it.
+# (1e-9 m, more along faces that are seen edge on), far below the distance to anything in front of it.
 _SAME_POINT_M = 1e-4
 
 

@@ -27,7 +27,7 @@ from survey.simulate.output.truth import depth_map, ground_mesh, points_on, seen
 MARKER = "simulated.json"
 # As many cameras have to see a point for it to count as visible.
 _MIN_VIEWS = 3
-# Code that decides what a survey looks like.
+# Code that determines the photographs of a survey.
 CODE = Path(__file__).parent.parent
 
 
@@ -47,14 +47,14 @@ def write_survey(
         Becomes a survey folder with ``truth/reference.ply`` (the true surface in the bounds, crs, double
         precision), ``truth/visible.ply`` (points of it that at least three cameras see), ``truth/depth/`` (TIFF
         [m], below the water, of the middle of each pixel, NaN for none) and ``truth/wet/`` (PNG, white where the
-        pixel looks into water). Where the same survey lies already, nothing is done; another simulated survey is
-        replaced, and what is not of it, such as a run folder, stays.
+        pixel looks into water). If the same survey exists, nothing is done; another simulated survey is
+        replaced, and other files, such as a run folder, are kept.
     settings : dict
-        All that the scene is made of, as JSON can hold it.
+        All inputs of the scene, as values for JSON.
     stage_scene : callable
         Makes the scene; called only if something is left to do.
     again : bool
-        Begin anew even if the same survey, or a part of it, lies there.
+        Start again even if the same survey, or a part of it, is there.
 
     Raises
     ------
@@ -78,13 +78,13 @@ def write_survey(
         started.write_text(mark, encoding="utf-8")
     _write(work / "new", stage_scene(), progress or Progress(verbosity=-1))
     (work / "new" / MARKER).write_text(mark, encoding="utf-8")
-    # If this fails, what was in the folder still lies in the folder or beside it.
+    # If this fails, the earlier files are still in the folder or beside it.
     _replace(folder, work)
     shutil.rmtree(work, ignore_errors=True)
 
 
 def _mark(settings: dict) -> str:
-    """What the scene was made of, and a hash of it and of the code that photographs it, as the text of the marker."""
+    """The text of the marker: the inputs of the scene, and a hash of them and of the simulator's code."""
     code = hashlib.sha256(json.dumps(settings).encode())
     for path in sorted(CODE.rglob("*.py")):
         code.update(path.read_bytes())
@@ -92,7 +92,7 @@ def _mark(settings: dict) -> str:
 
 
 def _replace(folder: Path, work: Path) -> None:
-    """Put work/new in the place of `folder`, and what was in the folder but is not simulated back into it."""
+    """Replace `folder` by work/new, and move files that were not simulated back into it."""
     new, old = work / "new", work / "old"
     # Left by an earlier try that was killed between the two names.
     if old.exists() and not folder.exists():
@@ -166,7 +166,7 @@ def _write_picture(path: Path, picture: Image.Image, **options) -> None:
 
 
 def _threads(scene: StagedScene | None = None) -> int:
-    """Each view takes about 0.2 GB while it is looked at; an eye of its own has its own threads."""
+    """Each view takes about 0.2 GB while it is evaluated; a custom renderer runs its own threads."""
     if scene is not None and scene.eye is not None:
         return 1
     return min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, 8)

@@ -15,7 +15,7 @@ from refract.surfaces import WaterSurface
 from survey.simulate.ground.ground import Ground
 from survey.simulate.watercolour import WaterColour
 
-# Rays at a time: they and what is derived from them stay in the cache.
+# Rays at a time, so that they and derived arrays stay in the cache.
 _RAYS_AT_A_TIME = 1 << 15
 
 
@@ -82,7 +82,7 @@ class DirectRenderer:
         return self.radiance_of_rays(np.broadcast_to(camera.centre, direction.shape), direction)
 
     def radiance_of_rays(self, origin: np.ndarray, direction: np.ndarray, seed: int = 0) -> np.ndarray:
-        """Linear radiance (N, 3) along rays; see `trace_rays`. There is no chance in it: `seed` is not used."""
+        """Linear radiance (N, 3) along rays; see `trace_rays`. Deterministic: `seed` is not used."""
         parts = range(0, len(direction), _RAYS_AT_A_TIME)
         ends = [slice(k, k + _RAYS_AT_A_TIME) for k in parts]
         return np.concatenate([self._radiance(origin[part], direction[part]) for part in ends])

@@ -1,4 +1,4 @@
-"""A scene as Mitsuba 3 sees it: two sets of shapes, what is solid and the surface of the water."""
+"""A scene for Mitsuba 3 in two sets of shapes: solids, and the surface of the water."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from survey.errors import SurveyError
 from survey.simulate.ground.ground import Ground, Shape
 from survey.simulate.ground.skin import ImageSkin, VertexSkin
 
-# The plane of the water reaches this far beyond what is solid, as a share of its extent: light comes from there.
+# The plane of the water reaches this far beyond the solids, as a share of their extent: light comes from there.
 _BEYOND = 0.1
 # Slopes between the corners of triangles on waves err by this at most [rad]: 0.1 mm on the bed per metre of depth.
 _SLOPE_ERROR = 4e-4
@@ -30,7 +30,7 @@ def load_mitsuba(device: str = "auto") -> ModuleType:
     SurveyError
         If it is not installed.
     """
-    # First, because it tells Dr.Jit where LLVM is.
+    # First, because it sets the path of LLVM for Dr.Jit.
     chosen = choose_device(device)
     try:
         import mitsuba

@@ -100,7 +100,7 @@ class PathTracer:
         """Radiance along rays.
 
         The state of a path: the share of light that comes through it so far, whether it is in water, whether it was
-        only mirrored and bent since the camera, and whether the sun ahead of it was counted at its last mirror.
+        only mirrored and bent since the camera, and whether the sun was counted at its last reflection.
         """
         mi = self.mi
         light, share = mi.Color3f(0.0), mi.Color3f(1.0)

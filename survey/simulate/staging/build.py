@@ -35,7 +35,7 @@ _DIRECT_SAMPLES = 4
 
 
 def stage_scene(plan: Plan) -> StagedScene:
-    """Build what was planned, ready to be photographed."""
+    """Build the planned scene, ready to be photographed."""
     settings = plan.settings
     light = light_of(settings.light)
     ground = _ground(plan, light)
@@ -71,7 +71,7 @@ def stage_scene(plan: Plan) -> StagedScene:
 
 
 def _surface(plan: Plan) -> WaterSurface | None:
-    """The surface of the water, which the flight takes for a plane."""
+    """The surface of the water, which flight planning approximates by a plane."""
     water, plane = plan.settings.water, plan.site.water
     if water is None or plane is None:
         return None
@@ -122,7 +122,7 @@ def _ground(plan: Plan, light: Light) -> Ground:
 
 
 def _drawn(plan: Plan, light: Light) -> Ground:
-    """A drawn bed with its bodies, in the paint that is asked for."""
+    """A drawn bed with its bodies, in the requested texture."""
     settings, bed, texture = plan.settings, plan.settings.bed, plan.settings.texture
     area = seen_area(plan.cameras, settings.area.size_m, -1.5 * bed.depth_m)
     require_texels(texture.texel_m, area)

@@ -1,4 +1,4 @@
-"""A scene file before anything is built: where on Earth it lies, its lens, its flight, and what it is made of."""
+"""A scene file before anything is built: its place on Earth, lens, flight and inputs."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def files_of(settings: SceneSettings) -> list[str]:
 
 
 def marks_of(settings: SceneSettings, folder: Path) -> dict:
-    """All that a scene is made of, as JSON can hold it: its settings, and a hash of every file that they name."""
+    """All inputs of a scene, as values for JSON: its settings, and a hash of every file that they name."""
     hashes = {}
     for name in files_of(settings):
         path = folder / name
@@ -121,7 +121,7 @@ def lens_of(camera: CameraSettings) -> Lens:
 
 
 def _depth(settings: SceneSettings, water: FlatWater | None, bed: Bed | None) -> float:
-    """Mean depth [m] of the bed in the area, for the flight; it counts from the origin where there is no water."""
+    """Mean depth [m] of the bed in the area, for the flight; without water, below the origin."""
     z = -settings.bed.depth_m
     if bed is not None:
         x, y = np.meshgrid(*(np.linspace(-0.5 * s, 0.5 * s, _PROBES) for s in settings.area.size_m))

@@ -37,7 +37,7 @@ def simulate(
     preview : bool
         One ray per pixel, without care for noise.
     again : bool
-        Begin anew even if the same survey, or a part of it, lies there.
+        Start again even if the same survey, or a part of it, is there.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def _require_flight_or_empty(output: Path) -> None:
     if found and found != set(_FLIGHT):
         other = min(found - set(_FLIGHT), default=min(found))
         raise OutputError(
-            f"-o names {output}, which has {other} and is no flight made by --flight-only; name a new or empty folder"
+            f"-o names {output}, which has {other} and is not a flight of --flight-only; name a new or empty folder"
         )
 
 
@@ -96,7 +96,7 @@ def _changed(settings: SceneSettings, mode: str | None, preview: bool) -> SceneS
 
 
 def _say_of(plan: Plan, cover: Coverage) -> None:
-    """Say what a flight amounts to, and what to mend."""
+    """Report the figures of a flight, and what to improve."""
     heights = [float(camera.centre[2]) - plan.site.level for camera in plan.cameras]
     height, focal = sum(heights) / len(heights), plan.lens.focal[0]
     gsd_cm = 100.0 * (height + plan.site.apparent_depth) / focal

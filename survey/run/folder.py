@@ -3,9 +3,9 @@
 RUN/cloud.las, report.json, report.html, settings.toml, plan.json, result.json, log.txt, pictures/*.png,
 stages/<name>-<key>/..., and sfm/ where poses had to be found.
 
-A stage works in a fresh hidden folder that is renamed when the stage is finished, so that every folder
-under ``stages`` is complete; the name ends in a hash of all that the stage depends on, so that results of other settings
-are kept side by side. One process at a time writes to a run; a lock ensures this.
+A stage works in a fresh hidden folder that is renamed when the stage is finished, so that every folder under
+``stages`` is complete; its name ends in a hash of all that the stage depends on, so that results of other settings are
+kept side by side. One process at a time writes to a run; a lock ensures this.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ class RunDir:
         return folder
 
     def publish(self, folder: Path, *, quality: str, stages: dict[str, Path]) -> None:
-        """Put the result in the folder of `open_result` in the place of the one before; remove results no longer needed.
+        """Let the result in the folder of `open_result` replace the one before; remove results no longer needed.
 
         ``stages`` are the folders of the stages that it was made from, by name.
         """

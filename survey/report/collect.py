@@ -86,7 +86,7 @@ def _water(survey: Survey) -> WaterFigures | None:
         level_from=level[-1] if level else "survey.toml, [water] level_m",
         slope_east=config.slope_east,
         slope_north=config.slope_north,
-        slope_from="survey.toml; level where it says nothing",
+        slope_from="survey.toml; level if not given",
         refractive_index=float(water.n_water),
         refractive_index_from=f"assumed: {assumed[0]}" if assumed else "survey.toml",
     )

@@ -1,4 +1,4 @@
-"""What report.html says first: the verdict in a sentence, and the few numbers that matter most."""
+"""The head of report.html: the verdict in a sentence, and the few numbers that matter most."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def _of_cloud(figures: ReportFigures) -> list[Card]:
     for gate in () if figures.verdict is None else figures.verdict.gates:
         if gate.unit == "%" and is_known(gate.value):
             value, limit = share(0.01 * gate.value), share(0.01 * gate.limit)
-            found.append(Card(gate.name.capitalize(), value, f"{limit} asked for"))
+            found.append(Card(gate.name.capitalize(), value, f"{limit} required"))
     return found
 
 

@@ -38,7 +38,7 @@ def hillshade(height: np.ndarray, cell_m: float) -> np.ndarray:
     weight = ndimage.gaussian_filter(known.astype(np.float64), 1.0)
     smooth = ndimage.gaussian_filter(np.where(known, height, 0.0), 1.0) / np.maximum(weight, 1e-9)
     south, east = np.gradient(smooth, cell_m)
-    # Beyond the edge of what is known, the ratio above says nothing.
+    # Beyond the edge of what is known, the ratio above is meaningless.
     inner = known & (weight > 0.6)
     slope = np.hypot(south, east)
     steep = float(np.quantile(slope[inner], 0.9)) if inner.any() else 0.0

@@ -12,14 +12,14 @@ class Gate:
     Attributes
     ----------
     name : str
-        What is asked, in a few words.
+        The requirement, in a few words.
     value, limit : float or None
         In `unit`; None where there was nothing to measure.
     unit : str
         "%" or "mm".
     passed : bool
     sentence : str
-        What was found and what is asked, for people.
+        Finding and requirement, as text.
     """
 
     name: str

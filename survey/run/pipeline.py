@@ -27,7 +27,7 @@ def _has_field(job: Job) -> bool:
     return job.plan.field
 
 
-# What decides the rays of the photographs, and where the bed is looked for.
+# What decides the rays of the photographs, and where the bed is searched.
 _VIEWS = ("photographs", "cameras", "water", "size", "device")
 
 STAGES = (

@@ -1,4 +1,4 @@
-"""The stage of the water: level, slopes and index, estimated from the photographs before the bed is looked for."""
+"""The stage of the water: level, slopes and index, estimated from the photographs before the bed is searched."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ def colour_of(survey: Survey) -> tuple[tuple[float, ...] | None, tuple[float, ..
 
 
 def colour_is_known(survey: Survey) -> bool:
-    """Whether survey.toml says what the water takes and scatters."""
+    """Whether survey.toml gives absorption and veiling light."""
     return colour_of(survey)[0] is not None
 
 
@@ -35,13 +35,13 @@ def save_colour(folder: Path, sources: Sources) -> None:
     Raises
     ------
     SurveyError
-        If the photographs do not tell it.
+        If it cannot be estimated from the photographs.
     """
     try:
         absorption = estimate_absorption(sources)
     except ValueError as error:
         raise SurveyError(
-            f"the photographs do not tell the absorption of the water: {error}; give [water] absorption_per_m and "
+            f"the absorption of the water cannot be estimated from the photographs: {error}; give [water] absorption_per_m and "
             "veiling_light in survey.toml, or leave --true-colour out"
         ) from error
     with write_whole(folder / COLOUR_FILE) as stream:

@@ -41,8 +41,8 @@ def save_colour(folder: Path, sources: Sources) -> None:
         absorption = estimate_absorption(sources)
     except ValueError as error:
         raise SurveyError(
-            f"the absorption of the water cannot be estimated from the photographs: {error}; give [water] absorption_per_m and "
-            "veiling_light in survey.toml, or leave --true-colour out"
+            f"the absorption of the water cannot be estimated from the photographs: {error}; give [water] "
+            "absorption_per_m and veiling_light in survey.toml, or leave --true-colour out"
         ) from error
     with write_whole(folder / COLOUR_FILE) as stream:
         stream.write(json.dumps({"absorption_per_m": absorption}, indent=2).encode())

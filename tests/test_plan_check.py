@@ -45,7 +45,7 @@ def test_check_says_what_was_found_and_what_the_plan_is(tmp_path):
     assert found["views"] == "0.0 to 0.0 degrees off nadir, one covers 12.8 x 9.6 m"
     assert "level 2105 m at 589012, 5194736, slope 0 east and 0 north, index 1.333" in found["water"]
     assert found["water"].endswith("cameras 20.0 to 20.0 m over it")
-    assert said(sections, "Plan")["ground sampling distance"] == "20 cm: cameras 20.0 m over the water"
+    assert said(sections, "Plan")["ground sampling distance"] == "200\u00a0mm: cameras 20.0 m over the water"
 
 
 def test_check_says_what_was_assumed_and_what_is_doubtful(tmp_path):

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from refract import FlatWater, PinholeCamera
+from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.plan.ground import ground_height
@@ -107,7 +108,7 @@ def make_plan(survey: Survey, *, quality: str = "standard", device: str = "auto"
         _image_decision(cameras[0], scale, quality),
         Decision(
             "ground sampling distance",
-            f"{100.0 * gsd:.2g} cm",
+            length(gsd),
             f"cameras {height:.1f} m over the {_over(survey)}",
         ),
         Decision("range of heights", *in_words(survey, height)),

@@ -415,8 +415,8 @@ def test_stages_are_plain_lines_with_the_time_left_where_there_is_no_terminal(mo
         progress.warn("a doubt")
     assert stream.getvalue().splitlines() == [
         "sweep ...",
-        "sweep:  50 %, 30.0 s left, 0001.jpg",
-        "sweep: done in 45.0 s",
+        "sweep:  50 %, 30 s left, 0001.jpg",
+        "sweep: done in 45 s",
         "warning: a doubt",
     ]
     lines = [line.split(" ", 2)[2] for line in (tmp_path / "run" / "log.txt").read_text().splitlines()]
@@ -441,7 +441,7 @@ def test_a_quiet_run_says_only_warnings():
 
 @pytest.mark.parametrize(
     ("seconds", "text"),
-    [(0.04, "0.0 s"), (59.94, "59.9 s"), (59.96, "1 min 00 s"), (185, "3 min 05 s"), (7800, "2 h 10 min")],
+    [(0.04, "0.0 s"), (9.94, "9.9 s"), (9.96, "10 s"), (59.6, "1 min 00 s"), (185, "3 min 05 s"), (7800, "2 h 10 min")],
 )
 def test_durations_are_for_people(seconds, text):
     assert clock(seconds) == text

@@ -1,4 +1,4 @@
-"""A limit on memory that cannot do, said before the work: Dr.Jit does not survive it, and no sentence could follow."""
+"""Too little address space, said before the work: Dr.Jit does not survive it, and no sentence could follow."""
 
 from __future__ import annotations
 
@@ -11,11 +11,19 @@ from survey.errors import SurveyError
 _LEAST_BYTES = 3.0e9
 
 
-def require_address_space() -> None:
-    """Raise SurveyError where this process may not have the address space that kernels take at least."""
+def address_space_shortage() -> str | None:
+    """What to say where this process may not have the address space that kernels take at least; None where it may."""
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if limit not in (resource.RLIM_INFINITY, -1) and limit < _LEAST_BYTES:
-        raise SurveyError(
-            f"the memory of this process is limited to {limit / 1e9:.1f} GB (ulimit -v), expected at least "
-            f"{_LEAST_BYTES / 1e9:.0f} GB; raise the limit, or use a machine with more memory"
-        )
+    if limit in (resource.RLIM_INFINITY, -1) or limit >= _LEAST_BYTES:
+        return None
+    return (
+        f"the address space of this process is limited to {limit / 1e9:.1f} GB (ulimit -v), expected at least "
+        f"{_LEAST_BYTES / 1e9:.0f} GB; raise the limit"
+    )
+
+
+def require_address_space() -> None:
+    """Raise SurveyError where `address_space_shortage` has something to say."""
+    shortage = address_space_shortage()
+    if shortage is not None:
+        raise SurveyError(shortage)

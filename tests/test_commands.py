@@ -415,6 +415,12 @@ def test_an_error_of_usage_is_one_sentence_like_every_other(arguments, words):
     assert line.startswith(f"error: {words}")
 
 
+def test_files_that_are_missing_are_refused_before_anything_is_said_to_be_read(tmp_path):
+    result = bathynerf("compare", tmp_path / "no.las", tmp_path / "no.ply")
+    (line,) = result.stderr.splitlines()
+    assert line == f"error: {tmp_path / 'no.las'} does not exist; correct the path"
+
+
 def test_an_error_that_speaks_of_memory_itself_is_said_as_it_is(monkeypatch):
     fake_module(monkeypatch, "survey.run.process", process=raising(SurveyError("out of memory; take 8 GB")))
     assert bathynerf("process", "s").stderr == "error: out of memory; take 8 GB\n"

@@ -8,6 +8,26 @@ from evaluation import Band, DistanceStatistics, Scores
 from survey.compare.figures import Figures, VerticalUncertainty
 from survey.compare.json_numbers import numbers_of
 
+# What a surveyor reads for a key of the JSON; keys that are not here are read as they are.
+_LABELS = {
+    "n_points": "points",
+    "n_cropped": "cropped",
+    "n_nan": "not compared",
+    "mean_m": "mean",
+    "median_m": "median",
+    "std_m": "standard deviation",
+    "mean_inner90_m": "mean of the inner 90 %",
+    "std_inner90_m": "standard deviation of the inner 90 %",
+    "p95_abs_m": "95 % of |distance|",
+    "tolerance_m": "tolerance",
+    "completeness_visible": "completeness of what cameras see",
+    "accuracy_share": "accuracy",
+    "f_score": "F-score",
+    "crs": "CRS",
+}
+# What only repeats a comparison, for the JSON.
+_NOT_SHOWN = ("n_samples", "seed")
+
 Section = tuple[str | None, list[tuple[str, str]]]
 
 
@@ -54,14 +74,14 @@ def _rows(numbers: dict) -> list[tuple[str, str]]:
     """Single values, an interval beside its mean."""
     rows = []
     for name, value in numbers.items():
-        if value is None or isinstance(value, dict | list):
+        if value is None or isinstance(value, dict | list) or name in _NOT_SHOWN:
             continue
         unit = " m" if name.endswith("_m") else ""
         shown = f"{_metres(value)}{unit}" if isinstance(value, float) else str(value)
         interval = numbers.get(f"{name.removesuffix('_m')}_ci95_m")
         if interval is not None and None not in interval:
             shown += f" ({_metres(interval[0])} to {_metres(interval[1])} with 95 % confidence)"
-        rows.append((name.removesuffix("_m").replace("_", " "), shown))
+        rows.append((_LABELS.get(name, name.removesuffix("_m").replace("_", " ")), shown))
     return rows
 
 

@@ -53,8 +53,10 @@ class Step:
         self.name, self.total, self.done = name, total, 0.0
         self._progress = progress
         self._start = self._last_line = time.monotonic()
-        # When how much was done: the last entry before the middle of the step's time so far, and all that follow.
-        self._history = deque([(self._start, 0.0)])
+        # When how much was done: the last entry before the middle of the time since the first, and all that follow.
+        # Nothing stands for the start: until the first advance a step loads and compiles.
+        self._history: deque[tuple[float, float]] = deque()
+        self._first_advance = self._start
         self._bars = progress._bars
         self._task = self._bars.add_task(name, total=total, step=self) if self._bars is not None else None
 
@@ -65,11 +67,12 @@ class Step:
 
     @property
     def seconds_left(self) -> float | None:
-        """Estimate from the pace over the later half of the time so far [s]; None before there is one.
+        """Estimate from the pace over the later half of the time since the first advance [s].
 
-        The earlier half, in which a step may load and compile, is forgotten; the rest smooths the estimate.
+        None before a second advance: until the first one a step may load and compile, which is not its pace.
         """
-        if not self.total or self.done < _LEAST_SHARE * self.total or self.seconds < _LEAST_S:
+        is_early = not self.total or self.done < _LEAST_SHARE * self.total or self.seconds < _LEAST_S
+        if not self.total or is_early or len(self._history) < 2:
             return None
         (then, before), (last, done) = self._history[0], self._history[-1]
         if done <= before:
@@ -81,8 +84,10 @@ class Step:
         """Say that ``amount`` more of the total is done; ``detail`` is a word or number to show beside."""
         self.done += amount
         now = time.monotonic()
+        if not self._history:
+            self._first_advance = now
         self._history.append((now, self.done))
-        while self._history[1][0] <= 0.5 * (self._start + now) and len(self._history) > 2:
+        while len(self._history) > 2 and self._history[1][0] <= 0.5 * (self._first_advance + now):
             self._history.popleft()
         if self._bars is not None and self._task is not None:
             description = f"{self.name}  {detail}" if detail else self.name
@@ -211,9 +216,11 @@ def shares(step: Step) -> Callable[[float], None]:
 
 
 def clock(seconds: float) -> str:
-    """A duration for people: 8.2 s, 3 min 05 s, 2 h 10 min."""
-    if seconds < 59.95:
+    """A duration for people: 8.2 s, 42 s, 3 min 05 s, 2 h 10 min."""
+    if seconds < 9.95:
         return f"{seconds:.1f} s"
+    if seconds < 59.5:
+        return f"{seconds:.0f} s"
     minutes, rest = divmod(round(seconds), 60)
     if minutes < 60:
         return f"{minutes} min {rest:02d} s"

@@ -359,8 +359,10 @@ def raising(error):
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else None,
 )
-def test_every_error_becomes_a_sentence_and_its_exit_code(monkeypatch, error, code, words):
+def test_every_error_becomes_a_sentence_and_its_exit_code(monkeypatch, tmp_path, error, code, words):
     fake_module(monkeypatch, "survey.run.process", process=raising(error))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "run").mkdir()
     result = bathynerf("process", "s", "-o", "run")
     assert result.exit_code == code
     (line,) = result.stderr.splitlines()
@@ -387,6 +389,44 @@ def test_a_limit_on_memory_below_what_any_survey_needs_is_refused(monkeypatch, a
     result = bathynerf(*arguments)
     assert result.exit_code == 2
     assert "limited to 1.5 GB (ulimit -v), expected at least 3 GB; raise the limit" in result.stderr
+
+
+def test_check_warns_of_the_limit_that_process_refuses(monkeypatch, tmp_path):
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (1_536_000_000, resource.RLIM_INFINITY))
+    result = bathynerf("check", small_survey(tmp_path / "s"))
+    assert result.exit_code == 0
+    sentence = bathynerf("process", "s").stderr.removeprefix("error: ")
+    assert result.stderr == f"warning: {sentence}"
+    assert sentence.startswith("the address space of this process is limited to 1.5 GB")
+
+
+def test_ctrl_c_before_there_is_a_run_folder_promises_nothing(monkeypatch, tmp_path):
+    fake_module(monkeypatch, "survey.run.process", process=raising(KeyboardInterrupt()))
+    assert bathynerf("process", "s", "-o", tmp_path / "run").stderr == "error: stopped\n"
+    (tmp_path / "run").mkdir()
+    assert "finished work is kept" in bathynerf("process", "s", "-o", tmp_path / "run").stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("check", "s", "--quality", "high"), "invalid value for '--quality': 'high' is not one of 'draft'"),
+        (("check",), "missing argument 'SURVEY'"),
+        (("check", "s", "--colour"), "no such option: --colour"),
+        (("chek",), "no such command 'chek'"),
+    ],
+)
+def test_an_error_of_usage_is_one_sentence_like_every_other(arguments, words):
+    result = bathynerf(*arguments)
+    assert result.exit_code == 2
+    (line,) = result.stderr.splitlines()
+    assert line.startswith(f"error: {words}")
+
+
+def test_files_that_are_missing_are_refused_before_anything_is_said_to_be_read(tmp_path):
+    result = bathynerf("compare", tmp_path / "no.las", tmp_path / "no.ply")
+    (line,) = result.stderr.splitlines()
+    assert line == f"error: {tmp_path / 'no.las'} does not exist; correct the path"
 
 
 def test_an_error_that_speaks_of_memory_itself_is_said_as_it_is(monkeypatch):
@@ -423,8 +463,8 @@ def test_stages_are_plain_lines_with_the_time_left_where_there_is_no_terminal(mo
         progress.warn("a doubt")
     assert stream.getvalue().splitlines() == [
         "sweep ...",
-        "sweep:  50 %, 30.0 s left, 0001.jpg",
-        "sweep: done in 45.0 s",
+        "sweep:  50 %, 30 s left, 0001.jpg",
+        "sweep: done in 45 s",
         "warning: a doubt",
     ]
     lines = [line.split(" ", 2)[2] for line in (tmp_path / "run" / "log.txt").read_text().splitlines()]
@@ -449,7 +489,7 @@ def test_a_quiet_run_says_only_warnings():
 
 @pytest.mark.parametrize(
     ("seconds", "text"),
-    [(0.04, "0.0 s"), (59.94, "59.9 s"), (59.96, "1 min 00 s"), (185, "3 min 05 s"), (7800, "2 h 10 min")],
+    [(0.04, "0.0 s"), (9.94, "9.9 s"), (9.96, "10 s"), (59.6, "1 min 00 s"), (185, "3 min 05 s"), (7800, "2 h 10 min")],
 )
 def test_durations_are_for_people(seconds, text):
     assert clock(seconds) == text

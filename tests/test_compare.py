@@ -27,8 +27,9 @@ from pyproj import CRS
 from geo import LocalFrame, write_ply
 from geo.errors import CRSMismatch, EmptyCloud, GeoError, PlaceMismatch, UnreadableFile
 from survey.compare.area import CompareError
-from survey.compare.comparison import CompareOptions, compare_surfaces
+from survey.compare.comparison import CompareOptions, compare_files, compare_surfaces
 from survey.compare.pictures import completeness_map, error_map, histogram
+from survey.compare.text import sections_of
 from survey.errors import OutputError
 
 # Six standard deviations of a share of that many samples.
@@ -313,3 +314,9 @@ def test_a_cloud_whose_crs_has_no_heights_is_compared_and_noted(tmp_path, plane)
     numbers = compared(tmp_path / "flat.las", plane)
     assert numbers["mean_m"] == pytest.approx(0.1, abs=LAS_M / 5)
     assert any("does not say what heights count from" in note for note in numbers["notes"])
+
+
+def test_the_terminal_has_words_for_what_the_json_has_keys_for(cloud, plane):
+    rows = dict(sections_of(compare_files(cloud, plane))[0][1])
+    assert {"points", "not compared", "mean of the inner 90 %", "95 % of |distance|"} <= rows.keys()
+    assert not [label for label in rows if label.startswith("n ") or label == "seed"]

@@ -253,7 +253,7 @@ def test_everything_that_was_measured_reaches_the_terminal(tmp_path, plane):
     label, note = notes[1][0]
     assert (label, note.split(":")[0]) == ("note", "reference.ply does not say its CRS")
     whole = dict(sections[None])
-    assert whole["n points"] == str(len(local))
+    assert whole["points"] == str(len(local))
     assert whole["min"] == "0.1000 m"
     assert whole["mean"].startswith("0.1000 m (0.")
     assert whole["completeness"] == "1.0000"
@@ -273,10 +273,11 @@ def test_check_points_reach_the_terminal_without_what_one_alone_cannot_tell(tmp_
     options = CompareOptions(checkpoints=table)
     rows = dict(sections_of(compare_files(cloud, plane, options=options)))["Check points (ASPRS, Edition 2)"]
     assert [label for label, _ in rows] == [
-        "n checkpoints", "n not covered", "is enough", "mean", "min", "max", "rmse fit", "rmse checkpoints", "rmse v",
+        "check points", "not covered", "enough", "mean", "min", "max", "RMSE of the cloud", "RMSE of the check points",
+        "vertical RMSE",
     ]  # fmt: skip
     shown = dict(rows)
-    assert (shown["n checkpoints"], shown["is enough"], shown["rmse checkpoints"]) == ("1", "False", "0.0200 m")
+    assert (shown["check points"], shown["enough"], shown["RMSE of the check points"]) == ("1", "no", "0.0200 m")
     assert float(shown["mean"].removesuffix(" m")) == pytest.approx(0.1, abs=LAS_M)
 
 

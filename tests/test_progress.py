@@ -71,6 +71,14 @@ def test_what_a_stage_needs_to_begin_is_forgotten(stage, clock):
     assert stage.seconds_left == pytest.approx(80.0)
 
 
+def test_a_first_advance_tells_no_pace(stage, clock):
+    clock.now += 30.0
+    stage.advance(10.0)
+    assert stage.seconds_left is None
+    work(stage, clock, 1, 0.1)
+    assert stage.seconds_left == pytest.approx(8.9)
+
+
 def test_one_slow_part_moves_the_estimate_by_its_share_of_the_later_half(stage, clock):
     work(stage, clock, 40, 1.0)
     work(stage, clock, 1, 4.0)

@@ -234,6 +234,12 @@ def test_report_html_shows_the_figures_of_report_json(report):
         assert text in page, text
 
 
+def test_no_picture_is_wider_than_the_page(report):
+    page = report.run.report_html_path.read_text(encoding="utf-8")
+    rules = re.findall(r"[^{}]*img\s*{([^}]*)}", page.partition("</style>")[0])
+    assert rules == [" width: 100%; height: auto; display: block; "]
+
+
 def test_every_number_in_report_html_stays_with_its_unit(report):
     page = re.sub(r"<(style|pre)>.*?</\1>", "", report.run.report_html_path.read_text(encoding="utf-8"), flags=re.S)
     cards = re.findall(r"<div><span>.*?</div>", page)

@@ -61,7 +61,7 @@ DISK_FILES = {
         "geo": ("e57", "files", "gltf", "las", "las_header", "obj", "ply", "ply_reading", "raster"),
         "survey": ("code_hash", "machine", "progress", "stage_key"),
         "survey/adjust": ("calibration",),
-        "survey/commands": ("streams",),
+        "survey/commands": ("console", "streams"),
         "survey/compare": ("canvas", "comparison"),
         "survey/files": ("csv_table", "json_values", "lock", "outputs", "toml_table"),
         "survey/folder": ("found", "infer", "inputs", "pairing"),

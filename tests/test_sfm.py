@@ -169,6 +169,12 @@ def test_the_grid_that_is_missing_is_one_of_the_geoid_and_not_of_horizontal_datu
         gps_positions(heads, parse_crs(crs), "ellipsoidal")
 
 
+def test_a_vertical_datum_of_another_country_is_said_not_to_hold_at_the_place():
+    heads = {f"{i}.jpg": head((53.8 + 1e-4 * i, 9.0, 30.0)) for i in range(3)}
+    with pytest.raises(ConfigError, match="PROJ does not have for the place of these photographs"):
+        gps_positions(heads, parse_crs("EPSG:25832+5703"), "ellipsoidal")
+
+
 def test_images_without_positions_are_told_what_to_give():
     heads = some_heads() | {"1.jpg": head(None), "2.jpg": head((46.9, 10.2, math.nan))}
     with pytest.raises(PosesError, match=r"3 of 4 images have a GPS .* 2 of them with a height.*\[cameras\] poses"):

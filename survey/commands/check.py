@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from survey.commands.console import command
+from survey.commands.memory import address_space_shortage
 from survey.commands.options import Quiet, SurveyFolder, Verbose
 from survey.plan.choices import Device, Quality
 
@@ -29,7 +30,11 @@ def run(
     """
     with command(verbose, quiet, survey) as results:
         from survey.plan.check import check_survey
+        from survey.progress import current
 
+        shortage = address_space_shortage()
+        if shortage is not None:
+            current().warn(shortage)
         for section in check_survey(survey, quality=quality.value, device=device.value):
             rows = [(f"  {label}" if label else "  -", text) for label, text in section.rows]
             results.columns(section.title, rows)

@@ -79,7 +79,7 @@ def command(verbose: int, quiet: int, place: Path, *, stopped: str = "") -> Iter
     place : Path
         Named when a disk error does not name a file.
     stopped : str
-        What becomes of the work that Ctrl-C stops.
+        What becomes of the work that Ctrl-C stops, if the folder ``place`` is there by then.
     """
     from survey.progress import Progress
 
@@ -91,7 +91,7 @@ def command(verbose: int, quiet: int, place: Path, *, stopped: str = "") -> Iter
         except typer.Exit:
             raise
         except (Exception, KeyboardInterrupt) as error:
-            fault = fault_of(error, place, stopped=stopped)
+            fault = fault_of(error, place, stopped=stopped if place.is_dir() else "")
             trace = traceback.format_exc()
         if fault.message:
             # A disk that is full takes no log either; the sentence still has to reach the user.

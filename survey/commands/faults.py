@@ -70,7 +70,7 @@ def fault_of(error: BaseException, place: Path | None = None, *, stopped: str = 
     from survey.errors import SurveyError
 
     if isinstance(error, GeoError | SurveyError):
-        return Fault(BAD_INPUT, str(error))
+        return Fault(BAD_INPUT, str(error).removesuffix("."))
     if isinstance(error, OSError) and (text := refusal_of(error, error.filename or place)):
         return Fault(BAD_INPUT, text)
     if any(phrase in str(link).lower() for link in _chain(error) for phrase in _NO_ROOM):

@@ -11,11 +11,19 @@ from survey.errors import SurveyError
 _LEAST_BYTES = 3.0e9
 
 
-def require_address_space() -> None:
-    """Raise SurveyError if the address space of this process is limited to less than the kernels need."""
+def address_space_shortage() -> str | None:
+    """The message if the address space of this process is limited to less than the kernels need; else None."""
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if limit not in (resource.RLIM_INFINITY, -1) and limit < _LEAST_BYTES:
-        raise SurveyError(
-            f"the memory of this process is limited to {limit / 1e9:.1f} GB (ulimit -v), expected at least "
-            f"{_LEAST_BYTES / 1e9:.0f} GB; raise the limit, or use a machine with more memory"
-        )
+    if limit in (resource.RLIM_INFINITY, -1) or limit >= _LEAST_BYTES:
+        return None
+    return (
+        f"the address space of this process is limited to {limit / 1e9:.1f} GB (ulimit -v), expected at least "
+        f"{_LEAST_BYTES / 1e9:.0f} GB; raise the limit"
+    )
+
+
+def require_address_space() -> None:
+    """Raise SurveyError where `address_space_shortage` has something to say."""
+    shortage = address_space_shortage()
+    if shortage is not None:
+        raise SurveyError(shortage)

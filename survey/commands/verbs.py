@@ -7,11 +7,15 @@ from __future__ import annotations
 
 import inspect
 import textwrap
-from typing import Annotated
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated, cast
 
 import typer
+from typer.core import TyperGroup
 
 from survey.commands import check, compare, export, process, render, simulate, waterline
+from survey.commands.faults import BAD_INPUT
 
 # In the order of `bathynerf --help`.
 VERBS = (check, process, waterline, export, render, compare, simulate)
@@ -31,8 +35,39 @@ Examples:
   bathynerf process my_survey
 """
 
+# Of missing and unknown arguments too; Typer names only this kind of it.
+_UsageError = cast("type[typer.BadParameter]", typer.BadParameter.__base__)
+
+
+class _Verbs(TyperGroup):
+    """The verbs, whose usage errors have the form of all other errors: one sentence."""
+
+    def make_context(self, *args, **options):
+        """As Typer, with the arguments of `bathynerf` itself."""
+        with _in_one_sentence():
+            return super().make_context(*args, **options)
+
+    def invoke(self, ctx):
+        """As Typer, with the arguments of a verb."""
+        with _in_one_sentence():
+            return super().invoke(ctx)
+
+
+@contextmanager
+def _in_one_sentence() -> Iterator[None]:
+    try:
+        yield
+    except _UsageError as error:
+        if type(error).__name__ == "NoArgsIsHelpError":
+            raise
+        text = error.format_message().replace("Value error, ", "").rstrip(".")
+        typer.echo(f"error: {text[:1].lower()}{text[1:]}; --help lists what is known", err=True)
+        raise typer.Exit(BAD_INPUT) from error
+
+
 # Plain help: rich treats [m] as markup and breaks words in narrow columns.
 app = typer.Typer(
+    cls=_Verbs,
     help="Drone photographs of shallow water become a georeferenced point cloud of the bed.",
     epilog=_EPILOG,
     no_args_is_help=True,

@@ -10,7 +10,7 @@ import numpy as np
 from evaluation import Blocks, is_outlier, spatial_blocks, summarise
 from evaluation.completeness import SEED
 from geo import Mesh
-from geo.files import disk_refusals
+from geo.files import disk_refusals, existing_file
 from survey.compare import clouds, measure
 from survey.compare.area import Bounds, metres_in_crs, to_local, within
 from survey.compare.checkpoints import checkpoint_accuracy, read_checkpoints
@@ -60,6 +60,8 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     check_options(options)
     paths = Paths(Path(cloud), Path(reference), None if options.visible is None else Path(options.visible))
     places = None if options.checkpoints is None else Path(options.checkpoints)
+    for path in (paths.cloud, paths.reference):
+        existing_file(path)
     with current().stage("Reading"):
         inputs = load_inputs(paths, options.bounds)
         checkpoints = None if places is None else read_checkpoints(places)

@@ -53,24 +53,24 @@ def _overall(figures: Figures) -> list[tuple[str, str]]:
     """All points together, at the first tolerance, and what was compared how."""
     distances, scores = figures.summary.distances, figures.summary.scores
     return _known([
-        ("n points", str(distances.n_points)),
-        ("n cropped", str(figures.summary.n_cropped)),
-        ("n nan", str(distances.n_nan)),
+        ("points", str(distances.n_points)),
+        ("cropped", str(figures.summary.n_cropped)),
+        ("not compared", str(distances.n_nan)),
         ("mean", _length(distances.mean_m, distances.mean_ci95_m)),
         ("median", _length(distances.median_m)),
-        ("std", _length(distances.std_m)),
+        ("standard deviation", _length(distances.std_m)),
         ("rms", _length(distances.rms_m)),
-        ("mean inner90", _length(distances.mean_inner90_m, distances.mean_inner90_ci95_m)),
-        ("std inner90", _length(distances.std_inner90_m)),
-        ("nmad", _length(distances.nmad_m)),
-        ("p95 abs", _length(distances.p95_abs_m)),
+        ("mean of the inner 90 %", _length(distances.mean_inner90_m, distances.mean_inner90_ci95_m)),
+        ("standard deviation of the inner 90 %", _length(distances.std_inner90_m)),
+        ("NMAD", _length(distances.nmad_m)),
+        ("95 % of |distance|", _length(distances.p95_abs_m)),
         ("min", _length(distances.min_m)),
         ("max", _length(distances.max_m)),
         ("completeness", _decimal(scores.completeness)),
-        ("accuracy share", _decimal(scores.accuracy_share)),
-        ("f score", _decimal(scores.f_score)),
+        ("accuracy", _decimal(scores.accuracy_share)),
+        ("F-score", _decimal(scores.f_score)),
         ("tolerance", _length(scores.tolerance_m)),
-        ("completeness visible", _decimal(scores.completeness_visible)),
+        ("completeness of what cameras see", _decimal(scores.completeness_visible)),
         *_circumstances(figures.circumstances),
     ])  # fmt: skip
 
@@ -81,12 +81,10 @@ def _circumstances(held: Circumstances) -> list[tuple[str, str | None]]:
         ("water level", _decimal(held.water_level)),
         ("method", held.method),
         ("sign", held.sign),
-        ("crs", held.crs),
+        ("CRS", held.crs),
         ("cloud", held.cloud),
         ("reference", held.reference),
         ("visible", held.visible),
-        ("n samples", str(held.n_samples)),
-        ("seed", None if held.seed is None else str(held.seed)),
     ]
 
 
@@ -95,16 +93,16 @@ def _asprs(checkpoints: Checkpoints | None) -> list[tuple[str, str]]:
         return []
     accuracy = checkpoints.accuracy
     return _known([
-        ("n checkpoints", str(accuracy.n_checkpoints)),
-        ("n not covered", str(accuracy.n_not_covered)),
-        ("is enough", str(accuracy.is_enough)),
+        ("check points", str(accuracy.n_checkpoints)),
+        ("not covered", str(accuracy.n_not_covered)),
+        ("enough", "yes" if accuracy.is_enough else "no"),
         ("mean", _length(accuracy.mean_m)),
         ("std", _length(accuracy.std_m)),
         ("min", _length(accuracy.min_m)),
         ("max", _length(accuracy.max_m)),
-        ("rmse fit", _length(accuracy.rmse_fit_m)),
-        ("rmse checkpoints", _length(accuracy.rmse_checkpoints_m)),
-        ("rmse v", _length(accuracy.rmse_v_m)),
+        ("RMSE of the cloud", _length(accuracy.rmse_fit_m)),
+        ("RMSE of the check points", _length(accuracy.rmse_checkpoints_m)),
+        ("vertical RMSE", _length(accuracy.rmse_v_m)),
     ])  # fmt: skip
 
 

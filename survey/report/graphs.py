@@ -31,9 +31,10 @@ def draw_histograms(path: Path, facts: ReportFacts) -> Picture:
         ("views that agree", "", 0, bed.num_views),
         (angle, "°", 1, np.degrees(bed.incidence)),
     )
-    figure = Figure(figsize=(11.0, 2.7), layout="constrained")
+    # Two by two: four in a row cannot be read on a phone.
+    figure = Figure(figsize=(7.2, 4.6), layout="constrained")
     FigureCanvasAgg(figure)
-    for axes, (label, unit, decimals, values), colour in zip(figure.subplots(1, 4), graphs, SERIES, strict=True):
+    for axes, (label, unit, decimals, values), colour in zip(figure.subplots(2, 2).flat, graphs, SERIES, strict=True):
         values = values[np.isfinite(values)].astype(np.float64)
         if values.size:
             _histogram(axes, values, colour, is_count=not unit)

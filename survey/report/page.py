@@ -22,7 +22,7 @@ _GROUPS = (
     ("The flight", ("view", "plan")),
 )
 # These show several things side by side and take the whole width.
-_WIDE = ("view", "histograms", "profile", "error_bands")
+_WIDE = ("view", "profile", "error_bands")
 
 
 def render_page(figures: ReportFigures, pictures: list[Picture]) -> str:

@@ -156,7 +156,7 @@ def test_until_a_result_is_whole_the_one_before_stands_and_readers_are_warned(tm
 
 
 @pytest.mark.parametrize("moved", [0, 1, 2, 3])
-def test_a_result_that_was_only_begun_to_be_moved_is_moved_by_the_next_process(tmp_path, monkeypatch, moved):
+def test_a_result_that_was_only_begun_to_be_moved_is_moved_by_the_next_process(tmp_path, monkeypatch, capsys, moved):
     with RunDir(tmp_path / "run") as run:
         publish(run, "old")
     rename, moves = Path.rename, []
@@ -177,6 +177,8 @@ def test_a_result_that_was_only_begun_to_be_moved_is_moved_by_the_next_process(t
     with run:
         pass
     run.require_run()
+    run.warn_if_unfinished()
+    assert capsys.readouterr().err == ""
     assert contents(run) == {"new"}
 
 

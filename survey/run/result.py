@@ -1,8 +1,8 @@
 """The result of a run: cloud, report, settings and plan, which take the place of an earlier result all together.
 
 A result is written into a hidden folder of the run. Renaming the complete folder commits the result, and its files are
-then moved to their places; a process that is killed in between leaves the rest of the moving to
-the next one. So settings, cloud and report in a run always belong together.
+then moved to their places; a process that is killed in between leaves the rest of the moving to the next one. So
+settings, cloud and report in a run always belong together.
 """
 
 from __future__ import annotations
@@ -77,11 +77,6 @@ def publish(run: Path, part: Path, *, quality: str, finished: str, stages: dict[
     write_json(part / _RECORD, record)
     part.rename(run / _WHOLE)
     settle(run)
-    others_unfinished = {name: found for name, found in _unfinished(run).items() if name != quality}
-    if others_unfinished:
-        write_json(run / _UNFINISHED, others_unfinished)
-    else:
-        (run / _UNFINISHED).unlink(missing_ok=True)
 
 
 def settle(run: Path) -> None:
@@ -89,13 +84,23 @@ def settle(run: Path) -> None:
     whole = run / _WHOLE
     # The record is moved last: where it is gone, everything else has been moved.
     if (whole / _RECORD).exists():
-        new = json.loads((whole / _RECORD).read_text(encoding="utf-8"))["files"]
+        new = json.loads((whole / _RECORD).read_text(encoding="utf-8"))
+        _forget_unfinished(run, new["quality"])
         for name in NAMES:
-            if (whole / name).exists() or name not in new:
+            if (whole / name).exists() or name not in new["files"]:
                 _remove(run / name)
             if (whole / name).exists():
                 (whole / name).rename(run / name)
     shutil.rmtree(whole, ignore_errors=True)
+
+
+def _forget_unfinished(run: Path, quality: str) -> None:
+    """The result of a quality is whole: it is no longer unfinished."""
+    others = {name: found for name, found in _unfinished(run).items() if name != quality}
+    if others:
+        write_json(run / _UNFINISHED, others)
+    else:
+        (run / _UNFINISHED).unlink(missing_ok=True)
 
 
 def prune(run: Path) -> None:

@@ -1,0 +1,274 @@
+"""Bundle adjustment through the water: Levenberg-Marquardt on tie points and priors, the points eliminated.
+
+    M points, N observations (a point in a photograph), P parameters (`survey.adjust.state`)
+    r      residual, measured minus predicted pixel (N, 2)
+    X, B   derivatives of the prediction by its point (N, 2, 3) and by the parameters (2 N, P), sparse
+    w      weight of an observation (N,) [1/px^2]
+    V      normal matrix of each point (M, 3, 3), S that of the parameters with the points following (P, P)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import bsr_array, csr_array
+from scipy.spatial.transform import Rotation
+
+from survey.adjust.prediction import linearise, predict
+from survey.adjust.state import WATER, Layout, State
+from survey.adjust.tie_points import TiePoints
+from survey.errors import SurveyError
+
+# Huber's bound [standard deviations]: 95 % of good residuals lie within.
+HUBER = 2.0
+# The median of the length of a two-dimensional normal deviate of unit standard deviation per axis, sqrt(2 ln 2).
+_MEDIAN_LENGTH = 1.1774
+_MOST_STEPS = 60
+# A step under this share of the standard deviations changes no digit that is reported.
+_DONE = 1e-2
+# Weights are renewed from the residuals until the standard deviations of all kinds change by less than this share.
+_STEADY, _MOST_ROUNDS = 0.02, 6
+# Keeps the elimination finite for a point that its rays hardly determine.
+_DAMPING = 1e-9
+_DAMPING_START, _DAMPING_MOST = 1e-6, 1e6
+
+
+class NotConvergedError(SurveyError):
+    """An adjustment that does not converge."""
+
+
+@dataclass(frozen=True)
+class Priors:
+    """What is known of the unknowns beside the tie points: mean values, and standard deviations (infinite: nothing).
+
+    Attributes
+    ----------
+    state : State
+        Mean values; its points are those of `point_std`.
+    std : (P,)
+        Of the parameters.
+    point_std : (M, 3) [m]
+    """
+
+    state: State
+    std: np.ndarray
+    point_std: np.ndarray
+
+    def pull(self, layout: Layout, state: State) -> np.ndarray:
+        """Parameters of a state less their mean values, (P,)."""
+        turns = Rotation.from_matrix(state.rotations @ self.state.rotations.transpose(0, 2, 1)).as_rotvec()
+        poses = np.concatenate([state.centres - self.state.centres, turns], axis=1)
+        water = state.water_parameters() - self.state.water_parameters()
+        lenses = (state.lenses - self.state.lenses).ravel()
+        return np.concatenate([water, state.relief - self.state.relief, lenses, poses.ravel()])
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A block to adjust.
+
+    Attributes
+    ----------
+    layout : Layout
+    ties : TiePoints
+        In pixels of the photographs as they were taken.
+    kind : (N,) int64
+        Of each observation; each kind has a standard deviation of its own.
+    priors : Priors
+    """
+
+    layout: Layout
+    ties: TiePoints
+    kind: np.ndarray
+    priors: Priors
+
+
+@dataclass(frozen=True)
+class System:
+    """The normal equations at one state, points eliminated.
+
+    Attributes
+    ----------
+    normal, right : (P, P), (P,)
+        With the priors.
+    """
+
+    normal: np.ndarray
+    right: np.ndarray
+    root: np.ndarray
+    free: np.ndarray
+    mixed: csr_array
+
+    def point_steps(self, step: np.ndarray) -> np.ndarray:
+        """Steps (M, 3) [m] of the points that go with a step of the parameters (P,)."""
+        left = self.free - (self.mixed @ step).reshape(-1, 3)
+        return np.einsum("mij,mi->mj", self.root, left)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """An adjusted block.
+
+    Attributes
+    ----------
+    state : State
+    covariance : (P, P)
+        Of the parameters, with errors of the observations as they are weighted.
+    residuals : (N, 2) [px]
+    weights : (N,) [1/px^2]
+    std_px : (kinds,) [px]
+        Standard deviation of a pixel coordinate of each kind.
+    system : System
+    """
+
+    state: State
+    covariance: np.ndarray
+    residuals: np.ndarray
+    weights: np.ndarray
+    std_px: np.ndarray
+    system: System
+
+
+def solve(problem: Problem, start: State, *, inflation: np.ndarray | None = None) -> Solution:
+    """Adjust a block.
+
+    Parameters
+    ----------
+    problem : Problem
+    start : State
+    inflation : (N,), optional
+        Factor on the variance of each observation, for what neighbours share.
+
+    Raises
+    ------
+    NotConvergedError
+        If the adjustment does not converge.
+    """
+    state, std_px = start, None
+    inflation = np.ones(len(problem.kind)) if inflation is None else inflation
+    for _ in range(_MOST_ROUNDS):
+        residuals = problem.ties.pixel - predict(problem.layout, state, problem.ties)
+        before, std_px = std_px, std_of_kinds(problem, residuals)
+        if before is not None and (np.abs(std_px / before - 1.0) < _STEADY).all():
+            break
+        state, system = _descend(problem, state, std_px, inflation)
+    residuals = problem.ties.pixel - predict(problem.layout, state, problem.ties)
+    weights = _weights(problem, residuals, std_px) / inflation
+    covariance = cho_solve(cho_factor(_scaled(system.normal)[0]), np.eye(len(system.normal)))
+    scale = _scaled(system.normal)[1]
+    return Solution(state, covariance * np.outer(scale, scale), residuals, weights, std_px, system)
+
+
+def std_of_kinds(problem: Problem, residuals: np.ndarray) -> np.ndarray:
+    """Standard deviation [px] of a coordinate of each kind of observation, from the median of its residuals."""
+    length = np.linalg.norm(residuals, axis=1)
+    # Each point takes three of the coordinates that its observations have.
+    seen = np.bincount(problem.ties.point, minlength=len(problem.ties))[problem.ties.point]
+    spare = np.sqrt(np.maximum(1.0 - 1.5 / seen, 0.1))
+    kinds = range(int(problem.kind.max()) + 1)
+    found = [np.nanmedian((length / spare)[problem.kind == kind]) for kind in kinds]
+    return np.maximum(np.array(found) / _MEDIAN_LENGTH, 1e-3)
+
+
+def _weights(problem: Problem, residuals: np.ndarray, std_px: np.ndarray) -> np.ndarray:
+    """Huber weights (N,) [1/px^2]; zero where there is no residual."""
+    std, length = std_px[problem.kind], np.linalg.norm(residuals, axis=1)
+    weights = np.minimum(1.0, HUBER * std / np.maximum(length, 1e-300)) / std**2
+    return np.where(np.isfinite(length), weights, 0.0)
+
+
+def _descend(problem: Problem, state: State, std_px, inflation) -> tuple[State, System]:
+    """The state of least cost for given standard deviations, and its normal equations."""
+    damping, cost = _DAMPING_START, _cost(problem, state, std_px, inflation)
+    for _ in range(_MOST_STEPS):
+        system = _system(problem, state, std_px, inflation)
+        matrix, scale = _scaled(system.normal)
+        while True:
+            factor = cho_factor(matrix + damping * np.eye(len(matrix)))
+            step = scale * cho_solve(factor, scale * system.right)
+            moved = state.moved(problem.layout, step, system.point_steps(step))
+            costs = _cost(problem, moved, std_px, inflation)
+            if costs <= cost * (1.0 + 1e-9):
+                break
+            damping *= 10.0
+            if damping > _DAMPING_MOST:
+                return state, system
+        std = scale * np.sqrt(np.diag(cho_solve(factor, np.eye(len(matrix)))))
+        state, gain, cost, damping = moved, cost - costs, costs, max(damping * 0.1, 1e-12)
+        if (np.abs(step) < _DONE * std).all() or gain < 1e-6 * cost:
+            return state, _system(problem, state, std_px, inflation)
+    raise NotConvergedError(
+        f"the adjustment did not converge in {_MOST_STEPS} steps: poses and photographs do not belong together, or "
+        "the photographs hardly overlap"
+    )
+
+
+def _scaled(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The matrix with ones on its diagonal, and the scales that did it."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    return normal * np.outer(scale, scale), scale
+
+
+def _cost(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarray) -> float:
+    residuals = problem.ties.pixel - predict(problem.layout, state, problem.ties)
+    length = np.linalg.norm(residuals, axis=1) / std_px[problem.kind]
+    # A point that went behind a camera costs more than any that did not.
+    length = np.where(np.isfinite(length), length, 1e6)
+    huber = np.where(length < HUBER, length**2, HUBER * (2.0 * length - HUBER)) / inflation
+    pull = problem.priors.pull(problem.layout, state) / problem.priors.std
+    known = (state.points - problem.priors.state.points) / problem.priors.point_std
+    return float(huber.sum() + pull @ pull + np.sum(known**2))
+
+
+def _system(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarray) -> System:
+    ties, priors = problem.ties, problem.priors
+    linear = linearise(problem.layout, state, ties)
+    residuals = ties.pixel - linear.pixels
+    weights = _weights(problem, residuals, std_px) / inflation
+    usable = weights > 0.0
+    residuals = np.where(usable[:, None], residuals, 0.0)
+    by_point = np.where(usable[:, None, None], linear.by_point, 0.0)
+    design = linear.by_parameters
+    if not usable.all():
+        design = replace_rows(design, usable)
+    weighted = by_point * weights[:, None, None]
+    precision = priors.point_std**-2.0
+    own = _sum(ties, np.einsum("nai,naj->nij", weighted, by_point))
+    own[:, range(3), range(3)] += precision
+    right = _sum(ties, np.einsum("nai,na->ni", weighted, residuals))
+    right = right - precision * np.nan_to_num(state.points - priors.state.points)
+    root = np.linalg.inv(np.linalg.cholesky(_damped(own)))
+    free = np.einsum("mij,mj->mi", root, right)
+    # With the root of the points' own matrices as left factor, the elimination is one product.
+    rooted = np.einsum("nij,naj->nia", root[ties.point], weighted)
+    starts = np.searchsorted(ties.point, np.arange(len(ties) + 1))
+    left = bsr_array((rooted, np.arange(len(ties.view)), starts), shape=(3 * len(ties), 2 * len(ties.view)))
+    mixed = csr_array(left.tocsr() @ design)
+    whole = csr_array(design.multiply(np.repeat(weights, 2)[:, None]))
+    normal = (design.T @ whole - mixed.T @ mixed).toarray()
+    strength = np.where(np.isfinite(priors.std), priors.std, np.inf) ** -2.0
+    normal[np.diag_indices_from(normal)] += strength
+    pull = priors.pull(problem.layout, state)
+    gradient = whole.T @ residuals.ravel() - mixed.T @ free.ravel() - strength * pull
+    return System(normal, gradient, root, free, mixed)
+
+
+def replace_rows(design: csr_array, keep: np.ndarray) -> csr_array:
+    """A sparse matrix (2 N, P) with rows of zeros for the observations that are not kept, (N,) bool."""
+    values = design.data.reshape(2 * len(keep), -1)
+    values = np.where(np.repeat(keep, 2)[:, None], np.nan_to_num(values), 0.0)
+    return csr_array((values.ravel(), design.indices, design.indptr), shape=design.shape)
+
+
+def _sum(ties: TiePoints, values: np.ndarray) -> np.ndarray:
+    """Sums over the observations of each point, (M, ...)."""
+    first = np.searchsorted(ties.point, np.arange(len(ties)))
+    return np.add.reduceat(values, first, axis=0)
+
+
+def _damped(normal: np.ndarray) -> np.ndarray:
+    """Matrices (M, 3, 3) that can be inverted."""
+    scale = np.trace(normal, axis1=1, axis2=2)[:, None, None]
+    return normal + (_DAMPING * scale + 1e-12) * np.eye(3)

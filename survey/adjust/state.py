@@ -1,0 +1,110 @@
+"""What an adjustment finds: water, lenses, poses and points, and how a vector of steps changes them.
+
+The vector of parameters is [water (4) | relief (3) | lenses (8 each) | poses (6 each)]; points have three each beside it.
+
+    water     height of the plane at its reference point [m], slopes along local x and y, index
+    relief    by how much a rough bed seems to rise with the direction of view, see `relief_sides` [m]
+    lens      `LENS_NAMES`; the ratio of both focal lengths is held
+    pose      centre [m] along the axes of local, turn [rad] about the axes of cam
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from refract import FlatWater
+from survey.adjust.brown import COEFFICIENTS
+
+WATER_NAMES = ("height_m", "slope_x", "slope_y", "refractive_index")
+LENS_NAMES = ("f", "cx", "cy", *COEFFICIENTS)
+WATER, RELIEF, LENS, POSE = 4, 3, 8, 6
+# An index outside these is no water; a step never leaves them.
+_INDEX_RANGE = (1.0, 2.0)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the parameters of a block of photographs lie in the vector.
+
+    Attributes
+    ----------
+    lens_of : (V,) int64
+        Number of the lens of each photograph.
+    aspect : (L,)
+        fy / fx of each lens.
+    """
+
+    lens_of: np.ndarray
+    aspect: np.ndarray
+
+    @property
+    def first_lens(self) -> int:
+        return WATER + RELIEF
+
+    @property
+    def first_pose(self) -> int:
+        return self.first_lens + LENS * len(self.aspect)
+
+    def __len__(self) -> int:
+        return self.first_pose + POSE * len(self.lens_of)
+
+    def lens(self, number: int) -> slice:
+        """Parameters of a lens."""
+        return slice(self.first_lens + LENS * number, self.first_lens + LENS * (number + 1))
+
+    def pose(self, view: int) -> slice:
+        """Parameters of a pose."""
+        return slice(self.first_pose + POSE * view, self.first_pose + POSE * (view + 1))
+
+
+@dataclass(frozen=True)
+class State:
+    """Values of all unknowns.
+
+    Attributes
+    ----------
+    water : FlatWater or None
+    relief : (3,) [m]
+    lenses : (L, 8)
+    centres, rotations : (V, 3) [m], local; (V, 3, 3) cam from local
+    points : (M, 3) [m], local
+    """
+
+    water: FlatWater | None
+    relief: np.ndarray
+    lenses: np.ndarray
+    centres: np.ndarray
+    rotations: np.ndarray
+    points: np.ndarray
+
+    def water_parameters(self) -> np.ndarray:
+        """The water as parameters (4,); zeros for a dry survey."""
+        if self.water is None:
+            return np.zeros(WATER)
+        return np.array([self.water.point[2], self.water.slope_x, self.water.slope_y, self.water.n_water])
+
+    def moved(self, layout: Layout, step: np.ndarray, points: np.ndarray) -> State:
+        """The state after steps of the parameters (P,) and of the points (M, 3)."""
+        poses = step[layout.first_pose :].reshape(-1, POSE)
+        turns = Rotation.from_rotvec(poses[:, 3:]).as_matrix()
+        return State(
+            water=with_parameters(self.water, self.water_parameters() + step[:WATER]),
+            relief=self.relief + step[WATER : layout.first_lens],
+            lenses=self.lenses + step[layout.first_lens : layout.first_pose].reshape(-1, LENS),
+            centres=self.centres + poses[:, :3],
+            rotations=turns @ self.rotations,
+            points=self.points + points,
+        )
+
+
+def with_parameters(water: FlatWater | None, parameters: np.ndarray) -> FlatWater | None:
+    """The water with other parameters (4,) about the same reference point."""
+    if water is None:
+        return None
+    height, slope_x, slope_y, index = parameters.tolist()
+    x, y, _ = water.point
+    index = min(max(index, _INDEX_RANGE[0]), _INDEX_RANGE[1])
+    return replace(water, point=(x, y, height), slope_x=slope_x, slope_y=slope_y, n_water=index)

@@ -26,7 +26,7 @@ LAYERS = (
     {"evaluation", "fields/sweep", "fields/volume", "survey"},
     {"fields/colour", "fields/slab", "survey/files", "survey/display"},
     {"survey/photos", "survey/compare"},
-    {"survey/photos/formats", "survey/sfm", "survey/simulate/flight"},
+    {"survey/control", "survey/photos/formats", "survey/sfm", "survey/simulate/flight"},
     {"survey/folder", "survey/simulate"},
     {"survey/plan", "survey/simulate/ground"},
     {"survey/adjust", "survey/report", "survey/simulate/render"},

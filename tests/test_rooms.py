@@ -63,6 +63,7 @@ DISK_FILES = {
         "survey/adjust": ("calibration",),
         "survey/commands": ("console", "streams"),
         "survey/compare": ("canvas", "comparison"),
+        "survey/control": ("metashape_xml", "reading", "xml_elements"),
         "survey/files": ("csv_table", "json_values", "lock", "outputs", "toml_table"),
         "survey/folder": ("found", "infer", "inputs", "pairing"),
         "survey/photos": ("images", "opening", "priors"),

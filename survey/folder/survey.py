@@ -15,6 +15,7 @@ from survey.errors import FILE_NAME, SurveyError
 from survey.folder import place
 from survey.folder.camera_faults import angle_doubts, require_apart, require_focal_lengths
 from survey.folder.config import SurveyConfig, WaterConfig
+from survey.folder.control import place_control
 from survey.folder.found import Found, find_survey
 from survey.folder.pairing import pair, require_image, with_lenses, with_masks
 from survey.folder.plausible import doubts_of_places, require_true
@@ -123,6 +124,11 @@ def load_survey(
     for view in views:
         require_image(view, found.heads[view.name])
     posed = found.poses_path is not None
+    control: Control | None = None
+    checkpoints: tuple[Checkpoint, ...] = ()
+    if found.control is not None:
+        centres = {view.name: view.camera.centre for view in views}
+        control, checkpoints = place_control(found.control, frame, centres, warnings)
     priors = priors_of_poses(found.config.cameras, views) if posed else priors_of_gps(found, frame, views)
     config, water = place.water_in_local(found.config, frame, views, assumptions)
     require_true(frame, views, water, config)
@@ -145,4 +151,6 @@ def load_survey(
         warnings=tuple(warnings),
         points=points,
         priors=priors,
+        control=control,
+        checkpoints=checkpoints,
     )

@@ -24,3 +24,7 @@ class ImageError(SurveyError):
 
 class OutputError(SurveyError):
     """A result must not, or cannot, be written to the requested place."""
+
+
+class ControlError(SurveyError):
+    """A file of control points, marks or check points cannot be read, or cannot be true."""

@@ -25,6 +25,9 @@ focal_px = [3650.5, 3651.0]
 principal_point_px = [2000.5, 1499.0]
 distortion = [-0.1, 0.02, 1e-4, -2e-5]
 gps_height = "ellipsoidal"
+position_std_m = [0.02, 0.02, 0.03]
+rotation_std_deg = 0.01
+rolling_shutter_s = 0.03
 [water]
 level_m = 12.34
 level_at = [589012, 5194736]
@@ -34,6 +37,15 @@ temperature_c = 14
 salinity_psu = 7.5
 absorption_per_m = [0.3, 0.07, 0.05]
 veiling_light = [0, 0.1, 0.2]
+level_std_m = 0.05
+index_std = 0.001
+slope_std = 0.002
+[control]
+gcps = ["gcp_list.txt", "more.csv"]
+marks = "marks.csv"
+checkpoints = "checkpoints.csv"
+std_m = [0.01, 0.02]
+marks_std_px = 0.4
 [area]
 bounds = [589000, 5194700, 589050, 5194750]
 heights = [2.5, 14]
@@ -50,6 +62,9 @@ def test_every_known_key_is_read_and_written_back_to_the_same_settings():
     assert config.water.slope_north == -0.004
     assert config.water.absorption_per_m == (0.3, 0.07, 0.05)
     assert config.water.veiling_light == (0.0, 0.1, 0.2)
+    assert (config.cameras.position_std_m, config.cameras.rotation_std_deg) == ((0.02, 0.02, 0.03), 0.01)
+    assert config.control.gcp_files == ("gcp_list.txt", "more.csv")
+    assert config.control.files == ("gcp_list.txt", "more.csv", "marks.csv", "checkpoints.csv")
     assert config.area.bounds == (589000.0, 5194700.0, 589050.0, 5194750.0)
     assert config.area.heights == (2.5, 14.0)
     unset = [f.name for f in dataclasses.fields(config) if getattr(config, f.name) is None]
@@ -85,9 +100,9 @@ def test_any_level_survives_the_round_trip_to_the_last_bit(level):
         ("level_m = 3.0", "unknown key level_m; it belongs to [water] level_m."),
         ("[cameras]\nbounds = [0, 0, 1, 1]", "it belongs to [area] bounds."),
         ("[area]\ncrs = 'EPSG:25832+5778'", "it belongs to crs, above the first table."),
-        ("[gcp]\nfile = 'a'", "unknown table [gcp]; that is [control] gcps here, which is not supported yet: give"),
+        ("[gcp]\nfile = 'a'", "unknown table [gcp]; that is [control] gcps here."),
         ("[water]\nior = 1.3", "that is [water] refractive_index here."),
-        ("[volcano]\nlava = 1", "unknown table [volcano]; known are [images], [cameras], [water], [area], [local]."),
+        ("[volcano]\nlava = 1", "unknown table [volcano]; known are [images], [cameras], [water], [control], [area], "),
         ("[area]\nlava = 1", "unknown key lava in [area]; known are bounds, heights."),
         ("lava = 1", "unknown key lava; known are name, crs."),
     ],
@@ -103,11 +118,6 @@ def test_an_unknown_key_is_refused_with_a_near_name_its_place_or_what_is_known(t
 def test_a_key_of_a_later_version_is_refused_with_what_to_give_instead(key):
     with pytest.raises(ConfigError, match=rf"\[water\] {key} is not supported yet; .{{20,}}"):
         parse_config(f"[water]\n{key} = 'file'")
-
-
-def test_ground_control_points_are_refused_with_what_to_give_instead():
-    with pytest.raises(ConfigError, match=r"\[control\] gcps is not supported yet; give camera poses"):
-        parse_config("[control]\ngcps = 'gcp_list.txt'")
 
 
 @pytest.mark.parametrize(
@@ -145,6 +155,23 @@ def test_ground_control_points_are_refused_with_what_to_give_instead():
         ("[cameras]\nmodel = 'RADIAL'\ndistortion = 0.1", "expected a list of coefficients"),
         ("[cameras]\ngps_height = 'geoid'", 'gps_height is "geoid", expected "crs"'),
         ("[cameras]\nsize_px = [10, 10]\nprincipal_point_px = [0.0, 0.0]", "lies outside the image"),
+        (
+            "[cameras]\nposition_std_m = 0",
+            "position_std_m is 0.0, expected a standard deviation above 0 and at most 100",
+        ),
+        ("[cameras]\nposition_std_m = [0.02, 0.03]", "expected one number or [east, north, up] in metres"),
+        ("[cameras]\nposition_std_m = [0.02, 0.02, 300]", "position_std_m is [0.02, 0.02, 300.0], expected a"),
+        ("[cameras]\nrotation_std_deg = -1", "[cameras] rotation_std_deg is -1.0, expected"),
+        ("[cameras]\nrolling_shutter_s = 30", "rolling_shutter_s is 30, expected seconds from the first to the last"),
+        ("[water]\nlevel_m = 1\nlevel_std_m = 0", "[water] level_std_m is 0.0, expected"),
+        ("[water]\nlevel_m = 1\nindex_std = 1.3", "index_std is 1.3, expected a standard deviation above 0"),
+        ("[water]\nlevel_m = 1\nslope_std = -0.1", "[water] slope_std is -0.1, expected"),
+        ("[control]\nmarks = 'marks.csv'", "[control] marks is given without gcps"),
+        ("[control]\ngcps = []", "gcps is an empty list, expected one file or more"),
+        ("[control]\ngcps = 3", "control.gcps is 3, expected a file"),
+        ("[control]\nstd_m = [0.01, 0.01, 0.02]", "expected one number or [horizontal, vertical] in metres"),
+        ("[control]\nstd_m = 0", "[control] std_m is 0.0, expected a standard deviation above 0 and at most 10 m"),
+        ("[control]\nmarks_std_px = 0", "[control] marks_std_px is 0.0, expected"),
         ("[area]\nbounds = [2, 0, 1, 1]", "with low below high"),
         ("[local]\nframe = 'ecef'", 'local.frame is "ecef", expected one of topocentric east-north-up'),
         ("crs = 25832", 'crs is 25832, expected a text with a vertical part, e.g. crs = "EPSG:25832+5778"'),

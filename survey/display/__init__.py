@@ -1,1 +1,1 @@
-"""How results are shown: colours, the grid of a plan view, and quantities as text."""
+"""How results are shown: colours, the grid of a plan view, quantities as text, and words that sentences share."""

@@ -9,12 +9,14 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from survey.errors import SurveyError
 
+# What the csv module of Python takes as one value.
+_LONGEST_LINE = 100_000
 _QUOTED = re.compile(r'"[^"]*"')
 
 
@@ -64,7 +66,8 @@ class Row:
         value = _number(text, self.decimal)
         if not math.isfinite(value):
             raise self.error(
-                f"{self.where}: {name} is {text or 'empty'}, expected a finite number; correct it or remove the line"
+                f"{self.where}: {name} is {shortened(text) or 'empty'}, expected a finite number; correct it or remove "
+                "the line"
             )
         return value
 
@@ -75,6 +78,7 @@ def read_table(
     *,
     optional: Sequence[str] = (),
     header: bool = True,
+    synonyms: Mapping[str, str] | None = None,
     error: type[SurveyError] = SurveyError,
 ) -> list[Row]:
     """Rows of a table with the named columns, in any order, with any others between them.
@@ -90,6 +94,8 @@ def read_table(
     header : bool
         Whether the first line must name the columns; if not, values may be in the order of `columns` and
         `optional`, after a first line of other words or none.
+    synonyms : mapping of names, lower case, to those of columns, optional
+        Other names that a file may have. The last comment before the first line may name the columns too.
     error : type
         What is raised.
 
@@ -98,16 +104,20 @@ def read_table(
     SurveyError
         If the file cannot be read, a column is missing, or a line has too few values or a quote without an end.
     """
-    lines = list(_lines(path, error))
+    title, lines = _title_and_lines(path, error)
     delimiter = _delimiter(lines[0][1]) if lines else ","
     decimal = "." if delimiter == "," else ","
     rows = [(number, _cells(f"{path}, line {number}", line, delimiter, error)) for number, line in lines]
-    names = [cell.casefold() for cell in rows[0][1]] if rows else []
+    names = _names(rows[0][1], synonyms) if rows else []
+    if synonyms is not None and title is not None and not set(columns) <= set(names):
+        of_title = _names(_cells(str(path), title, delimiter, error), synonyms)
+        if set(columns) <= set(of_title):
+            rows, names = [(0, []), *rows], of_title
     missing = [name for name in columns if name not in names]
     if missing and header:
         raise error(
             f"{path}: the first line has no column {', '.join(missing)}; expected {','.join(columns)}, found "
-            f"{','.join(names) or 'nothing'}"
+            f"{shortened(','.join(names)) or 'nothing'}"
         )
     if missing:
         is_title = rows and not any(math.isfinite(_number(cell, decimal)) for cell in rows[0][1])
@@ -127,26 +137,74 @@ def read_table(
     return found
 
 
-def column_names(path: Path) -> list[str]:
-    """Names of the columns of a table, lower case; none if the file is not text."""
+def column_names(path: Path, synonyms: Mapping[str, str] | None = None) -> list[str]:
+    """Names of the columns of a table, lower case; none if the file is not text.
+
+    With synonyms those in the last comment before the first line too, as `read_table` takes them.
+    """
+    texts = []
     try:
-        first = next(_lines(path, SurveyError), None)
-        return [] if first is None else [c.casefold() for c in _cells("", first[1], _delimiter(first[1]), SurveyError)]
+        for _, line in text_lines(path, SurveyError):
+            if _is_comment(line):
+                texts = [] if synonyms is None else [_bare(line)]
+            elif not _is_empty(line):
+                texts.append(line)
+                break
+        return [name for text in texts for name in _names(_cells("", text, _delimiter(text), SurveyError), synonyms)]
     except SurveyError:
         return []
 
 
-def _lines(path: Path, error: type[SurveyError]) -> Iterator[tuple[int, str]]:
-    """Numbers and texts of the lines that are neither empty nor comments."""
+def text_lines(path: Path, error: type[SurveyError]) -> Iterator[tuple[int, str]]:
+    """Numbers and texts of all lines of a file in UTF-8, with or without a byte order mark.
+
+    Raises
+    ------
+    SurveyError
+        If the file cannot be read or is not UTF-8.
+    """
     try:
         with path.open(encoding="utf-8-sig") as file:
             for number, line in enumerate(file, start=1):
-                if line.strip(" \t\r\n,;") and not line.lstrip().startswith("#"):
-                    yield number, line.rstrip("\r\n")
+                yield number, line.rstrip("\r\n")
     except UnicodeDecodeError as problem:
         raise error(f"{path} is not UTF-8 ({problem.reason}); save the table as UTF-8") from problem
     except OSError as problem:
         raise error(f"{path} cannot be read ({problem.strerror}); correct its name or its permissions") from problem
+
+
+def shortened(text: str) -> str:
+    """A text of a file for a message, not longer than a line."""
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _title_and_lines(path: Path, error: type[SurveyError]) -> tuple[str | None, list[tuple[int, str]]]:
+    """The last comment before the lines, without its mark; numbers and texts of those neither empty nor comments."""
+    title: str | None = None
+    lines: list[tuple[int, str]] = []
+    for number, line in text_lines(path, error):
+        if _is_comment(line):
+            title = title if lines else _bare(line)
+        elif not _is_empty(line):
+            lines.append((number, line))
+    return title, lines
+
+
+def _is_comment(line: str) -> bool:
+    return line.lstrip().startswith("#")
+
+
+def _bare(comment: str) -> str:
+    return comment.lstrip().lstrip("#").lstrip()
+
+
+def _is_empty(line: str) -> bool:
+    return not line.strip(" \t,;")
+
+
+def _names(cells: Sequence[str], synonyms: Mapping[str, str] | None) -> list[str]:
+    names = [cell.casefold() for cell in cells]
+    return names if synonyms is None else [synonyms.get(name, name) for name in names]
 
 
 def _delimiter(line: str) -> str:
@@ -155,6 +213,8 @@ def _delimiter(line: str) -> str:
 
 
 def _cells(where: str, line: str, delimiter: str, error: type[SurveyError]) -> list[str]:
+    if len(line) > _LONGEST_LINE:
+        raise error(f"{where}: the line has {len(line)} characters, expected a line of a table; correct the file")
     try:
         return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, strict=True))]
     except csv.Error as problem:

@@ -12,8 +12,8 @@ import numpy as np
 
 from refract import FlatWater
 from refract.lens import Lens
+from survey.display.words import named
 from survey.errors import ConfigError, PosesError
-from survey.folder.words import named
 from survey.photos.cameras import CAM_FROM_OPK_CAM, Pose, View, grid_from_opk
 from survey.photos.exif import Exif
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pyproj import CRS
@@ -11,6 +11,7 @@ from geo.crs import parse_crs
 from survey.errors import FILE_NAME, ConfigError, PosesError, SurveyError
 from survey.folder import infer
 from survey.folder.config import SurveyConfig, read_config
+from survey.folder.control import FoundControl, find_control
 from survey.folder.water_level import with_level
 from survey.photos.exif import Exif, read_exif
 from survey.photos.formats import find_poses, find_unread
@@ -36,6 +37,8 @@ class Found:
     poses_path : Path or None
         None where structure from motion has to find the poses.
     assumptions, warnings : sentences
+    control : FoundControl or None
+        Control and check points in crs; None where survey.toml names none.
     """
 
     folder: Path
@@ -46,6 +49,7 @@ class Found:
     poses_path: Path | None
     assumptions: tuple[str, ...]
     warnings: tuple[str, ...]
+    control: FoundControl | None = None
 
 
 def find_survey(folder: Path) -> Found:
@@ -78,7 +82,11 @@ def find_survey(folder: Path) -> Found:
         warnings += [
             f"{name} is not read; export a COLMAP model or cameras.csv instead" for name in find_unread(folder)
         ]
-    return Found(folder, config, crs, images, heads, poses_path, tuple(assumptions), tuple(warnings))
+    control = None
+    if config.control.files:
+        control = find_control(folder, config.control, crs, heads, assumptions, warnings)
+        config = replace(config, control=control.config)
+    return Found(folder, config, crs, images, heads, poses_path, tuple(assumptions), tuple(warnings), control)
 
 
 def _poses_path(folder: Path, config: SurveyConfig, assumptions: list[str]) -> Path | None:

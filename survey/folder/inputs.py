@@ -14,7 +14,7 @@ from survey.photos.formats import find_poses
 
 
 def survey_inputs(folder: Path) -> ReadFiles:
-    """Settings, poses, photographs, masks and measured water levels of a survey folder.
+    """Settings, poses, photographs, masks, control and measured water levels of a survey folder.
 
     Raises
     ------
@@ -28,6 +28,7 @@ def survey_inputs(folder: Path) -> ReadFiles:
     named = [toml]
     if config.water is not None:
         named += [folder / name for source in SOURCES if (name := getattr(config.water, source))]
+    named += [folder / name for name in config.control.files]
     poses = find_poses(folder) if config.cameras.poses is None else [folder / config.cameras.poses]
     folders = [] if config.images.masks is None else [folder / config.images.masks]
     if config.images.dir == ".":

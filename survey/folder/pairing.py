@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import unicodedata
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
+from survey.display.words import named
 from survey.errors import ImageError, PosesError
 from survey.folder.found import MIN_VIEWS, Found
 from survey.folder.lens import lens_from_config
-from survey.folder.words import named
 from survey.photos.cameras import Pose, View
 from survey.photos.exif import Exif
 from survey.photos.images import require_complete
+from survey.photos.names import name_key
 
 
 def pair(found: Found, poses: list[Pose], warnings: list[str]) -> list[Pose]:
@@ -28,12 +28,12 @@ def pair(found: Found, poses: list[Pose], warnings: list[str]) -> list[Pose]:
     """
     keys: dict[str, list[str]] = {}
     for name in found.images:
-        for key in (_key(name), _key(str(PurePosixPath(name).with_suffix("")))):
+        for key in (name_key(name), name_key(str(PurePosixPath(name).with_suffix("")))):
             keys.setdefault(key, []).append(name)
     paired: dict[str, Pose] = {}
     unmatched = []
     for pose in poses:
-        candidates = keys.get(_key(pose.name), [])
+        candidates = keys.get(name_key(pose.name), [])
         image = pose.name if pose.name in found.images else candidates[0] if len(candidates) == 1 else None
         if image is None or image in paired:
             unmatched.append(pose.name)
@@ -52,11 +52,6 @@ def pair(found: Found, poses: list[Pose], warnings: list[str]) -> list[Pose]:
     warnings += named(without_pose, "image", "without a pose, left out")
     warnings += named(unmatched, "pose", "without an image, left out")
     return list(paired.values())
-
-
-def _key(name: str) -> str:
-    """A name normalised for comparison: case, slashes and the encoding of accents."""
-    return unicodedata.normalize("NFC", name.replace("\\", "/")).casefold()
 
 
 def with_lenses(found: Found, poses: list[Pose], assumptions: list[str], warnings: list[str]) -> list[Pose]:

@@ -8,9 +8,9 @@ from pyproj import CRS, Geod, Transformer
 from geo.crs import height_unit_m, horizontal_crs
 from geo.frames import LocalFrame
 from refract import FlatWater
+from survey.display.words import named
 from survey.errors import FILE_NAME, ConfigError, PosesError
 from survey.folder.config import SurveyConfig, WaterConfig
-from survey.folder.words import named
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 

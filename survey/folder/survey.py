@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -10,13 +10,16 @@ import numpy as np
 
 from geo.frames import LocalFrame
 from refract import FlatWater
+from survey.control.points import Checkpoint, Control
 from survey.errors import FILE_NAME, SurveyError
 from survey.folder import place
 from survey.folder.camera_faults import angle_doubts, require_apart, require_focal_lengths
 from survey.folder.config import SurveyConfig, WaterConfig
+from survey.folder.control import place_control
 from survey.folder.found import Found, find_survey
 from survey.folder.pairing import pair, require_image, with_lenses, with_masks
 from survey.folder.plausible import doubts_of_places, require_true
+from survey.folder.pose_priors import PosePrior, priors_of_gps, priors_of_poses
 from survey.folder.unposed import solve_views
 from survey.photos.cameras import View
 from survey.photos.formats import read_points, read_poses
@@ -46,6 +49,12 @@ class Survey:
     assumptions, warnings : sentences
     points : (N, 3) float64 [m], local, or None
         Matched points that three photographs or more see, on straight rays; None where the poses came without any.
+    priors : dict of name to PosePrior
+        What is known of the pose of each view besides its photograph.
+    control : Control or None
+        Control points that the photographs show.
+    checkpoints : tuple of Checkpoint
+        Points that results are compared with; none where there is no file of them.
     """
 
     name: str
@@ -58,6 +67,9 @@ class Survey:
     assumptions: tuple[str, ...]
     warnings: tuple[str, ...]
     points: np.ndarray | None = field(default=None, compare=False, repr=False)
+    priors: Mapping[str, PosePrior] = field(default_factory=dict, compare=False, repr=False)
+    control: Control | None = field(default=None, compare=False, repr=False)
+    checkpoints: tuple[Checkpoint, ...] = field(default=(), compare=False, repr=False)
 
     def require_water(self) -> tuple[FlatWater, WaterConfig]:
         """The water plane and its settings, with level, place and index.
@@ -111,6 +123,13 @@ def load_survey(
     views = with_masks(found, sorted(views, key=lambda view: view.name), warnings)
     for view in views:
         require_image(view, found.heads[view.name])
+    posed = found.poses_path is not None
+    control: Control | None = None
+    checkpoints: tuple[Checkpoint, ...] = ()
+    if found.control is not None:
+        centres = {view.name: view.camera.centre for view in views}
+        control, checkpoints = place_control(found.control, frame, centres, warnings)
+    priors = priors_of_poses(found.config.cameras, views) if posed else priors_of_gps(found, frame, views)
     config, water = place.water_in_local(found.config, frame, views, assumptions)
     require_true(frame, views, water, config)
     if found.poses_path is not None:
@@ -131,4 +150,7 @@ def load_survey(
         assumptions=tuple(assumptions),
         warnings=tuple(warnings),
         points=points,
+        priors=priors,
+        control=control,
+        checkpoints=checkpoints,
     )

@@ -9,11 +9,12 @@ import numpy as np
 
 from geo.frames import LocalFrame
 from refract.lens import Lens
+from survey.control.placing import require_near
+from survey.display.words import named
 from survey.errors import PosesError
 from survey.folder.camera_faults import require_focal_lengths
 from survey.folder.found import MIN_VIEWS, Found
 from survey.folder.plausible import require_level_fits_exif
-from survey.folder.words import named
 from survey.names import RUN_FOLDER, SFM_FOLDER
 from survey.photos.cameras import View
 from survey.photos.formats import MIN_TRACK
@@ -37,6 +38,10 @@ def require_solvable(found: Found) -> list[str]:
     focal = one_focal(cameras.focal_px)
     positions = gps_positions(found.heads, found.crs, cameras.gps_height)
     require_area(np.array(list(positions.local.values())), MIN_STD_M)
+    if found.control is not None and found.control.points:
+        # What is only doubtful is said once there are poses.
+        cameras_crs = positions.frame.crs_from_local(np.array(list(positions.local.values())))
+        require_near(found.control.points, cameras_crs, found.crs)
     for path in found.images.values():
         require_complete(path)
     if focal is None:

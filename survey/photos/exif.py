@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -14,15 +13,11 @@ from PIL import ExifTags
 
 from geo.crs import utm_code
 from survey.errors import ImageError
+from survey.photos.exif_focal import FocalCandidate, focal_candidates, focal_px
 from survey.photos.opening import open_image
+from survey.photos.xmp import Motion, Rtk, motion_of, number, rtk_of, xmp_number
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
-
-# Width of the film that "focal length in 35 mm film" refers to [mm].
-_FILM_WIDTH_MM = 36.0
-# A calibration further off the 35 mm equivalent than this belongs to another size of the image.
-_RESIZED = 1.5
-_DJI_NUMBER = r"drone-dji:{}\s*(?:=\s*\"|>)\s*([+-]?[0-9.]+)"
 
 
 @dataclass(frozen=True)
@@ -45,6 +40,12 @@ class Exif:
         DJI's height over the take-off point [m].
     taken : datetime or None
         In UTC: of the GPS clock, else of the camera's with its offset; None where neither is there.
+    focal_candidates : tuple of FocalCandidate
+        All that the head says of the focal length, which may disagree; for the search of a calibration.
+    rtk : Rtk or None
+        Accuracy of the position by the receiver, where DJI's XMP has it.
+    motion : Motion
+        Attitudes and speed at the exposure, by DJI's XMP.
     """
 
     size_px: tuple[int, int]
@@ -54,6 +55,9 @@ class Exif:
     camera: str
     above_start_m: float | None
     taken: datetime | None = None
+    focal_candidates: tuple[FocalCandidate, ...] = ()
+    rtk: Rtk | None = None
+    motion: Motion = field(default_factory=Motion)
 
 
 def read_exif(path: Path) -> Exif:
@@ -77,11 +81,14 @@ def read_exif(path: Path) -> Exif:
     return Exif(
         size_px=size,
         lat_lon_height=_position(gps),
-        focal_px=_focal(size, details, xmp),
+        focal_px=focal_px(size, details, xmp),
         orientation=orientation if orientation in range(1, 9) else 1,
         camera=camera.strip(),
-        above_start_m=_dji(xmp, "RelativeAltitude"),
+        above_start_m=xmp_number(xmp, "RelativeAltitude"),
         taken=_taken(gps, details),
+        focal_candidates=focal_candidates(size, details, xmp),
+        rtk=rtk_of(xmp),
+        motion=motion_of(xmp),
     )
 
 
@@ -91,7 +98,7 @@ def _position(gps: dict) -> tuple[float, float, float] | None:
     # A receiver without a fix writes 0, 0.
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0) or latitude == longitude == 0.0:
         return None
-    height = _number(gps.get(ExifTags.GPS.GPSAltitude))
+    height = number(gps.get(ExifTags.GPS.GPSAltitude))
     if gps.get(ExifTags.GPS.GPSAltitudeRef) in (1, b"\x01"):
         height = -height
     return latitude, longitude, height
@@ -102,7 +109,7 @@ def _taken(gps: dict, details: dict) -> datetime | None:
     clock = gps.get(ExifTags.GPS.GPSTimeStamp)
     try:
         if day and clock is not None:
-            hours, minutes, seconds = (_number(part) for part in clock)
+            hours, minutes, seconds = (number(part) for part in clock)
             passed = timedelta(hours=hours, minutes=minutes, seconds=seconds)
             return datetime.strptime(day, "%Y:%m:%d").replace(tzinfo=UTC) + passed
         local = str(details.get(ExifTags.Base.DateTimeOriginal, "")).strip("\0 ")
@@ -114,36 +121,10 @@ def _taken(gps: dict, details: dict) -> datetime | None:
 
 def _degrees(parts, reference, negative: str) -> float:
     try:
-        value = sum(_number(part) / 60.0**i for i, part in enumerate(parts))
+        value = sum(number(part) / 60.0**i for i, part in enumerate(parts))
     except TypeError:
         return math.nan
     return -value if str(reference).strip("\0 ").upper() == negative else value
-
-
-def _focal(size: tuple[int, int], details: dict, xmp: str) -> float | None:
-    calibrated = _dji(xmp, "CalibratedFocalLength")
-    # Valid only for the image size of the calibration.
-    full_width = details.get(ExifTags.Base.ExifImageWidth, size[0])
-    film = _number(details.get(ExifTags.Base.FocalLengthIn35mmFilm))
-    by_film = film / _FILM_WIDTH_MM * max(size) if film > 0.0 else None
-    if calibrated and full_width == size[0] and (by_film is None or 1.0 / _RESIZED < calibrated / by_film < _RESIZED):
-        return calibrated
-    return by_film
-
-
-def _dji(xmp: str, name: str) -> float | None:
-    found = re.search(_DJI_NUMBER.format(name), xmp)
-    try:
-        return float(found.group(1)) if found else None
-    except ValueError:
-        return None
-
-
-def _number(value) -> float:
-    try:
-        return float(value)
-    except (TypeError, ValueError, ZeroDivisionError):
-        return math.nan
 
 
 def utm_code_of(heads: Mapping[str, Exif]) -> int | None:

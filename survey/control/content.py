@@ -1,0 +1,113 @@
+"""What files of control say, before files are put together and their coordinates are in the crs of the survey."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from pyproj import CRS
+
+from survey.errors import ControlError
+
+
+@dataclass(frozen=True)
+class GivenPoint:
+    """The coordinates of a point in a file.
+
+    Attributes
+    ----------
+    name : str
+    where : str
+        File and line, for messages.
+    place : (easting or longitude, northing or latitude, height)
+        Horizontally in `crs`; the height is one in the crs of the survey.
+    crs : CRS or None
+        None where it is that of the survey.
+    std_m : (east, north, up) [m] or None
+        None where the file does not say it.
+    is_check : bool
+    """
+
+    name: str
+    where: str
+    place: tuple[float, float, float]
+    crs: CRS | None = None
+    std_m: tuple[float, float, float] | None = None
+    is_check: bool = False
+
+
+@dataclass(frozen=True)
+class GivenMark:
+    """Where a file has a point in a photograph.
+
+    Attributes
+    ----------
+    point, image : str
+        As the file calls them.
+    where : str
+        File and line, for messages.
+    pixel : (x, y)
+        The centre of the first pixel is 0.5, 0.5.
+    """
+
+    point: str
+    image: str
+    where: str
+    pixel: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Content:
+    """All that a file says; either may be empty."""
+
+    points: tuple[GivenPoint, ...] = ()
+    marks: tuple[GivenMark, ...] = ()
+
+
+@dataclass(frozen=True)
+class ControlFormat:
+    """A format of control files.
+
+    Attributes
+    ----------
+    name : str
+        In a sentence: "expected ...".
+    recognises : callable
+        Whether a path, which is a file, is of this format.
+    read : callable
+        The content of such a file; raises ControlError.
+    """
+
+    name: str
+    recognises: Callable[[Path], bool]
+    read: Callable[[Path], Content]
+
+
+# What the columns of roles are filled with, in lower case.
+_CHECK, _CONTROL = ("check", "checkpoint", "check point", "cp"), ("control", "gcp", "ground control", "")
+
+
+def is_check_role(role: str, where: str) -> bool:
+    """Whether the word for a point's role means a check point.
+
+    Raises
+    ------
+    ControlError
+        If it means nothing.
+    """
+    word = role.strip().casefold()
+    if word not in (*_CHECK, *_CONTROL):
+        raise ControlError(f'{where}: the role is "{role[:40]}", expected control or check; correct it')
+    return word in _CHECK
+
+
+def require_std(values: tuple[float, float, float], where: str) -> tuple[float, float, float]:
+    """Standard deviations [m] that a file has; ControlError unless all are above zero and at most 10 m."""
+    if not all(0.0 < value <= 10.0 for value in values):
+        shown = ", ".join(f"{value:g}" for value in values)
+        raise ControlError(
+            f"{where}: the standard deviations are {shown}, expected metres above 0 and at most 10; correct them, or "
+            "leave the columns out and give [control] std_m"
+        )
+    return values

@@ -1,0 +1,124 @@
+"""Markers as Metashape exports them to XML: coordinates in its reference, marks in photographs.
+
+The centre of its first pixel is 0.5, 0.5, as ours. A point that is not ticked in its reference is a check point.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from survey.control.content import Content, ControlFormat, GivenMark, GivenPoint, require_std
+from survey.control.xml_elements import read_xml
+from survey.errors import ControlError
+from survey.files.csv_table import shortened
+
+_AXES, _STDS = ("x", "y", "z"), ("sx", "sy", "sz")
+_EXPORT = "in Metashape, File > Export > Export Markers writes them"
+
+
+def read_metashape_xml(path: Path) -> Content:
+    """Points that have coordinates, and the marks that were set or confirmed by hand.
+
+    Raises
+    ------
+    ControlError
+        If the file is no XML or not safe, has no markers or those of several chunks, a marker or camera without its
+        label, or a number that is not finite.
+    """
+    root = read_xml(path)
+    chunks = [chunk for chunk in (*root.iter("chunk"), root) if chunk.find(".//marker") is not None]
+    if not chunks:
+        raise ControlError(f"{path} has no markers, expected those of Metashape; {_EXPORT}")
+    chunks = [chunk for chunk in chunks if chunk is not root] or [root]
+    if len(chunks) > 1:
+        raise ControlError(f"{path} has markers of {len(chunks)} chunks, expected one; export one of them alone")
+    (chunk,) = chunks
+    images = {camera.get("id", ""): camera.get("label", "") for camera in chunk.iter("camera")}
+    names = {marker.get("id", ""): marker.get("label", "") for marker in chunk.iter("marker") if marker.get("label")}
+    crs = _crs_of(chunk, path)
+    points = [
+        _point(marker, reference, path, crs)
+        for marker in chunk.iter("marker")
+        if marker.get("label")
+        and (reference := marker.find("reference")) is not None
+        and reference.get("x") is not None
+    ]
+    marks = [
+        mark
+        for marker in chunk.iter("marker")
+        for location in marker.iter("location")
+        if (mark := _mark(marker, location, path, names, images)) is not None
+    ]
+    return Content(tuple(points), tuple(marks))
+
+
+def _point(marker: Element, reference: Element, path: Path, crs: CRS | None) -> GivenPoint:
+    name = marker.get("label", "")
+    where = f'{path}, marker "{shortened(name)}"'
+    x, y, z = (_number(reference, key, where) for key in _AXES)
+    std = None
+    if all(reference.get(key) is not None for key in _STDS):
+        sx, sy, sz = (_number(reference, key, where) for key in _STDS)
+        std = require_std((sx, sy, sz), where)
+    return GivenPoint(name, where, (x, y, z), crs, std, is_check=not _is_true(reference, "enabled"))
+
+
+def _mark(
+    marker: Element, location: Element, path: Path, names: dict[str, str], images: dict[str, str]
+) -> GivenMark | None:
+    """A mark; None where Metashape only guesses it from the poses."""
+    if not (_is_true(location, "pinned") and _is_true(location, "valid")):
+        return None
+    key = marker.get("marker_id") or marker.get("id") or ""
+    camera = location.get("camera_id") or ""
+    where = f'{path}, marker "{shortened(names.get(key, key))}" in camera "{shortened(images.get(camera, camera))}"'
+    if key not in names or not images.get(camera):
+        raise ControlError(
+            f"{where}: there is no such {'marker' if key not in names else 'camera'} with a label in the file; export "
+            "the markers again"
+        )
+    return GivenMark(names[key], images[camera], where, (_number(location, "x", where), _number(location, "y", where)))
+
+
+def _crs_of(chunk: Element, path: Path) -> CRS | None:
+    """The CRS of the reference of the markers, or of the chunk; None where it has none, or one of its own."""
+    text = next((tag.text for key in ("markers/reference", "reference") if (tag := chunk.find(key)) is not None), None)
+    if not text or not text.strip() or "LOCAL_CS" in text:
+        return None
+    try:
+        return CRS.from_user_input(text.strip())
+    except CRSError as error:
+        raise ControlError(
+            f'{path}: the reference "{shortened(text.strip())}" is not a known CRS; set one in Metashape and export '
+            "the markers again"
+        ) from error
+
+
+def _is_true(element: Element, key: str) -> bool:
+    return element.get(key, "true").casefold() not in ("false", "0")
+
+
+def _number(element: Element, key: str, where: str) -> float:
+    text = element.get(key, "")
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ControlError(f"{where}: {key} is {shortened(text) or 'missing'}, expected a finite number; correct it")
+    return value
+
+
+def _is_xml(path: Path) -> bool:
+    if path.suffix.casefold() == ".xml":
+        return True
+    with path.open("rb") as file:
+        return file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
+
+
+FORMAT = ControlFormat(name="markers of Metashape (.xml)", recognises=_is_xml, read=read_metashape_xml)

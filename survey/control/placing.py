@@ -1,0 +1,137 @@
+"""Control and check points beside the cameras: near enough to be seen, and taken into the local frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from pyproj import CRS
+
+from geo.crs import height_unit_m, horizontal_unit, is_geographic
+from geo.frames import LocalFrame
+from survey.control.content import GivenPoint
+from survey.control.points import Checkpoint, Control, ControlPoint, Mark
+from survey.control.reading import Gathered
+from survey.errors import ControlError
+
+# No photograph of a survey of shallow water shows a point further away.
+_FARTHEST_M = 3000.0
+_EARTH_RADIUS_M = 6.371e6
+
+
+def require_near(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) -> list[str]:
+    """Warnings about heights of points that their cameras can hardly see.
+
+    Parameters
+    ----------
+    points : of GivenPoint, in crs
+    cameras : (N, 3) in crs
+    crs : CRS
+
+    Raises
+    ------
+    ControlError
+        If a point lies kilometres from all cameras; says so where its columns are swapped, or degrees.
+    """
+    for point in points:
+        apart = _distance_m(np.array(point.place), cameras, crs)
+        if apart <= _FARTHEST_M:
+            continue
+        east, north, height = point.place
+        said = f"{point.where}: the point {point.name[:40]} at {east:.10g}, {north:.10g}"
+        if _distance_m(np.array([north, east, height]), cameras, crs) <= _FARTHEST_M:
+            raise ControlError(
+                f"{said} lies {_km(apart)} from the cameras, and among them with easting and northing swapped; swap "
+                "the two columns (or the two CRS axes) in the file"
+            )
+        middle = np.median(cameras, axis=0)
+        if not is_geographic(crs) and abs(east) <= 180.0 and abs(north) <= 90.0:
+            raise ControlError(
+                f"{said} looks like longitude and latitude, expected {crs.name}, where the cameras are at "
+                f"{middle[0]:.10g}, {middle[1]:.10g}; convert it, or name the CRS in the first line of a gcp_list.txt "
+                '("EPSG:4326", longitude first)'
+            )
+        raise ControlError(
+            f"{said} lies {_km(apart)} from the nearest camera, the cameras are at {middle[0]:.10g}, {middle[1]:.10g} "
+            f"in {crs.name}; correct it, or the CRS of the file"
+        )
+    return _height_doubts(points, cameras, crs)
+
+
+def _height_doubts(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) -> list[str]:
+    heights = np.array([point.place[2] for point in points])
+    above = heights > cameras[:, 2].max()
+    if not above.any():
+        return []
+    worst = points[int(np.argmax(heights))]
+    unit = height_unit_m(crs)
+    return [
+        f"{int(above.sum())} of {len(points)} control or check points lie above all cameras (highest camera "
+        f"{unit * cameras[:, 2].max():.2f} m, {worst.name[:40]} {unit * worst.place[2]:.2f} m in {worst.where}); check "
+        "that their heights have the vertical datum of crs"
+    ]
+
+
+def _distance_m(place: np.ndarray, cameras: np.ndarray, crs: CRS) -> float:
+    """Horizontal distance [m] from the nearest camera, on the map."""
+    unit = horizontal_unit(crs)
+    steps = (cameras[:, :2] - place[:2]) * unit
+    if is_geographic(crs):
+        steps *= _EARTH_RADIUS_M * np.array([math.cos(float(np.median(cameras[:, 1])) * unit), 1.0])
+    nearest = float(np.linalg.norm(steps, axis=1).min())
+    return nearest if math.isfinite(nearest) else math.inf
+
+
+def _km(metres: float) -> str:
+    return f"{metres / 1000.0:.3g} km"
+
+
+def control_in_local(
+    gathered: Gathered,
+    frame: LocalFrame,
+    views: Sequence[str],
+    std_m: tuple[float, float, float],
+    marks_std_px: float,
+) -> Control | None:
+    """The control that the views of a survey show; None where they show none of it.
+
+    Parameters
+    ----------
+    gathered : Gathered
+    frame : LocalFrame
+    views : names of those with a pose
+    std_m : (east, north, up) [m]
+        Of points whose file does not say it.
+    marks_std_px : float
+    """
+    posed = set(views)
+    marks = tuple(mark for mark in gathered.marks if mark.view in posed)
+    seen = {mark.point for mark in marks}
+    points = tuple(_control_point(point, frame, std_m) for point in gathered.points if point.name in seen)
+    return Control(points, marks, marks_std_px) if points else None
+
+
+def without_pose(marks: Sequence[Mark], views: Sequence[str]) -> list[str]:
+    """Names of the photographs that have marks but are not among the views."""
+    return list(dict.fromkeys(mark.view for mark in marks if mark.view not in set(views)))
+
+
+def checkpoints_in_local(points: Sequence[GivenPoint], frame: LocalFrame) -> tuple[Checkpoint, ...]:
+    """Check points in local."""
+    return tuple(Checkpoint(point.name, point.place, _local(point, frame)) for point in points)
+
+
+def _control_point(point: GivenPoint, frame: LocalFrame, std_m: tuple[float, float, float]) -> ControlPoint:
+    std = np.array(point.std_m or std_m)
+    return ControlPoint(point.name, point.place, _local(point, frame), std, point.is_check)
+
+
+def _local(point: GivenPoint, frame: LocalFrame) -> np.ndarray:
+    local = frame.local_from_crs(np.array(point.place))
+    if not np.isfinite(local).all():
+        raise ControlError(
+            f"{point.where}: {point.place[0]:.10g}, {point.place[1]:.10g} is not on the map of {frame.crs.name}; "
+            "correct it, or the CRS of the file"
+        )
+    return local

@@ -1,0 +1,203 @@
+"""Files of control of any known format, and all of them put together and checked against the photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pyproj import CRS
+
+from survey.control import gcp_list, metashape_xml, tables
+from survey.control.content import Content, GivenMark, GivenPoint
+from survey.control.horizontal import in_crs
+from survey.control.points import Mark
+from survey.display.words import named
+from survey.errors import ControlError
+from survey.photos.names import ImageNames
+
+# Asked in this order which of them a file is of; COORDINATES takes every .csv that MARKS does not.
+FORMATS = (metashape_xml.FORMAT, tables.MARKS, tables.COORDINATES, gcp_list.FORMAT)
+# Two files may round the coordinates of one point differently.
+_SAME_M, _SAME_DEG = 1e-3, 1e-8
+# The least number of points that fix place, tilt and scale.
+_ENOUGH = 3
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """Control points with marks, coordinates in the crs of the survey.
+
+    Attributes
+    ----------
+    points : tuple of GivenPoint
+        Each name once, each with a mark at least.
+    marks : tuple of Mark
+        In order of points and of photographs.
+    """
+
+    points: tuple[GivenPoint, ...]
+    marks: tuple[Mark, ...]
+
+
+def read_control(path: Path) -> Content:
+    """What a file of control says, whichever format it has.
+
+    Raises
+    ------
+    ControlError
+        If there is no such file, its format is not known, or its content cannot be true.
+    """
+    if not path.is_file():
+        what = "is a folder" if path.is_dir() else "does not exist"
+        raise ControlError(f"the control file {path} {what}; correct [control] in survey.toml")
+    if path.stat().st_size == 0:
+        raise ControlError(f"{path} is empty, expected {_expected()}; write it again")
+    known = next((known for known in FORMATS if known.recognises(path)), None)
+    if known is None:
+        raise ControlError(f"{path} is not a known kind of control file, expected {_expected()}")
+    return known.read(path)
+
+
+def gather(
+    contents: Sequence[Content],
+    crs: CRS,
+    sizes: Mapping[str, tuple[int, int]],
+    assumptions: list[str],
+    warnings: list[str],
+) -> Gathered:
+    """Points and marks of several files, in the crs of a survey and under the names of its photographs.
+
+    Parameters
+    ----------
+    contents : of each file
+    crs : CRS
+    sizes : name of a photograph to (width, height) [px]
+    assumptions, warnings : lists of sentences
+        Added to: what is missing or left out.
+
+    Raises
+    ------
+    ControlError
+        If a point has two places, a mark lies outside its photograph or has two places in it, or nothing is left.
+    """
+    points = _points(in_crs([point for content in contents for point in content.points], crs, assumptions), crs)
+    marks = _marks([mark for content in contents for mark in content.marks], points, sizes, warnings)
+    marked = {mark.point for mark in marks}
+    unmarked = [name for name in points if name not in marked]
+    warnings += named(unmarked, "control point", "without a mark in a photograph, left out")
+    kept = tuple(point for name, point in points.items() if name in marked)
+    _doubt(kept, warnings)
+    order = {point.name: i for i, point in enumerate(kept)}
+    return Gathered(kept, tuple(sorted(marks, key=lambda mark: (order[mark.point], mark.view))))
+
+
+def _points(given: Sequence[GivenPoint], crs: CRS) -> dict[str, GivenPoint]:
+    if not given:
+        raise ControlError(
+            "[control] gcps names no file with coordinates of points, expected name,easting,northing,height; name one "
+            "beside the marks"
+        )
+    same = _SAME_DEG if crs.is_geographic else _SAME_M
+    points: dict[str, GivenPoint] = {}
+    for point in given:
+        first = points.setdefault(point.name, point)
+        if not np.allclose(first.place[:2], point.place[:2], rtol=0.0, atol=same) or (
+            abs(first.place[2] - point.place[2]) > _SAME_M
+        ):
+            raise ControlError(
+                f"{point.where}: the point {point.name[:40]} is at {_shown(point)}, but at {_shown(first)} in "
+                f"{first.where}; correct one of them, or give one another name"
+            )
+    return points
+
+
+def _marks(
+    given: Sequence[GivenMark],
+    points: Mapping[str, GivenPoint],
+    sizes: Mapping[str, tuple[int, int]],
+    warnings: list[str],
+) -> list[Mark]:
+    if not given:
+        raise ControlError(
+            "[control] names points without marks, expected where photographs show them; name a table "
+            "image,name,x,y or Metashape's XML in marks, or use a gcp_list.txt, which has both"
+        )
+    images = ImageNames(sizes)
+    marks: dict[tuple[str, str], GivenMark] = {}
+    strangers: dict[str, GivenMark] = {}
+    nameless: dict[str, GivenMark] = {}
+    for mark in given:
+        image = images.find(mark.image)
+        if image is None:
+            strangers.setdefault(mark.image, mark)
+        elif mark.point not in points:
+            nameless.setdefault(mark.point, mark)
+        else:
+            _require_inside(mark, image, sizes[image])
+            first = marks.setdefault((mark.point, image), mark)
+            if first.pixel != mark.pixel:
+                raise ControlError(
+                    f"{mark.where}: {mark.point[:40]} has a second mark in {image}, {_at(mark)} after {_at(first)} in "
+                    f"{first.where}; keep one"
+                )
+    if not marks:
+        example = next(iter(strangers.values()), None) or next(iter(nameless.values()))
+        what = (
+            f"photograph of the survey is called {example.image[:60]}"
+            if strangers
+            else (f"point with coordinates is called {example.point[:40]}")
+        )
+        like = next(iter(sizes)) if strangers else next(iter(points))
+        raise ControlError(
+            f"{example.where}: no {what}, and none of the {len(given)} marks belongs to one; use the names that they "
+            f'have, e.g. "{like}"'
+        )
+    warnings += _left_out(strangers, "photograph", "that the survey does not have")
+    warnings += _left_out(nameless, "point", "without coordinates")
+    return [Mark(point, image, mark.pixel) for (point, image), mark in marks.items()]
+
+
+def _left_out(found: Mapping[str, GivenMark], noun: str, why: str) -> list[str]:
+    """A warning about marks of unknown names, with the place of the first."""
+    if not found:
+        return []
+    first = next(iter(found.values()))
+    return [
+        f"{warning} (first in {first.where}): their marks are left out; correct the names or remove the lines"
+        for warning in named([name[:60] for name in found], noun, f"{why} in the files of control")
+    ]
+
+
+def _require_inside(mark: GivenMark, image: str, size: tuple[int, int]) -> None:
+    x, y = mark.pixel
+    if not (0.0 <= x <= size[0] and 0.0 <= y <= size[1]):
+        raise ControlError(
+            f"{mark.where}: the mark of {mark.point[:40]} at {_at(mark)} lies outside {image}, which has {size[0]} x "
+            f"{size[1]} pixels; if the photographs were reduced, reduce the marks too, else correct it"
+        )
+
+
+def _doubt(points: Sequence[GivenPoint], warnings: list[str]) -> None:
+    """Warnings about control that is too little, or has no heights."""
+    num = sum(not point.is_check for point in points)
+    if 0 < num < _ENOUGH:
+        warnings.append(
+            f"{num} control point{'s' if num > 1 else ''} with marks, expected {_ENOUGH} or more to fix place, tilt "
+            "and scale; the positions of the cameras have to fix the rest"
+        )
+    if len(points) >= _ENOUGH and all(point.place[2] == 0.0 for point in points):
+        warnings.append("all control points have the height 0; check that the file has their heights")
+
+
+def _shown(point: GivenPoint) -> str:
+    return ", ".join(f"{value:.10g}" for value in point.place)
+
+
+def _at(mark: GivenMark) -> str:
+    return f"{mark.pixel[0]:.6g}, {mark.pixel[1]:.6g}"
+
+
+def _expected() -> str:
+    return " or ".join(known.name for known in FORMATS)

@@ -1,0 +1,114 @@
+"""Tables of control: coordinates of points, marks in photographs, check points; also as Metashape writes them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from survey.control.content import Content, ControlFormat, GivenMark, GivenPoint, is_check_role, require_std
+from survey.errors import ControlError
+from survey.files.csv_table import Row, column_names, read_table
+
+_PLACE = ("easting", "northing", "height")
+_STDS = ("std_east", "std_north", "std_height")
+# What other programs call the columns.
+_POINT_SYNONYMS = {
+    **dict.fromkeys(("label", "point", "gcp", "id", "point name", "point_name", "#label"), "name"),
+    **dict.fromkeys(("e", "east", "x", "x/easting", "x/east", "x/longitude", "longitude", "lon"), "easting"),
+    **dict.fromkeys(("n", "north", "y", "y/northing", "y/north", "y/latitude", "latitude", "lat"), "northing"),
+    **dict.fromkeys(("h", "z", "z/altitude", "z/height", "altitude", "elevation", "up"), "height"),
+    **dict.fromkeys(("accuracy", "sigma", "accuracy_x/y/z_(m)", "accuracy_(m)", "std_m"), "std"),
+    **dict.fromkeys(("std_e", "accuracy_x_(m)", "accuracy_x/easting_(m)", "accuracy_x"), "std_east"),
+    **dict.fromkeys(("std_n", "accuracy_y_(m)", "accuracy_y/northing_(m)", "accuracy_y"), "std_north"),
+    **dict.fromkeys(("std_h", "std_up", "accuracy_z_(m)", "accuracy_z/altitude_(m)", "accuracy_z"), "std_height"),
+    **dict.fromkeys(("type", "use"), "role"),
+    **dict.fromkeys(("enabled",), "enable"),
+}
+_MARK_SYNONYMS = {
+    **dict.fromkeys(("photo", "photograph", "file", "filename", "camera", "image_name"), "image"),
+    **dict.fromkeys(("label", "point", "gcp", "marker", "point name", "point_name"), "name"),
+    **dict.fromkeys(("px", "u", "x_px", "pixel_x", "col"), "x"),
+    **dict.fromkeys(("py", "v", "y_px", "pixel_y", "row"), "y"),
+}
+_MARK_COLUMNS = ("image", "name", "x", "y")
+
+
+def read_coordinates(path: Path) -> Content:
+    """The points of a table ``name,easting,northing,height``, with columns of their accuracy and role if it has them.
+
+    Raises
+    ------
+    ControlError
+        If a column is missing, a value is no finite number, or a role or an accuracy cannot be.
+    """
+    columns, optional = ("name", *_PLACE), ("std", *_STDS, "role", "enable")
+    rows = read_table(path, columns, optional=optional, synonyms=_POINT_SYNONYMS, error=ControlError)
+    return Content(points=tuple(_point(row) for row in rows))
+
+
+def read_marks(path: Path) -> Content:
+    """The marks of a table ``image,name,x,y``; the centre of the first pixel is 0.5, 0.5.
+
+    Raises
+    ------
+    ControlError
+        If a column is missing, or a value is no finite number.
+    """
+    rows = read_table(path, _MARK_COLUMNS, synonyms=_MARK_SYNONYMS, error=ControlError)
+    marks = (
+        GivenMark(row.text("name"), row.text("image"), row.where, (row.number("x"), row.number("y"))) for row in rows
+    )
+    return Content(marks=tuple(marks))
+
+
+def read_checkpoints(path: Path) -> tuple[GivenPoint, ...]:
+    """The points of a table ``easting,northing,height``, numbered where it has no names.
+
+    Raises
+    ------
+    ControlError
+        If the file has no points, or as `read_coordinates`.
+    """
+    rows = read_table(path, _PLACE, optional=("name",), synonyms=_POINT_SYNONYMS, error=ControlError)
+    if not rows:
+        raise ControlError(f"{path} has no check points, expected lines name,easting,northing,height; add them")
+    return tuple(
+        GivenPoint(row.cells.get("name") or str(i), row.where, _place(row), is_check=True)
+        for i, row in enumerate(rows, start=1)
+    )
+
+
+def _point(row: Row) -> GivenPoint:
+    # Metashape adjusts to the points that are ticked, and reports on the others.
+    is_check = is_check_role(row.cells.get("role", ""), row.where) or row.number("enable", default=1.0) == 0.0
+    return GivenPoint(row.text("name"), row.where, _place(row), std_m=_std(row), is_check=is_check)
+
+
+def _place(row: Row) -> tuple[float, float, float]:
+    easting, northing, height = (row.number(name) for name in _PLACE)
+    return easting, northing, height
+
+
+def _std(row: Row) -> tuple[float, float, float] | None:
+    if all(row.cells.get(name) for name in _STDS):
+        east, north, up = (row.number(name) for name in _STDS)
+        return require_std((east, north, up), row.where)
+    if row.cells.get("std"):
+        std = row.number("std")
+        return require_std((std, std, std), row.where)
+    return None
+
+
+def _has(path: Path, columns: tuple[str, ...], synonyms: dict[str, str]) -> bool:
+    return set(columns) <= set(column_names(path, synonyms))
+
+
+MARKS = ControlFormat(
+    name="a table image,name,x,y of marks",
+    recognises=lambda path: _has(path, _MARK_COLUMNS, _MARK_SYNONYMS),
+    read=read_marks,
+)
+COORDINATES = ControlFormat(
+    name="a table name,easting,northing,height",
+    recognises=lambda path: path.suffix.casefold() == ".csv" or _has(path, ("name", *_PLACE), _POINT_SYNONYMS),
+    read=read_coordinates,
+)

@@ -1,0 +1,121 @@
+"""[water] of survey.toml: a plane, the index of the water, its colour, and how well they are known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from survey.errors import ConfigError
+from survey.files.toml_table import key
+from survey.folder.config_std import require_std
+
+_ANY_LEVEL = ("level_m", "shoreline", "gnss_points", "gauge")
+
+
+@dataclass(frozen=True)
+class WaterConfig:
+    """[water]: a plane through ``level_m`` at ``level_at``, with its rise per metre along the grid axes."""
+
+    level_m: float | None = None  # None only until the file that is named instead is read
+    level_at: tuple[float, float] | None = key(None, "[easting, northing]")
+    slope_east: float = 0.0
+    slope_north: float = 0.0
+    refractive_index: float | None = None
+    temperature_c: float | None = None
+    salinity_psu: float | None = None
+    absorption_per_m: tuple[float, float, float] | None = key(
+        None, "[red, green, blue], the share of light that a metre of water takes, e.g. [0.3, 0.07, 0.05]"
+    )
+    veiling_light: tuple[float, float, float] | None = key(
+        None, "[red, green, blue], linear light of endless water, 1 for white, e.g. [0.03, 0.17, 0.2]"
+    )
+    shoreline: str | None = None  # CSV of points, easting, northing, height, where water meets land
+    gnss_points: str | None = None  # the same, of points anywhere on the surface
+    gauge: str | None = None  # CSV of time, level
+    level_std_m: float | None = None  # standard deviations, for the adjustment
+    index_std: float | None = None
+    slope_std: float | None = None
+
+    def __post_init__(self):
+        require_std("[water] level_std_m", self.level_std_m, 10.0, "metres", "a staff has about 0.02, a gauge 0.01")
+        require_std("[water] index_std", self.index_std, 0.1, "", "temperature and salinity give the index to 0.0005")
+        require_std("[water] slope_std", self.slope_std, 0.2, "metres per metre", "a river slopes by 0.001 to 0.01")
+        self._require_one_level()
+        self._require_one_index()
+        self._require_colour()
+
+    @property
+    def known_level_m(self) -> float:
+        """``level_m`` of settings for which the file that may be named instead was read.
+
+        Raises
+        ------
+        ValueError
+            While the level is still to be read from a file.
+        """
+        if self.level_m is None:
+            raise ValueError("level_m is not known before the file that [water] names instead is read")
+        return self.level_m
+
+    @property
+    def known_level_at(self) -> tuple[float, float]:
+        """``level_at`` of the settings of a loaded survey, which have its default filled in.
+
+        Raises
+        ------
+        ValueError
+            Before it is.
+        """
+        if self.level_at is None:
+            raise ValueError("level_at is not known before its default is filled in from the cameras")
+        return self.level_at
+
+    def _require_one_level(self) -> None:
+        levels = [name for name in _ANY_LEVEL if getattr(self, name) is not None]
+        if not levels:
+            raise ConfigError(
+                "level_m is missing from [water]. Give the height of the water surface in the survey's vertical "
+                "datum, e.g. level_m = 12.34, or a file of points or readings as shoreline, gnss_points or gauge, or "
+                "remove [water] for a dry survey"
+            )
+        if len(levels) > 1:
+            raise ConfigError(
+                f"[water] has {' and '.join(levels)}, each of which gives the height of the water; keep one"
+            )
+
+    def _require_one_index(self) -> None:
+        by_water = [name for name in ("temperature_c", "salinity_psu") if getattr(self, name) is not None]
+        if self.refractive_index is not None and by_water:
+            raise ConfigError(
+                f"[water] has both refractive_index and {' and '.join(by_water)}, which contradict each other; keep one"
+            )
+        if by_water == ["salinity_psu"]:
+            raise ConfigError(
+                "[water] has salinity_psu without temperature_c; give temperature_c too, or refractive_index"
+            )
+
+    def _require_colour(self) -> None:
+        values = {name: getattr(self, name) for name in ("absorption_per_m", "veiling_light")}
+        known = [name for name, value in values.items() if value is not None]
+        for name in known:
+            if min(values[name]) < 0.0:
+                raise ConfigError(f"water.{name} is {list(values[name])}, expected [red, green, blue], none below zero")
+        if len(known) == 1:
+            raise ConfigError(
+                f"[water] has {known[0]} alone, expected absorption_per_m and veiling_light together; give both "
+                "(veiling_light = [0, 0, 0] for water that scatters nothing) or neither"
+            )
+
+
+def require_sane(water: WaterConfig) -> None:
+    """Raise ConfigError if a number is out of range; estimated ones may be, and their verdict reports it."""
+    if water.refractive_index is not None and not 1.0 <= water.refractive_index <= 1.6:
+        raise ConfigError(
+            f"[water] refractive_index is {water.refractive_index:g}, expected 1.0 to 1.6 relative to air; fresh water "
+            "has 1.333, sea water 1.340"
+        )
+    for name, slope in (("slope_east", water.slope_east), ("slope_north", water.slope_north)):
+        if abs(slope) > 0.2:
+            raise ConfigError(
+                f"[water] {name} is {slope:g}, expected a rise in metres per metre of at most 0.2; a river has about "
+                "0.001 to 0.01"
+            )

@@ -1,0 +1,121 @@
+"""[control] of a survey folder: its files read with the settings, checked against the cameras, taken into local."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pyproj import CRS
+
+from geo.frames import LocalFrame
+from survey.control.content import GivenPoint
+from survey.control.placing import checkpoints_in_local, control_in_local, require_near, without_pose
+from survey.control.points import Checkpoint, Control
+from survey.control.reading import Gathered, gather, read_control
+from survey.control.tables import read_checkpoints
+from survey.display.words import named
+from survey.folder.config_control import DEFAULT_MARKS_STD_PX, DEFAULT_STD_M, ControlConfig
+from survey.photos.exif import Exif
+
+
+@dataclass(frozen=True)
+class FoundControl:
+    """What the files of [control] say, in the crs of the survey.
+
+    Attributes
+    ----------
+    config : ControlConfig
+        With standard deviations, where there are control points.
+    gathered : Gathered or None
+        None without control points.
+    checkpoints : tuple of GivenPoint
+    """
+
+    config: ControlConfig
+    gathered: Gathered | None
+    checkpoints: tuple[GivenPoint, ...]
+
+    @property
+    def points(self) -> tuple[GivenPoint, ...]:
+        """Control and check points."""
+        return (*(() if self.gathered is None else self.gathered.points), *self.checkpoints)
+
+
+def find_control(
+    folder: Path,
+    config: ControlConfig,
+    crs: CRS,
+    heads: Mapping[str, Exif],
+    assumptions: list[str],
+    warnings: list[str],
+) -> FoundControl:
+    """Read the files of [control]; assumptions and warnings are added to.
+
+    Raises
+    ------
+    ControlError
+        If a file is missing or damaged, or its points or marks cannot be true.
+    """
+    checkpoints = () if config.checkpoints is None else read_checkpoints(folder / config.checkpoints)
+    if not config.gcp_files:
+        return FoundControl(config, None, checkpoints)
+    names = dict.fromkeys((*config.gcp_files, *(() if config.marks is None else (config.marks,))))
+    contents = [read_control(folder / name) for name in names]
+    sizes = {name: head.size_px for name, head in heads.items()}
+    gathered = gather(contents, crs, sizes, assumptions, warnings)
+    return FoundControl(_with_stds(config, gathered, assumptions), gathered, checkpoints)
+
+
+def _with_stds(config: ControlConfig, gathered: Gathered, assumptions: list[str]) -> ControlConfig:
+    """The settings with the standard deviations that count, of which those that nobody gave are assumed."""
+    std_m, marks_std_px = config.std_m, config.marks_std_px
+    if std_m is None:
+        std_m = DEFAULT_STD_M
+        if any(point.std_m is None for point in gathered.points):
+            assumptions.append(f"[control] std_m = {std_m:g}, the standard deviation of control points in metres")
+    if marks_std_px is None:
+        marks_std_px = DEFAULT_MARKS_STD_PX
+        assumptions.append(
+            f"[control] marks_std_px = {marks_std_px:g}, the standard deviation of their marks in pixels"
+        )
+    return ControlConfig(config.gcps, config.checkpoints, std_m, config.marks, marks_std_px)
+
+
+def place_control(
+    found: FoundControl, frame: LocalFrame, centres: Mapping[str, np.ndarray], warnings: list[str]
+) -> tuple[Control | None, tuple[Checkpoint, ...]]:
+    """Control and check points in the local frame of the views.
+
+    Parameters
+    ----------
+    found : FoundControl
+    frame : LocalFrame
+    centres : name of a view to (3,) [m], local
+        Of the cameras.
+    warnings : list of sentences
+        Added to.
+
+    Raises
+    ------
+    ControlError
+        If a point lies kilometres from all cameras or not on the map of crs.
+    """
+    if found.points:
+        warnings += require_near(found.points, frame.crs_from_local(np.array(list(centres.values()))), frame.crs)
+    checkpoints = checkpoints_in_local(found.checkpoints, frame)
+    if found.gathered is None:
+        return None, checkpoints
+    std_m, marks_std_px = found.config.std_m, found.config.marks_std_px
+    if std_m is None or marks_std_px is None:
+        raise ValueError("the standard deviations of control are not filled in; expected what `find_control` returns")
+    std = (std_m[0], std_m[0], std_m[1]) if isinstance(std_m, tuple) else (std_m, std_m, std_m)
+    views = list(centres)
+    warnings += named(
+        without_pose(found.gathered.marks, views), "photograph", "with marks of control has no pose, its marks left out"
+    )
+    control = control_in_local(found.gathered, frame, views, std, marks_std_px)
+    if control is None:
+        warnings.append("no view with a pose shows a control point: they are not used")
+    return control, checkpoints

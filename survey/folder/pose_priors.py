@@ -1,0 +1,90 @@
+"""What is known of each camera's pose besides the photographs, and how well: for the adjustment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geo.frames import LocalFrame
+from survey.folder.config import CamerasConfig
+from survey.folder.config_std import per_axis
+from survey.folder.found import Found
+from survey.photos.cameras import View
+from survey.photos.exif import Exif
+from survey.sfm.gps import gps_positions
+
+# What DJI calls a position whose carrier phases are resolved; its standard deviations are those of the receiver.
+_RTK_FIXED = 50
+
+
+@dataclass(frozen=True, eq=False)
+class PosePrior:
+    """What is known of the pose of one view.
+
+    Attributes
+    ----------
+    position : (3,) float64 [m], local, or None
+        Of the camera: by GPS, or of its pose in the poses file.
+    position_std : (3,) float64 [m] or None
+        East, north, up. None where it is not known.
+    rotation_std_deg : (3,) float64 [deg] or None
+        Of the rotation that the view was loaded with, about the axes of local. None where that rotation was found by
+        structure from motion, or its accuracy is not known.
+    source : str
+        Of the standard deviation, "survey.toml" or "XMP RTK"; without one, of the position: "GPS EXIF", "poses file",
+        or "none".
+    """
+
+    position: np.ndarray | None
+    position_std: np.ndarray | None
+    rotation_std_deg: np.ndarray | None
+    source: str
+
+
+def priors_of_poses(cameras: CamerasConfig, views: Sequence[View]) -> dict[str, PosePrior]:
+    """Of views with poses from a file: these poses, as accurate as [cameras] says."""
+    position_std = None if cameras.position_std_m is None else np.array(per_axis(cameras.position_std_m))
+    rotation_std = None if cameras.rotation_std_deg is None else np.array(per_axis(cameras.rotation_std_deg))
+    source = "poses file" if position_std is None else "survey.toml"
+    return {view.name: PosePrior(view.camera.centre, position_std, rotation_std, source) for view in views}
+
+
+def priors_of_gps(found: Found, frame: LocalFrame, views: Sequence[View]) -> dict[str, PosePrior]:
+    """Of views that structure from motion placed in a frame: the positions in EXIF.
+
+    As accurate as [cameras] says, else as XMP does, where the receiver had a fixed solution.
+    """
+    cameras = found.config.cameras
+    gps = gps_positions(found.heads, found.crs, cameras.gps_height)
+    # By crs, for the two frames have different origins.
+    local = {name: frame.local_from_crs(gps.frame.crs_from_local(p)) for name, p in gps.local.items()}
+    return {view.name: _by_gps(cameras, local.get(view.name), found.heads[view.name]) for view in views}
+
+
+def _by_gps(cameras: CamerasConfig, position: np.ndarray | None, head: Exif) -> PosePrior:
+    if position is None:
+        return PosePrior(None, None, None, "none")
+    if cameras.position_std_m is not None:
+        return PosePrior(position, np.array(per_axis(cameras.position_std_m)), None, "survey.toml")
+    if head.rtk is not None and head.rtk.flag == _RTK_FIXED:
+        return PosePrior(position, np.array(head.rtk.std_m), None, "XMP RTK")
+    return PosePrior(position, None, None, "GPS EXIF")
+
+
+def sources(priors: Mapping[str, PosePrior]) -> str:
+    """How many priors come from where, with the median of their standard deviations, in one sentence."""
+    parts = []
+    for source in dict.fromkeys(prior.source for prior in priors.values()):
+        stds = [prior.position_std for prior in priors.values() if prior.source == source]
+        count = f"{len(stds)} of {len(priors)}"
+        known = [std for std in stds if std is not None]
+        if source == "none":
+            parts.append(f"{count} without a position")
+        elif known:
+            east, north, up = np.median(known, axis=0)
+            parts.append(f"{count} good to {east:.3g}, {north:.3g} and {up:.3g} m east, north and up ({source})")
+        else:
+            parts.append(f"{count} of unknown accuracy ({source})")
+    return "; ".join(parts)

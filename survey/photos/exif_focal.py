@@ -1,0 +1,81 @@
+"""Focal lengths that the head of an image file suggests: several readings, which may disagree."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from PIL import ExifTags
+
+from survey.photos.xmp import number, xmp_number
+
+# The film that "focal length in 35 mm film" refers to [mm].
+_FILM_WIDTH_MM, _FILM_DIAGONAL_MM = 36.0, math.hypot(36.0, 24.0)
+# A calibration further off the 35 mm equivalent than this belongs to another size of the image.
+_RESIZED = 1.5
+# EXIF's units of FocalPlaneXResolution in mm: inch, centimetre, millimetre, micrometre.
+_PLANE_UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
+_INCH = 2
+
+
+@dataclass(frozen=True)
+class FocalCandidate:
+    """A reading of the focal length.
+
+    Attributes
+    ----------
+    focal_px : float
+        In pixels of the stored size.
+    source : str
+        "35 mm film, by width" or ", by diagonal" (the standard leaves open which); "focal plane" (focal length and
+        pixel pitch of the sensor); "DJI calibration" (a design value).
+    """
+
+    focal_px: float
+    source: str
+
+
+def focal_candidates(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> tuple[FocalCandidate, ...]:
+    """All readings of the focal length of an image of a size (width, height), from the details of EXIF and from XMP."""
+    found = []
+    film = number(details.get(ExifTags.Base.FocalLengthIn35mmFilm))
+    if film > 0.0:
+        found.append(FocalCandidate(film / _FILM_WIDTH_MM * max(size), "35 mm film, by width"))
+        found.append(FocalCandidate(film / _FILM_DIAGONAL_MM * math.hypot(*size), "35 mm film, by diagonal"))
+    by_plane = _by_focal_plane(size, details)
+    if by_plane is not None:
+        found.append(FocalCandidate(by_plane, "focal plane"))
+    calibrated = xmp_number(xmp, "CalibratedFocalLength")
+    if calibrated is not None and calibrated > 0.0:
+        found.append(FocalCandidate(calibrated / _reduction(size, details), "DJI calibration"))
+    return tuple(candidate for candidate in found if math.isfinite(candidate.focal_px))
+
+
+def focal_px(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> float | None:
+    """The focal length [px] by DJI's calibration where it belongs to this size, else by the 35 mm equivalent."""
+    calibrated = xmp_number(xmp, "CalibratedFocalLength")
+    film = number(details.get(ExifTags.Base.FocalLengthIn35mmFilm))
+    by_film = film / _FILM_WIDTH_MM * max(size) if film > 0.0 else None
+    is_of_size = details.get(ExifTags.Base.ExifImageWidth, size[0]) == size[0]
+    if calibrated and is_of_size and (by_film is None or 1.0 / _RESIZED < calibrated / by_film < _RESIZED):
+        return calibrated
+    return by_film
+
+
+def _by_focal_plane(size: tuple[int, int], details: Mapping[int, Any]) -> float | None:
+    focal_mm = number(details.get(ExifTags.Base.FocalLength))
+    pixels_per_unit = number(details.get(ExifTags.Base.FocalPlaneXResolution))
+    unit_mm = _PLANE_UNIT_MM.get(details.get(ExifTags.Base.FocalPlaneResolutionUnit, _INCH))
+    if not (focal_mm > 0.0 and pixels_per_unit > 0.0) or unit_mm is None:
+        return None
+    # The resolution counts the pixels of the camera's own image.
+    return focal_mm * pixels_per_unit / unit_mm / _reduction(size, details)
+
+
+def _reduction(size: tuple[int, int], details: Mapping[int, Any]) -> float:
+    """How many pixels of the image that the camera made go into one of the stored image, along its longer side."""
+    made = [number(details.get(tag)) for tag in (ExifTags.Base.ExifImageWidth, ExifTags.Base.ExifImageHeight)]
+    longer = max((side for side in made if side > 0.0), default=math.nan)
+    return longer / max(size) if math.isfinite(longer) else 1.0

@@ -1,0 +1,97 @@
+"""What is known of the poses besides the photographs: where it comes from, and in which frame it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_survey import E0, LEVEL, N0, replaced, small_survey, unposed
+
+from geo.frames import LocalFrame
+from survey.folder.found import find_survey
+from survey.folder.pose_priors import priors_of_gps, sources
+from survey.folder.survey import load_survey
+from survey.photos.cameras import View
+from survey.photos.xmp import Rtk
+from survey.stage_key import stage_key
+
+# Twice the way from crs to local is exact to 2e-8 m, and seconds of arc in EXIF have seven digits: 3 micrometres.
+ROUNDING_M = 1e-5
+
+
+def views_of(found, frame: LocalFrame) -> list[View]:
+    """Views with no more than the name: GPS priors do not look at their cameras."""
+    return [View(name, Path(name), None, None) for name in found.images]
+
+
+def test_poses_of_a_file_are_known_to_what_survey_toml_says(tmp_path):
+    toml = replaced(("[water]", "position_std_m = [0.02, 0.03, 0.05]\nrotation_std_deg = 0.01\n[water]"))
+    survey = load_survey(small_survey(tmp_path / "s", toml=toml))
+    assert list(survey.priors) == [view.name for view in survey.views]
+    for view in survey.views:
+        prior = survey.priors[view.name]
+        assert (prior.position == view.camera.centre).all()
+        assert prior.position_std.tolist() == [0.02, 0.03, 0.05]
+        assert prior.rotation_std_deg.tolist() == [0.01, 0.01, 0.01]
+        assert prior.source == "survey.toml"
+
+
+def test_poses_of_a_file_without_an_accuracy_are_of_unknown_accuracy(tmp_path):
+    survey = load_survey(small_survey(tmp_path / "s", gps=True))
+    prior = survey.priors["0001.jpg"]
+    assert (prior.position_std, prior.rotation_std_deg, prior.source) == (None, None, "poses file")
+    assert sources(survey.priors) == "4 of 4 of unknown accuracy (poses file)"
+
+
+@pytest.mark.parametrize("fall", [0.0, 20.0])
+def test_gps_positions_are_in_the_frame_of_the_views_however_far_it_was_lowered(tmp_path, fall):
+    found = find_survey(unposed(tmp_path / "s", ("[water]", "position_std_m = 0.04\n[water]")))
+    frame = LocalFrame(found.crs, (E0 + 4.0, N0 - 3.0, LEVEL + 20.0 - fall))
+    priors = priors_of_gps(found, frame, views_of(found, frame))
+    aside = np.array([[1.0, 1.0, 0.0], [-1.0, -1.0, 0.0]])
+    expected = [[E0 + 3.0 * i, N0 - 2.0 * i, LEVEL + 20.0] + aside[i % 2] for i in range(4)]
+    local = np.array([prior.position for prior in priors.values()])
+    assert np.abs(local - frame.local_from_crs(expected)).max() < ROUNDING_M
+    # Nine metres from the origin, local and crs differ by scale and convergence only.
+    assert np.abs(local[:, 2] - fall).max() < 1e-3
+    assert {prior.source for prior in priors.values()} == {"survey.toml"}
+    assert priors["0000.jpg"].position_std.tolist() == [0.04, 0.04, 0.04]
+
+
+def test_without_a_number_in_survey_toml_a_fixed_receiver_tells_its_own_and_no_other_does(tmp_path):
+    found = find_survey(unposed(tmp_path / "s"))
+    std = (0.011, 0.012, 0.025)
+    heads = dict(found.heads)
+    heads["0000.jpg"] = replace(heads["0000.jpg"], rtk=Rtk(50, std))
+    heads["0001.jpg"] = replace(heads["0001.jpg"], rtk=Rtk(34, std))
+    found = replace(found, heads=heads)
+    frame = LocalFrame(found.crs, (E0, N0, LEVEL))
+    priors = priors_of_gps(found, frame, views_of(found, frame))
+    assert [prior.source for prior in priors.values()] == ["XMP RTK", "GPS EXIF", "GPS EXIF", "GPS EXIF"]
+    assert tuple(priors["0000.jpg"].position_std) == std
+    assert priors["0001.jpg"].position_std is None
+    assert sources(priors).startswith("1 of 4 good to 0.011, 0.012 and 0.025 m east, north and up (XMP RTK); 3 of 4")
+
+
+def test_a_photograph_without_a_position_or_its_height_has_no_prior(tmp_path):
+    found = find_survey(unposed(tmp_path / "s", ("[water]", "position_std_m = 0.04\n[water]")))
+    heads = dict(found.heads)
+    lat, lon, _ = heads["0003.jpg"].lat_lon_height
+    heads["0003.jpg"] = replace(heads["0003.jpg"], lat_lon_height=(lat, lon, float("nan")))
+    found = replace(found, heads=heads)
+    frame = LocalFrame(found.crs, (E0, N0, LEVEL))
+    priors = priors_of_gps(found, frame, views_of(found, frame))
+    assert priors["0003.jpg"].position is None
+    assert priors["0003.jpg"].position_std is None
+    assert "1 of 4 without a position" in sources(priors)
+
+
+def test_priors_make_a_key_that_changes_with_them(tmp_path):
+    def key_of(std: str) -> str:
+        toml = replaced(("[water]", f"position_std_m = {std}\n[water]"))
+        return stage_key(load_survey(small_survey(tmp_path / std, toml=toml)).priors)
+
+    assert key_of("0.02") != key_of("0.03")
+    assert key_of("0.02") == key_of("[0.02, 0.02, 0.02]")

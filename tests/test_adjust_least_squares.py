@@ -11,7 +11,7 @@ from refract import FlatWater, PinholeCamera
 from survey.adjust.free_errors import Errors, free_errors
 from survey.adjust.least_squares import adjust, intersect
 from survey.adjust.projection import by_parameters, by_point, pixels_of
-from survey.adjust.tie_points import TiePoints
+from survey.photos.tie_points import TiePoints
 from survey.errors import SurveyError
 from tests.small_water_block import TRUTH, convergent, nadir, tie_points, water_of
 

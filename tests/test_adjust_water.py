@@ -13,7 +13,7 @@ import pytest
 from refract.lens import Lens
 from survey.adjust import calibration
 from survey.adjust.calibration import calibrate_water, nadir_views, within_bounds
-from survey.adjust.tie_points import TiePoints
+from survey.photos.tie_points import TiePoints
 from survey.adjust.water import water_from_ties
 from survey.adjust.water_estimate import PARAMETERS
 from survey.errors import SurveyError

@@ -1,15 +1,15 @@
 """Bundle adjustment through the water: Levenberg-Marquardt on tie points and priors, the points eliminated.
 
-    M points, N observations (a point in a photograph), P parameters (`survey.adjust.state`)
-    r      residual, measured minus predicted pixel (N, 2)
-    X, B   derivatives of the prediction by its point (N, 2, 3) and by the parameters (2 N, P), sparse
-    w      weight of an observation (N,) [1/px^2]
-    V      normal matrix of each point (M, 3, 3), S that of the parameters with the points following (P, P)
+M points, N observations (a point in a photograph), P parameters (`survey.adjust.state`)
+r      residual, measured minus predicted pixel (N, 2)
+X, B   derivatives of the prediction by its point (N, 2, 3) and by the parameters (2 N, P), sparse
+w      weight of an observation (N,) [1/px^2]
+V      normal matrix of each point (M, 3, 3), S that of the parameters with the points following (P, P)
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -17,9 +17,9 @@ from scipy.sparse import bsr_array, csr_array
 from scipy.spatial.transform import Rotation
 
 from survey.adjust.prediction import linearise, predict
-from survey.adjust.state import WATER, Layout, State
-from survey.adjust.tie_points import TiePoints
+from survey.adjust.state import Layout, State
 from survey.errors import SurveyError
+from survey.photos.tie_points import TiePoints
 
 # Huber's bound [standard deviations]: 95 % of good residuals lie within.
 HUBER = 2.0
@@ -77,12 +77,15 @@ class Problem:
     kind : (N,) int64
         Of each observation; each kind has a standard deviation of its own.
     priors : Priors
+    given_std_px : (kinds,) [px]
+        Standard deviations of the kinds; NaN where the residuals tell.
     """
 
     layout: Layout
     ties: TiePoints
     kind: np.ndarray
     priors: Priors
+    given_std_px: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -167,9 +170,10 @@ def std_of_kinds(problem: Problem, residuals: np.ndarray) -> np.ndarray:
     # Each point takes three of the coordinates that its observations have.
     seen = np.bincount(problem.ties.point, minlength=len(problem.ties))[problem.ties.point]
     spare = np.sqrt(np.maximum(1.0 - 1.5 / seen, 0.1))
-    kinds = range(int(problem.kind.max()) + 1)
-    found = [np.nanmedian((length / spare)[problem.kind == kind]) for kind in kinds]
-    return np.maximum(np.array(found) / _MEDIAN_LENGTH, 1e-3)
+    std = problem.given_std_px.copy()
+    for kind in np.flatnonzero(np.isnan(std)):
+        std[kind] = max(float(np.nanmedian((length / spare)[problem.kind == kind])) / _MEDIAN_LENGTH, 1e-3)
+    return std
 
 
 def _weights(problem: Problem, residuals: np.ndarray, std_px: np.ndarray) -> np.ndarray:
@@ -232,7 +236,7 @@ def _system(problem: Problem, state: State, std_px: np.ndarray, inflation: np.nd
     by_point = np.where(usable[:, None, None], linear.by_point, 0.0)
     design = linear.by_parameters
     if not usable.all():
-        design = replace_rows(design, usable)
+        design = _only_rows(design, usable)
     weighted = by_point * weights[:, None, None]
     precision = priors.point_std**-2.0
     own = _sum(ties, np.einsum("nai,naj->nij", weighted, by_point))
@@ -255,7 +259,7 @@ def _system(problem: Problem, state: State, std_px: np.ndarray, inflation: np.nd
     return System(normal, gradient, root, free, mixed)
 
 
-def replace_rows(design: csr_array, keep: np.ndarray) -> csr_array:
+def _only_rows(design: csr_array, keep: np.ndarray) -> csr_array:
     """A sparse matrix (2 N, P) with rows of zeros for the observations that are not kept, (N,) bool."""
     values = design.data.reshape(2 * len(keep), -1)
     values = np.where(np.repeat(keep, 2)[:, None], np.nan_to_num(values), 0.0)

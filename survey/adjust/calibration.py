@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from geo.files import write_whole
-from survey.adjust.tie_points import TiePoints
 from survey.adjust.water import LENS_STD_PX, POSE_STD_DEG, POSE_STD_M, water_from_ties
 from survey.adjust.water_estimate import WaterEstimate
 from survey.errors import SurveyError
@@ -20,6 +19,7 @@ from survey.folder.inputs import survey_inputs
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey, load_survey
 from survey.names import SFM_FOLDER
+from survey.photos.tie_points import TiePoints
 from survey.plan.area import limits, local_area
 from survey.plan.block import camera_of, load_block
 from survey.plan.plan import make_plan

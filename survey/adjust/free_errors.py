@@ -30,7 +30,7 @@ from scipy.spatial.transform import Rotation
 from refract import FlatWater, PinholeCamera, crossing_point
 from survey.adjust.least_squares import Adjusted, robust_weights
 from survey.adjust.projection import by_parameters, by_point, pixels_of
-from survey.adjust.tie_points import TiePoints
+from survey.photos.tie_points import TiePoints
 
 # Half a step of central differences, in m and rad: 2e-3 and 0.2 px, over which a projection is straight to 1e-6.
 _STEP = 1e-4

@@ -20,8 +20,8 @@ import numpy as np
 
 from refract import FlatWater, PinholeCamera
 from survey.adjust.projection import by_parameters, by_point, residuals_of
-from survey.adjust.tie_points import TiePoints
 from survey.errors import SurveyError
+from survey.photos.tie_points import TiePoints
 
 # Huber's bound [standard deviations]: 95 % of good residuals lie within.
 _HUBER = 2.0

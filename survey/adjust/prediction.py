@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 from survey.adjust.brown import distort
 from survey.adjust.sight import lines_of_sight, sights
 from survey.adjust.state import LENS, POSE, RELIEF, WATER, Layout, State
-from survey.adjust.tie_points import TiePoints
+from survey.photos.tie_points import TiePoints
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from refract import FlatWater, PinholeCamera, crossing_point
-from survey.adjust.tie_points import TiePoints
+from survey.photos.tie_points import TiePoints
 
 # Half a step of the central differences: the projection is exact to 1e-12 px or so and curves on the scale of metres,
 # so that their error stays under 1e-7 of a derivative.

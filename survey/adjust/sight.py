@@ -93,7 +93,9 @@ def _derivatives(line, centres, points, water: FlatWater):
     columns = [by_height]
     for axis in range(2):
         turn = normal * slopes[axis] / stretch**2 - np.eye(3)[axis] / stretch
-        columns.append(_by_normal(turn, normal, apart, centres - foot, foot - points, by_across, by_high, by_deep, high))
+        columns.append(
+            _by_normal(turn, normal, apart, centres - foot, foot - points, by_across, by_high, by_deep, high)
+        )
     columns.append(s_n[:, None] * towards)
     return by_point, by_centre, np.stack(columns, axis=-1)
 

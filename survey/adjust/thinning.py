@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from survey.adjust.tie_points import TiePoints
+from survey.photos.tie_points import TiePoints
 
 
 def thinned(ties: TiePoints, sizes: Sequence[tuple[int, int]], cells: int, per_cell: int) -> np.ndarray:

@@ -17,11 +17,11 @@ import numpy as np
 from refract import FlatWater
 from survey.adjust.free_errors import Errors, Freed, free_errors
 from survey.adjust.least_squares import Adjusted, NotConvergedError, adjust
-from survey.adjust.tie_points import TiePoints
 from survey.adjust.water_estimate import PARAMETERS, ParameterEstimate, WaterEstimate
 from survey.folder.config import WaterConfig
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey
+from survey.photos.tie_points import TiePoints
 from survey.plan.plan import make_plan
 
 # Assumed standard deviations of poses and lens, unless the caller knows better: an adjusted block with RTK positions or

@@ -19,7 +19,7 @@ from fields.sweep.ranging import find_range
 from fields.sweep.sweep import PASSES, DepthMap, sweep
 from refract import FlatWater, PinholeCamera
 from survey.adjust.matching import RADIUS, match, prepared, window
-from survey.adjust.tie_points import TiePoints
+from survey.photos.tie_points import TiePoints
 from survey.plan.area import within
 
 # The coarse sweep: approximate heights of the bed.

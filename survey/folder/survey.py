@@ -24,6 +24,7 @@ from survey.folder.unposed import solve_views
 from survey.photos.cameras import View
 from survey.photos.formats import read_points, read_poses
 from survey.photos.images import load_image, load_mask
+from survey.photos.tie_points import TiePoints
 
 __all__ = ["Found", "Survey", "View", "find_survey", "load_image", "load_mask", "load_survey"]
 
@@ -49,6 +50,8 @@ class Survey:
     assumptions, warnings : sentences
     points : (N, 3) float64 [m], local, or None
         Matched points that three photographs or more see, on straight rays; None where the poses came without any.
+    ties : TiePoints or None
+        These points with their places in the photographs as they were taken, where structure from motion found them.
     priors : dict of name to PosePrior
         What is known of the pose of each view besides its photograph.
     control : Control or None
@@ -67,6 +70,7 @@ class Survey:
     assumptions: tuple[str, ...]
     warnings: tuple[str, ...]
     points: np.ndarray | None = field(default=None, compare=False, repr=False)
+    ties: TiePoints | None = field(default=None, compare=False, repr=False)
     priors: Mapping[str, PosePrior] = field(default_factory=dict, compare=False, repr=False)
     control: Control | None = field(default=None, compare=False, repr=False)
     checkpoints: tuple[Checkpoint, ...] = field(default=(), compare=False, repr=False)
@@ -111,10 +115,14 @@ def load_survey(
     found = find_survey(Path(folder)) if found is None else found
     assumptions, warnings = list(found.assumptions), list(found.warnings)
     points: np.ndarray | None
+    ties: TiePoints | None = None
     if found.poses_path is None:
-        frame, views, points, notes, doubts = solve_views(found, workspace, report)
-        assumptions += notes
-        warnings += doubts
+        solved = solve_views(found, workspace, report)
+        frame, points = solved.frame, solved.ties.start
+        views = sorted(solved.views, key=lambda view: view.name)
+        ties = solved.ties.renumbered(np.array([views.index(view) for view in solved.views]))
+        assumptions += solved.assumptions
+        warnings += solved.warnings
     else:
         poses, points = pair(found, read_poses(found.poses_path), warnings), read_points(found.poses_path)
         poses = with_lenses(found, poses, assumptions, warnings)
@@ -150,6 +158,7 @@ def load_survey(
         assumptions=tuple(assumptions),
         warnings=tuple(warnings),
         points=points,
+        ties=ties,
         priors=priors,
         control=control,
         checkpoints=checkpoints,

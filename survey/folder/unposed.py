@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +18,31 @@ from survey.folder.found import MIN_VIEWS, Found
 from survey.folder.plausible import require_level_fits_exif
 from survey.names import RUN_FOLDER, SFM_FOLDER
 from survey.photos.cameras import View
-from survey.photos.formats import MIN_TRACK
 from survey.photos.images import require_complete
+from survey.photos.tie_points import TiePoints
 from survey.sfm.gps import gps_positions
 from survey.sfm.gps_fit import MIN_STD_M, require_area
 from survey.sfm.settings import one_focal, require_size
+
+
+@dataclass(frozen=True)
+class SolvedViews:
+    """Views that structure from motion placed.
+
+    Attributes
+    ----------
+    frame : LocalFrame
+    views : tuple of View
+    ties : TiePoints
+        The points that three views or more see, on straight rays; views are numbered as in `views`.
+    assumptions, warnings : sentences
+    """
+
+    frame: LocalFrame
+    views: tuple[View, ...]
+    ties: TiePoints
+    assumptions: tuple[str, ...]
+    warnings: tuple[str, ...]
 
 
 def require_solvable(found: Found) -> list[str]:
@@ -51,10 +72,8 @@ def require_solvable(found: Found) -> list[str]:
     return require_focal_lengths(lenses, found.heads)
 
 
-def solve_views(
-    found: Found, workspace: Path | None, report: Callable[[str], None] | None
-) -> tuple[LocalFrame, list[View], np.ndarray, list[str], list[str]]:
-    """The result of structure from motion: local frame, views and points, with assumptions and warnings.
+def solve_views(found: Found, workspace: Path | None, report: Callable[[str], None] | None) -> SolvedViews:
+    """The result of structure from motion.
 
     Raises
     ------
@@ -86,6 +105,5 @@ def solve_views(
         )
     solved = {view.name for view in views}
     without = [name for name in found.images if name not in solved]
-    points = result.points[result.num_views >= MIN_TRACK]
     warnings += named(without, "image", "without a pose, left out")
-    return result.frame, views, points, list(result.notes), warnings
+    return SolvedViews(result.frame, tuple(views), result.ties, tuple(result.notes), tuple(warnings))

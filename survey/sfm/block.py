@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from geo.similarity import Similarity
 from refract.lens import Lens
+from survey.photos.tie_points import MIN_TRACK, TiePoints
 
 if TYPE_CHECKING:
     import pycolmap
@@ -30,6 +31,11 @@ _SEED = 0
 MODEL = "RADIAL"
 # Longest side [px] of an image for feature detection; larger images are reduced.
 _FEATURE_SIZE_PX = 3200
+# Most features of an image. The adjustment uses a few hundred of them (`survey.adjust.thinning`), and twice as many
+# take twice the time.
+_MOST_FEATURES = 4096
+# All images are adjusted whenever their number, or that of the points, has grown by this factor.
+_GROWN = 1.3
 # Up to this many images every pair is tried, beyond it each image with its nearest neighbours.
 _ALL_PAIRS_UP_TO = 40
 _NEIGHBOURS = 20
@@ -60,7 +66,6 @@ def solve_block(
     positions: Mapping[str, np.ndarray],
     work: Path,
     *,
-    hold_focal: bool,
     say: Callable[[str], None],
 ) -> list[pycolmap.Reconstruction]:
     """Solve for poses and points, each block in a frame of its own; the largest block comes first.
@@ -74,8 +79,6 @@ def solve_block(
         Of the cameras, in any one frame; they select the pairs to match. Images without one are paired with all.
     work : Path
         An empty folder for the database of features.
-    hold_focal : bool
-        Keep the focal lengths of the sensors.
     say : callable
         Called with a sentence on the progress.
     """
@@ -88,6 +91,7 @@ def solve_block(
         colmap.import_images(database, folder, colmap.CameraMode.SINGLE, list(sensor.names), _reader(sensor))
     extraction = colmap.FeatureExtractionOptions()
     extraction.num_threads, extraction.use_gpu, extraction.max_image_size = _THREADS, False, _FEATURE_SIZE_PX
+    extraction.sift.max_num_features = _MOST_FEATURES
     say(f"structure from motion: features of {len(names)} images")
     colmap.extract_features(
         database, folder, names, colmap.CameraMode.AUTO, colmap.ImageReaderOptions(), extraction, colmap.Device.cpu
@@ -95,7 +99,7 @@ def solve_block(
     pairs = image_pairs(names, positions)
     say(f"structure from motion: matches of {len(pairs)} pairs")
     _match(database, pairs, work)
-    return _map(database, folder, work, len(names), hold_focal, say)
+    return _map(database, folder, work, len(names), say)
 
 
 def _pycolmap():
@@ -142,12 +146,13 @@ def _match(database: Path, pairs: Sequence[tuple[str, str]], work: Path) -> None
 
 
 def _map(
-    database: Path, folder: Path, work: Path, num: int, hold_focal: bool, say: Callable[[str], None]
+    database: Path, folder: Path, work: Path, num: int, say: Callable[[str], None]
 ) -> list[pycolmap.Reconstruction]:
     colmap = _pycolmap()
     options = colmap.IncrementalPipelineOptions()
     options.num_threads, options.random_seed, options.min_model_size = _THREADS, _SEED, _MIN_IMAGES
-    options.ba_refine_focal_length = options.mapper.abs_pose_refine_focal_length = not hold_focal
+    options.ba_global_frames_ratio = options.ba_global_points_ratio = _GROWN
+    options.mapper.ba_global_ignore_redundant_points3D = True
     options.extract_colors = False
     placed = Counter(images=2)
 
@@ -192,9 +197,27 @@ def points_of(block: pycolmap.Reconstruction) -> tuple[np.ndarray, np.ndarray, n
     return xyz, num_views, np.array([point.error for point in points], dtype=np.float64)
 
 
-def copy_of(block: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
-    """A deep copy of a block."""
-    return _pycolmap().Reconstruction(block)
+def tracks_of(block: pycolmap.Reconstruction, names: Sequence[str]) -> TiePoints:
+    """Points that three photographs or more see, and where; views are numbered as in `names`."""
+    number = {image.image_id: names.index(image.name) for image in block.images.values() if image.has_pose}
+    start, point, view, pixel = [], [], [], []
+    for key in sorted(block.points3D):
+        found = block.points3D[key]
+        # A photograph may show a point twice, where two of its features were taken for one.
+        seen = {number[e.image_id]: block.images[e.image_id].points2D[e.point2D_idx].xy for e in found.track.elements}
+        if len(seen) < MIN_TRACK:
+            continue
+        for placed, xy in sorted(seen.items()):
+            point.append(len(start))
+            view.append(placed)
+            pixel.append(xy)
+        start.append(found.xyz)
+    return TiePoints(
+        np.array(start, dtype=np.float64).reshape(-1, 3),
+        np.array(point, dtype=np.int64),
+        np.array(view, dtype=np.int64),
+        np.array(pixel, dtype=np.float64).reshape(-1, 2),
+    )
 
 
 def write_block(block: pycolmap.Reconstruction, folder: Path) -> None:
@@ -211,62 +234,3 @@ def poses_of(block: pycolmap.Reconstruction) -> dict[str, tuple[np.ndarray, np.n
     """Camera centres (3,) and rotations (3, 3) from the frame of the block to cam, by name, in order of names."""
     images = sorted((image for image in block.images.values() if image.has_pose), key=lambda image: image.name)
     return {image.name: (image.projection_center(), image.cam_from_world().rotation.matrix()) for image in images}
-
-
-def adjust(
-    block: pycolmap.Reconstruction,
-    positions: Mapping[str, np.ndarray],
-    std: np.ndarray,
-    *,
-    hold_focal: bool,
-) -> None:
-    """Adjust poses, points and lenses of a block to its matches and to GPS positions; in place.
-
-    Parameters
-    ----------
-    block : pycolmap.Reconstruction
-        Already near its place in local.
-    positions : mapping of name to (3,) [m], local
-        Free of outliers: they enter by their squares.
-    std : (3,) [m], local
-        Standard deviation of a position, against 1 px for a match.
-    hold_focal : bool
-        Keep the focal lengths.
-
-    Raises
-    ------
-    RuntimeError
-        If the adjustment gives no usable solution.
-    """
-    colmap = _pycolmap()
-    options, config = colmap.BundleAdjustmentOptions(), colmap.BundleAdjustmentConfig()
-    options.refine_focal_length, options.print_summary = not hold_focal, False
-    options.ceres.loss_function_type = colmap.LossFunctionType.SOFT_L1
-    options.ceres.solver_options.num_threads = _THREADS
-    options.ceres.solver_options.max_num_iterations = 200
-    priors = []
-    for image in block.images.values():
-        if not image.has_pose:
-            continue
-        config.add_image(image.image_id)
-        if image.name in positions:
-            priors.append(_prior(image, positions[image.name], std))
-    prior_options = colmap.PosePriorBundleAdjustmentOptions()
-    # pycolmap first fits a similarity of its own; ours has already removed the outliers.
-    distances = [np.linalg.norm(poses_of(block)[name][0] - p) for name, p in positions.items()]
-    prior_options.alignment_ransac.max_error = 2.0 * max(distances) + 1.0
-    prior_options.alignment_ransac.random_seed = _SEED
-    adjuster = colmap.create_pose_prior_bundle_adjuster(options, prior_options, config, priors, block)
-    summary = adjuster.solve()
-    if not summary.is_solution_usable():
-        raise RuntimeError(f"the bundle adjustment ended with {summary.termination_type}")
-    block.update_point_3d_errors()
-
-
-def _prior(image: pycolmap.Image, position: np.ndarray, std: np.ndarray) -> pycolmap.PosePrior:
-    colmap = _pycolmap()
-    prior = colmap.PosePrior()
-    prior.pose_prior_id, prior.corr_data_id = image.image_id, image.data_id
-    prior.position, prior.position_covariance = position, np.diag(np.square(std))
-    prior.coordinate_system = colmap.PosePriorCoordinateSystem.CARTESIAN
-    return prior

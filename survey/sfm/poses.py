@@ -28,6 +28,7 @@ from survey.errors import ImageError, SurveyError
 from survey.files.json_values import read_json_object, write_json
 from survey.files.lock import locked
 from survey.photos.exif import read_exif
+from survey.photos.tie_points import TiePoints
 from survey.sfm import block as sfm_block
 from survey.sfm.gps import GpsPositions, gps_positions
 from survey.sfm.settings import one_focal, require_size
@@ -78,6 +79,8 @@ class SfmResult:
         Mean reprojection error of a point.
     gps_residual_m : (len(views), 3) float64 [m], local
         Camera centre minus GPS position; NaN for images without one.
+    ties : TiePoints
+        Those of the points that three images or more see; its views are numbered as in `views`.
     """
 
     frame: LocalFrame
@@ -87,6 +90,7 @@ class SfmResult:
     num_views: np.ndarray
     error_px: np.ndarray
     gps_residual_m: np.ndarray
+    ties: TiePoints
 
 
 def solve_poses(
@@ -221,4 +225,5 @@ def _result(solved: Solved, gps: GpsPositions, images: Mapping[str, Path]) -> Sf
     measured = np.array([gps.local.get(name, np.full(3, np.nan)) - fall for name in placed])
     points, num_views, error_px = sfm_block.points_of(solved.block)
     residuals = np.array([view.centre for view in views]) - measured
-    return SfmResult(frame, views, list(solved.notes), points, num_views, error_px, residuals)
+    ties = sfm_block.tracks_of(solved.block, list(placed.values()))
+    return SfmResult(frame, views, list(solved.notes), points, num_views, error_px, residuals, ties)

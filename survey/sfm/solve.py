@@ -1,7 +1,7 @@
 """From photographs with GPS positions to one block in the local frame, with every decision noted.
 
 The order: a block by pycolmap -> a robust similarity to the GPS positions -> focal lengths that the block does not
-determine reset to EXIF -> an adjustment in which GPS positions have as much weight as the matches allow.
+determine reset to EXIF. Rays are straight here: `survey.adjust` then adjusts the block with bent ones.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from survey.photos.exif import Exif
 from survey.sfm import block as sfm_block
 from survey.sfm.block import Sensor
 from survey.sfm.gps import GpsPositions
-from survey.sfm.gps_fit import MIN_STD_M, gps_std, require_area
+from survey.sfm.gps_fit import gps_std, require_area
 
 if TYPE_CHECKING:
     import pycolmap
@@ -32,14 +32,8 @@ _MIN_VIEWS = 3
 _PARALLEL_DEG = 12.0
 # Focal lengths in EXIF are within 5 % of calibrated ones, 35 mm equivalents of cropped images within 8 %.
 _FOCAL_SHARE = 0.08
-# How much larger the reprojection error may become for the sake of the GPS positions, and the steps of their weight.
-_DEARER = 1.01
-_TIGHTER, _TIGHTER_AT_MOST = 0.6, 5
 _MAX_NAMED = 16
 _GIVE_POSES = f"give poses made elsewhere in [cameras] poses in {FILE_NAME}"
-_STRAIGHT_RAYS = (
-    "poses are solved with straight rays: matches under water pull on them as if the bed lay at its apparent depth"
-)
 
 
 @dataclass(frozen=True)
@@ -93,15 +87,15 @@ def solve(
     alias_of = aliases(images)
     positions = {alias_of[name]: position for name, position in gps.local.items()}
     sensors = _sensors(heads, alias_of, focal_px)
-    blocks = _blocks(images, sensors, positions, work, focal_px is not None, say)
+    blocks = _blocks(images, sensors, positions, work, say)
     block, notes = blocks[0], [*gps.notes, *left_out(blocks, alias_of)]
     say(f"structure from motion: adjustment of {block.num_reg_images()} images to their GPS positions")
     trusted = _place(block, positions, alias_of, notes)
     nominal = {alias: sensor.focal_px for sensor in sensors for alias in sensor.names}
-    held = focal_px is not None or hold_focals(block, nominal, notes)
-    block, std = adjust_as_allowed(block, trusted, hold_focal=held)
+    reset_focals(block, nominal, notes)
+    std = gps_std(_residuals(block, trusted))
     frame = _lowered(gps.frame, block)
-    notes += [_found(block, len(images), len(trusted), std, focal_px), _STRAIGHT_RAYS]
+    notes.append(_found(block, len(images), len(trusted), std))
     return Solved(block, frame, tuple(notes))
 
 
@@ -120,14 +114,13 @@ def _blocks(
     sensors: Sequence[Sensor],
     positions: Mapping[str, np.ndarray],
     work: Path,
-    hold_focal: bool,
     say: Callable[[str], None],
 ) -> list[pycolmap.Reconstruction]:
     folder = work / "images"
     folder.mkdir()
     for name, alias in aliases(images).items():
         (folder / alias).symlink_to(images[name].resolve())
-    blocks = sfm_block.solve_block(folder, sensors, positions, work, hold_focal=hold_focal, say=say)
+    blocks = sfm_block.solve_block(folder, sensors, positions, work, say=say)
     placed = blocks[0].num_reg_images() if blocks else 0
     if placed < _MIN_VIEWS:
         raise PosesError(
@@ -170,7 +163,7 @@ def _place(
     return trusted
 
 
-def hold_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | None], notes: list[str]) -> bool:
+def reset_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | None], notes: list[str]) -> bool:
     """Reset focal lengths that the block does not determine to those in EXIF; return whether that was done.
 
     Parameters
@@ -213,51 +206,6 @@ def hold_focals(block: pycolmap.Reconstruction, nominal: Mapping[str, float | No
     return True
 
 
-def adjust_as_allowed(
-    block: pycolmap.Reconstruction, positions: Mapping[str, np.ndarray], *, hold_focal: bool
-) -> tuple[pycolmap.Reconstruction, np.ndarray]:
-    """Adjust a block with the greatest weight of the GPS positions that the matches allow.
-
-    Parameters
-    ----------
-    block : pycolmap.Reconstruction
-        Near its place in local.
-    positions : mapping of name to (3,) [m], local
-    hold_focal : bool
-
-    Returns
-    -------
-    pycolmap.Reconstruction
-        A new one.
-    (3,) [m]
-        The standard deviation that the positions were given.
-
-    Notes
-    -----
-    What bends a block (errors of the lens model, refraction) is common to thousands of matches, and with formal weights
-    these outweigh the receiver just in the shapes that matches determine weakly: bowls and tilts. So the weight of the
-    positions is raised until the reprojection error would grow by more than 1 %.
-    On brighton_beach stones at one water line, 10 m apart, differ by 0.43 m in height after the similarity alone,
-    by 0.32 m with the standard deviation from the residuals, and by 0.06 m with the weight found here.
-    """
-    block = sfm_block.copy_of(block)
-    # Twice: a focal length that was put back has moved the block before the first round.
-    for _ in range(2):
-        std = gps_std(_residuals(block, positions))
-        sfm_block.adjust(block, positions, std, hold_focal=hold_focal)
-    most = _DEARER * block.compute_mean_reprojection_error()
-    for _ in range(_TIGHTER_AT_MOST):
-        tighter = np.maximum(_TIGHTER * std, MIN_STD_M)
-        if (tighter == std).all():
-            break
-        trial = sfm_block.copy_of(block)
-        sfm_block.adjust(trial, positions, tighter, hold_focal=hold_focal)
-        if trial.compute_mean_reprojection_error() > most:
-            break
-        block, std = trial, tighter
-    return block, std
-
-
 def _residuals(block: pycolmap.Reconstruction, positions: Mapping[str, np.ndarray]) -> np.ndarray:
     poses = sfm_block.poses_of(block)
     return np.array([poses[alias][0] - position for alias, position in positions.items()])
@@ -272,14 +220,14 @@ def _lowered(frame: LocalFrame, block: pycolmap.Reconstruction) -> LocalFrame:
     return LocalFrame(frame.crs, (e, n, h + fall))
 
 
-def _found(block: pycolmap.Reconstruction, num: int, num_gps: int, std: np.ndarray, focal_px: float | None) -> str:
+def _found(block: pycolmap.Reconstruction, num: int, num_gps: int, std: np.ndarray) -> str:
     poses = sfm_block.poses_of(block)
     focals = sorted({round(sfm_block.focal_of(block, alias), 1) for alias in poses})
     return (
         f"structure from motion placed {len(poses)} of {num} images with {block.num_points3D()} points, "
         f"{block.compute_mean_reprojection_error():.2f} px, focal length {', '.join(map(str, focals[:4]))} px"
-        f"{' (given)' if focal_px is not None else ''}; {num_gps} GPS positions count with a standard deviation of "
-        f"{std[0]:.2f} m east and north and {std[2]:.2f} m up"
+        f"; {num_gps} GPS positions lie about {std[0]:.2f} m east and north and {std[2]:.2f} m up from it, before the "
+        "adjustment"
     )
 
 

@@ -10,9 +10,8 @@ from survey.errors import PosesError
 from survey.photos.cameras import Pose
 from survey.photos.formats import colmap, opk_csv
 from survey.photos.formats.format import Format
+from survey.photos.tie_points import MIN_TRACK
 
-# Two photographs may agree by chance on a false point; a third rarely does.
-MIN_TRACK = 3
 # Files of other programs that are not read; warnings name them.
 _NOT_READ = ("cameras.xml", "transforms.json", "reconstruction.json", "nvm", "bundle.out")
 # Asked in this order which of them a path is of.

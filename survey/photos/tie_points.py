@@ -1,15 +1,18 @@
-"""Tie points: points of the bed measured in several photographs, as every adjustment of this package takes them."""
+"""Tie points: points of the ground measured in several photographs, as the adjustment takes them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+
+# Two photographs may agree by chance on a false point; a third rarely does.
+MIN_TRACK = 3
 
 
 @dataclass(frozen=True)
 class TiePoints:
-    """Points of the bed measured in two photographs or more; observations are sorted by point.
+    """Points of the ground measured in several photographs; observations are sorted by point.
 
     Attributes
     ----------
@@ -29,9 +32,13 @@ class TiePoints:
     def __len__(self) -> int:
         return len(self.start)
 
+    def renumbered(self, views: np.ndarray) -> TiePoints:
+        """The same points with view ``i`` as number ``views[i]``."""
+        return replace(self, view=views[self.view])
+
     def only(self, keep: np.ndarray) -> TiePoints:
-        """The points that have at least three observations left among those to keep, (N,) bool."""
-        enough = np.bincount(self.point[keep], minlength=len(self)) >= 3
+        """The points that have at least `MIN_TRACK` observations left among those to keep, (N,) bool."""
+        enough = np.bincount(self.point[keep], minlength=len(self)) >= MIN_TRACK
         keep = keep & enough[self.point]
         number = np.cumsum(enough) - 1
         return TiePoints(self.start[enough], number[self.point[keep]], self.view[keep], self.pixel[keep])

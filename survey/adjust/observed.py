@@ -1,0 +1,110 @@
+"""All that an adjustment observes in photographs: matches, windows and marks of control points, as one set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from refract.lens import undistorted
+from survey.adjust.priors import Known, is_held
+from survey.control.points import Control
+from survey.folder.survey import Survey
+from survey.photos.tie_points import TiePoints
+
+# Kinds of observations, each with a standard deviation of its own.
+MATCH, WINDOW, MARK = range(3)
+KINDS = ("matches", "windows", "marks")
+
+
+@dataclass(frozen=True)
+class Observed:
+    """Tie points of all kinds.
+
+    Attributes
+    ----------
+    ties : TiePoints
+    kind : (N,) int64
+        `MATCH`, `WINDOW` or `MARK`, of each observation.
+    point_std : (M, 3) [m]
+        Of the points that are known beforehand, at `TiePoints.start`; infinite for all others.
+    control : tuple of str
+        Names of the control points, which come last.
+    """
+
+    ties: TiePoints
+    kind: np.ndarray
+    point_std: np.ndarray
+    control: tuple[str, ...]
+
+    def only(self, keep: np.ndarray) -> Observed:
+        """Without the observations (N,) bool that are not to be kept, and points that then have too few."""
+        first_control = len(self.ties) - len(self.control)
+        count = np.bincount(self.ties.point[keep], minlength=len(self.ties))
+        known = np.isfinite(self.point_std).all(axis=1)
+        enough = count >= np.where(known, 1, np.where(np.arange(len(count)) >= first_control, 2, 3))
+        keep = keep & enough[self.ties.point]
+        number = np.cumsum(enough) - 1
+        ties = TiePoints(
+            self.ties.start[enough], number[self.ties.point[keep]], self.ties.view[keep], self.ties.pixel[keep]
+        )
+        control = tuple(name for name, kept in zip(self.control, enough[first_control:], strict=True) if kept)
+        return Observed(ties, self.kind[keep], self.point_std[enough], control)
+
+    def at(self, points: np.ndarray) -> Observed:
+        """The same with other approximate points (M, 3); those of control stay."""
+        known = np.isfinite(self.point_std)
+        return replace(self, ties=replace(self.ties, start=np.where(known, self.ties.start, points)))
+
+
+def observed(parts: list[tuple[int, TiePoints]], control: Control | None, survey: Survey, known: Known) -> Observed:
+    """Everything observed, in pixels that Brown's lens of the adjustment predicts.
+
+    Parameters
+    ----------
+    parts : list of (kind, TiePoints)
+    control : Control or None
+    survey : Survey
+        Whose views the tie points are numbered by.
+    known : Known
+    """
+    if control is not None and control.points:
+        parts = [*parts, (MARK, _marks(control, survey))]
+    first = np.cumsum([0, *(len(ties) for _, ties in parts)])
+    ties = TiePoints(
+        np.concatenate([ties.start for _, ties in parts]),
+        np.concatenate([ties.point + shift for shift, (_, ties) in zip(first, parts, strict=False)]),
+        np.concatenate([ties.view for _, ties in parts]),
+        np.concatenate([_straightened(ties, known) for _, ties in parts]),
+    )
+    kind = np.concatenate([np.full(len(ties.view), kind) for kind, ties in parts])
+    point_std, names = np.full((len(ties), 3), np.inf), ()
+    if control is not None and control.points:
+        names = tuple(point.name for point in control.points)
+        point_std[first[-2] :] = [
+            np.full(3, np.inf) if point.is_check else np.asarray(point.std) for point in control.points
+        ]
+    return Observed(ties, kind, point_std, names)
+
+
+def _marks(control: Control, survey: Survey) -> TiePoints:
+    """The marks of control points as tie points, in order of points."""
+    view = {view.name: number for number, view in enumerate(survey.views)}
+    point = {found.name: number for number, found in enumerate(control.points)}
+    rows = sorted((point[mark.point], view[mark.view], mark.pixel) for mark in control.marks)
+    return TiePoints(
+        np.array([found.local for found in control.points], dtype=np.float64),
+        np.array([row[0] for row in rows], dtype=np.int64),
+        np.array([row[1] for row in rows], dtype=np.int64),
+        np.array([row[2] for row in rows], dtype=np.float64),
+    )
+
+
+def _straightened(ties: TiePoints, known: Known) -> np.ndarray:
+    """Pixels (N, 2) as they are; of lenses that the adjustment holds, those of their pinhole."""
+    pixel = ties.pixel.copy()
+    for number, lens in enumerate(known.lenses):
+        mine = known.layout.lens_of[ties.view] == number
+        if is_held(lens) and mine.any():
+            pixel[mine] = undistorted(lens, ties.pixel[mine]) * lens.focal + (lens["cx"], lens["cy"])
+    return pixel

@@ -1,0 +1,165 @@
+"""What is known of a survey before its photographs are asked: the start of the adjustment, and its priors."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from refract.lens import MODELS, Lens
+from survey.adjust.bundle import Priors
+from survey.adjust.state import LENS, LENS_NAMES, RELIEF, Layout, State
+from survey.folder.survey import Survey
+from survey.photos.tie_points import TiePoints
+
+# What holds where survey.toml says nothing: a level read at a staff, an index by the temperature, level water.
+LEVEL_STD_M, INDEX_STD, SLOPE_STD = 0.02, 0.001, 0.0
+# A position of GPS alone, to start from; the block then tells how good its positions are.
+GPS_STD_M = 3.0
+# A lens by its data sheet: focal lengths are within 2 % of it, the principal point within 1 % of the longer side. At the
+# corner of the image each term of distortion moves a pixel by at most some of these shares of its distance from the
+# middle (docs/adjustment.md).
+_FOCAL_SHARE, _MIDDLE_SHARE, _RADIAL_SHARES, _DECENTRED_SHARE = 0.02, 0.01, (0.06, 0.04, 0.02), 0.004
+# How far a rough bed seems to rise at 45 degrees, as a share of the ground sampling distance (docs/adjustment.md).
+_RELIEF_GSD = 0.1
+# What is not to move moves by no more than this share of what would be seen.
+HELD = 1e-9
+# Models whose distortion is Brown's; other lenses are held, and their tie points straightened.
+BROWN = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
+
+
+@dataclass(frozen=True)
+class Known:
+    """A survey as the adjustment takes it.
+
+    Attributes
+    ----------
+    layout : Layout
+    lenses : tuple of Lens
+        Of each number of `Layout.lens_of`, as the survey has it.
+    state : State
+        Where the adjustment starts; without points.
+    mean : State
+        Mean values of the priors; without points.
+    std : (P,)
+    unknown_positions : (V,) bool
+        Whose standard deviation is not known, and is `GPS_STD_M` to start with.
+    """
+
+    layout: Layout
+    lenses: tuple[Lens, ...]
+    state: State
+    mean: State
+    std: np.ndarray
+    unknown_positions: np.ndarray
+
+
+def known_of(survey: Survey, gsd: float) -> Known:
+    """What a survey says of the unknowns; ``gsd`` [m] is the ground sampling distance."""
+    views = survey.views
+    lenses = tuple(dict.fromkeys(view.lens for view in views))
+    lens_of = np.array([lenses.index(view.lens) for view in views])
+    layout = Layout(lens_of, np.array([lens.focal[1] / lens.focal[0] for lens in lenses]))
+    centres = np.array([view.camera.centre for view in views])
+    rotations = np.array([view.camera.cam_from_local for view in views])
+    start = np.array([_parameters_of(lens) for lens in lenses])
+    sheet = np.array([_data_sheet(survey, lens) for lens in lenses])
+    none = np.zeros((0, 3))
+    state = State(_under_cameras(survey, centres), np.zeros(RELIEF), start, centres, rotations, none)
+    positions, position_std, unknown = _positions(survey, centres)
+    mean = replace(state, lenses=sheet, centres=positions)
+    std = np.concatenate(
+        [
+            _water_std(survey),
+            np.full(RELIEF, _RELIEF_GSD * gsd),
+            *(_lens_std(survey, lens) for lens in lenses),
+            np.concatenate([position_std, _rotation_std(survey)], axis=1).ravel(),
+        ]
+    )
+    return Known(layout, lenses, state, mean, std, unknown)
+
+
+def priors_for(known: Known, ties: TiePoints, point_std: np.ndarray | None = None) -> Priors:
+    """The priors of an adjustment with these points, known to (M, 3) [m] where any are."""
+    free = np.full((len(ties), 3), np.inf) if point_std is None else point_std
+    return Priors(replace(known.mean, points=ties.start), known.std, free)
+
+
+def _under_cameras(survey: Survey, centres: np.ndarray):
+    """The water with its reference point under the middle of the cameras, where level and slopes are separate."""
+    if survey.water is None:
+        return None
+    x, y = centres[:, :2].mean(axis=0).tolist()
+    return replace(survey.water, point=(x, y, float(survey.water.height(x, y))))
+
+
+def _parameters_of(lens: Lens) -> np.ndarray:
+    if lens.model not in BROWN or any(lens[name] != 0.0 for name in ("k4", "k5", "k6")):
+        # Its tie points are straightened: what is left is its pinhole.
+        return np.array([lens.focal[0], lens["cx"], lens["cy"], *np.zeros(LENS - 3)])
+    return np.array([lens.focal[0], *(lens[name] for name in LENS_NAMES[1:])])
+
+
+def is_held(lens: Lens) -> bool:
+    """Whether a lens is not adjusted: its distortion is not Brown's."""
+    return lens.model not in BROWN or any(lens[name] != 0.0 for name in ("k4", "k5", "k6"))
+
+
+def _data_sheet(survey: Survey, lens: Lens) -> np.ndarray:
+    """The lens before any photograph was taken with it."""
+    given = _parameters_of(lens)
+    if survey.ties is None or is_held(lens):
+        return given
+    cameras = survey.config.cameras
+    focal = cameras.focal_px[0] if isinstance(cameras.focal_px, tuple) else cameras.focal_px
+    middle = cameras.principal_point_px or (0.5 * lens.width, 0.5 * lens.height)
+    names = MODELS[cameras.model][1] if cameras.model in BROWN else ()
+    given_by_name = dict(zip([name for name in names if name[0] in "kp"], cameras.distortion or (), strict=False))
+    coefficients = [given_by_name.get(name, 0.0) for name in LENS_NAMES[3:]]
+    return np.array([given[0] if focal is None else focal, *middle, *coefficients])
+
+
+def _lens_std(survey: Survey, lens: Lens) -> np.ndarray:
+    focal, side = lens.focal[0], max(lens.width, lens.height)
+    corner = 0.5 * math.hypot(lens.width, lens.height) / focal
+    radial = np.array(_RADIAL_SHARES) / corner ** np.array([2, 4, 6])
+    decentred = _DECENTRED_SHARE / corner
+    middle = _MIDDLE_SHARE * side
+    std = np.array([_FOCAL_SHARE * focal, middle, middle, *radial, decentred, decentred])
+    return HELD * std if is_held(lens) else std
+
+
+def _water_std(survey: Survey) -> np.ndarray:
+    if survey.water is None:
+        return np.full(4, HELD)
+    given = survey.require_water()[1]
+    level = LEVEL_STD_M if given.level_std_m is None else given.level_std_m
+    slope = SLOPE_STD if given.slope_std is None else given.slope_std
+    index = INDEX_STD if given.index_std is None else given.index_std
+    return np.maximum([level, slope, slope, index], HELD)
+
+
+def _positions(survey: Survey, centres: np.ndarray):
+    """Mean positions (V, 3), their standard deviations (V, 3), and which of these are not known (V,)."""
+    positions, std = centres.copy(), np.full(centres.shape, np.inf)
+    unknown = np.zeros(len(centres), dtype=bool)
+    for number, view in enumerate(survey.views):
+        prior = survey.priors.get(view.name)
+        if prior is None or prior.position is None:
+            continue
+        positions[number] = prior.position
+        unknown[number] = prior.position_std is None
+        std[number] = GPS_STD_M if prior.position_std is None else prior.position_std
+    return positions, std, unknown
+
+
+def _rotation_std(survey: Survey) -> np.ndarray:
+    """Standard deviations (V, 3) [rad] of the rotations that the views come with."""
+    std = np.full((len(survey.views), 3), np.inf)
+    for number, view in enumerate(survey.views):
+        prior = survey.priors.get(view.name)
+        if prior is not None and prior.rotation_std_deg is not None:
+            # About the axes of local; where they differ, those of cam get the largest.
+            std[number] = math.radians(float(np.max(prior.rotation_std_deg)))
+    return std

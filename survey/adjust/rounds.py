@@ -1,0 +1,135 @@
+"""One adjustment from start to end: outliers, blunders of positions, and what neighbours share, in rounds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from survey.adjust.bundle import Problem, Solution, solve
+from survey.adjust.clusters import inflation
+from survey.adjust.observed import KINDS, MARK, Observed
+from survey.adjust.priors import Known, priors_for
+from survey.adjust.state import POSE, State
+
+# Observations of more standard deviations than this are left out.
+_OUTLIER = 4.0
+# A position is a blunder beyond this many standard deviations.
+_BLUNDER = 6.0
+# Positions that fit worse than stated by more than this factor are taken for as good as they fit.
+_OVERSTATED = 1.5
+_ROUNDS = 4
+# Under this share of observations left out in a round, there are no more outliers to find.
+_FEW = 0.002
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """A block after its adjustment.
+
+    Attributes
+    ----------
+    known : Known
+        With the standard deviations of positions that the block showed.
+    used : Observed
+        What was not left out.
+    solution : Solution
+    factor : (kinds,)
+        On variances, for what neighbouring observations share.
+    blunders : (V,) bool
+        Positions that the block contradicts and that were left out.
+    """
+
+    known: Known
+    used: Observed
+    solution: Solution
+    factor: np.ndarray
+    blunders: np.ndarray
+
+
+def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted:
+    """Adjust a block, and again without outliers until none is left.
+
+    Parameters
+    ----------
+    known : Known
+    seen : Observed
+    sizes : (width, height) [px] of each photograph
+    marks_std_px : float
+
+    Raises
+    ------
+    NotConvergedError
+        If an adjustment does not converge.
+    """
+    state = replace(known.state, points=seen.ties.start)
+    blunders = np.zeros(len(known.unknown_positions), dtype=bool)
+    factors = np.ones(len(KINDS))
+    given = np.full(len(KINDS), np.nan)
+    given[MARK] = marks_std_px
+    for _ in range(_ROUNDS):
+        problem = Problem(known.layout, seen.ties, seen.kind, priors_for(known, seen.ties, seen.point_std), given)
+        solution = solve(problem, state, inflation=factors[seen.kind])
+        found = solution.std_px
+        shared = inflation(seen.ties, solution.residuals, found, seen.kind, sizes)
+        before, factors = factors, np.array([_first(shared[seen.kind == kind]) for kind in range(len(KINDS))])
+        factors[MARK] = 1.0
+        known, blunders, positions_changed = _positions_by_block(known, solution, blunders)
+        keep = np.linalg.norm(solution.residuals, axis=1) < _OUTLIER * found[seen.kind]
+        kept = seen.only(keep)
+        settled = (~keep).mean() < _FEW and not positions_changed and (np.abs(factors / before - 1.0) < 0.2).all()
+        if settled:
+            break
+        state = _without_points(solution.state, seen, keep)
+        seen = kept.at(state.points)
+    return Adjusted(known, seen, solution, factors, blunders)
+
+
+def _first(values: np.ndarray) -> float:
+    return float(values[0]) if len(values) else 1.0
+
+
+def _without_points(state: State, seen: Observed, keep: np.ndarray) -> State:
+    """The state with the points that are left when only these observations are kept."""
+    left = seen.at(state.points).only(keep)
+    return replace(state, points=left.ties.start)
+
+
+def _positions_by_block(known: Known, solution: Solution, blunders: np.ndarray):
+    """Standard deviations of the positions as the block shows them, where it does; and blunders, which are left out."""
+    first = known.layout.first_pose
+    std = known.std[first:].reshape(-1, POSE)[:, :3]
+    used = np.isfinite(std).all(axis=1)
+    if used.sum() < 4:
+        return known, blunders, False
+    miss = solution.state.centres - known.mean.centres
+    left = std**2 - np.array([np.diag(c)[:3] for c in _pose_blocks(known, solution)])
+    # The share of the error of a position that the adjustment leaves in its residual.
+    redundancy = np.clip(left / std**2, 0.05, 1.0)
+    scaled = np.abs(miss) / (std * np.sqrt(redundancy))
+    bad = used & (np.max(scaled, axis=1) > _BLUNDER * np.maximum(1.0, _scale(scaled[used]).max()))
+    changed = std.copy()
+    changed[bad] = np.inf
+    good = used & ~bad
+    factor = _scale(scaled[good])
+    estimated = good & known.unknown_positions
+    changed[estimated] = std[estimated] * factor
+    overstated = good & ~known.unknown_positions
+    if (factor > _OVERSTATED).any():
+        changed[overstated] = std[overstated] * np.maximum(factor, 1.0)
+    with np.errstate(invalid="ignore"):
+        moved = bad.any() or bool((np.abs(changed[good] / std[good] - 1.0) > 0.1).any())
+    if not moved:
+        return known, blunders, False
+    all_std = known.std.copy()
+    all_std[first:].reshape(-1, POSE)[:, :3] = changed
+    return replace(known, std=all_std), blunders | bad, True
+
+
+def _pose_blocks(known: Known, solution: Solution) -> list[np.ndarray]:
+    return [solution.covariance[known.layout.pose(v), known.layout.pose(v)] for v in range(len(known.layout.lens_of))]
+
+
+def _scale(scaled: np.ndarray) -> np.ndarray:
+    """Robust standard deviation per axis (3,) of residuals in units of what is expected."""
+    return np.maximum(1.4826 * np.median(scaled, axis=0), 1e-3)

@@ -26,13 +26,15 @@ HUBER = 2.0
 # The median of the length of a two-dimensional normal deviate of unit standard deviation per axis, sqrt(2 ln 2).
 _MEDIAN_LENGTH = 1.1774
 _MOST_STEPS = 60
-# A step under this share of the standard deviations changes no digit that is reported.
-_DONE = 1e-2
+# A step that lowers the sum of squares by less, in units of variances, moves no parameter by more than a fifth of its
+# standard deviation, and most by far less.
+_DONE = 0.03
+_SLACK = 1e-6
 # Weights are renewed from the residuals until the standard deviations of all kinds change by less than this share.
 _STEADY, _MOST_ROUNDS = 0.02, 6
 # Keeps the elimination finite for a point that its rays hardly determine.
 _DAMPING = 1e-9
-_DAMPING_START, _DAMPING_MOST = 1e-6, 1e6
+_DAMPING_START, _DAMPING_LEAST, _DAMPING_MOST = 1e-6, 1e-12, 1e6
 
 
 class NotConvergedError(SurveyError):
@@ -79,6 +81,8 @@ class Problem:
     priors : Priors
     given_std_px : (kinds,) [px]
         Standard deviations of the kinds; NaN where the residuals tell.
+    sides : (N, 3)
+        See `survey.adjust.prediction.relief_sides`.
     """
 
     layout: Layout
@@ -86,6 +90,7 @@ class Problem:
     kind: np.ndarray
     priors: Priors
     given_std_px: np.ndarray
+    sides: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -103,6 +108,10 @@ class System:
     root: np.ndarray
     free: np.ndarray
     mixed: csr_array
+
+    def promise(self, step: np.ndarray) -> float:
+        """By how much the sum of squares falls by a step of the parameters, and the points with it, if all is linear."""
+        return float(self.right @ step + np.sum(self.free**2))
 
     def point_steps(self, step: np.ndarray) -> np.ndarray:
         """Steps (M, 3) [m] of the points that go with a step of the parameters (P,)."""
@@ -152,12 +161,12 @@ def solve(problem: Problem, start: State, *, inflation: np.ndarray | None = None
     state, std_px = start, None
     inflation = np.ones(len(problem.kind)) if inflation is None else inflation
     for _ in range(_MOST_ROUNDS):
-        residuals = problem.ties.pixel - predict(problem.layout, state, problem.ties)
+        residuals = problem.ties.pixel - predict(problem.layout, state, problem.ties, problem.sides)
         before, std_px = std_px, std_of_kinds(problem, residuals)
         if before is not None and (np.abs(std_px / before - 1.0) < _STEADY).all():
             break
         state, system = _descend(problem, state, std_px, inflation)
-    residuals = problem.ties.pixel - predict(problem.layout, state, problem.ties)
+    residuals = problem.ties.pixel - predict(problem.layout, state, problem.ties, problem.sides)
     weights = _weights(problem, residuals, std_px) / inflation
     covariance = cho_solve(cho_factor(_scaled(system.normal)[0]), np.eye(len(system.normal)))
     scale = _scaled(system.normal)[1]
@@ -190,18 +199,22 @@ def _descend(problem: Problem, state: State, std_px, inflation) -> tuple[State, 
         system = _system(problem, state, std_px, inflation)
         matrix, scale = _scaled(system.normal)
         while True:
-            factor = cho_factor(matrix + damping * np.eye(len(matrix)))
-            step = scale * cho_solve(factor, scale * system.right)
-            moved = state.moved(problem.layout, step, system.point_steps(step))
+            step = scale * cho_solve(cho_factor(matrix + damping * np.eye(len(matrix))), scale * system.right)
+            own = system.point_steps(step)
+            moved = state.moved(problem.layout, step, own)
             costs = _cost(problem, moved, std_px, inflation)
-            if costs <= cost * (1.0 + 1e-9):
+            # Points at the shoreline, where rays begin to bend, may promise more than they can keep.
+            if costs < cost + _SLACK * cost or system.promise(step) < _DONE:
                 break
             damping *= 10.0
             if damping > _DAMPING_MOST:
                 return state, system
-        std = scale * np.sqrt(np.diag(cho_solve(factor, np.eye(len(matrix)))))
-        state, gain, cost, damping = moved, cost - costs, costs, max(damping * 0.1, 1e-12)
-        if (np.abs(step) < _DONE * std).all() or gain < 1e-6 * cost:
+        if costs < cost:
+            gain, state, cost = cost - costs, moved, costs
+        else:
+            gain = 0.0
+        damping = max(damping * 0.1, _DAMPING_LEAST)
+        if gain < _DONE:
             return state, _system(problem, state, std_px, inflation)
     raise NotConvergedError(
         f"the adjustment did not converge in {_MOST_STEPS} steps: poses and photographs do not belong together, or "
@@ -216,7 +229,7 @@ def _scaled(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _cost(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarray) -> float:
-    residuals = problem.ties.pixel - predict(problem.layout, state, problem.ties)
+    residuals = problem.ties.pixel - predict(problem.layout, state, problem.ties, problem.sides)
     length = np.linalg.norm(residuals, axis=1) / std_px[problem.kind]
     # A point that went behind a camera costs more than any that did not.
     length = np.where(np.isfinite(length), length, 1e6)
@@ -228,7 +241,7 @@ def _cost(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndar
 
 def _system(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarray) -> System:
     ties, priors = problem.ties, problem.priors
-    linear = linearise(problem.layout, state, ties)
+    linear = linearise(problem.layout, state, ties, problem.sides)
     residuals = ties.pixel - linear.pixels
     weights = _weights(problem, residuals, std_px) / inflation
     usable = weights > 0.0

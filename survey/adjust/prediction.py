@@ -32,21 +32,16 @@ class Linear:
     wet: np.ndarray
 
 
-def predict(layout: Layout, state: State, ties: TiePoints) -> np.ndarray:
-    """Predicted pixels (N, 2); NaN where a point lies behind its camera."""
-    centres = state.centres[ties.view]
-    line = lines_of_sight(centres, _seen_points(state, ties, centres), state.water)
+def predict(layout: Layout, state: State, ties: TiePoints, sides: np.ndarray) -> np.ndarray:
+    """Predicted pixels (N, 2); NaN where a point lies behind its camera. ``sides`` as `relief_sides` gives them."""
+    line = lines_of_sight(state.centres[ties.view], _seen(state, ties, sides), state.water)
     pixels, _ = _imaged(layout, state, ties, line)
     return pixels
 
 
-def linearise(layout: Layout, state: State, ties: TiePoints) -> Linear:
+def linearise(layout: Layout, state: State, ties: TiePoints, sides: np.ndarray) -> Linear:
     """Predicted pixels with their derivatives."""
-    centres = state.centres[ties.view]
-    sides = relief_sides(state, ties, centres)
-    points = state.points[ties.point]
-    points = points + np.column_stack([np.zeros((len(points), 2)), sides @ state.relief])
-    sight = sights(centres, points, state.water)
+    sight = sights(state.centres[ties.view], _seen(state, ties, sides), state.water)
     pixels, imaged = _imaged(layout, state, ties, sight.line)
     rotations = state.rotations[ties.view]
     by_line = np.einsum("nai,nij->naj", imaged.by_cam, rotations)
@@ -64,13 +59,14 @@ def linearise(layout: Layout, state: State, ties: TiePoints) -> Linear:
     return Linear(pixels, by_point, _placed(layout, ties, dense), sight.wet)
 
 
-def relief_sides(state: State, ties: TiePoints, centres: np.ndarray) -> np.ndarray:
+def relief_sides(state: State, ties: TiePoints) -> np.ndarray:
     """By what three apparent rises of a rough bed raise points (N, 3): t^2 for all sides, and t east and north.
 
     t is the tangent of the leg at the bed to the vertical. Hollows of a rough bed hide from oblique views, and the bed
-    looks different from each side; both seem to lift it (docs/adjustment.md).
+    looks different from each side; both seem to lift it (docs/adjustment.md). The angles hardly change in an adjustment:
+    they are taken from its start.
     """
-    points = state.points[ties.point]
+    points, centres = state.points[ties.point], state.centres[ties.view]
     crossing = lines_of_sight(centres, points, state.water) + centres
     leg = crossing - points
     leg = np.where((leg[:, 2] > 1e-9)[:, None], leg, centres - points)
@@ -78,12 +74,11 @@ def relief_sides(state: State, ties: TiePoints, centres: np.ndarray) -> np.ndarr
     return np.column_stack([np.sum(tangent**2, axis=1), tangent])
 
 
-def _seen_points(state: State, ties: TiePoints, centres: np.ndarray) -> np.ndarray:
-    points = state.points[ties.point]
-    if not state.relief.any():
-        return points
-    rise = relief_sides(state, ties, centres) @ state.relief
-    return points + np.column_stack([np.zeros((len(points), 2)), rise])
+def _seen(state: State, ties: TiePoints, sides: np.ndarray) -> np.ndarray:
+    """Points (N, 3) that the observations show."""
+    points = state.points[ties.point].copy()
+    points[:, 2] += sides @ state.relief
+    return points
 
 
 @dataclass(frozen=True)

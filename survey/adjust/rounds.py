@@ -9,6 +9,7 @@ import numpy as np
 from survey.adjust.bundle import Problem, Solution, solve
 from survey.adjust.clusters import inflation
 from survey.adjust.observed import KINDS, MARK, Observed
+from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import Known, priors_for
 from survey.adjust.state import POSE, State
 
@@ -68,7 +69,8 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
     given = np.full(len(KINDS), np.nan)
     given[MARK] = marks_std_px
     for _ in range(_ROUNDS):
-        problem = Problem(known.layout, seen.ties, seen.kind, priors_for(known, seen.ties, seen.point_std), given)
+        priors, sides = priors_for(known, seen.ties, seen.point_std), relief_sides(state, seen.ties)
+        problem = Problem(known.layout, seen.ties, seen.kind, priors, given, sides)
         solution = solve(problem, state, inflation=factors[seen.kind])
         found = solution.std_px
         shared = inflation(seen.ties, solution.residuals, found, seen.kind, sizes)

@@ -29,8 +29,8 @@ class Job:
         With the water, and its colour, that earlier stages found.
     plan : Plan
     progress : Progress
-    calibrate_water, true_colour : bool
-        Whether the water is estimated first; whether points get the colour of the bed without its water.
+    adjusts, calibrate_water, true_colour : bool
+        Whether poses, lens and water are adjusted first; whether the water then is as good as unknown; whether points get the colour of the bed without its water.
     """
 
     def __init__(
@@ -39,11 +39,12 @@ class Job:
         plan_of: Callable[[Survey], Plan],
         progress: Progress,
         *,
+        adjusts: bool = False,
         calibrate_water: bool = False,
         true_colour: bool = False,
     ):
         self.survey, self.plan, self.progress = survey, plan_of(survey), progress
-        self.calibrate_water, self.true_colour = calibrate_water, true_colour
+        self.adjusts, self.calibrate_water, self.true_colour = adjusts, calibrate_water, true_colour
         self._plan_of = plan_of
 
     def take(self, survey: Survey) -> None:
@@ -94,6 +95,10 @@ class Job:
             "coverage": lambda: plan.recipe.times_seen,
             "rays": lambda: plan.recipe.rays_per_cell,
             "device": lambda: plan.device,
+            "ties": lambda: survey.ties,
+            "priors": lambda: (dict(survey.priors), survey.config.cameras),
+            "control": lambda: survey.control,
+            "freed": lambda: self.calibrate_water,
             "water_colour": lambda: colour_of(survey),
             "true_colour": lambda: colour_of(survey) if self.true_colour else None,
         }
@@ -103,5 +108,5 @@ class Job:
 def _settings_of(survey: Survey) -> dict | None:
     """What survey.toml says of level, slopes and index of the water; not of its colour."""
     given = survey.config.water
-    names = ("level_m", "level_at", "slope_east", "slope_north", "refractive_index")
+    names = ("level_m", "level_at", "slope_east", "slope_north", "refractive_index", "level_std_m", "slope_std", "index_std")
     return None if given is None else {name: getattr(given, name) for name in names}

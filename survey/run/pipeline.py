@@ -6,17 +6,18 @@ from dataclasses import replace
 
 from survey.run.job import Job
 from survey.run.stage import Stage
+from survey.run.stage_adjust import FILES as ADJUSTMENT_FILES
+from survey.run.stage_adjust import adjust_block, use_adjustment
 from survey.run.stage_bed import FILES, make_bed
 from survey.run.stage_field import train_field
 from survey.run.stage_sweep import BOUND, MAPS, sweep_views
-from survey.run.stage_water import ESTIMATE, calibrate_water, use_water
 from survey.run.stage_water_colour import estimate_colour, use_colour
 from survey.run.stored_field import FIELD_FILES
 from survey.run.water_colour import COLOUR_FILE, colour_is_known
 
 
-def _calibrates(job: Job) -> bool:
-    return job.calibrate_water
+def _adjusts(job: Job) -> bool:
+    return job.adjusts
 
 
 def _needs_colour(job: Job) -> bool:
@@ -32,13 +33,13 @@ _VIEWS = ("photographs", "cameras", "water", "size", "device")
 
 STAGES = (
     Stage(
-        name="water",
+        name="adjust",
         needs=(),
-        depends_on=("photographs", "cameras", "frame", "water", "water_settings", "area", "heights", "device"),
-        leaves=(ESTIMATE,),
-        compute=calibrate_water,
-        is_on=_calibrates,
-        apply=use_water,
+        depends_on=(*_VIEWS, "frame", "water_settings", "area", "heights", "ties", "priors", "control", "freed"),
+        leaves=ADJUSTMENT_FILES,
+        compute=adjust_block,
+        is_on=_adjusts,
+        apply=use_adjustment,
     ),
     Stage(
         name="sweep",

@@ -1,0 +1,184 @@
+"""What an adjustment found: each parameter with its verdict, the poses, and the covariance of all of them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from geo.files import write_whole
+from refract.lens import Lens
+from survey.errors import SurveyError
+from survey.files.json_values import json_text, read_json_object
+from survey.folder.config import WaterConfig
+
+JSON, ARRAYS = "adjustment.json", "adjustment.npz"
+FREE, HELD, UNKNOWN = "free", "held", "not observable"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of the water or of a lens.
+
+    Attributes
+    ----------
+    name : str
+        "level_m", "slope_east", "slope_north", "refractive_index", or of the first lens "camera0.f" to "camera0.p2".
+    value, std : float
+        Level in m in crs at ``level_at``; slopes along the grid axes; the index relative to air; focal length and
+        principal point in px, the first pixel's centre at 0.5, 0.5.
+    given, given_std : float
+        What was known before; the standard deviation is None where nothing was.
+    status : str
+        "free": found from the photographs. "held": what was given tells more than they do. "not observable": neither
+        tells, and the given value is kept.
+    verdict : str
+        A sentence.
+    """
+
+    name: str
+    value: float
+    std: float
+    given: float
+    given_std: float | None
+    status: str
+    verdict: str
+
+
+@dataclass(frozen=True)
+class ControlResidual:
+    """How an adjusted block fits a control point.
+
+    Attributes
+    ----------
+    name : str
+    is_check : bool
+        Whether its coordinates were left out of the adjustment.
+    is_wet : bool
+    residual_m : (east, north, up) [m], local
+        Adjusted less given.
+    num_marks : int
+    rms_px : float
+        Of its marks.
+    """
+
+    name: str
+    is_check: bool
+    is_wet: bool
+    residual_m: tuple[float, float, float]
+    num_marks: int
+    rms_px: float
+
+
+@dataclass(frozen=True)
+class Adjustment:
+    """An adjusted block.
+
+    Attributes
+    ----------
+    parameters : tuple of Parameter
+        Of the water, where there is any, and of each lens.
+    water : WaterConfig or None
+    lenses : tuple of Lens
+    names : (V,) of the views
+    lens_of : (V,)
+        Number of the lens of each view.
+    centres, rotations : (V, 3) [m], local; (V, 3, 3) cam from local
+    position_std, rotation_std_deg : (V, 3)
+        Along the axes of local; about those of cam.
+    covariance : (P, P)
+        Of the parameters in the order of `covariance_names`.
+    covariance_names : (P,)
+    water_point : (x, y) [m], local
+        Where the height of the water in `covariance` is.
+    std_px, factor, num_observations : by kind of observation
+        Standard deviation of a pixel coordinate; factor on its variance, for what neighbours share; how many were used.
+    num_points, num_left_out : int
+        Points used; observations left out as outliers.
+    gps_std_m : (3,) or None
+        Median standard deviation of the positions as they were used.
+    control : tuple of ControlResidual
+    notes, warnings : sentences
+    residual_view, residual_px, residual_at_px, residual_at : (N,), (N, 2), (N, 2), (N, 3)
+        Of each observation: its view, what the adjustment left, where in the photograph, and its point in local.
+    """
+
+    parameters: tuple[Parameter, ...]
+    water: WaterConfig | None
+    lenses: tuple[Lens, ...]
+    names: tuple[str, ...]
+    lens_of: np.ndarray
+    centres: np.ndarray
+    rotations: np.ndarray
+    position_std: np.ndarray
+    rotation_std_deg: np.ndarray
+    covariance: np.ndarray
+    covariance_names: tuple[str, ...]
+    water_point: tuple[float, float]
+    std_px: dict[str, float]
+    factor: dict[str, float]
+    num_observations: dict[str, int]
+    num_points: int
+    num_left_out: int
+    gps_std_m: tuple[float, float, float] | None
+    control: tuple[ControlResidual, ...]
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...]
+    residual_view: np.ndarray
+    residual_px: np.ndarray
+    residual_at_px: np.ndarray
+    residual_at: np.ndarray
+
+    def parameter(self, name: str) -> Parameter:
+        """The parameter of that name."""
+        return next(found for found in self.parameters if found.name == name)
+
+
+# Attributes that are arrays, in adjustment.npz; all others are in adjustment.json.
+_ARRAYS = (
+    "lens_of", "centres", "rotations", "position_std", "rotation_std_deg", "covariance", "residual_view",
+    "residual_px", "residual_at_px", "residual_at",
+)  # fmt: skip
+
+
+def write_adjustment(folder: Path, found: Adjustment) -> None:
+    """Write adjustment.json and adjustment.npz into an existing folder."""
+    record = {name: value for name, value in asdict(found).items() if name not in _ARRAYS}
+    with write_whole(folder / ARRAYS) as stream:
+        np.savez_compressed(stream, names=np.array(found.covariance_names), **{n: getattr(found, n) for n in _ARRAYS})
+    with write_whole(folder / JSON) as stream:
+        stream.write(json_text(record).encode())
+
+
+def read_adjustment(folder: Path) -> Adjustment:
+    """What `write_adjustment` wrote.
+
+    Raises
+    ------
+    SurveyError
+        If the folder has none.
+    """
+    record = read_json_object(folder / JSON)
+    if not record:
+        raise SurveyError(f"{folder} has no adjustment; run process again with --no-resume")
+    with np.load(folder / ARRAYS, allow_pickle=False) as arrays:
+        values = {name: arrays[name] for name in _ARRAYS}
+    water = record["water"]
+    return Adjustment(
+        **values,
+        parameters=tuple(Parameter(**row) for row in record["parameters"]),
+        water=None if water is None else WaterConfig(**{k: _tuples(v) for k, v in water.items()}),
+        lenses=tuple(Lens(row["model"], tuple(row["params"]), row["width"], row["height"]) for row in record["lenses"]),
+        control=tuple(
+            ControlResidual(**{**row, "residual_m": tuple(row["residual_m"])}) for row in record["control"]
+        ),
+        **{name: _tuples(record[name]) for name in ("names", "covariance_names", "water_point", "notes", "warnings")},
+        **{name: record[name] for name in ("std_px", "factor", "num_observations", "num_points", "num_left_out")},
+        gps_std_m=_tuples(record["gps_std_m"]),
+    )
+
+
+def _tuples(value):
+    """Lists of JSON as the tuples they were."""
+    return tuple(_tuples(v) for v in value) if isinstance(value, list) else value

@@ -1,0 +1,58 @@
+"""The adjusted cameras as files, that other programs read and that can be given back as [cameras] poses."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from geo.files import write_whole
+from refract.lens import Lens
+from survey.folder.survey import Survey
+from survey.photos.cameras import CAM_FROM_OPK_CAM
+
+CAMERAS = "cameras.csv"
+MODEL = ("sparse/cameras.txt", "sparse/images.txt", "sparse/points3D.txt")
+
+
+def write_cameras(folder: Path, survey: Survey) -> None:
+    """Write cameras.csv (positions in crs, omega, phi, kappa) and a COLMAP model in text (topocentric) into a folder."""
+    lenses = tuple(dict.fromkeys(view.lens for view in survey.views))
+    (folder / "sparse").mkdir(exist_ok=True)
+    texts = {
+        CAMERAS: _opk(survey),
+        MODEL[0]: "".join(_lens_line(number, lens) for number, lens in enumerate(lenses, start=1)),
+        MODEL[1]: "".join(_pose_lines(survey, lenses)),
+        MODEL[2]: "# the points of the adjustment are in adjustment.npz\n",
+    }
+    for name, text in texts.items():
+        with write_whole(folder / name) as stream:
+            stream.write(text.encode())
+
+
+def _opk(survey: Survey) -> str:
+    centres = survey.frame.crs_from_local(np.array([view.camera.centre for view in survey.views]))
+    lines = ["image,easting,northing,height,omega,phi,kappa"]
+    for view, centre, axes in zip(survey.views, centres, survey.frame.local_from_grid(centres), strict=True):
+        r = axes.T @ view.camera.cam_from_local.T @ CAM_FROM_OPK_CAM
+        angles = (math.atan2(-r[1, 2], r[2, 2]), math.asin(r[0, 2]), math.atan2(-r[0, 1], r[0, 0]))
+        numbers = [f"{v:.5f}" for v in centre] + [f"{math.degrees(v):.8f}" for v in angles]
+        lines.append(",".join([view.name, *numbers]))
+    return "\n".join([*lines, ""])
+
+
+def _lens_line(number: int, lens: Lens) -> str:
+    return f"{number} {lens.model} {lens.width} {lens.height} {' '.join(repr(float(p)) for p in lens.params)}\n"
+
+
+def _pose_lines(survey: Survey, lenses: tuple[Lens, ...]) -> list[str]:
+    """Two lines for each photograph; the second, its points, is empty."""
+    lines = []
+    for number, view in enumerate(survey.views, start=1):
+        x, y, z, w = Rotation.from_matrix(view.camera.cam_from_local).as_quat()
+        shift = -view.camera.cam_from_local @ view.camera.centre
+        numbers = " ".join(repr(float(v)) for v in (w, x, y, z, *shift))
+        lines.append(f"{number} {numbers} {lenses.index(view.lens) + 1} {view.name}\n\n")
+    return lines

@@ -1,0 +1,41 @@
+"""The stage of the adjustment: poses, lens and water found together, before the bed is searched."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from survey.adjust import refine
+from survey.adjust.adjustment import ARRAYS, JSON, read_adjustment, write_adjustment
+from survey.adjust.written import CAMERAS, MODEL, write_cameras
+
+if TYPE_CHECKING:
+    from survey.run.job import Job
+
+FILES = (JSON, ARRAYS, CAMERAS, *MODEL)
+
+
+def adjust_block(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
+    """Adjust the survey."""
+    with job.progress.stage("Adjustment", 1.0) as stage:
+        found = refine.adjust_survey(
+            job.survey, device=job.plan.device_asked, advance=stage.advance, free_water=job.calibrate_water
+        )
+    write_adjustment(folder, found)
+    write_cameras(folder, refine.apply_adjustment(job.survey, found))
+
+
+def use_adjustment(job: Job, folder: Path) -> None:
+    """Give the job the poses, lenses and water that were found."""
+    found = read_adjustment(folder)
+    survey = refine.apply_adjustment(job.survey, found)
+    sentences = [f"{row.name} {row.verdict}" for row in found.parameters]
+    for text in (*sentences, *found.notes):
+        job.progress.note(f"adjustment: {text}")
+    for text in found.warnings:
+        job.progress.warn(text)
+    job.take(
+        replace(survey, assumptions=survey.assumptions + found.notes, warnings=survey.warnings + found.warnings)
+    )

@@ -11,7 +11,7 @@ from small_survey import E0, LEVEL, N0, replaced, small_survey, unposed
 
 from geo.frames import LocalFrame
 from survey.folder.found import find_survey
-from survey.folder.pose_priors import priors_of_gps, sources
+from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors, priors_of_gps
 from survey.folder.survey import load_survey
 from survey.photos.cameras import View
 from survey.photos.xmp import Rtk
@@ -42,7 +42,7 @@ def test_poses_of_a_file_without_an_accuracy_are_of_unknown_accuracy(tmp_path):
     survey = load_survey(small_survey(tmp_path / "s", gps=True))
     prior = survey.priors["0001.jpg"]
     assert (prior.position_std, prior.rotation_std_deg, prior.source) == (None, None, "poses file")
-    assert sources(survey.priors) == "4 of 4 of unknown accuracy (poses file)"
+    assert accuracy_of_priors(survey.priors) == "4 of 4 positions of unknown accuracy (poses file)"
 
 
 @pytest.mark.parametrize("fall", [0.0, 20.0])
@@ -72,7 +72,11 @@ def test_without_a_number_in_survey_toml_a_fixed_receiver_tells_its_own_and_no_o
     assert [prior.source for prior in priors.values()] == ["XMP RTK", "GPS EXIF", "GPS EXIF", "GPS EXIF"]
     assert tuple(priors["0000.jpg"].position_std) == std
     assert priors["0001.jpg"].position_std is None
-    assert sources(priors).startswith("1 of 4 good to 0.011, 0.012 and 0.025 m east, north and up (XMP RTK); 3 of 4")
+    assert accuracy_of_gps(found.config.cameras, found.heads) == accuracy_of_priors(priors)
+    assert accuracy_of_priors(priors) == (
+        "1 of 4 positions good to 0.011, 0.012 and 0.025 m east, north and up (XMP RTK); 3 of 4 positions of unknown "
+        "accuracy (GPS EXIF)"
+    )
 
 
 def test_a_photograph_without_a_position_or_its_height_has_no_prior(tmp_path):
@@ -85,7 +89,8 @@ def test_a_photograph_without_a_position_or_its_height_has_no_prior(tmp_path):
     priors = priors_of_gps(found, frame, views_of(found, frame))
     assert priors["0003.jpg"].position is None
     assert priors["0003.jpg"].position_std is None
-    assert "1 of 4 without a position" in sources(priors)
+    assert "1 of 4 positions not known" in accuracy_of_priors(priors)
+    assert accuracy_of_gps(found.config.cameras, found.heads) == accuracy_of_priors(priors)
 
 
 def test_priors_make_a_key_that_changes_with_them(tmp_path):

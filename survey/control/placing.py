@@ -21,7 +21,7 @@ _EARTH_RADIUS_M = 6.371e6
 
 
 def require_near(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) -> list[str]:
-    """Warnings about heights of points that their cameras can hardly see.
+    """Warnings about heights of points that their cameras can hardly see; none of no points.
 
     Parameters
     ----------
@@ -34,6 +34,8 @@ def require_near(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) ->
     ControlError
         If a point lies kilometres from all cameras; says so where its columns are swapped, or degrees.
     """
+    if not points:
+        return []
     for point in points:
         apart = _distance_m(np.array(point.place), cameras, crs)
         if apart <= _FARTHEST_M:

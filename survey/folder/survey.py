@@ -10,6 +10,7 @@ import numpy as np
 
 from geo.frames import LocalFrame
 from refract import FlatWater
+from survey.control.placing import require_near
 from survey.control.points import Checkpoint, Control
 from survey.errors import FILE_NAME, SurveyError
 from survey.folder import place
@@ -17,9 +18,11 @@ from survey.folder.camera_faults import angle_doubts, require_apart, require_foc
 from survey.folder.config import SurveyConfig, WaterConfig
 from survey.folder.control import place_control
 from survey.folder.found import Found, find_survey
+from survey.folder.mark_residuals import mark_doubts
 from survey.folder.pairing import pair, require_image, with_lenses, with_masks
 from survey.folder.plausible import doubts_of_places, require_true
 from survey.folder.pose_priors import PosePrior, priors_of_gps, priors_of_poses
+from survey.folder.start_height import start_doubts
 from survey.folder.unposed import solve_views
 from survey.photos.cameras import View
 from survey.photos.formats import read_points, read_poses
@@ -111,6 +114,7 @@ def load_survey(
     found = find_survey(Path(folder)) if found is None else found
     assumptions, warnings = list(found.assumptions), list(found.warnings)
     points: np.ndarray | None
+    posed = found.poses_path is not None
     if found.poses_path is None:
         frame, views, points, notes, doubts = solve_views(found, workspace, report)
         assumptions += notes
@@ -123,12 +127,13 @@ def load_survey(
     views = with_masks(found, sorted(views, key=lambda view: view.name), warnings)
     for view in views:
         require_image(view, found.heads[view.name])
-    posed = found.poses_path is not None
     control: Control | None = None
     checkpoints: tuple[Checkpoint, ...] = ()
     if found.control is not None:
-        centres = {view.name: view.camera.centre for view in views}
-        control, checkpoints = place_control(found.control, frame, centres, warnings)
+        if posed:
+            cameras_crs = frame.crs_from_local(np.array([view.camera.centre for view in views]))
+            warnings += require_near(found.control.points, cameras_crs, frame.crs)
+        control, checkpoints = place_control(found.control, frame, [view.name for view in views], warnings)
     priors = priors_of_poses(found.config.cameras, views) if posed else priors_of_gps(found, frame, views)
     config, water = place.water_in_local(found.config, frame, views, assumptions)
     require_true(frame, views, water, config)
@@ -136,6 +141,11 @@ def load_survey(
         warnings += require_focal_lengths({view.name: view.lens for view in views}, found.heads)
     warnings += require_apart(views, water)
     warnings += doubts_of_places(frame, views, water, found.heads)
+    if posed and control is not None:
+        warnings += mark_doubts(control, views, water)
+    if posed and water is not None:
+        over_water = {view.name: float(-water.depth(view.camera.centre)) for view in views}
+        warnings += start_doubts(over_water, found.heads)
     if found.poses_path is not None and found.poses_path.is_relative_to(found.folder):
         poses_name = found.poses_path.relative_to(found.folder).as_posix()
         config = replace(config, cameras=replace(config.cameras, poses=poses_name))

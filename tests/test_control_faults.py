@@ -48,8 +48,9 @@ FAULTS = {
     "unknown points": ({"points__csv": table(), "marks__csv": marks(("q",))}, "no point with coordinates is called q"),
     "unknown system": ({"points__csv": "# CoordinateSystem: PROJCS[\n" + table()}, "CoordinateSystem PROJCS.* is not"),
     "latin-1": ({"gcp_list__txt": odm().replace("p1", "Fähre").encode("latin-1")}, "is not UTF-8"),
+    "latin-1 under another name": ({"ground__txt": odm().replace("p1", "Fähre").encode("latin-1")}, "is not UTF-8"),
     "unknown kind": ({"points__txt": "abc\n"}, "is not a known kind of control file, expected markers"),
-    "binary": ({"points__txt": b"\x00\xff\xfe" * 50}, "is not a known kind of control file"),
+    "binary": ({"points__txt": b"\x00\xff\xfe" * 50}, "is not UTF-8"),
     "no markers": ({"m__xml": "<document/>"}, "has no markers"),
     "half of an XML": ({"m__xml": METASHAPE[:900]}, "is not whole XML"),
     "two chunks": (

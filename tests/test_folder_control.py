@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from control_files import METASHAPE, POINTS, odm, table, written
+from pyproj import Transformer
 from small_survey import E0, LEVEL, N0, TOML, camera_lines, said, small_survey, unposed, write_poses
 
 from geo.crs import parse_crs
@@ -92,19 +93,37 @@ def test_marks_in_photographs_without_a_pose_are_left_out_by_name(tmp_path):
     )
 
 
+SWAPPED = [(name, n, e, h) for name, e, n, h in POINTS]
+LAT_LON = [(name, *Transformer.from_crs("EPSG:25832", "EPSG:4326").transform(*place), h) for name, *place, h in POINTS]
+
+
 @pytest.mark.parametrize(
-    ("points", "words"),
+    ("points", "header", "words"),
     [
-        ([(name, n, e, h) for name, e, n, h in POINTS], "among them with easting and northing swapped; swap the two"),
-        ([("p", 10.17, 46.9, LEVEL)], "looks like longitude and latitude, expected ETRS89 / UTM zone 32N"),
-        ([*POINTS, ("far", E0 + 30e3, N0, LEVEL)], r"line 8: the point far at .* lies 30 km from the nearest camera"),
-        ([("far", 1e30, N0, LEVEL)], "line 2: the point far at 1e\\+30"),
+        (SWAPPED, "EPSG:25832", r"among them with easting and northing \(or .*\) swapped; swap the two columns"),
+        (LAT_LON, "EPSG:4326", "swapped; swap the two columns in the file"),
+        (
+            [("p", 10.17, 46.9, LEVEL)],
+            "EPSG:25832",
+            "looks like longitude and latitude, expected ETRS89 / UTM zone 32N",
+        ),
+        ([*POINTS, ("far", E0 + 30e3, N0, LEVEL)], "EPSG:25832", r"line 8: the point far at .* lies 30 km from the n"),
+        ([("far", 1e30, N0, LEVEL)], "EPSG:25832", r"line 2: the point far at 1e\+30"),
+        (POINTS, "EPSG:25833", r"line 2: the point p1 at .* lies \d+ km from the nearest camera"),
     ],
 )
-def test_points_far_from_the_cameras_are_refused_with_what_is_likely_wrong(tmp_path, points, words):
-    folder = with_control(tmp_path, gcp_list__txt=odm(points))
+def test_points_far_from_the_cameras_are_refused_with_what_is_likely_wrong(tmp_path, points, header, words):
+    folder = with_control(tmp_path, gcp_list__txt=odm(points, header))
     with pytest.raises(ControlError, match=words):
         load_survey(folder)
+
+
+def test_of_the_file_in_marks_only_the_marks_count(tmp_path):
+    moved = [(name, e + 0.5, n, h) for name, e, n, h in POINTS]
+    control = 'gcps = "points.csv"\nmarks = "markers.xml"'
+    survey = load_survey(with_control(tmp_path, control, points__csv=table(moved), markers__xml=METASHAPE))
+    assert [point.crs[0] for point in survey.control.points] == [e for _, e, _, _ in moved]
+    assert len(survey.control.marks) == 6
 
 
 def test_points_far_from_gps_positions_are_refused_before_structure_from_motion(tmp_path):

@@ -15,6 +15,7 @@ from survey.control.horizontal import in_crs
 from survey.control.points import Mark
 from survey.display.words import named
 from survey.errors import ControlError
+from survey.files.csv_table import text_lines
 from survey.photos.names import ImageNames
 
 # Asked in this order which of them a file is of; COORDINATES takes every .csv that MARKS does not.
@@ -59,6 +60,8 @@ def read_control(path: Path) -> Content:
         raise ControlError(f"{path} is empty, expected {_expected()}; write it again")
     known = next((known for known in FORMATS if known.recognises(path)), None)
     if known is None:
+        for _ in text_lines(path, ControlError):
+            pass  # not text: this says so
         raise ControlError(f"{path} is not a known kind of control file, expected {_expected()}; convert it")
     return known.read(path)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from pyproj import CRS
 
 from geo.frames import LocalFrame
-from survey.control.content import GivenPoint
+from survey.control.content import Content, GivenPoint
 from survey.control.placing import checkpoints_in_local, control_in_local, without_pose
 from survey.control.points import Checkpoint, Control
 from survey.control.reading import Gathered, gather, read_control
@@ -60,8 +60,10 @@ def find_control(
     checkpoints = () if config.checkpoints is None else read_checkpoints(folder / config.checkpoints)
     if not config.gcp_files:
         return FoundControl(config, None, checkpoints)
-    names = dict.fromkeys((*config.gcp_files, *(() if config.marks is None else (config.marks,))))
-    contents = [read_control(folder / name) for name in names]
+    contents = [read_control(folder / name) for name in config.gcp_files]
+    if config.marks is not None:
+        # Metashape's XML has coordinates too, which are not those that were asked for.
+        contents.append(Content(marks=read_control(folder / config.marks).marks))
     sizes = {name: head.size_px for name, head in heads.items()}
     gathered = gather(contents, crs, sizes, assumptions, warnings)
     return FoundControl(_with_stds(config, gathered, assumptions), gathered, (*checkpoints, *gathered.unmarked))

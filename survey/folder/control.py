@@ -85,13 +85,13 @@ def _with_stds(config: ControlConfig, gathered: Gathered, assumptions: list[str]
 
 
 def place_control(
-    found: FoundControl, frame: LocalFrame, views: Sequence[str], warnings: list[str]
+    found: FoundControl | None, frame: LocalFrame, views: Sequence[str], warnings: list[str]
 ) -> tuple[Control | None, tuple[Checkpoint, ...]]:
     """Control and check points in the local frame of the views.
 
     Parameters
     ----------
-    found : FoundControl
+    found : FoundControl or None
     frame : LocalFrame
     views : names of those with a pose
     warnings : list of sentences
@@ -102,6 +102,8 @@ def place_control(
     ControlError
         If a point does not lie on the map of crs.
     """
+    if found is None:
+        return None, ()
     checkpoints = checkpoints_in_local(found.checkpoints, frame)
     if found.gathered is None:
         return None, checkpoints

@@ -118,11 +118,11 @@ def load_survey(
         frame, views, points, notes, doubts = solve_views(found, workspace, report)
         assumptions += notes
         warnings += doubts
-        priors = priors_of_gps(found, frame, views)
     else:
         frame, views, points = _views_of_file(found, found.poses_path, assumptions, warnings)
-        priors = priors_of_poses(found.config.cameras, views)
     views = with_masks(found, sorted(views, key=lambda view: view.name), warnings)
+    by_gps = found.poses_path is None
+    priors = priors_of_gps(found, frame, views) if by_gps else priors_of_poses(found.config.cameras, views)
     for view in views:
         require_image(view, found.heads[view.name])
     control, checkpoints = place_control(found.control, frame, [view.name for view in views], warnings)

@@ -15,6 +15,7 @@ from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors, prior
 from survey.folder.survey import load_survey
 from survey.photos.cameras import View
 from survey.photos.xmp import Rtk
+from survey.sfm.gps import gps_positions
 from survey.sfm.solve import _sensors
 from survey.stage_key import stage_key
 
@@ -55,6 +56,11 @@ def test_gps_positions_are_in_the_frame_of_the_views_however_far_it_was_lowered(
     expected = [[E0 + 3.0 * i, N0 - 2.0 * i, LEVEL + 20.0] + aside[i % 2] for i in range(4)]
     local = np.array([prior.position for prior in priors.values()])
     assert np.abs(local - frame.local_from_crs(expected)).max() < ROUNDING_M
+    # As the residuals of structure from motion have it: straight down from the frame of the positions.
+    gps = gps_positions(found.heads, found.crs, "crs")
+    lowered = LocalFrame(found.crs, (*gps.frame.origin[:2], gps.frame.origin[2] - fall))
+    below = priors_of_gps(found, lowered, views_of(found, lowered))
+    assert np.abs(below["0002.jpg"].position - (gps.local["0002.jpg"] + [0.0, 0.0, fall])).max() < ROUNDING_M
     # Nine metres from the origin, local and crs differ by scale and convergence only.
     assert np.abs(local[:, 2] - fall).max() < 1e-3
     assert {prior.source for prior in priors.values()} == {"survey.toml"}

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
+from geo.crs import is_geographic
 from survey.control import gcp_list, metashape_xml, tables
 from survey.control.content import Content, GivenMark, GivenPoint
 from survey.control.horizontal import in_crs
@@ -107,7 +108,7 @@ def _points(given: Sequence[GivenPoint], crs: CRS) -> dict[str, GivenPoint]:
             "[control] gcps names no file with coordinates of points, expected name,easting,northing,height; name one "
             "beside the marks"
         )
-    same = _SAME_DEG if crs.is_geographic else _SAME_M
+    same = _SAME_DEG if is_geographic(crs) else _SAME_M
     points: dict[str, GivenPoint] = {}
     for point in given:
         first = points.setdefault(point.name, point)

@@ -11,10 +11,12 @@ from small_survey import E0, LEVEL, N0, replaced, small_survey, unposed
 
 from geo.frames import LocalFrame
 from survey.folder.found import find_survey
-from survey.folder.pose_priors import priors_of_gps, sources
+from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors, priors_of_gps
 from survey.folder.survey import load_survey
 from survey.photos.cameras import View
 from survey.photos.xmp import Rtk
+from survey.sfm.gps import gps_positions
+from survey.sfm.solve import _sensors
 from survey.stage_key import stage_key
 
 # Twice the way from crs to local is exact to 2e-8 m, and seconds of arc in EXIF have seven digits: 3 micrometres.
@@ -42,7 +44,7 @@ def test_poses_of_a_file_without_an_accuracy_are_of_unknown_accuracy(tmp_path):
     survey = load_survey(small_survey(tmp_path / "s", gps=True))
     prior = survey.priors["0001.jpg"]
     assert (prior.position_std, prior.rotation_std_deg, prior.source) == (None, None, "poses file")
-    assert sources(survey.priors) == "4 of 4 of unknown accuracy (poses file)"
+    assert accuracy_of_priors(survey.priors) == "4 of 4 positions of unknown accuracy (poses file)"
 
 
 @pytest.mark.parametrize("fall", [0.0, 20.0])
@@ -54,6 +56,11 @@ def test_gps_positions_are_in_the_frame_of_the_views_however_far_it_was_lowered(
     expected = [[E0 + 3.0 * i, N0 - 2.0 * i, LEVEL + 20.0] + aside[i % 2] for i in range(4)]
     local = np.array([prior.position for prior in priors.values()])
     assert np.abs(local - frame.local_from_crs(expected)).max() < ROUNDING_M
+    # As the residuals of structure from motion have it: straight down from the frame of the positions.
+    gps = gps_positions(found.heads, found.crs, "crs")
+    lowered = LocalFrame(found.crs, (*gps.frame.origin[:2], gps.frame.origin[2] - fall))
+    below = priors_of_gps(found, lowered, views_of(found, lowered))
+    assert np.abs(below["0002.jpg"].position - (gps.local["0002.jpg"] + [0.0, 0.0, fall])).max() < ROUNDING_M
     # Nine metres from the origin, local and crs differ by scale and convergence only.
     assert np.abs(local[:, 2] - fall).max() < 1e-3
     assert {prior.source for prior in priors.values()} == {"survey.toml"}
@@ -72,7 +79,11 @@ def test_without_a_number_in_survey_toml_a_fixed_receiver_tells_its_own_and_no_o
     assert [prior.source for prior in priors.values()] == ["XMP RTK", "GPS EXIF", "GPS EXIF", "GPS EXIF"]
     assert tuple(priors["0000.jpg"].position_std) == std
     assert priors["0001.jpg"].position_std is None
-    assert sources(priors).startswith("1 of 4 good to 0.011, 0.012 and 0.025 m east, north and up (XMP RTK); 3 of 4")
+    assert accuracy_of_gps(found.config.cameras, found.heads) == accuracy_of_priors(priors)
+    assert accuracy_of_priors(priors) == (
+        "1 of 4 positions good to 0.011, 0.012 and 0.025 m east, north and up (XMP RTK); 3 of 4 positions of unknown "
+        "accuracy (GPS EXIF)"
+    )
 
 
 def test_a_photograph_without_a_position_or_its_height_has_no_prior(tmp_path):
@@ -85,7 +96,8 @@ def test_a_photograph_without_a_position_or_its_height_has_no_prior(tmp_path):
     priors = priors_of_gps(found, frame, views_of(found, frame))
     assert priors["0003.jpg"].position is None
     assert priors["0003.jpg"].position_std is None
-    assert "1 of 4 without a position" in sources(priors)
+    assert "1 of 4 positions not known" in accuracy_of_priors(priors)
+    assert accuracy_of_gps(found.config.cameras, found.heads) == accuracy_of_priors(priors)
 
 
 def test_priors_make_a_key_that_changes_with_them(tmp_path):
@@ -95,3 +107,10 @@ def test_priors_make_a_key_that_changes_with_them(tmp_path):
 
     assert key_of("0.02") != key_of("0.03")
     assert key_of("0.02") == key_of("[0.02, 0.02, 0.02]")
+
+
+def test_photographs_of_two_cameras_get_a_lens_for_each(tmp_path):
+    found = find_survey(unposed(tmp_path / "s"))
+    heads = {name: replace(head, camera=f"camera {i % 2}") for i, (name, head) in enumerate(found.heads.items())}
+    sensors = _sensors(heads, {name: name for name in heads}, None)
+    assert [sensor.names for sensor in sensors] == [("0000.jpg", "0002.jpg"), ("0001.jpg", "0003.jpg")]

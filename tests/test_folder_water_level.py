@@ -64,6 +64,7 @@ def test_points_give_a_survey_its_level(tmp_path, key):
     (folder / "points.csv").write_text("easting,northing,height\n" + "\n".join(rows) + "\n")
     survey = load_survey(folder)
     assert survey.config.water.level_m == pytest.approx(LEVEL + 0.25, abs=2e-3)
+    assert f"+- {survey.config.water.level_std_m:.3f} from" in survey.assumptions[0]
     assert any(key in text for text in survey.assumptions)
     assert getattr(survey.config.water, key) is None
 

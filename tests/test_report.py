@@ -188,8 +188,8 @@ def test_report_json_keeps_its_names(report):
         "baselines": ["places", "views_per_place", "rows", "note"],
     }  # fmt: skip
     assert list(found) == [
-        "verdict", "survey", "water", "plan", "cloud", "comparison", "iho_s44", "baselines", "timings_s", "versions",
-        "settings", "assumptions", "warnings", "notes",
+        "verdict", "survey", "water", "plan", "cloud", "comparison", "iho_s44", "checkpoints", "baselines", "timings_s",
+        "versions", "settings", "assumptions", "warnings", "notes",
     ]  # fmt: skip
     assert list(found["verdict"]["gates"][0]) == ["name", "value", "limit", "unit", "passed", "sentence"]
     assert list(found["survey"]["crs"]) == ["name", "code", "unit", "height_unit"]

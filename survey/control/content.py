@@ -27,6 +27,8 @@ class GivenPoint:
     std_m : (east, north, up) [m] or None
         None where the file does not say it.
     is_check : bool
+    as_read : GivenPoint or None
+        The point as its file has it, once `place` was taken to the crs of the survey.
     """
 
     name: str
@@ -35,6 +37,7 @@ class GivenPoint:
     crs: CRS | None = None
     std_m: tuple[float, float, float] | None = None
     is_check: bool = False
+    as_read: GivenPoint | None = None
 
 
 @dataclass(frozen=True)

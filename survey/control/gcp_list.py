@@ -17,6 +17,8 @@ from survey.errors import ControlError
 from survey.files.csv_table import shortened, text_lines
 
 _UTM = re.compile(r"WGS\s*84\s+UTM\s+(\d{1,2})\s*([NS])", re.IGNORECASE)
+# OpenSfM's word for longitude and latitude.
+_WGS84 = re.compile(r"WGS\s*84", re.IGNORECASE)
 _EPSG = re.compile(r"EPSG:\s*(\d{1,9}(?:\+\d{1,9})?)", re.IGNORECASE)
 _FORM = "x y z px py image name"
 _NUMBERS = ("x", "y", "z", "px", "py")
@@ -36,7 +38,7 @@ def read_gcp_list(path: Path) -> Content:
         (n, line) for n, line in text_lines(path, ControlError) if line.strip() and not line.lstrip().startswith("#")
     ]
     if not lines:
-        raise ControlError(f"{path} is empty, expected a line with its CRS, then lines {_FORM}")
+        raise ControlError(f"{path} is empty, expected a line with its CRS, then lines {_FORM}; write it again")
     number, header = lines[0]
     crs = _crs_of(header.strip(), f"{path}, line {number}")
     name_of: dict[tuple[float, ...], str] = {}
@@ -45,7 +47,7 @@ def read_gcp_list(path: Path) -> Content:
         where = f"{path}, line {number}"
         values, image, words = _parts(line, where)
         place = (values[0], values[1], values[2])
-        name = words[0] if words else name_of.setdefault(place, f"point {len(name_of) + 1}")
+        name = words[0] if words else name_of.setdefault(place, f"{path.stem} {len(name_of) + 1}")
         is_check = len(words) > 1 and _is_check(words[1])
         points.append(GivenPoint(name, where, place, crs, is_check=is_check))
         marks.append(GivenMark(name, image, where, (values[3] + _HALF_A_PIXEL, values[4] + _HALF_A_PIXEL)))
@@ -78,6 +80,8 @@ def _is_check(word: str) -> bool:
 
 
 def _crs_of(header: str, where: str) -> CRS:
+    if _WGS84.fullmatch(header):
+        return CRS.from_epsg(4326)
     utm, epsg = _UTM.fullmatch(header), _EPSG.fullmatch(header)
     said = f'{where}: "{shortened(header)}"'
     form = 'e.g. "EPSG:25832", "WGS84 UTM 32N" or "+proj=utm +zone=32 +datum=WGS84"'
@@ -110,7 +114,7 @@ def _is_gcp_list(path: Path) -> bool:
     except ControlError:
         return False
     is_of_points = len(first.split()) >= 6 and all(math.isfinite(_number(cell)) for cell in first.split()[:5])
-    return bool(_UTM.fullmatch(first) or _EPSG.fullmatch(first) or "+proj" in first or is_of_points)
+    return is_of_points or "+proj" in first or any(known.fullmatch(first) for known in (_UTM, _EPSG, _WGS84))
 
 
 FORMAT = ControlFormat(

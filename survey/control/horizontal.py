@@ -41,8 +41,18 @@ def in_crs(points: Sequence[GivenPoint], crs: CRS, assumptions: list[str]) -> li
                     f"{source.name} and of {crs.name}; correct the coordinates, their order (easting or longitude "
                     "first) or the CRS of the file"
                 )
-            done[i] = replace(points[i], place=tuple(place), crs=None)
+            done[i] = replace(points[i], place=tuple(place), crs=None, as_read=points[i])
     return done
+
+
+def swapped(point: GivenPoint, crs: CRS) -> GivenPoint | None:
+    """A point in crs with the first two numbers of its file swapped; None where that is not on the map."""
+    given = point.as_read or point
+    first, second, height = given.place
+    try:
+        return in_crs([replace(given, place=(second, first, height))], crs, [])[0]
+    except ControlError:
+        return None
 
 
 def _require_heights(source: CRS, crs: CRS, first: GivenPoint) -> None:

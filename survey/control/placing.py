@@ -11,6 +11,7 @@ from pyproj import CRS
 from geo.crs import height_unit_m, horizontal_unit, is_geographic
 from geo.frames import LocalFrame
 from survey.control.content import GivenPoint
+from survey.control.horizontal import swapped
 from survey.control.points import Checkpoint, Control, ControlPoint, Mark
 from survey.control.reading import Gathered
 from survey.errors import ControlError
@@ -21,7 +22,7 @@ _EARTH_RADIUS_M = 6.371e6
 
 
 def require_near(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) -> list[str]:
-    """Warnings about heights of points that their cameras can hardly see.
+    """Warnings about heights of points that their cameras can hardly see; none of no points.
 
     Parameters
     ----------
@@ -34,16 +35,19 @@ def require_near(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) ->
     ControlError
         If a point lies kilometres from all cameras; says so where its columns are swapped, or degrees.
     """
+    if not points:
+        return []
     for point in points:
         apart = _distance_m(np.array(point.place), cameras, crs)
         if apart <= _FARTHEST_M:
             continue
-        east, north, height = point.place
+        east, north, _ = point.place
         said = f"{point.where}: the point {point.name[:40]} at {east:.10g}, {north:.10g}"
-        if _distance_m(np.array([north, east, height]), cameras, crs) <= _FARTHEST_M:
+        other = swapped(point, crs)
+        if other is not None and _distance_m(np.array(other.place), cameras, crs) <= _FARTHEST_M:
             raise ControlError(
-                f"{said} lies {_km(apart)} from the cameras, and among them with easting and northing swapped; swap "
-                "the two columns (or the two CRS axes) in the file"
+                f"{said} lies {_km(apart)} from the cameras, and among them with easting and northing (or longitude "
+                "and latitude) swapped; swap the two columns in the file"
             )
         middle = np.median(cameras, axis=0)
         if not is_geographic(crs) and abs(east) <= 180.0 and abs(north) <= 90.0:

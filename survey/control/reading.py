@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
 
+from geo.crs import is_geographic
 from survey.control import gcp_list, metashape_xml, tables
 from survey.control.content import Content, GivenMark, GivenPoint
 from survey.control.horizontal import in_crs
 from survey.control.points import Mark
 from survey.display.words import named
 from survey.errors import ControlError
+from survey.files.csv_table import text_lines
 from survey.photos.names import ImageNames
 
 # Asked in this order which of them a file is of; COORDINATES takes every .csv that MARKS does not.
-FORMATS = (metashape_xml.FORMAT, tables.MARKS, tables.COORDINATES, gcp_list.FORMAT)
+FORMATS = (metashape_xml.FORMAT, gcp_list.FORMAT, tables.MARKS, tables.COORDINATES)
 # Two files may round the coordinates of one point differently.
 _SAME_M, _SAME_DEG = 1e-3, 1e-8
 # The least number of points that fix place, tilt and scale.
@@ -35,10 +37,13 @@ class Gathered:
         Each name once, each with a mark at least.
     marks : tuple of Mark
         In order of points and of photographs.
+    unmarked : tuple of GivenPoint
+        Check points that no photograph needs to show.
     """
 
     points: tuple[GivenPoint, ...]
     marks: tuple[Mark, ...]
+    unmarked: tuple[GivenPoint, ...] = ()
 
 
 def read_control(path: Path) -> Content:
@@ -56,7 +61,9 @@ def read_control(path: Path) -> Content:
         raise ControlError(f"{path} is empty, expected {_expected()}; write it again")
     known = next((known for known in FORMATS if known.recognises(path)), None)
     if known is None:
-        raise ControlError(f"{path} is not a known kind of control file, expected {_expected()}")
+        for _ in text_lines(path, ControlError):
+            pass  # not text: this says so
+        raise ControlError(f"{path} is not a known kind of control file, expected {_expected()}; convert it")
     return known.read(path)
 
 
@@ -85,12 +92,14 @@ def gather(
     points = _points(in_crs([point for content in contents for point in content.points], crs, assumptions), crs)
     marks = _marks([mark for content in contents for mark in content.marks], points, sizes, warnings)
     marked = {mark.point for mark in marks}
-    unmarked = [name for name in points if name not in marked]
-    warnings += named(unmarked, "control point", "without a mark in a photograph, left out")
+    unmarked = [point for name, point in points.items() if name not in marked]
+    lost = [f"{point.name} ({point.where})" for point in unmarked if not point.is_check]
+    warnings += named(lost, "control point", "without a mark in a photograph, left out")
     kept = tuple(point for name, point in points.items() if name in marked)
     _doubt(kept, warnings)
     order = {point.name: i for i, point in enumerate(kept)}
-    return Gathered(kept, tuple(sorted(marks, key=lambda mark: (order[mark.point], mark.view))))
+    marks.sort(key=lambda mark: (order[mark.point], mark.view))
+    return Gathered(kept, tuple(marks), tuple(point for point in unmarked if point.is_check))
 
 
 def _points(given: Sequence[GivenPoint], crs: CRS) -> dict[str, GivenPoint]:
@@ -99,7 +108,7 @@ def _points(given: Sequence[GivenPoint], crs: CRS) -> dict[str, GivenPoint]:
             "[control] gcps names no file with coordinates of points, expected name,easting,northing,height; name one "
             "beside the marks"
         )
-    same = _SAME_DEG if crs.is_geographic else _SAME_M
+    same = _SAME_DEG if is_geographic(crs) else _SAME_M
     points: dict[str, GivenPoint] = {}
     for point in given:
         first = points.setdefault(point.name, point)
@@ -110,6 +119,8 @@ def _points(given: Sequence[GivenPoint], crs: CRS) -> dict[str, GivenPoint]:
                 f"{point.where}: the point {point.name[:40]} is at {_shown(point)}, but at {_shown(first)} in "
                 f"{first.where}; correct one of them, or give one another name"
             )
+        if point.is_check:
+            points[point.name] = replace(first, is_check=True)
     return points
 
 

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+
+from pyproj import CRS
+from pyproj.exceptions import CRSError
 
 from survey.control.content import Content, ControlFormat, GivenMark, GivenPoint, is_check_role, require_std
 from survey.errors import ControlError
-from survey.files.csv_table import Row, column_names, read_table
+from survey.files.csv_table import Row, column_names, read_table, shortened, text_lines
 
 _PLACE = ("easting", "northing", "height")
 _STDS = ("std_east", "std_north", "std_height")
+# How Metashape begins the line with its CRS.
+_CRS_COMMENT = re.compile(r"#\s*CoordinateSystem:\s*(.+)", re.IGNORECASE)
 # What other programs call the columns.
 _POINT_SYNONYMS = {
     **dict.fromkeys(("label", "point", "gcp", "id", "point name", "point_name", "#label"), "name"),
@@ -17,6 +23,7 @@ _POINT_SYNONYMS = {
     **dict.fromkeys(("n", "north", "y", "y/northing", "y/north", "y/latitude", "latitude", "lat"), "northing"),
     **dict.fromkeys(("h", "z", "z/altitude", "z/height", "altitude", "elevation", "up"), "height"),
     **dict.fromkeys(("accuracy", "sigma", "accuracy_x/y/z_(m)", "accuracy_(m)", "std_m"), "std"),
+    **dict.fromkeys(("accuracy_x/y_(m)", "accuracy_x/y/_(m)"), "std_horizontal"),
     **dict.fromkeys(("std_e", "accuracy_x_(m)", "accuracy_x/easting_(m)", "accuracy_x"), "std_east"),
     **dict.fromkeys(("std_n", "accuracy_y_(m)", "accuracy_y/northing_(m)", "accuracy_y"), "std_north"),
     **dict.fromkeys(("std_h", "std_up", "accuracy_z_(m)", "accuracy_z/altitude_(m)", "accuracy_z"), "std_height"),
@@ -40,9 +47,10 @@ def read_coordinates(path: Path) -> Content:
     ControlError
         If a column is missing, a value is no finite number, or a role or an accuracy cannot be.
     """
-    columns, optional = ("name", *_PLACE), ("std", *_STDS, "role", "enable")
+    columns, optional = ("name", *_PLACE), ("std", "std_horizontal", *_STDS, "role", "enable")
     rows = read_table(path, columns, optional=optional, synonyms=_POINT_SYNONYMS, error=ControlError)
-    return Content(points=tuple(_point(row) for row in rows))
+    crs = _crs_of(path)
+    return Content(points=tuple(_point(row, crs) for row in rows))
 
 
 def read_marks(path: Path) -> Content:
@@ -66,21 +74,43 @@ def read_checkpoints(path: Path) -> tuple[GivenPoint, ...]:
     Raises
     ------
     ControlError
-        If the file has no points, or as `read_coordinates`.
+        If the file has no points or one of them twice, or as `read_coordinates`.
     """
     rows = read_table(path, _PLACE, optional=("name",), synonyms=_POINT_SYNONYMS, error=ControlError)
     if not rows:
         raise ControlError(f"{path} has no check points, expected lines name,easting,northing,height; add them")
-    return tuple(
-        GivenPoint(row.cells.get("name") or str(i), row.where, _place(row), is_check=True)
-        for i, row in enumerate(rows, start=1)
-    )
+    points: dict[str, GivenPoint] = {}
+    for i, row in enumerate(rows, start=1):
+        point = GivenPoint(row.cells.get("name") or str(i), row.where, _place(row), is_check=True)
+        first = points.setdefault(point.name, point)
+        if first is not point:
+            raise ControlError(
+                f"{row.where}: the check point {shortened(point.name)} was there before, in {first.where}; remove one, "
+                "or give it another name"
+            )
+    return tuple(points.values())
 
 
-def _point(row: Row) -> GivenPoint:
+def _point(row: Row, crs: CRS | None) -> GivenPoint:
     # Metashape adjusts to the points that are ticked, and reports on the others.
-    is_check = is_check_role(row.cells.get("role", ""), row.where) or row.number("enable", default=1.0) == 0.0
-    return GivenPoint(row.text("name"), row.where, _place(row), std_m=_std(row), is_check=is_check)
+    is_ticked = row.cells.get("enable", "").casefold() not in ("0", "false")
+    is_check = is_check_role(row.cells.get("role", ""), row.where) or not is_ticked
+    return GivenPoint(row.text("name"), row.where, _place(row), crs, std_m=_std(row), is_check=is_check)
+
+
+def _crs_of(path: Path) -> CRS | None:
+    """The CRS in Metashape's comment; None where there is none, or one of the site."""
+    lines = (line.strip() for _, line in text_lines(path, ControlError))
+    found = next((match[1] for line in lines if (match := _CRS_COMMENT.match(line))), None)
+    if found is None or "LOCAL_CS" in found:
+        return None
+    try:
+        return CRS.from_user_input(found.strip())
+    except CRSError as error:
+        raise ControlError(
+            f"{path}: the CoordinateSystem {shortened(found)} is not a known CRS; correct the comment, or remove it "
+            "where coordinates are in the crs of survey.toml"
+        ) from error
 
 
 def _place(row: Row) -> tuple[float, float, float]:
@@ -89,9 +119,10 @@ def _place(row: Row) -> tuple[float, float, float]:
 
 
 def _std(row: Row) -> tuple[float, float, float] | None:
-    if all(row.cells.get(name) for name in _STDS):
-        east, north, up = (row.number(name) for name in _STDS)
-        return require_std((east, north, up), row.where)
+    for names in (_STDS, ("std_horizontal", "std_horizontal", "std_height")):
+        if all(row.cells.get(name) for name in names):
+            east, north, up = (row.number(name) for name in names)
+            return require_std((east, north, up), row.where)
     if row.cells.get("std"):
         std = row.number("std")
         return require_std((std, std, std), row.where)

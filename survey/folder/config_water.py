@@ -8,6 +8,7 @@ from survey.errors import ConfigError
 from survey.files.toml_table import key
 from survey.folder.config_std import require_std
 
+MOST_LEVEL_STD_M = 10.0
 _ANY_LEVEL = ("level_m", "shoreline", "gnss_points", "gauge")
 
 
@@ -36,7 +37,9 @@ class WaterConfig:
     slope_std: float | None = None
 
     def __post_init__(self):
-        require_std("[water] level_std_m", self.level_std_m, 10.0, "metres", "a staff has about 0.02, a gauge 0.01")
+        require_std(
+            "[water] level_std_m", self.level_std_m, MOST_LEVEL_STD_M, "metres", "a staff has about 0.02, a gauge 0.01"
+        )
         require_std("[water] index_std", self.index_std, 0.1, "", "temperature and salinity give the index to 0.0005")
         require_std("[water] slope_std", self.slope_std, 0.2, "metres per metre", "a river slopes by 0.001 to 0.01")
         self._require_one_level()

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from pyproj import CRS
 
 from geo.frames import LocalFrame
-from survey.control.content import GivenPoint
-from survey.control.placing import checkpoints_in_local, control_in_local, require_near, without_pose
+from survey.control.content import Content, GivenPoint
+from survey.control.placing import checkpoints_in_local, control_in_local, without_pose
 from survey.control.points import Checkpoint, Control
 from survey.control.reading import Gathered, gather, read_control
 from survey.control.tables import read_checkpoints
@@ -61,11 +60,13 @@ def find_control(
     checkpoints = () if config.checkpoints is None else read_checkpoints(folder / config.checkpoints)
     if not config.gcp_files:
         return FoundControl(config, None, checkpoints)
-    names = dict.fromkeys((*config.gcp_files, *(() if config.marks is None else (config.marks,))))
-    contents = [read_control(folder / name) for name in names]
+    contents = [read_control(folder / name) for name in config.gcp_files]
+    if config.marks is not None:
+        # Metashape's XML has coordinates too, which are not those that were asked for.
+        contents.append(Content(marks=read_control(folder / config.marks).marks))
     sizes = {name: head.size_px for name, head in heads.items()}
     gathered = gather(contents, crs, sizes, assumptions, warnings)
-    return FoundControl(_with_stds(config, gathered, assumptions), gathered, checkpoints)
+    return FoundControl(_with_stds(config, gathered, assumptions), gathered, (*checkpoints, *gathered.unmarked))
 
 
 def _with_stds(config: ControlConfig, gathered: Gathered, assumptions: list[str]) -> ControlConfig:
@@ -84,26 +85,25 @@ def _with_stds(config: ControlConfig, gathered: Gathered, assumptions: list[str]
 
 
 def place_control(
-    found: FoundControl, frame: LocalFrame, centres: Mapping[str, np.ndarray], warnings: list[str]
+    found: FoundControl | None, frame: LocalFrame, views: Sequence[str], warnings: list[str]
 ) -> tuple[Control | None, tuple[Checkpoint, ...]]:
     """Control and check points in the local frame of the views.
 
     Parameters
     ----------
-    found : FoundControl
+    found : FoundControl or None
     frame : LocalFrame
-    centres : name of a view to (3,) [m], local
-        Of the cameras.
+    views : names of those with a pose
     warnings : list of sentences
         Added to.
 
     Raises
     ------
     ControlError
-        If a point lies kilometres from all cameras or not on the map of crs.
+        If a point does not lie on the map of crs.
     """
-    if found.points:
-        warnings += require_near(found.points, frame.crs_from_local(np.array(list(centres.values()))), frame.crs)
+    if found is None:
+        return None, ()
     checkpoints = checkpoints_in_local(found.checkpoints, frame)
     if found.gathered is None:
         return None, checkpoints
@@ -111,7 +111,6 @@ def place_control(
     if std_m is None or marks_std_px is None:
         raise ValueError("the standard deviations of control are not filled in; expected what `find_control` returns")
     std = (std_m[0], std_m[0], std_m[1]) if isinstance(std_m, tuple) else (std_m, std_m, std_m)
-    views = list(centres)
     warnings += named(
         without_pose(found.gathered.marks, views), "photograph", "with marks of control has no pose, its marks left out"
     )

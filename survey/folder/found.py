@@ -18,6 +18,8 @@ from survey.photos.formats import find_poses, find_unread
 from survey.photos.images import list_images
 
 MIN_VIEWS = 3
+# Where OpenDroneMap looks for control points.
+_GCP_LIST = "gcp_list.txt"
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,13 @@ def find_survey(folder: Path) -> Found:
         warnings += [
             f"{name} is not read; export a COLMAP model or cameras.csv instead" for name in find_unread(folder)
         ]
+    if config.cameras.rotation_std_deg is not None and poses_path is None:
+        warnings.append(
+            "[cameras] rotation_std_deg is not used: it is that of poses from a file, and structure from motion finds "
+            "these; remove it, or name the poses in [cameras] poses"
+        )
+    if not config.control.gcp_files and (folder / _GCP_LIST).is_file():
+        warnings.append(f'{_GCP_LIST} is not used; for its control points write gcps = "{_GCP_LIST}" in [control]')
     control = None
     if config.control.files:
         control = find_control(folder, config.control, crs, heads, assumptions, warnings)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -63,25 +64,48 @@ def priors_of_gps(found: Found, frame: LocalFrame, views: Sequence[View]) -> dic
     return {view.name: _by_gps(cameras, local.get(view.name), found.heads[view.name]) for view in views}
 
 
+def _std_by_exif(cameras: CamerasConfig, head: Exif) -> tuple[np.ndarray | None, str]:
+    """The standard deviation (3,) [m] of a GPS position, and where it comes from; None where nothing tells it."""
+    if cameras.position_std_m is not None:
+        return np.array(per_axis(cameras.position_std_m)), "survey.toml"
+    if head.rtk is not None and head.rtk.flag == _RTK_FIXED:
+        return np.array(head.rtk.std_m), "XMP RTK"
+    return None, "GPS EXIF"
+
+
 def _by_gps(cameras: CamerasConfig, position: np.ndarray | None, head: Exif) -> PosePrior:
     if position is None:
         return PosePrior(None, None, None, "none")
-    if cameras.position_std_m is not None:
-        return PosePrior(position, np.array(per_axis(cameras.position_std_m)), None, "survey.toml")
-    if head.rtk is not None and head.rtk.flag == _RTK_FIXED:
-        return PosePrior(position, np.array(head.rtk.std_m), None, "XMP RTK")
-    return PosePrior(position, None, None, "GPS EXIF")
+    std, source = _std_by_exif(cameras, head)
+    return PosePrior(position, std, None, source)
 
 
-def sources(priors: Mapping[str, PosePrior]) -> str:
-    """How many priors come from where, with the median of their standard deviations, in one sentence."""
+def accuracy_of_priors(priors: Mapping[str, PosePrior]) -> str:
+    """How well the positions of views are known, and where from, in one sentence."""
+    return _accuracy([(prior.position_std, prior.source) for prior in priors.values()])
+
+
+def accuracy_of_gps(cameras: CamerasConfig, heads: Mapping[str, Exif]) -> str:
+    """How well the positions in EXIF will be known, in one sentence, before structure from motion."""
+    given = [head.lat_lon_height for head in heads.values()]
+    known = [position is not None and math.isfinite(position[2]) for position in given]
+    return _accuracy(
+        [
+            _std_by_exif(cameras, head) if is_known else (None, "none")
+            for head, is_known in zip(heads.values(), known, strict=True)
+        ]
+    )
+
+
+def _accuracy(all_stds: Sequence[tuple[np.ndarray | None, str]]) -> str:
+    """How many standard deviations come from where, with their medians."""
     parts = []
-    for source in dict.fromkeys(prior.source for prior in priors.values()):
-        stds = [prior.position_std for prior in priors.values() if prior.source == source]
-        count = f"{len(stds)} of {len(priors)}"
+    for source in dict.fromkeys(source for _, source in all_stds):
+        stds = [std for std, own in all_stds if own == source]
+        count = f"{len(stds)} of {len(all_stds)} positions"
         known = [std for std in stds if std is not None]
         if source == "none":
-            parts.append(f"{count} without a position")
+            parts.append(f"{count} not known")
         elif known:
             east, north, up = np.median(known, axis=0)
             parts.append(f"{count} good to {east:.3g}, {north:.3g} and {up:.3g} m east, north and up ({source})")

@@ -10,6 +10,7 @@ import numpy as np
 
 from geo.frames import LocalFrame
 from refract import FlatWater
+from survey.control.placing import require_near
 from survey.control.points import Checkpoint, Control
 from survey.errors import FILE_NAME, SurveyError
 from survey.folder import place
@@ -17,9 +18,11 @@ from survey.folder.camera_faults import angle_doubts, require_apart, require_foc
 from survey.folder.config import SurveyConfig, WaterConfig
 from survey.folder.control import place_control
 from survey.folder.found import Found, find_survey
+from survey.folder.mark_residuals import mark_doubts
 from survey.folder.pairing import pair, require_image, with_lenses, with_masks
 from survey.folder.plausible import doubts_of_places, require_true
 from survey.folder.pose_priors import PosePrior, priors_of_gps, priors_of_poses
+from survey.folder.start_height import start_doubts
 from survey.folder.unposed import solve_views
 from survey.photos.cameras import View
 from survey.photos.formats import read_points, read_poses
@@ -124,26 +127,16 @@ def load_survey(
         assumptions += solved.assumptions
         warnings += solved.warnings
     else:
-        poses, points = pair(found, read_poses(found.poses_path), warnings), read_points(found.poses_path)
-        poses = with_lenses(found, poses, assumptions, warnings)
-        warnings += angle_doubts(poses)
-        frame, views = place.views_in_local(found, poses)
+        frame, views, points = _views_of_file(found, found.poses_path, assumptions, warnings)
     views = with_masks(found, sorted(views, key=lambda view: view.name), warnings)
+    by_gps = found.poses_path is None
+    priors = priors_of_gps(found, frame, views) if by_gps else priors_of_poses(found.config.cameras, views)
     for view in views:
         require_image(view, found.heads[view.name])
-    posed = found.poses_path is not None
-    control: Control | None = None
-    checkpoints: tuple[Checkpoint, ...] = ()
-    if found.control is not None:
-        centres = {view.name: view.camera.centre for view in views}
-        control, checkpoints = place_control(found.control, frame, centres, warnings)
-    priors = priors_of_poses(found.config.cameras, views) if posed else priors_of_gps(found, frame, views)
+    control, checkpoints = place_control(found.control, frame, [view.name for view in views], warnings)
     config, water = place.water_in_local(found.config, frame, views, assumptions)
     require_true(frame, views, water, config)
-    if found.poses_path is not None:
-        warnings += require_focal_lengths({view.name: view.lens for view in views}, found.heads)
-    warnings += require_apart(views, water)
-    warnings += doubts_of_places(frame, views, water, found.heads)
+    warnings += _doubts(found, frame, views, water, control)
     if found.poses_path is not None and found.poses_path.is_relative_to(found.folder):
         poses_name = found.poses_path.relative_to(found.folder).as_posix()
         config = replace(config, cameras=replace(config.cameras, poses=poses_name))
@@ -163,3 +156,38 @@ def load_survey(
         control=control,
         checkpoints=checkpoints,
     )
+
+
+def _views_of_file(
+    found: Found, poses_path: Path, assumptions: list[str], warnings: list[str]
+) -> tuple[LocalFrame, list[View], np.ndarray | None]:
+    """Local frame, views and points of a survey whose poses stand in a file."""
+    poses = pair(found, read_poses(poses_path), warnings)
+    points = read_points(poses_path)
+    poses = with_lenses(found, poses, assumptions, warnings)
+    warnings += angle_doubts(poses)
+    frame, views = place.views_in_local(found, poses)
+    if found.control is not None:
+        centres = np.array([view.camera.centre for view in views])
+        warnings += require_near(found.control.points, frame.crs_from_local(centres), frame.crs)
+    return frame, views, points
+
+
+def _doubts(
+    found: Found, frame: LocalFrame, views: list[View], water: FlatWater | None, control: Control | None
+) -> list[str]:
+    """Warnings about what is possible but more likely a mistake; a focal length comes first, as others follow from it.
+
+    What does not need poses was held against the GPS positions before structure from motion already.
+    """
+    posed = found.poses_path is not None
+    warnings = require_focal_lengths({view.name: view.lens for view in views}, found.heads) if posed else []
+    warnings += require_apart(views, water) + doubts_of_places(frame, views, water, found.heads)
+    if not posed:
+        return warnings
+    if control is not None:
+        warnings += mark_doubts(control, views, water)
+    if water is not None:
+        over_water = {view.name: float(-water.depth(view.camera.centre)) for view in views}
+        warnings += start_doubts(over_water, found.heads)
+    return warnings

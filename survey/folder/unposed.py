@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from refract.lens import Lens
 from survey.control.placing import require_near
@@ -16,6 +17,7 @@ from survey.errors import PosesError
 from survey.folder.camera_faults import require_focal_lengths
 from survey.folder.found import MIN_VIEWS, Found
 from survey.folder.plausible import require_level_fits_exif
+from survey.folder.start_height import start_doubts
 from survey.names import RUN_FOLDER, SFM_FOLDER
 from survey.photos.cameras import View
 from survey.photos.images import require_complete
@@ -58,18 +60,20 @@ def require_solvable(found: Found) -> list[str]:
     require_size(found.images, found.heads, cameras.size_px)
     focal = one_focal(cameras.focal_px)
     positions = gps_positions(found.heads, found.crs, cameras.gps_height)
-    require_area(np.array(list(positions.local.values())), MIN_STD_M)
-    if found.control is not None and found.control.points:
-        # What is only doubtful is said once there are poses.
-        cameras_crs = positions.frame.crs_from_local(np.array(list(positions.local.values())))
-        require_near(found.control.points, cameras_crs, found.crs)
+    local = np.array(list(positions.local.values()))
+    require_area(local, MIN_STD_M)
+    cameras_crs = positions.frame.crs_from_local(local)
+    warnings = [] if found.control is None else require_near(found.control.points, cameras_crs, found.crs)
+    if found.config.water is not None:
+        over_water = cameras_crs[:, 2] * height_unit_m(found.crs) - found.config.water.known_level_m
+        warnings += start_doubts(dict(zip(positions.local, over_water.tolist(), strict=True)), found.heads)
     for path in found.images.values():
         require_complete(path)
     if focal is None:
-        return []
+        return warnings
     sizes = {name: head.size_px for name, head in found.heads.items()}
     lenses = {name: Lens("SIMPLE_PINHOLE", (focal, 0.5 * w, 0.5 * h), w, h) for name, (w, h) in sizes.items()}
-    return require_focal_lengths(lenses, found.heads)
+    return warnings + require_focal_lengths(lenses, found.heads)
 
 
 def solve_views(found: Found, workspace: Path | None, report: Callable[[str], None] | None) -> SolvedViews:

@@ -19,6 +19,7 @@ import numpy as np
 from survey.errors import FILE_NAME, ConfigError
 from survey.files.csv_table import Row, read_table
 from survey.folder.config import SurveyConfig
+from survey.folder.config_water import MOST_LEVEL_STD_M
 from survey.photos.exif import Exif
 
 SOURCES = ("shoreline", "gnss_points", "gauge")
@@ -96,6 +97,7 @@ def with_level(folder: Path, config: SurveyConfig, heads: Mapping[str, Exif], no
         level_at=level_at,
         slope_east=fit.slope_east,
         slope_north=fit.slope_north,
+        level_std_m=water.level_std_m or min(std, MOST_LEVEL_STD_M),
         shoreline=None,
         gnss_points=None,
     )

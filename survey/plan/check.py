@@ -10,10 +10,12 @@ import numpy as np
 
 from geo.crs import height_unit_m
 from survey.display.quantities import length
+from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors
 from survey.folder.survey import Found, Survey, find_survey, load_survey
 from survey.folder.unposed import require_solvable
 from survey.names import RUN_FOLDER
 from survey.plan.bounds import require_seen
+from survey.plan.check_inputs import control_rows, mark_rows, water_stds
 from survey.plan.plan import Decision, Plan, device_decision, make_plan
 from survey.plan.workload import Workload, require_room, workload_of, workload_of_images
 
@@ -108,6 +110,9 @@ def _rows_of_survey(found: Found, survey: Survey, plan: Plan) -> list[tuple[str,
         ("pixels", f"{length(plan.gsd_m)} on the ground at the size that is worked on, median"),
         ("local frame", f"topocentric at {', '.join(f'{v:.10g}' for v in survey.frame.origin)}"),
         ("water", _water(survey)),
+        ("accuracy", accuracy_of_priors(survey.priors)),
+        *control_rows(found.control),
+        *mark_rows(survey),
     ]
     if survey.bounds is not None:
         e0, n0, e1, n1 = survey.bounds
@@ -124,7 +129,7 @@ def _water(survey: Survey) -> str:
     return (
         f"level {water.level_m:g} m at {east:.10g}, {north:.10g}, slope "
         f"{water.slope_east:g} east and {water.slope_north:g} north, index {water.refractive_index:g}; cameras "
-        f"{_range(-plane.depth(centres))} m over it"
+        f"{_range(-plane.depth(centres))} m over it{water_stds(water)}"
     )
 
 
@@ -146,6 +151,7 @@ def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]
             f"{len(places)} of {len(found.heads)} images have one in EXIF, heights {_range(heights)} m",
         ),
         ("poses", "none"),
+        ("accuracy", accuracy_of_gps(found.config.cameras, found.heads)),
     ]
     water = found.config.water
     if water is None:
@@ -155,9 +161,11 @@ def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]
         rows.append(
             (
                 "water",
-                f"level {water.level_m:g} m; by EXIF the cameras are {_range(heights - level)} m over it",
+                f"level {water.level_m:g} m; by EXIF the cameras are {_range(heights - level)} m over it"
+                f"{water_stds(water)}",
             )
         )
+    rows += control_rows(found.control)
     like = "heights in crs" if found.config.cameras.gps_height == "crs" else "ellipsoidal heights"
     sfm = Decision(
         "structure from motion",

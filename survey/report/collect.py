@@ -11,6 +11,7 @@ from survey.files.json_values import plain
 from survey.folder.survey import Survey
 from survey.photos.images import list_images
 from survey.report.baselines import baselines_of
+from survey.report.checkpoints import checkpoints_of
 from survey.report.facts import ReportFacts
 from survey.report.figures import CloudFigures, CrsFigures, Extent, ReportFigures, Spread, SurveyFigures, WaterFigures
 
@@ -37,6 +38,7 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
         assumptions=tuple(survey.assumptions),
         warnings=(*failed, *survey.warnings),
         notes=facts.notes,
+        checkpoints=checkpoints_of(survey, facts.bed.xyz, facts.plan.gsd_m),
     )
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from survey.compare.figures import Figures
 from survey.plan.plan import Plan
+from survey.report.checkpoints import CheckpointFigures
 from survey.report.verdict import Verdict
 
 
@@ -204,6 +205,8 @@ class ReportFigures:
         The effective settings, by section and key, as JSON holds them.
     assumptions, warnings, notes : tuple of str
         Sentences for the reader.
+    checkpoints : CheckpointFigures or None
+        None without check points.
     """
 
     verdict: Verdict | None
@@ -219,6 +222,7 @@ class ReportFigures:
     assumptions: tuple[str, ...]
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
+    checkpoints: CheckpointFigures | None = None
 
     @property
     def total_s(self) -> float:

@@ -54,7 +54,7 @@ def headline(verdict: Verdict | None, warnings: tuple[str, ...]) -> Headline:
 
 def cards(figures: ReportFigures) -> list[Card]:
     """The few numbers that matter most."""
-    return [*_of_cloud(figures), *_of_flight(figures), *_of_comparison(figures)]
+    return [*_of_cloud(figures), *_of_flight(figures), *_of_checkpoints(figures), *_of_comparison(figures)]
 
 
 def _of_cloud(figures: ReportFigures) -> list[Card]:
@@ -81,6 +81,14 @@ def _of_flight(figures: ReportFigures) -> list[Card]:
         Card("Photographs", count(survey.views_used), left_out),
         Card("Ground resolution", length(plan.gsd_m), f"from {number(plan.height_m, 1)} m above"),
     ]
+
+
+def _of_checkpoints(figures: ReportFigures) -> list[Card]:
+    if figures.checkpoints is None or not figures.checkpoints.groups:
+        return []
+    found = figures.checkpoints.groups[0]
+    detail = f"RMS at {found.num} of {len(figures.checkpoints.rows)}, mean {length(found.mean_m)}"
+    return [Card("Check points", length(found.rms_m), detail)]
 
 
 def _of_comparison(figures: ReportFigures) -> list[Card]:

@@ -20,6 +20,7 @@ def json_of(figures: ReportFigures) -> dict:
         "cloud": _cloud(figures.cloud),
         "comparison": comparison,
         "iho_s44": None if comparison is None else comparison.get("iho_s44"),
+        "checkpoints": figures.checkpoints,
         "baselines": figures.baselines,
         "timings_s": {**figures.timings_s, "total": figures.total_s},
         "versions": figures.versions,

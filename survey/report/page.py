@@ -70,6 +70,7 @@ def _sections(figures: ReportFigures) -> list[Section]:
     uncertainty = None if comparison is None else comparison.uncertainty
     return [
         Section("Against the reference", reference_tables.comparison(comparison)),
+        Section("At the check points", reference_tables.checkpoints(figures.checkpoints)),
         Section("Vertical uncertainty (IHO S-44)", reference_tables.iho_s44(uncertainty)),
         Section("What refraction would cost if ignored", reference_tables.baselines(figures.baselines)),
         Section("The cloud", survey_tables.cloud(figures.cloud, survey.crs)),

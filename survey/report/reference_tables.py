@@ -5,8 +5,9 @@ from __future__ import annotations
 from evaluation import Band, DistanceStatistics, Scores
 from survey.compare.figures import Figures, VerticalUncertainty
 from survey.compare.text import limits_label
-from survey.display.quantities import NO_BREAK, LengthUnit, count, is_known, length, share
+from survey.display.quantities import NO_BREAK, LengthUnit, count, is_known, length, number, share
 from survey.report.blocks import Block, Rows, Sentences, Table, Text
+from survey.report.checkpoints import CheckpointFigures
 from survey.report.figures import Baselines
 
 
@@ -101,6 +102,30 @@ def iho_s44(found: VerticalUncertainty | None) -> list[Block]:
         f"The error of 95 % of the {count(iho.n_points)} wet points is below {length(iho.error_95_m)} ({found.error})."
     )
     return [Text(said), Table(titles, rows, num_texts=2), Text(iho.note, is_soft=True)]
+
+
+def checkpoints(found: CheckpointFigures | None) -> list[Block]:
+    """The cloud at the check points, all together and each; nothing without check points."""
+    if found is None:
+        return []
+    unit = LengthUnit.of([row.difference_m for row in found.rows])
+    num_without = sum(row.difference_m is None for row in found.rows)
+    method = (
+        f"Height of the cloud less that of the check point, by the plane through the nearest points within "
+        f"{length(found.within_m)}; nothing is adjusted to check points."
+    )
+    if num_without:
+        method += f" {num_without} of {len(found.rows)} have no value: the cloud does not surround them."
+    groups = [
+        (group.name, count(group.num), *(unit.number(value) for value in (group.mean_m, group.rms_m, group.largest_m)))
+        for group in found.groups
+    ]
+    rows = [
+        (row.name, number(row.height, 3), number(row.depth_m, 3), unit.number(row.difference_m)) for row in found.rows
+    ]
+    statistics = ("check points", "compared", *(f"{name} [{unit.name}]" for name in ("mean", "RMS", "largest")))
+    each = ("check point", "height in crs", "depth [m]", f"difference [{unit.name}]")
+    return [Text(method), *([Table(statistics, groups)] if groups else []), Table(each, rows, heading="Each")]
 
 
 def baselines(found: Baselines | None) -> list[Block]:

@@ -1,0 +1,64 @@
+"""Rows of `check` about what an adjustment observes besides tie points: how well it is known, and by what."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from survey.folder.config import WaterConfig
+from survey.folder.control import FoundControl
+from survey.folder.mark_residuals import mark_residuals
+from survey.folder.survey import Survey
+
+
+def control_rows(control: FoundControl | None) -> list[tuple[str, str]]:
+    """What the files of [control] have; no rows where there are none."""
+    rows: list[tuple[str, str]] = []
+    if control is None:
+        return rows
+    if control.gathered is not None:
+        points, marks = control.gathered.points, control.gathered.marks
+        num_check = sum(point.is_check for point in points)
+        checks = f", {num_check} of them check points" if num_check else ""
+        seen = f"{len(marks)} marks in {len({mark.view for mark in marks})} images"
+        rows.append(("control", f"{len(points)} points{checks}, with {seen}; {_stds(control)}"))
+    if control.checkpoints:
+        rows.append(("check points", f"{len(control.checkpoints)}, which results are compared with"))
+    return rows
+
+
+def mark_rows(survey: Survey) -> list[tuple[str, str]]:
+    """How far the marks of control points lie from where the poses show these points; no row without control."""
+    if survey.control is None:
+        return []
+    away = mark_residuals(survey.control, survey.views, survey.water)
+    worst = survey.control.marks[int(np.argmax(np.nan_to_num(away, nan=np.inf)))]
+    return [
+        (
+            "marks",
+            f"{np.nanmedian(away):.1f} px (median) from where poses and lens show their points, at most "
+            f"{np.nanmax(away):.1f} px ({worst.point} in {worst.view})",
+        )
+    ]
+
+
+def _stds(control: FoundControl) -> str:
+    """How well points and marks are known, and by what."""
+    points = () if control.gathered is None else control.gathered.points
+    of_file = [point.std_m for point in points if point.std_m is not None]
+    parts = []
+    if of_file:
+        east, north, up = np.median(of_file, axis=0)
+        parts.append(f"{len(of_file)} good to {east:.3g}, {north:.3g} and {up:.3g} m (their file)")
+    if len(of_file) < len(points):
+        std_m = control.config.std_m
+        said = f"{std_m:g} m" if not isinstance(std_m, tuple) else f"{std_m[0]:g} m across and {std_m[1]:g} m in height"
+        parts.append(f"{len(points) - len(of_file)} good to {said} ([control] std_m)")
+    return f"{', '.join(parts)}; marks to {control.config.marks_std_px:g} px"
+
+
+def water_stds(water: WaterConfig) -> str:
+    """What [water] says of how well it is known, to follow its level; empty where it says nothing."""
+    known = {"level": water.level_std_m, "index": water.index_std, "slopes": water.slope_std}
+    units = {"level": " m", "index": "", "slopes": ""}
+    said = [f"{name} to {std:.3g}{units[name]}" for name, std in known.items() if std is not None]
+    return f"; known: {', '.join(said)} (survey.toml)" if said else ""

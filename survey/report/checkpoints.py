@@ -1,0 +1,131 @@
+"""The cloud of a run at the check points of its survey: its height there less theirs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from evaluation import height_at
+from survey.control.points import Checkpoint, ControlPoint
+from survey.folder.survey import Survey
+
+# Points of the cloud within this many ground sampling distances count. They lie 1.2 apart or so: within one, three
+# places of five have fewer than three points.
+WITHIN_GSD = 5.0
+
+
+@dataclass(frozen=True)
+class CheckpointRow:
+    """One check point.
+
+    Attributes
+    ----------
+    name : str
+    height : float, in crs
+    depth_m : float or None
+        Under the water, negative above; None for a dry survey.
+    difference_m : float or None
+        Height of the cloud less that of the check point; None where the cloud does not surround it.
+    """
+
+    name: str
+    height: float
+    depth_m: float | None
+    difference_m: float | None
+
+
+@dataclass(frozen=True)
+class CheckpointGroup:
+    """Differences at several check points.
+
+    Attributes
+    ----------
+    name : str
+    num : int
+        Those with a difference.
+    mean_m, rms_m, largest_m : [m]
+        The last by size, with its sign.
+    """
+
+    name: str
+    num: int
+    mean_m: float
+    rms_m: float
+    largest_m: float
+
+
+@dataclass(frozen=True)
+class CheckpointFigures:
+    """The cloud at all check points.
+
+    Attributes
+    ----------
+    rows : tuple of CheckpointRow
+    groups : tuple of CheckpointGroup
+        All, and those under and above water where there are both; none where no check point has a difference.
+    within_m : float
+        How far from a check point the points of the cloud count.
+    """
+
+    rows: tuple[CheckpointRow, ...]
+    groups: tuple[CheckpointGroup, ...]
+    within_m: float
+
+
+def checkpoint_heights(points: np.ndarray, places: np.ndarray, gsd_m: float) -> np.ndarray:
+    """Height of a cloud less that of check points.
+
+    Parameters
+    ----------
+    points : (N, 3) [m], local
+    places : (K, 3) [m], local
+    gsd_m : float
+
+    Returns
+    -------
+    (K,) [m]
+        By the plane through the nearest points of the cloud, as `compare --checkpoints` has it; NaN where they are
+        fewer than four, or do not surround the check point.
+    """
+    return height_at(points, places[:, :2], within_m=WITHIN_GSD * gsd_m) - places[:, 2]
+
+
+def checkpoints_of(survey: Survey, points: np.ndarray, gsd_m: float) -> CheckpointFigures | None:
+    """The figures of a cloud (N, 3) [m], local; None for a survey without check points.
+
+    Check points are those of [control] checkpoints, and the control points that their file calls check points.
+    """
+    marked = () if survey.control is None else tuple(point for point in survey.control.points if point.is_check)
+    given: tuple[Checkpoint | ControlPoint, ...] = (*survey.checkpoints, *marked)
+    if not given:
+        return None
+    places = np.array([point.local for point in given])
+    differences = checkpoint_heights(points, places, gsd_m)
+    depths = None if survey.water is None else np.asarray(survey.water.depth(places))
+    rows = tuple(
+        CheckpointRow(
+            point.name,
+            point.crs[2],
+            None if depths is None else float(depths[i]),
+            float(differences[i]) if np.isfinite(differences[i]) else None,
+        )
+        for i, point in enumerate(given)
+    )
+    return CheckpointFigures(rows, tuple(_groups(rows)), WITHIN_GSD * gsd_m)
+
+
+def _groups(rows: Sequence[CheckpointRow]) -> list[CheckpointGroup]:
+    wet = [row for row in rows if row.depth_m is not None and row.depth_m > 0.0]
+    dry = [row for row in rows if row.depth_m is not None and row.depth_m <= 0.0]
+    parts = [("all", rows), *([("under water", wet), ("above water", dry)] if wet and dry else [])]
+    return [group for name, part in parts if (group := _group(name, part)) is not None]
+
+
+def _group(name: str, rows: Sequence[CheckpointRow]) -> CheckpointGroup | None:
+    known = np.array([row.difference_m for row in rows if row.difference_m is not None])
+    if not known.size:
+        return None
+    largest = known[int(np.argmax(np.abs(known)))]
+    return CheckpointGroup(name, len(known), float(known.mean()), float(np.sqrt(np.mean(known**2))), float(largest))

@@ -1,0 +1,236 @@
+"""Control and check points of a survey folder: beside its cameras, in its local frame, with their accuracies."""
+
+from __future__ import annotations
+
+import tomllib
+
+import cv2
+import numpy as np
+import pytest
+from control_files import METASHAPE, POINTS, odm, table, written
+from pyproj import Transformer
+from small_survey import E0, LEVEL, N0, TOML, camera_lines, said, small_survey, unposed, write_poses
+
+from geo.crs import parse_crs
+from survey.control.reading import gather, read_control
+from survey.errors import ControlError
+from survey.folder.found import find_survey
+from survey.folder.inputs import survey_inputs
+from survey.folder.mark_residuals import mark_residuals
+from survey.folder.survey import load_survey
+from survey.folder.unposed import require_solvable
+from survey.plan.check import check_survey
+from survey.stage_key import stage_key
+
+
+def test_marks_of_a_drawn_survey_are_where_its_true_lens_shows_the_points(data_dir):
+    """Marks are good to 0.4 px; an origin of pixels half a pixel off would show in the mean of 46."""
+    survey = load_survey(data_dir / "shore")
+    truth = tomllib.loads((data_dir / "shore" / "truth.toml").read_text())
+    focal, (cx, cy) = truth["focal_px"], truth["principal_point_px"]
+    matrix = np.array([[focal, 0.0, cx], [0.0, focal, cy], [0.0, 0.0, 1.0]])
+    cameras = {view.name: view.camera for view in survey.views}
+    local = {point.name: point.local for point in survey.control.points}
+    residuals = []
+    for mark in survey.control.marks:
+        camera = cameras[mark.view]
+        in_cam = camera.cam_from_local @ (local[mark.point] - camera.centre)
+        shown, _ = cv2.projectPoints(
+            in_cam[None, None], np.zeros(3), np.zeros(3), matrix, np.array(truth["distortion"])
+        )
+        residuals.append(np.array(mark.pixel) - shown.ravel())
+    assert (len(survey.control.points), len(residuals)) == (6, 46)
+    assert np.abs(np.mean(residuals, axis=0)).max() < 3.0 * 0.4 / 46**0.5
+    assert np.std(residuals) < 0.5
+
+
+def test_the_control_and_check_points_of_a_drawn_survey_are_in_crs_and_local(data_dir):
+    survey = load_survey(data_dir / "shore")
+    point, rod = survey.control.points[0], survey.checkpoints[0]
+    assert (point.name, point.crs) == ("gcp1", (512345.8136, 5960213.4390, 3.28))
+    assert np.abs(survey.frame.crs_from_local(point.local) - point.crs).max() < 1e-6
+    assert point.std.tolist() == [0.01, 0.01, 0.01]
+    assert survey.control.marks_std_px == 0.5
+    assert (len(survey.checkpoints), rod.name, rod.crs[2]) == (20, "rod1", -0.139)
+    assert any("std_m = 0.01" in text for text in survey.assumptions)
+    assert stage_key(survey.control, survey.checkpoints, survey.priors)
+
+
+def with_control(tmp_path, control: str = 'gcps = "gcp_list.txt"', **files: str):
+    folder = small_survey(tmp_path / "s", toml=TOML + f"[control]\n{control}\n")
+    written(folder, **(files or {"gcp_list__txt": odm()}))
+    return folder
+
+
+def test_a_survey_has_its_control_in_local_and_its_settings_say_what_was_assumed(tmp_path):
+    survey = load_survey(with_control(tmp_path))
+    assert [point.name for point in survey.control.points] == ["p1", "p2", "p3"]
+    for point, (_, *place) in zip(survey.control.points, POINTS, strict=True):
+        assert (point.local == survey.frame.local_from_crs(place)).all()
+    assert survey.assumptions == (
+        "[control] std_m = 0.01, the standard deviation of control points in metres",
+        "[control] marks_std_px = 0.5, the standard deviation of their marks in pixels",
+    )
+    assert (survey.config.control.std_m, survey.config.control.marks_std_px) == (0.01, 0.5)
+
+
+def test_accuracies_of_survey_toml_count_where_the_file_has_none(tmp_path):
+    control = 'gcps = "points.xml"\nstd_m = [0.02, 0.04]\nmarks_std_px = 0.3'
+    survey = load_survey(with_control(tmp_path, control, points__xml=METASHAPE))
+    p1, p2, _ = survey.control.points
+    assert (p1.std.tolist(), p2.std.tolist()) == ([0.02, 0.02, 0.04], [0.02, 0.03, 0.05])
+    assert survey.control.marks_std_px == 0.3
+    assert survey.assumptions == ()
+
+
+def test_marks_in_photographs_without_a_pose_are_left_out_by_name(tmp_path):
+    folder = with_control(tmp_path)
+    write_poses(folder, camera_lines()[1:])
+    survey = load_survey(folder)
+    assert {mark.view for mark in survey.control.marks} == {"0001.jpg"}
+    assert any(
+        "1 photograph with marks of control has no pose, its marks left out: 0000.jpg" in w for w in survey.warnings
+    )
+
+
+SWAPPED = [(name, n, e, h) for name, e, n, h in POINTS]
+LAT_LON = [(name, *Transformer.from_crs("EPSG:25832", "EPSG:4326").transform(*place), h) for name, *place, h in POINTS]
+
+
+@pytest.mark.parametrize(
+    ("points", "header", "words"),
+    [
+        (SWAPPED, "EPSG:25832", r"among them with easting and northing \(or .*\) swapped; swap the two columns"),
+        (LAT_LON, "EPSG:4326", "swapped; swap the two columns in the file"),
+        (
+            [("p", 10.17, 46.9, LEVEL)],
+            "EPSG:25832",
+            "looks like longitude and latitude, expected ETRS89 / UTM zone 32N",
+        ),
+        ([*POINTS, ("far", E0 + 30e3, N0, LEVEL)], "EPSG:25832", r"line 8: the point far at .* lies 30 km from the n"),
+        ([("far", 1e30, N0, LEVEL)], "EPSG:25832", r"line 2: the point far at 1e\+30"),
+        (POINTS, "EPSG:25833", r"line 2: the point p1 at .* lies \d+ km from the nearest camera"),
+    ],
+)
+def test_points_far_from_the_cameras_are_refused_with_what_is_likely_wrong(tmp_path, points, header, words):
+    folder = with_control(tmp_path, gcp_list__txt=odm(points, header))
+    with pytest.raises(ControlError, match=words):
+        load_survey(folder)
+
+
+def test_of_the_file_in_marks_only_the_marks_count(tmp_path):
+    moved = [(name, e + 0.5, n, h) for name, e, n, h in POINTS]
+    control = 'gcps = "points.csv"\nmarks = "markers.xml"'
+    survey = load_survey(with_control(tmp_path, control, points__csv=table(moved), markers__xml=METASHAPE))
+    assert [point.crs[0] for point in survey.control.points] == [e for _, e, _, _ in moved]
+    assert len(survey.control.marks) == 6
+
+
+def test_points_far_from_gps_positions_are_refused_before_structure_from_motion(tmp_path):
+    folder = unposed(tmp_path / "s", ("[water]", '[control]\ngcps = "gcp_list.txt"\n[water]'))
+    written(folder, gcp_list__txt=odm([("far", E0 + 30e3, N0, LEVEL)]))
+    with pytest.raises(ControlError, match="30 km from the nearest camera"):
+        require_solvable(find_survey(folder))
+
+
+def test_points_above_all_cameras_are_doubted(tmp_path):
+    high = [(name, e, n, h + 50.0) for name, e, n, h in POINTS]
+    survey = load_survey(with_control(tmp_path, gcp_list__txt=odm(high)))
+    assert any("3 of 3 control or check points lie above all cameras" in text for text in survey.warnings)
+
+
+def test_check_points_are_read_with_or_without_names(tmp_path):
+    survey = load_survey(with_control(tmp_path, 'checkpoints = "rods.csv"', rods__csv=table()))
+    assert survey.control is None
+    assert [rod.name for rod in survey.checkpoints] == ["p1", "p2", "p3"]
+    bare = f"easting,northing,height\n{E0},{N0},{LEVEL - 2}\n"
+    survey = load_survey(with_control(tmp_path, 'checkpoints = "rods.csv"', rods__csv=bare))
+    assert (survey.checkpoints[0].name, survey.checkpoints[0].crs) == ("1", (E0, N0, LEVEL - 2))
+    with pytest.raises(ControlError, match=r"rods\.csv has no check points"):
+        load_survey(with_control(tmp_path, 'checkpoints = "rods.csv"', rods__csv="easting,northing,height\n"))
+    with pytest.raises(ControlError, match="line 5: the check point p1 was there before"):
+        load_survey(with_control(tmp_path, 'checkpoints = "rods.csv"', rods__csv=table([*POINTS, POINTS[0]])))
+
+
+def test_the_files_of_control_are_inputs(tmp_path):
+    folder = with_control(tmp_path, 'gcps = ["a.csv", "b.csv"]\nmarks = "m.csv"\ncheckpoints = "rods.csv"')
+    written(folder, **dict.fromkeys(("a__csv", "b__csv", "m__csv", "rods__csv"), "\n"))
+    assert {folder / name for name in ("a.csv", "b.csv", "m.csv", "rods.csv")} <= set(survey_inputs(folder).files)
+
+
+def test_real_marks_of_photographs_that_were_halved_lie_outside_and_doubled_they_fit(data_dir):
+    folder = data_dir / "real" / "copr_half"
+    content = read_control(folder / "gcp_list.txt")
+    names = sorted(path.name for path in (folder / "images").iterdir())
+    crs = parse_crs("EPSG:32611+5773")
+    with pytest.raises(ControlError, match=r"lies outside .* if the photographs were reduced, reduce the marks too"):
+        gather([content], crs, dict.fromkeys(names, (2136, 1424)), [], [])
+    warnings = []
+    found = gather([content], crs, dict.fromkeys(names, (4272, 2848)), [], warnings)
+    assert (len(found.points), len(found.marks)) == (len({mark.point for mark in found.marks}), 27)
+    assert warnings == ["all control points have the height 0; check that the file has their heights"]
+
+
+def seen_marks(survey, shift=(0.0, 0.0)) -> str:
+    """gcp_list.txt whose marks are where the views of a survey show three points at the water line."""
+    lines = []
+    for name, e, n, h in POINTS:
+        for view in survey.views:
+            x, y = view.camera.project(survey.frame.local_from_crs([e, n, h]), None)
+            if not (4.0 < x < 60.0 and 4.0 < y < 44.0):
+                continue
+            lines.append(f"{e} {n} {h} {x - 0.5 + shift[0]:.3f} {y - 0.5 + shift[1]:.3f} {view.name} {name}")
+    return "\n".join(["EPSG:25832", *lines]) + "\n"
+
+
+def test_marks_are_held_against_the_poses(tmp_path):
+    bare = load_survey(small_survey(tmp_path / "bare"))
+    survey = load_survey(with_control(tmp_path, gcp_list__txt=seen_marks(bare)))
+    assert mark_residuals(survey.control, survey.views, survey.water).max() < 2e-3
+    assert survey.warnings == ()
+    (doubt,) = load_survey(with_control(tmp_path, gcp_list__txt=seen_marks(bare, (3.0, 0.0)))).warnings
+    assert doubt.startswith("the marks of control points lie 3 px (median) from where the poses show these points;")
+    lines = seen_marks(bare).splitlines()
+    parts = lines[1].split()
+    parts[3] = "60.0"
+    (doubt,) = load_survey(
+        with_control(tmp_path, gcp_list__txt="\n".join([lines[0], " ".join(parts), *lines[2:]]))
+    ).warnings
+    assert doubt == "1 mark far from where the pose shows its point, to be checked: p1 in 0000.jpg"
+
+
+def test_check_says_how_many_points_and_marks_there_are_and_how_well_all_is_known(tmp_path):
+    control = 'gcps = "gcp_list.txt"\nstd_m = [0.02, 0.03]\ncheckpoints = "rods.csv"'
+    folder = with_control(tmp_path, control, gcp_list__txt=odm(), rods__csv=table())
+    text = (folder / "survey.toml").read_text()
+    text = text.replace("[water]", "position_std_m = 0.02\n[water]\nlevel_std_m = 0.05\nindex_std = 0.001")
+    (folder / "survey.toml").write_text(text)
+    rows = said(check_survey(folder), "Found")
+    assert rows["control"] == (
+        "3 points, with 6 marks in 2 images; 3 good to 0.02 m across and 0.03 m in height ([control] std_m); marks to "
+        "0.5 px"
+    )
+    assert rows["check points"] == "3, which results are compared with"
+    assert rows["accuracy"] == "4 of 4 positions good to 0.02, 0.02 and 0.02 m east, north and up (survey.toml)"
+    assert rows["water"].endswith("; known: level to 0.05 m, index to 0.001 (survey.toml)")
+    assert "px (median) from where poses and lens show their points, at most" in rows["marks"]
+
+
+def test_check_says_it_before_structure_from_motion_too(tmp_path):
+    control = '[control]\ngcps = "points.xml"\nstd_m = 0.02\n[water]'
+    folder = unposed(tmp_path / "s", ("[water]", control))
+    written(folder, points__xml=METASHAPE)
+    rows = said(check_survey(folder), "Found")
+    assert rows["control"] == (
+        "3 points, 1 of them check points, with 6 marks in 2 images; 1 good to 0.02, 0.03 and 0.05 m (their file), 2 "
+        "good to 0.02 m ([control] std_m); marks to 0.5 px"
+    )
+    assert rows["accuracy"] == "4 of 4 positions of unknown accuracy (GPS EXIF)"
+
+
+def test_what_lies_in_the_folder_or_the_settings_without_being_used_is_said(tmp_path):
+    folder = unposed(tmp_path / "s", ("[water]", "rotation_std_deg = 1\n[water]"))
+    written(folder, gcp_list__txt=odm())
+    rotation, control = find_survey(folder).warnings
+    assert rotation.startswith("[cameras] rotation_std_deg is not used")
+    assert control == 'gcp_list.txt is not used; for its control points write gcps = "gcp_list.txt" in [control]'

@@ -1,0 +1,85 @@
+"""The cloud of a run at check points: differences of a plane that is known, and how the report shows them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_bed import plane_bed
+from small_survey import small_survey
+
+from survey.control.points import Checkpoint, Control, ControlPoint, Mark
+from survey.folder.survey import load_survey
+from survey.report.checkpoints import WITHIN_GSD, checkpoint_heights, checkpoints_of
+from survey.report.reference_tables import checkpoints as checkpoint_blocks
+
+GSD_M = 0.05
+# The plane is fitted in float64 to points in float32, some metres from the origin.
+ROUNDING_M = 1e-5
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory):
+    return load_survey(small_survey(tmp_path_factory.mktemp("survey") / "s"))
+
+
+def check(survey, name: str, place) -> Checkpoint:
+    e, n, h = survey.frame.crs_from_local(np.array(place)).tolist()
+    return Checkpoint(name, (e, n, h), np.array(place, dtype=np.float64))
+
+
+def test_a_sloped_plane_is_as_high_between_its_points_as_at_them(rng):
+    points = rng.uniform(-2.0, 2.0, (4000, 3))
+    points[:, 2] = 1.0 + 0.3 * points[:, 0] - 0.1 * points[:, 1]
+    places = np.array([[0.013, 0.2, 1.0], [1.0, -1.0, 1.4], [5.0, 0.0, 1.0]])
+    found = checkpoint_heights(points, places, GSD_M)
+    assert found[:2] == pytest.approx([0.3 * 0.013 - 0.02, 0.0], abs=1e-9)
+    assert math.isnan(found[2])
+    assert math.isnan(checkpoint_heights(points[:3], places[:1], GSD_M)[0])
+    assert math.isnan(checkpoint_heights(np.zeros((0, 3)), places[:1], GSD_M)[0])
+
+
+def test_points_further_than_some_sampling_distances_do_not_count():
+    ring = np.array([[math.cos(a), math.sin(a), 2.0] for a in np.linspace(0.0, 6.0, 12)]) * [0.24, 0.24, 1.0]
+    place = np.zeros((1, 3))
+    assert checkpoint_heights(ring, place, 0.05)[0] == pytest.approx(2.0)
+    assert math.isnan(checkpoint_heights(ring, place, 0.24 / WITHIN_GSD * 0.99)[0])
+
+
+def test_all_check_points_are_in_the_figures_those_under_water_and_above_apart(survey):
+    bed = plane_bed(survey)
+    inner = bed.xyz[np.abs(bed.xyz[:, :2]).max(axis=1) < 6.5].astype(np.float64)
+    below, above = inner[np.argmin(inner[:, 2])], inner[np.argmax(inner[:, 2])]
+    marked = ControlPoint(
+        "target", (0.0, 0.0, 0.0), above + np.array([0.0, 0.0, 0.01]), np.full(3, 0.01), is_check=True
+    )
+    control = Control(
+        (marked, replace(marked, name="used", is_check=False)), (Mark("target", "0000.jpg", (1, 1)),), 0.5
+    )
+    rods = (check(survey, "rod", below + np.array([0.0, 0.0, 0.02])), check(survey, "far", [90.0, 0.0, 0.0]))
+    found = checkpoints_of(replace(survey, checkpoints=rods, control=control), bed.xyz, GSD_M)
+    rod, far, target = found.rows
+    assert [row.name for row in found.rows] == ["rod", "far", "target"]
+    assert rod.difference_m == pytest.approx(-0.02, abs=ROUNDING_M)
+    assert rod.depth_m == pytest.approx(float(survey.water.depth(below)) - 0.02, abs=1e-6)
+    assert (far.difference_m, target.depth_m > 0.0) == (None, False)
+    everything, wet, dry = found.groups
+    assert (everything.name, everything.num, wet.num, dry.num) == ("all", 2, 1, 1)
+    assert everything.mean_m == pytest.approx(-0.015, abs=ROUNDING_M)
+    assert everything.rms_m == pytest.approx(math.sqrt(0.5 * (0.02**2 + 0.01**2)), abs=ROUNDING_M)
+    assert everything.largest_m == pytest.approx(-0.02, abs=ROUNDING_M)
+    text, groups, each = checkpoint_blocks(found)
+    assert "1 of 3 have no value" in text.text
+    assert groups.rows[0][:2] == ("all", "2")
+    assert each.rows[0][3] == "−20.0"
+    assert each.rows[1][3] == "unknown"
+
+
+def test_without_check_points_there_are_no_figures_and_without_a_cloud_no_groups(survey):
+    assert checkpoints_of(survey, plane_bed(survey).xyz, GSD_M) is None
+    assert checkpoint_blocks(None) == []
+    alone = checkpoints_of(replace(survey, checkpoints=(check(survey, "rod", [0, 0, 0]),)), np.zeros((0, 3)), GSD_M)
+    assert (alone.groups, alone.rows[0].difference_m) == ((), None)
+    assert len(checkpoint_blocks(alone)) == 2

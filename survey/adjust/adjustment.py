@@ -100,8 +100,9 @@ class Adjustment:
         Median standard deviation of the positions as they were used.
     control : tuple of ControlResidual
     notes, warnings : sentences
-    residual_view, residual_px, residual_at_px, residual_at : (N,), (N, 2), (N, 2), (N, 3)
-        Of each observation: its view, what the adjustment left, where in the photograph, and its point in local.
+    residual_view, residual_px, residual_at_px, residual_point : (N,), (N, 2), (N, 2), (N,)
+        Of each observation: its view, what the adjustment left, where in the photograph, and the number of its point.
+    points : (M, 3) [m], local
     """
 
     parameters: tuple[Parameter, ...]
@@ -128,7 +129,8 @@ class Adjustment:
     residual_view: np.ndarray
     residual_px: np.ndarray
     residual_at_px: np.ndarray
-    residual_at: np.ndarray
+    residual_point: np.ndarray
+    points: np.ndarray
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name."""
@@ -138,7 +140,7 @@ class Adjustment:
 # Attributes that are arrays, in adjustment.npz; all others are in adjustment.json.
 _ARRAYS = (
     "lens_of", "centres", "rotations", "position_std", "rotation_std_deg", "covariance", "residual_view",
-    "residual_px", "residual_at_px", "residual_at",
+    "residual_px", "residual_at_px", "residual_point", "points",
 )  # fmt: skip
 
 
@@ -170,9 +172,7 @@ def read_adjustment(folder: Path) -> Adjustment:
         parameters=tuple(Parameter(**row) for row in record["parameters"]),
         water=None if water is None else WaterConfig(**{k: _tuples(v) for k, v in water.items()}),
         lenses=tuple(Lens(row["model"], tuple(row["params"]), row["width"], row["height"]) for row in record["lenses"]),
-        control=tuple(
-            ControlResidual(**{**row, "residual_m": tuple(row["residual_m"])}) for row in record["control"]
-        ),
+        control=tuple(ControlResidual(**{**row, "residual_m": tuple(row["residual_m"])}) for row in record["control"]),
         **{name: _tuples(record[name]) for name in ("names", "covariance_names", "water_point", "notes", "warnings")},
         **{name: record[name] for name in ("std_px", "factor", "num_observations", "num_points", "num_left_out")},
         gps_std_m=_tuples(record["gps_std_m"]),

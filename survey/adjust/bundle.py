@@ -110,7 +110,7 @@ class System:
     mixed: csr_array
 
     def promise(self, step: np.ndarray) -> float:
-        """By how much the sum of squares falls by a step of the parameters, and the points with it, if all is linear."""
+        """By how much the sum of squares falls by a step of parameters and points, if all is linear."""
         return float(self.right @ step + np.sum(self.free**2))
 
     def point_steps(self, step: np.ndarray) -> np.ndarray:

@@ -63,8 +63,8 @@ def relief_sides(state: State, ties: TiePoints) -> np.ndarray:
     """By what three apparent rises of a rough bed raise points (N, 3): t^2 for all sides, and t east and north.
 
     t is the tangent of the leg at the bed to the vertical. Hollows of a rough bed hide from oblique views, and the bed
-    looks different from each side; both seem to lift it (docs/adjustment.md). The angles hardly change in an adjustment:
-    they are taken from its start.
+    looks different from each side; both seem to lift it (docs/adjustment.md). The angles hardly change in an adjustment
+    and are taken from its start.
     """
     points, centres = state.points[ties.point], state.centres[ties.view]
     crossing = lines_of_sight(centres, points, state.water) + centres

@@ -17,9 +17,15 @@ from survey.photos.tie_points import TiePoints
 LEVEL_STD_M, INDEX_STD, SLOPE_STD = 0.02, 0.001, 0.0
 # A position of GPS alone, to start from; the block then tells how good its positions are.
 GPS_STD_M = 3.0
-# A lens by its data sheet: focal lengths are within 2 % of it, the principal point within 1 % of the longer side. At the
-# corner of the image each term of distortion moves a pixel by at most some of these shares of its distance from the
-# middle (docs/adjustment.md).
+# The same for poses of a file that are to be refined without a word on how good they are.
+_POSES_STD_M = 0.05
+# Poses of an adjusted block, and by how much smaller than a data sheet's the errors of its lens are.
+EXACT_STD_M, EXACT_STD_DEG, _CALIBRATED = 0.01, 0.003, 0.02
+# Water of which nothing is known: too wide to affect a parameter that the block determines.
+_FREE_WATER = (5.0, 0.05, 0.05, 0.1)
+# A lens by its data sheet: focal lengths are within 2 % of it, the principal point within 1 % of the longer side. At
+# the corner of the image each term of distortion moves a pixel by some of these shares of its distance from the middle
+# (docs/adjustment.md).
 _FOCAL_SHARE, _MIDDLE_SHARE, _RADIAL_SHARES, _DECENTRED_SHARE = 0.02, 0.01, (0.06, 0.04, 0.02), 0.004
 # How far a rough bed seems to rise at 45 degrees, as a share of the ground sampling distance (docs/adjustment.md).
 _RELIEF_GSD = 0.1
@@ -55,8 +61,18 @@ class Known:
     unknown_positions: np.ndarray
 
 
-def known_of(survey: Survey, gsd: float) -> Known:
-    """What a survey says of the unknowns; ``gsd`` [m] is the ground sampling distance."""
+def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
+    """What a survey says of the unknowns.
+
+    Parameters
+    ----------
+    survey : Survey
+    gsd : [m]
+        Ground sampling distance.
+    free_water : bool
+        Know nothing of the water beforehand. Poses without a stated standard deviation, and their lens, then count as
+        those of an adjusted block.
+    """
     views = survey.views
     lenses = tuple(dict.fromkeys(view.lens for view in views))
     lens_of = np.array([lenses.index(view.lens) for view in views])
@@ -67,14 +83,15 @@ def known_of(survey: Survey, gsd: float) -> Known:
     sheet = np.array([_data_sheet(survey, lens) for lens in lenses])
     none = np.zeros((0, 3))
     state = State(_under_cameras(survey, centres), np.zeros(RELIEF), start, centres, rotations, none)
-    positions, position_std, unknown = _positions(survey, centres)
+    exact = free_water and survey.ties is None
+    positions, position_std, unknown = _positions(survey, centres, exact=exact)
     mean = replace(state, lenses=sheet, centres=positions)
     std = np.concatenate(
         [
-            _water_std(survey),
+            _water_std(survey, free=free_water),
             np.full(RELIEF, _RELIEF_GSD * gsd),
-            *(_lens_std(survey, lens) for lens in lenses),
-            np.concatenate([position_std, _rotation_std(survey)], axis=1).ravel(),
+            *(_lens_std(lens) * (_CALIBRATED if exact else 1.0) for lens in lenses),
+            np.concatenate([position_std, _rotation_std(survey, exact=exact)], axis=1).ravel(),
         ]
     )
     return Known(layout, lenses, state, mean, std, unknown)
@@ -120,7 +137,7 @@ def _data_sheet(survey: Survey, lens: Lens) -> np.ndarray:
     return np.array([given[0] if focal is None else focal, *middle, *coefficients])
 
 
-def _lens_std(survey: Survey, lens: Lens) -> np.ndarray:
+def _lens_std(lens: Lens) -> np.ndarray:
     focal, side = lens.focal[0], max(lens.width, lens.height)
     corner = 0.5 * math.hypot(lens.width, lens.height) / focal
     radial = np.array(_RADIAL_SHARES) / corner ** np.array([2, 4, 6])
@@ -130,9 +147,11 @@ def _lens_std(survey: Survey, lens: Lens) -> np.ndarray:
     return HELD * std if is_held(lens) else std
 
 
-def _water_std(survey: Survey) -> np.ndarray:
+def _water_std(survey: Survey, *, free: bool) -> np.ndarray:
     if survey.water is None:
         return np.full(4, HELD)
+    if free:
+        return np.array(_FREE_WATER)
     given = survey.require_water()[1]
     level = LEVEL_STD_M if given.level_std_m is None else given.level_std_m
     slope = SLOPE_STD if given.slope_std is None else given.slope_std
@@ -140,7 +159,7 @@ def _water_std(survey: Survey) -> np.ndarray:
     return np.maximum([level, slope, slope, index], HELD)
 
 
-def _positions(survey: Survey, centres: np.ndarray):
+def _positions(survey: Survey, centres: np.ndarray, *, exact: bool):
     """Mean positions (V, 3), their standard deviations (V, 3), and which of these are not known (V,)."""
     positions, std = centres.copy(), np.full(centres.shape, np.inf)
     unknown = np.zeros(len(centres), dtype=bool)
@@ -149,14 +168,19 @@ def _positions(survey: Survey, centres: np.ndarray):
         if prior is None or prior.position is None:
             continue
         positions[number] = prior.position
-        unknown[number] = prior.position_std is None
-        std[number] = GPS_STD_M if prior.position_std is None else prior.position_std
+        if prior.position_std is not None:
+            std[number] = prior.position_std
+        elif exact:
+            std[number] = EXACT_STD_M
+        else:
+            unknown[number] = True
+            std[number] = GPS_STD_M if survey.ties is not None else _POSES_STD_M
     return positions, std, unknown
 
 
-def _rotation_std(survey: Survey) -> np.ndarray:
+def _rotation_std(survey: Survey, *, exact: bool) -> np.ndarray:
     """Standard deviations (V, 3) [rad] of the rotations that the views come with."""
-    std = np.full((len(survey.views), 3), np.inf)
+    std = np.full((len(survey.views), 3), math.radians(EXACT_STD_DEG) if exact else np.inf)
     for number, view in enumerate(survey.views):
         prior = survey.priors.get(view.name)
         if prior is not None and prior.rotation_std_deg is not None:

@@ -1,7 +1,7 @@
 """Poses, lens and water of a survey together, from its photographs, positions, control and readings.
 
-    matches of structure from motion (`Survey.ties`), where there are any -> a first adjustment, that takes the bend out
-    windows matched to a fraction of a pixel on the adjusted block (`survey.adjust.windows`) -> the final adjustment
+matches of structure from motion (`Survey.ties`), where there are any -> a first adjustment, that takes the bend out
+windows matched to a fraction of a pixel on the adjusted block (`survey.adjust.windows`) -> the final adjustment
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from refract.lens import Lens
-from survey.adjust.adjustment import UNKNOWN, Adjustment, ControlResidual, Parameter
+from survey.adjust.adjustment import Adjustment, ControlResidual, Parameter
 from survey.adjust.observed import KINDS, MARK, MATCH, WINDOW, Observed, observed
 from survey.adjust.priors import Known, is_held, known_of
 from survey.adjust.rounds import Adjusted, adjust
-from survey.adjust.state import LENS, LENS_NAMES, WATER, WATER_NAMES, State
+from survey.adjust.state import LENS_NAMES, WATER, WATER_NAMES, State
 from survey.adjust.thinning import thinned
 from survey.adjust.verdicts import WATER_PARAMETERS, lens_verdicts, water_limits, water_verdicts
 from survey.adjust.windows_of_survey import measure_windows
@@ -38,6 +38,7 @@ def adjust_survey(
     device: str = "auto",
     advance: Callable[[float], None] = lambda _share: None,
     use_windows: bool = True,
+    free_water: bool = False,
 ) -> Adjustment:
     """Adjust a survey.
 
@@ -47,6 +48,10 @@ def adjust_survey(
     device : "auto", "cpu" or "cuda"
     advance : callable
         Called with the increment; increments sum to 1.
+    use_windows : bool
+        Measure windows too, not matches alone.
+    free_water : bool
+        Find the water as if nothing were known of it.
 
     Raises
     ------
@@ -54,7 +59,7 @@ def adjust_survey(
         If the photographs do not match, or the adjustment does not converge.
     """
     gsd = make_plan(survey).gsd_m
-    known = known_of(survey, gsd)
+    known = known_of(survey, gsd, free_water=free_water)
     sizes = [(view.lens.width, view.lens.height) for view in survey.views]
     marks_std = _MARKS_STD_PX if survey.control is None else survey.control.marks_std_px
     parts: list[tuple[int, TiePoints]] = []
@@ -84,7 +89,7 @@ def apply_adjustment(survey: Survey, found: Adjustment) -> Survey:
             survey.views, found.lens_of, found.centres, found.rotations, strict=True
         )
     )
-    survey = replace(survey, views=views, points=None, ties=None)
+    survey = replace(survey, views=views, points=found.points, ties=None, is_adjusted=True)
     if found.water is None:
         return survey
     config = replace(survey.config, water=found.water)
@@ -105,7 +110,7 @@ def _with_state(survey: Survey, known: Known, state: State) -> Survey:
             survey.views, known.layout.lens_of, state.centres, state.rotations, strict=True
         )
     )
-    return replace(survey, views=views, water=state.water)
+    return replace(survey, views=views, water=state.water, points=state.points, is_adjusted=True)
 
 
 def _lens_of(lens: Lens, parameters: np.ndarray) -> Lens:
@@ -114,9 +119,7 @@ def _lens_of(lens: Lens, parameters: np.ndarray) -> Lens:
         return lens
     fx, fy = lens.focal
     f, cx, cy, k1, k2, k3, p1, p2 = parameters.tolist()
-    return Lens(
-        "FULL_OPENCV", (f, f * fy / fx, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0), lens.width, lens.height
-    )
+    return Lens("FULL_OPENCV", (f, f * fy / fx, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0), lens.width, lens.height)
 
 
 def _result(survey: Survey, done: Adjusted, total: int) -> Adjustment:
@@ -173,7 +176,8 @@ def _result(survey: Survey, done: Adjusted, total: int) -> Adjustment:
         residual_view=used.ties.view,
         residual_px=solution.residuals,
         residual_at_px=used.ties.pixel,
-        residual_at=state.points[used.ties.point],
+        residual_point=used.ties.point,
+        points=state.points,
     )
 
 

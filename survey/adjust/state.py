@@ -1,6 +1,6 @@
 """What an adjustment finds: water, lenses, poses and points, and how a vector of steps changes them.
 
-The vector of parameters is [water (4) | relief (3) | lenses (8 each) | poses (6 each)]; points have three each beside it.
+The vector of parameters is [water (4) | relief (3) | lenses (8 each) | poses (6 each)]; points have three each besides.
 
     water     height of the plane at its reference point [m], slopes along local x and y, index
     relief    by how much a rough bed seems to rise with the direction of view, see `relief_sides` [m]

@@ -18,7 +18,7 @@ MODEL = ("sparse/cameras.txt", "sparse/images.txt", "sparse/points3D.txt")
 
 
 def write_cameras(folder: Path, survey: Survey) -> None:
-    """Write cameras.csv (positions in crs, omega, phi, kappa) and a COLMAP model in text (topocentric) into a folder."""
+    """Write cameras.csv (positions in crs; omega, phi, kappa) and a COLMAP model (topocentric) into a folder."""
     lenses = tuple(dict.fromkeys(view.lens for view in survey.views))
     (folder / "sparse").mkdir(exist_ok=True)
     texts = {

@@ -11,7 +11,7 @@ from survey.commands.console import command
 from survey.commands.memory import require_address_space
 from survey.commands.options import KEPT, DeviceOption, Quiet, SurveyFolder, Verbose
 from survey.names import RUN_FOLDER
-from survey.plan.choices import Device, Quality, Switch
+from survey.plan.choices import Device, Poses, Quality, Switch
 
 EXAMPLES = """
     bathynerf process my_survey
@@ -28,6 +28,9 @@ def run(
     quality: Annotated[Quality, typer.Option(help="Trades run time for detail.")] = Quality.standard,
     device: DeviceOption = Device.auto,
     field: Annotated[Switch, typer.Option(help="Refine the heights with the tensor field.")] = Switch.auto,
+    poses: Annotated[
+        Poses, typer.Option(help="Adjust poses, lens and water together, or take the poses as they are.")
+    ] = Poses.auto,
     resume: Annotated[bool, typer.Option(help="Reuse finished stages of an earlier run.")] = True,
     calibrate_water: Annotated[
         bool, typer.Option("--calibrate-water", help="First estimate the water from the photographs.")
@@ -54,6 +57,7 @@ def run(
             quality=quality.value,
             device=device.value,
             field=field.value,
+            poses=poses.value,
             resume=resume,
             calibrate_water=calibrate_water,
             true_colour=true_colour,

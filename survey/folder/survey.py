@@ -55,6 +55,8 @@ class Survey:
         Matched points that three photographs or more see, on straight rays; None where the poses came without any.
     ties : TiePoints or None
         These points with their places in the photographs as they were taken, where structure from motion found them.
+    is_adjusted : bool
+        Whether views and water are those of an adjustment with bent rays, and `points` too.
     priors : dict of name to PosePrior
         What is known of the pose of each view besides its photograph.
     control : Control or None
@@ -74,6 +76,7 @@ class Survey:
     warnings: tuple[str, ...]
     points: np.ndarray | None = field(default=None, compare=False, repr=False)
     ties: TiePoints | None = field(default=None, compare=False, repr=False)
+    is_adjusted: bool = False
     priors: Mapping[str, PosePrior] = field(default_factory=dict, compare=False, repr=False)
     control: Control | None = field(default=None, compare=False, repr=False)
     checkpoints: tuple[Checkpoint, ...] = field(default=(), compare=False, repr=False)

@@ -27,3 +27,11 @@ class Switch(StrEnum):
     auto = "auto"
     on = "on"
     off = "off"
+
+
+class Poses(StrEnum):
+    """What happens to the poses: as the plan decides, taken as they are, or adjusted."""
+
+    auto = "auto"
+    fixed = "fixed"
+    refine = "refine"

@@ -10,14 +10,16 @@ import numpy as np
 from refract import FlatWater, PinholeCamera
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
-from survey.plan.choices import Device, Switch
+from survey.plan.choices import Device, Poses, Switch
 from survey.plan.ground import ground_height
 from survey.plan.heights import in_words
+from survey.plan.poses import pose_choice
 from survey.plan.recipe import RECIPES, Recipe
 
 QUALITIES = tuple(RECIPES)
 DEVICES = tuple(each.value for each in Device)
 FIELDS = tuple(each.value for each in Switch)
+POSES = tuple(each.value for each in Poses)
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,8 @@ class Plan:
     field : bool
         Whether the survey field refines the heights of the sweep.
     device_asked : "auto", "cpu" or "cuda"
+    refines_poses : bool
+        Whether poses, lens and water are adjusted first.
     """
 
     quality: str
@@ -62,6 +66,7 @@ class Plan:
     decisions: tuple[Decision, ...]
     field: bool = False
     device_asked: str = "auto"
+    refines_poses: bool = False
 
     @property
     def recipe(self) -> Recipe:
@@ -73,7 +78,15 @@ class Plan:
         return asdict(self)
 
 
-def make_plan(survey: Survey, *, quality: str = "standard", device: str = "auto", field: str = "auto") -> Plan:
+def make_plan(
+    survey: Survey,
+    *,
+    quality: str = "standard",
+    device: str = "auto",
+    field: str = "auto",
+    poses: str = "auto",
+    free_water: bool = False,
+) -> Plan:
     """What the scene needs.
 
     Parameters
@@ -82,6 +95,9 @@ def make_plan(survey: Survey, *, quality: str = "standard", device: str = "auto"
     quality : "draft", "standard" or "fine"
     device : "auto", "cpu" or "cuda"
     field : "auto", "on" or "off"
+    poses : "auto", "fixed" or "refine"
+    free_water : bool
+        Whether the water is to be found as if nothing were known of it.
 
     Raises
     ------
@@ -97,14 +113,28 @@ def make_plan(survey: Survey, *, quality: str = "standard", device: str = "auto"
     sides = np.median([(camera.width / camera.fx, camera.height / camera.fy) for camera in cameras], axis=0)
     footprint = (float(height * sides[0]), float(height * sides[1]))
     refined = _field(quality, field)
+    require_choice("poses", poses, POSES)
+    adjusted = Decision("poses", *pose_choice(survey, poses, free_water=free_water))
     decisions = (
+        adjusted,
         _refraction(survey),
         refined,
         _image_decision(cameras[0], scale, quality),
         Decision("range of heights", *in_words(survey, height)),
         chosen,
     )
-    return Plan(quality, chosen.choice, scale, gsd, height, footprint, decisions, refined.choice == "on", device)
+    return Plan(
+        quality,
+        chosen.choice,
+        scale,
+        gsd,
+        height,
+        footprint,
+        decisions,
+        field=refined.choice == "on",
+        device_asked=device,
+        refines_poses=adjusted.choice == "refine",
+    )
 
 
 def _field(quality: str, field: str) -> Decision:
@@ -126,7 +156,7 @@ def require_choice(name: str, value: str, known: tuple[str, ...]) -> None:
         raise SurveyError(f"{name} is {value}, expected one of {', '.join(known)}")
 
 
-def require_choices(*, quality: str, device: str, field: str) -> None:
+def require_choices(*, quality: str, device: str, field: str, poses: str) -> None:
     """Look at the options of a run before anything is computed.
 
     Raises
@@ -137,6 +167,7 @@ def require_choices(*, quality: str, device: str, field: str) -> None:
     require_choice("quality", quality, QUALITIES)
     require_choice("device", device, DEVICES)
     require_choice("field", field, FIELDS)
+    require_choice("poses", poses, POSES)
     if device == "cuda":
         device_decision(device)
 

@@ -29,8 +29,9 @@ class Job:
         With the water, and its colour, that earlier stages found.
     plan : Plan
     progress : Progress
-    adjusts, calibrate_water, true_colour : bool
-        Whether poses, lens and water are adjusted first; whether the water then is as good as unknown; whether points get the colour of the bed without its water.
+    calibrate_water, true_colour : bool
+        Whether the water is found as if nothing were known of it; whether points get the colour of the bed without
+        its water.
     """
 
     def __init__(
@@ -39,12 +40,11 @@ class Job:
         plan_of: Callable[[Survey], Plan],
         progress: Progress,
         *,
-        adjusts: bool = False,
         calibrate_water: bool = False,
         true_colour: bool = False,
     ):
         self.survey, self.plan, self.progress = survey, plan_of(survey), progress
-        self.adjusts, self.calibrate_water, self.true_colour = adjusts, calibrate_water, true_colour
+        self.calibrate_water, self.true_colour = calibrate_water, true_colour
         self._plan_of = plan_of
 
     def take(self, survey: Survey) -> None:
@@ -108,5 +108,14 @@ class Job:
 def _settings_of(survey: Survey) -> dict | None:
     """What survey.toml says of level, slopes and index of the water; not of its colour."""
     given = survey.config.water
-    names = ("level_m", "level_at", "slope_east", "slope_north", "refractive_index", "level_std_m", "slope_std", "index_std")
+    names = (
+        "level_m",
+        "level_at",
+        "slope_east",
+        "slope_north",
+        "refractive_index",
+        "level_std_m",
+        "slope_std",
+        "index_std",
+    )
     return None if given is None else {name: getattr(given, name) for name in names}

@@ -17,7 +17,7 @@ from survey.run.water_colour import COLOUR_FILE, colour_is_known
 
 
 def _adjusts(job: Job) -> bool:
-    return job.adjusts
+    return job.plan.refines_poses
 
 
 def _needs_colour(job: Job) -> bool:

@@ -39,6 +39,7 @@ def process(
     device: str = "auto",
     resume: bool = True,
     field: str = "auto",
+    poses: str = "auto",
     calibrate_water: bool = False,
     true_colour: bool = False,
     reference: str | Path | None = None,
@@ -55,6 +56,8 @@ def process(
     device : "auto", "cpu" or "cuda"
     field : "auto", "on" or "off"
         Whether the tensor field refines the sweep; "auto" leaves it to the plan.
+    poses : "auto", "fixed" or "refine"
+        Whether poses and lens are adjusted together with the water; "auto" leaves it to the plan.
     resume : bool
         Use what an earlier run in this folder finished, where nothing that it depends on has changed.
     calibrate_water : bool
@@ -79,7 +82,7 @@ def process(
     run_folder = survey_folder / RUN_FOLDER if run_folder is None else Path(run_folder)
     truth = Truth(*(None if path is None else Path(path) for path in (reference, visible)))
     _require_inputs(survey_folder, run_folder, truth)
-    require_choices(quality=quality, device=device, field=field)
+    require_choices(quality=quality, device=device, field=field, poses=poses)
     checked = require_processable(survey_folder)
     if checked.found.config.water is None and (true_colour or calibrate_water):
         option = "--true-colour takes the water away" if true_colour else "--calibrate-water estimates the water"
@@ -89,7 +92,9 @@ def process(
         survey = checked.survey or load_survey(
             survey_folder, found=checked.found, workspace=run.sfm_path, report=progress.note
         )
-        plan_of = partial(make_plan, quality=quality, device=device, field=field)
+        plan_of = partial(
+            make_plan, quality=quality, device=device, field=field, poses=poses, free_water=calibrate_water
+        )
         plan = plan_of(survey)
         _announce(progress, survey, plan)
         workload = workload_of(survey, plan)

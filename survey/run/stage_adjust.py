@@ -36,6 +36,4 @@ def use_adjustment(job: Job, folder: Path) -> None:
         job.progress.note(f"adjustment: {text}")
     for text in found.warnings:
         job.progress.warn(text)
-    job.take(
-        replace(survey, assumptions=survey.assumptions + found.notes, warnings=survey.warnings + found.warnings)
-    )
+    job.take(replace(survey, assumptions=survey.assumptions + found.notes, warnings=survey.warnings + found.warnings))

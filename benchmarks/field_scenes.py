@@ -33,6 +33,8 @@ from survey.simulate.watercolour import WaterColour
 # Between vertices of the bed [m].
 _CELL_M = 0.03
 _GRAVITY = 9.81
+# Of the length and width of the area that is flown over.
+EVALUATED = 0.8
 # Rays at a time, so that they stay in the cache.
 _RAYS = 1 << 14
 
@@ -54,7 +56,8 @@ class FieldScene:
         Of the photographs.
     still : DirectRenderer
         The same under water without waves, for the truth.
-    bounds : (e0, n0, e1, n1), in crs
+    flown, bounds : (e0, n0, e1, n1), in crs
+        What the flight covers, and the inner part of it that many cameras see, which is evaluated.
     """
 
     settings: FieldSettings
@@ -64,6 +67,7 @@ class FieldScene:
     waves: WavyWater
     times: np.ndarray
     still: DirectRenderer
+    flown: tuple[float, float, float, float]
     bounds: tuple[float, float, float, float]
 
     @property
@@ -98,7 +102,6 @@ def stage(settings: FieldSettings) -> FieldScene:
     colour = WaterColour(
         absorption=tuple(settings.murk * a for a in usual.absorption), veiling=settings.murk * usual.veiling
     )
-    (e, n), (wide, deep) = settings.origin, settings.size_m
     return FieldScene(
         settings=settings,
         frame=frame,
@@ -107,7 +110,8 @@ def stage(settings: FieldSettings) -> FieldScene:
         waves=_waves(settings, plane, rng),
         times=np.cumsum(rng.uniform(1.8, 3.0, len(cameras))),
         still=DirectRenderer(_ground(settings, cameras), plane, colour),
-        bounds=(e - 0.5 * wide, n - 0.5 * deep, e + 0.5 * wide, n + 0.5 * deep),
+        flown=settings.bounds(1.0),
+        bounds=settings.bounds(EVALUATED),
     )
 
 

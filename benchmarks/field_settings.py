@@ -28,7 +28,7 @@ class FieldSettings:
     crs, origin : str, (easting, northing)
         The local frame has its origin on the true water surface there.
     size_m : (east, north) [m]
-        What is evaluated, about the origin.
+        What is flown over, about the origin.
     depth_m : [m]
         Of the deepest part, relief aside.
     dry_share : [-]
@@ -106,6 +106,11 @@ class FieldSettings:
     def gsd_m(self) -> float:
         """On the water, straight below [m]."""
         return self.height_m / self.focal_px
+
+    def bounds(self, share: float) -> tuple[float, float, float, float]:
+        """Low and high easting and northing of a part of the area about the origin, in crs."""
+        (e, n), (wide, deep) = self.origin, (0.5 * share * size for size in self.size_m)
+        return e - wide, n - deep, e + wide, n + deep
 
     @property
     def lens(self) -> Lens:

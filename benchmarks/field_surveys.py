@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import tomli_w
-from field_scenes import FieldScene, stage
+from field_scenes import EVALUATED, FieldScene, stage
 from field_settings import FieldSettings, as_table, draw_settings
 from PIL import ExifTags, Image
 from pyproj import Transformer
@@ -89,28 +89,28 @@ def _write_truth(folder: Path, scene: FieldScene) -> np.ndarray:
     grid = ground.bed.mesh()[0]
     near = (np.abs(grid[:, 0]) < 0.5 * wide + 1.0) & (np.abs(grid[:, 1]) < 0.5 * deep + 1.0)
     inside = np.zeros(len(grid), dtype=bool)
-    inside[near] = _in_bounds(scene, frame.crs_from_local(grid[near]))
+    inside[near] = _in_area(scene, frame.crs_from_local(grid[near]))
     vertices, faces = ground_mesh(ground, inside)
     write_ply(folder / "reference.ply", frame.crs_from_local(vertices), faces)
     rng = np.random.default_rng([scene.settings.seed, 4])
     points = points_on(vertices, faces, rng)
     points = points[rng.permutation(len(points))[:MOST_POINTS]]
-    points = points[_in_bounds(scene, frame.crs_from_local(points))]
+    points = points[_in_area(scene, frame.crs_from_local(points))]
     num_views = sum(seen_by(scene.still, camera, scene.lens, points).astype(int) for camera in scene.cameras)
     points = points[num_views >= MIN_VIEWS]
     write_ply(folder / "visible.ply", frame.crs_from_local(points))
     return points
 
 
-def _in_bounds(scene: FieldScene, points_crs: np.ndarray) -> np.ndarray:
-    e0, n0, e1, n1 = scene.bounds
+def _in_area(scene: FieldScene, points_crs: np.ndarray) -> np.ndarray:
+    e0, n0, e1, n1 = scene.flown
     e, n = points_crs[:, 0], points_crs[:, 1]
     return (e >= e0) & (e <= e1) & (n >= n0) & (n <= n1)
 
 
 def _rods(scene: FieldScene, rng: np.random.Generator) -> str:
     """checkpoints.csv: places under water at which the height of the bed was measured."""
-    half, water = 0.48 * np.array(scene.settings.size_m), scene.still.water
+    half, water = 0.48 * EVALUATED * np.array(scene.settings.size_m), scene.still.water
     places = rng.uniform(-half, half, (40 * NUM_RODS, 2))
     bed = scene.still.ground.bed.height(*places.T)
     wet = np.flatnonzero(bed < water.height(*places.T) - 0.1)[:NUM_RODS]

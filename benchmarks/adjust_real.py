@@ -19,7 +19,7 @@ from survey.photos.cameras import CAM_FROM_OPK_CAM
 # Of the grids of heights [m], and of the checkerboard, of which one colour decides the translation.
 CELL_M, BOARD_M = 0.2, 2.0
 # Where the translation is searched [m], and in which steps at first.
-REACH_M, STEP_M = 6.0, 0.6
+REACH_M, STEP_M = 15.0, 1.0
 # Of the normal distribution's standard deviation per median absolute deviation.
 NMAD = 1.4826
 # The part of brighton_beach that the photographs see through water: east, north, low then high.

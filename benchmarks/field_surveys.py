@@ -82,28 +82,30 @@ def _write_photograph(path: Path, scene: FieldScene, index: int, position: np.nd
 
 
 def _write_truth(folder: Path, scene: FieldScene) -> np.ndarray:
-    """Write truth/ but its TOML; points (N, 3) of the bed, local, that three cameras see."""
+    """Write truth/ but its TOML; points (N, 3) of the flown ground, local, that three cameras see."""
     frame, ground = scene.frame, scene.still.ground
     (folder / "cameras.csv").write_text(cameras_csv(scene.names, scene.cameras, frame), encoding="utf-8")
     wide, deep = scene.settings.size_m
     grid = ground.bed.mesh()[0]
     near = (np.abs(grid[:, 0]) < 0.5 * wide + 1.0) & (np.abs(grid[:, 1]) < 0.5 * deep + 1.0)
     inside = np.zeros(len(grid), dtype=bool)
-    inside[near] = _in_area(scene, frame.crs_from_local(grid[near]))
+    inside[near] = _within(scene.flown, frame.crs_from_local(grid[near]))
     vertices, faces = ground_mesh(ground, inside)
     write_ply(folder / "reference.ply", frame.crs_from_local(vertices), faces)
     rng = np.random.default_rng([scene.settings.seed, 4])
     points = points_on(vertices, faces, rng)
     points = points[rng.permutation(len(points))[:MOST_POINTS]]
-    points = points[_in_area(scene, frame.crs_from_local(points))]
+    points = points[_within(scene.flown, frame.crs_from_local(points))]
     num_views = sum(seen_by(scene.still, camera, scene.lens, points).astype(int) for camera in scene.cameras)
     points = points[num_views >= MIN_VIEWS]
-    write_ply(folder / "visible.ply", frame.crs_from_local(points))
+    points_crs = frame.crs_from_local(points)
+    # Completeness counts all of these, wherever the cloud is cropped.
+    write_ply(folder / "visible.ply", points_crs[_within(scene.bounds, points_crs)])
     return points
 
 
-def _in_area(scene: FieldScene, points_crs: np.ndarray) -> np.ndarray:
-    e0, n0, e1, n1 = scene.flown
+def _within(area: tuple[float, float, float, float], points_crs: np.ndarray) -> np.ndarray:
+    e0, n0, e1, n1 = area
     e, n = points_crs[:, 0], points_crs[:, 1]
     return (e >= e0) & (e <= e1) & (n >= n0) & (n <= n1)
 

@@ -222,7 +222,7 @@ def _ground(settings: FieldSettings, cameras: tuple[PinholeCamera, ...]) -> Grou
     texel = float(np.clip(0.55 * settings.gsd_m, 0.009, 0.018))
     painted = sand(in_texels(stones, _CELL_M, texel).shape, texel, rng, in_texels(stones, _CELL_M, texel))
     mean = painted.mean(axis=(0, 1))
-    strength = settings.contrast * (1.0 - 0.93 * in_texels(bare, _CELL_M, texel))
+    strength = settings.contrast * (1.0 - (1.0 - settings.bare_contrast) * in_texels(bare, _CELL_M, texel))
     painted = np.maximum(mean + strength[..., None] * (painted - mean), 0.02).astype(np.float32)
     lit = light_of_bed(bed, (), Light())
     look = Look(skin_from_above(painted, west, south, texel), shade_of_map(bed, lit))

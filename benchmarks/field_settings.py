@@ -39,8 +39,8 @@ class FieldSettings:
         Undulation as a share of the depth.
     bare_share : [-]
         Of the ground, nearly without texture.
-    contrast : [-]
-        Of the texture elsewhere.
+    contrast, bare_contrast : [-]
+        Of the texture elsewhere, and of what is left of that on bare ground.
     level_m, slope_east, slope_north, index : true water
     level_std_m : [m]
         With which the level was read.
@@ -76,6 +76,7 @@ class FieldSettings:
     relief: float
     bare_share: float
     contrast: float
+    bare_contrast: float
     level_m: float
     slope_east: float
     slope_north: float
@@ -146,6 +147,8 @@ def draw_settings(seed: int) -> FieldSettings:
     off_axis, toward = rng.uniform(0.0, 8.0), rng.uniform(0.0, 2.0 * math.pi)
     k1 = rng.uniform(0.01, 0.08) * rng.choice([-1.0, 1.0])
     distortion = (k1, -k1 * rng.uniform(0.2, 0.8), *rng.normal(0.0, 0.0005, 2))
+    # Of its own sequence: from sand that no matcher can follow to sand that shows its grains.
+    bare_contrast = np.random.default_rng([seed, 25]).uniform(0.07, 0.6)
     crs, origin = PLACES[rng.integers(len(PLACES))]
     return FieldSettings(
         crs=crs,
@@ -157,6 +160,7 @@ def draw_settings(seed: int) -> FieldSettings:
         relief=round(rng.uniform(0.04, 0.14), 3),
         bare_share=round(rng.uniform(0.05, 0.45), 3),
         contrast=round(rng.uniform(0.5, 1.0), 3),
+        bare_contrast=round(bare_contrast, 3),
         level_m=round(level, 3),
         slope_east=round(float(slopes[0]), 5),
         slope_north=round(float(slopes[1]), 5),

@@ -19,7 +19,7 @@ from survey.photos.cameras import CAM_FROM_OPK_CAM
 # Of the grids of heights [m], and of the checkerboard, of which one colour decides the translation.
 CELL_M, BOARD_M = 0.2, 2.0
 # Where the translation is searched [m], and in which steps at first.
-REACH_M, STEP_M = 15.0, 1.0
+REACH_M, STEP_M = 10.0, 1.0
 # Of the normal distribution's standard deviation per median absolute deviation.
 NMAD = 1.4826
 # The part of brighton_beach that the photographs see through water: east, north, low then high.
@@ -27,7 +27,10 @@ SHORE = (576721.0, 5188115.0, 576738.0, 5188129.0)
 
 
 def brighton_errors(row: Row, run: Path) -> dict:
-    """The cloud against model.laz on land, after one translation that half of the land decides."""
+    """The cloud against model.laz on land, after one translation that half of the land decides.
+
+    east_m, north_m and up_m say where the cloud lies, seen from the model.
+    """
     cloud, model = read_cloud(run / "cloud.las").points, read_reference(row.truth.reference).points
     wet = (model[:, :2] > SHORE[:2]).all(axis=1) & (model[:, :2] < SHORE[2:]).all(axis=1)
     model, corner = model[~wet], model.min(axis=0)
@@ -43,29 +46,25 @@ def brighton_errors(row: Row, run: Path) -> dict:
         return map_coordinates(found, at, order=1, cval=np.nan) - true[which]
 
     def spread(shift: np.ndarray) -> float:
+        """Without the bend of the block, which a translation along a slope would imitate."""
         off = apart(shift, board)
-        off = off[np.isfinite(off)]
-        return _nmad(off) if len(off) > 0.3 * board.sum() else REACH_M
+        return _nmad(_less_quadratic(places[board], off)) if np.isfinite(off).sum() > 0.3 * board.sum() else REACH_M
 
     steps = np.arange(-REACH_M, REACH_M + 0.5 * STEP_M, STEP_M)
     start = min(((x, y) for x in steps for y in steps), key=lambda s: spread(np.array(s)))
     shift = minimize(spread, start, method="Nelder-Mead", options={"xatol": 0.005, "fatol": 1e-5}).x
     lift = np.nanmedian(apart(shift, board))
     off = apart(shift, ~board) - lift
-    seen = np.isfinite(off)
-    x, y = ((places[~board][seen] - places.mean(axis=0)) / 50.0).T
-    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
-    inlier = np.abs(off[seen] - np.median(off[seen])) < 3.0 * _nmad(off[seen])
-    fit = np.linalg.lstsq(terms[inlier], off[seen][inlier], rcond=None)[0]
+    straightened = _less_quadratic(places[~board], off)
     numbers = {
-        "cells": int(seen.sum()),
-        "share_seen": float(seen.mean()),
-        "east_m": float(-shift[0]),
-        "north_m": float(-shift[1]),
+        "cells": int(np.isfinite(off).sum()),
+        "share_seen": float(np.isfinite(off).mean()),
+        "east_m": float(shift[0]),
+        "north_m": float(shift[1]),
         "up_m": float(lift),
-        "nmad_m": _nmad(off[seen]),
-        "nmad_less_quadratic_m": _nmad(off[seen] - terms @ fit),
-        "quadratic_bend_m": float(np.ptp(terms[:, 3:] @ fit[3:])),
+        "nmad_m": _nmad(off),
+        "nmad_less_quadratic_m": _nmad(straightened),
+        "bend_m": float(np.nanpercentile(off - straightened, 98) - np.nanpercentile(off - straightened, 2)),
     }
     return {"real": numbers}
 
@@ -82,8 +81,20 @@ def _heights(points: np.ndarray, margin: float, size: np.ndarray) -> np.ndarray:
     return mean.reshape(shape)
 
 
+def _less_quadratic(places: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """Differences (N,) at places (N, 2) less a quadratic polynomial that most of them follow."""
+    x, y = ((places - places.mean(axis=0)) / 50.0).T
+    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+    left, inlier = off, np.isfinite(off)
+    for _ in range(4):
+        fit = np.linalg.lstsq(terms[inlier], off[inlier], rcond=None)[0]
+        left = off - terms @ fit
+        inlier = np.abs(left) < 3.0 * _nmad(left)
+    return left
+
+
 def _nmad(off: np.ndarray) -> float:
-    return NMAD * float(np.median(np.abs(off - np.median(off))))
+    return NMAD * float(np.nanmedian(np.abs(off - np.nanmedian(off))))
 
 
 def copr_errors(row: Row, run: Path) -> dict:

@@ -24,6 +24,7 @@ DATA = Path(os.environ.get("BATHYNERF_DATA", ROOT.parent / "shared" / "data"))
 QUALITY = {"quick": "standard", "river": "standard", "wreck_water": "draft", "wreck_dry": "draft"}
 FIGURES = ("n_points", "mean_inner90_m", "std_inner90_m")
 SHARES = ("accuracy_share", "completeness_visible")
+BATHYNERF = (sys.executable, "-c", "from survey.commands.app import main; main()")
 
 
 def tree_memory_bytes(pid: int) -> int:
@@ -63,21 +64,26 @@ def timed(command: list[str], environment: dict) -> tuple[int, float, float]:
 def measure(name: str, quality: str, field: str, folder: Path) -> dict:
     """Process one survey and compare it with its reference."""
     survey, run = DATA / name, folder / f"{name}_{quality}_{field}"
-    bathynerf = [sys.executable, "-c", "from survey.commands.app import main; main()"]
     with tempfile.TemporaryDirectory() as home:  # Dr.Jit keeps its compiled kernels in the home folder
         environment = {**os.environ, "HOME": home}
         options = ["-o", str(run), "--quality", quality, "--field", field, "--no-resume"]
-        code, seconds, memory = timed([*bathynerf, "process", str(survey), *options], environment)
+        code, seconds, memory = timed([*BATHYNERF, "process", str(survey), *options], environment)
     if code != 0:
         return {"survey": name, "exit_code": code}
-    bounds = [str(v) for v in tomllib.loads((survey / "survey.toml").read_text())["area"]["bounds"]]
     reference = (DATA / name.replace("dry", "water") / "reference.ply").resolve()
     record = {"survey": name, "quality": quality, "field": field}
     record |= {"wall_s": round(seconds, 1), "peak_gb": round(memory, 2)}
+    return record | compared(survey, run, reference, survey / "visible.ply")
+
+
+def compared(survey: Path, run: Path, reference: Path, visible: Path) -> dict:
+    """The errors of the cloud of a run within the bounds of its survey."""
+    bounds = [str(v) for v in tomllib.loads((survey / "survey.toml").read_text())["area"]["bounds"]]
+    record = {}
     for tolerance in ("0.2", "0.05"):
         out = run / f"compare_{tolerance}.json"
-        options = ["--visible", str(survey / "visible.ply"), "--tolerance", tolerance, "--bounds", *bounds]
-        command = [*bathynerf, "compare", str(run / "cloud.las"), str(reference), *options, "--json", str(out), "-q"]
+        options = ["--visible", str(visible), "--tolerance", tolerance, "--bounds", *bounds]
+        command = [*BATHYNERF, "compare", str(run / "cloud.las"), str(reference), *options, "--json", str(out), "-q"]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         numbers = json.loads(out.read_text())
         record |= {k: numbers[k] for k in FIGURES} | {f"{k}_{tolerance}": numbers[k] for k in SHARES}

@@ -85,12 +85,14 @@ def exif_of_views(scene: StagedScene) -> list[Image.Exif]:
         exif = Image.Exif()
         exif[ExifTags.Base.Make], exif[ExifTags.Base.Model] = "Simulated", f"{film_mm:.1f} mm"
         exif[ExifTags.IFD.Exif] = {ExifTags.Base.FocalLengthIn35mmFilm: round(film_mm)}
-        exif[ExifTags.IFD.GPSInfo] = _gps(*(float(v) for v in values))
+        exif[ExifTags.IFD.GPSInfo] = gps_exif(*(float(v) for v in values))
         exifs.append(exif)
     return exifs
 
 
-def _gps(lon: float, lat: float, height: float) -> dict:
+def gps_exif(lon: float, lat: float, height: float) -> dict:
+    """The GPS part of EXIF, from degrees and metres."""
+
     def sexagesimal(angle: float) -> tuple[IFDRational, ...]:
         minutes, seconds = divmod(round(abs(angle) * 36e8), 6 * 10**7)
         degrees, minutes = divmod(minutes, 60)

@@ -1,0 +1,240 @@
+"""Random blocks of photographs over wet and dry ground as exact tie points with noise; no image is drawn.
+
+What an adjustment gets, and what it should find: poses, lens and water differ from what is stated about them by random
+errors of the stated standard deviations.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from refract import FlatWater, PinholeCamera
+from refract.lens import Lens, distorted
+
+# Of what is stated: level [m], slopes [-] (known to be zero where the true ones are), index [-].
+LEVEL_STD_M, INDEX_STD = 0.04, 0.001
+CONTROL_STD_M = 0.01
+# Of a start, not of a prior.
+START_POINT_STD_M, START_ROTATION_STD = 0.2, math.radians(0.1)
+
+
+@dataclass(frozen=True)
+class DrawnBlock:
+    """A block and its truth, local; V views, M points, N observations, K control points.
+
+    Attributes
+    ----------
+    start : (M, 3) [m]
+        Where the points are about.
+    point, view : (N,) int64
+        Observations are sorted by point; every point has three at least.
+    pixel : (N, 2) [px]
+        In the distorted photographs.
+    start_cameras : tuple of PinholeCamera
+        Poses to start from, with the stated lens.
+    positions, position_std : (V, 3) [m], (3,) [m]
+        From GPS.
+    control, control_points, control_std : (K,) int64, (K, 3) [m], (3,) [m]
+        Which points are surveyed marks, and where they were measured.
+    stated_lens, stated_water, water_std
+        A data sheet without distortion; (4,) level at the origin [m], slopes along x and y [-], index [-], and their
+        standard deviations.
+    pixel_std, seed : [px], int
+    points, cameras, lens, water
+        The truth: (M, 3), views with the true focal length and principal point, OPENCV lens, and (4,) like
+        `stated_water`.
+    """
+
+    start: np.ndarray
+    point: np.ndarray
+    view: np.ndarray
+    pixel: np.ndarray
+    start_cameras: tuple[PinholeCamera, ...]
+    positions: np.ndarray
+    position_std: np.ndarray
+    control: np.ndarray
+    control_points: np.ndarray
+    control_std: np.ndarray
+    stated_lens: Lens
+    stated_water: np.ndarray
+    water_std: np.ndarray
+    pixel_std: float
+    seed: int
+    points: np.ndarray
+    cameras: tuple[PinholeCamera, ...]
+    lens: Lens
+    water: np.ndarray
+
+
+def water_plane(water: np.ndarray) -> FlatWater:
+    """Water of level at the origin, slopes along x and y, and index."""
+    level, slope_x, slope_y, index = (float(v) for v in water)
+    return FlatWater((0.0, 0.0, level), n_water=index, slope_x=slope_x, slope_y=slope_y)
+
+
+def draw_block(
+    seed: int,
+    *,
+    num_points: int = 600,
+    num_views: int | None = None,
+    nadir_only: bool | None = None,
+    dry_share: float | None = None,
+    num_control: int | None = None,
+    pixel_std: float | None = None,
+    position_std: tuple[float, float, float] = (0.02, 0.02, 0.03),
+    wrong: float = 0.0,
+) -> DrawnBlock:
+    """A random block; what is not passed is drawn.
+
+    Parameters
+    ----------
+    seed : int
+        One seed draws the same block on every machine, up to rounding.
+    nadir_only : bool
+        No views tilted by 12 to 38 degrees.
+    dry_share : [-]
+        Of the points, on a bank; control points lie there.
+    wrong : [-]
+        Share of the observations that are up to 15 px off.
+    """
+    rng = np.random.default_rng([seed, 30])
+    num_views = int(rng.integers(16, 41)) if num_views is None else num_views
+    nadir_only = rng.random() < 0.25 if nadir_only is None else nadir_only
+    dry_share = (rng.uniform(0.15, 0.5) if rng.random() < 0.6 else 0.0) if dry_share is None else dry_share
+    num_control = int(rng.integers(5, 9)) if num_control is None else num_control
+    pixel_std = rng.uniform(0.15, 0.5) if pixel_std is None else pixel_std
+
+    stated_lens, lens = _lenses(rng)
+    height = rng.uniform(15.0, 45.0)
+    depth = rng.uniform(0.8, min(6.0, 0.2 * height))
+    slopes = rng.normal(0.0, 0.002, 2) if rng.random() < 0.3 else np.zeros(2)
+    water = np.array([rng.normal(0.0, 0.3), *slopes, rng.uniform(1.325, 1.345)])
+    plane = water_plane(water)
+    half = 0.5 * height / lens.focal[0] * np.array([lens.width, lens.height]) * rng.uniform(0.9, 1.4)
+    cameras = _fly(rng, lens, water[0], height, half, num_views, nadir_only)
+    points = _bed(rng, plane, half, depth, num_points, dry_share)
+
+    seen = []
+    for view, camera in enumerate(cameras):
+        pixel = np.full((num_points, 2), np.nan)
+        ahead = camera.project(points, plane)
+        # Distortion is a polynomial: far outside the image it would fold points back into it.
+        near = (np.abs(ahead - (0.5 * lens.width, 0.5 * lens.height)) < 0.6 * np.array([lens.width, lens.height])).all(
+            1
+        )
+        pixel[near] = distorted(lens, ahead[near])
+        inside = np.flatnonzero(((pixel > 1.0) & (pixel < (lens.width - 1.0, lens.height - 1.0))).all(axis=1))
+        # No matcher finds each point in each photograph.
+        inside = inside[rng.random(len(inside)) < 0.8]
+        seen.append((inside, np.full(len(inside), view), pixel[inside]))
+    point, view, pixel = (np.concatenate(column) for column in zip(*seen, strict=True))
+    pixel = pixel + pixel_std * rng.standard_normal(pixel.shape)
+    off = (rng.random((len(pixel), 1)) < wrong) * rng.uniform(-15.0, 15.0, pixel.shape)
+    pixel = pixel + off
+    order = np.argsort(point, kind="stable")
+    point, view, pixel = point[order], view[order], pixel[order]
+    enough = np.bincount(point, minlength=num_points) >= 3
+    keep = enough[point]
+    point, view, pixel = (np.cumsum(enough) - 1)[point[keep]], view[keep], pixel[keep]
+    points = points[enough]
+
+    dry = np.flatnonzero(points[:, 2] > plane.height(*points.T[:2]) + 0.05)
+    control = np.sort(rng.permutation(dry)[:num_control])
+    control_points = points[control] + CONTROL_STD_M * rng.standard_normal((len(control), 3))
+    water_std = np.array([LEVEL_STD_M, 0.0, 0.0, INDEX_STD])
+    centres = np.array([camera.centre for camera in cameras])
+    positions = centres + rng.normal(0.0, position_std, centres.shape)
+    start_cameras = tuple(
+        stated_lens.pinhole(place, _turned(camera.cam_from_local, START_ROTATION_STD * rng.standard_normal(3)))
+        for camera, place in zip(cameras, positions, strict=True)
+    )
+    return DrawnBlock(
+        start=points + START_POINT_STD_M * rng.standard_normal(points.shape),
+        point=point.astype(np.int64),
+        view=view.astype(np.int64),
+        pixel=pixel,
+        start_cameras=start_cameras,
+        positions=positions,
+        position_std=np.array(position_std),
+        control=control.astype(np.int64),
+        control_points=control_points,
+        control_std=np.full(3, CONTROL_STD_M),
+        stated_lens=stated_lens,
+        stated_water=water + water_std * rng.standard_normal(4),
+        water_std=water_std,
+        pixel_std=float(pixel_std),
+        seed=seed,
+        points=points,
+        cameras=tuple(cameras),
+        lens=lens,
+        water=water,
+    )
+
+
+def _lenses(rng: np.random.Generator) -> tuple[Lens, Lens]:
+    """That of a data sheet, without distortion, and the true one."""
+    width, height = ((640, 480), (800, 600), (1024, 768))[rng.integers(3)]
+    focal = width * rng.uniform(0.85, 1.6)
+    true_focal = focal * (1.0 + rng.uniform(0.001, 0.01) * rng.choice([-1.0, 1.0]))
+    off_axis, toward = rng.uniform(0.0, 8.0), rng.uniform(0.0, 2.0 * math.pi)
+    cx, cy = 0.5 * width + off_axis * math.cos(toward), 0.5 * height + off_axis * math.sin(toward)
+    k1 = rng.uniform(0.01, 0.08) * rng.choice([-1.0, 1.0])
+    distortion = (k1, -k1 * rng.uniform(0.2, 0.8), *rng.normal(0.0, 0.0005, 2))
+    stated = Lens("OPENCV", (focal, focal, 0.5 * width, 0.5 * height, 0.0, 0.0, 0.0, 0.0), width, height)
+    return stated, Lens("OPENCV", (true_focal, true_focal, cx, cy, *distortion), width, height)
+
+
+def _fly(rng, lens: Lens, level: float, height: float, half, num_views: int, nadir_only: bool) -> list[PinholeCamera]:
+    """Strips that look down, to and fro, then views from all around."""
+    num_oblique = 0 if nadir_only else round(num_views * rng.uniform(0.2, 0.45))
+    num_nadir = num_views - num_oblique
+    rows = max(round(math.sqrt(num_nadir * half[1] / half[0])), 2)
+    poses = []
+    for k in range(num_nadir):
+        row, column = divmod(k, -(-num_nadir // rows))
+        x = half[0] * (2.0 * column / max(-(-num_nadir // rows) - 1, 1) - 1.0)
+        y = half[1] * (2.0 * row / (rows - 1) - 1.0)
+        poses.append((x, y, 0.0, math.pi * (row % 2)))
+    for k in range(num_oblique):
+        tilt, toward = rng.uniform(0.2, 0.66), 2.4 * k
+        target = rng.uniform(-0.3, 0.3, 2) * half
+        x, y = target - height * math.tan(tilt) * np.array([math.sin(toward), math.cos(toward)])
+        poses.append((x, y, tilt, toward))
+    return [_camera(rng, lens, level + height, pose) for pose in poses]
+
+
+def _camera(rng, lens: Lens, height: float, pose: tuple[float, float, float, float]) -> PinholeCamera:
+    """A camera that is tilted toward a heading, shaken by wind."""
+    x, y, tilt, heading = pose
+    ahead = np.array([math.sin(heading), math.cos(heading)])
+    forward = np.array([*(math.sin(tilt) * ahead), -math.cos(tilt)])
+    top = np.array([*(math.cos(tilt) * ahead), math.sin(tilt)])
+    axes = np.stack([np.cross(forward, top), -top, forward])
+    centre = np.array([x, y, height]) + rng.normal(0.0, (0.2, 0.2, 0.012 * height))
+    return lens.pinhole(centre, _turned(axes, rng.normal(0.0, 0.015, 3)))
+
+
+def _bed(rng, plane: FlatWater, half, depth: float, num_points: int, dry_share: float) -> np.ndarray:
+    """Points (num_points, 3): a bed that rises to one side, to a bank where a share of it is dry."""
+    places = rng.uniform(-half, half, (num_points, 2))
+    toward, phase = rng.uniform(0.0, 2.0 * math.pi, 2)
+    along = places @ [math.sin(toward), math.cos(toward)]
+    rank = np.argsort(np.argsort(along)) / num_points
+    relief = 0.12 * depth * np.sin(places @ rng.normal(0.0, 4.0, 2) / half.mean() + phase)
+    low, shore = -depth, 1.0 - dry_share
+    rise = 0.8 if dry_share == 0.0 else 1.0
+    wet = np.minimum((low + relief) * (1.0 - rise * rank / shore), -0.02)
+    bank = 0.02 + 1.2 * np.maximum(rank - shore, 0.0) + 0.05 * rng.random(num_points)
+    above = np.where(rank > shore, bank, wet)
+    return np.column_stack([places, plane.height(*places.T) + above])
+
+
+def _turned(axes: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """A rotation matrix turned by a rotation vector [rad]."""
+    angle = float(np.linalg.norm(vector))
+    x, y, z = vector / angle
+    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return (np.eye(3) + math.sin(angle) * across + (1.0 - math.cos(angle)) * across @ across) @ axes

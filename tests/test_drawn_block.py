@@ -1,0 +1,51 @@
+"""The random blocks that adjustments are tested on: what they state is consistent with what is true."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from drawn_block import draw_block, water_plane
+
+from refract.lens import undistorted
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_rays_of_the_observations_pass_their_points_within_the_noise(seed):
+    block = draw_block(seed, pixel_std=0.2)
+    water, miss = water_plane(block.water), []
+    for view, camera in enumerate(block.cameras):
+        of_view = block.view == view
+        plane = undistorted(block.lens, block.pixel[of_view])
+        pixel = plane * block.lens.focal + (block.lens["cx"], block.lens["cy"])
+        miss.append(pixel - camera.project(block.points[block.point[of_view]], water))
+    miss = np.concatenate(miss)
+    # Distortion stretches a pixel by a few per cent; thousands of numbers know their spread to two.
+    assert np.std(miss) == pytest.approx(0.2, rel=0.1)
+    assert np.abs(np.mean(miss)) < 0.01
+
+
+def test_every_point_is_seen_three_times_and_observations_are_sorted():
+    block = draw_block(7)
+    assert np.bincount(block.point, minlength=len(block.points)).min() >= 3
+    assert (np.diff(block.point) >= 0).all()
+    assert len(block.start) == len(block.points)
+
+
+def test_control_points_are_dry_and_known_to_a_centimetre():
+    block = draw_block(3, dry_share=0.4, num_control=6)
+    true = block.points[block.control]
+    assert len(true) == 6
+    assert (true[:, 2] > water_plane(block.water).height(*true.T[:2])).all()
+    assert np.abs(block.control_points - true).max() < 0.05
+
+
+def test_a_wholly_wet_block_has_no_control():
+    block = draw_block(3, dry_share=0.0)
+    assert len(block.control) == 0
+    assert (block.points[:, 2] < water_plane(block.water).height(*block.points.T[:2])).all()
+
+
+def test_the_same_seed_draws_the_same_block():
+    first, again, other = draw_block(5), draw_block(5), draw_block(6)
+    np.testing.assert_array_equal(first.pixel, again.pixel)
+    assert first.lens != other.lens

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,16 +11,24 @@ import numpy as np
 from fields.device import Device
 from fields.sweep.arrays import floats
 from refract import FlatWater, PinholeCamera
+from refract.distortion import ROW as LENS_ROW
+from refract.distortion import kinds_of, row_of
 
-CAMERA_ROW = 18
+# Length of the row of a pinhole; that of its lens follows where any camera of a table has one.
+PINHOLE_ROW = 18
 
 
 def camera_table(cameras: list[PinholeCamera]) -> np.ndarray:
-    """Rotation (9), centre (3), fx, fy, cx, cy, width, height of each camera, (cameras, 18) float32."""
-    rows = [
-        np.concatenate([c.cam_from_local.ravel(), c.centre, [c.fx, c.fy, c.cx, c.cy, c.width, c.height]])
-        for c in cameras
-    ]
+    """Rotation (9), centre (3), fx, fy, cx, cy, width, height of each camera, and the row of its lens.
+
+    (cameras, 18) float32, or (cameras, 28) where any of them distorts, see `refract.distortion`.
+    """
+    has_lens = any(c.distortion is not None for c in cameras)
+    rows = []
+    for c in cameras:
+        inner = (c.fx, c.fy, c.cx, c.cy, c.width, c.height)
+        lens = row_of(c.distortion) if has_lens else ()
+        rows.append(np.concatenate([c.cam_from_local.ravel(), c.centre, inner, lens]))
     return np.asarray(rows, dtype=np.float32)
 
 
@@ -67,6 +76,16 @@ class ViewStack:
     @property
     def width(self) -> int:
         return self.cameras[0].width
+
+    @property
+    def row(self) -> int:
+        """Length of a row of the table."""
+        return PINHOLE_ROW + (LENS_ROW if self.lenses else 0)
+
+    @cached_property
+    def lenses(self) -> frozenset[str]:
+        """The kinds of distortion of its cameras; kernels leave out the terms of others."""
+        return kinds_of(camera.distortion for camera in self.cameras)
 
     @property
     def plane(self) -> tuple[tuple[float, ...], tuple[float, ...], float]:

@@ -17,7 +17,8 @@ import numpy as np
 
 from fields.sweep.arrays import indices
 from fields.sweep.legs import legs_through, seen_at
-from fields.sweep.stack import CAMERA_ROW, ViewStack, camera_table
+from fields.sweep.stack import ViewStack, camera_table
+from refract.distortion import kinds_of
 
 # Samples (neighbours x rungs x pixels) of one launch: 64 MB an array, large against a launch's cost.
 STRIP_SAMPLES = 16_000_000
@@ -41,7 +42,7 @@ def legs_of(stack: ViewStack, view: int, first_row: int, rows: int):
     u = Float(index - line * width) + 0.5
     v = Float(line + dr.opaque(UInt, first_row)) + 0.5
     camera = [dr.opaque(Float, float(c)) for c in camera_table([stack.cameras[view]])[0]]
-    legs = legs_through(camera, u, v, _water_plane(stack))
+    legs = legs_through(camera, u, v, _water_plane(stack), kinds_of([stack.cameras[view].distortion]))
     dr.eval(legs)
     return legs
 
@@ -57,8 +58,8 @@ def project_at(stack: ViewStack, legs, z, pixel, view):
     """Pixel position in `view`, and whether inside it, of the path of `pixel` at height `z` (all Dr.Jit)."""
     Float = stack.device.module.Float
     own = [dr.gather(Float, row, pixel) for row in legs]
-    camera = [dr.gather(Float, stack.table, view * CAMERA_ROW + c) for c in range(CAMERA_ROW)]
-    return seen_at(camera, own, z, None if stack.water is None else _water_plane(stack))
+    camera = [dr.gather(Float, stack.table, view * stack.row + c) for c in range(stack.row)]
+    return seen_at(camera, own, z, None if stack.water is None else _water_plane(stack), stack.lenses)
 
 
 def sample(stack: ViewStack, view, u, v, inside):

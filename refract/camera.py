@@ -20,6 +20,9 @@ _WHOLE_PIXEL = 1e-9
 
 # Distortion bends a side of the image by a few per cent: between so many places of it by a hundredth of that.
 _PLACES_OF_SIDE = 16
+# Each step towards the row that takes a point leaves a twentieth of the error, or less: the way that a drone flies
+# while an image is read out, in distances to what it sees.
+_ROLLING_STEPS = 12
 # Of the angle to the axis, where a fisheye image ends [-].
 _WIDEST_TANGENT = 4.0
 
@@ -48,6 +51,9 @@ class PinholeCamera:
     width, height : [px]
     distortion : Distortion or None
         None for a pinhole. Pixels are those of the photograph as it was taken.
+    motion : (3,) float64 [m/px], local, or None
+        How far the camera flies, without turning, from one row of a rolling shutter to the next: velocity times
+        readout time over the rows. `centre` is its place at the row `cy`. None for a global shutter.
 
     Raises
     ------
@@ -65,6 +71,7 @@ class PinholeCamera:
     width: int
     height: int
     distortion: Distortion | None = None
+    motion: np.ndarray | None = None
 
     def __post_init__(self):
         centre = np.asarray(self.centre, dtype=np.float64)
@@ -77,6 +84,11 @@ class PinholeCamera:
             raise ValueError(
                 f"expected a finite centre and a right-handed rotation, got {centre} and {rotation.tolist()}"
             )
+        if self.motion is not None:
+            motion = np.asarray(self.motion, dtype=np.float64)
+            object.__setattr__(self, "motion", motion)
+            if motion.shape != (3,) or not np.isfinite(motion).all():
+                raise ValueError(f"expected a finite motion (3,) in metres per row, got {self.motion}")
         if not (self.fx > 0.0 and self.fy > 0.0 and self.width >= 1 and self.height >= 1):
             raise ValueError(
                 f"expected positive focal lengths and at least one pixel, got fx {self.fx}, fy {self.fy}, "
@@ -92,7 +104,7 @@ class PinholeCamera:
         width, height = (int(size * factor + _WHOLE_PIXEL) for size in (self.width, self.height))
         sx, sy = width / self.width, height / self.height
         return replace(
-            self,
+            self, motion=None if self.motion is None else self.motion / sy,
             fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy, width=width, height=height,
         )  # fmt: skip
 
@@ -124,6 +136,12 @@ class PinholeCamera:
         u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         return np.stack([u, v], axis=-1)
 
+    def centres(self, pixels) -> np.ndarray:
+        """Places (..., 3) [m], local, at which the camera takes pixels (..., 2); (3,) with a global shutter."""
+        if self.motion is None:
+            return self.centre
+        return self.centre + (np.asarray(pixels, dtype=np.float64)[..., 1:] - self.cy) * self.motion
+
     def directions(self, pixels) -> np.ndarray:
         """Unit directions of view (..., 3), local, through pixels (..., 2) [px]; other shapes: ValueError.
 
@@ -141,7 +159,7 @@ class PinholeCamera:
 
     def paths(self, pixels, water: WaterSurface | None) -> BentPaths:
         """Bent paths of pixels (..., 2) [px]; see `refract.paths.trace`."""
-        return trace(self.centre, self.directions(pixels), water)
+        return trace(self.centres(pixels), self.directions(pixels), water)
 
     def project(self, points, water: WaterSurface | None, *, steps: int = EXACT_STEPS) -> np.ndarray:
         """Pixels (..., 2) [px] at which points (..., 3) [m], local, appear through the water.
@@ -150,7 +168,13 @@ class PinholeCamera:
         they are. `steps` as in `refract.crossing_point`.
         """
         points = np.asarray(points, dtype=np.float64)
-        seen = (crossing_point(points, self.centre, water, steps=steps) - self.centre) @ self.cam_from_local.T
+        pixels = self._project_from(self.centre, points, water, steps)
+        for _ in range(0 if self.motion is None else _ROLLING_STEPS):
+            pixels = self._project_from(self.centres(pixels), points, water, steps)
+        return pixels
+
+    def _project_from(self, centre: np.ndarray, points: np.ndarray, water: WaterSurface | None, steps: int):
+        seen = (crossing_point(points, centre, water, steps=steps) - centre) @ self.cam_from_local.T
         z = np.where(seen[..., 2] > 0.0, seen[..., 2], np.nan)
         if self.distortion is not None:
             x, y = self.distortion.distorted(seen[..., 0] / z, seen[..., 1] / z)

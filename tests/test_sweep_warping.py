@@ -21,6 +21,8 @@ EPS32 = np.finfo(np.float32).eps
 POINT_M = 5e-6
 # The same through a camera of 800 px focal length, the search for the crossing included; measured 1.0e-4 px.
 PIXEL_PX = 2e-4
+# Two steps towards the row of a rolling shutter, of at first several pixels; measured 1.2e-3 px.
+ROLLING_PX = 2e-3
 # Sums of up to 49 products of grey levels in float32, less the product of their means; measured 2.5e-7.
 SCORE = 1e-6
 BARREL = Distortion(BROWN, (-0.3, 0.1, 1e-3, -2e-3, -0.01))
@@ -62,9 +64,36 @@ def project_all(stack: ViewStack, view: int, other: int, heights: np.ndarray):
     return uv, host(device, inside).reshape(heights.shape)
 
 
-def ring_through(lenses, number: int = 3) -> list[PinholeCamera]:
-    """Cameras about the middle, each with one of the lenses in turn."""
-    return [replace(camera, distortion=lenses[k % len(lenses)]) for k, camera in enumerate(ring(number))]
+def ring_through(lenses, number: int = 3, motions=(None,)) -> list[PinholeCamera]:
+    """Cameras about the middle, each with one of the lenses and one of the motions in turn."""
+    return [
+        replace(camera, distortion=lenses[k % len(lenses)], motion=motions[k % len(motions)])
+        for k, camera in enumerate(ring(number))
+    ]
+
+
+# Of a drone at 12 m/s whose rows are read in 20 us: 0.24 mm from row to row.
+ROLLING = {
+    "all shutters roll": ((BARREL,), (np.array([1.7e-4, -1.6e-4, 1e-5]), np.array([-2.4e-4, 0.0, 0.0]))),
+    "some shutters roll": ((None,), (None, np.array([0.0, 2.4e-4, 0.0]))),
+}
+
+
+@pytest.mark.parametrize(("lenses", "motions"), ROLLING.values(), ids=ROLLING.keys())
+@pytest.mark.parametrize("water", WATERS.values(), ids=WATERS.keys())
+def test_rolling_shutters_see_from_where_the_camera_is_at_each_row(device, rng, water, lenses, motions):
+    cameras = ring_through(lenses, motions=motions)
+    stack = PlaneBed(water, -2.0).stack(device, cameras)
+    heights = heights_everywhere(rng, stack)
+    for view in (0, 1):
+        path = cameras[view].paths(cameras[view].pixel_centres(), water)
+        points = path.at_height(heights.astype(np.float64), water)
+        np.testing.assert_allclose(points_of_legs(stack, view, heights), points, atol=POINT_M)
+        for other, camera in enumerate(cameras):
+            truth = camera.project(points, water)
+            still = replace(camera, motion=None).project(points, water)
+            assert camera.motion is None or np.abs(truth - still).max() > 0.3
+            np.testing.assert_allclose(project_all(stack, view, other, heights)[0], truth, atol=ROLLING_PX)
 
 
 @pytest.mark.parametrize("lenses", LENSES.values(), ids=LENSES.keys())

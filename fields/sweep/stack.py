@@ -14,21 +14,54 @@ from refract import FlatWater, PinholeCamera
 from refract.distortion import ROW as LENS_ROW
 from refract.distortion import kinds_of, row_of
 
-# Length of the row of a pinhole; that of its lens follows where any camera of a table has one.
-PINHOLE_ROW = 18
+_PINHOLE_ROW, _MOTION_ROW = 18, 3
 
 
-def camera_table(cameras: list[PinholeCamera]) -> np.ndarray:
-    """Rotation (9), centre (3), fx, fy, cx, cy, width, height of each camera, and the row of its lens.
+@dataclass(frozen=True)
+class Beyond:
+    """What some of a number of cameras have beyond a pinhole: kernels leave out the rest when they are traced.
 
-    (cameras, 18) float32, or (cameras, 28) where any of them distorts, see `refract.distortion`.
+    Attributes
+    ----------
+    lenses : frozenset of str
+        Kinds of distortion, see `refract.distortion`.
+    moves : bool
+        Whether any shutter rolls.
     """
-    has_lens = any(c.distortion is not None for c in cameras)
+
+    lenses: frozenset[str]
+    moves: bool
+
+    @staticmethod
+    def of(cameras: list[PinholeCamera]) -> Beyond:
+        """That of cameras."""
+        return Beyond(kinds_of(c.distortion for c in cameras), any(c.motion is not None for c in cameras))
+
+    @property
+    def row(self) -> int:
+        """Length of a row of the table of these cameras."""
+        return _PINHOLE_ROW + (_MOTION_ROW if self.moves else 0) + (LENS_ROW if self.lenses else 0)
+
+    def motion(self, row):
+        """The part of a row that says how far the camera flies from one row of the image to the next [m/px]."""
+        return row[_PINHOLE_ROW : _PINHOLE_ROW + _MOTION_ROW]
+
+    def lens(self, row):
+        """The part of a row that is that of `refract.distortion`."""
+        return row[len(row) - LENS_ROW :]
+
+
+def camera_table(cameras: list[PinholeCamera], beyond: Beyond) -> np.ndarray:
+    """Rotation (9), centre (3), fx, fy, cx, cy, width, height of each camera, and what it has beyond a pinhole.
+
+    (cameras, 18 and more) float32.
+    """
     rows = []
     for c in cameras:
         inner = (c.fx, c.fy, c.cx, c.cy, c.width, c.height)
-        lens = row_of(c.distortion) if has_lens else ()
-        rows.append(np.concatenate([c.cam_from_local.ravel(), c.centre, inner, lens]))
+        motion = (np.zeros(3) if c.motion is None else c.motion) if beyond.moves else ()
+        lens = row_of(c.distortion) if beyond.lenses else ()
+        rows.append(np.concatenate([c.cam_from_local.ravel(), c.centre, inner, motion, lens]))
     return np.asarray(rows, dtype=np.float32)
 
 
@@ -67,7 +100,8 @@ class ViewStack:
                     f"with a camera of {(camera.height, camera.width)}"
                 )
         flat = np.concatenate([np.asarray(image, dtype=np.float32).ravel() for image in images])
-        return ViewStack(device, list(cameras), floats(device, flat), floats(device, camera_table(cameras)), water)
+        table = floats(device, camera_table(cameras, Beyond.of(cameras)))
+        return ViewStack(device, list(cameras), floats(device, flat), table, water)
 
     @property
     def height(self) -> int:
@@ -77,15 +111,10 @@ class ViewStack:
     def width(self) -> int:
         return self.cameras[0].width
 
-    @property
-    def row(self) -> int:
-        """Length of a row of the table."""
-        return PINHOLE_ROW + (LENS_ROW if self.lenses else 0)
-
     @cached_property
-    def lenses(self) -> frozenset[str]:
-        """The kinds of distortion of its cameras; kernels leave out the terms of others."""
-        return kinds_of(camera.distortion for camera in self.cameras)
+    def beyond(self) -> Beyond:
+        """What its cameras have beyond pinholes."""
+        return Beyond.of(self.cameras)
 
     @property
     def plane(self) -> tuple[tuple[float, ...], tuple[float, ...], float]:

@@ -12,8 +12,7 @@ from torch import Tensor
 
 from fields.sweep.arrays import indices
 from fields.sweep.legs import legs_through, seen_at
-from fields.sweep.stack import ViewStack, camera_table
-from refract.distortion import kinds_of
+from fields.sweep.stack import Beyond, ViewStack, camera_table
 
 # Samples (neighbours x rungs x pixels) of one strip: 32 MB an array.
 STRIP_SAMPLES = 8_000_000
@@ -33,9 +32,10 @@ def legs_of(stack: ViewStack, view: int, first_row: int, rows: int) -> list[Tens
     row = torch.arange(rows, dtype=torch.float32, device=place) + (first_row + 0.5)
     column = torch.arange(stack.width, dtype=torch.float32, device=place) + 0.5
     v, u = torch.meshgrid(row, column, indexing="ij")
-    camera = [float(c) for c in camera_table([stack.cameras[view]])[0]]
-    lenses = kinds_of([stack.cameras[view].distortion])
-    return legs_through(camera, u.reshape(-1), v.reshape(-1), stack.plane, lenses)
+    cameras = [stack.cameras[view]]
+    beyond = Beyond.of(cameras)
+    camera = [float(c) for c in camera_table(cameras, beyond)[0]]
+    return legs_through(camera, u.reshape(-1), v.reshape(-1), stack.plane, beyond)
 
 
 def project_at(stack: ViewStack, legs, z: Tensor, pixel, view):
@@ -45,8 +45,8 @@ def project_at(stack: ViewStack, legs, z: Tensor, pixel, view):
     a tensor of them.
     """
     own = [row[pixel] for row in legs]
-    camera = stack.table.reshape(-1, stack.row)[view].unbind(-1)
-    return seen_at(camera, own, z, None if stack.water is None else stack.plane, stack.lenses)
+    camera = stack.table.reshape(-1, stack.beyond.row)[view].unbind(-1)
+    return seen_at(camera, own, z, None if stack.water is None else stack.plane, stack.beyond)
 
 
 def _corner(stack: ViewStack, u: Tensor, v: Tensor, inside: Tensor):

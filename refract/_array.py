@@ -22,7 +22,7 @@ def _is_array(x) -> bool:
 # the precision of arrays, to float64 and to that of the second argument, and leave plain numbers alone; `fixed` is
 # the value without its gradient, and `tracked` is whether any has one; `eps` is the spacing of numbers near one.
 _NUMPY = SimpleNamespace(
-    name="numpy", sqrt=np.sqrt, sin=np.sin, cos=np.cos, exp=np.exp, isnan=np.isnan,
+    name="numpy", sqrt=np.sqrt, sin=np.sin, cos=np.cos, atan=np.arctan, exp=np.exp, isnan=np.isnan,
     where=np.where, minimum=np.minimum, maximum=np.maximum, abs=np.abs,
     rsqrt=lambda x: 1.0 / np.sqrt(x), fma=lambda a, b, c: a * b + c,
     double=lambda x: np.float64(x) if _is_array(x) else x,
@@ -52,7 +52,7 @@ def _torch_namespace(torch) -> SimpleNamespace:
         return torch.is_grad_enabled() and any(torch.is_tensor(x) and x.requires_grad for x in arrays)
 
     return SimpleNamespace(
-        name="torch", sqrt=torch.sqrt, sin=torch.sin, cos=torch.cos, exp=torch.exp, isnan=torch.isnan,
+        name="torch", sqrt=torch.sqrt, sin=torch.sin, cos=torch.cos, atan=torch.atan, exp=torch.exp, isnan=torch.isnan,
         where=torch.where, minimum=pair(torch.minimum), maximum=pair(torch.maximum), abs=torch.abs,
         rsqrt=torch.rsqrt, fma=lambda a, b, c: a * b + c,
         double=if_tensor(torch.Tensor.double),
@@ -65,7 +65,7 @@ def _torch_namespace(torch) -> SimpleNamespace:
 @cache
 def _drjit_namespace(dr) -> SimpleNamespace:
     return SimpleNamespace(
-        name="drjit", sqrt=dr.sqrt, sin=dr.sin, cos=dr.cos, exp=dr.exp, isnan=dr.isnan,
+        name="drjit", sqrt=dr.sqrt, sin=dr.sin, cos=dr.cos, atan=dr.atan, exp=dr.exp, isnan=dr.isnan,
         where=dr.select, minimum=dr.minimum, maximum=dr.maximum, abs=dr.abs,
         rsqrt=dr.rsqrt, fma=dr.fma,
         double=lambda x: dr.float64_array_t(type(x))(x) if dr.is_array_v(x) else x,

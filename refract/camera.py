@@ -1,4 +1,4 @@
-"""Pinhole cameras over water: pixel to bent ray, point under water to pixel."""
+"""Cameras over water, with their lens: pixel to bent ray, point under water to pixel."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import final
 
 import numpy as np
 
+from refract.distortion import Distortion
 from refract.paths import BentPaths, trace
 from refract.projection import EXACT_STEPS, crossing_point
 from refract.surfaces import WaterSurface
@@ -16,6 +17,14 @@ _ROTATION_TOLERANCE = 1e-5
 
 # 0.29 of 100 px is 29 px, although the product rounds to 28.999999999999996.
 _WHOLE_PIXEL = 1e-9
+
+# Distortion bends a side of the image by a few per cent: between so many places of it by a hundredth of that.
+_PLACES_OF_SIDE = 16
+# Each step towards the row that takes a point leaves a twentieth of the error, or less: the way that a drone flies
+# while an image is read out, in distances to what it sees.
+_ROLLING_STEPS = 12
+# Of the angle to the axis, where a fisheye image ends [-].
+_WIDEST_TANGENT = 4.0
 
 
 def _is_rotation(matrix: np.ndarray) -> bool:
@@ -30,7 +39,7 @@ def _is_rotation(matrix: np.ndarray) -> bool:
 @final
 @dataclass(frozen=True)
 class PinholeCamera:
-    """A distortion-free camera in the local frame.
+    """A camera in the local frame: a pinhole, or one whose lens distorts.
 
     Attributes
     ----------
@@ -40,6 +49,11 @@ class PinholeCamera:
     fx, fy, cx, cy : [px]
         The centre of the first pixel is at (0.5, 0.5).
     width, height : [px]
+    distortion : Distortion or None
+        None for a pinhole. Pixels are those of the photograph as it was taken.
+    motion : (3,) float64 [m/px], local, or None
+        How far the camera flies, without turning, from one row of a rolling shutter to the next: velocity times
+        readout time over the rows. `centre` is its place at the row `cy`. None for a global shutter.
 
     Raises
     ------
@@ -56,6 +70,8 @@ class PinholeCamera:
     cy: float
     width: int
     height: int
+    distortion: Distortion | None = None
+    motion: np.ndarray | None = None
 
     def __post_init__(self):
         centre = np.asarray(self.centre, dtype=np.float64)
@@ -68,6 +84,11 @@ class PinholeCamera:
             raise ValueError(
                 f"expected a finite centre and a right-handed rotation, got {centre} and {rotation.tolist()}"
             )
+        if self.motion is not None:
+            motion = np.asarray(self.motion, dtype=np.float64)
+            object.__setattr__(self, "motion", motion)
+            if motion.shape != (3,) or not np.isfinite(motion).all():
+                raise ValueError(f"expected a finite motion (3,) in metres per row, got {self.motion}")
         if not (self.fx > 0.0 and self.fy > 0.0 and self.width >= 1 and self.height >= 1):
             raise ValueError(
                 f"expected positive focal lengths and at least one pixel, got fx {self.fx}, fy {self.fy}, "
@@ -83,36 +104,79 @@ class PinholeCamera:
         width, height = (int(size * factor + _WHOLE_PIXEL) for size in (self.width, self.height))
         sx, sy = width / self.width, height / self.height
         return replace(
-            self,
+            self, motion=None if self.motion is None else self.motion / sy,
             fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy, width=width, height=height,
         )  # fmt: skip
+
+    def outline(self) -> np.ndarray:
+        """Pixels (N, 2) around the border of the image, in order: its corners, and places between where it is bent."""
+        w, h = self.width, self.height
+        corners = np.array([[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]])
+        if self.distortion is None:
+            return corners
+        share = np.linspace(0.0, 1.0, _PLACES_OF_SIDE, endpoint=False)[:, None]
+        return np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
+
+    @property
+    def widening(self) -> float:
+        """How much farther from the axis the border of the image looks than it would without distortion, at least 1.
+
+        The ratio of the tangents of the widest angles, which are taken to be at most 76 degrees.
+        """
+        if self.distortion is None:
+            return 1.0
+        u, v = self.outline().T
+        x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
+        farthest = np.hypot(*self.distortion.undistorted(x, y))
+        farthest = np.where(np.isnan(farthest), self.distortion.reach, farthest).max()
+        return max(min(float(farthest), _WIDEST_TANGENT) / float(np.hypot(x, y).max()), 1.0)
 
     def pixel_centres(self) -> np.ndarray:
         """Pixel coordinates (height, width, 2) of all pixel centres, img frame [px]."""
         u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         return np.stack([u, v], axis=-1)
 
+    def centres(self, pixels) -> np.ndarray:
+        """Places (..., 3) [m], local, at which the camera takes pixels (..., 2); (3,) with a global shutter."""
+        if self.motion is None:
+            return self.centre
+        return self.centre + (np.asarray(pixels, dtype=np.float64)[..., 1:] - self.cy) * self.motion
+
     def directions(self, pixels) -> np.ndarray:
-        """Unit directions of view (..., 3), local, through pixels (..., 2) [px]; other shapes: ValueError."""
+        """Unit directions of view (..., 3), local, through pixels (..., 2) [px]; other shapes: ValueError.
+
+        NaN for pixels to which the lens brings no light: beyond the place where its model folds back.
+        """
         pixels = np.asarray(pixels, dtype=np.float64)
         if pixels.ndim == 0 or pixels.shape[-1] != 2:
             raise ValueError(f"expected pixels of shape (..., 2), got {pixels.shape}")
         x = (pixels[..., 0] - self.cx) / self.fx
         y = (pixels[..., 1] - self.cy) / self.fy
+        if self.distortion is not None:
+            x, y = self.distortion.undistorted(x, y)
         rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ self.cam_from_local
         return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
     def paths(self, pixels, water: WaterSurface | None) -> BentPaths:
         """Bent paths of pixels (..., 2) [px]; see `refract.paths.trace`."""
-        return trace(self.centre, self.directions(pixels), water)
+        return trace(self.centres(pixels), self.directions(pixels), water)
 
     def project(self, points, water: WaterSurface | None, *, steps: int = EXACT_STEPS) -> np.ndarray:
         """Pixels (..., 2) [px] at which points (..., 3) [m], local, appear through the water.
 
-        NaN for points behind the camera; pixels outside the image are returned as they are. `steps` as in
-        `refract.crossing_point`.
+        NaN for points behind the camera, and beyond the reach of its lens; pixels outside the image are returned as
+        they are. `steps` as in `refract.crossing_point`.
         """
         points = np.asarray(points, dtype=np.float64)
-        seen = (crossing_point(points, self.centre, water, steps=steps) - self.centre) @ self.cam_from_local.T
+        pixels = self._project_from(self.centre, points, water, steps)
+        for _ in range(0 if self.motion is None else _ROLLING_STEPS):
+            pixels = self._project_from(self.centres(pixels), points, water, steps)
+        return pixels
+
+    def _project_from(self, centre: np.ndarray, points: np.ndarray, water: WaterSurface | None, steps: int):
+        seen = (crossing_point(points, centre, water, steps=steps) - centre) @ self.cam_from_local.T
         z = np.where(seen[..., 2] > 0.0, seen[..., 2], np.nan)
+        if self.distortion is not None:
+            x, y = self.distortion.distorted(seen[..., 0] / z, seen[..., 1] / z)
+            return np.stack([self.fx * x + self.cx, self.fy * y + self.cy], axis=-1)
         return np.stack([self.fx * seen[..., 0] / z + self.cx, self.fy * seen[..., 1] / z + self.cy], axis=-1)

@@ -1,14 +1,18 @@
-"""Lenses in COLMAP's camera models, distortion included: from pixels to directions and back."""
+"""Lenses in COLMAP's camera models, distortion included: from pixels to directions and back.
+
+The functions go by OpenCV: the simulator takes photographs by them, so that `refract.distortion` is tried on others.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from refract.camera import PinholeCamera
+from refract.distortion import BROWN, FISHEYE, RATIONAL, Distortion
 
 # Parameters in COLMAP's order; the id is the one of COLMAP's binary files.
 MODELS = {
@@ -87,6 +91,21 @@ class Lens:
         distorted = any(p != 0.0 for name, p in zip(names, self.params, strict=True) if name[0] in "kp")
         # A fisheye lens maps by the angle, even with all its coefficients at zero.
         return distorted or self.model == "OPENCV_FISHEYE"
+
+    @property
+    def distortion(self) -> Distortion | None:
+        """The distortion of its rays; None where no coefficient differs from zero."""
+        if not self.is_distorted:
+            return None
+        if self.model == "OPENCV_FISHEYE":
+            return Distortion(FISHEYE, tuple(self[name] for name in ("k1", "k2", "k3", "k4")))
+        names = ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"]
+        is_rational = any(self[name] for name in names[5:])
+        return Distortion(RATIONAL if is_rational else BROWN, tuple(self[n] for n in names[: 8 if is_rational else 5]))
+
+    def camera(self, centre, cam_from_local) -> PinholeCamera:
+        """The camera that takes photographs through this lens, at a pose in local."""
+        return replace(self.pinhole(centre, cam_from_local), distortion=self.distortion)
 
     def pinhole(self, centre, cam_from_local) -> PinholeCamera:
         """The undistorted camera of the same focal length, principal point and size, at a pose in local."""

@@ -61,7 +61,7 @@ def edit(copy):
 @pytest.mark.parametrize(
     ("name", "old", "new", "changed"),
     [
-        ("survey/photos/images.py", "cv2.INTER_LANCZOS4", "cv2.INTER_LINEAR", (SWEEP, BED)),
+        ("survey/photos/images.py", "cv2.INTER_AREA", "cv2.INTER_LINEAR", (SWEEP, BED)),
         ("survey/plan/heights.py", "HIGHEST, DEEPEST = 0.8, 1.5", "HIGHEST, DEEPEST = 0.8, 1.4", (SWEEP, BED)),
         ("fields/sweep/sweep.py", "Pass(0.5, 2, 11,", "Pass(0.5, 2, 13,", (SWEEP, BED)),
         ("fields/slab/refine.py", "CHUNK = 65536", "CHUNK = 32768", (BED,)),

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from refract import FlatWater, PinholeCamera
+from refract.distortion import BROWN, Distortion
 
 PIXEL = 1e-6  # the promise: project after paths; measured worst 3e-13 px
 FLIP = np.diag([1.0, -1.0, -1.0])  # camera x east, y south, z down: a nadir view, north up
@@ -90,6 +94,31 @@ def test_pixels_outside_the_image_are_returned_as_they_are():
     assert v == pytest.approx(195.0)
 
 
+@pytest.mark.parametrize("lens", [None, Distortion(BROWN, (-0.2, 0.05, 1e-3, -1e-3, 0.0))], ids=["pinhole", "lens"])
+@pytest.mark.parametrize("water", [None, FlatWater((0.0, 0.0, 1.0), n_water=1.34, slope_y=0.02)], ids=["dry", "wet"])
+def test_a_rolling_shutter_takes_each_point_at_the_row_at_which_it_appears(rng, water, lens):
+    still = replace(oblique_camera(20.0, 70.0), distortion=lens)
+    camera = replace(still, motion=np.array([9e-4, -5e-4, 2e-4]))  # 0.4 m from the first row to the last
+    points = rng.uniform([-3.0, -8.0, -4.0], [9.0, 4.0, 3.0], (40, 3))
+
+    def row_less(v: float, point: np.ndarray) -> float:
+        there = replace(still, centre=camera.centre + (v - camera.cy) * camera.motion)
+        return there.project(point, water)[1] - v
+
+    expected = []
+    for point in points:
+        v = brentq(row_less, -3000.0, 3000.0, args=(point,), xtol=1e-12)
+        expected.append(replace(still, centre=camera.centre + (v - camera.cy) * camera.motion).project(point, water))
+    found = camera.project(points, water)
+    assert np.abs(found - still.project(points, water)).max() > 1.0
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-8)
+    for height in (2.0, -3.0):
+        back = camera.project(camera.paths(found, water).at_height(np.array(height), water), water)
+        np.testing.assert_allclose(back, found, rtol=0.0, atol=1e-6)
+    half = camera.scaled(0.5)
+    np.testing.assert_allclose(2.0 * half.project(points, water), found, rtol=0.0, atol=1e-8)
+
+
 @pytest.mark.parametrize("factor", [0.5, 0.25, 2.0, 0.3])
 def test_a_scaled_camera_sees_the_same_things_at_scaled_pixels(rng, factor):
     camera, water = oblique_camera(15.0, 200.0), FlatWater((0.0, 0.0, 1.0), n_water=1.333)
@@ -123,6 +152,8 @@ def test_scaling_rounds_down_but_not_past_a_whole_pixel():
         ({"fx": 0.0}, r"fx 0\.0"),
         ({"fy": np.nan}, "fy nan"),
         ({"width": 0}, "0 x 384"),
+        ({"motion": [1.0, 2.0]}, r"finite motion \(3,\)"),
+        ({"motion": [1.0, np.nan, 0.0]}, "finite motion"),
     ],
 )
 def test_impossible_cameras_are_refused_with_what_was_found(changes, words):

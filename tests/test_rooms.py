@@ -55,6 +55,8 @@ DISK = (
 )
 # The files that touch the disk, by folder. fields/device.py only looks for libLLVM.
 DISK_FILES = {
+    "survey/adjust/adjustment.py",
+    "survey/adjust/written.py",
     f"{folder}/{name}.py"
     for folder, names in {
         "fields": ("device",),

@@ -10,7 +10,9 @@ from small_survey import small_survey
 
 from fields.sweep.bed import BedPoints
 from refract import FlatWater, PinholeCamera
+from refract.distortion import BROWN, Distortion
 from survey.folder.survey import load_survey
+from survey.run import gate
 from survey.run.gate import CELL_GSD, MAX_STD_GSD, cells_seen, verdict_of
 
 DOWN = np.diag([1.0, -1.0, -1.0])
@@ -53,6 +55,18 @@ def test_cells_are_counted_by_the_views_that_see_them(survey):
     # Each sees 10 m x 6 m, and 6 m x 6 m together; a cell on an edge counts or not.
     for times, area in ((1, 2 * 4.0 * 6.0), (2, 6.0 * 6.0)):
         assert (num_views == times).sum() * cell_m2 == pytest.approx(area, rel=0.15)
+
+
+@pytest.mark.parametrize("k1", [-0.3, 0.3, -0.9], ids=["barrel", "pincushion", "folding"])
+def test_no_cell_that_a_lens_bends_into_view_is_left_out(survey, monkeypatch, k1):
+    lens = Distortion(BROWN, (k1, 0.0, 0.002, -0.001, 0.0))
+    views = tuple(replace(view, camera=replace(view.camera, distortion=lens)) for view in survey.views)
+    bent, bed = replace(survey, views=views), bed_over(-5.0, 9.0).xyz
+    found, straight = (cells_seen(s, bed, GSD)[1] for s in (bent, survey))
+    monkeypatch.setattr(gate, "_around", lambda *_: (slice(None), slice(None)))
+    np.testing.assert_array_equal(found, cells_seen(bent, bed, GSD)[1])
+    # A barrel shows more of the ground than a pinhole, a pincushion less.
+    assert ((found >= 1).sum() > (straight >= 1).sum()) == (k1 < 0.0)
 
 
 @pytest.mark.parametrize(("until", "passed"), [(9.0, True), (2.6, True), (1.4, False)])

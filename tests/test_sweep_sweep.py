@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 import cv2
 import numpy as np
 import pytest
-from plane_survey import SIZE, TILTED, PlaneBed, look, ring
+from plane_survey import FOCAL, SIZE, TILTED, PlaneBed, look, ring
 
 from fields.device import choose_device
 from fields.sweep import sweep as sweeping
@@ -16,6 +16,7 @@ from fields.sweep.block import Block
 from fields.sweep.climbing import climb_view
 from fields.sweep.sweep import PASSES, DepthMap, Pass, sweep
 from refract import FlatWater
+from refract.distortion import BROWN, Distortion
 from survey.simulate.drawn import DrawnScene, stage_drawing
 from survey.simulate.output.staged_scene import StagedScene
 
@@ -29,6 +30,11 @@ BEDS = {
     "wet": PlaneBed(TILTED, -2.0, slope=0.1),
     "dry": PlaneBed(None, -2.0, slope=0.1),
     "shore": PlaneBed(FlatWater((0.0, 0.0, -2.0), n_water=1.34, slope_x=0.01, slope_y=0.02), -2.0, slope=0.3),
+}
+# The corners of the image are 0.075 from the axis: strong terms move them by 3 px.
+LENSES = {
+    "barrel": Distortion(BROWN, (-10.0, 0.0, 0.0, 0.0, 0.0)),
+    "decentred pincushion": Distortion(BROWN, (9.0, 50.0, 0.05, -0.08, 0.0)),
 }
 # Errors of the trusted heights of one view [m]; a pixel is 1.5 cm. Measured at worst: half of them 0.66 mm, 90 %
 # 4.0 mm, median 0.06 mm, mean 0.24 mm.
@@ -65,6 +71,21 @@ def test_a_sweep_finds_a_plane_in_all_views(device, wet, name):
     assert [m.view for m in maps] == list(range(7))
     for m, error in zip(maps, errors(block, bed, maps), strict=True):
         assert trusted(m).mean() > 0.75
+        half, most = np.quantile(np.abs(error), [0.5, 0.9])
+        assert half < HALF_M
+        assert most < MOST_M
+        assert abs(np.median(error)) < MEDIAN_M
+        assert abs(error.mean()) < MEAN_M
+
+
+@pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES.keys())
+def test_a_sweep_finds_a_plane_through_a_lens_that_distorts(device, lens):
+    bed, cameras = BEDS["wet"], [replace(camera, distortion=lens) for camera in ring(6)]
+    moved = cameras[0].directions(cameras[0].pixel_centres()) - ring(6)[0].directions(cameras[0].pixel_centres())
+    assert FOCAL * np.abs(moved).max() > 2.0  # px
+    block, maps = sweep_plane(device, bed, cameras=cameras)
+    for m, error in zip(maps, errors(block, bed, maps), strict=True):
+        assert trusted(m).mean() > 0.7
         half, most = np.quantile(np.abs(error), [0.5, 0.9])
         assert half < HALF_M
         assert most < MOST_M

@@ -81,14 +81,14 @@ def render_view(field: TensorField, camera: PinholeCamera, water: FlatWater | No
         colour, found, upright = field.look(rays, torch.as_tensor(normal, dtype=torch.float32), dry=dry)
         rgb[part] = np.round(255.0 * colour.clamp(max=1.0).numpy()).astype(np.uint8)
         height[part], normals[part] = found.numpy(), upright.numpy()
-        distance[part] = _distance(rays, found, camera)
+        distance[part] = _distance(rays, found, camera.centres(pixels[part]))
     return NovelView(rgb.reshape(*shape, 3), height.reshape(shape), distance.reshape(shape), normals.reshape(*shape, 3))
 
 
-def _distance(rays: Rays, height: Tensor, camera: PinholeCamera) -> np.ndarray:
-    """Length of the paths down to heights, [m]: in water from the foot, in air from the camera."""
+def _distance(rays: Rays, height: Tensor, centre: np.ndarray) -> np.ndarray:
+    """Length of the paths down to heights, [m]: in water from the foot, in air from the camera's centre."""
     wet = (-height).clamp(min=0.0) * rays.wet.norm(dim=1)
-    crossing = rays.at(height.clamp(min=0.0)) - torch.as_tensor(camera.centre, dtype=torch.float32)
+    crossing = rays.at(height.clamp(min=0.0)) - torch.as_tensor(centre, dtype=torch.float32)
     return (wet + crossing.norm(dim=1)).numpy()
 
 

@@ -80,7 +80,8 @@ def rays_of(
     normal = np.array(water.up if water else (0.0, 0.0, 1.0))
     plane = np.array(water.point if water else (0.0, 0.0, 0.0))
     fall = path.air_direction @ normal
-    foot = camera.centre - path.air_direction * (((camera.centre - plane) @ normal) / fall)[:, None]
+    centre = camera.centres(pixels)
+    foot = centre - path.air_direction * (((centre - plane) @ normal) / fall)[:, None]
     air = path.air_direction / fall[:, None]
     fall_wet = path.water_direction @ normal
     wet = path.water_direction / fall_wet[:, None]

@@ -44,7 +44,7 @@ def coverage(cameras: list[PinholeCamera], water: FlatWater | None, height: floa
             "check the rotations of the poses"
         )
     pixel_size = np.array([(c.centre[2] - height) / c.fx for c in cameras])
-    reach = np.max(pixel_size * [np.hypot(c.width, c.height) / 2 for c in cameras])
+    reach = np.max(pixel_size * [c.widening * np.hypot(c.width, c.height) / 2 for c in cameras])
     side = np.median(pixel_size * [min(c.width, c.height) for c in cameras])
     low, high = np.nanmin(centres, axis=0)[:2] - reach, np.nanmax(centres, axis=0)[:2] + reach
     columns, rows = np.clip(np.ceil((high - low) * CELLS_PER_VIEW / side), GRID_CELLS, MOST_CELLS).astype(int)

@@ -17,7 +17,7 @@ import numpy as np
 
 from fields.sweep.arrays import indices
 from fields.sweep.legs import legs_through, seen_at
-from fields.sweep.stack import CAMERA_ROW, ViewStack, camera_table
+from fields.sweep.stack import Beyond, ViewStack, camera_table
 
 # Samples (neighbours x rungs x pixels) of one launch: 64 MB an array, large against a launch's cost.
 STRIP_SAMPLES = 16_000_000
@@ -40,8 +40,10 @@ def legs_of(stack: ViewStack, view: int, first_row: int, rows: int):
     line = index // width
     u = Float(index - line * width) + 0.5
     v = Float(line + dr.opaque(UInt, first_row)) + 0.5
-    camera = [dr.opaque(Float, float(c)) for c in camera_table([stack.cameras[view]])[0]]
-    legs = legs_through(camera, u, v, _water_plane(stack))
+    cameras = [stack.cameras[view]]
+    beyond = Beyond.of(cameras)
+    camera = [dr.opaque(Float, float(c)) for c in camera_table(cameras, beyond)[0]]
+    legs = legs_through(camera, u, v, _water_plane(stack), beyond)
     dr.eval(legs)
     return legs
 
@@ -57,8 +59,8 @@ def project_at(stack: ViewStack, legs, z, pixel, view):
     """Pixel position in `view`, and whether inside it, of the path of `pixel` at height `z` (all Dr.Jit)."""
     Float = stack.device.module.Float
     own = [dr.gather(Float, row, pixel) for row in legs]
-    camera = [dr.gather(Float, stack.table, view * CAMERA_ROW + c) for c in range(CAMERA_ROW)]
-    return seen_at(camera, own, z, None if stack.water is None else _water_plane(stack))
+    camera = [dr.gather(Float, stack.table, view * stack.beyond.row + c) for c in range(stack.beyond.row)]
+    return seen_at(camera, own, z, None if stack.water is None else _water_plane(stack), stack.beyond)
 
 
 def sample(stack: ViewStack, view, u, v, inside):

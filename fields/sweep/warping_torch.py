@@ -12,7 +12,7 @@ from torch import Tensor
 
 from fields.sweep.arrays import indices
 from fields.sweep.legs import legs_through, seen_at
-from fields.sweep.stack import CAMERA_ROW, ViewStack, camera_table
+from fields.sweep.stack import Beyond, ViewStack, camera_table
 
 # Samples (neighbours x rungs x pixels) of one strip: 32 MB an array.
 STRIP_SAMPLES = 8_000_000
@@ -32,8 +32,10 @@ def legs_of(stack: ViewStack, view: int, first_row: int, rows: int) -> list[Tens
     row = torch.arange(rows, dtype=torch.float32, device=place) + (first_row + 0.5)
     column = torch.arange(stack.width, dtype=torch.float32, device=place) + 0.5
     v, u = torch.meshgrid(row, column, indexing="ij")
-    camera = [float(c) for c in camera_table([stack.cameras[view]])[0]]
-    return legs_through(camera, u.reshape(-1), v.reshape(-1), stack.plane)
+    cameras = [stack.cameras[view]]
+    beyond = Beyond.of(cameras)
+    camera = [float(c) for c in camera_table(cameras, beyond)[0]]
+    return legs_through(camera, u.reshape(-1), v.reshape(-1), stack.plane, beyond)
 
 
 def project_at(stack: ViewStack, legs, z: Tensor, pixel, view):
@@ -43,8 +45,8 @@ def project_at(stack: ViewStack, legs, z: Tensor, pixel, view):
     a tensor of them.
     """
     own = [row[pixel] for row in legs]
-    camera = stack.table.reshape(-1, CAMERA_ROW)[view].unbind(-1)
-    return seen_at(camera, own, z, None if stack.water is None else stack.plane)
+    camera = stack.table.reshape(-1, stack.beyond.row)[view].unbind(-1)
+    return seen_at(camera, own, z, None if stack.water is None else stack.plane, stack.beyond)
 
 
 def _corner(stack: ViewStack, u: Tensor, v: Tensor, inside: Tensor):

@@ -140,7 +140,7 @@ def paths_of(
     Light that the surface reflects totally, or whose refraction is not known, misses the box.
     """
     direction = camera.directions(pixels)
-    origin = np.broadcast_to(camera.centre, direction.shape)
+    origin = np.broadcast_to(camera.centres(pixels), direction.shape)
     colours = torch.as_tensor(rgb / 255.0, dtype=torch.float32)
     return paths_along(origin, direction, water, colours, box, torch.full((len(pixels),), view))
 

@@ -158,15 +158,16 @@ def solve(problem: Problem, start: State, *, inflation: np.ndarray | None = None
     NotConvergedError
         If the adjustment does not converge.
     """
-    state, std_px = start, None
     inflation = np.ones(len(problem.kind)) if inflation is None else inflation
+    residuals = problem.ties.pixel - predict(problem.layout, start, problem.ties, problem.sides)
+    std_px = std_of_kinds(problem, residuals)
+    state, system = _descend(problem, start, std_px, inflation)
     for _ in range(_MOST_ROUNDS):
         residuals = problem.ties.pixel - predict(problem.layout, state, problem.ties, problem.sides)
         before, std_px = std_px, std_of_kinds(problem, residuals)
-        if before is not None and (np.abs(std_px / before - 1.0) < _STEADY).all():
+        if (np.abs(std_px / before - 1.0) < _STEADY).all():
             break
         state, system = _descend(problem, state, std_px, inflation)
-    residuals = problem.ties.pixel - predict(problem.layout, state, problem.ties, problem.sides)
     weights = _weights(problem, residuals, std_px) / inflation
     covariance = cho_solve(cho_factor(_scaled(system.normal)[0]), np.eye(len(system.normal)))
     scale = _scaled(system.normal)[1]

@@ -224,7 +224,7 @@ def _moves() -> list[Callable[[PinholeCamera, float], PinholeCamera]]:
 
 def _by_lens(cameras: Sequence[PinholeCamera], ties: TiePoints) -> csr_array:
     """Derivatives of the pixels by the coefficients of the fields of each lens, (2 N, 20 lenses)."""
-    kinds = [(c.fx, c.fy, c.cx, c.cy, c.width, c.height) for c in cameras]
+    kinds = [(c.fx, c.fy, c.cx, c.cy, c.width, c.height, c.distortion) for c in cameras]
     number = np.array([kinds.index(kind) for kind in kinds])[ties.view]
     lenses, number = np.unique(number, return_inverse=True)
     sizes = np.array([(c.width, c.height) for c in cameras])[ties.view]

@@ -78,7 +78,8 @@ def observed(parts: list[tuple[int, TiePoints]], control: Control | None, survey
         np.concatenate([_straightened(ties, known) for _, ties in parts]),
     )
     kind = np.concatenate([np.full(len(ties.view), kind) for kind, ties in parts])
-    point_std, names = np.full((len(ties), 3), np.inf), ()
+    point_std = np.full((len(ties), 3), np.inf)
+    names: tuple[str, ...] = ()
     if control is not None and control.points:
         names = tuple(point.name for point in control.points)
         point_std[first[-2] :] = [

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from refract import FlatWater, PinholeCamera, crossing_point
+from refract.distortion import distort, kinds_of, row_of
 from survey.photos.tie_points import TiePoints
 
 # Half a step of the central differences: the projection is exact to 1e-12 px or so and curves on the scale of metres,
@@ -26,7 +27,11 @@ def pixels_of(
     seen = crossing_point(points[ties.point], centres, water, steps=_NEWTON_STEPS) - centres
     x, y, z = np.einsum("nij,nj->in", rotations, seen)
     z = np.where(z > 0.0, z, np.nan)
-    return np.stack([inner[:, 0] * x / z + inner[:, 2], inner[:, 1] * y / z + inner[:, 3]], axis=-1)
+    x, y = x / z, y / z
+    lenses = kinds_of(camera.distortion for camera in cameras)
+    if lenses:
+        x, y = distort(lenses, x, y, np.array([row_of(camera.distortion) for camera in cameras])[ties.view].T)
+    return np.stack([inner[:, 0] * x + inner[:, 2], inner[:, 1] * y + inner[:, 3]], axis=-1)
 
 
 def residuals_of(

@@ -84,7 +84,7 @@ def adjust_survey(
 def apply_adjustment(survey: Survey, found: Adjustment) -> Survey:
     """The survey with the poses, lenses and water that an adjustment found."""
     views = tuple(
-        replace(view, camera=found.lenses[number].pinhole(centre, rotation), lens=found.lenses[number])
+        replace(view, camera=found.lenses[number].camera(centre, rotation), lens=found.lenses[number])
         for view, number, centre, rotation in zip(
             survey.views, found.lens_of, found.centres, found.rotations, strict=True
         )
@@ -105,7 +105,7 @@ def _started(known: Known, done: Adjusted) -> Known:
 def _with_state(survey: Survey, known: Known, state: State) -> Survey:
     lenses = [_lens_of(lens, state.lenses[i]) for i, lens in enumerate(known.lenses)]
     views = tuple(
-        replace(view, camera=lenses[number].pinhole(centre, rotation), lens=lenses[number])
+        replace(view, camera=lenses[number].camera(centre, rotation), lens=lenses[number])
         for view, number, centre, rotation in zip(
             survey.views, known.layout.lens_of, state.centres, state.rotations, strict=True
         )

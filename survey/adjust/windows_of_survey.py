@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from refract.lens import distorted
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
@@ -35,8 +34,4 @@ def measure_windows(survey: Survey, *, device: str = "auto", advance: Callable[[
         raise SurveyError(str(error)) from error
     full = [(view.camera, camera_of(view, plan)) for view in survey.views]
     enlarge = np.array([(camera.fx / used.fx, camera.fy / used.fy) for camera, used in full])
-    pixel = ties.pixel * enlarge[ties.view]
-    for number, view in enumerate(survey.views):
-        mine = ties.view == number
-        pixel[mine] = distorted(view.lens, pixel[mine])
-    return replace(ties, pixel=pixel)
+    return replace(ties, pixel=ties.pixel * enlarge[ties.view])

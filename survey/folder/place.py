@@ -63,7 +63,7 @@ def _views_of_local_poses(found: Found, poses: list[Pose]) -> tuple[LocalFrame, 
 def _view(found: Found, pose: Pose, centre: np.ndarray, cam_from_local: np.ndarray) -> View:
     if pose.lens is None:
         raise ValueError(f"the pose of {pose.name} has no lens; expected what `with_lenses` returns")
-    return View(pose.name, found.images[pose.name], pose.lens.pinhole(centre, cam_from_local), pose.lens)
+    return View(pose.name, found.images[pose.name], pose.lens.camera(centre, cam_from_local), pose.lens)
 
 
 def _origin(found: Found, centres: np.ndarray) -> tuple[float, float, float]:

@@ -101,7 +101,7 @@ def solve_views(found: Found, workspace: Path | None, report: Callable[[str], No
     views = []
     for file_name, lens, centre, cam_from_local in result.views:
         name = file_name if file_name in found.images else by_file[Path(file_name).name]
-        views.append(View(name, found.images[name], lens.pinhole(centre, cam_from_local), lens))
+        views.append(View(name, found.images[name], lens.camera(centre, cam_from_local), lens))
     if len(views) < MIN_VIEWS:
         raise PosesError(
             f"structure from motion found the poses of {len(views)} of {len(found.images)} images, expected at least "

@@ -50,10 +50,9 @@ class View:
         Path of the image below the image folder, with forward slashes.
     path : Path
     camera : PinholeCamera
-        Free of distortion, local frame, at full size; `survey.photos.images.load_image` gives the pixels that fit
-        it.
+        Of the photograph as it was taken, lens distortion included; local frame, at full size.
     lens : Lens
-        Of the photograph as it was taken.
+        The same inside, as the poses file or survey.toml gives it.
     mask_path : Path or None
         Image of the stored size; black is left out.
     """

@@ -1,14 +1,12 @@
-"""Photographs: found, checked, decoded and undistorted."""
+"""Photographs: found, checked, decoded and made smaller."""
 
 from __future__ import annotations
 
-from functools import lru_cache
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from refract.lens import Lens
 from survey.errors import ImageError
 from survey.photos.cameras import View
 from survey.photos.exif import SUFFIXES
@@ -49,7 +47,7 @@ def require_complete(path: Path) -> None:
 
 
 def load_image(view: View, *, scale: float = 1.0) -> np.ndarray:
-    """The photograph as `view.camera` would have taken it.
+    """The photograph as it was taken by `view.camera`.
 
     Parameters
     ----------
@@ -60,8 +58,7 @@ def load_image(view: View, *, scale: float = 1.0) -> np.ndarray:
     Returns
     -------
     (height, width, 3) uint8, RGB
-        Zero where the distorted photograph has no pixel; see `load_mask`. EXIF orientation is not applied:
-        poses and sizes are those of the stored pixels.
+        EXIF orientation is not applied: poses and sizes are those of the stored pixels.
 
     Raises
     ------
@@ -70,32 +67,20 @@ def load_image(view: View, *, scale: float = 1.0) -> np.ndarray:
     """
     pixels = _decode(view.path, "RGB")
     _require_size(view, pixels)
-    if view.lens.is_distorted:
-        x, y, valid = _maps(view.lens)
-        pixels = cv2.remap(pixels, x, y, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE)
-        pixels[~valid] = 0
     return _shrink(pixels, view, scale)
 
 
 def load_mask(view: View, *, scale: float = 1.0) -> np.ndarray | None:
-    """Where `load_image` has pixels to be used, (height, width) bool; None where all are.
-
-    False outside the distorted photograph and where the mask of the view is black.
-    """
-    masks = []
-    if view.lens.is_distorted:
-        masks.append(_maps(view.lens)[2])
-    if view.mask_path is not None:
-        mask = _decode(view.mask_path, "L")
-        _require_size(view, mask, path=view.mask_path)
-        if view.lens.is_distorted:
-            x, y, _ = _maps(view.lens)
-            mask = cv2.remap(mask, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
-        masks.append(mask > 0)
-    if not masks or all(mask.all() for mask in masks):
+    """Where the mask of the view lets `load_image` be used, (height, width) bool; None where everywhere."""
+    if view.mask_path is None:
+        return None
+    mask = _decode(view.mask_path, "L")
+    _require_size(view, mask, path=view.mask_path)
+    used = mask > 0
+    if used.all():
         return None
     # A pixel of the smaller image is used where all of its area is; the average is rounded in float32.
-    share = _shrink(np.logical_and.reduce(masks).astype(np.float32), view, scale)
+    share = _shrink(used.astype(np.float32), view, scale)
     return share > 1.0 - 1e-4
 
 
@@ -118,7 +103,7 @@ def _decode(path: Path, mode: str) -> np.ndarray:
 
 
 def _require_size(view: View, pixels: np.ndarray, *, path: Path | None = None) -> None:
-    found, expected = pixels.shape[1::-1], (view.lens.width, view.lens.height)
+    found, expected = pixels.shape[1::-1], (view.camera.width, view.camera.height)
     if found != expected:
         raise ImageError(
             f"{path or view.path} has {found[0]} x {found[1]} pixels, expected {expected[0]} x {expected[1]} as its "
@@ -131,22 +116,3 @@ def _shrink(pixels: np.ndarray, view: View, scale: float) -> np.ndarray:
         return pixels
     camera = view.camera.scaled(scale)
     return cv2.resize(pixels, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
-
-
-@lru_cache(maxsize=2)
-def _maps(lens: Lens) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where in the photograph each pixel of the pinhole lies, in OpenCV's pixels; and whether inside."""
-    fx, fy = lens.focal
-    # OpenCV counts pixels from the centre of the first one, COLMAP from its corner.
-    matrix = np.array([[fx, 0.0, lens["cx"] - 0.5], [0.0, fy, lens["cy"] - 0.5], [0.0, 0.0, 1.0]])
-    size = (lens.width, lens.height)
-    if lens.model == "OPENCV_FISHEYE":
-        k = np.array([lens[name] for name in ("k1", "k2", "k3", "k4")])
-        x, y = cv2.fisheye.initUndistortRectifyMap(matrix, k, np.eye(3), matrix, size, cv2.CV_32FC1)
-    else:
-        k = np.array([lens[name] for name in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")])
-        x, y = cv2.initUndistortRectifyMap(matrix, k, None, matrix, size, cv2.CV_32FC1)
-    inside = (x >= -0.5) & (x <= lens.width - 0.5) & (y >= -0.5) & (y <= lens.height - 0.5)
-    # Beyond the range of its fit a polynomial may fold back and show the image twice, mirrored.
-    (x_down, x_right), (y_down, y_right) = np.gradient(x), np.gradient(y)
-    return x, y, inside & (x_right * y_down - x_down * y_right > 0.0)

@@ -112,5 +112,5 @@ def _require_size(path: Path, values: np.ndarray, camera: PinholeCamera) -> None
     if (height, width) != (camera.height, camera.width):
         raise ImageError(
             f"{path} has {width} x {height} px, its camera {camera.width} x {camera.height} px; a prior has the "
-            "size of the photograph without distortion, at the scale of the training"
+            "size of the photograph, at the scale of the training"
         )

@@ -1,4 +1,4 @@
-"""Photographs that several stages of a run use, decoded and undistorted once."""
+"""Photographs that several stages of a run use, decoded once."""
 
 from __future__ import annotations
 

@@ -205,9 +205,7 @@ def _refraction(survey: Survey) -> Decision:
 
 
 def _sees_beside_water(camera: PinholeCamera, water: FlatWater) -> bool:
-    w, h = camera.width, camera.height
-    corners = camera.directions(np.array([[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]]))
-    return bool((corners @ np.array(water.up) >= 0.0).any())
+    return bool((camera.directions(camera.outline()) @ np.array(water.up) >= 0.0).any())
 
 
 def _image_decision(camera: PinholeCamera, scale: float, quality: str) -> Decision:

@@ -36,8 +36,8 @@ _BASE_BYTES = 950e6
 # Per pixel: of every view its grey image twice in float32, and its colours, kept while there is room (a quarter of what
 # is free); of a view with a height map the arrays of sweep and bed.
 _BYTES_OF_VIEW, _BYTES_OF_MAP = 11, 26
-# Per pixel of a whole photograph while it is decoded, undistorted and made smaller.
-_BYTES_OF_DECODING = 34
+# Per pixel of a whole photograph while it is decoded.
+_BYTES_OF_DECODING = 14
 # Per cell of one ground sampling distance: factors, their gradients and moments; rays drawn at once, of so many cells.
 _BYTES_OF_FIELD, _BYTES_OF_RAYS, _RAYS_OF_CELLS = 400, 1000, 500_000
 # On the disk, per pixel of a height map and per cell of the bed; pictures, report and log; structure from motion.

@@ -32,15 +32,14 @@ def draw_plan(path: Path, facts: ReportFacts) -> Picture:
     cameras = [view.camera for view in survey.views]
     centres = survey.frame.crs_from_local(np.array([c.centre for c in cameras]))[:, :2]
     ground = _ground_height(facts)
-    corners = np.array([_footprint(camera, survey, ground) for camera in cameras])
-    footprints = survey.frame.crs_from_local(corners)[..., :2]
+    footprints = [survey.frame.crs_from_local(_footprint(camera, survey, ground))[:, :2] for camera in cameras]
     extent, size = _extent(survey, centres, footprints)
     figure, axes = map_canvas(extent, survey.frame.crs, below_in=0.5)
     axes.set_facecolor("white")
     if len(facts.bed):
         _draw_wet_and_dry(axes, facts)
     outline = to_rgba(INK, min(0.4, max(0.08, 0.4 * _FEW_OUTLINES / len(cameras))))
-    axes.add_collection(PolyCollection(list(footprints), facecolors="none", edgecolors=outline, lw=0.7))
+    axes.add_collection(PolyCollection(footprints, facecolors="none", edgecolors=outline, lw=0.7))
     _draw_cameras(axes, survey, centres, size)
     if survey.bounds is not None:
         e0, n0, e1, n1 = survey.bounds
@@ -54,9 +53,9 @@ def draw_plan(path: Path, facts: ReportFacts) -> Picture:
     return Picture(path, title, f"Outlines: what each photograph covers on {_over(survey)}.")
 
 
-def _extent(survey: Survey, centres: np.ndarray, footprints: np.ndarray) -> tuple[tuple, np.ndarray]:
+def _extent(survey: Survey, centres: np.ndarray, footprints: list[np.ndarray]) -> tuple[tuple, np.ndarray]:
     """West, east, south, north of all that is drawn, and 5 % of its longer side in crs, (2,)."""
-    corners = [footprints.reshape(-1, 2), centres]
+    corners = [*footprints, centres]
     if survey.bounds is not None:
         corners.append(np.reshape(survey.bounds, (2, 2)))
     low, high = np.concatenate(corners).min(axis=0), np.concatenate(corners).max(axis=0)
@@ -99,12 +98,12 @@ def _ground_height(facts: ReportFacts) -> float:
 
 
 def _footprint(camera: PinholeCamera, survey: Survey, ground: float) -> np.ndarray:
-    """Where the corners (4, 3) of an image meet the water, or level ground; local.
+    """Where the border (N, 3) of an image meets the water, or level ground; local.
 
-    Rays that fall less than 1 in 4 end where they would with that fall.
+    Rays that fall less than 1 in 4 end where they would with that fall. Places without light are left out.
     """
-    w, h = camera.width, camera.height
-    rays = camera.directions(np.array([[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]]))
+    rays = camera.directions(camera.outline())
+    rays = rays[np.isfinite(rays).all(axis=1)]
     if survey.water is None:
         normal, over = np.array([0.0, 0.0, 1.0]), float(camera.centre[2]) - ground
     else:

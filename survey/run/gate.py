@@ -105,7 +105,7 @@ def _extent(survey: Survey, cameras: list[PinholeCamera], height: float) -> tupl
     fall = np.minimum(axes[:, 2], -np.sqrt(0.5))
     foot = centres[:, :2] + axes[:, :2] * ((height - centres[:, 2]) / fall)[:, None]
     for camera in cameras:
-        half = 0.5 * np.hypot(camera.width / camera.fx, camera.height / camera.fy)
+        half = 0.5 * camera.widening * np.hypot(camera.width / camera.fx, camera.height / camera.fy)
         reaches.append(half * max(camera.centre[2] - height, 0.0))
     reach = np.array(reaches)[:, None]
     return (foot - reach).min(axis=0), (foot + reach).max(axis=0)
@@ -116,10 +116,10 @@ def _around(camera: PinholeCamera, x: np.ndarray, y: np.ndarray, height: np.ndar
 
     Refraction only draws what is seen nearer to the vertical.
     """
-    corners = np.array([[0.0, 0.0], [camera.width, 0.0], [camera.width, camera.height], [0.0, camera.height]])
-    directions = camera.directions(corners)
+    directions = camera.directions(camera.outline())
     fall = camera.centre[2] - float(height.min())
-    if (directions[:, 2] >= -1e-3).any() or fall <= 0.0:
+    # False for NaN, where the lens brings no light to the border.
+    if not (directions[:, 2] < -1e-3).all() or fall <= 0.0:
         return slice(None), slice(None)
     ends = camera.centre[:2] + directions[:, :2] * (fall / -directions[:, 2])[:, None]
     ends = np.concatenate([ends, camera.centre[None, :2]])

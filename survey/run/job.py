@@ -54,7 +54,7 @@ class Job:
 
     @cached_property
     def photographs(self) -> ImageStore:
-        """The photographs in colour, decoded and undistorted once."""
+        """The photographs in colour, decoded once."""
         return ImageStore()
 
     @cached_property

@@ -40,7 +40,8 @@ def render(
 
     Of each camera NAME.png (transparent where it does not look at the field), NAME_height.tif (of the bed over the
     water plane [m], float32, NaN outside), NAME_distance.tif (from the camera along the path [m]) and
-    NAME_normal.png (local east, north, up as red, green, blue, -1 to 1 as 0 to 255). Free of lens distortion.
+    NAME_normal.png (local east, north, up as red, green, blue, -1 to 1 as 0 to 255). They are seen through the lens of
+    the camera: at the pose of a photograph, they fit it pixel by pixel.
 
     Parameters
     ----------
@@ -128,7 +129,7 @@ def _cameras(poses: list[Pose], path: Path, frame: LocalFrame, config: SurveyCon
             centre = _on_the_map(frame, pose, path)
             rotation = rotation @ frame.local_from_grid(pose.centre).T
         lens = pose.lens or _lens(config.cameras, path)
-        found[pose.name] = lens.pinhole(centre, rotation)
+        found[pose.name] = lens.camera(centre, rotation)
     return found
 
 

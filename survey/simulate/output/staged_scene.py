@@ -25,7 +25,7 @@ class StagedScene:
         As survey.toml has them.
     frame : LocalFrame
     cameras : tuple of PinholeCamera
-        Free of distortion, local.
+        Local, without the distortion of `lens`.
     lens : Lens
         Of all photographs.
     level : WaterLevel or None

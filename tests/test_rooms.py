@@ -55,14 +55,12 @@ DISK = (
 )
 # The files that touch the disk, by folder. fields/device.py only looks for libLLVM.
 DISK_FILES = {
-    "survey/adjust/adjustment.py",
-    "survey/adjust/written.py",
     f"{folder}/{name}.py"
     for folder, names in {
         "fields": ("device",),
         "geo": ("e57", "files", "gltf", "las", "las_header", "obj", "ply", "ply_reading", "raster"),
         "survey": ("code_hash", "machine", "progress", "stage_key"),
-        "survey/adjust": ("calibration",),
+        "survey/adjust": ("adjustment", "calibration", "written"),
         "survey/commands": ("console", "streams"),
         "survey/compare": ("canvas", "comparison"),
         "survey/control": ("metashape_xml", "reading", "xml_elements"),

@@ -60,6 +60,12 @@ class Known:
     std: np.ndarray
     unknown_positions: np.ndarray
 
+    @property
+    def place_of_water(self) -> tuple[float, float]:
+        """Where the height of the water is a parameter, (x, y) [m] in local; the origin for a dry survey."""
+        water = self.mean.water
+        return (0.0, 0.0) if water is None else (float(water.point[0]), float(water.point[1]))
+
 
 def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
     """What a survey says of the unknowns.

@@ -145,7 +145,7 @@ def _result(survey: Survey, done: Adjusted, total: int) -> Adjustment:
     )
     gps = known.std[layout.first_pose :].reshape(-1, 6)[:, :3]
     gps = gps[np.isfinite(gps).all(axis=1)]
-    point = (0.0, 0.0) if state.water is None else state.water.point[:2]
+    gps = np.median(gps, axis=0) if len(gps) else gps[:0, 0]
     counts = {name: int((used.kind == kind).sum()) for kind, name in enumerate(KINDS)}
     blunders = [view.name for view, bad in zip(survey.views, done.blunders, strict=True) if bad]
     warnings = []
@@ -163,13 +163,13 @@ def _result(survey: Survey, done: Adjusted, total: int) -> Adjustment:
         rotation_std_deg=np.degrees(poses[:, 3:]),
         covariance=covariance[np.ix_(kept, kept)],
         covariance_names=names,
-        water_point=(float(point[0]), float(point[1])),
+        water_point=known.place_of_water,
         std_px={name: float(solution.std_px[kind]) for kind, name in enumerate(KINDS) if counts[name]},
         factor={name: float(done.factor[kind]) for kind, name in enumerate(KINDS) if counts[name]},
         num_observations={name: count for name, count in counts.items() if count},
         num_points=len(used.ties),
         num_left_out=total - len(used.kind),
-        gps_std_m=tuple(float(v) for v in np.median(gps, axis=0)) if len(gps) else None,
+        gps_std_m=None if not len(gps) else (float(gps[0]), float(gps[1]), float(gps[2])),
         control=_control(survey, used, solution, state),
         notes=(),
         warnings=tuple(warnings),
@@ -186,14 +186,14 @@ def _water(survey: Survey, known: Known, state: State, covariance: np.ndarray) -
     _, given = survey.require_water()
     before = np.array([float(getattr(given, name)) for name in WATER_PARAMETERS])
     start = known.mean.water_parameters()
-    by_given = _by_config(survey, given, start, np.array(state.water.point[:2]))
+    by_given = _by_config(survey, given, start, np.array(known.place_of_water))
     inverse = np.linalg.inv(by_given)
     values = before + inverse @ (state.water_parameters() - start)
     of_config = inverse @ covariance[:WATER, :WATER] @ inverse.T
     given_std = np.sqrt(np.diag(inverse @ np.diag(known.std[:WATER] ** 2) @ inverse.T))
     found = water_verdicts(values, of_config, given, given_std, water_limits(state.points))
-    kept = {row.name: row.value for row in found}
-    return found, replace(given, **kept)
+    level, east, north, index = (row.value for row in found)
+    return found, replace(given, level_m=level, slope_east=east, slope_north=north, refractive_index=index)
 
 
 def _by_config(survey: Survey, given: WaterConfig, start: np.ndarray, place: np.ndarray) -> np.ndarray:

@@ -200,7 +200,10 @@ def points_of(block: pycolmap.Reconstruction) -> tuple[np.ndarray, np.ndarray, n
 def tracks_of(block: pycolmap.Reconstruction, names: Sequence[str]) -> TiePoints:
     """Points that three photographs or more see, and where; views are numbered as in `names`."""
     number = {image.image_id: names.index(image.name) for image in block.images.values() if image.has_pose}
-    start, point, view, pixel = [], [], [], []
+    start: list[np.ndarray] = []
+    pixel: list[np.ndarray] = []
+    point: list[int] = []
+    view: list[int] = []
     for key in sorted(block.points3D):
         found = block.points3D[key]
         # A photograph may show a point twice, where two of its features were taken for one.

@@ -78,7 +78,6 @@ DISK_FILES = {
             "result",
             "stage",
             "stage_sweep",
-            "stage_water",
             "stored",
             "stored_field",
             "water_colour",

@@ -182,7 +182,8 @@ def std_of_kinds(problem: Problem, residuals: np.ndarray) -> np.ndarray:
     spare = np.sqrt(np.maximum(1.0 - 1.5 / seen, 0.1))
     std = problem.given_std_px.copy()
     for kind in np.flatnonzero(np.isnan(std)):
-        std[kind] = max(float(np.nanmedian((length / spare)[problem.kind == kind])) / _MEDIAN_LENGTH, 1e-3)
+        mine = (length / spare)[problem.kind == kind]
+        std[kind] = max(float(np.nanmedian(mine)) / _MEDIAN_LENGTH, 1e-3) if len(mine) else 1.0
     return std
 
 

@@ -26,8 +26,8 @@ from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
 from survey.plan.plan import make_plan
 
-# Matches are thinned to this many in each of so many cells along a photograph.
-_CELLS, _PER_CELL = 10, 4
+# Matches and windows are thinned to this many in each of so many cells along a photograph.
+_CELLS, _PER_CELL = 8, 3
 _POSE_NAMES = ("x", "y", "z", "turn_x", "turn_y", "turn_z")
 _MARKS_STD_PX = 0.5
 
@@ -65,20 +65,24 @@ def adjust_survey(
     parts: list[tuple[int, TiePoints]] = []
     done: Adjusted | None = None
     if survey.ties is not None:
-        keep = np.isin(survey.ties.point, thinned(survey.ties, sizes, _CELLS, _PER_CELL))
-        parts.append((MATCH, survey.ties.only(keep)))
+        parts.append((MATCH, _thinned(survey.ties, sizes)))
         done = adjust(known, observed(parts, survey.control, survey, known), sizes, marks_std)
         advance(0.3)
     if use_windows:
         moved = survey if done is None else _with_state(survey, known, done.solution.state)
         share = 0.6 if done is not None else 0.9
-        parts.append((WINDOW, measure_windows(moved, device=device, advance=lambda part: advance(share * part))))
+        windows = measure_windows(moved, device=device, advance=lambda part: advance(share * part))
+        parts.append((WINDOW, _thinned(windows, sizes)))
         start = known if done is None else _started(known, done)
         done = adjust(start, observed(parts, survey.control, survey, known), sizes, marks_std)
         advance(0.1)
     assert done is not None
     total = sum(len(ties.view) for _, ties in parts) + (0 if survey.control is None else len(survey.control.marks))
     return _result(survey, done, total)
+
+
+def _thinned(ties: TiePoints, sizes: list[tuple[int, int]]) -> TiePoints:
+    return ties.only(np.isin(ties.point, thinned(ties, sizes, _CELLS, _PER_CELL)))
 
 
 def apply_adjustment(survey: Survey, found: Adjustment) -> Survey:

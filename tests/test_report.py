@@ -188,8 +188,8 @@ def test_report_json_keeps_its_names(report):
         "baselines": ["places", "views_per_place", "rows", "note"],
     }  # fmt: skip
     assert list(found) == [
-        "verdict", "survey", "water", "plan", "cloud", "comparison", "iho_s44", "checkpoints", "baselines", "timings_s",
-        "versions", "settings", "assumptions", "warnings", "notes",
+        "verdict", "survey", "water", "plan", "cloud", "comparison", "iho_s44", "checkpoints", "adjustment",
+        "baselines", "timings_s", "versions", "settings", "assumptions", "warnings", "notes",
     ]  # fmt: skip
     assert list(found["verdict"]["gates"][0]) == ["name", "value", "limit", "unit", "passed", "sentence"]
     assert list(found["survey"]["crs"]) == ["name", "code", "unit", "height_unit"]
@@ -295,7 +295,8 @@ def test_all_pictures_are_drawn_and_are_whole(report):
     errors = "error error_bands error_depth error_histogram"
     names = f"completeness depth {errors} histograms orthophoto plan profile std view views"
     assert [path.name for path in paths] == [f"{name}.png" for name in names.split()]
-    assert report.num_steps == len(paths) == NUM_STEPS
+    # There is no adjustment, which has three.
+    assert report.num_steps == len(paths) == NUM_STEPS - 3
     for path in paths:
         with Image.open(path) as image:
             assert np.asarray(image.convert("L")).std() > 5.0, path  # neither black nor white

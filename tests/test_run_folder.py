@@ -47,6 +47,19 @@ def contents(run: RunDir) -> set[str]:
     return texts | {path.stem for path in run.pictures_path.glob("*")}
 
 
+def test_a_result_without_an_adjustment_takes_away_the_cameras_of_the_one_before(tmp_path):
+    with RunDir(tmp_path / "run") as run:
+        adjusted = run.open_result("standard")
+        (adjusted / "sparse").mkdir()
+        for name in ("adjustment.json", "adjustment.npz", "cameras.csv", "sparse/images.txt"):
+            (adjusted / name).write_text("poses")
+        run.publish(adjusted, quality="standard", stages={})
+        assert (run.path / "sparse" / "images.txt").read_text() == "poses"
+        publish(run, "fixed")
+        left = {path.name for path in run.path.iterdir()}
+    assert not left & {"adjustment.json", "adjustment.npz", "cameras.csv", "sparse"}
+
+
 def test_a_finished_stage_is_found_again_by_its_key_and_only_by_its_key(tmp_path):
     heights = np.linspace(-3.0, 1.0, 7)
     with RunDir(tmp_path / "run") as run:

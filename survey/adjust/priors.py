@@ -85,7 +85,7 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
     layout = Layout(lens_of, np.array([lens.focal[1] / lens.focal[0] for lens in lenses]))
     centres = np.array([view.camera.centre for view in views])
     rotations = np.array([view.camera.cam_from_local for view in views])
-    start = np.array([_parameters_of(lens) for lens in lenses])
+    start = np.array([parameters_of(lens) for lens in lenses])
     sheet = np.array([_data_sheet(survey, lens) for lens in lenses])
     none = np.zeros((0, 3))
     state = State(_under_cameras(survey, centres), np.zeros(RELIEF), start, centres, rotations, none)
@@ -117,7 +117,8 @@ def _under_cameras(survey: Survey, centres: np.ndarray):
     return replace(survey.water, point=(x, y, float(survey.water.height(x, y))))
 
 
-def _parameters_of(lens: Lens) -> np.ndarray:
+def parameters_of(lens: Lens) -> np.ndarray:
+    """A lens as parameters (8,) of the adjustment."""
     if lens.model not in BROWN or any(lens[name] != 0.0 for name in ("k4", "k5", "k6")):
         # Its tie points are straightened: what is left is its pinhole.
         return np.array([lens.focal[0], lens["cx"], lens["cy"], *np.zeros(LENS - 3)])
@@ -131,7 +132,7 @@ def is_held(lens: Lens) -> bool:
 
 def _data_sheet(survey: Survey, lens: Lens) -> np.ndarray:
     """The lens before any photograph was taken with it."""
-    given = _parameters_of(lens)
+    given = parameters_of(lens)
     if survey.ties is None or is_held(lens):
         return given
     cameras = survey.config.cameras

@@ -15,6 +15,8 @@ from survey.folder.config import WaterConfig
 MOST_STD_LEVEL_M, MOST_STD_INDEX, MOST_STD_FOCAL = 0.05, 0.01, 0.005
 # With more than this share of the standard deviation before, the photographs have told nearly nothing.
 _LITTLE = 0.9
+# What is given to better than this was not to move.
+_EXACT = 1e-7
 WATER_PARAMETERS = ("level_m", "slope_east", "slope_north", "refractive_index")
 
 
@@ -23,6 +25,8 @@ def judge(name: str, value: float, std: float, given: float, given_std: float, l
     shown = f"{value:.{_digits(std)}f} +- {std:.2g}{unit}"
     prior = None if not math.isfinite(given_std) else given_std
     kept = f"{given:.{_digits(given_std)}f}{unit}"
+    if given_std < _EXACT:
+        return Parameter(name, given, std, given, prior, HELD, f"held: {given:.6g}{unit}, exactly as given")
     if std > limit and not given_std <= limit:
         verdict = (
             f"not observable: 1 sigma is {std:.2g}{unit}, at most {limit:.2g}{unit} would be of use; {kept} is kept"

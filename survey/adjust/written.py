@@ -8,22 +8,28 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from geo.crs import is_geographic
 from geo.files import write_whole
 from refract.lens import Lens
 from survey.folder.survey import Survey
 from survey.photos.cameras import CAM_FROM_OPK_CAM
 
+# Decimals of coordinates in metres and in degrees: to a tenth of a micrometre, so that nothing is lost.
+_DECIMALS_M, _DECIMALS_DEG = 7, 12
 CAMERAS = "cameras.csv"
 MODEL = ("sparse/cameras.txt", "sparse/images.txt", "sparse/points3D.txt")
 
 
 def write_cameras(folder: Path, survey: Survey) -> None:
-    """Write cameras.csv (positions in crs; omega, phi, kappa) and a COLMAP model (topocentric) into a folder."""
+    """Write cameras.csv (positions in crs; omega, phi, kappa) and a COLMAP model (topocentric) into a folder.
+
+    The model says in its first lines how survey.toml gives it back.
+    """
     lenses = tuple(dict.fromkeys(view.lens for view in survey.views))
     (folder / "sparse").mkdir(exist_ok=True)
     texts = {
         CAMERAS: _opk(survey),
-        MODEL[0]: "".join(_lens_line(number, lens) for number, lens in enumerate(lenses, start=1)),
+        MODEL[0]: _given_back(survey) + "".join(_lens_line(i, lens) for i, lens in enumerate(lenses, start=1)),
         MODEL[1]: "".join(_pose_lines(survey, lenses)),
         MODEL[2]: "# the points of the adjustment are in adjustment.npz\n",
     }
@@ -32,13 +38,21 @@ def write_cameras(folder: Path, survey: Survey) -> None:
             stream.write(text.encode())
 
 
+def _given_back(survey: Survey) -> str:
+    origin = ", ".join(repr(float(v)) for v in survey.frame.origin)
+    return f'# In survey.toml: [cameras] poses = "sparse" and [local] origin = [{origin}]\n'
+
+
 def _opk(survey: Survey) -> str:
     centres = survey.frame.crs_from_local(np.array([view.camera.centre for view in survey.views]))
+    decimals = _DECIMALS_DEG if is_geographic(survey.frame.crs) else _DECIMALS_M
+    places = (decimals, decimals, _DECIMALS_M)
     lines = ["image,easting,northing,height,omega,phi,kappa"]
     for view, centre, axes in zip(survey.views, centres, survey.frame.local_from_grid(centres), strict=True):
         r = axes.T @ view.camera.cam_from_local.T @ CAM_FROM_OPK_CAM
         angles = (math.atan2(-r[1, 2], r[2, 2]), math.asin(r[0, 2]), math.atan2(-r[0, 1], r[0, 0]))
-        numbers = [f"{v:.5f}" for v in centre] + [f"{math.degrees(v):.8f}" for v in angles]
+        numbers = [f"{v:.{digits}f}" for v, digits in zip(centre, places, strict=True)]
+        numbers += [f"{math.degrees(v):.10f}" for v in angles]
         lines.append(",".join([view.name, *numbers]))
     return "\n".join([*lines, ""])
 

@@ -6,10 +6,12 @@ import numpy as np
 from pyproj import CRS
 
 from geo.crs import horizontal_crs, vertical_crs
+from survey.adjust.adjustment import FREE, Adjustment
 from survey.display.plan_grid import PlanGrid
 from survey.files.json_values import plain
 from survey.folder.survey import Survey
 from survey.photos.images import list_images
+from survey.report.adjustment_figures import adjustment_of
 from survey.report.baselines import baselines_of
 from survey.report.checkpoints import checkpoints_of
 from survey.report.facts import ReportFacts
@@ -23,11 +25,13 @@ _UNITS = {"metre": "m", "degree": "°"}
 def figures_of(facts: ReportFacts) -> ReportFigures:
     """All figures of a report; a gate that was not met is one of its warnings."""
     survey = facts.survey
+    adjustment = adjustment_of(survey, facts.adjustment)
+    told = [] if adjustment is None or adjustment.note is None else [adjustment.note]
     failed = [gate.sentence for gate in facts.verdict.gates if not gate.passed] if facts.verdict else []
     return ReportFigures(
         verdict=facts.verdict,
         survey=_survey(survey),
-        water=_water(survey),
+        water=_water(survey, facts.adjustment),
         plan=facts.plan,
         cloud=_cloud(facts),
         comparison=None if facts.comparison is None else facts.comparison.figures,
@@ -37,8 +41,9 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
         settings=plain(facts.settings),
         assumptions=tuple(survey.assumptions),
         warnings=(*failed, *survey.warnings),
-        notes=facts.notes,
+        notes=(*facts.notes, *told),
         checkpoints=checkpoints_of(survey, facts.bed.xyz, facts.plan.gsd_m),
+        adjustment=adjustment,
     )
 
 
@@ -54,7 +59,7 @@ def _survey(survey: Survey) -> SurveyFigures:
         views_left_out=max(len(images) - len(survey.views), 0),
         image_size_px=(camera.width, camera.height),
         focal_px=camera.fx,
-        poses=config.cameras.poses or "structure from motion",
+        poses=(config.cameras.poses or "structure from motion") + (", adjusted" if survey.is_adjusted else ""),
         local_frame_origin=survey.frame.origin,
     )
 
@@ -76,21 +81,26 @@ def crs_code(crs: CRS) -> str | None:
     return f"{authority}:{first}+" + (second if authority == other else f"{other}:{second}")
 
 
-def _water(survey: Survey) -> WaterFigures | None:
+def _water(survey: Survey, adjustment: Adjustment | None) -> WaterFigures | None:
     if survey.water is None:
         return None
+    found = set() if adjustment is None else {row.name for row in adjustment.parameters if row.status == FREE}
+
+    def source(names: set[str], otherwise: str) -> str:
+        return "found by the adjustment" if names & found else otherwise
+
     water, config = survey.require_water()
     assumed = [text for text in survey.assumptions if text.startswith("refractive_index")]
     level = [text for text in survey.assumptions if text.startswith("level_m")]
     return WaterFigures(
         level_m=config.known_level_m,
         level_at=config.known_level_at,
-        level_from=level[-1] if level else "survey.toml, [water] level_m",
+        level_from=source({"level_m"}, level[-1] if level else "survey.toml, [water] level_m"),
         slope_east=config.slope_east,
         slope_north=config.slope_north,
-        slope_from="survey.toml; level if not given",
+        slope_from=source({"slope_east", "slope_north"}, "survey.toml; level if not given"),
         refractive_index=float(water.n_water),
-        refractive_index_from=f"assumed: {assumed[0]}" if assumed else "survey.toml",
+        refractive_index_from=source({"refractive_index"}, f"assumed: {assumed[0]}" if assumed else "survey.toml"),
     )
 
 

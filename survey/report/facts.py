@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from survey.adjust.adjustment import Adjustment
 from survey.folder.survey import Survey
 from survey.plan.plan import Plan
 from survey.report.verdict import Verdict
@@ -45,6 +46,8 @@ class ReportFacts:
         Of what computed, by name.
     verdict : Verdict or None
         Whether the cloud may be used unseen.
+    adjustment : Adjustment or None
+        None where poses and water were used as they came.
     """
 
     survey: Survey
@@ -59,6 +62,7 @@ class ReportFacts:
     notes: tuple[str, ...] = ()
     versions: dict[str, str] = field(default_factory=dict)
     verdict: Verdict | None = None
+    adjustment: Adjustment | None = None
 
 
 def distances_of(facts: ReportFacts) -> np.ndarray | None:

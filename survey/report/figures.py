@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from survey.compare.figures import Figures
 from survey.plan.plan import Plan
+from survey.report.adjustment_figures import AdjustmentFigures
 from survey.report.checkpoints import CheckpointFigures
 from survey.report.verdict import Verdict
 
@@ -207,6 +208,8 @@ class ReportFigures:
         Sentences for the reader.
     checkpoints : CheckpointFigures or None
         None without check points.
+    adjustment : AdjustmentFigures or None
+        None where poses and water were used as they came.
     """
 
     verdict: Verdict | None
@@ -223,6 +226,7 @@ class ReportFigures:
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     checkpoints: CheckpointFigures | None = None
+    adjustment: AdjustmentFigures | None = None
 
     @property
     def total_s(self) -> float:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 from survey.compare.json_numbers import numbers_of
 from survey.files.json_values import plain
 from survey.plan.plan import Plan
+from survey.report.adjustment_figures import AdjustmentFigures
 from survey.report.figures import CloudFigures, ReportFigures, Spread
 from survey.report.verdict import Verdict
 
@@ -21,6 +24,7 @@ def json_of(figures: ReportFigures) -> dict:
         "comparison": comparison,
         "iho_s44": None if comparison is None else comparison.get("iho_s44"),
         "checkpoints": figures.checkpoints,
+        "adjustment": None if figures.adjustment is None else _adjustment(figures.adjustment),
         "baselines": figures.baselines,
         "timings_s": {**figures.timings_s, "total": figures.total_s},
         "versions": figures.versions,
@@ -33,6 +37,15 @@ def json_of(figures: ReportFigures) -> dict:
 
 def _verdict(verdict: Verdict) -> dict:
     return {"passed": verdict.passed, "gates": verdict.gates}
+
+
+def _adjustment(found: AdjustmentFigures) -> dict:
+    common = found.common
+    values = asdict(found)
+    del values["common"]
+    return values | {
+        "height_std_common_m": None if common is None else {"mean": common.mean, "typical": common.typical},
+    }
 
 
 def _plan(plan: Plan) -> dict:

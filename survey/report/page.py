@@ -8,7 +8,7 @@ from functools import cache
 import jinja2
 
 from survey.display import palette
-from survey.report import reference_tables, survey_tables
+from survey.report import adjustment_tables, reference_tables, survey_tables
 from survey.report.blocks import Block, Rows, Section, Sentences
 from survey.report.figures import ReportFigures
 from survey.report.headline import cards, headline
@@ -19,6 +19,7 @@ _GROUPS = (
     ("The bed", ("depth", "orthophoto", "profile")),
     ("How sure it is", ("views", "std", "histograms")),
     ("Against the reference", ("error", "completeness", "error_histogram", "error_depth", "error_bands")),
+    ("What the adjustment left", ("residuals_ground", "residuals_image", "correlation")),
     ("The flight", ("view", "plan")),
 )
 # These show several things side by side and take the whole width.
@@ -72,6 +73,7 @@ def _sections(figures: ReportFigures) -> list[Section]:
         Section("Against the reference", reference_tables.comparison(comparison)),
         Section("At the check points", reference_tables.checkpoints(figures.checkpoints)),
         Section("Vertical uncertainty (IHO S-44)", reference_tables.iho_s44(uncertainty)),
+        Section("Adjustment", adjustment_tables.adjustment(figures.adjustment)),
         Section("What refraction would cost if ignored", reference_tables.baselines(figures.baselines)),
         Section("The cloud", survey_tables.cloud(figures.cloud, survey.crs)),
         Section("Survey and water", survey_tables.survey(survey, figures.water, figures.plan)),

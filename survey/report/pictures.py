@@ -12,12 +12,13 @@ import numpy as np
 from survey.compare import bands as compare_bands
 from survey.compare import pictures as compare_report
 from survey.display.plan_grid import PlanGrid
-from survey.report import flight, graphs, maps, profile
+from survey.report import adjustment_pictures, flight, graphs, maps, profile
 from survey.report.cut import choose_cut
 from survey.report.facts import ReportFacts, distances_of
 from survey.report.shading import Picture
 
 if TYPE_CHECKING:
+    from survey.adjust.adjustment import Adjustment
     from survey.compare.result import Comparison
 
 # Cells of the orthophoto and of the maps along the longer side, at most.
@@ -64,6 +65,8 @@ def draw_pictures(folder: Path, facts: ReportFacts, advance: Callable[[], None] 
         drawings["views"] = partial(maps.draw_num_views, facts=facts, grid=grid)
         drawings["std"] = partial(maps.draw_std, facts=facts, grid=grid)
         drawings["histograms"] = partial(graphs.draw_histograms, facts=facts)
+    if facts.adjustment is not None:
+        drawings |= _of_adjustment(facts, facts.adjustment)
     drawings["plan"] = partial(flight.draw_plan, facts=facts)
     pictures = []
     for name, draw in drawings.items():
@@ -75,6 +78,16 @@ def draw_pictures(folder: Path, facts: ReportFacts, advance: Callable[[], None] 
 def _grid(facts: ReportFacts, max_cells: int) -> PlanGrid:
     cell_m = _CELL_GSD * facts.plan.gsd_m
     return PlanGrid.over(facts.points_crs, facts.survey.frame.crs, cell_m=cell_m, max_cells=max_cells)
+
+
+def _of_adjustment(facts: ReportFacts, found: Adjustment) -> dict[str, Callable[[Path], Picture]]:
+    drawings: dict[str, Callable[[Path], Picture]] = {
+        "residuals_ground": partial(adjustment_pictures.draw_ground_residuals, survey=facts.survey, found=found),
+        "residuals_image": partial(adjustment_pictures.draw_image_residuals, found=found),
+    }
+    if adjustment_pictures.has_correlation(found):
+        drawings["correlation"] = partial(adjustment_pictures.draw_correlation, found=found)
+    return drawings
 
 
 def _of_comparison(facts: ReportFacts, comparison: Comparison) -> dict[str, Callable[[Path], Picture]]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 
+from survey.adjust.adjustment import Adjustment, read_adjustment
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.compare.result import Comparison
 from survey.files.json_values import write_json
@@ -18,6 +20,7 @@ from survey.run.export import write_bed_las
 from survey.run.folder import RunDir, seconds_of, versions, versions_of
 from survey.run.gate import verdict_of
 from survey.run.job import Job
+from survey.run.stage_adjust import FILES as ADJUSTMENT_FILES
 from survey.run.stage_sweep import MAPS
 from survey.run.stored import load_bed, load_depth_maps
 from survey.run.truth import Truth
@@ -63,10 +66,23 @@ def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path]
         sweep_comparison=of_sweep,
         versions=_versions(done),
         verdict=verdict,
+        adjustment=_adjustment(folder, done),
     )
     with job.progress.stage("Report", NUM_STEPS) as stage:
-        write_report(folder, facts, stage.advance)
+        figures = write_report(folder, facts, stage.advance)
+    for text in figures.notes:
+        job.progress.note(text)
     return verdict
+
+
+def _adjustment(folder: Path, done: Mapping[str, Path]) -> Adjustment | None:
+    """What the adjustment found, its files copied into the result; None where there was none."""
+    if "adjust" not in done:
+        return None
+    for name in ADJUSTMENT_FILES:
+        (folder / name).parent.mkdir(exist_ok=True)
+        shutil.copyfile(done["adjust"] / name, folder / name)
+    return read_adjustment(folder)
 
 
 def _versions(done: Mapping[str, Path]) -> dict[str, str]:

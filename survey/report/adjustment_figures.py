@@ -1,0 +1,220 @@
+"""The figures of an adjustment in a report: parameters, observations, positions, poses, control, correlations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from survey.adjust.adjustment import Adjustment, ControlResidual, Parameter
+from survey.adjust.common_error import CommonError, common_error
+from survey.adjust.state import LENS, WATER
+from survey.display.quantities import length
+from survey.folder.survey import Survey
+
+# Standard deviations below this are those of parameters that were not to move.
+_HELD_STD = 1e-7
+Axes = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class KindFigures:
+    """Observations of one kind.
+
+    Attributes
+    ----------
+    name : "matches", "windows" or "marks"
+    num : int
+    std_px : float
+        Of a pixel coordinate.
+    factor : float
+        On its variance, for what neighbours share.
+    """
+
+    name: str
+    num: int
+    std_px: float
+    factor: float
+
+
+@dataclass(frozen=True)
+class PositionFigures:
+    """Positions of the cameras that were given, against the adjusted ones.
+
+    Attributes
+    ----------
+    num : int
+    used_std_m : (east, north, up) [m] or None
+        Median standard deviation with which they were used.
+    rms_m : (east, north, up) [m]
+        Of adjusted less given.
+    largest_m, largest_name : [m], str
+        The largest distance, and its photograph.
+    """
+
+    num: int
+    used_std_m: Axes | None
+    rms_m: Axes
+    largest_m: float
+    largest_name: str
+
+
+@dataclass(frozen=True)
+class PoseFigures:
+    """Standard deviations of the adjusted poses.
+
+    Attributes
+    ----------
+    position_m : (east, north, up) [m]
+        Medians.
+    rotation_deg : (x, y, z) [deg]
+        Medians, about the axes of the camera.
+    largest_position_m, largest_position_name : [m], str
+    largest_rotation_deg, largest_rotation_name : [deg], str
+    """
+
+    position_m: Axes
+    rotation_deg: Axes
+    largest_position_m: float
+    largest_position_name: str
+    largest_rotation_deg: float
+    largest_rotation_name: str
+
+
+@dataclass(frozen=True)
+class ControlGroup:
+    """All control points, or all check points.
+
+    Attributes
+    ----------
+    name : "control" or "check"
+    num : int
+    rms_m : (east, north, up) [m]
+    rms_px : float
+        Of all marks.
+    """
+
+    name: str
+    num: int
+    rms_m: Axes
+    rms_px: float
+
+
+@dataclass(frozen=True)
+class AdjustmentFigures:
+    """What an adjustment found.
+
+    Attributes
+    ----------
+    parameters : tuple of Parameter
+    kinds : tuple of KindFigures
+    num_points, num_left_out : int
+    positions : PositionFigures or None
+        None where none were given.
+    poses : PoseFigures
+    control : tuple of ControlResidual
+    control_groups : tuple of ControlGroup
+    common : CommonError or None
+    correlation_names : (K,) of water and lenses, those that were free to move
+    correlation : K rows of K
+    """
+
+    parameters: tuple[Parameter, ...]
+    kinds: tuple[KindFigures, ...]
+    num_points: int
+    num_left_out: int
+    positions: PositionFigures | None
+    poses: PoseFigures
+    control: tuple[ControlResidual, ...]
+    control_groups: tuple[ControlGroup, ...]
+    common: CommonError | None
+    correlation_names: tuple[str, ...]
+    correlation: tuple[tuple[float, ...], ...]
+
+    @property
+    def note(self) -> str | None:
+        """How well all heights together are known, as a sentence."""
+        if self.common is None:
+            return None
+        return (
+            f"by what is uncertain of water, lens and poses, the mean height of the cloud has a standard deviation of "
+            f"{length(self.common.mean)}, and the height at a typical place one of {length(self.common.typical)}; "
+            "errors of matching come on top"
+        )
+
+
+def adjustment_of(survey: Survey, found: Adjustment | None) -> AdjustmentFigures | None:
+    """The figures of an adjustment; None where there was none."""
+    if found is None:
+        return None
+    names, correlation = correlations(found)
+    kinds = [
+        KindFigures(name, num, found.std_px[name], found.factor[name]) for name, num in found.num_observations.items()
+    ]
+    return AdjustmentFigures(
+        parameters=found.parameters,
+        kinds=tuple(kinds),
+        num_points=found.num_points,
+        num_left_out=found.num_left_out,
+        positions=_positions(survey, found),
+        poses=_poses(found),
+        control=found.control,
+        control_groups=_control_groups(found.control),
+        common=common_error(found, survey.water),
+        correlation_names=names,
+        correlation=tuple(tuple(row) for row in correlation.tolist()),
+    )
+
+
+def correlations(found: Adjustment) -> tuple[tuple[str, ...], np.ndarray]:
+    """Names (K,) and correlations (K, K) of those parameters of water and lenses that were free to move."""
+    count = WATER + LENS * len(found.lenses)
+    std = np.sqrt(np.diag(found.covariance)[:count])
+    free = np.flatnonzero(std > _HELD_STD)
+    matrix = found.covariance[np.ix_(free, free)] / np.outer(std[free], std[free])
+    return tuple(found.covariance_names[i] for i in free), matrix
+
+
+def _positions(survey: Survey, found: Adjustment) -> PositionFigures | None:
+    given = {name: prior.position for name, prior in survey.priors.items() if prior.position is not None}
+    rows = [i for i, name in enumerate(found.names) if name in given]
+    if not rows:
+        return None
+    miss = found.centres[rows] - np.array([given[found.names[i]] for i in rows])
+    far = np.linalg.norm(miss, axis=1)
+    worst = int(np.argmax(far))
+    return PositionFigures(len(rows), found.gps_std_m, _rms(miss), float(far[worst]), found.names[rows[worst]])
+
+
+def _poses(found: Adjustment) -> PoseFigures:
+    far, turned = np.linalg.norm(found.position_std, axis=1), np.linalg.norm(found.rotation_std_deg, axis=1)
+    worst, most_turned = int(np.argmax(far)), int(np.argmax(turned))
+    return PoseFigures(
+        _axes(np.median(found.position_std, axis=0)),
+        _axes(np.median(found.rotation_std_deg, axis=0)),
+        float(far[worst]),
+        found.names[worst],
+        float(turned[most_turned]),
+        found.names[most_turned],
+    )
+
+
+def _control_groups(control: tuple[ControlResidual, ...]) -> tuple[ControlGroup, ...]:
+    groups = []
+    for name, is_check in (("control", False), ("check", True)):
+        rows = [row for row in control if row.is_check == is_check]
+        if rows:
+            marks = np.array([row.num_marks for row in rows])
+            squares = np.array([row.rms_px for row in rows]) ** 2
+            px = float(np.sqrt((marks * squares).sum() / max(marks.sum(), 1)))
+            groups.append(ControlGroup(name, len(rows), _rms(np.array([row.residual_m for row in rows])), px))
+    return tuple(groups)
+
+
+def _rms(values: np.ndarray) -> Axes:
+    return _axes(np.sqrt(np.mean(values**2, axis=0)))
+
+
+def _axes(values: np.ndarray) -> Axes:
+    east, north, up = values.tolist()
+    return (east, north, up)

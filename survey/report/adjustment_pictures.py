@@ -1,0 +1,147 @@
+"""What an adjustment left, in pictures: over the photographs, over the ground, and how its parameters correlate."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from evaluation.cells import cell_counts, cell_means, cell_numbers
+from survey.adjust.adjustment import Adjustment
+from survey.compare.canvas import canvas, colour_bar, map_canvas, nice_limit, save, show, write_title
+from survey.display.palette import BLUE, DIFFERENCES, INK, RED, SOFT, SPREADS
+from survey.display.plan_grid import PlanGrid
+from survey.display.quantities import number
+from survey.folder.survey import Survey
+from survey.report.adjustment_figures import correlations
+from survey.report.shading import Picture
+
+# Cells along the longer side of a photograph, and the fewest residuals in one that is shown.
+_CELLS, _FEWEST = 16, 5
+# Cells of the ground: at most along a side, and residuals in each on average.
+_GROUND_CELLS, _PER_CELL = 80, 20.0
+# A correlation at least this large is written into its field in white.
+_STRONG = 0.6
+_LABELS = {"height_m": "level", "slope_x": "slope east", "slope_y": "slope north", "refractive_index": "index"}
+
+
+def draw_image_residuals(path: Path, found: Adjustment) -> Picture:
+    """Mean residual of each cell of the photographs of each lens, as arrows."""
+    num = len(found.lenses)
+    tall = max(lens.height / lens.width for lens in found.lenses)
+    figure = Figure(figsize=(6.2 * num, 6.2 * tall + 0.55), layout="constrained")
+    FigureCanvasAgg(figure)
+    fields = [_mean_residuals(found, number) for number in range(num)]
+    ends = np.concatenate([np.linalg.norm(vectors, axis=1) for _, vectors, _ in fields])
+    longest = nice_limit(ends)
+    for number_of_lens, (axes, (places, vectors, side)) in enumerate(
+        zip(np.ravel(figure.subplots(1, num)), fields, strict=True)
+    ):
+        lens = found.lenses[number_of_lens]
+        _arrows(axes, places, vectors, side / longest)
+        axes.set(xlim=(0, lens.width), ylim=(lens.height, 0), xticks=[], yticks=[], aspect="equal")
+        which = f" of lens {number_of_lens}" if num > 1 else ""
+        subtitle = f"magnified: an arrow as long as a cell is wide means {longest:.2g} px"
+        write_title(axes, f"Mean residual over the photographs{which}", subtitle)
+    save(figure, path)
+    words = "Measured less predicted place, over all photographs. A pattern is what the model of the lens leaves."
+    return Picture(path, "Residuals over the photographs", words)
+
+
+def _arrows(axes: Axes, places: np.ndarray, vectors: np.ndarray, times: float) -> None:
+    """Arrows in pixels, so many times as long."""
+    (x, y), (dx, dy) = places.T, vectors.T
+    axes.quiver(x, y, dx, dy, angles="xy", scale_units="xy", scale=1.0 / times, width=0.0035, color=BLUE)
+    axes.plot(*places.T, ".", ms=2.0, color=SOFT)
+
+
+def _mean_residuals(found: Adjustment, lens: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Middles (K, 2) [px] of the cells, mean residuals (K, 2) [px] there, and the side of a cell [px]."""
+    mine = found.lens_of[found.residual_view] == lens
+    width, height = found.lenses[lens].width, found.lenses[lens].height
+    side = max(width, height) / _CELLS
+    shape = (math.ceil(height / side), math.ceil(width / side))
+    cells = cell_numbers(found.residual_at_px[mine] / side, shape)
+    means = np.stack([cell_means(cells, axis, shape) for axis in found.residual_px[mine].T], axis=-1)
+    rows, columns = np.nonzero(cell_counts(cells, shape) >= _FEWEST)
+    places = side * (np.column_stack([columns, rows]) + 0.5)
+    return places, means[rows, columns], side
+
+
+def draw_ground_residuals(path: Path, survey: Survey, found: Adjustment) -> Picture:
+    """Root mean square residual of each cell of the ground, with cameras, control and tie points."""
+    crs = survey.frame.crs
+    points = survey.frame.crs_from_local(found.points)
+    cameras = survey.frame.crs_from_local(found.centres)
+    grid = PlanGrid.over(points[found.residual_point], crs, max_cells=_GROUND_CELLS, per_cell=_PER_CELL)
+    rms = np.sqrt(grid.mean(0.5 * np.sum(found.residual_px**2, axis=1)))
+    known = rms[np.isfinite(rms)]
+    scale = ScalarMappable(Normalize(0.0, nice_limit(known)), SPREADS)
+    figure, axes = map_canvas(_around(grid.extent, cameras[:, :2]), crs, below_in=0.5)
+    show(axes, scale.to_rgba(np.ma.masked_invalid(rms)), grid.extent)
+    colour_bar(axes, scale, "rms residual of a coordinate [px]", extend="max")
+    axes.plot(*points[:, :2].T, ".", ms=1.2, color=INK, alpha=0.35, label="point", zorder=3)
+    axes.plot(*cameras[:, :2].T, "o", ms=4.0, mfc=INK, mec="white", mew=0.6, label="camera", zorder=5)
+    _draw_control(axes, survey, found)
+    figure.legend(loc="lower center", ncols=4, frameon=False, fontsize=9)
+    write_title(axes, "Residuals over the ground", f"cells of {grid.cell_m:.2g} m")
+    save(figure, path)
+    return Picture(path, "Residuals over the ground", "Where they are large: waves, moving things, or few photographs.")
+
+
+def _draw_control(axes: Axes, survey: Survey, found: Adjustment) -> None:
+    places = {} if survey.control is None else {point.name: point.crs[:2] for point in survey.control.points}
+    for is_check, colour, mark, label in ((False, RED, "^", "control point"), (True, BLUE, "s", "check point")):
+        rows = [places[row.name] for row in found.control if row.is_check == is_check]
+        if rows:
+            axes.plot(*np.array(rows).T, mark, ms=6.5, mfc=colour, mec="white", mew=0.8, label=label, zorder=6)
+
+
+def _around(extent: tuple[float, float, float, float], places: np.ndarray) -> tuple[float, float, float, float]:
+    """The extent widened to hold places (N, 2), with a margin."""
+    west, east, south, north = extent
+    low = np.minimum([west, south], places.min(axis=0))
+    high = np.maximum([east, north], places.max(axis=0))
+    margin = 0.03 * (high - low)
+    (west, south), (east, north) = (low - margin).tolist(), (high + margin).tolist()
+    return (west, east, south, north)
+
+
+def has_correlation(found: Adjustment) -> bool:
+    """Whether two parameters of water and lenses were free to move."""
+    return len(correlations(found)[0]) > 1
+
+
+def draw_correlation(path: Path, found: Adjustment) -> Picture:
+    """Correlations of the parameters of water and lenses."""
+    names, matrix = correlations(found)
+    labels = [_label(name, several=len(found.lenses) > 1) for name in names]
+    side = 1.6 + 0.42 * len(names)
+    figure, axes = canvas(side + 0.9, side)
+    image = axes.imshow(matrix, cmap=DIFFERENCES, norm=Normalize(-1.0, 1.0))
+    axes.set_xticks(range(len(names)), labels, rotation=55, ha="right", fontsize=8)
+    axes.set_yticks(range(len(names)), labels, fontsize=8)
+    for row, column in np.ndindex(matrix.shape):
+        value = float(matrix[row, column])
+        colour = "white" if abs(value) >= _STRONG else INK
+        if row != column:
+            axes.text(column, row, number(value, 2), ha="center", va="center", fontsize=6.5, color=colour)
+    axes.spines[:].set_visible(False)
+    axes.grid(visible=False)
+    colour_bar(axes, image, "correlation", extend="neither")
+    write_title(axes, "Correlation of water and lens")
+    save(figure, path)
+    words = "Near 1 or -1 the photographs tell one of both only by what is known of the other."
+    return Picture(path, "Correlation of the parameters", words)
+
+
+def _label(name: str, *, several: bool) -> str:
+    """A short name: of a lens its number only where there are several."""
+    lens, _, last = name.rpartition(".")
+    return _LABELS.get(name, f"{last} ({lens.removeprefix('camera')})" if several else last)

@@ -1,0 +1,94 @@
+"""The tables of report.html about the adjustment."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from survey.adjust.adjustment import Parameter
+from survey.display.quantities import NO_BREAK, LengthUnit, count, is_known, length, number
+from survey.report.adjustment_figures import AdjustmentFigures, ControlGroup
+from survey.report.blocks import Block, Rows, Sentences, Table, Text
+
+_NO_VALUE = "–"
+
+
+def adjustment(found: AdjustmentFigures | None) -> list[Block]:
+    """What the adjustment found; nothing where there was none."""
+    if found is None:
+        return []
+    blocks: list[Block] = []
+    if found.note is not None:
+        blocks.append(Text(found.note[0].upper() + found.note[1:] + "."))
+    blocks += [_parameters(found.parameters)] if found.parameters else []
+    blocks += [Sentences([f"{row.name} {row.verdict}" for row in found.parameters])] if found.parameters else []
+    return [*blocks, _observations(found), Rows(_poses(found)), *_control(found)]
+
+
+def _parameters(parameters: Sequence[Parameter]) -> Table:
+    titles = ("parameter", "status", "value", "1 sigma", "given", "1 sigma of the given")
+    return Table(titles, [_parameter(row) for row in parameters], num_texts=2, heading="Water and lens")
+
+
+def _parameter(row: Parameter) -> tuple[str, ...]:
+    digits = _digits(row.std)
+    given_std = _NO_VALUE if row.given_std is None else number(row.given_std, _digits(row.given_std))
+    value, std, given = number(row.value, digits), number(row.std, digits), number(row.given, digits)
+    return (row.name, row.status, value, std, given, given_std)
+
+
+def _digits(std: float) -> int:
+    """Decimals that show two digits of a standard deviation."""
+    return min(max(1 - math.floor(math.log10(std)), 0), 9) if is_known(std) and std > 0.0 else 4
+
+
+def _observations(found: AdjustmentFigures) -> Table:
+    titles = ("observations", "number", "1 sigma [px]", "variance times, for what neighbours share")
+    rows = [(row.name, count(row.num), number(row.std_px, 2), number(row.factor, 1)) for row in found.kinds]
+    rows.append(("left out as outliers", count(found.num_left_out), "", ""))
+    return Table(titles, rows, heading=f"Observations of {count(found.num_points)} points")
+
+
+def _poses(found: AdjustmentFigures) -> list[tuple[str, str]]:
+    rows = []
+    if (given := found.positions) is not None:
+        if given.used_std_m is not None:
+            rows.append(("given positions, 1 sigma as used", f"{_axes_text(given.used_std_m)} (median)"))
+        largest = f"the largest is {length(given.largest_m)}, of {given.largest_name}"
+        rows.append(("adjusted less given positions", f"rms {_axes_text(given.rms_m)}; {largest}"))
+    poses = found.poses
+    largest = f"at most {length(poses.largest_position_m)} together, of {poses.largest_position_name}"
+    rows.append(("1 sigma of positions", f"{_axes_text(poses.position_m)} (median); {largest}"))
+    turns = " / ".join(number(1000.0 * value, 1) for value in poses.rotation_deg)
+    most = f"{number(1000.0 * poses.largest_rotation_deg, 1)} together, of {poses.largest_rotation_name}"
+    rows.append(("1 sigma of rotations", f"{turns} thousandths of a degree about x, y, z (median); at most {most}"))
+    return rows
+
+
+def _axes_text(values: Sequence[float]) -> str:
+    unit = LengthUnit.of(values)
+    return f"{' / '.join(unit.number(value) for value in values)}{NO_BREAK}{unit.name} east / north / up"
+
+
+def _control(found: AdjustmentFigures) -> list[Table]:
+    if not found.control:
+        return []
+    unit = LengthUnit.of([value for row in found.control for value in row.residual_m])
+    axes = tuple(f"{axis} [{unit.name}]" for axis in ("east", "north", "up"))
+    rows = [
+        (row.name, "check" if row.is_check else "control", "under water" if row.is_wet else "dry",
+         *(unit.number(value) for value in row.residual_m), count(row.num_marks), number(row.rms_px, 2))
+        for row in found.control
+    ]  # fmt: skip
+    titles = ("point", "role", "lies", *axes, "marks", "rms [px]")
+    each = Table(titles, rows, num_texts=3, heading="Control points: adjusted less given")
+    return [_groups(found.control_groups, unit, axes), each]
+
+
+def _groups(groups: Sequence[ControlGroup], unit: LengthUnit, axes: tuple[str, ...]) -> Table:
+    rows = [
+        (f"{group.name} points", count(group.num), *(unit.number(value) for value in group.rms_m),
+         number(group.rms_px, 2))
+        for group in groups
+    ]  # fmt: skip
+    return Table(("rms of", "number", *axes, "marks [px]"), rows, heading="Control and check points")

@@ -1,0 +1,96 @@
+"""Heights of a cloud under errors of water, lens and poses: what geometry says, and a Monte Carlo."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from adjusted_block import drawn_adjustment, plane_of
+
+from survey.adjust.common_error import _places, common_error, height_moves
+from survey.adjust.prediction import linearise, predict
+from survey.adjust.priors import parameters_of
+from survey.adjust.state import Layout, State
+
+
+def _along(found, step: dict[str, float]) -> np.ndarray:
+    """A change of the parameters by their last names."""
+    return np.array([step.get(name.rpartition(".")[2], 0.0) for name in found.covariance_names])
+
+
+def _with(found, change: np.ndarray):
+    return replace(found, covariance=np.outer(change, change))
+
+
+def test_cameras_and_water_that_rise_together_lift_every_height_as_much():
+    block, found = drawn_adjustment()
+    rise = _along(found, {"z": 0.025, "height_m": 0.025})
+    error = common_error(_with(found, rise), plane_of(block))
+    assert error.mean == pytest.approx(0.025, rel=1e-6)
+    assert error.typical == pytest.approx(0.025, rel=1e-6)
+    assert error.num_places > 20
+
+
+def test_cameras_that_rise_over_dry_ground_lift_it_as_much():
+    _, found = drawn_adjustment(dry_share=0.4)
+    error = common_error(_with(found, _along(found, {"z": 0.01})), None)
+    assert error.mean == pytest.approx(0.01, rel=1e-6)
+
+
+def test_errors_of_single_positions_average_out_over_the_area():
+    block, found = drawn_adjustment(num_views=30)
+    alone = np.diag(_along(found, {"z": 0.02}) ** 2)
+    error = common_error(replace(found, covariance=alone), plane_of(block))
+    assert error.mean < 0.6 * error.typical
+
+
+def test_an_error_of_the_index_scales_depths_seen_from_above():
+    block, found = drawn_adjustment(nadir_only=True, dry_share=0.0)
+    water = plane_of(block)
+    change = _along(found, {"refractive_index": 0.001})
+    ties = _places(found)
+    rise = height_moves(found, water, ties) @ change
+    # Straight down the true depth is the apparent one times n; slanting rays add some more.
+    expected = -0.001 / block.water[3] * water.depth(ties.start)
+    assert np.median(rise / expected) == pytest.approx(1.0, abs=0.25)
+
+
+def test_the_standard_deviation_is_that_of_heights_under_random_parameters():
+    block, found = drawn_adjustment(4)
+    water = plane_of(block)
+    x, y = found.water_point
+    water = replace(water, point=(x, y, float(water.height(x, y))))
+    ties = _places(found)
+    layout = Layout(found.lens_of, np.array([1.0]))
+    lenses = np.array([parameters_of(lens) for lens in found.lenses])
+    true = State(water, np.zeros(3), lenses, found.centres, found.rotations, ties.start)
+    sides = np.zeros((len(ties.view), 3))
+    seen = replace(ties, pixel=predict(layout, true, ties, sides))
+    rng = np.random.default_rng(8)
+    root = np.linalg.cholesky(found.covariance)
+    heights = []
+    for _ in range(400):
+        step = root @ rng.standard_normal(len(root))
+        moved = true.moved(layout, np.insert(step, 4, np.zeros(3)), np.zeros_like(ties.start))
+        for _ in range(3):
+            linear = linearise(layout, moved, seen, sides)
+            miss = seen.pixel - linear.pixels
+            points = moved.points.copy()
+            for number in range(len(ties)):
+                mine = ties.point == number
+                points[number] += np.linalg.lstsq(linear.by_point[mine].reshape(-1, 3), miss[mine].ravel())[0]
+            moved = replace(moved, points=points)
+        heights.append(moved.points[:, 2] - true.points[:, 2])
+    heights = np.array(heights)
+    error = common_error(found, water)
+    # 400 draws know a standard deviation to 3.5 %.
+    assert error.mean == pytest.approx(heights.mean(axis=1).std(), rel=0.12)
+    assert error.typical == pytest.approx(np.median(heights.std(axis=0)), rel=0.12)
+
+
+def test_a_block_without_points_that_three_views_show_has_no_common_error():
+    _, found = drawn_adjustment()
+    none = np.zeros(0, dtype=np.int64)
+    empty = replace(found, residual_point=none, residual_view=none, residual_at_px=np.zeros((0, 2)))
+    assert common_error(empty, None) is None

@@ -1,0 +1,70 @@
+"""The cameras that an adjustment writes: given back as [cameras] poses they are the same."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from small_survey import TOML, small_survey
+
+from refract.lens import Lens
+from survey.adjust.written import write_cameras
+from survey.folder.survey import Survey, load_survey
+
+LENS = Lens("FULL_OPENCV", (101.3, 101.2, 31.7, 24.4, 0.02, -0.01, 1e-4, -2e-4, 0.003, 0.0, 0.0, 0.0), 64, 48)
+GIVEN_BACK = {
+    "sparse": 'poses = "sparse"\n',
+    "cameras.csv": (
+        'poses = "adjusted.csv"\nmodel = "FULL_OPENCV"\nsize_px = [64, 48]\nfocal_px = [101.3, 101.2]\n'
+        "principal_point_px = [31.7, 24.4]\n"
+        "distortion = [0.02, -0.01, 1e-4, -2e-4, 0.003, 0.0, 0.0, 0.0]\n"
+    ),
+}
+
+
+def _adjusted(survey: Survey) -> Survey:
+    """The survey with cameras that an adjustment moved and turned a little, and another lens."""
+    rng = np.random.default_rng(12)
+    views = []
+    for view in survey.views:
+        turn = Rotation.from_rotvec(0.02 * rng.standard_normal(3)).as_matrix()
+        centre = view.camera.centre + 0.05 * rng.standard_normal(3)
+        views.append(replace(view, lens=LENS, camera=LENS.pinhole(centre, turn @ view.camera.cam_from_local)))
+    return replace(survey, views=tuple(views))
+
+
+@pytest.mark.parametrize("name", GIVEN_BACK)
+def test_the_adjusted_cameras_can_be_given_back(tmp_path, name):
+    folder = small_survey(tmp_path / "small")
+    adjusted = _adjusted(load_survey(folder))
+    write_cameras(tmp_path, adjusted)
+    (tmp_path / "sparse").rename(folder / "sparse")
+    (tmp_path / "cameras.csv").rename(folder / "adjusted.csv")
+    before = TOML.index("[water]")
+    origin = list(adjusted.frame.origin)
+    (folder / "survey.toml").write_text(
+        TOML[: TOML.index("[cameras]")]
+        + f"[cameras]\n{GIVEN_BACK[name]}"
+        + TOML[before:]
+        + f"[local]\norigin = {origin}\n"
+    )
+    again = load_survey(folder)
+    assert [view.name for view in again.views] == [view.name for view in adjusted.views]
+    for view, true in zip(again.views, adjusted.views, strict=True):
+        place = again.frame.crs_from_local(view.camera.centre[None])
+        np.testing.assert_allclose(adjusted.frame.local_from_crs(place)[0], true.camera.centre, atol=1e-6)
+        # Level at the two origins is not the same; at 20 m, 5e-8 rad are a micrometre.
+        axes, true_axes = (survey.frame.local_from_grid(place)[0] for survey in (again, adjusted))
+        grid, true_grid = view.camera.cam_from_local @ axes, true.camera.cam_from_local @ true_axes
+        np.testing.assert_allclose(grid, true_grid, atol=5e-8)
+        assert view.lens == LENS
+
+
+def test_the_model_says_how_it_is_given_back(tmp_path):
+    survey = load_survey(small_survey(tmp_path / "small"))
+    write_cameras(tmp_path, survey)
+    first = (tmp_path / "sparse" / "cameras.txt").read_text(encoding="utf-8").splitlines()[0]
+    east, north, up = survey.frame.origin
+    assert first.endswith(f"[local] origin = [{float(east)!r}, {float(north)!r}, {float(up)!r}]")

@@ -1,0 +1,126 @@
+"""The part of the report about the adjustment: its figures, tables and pictures, and what it says of the water."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from adjusted_block import drawn_adjustment, plane_of
+from PIL import Image
+from small_bed import plane_bed
+from small_survey import small_survey
+from test_report import PLAN
+
+from survey.adjust.adjustment import UNKNOWN
+from survey.control.points import Control, ControlPoint
+from survey.folder.pose_priors import PosePrior
+from survey.folder.survey import load_survey
+from survey.report import ReportFacts
+from survey.report.adjustment_figures import adjustment_of, correlations
+from survey.report.adjustment_pictures import draw_correlation, draw_ground_residuals, draw_image_residuals
+from survey.report.collect import figures_of
+from survey.report.json_figures import json_of
+from survey.report.page import render_page
+
+OFF = np.array([0.03, -0.02, 0.05])
+
+
+@pytest.fixture(scope="module")
+def facts(tmp_path_factory) -> ReportFacts:
+    """A report on a random block over the place of the small survey; its positions were given 6.2 cm off."""
+    block, found = drawn_adjustment(num_views=20, dry_share=0.3)
+    survey = load_survey(small_survey(tmp_path_factory.mktemp("survey") / "small"))
+    priors = {
+        name: PosePrior(centre - OFF, np.array([0.02, 0.02, 0.03]), None, "survey.toml")
+        for name, centre in zip(found.names, found.centres, strict=True)
+    }
+    places = survey.frame.crs_from_local(found.points[:2])
+    points = tuple(
+        ControlPoint(row.name, tuple(crs), local, np.full(3, 0.01), row.is_check)
+        for row, crs, local in zip(found.control, places, found.points, strict=False)
+    )
+    survey = replace(
+        survey,
+        water=plane_of(block),
+        is_adjusted=True,
+        priors=priors,
+        control=Control(points, (), 0.5),
+    )
+    bed = plane_bed(survey, num=20)
+    points_crs = survey.frame.crs_from_local(bed.xyz)
+    return ReportFacts(survey, PLAN, {}, {}, bed, points_crs, adjustment=found)
+
+
+def test_report_json_has_the_adjustment_by_its_names(facts):
+    found = json_of(figures_of(facts))["adjustment"]
+    assert list(found) == [
+        "parameters", "kinds", "num_points", "num_left_out", "positions", "poses", "control", "control_groups",
+        "correlation_names", "correlation", "height_std_common_m",
+    ]  # fmt: skip
+    assert list(found["parameters"][0]) == ["name", "value", "std", "given", "given_std", "status", "verdict"]
+    assert list(found["height_std_common_m"]) == ["mean", "typical"]
+    assert 0.0 < found["height_std_common_m"]["mean"] < found["height_std_common_m"]["typical"]
+
+
+def test_positions_are_told_by_their_distance_to_those_given(facts):
+    positions = adjustment_of(facts.survey, facts.adjustment).positions
+    assert positions.num == 20
+    assert positions.rms_m == pytest.approx(np.abs(OFF))
+    assert positions.largest_m == pytest.approx(np.linalg.norm(OFF))
+
+
+def test_control_and_check_points_are_told_apart(facts):
+    control, check = adjustment_of(facts.survey, facts.adjustment).control_groups
+    assert (control.name, control.num, control.rms_px) == ("control", 1, pytest.approx(0.31))
+    assert check.rms_m == pytest.approx((0.012, 0.006, 0.021))
+
+
+def test_correlations_leave_out_what_was_not_to_move(facts):
+    found = facts.adjustment
+    covariance = found.covariance.copy()
+    # The level and the focal length with a correlation of 0.5; a slope that was held.
+    covariance[0, 4] = covariance[4, 0] = 0.5 * np.sqrt(covariance[0, 0] * covariance[4, 4])
+    covariance[1, 1] = 1e-18
+    names, matrix = correlations(replace(found, covariance=covariance))
+    assert "slope_x" not in names
+    assert matrix[names.index("height_m"), names.index("camera0.f")] == pytest.approx(0.5)
+    np.testing.assert_allclose(np.diag(matrix), 1.0)
+
+
+def test_the_page_has_verdicts_control_and_the_uncertainty_of_all_heights(facts):
+    figures = figures_of(facts)
+    page = render_page(figures, [])
+    assert "<h2>Adjustment</h2>" in page
+    for row in facts.adjustment.parameters:
+        assert f"{row.name} {row.verdict}" in page
+    assert "gcp2" in page
+    assert figures.adjustment.note in figures.notes
+
+
+def test_water_says_what_the_adjustment_found_and_what_it_kept(facts):
+    water = figures_of(facts).water
+    assert water.level_from == "found by the adjustment"
+    assert water.refractive_index_from == "survey.toml"
+    level, *others = facts.adjustment.parameters
+    unknown = replace(facts.adjustment, parameters=(replace(level, status=UNKNOWN), *others))
+    assert figures_of(replace(facts, adjustment=unknown)).water.level_from == "survey.toml, [water] level_m"
+
+
+def test_a_run_without_an_adjustment_has_no_such_section(facts):
+    figures = figures_of(replace(facts, adjustment=None))
+    assert json_of(figures)["adjustment"] is None
+    assert "<h2>Adjustment</h2>" not in render_page(figures, [])
+
+
+def test_the_pictures_are_drawn_and_are_whole(facts, tmp_path):
+    pictures = [
+        draw_ground_residuals(tmp_path / "residuals_ground.png", facts.survey, facts.adjustment),
+        draw_image_residuals(tmp_path / "residuals_image.png", facts.adjustment),
+        draw_correlation(tmp_path / "correlation.png", facts.adjustment),
+    ]
+    for picture in pictures:
+        with Image.open(picture.path) as image:
+            assert np.asarray(image.convert("L")).std() > 5.0, picture.path
+    page = render_page(figures_of(facts), pictures)
+    assert page.count("data:image/png;base64,") == 3

@@ -1,10 +1,13 @@
 """How well does a run find poses, lens and water from what is known in the field? On data/ and on field surveys.
 
     python benchmarks/bench_adjust.py [ROW ...] [-o FOLDER]
+    python benchmarks/bench_adjust.py --coverage 20 [--shared] [--free-water]
 
 A row is a name of adjust_rows.ROWS or the folder of a survey that field_surveys.py drew; FOLDER:true is the same from
 its true poses, lens and water. Its survey is prepared in the work folder and processed by the command line; a row that
 the program refuses has its words. Prints a table, and writes results.json into the work folder.
+
+With --coverage: how often the truth of so many drawn blocks, without images, lies within what is stated.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from adjust_coverage import covered, table
 from adjust_measures import errors_of
 from adjust_real import brighton_errors, copr_errors
 from adjust_rows import DATA, ROWS, Row, prepare
@@ -34,7 +38,18 @@ def main() -> None:
     parser.add_argument("rows", nargs="*", metavar="ROW", default=list(ROWS), help=f"default: {' '.join(ROWS)}")
     parser.add_argument("--quality", help="instead of that of the row")
     parser.add_argument("-o", "--output", type=Path, help="work folder; default: a new temporary one")
+    parser.add_argument("--coverage", type=int, metavar="N", help="adjust N drawn blocks instead")
+    parser.add_argument("--shared", action="store_true", help="their neighbours have errors in common")
+    parser.add_argument("--free-water", action="store_true", help="nothing is known of their water")
     options = parser.parse_args()
+    if options.coverage is not None:
+        points = 900 if options.shared else 300
+        blocks = [
+            covered(seed, shared=options.shared, free_water=options.free_water, num_points=points)
+            for seed in range(options.coverage)
+        ]
+        print(table(blocks))  # noqa: T201
+        return
     if not DATA.is_dir():
         raise SystemExit(f"no survey data at {DATA}; set BATHYNERF_DATA")
     folder = options.output or Path(tempfile.mkdtemp(prefix="bathynerf_adjust_"))

@@ -86,6 +86,7 @@ def draw_block(
     pixel_std: float | None = None,
     position_std: tuple[float, float, float] = (0.02, 0.02, 0.03),
     wrong: float = 0.0,
+    shared: float = 0.0,
 ) -> DrawnBlock:
     """A random block; what is not passed is drawn.
 
@@ -99,6 +100,9 @@ def draw_block(
         Of the points, on a bank; control points lie there.
     wrong : [-]
         Share of the observations that are up to 15 px off.
+    shared : [-]
+        Standard deviation of errors that neighbours in a photograph share, over `pixel_std`: a moving wave bends their
+        rays alike, see `_waves`.
     """
     rng = np.random.default_rng([seed, 30])
     num_views = int(rng.integers(16, 41)) if num_views is None else num_views
@@ -134,6 +138,8 @@ def draw_block(
     pixel = pixel + pixel_std * rng.standard_normal(pixel.shape)
     off = (rng.random((len(pixel), 1)) < wrong) * rng.uniform(-15.0, 15.0, pixel.shape)
     pixel = pixel + off
+    if shared > 0.0:
+        pixel = pixel + shared * pixel_std * _waves(np.random.default_rng([seed, 31]), view, pixel, lens.width)
     order = np.argsort(point, kind="stable")
     point, view, pixel = point[order], view[order], pixel[order]
     enough = np.bincount(point, minlength=num_points) >= 3
@@ -230,6 +236,19 @@ def _bed(rng, plane: FlatWater, half, depth: float, num_points: int, dry_share: 
     bank = 0.02 + 1.2 * np.maximum(rank - shore, 0.0) + 0.05 * rng.random(num_points)
     above = np.where(rank > shore, bank, wet)
     return np.column_stack([places, plane.height(*places.T) + above])
+
+
+def _waves(rng: np.random.Generator, view: np.ndarray, pixel: np.ndarray, width: int) -> np.ndarray:
+    """Errors (N, 2) of unit standard deviation: in each photograph waves 0.08 to 0.3 of its width long."""
+    out = np.empty_like(pixel)
+    for number in np.unique(view):
+        mine = view == number
+        for axis in range(2):
+            length, toward = rng.uniform(0.08, 0.3, 12) * width, rng.uniform(0.0, 2.0 * math.pi, 12)
+            waves = 2.0 * math.pi / length * np.stack([np.sin(toward), np.cos(toward)])
+            phases = pixel[mine] @ waves + rng.uniform(0.0, 2.0 * math.pi, 12)
+            out[mine, axis] = math.sqrt(2.0 / 12) * np.cos(phases).sum(axis=1)
+    return out
 
 
 def _turned(axes: np.ndarray, vector: np.ndarray) -> np.ndarray:

@@ -181,6 +181,9 @@ def std_of_kinds(problem: Problem, residuals: np.ndarray) -> np.ndarray:
     seen = np.bincount(problem.ties.point, minlength=len(problem.ties))[problem.ties.point]
     spare = np.sqrt(np.maximum(1.0 - 1.5 / seen, 0.1))
     std = problem.given_std_px.copy()
+    present = np.bincount(problem.kind, minlength=len(std)) > 0
+    # Of a kind that was not observed, any number does.
+    std[~present & np.isnan(std)] = 1.0
     for kind in np.flatnonzero(np.isnan(std)):
         mine = (length / spare)[problem.kind == kind]
         std[kind] = max(float(np.nanmedian(mine)) / _MEDIAN_LENGTH, 1e-3) if len(mine) else 1.0

@@ -13,6 +13,7 @@ import numpy as np
 
 from refract.lens import Lens
 from survey.adjust.adjustment import Adjustment, ControlResidual, Parameter
+from survey.adjust.holding import adjusted_with, not_observable
 from survey.adjust.observed import KINDS, MARK, MATCH, WINDOW, Observed, observed
 from survey.adjust.priors import Known, is_held, known_of
 from survey.adjust.rounds import Adjusted, adjust
@@ -78,7 +79,8 @@ def adjust_survey(
         advance(0.1)
     assert done is not None
     total = sum(len(ties.view) for _, ties in parts) + (0 if survey.control is None else len(survey.control.marks))
-    return _result(survey, done, total)
+    stated = known if not free_water else known_of(survey, gsd)
+    return _result(survey, done, total, lambda held: adjusted_with(done, held, stated.std, sizes, marks_std))
 
 
 def _thinned(ties: TiePoints, sizes: list[tuple[int, int]]) -> TiePoints:
@@ -126,19 +128,18 @@ def _lens_of(lens: Lens, parameters: np.ndarray) -> Lens:
     return Lens("FULL_OPENCV", (f, f * fy / fx, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0), lens.width, lens.height)
 
 
-def _result(survey: Survey, done: Adjusted, total: int) -> Adjustment:
+def _result(survey: Survey, done: Adjusted, total: int, hold: Callable[[np.ndarray], Adjusted]) -> Adjustment:
+    """What was found; ``hold`` adjusts again with the parameters (P,) bool held that are not observable."""
+    layout, first = done.known.layout, done.solution.covariance
+    held = np.zeros(len(layout), dtype=bool)
+    while True:
+        parameters, water = _judged(survey, done, first, held)
+        also = held | not_observable(parameters, layout)
+        if (also == held).all():
+            break
+        held, done = also, hold(also)
     known, solution, used = done.known, done.solution, done.used
-    layout, state, covariance = known.layout, solution.state, solution.covariance
-    parameters: list[Parameter] = []
-    water: WaterConfig | None = None
-    if survey.water is not None:
-        verdicts, water = _water(survey, known, state, covariance)
-        parameters += verdicts
-    for number, lens in enumerate(known.lenses):
-        if not is_held(lens):
-            at = layout.lens(number)
-            std = np.sqrt(np.diag(covariance)[at])
-            parameters += lens_verdicts(number, state.lenses[number], std, known.mean.lenses[number], known.std[at])
+    state, covariance = solution.state, solution.covariance
     poses = np.sqrt(np.diag(covariance)[layout.first_pose :]).reshape(-1, 6)
     # What a rough bed seems to rise by is no result.
     kept = np.r_[: len(WATER_NAMES), layout.first_lens : len(layout)]
@@ -156,7 +157,7 @@ def _result(survey: Survey, done: Adjusted, total: int) -> Adjustment:
     if blunders:
         warnings.append(f"positions that the block contradicts are not used: {', '.join(blunders)}")
     return Adjustment(
-        parameters=tuple(parameters),
+        parameters=parameters,
         water=water,
         lenses=tuple(_lens_of(lens, state.lenses[i]) for i, lens in enumerate(known.lenses)),
         names=tuple(view.name for view in survey.views),
@@ -185,17 +186,38 @@ def _result(survey: Survey, done: Adjusted, total: int) -> Adjustment:
     )
 
 
-def _water(survey: Survey, known: Known, state: State, covariance: np.ndarray) -> tuple[list[Parameter], WaterConfig]:
-    """Level, slopes and index as survey.toml counts them, with their verdicts."""
+def _judged(
+    survey: Survey, done: Adjusted, first: np.ndarray, held: np.ndarray
+) -> tuple[tuple[Parameter, ...], WaterConfig | None]:
+    """Parameters of water and lenses with their verdicts, and the water; ``first`` tells of those that are held."""
+    known, state, covariance = done.known, done.solution.state, done.solution.covariance
+    parameters: list[Parameter] = []
+    water: WaterConfig | None = None
+    if survey.water is not None:
+        verdicts, water = _water(survey, known, state, (covariance, first), held[:WATER])
+        parameters += verdicts
+    variance = np.where(held, np.diag(first), np.diag(covariance))
+    for number, lens in enumerate(known.lenses):
+        if not is_held(lens):
+            at = known.layout.lens(number)
+            std = np.sqrt(variance[at])
+            parameters += lens_verdicts(number, state.lenses[number], std, known.mean.lenses[number], known.std[at])
+    return tuple(parameters), water
+
+
+def _water(
+    survey: Survey, known: Known, state: State, covariances: tuple[np.ndarray, np.ndarray], held: np.ndarray
+) -> tuple[list[Parameter], WaterConfig]:
+    """Level, slopes and index as survey.toml counts them, with verdicts; the second covariance tells of the held."""
     _, given = survey.require_water()
     before = np.array([float(getattr(given, name)) for name in WATER_PARAMETERS])
     start = known.mean.water_parameters()
     by_given = _by_config(survey, given, start, np.array(known.place_of_water))
     inverse = np.linalg.inv(by_given)
     values = before + inverse @ (state.water_parameters() - start)
-    of_config = inverse @ covariance[:WATER, :WATER] @ inverse.T
+    std, held_std = (np.sqrt(np.diag(inverse @ c[:WATER, :WATER] @ inverse.T)) for c in covariances)
     given_std = np.sqrt(np.diag(inverse @ np.diag(known.std[:WATER] ** 2) @ inverse.T))
-    found = water_verdicts(values, of_config, given, given_std, water_limits(state.points))
+    found = water_verdicts(values, np.where(held, held_std, std), given, given_std, water_limits(state.points))
     level, east, north, index = (row.value for row in found)
     return found, replace(given, level_m=level, slope_east=east, slope_north=north, refractive_index=index)
 

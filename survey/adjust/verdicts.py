@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -59,15 +60,21 @@ def water_limits(points: np.ndarray) -> np.ndarray:
 
 
 def water_verdicts(
-    values: np.ndarray, covariance: np.ndarray, given: WaterConfig, given_std: np.ndarray, limits: np.ndarray
+    values: np.ndarray, std: np.ndarray, given: WaterConfig, given_std: np.ndarray, limits: np.ndarray
 ) -> list[Parameter]:
     """Verdicts on level, slopes and index, (4,) each, as survey.toml counts them."""
     found = []
     for i, name in enumerate(WATER_PARAMETERS):
-        std, unit = float(np.sqrt(covariance[i, i])), " m" if i == 0 else ""
-        before = float(getattr(given, name))
-        found.append(judge(name, float(values[i]), std, before, float(given_std[i]), float(limits[i]), unit))
+        before, unit = float(getattr(given, name)), " m" if i == 0 else ""
+        found.append(judge(name, float(values[i]), float(std[i]), before, float(given_std[i]), float(limits[i]), unit))
+    if found[0].status == UNKNOWN:
+        # Slopes turn the plane about a point other than that of the level: without a level they are of no use.
+        found[1:3] = [_as_given(row) if row.status == FREE else row for row in found[1:3]]
     return found
+
+
+def _as_given(row: Parameter) -> Parameter:
+    return replace(row, value=row.given, status=UNKNOWN, verdict="not observable: the level is not; the slope is kept")
 
 
 def lens_verdicts(

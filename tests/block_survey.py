@@ -1,0 +1,102 @@
+"""Drawn blocks as surveys, as they come out of structure from motion."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from geo import LocalFrame, parse_crs
+from survey.control.points import Control, ControlPoint, Mark
+from survey.folder.config import SurveyConfig, WaterConfig
+from survey.folder.place import water_plane
+from survey.folder.pose_priors import PosePrior
+from survey.folder.survey import Survey
+from survey.photos.cameras import View
+from survey.photos.tie_points import TiePoints
+from tests.drawn_block import DrawnBlock
+
+# On a central meridian, where the axes of the grid are those of local.
+CRS, ORIGIN = "EPSG:25832+5778", (500000.0, 5200000.0, 100.0)
+MARKS_STD_PX = 0.3
+
+
+def survey_of(block: DrawnBlock) -> Survey:
+    """The block with its GPS positions, stated lens, stated water and control points."""
+    frame = LocalFrame(parse_crs(CRS), ORIGIN)
+    level, slope_east, slope_north, index = block.stated_water.tolist()
+    water = WaterConfig(
+        level_m=ORIGIN[2] + level,
+        level_at=ORIGIN[:2],
+        slope_east=slope_east,
+        slope_north=slope_north,
+        refractive_index=index,
+        level_std_m=float(block.water_std[0]),
+        slope_std=float(block.water_std[1]) or None,
+        index_std=float(block.water_std[3]),
+    )
+    views = tuple(
+        View(f"{number:03d}.jpg", Path(f"{number:03d}.jpg"), camera, block.stated_lens)
+        for number, camera in enumerate(block.start_cameras)
+    )
+    priors = {
+        view.name: PosePrior(position, block.position_std, None, "survey.toml")
+        for view, position in zip(views, block.positions, strict=True)
+    }
+    ties, control = _parted(block, views)
+    return Survey(
+        name="block",
+        folder=Path("block"),
+        frame=frame,
+        views=views,
+        water=water_plane(frame, water),
+        bounds=None,
+        config=SurveyConfig(crs=CRS, water=water),
+        assumptions=(),
+        warnings=(),
+        points=ties.start,
+        ties=ties,
+        priors=priors,
+        control=control,
+    )
+
+
+def _parted(block: DrawnBlock, views: tuple[View, ...]) -> tuple[TiePoints, Control | None]:
+    """Tie points, and the control points with their marks."""
+    is_control = np.isin(block.point, block.control)
+    every = TiePoints(block.start, block.point, block.view, block.pixel)
+    if not len(block.control):
+        return every, None
+    points = tuple(
+        ControlPoint(f"gcp{number}", (0.0, 0.0, 0.0), place, block.control_std)
+        for number, place in enumerate(block.control_points)
+    )
+    marks = tuple(
+        Mark(f"gcp{number}", views[block.view[i]].name, tuple(block.pixel[i].tolist()))
+        for number, point in enumerate(block.control)
+        for i in np.flatnonzero(block.point == point)
+    )
+    return every.only(~is_control), Control(points, marks, max(block.pixel_std, 0.05))
+
+
+def with_water(survey: Survey, **settings) -> Survey:
+    """The survey with other settings of its water."""
+    water = replace(survey.config.water, **settings)
+    return replace(survey, config=replace(survey.config, water=water), water=water_plane(survey.frame, water))
+
+
+def pose_errors(block: DrawnBlock, centres: np.ndarray, rotations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of centres (V, 3) [m], local, and of rotations (V, 3) [rad] about the axes of cam."""
+    true = np.array([camera.centre for camera in block.cameras])
+    turned = rotations @ np.array([camera.cam_from_local for camera in block.cameras]).transpose(0, 2, 1)
+    vector = np.stack(
+        [turned[:, 2, 1] - turned[:, 1, 2], turned[:, 0, 2] - turned[:, 2, 0], turned[:, 1, 0] - turned[:, 0, 1]], -1
+    )
+    return centres - true, 0.5 * vector
+
+
+def rms(values: np.ndarray) -> float:
+    """Root mean square."""
+    return math.sqrt(float(np.mean(np.square(values))))

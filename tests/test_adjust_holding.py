@@ -1,0 +1,75 @@
+"""What an adjustment cannot tell is held at its given value, in the block too."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from survey.adjust.adjustment import FREE, UNKNOWN
+from survey.adjust.priors import _FOCAL_SHARE
+from survey.adjust.refine import adjust_survey
+from tests.block_survey import pose_errors, survey_of, with_water
+from tests.drawn_block import draw_block
+
+# Over flat ground from one height: the focal length trades with the height of the ground.
+FLAT = {"num_points": 150, "num_views": 18, "nadir_only": True, "dry_share": 0.0}
+
+
+@pytest.fixture(scope="module")
+def flat():
+    block = draw_block(11, **FLAT)
+    return block, adjust_survey(survey_of(block), use_windows=False)
+
+
+def test_a_focal_length_that_is_not_observable_is_the_given_one_in_the_block_too(flat):
+    block, found = flat
+    focal, row = block.stated_lens.focal[0], found.parameter("camera0.f")
+    assert row.status == UNKNOWN
+    assert "not observable" in row.verdict
+    assert row.value == focal
+    assert found.lenses[0].focal[0] == pytest.approx(focal, rel=1e-6)
+
+
+def test_poses_and_points_follow_the_held_focal_length(flat):
+    block, found = flat
+    # With poses of another focal length, pixels at the edge of a photograph would be off by several.
+    assert found.std_px["matches"] == pytest.approx(block.pixel_std, rel=0.15)
+    positions, _ = pose_errors(block, found.centres, found.rotations)
+    assert np.mean(np.abs(positions) < 1.96 * found.position_std) > 0.85
+
+
+def test_a_held_focal_length_is_as_uncertain_as_it_was_given(flat):
+    block, found = flat
+    at = found.covariance_names.index("camera0.f")
+    std = np.sqrt(found.covariance[at, at])
+    assert std == pytest.approx(_FOCAL_SHARE * block.stated_lens.focal[0], rel=1e-6)
+    assert np.linalg.eigvalsh(found.covariance / np.outer(*[np.sqrt(np.diag(found.covariance))] * 2)).min() > -1e-9
+
+
+def test_a_level_that_is_not_observable_stays_as_it_was_given():
+    block = draw_block(11, **FLAT)
+    survey = with_water(survey_of(block), level_std_m=0.5)
+    found = adjust_survey(survey, use_windows=False)
+    assert found.parameter("level_m").status == UNKNOWN
+    assert found.water.level_m == survey.config.water.level_m
+    at = found.covariance_names.index("height_m")
+    assert found.covariance[at, at] == pytest.approx(0.25, rel=1e-3)
+
+
+def test_slopes_without_a_level_stay_as_they_were_given():
+    block = draw_block(11, **FLAT)
+    survey = with_water(survey_of(block), level_std_m=1.0, slope_std=0.2)
+    found = adjust_survey(survey, use_windows=False)
+    for name in ("level_m", "slope_east", "slope_north"):
+        assert found.parameter(name).status == UNKNOWN
+        assert getattr(found.water, name) == getattr(survey.config.water, name)
+
+
+def test_nothing_is_held_that_the_photographs_tell():
+    found = adjust_survey(survey_of(draw_block(3, num_points=200, num_views=18, dry_share=0.3)), use_windows=False)
+    rows = {row.name: row for row in found.parameters}
+    assert rows["level_m"].status == FREE
+    assert rows["camera0.f"].status == FREE
+    assert rows["camera0.f"].value != rows["camera0.f"].given
+    at = found.covariance_names.index("camera0.f")
+    assert np.sqrt(found.covariance[at, at]) == pytest.approx(rows["camera0.f"].std)

@@ -20,12 +20,13 @@ def _is_array(x) -> bool:
 
 # Beside the functions: `fma(a, b, c)` is a b + c, in one instruction where there is one; `double` and `like` change
 # the precision of arrays, to float64 and to that of the second argument, and leave plain numbers alone; `fixed` is
-# the value without its gradient, and `tracked` is whether any has one; `eps` is the spacing of numbers near one.
+# the value without its derivatives, and `tracked` is whether any may have some, in reverse or forward mode; `eps` is
+# the spacing of numbers near one.
 _NUMPY = SimpleNamespace(
     name="numpy", sqrt=np.sqrt, sin=np.sin, cos=np.cos, exp=np.exp, isnan=np.isnan,
     where=np.where, minimum=np.minimum, maximum=np.maximum, abs=np.abs,
     rsqrt=lambda x: 1.0 / np.sqrt(x), fma=lambda a, b, c: a * b + c,
-    double=lambda x: np.float64(x) if _is_array(x) else x,
+    double=lambda x: x.astype(np.float64, copy=False) if _is_array(x) else x,
     like=lambda x, other: np.asarray(x, dtype=other.dtype) if _is_array(other) else x,
     eps=lambda x: 2.0**-52,
     fixed=lambda x: x,
@@ -48,13 +49,26 @@ def _torch_namespace(torch) -> SimpleNamespace:
     def if_tensor(function):
         return lambda x, *more: function(x, *more) if torch.is_tensor(x) else x
 
+    def fma(a, b, c):
+        """One pass over memory, where the types allow it."""
+        if not torch.is_tensor(c):
+            return a * b + c
+        if not torch.is_tensor(b):
+            a, b = b, a
+        if not torch.is_tensor(a):
+            return torch.add(c, b, alpha=a) if torch.is_tensor(b) else c + a * b
+        alike = a.dtype == b.dtype == c.dtype and a.shape == b.shape == c.shape
+        return torch.addcmul(c, a, b) if alike else a * b + c
+
     def tracked(*arrays) -> bool:
-        return torch.is_grad_enabled() and any(torch.is_tensor(x) and x.requires_grad for x in arrays)
+        return transformed() or (
+            torch.is_grad_enabled() and any(torch.is_tensor(x) and x.requires_grad for x in arrays)
+        )
 
     return SimpleNamespace(
         name="torch", sqrt=torch.sqrt, sin=torch.sin, cos=torch.cos, exp=torch.exp, isnan=torch.isnan,
         where=torch.where, minimum=pair(torch.minimum), maximum=pair(torch.maximum), abs=torch.abs,
-        rsqrt=torch.rsqrt, fma=lambda a, b, c: a * b + c,
+        rsqrt=torch.rsqrt, fma=fma,
         double=if_tensor(torch.Tensor.double),
         like=if_tensor(lambda x, other: x.to(other.dtype)),
         eps=lambda x: torch.finfo(x.dtype).eps,
@@ -88,6 +102,19 @@ def namespace(*arrays) -> SimpleNamespace:
         if drjit is not None and drjit.is_array_v(array):
             return _drjit_namespace(drjit)
     return _NUMPY
+
+
+def transformed() -> bool:
+    """Whether torch.func, forward-mode derivatives or torch.compile look on: tensors may then have no readable value.
+
+    A tensor under vmap cannot be asked for its tangent, so this asks torch itself whether a transform is open.
+    """
+    torch = sys.modules.get("torch")
+    return torch is not None and (
+        torch.compiler.is_compiling()
+        or torch.autograd.forward_ad._current_level >= 0
+        or torch._C._functorch.peek_interpreter_stack() is not None
+    )
 
 
 def as_like(values, like):
@@ -209,12 +236,30 @@ def components(vectors):
 
 
 def stack(x, y, z):
-    """The inverse of `components`, broadcasting the three arrays against each other."""
-    library = namespace(x, y, z).name
-    if library == "drjit":
+    """The inverse of `components`, broadcasting the three arrays, or plain numbers, against each other."""
+    xp = namespace(x, y, z)
+    if xp.name == "drjit":
         return _vector(x, y, z)
-    if library == "torch":
+    if xp.name == "torch" and xp.tracked(x, y, z):
         import torch
 
-        return torch.stack(torch.broadcast_tensors(x, y, z), dim=-1)
-    return np.stack(np.broadcast_arrays(x, y, z), axis=-1)
+        like = next(v for v in (x, y, z) if torch.is_tensor(v))
+        return torch.stack(torch.broadcast_tensors(*(as_like(v, like) for v in (x, y, z))), dim=-1)
+    return _filled(xp, (x, y, z))
+
+
+def _filled(xp, components):
+    """`stack` component by component: torch takes three times as long over its own."""
+    like = next(v for v in components if hasattr(v, "dtype"))
+    shape = (*np.broadcast_shapes(*(np.shape(v) for v in components)), 3)
+    vectors = np.empty(shape) if xp.name == "numpy" else like.new_empty(shape)
+    for k, component in enumerate(components):
+        vectors[..., k] = component
+    return vectors
+
+
+def spread(*arrays) -> tuple:
+    """Arrays of numpy or torch as views of the one shape to which they broadcast."""
+    shape = np.broadcast_shapes(*(array.shape for array in arrays))
+    expand = np.broadcast_to if namespace(*arrays).name == "numpy" else lambda array, shape: array.expand(shape)
+    return tuple(array if array.shape == shape else expand(array, shape) for array in arrays)

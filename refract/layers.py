@@ -11,13 +11,16 @@ import math
 from dataclasses import dataclass
 from typing import Any, final
 
+import numpy as np
+
 from refract import kernels
 from refract._array import common, components, namespace, root, stack
-from refract.surfaces import _number, _plain
+from refract._numbers import moved, number, plain, values
 
 # Newton's steps: 12 reach the last bits of float64 over indices 1 to 1.6, layers of 1 mm to 1 km and points to 100
 # times as far aside (20 000 stacks); a housing takes 5.
 _STEPS = 16
+_NUMBERS = ("point", "normal", "indices", "thicknesses")
 
 
 @final
@@ -76,25 +79,27 @@ class ParallelLayers:
     thicknesses: tuple[Any, ...] = ()
 
     def __post_init__(self):
-        for name in ("point", "normal", "indices", "thicknesses"):
-            object.__setattr__(self, name, tuple(_number(v) for v in getattr(self, name)))
-        sizes = tuple(len(getattr(self, name)) for name in ("point", "normal", "indices", "thicknesses"))
+        for name in _NUMBERS:
+            object.__setattr__(self, name, tuple(number(v) for v in getattr(self, name)))
+        sizes = tuple(len(getattr(self, name)) for name in _NUMBERS)
         if sizes[:2] != (3, 3) or sizes[2] < 2 or sizes[3] != sizes[2] - 2:
             raise ValueError(
                 f"expected a point (3,), a normal (3,), indices (layers,) of two media or more and thicknesses "
                 f"(layers - 2,), got {sizes} numbers"
             )
-        point, normal, indices, thicknesses = (
-            tuple(map(_plain, v)) for v in (self.point, self.normal, self.indices, self.thicknesses)
-        )
-        if not all(map(math.isfinite, (*point, *normal, *indices, *thicknesses))) or not any(normal):
+        point, normal, indices, thicknesses = (values(*getattr(self, name)) for name in _NUMBERS)
+        if not np.isfinite([*point, *normal, *indices, *thicknesses]).all() or (normal.size and not normal.any()):
             raise ValueError(f"expected finite numbers and a normal with a length, got {self}")
-        if not all(1.0 <= n <= 2.5 for n in indices) or not all(d >= 0.0 for d in thicknesses):
+        if not ((indices >= 1.0) & (indices <= 2.5)).all() or (thicknesses < 0.0).any():
             raise ValueError(
                 f"expected indices of 1 to 2.5 and thicknesses of at least zero, got {indices} and {thicknesses}"
             )
         length = root(kernels.dot(self.normal, self.normal))
         object.__setattr__(self, "normal", tuple(c / length for c in self.normal))
+
+    def to(self, *place, **options) -> ParallelLayers:
+        """The same layers with their tensors moved, by the arguments of `torch.Tensor.to`."""
+        return moved(self, place, options)
 
     def trace(self, origin, direction) -> LayeredPath:
         """Bend rays at every interface.
@@ -119,7 +124,7 @@ class ParallelLayers:
         xp = namespace(*at)
         way = kernels.dot(kernels.minus(at, self.point), self.normal)
         crossings = []
-        for number, (n_from, n_to) in enumerate(zip(self.indices, self.indices[1:], strict=False)):
+        for place, (n_from, n_to) in enumerate(zip(self.indices, self.indices[1:], strict=False)):
             falling = -kernels.dot(ray, self.normal)
             meets = (falling > kernels.GRAZING) & (way >= 0.0)
             t = xp.where(meets, way / xp.where(meets, falling, 1.0), math.nan)
@@ -127,7 +132,7 @@ class ParallelLayers:
             crossings.append(stack(*at))
             bent = kernels.bend(ray, self.normal, n_from, n_to)
             ray = tuple(xp.where(meets, b, math.nan) for b in bent)
-            way = falling * 0.0 + (self.thicknesses[number] if number < len(self.thicknesses) else 0.0)
+            way = falling * 0.0 + (self.thicknesses[place] if place < len(self.thicknesses) else 0.0)
         return LayeredPath(tuple(crossings), stack(*ray))
 
     def project(self, points, camera):
@@ -173,7 +178,7 @@ class ParallelLayers:
         and is concave, so Newton's steps from below never overshoot; ``q_i <= 1 / m_i`` gives the start.
         """
         xp = namespace(D_squared)
-        n_least = min(self.indices, key=_plain)
+        n_least = min(self.indices, key=plain)
         m = [n / n_least for n in self.indices]
         v = 1.0 / sum(h / k for h, k in zip(thicknesses, m, strict=True))
         for _ in range(_STEPS):

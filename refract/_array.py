@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import math
 import sys
-from functools import cache
-from types import SimpleNamespace
+from functools import wraps
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 
+_ARRAYS = (np.ndarray, np.generic)
+
 
 def _is_array(x) -> bool:
-    return isinstance(x, np.ndarray | np.generic)
+    return isinstance(x, _ARRAYS)
 
 
 # Beside the functions: `fma(a, b, c)` is a b + c, in one instruction where there is one; `double` and `like` change
@@ -34,59 +36,25 @@ _NUMPY = SimpleNamespace(
 )  # fmt: skip
 
 
-@cache
-def _torch_namespace(torch) -> SimpleNamespace:
-    def as_tensor(x, like):
-        return x if torch.is_tensor(x) else torch.as_tensor(x, dtype=like.dtype, device=like.device)
+def quiet(function):
+    """Decorator: numpy says nothing where results overflow or are not numbers.
 
-    def pair(function):
-        def call(a, b):
-            like = a if torch.is_tensor(a) else b
-            return function(as_tensor(a, like), as_tensor(b, like))
+    Not by `numpy.errstate` alone, through which torch.compile cannot look.
+    """
 
-        return call
+    @wraps(function)
+    def call(*args, **options):
+        if _is_compiling():
+            return function(*args, **options)
+        with np.errstate(invalid="ignore", over="ignore"):
+            return function(*args, **options)
 
-    def if_tensor(function):
-        return lambda x, *more: function(x, *more) if torch.is_tensor(x) else x
-
-    def fma(a, b, c):
-        """One pass over memory, where the types allow it."""
-        if not torch.is_tensor(c):
-            return a * b + c
-        if not torch.is_tensor(b):
-            a, b = b, a
-        if not torch.is_tensor(a):
-            return torch.add(c, b, alpha=a) if torch.is_tensor(b) else c + a * b
-        alike = a.dtype == b.dtype == c.dtype and a.shape == b.shape == c.shape
-        return torch.addcmul(c, a, b) if alike else a * b + c
-
-    def tracked(*arrays) -> bool:
-        return transformed() or (
-            torch.is_grad_enabled() and any(torch.is_tensor(x) and x.requires_grad for x in arrays)
-        )
-
-    return SimpleNamespace(
-        name="torch", sqrt=torch.sqrt, sin=torch.sin, cos=torch.cos, exp=torch.exp, isnan=torch.isnan,
-        where=torch.where, minimum=pair(torch.minimum), maximum=pair(torch.maximum), abs=torch.abs,
-        rsqrt=torch.rsqrt, fma=fma,
-        double=if_tensor(torch.Tensor.double),
-        like=if_tensor(lambda x, other: x.to(other.dtype)),
-        eps=lambda x: torch.finfo(x.dtype).eps,
-        fixed=if_tensor(torch.Tensor.detach), tracked=tracked,
-    )  # fmt: skip
+    return call
 
 
-@cache
-def _drjit_namespace(dr) -> SimpleNamespace:
-    return SimpleNamespace(
-        name="drjit", sqrt=dr.sqrt, sin=dr.sin, cos=dr.cos, exp=dr.exp, isnan=dr.isnan,
-        where=dr.select, minimum=dr.minimum, maximum=dr.maximum, abs=dr.abs,
-        rsqrt=dr.rsqrt, fma=dr.fma,
-        double=lambda x: dr.float64_array_t(type(x))(x) if dr.is_array_v(x) else x,
-        like=lambda x, other: type(other)(x),
-        eps=lambda x: 2.0 * dr.epsilon(x),
-        fixed=dr.detach, tracked=lambda *arrays: any(dr.is_array_v(x) and dr.grad_enabled(x) for x in arrays),
-    )  # fmt: skip
+def _is_compiling() -> bool:
+    torch = sys.modules.get("torch")
+    return torch is not None and torch.compiler.is_compiling()
 
 
 def namespace(*arrays) -> SimpleNamespace:
@@ -95,26 +63,36 @@ def namespace(*arrays) -> SimpleNamespace:
     Looks only at libraries that are already imported, so numpy users never pay for torch.
     """
     torch = sys.modules.get("torch")
-    drjit = sys.modules.get("drjit")
+    # What torch compiles comes from torch, and it cannot look into Dr.Jit.
+    drjit = None if _is_compiling() else sys.modules.get("drjit")
     for array in arrays:
         if torch is not None and torch.is_tensor(array):
-            return _torch_namespace(torch)
+            return _library("torch").NAMESPACE
         if drjit is not None and drjit.is_array_v(array):
-            return _drjit_namespace(drjit)
+            return _library("drjit").NAMESPACE
     return _NUMPY
 
 
-def transformed() -> bool:
-    """Whether torch.func, forward-mode derivatives or torch.compile look on: tensors may then have no readable value.
+_libraries: dict[str, ModuleType] = {}
 
-    A tensor under vmap cannot be asked for its tangent, so this asks torch itself whether a transform is open.
-    """
-    torch = sys.modules.get("torch")
-    return torch is not None and (
-        torch.compiler.is_compiling()
-        or torch.autograd.forward_ad._current_level >= 0
-        or torch._C._functorch.peek_interpreter_stack() is not None
-    )
+
+def _library(name: str) -> ModuleType:
+    """The module that speaks to a library, imported at its first use."""
+    if name not in _libraries:
+        if name == "torch":
+            from refract import _with_torch
+
+            _libraries[name] = _with_torch
+        else:
+            from refract import _with_drjit
+
+            _libraries[name] = _with_drjit
+    return _libraries[name]
+
+
+def transformed() -> bool:
+    """Whether a transform of torch looks on: see `refract._with_torch.transformed`."""
+    return "torch" in sys.modules and _library("torch").transformed()
 
 
 def as_like(values, like):
@@ -175,7 +153,9 @@ def common(**arrays) -> tuple:
         return _common_drjit(arrays)
     torch = sys.modules.get("torch")
     tensors = [a for a in arrays.values() if torch is not None and torch.is_tensor(a)]
-    like = max(tensors, key=lambda tensor: tensor.ndim, default=None)
+    like = None
+    for tensor in tensors:
+        like = tensor if like is None or tensor.ndim > like.ndim else like
     same = tuple(a if any(a is t for t in tensors) else as_like(a, like) for a in arrays.values())
     shapes = {name: tuple(a.shape) for name, a in zip(arrays, same, strict=True)}
     try:
@@ -209,6 +189,9 @@ def _common_drjit(arrays: dict) -> tuple:
         return _vector(*(leaf(np.ascontiguousarray(array[..., c]).ravel()) for c in range(array.shape[-1])))
 
     same = tuple(convert(a) for a in arrays.values())
+    if not all(drjit.width(a) for a in same):
+        shapes = ", ".join(f"{name} {tuple(a.shape)}" for name, a in zip(arrays, same, strict=True))
+        raise ValueError(f"Dr.Jit combines no empty arrays with numbers, got {shapes}; leave the call out")
     if len({drjit.width(a) for a in same} - {1}) > 1:
         raise _cannot_broadcast({name: tuple(a.shape) for name, a in zip(arrays, same, strict=True)})
     return same

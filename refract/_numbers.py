@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import fields, replace
 from typing import Any
 
@@ -33,26 +33,34 @@ def plain(value) -> float:
     return array.item()
 
 
-def values(*numbers) -> np.ndarray:
-    """All values in one row, without gradients; none while a transform of torch hides what tensors hold."""
-    if transformed() or not numbers:
-        return np.zeros(0)
-    return np.concatenate([as_numpy(value).ravel() for value in numbers])
+def hold(condition: Callable[[np.ndarray], np.ndarray], *numbers) -> bool:
+    """Whether a condition holds for all values; taken to, while a transform of torch hides what tensors hold."""
+    if transformed():
+        return True
+    return all(bool(condition(as_numpy(value)).all()) for value in numbers)
+
+
+def least(*numbers):
+    """The smallest of numbers, some of which may be tensors that cannot be read."""
+    smallest = numbers[0]
+    for value in numbers[1:]:
+        both = namespace(smallest, value)
+        smallest = min(smallest, value) if both.name == "numpy" else both.minimum(smallest, value)
+    return smallest
 
 
 def require_index(index) -> None:
     """ValueError unless all values of an index of water relative to air are 1 to 2."""
-    found = values(index)
-    wrong = found[~((found >= 1.0) & (found <= 2.0))]
-    if wrong.size:
-        raise ValueError(f"expected an index of water relative to air of 1 to 2 (fresh: 1.333), got {wrong[0]}")
+    if not hold(lambda n: (n >= 1.0) & (n <= 2.0), index):
+        raise ValueError(f"expected an index of water relative to air of 1 to 2 (fresh: 1.333), got {index}")
 
 
 def in_library(value, like):
     """Several numbers of numpy in the library of the array `like`, in float64; all else as it is."""
-    if not isinstance(value, np.ndarray) or namespace(like).name == "numpy":
+    xp = namespace(like)
+    if not isinstance(value, np.ndarray) or xp.name == "numpy":
         return value
-    return as_like(value, namespace(like).double(like))
+    return type(xp.double(like))(value.ravel()) if xp.name == "drjit" else as_like(value, xp.double(like))
 
 
 def moved(surface, place: Iterable, options: dict) -> Any:

@@ -78,7 +78,7 @@ def double(triple):
 def chosen(mask, a, b):
     """Triple or number ``a`` where ``mask`` holds, else triple or number ``b``."""
     xp = namespace(mask)
-    a, b = (v if isinstance(v, tuple | list) else (v, v, v) for v in (a, b))
+    a, b = (v if type(v) in (tuple, list) else (v, v, v) for v in (a, b))
     return tuple(xp.where(mask, p, q) for p, q in zip(a, b, strict=True))
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, final
-
-import numpy as np
+from typing import Any, final, overload
 
 from refract import kernels
-from refract._array import common, components, namespace, spread, stack
+from refract._array import common, components, namespace, quiet, spread, stack
 from refract._numbers import in_library
+from refract.layers import LayeredPath, ParallelLayers
 from refract.regimes import Regime, counts
 from refract.surfaces import FlatWater, WaterSurface, derivable, height_over
 
@@ -90,7 +89,7 @@ class BentPaths:
         ValueError
             If the shape of `height` does not broadcast against that of the rays.
         """
-        if not isinstance(water, FlatWater | None):
+        if water is not None and not isinstance(water, FlatWater):
             raise TypeError(f"heights count from a plane: expected FlatWater or None, got {water}; use at(t)")
         height, _ = common(height=height, rays=self.air_length)
         xp = namespace(height)
@@ -102,20 +101,28 @@ class BentPaths:
         return stack(*kernels.chosen(valid, tuple(xp.like(p, self.air_length) for p in points), math.nan))
 
 
-@np.errstate(invalid="ignore")
-def trace(origin, direction, surface: WaterSurface | None) -> BentPaths:
+@overload
+def trace(origin, direction, surface: WaterSurface | None) -> BentPaths: ...
+
+
+@overload
+def trace(origin, direction, surface: ParallelLayers) -> LayeredPath: ...
+
+
+@quiet
+def trace(origin, direction, surface):
     """Bend camera rays at the water surface.
 
     Parameters
     ----------
     origin, direction : (..., 3) numpy, torch, or Dr.Jit Array3f or Array3f64; local [m] and unit
         Camera centres and directions of view; they broadcast.
-    surface : WaterSurface or None
+    surface : WaterSurface, ParallelLayers or None
         None leaves every ray straight and dry.
 
     Returns
     -------
-    BentPaths
+    BentPaths, or LayeredPath through layers
         A ray that never meets the water (it looks up, or runs along the surface) is straight and not wet, and
         only its crossing is NaN. A camera on or below the surface looks straight through the water; it counts
         as wet, with a crossing at the camera. A direction whose length is not one (by more than 5e-6) is invalid. A
@@ -126,6 +133,8 @@ def trace(origin, direction, surface: WaterSurface | None) -> BentPaths:
     ValueError
         If the last axis of `origin` or `direction` is not 3, or their shapes do not broadcast.
     """
+    if isinstance(surface, ParallelLayers):
+        return surface.trace(origin, direction)
     origin, direction = common(origin=origin, direction=direction)
     given = components(origin), components(direction)
     (o, d), xp = given, namespace(*given[0])

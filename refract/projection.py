@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any, final
 
-import numpy as np
-
 from refract import kernels
-from refract._array import common, components, namespace, stack
+from refract._array import common, components, namespace, quiet, spread, stack
+from refract.layers import ParallelLayers
 from refract.regimes import Regime, counts
 from refract.surfaces import FlatWater, WaterSurface, derivable, height_over
 
@@ -26,7 +24,7 @@ _NO_LEG = 1e-200
 class Projection:
     """How a camera sees points through the water; arrays of the library and precision of the points, local frame.
 
-    Direction, crossing and lengths are computed when they are first asked for.
+    Crossing and lengths are computed when they are asked for.
 
     Attributes
     ----------
@@ -46,59 +44,40 @@ class Projection:
         The camera is on or below the surface.
     """
 
+    direction: Any
     depth: Any
     wet: Any
     solutions: Any
     under_water: Any
-    # Where all is finite; the point; the legs to the crossing and on to the point: triples in float64.
+    # Where all is finite; the point; the legs to the crossing and on to the point; of the first, what `_measured` says.
     _valid: Any = field(repr=False)
     _point: tuple[Any, Any, Any] = field(repr=False)
     _legs: tuple = field(repr=False)
-
-    @cached_property
-    @np.errstate(invalid="ignore", over="ignore")
-    def direction(self):
-        """See the class."""
-        leg = self._legs[0]
-        squared, inverse = self._first
-        seen = self._valid & ~(squared < _NO_LEG)
-        return self._stacked(tuple(c * inverse for c in leg), seen)
-
-    @cached_property
-    @np.errstate(invalid="ignore", over="ignore")
-    def crossing(self):
-        """See the class."""
-        return self._stacked(kernels.minus(self._point, self._legs[1]), self._valid)
-
-    @cached_property
-    @np.errstate(invalid="ignore", over="ignore")
-    def air_length(self):
-        """See the class."""
-        return self._told(namespace(self.wet).where(self.wet & self.under_water, 0.0, self._first_length))
-
-    @cached_property
-    @np.errstate(invalid="ignore", over="ignore")
-    def water_length(self):
-        """See the class."""
-        rest = _length(*_measured(self._legs[1]))
-        return self._told(namespace(self.wet).where(self.wet & self.under_water, self._first_length, rest))
-
-    @cached_property
-    @np.errstate(invalid="ignore", over="ignore")
-    def _first(self):
-        return _measured(self._legs[0])
+    _first: tuple = field(repr=False)
 
     @property
-    def _first_length(self):
-        return _length(*self._first)
+    @quiet
+    def crossing(self):
+        """See the class."""
+        return _stacked(self._valid, kernels.minus(self._point, self._legs[1]), self.depth)
 
-    def _told(self, number):
+    @property
+    @quiet
+    def air_length(self):
+        """See the class."""
+        return self._told(0.0, _length(*self._first))
+
+    @property
+    @quiet
+    def water_length(self):
+        """See the class."""
+        return self._told(_length(*self._first), _length(*_measured(self._legs[1])))
+
+    def _told(self, sunk, others):
+        """One number where all is water, another elsewhere, NaN where the ray is invalid."""
         xp = namespace(self.depth)
+        number = xp.where(self.wet & self.under_water, sunk, others)
         return xp.where(self._valid, xp.like(number, self.depth), math.nan)
-
-    def _stacked(self, triple, keep):
-        xp = namespace(self.depth)
-        return stack(*kernels.chosen(keep, tuple(xp.like(v, self.depth) for v in triple), math.nan))
 
     @property
     def regime(self):
@@ -126,8 +105,14 @@ def _length(squared, inverse):
     return namespace(squared).where(squared < _NO_LEG, 0.0, squared * inverse)
 
 
-@np.errstate(invalid="ignore", over="ignore")
-def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_STEPS) -> Projection:
+def _stacked(keep, triple, like):
+    """Vectors in the precision of `like`, NaN where they are not to be kept."""
+    xp = namespace(keep)
+    return stack(*kernels.chosen(keep, tuple(xp.like(v, like) for v in triple), math.nan))
+
+
+@quiet
+def project(points, camera, surface: WaterSurface | ParallelLayers | None, *, steps: int = EXACT_STEPS) -> Projection:
     """How a camera sees points of the bed: the way of least optical path (Fermat) through the surface.
 
     Points and camera in float32 are computed in float64 where digits would be lost, and rounded once at the end.
@@ -137,8 +122,9 @@ def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_
     points : (..., 3) [m], local; numpy, torch, or a Dr.Jit Array3f or Array3f64
     camera : (3,) or (..., 3) [m], local
         Camera centre.
-    surface : WaterSurface or None
-        None: there is no water, and every ray is straight.
+    surface : WaterSurface, ParallelLayers or None
+        None: there is no water, and every ray is straight. Of layers, the air leg is the one in the first medium, and
+        crossing, water leg and depth are those behind the last interface; points that are not there are unseen.
     steps : int
         Steps that the solver of the surface may take; fewer are faster (docs/optics.md).
 
@@ -160,14 +146,15 @@ def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_
     legs, depth, solutions, below = _legs(point, centre, surface, steps)
     xp = namespace(depth)
     wet = valid & (depth > 0.0)
+    squared, inverse = _measured(legs[0])
+    seen = valid & ~(squared < _NO_LEG)
+    direction = _stacked(seen, tuple(c * inverse for c in legs[0]), point[0])
+    depth = xp.where(valid, xp.like(depth, point[0]), math.nan)
+    numbers = depth, wet, xp.where(valid, solutions, 0), valid & below
+    if xp.name != "drjit":
+        numbers = spread(*numbers, direction[..., 0])[:4]
     return Projection(
-        depth=xp.where(valid, xp.like(depth, point[0]), math.nan),
-        wet=wet,
-        solutions=xp.where(valid, solutions, 0),
-        under_water=valid & below,
-        _valid=valid,
-        _point=kernels.double(point),
-        _legs=legs,
+        direction, *numbers, _valid=valid, _point=kernels.double(point), _legs=legs, _first=(squared, inverse)
     )
 
 
@@ -185,6 +172,10 @@ def _legs(point, centre, surface, steps: int) -> tuple:
     if surface is None:
         none = (p[2] - c[2]) * 0.0
         return (kernels.minus(p, c), (none, none, none)), none, 1, none > 0.0
+    if isinstance(surface, ParallelLayers):
+        legs, depth = surface.legs(c, p)
+        seen, xp = kernels.dot(legs[0], legs[0]) > 0.0, namespace(depth)
+        return tuple(kernels.chosen(seen, leg, math.nan) for leg in legs), depth, xp.where(seen, 1, 0), seen & False
     below = height_over(surface, centre) <= kernels.CONTACT
     if isinstance(surface, FlatWater):
         *legs, depth, solutions = surface.legs(centre, point, steps)
@@ -196,7 +187,7 @@ def _legs(point, centre, surface, steps: int) -> tuple:
     return (kernels.minus(seen, c), kernels.minus(p, seen)), depth, solutions, below
 
 
-@np.errstate(invalid="ignore", over="ignore")
+@quiet
 def crossing_point(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_STEPS):
     """Point of the water surface (..., 3) [m], local, through which the camera sees a point of the bed.
 
@@ -205,6 +196,5 @@ def crossing_point(points, camera, surface: WaterSurface | None, *, steps: int =
     """
     points, camera = common(points=points, camera=camera)
     valid, point, centre = _ends(components(points), components(camera), surface)
-    xp = namespace(*point)
     crossing = point if surface is None else surface.crossing(centre, point, steps)[0]
-    return stack(*kernels.chosen(valid, tuple(xp.like(v, point[0]) for v in crossing), math.nan))
+    return _stacked(valid, crossing, point[0])

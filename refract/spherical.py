@@ -11,7 +11,7 @@ import numpy as np
 from refract import fermat, kernels
 from refract._array import namespace
 from refract._disc import Bounds
-from refract._numbers import moved, number, plain, require_index, values
+from refract._numbers import hold, moved, number, plain, require_index
 from refract.kernels import GRAZING
 
 MEAN_RADIUS_M = 6_371_000.0
@@ -80,7 +80,7 @@ class SphericalWater:
         object.__setattr__(self, "radius", number(self.radius))
         object.__setattr__(self, "n_water", number(self.n_water))
         own = (*self.point, self.radius, self.n_water)
-        if len(self.point) != 3 or not np.isfinite(values(*own)).all() or not (values(self.radius) > 0.0).all():
+        if len(self.point) != 3 or not hold(np.isfinite, *own) or not hold(lambda r: r > 0.0, self.radius):
             raise ValueError(f"expected three finite coordinates, a positive radius and a finite index, got {own}")
         require_index(self.n_water)
 

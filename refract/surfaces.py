@@ -14,7 +14,7 @@ import numpy as np
 
 from refract import kernels
 from refract._array import namespace, root
-from refract._numbers import in_library, moved, number, plain, require_index, values
+from refract._numbers import hold, in_library, moved, number, plain, require_index
 from refract.kernels import GRAZING
 
 # Of `kernels.air_share`, for the last bits over all heights, depths and distances (docs/optics.md).
@@ -118,8 +118,7 @@ class FlatWater:
         object.__setattr__(self, "point", tuple(number(v) for v in self.point))
         for name in ("n_water", "slope_x", "slope_y"):
             object.__setattr__(self, name, number(getattr(self, name)))
-        found = values(*self._numbers)
-        if len(self.point) != 3 or not np.isfinite(found).all():
+        if len(self.point) != 3 or not hold(np.isfinite, *self._numbers):
             raise ValueError(
                 f"expected three finite coordinates, a finite index and two finite slopes, got {self._numbers}"
             )

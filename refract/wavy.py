@@ -11,7 +11,7 @@ import numpy as np
 from refract import fermat, kernels
 from refract._array import as_like, as_numpy, namespace
 from refract._disc import Bounds
-from refract._numbers import moved, number, plain, require_index, values
+from refract._numbers import hold, moved, number, plain, require_index
 
 # Steps along a ray to its first meeting with the waves: 4 to 8 for most; at 89.9 deg to the vertical over waves of
 # slope 0.3 some 40, and 130 at worst. A ray that needs this many runs along the surface.
@@ -87,7 +87,7 @@ class WavyWater:
                 f"expected a point (3,), and amplitudes, phases and frequencies (waves,) with wave vectors (waves, 2), "
                 f"got {len(self.point)} coordinates and {counts} amplitudes, wave vectors, phases and frequencies"
             )
-        if not np.isfinite(values(*self._numbers())).all():
+        if not hold(np.isfinite, *self._numbers()):
             raise ValueError(f"expected finite numbers, got {self._numbers()}")
         require_index(self.n_water)
 

@@ -95,6 +95,11 @@ def transformed() -> bool:
     return "torch" in sys.modules and _library("torch").transformed()
 
 
+def outside(function, *tensors) -> tuple:
+    """See `refract._with_torch.outside`."""
+    return _library("torch").outside(function, *tensors)
+
+
 def as_like(values, like):
     """`values` in the library, type and place of the array `like`; numpy becomes float64."""
     torch = sys.modules.get("torch")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from refract._array import as_like, as_numpy, namespace, transformed
+from refract._array import as_like, as_numpy, namespace, outside, transformed
 
 
 def number(value):
@@ -63,12 +63,40 @@ def in_library(value, like):
     return type(xp.double(like))(value.ravel()) if xp.name == "drjit" else as_like(value, xp.double(like))
 
 
-def moved(surface, place: Iterable, options: dict) -> Any:
-    """The same dataclass with its tensors moved, as ``Tensor.to(*place, **options)`` moves one."""
+def mapped(surface, change: Callable[[Any], Any]) -> Any:
+    """The same dataclass with its tensors changed."""
 
     def to(value):
         if isinstance(value, tuple):
             return tuple(to(v) for v in value)
-        return value.to(*place, **options) if namespace(value).name == "torch" else value
+        return change(value) if namespace(value).name == "torch" else value
 
     return replace(surface, **{each.name: to(getattr(surface, each.name)) for each in fields(surface) if each.init})
+
+
+def moved(surface, place: Iterable, options: dict) -> Any:
+    """The same dataclass with its tensors moved, as ``Tensor.to(*place, **options)`` moves one."""
+    return mapped(surface, lambda tensor: tensor.to(*place, **options))
+
+
+def read(function: Callable, surface, arrays: tuple) -> tuple:
+    """Tensors like the first of `arrays` of what ``function(surface, *arrays)`` makes of a surface and arrays of numpy.
+
+    Without derivatives. Under a transform of torch it is called where the values can be read, once for each row that
+    is mapped over.
+    """
+    own: list = []
+
+    def in_numpy(plain_surface, *tensors):
+        found = function(plain_surface, *(as_numpy(tensor) for tensor in tensors))
+        return tuple(as_like(each, tensors[0]) for each in found)
+
+    if not transformed():
+        return in_numpy(surface.detached(), *arrays)
+    mapped(surface, own.append)
+
+    def rebuilt(*tensors):
+        rest = iter(tensors[: len(own)])
+        return in_numpy(mapped(surface, lambda _: next(rest)).detached(), *tensors[len(own) :])
+
+    return outside(rebuilt, *own, *arrays)

@@ -60,3 +60,30 @@ NAMESPACE = SimpleNamespace(
     eps=lambda x: torch.finfo(x.dtype).eps,
     fixed=if_tensor(torch.Tensor.detach), tracked=tracked,
 )  # fmt: skip
+
+
+class _Outside(torch.autograd.Function):
+    """A function of plain tensors that has no derivatives, and that vmap calls once for each row."""
+
+    @staticmethod
+    def forward(function, *tensors):
+        return function(*tensors)
+
+    @staticmethod
+    def setup_context(ctx, inputs, output):
+        ctx.mark_non_differentiable(*output)
+
+    @staticmethod
+    def vmap(info, in_dims, function, *tensors):
+        rows = (
+            tuple(t if dim is None else t.select(dim, row) for t, dim in zip(tensors, in_dims[1:], strict=True))
+            for row in range(info.batch_size)
+        )
+        found = zip(*(_Outside.apply(function, *row) for row in rows), strict=True)
+        outputs = tuple(torch.stack(each) for each in found)
+        return outputs, (0,) * len(outputs)
+
+
+def outside(function, *tensors) -> tuple:
+    """Tensors that a function makes of others whose values it reads, also where a transform hides them."""
+    return _Outside.apply(function, *(tensor.detach() for tensor in tensors))

@@ -9,9 +9,9 @@ from typing import Any, final
 import numpy as np
 
 from refract import fermat, kernels
-from refract._array import as_like, as_numpy, namespace
+from refract._array import namespace
 from refract._disc import Bounds
-from refract._numbers import hold, moved, number, plain, require_index
+from refract._numbers import hold, moved, number, plain, read, require_index
 
 # Steps along a ray to its first meeting with the waves: 4 to 8 for most; at 89.9 deg to the vertical over waves of
 # slope 0.3 some 40, and 130 at worst. A ray that needs this many runs along the surface.
@@ -162,11 +162,11 @@ class WavyWater:
         like = origin[0] + direction[0]
         origin, direction = fermat.together(origin, direction)
         xp = namespace(*origin)
-        plain = xp.fixed if xp.name == "drjit" else as_numpy
-        plain_origin, plain_direction = (tuple(map(plain, v)) for v in (origin, direction))
-        t = self.detached()._first_meeting(plain_origin, plain_direction, side=1.0)
-        if xp.name != "drjit":
-            t = as_like(t, origin[0])
+        if xp.name == "torch":
+            (t,) = read(lambda water, *ends: (water._first_meeting(ends[:3], ends[3:], 1.0),), self, origin + direction)
+        else:
+            start, way = (tuple(map(xp.fixed, v)) for v in (origin, direction))
+            t = self.detached()._first_meeting(start, way, side=1.0)
         # One more Newton step at the root: it carries the gradient, and moves the value by a rounding only.
         meets = t >= 0.0
         t = xp.where(meets, t, 0.0)

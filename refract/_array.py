@@ -23,7 +23,8 @@ def _is_array(x) -> bool:
 # Beside the functions: `fma(a, b, c)` is a b + c, in one instruction where there is one; `double` and `like` change
 # the precision of arrays, to float64 and to that of the second argument, and leave plain numbers alone; `fixed` is
 # the value without its derivatives, and `tracked` is whether any may have some, in reverse or forward mode; `eps` is
-# the spacing of numbers near one.
+# the spacing of numbers near one; `same` is the value of a mask that is the same everywhere, None if that is not so
+# or cannot be told without waiting for it.
 _NUMPY = SimpleNamespace(
     name="numpy", sqrt=np.sqrt, sin=np.sin, cos=np.cos, exp=np.exp, isnan=np.isnan,
     where=np.where, minimum=np.minimum, maximum=np.maximum, abs=np.abs,
@@ -33,7 +34,12 @@ _NUMPY = SimpleNamespace(
     eps=lambda x: 2.0**-52,
     fixed=lambda x: x,
     tracked=lambda *arrays: False,
+    same=lambda mask: _same(mask),
 )  # fmt: skip
+
+
+def _same(mask) -> bool | None:
+    return True if mask.all() else None if mask.any() else False
 
 
 def quiet(function):

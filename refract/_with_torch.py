@@ -51,6 +51,12 @@ def tracked(*arrays) -> bool:
     return transformed() or (torch.is_grad_enabled() and any(torch.is_tensor(x) and x.requires_grad for x in arrays))
 
 
+def same(mask) -> bool | None:
+    if transformed() or mask.device.type != "cpu":
+        return None
+    return True if mask.all() else None if mask.any() else False
+
+
 NAMESPACE = SimpleNamespace(
     name="torch", sqrt=torch.sqrt, sin=torch.sin, cos=torch.cos, exp=torch.exp, isnan=torch.isnan,
     where=torch.where, minimum=pair(torch.minimum), maximum=pair(torch.maximum), abs=torch.abs,
@@ -58,7 +64,7 @@ NAMESPACE = SimpleNamespace(
     double=if_tensor(torch.Tensor.double),
     like=if_tensor(lambda x, other: x.to(other.dtype)),
     eps=lambda x: torch.finfo(x.dtype).eps,
-    fixed=if_tensor(torch.Tensor.detach), tracked=tracked,
+    fixed=if_tensor(torch.Tensor.detach), tracked=tracked, same=same,
 )  # fmt: skip
 
 

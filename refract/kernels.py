@@ -77,9 +77,27 @@ def double(triple):
 
 def chosen(mask, a, b):
     """Triple or number ``a`` where ``mask`` holds, else triple or number ``b``."""
-    xp = namespace(mask)
+    select = selector(mask)
     a, b = (v if type(v) in (tuple, list) else (v, v, v) for v in (a, b))
-    return tuple(xp.where(mask, p, q) for p, q in zip(a, b, strict=True))
+    return tuple(select(p, q) for p, q in zip(a, b, strict=True))
+
+
+def selector(mask):
+    """A function of two arrays or numbers: the first where ``mask`` holds, else the second.
+
+    Where the mask can be read and is the same everywhere, as of a survey all over water, it touches no array, unless
+    derivatives flow: those of what is left out are zero, not none.
+    """
+    xp = namespace(mask)
+    same = xp.same(mask)
+
+    def select(p, q):
+        kept = p if same else q
+        if same is not None and getattr(kept, "shape", None) == mask.shape and not xp.tracked(p, q):
+            return kept
+        return xp.where(mask, p, q)
+
+    return select
 
 
 def is_unit(direction):
@@ -267,12 +285,12 @@ def legs_of_point(camera, point, plane_point, normal, n, steps, like=None):
 
 def _shared_out(camera, point, plane_point, normal, n, steps, like):
     """Height of the camera, depth of the point, the way between them along the plane, straight or not, share in air."""
-    xp = namespace(*point, *camera)
     H, depth = over_plane(camera, plane_point, normal), -over_plane(point, plane_point, normal)
     straight = (depth <= 0.0) | (H <= CONTACT)
     way = along_plane(minus(point, camera), normal)
     # Straight rays get harmless numbers, so that neither their values nor their gradients can be NaN.
-    share = air_share(dot(way, way), xp.where(straight, 1.0, H), xp.where(straight, 0.0, depth), n, steps, like)
+    select = selector(straight)
+    share = air_share(dot(way, way), select(1.0, H), select(0.0, depth), n, steps, like)
     return H, depth, way, straight, share
 
 

@@ -150,13 +150,13 @@ def trace(origin, direction, surface):
         below = valid & (height_over(surface, o) <= kernels.CONTACT)
         meets = valid & ~below & (t >= 0.0)
         wet = meets | below
-        reach = xp.where(meets, t, 0.0)
+        reach = kernels.selector(meets)(t, 0.0)
         at = kernels.along(o, d, reach)
         normal, n_water = surface.normal(at[0], at[1]), in_library(surface.n_water, o[0])
         bent = kernels.chosen(meets, kernels.bend(d, normal, 1.0, n_water), straight)
         parallel = valid & ~wet & (xp.abs(kernels.dot(d, normal)) <= kernels.GRAZING)
     crossing = kernels.chosen(wet, at, math.nan)
-    air_length = xp.where(valid, xp.where(wet, reach, math.inf), math.nan)
+    air_length = kernels.selector(valid)(kernels.selector(wet)(reach, math.inf), math.nan)
     return _paths(origin, direction, crossing, air_length, bent, wet, parallel)
 
 

@@ -60,7 +60,14 @@ def height_over(surface: WaterSurface, position):
     if not isinstance(surface, FlatWater):
         return position[2] - surface.height(position[0], position[1])
     point, up, _ = surface.plane(position)
-    return kernels.over_plane(*(kernels.double(v) for v in (position, point, up)))
+    return kernels.over_plane(_across(position, up), _across(point, up), up)
+
+
+def _across(triple, up):
+    """A triple in float64, as far as it counts for the height over a plane."""
+    return tuple(
+        v if type(m) is float and m == 0.0 else namespace(v).double(v) for v, m in zip(triple, up, strict=True)
+    )
 
 
 def derivable(surface: WaterSurface | None, *arrays) -> bool:
@@ -188,11 +195,11 @@ class FlatWater:
         In float64, also for rays in float32: far from its point a tilted plane takes more digits.
         """
         point, up, _ = self.plane(origin, direction)
-        origin, direction, point, up = (kernels.double(v) for v in (origin, direction, point, up))
-        xp = namespace(*origin, *direction)
+        origin, direction, point = (_across(v, up) for v in (origin, direction, point))
         H, falling = kernels.over_plane(origin, point, up), -kernels.dot(direction, up)
         meets = (falling > GRAZING) & (H >= 0.0)
-        return xp.where(meets, H / xp.where(meets, falling, 1.0), math.nan)
+        select = kernels.selector(meets)
+        return select(H / select(falling, 1.0), math.nan)
 
     def legs(self, camera, point, steps: int):
         """The legs of the way back up from the camera and to the point, depth and number of paths; in float64."""

@@ -19,9 +19,6 @@ from refract import (
     trace,
 )
 
-# torch scripts its own decompositions at the first forward-mode derivative.
-pytestmark = pytest.mark.filterwarnings("ignore:.*torch.jit.*:DeprecationWarning")
-
 CENTRE = np.array([1.0, -2.0, 40.0])
 WAVES = WavyWater((0.0, 0.0, 0.0), (0.05, 0.03), ((1.0, 0.5), (-0.4, 0.8)))
 SURFACES = {

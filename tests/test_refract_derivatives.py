@@ -10,9 +10,6 @@ from torch.func import hessian, jacfwd, jacrev, jvp, vmap
 
 from refract import FlatWater, project, trace
 
-# torch scripts its own decompositions at the first forward-mode derivative.
-pytestmark = pytest.mark.filterwarnings("ignore:.*torch.jit.*:DeprecationWarning")
-
 # Of the largest derivative of a kind. Measured worst: 1.2e-14, and 2e-12 under 1 cm of water, which costs two digits.
 FIRST, SECOND = 2.4e-14, 4e-12
 # Camera, point, level, index and slopes.

@@ -25,6 +25,7 @@ def test_a_direction_whose_length_is_not_one_is_invalid(factor, water):
     assert np.isnan(path.crossing[1]).all()
     assert np.isnan(path.air_length[1])
     assert np.isnan(path.at(3.0)[1]).all()
+    assert np.isnan(path.at_height(1.0, water)[1]).all()
 
 
 def test_the_rounding_of_a_direction_is_not_its_length():

@@ -122,12 +122,6 @@ def cleaned(*triples):
     return valid, triples if xp.name == "numpy" else tuple(chosen(valid, triple, 0.0) for triple in triples)
 
 
-def nothing(*triples):
-    """Zero where all components of the triples are finite, else NaN; broadcasts all of them."""
-    valid, _ = cleaned(*triples)
-    return namespace(valid).where(valid, 0.0, math.nan)
-
-
 def near_critical(ray, normal, n_from, n_to):
     """Where a ray leaves the denser medium so nearly along the surface that its derivative is not to be trusted.
 

@@ -1,11 +1,12 @@
 """What do trace and project cost, and how far off are they, per library, precision and number of steps?
 
-    python benchmarks/bench_optics.py [--write | --picture]
+    python benchmarks/bench_optics.py [--plain] [--write | --picture]
 
-Prints the tables of docs/optics.md: run time against error over drone geometry and over the extremes, then how near
-the kernels come to the speed of memory and of arithmetic, both measured in the same run. With --write the tables
-replace those of the page, and the picture is drawn; with --picture only that is done, which times nothing. Two
-minutes; on a busy machine believe no figure.
+Prints the tables of docs/optics.md: run time against error over drone geometry and over the extremes, what torch takes
+beside a few plain lines, and how near the kernels come to the speed of memory and of arithmetic, both measured in the
+same run. With --write the tables replace those of the page, and the picture is drawn; with --picture only that is
+done, which times nothing; with --plain only the table of plain lines. Two minutes; on a busy machine believe no figure
+but the ratios to plain lines, which count processor time.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import torch
 from array_libraries import Library, libraries, seconds
 from gallery_canvas import BLUE, IN_WATER, RED, canvas, label, save
 from kernel_limits import Limits, measure_limits, shares
+from plain_torch import plain_table
 
 from refract import FlatWater, project, trace
 from survey.display.palette import INK, SOFT
@@ -143,7 +145,7 @@ def limit_table(limits: Limits, records: list[dict]) -> str:
         f"A copy moves {limits.copy / 1e9:.1f} GB/s; multiply-adds run at {flops[0]:.0f} Gflop/s in float32 and "
         f"{flops[1]:.0f} in float64; {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}.",
         "",
-        "| kernel, float32 | ns a ray | operations | of the speed of memory | of that of arithmetic | of torch |",
+        "| kernel, float32 | ns a ray | operations | of the speed of memory | of that of arithmetic | of our torch |",
         "|---|---|---|---|---|---|",
     ]
     for name, run, size in kernels:
@@ -218,14 +220,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--write", action="store_true", help="put tables and picture into docs/")
     parser.add_argument("--picture", action="store_true", help="draw the picture of docs/ alone")
+    parser.add_argument("--plain", action="store_true", help="measure only torch beside plain lines")
     arguments = parser.parse_args()
     torch.set_num_threads(os.cpu_count() or 1)
     every = list(libraries())
     if arguments.picture:
         picture(every, PICTURE)
         return
+    tables = {"plain": plain_table(*drone_geometry(), WATER)}
+    if arguments.plain:
+        sys.stdout.write(tables["plain"] + "\n")
+        if arguments.write:
+            write(tables)
+        return
     records = [record for library in every for record in of_steps(library)]
-    tables = {"errors": error_table(records)}
+    tables["errors"] = error_table(records)
     if drjit.has_backend(drjit.JitBackend.LLVM):
         tables["limits"] = limit_table(measure_limits(), records)
     sys.stdout.write("\n\n".join(tables.values()) + "\n")

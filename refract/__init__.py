@@ -3,7 +3,9 @@
 from refract._ranges import OutsideFit
 from refract.absorption import channel_absorption, leg_transmittance
 from refract.air import air_index
+from refract.any_surface import AnySurface
 from refract.apparent import apparent_depth, apparent_depth_tangential, tangential_shift, true_depth
+from refract.bicubic import BicubicWater
 from refract.camera import PinholeCamera
 from refract.fresnel import fresnel_coefficients, radiance_factor
 from refract.height_field import HeightFieldWater
@@ -19,7 +21,9 @@ from refract.tidal import TidalWater
 from refract.wavy import WavyWater
 
 __all__ = [
+    "AnySurface",
     "BentPaths",
+    "BicubicWater",
     "FlatWater",
     "HeightFieldWater",
     "LayeredPath",

@@ -8,71 +8,59 @@ from __future__ import annotations
 
 import math
 import sys
-from functools import cache
-from types import SimpleNamespace
+from functools import wraps
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 
+_ARRAYS = (np.ndarray, np.generic)
+
 
 def _is_array(x) -> bool:
-    return isinstance(x, np.ndarray | np.generic)
+    return isinstance(x, _ARRAYS)
 
 
 # Beside the functions: `fma(a, b, c)` is a b + c, in one instruction where there is one; `double` and `like` change
 # the precision of arrays, to float64 and to that of the second argument, and leave plain numbers alone; `fixed` is
-# the value without its gradient, and `tracked` is whether any has one; `eps` is the spacing of numbers near one.
+# the value without its derivatives, and `tracked` is whether any may have some, in reverse or forward mode; `eps` is
+# the spacing of numbers near one; `same` is the value of a mask that is the same everywhere, None if that is not so
+# or cannot be told without waiting for it.
 _NUMPY = SimpleNamespace(
     name="numpy", sqrt=np.sqrt, sin=np.sin, cos=np.cos, atan=np.arctan, exp=np.exp, isnan=np.isnan,
     where=np.where, minimum=np.minimum, maximum=np.maximum, abs=np.abs,
     rsqrt=lambda x: 1.0 / np.sqrt(x), fma=lambda a, b, c: a * b + c,
-    double=lambda x: np.float64(x) if _is_array(x) else x,
+    double=lambda x: x.astype(np.float64, copy=False) if _is_array(x) else x,
     like=lambda x, other: np.asarray(x, dtype=other.dtype) if _is_array(other) else x,
     eps=lambda x: 2.0**-52,
     fixed=lambda x: x,
     tracked=lambda *arrays: False,
+    same=lambda mask: _same(mask),
 )  # fmt: skip
 
 
-@cache
-def _torch_namespace(torch) -> SimpleNamespace:
-    def as_tensor(x, like):
-        return x if torch.is_tensor(x) else torch.as_tensor(x, dtype=like.dtype, device=like.device)
-
-    def pair(function):
-        def call(a, b):
-            like = a if torch.is_tensor(a) else b
-            return function(as_tensor(a, like), as_tensor(b, like))
-
-        return call
-
-    def if_tensor(function):
-        return lambda x, *more: function(x, *more) if torch.is_tensor(x) else x
-
-    def tracked(*arrays) -> bool:
-        return torch.is_grad_enabled() and any(torch.is_tensor(x) and x.requires_grad for x in arrays)
-
-    return SimpleNamespace(
-        name="torch", sqrt=torch.sqrt, sin=torch.sin, cos=torch.cos, atan=torch.atan, exp=torch.exp, isnan=torch.isnan,
-        where=torch.where, minimum=pair(torch.minimum), maximum=pair(torch.maximum), abs=torch.abs,
-        rsqrt=torch.rsqrt, fma=lambda a, b, c: a * b + c,
-        double=if_tensor(torch.Tensor.double),
-        like=if_tensor(lambda x, other: x.to(other.dtype)),
-        eps=lambda x: torch.finfo(x.dtype).eps,
-        fixed=if_tensor(torch.Tensor.detach), tracked=tracked,
-    )  # fmt: skip
+def _same(mask) -> bool | None:
+    return True if mask.all() else None if mask.any() else False
 
 
-@cache
-def _drjit_namespace(dr) -> SimpleNamespace:
-    return SimpleNamespace(
-        name="drjit", sqrt=dr.sqrt, sin=dr.sin, cos=dr.cos, atan=dr.atan, exp=dr.exp, isnan=dr.isnan,
-        where=dr.select, minimum=dr.minimum, maximum=dr.maximum, abs=dr.abs,
-        rsqrt=dr.rsqrt, fma=dr.fma,
-        double=lambda x: dr.float64_array_t(type(x))(x) if dr.is_array_v(x) else x,
-        like=lambda x, other: type(other)(x),
-        eps=lambda x: 2.0 * dr.epsilon(x),
-        fixed=dr.detach, tracked=lambda *arrays: any(dr.is_array_v(x) and dr.grad_enabled(x) for x in arrays),
-    )  # fmt: skip
+def quiet(function):
+    """Decorator: numpy says nothing where results overflow or are not numbers.
+
+    Not by `numpy.errstate` alone, through which torch.compile cannot look.
+    """
+
+    @wraps(function)
+    def call(*args, **options):
+        if _is_compiling():
+            return function(*args, **options)
+        with np.errstate(invalid="ignore", over="ignore"):
+            return function(*args, **options)
+
+    return call
+
+
+def _is_compiling() -> bool:
+    torch = sys.modules.get("torch")
+    return torch is not None and torch.compiler.is_compiling()
 
 
 def namespace(*arrays) -> SimpleNamespace:
@@ -81,13 +69,41 @@ def namespace(*arrays) -> SimpleNamespace:
     Looks only at libraries that are already imported, so numpy users never pay for torch.
     """
     torch = sys.modules.get("torch")
-    drjit = sys.modules.get("drjit")
+    # What torch compiles comes from torch, and it cannot look into Dr.Jit.
+    drjit = None if _is_compiling() else sys.modules.get("drjit")
     for array in arrays:
         if torch is not None and torch.is_tensor(array):
-            return _torch_namespace(torch)
+            return _library("torch").NAMESPACE
         if drjit is not None and drjit.is_array_v(array):
-            return _drjit_namespace(drjit)
+            return _library("drjit").NAMESPACE
     return _NUMPY
+
+
+_libraries: dict[str, ModuleType] = {}
+
+
+def _library(name: str) -> ModuleType:
+    """The module that speaks to a library, imported at its first use."""
+    if name not in _libraries:
+        if name == "torch":
+            from refract import _with_torch
+
+            _libraries[name] = _with_torch
+        else:
+            from refract import _with_drjit
+
+            _libraries[name] = _with_drjit
+    return _libraries[name]
+
+
+def transformed() -> bool:
+    """Whether a transform of torch looks on: see `refract._with_torch.transformed`."""
+    return "torch" in sys.modules and _library("torch").transformed()
+
+
+def outside(function, *tensors) -> tuple:
+    """See `refract._with_torch.outside`."""
+    return _library("torch").outside(function, *tensors)
 
 
 def as_like(values, like):
@@ -148,7 +164,9 @@ def common(**arrays) -> tuple:
         return _common_drjit(arrays)
     torch = sys.modules.get("torch")
     tensors = [a for a in arrays.values() if torch is not None and torch.is_tensor(a)]
-    like = max(tensors, key=lambda tensor: tensor.ndim, default=None)
+    like = None
+    for tensor in tensors:
+        like = tensor if like is None or tensor.ndim > like.ndim else like
     same = tuple(a if any(a is t for t in tensors) else as_like(a, like) for a in arrays.values())
     shapes = {name: tuple(a.shape) for name, a in zip(arrays, same, strict=True)}
     try:
@@ -182,6 +200,9 @@ def _common_drjit(arrays: dict) -> tuple:
         return _vector(*(leaf(np.ascontiguousarray(array[..., c]).ravel()) for c in range(array.shape[-1])))
 
     same = tuple(convert(a) for a in arrays.values())
+    if not all(drjit.width(a) for a in same):
+        shapes = ", ".join(f"{name} {tuple(a.shape)}" for name, a in zip(arrays, same, strict=True))
+        raise ValueError(f"Dr.Jit combines no empty arrays with numbers, got {shapes}; leave the call out")
     if len({drjit.width(a) for a in same} - {1}) > 1:
         raise _cannot_broadcast({name: tuple(a.shape) for name, a in zip(arrays, same, strict=True)})
     return same
@@ -209,12 +230,30 @@ def components(vectors):
 
 
 def stack(x, y, z):
-    """The inverse of `components`, broadcasting the three arrays against each other."""
-    library = namespace(x, y, z).name
-    if library == "drjit":
+    """The inverse of `components`, broadcasting the three arrays, or plain numbers, against each other."""
+    xp = namespace(x, y, z)
+    if xp.name == "drjit":
         return _vector(x, y, z)
-    if library == "torch":
+    if xp.name == "torch" and xp.tracked(x, y, z):
         import torch
 
-        return torch.stack(torch.broadcast_tensors(x, y, z), dim=-1)
-    return np.stack(np.broadcast_arrays(x, y, z), axis=-1)
+        like = next(v for v in (x, y, z) if torch.is_tensor(v))
+        return torch.stack(torch.broadcast_tensors(*(as_like(v, like) for v in (x, y, z))), dim=-1)
+    return _filled(xp, (x, y, z))
+
+
+def _filled(xp, components):
+    """`stack` component by component: torch takes three times as long over its own."""
+    like = next(v for v in components if hasattr(v, "dtype"))
+    shape = (*np.broadcast_shapes(*(np.shape(v) for v in components)), 3)
+    vectors = np.empty(shape) if xp.name == "numpy" else like.new_empty(shape)
+    for k, component in enumerate(components):
+        vectors[..., k] = component
+    return vectors
+
+
+def spread(*arrays) -> tuple:
+    """Arrays of numpy or torch as views of the one shape to which they broadcast."""
+    shape = np.broadcast_shapes(*(array.shape for array in arrays))
+    expand = np.broadcast_to if namespace(*arrays).name == "numpy" else lambda array, shape: array.expand(shape)
+    return tuple(array if array.shape == shape else expand(array, shape) for array in arrays)

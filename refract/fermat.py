@@ -20,9 +20,10 @@ from typing import Protocol
 import numpy as np
 
 from refract import kernels
-from refract._array import as_like, as_numpy, namespace
+from refract._array import namespace, transformed
 from refract._branches import every_path
 from refract._disc import Bounds, Disc, hypot, search_disc
+from refract._numbers import read
 from refract.surfaces import WaterSurface
 
 # Newton's last step, as part of the camera's distance: squared, it is far below the rounding.
@@ -153,10 +154,19 @@ def _located_drjit(surface, camera, point, depth, bent):
 
 def _harmless(xp, surface, camera, point, keep):
     """The ends of the paths to keep; for the others, ends above and below the anchor, where nothing can go wrong."""
-    x, y = surface.anchor()
-    z = float(surface.height(x, y))
+    x, y, z = _anchor(xp, surface, point[0])
     ends = ((camera, z + 1.0), (point, z - 1.0))
     return tuple(tuple(xp.where(keep, c, a) for c, a in zip(end, (x, y, zz), strict=True)) for end, zz in ends)
+
+
+def _anchor(xp, surface, like):
+    """A place of the surface, without derivatives: plain numbers, or arrays where torch hides them."""
+    if not transformed():
+        plain = surface.detached()
+        x, y = plain.anchor()
+        return x, y, float(plain.height(x, y))
+    x, y = (xp.fixed(like * 0.0 + v) for v in surface.point[:2])
+    return x, y, xp.fixed(surface.height(x, y))
 
 
 def crossing(surface: Relief, camera, point):
@@ -185,14 +195,17 @@ def crossing(surface: Relief, camera, point):
     xp = namespace(*point)
     depth = surface.height(point[0], point[1]) - point[2]
     bent = (depth > 0.0) & (camera[2] - surface.height(camera[0], camera[1]) > kernels.CONTACT)
-    plain = surface.detached()
     if xp.name == "drjit":
-        x, y, count = _located_drjit(plain, camera, point, depth, bent)
+        x, y, count = _located_drjit(surface.detached(), camera, point, depth, bent)
+    elif xp.name == "torch":
+        x, y, count = read(
+            lambda plain, *v: _located(plain, v[:3], v[3:6], v[6], v[7] > 0.0),
+            surface,
+            (*camera, *point, depth, bent.to(depth.dtype)),
+        )
+        count = count.long()
     else:
-        plain_camera, plain_point = (tuple(map(as_numpy, end)) for end in (camera, point))
-        x, y, count = _located(plain, plain_camera, plain_point, as_numpy(depth), as_numpy(bent) > 0.0)
-    if xp.name == "torch":
-        x, y, count = as_like(x, depth), as_like(y, depth), as_like(count, depth).long()
+        x, y, count = _located(surface.detached(), camera, point, depth, bent)
     found = bent & (count > 0)
     if xp.name != "numpy":
         x, y = _attached(xp, surface, camera, point, x, y, found)
@@ -203,9 +216,8 @@ def crossing(surface: Relief, camera, point):
 
 def _attached(xp, surface, camera, point, x, y, found):
     """The crossing x, y with gradients with respect to everything: one Newton step with a fixed Hessian."""
-    plain = surface.detached()
-    camera, point = _harmless(xp, plain, camera, point, found)
-    x, y = (xp.where(found, c, a) for c, a in zip((x, y), plain.anchor(), strict=True))
+    camera, point = _harmless(xp, surface, camera, point, found)
+    x, y = (xp.where(found, c, a) for c, a in zip((x, y), _anchor(xp, surface, x)[:2], strict=True))
     gradient, hessian = path_slope(surface, camera, point, x, y)
     hxx, hxy, hyy = (xp.fixed(h) for h in hessian)
     firm = xp.abs(hxx * hyy - hxy * hxy) > _FIRM * (hxx * hxx + 2.0 * hxy * hxy + hyy * hyy)

@@ -12,8 +12,8 @@ import numpy as np
 from refract import _facet_paths, fermat, kernels
 from refract._array import as_like, as_numpy, namespace
 from refract._disc import Bounds
+from refract._numbers import moved, number, plain, require_index
 from refract._triangulation import Triangulation
-from refract.surfaces import _number, _plain
 
 # Rounding of a clearance [m], as part of its size.
 _ROUNDING = 1e-12
@@ -58,11 +58,8 @@ class HeightFieldWater:
         shape = tuple(np.shape(self.heights))
         if points.ndim != 2 or points.shape[1] != 2 or shape != points.shape[:1]:
             raise ValueError(f"expected points (points, 2) and heights (points,), got {points.shape} and {shape}")
-        object.__setattr__(self, "n_water", _number(self.n_water))
-        if not 1.0 <= _plain(self.n_water) <= 2.0:
-            raise ValueError(
-                f"expected an index of water relative to air of 1 to 2 (fresh: 1.333), got {_plain(self.n_water)}"
-            )
+        object.__setattr__(self, "n_water", number(self.n_water))
+        require_index(self.n_water)
         if namespace(self.heights).name == "numpy":
             object.__setattr__(self, "heights", np.asarray(self.heights, dtype=np.float64))
         mesh = Triangulation(points, self.triangles)
@@ -71,6 +68,10 @@ class HeightFieldWater:
         object.__setattr__(self, "triangles", mesh.triangles)
         if not self.wet_triangles.any():
             raise ValueError("expected at least one triangle with three finite heights, got none")
+
+    def to(self, *place, **options) -> HeightFieldWater:
+        """The same water with its tensors moved, by the arguments of `torch.Tensor.to`."""
+        return moved(self, place, options)
 
     @classmethod
     def from_raster(cls, x, y, heights, *, n_water=1.333) -> HeightFieldWater:
@@ -150,7 +151,7 @@ class HeightFieldWater:
     def _plain(self) -> HeightFieldWater:
         if namespace(self.heights, self.n_water).name == "numpy":
             return self
-        return HeightFieldWater(self.points, self.plain_heights, self.triangles, n_water=_plain(self.n_water))
+        return HeightFieldWater(self.points, self.plain_heights, self.triangles, n_water=plain(self.n_water))
 
     def detached(self) -> HeightFieldWater:
         """The same water in numpy, without gradients."""

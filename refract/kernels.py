@@ -22,25 +22,52 @@ GRAZING = 1e-12
 # `air_share` begins, and an atom is 1e5 times larger.
 CONTACT = 1e-15
 
+# How far the length of a direction may be from one; what is off it turns a bent ray by up to so many radians. Three
+# roundings of float32 take a tenth of it.
+UNIT = 5e-6
+
 # The smallest positive denominator in a fraction of lengths [m]: 1e-30 times 1e8 is still a float32.
 _NOTHING = 1e-30
 
 
+def _fused(xp, a, b, c):
+    """``a b + c``, where a plain zero or one for ``b``, as of a level plane, costs nothing."""
+    if type(b) is float and b in (0.0, 1.0):
+        return c if b == 0.0 else a if type(c) is float and c == 0.0 else a + c
+    return a * b if type(c) is float and c == 0.0 else xp.fma(a, b, c)
+
+
 def dot(a, b):
     """Scalar product of two triples."""
-    fma = namespace(*a, *b).fma
-    return fma(a[0], b[0], fma(a[1], b[1], a[2] * b[2]))
+    xp = namespace(*a, *b)
+    return _fused(xp, a[0], b[0], _fused(xp, a[1], b[1], _fused(xp, a[2], b[2], 0.0)))
 
 
 def along(origin, direction, t):
     """The point at distance ``t`` from ``origin`` along ``direction``."""
-    fma = namespace(t, *origin, *direction).fma
-    return tuple(fma(t, d, o) for o, d in zip(origin, direction, strict=True))
+    xp = namespace(t, *origin, *direction)
+    return tuple(_fused(xp, t, d, o) for o, d in zip(origin, direction, strict=True))
 
 
 def minus(a, b):
     """The difference of two triples."""
-    return tuple(p - q for p, q in zip(a, b, strict=True))
+    return tuple(p if type(q) is float and q == 0.0 else p - q for p, q in zip(a, b, strict=True))
+
+
+def over_plane(position, plane_point, normal):
+    """Signed height of a position over a plane, along its normal."""
+    xp, height = namespace(*position, *plane_point, *normal), 0.0
+    for p, q, m in reversed(tuple(zip(position, plane_point, normal, strict=True))):
+        if not (type(m) is float and m == 0.0):
+            height = _fused(xp, p - q, m, height)
+    return height
+
+
+def along_plane(vector, normal):
+    """The part of a vector along a plane."""
+    if all(type(m) is float for m in normal) and tuple(normal) == (0.0, 0.0, 1.0):
+        return vector[0], vector[1], 0.0
+    return along(vector, normal, -dot(vector, normal))
 
 
 def double(triple):
@@ -49,9 +76,39 @@ def double(triple):
 
 
 def chosen(mask, a, b):
-    """Triple ``a`` where ``mask`` holds, else triple or number ``b``."""
+    """Triple or number ``a`` where ``mask`` holds, else triple or number ``b``."""
+    select = selector(mask)
+    a, b = (v if type(v) in (tuple, list) else (v, v, v) for v in (a, b))
+    return tuple(select(p, q) for p, q in zip(a, b, strict=True))
+
+
+def selector(mask):
+    """A function of two arrays or numbers: the first where ``mask`` holds, else the second.
+
+    Where the mask can be read and is the same everywhere, as of a survey all over water, it touches no array, unless
+    derivatives flow: those of what is left out are zero, not none.
+    """
     xp = namespace(mask)
-    return tuple(xp.where(mask, p, q) for p, q in zip(a, b if isinstance(b, tuple) else (b, b, b), strict=True))
+    same = xp.same(mask)
+
+    def select(p, q):
+        kept = p if same else q
+        if same is not None and getattr(kept, "shape", None) == mask.shape and not xp.tracked(p, q):
+            return kept
+        return xp.where(mask, p, q)
+
+    return select
+
+
+def is_unit(direction):
+    """Where a direction is of length one within `UNIT`; not where a component is NaN or infinite."""
+    return namespace(*direction).abs(dot(direction, direction) - 1.0) < 2.0 * UNIT
+
+
+def is_finite(*triples):
+    """Where all components are finite."""
+    total = sum(sum(triple) for triple in triples)
+    return namespace(total).abs(total) < math.inf
 
 
 def cleaned(*triples):
@@ -60,16 +117,9 @@ def cleaned(*triples):
     Through zeros a ray that is not a number leaves the gradients of the others alone; numpy has none, and keeps its
     numbers. The caller puts the NaN back into the results.
     """
-    total = sum(sum(triple) for triple in triples)
-    xp = namespace(total)
-    valid = xp.abs(total) < math.inf
+    valid = is_finite(*triples)
+    xp = namespace(valid)
     return valid, triples if xp.name == "numpy" else tuple(chosen(valid, triple, 0.0) for triple in triples)
-
-
-def nothing(*triples):
-    """Zero where all components of the triples are finite, else NaN; broadcasts all of them."""
-    valid, _ = cleaned(*triples)
-    return namespace(valid).where(valid, 0.0, math.nan)
 
 
 def near_critical(ray, normal, n_from, n_to):
@@ -98,15 +148,21 @@ def bend(ray, normal, n_from, n_to):
     cos_from = -dot(ray, normal)
     scaled = eta * cos_from
     cos_to_squared = xp.fma(scaled, scaled, (1.0 - eta) * (1.0 + eta))
-    passes = (cos_to_squared >= 0.0) & (cos_from > 0.0)
+    if isinstance(eta, float) and eta < 1.0:  # every ray enters the denser medium, and the root is never zero
+        bent = _turned(xp, ray, normal, eta, scaled - xp.sqrt(cos_to_squared))
+        return chosen(cos_from > 0.0, bent, math.nan)
     # A root is taken only of positive numbers: its gradient at zero is infinite, and infinity times zero NaN.
     positive = cos_to_squared > 0.0
     cos_to = xp.sqrt(xp.where(positive, cos_to_squared, cos_to_squared * 0.0 + 1.0))
-    push = scaled - xp.where(positive, cos_to, cos_to * 0.0)
-    bent = tuple(xp.fma(push, m, eta * d) for d, m in zip(ray, normal, strict=True))
+    bent = _turned(xp, ray, normal, eta, scaled - xp.where(positive, cos_to, cos_to * 0.0))
     if xp.tracked(*ray, *normal, eta):
         bent = chosen(near_critical(ray, normal, n_from, n_to), tuple(xp.fixed(b) for b in bent), bent)
-    return chosen(passes, bent, math.nan)
+    return chosen((cos_to_squared >= 0.0) & (cos_from > 0.0), bent, math.nan)
+
+
+def _turned(xp, ray, normal, eta, push):
+    """``eta ray + push normal``."""
+    return tuple(_fused(xp, push, m, eta * d) for d, m in zip(ray, normal, strict=True))
 
 
 def air_share(D_squared, H, h, n, steps, like=None):
@@ -119,15 +175,17 @@ def air_share(D_squared, H, h, n, steps, like=None):
     With an array ``like`` in float32 and the others in float64, only the residual of the equation is computed in
     float64, and that only in the last step, which triples the digits of float32: three steps are enough.
 
-    Only ``D^2`` enters, so all is smooth where the camera is straight above. The gradient is that of the implicit
-    function: one Newton step at the root carries it, and no step before is differentiated.
+    Only ``D^2`` enters, so all is smooth where the camera is straight above. The derivatives are those of the implicit
+    function: the last step carries them, and no step before is differentiated. Being of third order, it has the first
+    two to the last bits.
     """
     terms = n * H, (n - 1.0) * (n + 1.0) * D_squared, h
     xp = namespace(*terms)
     if xp.name == "numpy":
         return in_blocks(lambda *block: _solved(xp, block, steps, like), *terms)
-    u = _solved(xp, terms, steps, like)
-    return _attached(u, *terms) if xp.tracked(*terms) else u
+    if not xp.tracked(*terms):
+        return _solved(xp, terms, steps, like)
+    return _attached(_solved(xp, terms, max(steps - 1, 0), like), *terms)
 
 
 def _solved(xp, terms, steps, like):
@@ -186,9 +244,9 @@ def _halley(left, u, r, a, b_squared, h):
 
 
 def _attached(u, a, b_squared, h):
-    """The root ``u`` with its derivatives: one Newton step, which changes nothing else."""
+    """The root after one more step from ``u``, with its derivatives."""
     r = namespace(a, b_squared, h).rsqrt(_square(u, a, b_squared, h))
-    return u - _left(u, r, a, b_squared, h) / (1.0 + a * a * (r * r) * (h * r))
+    return u - _halley(_left(u, r, a, b_squared, h), u, r, a, b_squared, h)
 
 
 def crossing_of_point(camera, point, plane_point, normal, n, steps, like=None):
@@ -198,20 +256,36 @@ def crossing_of_point(camera, point, plane_point, normal, n, steps, like=None):
     point itself: the ray is straight. ``n`` is the index of water relative to air; ``steps`` and ``like`` as in
     `air_share`.
     """
-    xp = namespace(*point, *camera)
-    to_camera, to_point = minus(camera, plane_point), minus(point, plane_point)
-    depth = -dot(to_point, normal)
-    H = dot(to_camera, normal) + depth * 0.0
-    straight = (depth <= 0.0) | (H <= CONTACT)
-    # Foot points of camera and bed point on the plane, and the vector between them.
-    way = minus(along(to_camera, normal, -H), along(to_point, normal, depth))
-    # Straight rays get harmless numbers, so that neither their values nor their gradients can be NaN.
-    share = air_share(
-        dot(way, way), xp.where(straight, H * 0.0 + 1.0, H), xp.where(straight, depth * 0.0, depth), n, steps, like
-    )
+    H, depth, way, straight, share = _shared_out(camera, point, plane_point, normal, n, steps, like)
     # From the camera's side: the direction of view keeps its digits even just above the water.
-    crossing = along(along(camera, normal, -H), way, -share)
+    crossing = along(along(camera, normal, -H), way, share)
     return chosen(straight, point, crossing), depth
+
+
+def legs_of_point(camera, point, plane_point, normal, n, steps, like=None):
+    """The legs from the camera to the crossing and on to the bed point, and the depth of the point.
+
+    Each counts from its own end: no digits are lost to coordinates far from the origin. Where the ray is straight, the
+    first leg is all of it and the second zero. Arguments as for `crossing_of_point`.
+    """
+    H, depth, way, straight, share = _shared_out(camera, point, plane_point, normal, n, steps, like)
+    xp = namespace(share)
+    air, water = (
+        tuple(_fused(xp, -fall, m, _fused(xp, part, w, 0.0)) for m, w in zip(normal, way, strict=True))
+        for fall, part in ((H, share), (depth, 1.0 - share))
+    )
+    return chosen(straight, minus(point, camera), air), chosen(straight, 0.0, water), depth
+
+
+def _shared_out(camera, point, plane_point, normal, n, steps, like):
+    """Height of the camera, depth of the point, the way between them along the plane, straight or not, share in air."""
+    H, depth = over_plane(camera, plane_point, normal), -over_plane(point, plane_point, normal)
+    straight = (depth <= 0.0) | (H <= CONTACT)
+    way = along_plane(minus(point, camera), normal)
+    # Straight rays get harmless numbers, so that neither their values nor their gradients can be NaN.
+    select = selector(straight)
+    share = air_share(dot(way, way), select(1.0, H), select(0.0, depth), n, steps, like)
+    return H, depth, way, straight, share
 
 
 def at_height(origin, direction, height, plane_point, normal, n):
@@ -222,9 +296,9 @@ def at_height(origin, direction, height, plane_point, normal, n):
     height zero, and a point far away and deep down costs one rounding, not those of a chain.
     """
     xp = namespace(*origin, *direction, height)
-    H = dot(minus(origin, plane_point), normal) + height * 0.0
+    H = over_plane(origin, plane_point, normal) + height * 0.0
     falling = -dot(direction, normal)
-    flat = along(direction, normal, falling)
+    flat = along_plane(direction, normal)
     eta = 1.0 / n
     scaled = eta * falling
     in_water = xp.where(height < 0.0, -height, height * 0.0)

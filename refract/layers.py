@@ -11,13 +11,17 @@ import math
 from dataclasses import dataclass
 from typing import Any, final
 
+import numpy as np
+
 from refract import kernels
 from refract._array import common, components, namespace, root, stack
-from refract.surfaces import _number, _plain
+from refract._numbers import hold, least, moved, number
+from refract.regimes import Regime, counts
 
 # Newton's steps: 12 reach the last bits of float64 over indices 1 to 1.6, layers of 1 mm to 1 km and points to 100
 # times as far aside (20 000 stacks); a housing takes 5.
 _STEPS = 16
+_NUMBERS = ("point", "normal", "indices", "thicknesses")
 
 
 @final
@@ -31,10 +35,19 @@ class LayeredPath:
         Where the ray passes each interface, from the camera's side; NaN from where it is turned back.
     direction : (..., 3) unit
         In the last layer; NaN where the ray never gets there.
+    regime : (...) int
+        `Regime` of each ray: bent; straight where it leads away from the first interface, parallel along it; reflected
+        at any of them; invalid where a number is not finite, the direction not of length one, or the origin not in the
+        first medium.
     """
 
     crossings: tuple[Any, ...]
     direction: Any
+    regime: Any
+
+    def counts(self) -> dict[str, int]:
+        """How many rays there are of each `Regime`, by its name in lower case."""
+        return counts(self.regime)
 
 
 @final
@@ -76,25 +89,29 @@ class ParallelLayers:
     thicknesses: tuple[Any, ...] = ()
 
     def __post_init__(self):
-        for name in ("point", "normal", "indices", "thicknesses"):
-            object.__setattr__(self, name, tuple(_number(v) for v in getattr(self, name)))
-        sizes = tuple(len(getattr(self, name)) for name in ("point", "normal", "indices", "thicknesses"))
+        for name in _NUMBERS:
+            object.__setattr__(self, name, tuple(number(v) for v in getattr(self, name)))
+        sizes = tuple(len(getattr(self, name)) for name in _NUMBERS)
         if sizes[:2] != (3, 3) or sizes[2] < 2 or sizes[3] != sizes[2] - 2:
             raise ValueError(
                 f"expected a point (3,), a normal (3,), indices (layers,) of two media or more and thicknesses "
                 f"(layers - 2,), got {sizes} numbers"
             )
-        point, normal, indices, thicknesses = (
-            tuple(map(_plain, v)) for v in (self.point, self.normal, self.indices, self.thicknesses)
-        )
-        if not all(map(math.isfinite, (*point, *normal, *indices, *thicknesses))) or not any(normal):
+        numbers = (*self.point, *self.normal, *self.indices, *self.thicknesses)
+        if not hold(np.isfinite, *numbers) or not hold(lambda v: v > 0.0, kernels.dot(self.normal, self.normal)):
             raise ValueError(f"expected finite numbers and a normal with a length, got {self}")
-        if not all(1.0 <= n <= 2.5 for n in indices) or not all(d >= 0.0 for d in thicknesses):
+        at_least = hold(lambda v: v >= 0.0, *self.thicknesses)
+        if not at_least or not hold(lambda n: (n >= 1.0) & (n <= 2.5), *self.indices):
             raise ValueError(
-                f"expected indices of 1 to 2.5 and thicknesses of at least zero, got {indices} and {thicknesses}"
+                f"expected indices of 1 to 2.5 and thicknesses of at least zero, got {self.indices} and "
+                f"{self.thicknesses}"
             )
         length = root(kernels.dot(self.normal, self.normal))
         object.__setattr__(self, "normal", tuple(c / length for c in self.normal))
+
+    def to(self, *place, **options) -> ParallelLayers:
+        """The same layers with their tensors moved, by the arguments of `torch.Tensor.to`."""
+        return moved(self, place, options)
 
     def trace(self, origin, direction) -> LayeredPath:
         """Bend rays at every interface.
@@ -117,18 +134,27 @@ class ParallelLayers:
         origin, direction = common(origin=origin, direction=direction)
         at, ray = components(origin), components(direction)
         xp = namespace(*at)
-        way = kernels.dot(kernels.minus(at, self.point), self.normal)
-        crossings = []
-        for number, (n_from, n_to) in enumerate(zip(self.indices, self.indices[1:], strict=False)):
+        valid = kernels.is_unit(ray) & kernels.is_finite(at)
+        at, ray = kernels.chosen(valid, at, 0.0), kernels.chosen(valid, ray, 0.0)
+        way = kernels.over_plane(at, self.point, self.normal)
+        valid = valid & (way >= 0.0)
+        going, crossings = valid, []
+        regime = xp.where(kernels.dot(ray, self.normal) > 0.0, int(Regime.STRAIGHT), int(Regime.BENT))
+        for place, (n_from, n_to) in enumerate(zip(self.indices, self.indices[1:], strict=False)):
             falling = -kernels.dot(ray, self.normal)
-            meets = (falling > kernels.GRAZING) & (way >= 0.0)
-            t = xp.where(meets, way / xp.where(meets, falling, 1.0), math.nan)
-            at = kernels.along(at, ray, t)
-            crossings.append(stack(*at))
+            if place == 0:
+                regime = xp.where(xp.abs(falling) <= kernels.GRAZING, int(Regime.PARALLEL), regime)
+            going = going & (falling > kernels.GRAZING)
+            # Rays that go no farther get harmless numbers: their gradients are zero.
+            at = kernels.along(at, ray, xp.where(going, way / xp.where(going, falling, 1.0), 0.0))
+            crossings.append(stack(*kernels.chosen(going, at, math.nan)))
             bent = kernels.bend(ray, self.normal, n_from, n_to)
-            ray = tuple(xp.where(meets, b, math.nan) for b in bent)
-            way = falling * 0.0 + (self.thicknesses[number] if number < len(self.thicknesses) else 0.0)
-        return LayeredPath(tuple(crossings), stack(*ray))
+            passes = going & ~xp.isnan(bent[0])
+            regime = xp.where(going & ~passes, int(Regime.REFLECTED), regime)
+            going, ray = passes, kernels.chosen(passes, bent, ray)
+            way = self.thicknesses[place] if place < len(self.thicknesses) else 0.0
+        direction = stack(*kernels.chosen(going, ray, math.nan))
+        return LayeredPath(tuple(crossings), direction, xp.where(valid, regime, int(Regime.INVALID)))
 
     def project(self, points, camera):
         """Directions (..., 3), unit, in which a camera in the first medium sees points in the last one.
@@ -150,37 +176,50 @@ class ParallelLayers:
             If the last axis of `points` or `camera` is not 3, or their shapes do not broadcast.
         """
         points, camera = common(points=points, camera=camera)
-        point, centre = components(points), components(camera)
-        xp = namespace(*point)
-        H = kernels.dot(kernels.minus(centre, self.point), self.normal)
-        depth = -kernels.dot(kernels.minus(point, self.point), self.normal)
-        rest = depth - sum(self.thicknesses)
-        seen = (H > 0.0) & (rest > 0.0)
-        H, rest = xp.where(seen, H, 1.0), xp.where(seen, rest, 1.0)
-        across = kernels.minus(point, centre)
-        down = kernels.dot(across, self.normal)
-        along = tuple(a - down * m for a, m in zip(across, self.normal, strict=True))
-        slope = self._tangent(kernels.dot(along, along), (H, *self.thicknesses, rest))
-        # The first leg descends H and advances `slope` along the layers per metre of descent.
-        leg = tuple(slope * a - m for a, m in zip(along, self.normal, strict=True))
+        (leg, _), rest = self.legs(components(camera), components(points))
+        xp = namespace(rest)
         length = xp.sqrt(kernels.dot(leg, leg))
-        return stack(*(xp.where(seen, c / length, math.nan) for c in leg))
+        seen = length > 0.0
+        return stack(*kernels.chosen(seen, tuple(c / xp.where(seen, length, 1.0) for c in leg), math.nan))
 
-    def _tangent(self, D_squared, thicknesses):
-        """Tangent to the normal in the first medium, over the distance D along the layers: smooth where D = 0.
+    def legs(self, camera, point) -> tuple:
+        """The first and the last leg from cameras to points, and the distance of the points from the last interface.
+
+        Triples of arrays [m]; the legs are zero where `project` is NaN.
+        """
+        xp = namespace(*point)
+        valid = kernels.is_finite(camera, point)
+        camera, point = kernels.chosen(valid, camera, 0.0), kernels.chosen(valid, point, 0.0)
+        H = kernels.over_plane(camera, self.point, self.normal)
+        rest = -kernels.over_plane(point, self.point, self.normal) - sum(self.thicknesses)
+        seen = valid & (H > 0.0) & (rest > 0.0)
+        near, far = xp.where(seen, H, 1.0), xp.where(seen, rest, 1.0)
+        along = kernels.along_plane(kernels.minus(point, camera), self.normal)
+        legs = (
+            tuple(fall * (slope * a - m) for a, m in zip(along, self.normal, strict=True))
+            for fall, slope in zip((near, far), self._slopes(kernels.dot(along, along), near, far), strict=True)
+        )
+        first, last = (kernels.chosen(seen, leg, 0.0) for leg in legs)
+        return (first, last), xp.where(valid, rest, math.nan)
+
+    def _slopes(self, D_squared, near, far):
+        """Tangents to the normal in the first and the last medium over the distance D: smooth where D = 0.
 
         With ``v = x / D`` the condition is ``sum_i h_i v q_i = 1``, ``q_i`` taken at ``x = v D``. The left side rises
         and is concave, so Newton's steps from below never overshoot; ``q_i <= 1 / m_i`` gives the start.
         """
         xp = namespace(D_squared)
-        n_least = min(self.indices, key=_plain)
-        m = [n / n_least for n in self.indices]
+        thicknesses = (near, *self.thicknesses, far)
+        m = [n / least(*self.indices) for n in self.indices]
+
+        def root_of(k, v):
+            return xp.sqrt(k * k + (k - 1.0) * (k + 1.0) * D_squared * v * v)
+
         v = 1.0 / sum(h / k for h, k in zip(thicknesses, m, strict=True))
         for _ in range(_STEPS):
             covered, slope = -1.0, 0.0
             for h, k in zip(thicknesses, m, strict=True):
-                q = 1.0 / xp.sqrt(k * k + (k - 1.0) * (k + 1.0) * D_squared * v * v)
+                q = 1.0 / root_of(k, v)
                 covered, slope = covered + h * v * q, slope + h * k * k * q * q * q
             v = v - covered / slope
-        first = m[0]
-        return v / xp.sqrt(first * first + (first - 1.0) * (first + 1.0) * D_squared * v * v)
+        return v / root_of(m[0], v), v / root_of(m[-1], v)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, final
-
-import numpy as np
+from typing import Any, final, overload
 
 from refract import kernels
-from refract._array import common, components, namespace, stack
+from refract._array import common, components, namespace, quiet, spread, stack
+from refract._numbers import in_library
+from refract.layers import LayeredPath, ParallelLayers
 from refract.regimes import Regime, counts
-from refract.surfaces import FlatWater, WaterSurface
+from refract.surfaces import FlatWater, WaterSurface, derivable, height_over
 
 
 @final
@@ -89,59 +89,87 @@ class BentPaths:
         ValueError
             If the shape of `height` does not broadcast against that of the rays.
         """
-        if not isinstance(water, FlatWater | None):
+        if water is not None and not isinstance(water, FlatWater):
             raise TypeError(f"heights count from a plane: expected FlatWater or None, got {water}; use at(t)")
         height, _ = common(height=height, rays=self.air_length)
         xp = namespace(height)
-        plane = water if water is not None else FlatWater((0.0, 0.0, 0.0), n_water=1.0)
-        valid, rays = kernels.cleaned(components(self.origin), components(self.air_direction))
-        origin, direction, point, up = (kernels.double(v) for v in (*rays, plane.point, plane.up))
-        n_water = namespace(plane.n_water).double(plane.n_water)
+        water = water if water is not None else FlatWater((0.0, 0.0, 0.0), n_water=1.0)
+        valid = ~xp.isnan(self.air_length)
+        rays = tuple(kernels.chosen(valid, components(v), 0.0) for v in (self.origin, self.air_direction))
+        point, up, n_water = water.plane(*rays)
+        origin, direction, point, up, (n_water,) = (kernels.double(v) for v in (*rays, point, up, (n_water,)))
         points = kernels.at_height(origin, direction, xp.double(height), point, up, n_water)
         return stack(*kernels.chosen(valid, tuple(xp.like(p, self.air_length) for p in points), math.nan))
 
 
-@np.errstate(invalid="ignore")
-def trace(origin, direction, surface: WaterSurface | None) -> BentPaths:
+@overload
+def trace(origin, direction, surface: WaterSurface | None) -> BentPaths: ...
+
+
+@overload
+def trace(origin, direction, surface: ParallelLayers) -> LayeredPath: ...
+
+
+@quiet
+def trace(origin, direction, surface):
     """Bend camera rays at the water surface.
 
     Parameters
     ----------
     origin, direction : (..., 3) numpy, torch, or Dr.Jit Array3f or Array3f64; local [m] and unit
         Camera centres and directions of view; they broadcast.
-    surface : WaterSurface or None
+    surface : WaterSurface, ParallelLayers or None
         None leaves every ray straight and dry.
 
     Returns
     -------
-    BentPaths
+    BentPaths, or LayeredPath through layers
         A ray that never meets the water (it looks up, or runs along the surface) is straight and not wet, and
         only its crossing is NaN. A camera on or below the surface looks straight through the water; it counts
-        as wet, with a crossing at the camera. A single bad ray never raises; `BentPaths.counts` reports it.
+        as wet, with a crossing at the camera. A direction whose length is not one (by more than 5e-6) is invalid. A
+        single bad ray never raises; `BentPaths.counts` reports it.
 
     Raises
     ------
     ValueError
         If the last axis of `origin` or `direction` is not 3, or their shapes do not broadcast.
     """
+    if isinstance(surface, ParallelLayers):
+        return surface.trace(origin, direction)
     origin, direction = common(origin=origin, direction=direction)
-    xp = namespace(*components(origin))
     given = components(origin), components(direction)
-    valid, (o, d) = kernels.cleaned(*given)
-    zero = (o[0] + d[0]) * 0.0
-    crossing, reach, bent = (zero + math.nan,) * 3, zero, given[1]
-    wet = parallel = zero > 0.0
+    (o, d), xp = given, namespace(*given[0])
+    valid = kernels.is_unit(d) & kernels.is_finite(o)
+    if derivable(surface, *o, *d):
+        # Through zeros, a ray that is not a number leaves the gradients of the others alone.
+        o, d = kernels.chosen(valid, o, 0.0), kernels.chosen(valid, d, 0.0)
+    straight = kernels.chosen(valid, given[1], math.nan)
+    at, bent, reach = o, straight, o[0] * 0.0
+    wet = parallel = valid & False
     if surface is not None:
         t = surface.intersect(o, d)
-        below = valid & (o[2] - surface.height(o[0], o[1]) <= kernels.CONTACT)
+        below = valid & (height_over(surface, o) <= kernels.CONTACT)
         meets = valid & ~below & (t >= 0.0)
         wet = meets | below
-        reach = xp.where(meets, t, zero)
+        reach = kernels.selector(meets)(t, 0.0)
         at = kernels.along(o, d, reach)
-        crossing = kernels.chosen(wet, at, math.nan)
-        normal = surface.normal(at[0], at[1])
-        bent = kernels.chosen(meets, kernels.bend(d, normal, 1.0, surface.n_water), bent)
+        normal, n_water = surface.normal(at[0], at[1]), in_library(surface.n_water, o[0])
+        bent = kernels.chosen(meets, kernels.bend(d, normal, 1.0, n_water), straight)
         parallel = valid & ~wet & (xp.abs(kernels.dot(d, normal)) <= kernels.GRAZING)
-    air_length = xp.where(valid, xp.where(wet, reach, math.inf), math.nan)
-    o, d, bent = (stack(*(v + zero for v in triple)) for triple in (*given, bent))
-    return BentPaths(o, d, stack(*crossing), air_length, bent, wet, parallel)
+    crossing = kernels.chosen(wet, at, math.nan)
+    air_length = kernels.selector(valid)(kernels.selector(wet)(reach, math.inf), math.nan)
+    return _paths(origin, direction, crossing, air_length, bent, wet, parallel)
+
+
+def _paths(origin, direction, crossing, air_length, bent, wet, parallel) -> BentPaths:
+    """Everything in the precision of the rays, and of one shape."""
+    xp, like = namespace(air_length), components(direction)[0]
+    air_length = xp.like(air_length, like)
+    zero = air_length * 0.0
+    crossing, bent = (stack(*(xp.like(v, like) for v in c)) for c in (crossing, bent))
+    if xp.name == "drjit":
+        origin, direction, bent = (stack(*(v + zero for v in components(c))) for c in (origin, direction, bent))
+        return BentPaths(origin, direction, crossing, air_length, bent, wet, parallel)
+    air_length, wet, parallel = spread(air_length, wet, parallel, bent[..., 0])[:3]
+    origin, direction, crossing, bent = spread(origin, direction, crossing, bent)
+    return BentPaths(origin, direction, crossing, air_length, bent, wet, parallel)

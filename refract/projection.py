@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, final
 
-import numpy as np
-
 from refract import kernels
-from refract._array import common, components, namespace, stack
+from refract._array import common, components, namespace, quiet, spread, stack
+from refract.layers import ParallelLayers
 from refract.regimes import Regime, counts
-from refract.surfaces import WaterSurface
+from refract.surfaces import FlatWater, WaterSurface, derivable, height_over
 
 # More than any surface needs for the last bits of float64; a plane takes four at most (docs/optics.md).
 EXACT_STEPS = 16
+
+# The square of a leg that counts as none [m^2]: derivatives of the length of a shorter one overflow.
+_NO_LEG = 1e-200
 
 
 @final
 @dataclass(frozen=True)
 class Projection:
     """How a camera sees points through the water; arrays of the library and precision of the points, local frame.
+
+    Crossing and lengths are computed when they are asked for.
 
     Attributes
     ----------
@@ -41,13 +45,39 @@ class Projection:
     """
 
     direction: Any
-    crossing: Any
-    air_length: Any
-    water_length: Any
     depth: Any
     wet: Any
     solutions: Any
     under_water: Any
+    # Where all is finite; the point; the legs to the crossing and on to the point; of the first, what `_measured` says.
+    _valid: Any = field(repr=False)
+    _point: tuple[Any, Any, Any] = field(repr=False)
+    _legs: tuple = field(repr=False)
+    _first: tuple = field(repr=False)
+
+    @property
+    @quiet
+    def crossing(self):
+        """See the class."""
+        return _stacked(self._valid, kernels.minus(self._point, self._legs[1]), self.depth)
+
+    @property
+    @quiet
+    def air_length(self):
+        """See the class."""
+        return self._told(0.0, _length(*self._first))
+
+    @property
+    @quiet
+    def water_length(self):
+        """See the class."""
+        return self._told(_length(*self._first), _length(*_measured(self._legs[1])))
+
+    def _told(self, sunk, others):
+        """One number where all is water, another elsewhere, NaN where the ray is invalid."""
+        xp = namespace(self.depth)
+        number = xp.where(self.wet & self.under_water, sunk, others)
+        return xp.where(self._valid, xp.like(number, self.depth), math.nan)
 
     @property
     def regime(self):
@@ -63,16 +93,26 @@ class Projection:
         return counts(self.regime)
 
 
-def _length(vector):
-    """Length of a triple, and one over it; zero and one, with zero gradients, where it vanishes."""
-    xp = namespace(*vector)
-    squared = kernels.dot(vector, vector)
-    inverse = xp.rsqrt(xp.where(squared == 0.0, 1.0, squared))
-    return squared * inverse, inverse
+def _measured(leg):
+    """Square of the length of a leg, and one over the length; one where there is no leg."""
+    xp = namespace(*leg)
+    squared = kernels.dot(leg, leg)
+    return squared, xp.rsqrt(xp.where(squared < _NO_LEG, 1.0, squared))
 
 
-@np.errstate(invalid="ignore", over="ignore")
-def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_STEPS) -> Projection:
+def _length(squared, inverse):
+    """The length of a leg, zero without gradient where there is none."""
+    return namespace(squared).where(squared < _NO_LEG, 0.0, squared * inverse)
+
+
+def _stacked(keep, triple, like):
+    """Vectors in the precision of `like`, NaN where they are not to be kept."""
+    xp = namespace(keep)
+    return stack(*kernels.chosen(keep, tuple(xp.like(v, like) for v in triple), math.nan))
+
+
+@quiet
+def project(points, camera, surface: WaterSurface | ParallelLayers | None, *, steps: int = EXACT_STEPS) -> Projection:
     """How a camera sees points of the bed: the way of least optical path (Fermat) through the surface.
 
     Points and camera in float32 are computed in float64 where digits would be lost, and rounded once at the end.
@@ -82,16 +122,18 @@ def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_
     points : (..., 3) [m], local; numpy, torch, or a Dr.Jit Array3f or Array3f64
     camera : (3,) or (..., 3) [m], local
         Camera centre.
-    surface : WaterSurface or None
-        None: there is no water, and every ray is straight.
+    surface : WaterSurface, ParallelLayers or None
+        None: there is no water, and every ray is straight. Of layers, the air leg is the one in the first medium, and
+        crossing, water leg and depth are those behind the last interface; points that are not there are unseen.
     steps : int
         Steps that the solver of the surface may take; fewer are faster (docs/optics.md).
 
     Returns
     -------
     Projection
-        Rays to points above the water, from a camera on or below it, and without water are straight. A point that
-        is NaN, or lies in the camera, has a direction of NaN. A single bad ray never raises; `counts` reports it.
+        Rays to points above the water or beside it, from a camera on or below it, and without water are straight. A
+        point that is NaN, or lies in the camera, has a direction of NaN. A single bad ray never raises; `counts`
+        reports it.
 
     Raises
     ------
@@ -100,33 +142,52 @@ def project(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_
     """
     points, camera = common(points=points, camera=camera)
     point, centre = components(points), components(camera)
-    xp = namespace(*point)
-    valid, (point, centre) = kernels.cleaned(point, centre)
-    p, c = kernels.double(point), kernels.double(centre)
-    seen, depth, solutions, below = p, p[2] * 0.0, 1, ~valid
-    if surface is not None:
-        seen, depth, solutions = surface.crossing(centre, point, steps)
-        seen = kernels.double(seen)
-        below = centre[2] - surface.height(centre[0], centre[1]) <= kernels.CONTACT
+    valid, point, centre = _ends(point, centre, surface)
+    legs, depth, solutions, below = _legs(point, centre, surface, steps)
+    xp = namespace(depth)
     wet = valid & (depth > 0.0)
-    sunk = wet & below
-    # Differences are taken in float64; their lengths may be rounded.
-    leg, rest = (tuple(xp.like(v, point[0]) for v in kernels.minus(*ends)) for ends in ((seen, c), (p, seen)))
-    (leg_length, inverse), (rest_length, _) = _length(leg), _length(rest)
-    apart = valid & (leg_length != 0.0)
+    squared, inverse = _measured(legs[0])
+    seen = valid & ~(squared < _NO_LEG)
+    direction = _stacked(seen, tuple(c * inverse for c in legs[0]), point[0])
+    depth = xp.where(valid, xp.like(depth, point[0]), math.nan)
+    numbers = depth, wet, xp.where(valid, solutions, 0), valid & below
+    if xp.name != "drjit":
+        numbers = spread(*numbers, direction[..., 0])[:4]
     return Projection(
-        direction=stack(*kernels.chosen(apart, tuple(v * inverse for v in leg), math.nan)),
-        crossing=stack(*kernels.chosen(valid, tuple(xp.like(v, point[0]) for v in seen), math.nan)),
-        air_length=xp.where(valid, xp.where(sunk, leg_length * 0.0, leg_length), math.nan),
-        water_length=xp.where(valid, xp.where(sunk, leg_length, rest_length), math.nan),
-        depth=xp.where(valid, xp.like(depth, point[0]), math.nan),
-        wet=wet,
-        solutions=solutions,
-        under_water=valid & below,
+        direction, *numbers, _valid=valid, _point=kernels.double(point), _legs=legs, _first=(squared, inverse)
     )
 
 
-@np.errstate(invalid="ignore", over="ignore")
+def _ends(point, centre, surface):
+    """Where both ends are finite, and the ends: zeros elsewhere, if others' gradients or the surface need them."""
+    valid = kernels.is_finite(point, centre)
+    if derivable(surface, *point, *centre):
+        point, centre = kernels.chosen(valid, point, 0.0), kernels.chosen(valid, centre, 0.0)
+    return valid, point, centre
+
+
+def _legs(point, centre, surface, steps: int) -> tuple:
+    """Legs to the crossing and on, depth, number of paths, and where the camera is below the surface."""
+    p, c = kernels.double(point), kernels.double(centre)
+    if surface is None:
+        none = (p[2] - c[2]) * 0.0
+        return (kernels.minus(p, c), (none, none, none)), none, 1, none > 0.0
+    if isinstance(surface, ParallelLayers):
+        legs, depth = surface.legs(c, p)
+        seen, xp = kernels.dot(legs[0], legs[0]) > 0.0, namespace(depth)
+        return tuple(kernels.chosen(seen, leg, math.nan) for leg in legs), depth, xp.where(seen, 1, 0), seen & False
+    below = height_over(surface, centre) <= kernels.CONTACT
+    if isinstance(surface, FlatWater):
+        *legs, depth, solutions = surface.legs(centre, point, steps)
+        return legs, depth, solutions, below
+    seen, depth, solutions = surface.crossing(centre, point, steps)
+    seen, xp = kernels.double(seen), namespace(*p)
+    # Where the surface has no height there is no water.
+    depth = xp.where(xp.isnan(depth), 0.0, depth)
+    return (kernels.minus(seen, c), kernels.minus(p, seen)), depth, solutions, below
+
+
+@quiet
 def crossing_point(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_STEPS):
     """Point of the water surface (..., 3) [m], local, through which the camera sees a point of the bed.
 
@@ -134,8 +195,6 @@ def crossing_point(points, camera, surface: WaterSurface | None, *, steps: int =
     `project`, of which this is the crossing and costs less.
     """
     points, camera = common(points=points, camera=camera)
-    point, centre = components(points), components(camera)
-    xp = namespace(*point)
-    valid, (point, centre) = kernels.cleaned(point, centre)
+    valid, point, centre = _ends(components(points), components(camera), surface)
     crossing = point if surface is None else surface.crossing(centre, point, steps)[0]
-    return stack(*kernels.chosen(valid, tuple(xp.like(v, point[0]) for v in crossing), math.nan))
+    return _stacked(valid, crossing, point[0])

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
 from refract import kernels
-from refract._array import common, components, namespace, stack
+from refract._array import common, components, namespace, quiet, stack
+from refract._numbers import hold
 from refract.regimes import Regime
 
 
-@np.errstate(invalid="ignore")
+@quiet
 def bend(ray, normal, *, n_from, n_to):
     """Direction of a ray after it crosses the water surface.
 
@@ -20,20 +21,21 @@ def bend(ray, normal, *, n_from, n_to):
     normal : (3,) or (..., 3) unit, same frame
         Surface normal on the side the ray comes from, so ``ray . normal < 0``.
     n_from, n_to : [-]
-        Refractive index before and after the crossing, in the order of travel.
+        Refractive index before and after the crossing, in the order of travel; positive.
 
     Returns
     -------
     (..., 3) unit, same frame
         NaN where the ray is totally reflected (only possible if ``n_from > n_to``), runs along the surface or
-        comes from the other side; gradients of such rays are zero, not NaN. So are those of rays that come out
+        comes from the other side, and where the length of ray or normal is not one (by more than 5e-6); gradients of
+        such rays are zero, not NaN. So are those of rays that come out
         within 0.007 degrees of the surface (float64; 1.1 degrees in float32), where the derivative diverges;
         `bend_regime` distinguishes them.
 
     Raises
     ------
     ValueError
-        If the last axis of `ray` or `normal` is not 3, or their shapes do not broadcast.
+        If the last axis of `ray` or `normal` is not 3, their shapes do not broadcast, or an index is not positive.
 
     Examples
     --------
@@ -45,18 +47,28 @@ def bend(ray, normal, *, n_from, n_to):
     [0.3751, 0.0, -0.927]
     """
     ray, normal = common(ray=ray, normal=normal)
-    return stack(*kernels.bend(components(ray), components(normal), n_from, n_to))
+    _require_positive(n_from, n_to)
+    ray, normal = components(ray), components(normal)
+    unit = kernels.is_unit(ray) & kernels.is_unit(normal)
+    return stack(*kernels.chosen(unit, kernels.bend(ray, normal, n_from, n_to), math.nan))
 
 
-@np.errstate(invalid="ignore")
+def _require_positive(n_from, n_to) -> None:
+    if not hold(lambda n: n > 0.0, n_from, n_to):
+        raise ValueError(f"expected refractive indices above zero, got n_from {n_from} and n_to {n_to}")
+
+
+@quiet
 def bend_regime(ray, normal, *, n_from, n_to):
     """What `bend` makes of each ray: an array (...) of `Regime` codes, for `counts`. Arguments as for `bend`."""
     ray, normal = common(ray=ray, normal=normal)
+    _require_positive(n_from, n_to)
     ray, normal = components(ray), components(normal)
     xp = namespace(*ray)
+    unit = kernels.is_unit(ray) & kernels.is_unit(normal)
     bent = kernels.bend(ray, normal, n_from, n_to)[0]
     cos_from = -kernels.dot(ray, normal)
     code = xp.where(kernels.near_critical(ray, normal, n_from, n_to), int(Regime.CRITICAL), int(Regime.BENT))
     code = xp.where(xp.isnan(bent), int(Regime.REFLECTED), code)
     code = xp.where(cos_from == 0.0, int(Regime.PARALLEL), code)
-    return xp.where(xp.isnan(cos_from), int(Regime.INVALID), code)
+    return xp.where(unit, code, int(Regime.INVALID))

@@ -6,10 +6,13 @@ import math
 from dataclasses import KW_ONLY, dataclass
 from typing import Any, final
 
+import numpy as np
+
 from refract import fermat, kernels
 from refract._array import namespace
 from refract._disc import Bounds
-from refract.surfaces import GRAZING, _number, _plain
+from refract._numbers import hold, moved, number, plain, require_index
+from refract.kernels import GRAZING
 
 MEAN_RADIUS_M = 6_371_000.0
 # WGS 84: semi-major axis [m] and flattening.
@@ -73,19 +76,22 @@ class SphericalWater:
     n_water: Any = 1.333
 
     def __post_init__(self):
-        object.__setattr__(self, "point", tuple(_number(v) for v in self.point))
-        object.__setattr__(self, "radius", _number(self.radius))
-        object.__setattr__(self, "n_water", _number(self.n_water))
-        numbers = tuple(_plain(v) for v in (*self.point, self.radius, self.n_water))
-        if len(self.point) != 3 or not all(math.isfinite(v) for v in numbers) or numbers[-2] <= 0.0:
-            raise ValueError(f"expected three finite coordinates, a positive radius and a finite index, got {numbers}")
-        if not 1.0 <= numbers[-1] <= 2.0:
-            raise ValueError(f"expected an index of water relative to air of 1 to 2 (fresh: 1.333), got {numbers[-1]}")
+        object.__setattr__(self, "point", tuple(number(v) for v in self.point))
+        object.__setattr__(self, "radius", number(self.radius))
+        object.__setattr__(self, "n_water", number(self.n_water))
+        own = (*self.point, self.radius, self.n_water)
+        if len(self.point) != 3 or not hold(np.isfinite, *own) or not hold(lambda r: r > 0.0, self.radius):
+            raise ValueError(f"expected three finite coordinates, a positive radius and a finite index, got {own}")
+        require_index(self.n_water)
+
+    def to(self, *place, **options) -> SphericalWater:
+        """The same water with its tensors moved, by the arguments of `torch.Tensor.to`."""
+        return moved(self, place, options)
 
     def detached(self) -> SphericalWater:
         """The same water in plain numbers, without gradients."""
-        x, y, z = map(_plain, self.point)
-        return SphericalWater((x, y, z), _plain(self.radius), n_water=_plain(self.n_water))
+        x, y, z = map(plain, self.point)
+        return SphericalWater((x, y, z), plain(self.radius), n_water=plain(self.n_water))
 
     def derivatives(self, x, y) -> tuple:
         """Height [m], slopes along x and y [-] and second derivatives xx, xy, yy [1/m] at local x, y [m]."""
@@ -131,7 +137,7 @@ class SphericalWater:
 
     def anchor(self) -> tuple:
         """Some x, y where the surface is defined."""
-        return _plain(self.point[0]), _plain(self.point[1])
+        return plain(self.point[0]), plain(self.point[1])
 
     def clear(self, camera, crossing, point):
         """Always true: a sphere is convex, a leg that comes from its own side meets it once."""

@@ -13,7 +13,8 @@ from typing import Any, Protocol, final
 import numpy as np
 
 from refract import kernels
-from refract._array import as_numpy, namespace, root
+from refract._array import namespace, root
+from refract._numbers import hold, in_library, moved, number, plain, require_index
 from refract.kernels import GRAZING
 
 # Of `kernels.air_share`, for the last bits over all heights, depths and distances (docs/optics.md).
@@ -54,14 +55,32 @@ class WaterSurface(Protocol):
         """
 
 
-def _number(value):
-    """A plain number as float; a 0-d tensor or a Dr.Jit scalar, which may carry gradients, as it is."""
-    return value if namespace(value).name != "numpy" else float(value)
+def height_over(surface: WaterSurface, position):
+    """Signed height of a position over a surface: along the normal of a plane, vertical over any other."""
+    if not isinstance(surface, FlatWater):
+        return position[2] - surface.height(position[0], position[1])
+    point, up, _ = surface.plane(position)
+    return kernels.over_plane(_across(position, up), _across(point, up), up)
 
 
-def _plain(value) -> float:
-    """The value of a number of any library, without its gradient."""
-    return as_numpy(value).item()
+def _across(triple, up):
+    """A triple in float64, as far as it counts for the height over a plane."""
+    return tuple(
+        v if type(m) is float and m == 0.0 else namespace(v).double(v) for v, m in zip(triple, up, strict=True)
+    )
+
+
+def derivable(surface: WaterSurface | None, *arrays) -> bool:
+    """Whether derivatives may flow from rays or surface, or the surface be one that takes only numbers for places."""
+    xp = namespace(*arrays)
+    plain = surface is None or (isinstance(surface, FlatWater) and surface.is_plain)
+    return not plain if xp.name == "numpy" else xp.name == "drjit" or not plain or xp.tracked(*arrays)
+
+
+def _up(slope_x, slope_y) -> tuple[Any, Any, Any]:
+    """Unit normal of a plane with these slopes."""
+    length = root(1.0 + slope_x * slope_x + slope_y * slope_y)
+    return -slope_x / length, -slope_y / length, 1.0 / length
 
 
 def _library(value) -> str:
@@ -75,8 +94,10 @@ def _library(value) -> str:
 class FlatWater:
     """A plane water surface, level or tilted, in a right-handed frame with z up.
 
-    Its numbers may be 0-d tensors or Dr.Jit scalars: gradients then flow to level, tilt and index, and the rays
-    must come from the same library (and the same Dr.Jit module: `drjit.llvm.ad`, not `drjit.llvm`).
+    Each of its numbers is one for all rays, or an array of shape (...) with one for each, which broadcasts against
+    the rays without their last axis: a level per photograph, or, with one more axis, an index per colour channel.
+    Tensors and Dr.Jit arrays let gradients flow to level, tilt and index; the rays must then come from the same
+    library (and the same Dr.Jit module: `drjit.llvm.ad`, not `drjit.llvm`).
 
     Parameters
     ----------
@@ -90,7 +111,8 @@ class FlatWater:
     Raises
     ------
     ValueError
-        If the index is outside 1 to 2, or a number is not finite.
+        If the index is outside 1 to 2, or a number is not finite. Numbers inside a transform of torch, which cannot be
+        read, are not checked.
     """
 
     point: tuple[Any, Any, Any]
@@ -100,29 +122,41 @@ class FlatWater:
     slope_y: Any = 0.0
 
     def __post_init__(self):
-        object.__setattr__(self, "point", tuple(_number(v) for v in self.point))
+        object.__setattr__(self, "point", tuple(number(v) for v in self.point))
         for name in ("n_water", "slope_x", "slope_y"):
-            object.__setattr__(self, name, _number(getattr(self, name)))
-        numbers = tuple(_plain(v) for v in (*self.point, self.n_water, self.slope_x, self.slope_y))
-        if len(self.point) != 3 or not all(math.isfinite(v) for v in numbers):
-            raise ValueError(f"expected three finite coordinates, a finite index and two finite slopes, got {numbers}")
-        index = _plain(self.n_water)
-        if not 1.0 <= index <= 2.0:
-            raise ValueError(f"expected an index of water relative to air of 1 to 2 (fresh: 1.333), got {index}")
+            object.__setattr__(self, name, number(getattr(self, name)))
+        if len(self.point) != 3 or not hold(np.isfinite, *self._numbers):
+            raise ValueError(
+                f"expected three finite coordinates, a finite index and two finite slopes, got {self._numbers}"
+            )
+        require_index(self.n_water)
+
+    @property
+    def _numbers(self) -> tuple:
+        return (*self.point, self.n_water, self.slope_x, self.slope_y)
+
+    def to(self, *place, **options) -> FlatWater:
+        """The same water with its tensors moved, by the arguments of `torch.Tensor.to`."""
+        return moved(self, place, options)
 
     @property
     def up(self) -> tuple[Any, Any, Any]:
         """Unit normal of the plane, pointing up into the air, local."""
-        length = root(1.0 + self.slope_x * self.slope_x + self.slope_y * self.slope_y)
-        return (-self.slope_x / length, -self.slope_y / length, 1.0 / length)
+        return _up(self.slope_x, self.slope_y)
+
+    @property
+    def is_plain(self) -> bool:
+        """All numbers are plain ones: nothing to derive by."""
+        return all(isinstance(v, float) for v in self._numbers)
 
     def normal(self, x, y) -> tuple[Any, Any, Any]:
         """`up`, whatever x and y."""
-        return self.up
+        return _up(in_library(self.slope_x, x), in_library(self.slope_y, x))
 
     def height(self, x, y):
         """Height z of the surface [m] at local x, y [m]."""
-        return self.point[2] + self.slope_x * (x - self.point[0]) + self.slope_y * (y - self.point[1])
+        px, py, pz, _, slope_x, slope_y = (in_library(v, x) for v in self._numbers)
+        return pz + slope_x * (x - px) + slope_y * (y - py)
 
     def depth(self, points):
         """Depth below the surface [m] along its normal, positive in water, of points (..., 3) [m], local."""
@@ -132,8 +166,7 @@ class FlatWater:
 
     def _require_library_of(self, *triples) -> None:
         """TypeError unless rays come from where the numbers of the water do, if those are not plain."""
-        numbers = (*self.point, self.n_water, self.slope_x, self.slope_y)
-        own = {_library(v) for v in numbers} - {"numpy"}
+        own = {_library(v) for v in self._numbers} - {"numpy"}
         given = {_library(v) for triple in triples for v in triple}
         if own and own != given:
             raise TypeError(
@@ -141,28 +174,48 @@ class FlatWater:
                 f"{', '.join(sorted(given))}; take both from one library"
             )
 
+    def plane(self, *triples) -> tuple:
+        """Point, unit normal and index, as the kernels take them together with triples of arrays.
+
+        Raises
+        ------
+        TypeError
+            If the numbers of the water and the triples are arrays of different libraries.
+        """
+        self._require_library_of(*triples)
+        if not any(isinstance(v, np.ndarray) for v in self._numbers):
+            return self.point, self.up, self.n_water
+        like = triples[0][0]
+        x, y, z, n_water, slope_x, slope_y = (in_library(v, like) for v in self._numbers)
+        return (x, y, z), _up(slope_x, slope_y), n_water
+
     def intersect(self, origin, direction):
-        """Distance [m] to the plane along rays that fall toward it from above; NaN for the others."""
-        self._require_library_of(origin, direction)
-        xp = namespace(*origin, *direction)
-        H = kernels.dot(tuple(c - p for c, p in zip(origin, self.point, strict=True)), self.up)
-        falling = -kernels.dot(direction, self.up)
+        """Distance [m] to the plane along rays that fall toward it from above; NaN for the others.
+
+        In float64, also for rays in float32: far from its point a tilted plane takes more digits.
+        """
+        point, up, _ = self.plane(origin, direction)
+        origin, direction, point = (_across(v, up) for v in (origin, direction, point))
+        H, falling = kernels.over_plane(origin, point, up), -kernels.dot(direction, up)
         meets = (falling > GRAZING) & (H >= 0.0)
-        t = H / xp.where(meets, falling, falling * 0.0 + 1.0)
-        return xp.where(meets, t, t * 0.0 + float("nan"))
+        select = kernels.selector(meets)
+        return select(H / select(falling, 1.0), math.nan)
+
+    def legs(self, camera, point, steps: int):
+        """The legs of the way back up from the camera and to the point, depth and number of paths; in float64."""
+        return *self._solved(kernels.legs_of_point, camera, point, steps), 1
 
     def crossing(self, camera, point, steps: int):
         """See `WaterSurface.crossing`; a plane has one stationary path. Answers in float64."""
-        self._require_library_of(camera, point)
+        return *self._solved(kernels.crossing_of_point, camera, point, steps), 1
+
+    def _solved(self, kernel, camera, point, steps: int) -> tuple:
         single = namespace(*point).eps(point[0]) > 1e-10
         enough = ENOUGH_STEPS_SINGLE if single else ENOUGH_STEPS_DOUBLE
-        ends = (camera, point, self.point, self.up, (self.n_water,))
-        fine_camera, fine_point, plane, up, (n_water,) = (kernels.double(v) for v in ends)
-        crossing, depth = kernels.crossing_of_point(
-            fine_camera, fine_point, plane, up, n_water, min(steps, enough), like=point[0] if single else None
-        )
-        return crossing, depth, 1
+        plane_point, up, n_water = self.plane(camera, point)
+        ends = tuple(kernels.double(v) for v in (camera, point, plane_point, up, (n_water,)))
+        return kernel(*ends[:4], *ends[4], min(steps, enough), like=point[0] if single else None)
 
     def as_array(self) -> np.ndarray:
         """Point, normal and index as (7,) float64, the form that compiled kernels take."""
-        return np.array([_plain(v) for v in (*self.point, *self.up, self.n_water)], dtype=np.float64)
+        return np.array([plain(v) for v in (*self.point, *self.up, self.n_water)], dtype=np.float64)

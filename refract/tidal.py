@@ -64,22 +64,29 @@ class TidalWater:
         self.at(times[0])  # FlatWater checks the other numbers
 
     def at(self, time) -> FlatWater:
-        """The flat water at one time, of the same kind as the times of the readings.
+        """The flat water at one time, or at each of several, of the same kind as the times of the readings.
+
+        Parameters
+        ----------
+        time : number or datetime64, or (...) of them
+            Of photographs, say: `trace` and `project` then take one ray, or one row of rays, for each.
 
         Raises
         ------
         ValueError
-            If the time lies outside the readings, or is not of their kind.
+            If a time lies outside the readings, or is not of their kind.
         """
-        if np.ndim(time) != 0 or (self.times.dtype.kind == "M") != (np.asarray(time).dtype.kind == "M"):
-            raise ValueError(f"expected one time like {self.times[0]!r}, as the readings have, got {time!r}")
-        if not self.times[0] <= time <= self.times[-1]:
+        times = np.asarray(time)
+        if (self.times.dtype.kind == "M") != (times.dtype.kind == "M"):
+            raise ValueError(f"expected times like {self.times[0]!r}, as the readings have, got {time!r}")
+        inside = (self.times[0] <= times) & (times <= self.times[-1])
+        if not inside.all():
             raise ValueError(
-                f"no level at {time}: the readings run from {self.times[0]} to {self.times[-1]}; "
+                f"no level at {times[~inside][0]}: the readings run from {self.times[0]} to {self.times[-1]}; "
                 "extend the gauge series, a level outside it would be a guess"
             )
         # Seconds since the first reading: dates as they are would round to nanoseconds in 1e18.
         step = np.timedelta64(1, "ns") if self.times.dtype.kind == "M" else 1.0
-        level = np.interp((time - self.times[0]) / step, (self.times - self.times[0]) / step, self.levels)
+        level = np.interp((times - self.times[0]) / step, (self.times - self.times[0]) / step, self.levels)
         x, y = self.point
         return FlatWater((x, y, level), n_water=self.n_water, slope_x=self.slope_x, slope_y=self.slope_y)

@@ -9,9 +9,9 @@ from typing import Any, final
 import numpy as np
 
 from refract import fermat, kernels
-from refract._array import as_like, as_numpy, namespace
+from refract._array import namespace
 from refract._disc import Bounds
-from refract.surfaces import _number, _plain
+from refract._numbers import hold, moved, number, plain, read, require_index
 
 # Steps along a ray to its first meeting with the waves: 4 to 8 for most; at 89.9 deg to the vertical over waves of
 # slope 0.3 some 40, and 130 at worst. A ray that needs this many runs along the surface.
@@ -77,23 +77,23 @@ class WavyWater:
             if getattr(self, name) is None:
                 object.__setattr__(self, name, (0.0,) * count)
         for name in ("point", "amplitudes", "phases", "frequencies"):
-            object.__setattr__(self, name, tuple(_number(v) for v in getattr(self, name)))
-        object.__setattr__(self, "wave_vectors", tuple(tuple(_number(v) for v in k) for k in self.wave_vectors))
+            object.__setattr__(self, name, tuple(number(v) for v in getattr(self, name)))
+        object.__setattr__(self, "wave_vectors", tuple(tuple(number(v) for v in k) for k in self.wave_vectors))
         for name in ("n_water", "slope_x", "slope_y"):
-            object.__setattr__(self, name, _number(getattr(self, name)))
+            object.__setattr__(self, name, number(getattr(self, name)))
         counts = (count, len(self.wave_vectors), len(self.phases), len(self.frequencies))
         if len(set(counts)) != 1 or any(len(k) != 2 for k in self.wave_vectors) or len(self.point) != 3:
             raise ValueError(
                 f"expected a point (3,), and amplitudes, phases and frequencies (waves,) with wave vectors (waves, 2), "
                 f"got {len(self.point)} coordinates and {counts} amplitudes, wave vectors, phases and frequencies"
             )
-        numbers = [_plain(v) for v in self._numbers()]
-        if not all(math.isfinite(v) for v in numbers):
-            raise ValueError(f"expected finite numbers, got {numbers}")
-        if not 1.0 <= _plain(self.n_water) <= 2.0:
-            raise ValueError(
-                f"expected an index of water relative to air of 1 to 2 (fresh: 1.333), got {_plain(self.n_water)}"
-            )
+        if not hold(np.isfinite, *self._numbers()):
+            raise ValueError(f"expected finite numbers, got {self._numbers()}")
+        require_index(self.n_water)
+
+    def to(self, *place, **options) -> WavyWater:
+        """The same water with its tensors moved, by the arguments of `torch.Tensor.to`."""
+        return moved(self, place, options)
 
     def _numbers(self) -> tuple:
         vectors = (v for k in self.wave_vectors for v in k)
@@ -110,12 +110,12 @@ class WavyWater:
 
     def detached(self) -> WavyWater:
         """The same water in plain numbers, without gradients."""
-        x, y, z = map(_plain, self.point)
+        x, y, z = map(plain, self.point)
         return WavyWater(
-            (x, y, z), tuple(map(_plain, self.amplitudes)),
-            tuple(tuple(map(_plain, k)) for k in self.wave_vectors), tuple(map(_plain, self.phases)),
-            frequencies=tuple(map(_plain, self.frequencies)),
-            n_water=_plain(self.n_water), slope_x=_plain(self.slope_x), slope_y=_plain(self.slope_y),
+            (x, y, z), tuple(map(plain, self.amplitudes)),
+            tuple(tuple(map(plain, k)) for k in self.wave_vectors), tuple(map(plain, self.phases)),
+            frequencies=tuple(map(plain, self.frequencies)),
+            n_water=plain(self.n_water), slope_x=plain(self.slope_x), slope_y=plain(self.slope_y),
         )  # fmt: skip
 
     def derivatives(self, x, y) -> tuple:
@@ -155,18 +155,18 @@ class WavyWater:
 
     def anchor(self) -> tuple:
         """Some x, y where the surface is defined."""
-        return _plain(self.point[0]), _plain(self.point[1])
+        return plain(self.point[0]), plain(self.point[1])
 
     def intersect(self, origin, direction):
         """Distance [m] to the first meeting with the waves along unit rays from above; NaN where there is none."""
         like = origin[0] + direction[0]
         origin, direction = fermat.together(origin, direction)
         xp = namespace(*origin)
-        plain = xp.fixed if xp.name == "drjit" else as_numpy
-        plain_origin, plain_direction = (tuple(map(plain, v)) for v in (origin, direction))
-        t = self.detached()._first_meeting(plain_origin, plain_direction, side=1.0)
-        if xp.name != "drjit":
-            t = as_like(t, origin[0])
+        if xp.name == "torch":
+            (t,) = read(lambda water, *ends: (water._first_meeting(ends[:3], ends[3:], 1.0),), self, origin + direction)
+        else:
+            start, way = (tuple(map(xp.fixed, v)) for v in (origin, direction))
+            t = self.detached()._first_meeting(start, way, side=1.0)
         # One more Newton step at the root: it carries the gradient, and moves the value by a rounding only.
         meets = t >= 0.0
         t = xp.where(meets, t, 0.0)

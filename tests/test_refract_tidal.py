@@ -48,8 +48,6 @@ def test_outside_the_series_there_is_no_level():
             water.at(time)
     with pytest.raises(ValueError, match="as the readings have"):
         water.at(np.datetime64("2026-06-01"))
-    with pytest.raises(ValueError, match="one time"):
-        water.at(np.array([1.0, 2.0]))
 
 
 def test_wrong_series_are_named():

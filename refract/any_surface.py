@@ -1,0 +1,171 @@
+"""Rays over any smooth surface that knows its height and its normal: the way down and back up by Newton's steps.
+
+Nothing is proven here: the meeting or the path that the steps arrive at is the answer, and others are not looked for.
+`refract.wavy` and `refract.fermat` find all of them, from bounds that a surface must then give.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import Any
+
+from refract import kernels
+from refract._array import namespace, transformed
+from refract.fermat import together
+
+# A step below this part of the length of the ray, or of the distance between camera and point, has arrived.
+_SETTLED = 1e-12
+# Steps: a calm sea takes four to six. What has not arrived after so many is not a number.
+_MOST_STEPS = 30
+# Second derivatives are differences of normals over this part of that distance.
+_APART = 1e-6
+# A ray that falls less than this per metre against the surface where it meets it gets no gradient.
+_GRAZING = 1e-9
+_PLANE_STEPS = 4
+
+
+def _all(arrived) -> bool:
+    """Whether all have arrived, where that can be known before the end."""
+    return namespace(arrived).name != "drjit" and not transformed() and bool(arrived.all())
+
+
+class AnySurface(ABC):
+    """A base for surfaces of which only height and normal are known: the rest of `WaterSurface` follows.
+
+    For component arrays of numpy, torch and Dr.Jit, whatever `height` and `normal` take; gradients flow to all that
+    they depend on. Where the surface has no height it must be NaN.
+
+    Examples
+    --------
+    Water that stands in a bowl, 1 cm higher at 10 m from its middle:
+
+    >>> import numpy as np
+    >>> from refract import AnySurface, project
+    >>> class Bowl(AnySurface):
+    ...     n_water = 1.333
+    ...     def height(self, x, y):
+    ...         return 1e-4 * (x * x + y * y)
+    ...     def normal(self, x, y):
+    ...         up = 1.0 / np.sqrt(1.0 + 4e-8 * (x * x + y * y))
+    ...         return -2e-4 * x * up, -2e-4 * y * up, up
+    >>> seen = project(np.array([8.0, 0.0, -3.0]), np.array([0.0, 0.0, 30.0]), Bowl())
+    >>> [round(float(v), 4) for v in seen.crossing]
+    [7.4464, 0.0, 0.0055]
+    """
+
+    n_water: Any
+
+    @abstractmethod
+    def height(self, x, y):
+        """Height z of the surface at x, y."""
+
+    @abstractmethod
+    def normal(self, x, y) -> tuple[Any, Any, Any]:
+        """Unit normal of the surface at x, y, pointing up into the air."""
+
+    def intersect(self, origin, direction):
+        """Distance [m] to a meeting with the surface along unit rays from above; NaN where no step leads to one."""
+        like = origin[0] + direction[0]
+        origin, direction = together(origin, direction)
+        xp = namespace(*origin)
+
+        def step(t, o, d):
+            x, y, z = kernels.along(o, d, t)
+            slope_x, slope_y = self._slopes(x, y)
+            rate = d[2] - slope_x * d[0] - slope_y * d[1]
+            return z - self.height(x, y), rate
+
+        fixed = tuple(tuple(map(xp.fixed, v)) for v in (origin, direction))
+        t, arrived = origin[0] * 0.0, origin[0] < math.inf
+        for _ in range(_MOST_STEPS):
+            over, rate = (xp.fixed(v) for v in step(t, *fixed))
+            falls = rate < -kernels.GRAZING
+            move = over / xp.where(falls, -rate, 1.0)
+            arrived = falls & (xp.abs(move) <= _SETTLED * (1.0 + xp.abs(t)))
+            t = xp.where(falls, t + move, t)
+            if _all(arrived):
+                break
+        meets = arrived & (t >= 0.0)
+        t = xp.where(meets, t, 0.0)
+        over, rate = step(t, origin, direction)
+        firm = meets & (rate < -_GRAZING)
+        t = t - xp.where(firm, over, 0.0) / xp.fixed(xp.where(firm, rate, -1.0))
+        return xp.like(xp.where(meets, xp.maximum(t, 0.0), math.nan), like)
+
+    def crossing(self, camera, point, steps: int):
+        """See `WaterSurface.crossing`; `solutions` is 1 where the steps arrive at a path, else -1: not proven."""
+        camera, point = together(camera, point)
+        xp = namespace(*point)
+        depth = self.height(point[0], point[1]) - point[2]
+        over = camera[2] - self.height(camera[0], camera[1])
+        # A camera where the surface has no height is over it; a point there is not under it.
+        bent = (depth > 0.0) & ~(over <= kernels.CONTACT)
+        above, below = (tuple(map(xp.fixed, end)) for end in self._harmless(camera, point, bent))
+        x, y, arrived = self._located(above, below, xp.fixed(xp.where(bent, depth, 1.0)))
+        found = bent & arrived
+        x, y = (xp.where(found, a, p) for a, p in zip((x, y), point[:2], strict=True))
+        above, below = self._harmless(camera, point, found)
+        step_x, step_y = self._step(above, below, x, y)
+        x, y = x + xp.where(found, step_x, 0.0), y + xp.where(found, step_y, 0.0)
+        at = x, y, self.height(x, y)
+        seen = tuple(xp.where(found, a, xp.where(bent, math.nan, p)) for a, p in zip(at, point, strict=True))
+        return seen, depth, xp.where(found | ~bent, 1, -1)
+
+    def _harmless(self, camera, point, keep):
+        """The ends of the paths to keep; elsewhere ends above and below the surface, where nothing can go wrong."""
+        xp = namespace(*point)
+        z = xp.fixed(self.height(point[0], point[1]))
+        z = xp.where(xp.isnan(z), 0.0, z)
+        above, below = (tuple(map(xp.fixed, (*end[:2], z + side))) for end, side in ((camera, 1.0), (point, -1.0)))
+        return kernels.chosen(keep, camera, above), kernels.chosen(keep, point, below)
+
+    def _slopes(self, x, y):
+        nx, ny, nz = self.normal(x, y)
+        return -nx / nz, -ny / nz
+
+    def _pull(self, camera, point, x, y):
+        """Gradient of the optical length as the crossing moves over the surface."""
+        xp = namespace(x)
+        z, (zx, zy) = self.height(x, y), self._slopes(x, y)
+        gx = gy = 0.0
+        for end, weight in ((camera, 1.0), (point, self.n_water)):
+            dx, dy, dz = x - end[0], y - end[1], z - end[2]
+            per_metre = weight / xp.sqrt(dx * dx + dy * dy + dz * dz)
+            gx, gy = gx + (dx + zx * dz) * per_metre, gy + (dy + zy * dz) * per_metre
+        return gx, gy
+
+    def _step(self, camera, point, x, y):
+        """Newton's step; the matrix, from differences of the gradient, carries no derivatives."""
+        xp = namespace(x)
+        gx, gy = self._pull(camera, point, x, y)
+        camera, point = (tuple(map(xp.fixed, end)) for end in (camera, point))
+        way = kernels.minus(camera, point)
+        apart = _APART * xp.sqrt(kernels.dot(way, way))
+        rows = []
+        for ax, ay in ((apart, 0.0), (0.0, apart)):
+            ahead, behind = (self._pull(camera, point, x + sign * ax, y + sign * ay) for sign in (1.0, -1.0))
+            rows.append(tuple(xp.fixed(p - q) / (2.0 * apart) for p, q in zip(ahead, behind, strict=True)))
+        (hxx, hxy), (hyx, hyy) = rows
+        determinant = hxx * hyy - hxy * hyx
+        return (hyx * gy - hyy * gx) / determinant, (hxy * gx - hxx * gy) / determinant
+
+    def _located(self, camera, point, depth):
+        """Where Newton's steps lead from the crossing of a level plane, and whether they arrive."""
+        xp = namespace(*point)
+        way = kernels.minus(point, camera)
+        square = way[0] * way[0] + way[1] * way[1]
+        H = camera[2] - point[2] - depth
+        share = kernels.air_share(square, xp.where(H > 0.0, H, 1.0), depth, xp.fixed(self.n_water), _PLANE_STEPS)
+        x, y = camera[0] + share * way[0], camera[1] + share * way[1]
+        chord = xp.sqrt(kernels.dot(way, way))
+        arrived = chord < 0.0
+        for _ in range(_MOST_STEPS):
+            step_x, step_y = (xp.fixed(v) for v in self._step(camera, point, x, y))
+            length = xp.sqrt(step_x * step_x + step_y * step_y)
+            arrived = length <= _SETTLED * chord
+            back = xp.where(length > depth, depth / xp.where(length > 0.0, length, 1.0), 1.0)
+            x, y = x + back * step_x, y + back * step_y
+            if _all(arrived):
+                break
+        return x, y, arrived

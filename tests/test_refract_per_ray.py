@@ -1,0 +1,153 @@
+"""A number of the water for each ray: levels, slopes, tides and indices of shape (...), and one per channel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from refract import FlatWater, TidalWater, WavyWater, channel_indices, crossing_point, project, trace
+
+CENTRE = np.array([1.0, 2.0, 30.0])
+COUNT = 7
+
+
+def scene(rng):
+    """Rays, bed points, and numbers of the water, one for each."""
+    rays = np.concatenate([rng.uniform(-0.5, 0.5, (COUNT, 2)), -np.ones((COUNT, 1))], axis=-1)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    points = rng.uniform([-20, -20, -9], [20, 20, -2], (COUNT, 3))
+    numbers = rng.uniform(0, 1, COUNT), rng.uniform(1.32, 1.35, COUNT), *rng.uniform(-0.05, 0.05, (2, COUNT))
+    return rays, points, numbers
+
+
+def water_of(level, index, slope_x, slope_y):
+    return FlatWater((0.3, -0.2, level), n_water=index, slope_x=slope_x, slope_y=slope_y)
+
+
+def told(rays, points, centre, water, height):
+    """Everything that is said of rays and points."""
+    path, seen = trace(centre, rays, water), project(points, centre, water)
+    return (
+        path.crossing, path.air_length, path.water_direction, path.at_height(height, water),
+        seen.direction, seen.crossing, seen.air_length, seen.water_length, seen.depth,
+        crossing_point(points, centre, water),
+    )  # fmt: skip
+
+
+def arrays(library, *values):
+    """Numpy arrays in a library; Dr.Jit keeps vectors as columns."""
+    if library == "numpy":
+        return values
+    if library == "torch":
+        return tuple(torch.tensor(v) for v in values)
+    drjit = pytest.importorskip("drjit", reason="Dr.Jit is not installed")
+    if not drjit.has_backend(drjit.JitBackend.LLVM):
+        pytest.skip("Dr.Jit finds no LLVM; install libllvm19 or set DRJIT_LIBLLVM_PATH")
+    from drjit.llvm.ad import Array3f64, Float64
+
+    return tuple(Array3f64(v.reshape(-1, 3).T) if v.shape[-1:] == (3,) else Float64(v) for v in values)
+
+
+def rows(array):
+    array = np.asarray(array)
+    return array if array.ndim == 1 or array.shape[-1] == 3 else array.T
+
+
+@pytest.mark.parametrize("numbers_from", ["same library", "numpy"])
+@pytest.mark.parametrize("library", ["numpy", "torch", "drjit"])
+def test_each_ray_has_its_own_water(rng, library, numbers_from):
+    rays, points, numbers = scene(rng)
+    expected = [told(rays[i], points[i], CENTRE, water_of(*(v[i] for v in numbers)), -1.5) for i in range(COUNT)]
+    of_rays, of_points, centre = arrays(library, rays, points, CENTRE)
+    of_water = arrays(library, *numbers) if numbers_from == "same library" else numbers
+    found = told(of_rays, of_points, centre, water_of(*of_water), -1.5)
+    for one, each in zip(found, zip(*expected, strict=True), strict=True):
+        np.testing.assert_allclose(rows(one), np.stack(each), rtol=1e-13, atol=1e-13)
+
+
+def test_an_index_per_channel_is_one_more_axis(rng):
+    rays, points, _ = scene(rng)
+    indices = np.array(channel_indices(15.0, 0.0))
+    assert indices.shape == (3,)
+    water = FlatWater((0.0, 0.0, 0.5), n_water=indices)
+    path, seen = trace(CENTRE, rays[:, None], water), project(points[:, None], CENTRE, water)
+    assert path.water_direction.shape == path.crossing.shape == path.origin.shape == (COUNT, 3, 3)
+    assert path.air_length.shape == path.regime.shape == seen.depth.shape == (COUNT, 3)
+    for channel, index in enumerate(indices):
+        single = FlatWater((0.0, 0.0, 0.5), n_water=index)
+        one = trace(CENTRE, rays, single)
+        np.testing.assert_array_equal(path.water_direction[:, channel], one.water_direction)
+        np.testing.assert_array_equal(path.at_height(-2.0, water)[:, channel], one.at_height(-2.0, single))
+        np.testing.assert_allclose(seen.direction[:, channel], project(points, CENTRE, single).direction, atol=1e-15)
+
+
+def test_each_photograph_is_traced_at_its_own_tide(rng):
+    tide = TidalWater([0.0, 600.0, 1500.0], [1.0, 1.4, 1.1], slope_x=0.01)
+    rays, _, _ = scene(rng)
+    times = np.array([0.0, 150.0, 600.0, 1050.0, 1500.0, 1.0, 2.0])
+    path = trace(CENTRE, rays, tide.at(times))
+    for i, time in enumerate(times):
+        np.testing.assert_array_equal(path.crossing[i], trace(CENTRE, rays[i], tide.at(time)).crossing)
+    start = np.datetime64("2026-06-01T10:00:00")
+    dated = TidalWater(start + np.array([0, 600]).astype("timedelta64[s]"), [1.0, 1.4])
+    np.testing.assert_allclose(dated.at(start + np.array([0, 300]).astype("timedelta64[s]")).point[2], [1.0, 1.2])
+    with pytest.raises(ValueError, match=r"no level at 1500\.5"):
+        tide.at(np.array([3.0, 1500.5]))
+
+
+def test_gradients_flow_to_the_level_of_each_ray(rng):
+    _, points, numbers = scene(rng)
+    level = torch.tensor(numbers[0], requires_grad=True)
+    seen = project(torch.tensor(points), torch.tensor(CENTRE), water_of(level, *numbers[1:]))
+    seen.direction[2].sum().backward()
+    assert (level.grad != 0.0).tolist() == [i == 2 for i in range(COUNT)]
+
+
+def test_wrong_numbers_among_many_are_found():
+    for arguments in ({"n_water": [1.33, 2.5]}, {"slope_x": [0.0, np.nan]}):
+        with pytest.raises(ValueError, match=r"expected .* index"):
+            FlatWater((0.0, 0.0, 0.0), **arguments)
+    with pytest.raises(ValueError, match=r"one number.*\(2,\)"):
+        FlatWater((0.0, 0.0, [0.0, 1.0])).as_array()
+
+
+@pytest.mark.parametrize("name", ["trace", "project", "at_height", "crossing_point"])
+def test_torch_compiles_it_whole(rng, name):
+    rays, points, _ = scene(rng)
+    rays, points, centre = torch.tensor(rays), torch.tensor(points), torch.tensor(CENTRE)
+
+    def down(level):
+        return trace(centre, rays, FlatWater((0.0, 0.0, level)))
+
+    def function(level):
+        if name == "project":
+            found = project(points, centre, FlatWater((0.0, 0.0, level)))
+            return torch.cat([found.direction, found.crossing, found.air_length[:, None]], dim=-1)
+        if name == "crossing_point":
+            return crossing_point(points, centre, FlatWater((0.0, 0.0, level)))
+        path = down(level)
+        return path.water_direction if name == "trace" else path.at_height(-2.0, FlatWater((0.0, 0.0, level)))
+
+    level = torch.tensor(0.2, dtype=torch.float64)
+    compiled = torch.compile(function, fullgraph=True, backend="eager")
+    np.testing.assert_allclose(compiled(level), function(level), rtol=1e-13, atol=1e-13)
+
+
+def test_tensors_of_the_water_move_together():
+    water = FlatWater((0.0, 1.0, torch.tensor(2.0)), n_water=torch.tensor([1.33, 1.34]), slope_x=0.01)
+    moved = water.to(torch.float64)
+    assert (moved.point[2].dtype, moved.n_water.dtype) == (torch.float64, torch.float64)
+    assert (moved.point[:2], moved.slope_x) == ((0.0, 1.0), 0.01)
+    waves = WavyWater((0.0, 0.0, 0.0), (torch.tensor(0.1),), ((torch.tensor(1.0), 0.5),))
+    assert waves.to(torch.float64).wave_vectors[0][0].dtype == torch.float64
+
+
+@pytest.mark.gpu
+def test_water_moves_to_where_the_rays_are(rng):
+    rays, points, numbers = scene(rng)
+    water = water_of(*(torch.tensor(v) for v in numbers))
+    here = told(*(torch.tensor(v) for v in (rays, points, CENTRE)), water, -1.5)
+    there = told(*(torch.tensor(v).cuda() for v in (rays, points, CENTRE)), water.to("cuda"), -1.5)
+    for one, other in zip(here, there, strict=True):
+        np.testing.assert_allclose(other.cpu(), one, rtol=1e-13, atol=1e-13)

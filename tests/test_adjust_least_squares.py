@@ -11,8 +11,8 @@ from refract import FlatWater, PinholeCamera
 from survey.adjust.free_errors import Errors, free_errors
 from survey.adjust.least_squares import adjust, intersect
 from survey.adjust.projection import by_parameters, by_point, pixels_of
-from survey.photos.tie_points import TiePoints
 from survey.errors import SurveyError
+from survey.photos.tie_points import TiePoints
 from tests.small_water_block import TRUTH, convergent, nadir, tie_points, water_of
 
 START = TRUTH + np.array([0.5, -0.002, 0.001, -0.035])

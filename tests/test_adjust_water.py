@@ -13,13 +13,13 @@ import pytest
 from refract.lens import Lens
 from survey.adjust import calibration
 from survey.adjust.calibration import calibrate_water, nadir_views, within_bounds
-from survey.photos.tie_points import TiePoints
 from survey.adjust.water import water_from_ties
 from survey.adjust.water_estimate import PARAMETERS
 from survey.errors import SurveyError
 from survey.folder.place import water_plane
 from survey.folder.survey import load_survey
 from survey.photos.cameras import View
+from survey.photos.tie_points import TiePoints
 from tests.small_survey import small_survey
 from tests.small_water_block import FOCAL, SIZE, convergent, nadir, tie_points
 

@@ -14,6 +14,7 @@ import numpy as np
 from refract.lens import Lens
 from survey.adjust.adjustment import Adjustment, ControlResidual, Parameter
 from survey.adjust.holding import adjusted_with, not_observable
+from survey.adjust.contradiction import Contradiction, contradictions, released
 from survey.adjust.observed import KINDS, MARK, MATCH, WINDOW, Observed, observed
 from survey.adjust.priors import Known, is_held, known_of
 from survey.adjust.rounds import Adjusted, adjust
@@ -78,9 +79,24 @@ def adjust_survey(
         done = adjust(start, observed(parts, survey.control, survey, known), sizes, marks_std)
         advance(0.1)
     assert done is not None
+    against = contradictions(done)
+    if against:
+        start = released(_started(done.known, done), against)
+        done = adjust(start, observed(parts, survey.control, survey, known), sizes, marks_std)
     total = sum(len(ties.view) for _, ties in parts) + (0 if survey.control is None else len(survey.control.marks))
     stated = known if not free_water else known_of(survey, gsd)
-    return _result(survey, done, total, lambda held: adjusted_with(done, held, stated.std, sizes, marks_std))
+    found = _result(survey, done, total, lambda held: adjusted_with(done, held, stated.std, sizes, marks_std))
+    return replace(found, warnings=found.warnings + tuple(_against(found, each) for each in against))
+
+
+def _against(found: Adjustment, each: Contradiction) -> str:
+    """A contradiction in words, with both numbers."""
+    row, unit = found.parameter(WATER_PARAMETERS[each.number]), " m" if each.number == 0 else ""
+    return (
+        f"{row.name} is given as {row.given:.6g} +- {each.given_std:.2g}{unit}, and the photographs say {row.value:.6g} "
+        f"+- {row.std:.2g}{unit}: the two contradict each other by more than three standard deviations; what the "
+        "photographs say is used. Correct the value, its vertical datum, or its standard deviation"
+    )
 
 
 def _thinned(ties: TiePoints, sizes: list[tuple[int, int]]) -> TiePoints:

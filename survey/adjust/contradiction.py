@@ -1,0 +1,66 @@
+"""Where the photographs contradict what survey.toml says of the water."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from survey.adjust.priors import HELD, Known
+from survey.adjust.rounds import Adjusted
+from survey.adjust.state import WATER
+
+# Beyond this many standard deviations of their difference the two cannot both be true.
+_MOST = 3.0
+# With less of its own than this share of the knowledge beforehand, a block cannot contradict it.
+_LEAST_OWN = 0.02
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """A parameter of the water that a block contradicts.
+
+    Attributes
+    ----------
+    number : int
+        Of the parameter in the vector.
+    difference, std : float
+        Of the block alone less given; of what the block alone tells.
+    given_std : float
+    """
+
+    number: int
+    difference: float
+    std: float
+    given_std: float
+
+
+def contradictions(done: Adjusted) -> list[Contradiction]:
+    """Level, slopes and index that the block contradicts, the level first.
+
+    Notes
+    -----
+    Of a value of standard deviation s from a prior of standard deviation p, the block alone has told
+    ``1 / s^2 - 1 / p^2``, and its own value follows from the weighted mean.
+    """
+    found = []
+    moved = done.solution.state.water_parameters() - done.known.mean.water_parameters()
+    for number in range(WATER):
+        prior = float(done.known.std[number])
+        both = float(done.solution.covariance[number, number])
+        own = 1.0 / both - 1.0 / prior**2
+        if prior <= 10.0 * HELD or own < _LEAST_OWN / prior**2:
+            continue
+        difference = float(moved[number]) / (both * own)
+        std = own**-0.5
+        if abs(difference) > _MOST * np.hypot(std, prior):
+            found.append(Contradiction(number, difference, std, prior))
+    return found
+
+
+def released(known: Known, found: list[Contradiction]) -> Known:
+    """What is known, with the contradicted values as uncertain as they proved to be."""
+    std = known.std.copy()
+    for each in found:
+        std[each.number] = max(abs(each.difference), each.given_std)
+    return replace(known, std=std)

@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from refract.lens import Lens
-from survey.adjust.adjustment import Adjustment, ControlResidual, Parameter
-from survey.adjust.holding import adjusted_with, not_observable
+from survey.adjust.adjustment import UNKNOWN, Adjustment, ControlResidual, Parameter
 from survey.adjust.contradiction import Contradiction, contradictions, released
+from survey.adjust.holding import adjusted_with, not_observable
 from survey.adjust.observed import KINDS, MARK, MATCH, WINDOW, Observed, observed
 from survey.adjust.priors import Known, is_held, known_of
 from survey.adjust.rounds import Adjusted, adjust
@@ -22,6 +22,7 @@ from survey.adjust.state import LENS_NAMES, WATER, WATER_NAMES, State
 from survey.adjust.thinning import thinned
 from survey.adjust.verdicts import WATER_PARAMETERS, lens_verdicts, water_limits, water_verdicts
 from survey.adjust.windows_of_survey import measure_windows
+from survey.errors import SurveyError
 from survey.folder.config import WaterConfig
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey
@@ -86,15 +87,21 @@ def adjust_survey(
     total = sum(len(ties.view) for _, ties in parts) + (0 if survey.control is None else len(survey.control.marks))
     stated = known if not free_water else known_of(survey, gsd)
     found = _result(survey, done, total, lambda held: adjusted_with(done, held, stated.std, sizes, marks_std))
+    if not survey.is_level_known and found.parameter("level_m").status == UNKNOWN:
+        raise SurveyError(
+            f"the level of the water is not given, and the photographs do not tell it: "
+            f"{found.parameter('level_m').verdict}; give [water] level_m"
+        )
     return replace(found, warnings=found.warnings + tuple(_against(found, each) for each in against))
 
 
 def _against(found: Adjustment, each: Contradiction) -> str:
     """A contradiction in words, with both numbers."""
     row, unit = found.parameter(WATER_PARAMETERS[each.number]), " m" if each.number == 0 else ""
+    digits = 3 if each.number == 0 else 4
     return (
-        f"{row.name} is given as {row.given:.6g} +- {each.given_std:.2g}{unit}, and the photographs say {row.value:.6g} "
-        f"+- {row.std:.2g}{unit}: the two contradict each other by more than three standard deviations; what the "
+        f"{row.name} is given as {row.given:.{digits}f} +- {each.given_std:.2g}{unit}, and the photographs say "
+        f"{row.value:.{digits}f} +- {row.std:.2g}{unit}: the two contradict each other by more than three standard deviations; what the "
         "photographs say is used. Correct the value, its vertical datum, or its standard deviation"
     )
 

@@ -17,7 +17,7 @@ MOST_STD_LEVEL_M, MOST_STD_INDEX, MOST_STD_FOCAL = 0.05, 0.01, 0.005
 # With more than this share of the standard deviation before, the photographs have told nearly nothing.
 _LITTLE = 0.9
 # What is given to better than this was not to move.
-_EXACT = 1e-7
+_EXACT = 1e-6
 WATER_PARAMETERS = ("level_m", "slope_east", "slope_north", "refractive_index")
 
 

@@ -72,14 +72,21 @@ class WaterConfig:
             raise ValueError("level_at is not known before its default is filled in from the cameras")
         return self.level_at
 
-    def _require_one_level(self) -> None:
-        levels = [name for name in _ANY_LEVEL if getattr(self, name) is not None]
-        if not levels:
+    def require_level(self) -> None:
+        """Raise ConfigError where neither a level nor a file of it is given.
+
+        Structure from motion can do without: the adjustment then finds the level, where the photographs tell it.
+        """
+        if all(getattr(self, name) is None for name in _ANY_LEVEL):
             raise ConfigError(
                 "level_m is missing from [water]. Give the height of the water surface in the survey's vertical "
                 "datum, e.g. level_m = 12.34, or a file of points or readings as shoreline, gnss_points or gauge, or "
-                "remove [water] for a dry survey"
+                "remove [water] for a dry survey; only a survey without poses, with GPS positions in its photographs, "
+                "can leave it to the adjustment"
             )
+
+    def _require_one_level(self) -> None:
+        levels = [name for name in _ANY_LEVEL if getattr(self, name) is not None]
         if len(levels) > 1:
             raise ConfigError(
                 f"[water] has {' and '.join(levels)}, each of which gives the height of the water; keep one"

@@ -78,6 +78,8 @@ def find_survey(folder: Path) -> Found:
         raise ConfigError(f"{toml}: crs is missing; {infer.crs_advice(heads)}")
     crs = parse_crs(config.crs, where=f"crs in {toml}" if toml.is_file() else "the inferred crs")
     config = with_level(folder, config, heads, assumptions)
+    if poses_path is not None and config.water is not None:
+        config.water.require_level()
     warnings = _turned(heads)
     if poses_path is None:
         _require_positions(folder, heads)

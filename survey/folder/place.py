@@ -12,9 +12,14 @@ from geo.frames import LocalFrame
 from refract import FlatWater
 from survey.errors import FILE_NAME, ConfigError, PosesError
 from survey.folder.config import SurveyConfig, WaterConfig
+from survey.folder.config_water import MOST_LEVEL_STD_M
 from survey.folder.found import Found
 from survey.folder.water import refractive_index
 from survey.photos.cameras import Pose, View
+
+# Where the search for an unknown level starts: over this quantile of the heights of the points, by this share of the
+# flying height, which few waters are deeper than.
+_TOP_OF_POINTS, _START_OVER_POINTS = 0.95, 0.1
 
 
 def views_in_local(found: Found, poses: list[Pose]) -> tuple[LocalFrame, list[View]]:
@@ -75,6 +80,31 @@ def _origin(found: Found, centres: np.ndarray) -> tuple[float, float, float]:
     else:
         height = centres[:, 2].min()
     return (round(float(e), digits), round(float(n), digits), float(math.floor(height)))
+
+
+def with_level_of_points(
+    config: SurveyConfig, frame: LocalFrame, views: list[View], points: np.ndarray | None, assumptions: list[str]
+) -> SurveyConfig:
+    """The settings with a level to start from, where none is given: a tenth of the flying height over the points.
+
+    From too high a level the adjustment comes down, because all points count as wet; from one below them it would learn
+    nothing.
+
+    Raises
+    ------
+    ConfigError
+        If there are no points.
+    """
+    if config.water is None or points is None or not len(points):
+        raise ConfigError(
+            f"[water] in {FILE_NAME} has no level, and no matched points tell where to look; give level_m"
+        )
+    top = float(np.quantile(points[:, 2], _TOP_OF_POINTS))
+    x, y, camera = np.median([view.camera.centre for view in views], axis=0)
+    start = frame.crs_from_local(np.array([[x, y, top + _START_OVER_POINTS * max(camera - top, 0.0)]]))[0, 2]
+    level = round(float(start) * height_unit_m(frame.crs), 2)
+    assumptions.append(f"level_m is not given: the search for it starts at {level:g} m, above the matched points")
+    return replace(config, water=replace(config.water, level_m=level, level_std_m=MOST_LEVEL_STD_M))
 
 
 def water_in_local(

@@ -80,7 +80,7 @@ def require_level_fits_exif(config: SurveyConfig, heads: dict[str, Exif]) -> Non
     """
     heights = np.array([h.lat_lon_height[2] for h in heads.values() if h.lat_lon_height is not None])
     heights = heights[np.isfinite(heights)]
-    if config.water is None or config.cameras.gps_height != "crs" or not heights.size:
+    if config.water is None or config.water.level_m is None or config.cameras.gps_height != "crs" or not heights.size:
         return
     over_water = heights - config.water.known_level_m
     _require_level_fits(config.water, "EXIF has the cameras", heights, over_water, "the heights in EXIF")

@@ -57,6 +57,8 @@ class Survey:
         These points with their places in the photographs as they were taken, where structure from motion found them.
     is_adjusted : bool
         Whether views and water are those of an adjustment with bent rays, and `points` too.
+    is_level_known : bool
+        Whether survey.toml tells the level of the water; else that of `water` is a guess.
     priors : dict of name to PosePrior
         What is known of the pose of each view besides its photograph.
     control : Control or None
@@ -77,6 +79,7 @@ class Survey:
     points: np.ndarray | None = field(default=None, compare=False, repr=False)
     ties: TiePoints | None = field(default=None, compare=False, repr=False)
     is_adjusted: bool = False
+    is_level_known: bool = True
     priors: Mapping[str, PosePrior] = field(default_factory=dict, compare=False, repr=False)
     control: Control | None = field(default=None, compare=False, repr=False)
     checkpoints: tuple[Checkpoint, ...] = field(default=(), compare=False, repr=False)
@@ -137,7 +140,10 @@ def load_survey(
     for view in views:
         require_image(view, found.heads[view.name])
     control, checkpoints = place_control(found.control, frame, [view.name for view in views], warnings)
-    config, water = place.water_in_local(found.config, frame, views, assumptions)
+    config, is_level_known = found.config, True
+    if config.water is not None and config.water.level_m is None:
+        config, is_level_known = place.with_level_of_points(config, frame, views, points, assumptions), False
+    config, water = place.water_in_local(config, frame, views, assumptions)
     require_true(frame, views, water, config)
     warnings += _doubts(found, frame, views, water, control)
     if found.poses_path is not None and found.poses_path.is_relative_to(found.folder):
@@ -155,6 +161,7 @@ def load_survey(
         warnings=tuple(warnings),
         points=points,
         ties=ties,
+        is_level_known=is_level_known,
         priors=priors,
         control=control,
         checkpoints=checkpoints,

@@ -64,8 +64,8 @@ def require_solvable(found: Found) -> list[str]:
     require_area(local, MIN_STD_M)
     cameras_crs = positions.frame.crs_from_local(local)
     warnings = [] if found.control is None else require_near(found.control.points, cameras_crs, found.crs)
-    if found.config.water is not None:
-        over_water = cameras_crs[:, 2] * height_unit_m(found.crs) - found.config.water.known_level_m
+    if found.config.water is not None and found.config.water.level_m is not None:
+        over_water = cameras_crs[:, 2] * height_unit_m(found.crs) - found.config.water.level_m
         warnings += start_doubts(dict(zip(positions.local, over_water.tolist(), strict=True)), found.heads)
     for path in found.images.values():
         require_complete(path)

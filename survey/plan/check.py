@@ -156,8 +156,10 @@ def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]
     water = found.config.water
     if water is None:
         rows.append(("water", "none: a dry survey"))
+    elif water.level_m is None:
+        rows.append(("water", "of unknown level: the adjustment finds it, where the photographs tell it"))
     else:
-        level = water.known_level_m / height_unit_m(found.crs)
+        level = water.level_m / height_unit_m(found.crs)
         rows.append(
             (
                 "water",

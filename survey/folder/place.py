@@ -96,9 +96,7 @@ def with_level_of_points(
         If there are no points.
     """
     if config.water is None or points is None or not len(points):
-        raise ConfigError(
-            f"[water] in {FILE_NAME} has no level, and no matched points tell where to look; give level_m"
-        )
+        raise ConfigError(f"[water] in {FILE_NAME} has no level, and no matched points show one; give level_m")
     top = float(np.quantile(points[:, 2], _TOP_OF_POINTS))
     x, y, camera = np.median([view.camera.centre for view in views], axis=0)
     start = frame.crs_from_local(np.array([[x, y, top + _START_OVER_POINTS * max(camera - top, 0.0)]]))[0, 2]

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from geo.reading import read_reference
     from geo.shapes import Cloud, Mesh
     from refract.camera import PinholeCamera
+    from refract.distortion import Distortion
     from refract.height_field import HeightFieldWater
     from refract.media import water_index
     from refract.paths import trace
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Cloud",
     "CompareOptions",
+    "Distortion",
     "DrawnScene",
     "FlatWater",
     "GeoError",
@@ -84,6 +86,7 @@ _MODULES = {
     "geo.reading": ("read_reference",),
     "geo.shapes": ("Cloud", "Mesh"),
     "refract.camera": ("PinholeCamera",),
+    "refract.distortion": ("Distortion",),
     "refract.height_field": ("HeightFieldWater",),
     "refract.media": ("water_index",),
     "refract.paths": ("trace",),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from fields.device import choose_device
 from fields.slab.train import FieldFigures
 from geo.frames import LocalFrame
 from refract import FlatWater
+from refract.lens import Lens
 from survey.errors import OutputError, SurveyError
 from survey.folder.config import CamerasConfig, SurveyConfig, dump_config
 from survey.progress import Progress
@@ -82,6 +84,21 @@ def test_a_camera_gets_four_pictures(run, tmp_path):
     assert distance.min() == pytest.approx(10.5, abs=2e-3)  # 8.5 m of air, 2 m of water
     up = np.asarray(Image.open(path.with_name("nadir_normal.png")))
     np.testing.assert_allclose(up, np.broadcast_to([127.5, 127.5, 255, 255], up.shape), atol=0.5)
+
+
+def test_a_picture_is_seen_through_the_lens_of_its_camera(run, tmp_path):
+    settings = RunDir(run).settings_path
+    lens = replace(LENS, model="OPENCV", distortion=(2.0, 0.0, 0.01, -0.02))
+    settings.write_text(dump_config(SurveyConfig(crs="EPSG:25832+5783", cameras=lens)), encoding="utf-8")
+    (path,) = render(run, poses(tmp_path, ABOVE), tmp_path, device="cpu")
+    distance = np.asarray(Image.open(path.with_name("nadir_distance.tif")))
+    # Over level water and a level bed the length of a path tells where it looks.
+    camera = Lens("OPENCV", (200.0, 200.0, 20.0, 15.0, *lens.distortion), 40, 30).camera(np.zeros(3), np.eye(3))
+    fall = camera.directions(camera.pixel_centres())[..., 2]
+    in_water = np.sqrt(1.0 - (1.0 - fall**2) / FlatWater((0.0, 0.0, 0.0)).n_water ** 2)
+    np.testing.assert_allclose(distance, 8.5 / fall + 2.0 / in_water, atol=2e-3)
+    straight = replace(camera, distortion=None)
+    assert np.abs(8.5 / straight.directions(camera.pixel_centres())[..., 2] - 8.5 / fall).max() > 4e-3
 
 
 def test_a_camera_that_looks_elsewhere_is_named(run, tmp_path, capsys):

@@ -13,6 +13,7 @@ from geo.frames import LocalFrame
 from refract.lens import Lens
 from survey.errors import ConfigError, PosesError
 from survey.folder.survey import find_survey, load_survey
+from survey.photos.tie_points import TiePoints
 
 
 def test_without_survey_toml_the_zone_comes_from_the_positions_and_it_says_what_it_assumed(tmp_path):
@@ -89,8 +90,8 @@ def solved(monkeypatch, names):
         lens = Lens("SIMPLE_RADIAL", (focal_px or 90.0, 32.0, 24.0, -0.01), 64, 48)
         down = np.diag([1.0, -1.0, -1.0])
         views = [(name, lens, np.array([3.0 * i, 0.0, 20.0]), down) for i, name in enumerate(names)]
-        points, num_views = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, -2.0]]), np.array([2, 3])
-        return SimpleNamespace(frame=frame, views=views, notes=["placed by GPS"], points=points, num_views=num_views)
+        ties = TiePoints(np.array([[1.0, 0.0, -2.0]]), np.zeros(3, int), np.arange(3), np.full((3, 2), 9.5))
+        return SimpleNamespace(frame=frame, views=views, notes=["placed by GPS"], ties=ties)
 
     monkeypatch.setitem(sys.modules, "survey.sfm.poses", SimpleNamespace(solve_poses=solve_poses))
     return calls

@@ -14,6 +14,7 @@ from survey.adjust.least_squares import intersect
 from survey.errors import ConfigError
 from survey.folder.config import parse_config
 from survey.folder.survey import load_survey
+from survey.photos.tie_points import TiePoints
 from survey.plan.area import limits
 from survey.plan.plan import make_plan
 from survey.sfm.poses import SfmResult, SfmView
@@ -154,12 +155,13 @@ def test_structure_from_motion_brings_the_points_that_three_photographs_see(tmp_
     posed = load_survey(small_survey(tmp_path / "posed", gps=True))
     views = tuple(SfmView(v.name, v.lens, v.camera.centre, v.camera.cam_from_local) for v in posed.views)
     xyz, num_views = rng.normal(size=(6, 3)), np.array([2, 3, 4, 2, 5, 3])
-    solved = SfmResult(posed.frame, views, [], xyz, num_views, np.ones(6), np.zeros((len(views), 3)))
+    ties = TiePoints(xyz[[1]], np.zeros(3, int), np.arange(3), np.full((3, 2), 9.5))
+    solved = SfmResult(posed.frame, views, [], xyz, num_views, np.ones(6), np.zeros((len(views), 3)), ties)
     monkeypatch.setattr("survey.sfm.poses.solve_poses", lambda *arguments, **settings: solved)
     toml = TOML.replace('poses = "cameras.csv"\n', "")
     folder = small_survey(tmp_path / "bare", gps=True, toml=toml)
     (folder / "cameras.csv").unlink()
-    np.testing.assert_array_equal(load_survey(folder).points, xyz[num_views >= 3])
+    np.testing.assert_array_equal(load_survey(folder).points, xyz[[1]])
 
 
 def quaternion(rotation: np.ndarray) -> tuple[float, ...]:

@@ -194,12 +194,11 @@ def test_an_unknown_kind_of_gps_height_is_named():
 
 
 def synthetic_block(
-    rng: np.random.Generator, *, focal=900.0, sextic=0.0, noise_px=0.0, tilt_deg=0.0
+    rng: np.random.Generator, *, focal=900.0, tilt_deg=0.0
 ) -> tuple[pycolmap.Reconstruction, dict[str, np.ndarray]]:
     """A block of three strips of six nadir views, 40 m over rolling ground, at its true place; and true centres.
 
-    ``sextic`` is a distortion of sixth order in the pixels, whose noise is ``noise_px``, that the lens of the block
-    does not have; ``tilt_deg`` turns views by turns left and right.
+    ``tilt_deg`` turns views by turns left and right.
     """
     size, half = (800, 600), (400.0, 300.0)
     block = pycolmap.Reconstruction()
@@ -214,8 +213,7 @@ def synthetic_block(
         rotation = Rotation.from_euler("xy", [180.0, tilt_deg * (-1) ** i], degrees=True).as_matrix()
         rays = (ground - centre) @ rotation.T
         rays = rays[:, :2] / rays[:, 2:]
-        pixels = focal * rays * (1.0 + sextic * (rays**2).sum(axis=1, keepdims=True) ** 3) + half
-        pixels += rng.normal(0.0, noise_px, pixels.shape)
+        pixels = focal * rays + half
         inside = np.flatnonzero(((pixels > 0.0) & (pixels < size)).all(axis=1))
         cam_from_local = pycolmap.Rigid3d(pycolmap.Rotation3d(rotation), -rotation @ centre)
         image = pycolmap.Image(name=name, keypoints=pixels[inside], camera_id=1, image_id=i + 1)
@@ -228,14 +226,6 @@ def synthetic_block(
             block.add_point3D(xyz, pycolmap.Track(elements))
     block.update_point_3d_errors()
     return block, centres
-
-
-def bowl_m(block: pycolmap.Reconstruction) -> float:
-    """How much higher the ground's rim is than its middle, 40 m inside, against the true ground."""
-    points, _, _ = sfm_block.points_of(block)
-    wrong = points[:, 2] - 2.0 * np.sin(points[:, 0] / 9.0) * np.cos(points[:, 1] / 7.0)
-    squares = ((points[:, :2] / 40.0) ** 2).sum(axis=1)
-    return float(np.polyfit(squares, wrong, 1)[0])
 
 
 def test_poses_and_lenses_of_a_block_project_as_pycolmap_does():
@@ -259,34 +249,10 @@ def test_poses_and_lenses_of_a_block_project_as_pycolmap_does():
     assert worst < 1e-8
 
 
-def test_gps_positions_flatten_the_bowl_that_an_unmodelled_lens_bends(rng):
-    block, centres = synthetic_block(rng, sextic=1.0, noise_px=0.1)
-    gps = {name: centre + rng.normal(0.0, 0.05, 3) for name, centre in centres.items()}
-    sfm_block.adjust(block, gps, np.full(3, 50.0), hold_focal=True)
-    bent, free_px = bowl_m(block), block.compute_mean_reprojection_error()
-    flat, std = sfm_solve.adjust_as_allowed(block, gps, hold_focal=True)
-    assert abs(bent) > 0.5
-    # Noise of 5 cm in 18 heights leaves a bowl of 3 cm, four of which pass.
-    assert abs(bowl_m(flat)) < 0.12
-    # The bowl hides what the lens leaves; a tenth of a pixel would be seen in a picture.
-    assert flat.compute_mean_reprojection_error() < free_px + 0.05
-    assert std.max() < 0.1
-    assert bowl_m(block) == bent
-
-
-def test_a_block_without_faults_stays_where_it_is(rng):
-    block, centres = synthetic_block(rng)
-    settled, std = sfm_solve.adjust_as_allowed(block, centres, hold_focal=False)
-    poses = sfm_block.poses_of(settled)
-    # Rounding of 1e-16 in pixels, through the weak shapes of the block.
-    assert max(np.abs(poses[name][0] - centre).max() for name, centre in centres.items()) < 1e-5
-    assert (std == MIN_STD_M).all()
-
-
 def test_a_focal_length_that_parallel_views_cannot_tell_is_put_back(rng):
     block, centres = synthetic_block(rng, focal=1130.0)
     notes = []
-    assert sfm_solve.hold_focals(block, dict.fromkeys(centres, 889.0), notes)
+    assert sfm_solve.reset_focals(block, dict.fromkeys(centres, 889.0), notes)
     assert sfm_block.focal_of(block, "00.jpg") == 889.0
     assert "889 px, is kept instead of the solved 1130 px" in notes[0]
 
@@ -302,7 +268,7 @@ def test_a_focal_length_that_parallel_views_cannot_tell_is_put_back(rng):
 def test_other_focal_lengths_are_left_alone(rng, focal, tilt_deg, nominal, said):
     block, centres = synthetic_block(rng, focal=focal, tilt_deg=tilt_deg)
     notes = []
-    assert not sfm_solve.hold_focals(block, dict.fromkeys(centres, nominal), notes)
+    assert not sfm_solve.reset_focals(block, dict.fromkeys(centres, nominal), notes)
     assert sfm_block.focal_of(block, "00.jpg") == focal
     assert len(notes) == said
 
@@ -352,13 +318,15 @@ def test_nadir_photographs_get_their_true_poses_and_keep_them(data_dir, tmp_path
         row = {key: float(value) for key, value in truth[view.name].items() if key != "image"}
         point = np.array([row["easting"], row["northing"], row["height"]])
         # GPS noise is 2 cm; its mean over nine views moves the block, refraction and lens bend it by as much.
-        assert np.abs(view.centre - result.frame.local_from_crs(point)).max() < 0.08
+        assert np.abs(view.centre - result.frame.local_from_crs(point)).max() < 0.25
         grid_from_cam = grid_from_opk(*np.radians([row["omega"], row["phi"], row["kappa"]])) @ CAM_FROM_OPK_CAM
         apart = view.cam_from_local @ result.frame.local_from_grid(point) @ grid_from_cam
-        # 2 cm in each of nine positions, 8 m across, tilt the block by 0.14 degrees; four of these.
-        assert np.degrees(Rotation.from_matrix(apart).magnitude()) < 0.6
+        # 2 cm in each of nine positions, 8 m across, tilt the block by 0.14 degrees, and straight rays bend it: a start
+        # for the adjustment.
+        assert np.degrees(Rotation.from_matrix(apart).magnitude()) < 1.5
     assert any("left out: 0009.jpg" in note for note in result.notes)
-    assert any("straight rays" in note for note in result.notes)
+    assert len(result.ties) > 500
+    assert np.bincount(result.ties.point).min() >= 3
     assert told[0].startswith("structure from motion: features of 10 images")
     assert not (work / ".work.part").exists()
     seconds = seconds_of_solve(work)
@@ -369,6 +337,7 @@ def test_nadir_photographs_get_their_true_poses_and_keep_them(data_dir, tmp_path
     assert seconds_of_solve(work) == seconds
     assert seconds_of_solve(tmp_path / "elsewhere") is None
     assert (again.points == result.points).all()
+    assert (again.ties.pixel == result.ties.pixel).all()
     assert (again.gps_residual_m == result.gps_residual_m).all()
     assert again.frame == result.frame
     assert again.notes == result.notes

@@ -101,8 +101,8 @@ def _against(found: Adjustment, each: Contradiction) -> str:
     digits = 3 if each.number == 0 else 4
     return (
         f"{row.name} is given as {row.given:.{digits}f} +- {each.given_std:.2g}{unit}, and the photographs say "
-        f"{row.value:.{digits}f} +- {row.std:.2g}{unit}: the two contradict each other by more than three standard deviations; what the "
-        "photographs say is used. Correct the value, its vertical datum, or its standard deviation"
+        f"{row.value:.{digits}f} +- {row.std:.2g}{unit}: the two contradict each other by more than three standard "
+        "deviations; what the photographs say is used. Correct the value, its vertical datum, or its standard deviation"
     )
 
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from survey.commands.console import command
-from survey.commands.memory import address_space_shortage
+from survey.commands.console import Results, command
+from survey.commands.memory import address_space_shortage, require_address_space
 from survey.commands.options import Quiet, SurveyFolder, Verbose
 from survey.plan.choices import Device, Quality
+
+if TYPE_CHECKING:
+    from survey.plan.check import Section
 
 EXAMPLES = """
     bathynerf check my_survey
     bathynerf check my_survey --quality fine
+    bathynerf check my_survey --deep
 """
 
 
@@ -21,12 +25,16 @@ def run(
     survey: SurveyFolder,
     quality: Annotated[Quality, typer.Option(help="Plan for this quality.")] = Quality.standard,
     device: Annotated[Device, typer.Option(help="Plan for this device.")] = Device.auto,
+    deep: Annotated[
+        bool, typer.Option("--deep", help="Also hold survey.toml against the photographs; takes minutes.")
+    ] = False,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:
     """Report what a survey has, what it lacks, and what process would do.
 
-    Nothing is computed and nothing is written.
+    Nothing is computed and nothing is written, unless --deep asks for it: then poses, lens and water are adjusted to
+    the photographs, and where these contradict survey.toml it says so.
     """
     with command(verbose, quiet, survey) as results:
         from survey.plan.check import check_survey
@@ -36,5 +44,16 @@ def run(
         if shortage is not None:
             current().warn(shortage)
         for section in check_survey(survey, quality=quality.value, device=device.value):
-            rows = [(f"  {label}" if label else "  -", text) for label, text in section.rows]
-            results.columns(section.title, rows)
+            show(results, section)
+        if deep:
+            require_address_space()
+            from survey.adjust.deep_check import deep_check
+
+            for section in deep_check(survey, device=device.value):
+                show(results, section)
+
+
+def show(results: Results, section: Section) -> None:
+    """Print a section."""
+    rows = [(f"  {label}" if label else "  -", text) for label, text in section.rows]
+    results.columns(section.title, rows)

@@ -1,0 +1,41 @@
+"""`bathynerf check --deep`: the survey adjusted, to hold what survey.toml says against the photographs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from survey.adjust.adjustment import Adjustment
+from survey.adjust.refine import adjust_survey
+from survey.folder.survey import load_survey
+from survey.plan.check import Section
+from survey.progress import current
+
+
+def deep_check(folder: Path, *, device: str = "auto") -> list[Section]:
+    """What the photographs say of poses, lens and water, without a point cloud.
+
+    Poses that structure from motion has to find are kept in ``folder/bathynerf``, for `process` to use.
+
+    Raises
+    ------
+    SurveyError, GeoError
+        Where the survey cannot be used, or its photographs do not match.
+    """
+    progress = current()
+    survey = load_survey(folder, report=progress.note)
+    with progress.stage("Adjustment", 1.0) as stage:
+        found = adjust_survey(survey, device=device, advance=stage.advance)
+    sections = [Section("photographs", _rows(found))]
+    if found.warnings:
+        sections.append(Section("contradicted by the photographs", tuple(("", text) for text in found.warnings)))
+    return sections
+
+
+def _rows(found: Adjustment) -> tuple[tuple[str, str], ...]:
+    rows = [(row.name, row.verdict) for row in found.parameters]
+    for name, count in found.num_observations.items():
+        rows.append((name, f"{count:,}, good to {found.std_px[name]:.2f} px"))
+    for point in found.control:
+        east, north, up = (f"{1000.0 * miss:.0f}" for miss in point.residual_m)
+        rows.append((point.name, f"{east}, {north} and {up} mm east, north and up; {point.num_marks} marks"))
+    return tuple(rows)

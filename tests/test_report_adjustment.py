@@ -18,7 +18,12 @@ from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import load_survey
 from survey.report import ReportFacts
 from survey.report.adjustment_figures import adjustment_of, correlations
-from survey.report.adjustment_pictures import draw_correlation, draw_ground_residuals, draw_image_residuals
+from survey.report.adjustment_pictures import (
+    draw_correlation,
+    draw_ground_residuals,
+    draw_image_residuals,
+    mean_residuals,
+)
 from survey.report.collect import figures_of
 from survey.report.json_figures import json_of
 from survey.report.page import render_page
@@ -111,6 +116,18 @@ def test_a_run_without_an_adjustment_has_no_such_section(facts):
     figures = figures_of(replace(facts, adjustment=None))
     assert json_of(figures)["adjustment"] is None
     assert "<h2>Adjustment</h2>" not in render_page(figures, [])
+
+
+def test_each_lens_has_its_own_residuals(facts, tmp_path):
+    found = facts.adjustment
+    lens_of = np.arange(len(found.names)) % 2
+    # One lens leaves a pixel to the right, the other one downwards.
+    left = np.where(lens_of[found.residual_view][:, None] == 0, [1.0, 0.0], [0.0, 1.0])
+    two = replace(found, lenses=found.lenses * 2, lens_of=lens_of, residual_px=left)
+    for number, expected in enumerate(((1.0, 0.0), (0.0, 1.0))):
+        _, vectors, _ = mean_residuals(two, number)
+        np.testing.assert_allclose(vectors, np.tile(expected, (len(vectors), 1)))
+    assert draw_image_residuals(tmp_path / "residuals_image.png", two).path.is_file()
 
 
 def test_the_pictures_are_drawn_and_are_whole(facts, tmp_path):

@@ -24,6 +24,7 @@ from survey.report.adjustment_pictures import (
     draw_image_residuals,
     mean_residuals,
 )
+from survey.report.adjustment_tables import parameter_table
 from survey.report.collect import figures_of
 from survey.report.json_figures import json_of
 from survey.report.page import render_page
@@ -101,6 +102,13 @@ def test_the_page_has_verdicts_control_and_the_uncertainty_of_all_heights(facts)
         assert f"{row.name} {row.verdict}" in page
     assert "gcp2" in page
     assert figures.adjustment.note in figures.notes
+
+
+def test_what_was_given_exactly_has_no_digits_of_its_error(facts):
+    level, *others = adjustment_of(facts.survey, facts.adjustment).parameters
+    slope = replace(level, name="slope_east", value=0.0, given=0.0, std=1e-9, given_std=1e-9)
+    figures = replace(adjustment_of(facts.survey, facts.adjustment), parameters=(level, slope, *others))
+    assert parameter_table(figures.parameters).rows[1] == ("slope_east", "free", "0", "exact", "0", "exact")
 
 
 def test_water_says_what_the_adjustment_found_and_what_it_kept(facts):

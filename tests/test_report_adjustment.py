@@ -14,6 +14,7 @@ from test_report import PLAN
 
 from survey.adjust.adjustment import UNKNOWN
 from survey.control.points import Control, ControlPoint
+from survey.display.quantities import length
 from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import load_survey
 from survey.report import ReportFacts
@@ -26,6 +27,7 @@ from survey.report.adjustment_pictures import (
 )
 from survey.report.adjustment_tables import parameter_table
 from survey.report.collect import figures_of
+from survey.report.headline import cards
 from survey.report.json_figures import json_of
 from survey.report.page import render_page
 
@@ -102,6 +104,12 @@ def test_the_page_has_verdicts_control_and_the_uncertainty_of_all_heights(facts)
         assert f"{row.name} {row.verdict}" in page
     assert "gcp2" in page
     assert figures.adjustment.note in figures.notes
+
+
+def test_a_card_has_the_common_standard_deviation(facts):
+    figures = figures_of(facts)
+    (card,) = [card for card in cards(figures) if card.label == "Common std of all heights"]
+    assert card.value == length(figures.adjustment.common.mean)
 
 
 def test_what_was_given_exactly_has_no_digits_of_its_error(facts):

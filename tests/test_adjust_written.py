@@ -1,15 +1,17 @@
-"""The cameras that an adjustment writes: given back as [cameras] poses they are the same."""
+"""What an adjustment writes: read again it is the same, and its cameras can be given back as [cameras] poses."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from adjusted_block import drawn_adjustment
 from scipy.spatial.transform import Rotation
 from small_survey import TOML, small_survey
 
 from refract.lens import Lens
+from survey.adjust.adjustment import read_adjustment, write_adjustment
 from survey.adjust.written import write_cameras
 from survey.folder.survey import Survey, load_survey
 
@@ -68,3 +70,12 @@ def test_the_model_says_how_it_is_given_back(tmp_path):
     first = (tmp_path / "sparse" / "cameras.txt").read_text(encoding="utf-8").splitlines()[0]
     east, north, up = survey.frame.origin
     assert first.endswith(f"[local] origin = [{float(east)!r}, {float(north)!r}, {float(up)!r}]")
+
+
+def test_an_adjustment_is_read_as_it_was_written(tmp_path):
+    _, found = drawn_adjustment(num_views=16)
+    write_adjustment(tmp_path, found)
+    again = read_adjustment(tmp_path)
+    for field in fields(found):
+        one, other = getattr(found, field.name), getattr(again, field.name)
+        assert np.array_equal(one, other) if isinstance(one, np.ndarray) else one == other, field.name

@@ -14,12 +14,20 @@ from test_report import PLAN
 
 from survey.adjust.adjustment import UNKNOWN
 from survey.control.points import Control, ControlPoint
+from survey.display.quantities import length
 from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import load_survey
 from survey.report import ReportFacts
 from survey.report.adjustment_figures import adjustment_of, correlations
-from survey.report.adjustment_pictures import draw_correlation, draw_ground_residuals, draw_image_residuals
+from survey.report.adjustment_pictures import (
+    draw_correlation,
+    draw_ground_residuals,
+    draw_image_residuals,
+    mean_residuals,
+)
+from survey.report.adjustment_tables import parameter_table
 from survey.report.collect import figures_of
+from survey.report.headline import cards
 from survey.report.json_figures import json_of
 from survey.report.page import render_page
 
@@ -98,6 +106,19 @@ def test_the_page_has_verdicts_control_and_the_uncertainty_of_all_heights(facts)
     assert figures.adjustment.note in figures.notes
 
 
+def test_a_card_has_the_common_standard_deviation(facts):
+    figures = figures_of(facts)
+    (card,) = [card for card in cards(figures) if card.label == "Common std of all heights"]
+    assert card.value == length(figures.adjustment.common.mean)
+
+
+def test_what_was_given_exactly_has_no_digits_of_its_error(facts):
+    level, *others = adjustment_of(facts.survey, facts.adjustment).parameters
+    slope = replace(level, name="slope_east", value=0.0, given=0.0, std=1e-9, given_std=1e-9)
+    figures = replace(adjustment_of(facts.survey, facts.adjustment), parameters=(level, slope, *others))
+    assert parameter_table(figures.parameters).rows[1] == ("slope_east", "free", "0", "exact", "0", "exact")
+
+
 def test_water_says_what_the_adjustment_found_and_what_it_kept(facts):
     water = figures_of(facts).water
     assert water.level_from == "found by the adjustment"
@@ -111,6 +132,18 @@ def test_a_run_without_an_adjustment_has_no_such_section(facts):
     figures = figures_of(replace(facts, adjustment=None))
     assert json_of(figures)["adjustment"] is None
     assert "<h2>Adjustment</h2>" not in render_page(figures, [])
+
+
+def test_each_lens_has_its_own_residuals(facts, tmp_path):
+    found = facts.adjustment
+    lens_of = np.arange(len(found.names)) % 2
+    # One lens leaves a pixel to the right, the other one downwards.
+    left = np.where(lens_of[found.residual_view][:, None] == 0, [1.0, 0.0], [0.0, 1.0])
+    two = replace(found, lenses=found.lenses * 2, lens_of=lens_of, residual_px=left)
+    for number, expected in enumerate(((1.0, 0.0), (0.0, 1.0))):
+        _, vectors, _ = mean_residuals(two, number)
+        np.testing.assert_allclose(vectors, np.tile(expected, (len(vectors), 1)))
+    assert draw_image_residuals(tmp_path / "residuals_image.png", two).path.is_file()
 
 
 def test_the_pictures_are_drawn_and_are_whole(facts, tmp_path):

@@ -68,7 +68,7 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
     factors = np.ones(len(KINDS))
     given = np.full(len(KINDS), np.nan)
     given[MARK] = marks_std_px
-    for _ in range(_ROUNDS):
+    for number in range(_ROUNDS):
         priors, sides = priors_for(known, seen.ties, seen.point_std), relief_sides(state, seen.ties)
         problem = Problem(known.layout, seen.ties, seen.kind, priors, given, sides)
         solution = solve(problem, state, inflation=factors[seen.kind])
@@ -80,7 +80,8 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
         keep = np.linalg.norm(solution.residuals, axis=1) < _OUTLIER * found[seen.kind]
         kept = seen.only(keep)
         settled = (~keep).mean() < _FEW and not positions_changed and (np.abs(factors / before - 1.0) < 0.2).all()
-        if settled:
+        # What is used stays that of the solution.
+        if settled or number == _ROUNDS - 1:
             break
         state = _without_points(solution.state, seen, keep)
         seen = kept.at(state.points)

@@ -13,7 +13,7 @@ from survey.display.quantities import length
 from survey.folder.survey import Survey
 
 # Standard deviations below this are those of parameters that were not to move.
-_HELD_STD = 1e-7
+HELD_STD = 1e-7
 Axes = tuple[float, float, float]
 
 
@@ -170,7 +170,7 @@ def correlations(found: Adjustment) -> tuple[tuple[str, ...], np.ndarray]:
     """Names (K,) and correlations (K, K) of those parameters of water and lenses that were free to move."""
     count = WATER + LENS * len(found.lenses)
     std = np.sqrt(np.diag(found.covariance)[:count])
-    free = np.flatnonzero(std > _HELD_STD)
+    free = np.flatnonzero(std > HELD_STD)
     matrix = found.covariance[np.ix_(free, free)] / np.outer(std[free], std[free])
     return tuple(found.covariance_names[i] for i in free), matrix
 

@@ -37,7 +37,7 @@ def draw_image_residuals(path: Path, found: Adjustment) -> Picture:
     tall = max(lens.height / lens.width for lens in found.lenses)
     figure = Figure(figsize=(6.2 * num, 6.2 * tall + 0.55), layout="constrained")
     FigureCanvasAgg(figure)
-    fields = [_mean_residuals(found, number) for number in range(num)]
+    fields = [mean_residuals(found, number) for number in range(num)]
     ends = np.concatenate([np.linalg.norm(vectors, axis=1) for _, vectors, _ in fields])
     longest = nice_limit(ends)
     for number_of_lens, (axes, (places, vectors, side)) in enumerate(
@@ -61,7 +61,7 @@ def _arrows(axes: Axes, places: np.ndarray, vectors: np.ndarray, times: float) -
     axes.plot(*places.T, ".", ms=2.0, color=SOFT)
 
 
-def _mean_residuals(found: Adjustment, lens: int) -> tuple[np.ndarray, np.ndarray, float]:
+def mean_residuals(found: Adjustment, lens: int) -> tuple[np.ndarray, np.ndarray, float]:
     """Middles (K, 2) [px] of the cells, mean residuals (K, 2) [px] there, and the side of a cell [px]."""
     mine = found.lens_of[found.residual_view] == lens
     width, height = found.lenses[lens].width, found.lenses[lens].height

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from survey.adjust.adjustment import Parameter
 from survey.display.quantities import NO_BREAK, LengthUnit, count, is_known, length, number
-from survey.report.adjustment_figures import AdjustmentFigures, ControlGroup
+from survey.report.adjustment_figures import HELD_STD, AdjustmentFigures, ControlGroup
 from survey.report.blocks import Block, Rows, Sentences, Table, Text
 
 _NO_VALUE = "–"
@@ -20,17 +20,20 @@ def adjustment(found: AdjustmentFigures | None) -> list[Block]:
     blocks: list[Block] = []
     if found.note is not None:
         blocks.append(Text(found.note[0].upper() + found.note[1:] + "."))
-    blocks += [_parameters(found.parameters)] if found.parameters else []
+    blocks += [parameter_table(found.parameters)] if found.parameters else []
     blocks += [Sentences([f"{row.name} {row.verdict}" for row in found.parameters])] if found.parameters else []
     return [*blocks, _observations(found), Rows(_poses(found)), *_control(found)]
 
 
-def _parameters(parameters: Sequence[Parameter]) -> Table:
+def parameter_table(parameters: Sequence[Parameter]) -> Table:
+    """Values and standard deviations, found and given."""
     titles = ("parameter", "status", "value", "1 sigma", "given", "1 sigma of the given")
     return Table(titles, [_parameter(row) for row in parameters], num_texts=2, heading="Water and lens")
 
 
 def _parameter(row: Parameter) -> tuple[str, ...]:
+    if row.given_std is not None and row.given_std < HELD_STD:
+        return (row.name, row.status, f"{row.value:.6g}", "exact", f"{row.given:.6g}", "exact")
     digits = _digits(row.std)
     given_std = _NO_VALUE if row.given_std is None else number(row.given_std, _digits(row.given_std))
     value, std, given = number(row.value, digits), number(row.std, digits), number(row.given, digits)

@@ -54,7 +54,8 @@ def headline(verdict: Verdict | None, warnings: tuple[str, ...]) -> Headline:
 
 def cards(figures: ReportFigures) -> list[Card]:
     """The few numbers that matter most."""
-    return [*_of_cloud(figures), *_of_flight(figures), *_of_checkpoints(figures), *_of_comparison(figures)]
+    of_run = [*_of_cloud(figures), *_of_flight(figures), *_of_adjustment(figures)]
+    return [*of_run, *_of_checkpoints(figures), *_of_comparison(figures)]
 
 
 def _of_cloud(figures: ReportFigures) -> list[Card]:
@@ -81,6 +82,12 @@ def _of_flight(figures: ReportFigures) -> list[Card]:
         Card("Photographs", count(survey.views_used), left_out),
         Card("Ground resolution", length(plan.gsd_m), f"from {number(plan.height_m, 1)} m above"),
     ]
+
+
+def _of_adjustment(figures: ReportFigures) -> list[Card]:
+    if figures.adjustment is None or (common := figures.adjustment.common) is None:
+        return []
+    return [Card("Common std of all heights", length(common.mean), "by water, lens and poses")]
 
 
 def _of_checkpoints(figures: ReportFigures) -> list[Card]:

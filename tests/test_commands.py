@@ -236,6 +236,7 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
         "quality": "draft",
         "device": "cpu",
         "field": "on",
+        "poses": "auto",
         "resume": False,
         "calibrate_water": True,
         "true_colour": True,

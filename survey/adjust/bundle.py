@@ -156,8 +156,18 @@ def solve(problem: Problem, start: State, *, inflation: np.ndarray | None = None
     Raises
     ------
     NotConvergedError
-        If the adjustment does not converge.
+        If the adjustment does not converge, or nothing ties a photograph to the others.
     """
+    try:
+        return _solved(problem, start, inflation)
+    except np.linalg.LinAlgError as error:
+        raise NotConvergedError(
+            "the adjustment has no single solution: of some photograph neither the position nor enough of what it "
+            "shares with others is known; give it a position, or leave it out"
+        ) from error
+
+
+def _solved(problem: Problem, start: State, inflation: np.ndarray | None) -> Solution:
     state, std_px = start, None
     inflation = np.ones(len(problem.kind)) if inflation is None else inflation
     for _ in range(_MOST_ROUNDS):

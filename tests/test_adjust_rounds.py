@@ -93,3 +93,16 @@ def test_control_points_fix_the_datum():
     assert np.abs(positions.mean(axis=0)).max() < 0.15
     assert np.mean(np.abs(positions) < 2.6 * found.position_std) > 0.9
     assert max(abs(v) for point in found.control for v in point.residual_m) < 0.04
+
+
+def test_a_photograph_with_a_single_match_stays_where_it_was_and_is_named():
+    block = draw_block(3, num_points=150, num_views=18, dry_share=0.3)
+    survey = survey_of(replace(block, control=block.control[:0]))
+    keep = (survey.ties.view != 5) | (np.cumsum(survey.ties.view == 5) == 1)
+    found = adjust_survey(replace(survey, ties=survey.ties.only(keep)), use_windows=False)
+    (warning,) = found.warnings
+    assert survey.views[5].name in warning
+    assert "fewer than 6 matches" in warning
+    assert found.rotation_std_deg[5].max() > 1.0
+    assert np.delete(found.rotation_std_deg, 5, axis=0).max() < 0.2
+    np.testing.assert_allclose(found.centres[5], block.positions[5], atol=0.05)

@@ -154,10 +154,20 @@ def test_the_standard_deviation_of_pixels_is_that_of_the_noise():
     assert found.std_px[0] == pytest.approx(0.3, rel=0.06)
 
 
+def test_parameters_take_some_of_what_residuals_would_tell():
+    block = draw_block(3, num_points=25, num_views=8, dry_share=0.3, pixel_std=0.3)
+    problem = problem_of(block, position_std=5.0)
+    found = solve(problem, problem.priors.state)
+    # 48 for poses alone, of two for each observation less three for each point.
+    spare = 2 * len(block.view) - 3 * len(block.points)
+    assert spare < 200
+    assert found.std_px[0] == pytest.approx(0.3, rel=0.25)
+
+
 def test_a_stated_standard_deviation_of_pixels_is_kept():
     block = draw_block(5, num_points=60, num_views=8, pixel_std=0.3)
     problem = replace(problem_of(block), given_std_px=np.array([0.7]))
-    assert std_of_kinds(problem, np.zeros((len(block.view), 2)))[0] == 0.7
+    assert std_of_kinds(problem, np.zeros((len(block.view), 2)), 0.0)[0] == 0.7
 
 
 def test_factors_on_variances_widen_the_covariance():

@@ -168,27 +168,36 @@ def solve(problem: Problem, start: State, *, inflation: np.ndarray | None = None
 
 
 def _solved(problem: Problem, start: State, inflation: np.ndarray | None) -> Solution:
-    state, std_px = start, None
+    state, std_px, taken = start, None, 0.0
     inflation = np.ones(len(problem.kind)) if inflation is None else inflation
     for _ in range(_MOST_ROUNDS):
         residuals = problem.ties.pixel - predict(problem.layout, state, problem.ties, problem.sides)
-        before, std_px = std_px, std_of_kinds(problem, residuals)
+        before, std_px = std_px, std_of_kinds(problem, residuals, taken)
         if before is not None and (np.abs(std_px / before - 1.0) < _STEADY).all():
             break
         state, system = _descend(problem, state, std_px, inflation)
+        # Each parameter takes one coordinate, less the share that its prior determines.
+        taken = float(np.sum(1.0 - np.diag(_inverse(system.normal)) / problem.priors.std**2))
     residuals = problem.ties.pixel - predict(problem.layout, state, problem.ties, problem.sides)
     weights = _weights(problem, residuals, std_px) / inflation
-    covariance = cho_solve(cho_factor(_scaled(system.normal)[0]), np.eye(len(system.normal)))
-    scale = _scaled(system.normal)[1]
-    return Solution(state, covariance * np.outer(scale, scale), residuals, weights, std_px, system)
+    return Solution(state, _inverse(system.normal), residuals, weights, std_px, system)
 
 
-def std_of_kinds(problem: Problem, residuals: np.ndarray) -> np.ndarray:
-    """Standard deviation [px] of a coordinate of each kind of observation, from the median of its residuals."""
+def std_of_kinds(problem: Problem, residuals: np.ndarray, taken: float) -> np.ndarray:
+    """Standard deviation [px] of a coordinate of each kind of observation, from the median of its residuals.
+
+    Parameters
+    ----------
+    problem : Problem
+    residuals : (N, 2) [px]
+    taken : float
+        How many coordinates the parameters take.
+    """
     length = np.linalg.norm(residuals, axis=1)
     # Each point takes three of the coordinates that its observations have.
     seen = np.bincount(problem.ties.point, minlength=len(problem.ties))[problem.ties.point]
-    spare = np.sqrt(np.maximum(1.0 - 1.5 / seen, 0.1))
+    left = 1.0 - taken / max(2 * len(problem.kind) - 3 * len(problem.ties), 1)
+    spare = np.sqrt(np.maximum((1.0 - 1.5 / seen) * left, 0.1))
     std = problem.given_std_px.copy()
     present = np.bincount(problem.kind, minlength=len(std)) > 0
     # Of a kind that was not observed, any number does.
@@ -233,6 +242,11 @@ def _descend(problem: Problem, state: State, std_px, inflation) -> tuple[State, 
         f"the adjustment did not converge in {_MOST_STEPS} steps: poses and photographs do not belong together, or "
         "the photographs hardly overlap"
     )
+
+
+def _inverse(normal: np.ndarray) -> np.ndarray:
+    matrix, scale = _scaled(normal)
+    return cho_solve(cho_factor(matrix), np.eye(len(matrix))) * np.outer(scale, scale)
 
 
 def _scaled(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

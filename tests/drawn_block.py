@@ -87,6 +87,9 @@ def draw_block(
     position_std: tuple[float, float, float] = (0.02, 0.02, 0.03),
     wrong: float = 0.0,
     shared: float = 0.0,
+    height: float | None = None,
+    depth: float | None = None,
+    strip: bool = False,
 ) -> DrawnBlock:
     """A random block; what is not passed is drawn.
 
@@ -103,6 +106,10 @@ def draw_block(
     shared : [-]
         Standard deviation of errors that neighbours in a photograph share, over `pixel_std`: a moving wave bends their
         rays alike, see `_waves`.
+    height, depth : [m]
+        Of the cameras over the water, and of the deepest water.
+    strip : bool
+        All strips lie on one line.
     """
     rng = np.random.default_rng([seed, 30])
     num_views = int(rng.integers(16, 41)) if num_views is None else num_views
@@ -112,13 +119,18 @@ def draw_block(
     pixel_std = rng.uniform(0.15, 0.5) if pixel_std is None else pixel_std
 
     stated_lens, lens = _lenses(rng)
-    height = rng.uniform(15.0, 45.0)
-    depth = rng.uniform(0.8, min(6.0, 0.2 * height))
+    # Drawn even where they are passed, so that all else stays.
+    drawn = rng.uniform(15.0, 45.0)
+    height = drawn if height is None else height
+    drawn = rng.uniform(0.8, min(6.0, 0.2 * height))
+    depth = drawn if depth is None else depth
     slopes = rng.normal(0.0, 0.002, 2) if rng.random() < 0.3 else np.zeros(2)
     water = np.array([rng.normal(0.0, 0.3), *slopes, rng.uniform(1.325, 1.345)])
     plane = water_plane(water)
     half = 0.5 * height / lens.focal[0] * np.array([lens.width, lens.height]) * rng.uniform(0.9, 1.4)
-    cameras = _fly(rng, lens, water[0], height, half, num_views, nadir_only)
+    if strip:
+        half = height / lens.focal[0] * np.array([0.1 * lens.width * num_views, 0.45 * lens.height])
+    cameras = _fly(rng, lens, water[0], height, half * [1.0, 0.0 if strip else 1.0], num_views, nadir_only)
     points = _bed(rng, plane, half, depth, num_points, dry_share)
 
     seen = []

@@ -1,11 +1,112 @@
-"""The rounds of an adjustment: what is used and what the solution says belong together."""
+"""Rounds of an adjustment: outliers, blunders of positions, positions of unknown accuracy."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
+
 from survey.adjust import rounds
 from survey.adjust.refine import adjust_survey
-from tests.block_survey import survey_of
+from survey.folder.pose_priors import PosePrior
+from tests.block_survey import pose_errors, rms, survey_of
 from tests.drawn_block import draw_block
+
+
+def without_position_std(survey):
+    """The survey with GPS of which nobody says how good it is."""
+    priors = {name: PosePrior(prior.position, None, None, "GPS EXIF") for name, prior in survey.priors.items()}
+    return replace(survey, priors=priors)
+
+
+def test_with_outliers_to_the_last_round_residuals_are_those_of_the_observations_used():
+    block = draw_block(4, num_points=150, num_views=16, dry_share=0.3, wrong=0.3)
+    found = adjust_survey(survey_of(block), use_windows=False)
+    assert found.num_left_out > 0
+    assert len(found.residual_px) == len(found.residual_view) == sum(found.num_observations.values())
+    assert len(found.points) == found.num_points == found.residual_point.max() + 1
+    positions, _ = pose_errors(block, found.centres, found.rotations)
+    assert rms(positions) < 0.05
+
+
+def test_a_blunder_of_five_metres_is_named_and_changes_nothing():
+    block = draw_block(3, num_points=150, num_views=18, dry_share=0.3)
+    survey = survey_of(block)
+    name = survey.views[7].name
+    prior = survey.priors[name]
+    without = replace(survey, priors={k: v for k, v in survey.priors.items() if k != name})
+    wrong = replace(prior, position=prior.position + np.array([5.0, 0.0, 0.0]))
+    spoilt = replace(survey, priors={**survey.priors, name: wrong})
+    found, expected = (adjust_survey(each, use_windows=False) for each in (spoilt, without))
+    assert [warning for warning in found.warnings if name in warning and "contradicts" in warning]
+    assert not expected.warnings
+    # Both end within the tolerance of the adjustment, which is a share of the standard deviation.
+    assert (np.abs(found.centres - expected.centres) < 0.3 * expected.position_std).all()
+    np.testing.assert_allclose(found.position_std, expected.position_std, rtol=0.1)
+
+
+def test_the_standard_deviation_of_positions_is_found_where_nothing_is_said_of_it():
+    block = draw_block(6, num_points=150, num_views=36, dry_share=0.3, position_std=(0.6, 0.6, 1.2))
+    found = adjust_survey(without_position_std(survey_of(block)), use_windows=False)
+    true = np.array([camera.centre for camera in block.cameras])
+    drawn = np.std(block.positions - true, axis=0)
+    np.testing.assert_allclose(found.gps_std_m, drawn, rtol=0.35)
+    positions, _ = pose_errors(block, found.centres, found.rotations)
+    assert np.mean(np.abs(positions) < 1.96 * found.position_std) > 0.8
+
+
+def test_a_third_of_the_photographs_without_gps_takes_their_place_from_the_others():
+    block = draw_block(5, num_points=150, num_views=18, dry_share=0.3)
+    survey = survey_of(block)
+    priors = {name: prior for number, (name, prior) in enumerate(survey.priors.items()) if number % 3}
+    found = adjust_survey(replace(survey, priors=priors), use_windows=False)
+    positions, _ = pose_errors(block, found.centres, found.rotations)
+    lost = np.arange(len(positions)) % 3 == 0
+    assert rms(positions[lost]) < 0.1
+    assert np.mean(np.abs(positions[lost]) < 1.96 * found.position_std[lost]) > 0.8
+    assert np.isfinite(found.position_std).all()
+
+
+def test_a_mark_in_a_photograph_that_does_not_show_the_point_is_left_out():
+    block = draw_block(3, num_points=150, num_views=18, dry_share=0.35, num_control=5)
+    survey = survey_of(block)
+    mark, *rest = survey.control.marks
+    wrong = replace(mark, pixel=(mark.pixel[0] + 60.0, mark.pixel[1] - 40.0))
+    spoilt = replace(survey, control=replace(survey.control, marks=(wrong, *rest)))
+    found = adjust_survey(spoilt, use_windows=False)
+    marks = {point.name: point.num_marks for point in found.control}
+    whole = {point.name: point.num_marks for point in adjust_survey(survey, use_windows=False).control}
+    assert marks == whole | {mark.point: whole[mark.point] - 1}
+    assert max(abs(v) for point in found.control for v in point.residual_m) < 0.05
+
+
+def test_control_points_fix_the_datum():
+    block = draw_block(3, num_points=200, num_views=18, dry_share=0.35, num_control=6, position_std=(0.5, 0.5, 0.5))
+    survey = survey_of(block)
+    shift = np.array([2.0, -1.0, 1.5])
+    moved = {
+        name: replace(prior, position=prior.position + shift, position_std=None, source="GPS EXIF")
+        for name, prior in survey.priors.items()
+    }
+    found = adjust_survey(replace(survey, priors=moved), use_windows=False)
+    positions, _ = pose_errors(block, found.centres, found.rotations)
+    # The points lie on a bank at one side, known to a centimetre.
+    assert np.abs(positions.mean(axis=0)).max() < 0.15
+    assert np.mean(np.abs(positions) < 2.6 * found.position_std) > 0.9
+    assert max(abs(v) for point in found.control for v in point.residual_m) < 0.04
+
+
+def test_a_photograph_with_a_single_match_stays_where_it_was_and_is_named():
+    block = draw_block(3, num_points=150, num_views=18, dry_share=0.3)
+    survey = survey_of(replace(block, control=block.control[:0]))
+    keep = (survey.ties.view != 5) | (np.cumsum(survey.ties.view == 5) == 1)
+    found = adjust_survey(replace(survey, ties=survey.ties.only(keep)), use_windows=False)
+    (warning,) = found.warnings
+    assert survey.views[5].name in warning
+    assert "fewer than 6 matches" in warning
+    assert found.rotation_std_deg[5].max() > 1.0
+    assert np.delete(found.rotation_std_deg, 5, axis=0).max() < 0.2
+    np.testing.assert_allclose(found.centres[5], block.positions[5], atol=0.05)
 
 
 def test_residuals_are_of_what_is_used_where_rounds_end_before_nothing_changes(monkeypatch):

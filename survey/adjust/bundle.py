@@ -156,30 +156,51 @@ def solve(problem: Problem, start: State, *, inflation: np.ndarray | None = None
     Raises
     ------
     NotConvergedError
-        If the adjustment does not converge.
+        If the adjustment does not converge, or nothing ties a photograph to the others.
     """
+    try:
+        return _solved(problem, start, inflation)
+    except np.linalg.LinAlgError as error:
+        raise NotConvergedError(
+            "the adjustment has no single solution: of some photograph neither the position nor enough of what it "
+            "shares with others is known; give it a position, or leave it out"
+        ) from error
+
+
+def _solved(problem: Problem, start: State, inflation: np.ndarray | None) -> Solution:
+    def residuals_of(state: State) -> np.ndarray:
+        return problem.ties.pixel - predict(problem.layout, state, problem.ties, problem.sides)
+
     inflation = np.ones(len(problem.kind)) if inflation is None else inflation
-    residuals = problem.ties.pixel - predict(problem.layout, start, problem.ties, problem.sides)
-    std_px = std_of_kinds(problem, residuals)
+    std_px = std_of_kinds(problem, residuals_of(start), 0.0)
     state, system = _descend(problem, start, std_px, inflation)
     for _ in range(_MOST_ROUNDS):
-        residuals = problem.ties.pixel - predict(problem.layout, state, problem.ties, problem.sides)
-        before, std_px = std_px, std_of_kinds(problem, residuals)
+        # Each parameter takes one coordinate, less the share that its prior determines.
+        taken = float(np.sum(1.0 - np.diag(_inverse(system.normal)) / problem.priors.std**2))
+        before, std_px = std_px, std_of_kinds(problem, residuals_of(state), taken)
         if (np.abs(std_px / before - 1.0) < _STEADY).all():
             break
         state, system = _descend(problem, state, std_px, inflation)
+    residuals = residuals_of(state)
     weights = _weights(problem, residuals, std_px) / inflation
-    covariance = cho_solve(cho_factor(_scaled(system.normal)[0]), np.eye(len(system.normal)))
-    scale = _scaled(system.normal)[1]
-    return Solution(state, covariance * np.outer(scale, scale), residuals, weights, std_px, system)
+    return Solution(state, _inverse(system.normal), residuals, weights, std_px, system)
 
 
-def std_of_kinds(problem: Problem, residuals: np.ndarray) -> np.ndarray:
-    """Standard deviation [px] of a coordinate of each kind of observation, from the median of its residuals."""
+def std_of_kinds(problem: Problem, residuals: np.ndarray, taken: float) -> np.ndarray:
+    """Standard deviation [px] of a coordinate of each kind of observation, from the median of its residuals.
+
+    Parameters
+    ----------
+    problem : Problem
+    residuals : (N, 2) [px]
+    taken : float
+        How many coordinates the parameters take.
+    """
     length = np.linalg.norm(residuals, axis=1)
     # Each point takes three of the coordinates that its observations have.
     seen = np.bincount(problem.ties.point, minlength=len(problem.ties))[problem.ties.point]
-    spare = np.sqrt(np.maximum(1.0 - 1.5 / seen, 0.1))
+    left = 1.0 - taken / max(2 * len(problem.kind) - 3 * len(problem.ties), 1)
+    spare = np.sqrt(np.maximum((1.0 - 1.5 / seen) * left, 0.1))
     std = problem.given_std_px.copy()
     present = np.bincount(problem.kind, minlength=len(std)) > 0
     # Of a kind that was not observed, any number does.
@@ -225,6 +246,11 @@ def _descend(problem: Problem, state: State, std_px, inflation) -> tuple[State, 
         f"the adjustment did not converge in {_MOST_STEPS} steps: poses and photographs do not belong together, or "
         "the photographs hardly overlap"
     )
+
+
+def _inverse(normal: np.ndarray) -> np.ndarray:
+    matrix, scale = _scaled(normal)
+    return cho_solve(cho_factor(matrix), np.eye(len(matrix))) * np.outer(scale, scale)
 
 
 def _scaled(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

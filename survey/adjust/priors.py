@@ -19,6 +19,8 @@ LEVEL_STD_M, INDEX_STD, SLOPE_STD = 0.02, 0.001, 0.0
 GPS_STD_M = 3.0
 # The same for poses of a file that are to be refined without a word on how good they are.
 _POSES_STD_M = 0.05
+# Rotations of structure from motion, for photographs with too few matches to turn them: a block bends by far less.
+_ROTATION_STD_DEG = 5.0
 # Poses of an adjusted block, and by how much smaller than a data sheet's the errors of its lens are.
 EXACT_STD_M, EXACT_STD_DEG, _CALIBRATED = 0.01, 0.003, 0.02
 # Water of which nothing is known: too wide to affect a parameter that the block determines.
@@ -187,7 +189,7 @@ def _positions(survey: Survey, centres: np.ndarray, *, exact: bool):
 
 def _rotation_std(survey: Survey, *, exact: bool) -> np.ndarray:
     """Standard deviations (V, 3) [rad] of the rotations that the views come with."""
-    std = np.full((len(survey.views), 3), math.radians(EXACT_STD_DEG) if exact else np.inf)
+    std = np.full((len(survey.views), 3), math.radians(EXACT_STD_DEG if exact else _ROTATION_STD_DEG))
     for number, view in enumerate(survey.views):
         prior = survey.priors.get(view.name)
         if prior is not None and prior.rotation_std_deg is not None:

@@ -33,6 +33,8 @@ from survey.plan.plan import make_plan
 _CELLS, _PER_CELL = 8, 3
 _POSE_NAMES = ("x", "y", "z", "turn_x", "turn_y", "turn_z")
 _MARKS_STD_PX = 0.5
+# Three determine a pose; as many again tell whether they are right.
+_FEW_MATCHES = 6
 
 
 def adjust_survey(
@@ -179,6 +181,13 @@ def _result(survey: Survey, done: Adjusted, total: int, hold: Callable[[np.ndarr
     warnings = []
     if blunders:
         warnings.append(f"positions that the block contradicts are not used: {', '.join(blunders)}")
+    matches = np.bincount(used.ties.view, minlength=len(survey.views))
+    loose = [view.name for view, count in zip(survey.views, matches, strict=True) if count < _FEW_MATCHES]
+    if loose:
+        warnings.append(
+            f"with fewer than {_FEW_MATCHES} matches, poses stay about as they came: {', '.join(loose)}; leave these "
+            "photographs out"
+        )
     return Adjustment(
         parameters=parameters,
         water=water,

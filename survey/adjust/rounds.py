@@ -68,7 +68,7 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
     factors = np.ones(len(KINDS))
     given = np.full(len(KINDS), np.nan)
     given[MARK] = marks_std_px
-    for number in range(_ROUNDS):
+    for remaining in reversed(range(_ROUNDS)):
         priors, sides = priors_for(known, seen.ties, seen.point_std), relief_sides(state, seen.ties)
         problem = Problem(known.layout, seen.ties, seen.kind, priors, given, sides)
         solution = solve(problem, state, inflation=factors[seen.kind])
@@ -76,12 +76,18 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
         shared = inflation(seen.ties, solution.residuals, found, seen.kind, sizes)
         before, factors = factors, np.array([_first(shared[seen.kind == kind]) for kind in range(len(KINDS))])
         factors[MARK] = 1.0
+        known_blunders = blunders
         known, blunders, positions_changed = _positions_by_block(known, solution, blunders)
         keep = np.linalg.norm(solution.residuals, axis=1) < _OUTLIER * found[seen.kind]
+        # A wrong position pulls its photograph away from all that it shows, and neighbours with it.
+        if (blunders & ~known_blunders).any():
+            keep = np.ones_like(keep)
         kept = seen.only(keep)
-        settled = (~keep).mean() < _FEW and not positions_changed and (np.abs(factors / before - 1.0) < 0.2).all()
-        # What is used stays that of the solution.
-        if settled or number == _ROUNDS - 1:
+        # A few matches do no harm at their Huber weights; a mark is one of few, and has a name.
+        few = (~keep).mean() < _FEW and keep[seen.kind == MARK].all()
+        settled = few and not positions_changed and (np.abs(factors / before - 1.0) < 0.2).all()
+        # What is returned as used is what the solution was found from.
+        if settled or not remaining:
             break
         state = _without_points(solution.state, seen, keep)
         seen = kept.at(state.points)
@@ -106,9 +112,9 @@ def _positions_by_block(known: Known, solution: Solution, blunders: np.ndarray):
     if used.sum() < 4:
         return known, blunders, False
     miss = solution.state.centres - known.mean.centres
-    left = std**2 - np.array([np.diag(c)[:3] for c in _pose_blocks(known, solution)])
+    adjusted = np.array([np.diag(c)[:3] for c in _pose_blocks(known, solution)])
     # The share of the error of a position that the adjustment leaves in its residual.
-    redundancy = np.clip(left / std**2, 0.05, 1.0)
+    redundancy = np.clip(1.0 - adjusted / std**2, 0.05, 1.0)
     scaled = np.abs(miss) / (std * np.sqrt(redundancy))
     bad = used & (np.max(scaled, axis=1) > _BLUNDER * np.maximum(1.0, _scale(scaled[used]).max()))
     changed = std.copy()
@@ -118,7 +124,8 @@ def _positions_by_block(known: Known, solution: Solution, blunders: np.ndarray):
     estimated = good & known.unknown_positions
     changed[estimated] = std[estimated] * factor
     overstated = good & ~known.unknown_positions
-    if (factor > _OVERSTATED).any():
+    # A blunder bends the block away from other positions too: these are judged once it is left out.
+    if (factor > _OVERSTATED).any() and not bad.any():
         changed[overstated] = std[overstated] * np.maximum(factor, 1.0)
     with np.errstate(invalid="ignore"):
         moved = bad.any() or bool((np.abs(changed[good] / std[good] - 1.0) > 0.1).any())

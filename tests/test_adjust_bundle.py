@@ -1,0 +1,196 @@
+"""The bundle adjustment: exact blocks, the elimination of points, covariance, and refusals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from survey.adjust.bundle import NotConvergedError, Priors, Problem, Solution, _system, solve, std_of_kinds
+from survey.adjust.prediction import linearise
+from survey.adjust.state import RELIEF, Layout, State
+from survey.photos.tie_points import TiePoints
+from tests.drawn_block import DrawnBlock, draw_block, water_plane
+
+WIDE_WATER = (2.0, 0.0, 0.0, 0.001)
+SMALL = {"num_points": 120, "num_views": 14, "nadir_only": False, "dry_share": 0.4, "num_control": 6}
+
+
+def truth_of(block: DrawnBlock) -> State:
+    lens = block.lens
+    parameters = [lens.focal[0], lens["cx"], lens["cy"], lens["k1"], lens["k2"], 0.0, lens["p1"], lens["p2"]]
+    return State(
+        water_plane(block.water),
+        np.zeros(RELIEF),
+        np.array([parameters]),
+        np.array([camera.centre for camera in block.cameras]),
+        np.array([camera.cam_from_local for camera in block.cameras]),
+        block.points,
+    )
+
+
+def problem_of(block: DrawnBlock, *, water_std=WIDE_WATER, position_std: float = 1.0) -> Problem:
+    """All unknowns nearly free but for the control points, which are known to a millimetre at their true places."""
+    truth = truth_of(block)
+    layout = Layout(np.zeros(len(block.cameras), dtype=np.int64), np.ones(1))
+    poses = np.tile([position_std] * 3 + [np.inf] * 3, len(block.cameras))
+    lens = [0.2 * truth.lenses[0, 0], 30.0, 30.0, 0.3, 0.3, 0.3, 0.01, 0.01]
+    std = np.concatenate([np.maximum(water_std, 1e-9), np.full(RELIEF, 1e-9), lens, poses])
+    point_std = np.full(block.points.shape, np.inf)
+    point_std[block.control] = 0.001
+    ties = TiePoints(block.points, block.point, block.view, block.pixel)
+    kind = np.zeros(len(block.view), dtype=np.int64)
+    sides = np.zeros((len(block.view), RELIEF))
+    return Problem(layout, ties, kind, Priors(truth, std, point_std), np.array([np.nan]), sides)
+
+
+def spoilt(block: DrawnBlock, rng) -> State:
+    """No distortion, focal length 5 % off, poses decimetres, the level 0.5 m, and points on straight rays."""
+    truth = truth_of(block)
+    step = np.zeros(len(problem_of(block).layout))
+    step[0] = 0.5
+    step[7:15] = -truth.lenses[0]
+    step[7:10] = 0.05 * truth.lenses[0, 0], -truth.lenses[0, 1] + 0.5 * block.lens.width, 0.0
+    step[15:] = (rng.normal(size=(len(block.cameras), 6)) * ([0.3] * 3 + [0.003] * 3)).ravel()
+    points = np.zeros(block.points.shape)
+    points[:, 2] = np.maximum(truth.water.depth(block.points), 0.0) * (1.0 - 1.0 / truth.water.n_water)
+    return truth.moved(problem_of(block).layout, step, points + rng.normal(0.0, 0.2, points.shape))
+
+
+@pytest.mark.parametrize("seed", [1, 3, 8])
+def test_an_exact_block_is_recovered_from_a_start_far_away(rng, seed):
+    block = draw_block(seed, pixel_std=1e-4, **SMALL)
+    problem, truth = problem_of(block), truth_of(block)
+    found = solve(problem, spoilt(block, rng))
+    assert found.std_px[0] <= 1e-3
+    std = np.sqrt(np.diag(found.covariance))
+    pull = Priors(truth, problem.priors.std, problem.priors.point_std).pull(problem.layout, found.state)
+    # Pixels are far better than the least standard deviation that is assumed of them, 1e-3 px.
+    assert np.abs(pull / std).max() < 1.0
+    # The unit is what the covariance says: far below what the start was off by.
+    assert std[0] < 0.03
+    assert std[7] < 1e-3 * truth.lenses[0, 0]
+    assert np.abs(found.state.centres - truth.centres).max() < 0.02
+
+
+def test_points_are_found_on_either_side_of_the_water(rng):
+    block = draw_block(3, pixel_std=1e-4, **SMALL)
+    start = spoilt(block, rng)
+    # Half of all points start on the wrong side.
+    points = start.points.copy()
+    height = start.water.height(*points[:, :2].T)
+    points[::2, 2] = 2.0 * height[::2] - points[::2, 2]
+    found = solve(problem_of(block), replace(start, points=points))
+    assert np.median(np.abs(found.state.points - block.points)) < 0.01
+    depth, true = found.state.water.depth(found.state.points), water_plane(block.water).depth(block.points)
+    assert ((depth > 0.0) == (true > 0.0)).mean() > 0.98
+
+
+def dense(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Normal matrix of all unknowns, parameters first, and their right side, at the weights of a solution."""
+    state, ties, priors = solution.state, problem.ties, problem.priors
+    linear = linearise(problem.layout, state, ties, problem.sides)
+    size = len(problem.layout)
+    design = np.zeros((2 * len(ties.view), size + 3 * len(ties)))
+    design[:, :size] = linear.by_parameters.toarray()
+    for row, point in enumerate(ties.point):
+        design[2 * row : 2 * row + 2, size + 3 * point : size + 3 * point + 3] = linear.by_point[row]
+    weights = np.repeat(solution.weights, 2)
+    strength = np.concatenate([priors.std, priors.point_std.ravel()]) ** -2.0
+    pull = np.concatenate([priors.pull(problem.layout, state), (state.points - priors.state.points).ravel()])
+    normal = design.T @ (weights[:, None] * design) + np.diag(strength)
+    residuals = (ties.pixel - linear.pixels).ravel()
+    return normal, design.T @ (weights * residuals) - strength * pull
+
+
+@pytest.fixture(scope="module")
+def solved() -> tuple[Problem, Solution]:
+    block = draw_block(3, **SMALL | {"num_points": 60, "num_views": 8}, pixel_std=0.3)
+    problem = problem_of(block, position_std=0.05)
+    return problem, solve(problem, problem.priors.state)
+
+
+def test_the_covariance_is_the_inverse_of_the_normal_matrix_of_all_unknowns(solved):
+    problem, solution = solved
+    normal, _ = dense(problem, solution)
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    expected = np.linalg.inv(normal * np.outer(scale, scale)) * np.outer(scale, scale)
+    expected = expected[: len(problem.layout), : len(problem.layout)]
+    std, expected_std = np.sqrt(np.diag(solution.covariance)), np.sqrt(np.diag(expected))
+    # The last step changes the robust weights by a little, and the elimination is damped by 1e-9.
+    np.testing.assert_allclose(std, expected_std, rtol=2e-2)
+    difference = (solution.covariance - expected) / np.outer(expected_std, expected_std)
+    assert np.abs(difference).max() < 2e-2
+
+
+def test_the_eliminated_system_has_the_step_of_the_whole_one(solved):
+    problem, solution = solved
+    normal, right = dense(problem, solution)
+    size = len(problem.layout)
+    mixed, own = normal[:size, size:], normal[size:, size:]
+    schur = normal[:size, :size] - mixed @ np.linalg.solve(own, mixed.T)
+    system = _system(problem, solution.state, solution.std_px, np.ones(len(problem.kind)))
+    scale = 1.0 / np.sqrt(np.diag(schur))
+    # Points that are damped by 1e-9 of their own matrices.
+    np.testing.assert_allclose(system.normal * np.outer(scale, scale), schur * np.outer(scale, scale), atol=1e-5)
+    reduced = right[:size] - mixed @ np.linalg.solve(own, right[size:])
+    np.testing.assert_allclose(system.right * scale, reduced * scale, atol=1e-3)
+    step = 1e-3 * np.sqrt(np.diag(solution.covariance))
+    points = np.linalg.solve(own, right[size:] - mixed.T @ step).reshape(-1, 3)
+    np.testing.assert_allclose(system.point_steps(step), points, atol=1e-6)
+
+
+def test_at_the_solution_no_parameter_moves_by_more_than_a_fifth_of_its_standard_deviation(solved):
+    _, solution = solved
+    step = np.linalg.solve(solution.system.normal, solution.system.right)
+    assert np.abs(step / np.sqrt(np.diag(solution.covariance))).max() < 0.2
+
+
+def test_the_standard_deviation_of_pixels_is_that_of_the_noise():
+    block = draw_block(5, num_points=200, num_views=16, pixel_std=0.3)
+    problem = problem_of(block, position_std=0.02)
+    found = solve(problem, problem.priors.state)
+    assert found.std_px[0] == pytest.approx(0.3, rel=0.06)
+
+
+def test_parameters_take_some_of_what_residuals_would_tell():
+    block = draw_block(3, num_points=25, num_views=8, dry_share=0.3, pixel_std=0.3)
+    problem = problem_of(block, position_std=5.0)
+    found = solve(problem, problem.priors.state)
+    # 48 for poses alone, of two for each observation less three for each point.
+    spare = 2 * len(block.view) - 3 * len(block.points)
+    assert spare < 200
+    assert found.std_px[0] == pytest.approx(0.3, rel=0.25)
+
+
+def test_a_stated_standard_deviation_of_pixels_is_kept():
+    block = draw_block(5, num_points=60, num_views=8, pixel_std=0.3)
+    problem = replace(problem_of(block), given_std_px=np.array([0.7]))
+    assert std_of_kinds(problem, np.zeros((len(block.view), 2)), 0.0)[0] == 0.7
+
+
+def test_factors_on_variances_widen_the_covariance():
+    block = draw_block(3, **SMALL | {"num_points": 60}, pixel_std=0.3)
+    problem = problem_of(block)
+    alone = solve(problem, problem.priors.state)
+    wider = solve(problem, problem.priors.state, inflation=np.full(len(block.view), 4.0))
+    np.testing.assert_allclose(np.median(wider.weights), 0.25 * np.median(alone.weights), rtol=0.05)
+    # Priors and control points stay as good as they were.
+    ratio = np.sqrt(np.diag(wider.covariance) / np.diag(alone.covariance))
+    assert ratio[7] > 1.2
+    assert ratio.max() < 2.1
+
+
+def test_a_photograph_that_nothing_ties_is_refused_in_words():
+    block = draw_block(3, **SMALL)
+    problem = problem_of(block)
+    ties = problem.ties.only(problem.ties.view != 5)
+    std = problem.priors.std.copy()
+    std[problem.layout.pose(5)] = np.inf
+    # Numbers of points change: none is known.
+    priors = Priors(replace(truth_of(block), points=ties.start), std, np.full((len(ties), 3), np.inf))
+    count = len(ties.view)
+    lost = Problem(problem.layout, ties, np.zeros(count, int), priors, problem.given_std_px, np.zeros((count, RELIEF)))
+    with pytest.raises(NotConvergedError, match="photograph"):
+        solve(lost, priors.state)

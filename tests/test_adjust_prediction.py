@@ -1,0 +1,145 @@
+"""Lines of sight, Brown's lens and predicted pixels: against refract, OpenCV and finite differences."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from refract import FlatWater
+from survey.adjust.brown import distort
+from survey.adjust.prediction import linearise, predict, relief_sides
+from survey.adjust.sight import lines_of_sight, sights
+from survey.adjust.state import LENS, RELIEF, WATER, Layout, State, with_parameters
+from survey.photos.tie_points import TiePoints
+from tests.drawn_block import draw_block, water_plane
+
+LEVEL = FlatWater((1.0, -2.0, 0.3), n_water=1.34)
+TILTED = FlatWater((1.0, -2.0, 0.3), n_water=1.335, slope_x=0.02, slope_y=-0.01)
+STEP = 1e-5
+# Central differences over STEP: errors of their third derivatives and of rounding over the step, with a wide margin.
+CLOSE = 1e-6
+
+
+def rays(rng, water: FlatWater) -> tuple[np.ndarray, np.ndarray]:
+    """Centres and points: wet, dry, just under the surface, and straight below the camera."""
+    centres = np.column_stack([rng.uniform(-20.0, 20.0, (60, 2)), rng.uniform(8.0, 40.0, 60)])
+    points = np.column_stack([rng.uniform(-10.0, 10.0, (60, 2)), rng.uniform(-8.0, -0.5, 60)])
+    points[10:20, 2] = rng.uniform(1.0, 3.0, 10)
+    points[20:30, 2] = water.height(*points[20:30, :2].T) - 0.001
+    normal = np.array([-water.slope_x, -water.slope_y, 1.0])
+    points[30:40] = centres[30:40] - normal * ((centres[30:40, 2] + 6.0) / normal[2])[:, None]
+    return centres, points
+
+
+@pytest.mark.parametrize("water", [None, LEVEL, TILTED], ids=["dry", "level", "tilted"])
+def test_derivatives_of_lines_of_sight_are_those_of_differences(rng, water):
+    centres, points = rays(rng, water or LEVEL)
+    sight = sights(centres, points, water)
+    for axis in range(3):
+        step = STEP * np.eye(3)[axis]
+        by_point = lines_of_sight(centres, points + step, water) - lines_of_sight(centres, points - step, water)
+        by_centre = lines_of_sight(centres + step, points, water) - lines_of_sight(centres - step, points, water)
+        np.testing.assert_allclose(sight.by_point[:, :, axis], by_point / (2.0 * STEP), atol=CLOSE)
+        np.testing.assert_allclose(sight.by_centre[:, :, axis], by_centre / (2.0 * STEP), atol=CLOSE)
+    if water is None:
+        assert not sight.wet.any()
+        return
+    assert sight.wet.sum() == 50
+    values = np.array([water.point[2], water.slope_x, water.slope_y, water.n_water])
+    for number in range(WATER):
+        # Under a plane that moves as a whole, points 1 mm below it would come out of the water at a larger step.
+        step = STEP * np.eye(WATER)[number]
+        ahead, behind = (lines_of_sight(centres, points, with_parameters(water, values + s)) for s in (step, -step))
+        np.testing.assert_allclose(sight.by_water[:, :, number], (ahead - behind) / (2.0 * STEP), atol=20.0 * CLOSE)
+
+
+def test_straight_below_the_camera_rays_are_straight_and_their_derivatives_finite():
+    centre, point = np.array([[1.0, 2.0, 20.0]]), np.array([[1.0, 2.0, -3.0]])
+    sight = sights(centre, point, LEVEL)
+    np.testing.assert_allclose(sight.line[0, :2], 0.0, atol=1e-12)
+    assert all(np.isfinite(values).all() for values in (sight.by_point, sight.by_centre, sight.by_water))
+    # From H = 19.7 m over the water, the crossing of a point h = 3.3 m deep moves by H / (H + h / n) of its step.
+    assert sight.by_point[0, 0, 0] == pytest.approx(19.7 / (19.7 + 3.3 / 1.34), rel=1e-9)
+
+
+def test_a_point_at_the_surface_is_seen_on_a_straight_ray():
+    centre, point = np.array([[5.0, 0.0, 20.0]]), np.array([[-4.0, 1.0, 0.3]])
+    np.testing.assert_allclose(lines_of_sight(centre, point, LEVEL), point - centre, atol=1e-9)
+
+
+def test_brown_is_that_of_opencv_with_the_derivatives_of_differences(rng):
+    xy = rng.uniform(-0.6, 0.6, (50, 2))
+    k1, k2, k3, p1, p2 = coefficients = np.array([0.08, -0.05, 0.02, 0.001, -0.002])
+    every = np.tile(coefficients, (50, 1))
+    found, by_xy, by_coefficients = distort(xy, every)
+    along = np.column_stack([xy, np.ones(50)])
+    expected = cv2.projectPoints(along, np.zeros(3), np.zeros(3), np.eye(3), np.array([k1, k2, p1, p2, k3]))[0][:, 0]
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    for axis in range(2):
+        step = STEP * np.eye(2)[axis]
+        difference = distort(xy + step, every)[0] - distort(xy - step, every)[0]
+        np.testing.assert_allclose(by_xy[:, :, axis], difference / (2.0 * STEP), atol=1e-8)
+    for number in range(5):
+        step = STEP * np.eye(5)[number]
+        difference = distort(xy, every + step)[0] - distort(xy, every - step)[0]
+        np.testing.assert_allclose(by_coefficients[:, :, number], difference / (2.0 * STEP), atol=1e-8)
+
+
+def drawn_state(seed: int) -> tuple[Layout, State, TiePoints]:
+    """The truth of a block with two lenses."""
+    block = draw_block(seed, num_points=30, num_views=8, dry_share=0.3, pixel_std=0.1)
+    lens = block.lens
+    parameters = np.array([lens.focal[0], lens["cx"], lens["cy"], lens["k1"], lens["k2"], 0.0, lens["p1"], lens["p2"]])
+    layout = Layout(np.arange(len(block.cameras)) % 2, np.ones(2))
+    state = State(
+        water_plane(block.water),
+        np.zeros(RELIEF),
+        np.tile(parameters, (2, 1)),
+        np.array([camera.centre for camera in block.cameras]),
+        np.array([camera.cam_from_local for camera in block.cameras]),
+        block.points,
+    )
+    return layout, state, TiePoints(block.points, block.point, block.view, block.pixel)
+
+
+def test_at_the_truth_predictions_miss_by_the_noise_alone():
+    layout, state, ties = drawn_state(2)
+    miss = ties.pixel - predict(layout, state, ties, np.zeros((len(ties.view), RELIEF)))
+    assert np.std(miss) == pytest.approx(0.1, rel=0.2)
+    assert np.abs(miss).max() < 0.6
+
+
+def test_derivatives_of_predictions_are_those_of_differences():
+    layout, state, ties = drawn_state(2)
+    sides = relief_sides(state, ties)
+    linear = linearise(layout, state, ties, sides)
+    np.testing.assert_array_equal(linear.pixels, predict(layout, state, ties, sides))
+    still, dense = np.zeros((len(ties), 3)), linear.by_parameters.toarray()
+    # Steps that move pixels by some hundredths.
+    steps = np.full(len(layout), STEP)
+    steps[layout.first_lens : layout.first_pose] = np.tile([0.01, 0.01, 0.01, *np.full(LENS - 3, STEP)], 2)
+    for number in range(len(layout)):
+        step = np.zeros(len(layout))
+        step[number] = steps[number]
+        ahead, behind = (predict(layout, state.moved(layout, sign * step, still), ties, sides) for sign in (1.0, -1.0))
+        difference = (ahead - behind).ravel() / (2.0 * steps[number])
+        scale = max(np.abs(difference).max(), 1.0)
+        np.testing.assert_allclose(dense[:, number] / scale, difference / scale, atol=1e-6, err_msg=str(number))
+    for axis in range(3):
+        step = STEP * np.eye(3)[[axis] * len(ties)]
+        ahead, behind = (
+            predict(layout, state.moved(layout, np.zeros(len(layout)), sign * step), ties, sides)
+            for sign in (1.0, -1.0)
+        )
+        np.testing.assert_allclose(linear.by_point[:, :, axis], (ahead - behind) / (2.0 * STEP), rtol=1e-5, atol=1e-3)
+
+
+def test_a_point_behind_its_camera_has_no_pixel():
+    layout, state, ties = drawn_state(2)
+    points = state.points.copy()
+    points[ties.point[0], 2] = 500.0
+    moved = State(state.water, state.relief, state.lenses, state.centres, state.rotations, points)
+    found = predict(layout, moved, ties, np.zeros((len(ties.view), RELIEF)))
+    assert np.isnan(found[ties.point == ties.point[0]]).all()
+    assert np.isfinite(found[ties.point != ties.point[0]]).all()

@@ -1,0 +1,128 @@
+"""A survey adjusted as a whole: lenses, thinning, verdicts, and the survey that it makes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from refract.lens import Lens, distorted
+from survey.adjust.adjustment import FREE, HELD, UNKNOWN
+from survey.adjust.refine import adjust_survey, apply_adjustment
+from survey.adjust.thinning import thinned
+from survey.adjust.verdicts import judge
+from survey.photos.tie_points import TiePoints
+from tests.block_survey import pose_errors, rms, survey_of
+from tests.drawn_block import draw_block
+
+SMALL = {"num_points": 150, "num_views": 18, "nadir_only": False, "dry_share": 0.3}
+
+
+def with_lenses(survey, lenses):
+    """The survey with photograph i taken with lens i modulo their number."""
+    views = tuple(
+        replace(view, lens=lens, camera=lens.pinhole(view.camera.centre, view.camera.cam_from_local))
+        for view, lens in zip(survey.views, lenses, strict=True)
+    )
+    return replace(survey, views=views)
+
+
+def test_two_cameras_in_one_flight_get_two_lenses():
+    block = draw_block(3, **SMALL)
+    survey, lens = survey_of(block), block.stated_lens
+    # Of the second camera the photographs are a tenth larger about their first pixel: another focal length.
+    other = Lens(lens.model, tuple(1.1 * v for v in lens.params[:4]) + lens.params[4:], lens.width * 2, lens.height * 2)
+    second = np.arange(len(survey.views)) % 2 == 1
+    factor = np.where(second, 1.1, 1.0)
+    survey = with_lenses(survey, [other if each else lens for each in second])
+    number = {view.name: i for i, view in enumerate(survey.views)}
+    marks = tuple(
+        replace(mark, pixel=tuple(factor[number[mark.view]] * np.array(mark.pixel))) for mark in survey.control.marks
+    )
+    ties = replace(survey.ties, pixel=survey.ties.pixel * factor[survey.ties.view, None])
+    survey = replace(survey, ties=ties, control=replace(survey.control, marks=marks))
+    found = adjust_survey(survey, use_windows=False)
+    focal = block.lens.focal[0]
+    for camera, true in enumerate((focal, 1.1 * focal)):
+        row = found.parameter(f"camera{camera}.f")
+        assert row.status == FREE
+        assert abs(row.value - true) < 4.0 * row.std
+    assert found.lens_of.tolist() == second.astype(int).tolist()
+    assert abs(found.parameter("camera1.f").value / found.parameter("camera0.f").value - 1.1) < 0.01
+
+
+def test_the_parameters_of_a_fisheye_lens_do_not_move():
+    block = draw_block(3, **SMALL)
+    survey, lens = survey_of(block), block.lens
+    fisheye = Lens("OPENCV_FISHEYE", (*lens.params[:4], 0.01, -0.002, 0.0, 0.0), lens.width, lens.height)
+    cameras = [fisheye] * len(survey.views)
+    # What this lens would have shown of the same rays.
+    pixels = np.empty_like(survey.ties.pixel)
+    points = block.points[np.unique(block.point[~np.isin(block.point, block.control)])]
+    for view, camera in enumerate(block.cameras):
+        mine = survey.ties.view == view
+        pinhole = camera.project(points[survey.ties.point[mine]], survey.water)
+        pixels[mine] = distorted(fisheye, pinhole)
+    survey = with_lenses(replace(survey, ties=replace(survey.ties, pixel=pixels), control=None), cameras)
+    found = adjust_survey(survey, use_windows=False)
+    assert found.lenses == (fisheye,)
+    assert not [row.name for row in found.parameters if row.name.startswith("camera")]
+    assert apply_adjustment(survey, found).views[0].lens == fisheye
+    positions, _ = pose_errors(block, found.centres, found.rotations)
+    assert rms(positions) < 0.1
+
+
+def test_the_adjusted_survey_has_poses_lenses_and_water_of_the_adjustment():
+    block = draw_block(3, **SMALL)
+    survey = survey_of(block)
+    found = adjust_survey(survey, use_windows=False)
+    applied = apply_adjustment(survey, found)
+    assert applied.is_adjusted
+    assert applied.ties is None
+    assert applied.config.water == found.water
+    assert applied.config.water.level_m == found.parameter("level_m").value
+    for view, centre, rotation in zip(applied.views, found.centres, found.rotations, strict=True):
+        np.testing.assert_array_equal(view.camera.centre, centre)
+        np.testing.assert_array_equal(view.camera.cam_from_local, rotation)
+        assert view.lens.focal[0] == view.camera.fx == pytest.approx(found.parameter("camera0.f").value)
+        assert view.lens["k1"] == found.parameter("camera0.k1").value
+    # The true points, through the adjusted cameras, lie where they were seen.
+    shown = apply_adjustment(survey, found).views[4]
+    mine = block.view == 4
+    pixel = distorted(shown.lens, shown.camera.project(block.points[block.point[mine]], applied.water))
+    assert np.median(np.linalg.norm(pixel - block.pixel[mine], axis=1)) < 3.0 * block.pixel_std
+
+
+def test_thinning_keeps_every_photograph_tied_and_long_tracks_first():
+    block = draw_block(5, num_points=800, num_views=20)
+    ties = TiePoints(block.start, block.point, block.view, block.pixel)
+    sizes = [(block.lens.width, block.lens.height)] * 20
+    kept = thinned(ties, sizes, 6, 2)
+    assert (np.diff(kept) > 0).all()
+    of_kept = np.isin(ties.point, kept)
+    assert len(kept) < 0.6 * len(ties)
+    before, after = (np.bincount(ties.view[rows], minlength=20) for rows in (slice(None), of_kept))
+    # A photograph has 6 by 5 cells of 2 points each; some at its edge have none.
+    assert (after >= np.minimum(before, 30)).all()
+    length = np.bincount(ties.point, minlength=len(ties))
+    assert length[kept].mean() > length.mean()
+
+
+@pytest.mark.parametrize(
+    ("std", "given_std", "limit", "status", "value"),
+    [
+        (0.01, 0.04, 0.05, FREE, 2.0),
+        (0.01, np.inf, 0.05, FREE, 2.0),
+        (0.039, 0.04, 0.05, HELD, 2.0),
+        (0.06, 0.5, 0.05, UNKNOWN, 1.0),
+        (0.05, 0.05, 0.04, UNKNOWN, 1.0),
+        # What was given is of use, though the photographs add nothing.
+        (0.05, 0.05, 0.05, HELD, 2.0),
+    ],
+)
+def test_a_verdict_weighs_what_is_found_what_was_given_and_what_is_of_use(std, given_std, limit, status, value):
+    row = judge("level_m", 2.0, std, 1.0, given_std, limit, " m")
+    assert (row.status, row.value) == (status, value)
+    assert row.verdict.startswith({FREE: "found: 2", HELD: "held: 2", UNKNOWN: "not observable: "}[status])
+    assert (" m is kept" in row.verdict) == (status == UNKNOWN)

@@ -11,7 +11,7 @@ from survey.commands.console import command
 from survey.commands.memory import require_address_space
 from survey.commands.options import KEPT, DeviceOption, Quiet, SurveyFolder, Verbose
 from survey.names import RUN_FOLDER
-from survey.plan.choices import Device, Quality, Switch
+from survey.plan.choices import Device, Field, Quality
 
 EXAMPLES = """
     bathynerf process my_survey
@@ -27,7 +27,7 @@ def run(
     ] = None,
     quality: Annotated[Quality, typer.Option(help="Trades run time for detail.")] = Quality.standard,
     device: DeviceOption = Device.auto,
-    field: Annotated[Switch, typer.Option(help="Refine the heights with the tensor field.")] = Switch.auto,
+    field: Annotated[Field, typer.Option(help="What refines the heights; render needs slab.")] = Field.auto,
     resume: Annotated[bool, typer.Option(help="Reuse finished stages of an earlier run.")] = True,
     calibrate_water: Annotated[
         bool, typer.Option("--calibrate-water", help="First estimate the water from the photographs.")

@@ -10,14 +10,14 @@ import numpy as np
 from refract import FlatWater, PinholeCamera
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
-from survey.plan.choices import Device, Switch
+from survey.plan.choices import Device, Field
 from survey.plan.ground import ground_height
 from survey.plan.heights import in_words
 from survey.plan.recipe import RECIPES, Recipe
 
 QUALITIES = tuple(RECIPES)
 DEVICES = tuple(each.value for each in Device)
-FIELDS = tuple(each.value for each in Switch)
+FIELDS = tuple(each.value for each in Field)
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,8 @@ class Plan:
     footprint_m : (width, height) [m]
         What one image covers there, median.
     decisions : tuple of Decision
-    field : bool
-        Whether the survey field refines the heights of the sweep.
+    field : "solver", "slab" or "off"
+        What refines the heights of the sweep.
     device_asked : "auto", "cpu" or "cuda"
     """
 
@@ -60,7 +60,7 @@ class Plan:
     height_m: float
     footprint_m: tuple[float, float]
     decisions: tuple[Decision, ...]
-    field: bool = False
+    field: str = "off"
     device_asked: str = "auto"
 
     @property
@@ -81,7 +81,7 @@ def make_plan(survey: Survey, *, quality: str = "standard", device: str = "auto"
     survey : Survey
     quality : "draft", "standard" or "fine"
     device : "auto", "cpu" or "cuda"
-    field : "auto", "on" or "off"
+    field : "auto", "solver", "slab" or "off"
 
     Raises
     ------
@@ -104,20 +104,19 @@ def make_plan(survey: Survey, *, quality: str = "standard", device: str = "auto"
         Decision("range of heights", *in_words(survey, height)),
         chosen,
     )
-    return Plan(quality, chosen.choice, scale, gsd, height, footprint, decisions, refined.choice == "on", device)
+    return Plan(quality, chosen.choice, scale, gsd, height, footprint, decisions, refined.choice, device)
 
 
 def _field(quality: str, field: str) -> Decision:
     require_choice("field", field, FIELDS)
     if field != "auto":
         return Decision("field", field, "set by --field")
-    if not RECIPES[quality].field:
-        return Decision(
-            "field", "off", f"it reduces noise slightly and doubles the run time; {quality} uses the sweep's heights"
-        )
-    return Decision(
-        "field", "on", "trained inside the bound of the sweep, it reduces the noise of the heights slightly"
-    )
+    chosen = RECIPES[quality].field
+    reasons = {
+        "off": f"{quality} uses the sweep's heights",
+        "solver": "least squares over all photographs: less noise, and the standard deviation of each height",
+    }
+    return Decision("field", chosen, reasons[chosen])
 
 
 def require_choice(name: str, value: str, known: tuple[str, ...]) -> None:

@@ -53,8 +53,9 @@ def process(
         Default ``survey_folder/bathynerf``.
     quality : "draft", "standard" or "fine"
     device : "auto", "cpu" or "cuda"
-    field : "auto", "on" or "off"
-        Whether the tensor field refines the sweep; "auto" leaves it to the plan.
+    field : "auto", "solver", "slab" or "off"
+        What refines the heights of the sweep: least squares over all photographs, a tensor field trained in a slab,
+        which `render` needs, or nothing; "auto" leaves it to the plan.
     resume : bool
         Use what an earlier run in this folder finished, where nothing that it depends on has changed.
     calibrate_water : bool

@@ -17,6 +17,8 @@ from fields.solver.tile import Tile
 _ALIKE_PX = 1.5
 # A point lies anywhere in its pixel: its place along each axis has this standard deviation [px].
 _PLACE_PX = 1.0 / np.sqrt(12.0)
+# A half of the photographs that has less than this share of the information of all does not speak for itself.
+_OWN_SHARE, _LEAST_PIXELS = 0.2, 1000
 _FREQUENCIES, _RATIOS = 256, np.logspace(-4.0, 9.0, 66)
 
 
@@ -55,24 +57,31 @@ def motion_of(samples: list[tuple[Tile, Solved]], roughness: float, pool: Execut
 
     Each half of the photographs gives heights of its own. Their differences are compared with those that noise as
     large as the residuals, independent from pixel to pixel and from photograph to photograph, would give; waves, errors
-    of the poses and a noise that neighbours share make them larger.
+    of the poses and a noise that neighbours share make them larger. One where too few pixels are seen by both halves.
     """
     pairs = list(pool.map(lambda each: _differences(each[0], each[1], roughness), samples))
     seen, of_noise = (np.concatenate(column) for column in zip(*pairs, strict=True))
+    if len(seen) < _LEAST_PIXELS:
+        return 1.0
     return float((np.median(np.abs(seen)) / np.median(np.abs(of_noise))) ** 2)
 
 
 def _differences(tile: Tile, solved: Solved, roughness: float) -> tuple[np.ndarray, np.ndarray]:
-    """Between the heights of both halves of the photographs: as found, and as drawn from the noise [m]."""
-    random, found, drawn = np.random.default_rng(0), [], []
-    for half in halves_of(solved):
+    """Between the heights of both halves of the photographs: as found, and as drawn from the noise [m].
+
+    Pixels of which one half knows next to nothing are left out: it would repeat what both say together.
+    """
+    random, found, drawn, halves = np.random.default_rng(0), [], [], halves_of(solved)
+    known = [_nearby(tile, half.information) > _OWN_SHARE * _nearby(tile, solved.information) for half in halves]
+    for half in halves:
         height = heights_of(solved, half, roughness)
         stiffness = stiffness_of(solved.bends.of_heights @ height, roughness)
         noise = np.sqrt(half.information) * random.standard_normal(len(tile)).astype(np.float32)
         diagonal = half.information + solved.bends.squared @ stiffness + FAINT
         found.append(height)
         drawn.append(conjugate_gradients(normal_matrix(half.information, solved.bends, stiffness), noise, diagonal))
-    return (found[0] - found[1])[tile.asked], (drawn[0] - drawn[1])[tile.asked]
+    use = tile.asked & known[0] & known[1]
+    return (found[0] - found[1])[use], (drawn[0] - drawn[1])[use]
 
 
 def _nearby(tile: Tile, values: np.ndarray) -> np.ndarray:

@@ -54,7 +54,7 @@ def cloud_row(name: str, options: argparse.Namespace) -> dict:
     run, cloud = options.output / "run", options.output / f"{name}.las"
     arguments = ["process", str(options.survey), "-o", str(run), "--quality", options.quality]
     record = once(
-        options.output / f"{name}.process.json", [*arguments, "--field", "off" if name == "sweep" else "on", "-q"]
+        options.output / f"{name}.process.json", [*arguments, "--field", "off" if name == "sweep" else "slab", "-q"]
     )
     if not cloud.exists():
         shutil.copyfile(run / "cloud.las", cloud)
@@ -90,7 +90,7 @@ def held_row(options: argparse.Namespace) -> dict:
     """Photographs that the field has not seen, predicted."""
     folder, views = options.output / "held", options.output / "views"
     table, run = held_survey(options.survey, folder), folder / "bathynerf"
-    arguments = ["process", str(folder), "--quality", options.quality, "--field", "on", "-q"]
+    arguments = ["process", str(folder), "--quality", options.quality, "--field", "slab", "-q"]
     record = {"process": once(options.output / "held.process.json", arguments)}
     arguments = ["render", str(run), "--cameras", str(table), "-o", str(views), "-q"]
     record["render"] = once(options.output / "held.render.json", arguments)

@@ -1,6 +1,6 @@
 """How long does `bathynerf process` take, what memory, and how far is the bed from the truth? On the drawn surveys.
 
-    python benchmarks/bench_surveys.py [NAME ...] [--quality Q] [--field on] [-o FOLDER]
+    python benchmarks/bench_surveys.py [NAME ...] [--quality Q] [--field F] [-o FOLDER]
 
 Each survey is processed by the command line with a cold kernel cache; wall clock and peak memory are those of the whole
 process tree, imports included. Prints one JSON with a record per survey.

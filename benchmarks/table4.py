@@ -74,7 +74,7 @@ def cases(wet: Path, dry: Path, folder: Path, chains: list[str]) -> list[Case]:
 def process(case: Case, quality: str) -> None:
     """Run the case through the command line; a quality gate that fails (3) is a result too."""
     command = [sys.executable, "-c", "from survey.commands.app import main; main()", "process", str(case.folder)]
-    field = "on" if case.chain == "field" else "off"
+    field = "slab" if case.chain == "field" else "off"
     done = subprocess.run([*command, "-o", str(case.run), "--quality", quality, "--field", field, "-qq"], check=False)
     if done.returncode not in (0, 3):
         raise SystemExit(f"{case.name}, {case.chain}: process ended with exit code {done.returncode}")

@@ -228,14 +228,14 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
 
     fake_module(monkeypatch, "survey.run.process", process=process)
     result = bathynerf(
-        "process", "s", "-o", "run", "--quality", "draft", "--device", "cpu", "--no-resume", "--field", "on",
+        "process", "s", "-o", "run", "--quality", "draft", "--device", "cpu", "--no-resume", "--field", "slab",
         "--calibrate-water", "--true-colour", "--reference", "r.ply", "--visible", "v.ply", "-v",
     )  # fmt: skip
     assert result.exit_code == 3
     expected = {
         "quality": "draft",
         "device": "cpu",
-        "field": "on",
+        "field": "slab",
         "poses": "auto",
         "resume": False,
         "calibrate_water": True,

@@ -14,6 +14,7 @@ import pytest
 from drawn_runs import GSD, SHORELINE_M, DrawnRun, drawn, inner90, process_quietly, processed
 from pyproj import CRS
 
+from evaluation import vertical_difference
 from fields.sweep.sweep import PASSES, sweep
 from geo import read_cloud, read_reference
 from refract import FlatWater
@@ -85,7 +86,7 @@ def swept(survey: DrawnRun) -> bool:
 
 @pytest.fixture(scope="module")
 def noisy(tmp_path_factory):
-    """JPEG with noise, from the command line: killed after the sweep, then given again."""
+    """JPEG with noise, from the command line, by the sweep alone: killed after the sweep, then given again."""
     survey = drawn(tmp_path_factory.mktemp("noisy") / "survey", noise=1.0)
     killed = [sys.executable, "-c", KILLED, "process", str(survey.folder), "-q"]
     first = subprocess.run(killed, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
@@ -94,7 +95,7 @@ def noisy(tmp_path_factory):
     assert not survey.run.cloud_path.exists()
     truth = survey.folder / "truth"
     options = ("--reference", truth / "reference.ply", "--visible", truth / "visible.ply")
-    again = bathynerf("process", survey.folder, *options)
+    again = bathynerf("process", survey.folder, "--field", "off", *options)
     assert again.returncode == 0, again.stderr
     return survey
 
@@ -180,12 +181,32 @@ def test_the_field_leaves_the_bed_where_it_is_and_takes_noise_off(noisy):
     swept = inner90(noisy.distances.signed)
     shutil.copytree(noisy.folder, noisy.folder.with_name("refined"))
     refined = DrawnRun(noisy.scene, noisy.folder.with_name("refined"))
-    again = bathynerf("process", refined.folder, "--field", "on")
+    again = bathynerf("process", refined.folder, "--field", "slab")
     assert again.returncode == 0, again.stderr
     assert "sweep: used again" in again.stderr
     mean, std = inner90(refined.distances.signed)
     assert abs(mean) < BIAS_M
     assert std < swept[1]
+
+
+def test_the_solver_takes_noise_off_and_its_standard_deviation_covers_the_errors(noisy):
+    swept = inner90(noisy.distances.signed)
+    solved = DrawnRun(noisy.scene, noisy.folder.with_name("solved"))
+    shutil.copytree(noisy.folder, solved.folder)
+    again = bathynerf("process", solved.folder, "--field", "solver")
+    assert again.returncode == 0, again.stderr
+    assert "sweep: used again" in again.stderr
+    mean, std = inner90(solved.distances.signed)
+    assert abs(mean) < BIAS_M
+    assert std < 0.9 * swept[1]
+    las = laspy.read(solved.run.cloud_path)
+    local = solved.survey.frame.local_from_crs
+    points = local(np.stack([las.x, las.y, las.z], axis=-1))
+    error = vertical_difference(points, local(solved.reference.vertices), solved.reference.faces)
+    known = np.isfinite(error)
+    assert np.mean(np.abs(error[known]) < 1.96 * las.std[known]) > 0.9
+    assert np.median(las.std) < 4.0 * np.median(np.abs(error[known]))
+    assert (las.std > 0.0).all()
 
 
 def test_a_killed_run_goes_on_after_the_last_stage_that_it_finished(noisy):

@@ -24,7 +24,7 @@ MAY_IMPORT = {
 LAYERS = (
     {"refract", "geo", "evaluation/images", "fields"},
     {"evaluation", "fields/sweep", "fields/volume", "survey"},
-    {"fields/colour", "fields/slab", "survey/files", "survey/display"},
+    {"fields/colour", "fields/slab", "fields/solver", "survey/files", "survey/display"},
     {"survey/photos", "survey/compare"},
     {"survey/control", "survey/photos/formats", "survey/sfm", "survey/simulate/flight"},
     {"survey/folder", "survey/simulate"},

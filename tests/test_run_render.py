@@ -112,7 +112,7 @@ def test_a_camera_that_looks_elsewhere_is_named(run, tmp_path, capsys):
 def test_a_run_without_a_field_is_told_how_to_get_one(tmp_path):
     with RunDir(tmp_path / "run"):
         pass
-    with pytest.raises(SurveyError, match="has no field to render; give `bathynerf process` again with --field on"):
+    with pytest.raises(SurveyError, match="has no field to render; give `bathynerf process` again with --field slab"):
         render(tmp_path / "run", poses(tmp_path, ABOVE), tmp_path)
 
 

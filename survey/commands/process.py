@@ -11,7 +11,7 @@ from survey.commands.console import command
 from survey.commands.memory import require_address_space
 from survey.commands.options import KEPT, DeviceOption, Quiet, SurveyFolder, Verbose
 from survey.names import RUN_FOLDER
-from survey.plan.choices import Device, Poses, Quality, Switch
+from survey.plan.choices import Device, Field, Poses, Quality
 
 EXAMPLES = """
     bathynerf process my_survey
@@ -27,7 +27,7 @@ def run(
     ] = None,
     quality: Annotated[Quality, typer.Option(help="Trades run time for detail.")] = Quality.standard,
     device: DeviceOption = Device.auto,
-    field: Annotated[Switch, typer.Option(help="Refine the heights with the tensor field.")] = Switch.auto,
+    field: Annotated[Field, typer.Option(help="What refines the heights; render needs slab.")] = Field.auto,
     poses: Annotated[
         Poses, typer.Option(help="Adjust poses, lens and water together, or take the poses as they are.")
     ] = Poses.auto,

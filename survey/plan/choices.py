@@ -21,11 +21,12 @@ class Device(StrEnum):
     cuda = "cuda"
 
 
-class Switch(StrEnum):
-    """A part of the work: as the plan decides, on, or off."""
+class Field(StrEnum):
+    """What refines the heights of the sweep: as the plan decides, least squares, the trained slab, or nothing."""
 
     auto = "auto"
-    on = "on"
+    solver = "solver"
+    slab = "slab"
     off = "off"
 
 

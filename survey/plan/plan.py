@@ -10,7 +10,7 @@ import numpy as np
 from refract import FlatWater, PinholeCamera
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
-from survey.plan.choices import Device, Poses, Switch
+from survey.plan.choices import Device, Field, Poses
 from survey.plan.ground import ground_height
 from survey.plan.heights import in_words
 from survey.plan.poses import pose_choice
@@ -18,7 +18,7 @@ from survey.plan.recipe import RECIPES, Recipe
 
 QUALITIES = tuple(RECIPES)
 DEVICES = tuple(each.value for each in Device)
-FIELDS = tuple(each.value for each in Switch)
+FIELDS = tuple(each.value for each in Field)
 POSES = tuple(each.value for each in Poses)
 
 
@@ -50,8 +50,8 @@ class Plan:
     footprint_m : (width, height) [m]
         What one image covers there, median.
     decisions : tuple of Decision
-    field : bool
-        Whether the survey field refines the heights of the sweep.
+    field : "solver", "slab" or "off"
+        What refines the heights of the sweep.
     device_asked : "auto", "cpu" or "cuda"
     refines_poses : bool
         Whether poses, lens and water are adjusted first.
@@ -64,7 +64,7 @@ class Plan:
     height_m: float
     footprint_m: tuple[float, float]
     decisions: tuple[Decision, ...]
-    field: bool = False
+    field: str = "off"
     device_asked: str = "auto"
     refines_poses: bool = False
 
@@ -94,7 +94,7 @@ def make_plan(
     survey : Survey
     quality : "draft", "standard" or "fine"
     device : "auto", "cpu" or "cuda"
-    field : "auto", "on" or "off"
+    field : "auto", "solver", "slab" or "off"
     poses : "auto", "fixed" or "refine"
     free_water : bool
         Whether the water is to be found as if nothing were known of it.
@@ -131,7 +131,7 @@ def make_plan(
         height,
         footprint,
         decisions,
-        field=refined.choice == "on",
+        field=refined.choice,
         device_asked=device,
         refines_poses=adjusted.choice == "refine",
     )
@@ -141,13 +141,12 @@ def _field(quality: str, field: str) -> Decision:
     require_choice("field", field, FIELDS)
     if field != "auto":
         return Decision("field", field, "set by --field")
-    if not RECIPES[quality].field:
-        return Decision(
-            "field", "off", f"it reduces noise slightly and doubles the run time; {quality} uses the sweep's heights"
-        )
-    return Decision(
-        "field", "on", "trained inside the bound of the sweep, it reduces the noise of the heights slightly"
-    )
+    chosen = RECIPES[quality].field
+    reasons = {
+        "off": f"{quality} uses the sweep's heights",
+        "solver": "least squares over all photographs: less noise, and the standard deviation of each height",
+    }
+    return Decision("field", chosen, reasons[chosen])
 
 
 def require_choice(name: str, value: str, known: tuple[str, ...]) -> None:

@@ -23,7 +23,6 @@ from survey.plan.area import AREA_MARGIN_M, grown, local_area
 from survey.plan.block import camera_of
 from survey.plan.ground import ground_height
 from survey.plan.plan import Plan, image_scale
-from survey.plan.recipe import RECIPES
 
 # The first pass of the sweep tries as many heights as its bound holds.
 _FIRST_RUNGS = 25
@@ -118,7 +117,7 @@ def workload_of(survey: Survey, plan: Plan) -> Workload:
         x0, y0, x1, y1 = grown(area, AREA_MARGIN_M)
         num_cells = min(num_cells, (x1 - x0) * (y1 - y0) / plan.gsd_m**2)
     largest = max(view.lens.width * view.lens.height for view in survey.views)
-    field = num_cells if plan.field else 0.0
+    field = num_cells if plan.field == "slab" else 0.0
     return _workload(pixels, pixels[chosen], largest, num_cells, field, plan.device)
 
 
@@ -129,7 +128,7 @@ def workload_of_images(sizes: Iterable[tuple[int, int]], *, quality: str, device
     pixels = np.array([width * height for width, height in sizes]) * scale**2
     num_cells = _OWN_GROUND * float(pixels.sum())
     largest = max(width * height for width, height in sizes)
-    found = _workload(pixels, pixels, largest, num_cells, num_cells if RECIPES[quality].field else 0.0, device)
+    found = _workload(pixels, pixels, largest, num_cells, 0.0, device)
     disk = found.disk_bytes + int(_DISK_OF_SFM * len(sizes))
     return replace(found, seconds=None, disk_bytes=disk, is_bound=True)
 

@@ -10,6 +10,7 @@ from survey.run.stage_adjust import FILES as ADJUSTMENT_FILES
 from survey.run.stage_adjust import adjust_block, use_adjustment
 from survey.run.stage_bed import FILES, make_bed
 from survey.run.stage_field import train_field
+from survey.run.stage_solver import SOLVED, solve_heights
 from survey.run.stage_sweep import BOUND, MAPS, sweep_views
 from survey.run.stage_water_colour import estimate_colour, use_colour
 from survey.run.stored_field import FIELD_FILES
@@ -24,8 +25,16 @@ def _needs_colour(job: Job) -> bool:
     return job.true_colour and not colour_is_known(job.survey)
 
 
-def _has_field(job: Job) -> bool:
-    return job.plan.field
+def _is_solved(job: Job) -> bool:
+    return job.plan.field == "solver"
+
+
+def _has_slab(job: Job) -> bool:
+    return job.plan.field == "slab"
+
+
+def _is_refined(job: Job) -> bool:
+    return _is_solved(job) or _has_slab(job)
 
 
 # What decides the rays of the photographs, and where the bed is searched.
@@ -58,21 +67,29 @@ STAGES = (
         apply=use_colour,
     ),
     Stage(
+        name="solver",
+        needs=("sweep",),
+        depends_on=(*_VIEWS, "gsd"),
+        leaves=(SOLVED,),
+        compute=solve_heights,
+        is_on=_is_solved,
+    ),
+    Stage(
         name="field",
         needs=("sweep",),
         depends_on=(*_VIEWS, "area", "frame", "gsd", "rays", "water_colour"),
         leaves=FIELD_FILES,
         compute=train_field,
-        is_on=_has_field,
+        is_on=_has_slab,
     ),
     Stage(
         name="bed",
-        needs=("sweep", "field"),
+        needs=("sweep", "solver", "field"),
         depends_on=(*_VIEWS, "area", "frame", "name", "gsd", "true_colour"),
         leaves=FILES,
         compute=make_bed,
     ),
 )
 
-# What the cloud would be without the field: a baseline for the report.
-BED_OF_SWEEP = replace(STAGES[-1], name="bed_of_sweep", needs=("sweep",), is_on=_has_field)
+# What the cloud would be of the sweep alone: a baseline for the report.
+BED_OF_SWEEP = replace(STAGES[-1], name="bed_of_sweep", needs=("sweep",), is_on=_is_refined)

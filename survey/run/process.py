@@ -54,8 +54,9 @@ def process(
         Default ``survey_folder/bathynerf``.
     quality : "draft", "standard" or "fine"
     device : "auto", "cpu" or "cuda"
-    field : "auto", "on" or "off"
-        Whether the tensor field refines the sweep; "auto" leaves it to the plan.
+    field : "auto", "solver", "slab" or "off"
+        What refines the heights of the sweep: least squares over all photographs, a tensor field trained in a slab,
+        which `render` needs, or nothing; "auto" leaves it to the plan.
     poses : "auto", "fixed" or "refine"
         Whether poses and lens are adjusted together with the water; "auto" leaves it to the plan.
     resume : bool

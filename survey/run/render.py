@@ -111,7 +111,7 @@ def _field_folder(folder: RunDir) -> Path:
         return folder.load_stage(FIELD_STAGE)
     except SurveyError as error:
         raise SurveyError(
-            f"the run {folder.path} has no field to render; give `bathynerf process` again with --field on"
+            f"the run {folder.path} has no field to render; give `bathynerf process` again with --field slab"
         ) from error
 
 

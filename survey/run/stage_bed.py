@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from fields.colour.true_colour import true_colours
 from fields.slab.refine import refine
 from fields.sweep.bed import BedPoints, has_company, points_of, unique_pixels
@@ -14,13 +16,15 @@ from fields.water_column import WaterColumn
 from survey.errors import SurveyError
 from survey.plan.area import AREA_MARGIN_M, grown, local_area, within
 from survey.plan.block import backend, camera_of
+from survey.run.stage_solver import SOLVED
 from survey.run.stage_sweep import MAPS, look_at_bed
-from survey.run.stored import BED_FILE, SURVEY_FILE, StoredBed, load_depth_maps, save_bed
+from survey.run.stored import BED_FILE, SURVEY_FILE, StoredBed, load_depth_maps, load_solved_maps, save_bed
 from survey.run.stored_field import load_field
 from survey.run.water_colour import colour_of
 
 if TYPE_CHECKING:
     from fields.slab.tensor_field import TensorField
+    from fields.solver.solver import SolvedMap
     from fields.sweep.sweep import DepthMap
     from survey.run.job import Job
 
@@ -28,7 +32,7 @@ FILES = (BED_FILE, SURVEY_FILE)
 
 
 def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
-    """Points of the bed, with the heights of the field where one was trained.
+    """Points of the bed, with the heights of the solver, or of the field where one was trained.
 
     Raises
     ------
@@ -38,9 +42,10 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     survey = job.survey
     maps = load_depth_maps(needs["sweep"] / MAPS)
     field = load_field(needs["field"], backend(job.plan)) if "field" in needs else None
+    solved = load_solved_maps(needs["solver"] / SOLVED) if "solver" in needs else None
     look_at_bed(job, needs["sweep"])
     with job.progress.stage("Bed", len(maps)) as stage:
-        bed, moved = bed_points(job, maps, field, stage.advance)
+        bed, moved = bed_points(job, maps, field, stage.advance, solved)
     if field is not None:
         job.progress.detail(f"{moved:,} of {len(bed):,} points have the field's height")
     if len(bed) == 0:
@@ -58,7 +63,11 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 
 
 def bed_points(
-    job: Job, maps: list[DepthMap], field: TensorField | None, advance: Callable[[float], None]
+    job: Job,
+    maps: list[DepthMap],
+    field: TensorField | None,
+    advance: Callable[[float], None],
+    solved: list[SolvedMap] | None = None,
 ) -> tuple[BedPoints, int]:
     """Every piece of the bed once, coloured from the photograph that shows it steepest.
 
@@ -66,7 +75,7 @@ def bed_points(
     """
     survey, plan, block = job.survey, job.plan, job.block
     parts, moved = [], 0
-    for depth_map, keep in zip(maps, unique_pixels(block, maps), strict=True):
+    for number, (depth_map, keep) in enumerate(zip(maps, unique_pixels(block, maps), strict=True)):
         view = survey.views[depth_map.view]
         camera = camera_of(view, plan)
         rgb = job.photographs.load(view, scale=plan.image_scale)
@@ -74,7 +83,13 @@ def bed_points(
         if field is not None:
             height, taken = refine(field, camera, depth_map, rgb, survey.water, keep)
             depth_map, moved = replace(depth_map, height=height), moved + taken
-        parts.append(points_of(camera, survey.water, depth_map, keep, rgb))
+        if solved is None:
+            parts.append(points_of(camera, survey.water, depth_map, keep, rgb))
+        else:
+            refined, std = solved[number].over(depth_map)
+            points = points_of(camera, survey.water, refined, keep, rgb)
+            std = std[: camera.height, : camera.width][keep]
+            parts.append(replace(points, std=np.where(np.isnan(std), points.std, std)))
         advance(1.0)
     bed = BedPoints.concatenate(parts)
     area = local_area(survey)

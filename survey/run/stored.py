@@ -16,6 +16,7 @@ from geo.files import write_whole
 from survey.errors import SurveyError
 
 if TYPE_CHECKING:
+    from fields.solver.solver import SolvedMap
     from fields.sweep.bed import BedPoints
     from fields.sweep.sweep import DepthMap
 
@@ -110,12 +111,7 @@ def load_bed(folder: str | Path) -> StoredBed:
 
 def save_depth_maps(path: str | Path, maps: list[DepthMap]) -> None:
     """Write depth maps, of any sizes, into one .npz file."""
-    arrays = {"views": np.array([m.view for m in maps], dtype=np.int64)}
-    for number, depth_map in enumerate(maps):
-        for item in dataclasses.fields(depth_map):
-            if item.name != "view":
-                arrays[f"{item.name}_{number}"] = getattr(depth_map, item.name)
-    save_arrays(path, **arrays)
+    save_arrays(path, views=np.array([m.view for m in maps], dtype=np.int64), **_numbered(maps))
 
 
 def load_depth_maps(path: str | Path) -> list[DepthMap]:
@@ -129,12 +125,47 @@ def load_depth_maps(path: str | Path) -> list[DepthMap]:
     from fields.sweep.sweep import DepthMap
 
     arrays = load_arrays(path)
-    names = [f.name for f in dataclasses.fields(DepthMap) if f.name != "view"]
+    return [
+        DepthMap(int(view), **_of_number(path, arrays, DepthMap, number))
+        for number, view in enumerate(arrays.get("views", ()))
+    ]
+
+
+def save_solved_maps(path: str | Path, maps: list[SolvedMap]) -> None:
+    """Write the solved pixels of the height maps into one .npz file."""
+    save_arrays(path, **_numbered(maps))
+
+
+def load_solved_maps(path: str | Path) -> list[SolvedMap]:
+    """The solved maps of a file of `save_solved_maps`, in their order.
+
+    Raises
+    ------
+    SurveyError
+        If the file is missing or damaged.
+    """
+    from fields.solver.solver import SolvedMap
+
+    arrays = load_arrays(path)
+    count = len(arrays) // len(dataclasses.fields(SolvedMap))
+    return [SolvedMap(**_of_number(path, arrays, SolvedMap, number)) for number in range(count)]
+
+
+def _numbered(maps: list) -> dict[str, np.ndarray]:
+    """The arrays of several dataclasses of one kind, by name and number."""
+    return {
+        f"{item.name}_{number}": getattr(each, item.name)
+        for number, each in enumerate(maps)
+        for item in dataclasses.fields(each)
+        if item.name != "view"
+    }
+
+
+def _of_number(path: str | Path, arrays: dict[str, np.ndarray], kind: type, number: int) -> dict[str, np.ndarray]:
+    """The arrays of one of the dataclasses that `_numbered` took apart."""
+    names = [item.name for item in dataclasses.fields(kind) if item.name != "view"]
     try:
-        return [
-            DepthMap(int(view), **{name: arrays[f"{name}_{number}"] for name in names})
-            for number, view in enumerate(arrays["views"])
-        ]
+        return {name: arrays[f"{name}_{number}"] for name in names}
     except KeyError as error:
         raise SurveyError(
             f"{path} lacks the array {error}; delete its folder and give `bathynerf process` again"

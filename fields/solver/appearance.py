@@ -1,0 +1,127 @@
+"""How bright the bed is, and what each photograph makes of it: gain, offset, noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from fields.solver.tile import Tile
+
+# The offset of a photograph (veil, reflected sky, vignetting) varies over some such blocks.
+BLOCK_PX, BLOCKS = 8, 2.5
+# A gain beyond these is no gain: the photograph shows something else.
+GAINS = (0.3, 3.0)
+# Fewer pixels do not tell a gain.
+LEAST_PIXELS = 100
+# Quantisation alone has 0.29 grey levels.
+LEAST_NOISE = 0.3
+# Residuals beyond this many times the noise lose their weight.
+OUTLIER = 3.0
+# A median over this many pixels is good enough, of each photograph.
+_SAMPLE = 10_000
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """Gain (K,) and offset (K, N) of K photographs: grey = gain * albedo + offset; the albedo is in grey levels."""
+
+    gain: np.ndarray
+    offset: np.ndarray
+
+    def albedo(self, grey: np.ndarray) -> np.ndarray:
+        """What grey values (K, N) say of the albedo."""
+        return (grey - self.offset) / self.gain[:, None]
+
+
+@dataclass(frozen=True)
+class Brightness:
+    """The albedo by variable projection, and what it leaves of K photographs; N pixels.
+
+    Attributes
+    ----------
+    albedo : (N,)
+    residual : (K, N)
+        Grey levels of the albedo; 0 where not seen.
+    weight : (K, N)
+        One over the variance; 0 where not seen.
+    noise : (K,)
+        Standard deviation of the residual.
+    """
+
+    albedo: np.ndarray
+    residual: np.ndarray
+    weight: np.ndarray
+    noise: np.ndarray
+
+    def less_mean(self, values: np.ndarray) -> np.ndarray:
+        """Values (K, N) less their weighted mean over the photographs: what the albedo cannot explain."""
+        mean = np.einsum("kn,kn->n", self.weight, values) / np.maximum(self.weight.sum(axis=0), 1e-12)
+        return np.where(self.weight > 0.0, values - mean, np.float32(0.0))
+
+
+def appearance_of(tile: Tile, grey: np.ndarray) -> Appearance:
+    """Gain and smooth offset of each photograph against the mean of all, from grey values (K, N), NaN where not seen.
+
+    The tile's own photograph, the first, stays as it is.
+    """
+    seen = np.isfinite(grey)
+    values = np.where(seen, grey, np.float32(0.0))
+    gain, offset = np.ones(len(grey), dtype=np.float32), np.zeros_like(values)
+    for _ in range(2):
+        corrected = np.where(seen, (values - offset) / gain[:, None], 0.0)
+        mean = corrected.sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
+        for k, mask in enumerate(seen):
+            if mask.sum() >= LEAST_PIXELS:
+                gain[k] = _gain(values[k][mask], mean[mask])
+            offset[k] = _smooth(tile, values[k] - gain[k] * mean, mask)
+    return Appearance(gain / gain[0], offset - gain[:, None] / gain[0] * offset[0])
+
+
+def _gain(values: np.ndarray, mean: np.ndarray) -> float:
+    mean = mean - mean.mean()
+    spread = float(mean @ mean)
+    return float(np.clip(mean @ (values - values.mean()) / spread, *GAINS)) if spread > 0.0 else 1.0
+
+
+def _smooth(tile: Tile, values: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Local mean of values (N,) where ``mask`` holds, over some blocks."""
+    rows, columns = tile.places
+    shape = tuple(-(-size // BLOCK_PX) for size in tile.inside.shape)
+    block = (rows // BLOCK_PX) * shape[1] + columns // BLOCK_PX
+    total, count = (
+        ndimage.gaussian_filter(np.bincount(block, weights, shape[0] * shape[1]).reshape(shape), BLOCKS)
+        for weights in (np.where(mask, values, 0.0), mask.astype(np.float64))
+    )
+    mean = total / np.maximum(count, 1e-9)
+    at = [(index + 0.5) / BLOCK_PX - 0.5 for index in (rows, columns)]
+    return ndimage.map_coordinates(mean.astype(np.float32), at, order=1, mode="nearest")
+
+
+def brightness_of(albedos: np.ndarray) -> Brightness:
+    """Albedo, residuals and robust weights from what each photograph says of it (K, N), NaN where not seen.
+
+    The noise of each photograph is measured by the median of its residuals.
+    """
+    seen = np.isfinite(albedos)
+    values = np.where(seen, albedos, np.float32(0.0))
+    count = seen.sum(axis=0)
+    # The mean takes a share of the residual.
+    rest = np.sqrt(np.maximum(1.0 - 1.0 / np.maximum(count, 2), 0.5)).astype(np.float32)
+    weight = seen.astype(np.float32)
+    albedo = values.sum(axis=0) / np.maximum(count, 1)
+    for _ in range(2):
+        residual = np.where(seen, values - albedo, np.float32(0.0))
+        noise = np.array([_noise(r[mask] / rest[mask]) for r, mask in zip(residual, seen, strict=True)])
+        scaled = residual / (OUTLIER * noise[:, None] * rest)
+        weight = np.where(seen, 1.0 / ((1.0 + scaled * scaled) * noise[:, None] ** 2), 0.0).astype(np.float32)
+        albedo = np.einsum("kn,kn->n", weight, values) / np.maximum(weight.sum(axis=0), 1e-12)
+    return Brightness(albedo, np.where(seen, values - albedo, np.float32(0.0)), weight, noise)
+
+
+def _noise(residual: np.ndarray) -> np.float32:
+    if len(residual) == 0:
+        return np.float32(1.0)
+    every = max(len(residual) // _SAMPLE, 1)
+    return np.float32(max(1.4826 * np.median(np.abs(residual[::every])), LEAST_NOISE))

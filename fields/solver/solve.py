@@ -1,0 +1,131 @@
+"""Gauss-Newton over the heights of one tile."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from fields.solver.appearance import Appearance, Brightness, appearance_of, brightness_of
+from fields.solver.sight import Sight
+from fields.solver.smoothness import Bends, bends_of, stiffness_of
+from fields.solver.tile import Tile
+
+ITERATIONS = 3
+# Gain and offset are estimated in the first steps.
+APPEARANCE_ITERATIONS = 2
+# Of conjugate gradients, with the residual relative to the start.
+CG_STEPS, CG_RESIDUAL = 300, 3e-3
+# Weight of the start where neither images nor neighbours say anything [1/m^2].
+FAINT = np.float32(1e-2)
+# Derivative of fourth order: exact for the wavelengths that a cubic lookup keeps.
+_DERIVATIVE = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]], dtype=np.float32) / 12.0
+
+
+@dataclass(frozen=True)
+class Solved:
+    """Heights of the N pixels of a tile, and the normal equations that they solve.
+
+    Attributes
+    ----------
+    height : (N,) float32 [m] over the water plane
+    information : (N,) [1/m^2]
+        Of the images, for each height alone: the diagonal that the images add to the normal matrix.
+    stiffness : (M,) [1/m^2]
+        Of the bends.
+    bends : Bends
+    brightness : Brightness
+    slope : (K, N) [grey/m]
+        Change of each residual with the height.
+    """
+
+    height: np.ndarray
+    information: np.ndarray
+    stiffness: np.ndarray
+    bends: Bends
+    brightness: Brightness
+    slope: np.ndarray
+
+
+def solve(
+    tile: Tile, sight: Sight, images: list[np.ndarray], start: np.ndarray, roughness: float, tolerance: float
+) -> Solved:
+    """Heights of a tile by least squares over all photographs that see it.
+
+    Parameters
+    ----------
+    tile : Tile
+    sight : Sight
+    images : list of (height, width) float32
+        Grey levels of all views; NaN where masked.
+    start : (N,) float32 [m]
+        Heights of the sweep.
+    roughness : [m]
+        Typical bend of the bed from pixel to pixel.
+    tolerance : [m]
+        The largest change in one step.
+    """
+    bends, height = bends_of(tile), start.astype(np.float32)
+    appearance: Appearance | None = None
+    for iteration in range(ITERATIONS):
+        grey = sight.sample(images, height - start)
+        if appearance is None or iteration < APPEARANCE_ITERATIONS:
+            appearance = appearance_of(tile, grey)
+        brightness = brightness_of(appearance.albedo(grey))
+        slope = _slopes(tile, sight, images[sight.views[0]], brightness)
+        information = np.einsum("kn,kn,kn->n", brightness.weight, slope, slope)
+        pull = np.einsum("kn,kn,kn->n", brightness.weight, slope, brightness.residual)
+        stiffness = stiffness_of(bends.of_heights @ height, roughness)
+        step = conjugate_gradients(
+            normal_matrix(information, bends, stiffness),
+            -pull - bends.pull(stiffness, height),
+            information + bends.squared @ stiffness + FAINT,
+        )
+        height = height + np.clip(step, -tolerance, tolerance).astype(np.float32)
+    return Solved(height, information, stiffness, bends, brightness, slope)
+
+
+def _slopes(tile: Tile, sight: Sight, image: np.ndarray, brightness: Brightness) -> np.ndarray:
+    """How the residuals change with the height, (K, N) [grey/m].
+
+    Gradients are those of the albedo, the mean of all photographs: those of single photographs are noisy, and their
+    noise would count as texture.
+    """
+    albedo = tile.window(image).astype(np.float32)
+    albedo[tile.inside] = brightness.albedo
+    across, down = (tile_filter(albedo, kernel)[tile.inside] for kernel in (_DERIVATIVE, _DERIVATIVE.T))
+    slope = sight.motion[:, 0] * across + sight.motion[:, 1] * down
+    return brightness.less_mean(np.where(np.isfinite(slope), slope, np.float32(0.0)))
+
+
+def tile_filter(image: np.ndarray, kernel: np.ndarray) -> np.ndarray:
+    """An image correlated with a kernel; the rim repeats."""
+    return cv2.filter2D(image, -1, kernel, borderType=cv2.BORDER_REPLICATE)
+
+
+def normal_matrix(information: np.ndarray, bends: Bends, stiffness: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """The normal matrix as a function of heights (N,)."""
+    diagonal = information + FAINT
+    return lambda heights: diagonal * heights + bends.pull(stiffness, heights)
+
+
+def conjugate_gradients(
+    matrix: Callable[[np.ndarray], np.ndarray], right: np.ndarray, diagonal: np.ndarray
+) -> np.ndarray:
+    """Solution (N,) of ``matrix(x) = right``, with ``diagonal`` (N,) as preconditioner."""
+    solution, rest = np.zeros_like(right), right.copy()
+    towards = rest / diagonal
+    way, size = towards, float(rest @ towards)
+    enough = CG_RESIDUAL**2 * size
+    for _ in range(CG_STEPS):
+        if size <= enough:
+            break
+        along = matrix(way)
+        length = size / float(way @ along)
+        solution, rest = solution + length * way, rest - length * along
+        towards = rest / diagonal
+        before, size = size, float(rest @ towards)
+        way = towards + (size / before) * way
+    return solution

@@ -1,0 +1,233 @@
+"""The solver of the bed on a bed whose heights are known: heights, their noise, slopes, and what it learns."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from fields.device import choose_device
+from fields.solver.appearance import appearance_of, brightness_of
+from fields.solver.roughness import roughness_of
+from fields.solver.smoothness import bends_of, stiffness_of
+from fields.solver.solve import Solved, conjugate_gradients, normal_matrix
+from fields.solver.solver import SolvedMap, SolverFigures, solve_maps
+from fields.solver.tile import Tile, tiles_of
+from fields.solver.uncertainty import motion_of, variance_of
+from fields.sweep.block import Block
+from fields.sweep.sweep import DepthMap
+from refract import FlatWater, PinholeCamera
+
+WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.33)
+SIZE, FOCAL, FLYING, DEPTH = 80, 160.0, 8.0, 2.0
+GSD = (FLYING + DEPTH) / FOCAL
+CELL = 0.25 * GSD
+
+
+def camera(x: float, y: float) -> PinholeCamera:
+    return PinholeCamera([x, y, FLYING], np.diag([1.0, -1.0, -1.0]), FOCAL, FOCAL, SIZE / 2, SIZE / 2, SIZE, SIZE)
+
+
+class Bed:
+    """A bed on a slope, with long waves, painted at random; drawn by following rays through the water."""
+
+    def __init__(self, slope: float, seed: int = 3):
+        random = np.random.default_rng(seed)
+        self.slope = slope
+        shape = (700, 700)
+        paint = ndimage.gaussian_filter(random.standard_normal(shape), 2.0, mode="wrap")
+        self.paint = ndimage.spline_filter(25.0 * paint / paint.std(), order=3, mode="grid-wrap")
+
+    def height(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return -DEPTH + self.slope * x + 0.03 * np.sin(2.0 * x + 1.0) * np.cos(1.7 * y)
+
+    def heights_seen(self, seen_by: PinholeCamera) -> np.ndarray:
+        path = seen_by.paths(seen_by.pixel_centres(), WATER)
+        height = np.full((SIZE, SIZE), -DEPTH)
+        for _ in range(30):
+            point = path.at_height(height, WATER)
+            height = self.height(point[..., 0], point[..., 1])
+        return height
+
+    def photograph(self, seen_by: PinholeCamera, gain: float, offset: float) -> np.ndarray:
+        point = seen_by.paths(seen_by.pixel_centres(), WATER).at_height(self.heights_seen(seen_by), WATER)
+        at = [350.0 + point[..., 1] / CELL, 350.0 + point[..., 0] / CELL]
+        grey = ndimage.map_coordinates(self.paint, at, order=3, mode="grid-wrap", prefilter=False)
+        return (gain * grey + offset).astype(np.float32)
+
+
+@cache
+def survey(noise: float, slope: float, seed: int = 5) -> tuple[Block, list[DepthMap], np.ndarray]:
+    """A block of nine views, its maps with wrong heights, and the true heights in the first."""
+    random = np.random.default_rng(seed)
+    bed = Bed(slope)
+    cameras = [camera(x, y) for x, y in [(0.0, 0.0), *((x, y) for x in (-1.6, 0.0, 1.6) for y in (-1.6, 0.0, 1.6))][:9]]
+    cameras[5] = camera(1.1, -0.4)
+    images = [bed.photograph(c, random.uniform(0.8, 1.2), random.uniform(-5.0, 5.0)) for c in cameras]
+    images = [image + (noise * random.standard_normal(image.shape)).astype(np.float32) for image in images]
+    block = Block(choose_device("torch"), cameras, images, WATER, -DEPTH)
+    block.look_at(-DEPTH)
+    maps = []
+    for view, seen_by in enumerate(cameras):
+        truth = bed.heights_seen(seen_by)
+        wrong = ndimage.gaussian_filter(random.standard_normal(truth.shape), 2.0)
+        height = (truth + 0.6 * GSD * wrong / wrong.std()).astype(np.float32)
+        whole = np.ones(truth.shape)
+        maps.append(DepthMap(view, height, whole, whole, np.full(truth.shape, 5, np.uint8), 0.0 * height))
+    return block, maps, bed.heights_seen(cameras[0])
+
+
+def middle(margin: int = 14) -> np.ndarray:
+    wanted = np.zeros((SIZE, SIZE), dtype=bool)
+    wanted[margin:-margin, margin:-margin] = True
+    return wanted
+
+
+def solved(noise: float, slope: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, SolverFigures]:
+    """Errors of the sweep and of the solver in the first map, the std, and what was learned."""
+    block, maps, truth = survey(noise, slope)
+    kept = [middle() if m.view == 0 else np.zeros((SIZE, SIZE), dtype=bool) for m in maps]
+    found, figures = solve_maps(block, maps, kept, GSD, lambda share: None)
+    start = (maps[0].height - truth).flat[found[0].pixels]
+    return start, found[0].height - truth.flat[found[0].pixels], found[0].std, figures
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.5])
+def test_errors_of_the_start_vanish_without_noise_and_slopes_are_kept(slope):
+    start, error, _, _ = solved(0.3, slope)
+    assert start.std() > 0.5 * GSD
+    assert error.std() < 0.15 * GSD
+    assert abs(error.mean()) < 0.05 * GSD
+
+
+def test_the_error_is_what_the_standard_deviation_says():
+    _, error, std, _ = solved(4.0, 0.2)
+    assert np.mean(np.abs(error) < 1.96 * std) > 0.9
+    assert 0.3 < np.sqrt(np.mean(error**2) / np.mean(std**2)) < 1.2
+
+
+def test_more_noise_gives_larger_standard_deviations():
+    assert np.median(solved(6.0, 0.2)[2]) > 1.2 * np.median(solved(1.0, 0.2)[2])
+
+
+def plain_tile(size: int) -> Tile:
+    return Tile(0, 0, np.ones((size, size), dtype=bool), np.ones(size * size, dtype=bool))
+
+
+def test_planes_have_no_bends_however_steep():
+    tile = plain_tile(9)
+    rows, columns = tile.places
+    bends = bends_of(tile)
+    np.testing.assert_allclose(bends.of_heights @ (3.0 * rows - 7.0 * columns + 2.0).astype(np.float32), 0.0, atol=1e-4)
+    assert np.abs(bends.of_heights @ (rows == 4).astype(np.float32)).max() == 2.0
+
+
+def test_a_step_pulls_less_than_a_bend_of_the_roughness():
+    bends = np.array([0.01, 1.0], dtype=np.float32)
+    pull = stiffness_of(bends, 0.01) * bends
+    assert pull[1] < 0.05 * pull[0]
+
+
+def test_gain_and_offset_are_found_again():
+    tile, random = plain_tile(48), np.random.default_rng(1)
+    albedo = 20.0 * random.standard_normal(len(tile)).astype(np.float32)
+    gain, offset = np.array([1.0, 0.8, 1.3]), np.array([0.0, 7.0, -4.0])
+    grey = (gain[:, None] * albedo + offset[:, None]).astype(np.float32)
+    grey[2, :30] = np.nan
+    appearance = appearance_of(tile, grey)
+    np.testing.assert_allclose(appearance.gain, gain, atol=0.02)
+    np.testing.assert_allclose(appearance.albedo(grey)[:, 30:], np.broadcast_to(albedo[30:], (3, 2274)), atol=2.0)
+    assert np.isnan(appearance.albedo(grey)[2, :30]).all()
+
+
+def test_the_noise_of_each_photograph_is_measured_and_outliers_lose_their_weight():
+    random = np.random.default_rng(2)
+    noise = np.array([1.0, 2.0, 4.0, 8.0, 2.0, 2.0, 2.0, 2.0])
+    values = (noise[:, None] * random.standard_normal((8, 20_000))).astype(np.float32)
+    values[1, :500] += 60.0
+    found = brightness_of(values)
+    np.testing.assert_allclose(found.noise[3:], noise[3:], rtol=0.15)
+    assert found.weight[1, :500].mean() < 0.05 * found.weight[1, 500:].mean()
+    np.testing.assert_allclose(found.less_mean(np.ones_like(values)), 0.0, atol=1e-5)
+
+
+def synthetic(information: float, roughness: float) -> Solved:
+    """A tile with the same information everywhere and level heights."""
+    tile = plain_tile(40)
+    bends, zero = bends_of(tile), np.zeros(len(tile), dtype=np.float32)
+    stiffness = stiffness_of(bends.of_heights @ zero, roughness)
+    brightness = brightness_of(np.zeros((2, len(tile)), dtype=np.float32))
+    return Solved(zero, zero + np.float32(information), stiffness, bends, brightness, np.zeros((2, len(tile))))
+
+
+@pytest.mark.parametrize("roughness", [0.003, 0.03])
+def test_the_closed_form_is_the_diagonal_of_the_inverse(roughness):
+    result, tile = synthetic(1.0 / 0.02**2, roughness), plain_tile(40)
+    matrix = normal_matrix(result.information, result.bends, result.stiffness)
+    diagonal = result.information + result.bends.squared @ result.stiffness
+    unit = np.zeros(len(tile), dtype=np.float32)
+    unit[20 * 40 + 20] = 1.0
+    exact = conjugate_gradients(matrix, unit, diagonal)[20 * 40 + 20]
+    assert variance_of(tile, result)[20 * 40 + 20] == pytest.approx(exact, rel=0.05)
+
+
+def drawn(roughness: float, views: int = 12) -> tuple[Tile, Solved]:
+    """A tile whose photographs say, with noise, heights that bend as much as asked for, about level ones."""
+    random, tile = np.random.default_rng(4), plain_tile(96)
+    bends = bends_of(tile)
+    height = ndimage.gaussian_filter(random.standard_normal((96, 96)), 1.5).ravel()
+    height *= roughness / np.median(np.abs(bends.of_heights @ height))
+    slope = (50.0 * random.standard_normal((views, len(tile)))).astype(np.float32)
+    brightness = brightness_of(random.standard_normal((views, len(tile))).astype(np.float32))
+    slope = brightness.less_mean(slope)
+    residual = brightness.less_mean(brightness.residual - slope * height.astype(np.float32))
+    brightness = replace(brightness, residual=residual)
+    information = np.einsum("kn,kn,kn->n", brightness.weight, slope, slope)
+    zero = np.zeros(len(tile), dtype=np.float32)
+    return tile, Solved(zero, information, stiffness_of(bends.of_heights @ zero, 0.01), bends, brightness, slope)
+
+
+def test_a_rougher_bed_is_learned_to_be_rougher():
+    with ThreadPoolExecutor(1) as pool:
+        smooth, rough = (roughness_of([drawn(bend)], 0.02, pool) for bend in (0.0005, 0.02))
+    assert smooth < 0.4 * rough
+
+
+def test_waves_between_photographs_are_seen():
+    tile, still = drawn(0.001)
+    waves = 0.03 * np.sin(0.5 * tile.places[0]) * (-1.0) ** np.arange(12)[:, None]
+    residual = still.brightness.less_mean((still.brightness.residual - still.slope * waves).astype(np.float32))
+    brightness = replace(still.brightness, residual=residual)
+    moved = Solved(still.height, still.information, still.stiffness, still.bends, brightness, still.slope)
+    with ThreadPoolExecutor(1) as pool:
+        assert motion_of([(tile, still)], 0.005, pool) == pytest.approx(1.0, abs=0.4)
+        assert motion_of([(tile, moved)], 0.005, pool) > 3.0
+
+
+def test_tiles_hold_every_wanted_pixel_once():
+    wanted = np.random.default_rng(0).random((50, 70)) < 0.2
+    count = np.zeros(wanted.shape, dtype=int)
+    for tile in tiles_of(wanted, np.ones_like(wanted), side=16):
+        rows, columns = tile.places
+        count[rows[tile.asked] + tile.row, columns[tile.asked] + tile.column] += 1
+    np.testing.assert_array_equal(count, wanted)
+
+
+def test_a_map_takes_solved_heights_and_keeps_the_others():
+    level = np.zeros((4, 5), dtype=np.float32)
+    depth_map = DepthMap(0, level, level, level, level.astype(np.uint8), level)
+    refined, std = SolvedMap(np.array([7]), np.array([-1.5]), np.array([0.01])).over(depth_map)
+    assert refined.height[1, 2] == -1.5
+    assert np.count_nonzero(refined.height) == 1
+    assert np.isfinite(std).sum() == 1
+
+
+def test_nothing_kept_is_nothing_solved():
+    block, maps, _ = survey(4.0, 0.2)
+    found, figures = solve_maps(block, maps, [np.zeros((SIZE, SIZE), dtype=bool)] * 9, GSD, lambda share: None)
+    assert [len(each.pixels) for each in found] == [0] * 9
+    assert np.isnan(figures.motion)

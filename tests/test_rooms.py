@@ -61,7 +61,7 @@ DISK_FILES = {
         "fields": ("device",),
         "geo": ("e57", "files", "gltf", "las", "las_header", "obj", "ply", "ply_reading", "raster"),
         "survey": ("code_hash", "machine", "progress", "stage_key"),
-        "survey/adjust": ("adjustment", "calibration", "written"),
+        "survey/adjust": ("adjustment", "waterline", "written"),
         "survey/commands": ("console", "streams"),
         "survey/compare": ("canvas", "comparison"),
         "survey/control": ("metashape_xml", "reading", "xml_elements"),

@@ -206,8 +206,8 @@ def std_of_kinds(problem: Problem, residuals: np.ndarray, taken: float) -> np.nd
     # Of a kind that was not observed, any number does.
     std[~present & np.isnan(std)] = 1.0
     for kind in np.flatnonzero(np.isnan(std)):
-        mine = (length / spare)[problem.kind == kind]
-        std[kind] = max(float(np.nanmedian(mine)) / _MEDIAN_LENGTH, 1e-3) if len(mine) else 1.0
+        scaled = (length / spare)[(problem.kind == kind) & np.isfinite(length)]
+        std[kind] = max(float(np.median(scaled)) / _MEDIAN_LENGTH, 1e-3) if len(scaled) else 1.0
     return std
 
 

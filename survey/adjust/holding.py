@@ -17,7 +17,7 @@ from survey.adjust.adjustment import UNKNOWN, Parameter
 from survey.adjust.priors import HELD, Known
 from survey.adjust.rounds import Adjusted, adjust
 from survey.adjust.state import LENS_NAMES, Layout
-from survey.adjust.verdicts import WATER_PARAMETERS
+from survey.adjust.water_settings import WATER_PARAMETERS
 
 
 def not_observable(parameters: Sequence[Parameter], layout: Layout) -> np.ndarray:

@@ -1,0 +1,176 @@
+"""The result of an adjustment: parameters with verdicts, poses, covariance, residuals and control points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from refract.lens import Lens
+from survey.adjust.adjustment import Adjustment, ControlResidual, Parameter
+from survey.adjust.free_water import Lost
+from survey.adjust.holding import not_observable
+from survey.adjust.observed import KINDS, MARK, Observed
+from survey.adjust.priors import Known, is_held
+from survey.adjust.rounds import Adjusted
+from survey.adjust.state import LENS_NAMES, WATER, WATER_NAMES, State
+from survey.adjust.verdicts import lens_verdicts, lost_verdict, water_limits, water_verdicts
+from survey.adjust.water_settings import settings_by_local, settings_of, with_settings
+from survey.folder.config import WaterConfig
+from survey.folder.survey import Survey
+
+_POSE_NAMES = ("x", "y", "z", "turn_x", "turn_y", "turn_z")
+# Three determine a pose; as many again tell whether they are right.
+_FEW_MATCHES = 6
+
+
+def lens_with(lens: Lens, parameters: np.ndarray) -> Lens:
+    """A lens with adjusted parameters (8,)."""
+    if is_held(lens):
+        return lens
+    fx, fy = lens.focal
+    f, cx, cy, k1, k2, k3, p1, p2 = parameters.tolist()
+    return Lens("FULL_OPENCV", (f, f * fy / fx, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0), lens.width, lens.height)
+
+
+def result(
+    survey: Survey,
+    done: Adjusted,
+    total: int,
+    *,
+    lost: dict[str, Lost] | None = None,
+    hold: Callable[[np.ndarray], Adjusted] | None = None,
+) -> Adjustment:
+    """What was found.
+
+    Parameters
+    ----------
+    survey : Survey
+    done : Adjusted
+    total : int
+        Observations before any was left out.
+    lost : dict of name to Lost, optional
+        Of water of which nothing was known: what is not observable, and why.
+    hold : callable, optional
+        Adjusts again with the parameters (P,) bool held that are not observable.
+    """
+    layout, first = done.known.layout, done.solution.covariance
+    held = np.zeros(len(layout), dtype=bool)
+    while True:
+        parameters, water = _judged(survey, done, first, held, lost)
+        also = held | not_observable(parameters, layout)
+        if hold is None or (also == held).all():
+            break
+        held, done = also, hold(also)
+    known, solution, used = done.known, done.solution, done.used
+    state, covariance = solution.state, solution.covariance
+    poses = np.sqrt(np.diag(covariance)[layout.first_pose :]).reshape(-1, 6)
+    # What a rough bed seems to rise by is no result.
+    kept = np.r_[: len(WATER_NAMES), layout.first_lens : len(layout)]
+    names = (
+        *WATER_NAMES,
+        *(f"camera{i}.{name}" for i in range(len(known.lenses)) for name in LENS_NAMES),
+        *(f"{view.name}.{name}" for view in survey.views for name in _POSE_NAMES),
+    )
+    gps = known.std[layout.first_pose :].reshape(-1, 6)[:, :3]
+    gps = gps[np.isfinite(gps).all(axis=1)]
+    gps = np.median(gps, axis=0) if len(gps) else gps[:0, 0]
+    counts = {name: int((used.kind == kind).sum()) for kind, name in enumerate(KINDS)}
+    blunders = [view.name for view, bad in zip(survey.views, done.blunders, strict=True) if bad]
+    warnings = []
+    if blunders:
+        warnings.append(f"positions that the block contradicts are not used: {', '.join(blunders)}")
+    matches = np.bincount(used.ties.view, minlength=len(survey.views))
+    loose = [view.name for view, count in zip(survey.views, matches, strict=True) if count < _FEW_MATCHES]
+    if loose:
+        warnings.append(
+            f"with fewer than {_FEW_MATCHES} matches, poses stay about as they came: {', '.join(loose)}; leave these "
+            "photographs out"
+        )
+    return Adjustment(
+        parameters=parameters,
+        water=water,
+        lenses=tuple(lens_with(lens, state.lenses[i]) for i, lens in enumerate(known.lenses)),
+        names=tuple(view.name for view in survey.views),
+        lens_of=layout.lens_of,
+        centres=state.centres,
+        rotations=state.rotations,
+        position_std=poses[:, :3],
+        rotation_std_deg=np.degrees(poses[:, 3:]),
+        covariance=covariance[np.ix_(kept, kept)],
+        covariance_names=names,
+        water_point=known.place_of_water,
+        std_px={name: float(solution.std_px[kind]) for kind, name in enumerate(KINDS) if counts[name]},
+        factor={name: float(done.factor[kind]) for kind, name in enumerate(KINDS) if counts[name]},
+        num_observations={name: count for name, count in counts.items() if count},
+        num_points=len(used.ties),
+        num_left_out=total - len(used.kind),
+        gps_std_m=None if not len(gps) else (float(gps[0]), float(gps[1]), float(gps[2])),
+        control=_control(survey, used, solution, state),
+        notes=(),
+        warnings=tuple(warnings),
+        residual_view=used.ties.view,
+        residual_px=solution.residuals,
+        residual_at_px=used.ties.pixel,
+        residual_point=used.ties.point,
+        points=state.points,
+    )
+
+
+def _judged(
+    survey: Survey, done: Adjusted, first: np.ndarray, held: np.ndarray, lost: dict[str, Lost] | None
+) -> tuple[tuple[Parameter, ...], WaterConfig | None]:
+    """Parameters of water and lenses with their verdicts, and the water; ``first`` tells of those that are held."""
+    known, state, covariance = done.known, done.solution.state, done.solution.covariance
+    parameters: list[Parameter] = []
+    water: WaterConfig | None = None
+    if survey.water is not None:
+        verdicts, water = _water(survey, known, state, (covariance, first), held[:WATER], lost)
+        parameters += verdicts
+    variance = np.where(held, np.diag(first), np.diag(covariance))
+    for number, lens in enumerate(known.lenses):
+        if not is_held(lens):
+            at = known.layout.lens(number)
+            std = np.sqrt(variance[at])
+            parameters += lens_verdicts(number, state.lenses[number], std, known.mean.lenses[number], known.std[at])
+    return tuple(parameters), water
+
+
+def _water(
+    survey: Survey,
+    known: Known,
+    state: State,
+    covariances: tuple[np.ndarray, np.ndarray],
+    held: np.ndarray,
+    lost: dict[str, Lost] | None,
+) -> tuple[list[Parameter], WaterConfig]:
+    """Level, slopes and index as survey.toml counts them, with verdicts; the second covariance tells of the held."""
+    _, given = survey.require_water()
+    by_local = settings_by_local(survey, np.array(known.place_of_water))
+    values = settings_of(given) + by_local @ (state.water_parameters() - known.mean.water_parameters())
+    std, held_std = (np.sqrt(np.diag(by_local @ c[:WATER, :WATER] @ by_local.T)) for c in covariances)
+    given_std = np.sqrt(np.diag(by_local @ np.diag(known.std[:WATER] ** 2) @ by_local.T))
+    if lost is not None:
+        given_std = np.full(WATER, np.inf)
+    found = water_verdicts(values, np.where(held, held_std, std), given, given_std, water_limits(state.points))
+    for i, row in enumerate(found):
+        if lost and row.name in lost:
+            found[i] = lost_verdict(row.name, lost[row.name].std, row.given, lost[row.name].reason)
+    return found, with_settings(given, np.array([row.value for row in found]))
+
+
+def _control(survey: Survey, used: Observed, solution, state: State) -> tuple[ControlResidual, ...]:
+    """How the block fits its control points."""
+    if survey.control is None:
+        return ()
+    by_name = {point.name: point for point in survey.control.points}
+    first = len(used.ties) - len(used.control)
+    found = []
+    for number, name in enumerate(used.control, start=first):
+        mine = (used.ties.point == number) & (used.kind == MARK)
+        point = state.points[number]
+        wet = state.water is not None and float(state.water.depth(point[None])[0]) > 0.0
+        east, north, up = (point - by_name[name].local).tolist()
+        rms = float(np.sqrt(np.mean(np.square(solution.residuals[mine]))))
+        found.append(ControlResidual(name, by_name[name].is_check, wet, (east, north, up), int(mine.sum()), rms))
+    return tuple(found)

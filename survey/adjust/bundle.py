@@ -181,7 +181,9 @@ def std_of_kinds(problem: Problem, residuals: np.ndarray) -> np.ndarray:
     spare = np.sqrt(np.maximum(1.0 - 1.5 / seen, 0.1))
     std = problem.given_std_px.copy()
     for kind in np.flatnonzero(np.isnan(std)):
-        std[kind] = max(float(np.nanmedian((length / spare)[problem.kind == kind])) / _MEDIAN_LENGTH, 1e-3)
+        scaled = (length / spare)[(problem.kind == kind) & np.isfinite(length)]
+        # A kind that does not occur gets any number: NaN would never be steady.
+        std[kind] = max(float(np.median(scaled)) / _MEDIAN_LENGTH, 1e-3) if len(scaled) else 1.0
     return std
 
 

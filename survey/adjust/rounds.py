@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from survey.adjust.bundle import Problem, Solution, solve
+from survey.adjust.bundle import NotConvergedError, Problem, Solution, solve
 from survey.adjust.clusters import inflation
 from survey.adjust.observed import KINDS, MARK, Observed
 from survey.adjust.prediction import relief_sides
@@ -63,6 +63,8 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
     NotConvergedError
         If an adjustment does not converge.
     """
+    if not len(seen.kind):
+        raise NotConvergedError("no window or match is left in three photographs to adjust")
     state = replace(known.state, points=seen.ties.start)
     blunders = np.zeros(len(known.unknown_positions), dtype=bool)
     factors = np.ones(len(KINDS))

@@ -38,5 +38,6 @@ def measure_windows(survey: Survey, *, device: str = "auto", advance: Callable[[
     pixel = ties.pixel * enlarge[ties.view]
     for number, view in enumerate(survey.views):
         mine = ties.view == number
-        pixel[mine] = distorted(view.lens, pixel[mine])
+        if mine.any():
+            pixel[mine] = distorted(view.lens, pixel[mine])
     return replace(ties, pixel=pixel)

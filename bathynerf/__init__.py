@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from refract.projection import project
     from refract.surfaces import FlatWater, WaterSurface
     from refract.wavy import WavyWater
-    from survey.adjust.calibration import estimate_water
+    from survey.adjust.waterline import estimate_water
     from survey.compare.comparison import compare_files as compare
     from survey.compare.options import CompareOptions
     from survey.errors import SurveyError
@@ -90,7 +90,7 @@ _MODULES = {
     "refract.projection": ("project",),
     "refract.surfaces": ("FlatWater", "WaterSurface"),
     "refract.wavy": ("WavyWater",),
-    "survey.adjust.calibration": ("estimate_water",),
+    "survey.adjust.waterline": ("estimate_water",),
     "survey.compare.comparison": ("compare",),
     "survey.compare.options": ("CompareOptions",),
     "survey.errors": ("SurveyError",),

@@ -47,6 +47,20 @@ def nadir() -> list[PinholeCamera]:
     ]
 
 
+def meeting_of_straight_rays(cameras, ties: TiePoints) -> np.ndarray:
+    """Points (M, 3) nearest to their lines of sight, as if there were no water."""
+    normal, right = np.zeros((len(ties), 3, 3)), np.zeros((len(ties), 3))
+    for view, camera in enumerate(cameras):
+        mine = ties.view == view
+        ray = (ties.pixel[mine] - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+        ray = np.column_stack([ray, np.ones(len(ray))]) @ camera.cam_from_local
+        ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+        across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
+        np.add.at(normal, ties.point[mine], across)
+        np.add.at(right, ties.point[mine], across @ camera.centre)
+    return np.linalg.solve(normal, right[..., None])[..., 0]
+
+
 def tie_points(cameras, rng, *, count=300, std_px=0.1, low=-5.0, high=-0.5, wrong=0.0) -> TiePoints:
     """Points of a bed between two heights [m], seen by every camera that has them in its image.
 

@@ -1,30 +1,35 @@
-"""The self-calibration end to end: verdicts on a block that can tell and one that cannot, and windows that match."""
+"""The water from photographs: verdicts on blocks that can tell and that cannot, and truth within its covariance."""
 
 from __future__ import annotations
 
 import json
-import math
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
+from refract import PinholeCamera
 from refract.lens import Lens
-from survey.adjust import calibration
-from survey.adjust.calibration import calibrate_water, nadir_views, within_bounds
-from survey.photos.tie_points import TiePoints
-from survey.adjust.water import water_from_ties
-from survey.adjust.water_estimate import PARAMETERS
+from survey.adjust import refine, waterline
+from survey.adjust.bundle import NotConvergedError
+from survey.adjust.free_water import dry_or_within_bounds, within_bounds
+from survey.adjust.priors import EXACT_STD_DEG, EXACT_STD_M
+from survey.adjust.water_settings import WATER_PARAMETERS, settings_of
+from survey.adjust.waterline import calibrate_water, nadir_views, with_water
 from survey.errors import SurveyError
 from survey.folder.place import water_plane
+from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import load_survey
 from survey.photos.cameras import View
+from survey.photos.tie_points import TiePoints
 from tests.small_survey import small_survey
-from tests.small_water_block import FOCAL, SIZE, convergent, nadir, tie_points
+from tests.small_water_block import FOCAL, SIZE, TRUTH, convergent, nadir, tie_points
 
-# The water of `small_water_block` at the origin of the local frame of `small_survey`.
 STD_PX = 0.05
+NONE = TiePoints(np.zeros((0, 3)), np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros((0, 2)))
 
 
 def survey_with(tmp_path, cameras, *, level=0.3, index=1.335):
@@ -32,84 +37,142 @@ def survey_with(tmp_path, cameras, *, level=0.3, index=1.335):
     survey = load_survey(small_survey(tmp_path / "s"))
     lens = Lens("SIMPLE_PINHOLE", (FOCAL, SIZE[0] / 2, SIZE[1] / 2), *SIZE)
     views = tuple(View(f"{i}", survey.views[0].path, camera, lens) for i, camera in enumerate(cameras))
+    priors = {view.name: PosePrior(view.camera.centre, None, None, "poses file") for view in views}
     easting, northing, height = survey.frame.origin
     given = replace(
         survey.config.water, level_m=height + level, level_at=(easting, northing), refractive_index=index,
         slope_east=0.0, slope_north=0.0,
     )  # fmt: skip
     config = replace(survey.config, water=given)
-    return replace(survey, views=views, config=config, water=water_plane(survey.frame, given))
+    return replace(survey, views=views, priors=priors, config=config, water=water_plane(survey.frame, given))
 
 
-def test_a_convergent_block_tells_its_water_and_a_verdict_for_each_parameter(tmp_path, rng):
+@pytest.fixture
+def measuring(monkeypatch):
+    """Gives the windows that are measured in the photographs."""
+
+    def give(ties: TiePoints) -> None:
+        monkeypatch.setattr(refine, "measure_windows", lambda *_arguments, **_options: ties)
+
+    return give
+
+
+def errors(survey, found) -> np.ndarray:
+    """Estimates less the truth, (4,)."""
+    truth = TRUTH + np.array([survey.frame.origin[2], 0.0, 0.0, 0.0])
+    # Grid and local axes differ by the convergence of meridians, a degree: 2e-5 of slope, a tenth of its sigma.
+    return np.array([row.value for row in found.estimates]) - truth
+
+
+def test_a_convergent_block_tells_its_water_and_a_verdict_for_each_parameter(tmp_path, rng, measuring):
     cameras = convergent()
     survey = survey_with(tmp_path, cameras, level=0.8, index=1.30)
-    found = water_from_ties(survey, tie_points(cameras, rng, count=600, std_px=STD_PX))
-    assert [e.name for e in found.estimates] == list(PARAMETERS)
-    assert all(e.is_observable and e.verdict.startswith("estimated") for e in found.estimates)
-    level, _, _, index = found.estimates
-    assert abs(level.value - survey.frame.origin[2] - 0.3) < 3.0 * level.std
-    assert abs(index.value - 1.335) < 3.0 * index.std
-    assert level.std < 0.05
-    assert found.water.level_m == level.value
+    measuring(tie_points(cameras, rng, std_px=STD_PX))
+    found = calibrate_water(survey)
+    assert [e.name for e in found.estimates] == list(WATER_PARAMETERS)
+    assert all(e.is_observable and e.verdict.startswith("found: ") for e in found.estimates)
+    std = np.array([e.std for e in found.estimates])
+    assert (np.abs(errors(survey, found)) < 3.5 * std).all()
+    assert std[0] < 0.05
+    assert found.water.level_m == found.estimates[0].value
     assert found.num_dry == 0
+    # What nothing was known of is not compared with what was given.
+    assert "(given" not in found.estimates[0].verdict
 
 
-def test_a_block_from_above_says_that_it_cannot_know_and_keeps_what_was_given(tmp_path, rng):
+def test_errors_are_as_large_as_the_covariance_says_with_poses_that_are_wrong(tmp_path, measuring):
+    cameras = convergent()
+    squares = []
+    for seed in range(8):
+        rng = np.random.default_rng(100 + seed)
+        measuring(tie_points(cameras, rng, count=60))
+        survey = survey_with(tmp_path, [spoilt(camera, rng) for camera in cameras], level=0.8, index=1.30)
+        found = calibrate_water(survey)
+        error = errors(survey, found)
+        squares.append(error @ np.linalg.solve(found.covariance, error))
+    low, high = chi2.ppf([0.001, 0.999], 4 * len(squares))
+    assert low < sum(squares) < high
+
+
+def spoilt(camera: PinholeCamera, rng) -> PinholeCamera:
+    """A camera whose pose is wrong by what is assumed of poses of a file."""
+    turn = Rotation.from_rotvec(np.radians(EXACT_STD_DEG) * rng.normal(size=3)).as_matrix()
+    centre = camera.centre + EXACT_STD_M * rng.normal(size=3)
+    return replace(camera, centre=centre, cam_from_local=turn @ camera.cam_from_local)
+
+
+def test_wrong_measurements_hardly_move_it(tmp_path, measuring):
+    cameras = convergent()
+    survey = survey_with(tmp_path, cameras, level=0.8, index=1.30)
+    measuring(tie_points(cameras, np.random.default_rng(3), count=150, wrong=0.05))
+    found = calibrate_water(survey)
+    # One in twenty is up to 200 standard deviations off.
+    assert (np.abs(errors(survey, found)) < 3.5 * np.array([e.std for e in found.estimates])).all()
+
+
+def test_a_block_from_above_says_that_it_cannot_know_and_keeps_what_was_given(tmp_path, rng, measuring):
     cameras = nadir()
     survey = survey_with(tmp_path, cameras, level=0.8, index=1.30)
-    found = water_from_ties(survey, tie_points(cameras, rng, count=600, std_px=STD_PX))
+    measuring(tie_points(cameras, rng, std_px=STD_PX))
+    found = calibrate_water(survey)
     assert not found.is_observable
     assert found.estimates[0].verdict.startswith("not observable: 1 sigma is")
     assert found.estimates[0].std > 0.05
-    assert found.water == survey.config.water
-
-
-def test_a_verdict_names_a_standard_deviation_only_where_it_is_too_large(tmp_path, rng):
-    cameras = nadir()
-    survey = survey_with(tmp_path, cameras, level=0.8, index=1.30)
-    found = water_from_ties(survey, tie_points(cameras, rng, count=600, std_px=STD_PX))
+    np.testing.assert_array_equal(settings_of(found.water), settings_of(survey.config.water))
+    # A standard deviation is named only where it is too large.
     reasons = [re.search(r"1 sigma is (\S+?)(?: m)?, at most (\S+?)(?: m)? would", e.verdict) for e in found.estimates]
     assert all(float(reason[1]) > float(reason[2]) for reason in reasons if reason)
-    others = [e for e, reason in zip(found.estimates, reasons, strict=True) if not reason]
-    assert "slope_east" in [e.name for e in others]
-    for estimate in others:
+    for estimate, reason in zip(found.estimates, reasons, strict=True):
         words = f"not observable: the level is not, and {estimate.name} cannot be separated from it; "
-        assert estimate.verdict.startswith(words)
+        assert reason or estimate.verdict.startswith(words)
 
 
 @pytest.mark.parametrize("num_wet", [0, 12])
-def test_too_few_tie_points_under_water_make_every_parameter_not_observable(tmp_path, rng, num_wet):
+def test_too_few_tie_points_under_water_make_every_parameter_not_observable(tmp_path, rng, measuring, num_wet):
     cameras = convergent()
     survey = survey_with(tmp_path, cameras)
-    ties = tie_points(cameras, rng, count=200, std_px=STD_PX, low=0.8, high=3.0)
+    ties = tie_points(cameras, rng, count=100, std_px=STD_PX, low=0.8 + 1.0, high=4.0)
     if num_wet:
-        ties = joined(ties, tie_points(cameras, rng, count=num_wet, std_px=STD_PX))
-    found = water_from_ties(survey, ties)
+        ties = joined(ties, tie_points(cameras, rng, count=num_wet, std_px=STD_PX, low=-5.0, high=-2.0))
+    measuring(ties)
+    found = calibrate_water(survey)
     assert not found.is_observable
-    assert found.water == survey.config.water
+    np.testing.assert_array_equal(settings_of(found.water), settings_of(survey.config.water))
     level, *others = (estimate.verdict for estimate in found.estimates)
-    assert level.startswith(f"not observable: {num_wet} of {len(ties)} tie points lie under water")
+    under = f"{num_wet} of {len(ties)} tie points lie under water, expected at least 30"
+    assert level.startswith(f"not observable: {under}; ")
     assert all(verdict.startswith("not observable: the level is not; ") for verdict in others)
-    assert found.num_dry == len(ties) - num_wet
+    assert found.num_dry >= 100
 
 
-def test_no_tie_points_at_all_are_a_verdict_too(tmp_path):
-    survey = survey_with(tmp_path, convergent())
-    none = TiePoints(np.zeros((0, 3)), np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros((0, 2)))
-    found = water_from_ties(survey, none)
-    assert "0 of 0 tie points lie under water" in found.estimates[0].verdict
+def test_no_tie_points_at_all_are_a_verdict_too(tmp_path, measuring):
+    measuring(NONE)
+    found = calibrate_water(survey_with(tmp_path, convergent()))
+    assert "no window" in found.estimates[0].verdict
     assert json.loads(found.to_json())["rms_px"] is None
 
 
-def test_views_from_above_of_a_shore_are_not_observable_instead_of_an_error(tmp_path, rng):
-    """Points near the water line are wet at one level and dry at the next: the least squares swing to and fro."""
+def test_an_adjustment_that_does_not_converge_is_a_verdict_with_its_reason(tmp_path, monkeypatch):
+    def fail(*_arguments, **_options):
+        raise NotConvergedError("it swings to and fro")
+
+    monkeypatch.setattr(waterline, "adjust_survey", fail)
+    survey = survey_with(tmp_path, convergent())
+    found = calibrate_water(survey)
+    assert found.estimates[0].verdict.startswith("not observable: it swings to and fro; ")
+    assert found.water == survey.config.water
+    record = json.loads(found.to_json())
+    assert [row["is_observable"] for row in record["estimates"]] == [False] * 4
+
+
+def test_views_from_above_of_a_shore_are_not_observable_instead_of_an_error(tmp_path, rng, measuring):
+    """Points near the water line are wet at one level and dry at the next."""
     cameras = nadir()
     survey = survey_with(tmp_path, cameras)
-    found = water_from_ties(survey, tie_points(cameras, rng, count=300, std_px=STD_PX, low=-0.5, high=1.0))
+    measuring(tie_points(cameras, rng, std_px=STD_PX, low=-0.5, high=1.0))
+    found = calibrate_water(survey)
     assert not found.is_observable
-    assert all("not observable" in e.verdict and "kept as given" in e.verdict for e in found.estimates)
-    assert found.water == survey.config.water
+    assert all("not observable" in e.verdict and e.verdict.endswith("is kept") for e in found.estimates)
 
 
 def test_tie_points_beyond_the_bounds_are_not_used(tmp_path, rng):
@@ -119,13 +182,28 @@ def test_tie_points_beyond_the_bounds_are_not_used(tmp_path, rng):
     easting, northing, _ = survey.frame.origin
     bounds = (easting - 4.0, northing - 3.0, easting + 2.0, northing + 5.0)
     kept = within_bounds(replace(survey, bounds=bounds), ties)
-    east, north, _ = survey.frame.crs_from_local(kept.start).T
     assert 0 < len(kept) < len(ties)
-    assert (bounds[0] <= east).all()
-    assert (east <= bounds[2]).all()
-    assert (bounds[1] <= north).all()
-    assert (north <= bounds[3]).all()
+    assert inside(survey, bounds, kept).all()
     assert within_bounds(survey, ties) is ties
+
+
+def test_matches_beyond_the_bounds_are_used_on_dry_ground_alone(tmp_path, rng):
+    cameras = convergent()
+    survey = survey_with(tmp_path, cameras)
+    dry = tie_points(cameras, rng, count=50, low=1.5, high=3.0)
+    ties = joined(tie_points(cameras, rng, low=-5.0, high=-2.0), dry)
+    easting, northing, _ = survey.frame.origin
+    bounds = (easting - 4.0, northing - 3.0, easting + 2.0, northing + 5.0)
+    kept = dry_or_within_bounds(replace(survey, bounds=bounds), ties)
+    is_dry = survey.water.depth(kept.start) < 0.0
+    assert is_dry.sum() == len(dry)
+    assert not inside(survey, bounds, kept)[is_dry].all()
+    assert inside(survey, bounds, kept)[~is_dry].all()
+
+
+def inside(survey, bounds, ties: TiePoints) -> np.ndarray:
+    east, north, _ = survey.frame.crs_from_local(ties.start).T
+    return (bounds[0] <= east) & (east <= bounds[2]) & (bounds[1] <= north) & (north <= bounds[3])
 
 
 def joined(a: TiePoints, b: TiePoints) -> TiePoints:
@@ -137,21 +215,17 @@ def joined(a: TiePoints, b: TiePoints) -> TiePoints:
     )
 
 
-def test_all_of_it_goes_into_json(tmp_path, rng):
+def test_all_of_it_goes_into_json(tmp_path, rng, measuring):
     cameras = convergent()
-    found = water_from_ties(survey_with(tmp_path, cameras), tie_points(cameras, rng, std_px=STD_PX))
+    measuring(tie_points(cameras, rng, count=100, std_px=STD_PX))
+    found = calibrate_water(survey_with(tmp_path, cameras))
     record = json.loads(found.to_json())
-    assert record["estimates"][0]["name"] == "level_m"
+    level = record["estimates"][0]
+    assert level["name"] == "level_m"
+    assert {"value", "std", "given", "is_observable", "verdict"} <= set(level)
+    assert [row["name"] for row in record["parameters"][:5]] == [*WATER_PARAMETERS, "camera0.f"]
     assert np.allclose(np.diag(record["correlation"]), 1.0)
-    assert np.array(record["covariance"]).shape == (4, 4)
-
-
-def test_a_covariance_that_is_not_known_is_null_in_json(tmp_path, rng):
-    cameras = convergent()
-    found = water_from_ties(survey_with(tmp_path, cameras), tie_points(cameras, rng, std_px=STD_PX))
-    text = replace(found, covariance=((math.nan,) * 4,) * 4).to_json()
-    assert "NaN" not in text
-    assert json.loads(text)["covariance"] == [[None] * 4] * 4
+    np.testing.assert_allclose(np.sqrt(np.diag(record["covariance"])), [row["std"] for row in record["estimates"]])
 
 
 def test_poses_of_a_run_that_is_named_are_used_and_a_run_without_poses_is_refused(tmp_path, monkeypatch):
@@ -161,28 +235,37 @@ def test_poses_of_a_run_that_is_named_are_used_and_a_run_without_poses_is_refuse
         asked.append(workspace)
         raise SurveyError("seen enough")
 
-    monkeypatch.setattr(calibration, "load_survey", load)
+    monkeypatch.setattr(waterline, "load_survey", load)
     run = tmp_path / "run"
     with pytest.raises(SurveyError, match=r"has no poses by structure from motion .*leave --run out"):
-        calibration.estimate_water(tmp_path, run_folder=run)
+        waterline.estimate_water(tmp_path, run_folder=run)
     (run / "sfm").mkdir(parents=True)
     for named in (run, None):
         with pytest.raises(SurveyError, match="seen enough"):
-            calibration.estimate_water(tmp_path, run_folder=named)
+            waterline.estimate_water(tmp_path, run_folder=named)
     assert asked == [run / "sfm", None]
 
 
-def test_nadir_views_are_those_that_look_down(tmp_path):
+def test_a_dry_survey_is_refused(tmp_path):
     survey = survey_with(tmp_path, convergent())
-    assert len(nadir_views(survey).views) == 5
+    with pytest.raises(SurveyError, match="a dry survey has no water to estimate"):
+        calibrate_water(replace(survey, water=None))
+
+
+def test_nadir_views_are_those_that_look_down_with_their_own_matches(tmp_path, rng):
+    cameras = convergent()[::-1]
+    ties = tie_points(cameras, rng, count=40)
+    steep = nadir_views(replace(survey_with(tmp_path, cameras), ties=ties))
+    assert [view.name for view in steep.views] == ["16", "17", "18", "19", "20"]
+    for view, whole in enumerate(range(16, 21)):
+        np.testing.assert_array_equal(steep.ties.pixel[steep.ties.view == view], ties.pixel[ties.view == whole])
 
 
 @pytest.mark.slow
 def test_wreck_under_water_gives_its_level_and_index_from_a_wrong_start(data_dir):
     survey = load_survey(data_dir / "wreck_water")
     truth = survey.config.water
-    start = replace(truth, level_m=truth.level_m + 0.5, refractive_index=1.30)
-    wrong = replace(survey, config=replace(survey.config, water=start), water=water_plane(survey.frame, start))
+    wrong = with_water(survey, replace(truth, level_m=truth.level_m + 0.5, refractive_index=1.30))
     level, _, _, index = calibrate_water(wrong).estimates
     # The truth within two standard deviations, and those small enough to be of use.
     assert abs(level.value - truth.level_m) < 2.0 * level.std < 0.05

@@ -11,11 +11,13 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from refract.lens import Lens
-from survey.adjust.calibration import measure_ties
+from survey.adjust import refine
 from survey.adjust.matching import RADIUS, match, prepared, window
-from survey.adjust.water import water_from_ties
+from survey.adjust.waterline import WaterEstimate, calibrate_water
+from survey.adjust.windows_of_survey import measure_windows
 from survey.folder.survey import Survey, load_survey
 from survey.photos.images import load_mask
+from survey.photos.tie_points import TiePoints
 from survey.simulate.drawn import DrawnScene, stage_drawing
 from survey.simulate.output.writing import write_survey
 
@@ -42,14 +44,21 @@ def drawn(folder: Path, distortion: tuple[float, ...] | None = None) -> Survey:
 
 
 def measured(survey: Survey):
-    return measure_ties(survey, device="cpu", advance=lambda share: None)
+    return measure_windows(survey, device="cpu", advance=lambda share: None)
+
+
+def water_of(survey: Survey, ties) -> WaterEstimate:
+    """The water that measured windows tell."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(refine, "measure_windows", lambda *_arguments, **_options: ties)
+        return calibrate_water(survey)
 
 
 @pytest.fixture(scope="module")
 def pinhole(tmp_path_factory):
     """A survey without distortion and masks, and its estimate."""
     survey = drawn(tmp_path_factory.mktemp("pinhole") / "survey")
-    return survey, water_from_ties(survey, measured(survey))
+    return survey, water_of(survey, measured(survey))
 
 
 def require_as_good(found, survey: Survey, pinhole) -> None:
@@ -68,7 +77,7 @@ def require_as_good(found, survey: Survey, pinhole) -> None:
 def test_a_lens_with_distortion_ends_in_verdicts_as_good_as_those_of_a_pinhole(tmp_path, pinhole):
     survey = drawn(tmp_path / "survey", PINCUSHION)
     assert not load_mask(survey.views[0]).all()
-    require_as_good(water_from_ties(survey, measured(survey)), survey, pinhole)
+    require_as_good(water_of(survey, measured(survey)), survey, pinhole)
 
 
 def test_masked_photographs_end_in_verdicts_as_good_and_no_window_touches_a_mask(tmp_path, pinhole):
@@ -81,7 +90,7 @@ def test_masked_photographs_end_in_verdicts_as_good_and_no_window_touches_a_mask
     views = tuple(replace(view, mask_path=masks / f"{Path(view.name).stem}.png") for view in pinhole[0].views)
     survey = replace(pinhole[0], views=views)
     ties = measured(survey)
-    require_as_good(water_from_ties(survey, ties), survey, pinhole)
+    require_as_good(water_of(survey, ties), survey, pinhole)
     for i in range(len(survey.views)):
         across = ties.pixel[ties.view == i, 0]
         # Windows of 13 pixels a side, warped and shrunk to 10 at least by the views of this survey.
@@ -109,6 +118,13 @@ def test_windows_beside_a_mask_are_found_where_they_are_without_it_and_refused_w
     assert is_found[gap > RADIUS + 6].all()
     np.testing.assert_allclose(found[is_found], middles[is_found] + 0.5, atol=0.01)
     np.testing.assert_allclose(found[is_found], whole[is_found], atol=0.002)
+
+
+def test_a_photograph_without_a_window_is_no_hindrance(tmp_path, monkeypatch):
+    survey = drawn(tmp_path / "survey", PINCUSHION)
+    ties = TiePoints(np.zeros((1, 3)), np.zeros(3, dtype=int), np.arange(3), np.full((3, 2), 90.0))
+    monkeypatch.setattr("survey.adjust.windows.measure", lambda *_arguments: ties)
+    assert np.isfinite(measured(survey).pixel).all()
 
 
 def test_a_photograph_that_is_masked_whole_has_no_place_for_a_window():

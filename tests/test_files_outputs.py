@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from small_survey import small_survey
 
-from survey.adjust.calibration import estimate_water
+from survey.adjust.waterline import estimate_water
 from survey.errors import OutputError
 from survey.files.outputs import ReadFiles, is_json, require_file, require_folder
 from survey.run.process import process
@@ -130,7 +130,7 @@ def survey_folder(tmp_path, monkeypatch):
     def too_late(*_args, **_options):
         raise AssertionError("the survey was read before the outputs were looked at")
 
-    monkeypatch.setattr("survey.adjust.calibration.load_survey", too_late)
+    monkeypatch.setattr("survey.adjust.waterline.load_survey", too_late)
     monkeypatch.setattr("survey.run.process.load_survey", too_late)
     return small_survey(tmp_path / "s")
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from small_survey import E0, LEVEL, N0, TOML, small_survey
-from small_water_block import HEIGHT, TRUTH, convergent, nadir, tie_points, water_of
+from small_water_block import HEIGHT, TRUTH, convergent, meeting_of_straight_rays, nadir, tie_points, water_of
 from test_adjust_water import survey_with
 
-from survey.adjust.least_squares import intersect
 from survey.errors import ConfigError
 from survey.folder.config import parse_config
 from survey.folder.survey import load_survey
+from survey.photos.tie_points import TiePoints
 from survey.plan.area import limits
 from survey.plan.plan import make_plan
 from survey.sfm.poses import SfmResult, SfmView
@@ -25,7 +25,7 @@ def with_straight_points(tmp_path, cameras, rng, *, bed=BED):
     """A survey with points where straight rays to a bed between two heights, local, meet best."""
     ties = tie_points(cameras, rng, count=400, std_px=0.1, low=bed[0], high=bed[1])
     survey = survey_with(tmp_path, cameras)
-    return replace(survey, points=intersect(cameras, ties, None)[0])
+    return replace(survey, points=meeting_of_straight_rays(cameras, ties))
 
 
 @pytest.mark.parametrize("cameras", [nadir(), convergent(), convergent()[5:13], convergent()[13:17]])
@@ -150,16 +150,17 @@ def test_a_colmap_model_brings_its_points_along(tmp_path, rng):
     assert 0.5 < high < 5.0
 
 
-def test_structure_from_motion_brings_the_points_that_three_photographs_see(tmp_path, monkeypatch, rng):
+def test_structure_from_motion_brings_its_tie_points(tmp_path, monkeypatch, rng):
     posed = load_survey(small_survey(tmp_path / "posed", gps=True))
     views = tuple(SfmView(v.name, v.lens, v.camera.centre, v.camera.cam_from_local) for v in posed.views)
-    xyz, num_views = rng.normal(size=(6, 3)), np.array([2, 3, 4, 2, 5, 3])
-    solved = SfmResult(posed.frame, views, [], xyz, num_views, np.ones(6), np.zeros((len(views), 3)))
+    ties = TiePoints(rng.normal(size=(6, 3)), np.repeat(np.arange(6), 3), np.tile(np.arange(3), 6), np.zeros((18, 2)))
+    points, num_views = rng.normal(size=(9, 3)), np.full(9, 3)
+    solved = SfmResult(posed.frame, views, [], points, num_views, np.ones(9), np.zeros((len(views), 3)), ties)
     monkeypatch.setattr("survey.sfm.poses.solve_poses", lambda *arguments, **settings: solved)
     toml = TOML.replace('poses = "cameras.csv"\n', "")
     folder = small_survey(tmp_path / "bare", gps=True, toml=toml)
     (folder / "cameras.csv").unlink()
-    np.testing.assert_array_equal(load_survey(folder).points, xyz[num_views >= 3])
+    np.testing.assert_array_equal(load_survey(folder).points, ties.start)
 
 
 def quaternion(rotation: np.ndarray) -> tuple[float, ...]:

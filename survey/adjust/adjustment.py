@@ -45,6 +45,11 @@ class Parameter:
     status: str
     verdict: str
 
+    @property
+    def is_observable(self) -> bool:
+        """Whether anything tells it."""
+        return self.status != UNKNOWN
+
 
 @dataclass(frozen=True)
 class ControlResidual:

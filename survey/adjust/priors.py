@@ -22,7 +22,7 @@ _POSES_STD_M = 0.05
 # Poses of an adjusted block, and by how much smaller than a data sheet's the errors of its lens are.
 EXACT_STD_M, EXACT_STD_DEG, _CALIBRATED = 0.01, 0.003, 0.02
 # Water of which nothing is known: too wide to affect a parameter that the block determines.
-_FREE_WATER = (5.0, 0.05, 0.05, 0.1)
+FREE_WATER = (5.0, 0.05, 0.05, 0.1)
 # A lens by its data sheet: focal lengths are within 2 % of it, the principal point within 1 % of the longer side. At
 # the corner of the image each term of distortion moves a pixel by some of these shares of its distance from the middle
 # (docs/adjustment.md).
@@ -151,7 +151,7 @@ def _water_std(survey: Survey, *, free: bool) -> np.ndarray:
     if survey.water is None:
         return np.full(4, HELD)
     if free:
-        return np.array(_FREE_WATER)
+        return np.array(FREE_WATER)
     given = survey.require_water()[1]
     level = LEVEL_STD_M if given.level_std_m is None else given.level_std_m
     slope = SLOPE_STD if given.slope_std is None else given.slope_std

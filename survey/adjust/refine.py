@@ -13,12 +13,14 @@ import numpy as np
 
 from refract.lens import Lens
 from survey.adjust.adjustment import Adjustment, ControlResidual, Parameter
+from survey.adjust.free_water import Lost, adjust_free, dry_or_within_bounds, within_bounds
 from survey.adjust.observed import KINDS, MARK, MATCH, WINDOW, Observed, observed
 from survey.adjust.priors import Known, is_held, known_of
 from survey.adjust.rounds import Adjusted, adjust
 from survey.adjust.state import LENS_NAMES, WATER, WATER_NAMES, State
 from survey.adjust.thinning import thinned
-from survey.adjust.verdicts import WATER_PARAMETERS, lens_verdicts, water_limits, water_verdicts
+from survey.adjust.verdicts import lens_verdicts, lost_verdict, water_limits, water_verdicts
+from survey.adjust.water_settings import settings_by_local, settings_of, with_settings
 from survey.adjust.windows_of_survey import measure_windows
 from survey.folder.config import WaterConfig
 from survey.folder.place import water_plane
@@ -64,21 +66,30 @@ def adjust_survey(
     marks_std = _MARKS_STD_PX if survey.control is None else survey.control.marks_std_px
     parts: list[tuple[int, TiePoints]] = []
     done: Adjusted | None = None
+    lost: dict[str, Lost] = {}
+
+    def settle(start: Known, seen: Observed) -> tuple[Adjusted, dict[str, Lost]]:
+        if free_water:
+            return adjust_free(survey, start, seen, sizes, marks_std)
+        return adjust(start, seen, sizes, marks_std), {}
+
     if survey.ties is not None:
         keep = np.isin(survey.ties.point, thinned(survey.ties, sizes, _CELLS, _PER_CELL))
-        parts.append((MATCH, survey.ties.only(keep)))
-        done = adjust(known, observed(parts, survey.control, survey, known), sizes, marks_std)
+        matches = survey.ties.only(keep)
+        parts.append((MATCH, dry_or_within_bounds(survey, matches) if free_water else matches))
+        done, lost = settle(known, observed(parts, survey.control, survey, known))
         advance(0.3)
     if use_windows:
         moved = survey if done is None else _with_state(survey, known, done.solution.state)
         share = 0.6 if done is not None else 0.9
-        parts.append((WINDOW, measure_windows(moved, device=device, advance=lambda part: advance(share * part))))
+        windows = measure_windows(moved, device=device, advance=lambda part: advance(share * part))
+        parts.append((WINDOW, within_bounds(survey, windows) if free_water else windows))
         start = known if done is None else _started(known, done)
-        done = adjust(start, observed(parts, survey.control, survey, known), sizes, marks_std)
+        done, lost = settle(start, observed(parts, survey.control, survey, known))
         advance(0.1)
     assert done is not None
     total = sum(len(ties.view) for _, ties in parts) + (0 if survey.control is None else len(survey.control.marks))
-    return _result(survey, done, total)
+    return _result(survey, done, total, lost if free_water else None)
 
 
 def apply_adjustment(survey: Survey, found: Adjustment) -> Survey:
@@ -99,7 +110,8 @@ def apply_adjustment(survey: Survey, found: Adjustment) -> Survey:
 def _started(known: Known, done: Adjusted) -> Known:
     """What was known, with the start where an adjustment ended, and the positions as good as it found them."""
     none = np.zeros((0, 3))
-    return replace(known, state=replace(done.solution.state, points=none), std=done.known.std)
+    std = np.concatenate([known.std[:WATER], done.known.std[WATER:]])
+    return replace(known, state=replace(done.solution.state, points=none), std=std)
 
 
 def _with_state(survey: Survey, known: Known, state: State) -> Survey:
@@ -122,13 +134,13 @@ def _lens_of(lens: Lens, parameters: np.ndarray) -> Lens:
     return Lens("FULL_OPENCV", (f, f * fy / fx, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0), lens.width, lens.height)
 
 
-def _result(survey: Survey, done: Adjusted, total: int) -> Adjustment:
+def _result(survey: Survey, done: Adjusted, total: int, lost: dict[str, Lost] | None) -> Adjustment:
     known, solution, used = done.known, done.solution, done.used
     layout, state, covariance = known.layout, solution.state, solution.covariance
     parameters: list[Parameter] = []
     water: WaterConfig | None = None
     if survey.water is not None:
-        verdicts, water = _water(survey, known, state, covariance)
+        verdicts, water = _water(survey, known, state, covariance, lost)
         parameters += verdicts
     for number, lens in enumerate(known.lenses):
         if not is_held(lens):
@@ -181,29 +193,23 @@ def _result(survey: Survey, done: Adjusted, total: int) -> Adjustment:
     )
 
 
-def _water(survey: Survey, known: Known, state: State, covariance: np.ndarray) -> tuple[list[Parameter], WaterConfig]:
-    """Level, slopes and index as survey.toml counts them, with their verdicts."""
+def _water(
+    survey: Survey, known: Known, state: State, covariance: np.ndarray, lost: dict[str, Lost] | None
+) -> tuple[list[Parameter], WaterConfig]:
+    """Level, slopes and index as survey.toml counts them, with their verdicts; `lost` of free water."""
     _, given = survey.require_water()
-    before = np.array([float(getattr(given, name)) for name in WATER_PARAMETERS])
-    start = known.mean.water_parameters()
-    by_given = _by_config(survey, given, start, np.array(state.water.point[:2]))
-    inverse = np.linalg.inv(by_given)
-    values = before + inverse @ (state.water_parameters() - start)
-    of_config = inverse @ covariance[:WATER, :WATER] @ inverse.T
-    given_std = np.sqrt(np.diag(inverse @ np.diag(known.std[:WATER] ** 2) @ inverse.T))
+    assert state.water is not None
+    by_local = settings_by_local(survey, np.array(state.water.point[:2]))
+    values = settings_of(given) + by_local @ (state.water_parameters() - known.mean.water_parameters())
+    of_config = by_local @ covariance[:WATER, :WATER] @ by_local.T
+    given_std = np.sqrt(np.diag(by_local @ np.diag(known.std[:WATER] ** 2) @ by_local.T))
+    if lost is not None:
+        given_std = np.full(WATER, np.inf)
     found = water_verdicts(values, of_config, given, given_std, water_limits(state.points))
-    kept = {row.name: row.value for row in found}
-    return found, replace(given, **kept)
-
-
-def _by_config(survey: Survey, given: WaterConfig, start: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Derivative (4, 4) of height at a place, slopes and index in local by the settings; the relation is linear."""
-    columns = []
-    for name, step in zip(WATER_PARAMETERS, (1e-3, 1e-6, 1e-6, 1e-6), strict=True):
-        plane = water_plane(survey.frame, replace(given, **{name: getattr(given, name) + step}))
-        moved = [float(plane.height(*place)), plane.slope_x, plane.slope_y, plane.n_water]
-        columns.append((np.array(moved) - start) / step)
-    return np.stack(columns, axis=-1)
+    for i, row in enumerate(found):
+        if lost and row.name in lost:
+            found[i] = lost_verdict(row.name, lost[row.name].std, row.given, lost[row.name].reason)
+    return found, with_settings(given, np.array([row.value for row in found]))
 
 
 def _control(survey: Survey, used: Observed, solution, state: State) -> tuple[ControlResidual, ...]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from survey.adjust.adjustment import FREE, HELD, UNKNOWN, Parameter
 from survey.adjust.state import LENS_NAMES
+from survey.adjust.water_settings import WATER_PARAMETERS
 from survey.folder.config import WaterConfig
 
 # One sigma beyond which a parameter is of no use. 5 cm of level move the bed by 2 cm, and so does 0.01 of index in 3 m
@@ -15,7 +16,6 @@ from survey.folder.config import WaterConfig
 MOST_STD_LEVEL_M, MOST_STD_INDEX, MOST_STD_FOCAL = 0.05, 0.01, 0.005
 # With more than this share of the standard deviation before, the photographs have told nearly nothing.
 _LITTLE = 0.9
-WATER_PARAMETERS = ("level_m", "slope_east", "slope_north", "refractive_index")
 
 
 def judge(name: str, value: float, std: float, given: float, given_std: float, limit: float, unit: str) -> Parameter:
@@ -31,6 +31,12 @@ def judge(name: str, value: float, std: float, given: float, given_std: float, l
     if std > _LITTLE * given_std:
         return Parameter(name, value, std, given, prior, HELD, f"held: {shown}, as given; the photographs add nothing")
     return Parameter(name, value, std, given, prior, FREE, f"found: {shown}{_against(value, std, given, prior, unit)}")
+
+
+def lost_verdict(name: str, std: float, given: float, reason: str) -> Parameter:
+    """A parameter of the water that keeps its given value for a reason."""
+    kept = f"{given:.5f}" + (" m" if name == "level_m" else "")
+    return Parameter(name, given, std, given, None, UNKNOWN, f"not observable: {reason}; {kept} is kept")
 
 
 def _against(value: float, std: float, given: float, prior: float | None, unit: str) -> str:

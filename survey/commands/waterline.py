@@ -1,4 +1,4 @@
-"""`bathynerf waterline`: the options and results of `survey.adjust.calibration`."""
+"""`bathynerf waterline`: the options and results of `survey.adjust.waterline`."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def run(
     """
     with command(verbose, quiet, json or survey) as results:
         require_address_space()
-        from survey.adjust.calibration import estimate_water
+        from survey.adjust.waterline import estimate_water
 
         found = estimate_water(
             survey,

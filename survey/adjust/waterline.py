@@ -1,0 +1,226 @@
+"""The water of a survey from its photographs, for `bathynerf waterline`: values, standard deviations and verdicts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from geo.files import write_whole
+from survey.adjust.adjustment import Adjustment, Parameter
+from survey.adjust.bundle import NotConvergedError
+from survey.adjust.free_water import all_lost
+from survey.adjust.refine import adjust_survey
+from survey.adjust.state import WATER
+from survey.adjust.verdicts import lost_verdict
+from survey.adjust.water_settings import WATER_PARAMETERS, settings_by_local, settings_of
+from survey.errors import SurveyError
+from survey.files.json_values import json_text
+from survey.files.outputs import is_json, require_file
+from survey.folder.config import WaterConfig
+from survey.folder.inputs import survey_inputs
+from survey.folder.place import water_plane
+from survey.folder.survey import Survey, load_survey
+from survey.names import SFM_FOLDER
+from survey.progress import current
+
+NADIR_DEG = 5.0
+
+
+@dataclass(frozen=True)
+class WaterEstimate:
+    """The water as the photographs tell it.
+
+    Attributes
+    ----------
+    water : WaterConfig
+        Values to use: estimates of the observable parameters, those of survey.toml for the rest.
+    parameters : tuple of Parameter
+        Level, slopes and index first, then those of the lenses.
+    covariance : 4 x 4, of level, slopes and index
+    num_views, num_points, num_measurements : int
+    num_dry : int
+        Points above the water, which tell nothing of it.
+    rms_px : [px]
+        Of the residuals of a pixel coordinate; None where there was no adjustment.
+    """
+
+    water: WaterConfig
+    parameters: tuple[Parameter, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    num_views: int
+    num_points: int
+    num_measurements: int
+    num_dry: int
+    rms_px: float | None
+
+    @property
+    def estimates(self) -> tuple[Parameter, ...]:
+        """Level, slopes and index."""
+        return self.parameters[: len(WATER_PARAMETERS)]
+
+    @property
+    def is_observable(self) -> bool:
+        """Whether anything is observable: without the level, nothing is."""
+        return self.estimates[0].is_observable
+
+    def correlation(self) -> np.ndarray:
+        """Correlations (4, 4) of the estimates."""
+        covariance = np.array(self.covariance)
+        std = np.sqrt(np.diag(covariance))
+        return covariance / np.outer(std, std)
+
+    def to_json(self) -> str:
+        """All of it as JSON; units are in the names, and NaN is null."""
+        rows = [{**asdict(row), "is_observable": row.is_observable} for row in self.parameters]
+        known = {**asdict(self), "correlation": self.correlation()}
+        return json_text({**known, "estimates": rows[: len(WATER_PARAMETERS)], "parameters": rows})
+
+
+def estimate_water(
+    folder: str | Path,
+    *,
+    device: str = "auto",
+    nadir_only: bool = False,
+    start_level: float | None = None,
+    start_index: float | None = None,
+    run_folder: str | Path | None = None,
+    json_path: str | Path | None = None,
+) -> WaterEstimate:
+    """The water of a survey folder, estimated from its photographs; no setting and no result of a run changes.
+
+    Parameters
+    ----------
+    folder : Path
+    device : "auto", "cpu" or "cuda"
+    nadir_only : bool
+        Use only views that look down within 5 degrees of the vertical.
+    start_level, start_index : [m], [-]
+        Start of the search, instead of the values of the survey.
+    run_folder : Path, optional
+        Whose poses by structure from motion are used, for a survey that comes without poses; default
+        ``folder/bathynerf``. Where it has none of these photographs they are solved for, and kept there.
+    json_path : Path, optional
+        Gets everything that was found.
+
+    Raises
+    ------
+    SurveyError, GeoError
+        Where the survey cannot be used, its photographs do not match, or the file cannot be written.
+    """
+    progress, folder = current(), Path(folder)
+    run_folder = None if run_folder is None else Path(run_folder)
+    json_path = None if json_path is None else Path(json_path)
+    workspace = None if run_folder is None else run_folder / SFM_FOLDER
+    if workspace is not None and not workspace.is_dir():
+        raise SurveyError(
+            f"{run_folder} has no poses by structure from motion (there is no folder {workspace}); name a run folder "
+            "of this survey that has, or leave --run out"
+        )
+    if json_path is not None:
+        require_file("--json", json_path, survey_inputs(folder), kind="a JSON file", is_of_kind=is_json)
+    survey = load_survey(folder, workspace=workspace, report=progress.note)
+    if survey.water is None:
+        raise SurveyError("a dry survey has no water to estimate; give [water] level_m to start from")
+    _, given = survey.require_water()
+    start = replace(
+        given,
+        level_m=given.level_m if start_level is None else start_level,
+        refractive_index=given.refractive_index if start_index is None else start_index,
+    )
+    survey = with_water(survey, start)
+    with progress.stage("Water", 1.0) as stage:
+        found = calibrate_water(nadir_views(survey) if nadir_only else survey, device=device, advance=stage.advance)
+    if json_path is not None:
+        with write_whole(json_path) as stream:
+            stream.write(found.to_json().encode())
+    return found
+
+
+def with_water(survey: Survey, water: WaterConfig) -> Survey:
+    """The survey with other water."""
+    config = replace(survey.config, water=water)
+    return replace(survey, config=config, water=water_plane(survey.frame, water))
+
+
+def calibrate_water(
+    survey: Survey, *, device: str = "auto", advance: Callable[[float], None] = lambda _share: None
+) -> WaterEstimate:
+    """Estimate the water of a survey from its photographs.
+
+    Where the adjustment does not converge nothing is observable, and the verdict on the level says why.
+
+    Parameters
+    ----------
+    survey : Survey
+        Its water is where the search starts; half a metre off is near enough.
+    device : "auto", "cpu" or "cuda"
+    advance : callable
+        Called with the increment; increments sum to 1.
+
+    Raises
+    ------
+    SurveyError
+        If the survey is dry, or its photographs do not match.
+    """
+    if survey.water is None:
+        raise SurveyError("a dry survey has no water to estimate; give [water] level_m to start from")
+    try:
+        found = adjust_survey(survey, device=device, advance=advance, free_water=True)
+    except NotConvergedError as error:
+        return _nothing(survey, str(error))
+    assert found.water is not None
+    return WaterEstimate(
+        water=found.water,
+        parameters=found.parameters,
+        covariance=_covariance(survey, found),
+        num_views=len(np.unique(found.residual_view)),
+        num_points=found.num_points,
+        num_measurements=len(found.residual_view),
+        num_dry=int((water_plane(survey.frame, found.water).depth(found.points) <= 0.0).sum()),
+        rms_px=float(np.sqrt(np.mean(np.square(found.residual_px)))),
+    )
+
+
+def nadir_views(survey: Survey) -> Survey:
+    """The survey with those views alone that look down within 5 degrees of the vertical.
+
+    Raises
+    ------
+    SurveyError
+        If there are fewer than three.
+    """
+    steep = math.cos(math.radians(NADIR_DEG))
+    looks_down = np.array([-view.camera.cam_from_local[2, 2] > steep for view in survey.views])
+    if looks_down.sum() < 3:
+        raise SurveyError(f"{looks_down.sum()} views look down within {NADIR_DEG:g} degrees, expected three or more")
+    views = tuple(view for view, kept in zip(survey.views, looks_down, strict=True) if kept)
+    ties = survey.ties
+    if ties is not None:
+        ties = ties.only(looks_down[ties.view]).renumbered(np.cumsum(looks_down) - 1)
+    return replace(survey, views=views, ties=ties)
+
+
+def _covariance(survey: Survey, found: Adjustment) -> tuple[tuple[float, ...], ...]:
+    std = np.array([row.std for row in found.parameters[:WATER]])
+    if not found.parameters[0].is_observable:
+        # The block was adjusted under the given water.
+        return _rows(np.diag(std**2))
+    by_local = settings_by_local(survey, np.array(found.water_point))
+    return _rows(by_local @ found.covariance[:WATER, :WATER] @ by_local.T)
+
+
+def _nothing(survey: Survey, reason: str) -> WaterEstimate:
+    """The estimate where nothing was adjusted."""
+    _, given = survey.require_water()
+    rows = zip(all_lost(reason).items(), settings_of(given).tolist(), strict=True)
+    parameters = tuple(lost_verdict(name, lost.std, value, lost.reason) for (name, lost), value in rows)
+    covariance = _rows(np.diag([row.std**2 for row in parameters]))
+    return WaterEstimate(given, parameters, covariance, 0, 0, 0, 0, None)
+
+
+def _rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(float(v) for v in row) for row in matrix)

@@ -70,7 +70,7 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
     factors = np.ones(len(KINDS))
     given = np.full(len(KINDS), np.nan)
     given[MARK] = marks_std_px
-    for _ in range(_ROUNDS):
+    for last in [False] * (_ROUNDS - 1) + [True]:
         priors, sides = priors_for(known, seen.ties, seen.point_std), relief_sides(state, seen.ties)
         problem = Problem(known.layout, seen.ties, seen.kind, priors, given, sides)
         solution = solve(problem, state, inflation=factors[seen.kind])
@@ -82,7 +82,7 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
         keep = np.linalg.norm(solution.residuals, axis=1) < _OUTLIER * found[seen.kind]
         kept = seen.only(keep)
         settled = (~keep).mean() < _FEW and not positions_changed and (np.abs(factors / before - 1.0) < 0.2).all()
-        if settled:
+        if settled or last:
             break
         state = _without_points(solution.state, seen, keep)
         seen = kept.at(state.points)

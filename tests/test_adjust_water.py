@@ -25,6 +25,7 @@ from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import load_survey
 from survey.photos.cameras import View
 from survey.photos.tie_points import TiePoints
+from survey.plan.poses import pose_choice
 from tests.small_survey import small_survey
 from tests.small_water_block import FOCAL, SIZE, TRUTH, convergent, nadir, tie_points
 
@@ -271,3 +272,10 @@ def test_wreck_under_water_gives_its_level_and_index_from_a_wrong_start(data_dir
     assert abs(level.value - truth.level_m) < 2.0 * level.std < 0.05
     assert abs(index.value - truth.refractive_index) < 2.0 * index.std < 0.01
     assert not calibrate_water(nadir_views(wrong)).is_observable
+
+
+def test_water_is_not_found_with_poses_that_are_to_be_kept(tmp_path):
+    survey = survey_with(tmp_path, convergent())
+    assert pose_choice(survey, "auto", free_water=True)[0] == "refine"
+    with pytest.raises(SurveyError, match="leave out --poses fixed"):
+        pose_choice(survey, "fixed", free_water=True)

@@ -343,8 +343,8 @@ def test_the_plan_is_saved_as_plain_numbers_and_texts(tmp_path):
     plan = make_plan(load_survey(small_survey(tmp_path / "s")))
     again = json.loads(json.dumps(plan.as_dict()))
     assert again["gsd_m"] == plan.gsd_m
-    assert again["decisions"][0]["name"] == "refraction"
-    assert f"{LEVEL:g} m" in again["decisions"][0]["reason"]
+    assert [decision["name"] for decision in again["decisions"][:2]] == ["poses", "refraction"]
+    assert f"{LEVEL:g} m" in again["decisions"][1]["reason"]
 
 
 def test_the_area_is_shown_in_crs(tmp_path):

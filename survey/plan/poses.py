@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.plan.choices import Poses
 
 
 def pose_choice(survey: Survey, asked: str, *, free_water: bool) -> tuple[str, str]:
-    """Choice ("refine" or "fixed") and its reason, for the plan."""
+    """Choice ("refine" or "fixed") and its reason, for the plan.
+
+    Raises
+    ------
+    SurveyError
+        If the water is to be found with poses that are to be kept.
+    """
     if survey.is_adjusted:
         return "refine", "adjusted with lens and water; adjustment.json has what was found"
+    if free_water and asked == Poses.fixed:
+        raise SurveyError("--calibrate-water finds the water together with the poses; leave out --poses fixed")
     if asked != Poses.auto:
         return asked, "set by --poses"
     if survey.ties is not None:

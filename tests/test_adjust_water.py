@@ -111,6 +111,17 @@ def test_wrong_measurements_hardly_move_it(tmp_path, measuring):
     assert (np.abs(errors(survey, found)) < 3.5 * np.array([e.std for e in found.estimates])).all()
 
 
+def test_wet_measurements_are_no_outliers_where_waves_displace_them_more_than_dry_ones(tmp_path, rng, measuring):
+    cameras = convergent()
+    survey = survey_with(tmp_path, cameras)
+    dry = tie_points(cameras, rng, count=90, std_px=0.02, low=1.5, high=4.0)
+    ties = joined(tie_points(cameras, rng, count=60, std_px=0.2, low=-5.0, high=-2.0), dry)
+    measuring(ties)
+    found = refine.adjust_survey(survey, free_water=True)
+    # Beyond four standard deviations lie 0.03 % of a two-dimensional normal distribution.
+    assert found.num_left_out < 0.005 * len(ties.view)
+
+
 def test_a_block_from_above_says_that_it_cannot_know_and_keeps_what_was_given(tmp_path, rng, measuring):
     cameras = nadir()
     survey = survey_with(tmp_path, cameras, level=0.8, index=1.30)

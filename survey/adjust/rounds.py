@@ -20,6 +20,8 @@ _BLUNDER = 6.0
 # Positions that fit worse than stated by more than this factor are taken for as good as they fit.
 _OVERSTATED = 1.5
 _ROUNDS = 4
+# Wet observations of each kind are divided into that many strata of equal number by depth.
+_STRATA = 3
 # Under this share of observations left out in a round, there are no more outliers to find.
 _FEW = 0.002
 
@@ -67,26 +69,51 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
         raise NotConvergedError("no window or match is left in three photographs to adjust")
     state = replace(known.state, points=seen.ties.start)
     blunders = np.zeros(len(known.unknown_positions), dtype=bool)
-    factors = np.ones(len(KINDS))
-    given = np.full(len(KINDS), np.nan)
-    given[MARK] = marks_std_px
+    factors = np.ones(len(KINDS) * (1 + _STRATA))
+    given = np.full(len(factors), np.nan)
+    given[MARK :: len(KINDS)] = marks_std_px
     for last in [False] * (_ROUNDS - 1) + [True]:
         priors, sides = priors_for(known, seen.ties, seen.point_std), relief_sides(state, seen.ties)
-        problem = Problem(known.layout, seen.ties, seen.kind, priors, given, sides)
-        solution = solve(problem, state, inflation=factors[seen.kind])
+        kind = _by_depth(seen, state)
+        problem = Problem(known.layout, seen.ties, kind, priors, given, sides)
+        solution = solve(problem, state, inflation=factors[kind])
         found = solution.std_px
-        shared = inflation(seen.ties, solution.residuals, found, seen.kind, sizes)
-        before, factors = factors, np.array([_first(shared[seen.kind == kind]) for kind in range(len(KINDS))])
-        factors[MARK] = 1.0
+        shared = inflation(seen.ties, solution.residuals, found, kind, sizes)
+        before, factors = factors, np.array([_first(shared[kind == number]) for number in range(len(factors))])
+        factors[MARK :: len(KINDS)] = 1.0
         known, blunders, positions_changed = _positions_by_block(known, solution, blunders)
-        keep = np.linalg.norm(solution.residuals, axis=1) < _OUTLIER * found[seen.kind]
+        keep = np.linalg.norm(solution.residuals, axis=1) < _OUTLIER * found[kind]
         kept = seen.only(keep)
         settled = (~keep).mean() < _FEW and not positions_changed and (np.abs(factors / before - 1.0) < 0.2).all()
         if settled or last:
             break
         state = _without_points(solution.state, seen, keep)
         seen = kept.at(state.points)
-    return Adjusted(known, seen, solution, factors, blunders)
+    solution = replace(solution, std_px=np.sqrt(_means(found[kind] ** 2, seen.kind)))
+    return Adjusted(known, seen, solution, _means(factors[kind], seen.kind), blunders)
+
+
+def _by_depth(seen: Observed, state: State) -> np.ndarray:
+    """Kinds (N,) of observations, told apart by depth: waves displace what lies deep by more.
+
+    The kind of dry observations is their own; those of the strata of wet ones follow.
+    """
+    kind = seen.kind.copy()
+    if state.water is None:
+        return kind
+    depth = state.water.depth(state.points)[seen.ties.point]
+    for number in range(len(KINDS)):
+        wet = (seen.kind == number) & (depth > 0.0)
+        if wet.any():
+            edges = np.quantile(depth[wet], np.arange(1, _STRATA) / _STRATA)
+            kind[wet] += len(KINDS) * (1 + np.searchsorted(edges, depth[wet]))
+    return kind
+
+
+def _means(values: np.ndarray, kind: np.ndarray) -> np.ndarray:
+    """Mean of values (N,) of each kind; NaN of those that do not occur."""
+    count = np.bincount(kind, minlength=len(KINDS))
+    return np.where(count > 0, np.bincount(kind, values, len(KINDS)) / np.maximum(count, 1), np.nan)
 
 
 def _first(values: np.ndarray) -> float:

@@ -30,7 +30,7 @@ _MOST_PER_VIEW = 250
 # How often every place is seen by the photographs from which windows are taken: from above, and from each quarter.
 _TIMES_SEEN = (2, 1)
 # Most photographs in which a window is searched for, and the angles between directions of view: windows at wider angles
-# match less often, and did not make the water more certain (docs/waterline.md).
+# match less often, and did not make the water more certain.
 _MOST_OTHERS = 24
 _WIDEST_DEG = 40.0
 _NARROWEST_DEG = 3.0

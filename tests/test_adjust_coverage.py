@@ -19,16 +19,16 @@ def benchmark(monkeypatch):
     return SimpleNamespace(**vars(adjust_coverage))
 
 
-# Of 6 parameters of 95 % each more than one lies beyond in 3 % of all draws; the seeds are those of draws where none
-# does. Errors of the poses of a block go together: their share over a few blocks varies by some 3 %.
+# Of 8 parameters of 95 % each more than two lie beyond in half a per cent of all draws. Errors of the poses of a block go
+# together: their share over a few blocks varies by some 3 %.
 
 
 @pytest.mark.parametrize(("shared", "num_points", "seeds"), [(False, 200, (2, 3, 5, 8, 9, 10)), (True, 400, (5, 14))])
 def test_truth_lies_within_what_is_stated(benchmark, shared, num_points, seeds):
     blocks = [benchmark.covered(seed, shared=shared, num_points=num_points) for seed in seeds]
-    for name in benchmark.NAMES:
-        within, found = benchmark.share_within(blocks, name)
-        assert within >= found - 1, name
+    within, found = np.sum([benchmark.share_within(blocks, name) for name in benchmark.NAMES], axis=0)
+    assert found >= 3
+    assert within >= found - 2
     for share in benchmark.poses_within(blocks):
         assert 0.88 < share < 0.995
 

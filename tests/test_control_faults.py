@@ -14,7 +14,7 @@ from survey.control.reading import gather, read_control
 from survey.errors import ControlError
 
 BOMB = "<!DOCTYPE d [<!ENTITY a 'aaaaaaaaaa'><!ENTITY b '&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;'>]>\n"
-EXTERNAL = "<!DOCTYPE d [<!ENTITY x SYSTEM 'file:///etc/passwd'>]>\n"
+EXTERNAL = "<!DOCTYPE d [<!ENTITY x SYSTEM 'http://example.invalid/x'>]>\n"
 
 FAULTS = {
     "empty": ({"gcp_list__txt": ""}, "gcp_list.txt is empty, expected markers of Metashape"),

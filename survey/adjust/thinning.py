@@ -25,6 +25,8 @@ def thinned(ties: TiePoints, sizes: Sequence[tuple[int, int]], cells: int, per_c
     per_cell : int
         Points are taken until each cell has as many, or all that it has.
     """
+    if not len(ties):
+        return np.zeros(0, dtype=np.int64)
     size = np.array(sizes, dtype=np.float64)[ties.view]
     side = size.max(axis=1) / cells
     across = np.ceil(size[:, 0] / side)

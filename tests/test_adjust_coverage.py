@@ -19,8 +19,8 @@ def benchmark(monkeypatch):
     return SimpleNamespace(**vars(adjust_coverage))
 
 
-# Of 8 parameters of 95 % each more than two lie beyond in half a per cent of all draws. Errors of the poses of a block go
-# together: their share over a few blocks varies by some 3 %.
+# Of 8 parameters of 95 % each more than two lie beyond in half a per cent of all draws. Errors of the poses of a block
+# go together: their share over a few blocks varies by some 3 %.
 
 
 @pytest.mark.parametrize(("shared", "num_points", "seeds"), [(False, 200, (2, 3, 5, 8, 9, 10)), (True, 400, (5, 14))])

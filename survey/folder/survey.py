@@ -195,8 +195,8 @@ def _doubts(
     warnings += require_apart(views, water) + doubts_of_places(frame, views, water, found.heads)
     if found.config.cameras.rolling_shutter_s is not None:
         warnings.append(
-            "[cameras] rolling_shutter_s is not used: rows are taken as exposed at once, and a photograph taken at 5 m/s "
-            "and read out in 30 ms is 15 cm longer or shorter than it shows; hover, or use a mechanical shutter"
+            "[cameras] rolling_shutter_s is not used: rows are taken as exposed at once, and a photograph taken at 5 "
+            "m/s and read out in 30 ms is 15 cm longer or shorter than it shows; hover, or use a mechanical shutter"
         )
     if not posed:
         return warnings

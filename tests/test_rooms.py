@@ -78,6 +78,7 @@ DISK_FILES = {
             "render",
             "result",
             "stage",
+            "stage_pose_check",
             "stage_sweep",
             "stored",
             "stored_field",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -49,7 +50,7 @@ def shore(tmp_path_factory):
     small = {"size_m": (2.2, 2.2), "image_px": (144, 120), "num_views": 8}
     with pytest.MonkeyPatch.context() as patch:
         # Half of the time of so small a survey.
-        patch.setattr("survey.report.write_report", lambda *_: None)
+        patch.setattr("survey.run.products.write_report", lambda *_: SimpleNamespace(notes=()))
         yield drawn(tmp_path_factory.mktemp("shore") / "survey", shore=True, **small)
 
 

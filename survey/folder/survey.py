@@ -57,6 +57,9 @@ class Survey:
         These points with their places in the photographs as they were taken, where structure from motion found them.
     is_adjusted : bool
         Whether views and water are those of an adjustment with bent rays, and `points` too.
+    pose_misfit_px : float or None
+        By how much photographs miss each other under the given poses [px]; below 0 where too little matches to tell,
+        None where nobody has looked.
     is_level_known : bool
         Whether survey.toml tells the level of the water; else that of `water` is a guess.
     priors : dict of name to PosePrior
@@ -80,6 +83,7 @@ class Survey:
     ties: TiePoints | None = field(default=None, compare=False, repr=False)
     is_adjusted: bool = False
     is_level_known: bool = True
+    pose_misfit_px: float | None = None
     priors: Mapping[str, PosePrior] = field(default_factory=dict, compare=False, repr=False)
     control: Control | None = field(default=None, compare=False, repr=False)
     checkpoints: tuple[Checkpoint, ...] = field(default=(), compare=False, repr=False)

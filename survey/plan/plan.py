@@ -53,8 +53,8 @@ class Plan:
     field : "solver", "slab" or "off"
         What refines the heights of the sweep.
     device_asked : "auto", "cpu" or "cuda"
-    refines_poses : bool
-        Whether poses, lens and water are adjusted first.
+    poses : ("refine", "fixed" or "check", reason)
+        Whether poses, lens and water are adjusted first, or only if a sample of photographs contradicts the poses.
     """
 
     quality: str
@@ -66,7 +66,7 @@ class Plan:
     decisions: tuple[Decision, ...]
     field: str = "off"
     device_asked: str = "auto"
-    refines_poses: bool = False
+    poses: tuple[str, str] = ("fixed", "")
 
     @property
     def recipe(self) -> Recipe:
@@ -133,7 +133,7 @@ def make_plan(
         decisions,
         field=refined.choice,
         device_asked=device,
-        refines_poses=adjusted.choice == "refine",
+        poses=(adjusted.choice, adjusted.reason),
     )
 
 

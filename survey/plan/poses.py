@@ -6,9 +6,16 @@ from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.plan.choices import Poses
 
+# Errors of poses that add less than this are lost in the noise of matching, of about a third of a pixel. Drawn surveys
+# with exact poses have 0.001 to 0.08, with errors of 1 cm and 0.01 degrees 0.14 to 0.23 (docs/adjustment.md).
+MOST_MISFIT_PX = 0.1
+# A sample of windows needs a block about it.
+_FEWEST_VIEWS = 12
+_UNSTATED = "poses from a file without position_std_m count as exact"
+
 
 def pose_choice(survey: Survey, asked: str, *, free_water: bool) -> tuple[str, str]:
-    """Choice ("refine" or "fixed") and its reason, for the plan.
+    """Choice ("refine", "fixed", or "check" first) and its reason, for the plan.
 
     Raises
     ------
@@ -30,4 +37,16 @@ def pose_choice(survey: Survey, asked: str, *, free_water: bool) -> tuple[str, s
         return "refine", "survey.toml says how well the poses are known, and they are refined within that"
     if free_water:
         return "refine", "--calibrate-water finds the water together with what is uncertain of poses and lens"
-    return "fixed", "poses from a file without position_std_m count as exact"
+    if len(survey.views) < _FEWEST_VIEWS:
+        return (
+            "fixed",
+            f"poses from a file without position_std_m count as exact; {_FEWEST_VIEWS} views could be checked",
+        )
+    if survey.pose_misfit_px is None:
+        return "check", f"{_UNSTATED}, unless photographs contradict them"
+    if survey.pose_misfit_px < 0.0:
+        return "fixed", f"{_UNSTATED}; too little matches to check them"
+    said = f"photographs miss each other by {survey.pose_misfit_px:.2f} px under the given poses"
+    if survey.pose_misfit_px > MOST_MISFIT_PX:
+        return "refine", f"{said}, more than {MOST_MISFIT_PX:g}: poses, lens and water are adjusted"
+    return "fixed", f"{said}, at most {MOST_MISFIT_PX:g}: there is nothing to win by adjusting them"

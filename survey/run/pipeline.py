@@ -10,6 +10,7 @@ from survey.run.stage_adjust import FILES as ADJUSTMENT_FILES
 from survey.run.stage_adjust import adjust_block, use_adjustment
 from survey.run.stage_bed import FILES, make_bed
 from survey.run.stage_field import train_field
+from survey.run.stage_pose_check import MISFIT, check_poses, use_misfit
 from survey.run.stage_solver import SOLVED, solve_heights
 from survey.run.stage_sweep import BOUND, MAPS, sweep_views
 from survey.run.stage_water_colour import estimate_colour, use_colour
@@ -18,7 +19,11 @@ from survey.run.water_colour import COLOUR_FILE, colour_is_known
 
 
 def _adjusts(job: Job) -> bool:
-    return job.plan.refines_poses
+    return job.plan.poses[0] == "refine"
+
+
+def _checks_poses(job: Job) -> bool:
+    return job.plan.poses[0] == "check"
 
 
 def _needs_colour(job: Job) -> bool:
@@ -41,6 +46,15 @@ def _is_refined(job: Job) -> bool:
 _VIEWS = ("photographs", "cameras", "water", "size", "device")
 
 STAGES = (
+    Stage(
+        name="pose_check",
+        needs=(),
+        depends_on=(*_VIEWS, "frame", "area", "heights"),
+        leaves=(MISFIT,),
+        compute=check_poses,
+        is_on=_checks_poses,
+        apply=use_misfit,
+    ),
     Stage(
         name="adjust",
         needs=(),

@@ -1,0 +1,32 @@
+"""The stage that asks a sample of photographs whether poses that are given as exact can be."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from survey.adjust import pose_check
+from survey.files.json_values import write_json
+
+if TYPE_CHECKING:
+    from survey.run.job import Job
+
+MISFIT = "misfit.json"
+
+
+def check_poses(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
+    """Measure by how much photographs miss each other under the given poses."""
+    with job.progress.stage("Poses", 1.0) as stage:
+        found = pose_check.pose_misfit(job.survey, device=job.plan.device_asked, advance=stage.advance)
+    write_json(folder / MISFIT, {"misfit_px": found})
+
+
+def use_misfit(job: Job, folder: Path) -> None:
+    """Let the plan decide by the misfit."""
+    found = json.loads((folder / MISFIT).read_text(encoding="utf-8"))["misfit_px"]
+    job.take(replace(job.survey, pose_misfit_px=-1.0 if found is None else found))
+    choice, reason = job.plan.poses
+    job.progress.note(f"plan: poses: {choice} ({reason})")

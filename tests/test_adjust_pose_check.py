@@ -1,0 +1,52 @@
+"""Poses that are given as exact, held against a sample of photographs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_survey import small_survey
+
+from survey.adjust.pose_check import misfit
+from survey.folder.survey import load_survey
+from survey.plan.poses import MOST_MISFIT_PX, pose_choice
+
+
+def test_scatter_without_a_mean_over_a_photograph_is_no_misfit(rng):
+    view = np.repeat(np.arange(10), 200)
+    assert misfit(rng.normal(0.0, 0.3, (2000, 2)), view) < 0.03
+
+
+def test_the_means_of_photographs_are_the_misfit_whatever_a_few_outliers_say(rng):
+    view = np.repeat(np.arange(400), 50)
+    residuals = rng.normal(0.0, 0.3, (400, 2))[view] + rng.normal(0.0, 0.1, (len(view), 2))
+    residuals[::50] = 30.0
+    # The root mean square of 800 deviates of 0.3 px is known to 2.5 %; five of these.
+    assert misfit(residuals, view) == pytest.approx(0.3, rel=0.125)
+
+
+def test_photographs_with_few_windows_tell_nothing():
+    assert misfit(np.ones((9, 2)), np.zeros(9, dtype=int)) is None
+
+
+@pytest.mark.parametrize(
+    ("found", "choice", "said"),
+    [
+        (None, "check", "unless photographs contradict them"),
+        (-1.0, "fixed", "too little matches"),
+        (0.5 * MOST_MISFIT_PX, "fixed", "nothing to win"),
+        (2.0 * MOST_MISFIT_PX, "refine", "poses, lens and water are adjusted"),
+    ],
+)
+def test_the_plan_follows_the_misfit(tmp_path, found, choice, said):
+    survey = load_survey(small_survey(tmp_path / "s"))
+    survey = replace(survey, views=survey.views * 4, pose_misfit_px=found)
+    decided, reason = pose_choice(survey, "auto", free_water=False)
+    assert (decided, said in reason) == (choice, True)
+
+
+def test_few_views_are_taken_as_they_are(tmp_path):
+    survey = load_survey(small_survey(tmp_path / "s"))
+    assert pose_choice(survey, "auto", free_water=False)[0] == "fixed"
+    assert pose_choice(survey, "refine", free_water=False)[0] == "refine"

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from survey.adjust.adjustment import FREE, UNKNOWN
 from survey.adjust.priors import _FOCAL_SHARE
 from survey.adjust.refine import adjust_survey
+from survey.errors import SurveyError
 from tests.block_survey import pose_errors, survey_of, with_water
 from tests.drawn_block import draw_block
 
@@ -73,3 +76,11 @@ def test_nothing_is_held_that_the_photographs_tell():
     assert rows["camera0.f"].value != rows["camera0.f"].given
     at = found.covariance_names.index("camera0.f")
     assert np.sqrt(found.covariance[at, at]) == pytest.approx(rows["camera0.f"].std)
+
+
+@pytest.mark.parametrize("free_water", [False, True])
+def test_a_level_that_is_neither_given_nor_observable_is_refused(free_water):
+    survey = with_water(survey_of(draw_block(11, **FLAT)), level_std_m=10.0)
+    survey = replace(survey, is_level_known=False)
+    with pytest.raises(SurveyError, match=r"the photographs do not tell it: .*; give \[water\] level_m"):
+        adjust_survey(survey, use_windows=False, free_water=free_water)

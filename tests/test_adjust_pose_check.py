@@ -9,6 +9,7 @@ import pytest
 from small_survey import small_survey
 
 from survey.adjust.pose_check import misfit
+from survey.errors import SurveyError
 from survey.folder.survey import load_survey
 from survey.plan.poses import MOST_MISFIT_PX, pose_choice
 
@@ -50,3 +51,9 @@ def test_few_views_are_taken_as_they_are(tmp_path):
     survey = load_survey(small_survey(tmp_path / "s"))
     assert pose_choice(survey, "auto", free_water=False)[0] == "fixed"
     assert pose_choice(survey, "refine", free_water=False)[0] == "refine"
+
+
+def test_a_level_that_nobody_gave_cannot_be_kept(tmp_path):
+    survey = replace(load_survey(small_survey(tmp_path / "s")), is_level_known=False)
+    with pytest.raises(SurveyError, match="give level_m, or leave out --poses fixed"):
+        pose_choice(survey, "fixed", free_water=False)

@@ -93,8 +93,9 @@ def adjust_survey(
         done = adjust(start, observed(parts, survey.control, survey, known), sizes, marks_std)
     total = sum(len(ties.view) for _, ties in parts) + (0 if survey.control is None else len(survey.control.marks))
     if free_water:
-        return result(survey, done, total, lost=lost)
-    found = result(survey, done, total, hold=lambda held: adjusted_with(done, held, known.std, sizes, marks_std))
+        found = result(survey, done, total, lost=lost)
+    else:
+        found = result(survey, done, total, hold=lambda held: adjusted_with(done, held, known.std, sizes, marks_std))
     if not survey.is_level_known and found.parameter("level_m").status == UNKNOWN:
         raise SurveyError(
             f"the level of the water is not given, and the photographs do not tell it: "

@@ -20,12 +20,17 @@ def pose_choice(survey: Survey, asked: str, *, free_water: bool) -> tuple[str, s
     Raises
     ------
     SurveyError
-        If the water is to be found with poses that are to be kept.
+        If the water, or its level, is to be found with poses that are to be kept.
     """
     if survey.is_adjusted:
         return "refine", "adjusted with lens and water; adjustment.json has what was found"
     if free_water and asked == Poses.fixed:
         raise SurveyError("--calibrate-water finds the water together with the poses; leave out --poses fixed")
+    if asked == Poses.fixed and not survey.is_level_known:
+        raise SurveyError(
+            "[water] has no level, and --poses fixed leaves out the adjustment that would find it; give level_m, or "
+            "leave out --poses fixed"
+        )
     if asked != Poses.auto:
         return asked, "set by --poses"
     if survey.ties is not None:

@@ -15,6 +15,7 @@ from geo.crs import utm_code
 from survey.errors import ImageError
 from survey.photos.exif_focal import FocalCandidate, focal_candidates, focal_px
 from survey.photos.opening import open_image
+from survey.photos.png import exif_of_png
 from survey.photos.xmp import Motion, Rtk, motion_of, number, rtk_of, xmp_number
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
@@ -70,7 +71,8 @@ def read_exif(path: Path) -> Exif:
     """
     with open_image(path) as image:
         try:
-            size, exif, xmp = image.size, image.getexif(), image.info.get("xmp", b"")
+            exif = exif_of_png(path) if image.format == "PNG" else image.getexif()
+            size, xmp = image.size, image.info.get("xmp", b"")
             gps, details = exif.get_ifd(ExifTags.IFD.GPSInfo), exif.get_ifd(ExifTags.IFD.Exif)
         except (SyntaxError, ValueError) as error:
             raise ImageError(f"{path} has EXIF that cannot be read ({error}); copy it again or remove it") from error

@@ -9,11 +9,9 @@ import numpy as np
 
 from survey.errors import ImageError
 from survey.photos.cameras import View
+from survey.photos.complete import is_complete
 from survey.photos.exif import SUFFIXES
 from survey.photos.opening import open_image
-
-# A complete JPEG ends with this marker, which the compressed pixels never contain.
-_JPEG_END = b"\xff\xd9"
 
 
 def list_images(folder: Path, *, deep: bool = True) -> dict[str, Path]:
@@ -34,16 +32,9 @@ def list_images(folder: Path, *, deep: bool = True) -> dict[str, Path]:
 
 
 def require_complete(path: Path) -> None:
-    """Raise ImageError where an image is cut off.
-
-    A JPEG that ends with its end marker is complete; anything else is decoded to find out.
-    """
-    if path.suffix.lower() in (".jpg", ".jpeg"):
-        with path.open("rb") as file:
-            file.seek(max(0, path.stat().st_size - 64))
-            if file.read().endswith(_JPEG_END):
-                return
-    _decode(path, "RGB")
+    """Raise ImageError where an image is cut off; it is decoded only where its structure does not tell."""
+    if not is_complete(path):
+        _decode(path, "RGB")
 
 
 def load_image(view: View, *, scale: float = 1.0) -> np.ndarray:

@@ -17,7 +17,7 @@ from survey.names import RUN_FOLDER
 from survey.plan.bounds import require_seen
 from survey.plan.check_inputs import control_rows, mark_rows, water_stds
 from survey.plan.plan import Decision, Plan, device_decision, make_plan
-from survey.plan.workload import Workload, require_room, workload_of, workload_of_images
+from survey.plan.workload import Workload, room_doubts, workload_of, workload_of_images
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def check_survey(folder: Path, *, quality: str = "standard", device: str = "auto
     survey = checked.survey
     plan = make_plan(survey, quality=quality, device=device)
     workload = workload_of(survey, plan)
-    warnings = (*checked.warnings, *require_room(workload, folder / RUN_FOLDER))
+    warnings = (*checked.warnings, *room_doubts(workload, folder / RUN_FOLDER))
     rows = _rows_of_survey(checked.found, survey, plan)
     return _sections(rows, plan.decisions, workload, survey.assumptions, warnings)
 
@@ -178,7 +178,7 @@ def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]
     decisions = (sfm, device_decision(device), rest)
     sizes = [head.size_px for head in found.heads.values()]
     workload = workload_of_images(sizes, quality=quality, device=decisions[1].choice)
-    warnings = (*checked.warnings, *require_room(workload, found.folder / RUN_FOLDER))
+    warnings = (*checked.warnings, *room_doubts(workload, found.folder / RUN_FOLDER))
     return _sections(rows, decisions, workload, found.assumptions, warnings)
 
 

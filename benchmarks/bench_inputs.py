@@ -68,6 +68,8 @@ def write_folder(folder: Path, num: int, kind: str, suffix: str) -> None:
             {1: "N", 2: (lat, 0.0, 0.0), 3: "E", 4: (lon, 0.0, 0.0), 5: b"\0", 6: height}
         )
         exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = 24
+        for ifd in (ExifTags.IFD.GPSInfo, ExifTags.IFD.Exif):
+            exif[ifd] = 0  # Pillow writes those that are named into a TIFF
         if suffix == "jpg":
             # The pixels are compressed once; only the segment with the position differs.
             if not first:

@@ -29,17 +29,13 @@ def pixels(rng) -> Image.Image:
 def test_a_complete_file_is_not_decoded_and_a_cut_one_is_refused(tmp_path, pixels, monkeypatch, name):
     path = tmp_path / name
     pixels.save(path, **FORMATS[name])
-    whole, decode = path.read_bytes(), images._decode
-    monkeypatch.setattr(images, "_decode", lambda *_: pytest.fail("decoded"))
+    whole, decode = path.read_bytes(), images.read_rgb
+    monkeypatch.setattr(images, "read_rgb", lambda *_: pytest.fail("decoded"))
     require_complete(path)
-    monkeypatch.setattr(images, "_decode", decode)
-    # TIFF has its directory of tags where the writer likes it: half the pixels are cut from the middle.
-    cut = whole[: len(whole) // 2]
-    if name.endswith(".tif") and int.from_bytes(whole[4:8], "little") > len(cut):
-        pytest.skip("the tags are behind the pixels, so that a cut file is no image")
-    path.write_bytes(cut)
-    assert not is_complete(path)
-    with pytest.raises(ImageError, match="damaged or cut off"):
+    monkeypatch.setattr(images, "read_rgb", decode)
+    path.write_bytes(whole[: len(whole) // 2])
+    # The directory of a TIFF may be cut off too, and then it is no image at all.
+    with pytest.raises(ImageError, match=r"damaged or cut off|not an image"):
         require_complete(path)
 
 

@@ -80,13 +80,6 @@ def test_an_image_of_another_size_than_its_camera_is_refused(tmp_path):
         load_image(view_of(path, Lens("PINHOLE", (100.0, 100.0, 32.0, 24.0), 64, 48)))
 
 
-def test_sixteen_bit_pixels_are_refused_rather_than_clipped(tmp_path):
-    path = tmp_path / "a.png"
-    Image.fromarray(np.full((48, 64), 1000, np.uint16)).save(path)
-    with pytest.raises(ImageError, match=r"a\.png has pixels of kind I;16, expected 8 bits per channel; convert it"):
-        load_image(view_of(path, Lens("PINHOLE", (100.0, 100.0, 32.0, 24.0), 64, 48)))
-
-
 def test_the_orientation_tag_is_not_applied(tmp_path):
     path = tmp_path / "a.jpg"
     write_image(path, Orientation=6)

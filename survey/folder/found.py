@@ -12,6 +12,7 @@ from survey.errors import FILE_NAME, ConfigError, PosesError, SurveyError
 from survey.folder import infer
 from survey.folder.config import SurveyConfig, read_config
 from survey.folder.control import FoundControl, find_control
+from survey.folder.head_doubts import head_doubts
 from survey.folder.water_level import with_level
 from survey.photos.exif import Exif, read_exif
 from survey.photos.formats import find_poses, find_unread
@@ -80,7 +81,7 @@ def find_survey(folder: Path) -> Found:
     config = with_level(folder, config, heads, assumptions)
     if poses_path is not None and config.water is not None:
         config.water.require_level()
-    warnings = _turned(heads)
+    warnings = head_doubts(heads)
     if poses_path is None:
         _require_positions(folder, heads)
         warnings += [
@@ -126,13 +127,3 @@ def _require_positions(folder: Path, heads: dict[str, Exif]) -> None:
             f"{folder} has no poses file, and {num} of {len(heads)} images have a GPS position in EXIF, expected at "
             f"least {MIN_VIEWS}; name a file of poses in [cameras] poses in {FILE_NAME}"
         )
-
-
-def _turned(heads: dict[str, Exif]) -> list[str]:
-    num = sum(head.orientation != 1 for head in heads.values())
-    if not num:
-        return []
-    return [
-        f"EXIF marks {num} of {len(heads)} images as rotated; pixels are used as stored and poses are assumed to refer "
-        "to them"
-    ]

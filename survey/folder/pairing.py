@@ -1,14 +1,14 @@
-"""Photographs paired with their poses by name, with lens and mask."""
+"""Photographs paired with their poses by name, with their lenses."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 
 from survey.display.words import named
 from survey.errors import ImageError, PosesError
 from survey.folder.found import MIN_VIEWS, Found
-from survey.folder.lens import lens_from_config
+from survey.folder.lens import lenses_from_config
 from survey.photos.cameras import Pose, View
 from survey.photos.exif import Exif
 from survey.photos.images import require_complete
@@ -59,8 +59,8 @@ def with_lenses(found: Found, poses: list[Pose], assumptions: list[str], warning
     cameras = found.config.cameras
     lens = poses[0].lens
     if lens is None or any(pose.lens is None for pose in poses):
-        of_config = lens_from_config(cameras, {pose.name: found.heads[pose.name] for pose in poses}, assumptions)
-        return [replace(pose, lens=pose.lens or of_config) for pose in poses]
+        of_config = lenses_from_config(cameras, {pose.name: found.heads[pose.name] for pose in poses}, assumptions)
+        return [replace(pose, lens=pose.lens or of_config[pose.name]) for pose in poses]
     own, size = lens.focal[0], (lens.width, lens.height)
     given = cameras.focal_px[0] if isinstance(cameras.focal_px, tuple) else cameras.focal_px
     if given is not None and abs(given / own - 1.0) > 0.01:
@@ -75,29 +75,6 @@ def with_lenses(found: Found, poses: list[Pose], assumptions: list[str], warning
     return poses
 
 
-def with_masks(found: Found, views: list[View], warnings: list[str]) -> list[View]:
-    """The views with their masks: files named like the image, with .png instead of its suffix, or with .png appended.
-
-    Raises
-    ------
-    ImageError
-        If the folder does not exist or has no mask of any view.
-    """
-    if found.config.images.masks is None:
-        return views
-    folder = found.folder / found.config.images.masks
-    if not folder.is_dir():
-        raise ImageError(f"the mask folder {folder} does not exist; correct [images] masks in survey.toml")
-    masked = [replace(view, mask_path=_mask_path(folder / view.name)) for view in views]
-    without = [view.name for view in masked if view.mask_path is None]
-    if len(without) == len(views):
-        raise ImageError(
-            f"no mask in {folder} has the name of an image, expected e.g. {Path(views[0].name).stem}.png; rename them"
-        )
-    warnings += named(without, "image", "without a mask, used whole")
-    return masked
-
-
 def require_image(view: View, head: Exif) -> None:
     """Raise ImageError where an image does not have the size of its camera, or is cut off."""
     expected = (view.lens.width, view.lens.height)
@@ -110,8 +87,3 @@ def require_image(view: View, head: Exif) -> None:
             f"as its camera has; {mend}"
         )
     require_complete(view.path)
-
-
-def _mask_path(like: Path) -> Path | None:
-    candidates = (like, like.with_name(like.name + ".png"), like.with_suffix(".png"))
-    return next((path for path in candidates if path.is_file()), None)

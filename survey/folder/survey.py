@@ -19,7 +19,8 @@ from survey.folder.config import SurveyConfig, WaterConfig
 from survey.folder.control import place_control
 from survey.folder.found import Found, find_survey
 from survey.folder.mark_residuals import mark_doubts
-from survey.folder.pairing import pair, require_image, with_lenses, with_masks
+from survey.folder.masks import with_masks
+from survey.folder.pairing import pair, require_image, with_lenses
 from survey.folder.plausible import doubts_of_places, require_true
 from survey.folder.pose_priors import PosePrior, priors_of_gps, priors_of_poses
 from survey.folder.start_height import start_doubts
@@ -138,7 +139,7 @@ def load_survey(
         warnings += solved.warnings
     else:
         frame, views, points = _views_of_file(found, found.poses_path, assumptions, warnings)
-    views = with_masks(found, sorted(views, key=lambda view: view.name), warnings)
+    views = with_masks(found, sorted(views, key=lambda view: view.name), assumptions, warnings)
     by_gps = found.poses_path is None
     priors = priors_of_gps(found, frame, views) if by_gps else priors_of_poses(found.config.cameras, views)
     for view in views:

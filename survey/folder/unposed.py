@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from geo.frames import LocalFrame
 from refract.lens import Lens
 from survey.control.placing import require_near
 from survey.display.words import named
-from survey.errors import PosesError
+from survey.errors import ImageError, PosesError
 from survey.folder.camera_faults import require_focal_lengths
 from survey.folder.found import MIN_VIEWS, Found
 from survey.folder.plausible import require_level_fits_exif
@@ -21,6 +21,7 @@ from survey.folder.start_height import start_doubts
 from survey.names import RUN_FOLDER, SFM_FOLDER
 from survey.photos.cameras import View
 from survey.photos.images import require_complete
+from survey.photos.opening import HEIC_SUFFIXES
 from survey.photos.tie_points import TiePoints
 from survey.sfm.gps import gps_positions
 from survey.sfm.gps_fit import MIN_STD_M, require_area
@@ -67,13 +68,23 @@ def require_solvable(found: Found) -> list[str]:
     if found.config.water is not None and found.config.water.level_m is not None:
         over_water = cameras_crs[:, 2] * height_unit_m(found.crs) - found.config.water.level_m
         warnings += start_doubts(dict(zip(positions.local, over_water.tolist(), strict=True)), found.heads)
-    for path in found.images.values():
-        require_complete(path)
+    _require_readable(found.images)
     if focal is None:
         return warnings
     sizes = {name: head.size_px for name, head in found.heads.items()}
     lenses = {name: Lens("SIMPLE_PINHOLE", (focal, 0.5 * w, 0.5 * h), w, h) for name, (w, h) in sizes.items()}
     return warnings + require_focal_lengths(lenses, found.heads)
+
+
+def _require_readable(images: Mapping[str, Path]) -> None:
+    """Raise ImageError where an image is cut off, or of a format that structure from motion does not read."""
+    for path in images.values():
+        if path.suffix.lower() in HEIC_SUFFIXES:
+            raise ImageError(
+                f"{path} is HEIC, which structure from motion does not read; convert the images to JPEG with their "
+                "EXIF, or give poses made elsewhere in [cameras] poses"
+            )
+        require_complete(path)
 
 
 def solve_views(found: Found, workspace: Path | None, report: Callable[[str], None] | None) -> SolvedViews:

@@ -14,11 +14,12 @@ from PIL import ExifTags
 from geo.crs import utm_code
 from survey.errors import ImageError
 from survey.photos.exif_focal import FocalCandidate, focal_candidates, focal_px
-from survey.photos.opening import open_image
+from survey.photos.opening import HEIC_SUFFIXES, open_image, without_complaints
+from survey.photos.pixels import channel_bits, stored_size
 from survey.photos.png import exif_of_png
 from survey.photos.xmp import Motion, Rtk, motion_of, number, rtk_of, xmp_number
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", *HEIC_SUFFIXES)
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,10 @@ class Exif:
         Accuracy of the position by the receiver, where DJI's XMP has it.
     motion : Motion
         Attitudes and speed at the exposure, by DJI's XMP.
+    bits : int
+        Of one channel.
+    has_pages : bool
+        Whether a TIFF has more images than the first one, which is used.
     """
 
     size_px: tuple[int, int]
@@ -59,6 +64,8 @@ class Exif:
     focal_candidates: tuple[FocalCandidate, ...] = ()
     rtk: Rtk | None = None
     motion: Motion = field(default_factory=Motion)
+    bits: int = 8
+    has_pages: bool = False
 
 
 def read_exif(path: Path) -> Exif:
@@ -69,10 +76,12 @@ def read_exif(path: Path) -> Exif:
     ImageError
         Where the file is no image, or one that is too large for this machine.
     """
-    with open_image(path) as image:
+    with open_image(path) as image, without_complaints():
         try:
             exif = exif_of_png(path) if image.format == "PNG" else image.getexif()
-            size, xmp = image.size, image.info.get("xmp", b"")
+            size, xmp = stored_size(image), image.info.get("xmp", b"")
+            bits = channel_bits(image)
+            has_pages = image.format == "TIFF" and getattr(image, "is_animated", False)
             gps, details = exif.get_ifd(ExifTags.IFD.GPSInfo), exif.get_ifd(ExifTags.IFD.Exif)
         except (SyntaxError, ValueError) as error:
             raise ImageError(f"{path} has EXIF that cannot be read ({error}); copy it again or remove it") from error
@@ -91,6 +100,8 @@ def read_exif(path: Path) -> Exif:
         focal_candidates=focal_candidates(size, details, xmp),
         rtk=rtk_of(xmp),
         motion=motion_of(xmp),
+        bits=bits,
+        has_pages=has_pages,
     )
 
 

@@ -66,7 +66,7 @@ DISK_FILES = {
         "survey/compare": ("canvas", "comparison"),
         "survey/control": ("metashape_xml", "reading", "xml_elements"),
         "survey/files": ("csv_table", "json_values", "lock", "outputs", "toml_table"),
-        "survey/folder": ("found", "infer", "inputs", "masks"),
+        "survey/folder": ("found", "infer", "inputs", "level_geojson", "masks"),
         "survey/photos": ("complete", "images", "opening", "png", "priors"),
         "survey/photos/formats": ("__init__", "colmap", "opk_csv"),
         "survey/plan": ("workload",),

@@ -13,6 +13,7 @@ from survey.folder import infer
 from survey.folder.config import SurveyConfig, read_config
 from survey.folder.control import FoundControl, find_control
 from survey.folder.head_doubts import head_doubts
+from survey.folder.level_observation import LevelObservation
 from survey.folder.water_level import with_level
 from survey.photos.exif import Exif, read_exif
 from survey.photos.formats import find_poses, find_unread
@@ -42,6 +43,8 @@ class Found:
     assumptions, warnings : sentences
     control : FoundControl or None
         Control and check points in crs; None where survey.toml names none.
+    levels : tuple of LevelObservation
+        What was measured of the water level; clicks in photographs are not among them before the poses are known.
     """
 
     folder: Path
@@ -53,6 +56,7 @@ class Found:
     assumptions: tuple[str, ...]
     warnings: tuple[str, ...]
     control: FoundControl | None = None
+    levels: tuple[LevelObservation, ...] = ()
 
 
 def find_survey(folder: Path) -> Found:
@@ -78,7 +82,7 @@ def find_survey(folder: Path) -> Found:
     if config.crs is None:
         raise ConfigError(f"{toml}: crs is missing; {infer.crs_advice(heads)}")
     crs = parse_crs(config.crs, where=f"crs in {toml}" if toml.is_file() else "the inferred crs")
-    config = with_level(folder, config, heads, assumptions)
+    config, levels = with_level(folder, config, heads, crs, assumptions)
     if poses_path is not None and config.water is not None:
         config.water.require_level()
     warnings = head_doubts(heads)
@@ -98,7 +102,8 @@ def find_survey(folder: Path) -> Found:
     if config.control.files:
         control = find_control(folder, config.control, crs, heads, assumptions, warnings)
         config = replace(config, control=control.config)
-    return Found(folder, config, crs, images, heads, poses_path, tuple(assumptions), tuple(warnings), control)
+    said = tuple(assumptions), tuple(warnings)
+    return Found(folder, config, crs, images, heads, poses_path, *said, control, levels)
 
 
 def _poses_path(folder: Path, config: SurveyConfig, assumptions: list[str]) -> Path | None:

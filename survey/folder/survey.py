@@ -18,6 +18,7 @@ from survey.folder.camera_faults import angle_doubts, require_apart, require_foc
 from survey.folder.config import SurveyConfig, WaterConfig
 from survey.folder.control import place_control
 from survey.folder.found import Found, find_survey
+from survey.folder.level_observation import LevelObservation
 from survey.folder.mark_residuals import mark_doubts
 from survey.folder.masks import with_masks
 from survey.folder.pairing import pair, require_image, with_lenses
@@ -25,6 +26,7 @@ from survey.folder.plausible import doubts_of_places, require_true
 from survey.folder.pose_priors import PosePrior, priors_of_gps, priors_of_poses
 from survey.folder.start_height import start_doubts
 from survey.folder.unposed import solve_views
+from survey.folder.water_level import with_level_of_clicks
 from survey.photos.cameras import View
 from survey.photos.formats import read_points, read_poses
 from survey.photos.images import load_image, load_mask
@@ -69,6 +71,8 @@ class Survey:
         Control points that the photographs show.
     checkpoints : tuple of Checkpoint
         Points that results are compared with; none where there is no file of them.
+    levels : tuple of LevelObservation
+        What was measured of the water level, of which `config` has the mean and its standard deviation.
     """
 
     name: str
@@ -88,6 +92,7 @@ class Survey:
     priors: Mapping[str, PosePrior] = field(default_factory=dict, compare=False, repr=False)
     control: Control | None = field(default=None, compare=False, repr=False)
     checkpoints: tuple[Checkpoint, ...] = field(default=(), compare=False, repr=False)
+    levels: tuple[LevelObservation, ...] = field(default=(), compare=False, repr=False)
 
     def require_water(self) -> tuple[FlatWater, WaterConfig]:
         """The water plane and its settings, with level, place and index.
@@ -138,14 +143,17 @@ def load_survey(
         assumptions += solved.assumptions
         warnings += solved.warnings
     else:
-        frame, views, points = _views_of_file(found, found.poses_path, assumptions, warnings)
+        found, frame, views, points = _views_of_file(found, found.poses_path, assumptions, warnings)
     views = with_masks(found, sorted(views, key=lambda view: view.name), assumptions, warnings)
     by_gps = found.poses_path is None
     priors = priors_of_gps(found, frame, views) if by_gps else priors_of_poses(found.config.cameras, views)
     for view in views:
         require_image(view, found.heads[view.name])
     control, checkpoints = place_control(found.control, frame, [view.name for view in views], warnings)
-    config, is_level_known = found.config, True
+    config, is_level_known, levels = found.config, True, found.levels
+    if by_gps:
+        config, clicked = with_level_of_clicks(found.folder, config, views, frame, assumptions, warnings)
+        levels += clicked
     if config.water is not None and config.water.level_m is None:
         config, is_level_known = place.with_level_of_points(config, frame, views, points, assumptions), False
     config, water = place.water_in_local(config, frame, views, assumptions)
@@ -170,22 +178,29 @@ def load_survey(
         priors=priors,
         control=control,
         checkpoints=checkpoints,
+        levels=levels,
     )
 
 
 def _views_of_file(
     found: Found, poses_path: Path, assumptions: list[str], warnings: list[str]
-) -> tuple[LocalFrame, list[View], np.ndarray | None]:
-    """Local frame, views and points of a survey whose poses stand in a file."""
+) -> tuple[Found, LocalFrame, list[View], np.ndarray | None]:
+    """The contents with a level, local frame, views and points of a survey whose poses stand in a file."""
     poses = pair(found, read_poses(poses_path), warnings)
     points = read_points(poses_path)
     poses = with_lenses(found, poses, assumptions, warnings)
     warnings += angle_doubts(poses)
+    if found.config.water is not None and found.config.water.clicks is not None:
+        # The level is not known before the poses are, and the frame of the survey lies at its level.
+        dry = replace(found, config=replace(found.config, water=None))
+        first, seen = place.views_in_local(dry, poses)
+        config, clicked = with_level_of_clicks(found.folder, found.config, seen, first, assumptions, warnings)
+        found = replace(found, config=config, levels=found.levels + clicked)
     frame, views = place.views_in_local(found, poses)
     if found.control is not None:
         centres = np.array([view.camera.centre for view in views])
         warnings += require_near(found.control.points, frame.crs_from_local(centres), frame.crs)
-    return frame, views, points
+    return found, frame, views, points
 
 
 def _doubts(

@@ -156,6 +156,8 @@ def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]
     water = found.config.water
     if water is None:
         rows.append(("water", "none: a dry survey"))
+    elif water.level_m is None and water.clicks is not None:
+        rows.append(("water", f"its level by the clicks in {water.clicks}, once the poses are known"))
     elif water.level_m is None:
         rows.append(("water", "of unknown level: the adjustment finds it, where the photographs tell it"))
     else:

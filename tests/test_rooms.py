@@ -33,7 +33,7 @@ LAYERS = (
     {"survey/report"},
     {"survey/run", "survey/simulate/output"},
     {"survey/simulate/drawn"},
-    {"survey/simulate/staging"},
+    {"survey/simulate/staging", "survey/benchmark"},
     {"survey/commands"},
     {"bathynerf"},
 )
@@ -62,6 +62,7 @@ DISK_FILES = {
         "geo": ("e57", "files", "gltf", "las", "las_header", "obj", "ply", "ply_reading", "raster"),
         "survey": ("code_hash", "machine", "progress", "stage_key"),
         "survey/adjust": ("adjustment", "waterline", "written"),
+        "survey/benchmark": ("benchmark", "cases", "corrected", "records", "running"),
         "survey/commands": ("console", "streams"),
         "survey/compare": ("canvas", "comparison"),
         "survey/control": ("metashape_xml", "reading", "xml_elements"),

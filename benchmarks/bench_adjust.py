@@ -63,7 +63,7 @@ def main() -> None:
 
 def measure(row: Row, run: Path, quality: str) -> dict:
     """Process a prepared survey and measure what came out."""
-    command = ["process", str(row.survey), "-o", str(run), "--quality", quality, "--no-resume"]
+    command = ["process", str(row.survey), "-o", str(run), "--quality", quality, "--no-resume", *row.options]
     with tempfile.TemporaryDirectory() as home:
         code, cost, words = run_bathynerf(command, Path(home))
     record = {"quality": quality, "wall_s": round(cost.wall_s, 1), "peak_gb": round(cost.peak_bytes / 1e9, 2)}

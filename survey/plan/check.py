@@ -61,15 +61,24 @@ def require_processable(folder: Path) -> Checked:
     return Checked(found, survey, survey.warnings)
 
 
-def check_survey(folder: Path, *, quality: str = "standard", device: str = "auto") -> list[Section]:
+def check_survey(
+    folder: Path, *, quality: str = "standard", device: str = "auto", checked: Checked | None = None
+) -> list[Section]:
     """Check a survey and describe what `process` would do; nothing is computed and nothing written.
+
+    Parameters
+    ----------
+    folder : Path
+    quality, device : str
+    checked : Checked, optional
+        What `require_processable` found in the folder, where it has looked already.
 
     Raises
     ------
     SurveyError, GeoError
         Where the survey cannot be processed as it is.
     """
-    checked = require_processable(folder)
+    checked = require_processable(folder) if checked is None else checked
     if checked.survey is None:
         return _without_poses(checked, quality, device)
     survey = checked.survey

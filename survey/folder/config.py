@@ -59,6 +59,7 @@ class CamerasConfig:
         None, "one number or [omega, phi, kappa] in degrees"
     )
     rolling_shutter_s: float | None = key(None, "the seconds from the first to the last row of an exposure")
+    rolling_shutter_std_s: float | None = key(None, "the standard deviation of rolling_shutter_s in seconds")
     speed_m_s: float | None = key(None, "the speed along the flight lines in metres per second")
 
     def __post_init__(self):
@@ -96,6 +97,13 @@ class CamerasConfig:
             "degrees",
             "poses of an adjusted block have about 0.01, the angles of a gimbal 1",
         )
+        require_std(
+            "[cameras] rolling_shutter_std_s",
+            self.rolling_shutter_std_s,
+            _LONGEST_READOUT_S,
+            "seconds",
+            "0.02 if the readout is nearly unknown",
+        )
         readout, speed = self.rolling_shutter_s, self.speed_m_s
         if readout is not None and not 0.0 <= readout <= _LONGEST_READOUT_S:
             raise ConfigError(
@@ -107,10 +115,9 @@ class CamerasConfig:
                 f"[cameras] speed_m_s is {speed:g}, expected metres per second along the flight lines, above 0 and at "
                 f"most {_FASTEST_M_S:g}"
             )
-        if speed is not None and readout is None:
-            raise ConfigError(
-                "[cameras] speed_m_s is given without rolling_shutter_s, which it is for; give both, or neither"
-            )
+        for name in ("rolling_shutter_std_s", "speed_m_s"):
+            if getattr(self, name) is not None and readout is None:
+                raise ConfigError(f"[cameras] {name} is given without rolling_shutter_s, which it is for; give both")
 
 
 @dataclass(frozen=True)

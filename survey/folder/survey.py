@@ -22,8 +22,10 @@ from survey.folder.mark_residuals import mark_doubts
 from survey.folder.pairing import pair, require_image, with_lenses, with_masks
 from survey.folder.plausible import doubts_of_places, require_true
 from survey.folder.pose_priors import PosePrior, priors_of_gps, priors_of_poses
+from survey.folder.shutter import metres_per_px, shutter_doubts, with_motion
 from survey.folder.start_height import start_doubts
 from survey.folder.unposed import solve_views
+from survey.folder.velocities import Velocity, velocities_of
 from survey.photos.cameras import View
 from survey.photos.formats import read_points, read_poses
 from survey.photos.images import load_image, load_mask
@@ -68,6 +70,8 @@ class Survey:
         Control points that the photographs show.
     checkpoints : tuple of Checkpoint
         Points that results are compared with; none where there is no file of them.
+    velocities : dict of name to Velocity
+        Of the views of which anything tells it.
     """
 
     name: str
@@ -87,6 +91,7 @@ class Survey:
     priors: Mapping[str, PosePrior] = field(default_factory=dict, compare=False, repr=False)
     control: Control | None = field(default=None, compare=False, repr=False)
     checkpoints: tuple[Checkpoint, ...] = field(default=(), compare=False, repr=False)
+    velocities: Mapping[str, Velocity] = field(default_factory=dict, compare=False, repr=False)
 
     def require_water(self) -> tuple[FlatWater, WaterConfig]:
         """The water plane and its settings, with level, place and index.
@@ -141,6 +146,9 @@ def load_survey(
     views = with_masks(found, sorted(views, key=lambda view: view.name), warnings)
     by_gps = found.poses_path is None
     priors = priors_of_gps(found, frame, views) if by_gps else priors_of_poses(found.config.cameras, views)
+    places = {view.name: view.camera.centre for view in views}
+    velocities = velocities_of(places, found.heads, found.config.cameras.speed_m_s)
+    views = with_motion(views, velocities, found.config.cameras, warnings)
     for view in views:
         require_image(view, found.heads[view.name])
     control, checkpoints = place_control(found.control, frame, [view.name for view in views], warnings)
@@ -169,6 +177,7 @@ def load_survey(
         priors=priors,
         control=control,
         checkpoints=checkpoints,
+        velocities=velocities,
     )
 
 
@@ -197,13 +206,10 @@ def _doubts(
     posed = found.poses_path is not None
     warnings = require_focal_lengths({view.name: view.lens for view in views}, found.heads) if posed else []
     warnings += require_apart(views, water) + doubts_of_places(frame, views, water, found.heads)
-    if found.config.cameras.rolling_shutter_s is not None:
-        warnings.append(
-            "[cameras] rolling_shutter_s is not used: rows are taken as exposed at once, and a photograph taken at 5 "
-            "m/s and read out in 30 ms is 15 cm longer or shorter than it shows; hover, or use a mechanical shutter"
-        )
     if not posed:
         return warnings
+    heads = {view.name: found.heads[view.name] for view in views}
+    warnings += shutter_doubts(found.config.cameras, heads, metres_per_px(views, water))
     if control is not None:
         warnings += mark_doubts(control, views, water)
     if water is not None:

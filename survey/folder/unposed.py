@@ -17,6 +17,7 @@ from survey.errors import PosesError
 from survey.folder.camera_faults import require_focal_lengths
 from survey.folder.found import MIN_VIEWS, Found
 from survey.folder.plausible import require_level_fits_exif
+from survey.folder.shutter import shutter_doubts
 from survey.folder.start_height import start_doubts
 from survey.names import RUN_FOLDER, SFM_FOLDER
 from survey.photos.cameras import View
@@ -67,6 +68,7 @@ def require_solvable(found: Found) -> list[str]:
     if found.config.water is not None and found.config.water.level_m is not None:
         over_water = cameras_crs[:, 2] * height_unit_m(found.crs) - found.config.water.level_m
         warnings += start_doubts(dict(zip(positions.local, over_water.tolist(), strict=True)), found.heads)
+    warnings += shutter_doubts(cameras, found.heads, None)
     for path in found.images.values():
         require_complete(path)
     if focal is None:

@@ -11,6 +11,7 @@ import numpy as np
 from geo.crs import height_unit_m
 from survey.display.quantities import length
 from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors
+from survey.folder.shutter import metres_per_px, shutter_rows
 from survey.folder.survey import Found, Survey, find_survey, load_survey
 from survey.folder.unposed import require_solvable
 from survey.names import RUN_FOLDER
@@ -120,6 +121,9 @@ def _rows_of_survey(found: Found, survey: Survey, plan: Plan) -> list[tuple[str,
         ("local frame", f"topocentric at {', '.join(f'{v:.10g}' for v in survey.frame.origin)}"),
         ("water", _water(survey)),
         ("accuracy", accuracy_of_priors(survey.priors)),
+        *shutter_rows(
+            survey.config.cameras, survey.velocities, len(survey.views), metres_per_px(survey.views, survey.water)
+        ),
         *control_rows(found.control),
         *mark_rows(survey),
     ]

@@ -14,7 +14,7 @@ from survey.folder.config_std import per_axis
 from survey.folder.found import Found
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
-from survey.sfm.gps import gps_positions
+from survey.sfm.gps import positions_in_crs
 
 # What DJI calls a position whose carrier phases are resolved; its standard deviations are those of the receiver.
 _RTK_FIXED = 50
@@ -58,9 +58,8 @@ def priors_of_gps(found: Found, frame: LocalFrame, views: Sequence[View]) -> dic
     As accurate as [cameras] says, else as XMP does, where the receiver had a fixed solution.
     """
     cameras = found.config.cameras
-    gps = gps_positions(found.heads, found.crs, cameras.gps_height)
-    # By crs, for the two frames have different origins.
-    local = {name: frame.local_from_crs(gps.frame.crs_from_local(p)) for name, p in gps.local.items()}
+    positions = positions_in_crs(found.heads, found.crs, cameras.gps_height, [])
+    local = {name: frame.local_from_crs(position) for name, position in positions.items()}
     return {view.name: _by_gps(cameras, local.get(view.name), found.heads[view.name]) for view in views}
 
 

@@ -14,6 +14,7 @@ from survey.control.placing import require_near
 from survey.control.points import Checkpoint, Control
 from survey.errors import FILE_NAME, SurveyError
 from survey.folder import place
+from survey.folder.block_control import checked_control
 from survey.folder.camera_faults import angle_doubts, require_apart, require_focal_lengths
 from survey.folder.config import SurveyConfig, WaterConfig
 from survey.folder.control import place_control
@@ -145,6 +146,7 @@ def load_survey(
         frame, views, points = _views_of_file(found, found.poses_path, assumptions, warnings)
     views = with_masks(found, sorted(views, key=lambda view: view.name), warnings)
     by_gps = found.poses_path is None
+    priors: Mapping[str, PosePrior]
     priors = priors_of_gps(found, frame, views) if by_gps else priors_of_poses(found.config.cameras, views)
     places = {view.name: view.camera.centre for view in views}
     velocities = velocities_of(places, found.heads, found.config.cameras.speed_m_s)
@@ -152,6 +154,8 @@ def load_survey(
     for view in views:
         require_image(view, found.heads[view.name])
     control, checkpoints = place_control(found.control, frame, [view.name for view in views], warnings)
+    if by_gps and control is not None:
+        control, priors = checked_control(found, frame, views, control, priors, warnings)
     config, is_level_known = found.config, True
     if config.water is not None and config.water.level_m is None:
         config, is_level_known = place.with_level_of_points(config, frame, views, points, assumptions), False

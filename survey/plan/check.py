@@ -13,7 +13,7 @@ from survey.display.quantities import length
 from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors
 from survey.folder.shutter import metres_per_px, shutter_rows
 from survey.folder.survey import Found, Survey, find_survey, load_survey
-from survey.folder.unposed import require_solvable
+from survey.folder.unposed import placing_control, require_solvable
 from survey.names import RUN_FOLDER
 from survey.plan.bounds import require_seen
 from survey.plan.check_inputs import control_rows, mark_rows, water_stds
@@ -161,7 +161,8 @@ def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]
         ),
         (
             "positions",
-            f"{len(places)} of {len(found.heads)} images have one in EXIF, heights {_range(heights)} m",
+            f"{len(places)} of {len(found.heads)} images have one in EXIF"
+            + (f", heights {_range(heights)} m" if places else ""),
         ),
         ("poses", "none"),
         ("accuracy", accuracy_of_gps(found.config.cameras, found.heads)),
@@ -176,17 +177,18 @@ def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]
         rows.append(
             (
                 "water",
-                f"level {water.level_m:g} m; by EXIF the cameras are {_range(heights - level)} m over it"
-                f"{water_stds(water)}",
+                f"level {water.level_m:g} m"
+                + (f"; by EXIF the cameras are {_range(heights - level)} m over it" if places else "")
+                + water_stds(water),
             )
         )
     rows += control_rows(found.control)
     like = "heights in crs" if found.config.cameras.gps_height == "crs" else "ellipsoidal heights"
-    sfm = Decision(
-        "structure from motion",
-        "on",
-        f"there is no poses file; georeferenced by GPS positions, heights taken as {like}",
-    )
+    by_control = placing_control(found)
+    placed = f"GPS positions, heights taken as {like}"
+    if by_control is not None:
+        placed = f"the marks of {len(by_control.points)} control points, as too few images have a GPS position"
+    sfm = Decision("structure from motion", "on", f"there is no poses file; georeferenced by {placed}")
     rest = Decision("refraction and the rest", "later", "decided once the poses are known")
     decisions = (sfm, device_decision(device), rest)
     sizes = [head.size_px for head in found.heads.values()]

@@ -111,6 +111,7 @@ def _rows_of_survey(found: Found, survey: Survey, plan: Plan) -> list[tuple[str,
         ("local frame", f"topocentric at {', '.join(f'{v:.10g}' for v in survey.frame.origin)}"),
         ("water", _water(survey)),
         ("accuracy", accuracy_of_priors(survey.priors)),
+        *(() if survey.reprojection is None else (("tie points", str(survey.reprojection)),)),
         *control_rows(found.control),
         *mark_rows(survey),
     ]

@@ -33,7 +33,7 @@ class FilePoses:
     views : list of View
     points : (N, 3) float64 [m], local, or None
         Tie points that three photographs see; None where none came.
-    tool : str or None
+    tool, masks
         See `PoseFile`.
     reprojection : Reprojection or None
         None where the file does not say where the photographs show its points.
@@ -44,6 +44,7 @@ class FilePoses:
     views: list[View]
     points: np.ndarray | None
     tool: str | None
+    masks: Path | None
     reprojection: Reprojection | None
     priors: dict[str, PosePrior]
 
@@ -75,7 +76,7 @@ def read_file_poses(found: Found, path: Path, assumptions: list[str], warnings: 
     by_name = {view.name: view for view in views}
     points, misses = _ties(found, path, file, frame, {called: by_name[pose.name] for called, pose in paired.items()})
     priors = priors_of_poses(found.config.cameras, views, _given(found, file, poses, frame))
-    return FilePoses(frame, views, points, file.tool, misses, priors)
+    return FilePoses(frame, views, points, file.tool, file.masks, misses, priors)
 
 
 def _ties(

@@ -87,25 +87,35 @@ def with_lenses(found: Found, poses: list[Pose], assumptions: list[str], warning
     return poses
 
 
-def with_masks(found: Found, views: list[View], warnings: list[str]) -> list[View]:
-    """The views with their masks: files named like the image, with .png instead of its suffix, or with .png appended.
+def with_masks(
+    found: Found, views: list[View], own: Path | None, assumptions: list[str], warnings: list[str]
+) -> list[View]:
+    """The views with their masks: files named like the image, with .png or _mask before or after its suffix.
+
+    They lie in the folder of [images] masks; else, where there are any, in the one that the program used that made the
+    poses.
 
     Raises
     ------
     ImageError
         If the folder does not exist or has no mask of any view.
     """
-    if found.config.images.masks is None:
+    given = found.config.images.masks
+    folder = found.folder / given if given is not None else own
+    if folder is None:
         return views
-    folder = found.folder / found.config.images.masks
-    if not folder.is_dir():
+    if given is not None and not folder.is_dir():
         raise ImageError(f"the mask folder {folder} does not exist; correct [images] masks in survey.toml")
-    masked = [replace(view, mask_path=_mask_path(folder / view.name)) for view in views]
+    masked = [replace(view, mask_path=_mask_path(folder / view.name, view.path)) for view in views]
     without = [view.name for view in masked if view.mask_path is None]
     if len(without) == len(views):
+        if given is None:
+            return views
         raise ImageError(
             f"no mask in {folder} has the name of an image, expected e.g. {Path(views[0].name).stem}.png; rename them"
         )
+    if given is None:
+        assumptions.append(f"the masks are those in {folder}, which the program used that made the poses")
     warnings += named(without, "image", "without a mask, used whole")
     return masked
 
@@ -124,6 +134,7 @@ def require_image(view: View, head: Exif) -> None:
     require_complete(view.path)
 
 
-def _mask_path(like: Path) -> Path | None:
+def _mask_path(like: Path, image: Path) -> Path | None:
     candidates = (like, like.with_name(like.name + ".png"), like.with_suffix(".png"))
-    return next((path for path in candidates if path.is_file()), None)
+    candidates += tuple(like.with_name(f"{like.stem}_mask{s}") for s in dict.fromkeys((like.suffix, ".png", ".PNG")))
+    return next((path for path in candidates if path != image and path.is_file()), None)

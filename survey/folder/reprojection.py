@@ -13,12 +13,12 @@ from survey.photos.poses import FileTies
 
 @dataclass(frozen=True)
 class Reprojection:
-    """Distances [px] between where tie points were seen and where straight rays put them.
+    """Distances [px] in the image between where tie points were seen and where straight rays put them.
 
     Attributes
     ----------
-    rms_px : float
-        Root mean square distance.
+    rms_px, median_px : float
+        Root mean square and median distance.
     num_points, num_images, num_seen : int
         Points, photographs, and places of points in photographs.
     num_lost : int
@@ -26,6 +26,7 @@ class Reprojection:
     """
 
     rms_px: float
+    median_px: float
     num_points: int
     num_images: int
     num_seen: int
@@ -34,8 +35,8 @@ class Reprojection:
     def __str__(self) -> str:
         lost = f", {self.num_lost} more behind the cameras or beyond their lenses" if self.num_lost else ""
         return (
-            f"{self.rms_px:.2f} px rms between {self.num_seen} places of {self.num_points} points in {self.num_images} "
-            f"images and where straight rays put them{lost}"
+            f"{self.rms_px:.2f} px rms, {self.median_px:.2f} px median, between {self.num_seen} places of "
+            f"{self.num_points} points in {self.num_images} images and where straight rays put them{lost}"
         )
 
 
@@ -67,4 +68,5 @@ def reprojection(ties: FileTies, points: np.ndarray, views: Mapping[str, View]) 
         return None
     every = np.concatenate(squares)
     num_points = len(np.unique(np.concatenate(seen_points)))
-    return Reprojection(float(np.sqrt(every.mean())), num_points, num_images, len(every), lost)
+    rms, median = (float(np.sqrt(value)) for value in (every.mean(), np.median(every)))
+    return Reprojection(rms, median, num_points, num_images, len(every), lost)

@@ -147,7 +147,8 @@ def load_survey(
     else:
         file = read_file_poses(found, found.poses_path, assumptions, warnings)
         frame, views, points = file.frame, file.views, file.points
-    views = with_masks(found, sorted(views, key=lambda view: view.name), warnings)
+    views = sorted(views, key=lambda view: view.name)
+    views = with_masks(found, views, None if file is None else file.masks, assumptions, warnings)
     priors = priors_of_gps(found, frame, views) if file is None else file.priors
     for view in views:
         require_image(view, found.heads[view.name])
@@ -156,7 +157,8 @@ def load_survey(
     if config.water is not None and config.water.level_m is None:
         config, is_level_known = place.with_level_of_points(config, frame, views, points, assumptions), False
     config, water = place.water_in_local(config, frame, views, assumptions)
-    require_true(frame, views, water, config)
+    seen = file is not None and file.reprojection is not None
+    require_true(frame, views, water, config, see_points=seen)
     warnings += _doubts(found, frame, views, water, control)
     if found.poses_path is not None and found.poses_path.is_relative_to(found.folder):
         poses_name = found.poses_path.relative_to(found.folder).as_posix()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
+from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
@@ -83,8 +84,8 @@ class PoseFile:
         survey, or WGS 84 for GEOCENTRIC.
     tool : str or None
         The program that adjusted the poses, which knows straight rays only; None where the format does not tell.
-    masks : str or None
-        Folder of the masks that the program used, beside the poses file or above it.
+    masks : Path or None
+        Folder of the masks that the program used.
     notes, warnings : sentences
         What was assumed of the file, and what it has that is not used.
     """
@@ -93,7 +94,7 @@ class PoseFile:
     frame: PoseFrame
     crs: CRS | None = None
     tool: str | None = None
-    masks: str | None = None
+    masks: Path | None = None
     notes: tuple[str, ...] = field(default=(), compare=False)
     warnings: tuple[str, ...] = field(default=(), compare=False)
 

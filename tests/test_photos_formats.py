@@ -104,7 +104,8 @@ def test_text_and_binary_are_read_as_pycolmap_reads_them(tmp_path, rng):
     text.mkdir()
     lenses = [
         f"{i} {model} 640 480 " + " ".join(str(v) for v in (500.0, 501.0, 320.0, 240.0, *[0.01] * 8)[: len(names)])
-        for i, (model, (_, names)) in enumerate(MODELS.items(), start=1)
+        for i, (model, (number, names)) in enumerate(MODELS.items(), start=1)
+        if number is not None
     ]
     (text / "cameras.txt").write_text("# a comment\n\n" + "\n".join(lenses) + "\n")
     images = []
@@ -166,6 +167,8 @@ def test_points_are_those_of_pycolmap_in_text_and_binary_and_a_cut_is_refused(tm
 
 def test_the_ids_of_our_models_are_those_of_colmap():
     for model, (number, names) in MODELS.items():
+        if number is None:
+            continue  # none of COLMAP's
         camera = pycolmap.Camera(model=model, width=10, height=10, params=[1.0] * len(names))
         assert int(camera.model) == number
         spelt = ["k1" if name.strip() == "k" else name.strip() for name in camera.params_info.split(",")]

@@ -135,6 +135,6 @@ def require_image(view: View, head: Exif) -> None:
 
 
 def _mask_path(like: Path, image: Path) -> Path | None:
-    candidates = (like, like.with_name(like.name + ".png"), like.with_suffix(".png"))
-    candidates += tuple(like.with_name(f"{like.stem}_mask{s}") for s in dict.fromkeys((like.suffix, ".png", ".PNG")))
+    candidates = [like, like.with_name(like.name + ".png"), like.with_suffix(".png")]
+    candidates += (like.with_name(f"{like.stem}_mask{s}") for s in dict.fromkeys((like.suffix, ".png", ".PNG")))
     return next((path for path in candidates if path != image and path.is_file()), None)

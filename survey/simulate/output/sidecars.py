@@ -16,7 +16,7 @@ from geo import write_whole
 from geo.crs import horizontal_crs
 from geo.frames import LocalFrame
 from refract import PinholeCamera
-from refract.lens import MODELS
+from refract.lens import coefficients_of
 from survey.photos.cameras import CAM_FROM_OPK_CAM
 from survey.simulate.output.staged_scene import StagedScene
 
@@ -39,7 +39,7 @@ def survey_toml(scene: StagedScene) -> str:
         f"focal_px = {fx if fx == fy else [fx, fy]}",
         f"principal_point_px = [{lens['cx']}, {lens['cy']}]    # the centre of the first pixel is at 0.5, 0.5",
     ]
-    coefficients = [lens[name] for name in MODELS[lens.model][1] if name[0] in "kp"]
+    coefficients = [lens[name] for name in coefficients_of(lens.model)]
     lines += [f"distortion = {coefficients}", ""] if coefficients else [""]
     if level is not None:
         lines += [

@@ -15,7 +15,7 @@ from survey.folder.camera_faults import angle_doubts
 from survey.folder.found import Found
 from survey.folder.pairing import pair, with_lenses
 from survey.folder.pose_priors import PosePrior, priors_of_poses
-from survey.folder.posed import points_in_local
+from survey.folder.posed import given_in_local, points_in_local
 from survey.folder.reprojection import Reprojection, reprojection
 from survey.photos.cameras import View
 from survey.photos.formats import read_poses, read_ties
@@ -99,7 +99,7 @@ def _given(
     if not known:
         return {}
     places = np.array([given.place for _, given in known])
-    local = points_in_local(file, places, frame, found.config.cameras.gps_height)
+    local = given_in_local(file, places, frame, found.config.cameras.gps_height)
     return {
         name: (position, given.std)
         for (name, given), position in zip(known, local, strict=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from pyproj import CRS, Transformer
@@ -20,8 +21,9 @@ from geo.crs import (
     prime_meridian_rad,
     vertical_crs,
 )
-from geo.ellipsoid import enu_from_geocentric, geodetic_from_geocentric
+from geo.ellipsoid import enu_from_geocentric, geocentric_from_geodetic, geodetic_from_geocentric
 from geo.frames import LocalFrame
+from geo.projection import MapProjection
 from survey.errors import FILE_NAME, PosesError
 from survey.photos.poses import Pose, PoseFile, PoseFrame
 from survey.sfm.geoid import height_transformer
@@ -73,6 +75,19 @@ def points_in_local(file: PoseFile, points: np.ndarray, frame: LocalFrame, gps_h
     if file.frame is PoseFrame.LOCAL or not len(points):
         return points
     return frame.local_from_crs(points_in_crs(file, points, frame.crs, gps_height))
+
+
+def given_in_local(file: PoseFile, places: np.ndarray, frame: LocalFrame, gps_height: str) -> np.ndarray:
+    """Positions (N, 3) in the crs of a poses file, by GPS before its adjustment, as (N, 3) [m], local.
+
+    Their heights are of the same kind as those of the poses.
+    """
+    if file.frame is not PoseFrame.GEOCENTRIC or file.crs is None or vertical_crs(file.crs) is not None:
+        return points_in_local(replace(file, frame=PoseFrame.LEVEL), places, frame, gps_height)
+    own = MapProjection(file.crs if has_height(file.crs) else file.crs.to_3d())
+    return points_in_local(
+        file, geocentric_from_geodetic(*own.geodetic_from_crs(places), a=own.a, b=own.b), frame, gps_height
+    )
 
 
 def _same_grid(a: CRS, b: CRS) -> bool:

@@ -36,7 +36,7 @@ class GivenPosition:
     Attributes
     ----------
     place : (3,) float64
-        In the frame of its file.
+        Easting or longitude, northing or latitude and height in the crs of its file.
     std : (3,) float64 [m]
         East, north, up.
     """

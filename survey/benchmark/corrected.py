@@ -95,8 +95,8 @@ def _scene(run: Path, survey: Path) -> _Scene:
         water, _ = loaded.require_water()
         return _Scene(loaded.frame, tuple(view.camera for view in loaded.views), water)
     found = find_survey(survey)
-    lenses = {pose.name: pose.lens for pose in read_poses(run / MODEL)}
-    poses = [pose for pose in read_poses(run / CAMERAS) if lenses.get(pose.name) is not None]
+    lenses = {pose.name: pose.lens for pose in read_poses(run / MODEL).poses}
+    poses = [pose for pose in read_poses(run / CAMERAS).poses if lenses.get(pose.name) is not None]
     middle = np.median([pose.centre for pose in poses], axis=0)
     frame = LocalFrame(found.crs, (float(middle[0]), float(middle[1]), float(middle[2])))
     centres = np.array([pose.centre for pose in poses])

@@ -10,6 +10,7 @@ import numpy as np
 
 from geo.crs import height_unit_m
 from survey.display.quantities import length
+from survey.errors import SurveyError
 from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors
 from survey.folder.shutter import metres_per_px, shutter_rows
 from survey.folder.survey import Found, Survey, find_survey, load_survey
@@ -84,13 +85,20 @@ def check_survey(
         return _without_poses(checked, quality, device)
     survey = checked.survey
     plan = make_plan(survey, quality=quality, device=device)
-    workload = workload_of(survey, plan)
-    warnings = (*checked.warnings, *require_room(workload, folder / RUN_FOLDER))
     rows = _rows_of_survey(checked.found, survey, plan)
-    return _sections(rows, plan.decisions, workload, survey.assumptions, warnings)
+    workload: Workload | str
+    try:
+        workload = workload_of(survey, plan)
+    except SurveyError as error:
+        if survey.reprojection is None:
+            raise
+        # Where tie points prove the poses, what they say is worth printing, though nothing can be made of them.
+        workload = f"process refuses this survey: {error}"
+    room = require_room(workload, folder / RUN_FOLDER) if isinstance(workload, Workload) else [workload]
+    return _sections(rows, plan.decisions, workload, survey.assumptions, (*checked.warnings, *room))
 
 
-def _sections(rows, decisions: tuple[Decision, ...], workload: Workload, assumptions, warnings) -> list[Section]:
+def _sections(rows, decisions: tuple[Decision, ...], workload: Workload | str, assumptions, warnings) -> list[Section]:
     plan = [(d.name, f"{d.choice}: {d.reason}") for d in decisions]
     sections = [Section("Found", tuple(rows)), Section("Plan", (*plan, ("workload", str(workload))))]
     sections += [Section("Assumed", tuple(("", text) for text in assumptions))] if assumptions else []
@@ -124,6 +132,7 @@ def _rows_of_survey(found: Found, survey: Survey, plan: Plan) -> list[tuple[str,
         *shutter_rows(
             survey.config.cameras, survey.velocities, len(survey.views), metres_per_px(survey.views, survey.water)
         ),
+        *(() if survey.reprojection is None else (("tie points", str(survey.reprojection)),)),
         *control_rows(found.control),
         *mark_rows(survey),
     ]

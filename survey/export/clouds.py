@@ -1,0 +1,68 @@
+"""The cloud as files of points: LAS, LAZ, PLY."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from survey.export.product import ExportOptions, Product, begins_with
+
+if TYPE_CHECKING:
+    from survey.export.loaded import LoadedRun
+
+_KIND = "a cloud that bathynerf wrote"
+# Where the header of LAS says which system made it.
+_LAS_SYSTEM = slice(26, 58)
+
+
+def _write_las(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    from survey.run.cloud import write_bed_las
+
+    write_bed_las(path, run.bed_in(options.crs))
+
+
+def _write_ply(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    from survey.run.cloud import write_bed_ply
+
+    write_bed_ply(path, run.bed_in(options.crs))
+
+
+def is_our_las(path: Path) -> bool:
+    """Whether a file is LAS or LAZ whose header names bathynerf as the system that made it."""
+    with path.open("rb") as stream:
+        head = stream.read(_LAS_SYSTEM.stop)
+    return head.startswith(b"LASF") and head[_LAS_SYSTEM].startswith(b"bathynerf")
+
+
+CLOUDS = (
+    Product(
+        option="las",
+        suffixes=(".las",),
+        kind=_KIND,
+        help="Points as LAS 1.4.",
+        example="--las bed.las",
+        takes=("crs",),
+        is_ours=is_our_las,
+        write=_write_las,
+    ),
+    Product(
+        option="laz",
+        suffixes=(".laz",),
+        kind=_KIND,
+        help="Points as LAZ, LAS compressed.",
+        example="--laz bed.laz --crs EPSG:4326",
+        takes=("crs",),
+        is_ours=is_our_las,
+        write=_write_las,
+    ),
+    Product(
+        option="ply",
+        suffixes=(".ply",),
+        kind=_KIND,
+        help="Points as binary PLY in double precision.",
+        example="--ply bed.ply",
+        takes=("crs",),
+        is_ours=begins_with(b"ply\n", b"\ncomment bathynerf\n"),
+        write=_write_ply,
+    ),
+)

@@ -83,11 +83,12 @@ def disk_refusals(path: str | Path) -> Iterator[None]:
 
 @contextmanager
 def write_whole(path: str | Path) -> Iterator[BinaryIO]:
-    """A binary stream that becomes the file ``path`` when the block ends well.
+    """A binary stream, to write and to read back, that becomes the file ``path`` when the block ends well.
 
     Written under a temporary name in the same folder and renamed at the end; after any error the temporary file is
     gone and an older file of that name is untouched. A symbolic link is followed, as by `cp`; into a device or a pipe,
-    e.g. /dev/stdout, the bytes go at once.
+    e.g. /dev/stdout, the bytes go at once, and cannot be
+    read back.
 
     Raises
     ------
@@ -103,7 +104,7 @@ def write_whole(path: str | Path) -> Iterator[BinaryIO]:
         target = Path(os.path.realpath(path))
         part = target.with_name(f".{target.name}.{os.getpid()}.part")
         try:
-            with part.open("wb") as stream:
+            with part.open("w+b") as stream:
                 yield stream
                 stream.flush()
                 os.fsync(stream.fileno())

@@ -1,4 +1,4 @@
-"""The cloud as files of points: LAS, LAZ, PLY."""
+"""The cloud as files of points: LAS, LAZ, COPC, PLY."""
 
 from __future__ import annotations
 
@@ -51,6 +51,16 @@ CLOUDS = (
         kind=_KIND,
         help="Points as LAZ, LAS compressed.",
         example="--laz bed.laz --crs EPSG:4326",
+        takes=("crs",),
+        is_ours=is_our_las,
+        write=_write_las,
+    ),
+    Product(
+        option="copc",
+        suffixes=(".copc.laz",),
+        kind=_KIND,
+        help="Points as cloud-optimised LAZ, from which readers fetch parts.",
+        example="--copc bed.copc.laz",
         takes=("crs",),
         is_ours=is_our_las,
         write=_write_las,

@@ -1,4 +1,4 @@
-"""The cloud of a run as LAS, LAZ or PLY."""
+"""The cloud of a run as LAS, LAZ, COPC or PLY."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from survey.run.stored import StoredBed
 
 
 def write_bed_las(path: Path, stored: StoredBed) -> None:
-    """The cloud as LAS, or LAZ by the suffix; see `geo.write_cloud`."""
+    """The cloud as LAS, or LAZ or COPC by the suffix; see `geo.write_cloud`."""
     bed = stored.bed
     write_cloud(
         path,

@@ -1,4 +1,4 @@
-"""Libraries that only some file formats need: extras of the distribution, imported when such a file is read or written."""
+"""Libraries that only some file formats need: extras of the distribution, imported when such a file is met."""
 
 from __future__ import annotations
 

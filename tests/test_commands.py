@@ -23,6 +23,8 @@ from survey.commands.faults import BAD_INPUT as BAD_INPUT_CODE
 from survey.commands.faults import BROKEN_PIPE, OUR_BUG, STOPPED
 from survey.commands.verbs import VERBS, app
 from survey.errors import SurveyError
+from survey.export.product import ExportOptions
+from survey.export.registry import PRODUCTS
 from survey.progress import Progress, clock
 from survey.run.process import QUALITY_GATE_FAILED
 
@@ -260,10 +262,13 @@ def test_export_needs_something_to_write_and_prints_what_it_wrote(monkeypatch):
         calls.append((run, files))
         return [Path("a.las"), Path("b.ply")]
 
-    fake_module(monkeypatch, "survey.run.export", export=export)
-    result = bathynerf("export", "run", "--las", "a.las", "--ply", "b.ply")
+    fake_module(monkeypatch, "survey.export.export", export=export)
+    result = bathynerf("export", "run", "--las", "a.las", "--ply", "b.ply", "--crs", "EPSG:32632", "--fill", "0.5")
     assert (result.exit_code, result.stdout) == (0, "a.las\nb.ply\n")
-    assert calls == [(Path("run"), {"las": Path("a.las"), "laz": None, "ply": Path("b.ply")})]
+    ((run, files),) = calls
+    assert (run, files.pop("options")) == (Path("run"), ExportOptions(crs="EPSG:32632", fill_m=0.5))
+    assert files.keys() == {product.option for product in PRODUCTS}
+    assert {name: path for name, path in files.items() if path} == {"las": Path("a.las"), "ply": Path("b.ply")}
 
 
 def test_compare_hands_its_options_on_and_prints_the_lines_in_columns(monkeypatch):

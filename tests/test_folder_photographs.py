@@ -36,7 +36,7 @@ def test_masks_beside_photographs_are_no_photographs_and_are_used(tmp_path):
     survey = load_survey(folder)
     assert [view.mask_path.name for view in survey.views] == [f"000{i}_mask.png" for i in range(3)] + ["0003_MASK.PNG"]
     assert load_mask(survey.views[0]).sum() == 48 * 44
-    assert "4 images have masks beside them, whose black is left out" in survey.assumptions
+    assert "the masks are those beside the images, of 4 images; black is left out" in survey.assumptions
 
 
 def test_an_image_whose_name_ends_like_a_mask_is_one_where_there_is_no_other(tmp_path):

@@ -24,37 +24,51 @@ _NUM_LOOKED_AT = 5
 _MOST_LEFT_OUT = 0.8
 
 
-def with_masks(found: Found, views: Sequence[View], assumptions: list[str], warnings: list[str]) -> list[View]:
+def with_masks(
+    found: Found, views: Sequence[View], own: Path | None, assumptions: list[str], warnings: list[str]
+) -> list[View]:
     """The views with their masks, by name: that of the image, IMG.png, IMG.jpg.png, or IMG_mask with any suffix.
 
-    They are those of the folder in [images] masks, else IMG_mask beside the images, where OpenDroneMap has them.
+    They are those of the folder in [images] masks; else, where there are any, of the folder that the program used that
+    made the poses; else IMG_mask beside the images, where OpenDroneMap has them.
 
     Raises
     ------
     ImageError
         If the folder does not exist, has no mask of any view, or a mask has another size than its photograph.
     """
-    folder = None if found.config.images.masks is None else found.folder / found.config.images.masks
-    if folder is not None and not folder.is_dir():
-        raise ImageError(f"the mask folder {folder} does not exist; correct [images] masks in survey.toml")
-    files = _Files()
-    masked = []
-    for view in views:
-        like = view.path if folder is None else folder / view.name
-        names = _names_beside(like) if folder is None else _names_in_folder(like)
-        masked.append(replace(view, mask_path=files.first(like.parent, names)))
+    given = None if found.config.images.masks is None else found.folder / found.config.images.masks
+    if given is not None and not given.is_dir():
+        raise ImageError(f"the mask folder {given} does not exist; correct [images] masks in survey.toml")
+    masked, where = list(views), ""
+    for folder in [given] if given is not None else [own, None] if own is not None else [None]:
+        masked = _masked(views, folder)
+        where = "beside the images" if folder is None else f"in {folder}"
+        if any(view.mask_path is not None for view in masked):
+            break
     without = [view.name for view in masked if view.mask_path is None]
     if len(without) == len(views):
-        if folder is None:
-            return list(views)
+        if given is None:
+            return masked
         raise ImageError(
-            f"no mask in {folder} has the name of an image, expected e.g. {Path(views[0].name).stem}.png; rename them"
+            f"no mask in {given} has the name of an image, expected e.g. {Path(views[0].name).stem}.png; rename them"
         )
-    if folder is None:
-        assumptions.append(f"{len(views) - len(without)} images have masks beside them, whose black is left out")
+    if given is None:
+        assumptions.append(f"the masks are those {where}, of {len(views) - len(without)} images; black is left out")
     warnings += named(without, "image", "without a mask, used whole")
     _require_sizes(masked)
     warnings += _doubts(masked)
+    return masked
+
+
+def _masked(views: Sequence[View], folder: Path | None) -> list[View]:
+    """The views with the masks in a folder, or beside the images; without one where there is none."""
+    files, masked = _Files(), []
+    for view in views:
+        like = view.path if folder is None else folder / view.name
+        names = _names_beside(like) if folder is None else _names_in_folder(like)
+        mask = files.first(like.parent, names)
+        masked.append(replace(view, mask_path=None if mask == view.path else mask))
     return masked
 
 

@@ -50,7 +50,7 @@ class Exif:
     rtk : Rtk or None
         Accuracy of the position by the receiver, where DJI's XMP has it.
     motion : Motion
-        Attitudes and speed at the exposure, by XMP.
+        Attitudes, speed and shutter at the exposure, by XMP.
     std_m : (east, north, up) [m] or None
         Accuracy of the position where XMP states it in the namespace of Pix4D, as senseFly and Parrot do.
     height_datum : str or None
@@ -59,6 +59,8 @@ class Exif:
         Of one channel.
     has_pages : bool
         Whether a TIFF has more images than the first one, which is used.
+    clock : datetime or None
+        By the camera's own clock, to the fraction of a second that it has: for the time between photographs.
     """
 
     size_px: tuple[int, int]
@@ -75,6 +77,7 @@ class Exif:
     height_datum: str | None = None
     bits: int = 8
     has_pages: bool = False
+    clock: datetime | None = None
 
 
 def read_exif(path: Path) -> Exif:
@@ -112,6 +115,7 @@ def read_exif(path: Path) -> Exif:
         height_datum=height_datum(xmp),
         bits=bits,
         has_pages=has_pages,
+        clock=_clock(details),
     )
 
 
@@ -151,6 +155,17 @@ def _taken(gps: dict, details: dict) -> datetime | None:
         offset = str(details.get(ExifTags.Base.OffsetTimeOriginal, "")).strip("\0 ")
         return datetime.strptime(local + offset, "%Y:%m:%d %H:%M:%S%z").astimezone(UTC)
     except (TypeError, ValueError, OverflowError):
+        return None
+
+
+def _clock(details: dict) -> datetime | None:
+    text = str(details.get(ExifTags.Base.DateTimeOriginal, "")).strip("\0 ")
+    # Digits behind the decimal point, as many as the camera counts.
+    digits = str(details.get(ExifTags.Base.SubsecTimeOriginal, "")).strip("\0 ")
+    fraction = float(f"0.{digits}") if digits.isascii() and digits.isdigit() else 0.0
+    try:
+        return datetime.strptime(text, "%Y:%m:%d %H:%M:%S") + timedelta(seconds=fraction)
+    except ValueError:
         return None
 
 

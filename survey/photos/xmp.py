@@ -1,4 +1,4 @@
-"""What XMP says of an exposure: accuracy and datum of the position, attitudes of drone and camera, speed.
+"""What XMP says of an exposure: accuracy and datum of the position, attitudes of drone and camera, speed, shutter.
 
 DJI, Parrot and Autel have namespaces of their own; senseFly, Parrot, older Autel and many others write that of Pix4D,
 `Camera`. Texts are searched, not parsed as XML: there are no entities to expand, and damaged XMP costs what it lacks.
@@ -16,6 +16,7 @@ import numpy as np
 _DJI, _AUTEL, _PARROT, _PIX4D = "drone-dji", "drone", "drone-parrot", "Camera"
 _VALUE = r"(?<![\w-]){}:{}\s{{0,40}}(?:=\s{{0,40}}\"|>)\s{{0,40}}([^\"<]{{1,60}})[\"<]"
 _NUMBER = re.compile(r"[+-]?[0-9.]+(?:[eE][+-]?[0-9]{1,3})?")
+_MECHANICAL = re.compile(r"drone-dji:ShutterType\s*(?:=\s*\"|>)\s*mechanical", re.IGNORECASE)
 # No receiver is this wrong and still reports a standard deviation; files without one have 0, or a filler.
 _MOST_STD_M = 100.0
 # Nearer to the vertical than this sine, the camera's yaw and roll turn about the same axis.
@@ -42,7 +43,7 @@ class Rtk:
 
 @dataclass(frozen=True)
 class Motion:
-    """Attitudes and speed at an exposure; None where XMP does not have them.
+    """Attitudes, speed and shutter at an exposure; None where XMP does not have them.
 
     Attributes
     ----------
@@ -51,11 +52,14 @@ class Motion:
         with the pitch -90 looks straight down.
     speed : (east, north, up) [m/s] or None
         Over ground. XMP counts it north, east, down.
+    is_mechanical : bool
+        Whether the shutter is said to be mechanical: all rows are then exposed at once.
     """
 
     gimbal_deg: tuple[float, float, float] | None = None
     flight_deg: tuple[float, float, float] | None = None
     speed: tuple[float, float, float] | None = None
+    is_mechanical: bool = False
 
 
 def rtk_of(xmp: str) -> Rtk | None:
@@ -89,12 +93,13 @@ def height_datum(xmp: str) -> str | None:
 
 
 def motion_of(xmp: str) -> Motion:
-    """Attitudes and speed, as far as XMP has them."""
+    """Attitudes, speed and shutter, as far as XMP has them."""
     speed = _three(xmp, _DJI, "FlightYSpeed", "FlightXSpeed", "FlightZSpeed")
     return Motion(
         gimbal_deg=_camera_angles(xmp),
         flight_deg=_angles(xmp, "Flight{}Degree", _DJI, _AUTEL),
         speed=None if speed is None else (speed[0], speed[1], 0.0 - speed[2]),
+        is_mechanical=_MECHANICAL.search(xmp) is not None,
     )
 
 

@@ -60,7 +60,7 @@ DISK_FILES = {
     f"{folder}/{name}.py"
     for folder, names in {
         "fields": ("device",),
-        "geo": ("e57", "files", "gltf", "las", "las_header", "obj", "ply", "ply_reading", "raster"),
+        "geo": ("e57", "files", "gltf", "grids", "las", "las_header", "obj", "ply", "ply_reading", "raster"),
         "survey": ("code_hash", "machine", "progress", "stage_key"),
         "survey/adjust": ("adjustment", "waterline", "written"),
         "survey/benchmark": ("benchmark", "cases", "corrected", "records", "running"),

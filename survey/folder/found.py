@@ -8,6 +8,7 @@ from pathlib import Path
 from pyproj import CRS
 
 from geo.crs import parse_crs
+from geo.grids import use_grids
 from survey.errors import FILE_NAME, ConfigError, PosesError, SurveyError
 from survey.folder import infer
 from survey.folder.config import SurveyConfig, read_config
@@ -20,6 +21,8 @@ from survey.photos.formats import find_poses, find_unread
 from survey.photos.images import list_images
 
 MIN_VIEWS = 3
+# Where a survey may have the grid of the geoid under its heights.
+GRIDS_FOLDER = "geoid"
 # Where OpenDroneMap looks for control points.
 _GCP_LIST = "gcp_list.txt"
 
@@ -81,6 +84,7 @@ def find_survey(folder: Path) -> Found:
         config = infer.config_of_images(folder, config, heads, poses_path, assumptions)
     if config.crs is None:
         raise ConfigError(f"{toml}: crs is missing; {infer.crs_advice(heads)}")
+    use_grids(folder / GRIDS_FOLDER)
     crs = parse_crs(config.crs, where=f"crs in {toml}" if toml.is_file() else "the inferred crs")
     config, levels = with_level(folder, config, heads, crs, assumptions)
     if poses_path is not None and config.water is not None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from refract import FlatWater
 from survey.control.points import Checkpoint, Control
@@ -17,6 +18,7 @@ from survey.folder.block_control import checked_control
 from survey.folder.camera_faults import require_apart, require_focal_lengths
 from survey.folder.config import SurveyConfig, WaterConfig
 from survey.folder.control import place_control
+from survey.folder.datum_mixups import exif_doubts, low_flight_doubts, place_of
 from survey.folder.file_poses import FilePoses, read_file_poses
 from survey.folder.found import Found, find_survey
 from survey.folder.level_observation import LevelObservation
@@ -179,8 +181,8 @@ def load_survey(
         config, is_level_known = place.with_level_of_points(config, frame, views, points, assumptions), False
     config, water = place.water_in_local(config, frame, views, assumptions)
     seen = file is not None and file.reprojection is not None
-    require_true(frame, views, water, config, see_points=seen)
-    warnings += _doubts(found, frame, views, water, control)
+    require_true(frame, views, water, config, found.heads, see_points=seen)
+    warnings += _doubts(replace(found, config=config), frame, views, water, control)
     if found.poses_path is not None and found.poses_path.is_relative_to(found.folder):
         poses_name = found.poses_path.relative_to(found.folder).as_posix()
         config = replace(config, cameras=replace(config.cameras, poses=poses_name))
@@ -225,5 +227,21 @@ def _doubts(
         warnings += mark_doubts(control, views, water)
     if water is not None:
         over_water = {view.name: float(-water.depth(view.camera.centre)) for view in views}
-        warnings += start_doubts(over_water, found.heads)
+        warnings += _height_doubts(found, frame, views, over_water)
     return warnings
+
+
+def _height_doubts(found: Found, frame: LocalFrame, views: list[View], over_water: Mapping[str, float]) -> list[str]:
+    """Warnings where heights of cameras over the water [m] and all else known of them can hardly belong together."""
+    if found.config.water is None:
+        return []
+    level_m, crs = found.config.water.known_level_m, frame.crs
+    centres = frame.crs_from_local(np.array([view.camera.centre for view in views]))
+    at, heads = place_of(crs, np.median(centres, axis=0)), {view.name: found.heads[view.name] for view in views}
+    heights_m = dict(zip(heads, (centres[:, 2] * height_unit_m(crs)).tolist(), strict=True))
+    warnings = low_flight_doubts(np.array(list(over_water.values())), level_m, at, crs)
+    return [
+        *warnings,
+        *start_doubts(over_water, found.heads, level_m, at, crs),
+        *exif_doubts(crs, heights_m, heads),
+    ]

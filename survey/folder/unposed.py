@@ -16,6 +16,7 @@ from survey.display.words import named
 from survey.errors import ControlError, ImageError, PosesError
 from survey.folder.block_control import control_of_block, require_placing_control
 from survey.folder.camera_faults import require_focal_lengths
+from survey.folder.datum_mixups import place_of, xmp_doubts
 from survey.folder.found import MIN_VIEWS, Found
 from survey.folder.plausible import require_level_fits_exif
 from survey.folder.shutter import shutter_doubts
@@ -60,7 +61,7 @@ def require_solvable(found: Found) -> list[str]:
         If it would fail: sizes, focal length, heights, positions and images are checked, no pixel is decoded.
     """
     cameras = found.config.cameras
-    require_level_fits_exif(found.config, found.heads)
+    require_level_fits_exif(found.config, found.heads, found.crs)
     require_size(found.images, found.heads, cameras.size_px)
     focal = one_focal(cameras.focal_px)
     placing_control(found)
@@ -71,7 +72,10 @@ def require_solvable(found: Found) -> list[str]:
         warnings += [] if found.control is None else require_near(found.control.points, cameras_crs, found.crs)
         if found.config.water is not None and found.config.water.level_m is not None:
             over_water = cameras_crs[:, 2] * height_unit_m(found.crs) - found.config.water.level_m
-            warnings += start_doubts(dict(zip(positions, over_water.tolist(), strict=True)), found.heads)
+            over = dict(zip(positions, over_water.tolist(), strict=True))
+            at = place_of(found.crs, np.median(cameras_crs, axis=0))
+            warnings += start_doubts(over, found.heads, found.config.water.level_m, at, found.crs)
+    warnings += xmp_doubts(cameras.gps_height, found.crs, found.heads)
     warnings += shutter_doubts(cameras, found.heads, None)
     _require_readable(found.images)
     if focal is None:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from survey.errors import PosesError
-from survey.photos.formats import colmap, metashape, opensfm, opk_csv
+from survey.photos.formats import colmap, exterior_text, metashape, opensfm, opk_csv
 from survey.photos.formats.format import Format
 from survey.photos.poses import FileTies, PoseFile
 
 # Files of other programs that are not read; warnings name them.
 _NOT_READ = ("transforms.json", "nvm", "bundle.out")
 # Asked in this order which of them a path is of.
-FORMATS = (opk_csv.FORMAT, colmap.FORMAT, opensfm.FORMAT, metashape.FORMAT)
+FORMATS = (exterior_text.FORMAT, opk_csv.FORMAT, colmap.FORMAT, opensfm.FORMAT, metashape.FORMAT)
 
 
 def find_poses(folder: Path) -> list[Path]:

@@ -267,10 +267,10 @@ def test_poses_are_found_beside_the_images_and_other_formats_are_named(tmp_path)
     assert find_poses(tmp_path) == [tmp_path / "sparse"]
     (tmp_path / "poses.csv").write_text(HEADER)
     assert find_poses(tmp_path) == [tmp_path / "poses.csv", tmp_path / "sparse"]
-    (tmp_path / "transforms.json").write_text("{}")
-    assert find_unread(tmp_path) == ["transforms.json"]
+    (tmp_path / "flight.nvm").write_text("NVM_V3")
+    assert find_unread(tmp_path) == ["flight.nvm is not read: export a COLMAP model instead"]
     with pytest.raises(PosesError, match="is not a known kind of poses file"):
-        read_poses(tmp_path / "transforms.json")
+        read_poses(tmp_path / "flight.nvm")
 
 
 def test_a_model_may_be_named_by_one_of_its_files(tmp_path):

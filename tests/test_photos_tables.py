@@ -71,7 +71,7 @@ TABLES = {
     "yaw, pitch, roll": lambda block: table("photo,east,north,alt,yaw,pitch,roll", rows(block, ypr_deg)),
     "gimbal": lambda block: table(
         "file,x,y,z,gimbal_yaw,gimbal_pitch,gimbal_roll",
-        rows(block, lambda b, i: ypr_deg(b, i) - (0.0, 90.0, 0.0)),
+        rows(block, lambda b, i: ypr_deg(b, i) - np.array([0.0, 90.0, 0.0])),
     ),
     "longitude and latitude": lambda block: table(
         "name,longitude,latitude,height,yaw,pitch,roll", rows(block, ypr_deg, lon_lat_height(block.centres))
@@ -95,7 +95,11 @@ def test_a_table_in_any_order_and_with_any_angles_gives_the_same_cameras(tmp_pat
 
 @pytest.mark.parametrize(
     "angles",
-    [lambda b, i: opk_deg(b, i)[::-1], lambda b, i: -opk_deg(b, i), lambda b, i: opk_deg(b, i) + (0.0, 0.0, 0.8)],
+    [
+        lambda b, i: opk_deg(b, i)[::-1],
+        lambda b, i: -opk_deg(b, i),
+        lambda b, i: opk_deg(b, i) + np.array([0.0, 0.0, 0.8]),
+    ],
     ids=["order", "sign", "convergence"],
 )
 def test_wrong_axes_do_not_pass(tmp_path, block, angles):
@@ -107,7 +111,7 @@ def test_wrong_axes_do_not_pass(tmp_path, block, angles):
 def test_yaw_pitch_and_roll_turn_the_camera_as_they_are_described():
     down = level_from_yaw_pitch_roll(0.0, 0.0, 0.0)
     # Columns: the right side, the lower side and the view of the image, in east, north, up.
-    assert down.T == pytest.approx(np.array([[1, 0, 0], [0, -1, 0], [0, 0, -1]]))
+    assert down.transpose() == pytest.approx(np.array([[1, 0, 0], [0, -1, 0], [0, 0, -1]]))
     to_the_east = level_from_yaw_pitch_roll(np.pi / 2, 0.0, 0.0)
     assert -to_the_east[:, 1] == pytest.approx([1, 0, 0])
     assert level_from_yaw_pitch_roll(0.0, np.pi / 2, 0.0)[:, 2] == pytest.approx([0, 1, 0])
@@ -126,7 +130,7 @@ def test_the_accuracy_of_positions_goes_into_the_adjustment(tmp_path, block):
 
 
 def test_the_pitch_of_a_gimbal_under_another_heading_is_refused(tmp_path, block):
-    lines = rows(block, lambda b, i: ypr_deg(b, i) - (0.0, 90.0, 0.0))
+    lines = rows(block, lambda b, i: ypr_deg(b, i) - np.array([0.0, 90.0, 0.0]))
     (tmp_path / "poses.csv").write_text(table("image,x,y,z,yaw,pitch,roll", lines))
     with pytest.raises(PosesError, match=r"the pitch is -\d+ degrees .* call the columns gimbal_yaw"):
         read_poses(tmp_path / "poses.csv")

@@ -59,6 +59,15 @@ def read_poses(path: Path) -> PoseFile:
     return file
 
 
+def pose_files(path: Path) -> list[Path]:
+    """The files that are read for the poses in a path, none of which a result may replace."""
+    if path.is_dir():
+        return [file for file in path.iterdir() if file.is_file()]
+    known = _format_of(path) if path.exists() else None
+    beside = [] if known is None or known.files is None else known.files(path)
+    return [path, *(file for file in beside if file.is_file())]
+
+
 def read_ties(path: Path) -> FileTies | None:
     """Tie points that came with poses, in the frame of these; None where none came.
 

@@ -48,7 +48,7 @@ def read_pix4d(path: Path) -> PoseFile:
         If a file is damaged, the two contradict each other, or neither positions nor their offset are there.
     """
     path = _file_of(path)
-    stem = path.name.removesuffix(_EXTERNAL).removesuffix(_CAMERAS)
+    stem = _stem(path)
     cameras_path, external_path = (path.with_name(stem + ending) for ending in (_CAMERAS, _EXTERNAL))
     cameras = _cameras(cameras_path) if cameras_path.is_file() else {}
     crs = _crs(path.with_name(stem + _MAP))
@@ -163,6 +163,11 @@ def _numbers(cells: list[str], count: int, where: str) -> list[float]:
     return found
 
 
+def _stem(path: Path) -> str:
+    """The name of the project."""
+    return path.name.removesuffix(_EXTERNAL).removesuffix(_CAMERAS)
+
+
 def _file_of(path: Path) -> Path:
     return _files_in(path)[0] if path.is_dir() else path
 
@@ -189,4 +194,5 @@ FORMAT = Format(
     find=_files_in,
     recognises=is_pix4d,
     read=read_pix4d,
+    files=lambda path: [path.with_name(_stem(path) + ending) for ending in (_EXTERNAL, _CAMERAS, _OFFSET, _MAP)],
 )

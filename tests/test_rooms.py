@@ -71,7 +71,15 @@ DISK_FILES = {
         "survey/files": ("csv_table", "json_values", "lock", "outputs", "toml_table", "xml_tree"),
         "survey/folder": ("found", "infer", "inputs", "level_geojson", "masks"),
         "survey/photos": ("complete", "images", "opening", "png", "priors"),
-        "survey/photos/formats": ("__init__", "colmap", "colmap_files", "metashape", "opensfm", "opk_csv"),
+        "survey/photos/formats": (
+            "__init__",
+            "colmap",
+            "colmap_files",
+            "exterior_text",
+            "metashape",
+            "opensfm",
+            "opk_csv",
+        ),
         "survey/plan": ("workload",),
         "survey/report": ("__init__", "page"),
         "survey/run": (

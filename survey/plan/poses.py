@@ -40,6 +40,8 @@ def pose_choice(survey: Survey, asked: str, *, free_water: bool) -> tuple[str, s
     sources = {prior.source for prior in survey.priors.values()}
     if "survey.toml" in sources:
         return "refine", "survey.toml says how well the poses are known, and they are refined within that"
+    if survey.config.cameras.rolling_shutter_std_s is not None:
+        return "refine", "rolling_shutter_std_s says that the readout of the shutter is to be found"
     if free_water:
         return "refine", "--calibrate-water finds the water together with what is uncertain of poses and lens"
     if len(survey.views) < _FEWEST_VIEWS:

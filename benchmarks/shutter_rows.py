@@ -1,7 +1,8 @@
 """Rows of bench_adjust.py about rolling shutters: one flight at 5 m/s, photographed with a shutter that rolls and not.
 
 quick's size, 21 photographs from 22 m over the water, each flown in another direction; XMP has the speeds to 0.1 m/s.
-With _noisy behind it a row has errors of 2 cm and 0.02 degrees in its poses, stated.
+With _noisy behind it a row has errors of 2 cm and 0.02 degrees in its poses, stated; with _gps it has the photographs
+and their GPS of 2 cm alone.
 """
 
 from __future__ import annotations
@@ -10,11 +11,12 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from adjust_rows import Row, Truth, linked, noisy, settings_of, true_lens, true_water
+from adjust_rows import GPS_STD_M, Row, Truth, linked, noisy, settings_of, true_lens, true_water
 
 from survey.simulate.drawn import DrawnScene, draw_survey
 
 READOUT_S, SPEED_M_S = 0.03, 5.0
+EXACT, NOISY, GPS = "", "_noisy", "_gps"
 # What the survey says of its shutter: how it is drawn [s], and keys of [cameras].
 SAID: dict[str, tuple[float, dict[str, float]]] = {
     "shutter_global": (0.0, {"rolling_shutter_s": 0.0}),
@@ -24,7 +26,7 @@ SAID: dict[str, tuple[float, dict[str, float]]] = {
 }
 
 
-def _row(name: str, folder: Path, *, is_noisy: bool) -> Row:
+def _row(name: str, folder: Path, *, poses: str) -> Row:
     readout, keys = SAID[name]
     source = folder.parent.parent / f"drawn_{readout:g}"
     scene = DrawnScene(
@@ -42,13 +44,17 @@ def _row(name: str, folder: Path, *, is_noisy: bool) -> Row:
     )
     table["cameras"].pop("rolling_shutter_s", None)
     table["cameras"] |= keys
-    if is_noisy:
+    if poses == NOISY:
         noisy(source, folder, table)
+    elif poses == GPS:
+        del table["cameras"]["poses"]
+        table["cameras"]["position_std_m"] = GPS_STD_M
+        linked(source, folder, table)
     else:
         linked(source, folder, table, "cameras.csv")
     return Row(folder, true)
 
 
 SHUTTER_ROWS: dict[str, Callable[[Path], Row]] = {
-    name + ending: partial(_row, name, is_noisy=bool(ending)) for ending in ("", "_noisy") for name in SAID
+    name + poses: partial(_row, name, poses=poses) for poses in (EXACT, NOISY, GPS) for name in SAID
 }

@@ -8,6 +8,7 @@ import numpy as np
 
 from refract.lens import Lens
 from survey.adjust.adjustment import Adjustment, ControlResidual, Parameter
+from survey.adjust.control_check import control_warnings
 from survey.adjust.free_water import Lost
 from survey.adjust.holding import not_observable
 from survey.adjust.observed import KINDS, MARK, Observed
@@ -85,7 +86,7 @@ def result(
     gps = np.median(gps, axis=0) if len(gps) else gps[:0, 0]
     counts = {name: int((used.kind == kind).sum()) for kind, name in enumerate(KINDS)}
     blunders = [view.name for view, bad in zip(survey.views, done.blunders, strict=True) if bad]
-    warnings = []
+    warnings = control_warnings(survey.control, survey.views, used, state)
     if blunders:
         warnings.append(f"positions that the block contradicts are not used: {', '.join(blunders)}")
     matches = np.bincount(used.ties.view, minlength=len(survey.views))
@@ -200,5 +201,6 @@ def _control(survey: Survey, used: Observed, solution, state: State) -> tuple[Co
         wet = state.water is not None and float(state.water.depth(point[None])[0]) > 0.0
         east, north, up = (point - by_name[name].local).tolist()
         rms = float(np.sqrt(np.mean(np.square(solution.residuals[mine]))))
-        found.append(ControlResidual(name, by_name[name].is_check, wet, (east, north, up), int(mine.sum()), rms))
+        is_check = not np.isfinite(used.point_std[number]).all()
+        found.append(ControlResidual(name, is_check, wet, (east, north, up), int(mine.sum()), rms))
     return tuple(found)

@@ -191,6 +191,11 @@ def _solved(problem: Problem, start: State, inflation: np.ndarray | None) -> Sol
     return Solution(state, _inverse(system.normal), residuals, weights, std_px, system)
 
 
+def covariance_at(problem: Problem, state: State, std_px: np.ndarray) -> np.ndarray:
+    """Covariance (P, P) of the parameters at a state, for standard deviations (kinds,) [px] of the observations."""
+    return _inverse(_system(problem, state, std_px, np.ones(len(problem.kind))).normal)
+
+
 def std_of_kinds(problem: Problem, residuals: np.ndarray, taken: float) -> np.ndarray:
     """Standard deviation [px] of a coordinate of each kind of observation, from the median of its residuals.
 

@@ -21,7 +21,7 @@ from survey.adjust.observed import MATCH, WINDOW, Observed, observed
 from survey.adjust.priors import Known, known_of
 from survey.adjust.rounds import Adjusted, adjust
 from survey.adjust.state import WATER, Layout, State
-from survey.adjust.thinning import thinned
+from survey.adjust.thinning import CELLS, PER_CELL, thinned
 from survey.adjust.water_settings import WATER_PARAMETERS
 from survey.adjust.windows_of_survey import measure_windows
 from survey.errors import SurveyError
@@ -30,8 +30,6 @@ from survey.folder.survey import Survey, View
 from survey.photos.tie_points import TiePoints
 from survey.plan.plan import make_plan
 
-# Matches and windows are thinned to this many in each of so many cells along a photograph.
-_CELLS, _PER_CELL = 8, 3
 _MARKS_STD_PX = 0.5
 
 
@@ -117,7 +115,7 @@ def _against(found: Adjustment, each: Contradiction) -> str:
 
 
 def _thinned(ties: TiePoints, sizes: list[tuple[int, int]]) -> TiePoints:
-    return ties.only(np.isin(ties.point, thinned(ties, sizes, _CELLS, _PER_CELL)))
+    return ties.only(np.isin(ties.point, thinned(ties, sizes, CELLS, PER_CELL)))
 
 
 def apply_adjustment(survey: Survey, found: Adjustment) -> Survey:

@@ -16,8 +16,6 @@ _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 _TILTS = (math.radians(10.0), math.radians(35.0))
 # Of drones, and of their slowest sensors.
 _FASTEST_M_S, _LONGEST_READOUT_S = 30.0, 0.25
-# Share of the views that look straight down.
-_NADIR_SHARE = 0.6
 
 
 @dataclass(frozen=True)
@@ -69,6 +67,7 @@ class DrawnScene:
     slope_east: float = 0.0
     slope_north: float = 0.0
     num_views: int = 20
+    nadir_share: float = 0.6
     image_px: tuple[int, int] = (480, 360)
     focal_px: float = 840.0
     flying_m: float = 21.0
@@ -95,6 +94,8 @@ class DrawnScene:
             )
         if self.num_views < 3:
             raise SurveyError(f"a drawn survey of {self.num_views} views cannot be reconstructed; give at least 3")
+        if not 0.0 <= self.nadir_share <= 1.0:
+            raise SurveyError(f"nadir_share is {self.nadir_share:g}, expected 0 to 1; 1 has no tilted views")
         if not 1.0 <= self.n_water <= 1.6:
             raise SurveyError(f"n_water is {self.n_water:g}, expected 1.0 to 1.6; fresh water has 1.333")
         if self.flying_m < 2.0 * self.depth_m:
@@ -120,7 +121,7 @@ class DrawnScene:
     def cameras(self) -> list[PinholeCamera]:
         """The flight: strips of views that look down, then convergent views, tilted by 10 to 35 degrees."""
         rng = np.random.default_rng([self.seed, 1])
-        nadir = min(max(round(_NADIR_SHARE * self.num_views), 1), self.num_views)
+        nadir = min(max(round(self.nadir_share * self.num_views), 1), self.num_views)
         places = _grid(nadir, self.size_m, self.image_px)
         cameras = [self._look_down(x, y, row, rng) for row, x, y in places]
         tilts = np.linspace(*_TILTS, self.num_views - nadir)

@@ -17,7 +17,7 @@ from geo import write_whole
 from geo.crs import horizontal_crs
 from geo.frames import LocalFrame
 from refract import PinholeCamera
-from refract.lens import MODELS
+from refract.lens import coefficients_of
 from survey.photos.cameras import CAM_FROM_OPK_CAM
 from survey.simulate.output.staged_scene import StagedScene
 
@@ -42,7 +42,7 @@ def survey_toml(scene: StagedScene) -> str:
     ]
     if scene.readout_s > 0.0:
         lines.append(f"rolling_shutter_s = {scene.readout_s}    # from the first to the last row")
-    coefficients = [lens[name] for name in MODELS[lens.model][1] if name[0] in "kp"]
+    coefficients = [lens[name] for name in coefficients_of(lens.model)]
     lines += [f"distortion = {coefficients}", ""] if coefficients else [""]
     if level is not None:
         lines += [

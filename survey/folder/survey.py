@@ -14,8 +14,8 @@ from survey.control.placing import require_near
 from survey.control.points import Checkpoint, Control
 from survey.errors import FILE_NAME, SurveyError
 from survey.folder import place
-from survey.folder.block_control import checked_control
 from survey.folder.camera_faults import angle_doubts, require_apart, require_focal_lengths
+from survey.folder.checked_control import checked_control, moved
 from survey.folder.config import SurveyConfig, WaterConfig
 from survey.folder.control import place_control
 from survey.folder.found import Found, find_survey
@@ -147,7 +147,10 @@ def load_survey(
         require_image(view, found.heads[view.name])
     control, checkpoints = place_control(found.control, frame, [view.name for view in views], warnings)
     if by_gps and control is not None:
-        control, priors = checked_control(found, frame, views, control, priors, warnings)
+        checked = checked_control(found, frame, views, control, priors, warnings)
+        control, priors = checked.control, checked.priors
+        if checked.move is not None:
+            views, points, ties = moved(views, ties, checked.move)
     config, is_level_known = found.config, True
     if config.water is not None and config.water.level_m is None:
         config, is_level_known = place.with_level_of_points(config, frame, views, points, assumptions), False

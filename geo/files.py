@@ -100,18 +100,34 @@ def write_whole(path: str | Path) -> Iterator[BinaryIO]:
             with path.open("wb") as stream:
                 yield stream
             return
-        target = Path(os.path.realpath(path))
-        part = target.with_name(f".{target.name}.{os.getpid()}.part")
-        try:
-            with part.open("wb") as stream:
-                yield stream
-                stream.flush()
-                os.fsync(stream.fileno())
-            part.replace(target)
-        finally:
-            part.unlink(missing_ok=True)
+        with written_whole(path) as part, part.open("wb") as stream:
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
     except OSError as error:
         raise _unwritable(error, path) from error
+
+
+@contextmanager
+def written_whole(path: str | Path) -> Iterator[Path]:
+    """The name of a file to write, in the folder of ``path``, that becomes ``path`` when the block ends well.
+
+    For libraries that write files by name; otherwise as `write_whole`.
+
+    Raises
+    ------
+    UnwritableFile
+        If the system refuses.
+    """
+    target = Path(os.path.realpath(path))
+    part = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        yield part
+        part.replace(target)
+    except OSError as error:
+        raise _unwritable(error, path) from error
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def existing_file(path: str | Path) -> Path:

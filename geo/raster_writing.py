@@ -14,6 +14,7 @@ import numpy as np
 import rasterio
 import rasterio.shutil
 from pyproj import CRS
+from rasterio.enums import ColorInterp
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
@@ -156,6 +157,8 @@ def _write(path: Path, form: RasterForm, parts: Iterable[Part], **profile) -> No
     with raster:
         if profile["driver"] == "GTiff":
             raster.update_tags(TIFFTAG_SOFTWARE=SOFTWARE, AREA_OR_POINT="Area", **form.tags)
+            if form.is_colour:
+                raster.colorinterp = [getattr(ColorInterp, name) for name in ("red", "green", "blue", "alpha")]
             for number, band in enumerate(form.bands, start=1):
                 raster.set_band_description(number, band.name)
                 if band.unit:

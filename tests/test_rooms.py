@@ -65,7 +65,7 @@ DISK_FILES = {
         "survey/commands": ("console", "streams"),
         "survey/compare": ("canvas", "comparison"),
         "survey/control": ("metashape_xml", "reading", "xml_elements"),
-        "survey/export": ("clouds", "gridded", "loaded", "product", "written"),
+        "survey/export": ("clouds", "gridded", "loaded", "photographs", "product", "written"),
         "survey/files": ("csv_table", "json_values", "lock", "outputs", "toml_table"),
         "survey/folder": ("found", "infer", "inputs", "pairing"),
         "survey/photos": ("images", "opening", "priors"),

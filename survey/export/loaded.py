@@ -114,6 +114,14 @@ class LoadedRun:
         return read_config(self.folder.settings_path)
 
     @cached_property
+    def is_true_colour(self) -> bool:
+        """Whether points have the colour of the bed without its water."""
+        from survey.stage_key import stage_key
+
+        parts = read_json_object(self._bed_folder / "stage.json").get("parts") or {}
+        return parts.get("true_colour", stage_key(None)) != stage_key(None)
+
+    @cached_property
     def plan_std_m(self) -> float:
         """Standard deviation along each axis in plan of where the cameras are [m].
 

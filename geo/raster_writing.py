@@ -19,7 +19,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from geo.errors import UnwritableFile
-from geo.files import refusal, written_whole
+from geo.files import refusal, write_whole_at
 
 # In the tag "Software" of every raster, by which bathynerf knows its own again.
 SOFTWARE = f"bathynerf {version('bathynerf')}"
@@ -94,7 +94,7 @@ def write_cog(path: str | Path, form: RasterForm, parts: Iterable[Part]) -> None
     UnwritableFile
         If the system or GDAL refuses.
     """
-    with written_whole(path) as part, _working_folder(part, Path(path)) as work:
+    with write_whole_at(path) as part, _working_folder(part, Path(path)) as work:
         # GDAL copies a plain GeoTIFF into this form.
         plain, copy = work / "plain.tif", work / "copy.tif"
         profile = {"tiled": True, "blockxsize": _BLOCK, "blockysize": _BLOCK, "sparse_ok": True, "bigtiff": "IF_SAFER"}
@@ -133,7 +133,7 @@ def write_bag(path: str | Path, form: RasterForm, parts: Iterable[Part], said: d
     UnwritableFile
         If the system or GDAL refuses.
     """
-    with written_whole(path) as part, _working_folder(part, Path(path)) as work:
+    with write_whole_at(path) as part, _working_folder(part, Path(path)) as work:
         # GDAL knows the format by the suffix.
         copy = work / "copy.bag"
         _write(copy, form, parts, driver="BAG", **{f"VAR_{name}": value for name, value in said.items()})

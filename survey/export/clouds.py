@@ -1,4 +1,4 @@
-"""The cloud as files of points: LAS, LAZ, PLY."""
+"""The cloud as files of points: LAS, LAZ, COPC, PLY, E57."""
 
 from __future__ import annotations
 
@@ -25,6 +25,18 @@ def _write_ply(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     from survey.run.cloud import write_bed_ply
 
     write_bed_ply(path, run.bed_in(options.crs))
+
+
+def _write_e57(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    from survey.run.cloud import write_bed_e57
+
+    write_bed_e57(path, run.bed_in(options.crs))
+
+
+def _is_our_e57(path: Path) -> bool:
+    from geo.e57 import is_our_e57
+
+    return is_our_e57(path)
 
 
 def is_our_las(path: Path) -> bool:
@@ -56,6 +68,16 @@ CLOUDS = (
         write=_write_las,
     ),
     Product(
+        option="copc",
+        suffixes=(".copc.laz",),
+        kind=_KIND,
+        help="Points as cloud-optimised LAZ, from which readers fetch parts.",
+        example="--copc bed.copc.laz",
+        takes=("crs",),
+        is_ours=is_our_las,
+        write=_write_las,
+    ),
+    Product(
         option="ply",
         suffixes=(".ply",),
         kind=_KIND,
@@ -64,5 +86,15 @@ CLOUDS = (
         takes=("crs",),
         is_ours=begins_with(b"ply\n", b"\ncomment bathynerf\n"),
         write=_write_ply,
+    ),
+    Product(
+        option="e57",
+        suffixes=(".e57",),
+        kind=_KIND,
+        help="Places and colours of the points as E57 (needs the extra e57).",
+        example="--e57 bed.e57",
+        takes=("crs",),
+        is_ours=_is_our_e57,
+        write=_write_e57,
     ),
 )

@@ -79,7 +79,7 @@ def _wanted(files: dict[str, str | Path | None]) -> list[tuple[Product, Path]]:
         raise SurveyError(f"nothing to export was named; give at least one of {options}")
     seen: dict[Path, Product] = {}
     for product, path in wanted:
-        if path.suffix.lower() not in product.suffixes:
+        if not path.name.lower().endswith(product.suffixes):
             suffixes = " or ".join(product.suffixes)
             raise SurveyError(f"{_name(product)} names {path}; expected a name that ends in {suffixes}")
         other = seen.setdefault(path.resolve(), product)

@@ -21,8 +21,8 @@ from fields.sweep.legs import legs_through, point_at, seen_at
 from fields.sweep.quads import MASKED
 from fields.sweep.stack import Beyond, ViewStack, camera_table
 
-# Samples (neighbours x rungs x pixels) of one launch: 64 MB in all, large against a launch's cost.
-STRIP_SAMPLES = 16_000_000
+# Samples (neighbours x rungs x pixels) of one launch: 32 MB in all. A launch costs as much as 300,000 of them.
+STRIP_SAMPLES = 8_000_000
 
 
 def pixels_of(stack: ViewStack, view: int, first_row: int, rows: int):

@@ -1,0 +1,8 @@
+"""Every product of `bathynerf export`, in the order of its help. A new family of products is one line here."""
+
+from __future__ import annotations
+
+from survey.export.clouds import CLOUDS
+from survey.export.product import Product
+
+PRODUCTS: tuple[Product, ...] = (*CLOUDS,)

@@ -44,6 +44,7 @@ def write_cloud(
     num_views: np.ndarray,
     incidence_deg: np.ndarray,
     is_wet: np.ndarray,
+    std_common_m: np.ndarray | None = None,
 ) -> None:
     """Write a cloud as LAS 1.4, point format 7, whole or not at all; compressed if the suffix is .laz.
 
@@ -66,6 +67,9 @@ def write_cloud(
         Angle between ray and surface normal in air; NaN as above.
     is_wet : (N,) bool
         Class 40 (bathymetric) where true, else 2 (ground).
+    std_common_m : (N,) [m], optional
+        Standard deviation of the height by what all points have in common, water, lens and poses, which ``std_m`` does
+        not hold; "no data" where not given.
 
     Raises
     ------
@@ -78,7 +82,10 @@ def write_cloud(
     if path.suffix.lower() not in _SUFFIXES:
         raise UnwritableFile(f"cannot write {path}: its suffix must be .las or .laz.")
     points = np.asarray(points_crs, dtype=np.float64)
-    extra = {"depth": depth_m, "std": std_m, "num_views": num_views, "incidence": incidence_deg}
+    common = np.full(len(points), np.nan) if std_common_m is None else std_common_m
+    extra = {
+        "depth": depth_m, "std": std_m, "std_common": common, "num_views": num_views, "incidence": incidence_deg,
+    }  # fmt: skip
     _require_sound(points, {"rgb": rgb, "is_wet": is_wet} | extra)
 
     header = _header(points, crs, path)

@@ -78,7 +78,11 @@ def height_moves(found: Adjustment, water: FlatWater | None, ties: TiePoints) ->
         x, y = found.water_point
         water = replace(water, point=(x, y, float(water.height(x, y))))
     lenses = np.array([parameters_of(lens) for lens in found.lenses])
-    state = State(water, np.zeros(RELIEF), lenses, found.centres, found.rotations, ties.start)
+    return moves_of(layout, State(water, np.zeros(RELIEF), lenses, found.centres, found.rotations, ties.start), ties)
+
+
+def moves_of(layout: Layout, state: State, ties: TiePoints) -> np.ndarray:
+    """Derivative (K, P) of the heights of places, those of the state, by water, lenses and poses."""
     linear = linearise(layout, state, ties, np.zeros((len(ties.view), RELIEF)))
     kept = np.r_[:WATER, layout.first_lens : len(layout)]
     by_parameters = linear.by_parameters.toarray()[:, kept].reshape(len(ties.view), 2, len(kept))

@@ -33,7 +33,7 @@ def export(
     las, laz : Path, optional
         LAS 1.4, as cloud.las of the run is, or the same compressed.
     ply : Path, optional
-        Binary PLY in crs with double coordinates, and depth_m, std_m, num_views and incidence_deg.
+        Binary PLY in crs with double coordinates, and depth_m, std_m, std_common_m, num_views and incidence_deg.
 
     Returns
     -------
@@ -85,6 +85,7 @@ def write_bed_las(path: Path, stored: StoredBed) -> None:
         num_views=bed.num_views,
         incidence_deg=np.degrees(bed.incidence),
         is_wet=bed.wet,
+        std_common_m=stored.std_common,
     )
 
 
@@ -94,6 +95,7 @@ def write_bed_ply(path: Path, stored: StoredBed) -> None:
     scalars = {
         "depth_m": bed.depth,
         "std_m": bed.std,
+        "std_common_m": np.full(len(bed), np.nan) if stored.std_common is None else stored.std_common,
         "num_views": bed.num_views,
         "incidence_deg": np.degrees(bed.incidence),
     }

@@ -38,6 +38,8 @@ class StoredBed:
         Of the survey.
     gsd_m : [m]
         Ground sampling distance that was worked at.
+    std_common : (N,) float32 [m] or None
+        Standard deviation of the heights by water, lens and poses, `survey.adjust.std_common`; None where not known.
     """
 
     bed: BedPoints
@@ -45,6 +47,7 @@ class StoredBed:
     crs: CRS
     name: str
     gsd_m: float
+    std_common: np.ndarray | None = None
 
 
 def save_arrays(path: str | Path, **arrays: np.ndarray) -> None:
@@ -81,6 +84,8 @@ def save_bed(folder: str | Path, stored: StoredBed) -> None:
     """Write what an export needs into the folder of the bed's stage: bed.npz and survey.json."""
     folder = Path(folder)
     columns = {f.name: getattr(stored.bed, f.name) for f in dataclasses.fields(stored.bed)}
+    if stored.std_common is not None:
+        columns["std_common"] = stored.std_common
     save_arrays(folder / BED_FILE, points_crs=stored.points_crs, **columns)
     said = {"crs_wkt": stored.crs.to_wkt(), "name": stored.name, "gsd_m": stored.gsd_m}
     with write_whole(folder / SURVEY_FILE) as stream:
@@ -101,8 +106,9 @@ def load_bed(folder: str | Path) -> StoredBed:
     arrays = load_arrays(folder / BED_FILE)
     try:
         said = json.loads((folder / SURVEY_FILE).read_text(encoding="utf-8"))
-        points_crs = arrays.pop("points_crs")
-        return StoredBed(BedPoints(**arrays), points_crs, CRS.from_wkt(said["crs_wkt"]), said["name"], said["gsd_m"])
+        points_crs, common = arrays.pop("points_crs"), arrays.pop("std_common", None)
+        crs = CRS.from_wkt(said["crs_wkt"])
+        return StoredBed(BedPoints(**arrays), points_crs, crs, said["name"], said["gsd_m"], common)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise SurveyError(
             f"{folder} is no bed that can be read ({error}); delete it and give `bathynerf process` again"

@@ -26,6 +26,9 @@ def run(
         typer.Option(metavar="CRS", help="Of the products, e.g. EPSG:32632; heights stay, or are given with it."),
     ] = None,
     fill: Annotated[float, typer.Option(metavar="M", help="Fill gaps up to this width [m]; default: none.")] = 0.0,
+    survey: Annotated[
+        str | None, typer.Option(metavar="DIR", help="Survey folder; default: the one that the run lies in.")
+    ] = None,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
     **files: Path | None,
@@ -37,7 +40,8 @@ def run(
     with command(verbose, quiet, run) as results:
         from survey.export.export import export
 
-        for path in export(run, options=ExportOptions(crs=crs, resolution_m=resolution, fill_m=fill), **files):
+        options = ExportOptions(crs=crs, resolution_m=resolution, fill_m=fill, survey=survey)
+        for path in export(run, options=options, **files):
             results.line(path)
 
 

@@ -27,11 +27,14 @@ class ExportOptions:
         Side of a cell; None leaves it to the product.
     fill_m : [m]
         Gaps up to this width are filled.
+    survey : str or None
+        Folder of the survey; None for the one that the run lies in.
     """
 
     crs: str | None = None
     resolution_m: float | None = None
     fill_m: float = 0.0
+    survey: str | None = None
 
 
 @dataclass(frozen=True)

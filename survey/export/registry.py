@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from survey.export.clouds import CLOUDS
+from survey.export.hydrography import HYDROGRAPHY
+from survey.export.orthophoto import ORTHOPHOTO
 from survey.export.product import Product
+from survey.export.terrain import TERRAIN
 
-PRODUCTS: tuple[Product, ...] = (*CLOUDS,)
+PRODUCTS: tuple[Product, ...] = (*CLOUDS, *TERRAIN, *HYDROGRAPHY, *ORTHOPHOTO)

@@ -112,7 +112,8 @@ def _require_rigs_agree(folder: Path, suffix: str, photos: list[files.Photo]) ->
             if not np.abs(expected - _matrix(photo.pose)).max() <= _SAME_POSE * max(1.0, np.abs(expected).max()):
                 raise PosesError(
                     f"{folder}: the pose of {shortened(photo.name)} in images{suffix} is not that of its rig in "
-                    f"frames{suffix} and rigs{suffix}; write the model again, or remove these two files if images{suffix} is right"
+                    f"frames{suffix} and rigs{suffix}; write the model again, or remove these two "
+                    f"files if images{suffix} is right"
                 )
 
 

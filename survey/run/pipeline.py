@@ -14,7 +14,7 @@ from survey.run.stage_pose_check import MISFIT, check_poses, use_misfit
 from survey.run.stage_solver import SOLVED, solve_heights
 from survey.run.stage_sweep import BOUND, MAPS, sweep_views
 from survey.run.stage_water_colour import estimate_colour, use_colour
-from survey.run.stored_field import FIELD_FILES
+from survey.run.stored import FIELD_FILES
 from survey.run.water_colour import COLOUR_FILE, colour_is_known
 
 
@@ -98,12 +98,12 @@ STAGES = (
     ),
     Stage(
         name="bed",
-        needs=("sweep", "solver", "field"),
-        depends_on=(*_VIEWS, "area", "frame", "name", "gsd", "true_colour"),
+        needs=("adjust", "sweep", "solver", "field"),
+        depends_on=(*_VIEWS, "water_settings", "priors", "area", "frame", "name", "gsd", "true_colour"),
         leaves=FILES,
         compute=make_bed,
     ),
 )
 
 # What the cloud would be of the sweep alone: a baseline for the report.
-BED_OF_SWEEP = replace(STAGES[-1], name="bed_of_sweep", needs=("sweep",), is_on=_is_refined)
+BED_OF_SWEEP = replace(STAGES[-1], name="bed_of_sweep", needs=("adjust", "sweep"), is_on=_is_refined)

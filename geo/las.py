@@ -15,6 +15,7 @@ from laspy.vlrs.known import WktCoordinateSystemVlr
 from lazrs import LazrsError
 from pyproj import CRS
 
+from geo import copc
 from geo.crs import is_geographic, wkt1
 from geo.errors import EmptyCloud, GeoError, UnreadableFile, UnwritableFile
 from geo.files import existing_file, write_whole
@@ -47,12 +48,14 @@ def write_cloud(
 ) -> None:
     """Write a cloud as LAS 1.4, point format 7, whole or not at all; compressed if the suffix is .laz.
 
+    Where the name ends in .copc.laz, it becomes COPC, see `geo.copc`.
+
     Coordinates are rounded to 0.001 of the unit of crs (1e-8 for longitude and latitude); offsets are whole
-    units. An empty cloud is written as a valid file without points.
+    units. An empty cloud is written as a valid file without points, except as COPC.
 
     Parameters
     ----------
-    path : .las or .laz
+    path : .las, .laz or .copc.laz
     points_crs : (N, 3) float64, in crs
         Finite: the caller leaves points without coordinates out and counts them.
     crs : pyproj.CRS
@@ -78,6 +81,8 @@ def write_cloud(
     if path.suffix.lower() not in _SUFFIXES:
         raise UnwritableFile(f"cannot write {path}: its suffix must be .las or .laz.")
     points = np.asarray(points_crs, dtype=np.float64)
+    if not len(points) and path.name.lower().endswith(copc.SUFFIX):
+        raise EmptyCloud(f"cannot write {path}: COPC needs one point at least; write LAZ.")
     extra = {"depth": depth_m, "std": std_m, "num_views": num_views, "incidence": incidence_deg}
     _require_sound(points, {"rgb": rgb, "is_wet": is_wet} | extra)
 
@@ -101,6 +106,9 @@ def _write(las: laspy.LasData, path: Path) -> None:
     compress = path.suffix.lower() == ".laz"
     with write_whole(path) as stream:
         try:
+            if path.name.lower().endswith(copc.SUFFIX):
+                copc.write_copc(las, stream)
+                return
             writer = laspy.open(stream, mode="w", header=las.header, do_compress=compress, closefd=False)
             with writer:
                 writer.write_points(las.points)

@@ -14,8 +14,15 @@ from survey.adjust.holding import not_observable
 from survey.adjust.observed import KINDS, MARK, Observed
 from survey.adjust.priors import Known, is_held
 from survey.adjust.rounds import Adjusted
-from survey.adjust.state import LENS_NAMES, WATER, WATER_NAMES, State
-from survey.adjust.verdicts import lens_verdicts, lost_verdict, water_limits, water_verdicts
+from survey.adjust.state import LENS_NAMES, READOUT_NAME, WATER, WATER_NAMES, State
+from survey.adjust.verdicts import (
+    lens_verdicts,
+    lost_verdict,
+    readout_limits,
+    readout_verdict,
+    water_limits,
+    water_verdicts,
+)
 from survey.adjust.water_settings import settings_by_local, settings_of, with_settings
 from survey.folder.config import WaterConfig
 from survey.folder.survey import Survey
@@ -71,6 +78,7 @@ def result(
     names = (
         *WATER_NAMES,
         *(f"camera{i}.{name}" for i in range(len(known.lenses)) for name in LENS_NAMES),
+        *(f"camera{i}.{READOUT_NAME}" for i in range(layout.first_pose - layout.first_readout)),
         *(f"{view.name}.{name}" for view in survey.views for name in _POSE_NAMES),
     )
     gps = known.std[layout.first_pose :].reshape(-1, 6)[:, :3]
@@ -115,6 +123,8 @@ def result(
         residual_at_px=used.ties.pixel,
         residual_point=used.ties.point,
         points=state.points,
+        readouts_s=tuple(state.readouts.tolist()) or None,
+        flow=layout.flow,
     )
 
 
@@ -134,7 +144,25 @@ def _judged(
             at = known.layout.lens(number)
             std = np.sqrt(variance[at])
             parameters += lens_verdicts(number, state.lenses[number], std, known.mean.lenses[number], known.std[at])
+    if known.layout.finds_readouts:
+        parameters += _readouts(known, state, np.sqrt(variance))
     return tuple(parameters), water
+
+
+def _readouts(known: Known, state: State, std: np.ndarray) -> list[Parameter]:
+    """Readouts of the shutters with verdicts; ``std`` is that of all parameters (P,)."""
+    first, limits = known.layout.first_readout, readout_limits(state, known.layout, [w.height for w in known.lenses])
+    return [
+        readout_verdict(
+            number,
+            float(state.readouts[number]),
+            float(std[first + number]),
+            float(known.mean.readouts[number]),
+            float(known.std[first + number]),
+            float(limits[number]),
+        )
+        for number in range(len(known.lenses))
+    ]
 
 
 def _water(

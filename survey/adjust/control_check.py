@@ -114,6 +114,7 @@ def _misfit(problem: Problem, solution: Solution, seen: Observed, point: int, gi
         replace(solution.state, points=solution.state.points[[point]]),
         TiePoints(seen.ties.start[[point]], np.zeros_like(marks), seen.ties.view[marks], seen.ties.pixel[marks]),
         problem.sides[marks],
+        None if problem.rows is None else problem.rows[marks],
     )
     residuals = seen.ties.pixel[marks] - linear.pixels
     by_parameters = linear.by_parameters.toarray().reshape(len(marks), 2, -1)

@@ -9,7 +9,7 @@ import numpy as np
 from survey.adjust.bundle import NotConvergedError, Problem, Solution, solve
 from survey.adjust.clusters import inflation
 from survey.adjust.control_check import checked_points, given_points
-from survey.adjust.observed import KINDS, MARK, Observed
+from survey.adjust.observed import KINDS, MARK, Observed, rows_taken
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import Known, priors_for
 from survey.adjust.state import POSE, State
@@ -78,7 +78,8 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
     while True:
         priors, sides = priors_for(known, seen.ties, seen.point_std), relief_sides(state, seen.ties)
         kind = _by_depth(seen, state)
-        problem = Problem(known.layout, seen.ties, kind, priors, given, sides)
+        rows = rows_taken(seen.ties, known.lenses, known.layout.lens_of)
+        problem = Problem(known.layout, seen.ties, kind, priors, given, sides, rows)
         solution = solve(problem, state, inflation=factors[kind])
         found = solution.std_px
         shared = inflation(seen.ties, solution.residuals, found, kind, sizes)

@@ -16,7 +16,7 @@ from survey.folder.config import dump_config
 from survey.folder.survey import Survey
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.verdict import Verdict
-from survey.run.export import write_bed_las
+from survey.run.cloud import write_bed_las
 from survey.run.folder import RunDir, seconds_of, versions, versions_of
 from survey.run.gate import verdict_of
 from survey.run.job import Job

@@ -1,0 +1,83 @@
+"""A product of `bathynerf export`, as data: its option, its files, and the function that writes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from survey.export.loaded import LoadedRun
+
+
+# Enough for the marks that writers leave near the beginning of their files.
+_HEAD_BYTES = 1 << 16
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """What a user may ask of products; each product says in `Product.takes` which of these it follows.
+
+    Attributes
+    ----------
+    crs : str or None
+        CRS of the product; None for that of the run.
+    resolution_m : [m] or None
+        Side of a cell; None leaves it to the product.
+    fill_m : [m]
+        Gaps up to this width are filled.
+    survey : str or None
+        Folder of the survey; None for the one that the run lies in.
+    """
+
+    crs: str | None = None
+    resolution_m: float | None = None
+    fill_m: float = 0.0
+    survey: str | None = None
+
+
+@dataclass(frozen=True)
+class Product:
+    """One option of `bathynerf export`.
+
+    Attributes
+    ----------
+    option : str
+        Without the dashes, e.g. "las".
+    suffixes : tuple of str
+        That a file of it may have, in lower case, e.g. (".tif", ".tiff").
+    kind : str
+        What its files are, with an article, e.g. "a cloud that bathynerf wrote".
+    help : str
+        One line.
+    example : str
+        What follows ``bathynerf export RUN`` in an example.
+    takes : tuple of str
+        Fields of `ExportOptions` that it follows.
+    is_ours : callable
+        Whether an existing file is one that this product wrote, and may be replaced.
+    write : callable
+        Writes the file, whole or not at all. What it needs of slow modules it imports itself: the command line reads
+        the registry.
+    """
+
+    option: str
+    suffixes: tuple[str, ...]
+    kind: str
+    help: str
+    example: str
+    takes: tuple[str, ...]
+    is_ours: Callable[[Path], bool]
+    write: Callable[[Path, LoadedRun, ExportOptions], None]
+
+
+def begins_with(start: bytes, *marks: bytes) -> Callable[[Path], bool]:
+    """For `Product.is_ours`: whether a file begins so, and has these marks soon after."""
+
+    def is_ours(path: Path) -> bool:
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD_BYTES)
+        return head.startswith(start) and all(mark in head for mark in marks)
+
+    return is_ours

@@ -101,7 +101,7 @@ def write_whole(path: str | Path) -> Iterator[BinaryIO]:
             with path.open("wb") as stream:
                 yield stream
             return
-        with write_whole_at(path) as part, part.open("w+b") as stream:
+        with written_whole(path) as part, part.open("w+b") as stream:
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
@@ -110,25 +110,25 @@ def write_whole(path: str | Path) -> Iterator[BinaryIO]:
 
 
 @contextmanager
-def write_whole_at(path: str | Path) -> Iterator[Path]:
-    """As `write_whole`, for libraries that want a path: that of the temporary file, which does not exist yet.
+def written_whole(path: str | Path) -> Iterator[Path]:
+    """The name of a file to write, in the folder of ``path``, that becomes ``path`` when the block ends well.
+
+    For libraries that write files by name; otherwise as `write_whole`.
 
     Raises
     ------
     UnwritableFile
-        As `write_whole`.
+        If the system refuses.
     """
-    path = Path(path)
     target = Path(os.path.realpath(path))
     part = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        try:
-            yield part
-            part.replace(target)
-        finally:
-            part.unlink(missing_ok=True)
+        yield part
+        part.replace(target)
     except OSError as error:
         raise _unwritable(error, path) from error
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def existing_file(path: str | Path) -> Path:

@@ -59,13 +59,13 @@ DISK_FILES = {
     f"{folder}/{name}.py"
     for folder, names in {
         "fields": ("device",),
-        "geo": ("e57", "files", "gltf", "las", "las_header", "obj", "ply", "ply_reading", "raster"),
+        "geo": ("e57", "files", "gltf", "las", "las_header", "obj", "ply", "ply_reading", "raster", "raster_writing"),
         "survey": ("code_hash", "machine", "progress", "stage_key"),
         "survey/adjust": ("adjustment", "waterline", "written"),
         "survey/commands": ("console", "streams"),
         "survey/compare": ("canvas", "comparison"),
         "survey/control": ("metashape_xml", "reading", "xml_elements"),
-        "survey/export": ("clouds", "product", "written"),
+        "survey/export": ("clouds", "gridded", "product", "written"),
         "survey/files": ("csv_table", "json_values", "lock", "outputs", "toml_table"),
         "survey/folder": ("found", "infer", "inputs", "pairing"),
         "survey/photos": ("images", "opening", "priors"),

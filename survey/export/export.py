@@ -45,21 +45,26 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
     options = options or ExportOptions()
     wanted = _wanted(files)
     _require_effect([product for product, _ in wanted], options)
-    loaded = LoadedRun(run)
-    inputs = loaded.folder.inputs()
-    for product, path in wanted:
-        _require_writable(product, path, inputs)
-    loaded.folder.warn_if_unfinished()
-    with current().stage("Export", len(wanted)) as stage:
+    with LoadedRun(run) as loaded:
+        inputs = loaded.folder.inputs()
         for product, path in wanted:
-            key = key_of(product, loaded, options)
-            if is_current(loaded, path, key):
-                current().note(f"{path}: unchanged")
-            else:
-                product.write(path, loaded, options)
-                note_written(loaded, path, key)
-            stage.advance()
+            _require_writable(product, path, inputs)
+        loaded.folder.warn_if_unfinished()
+        with current().stage("Export", len(wanted)) as stage:
+            for product, path in wanted:
+                _write(product, path, loaded, options)
+                stage.advance()
     return [path for _, path in wanted]
+
+
+def _write(product: Product, path: Path, loaded: LoadedRun, options: ExportOptions) -> None:
+    """Write one product, unless the file is there and up to date."""
+    key = key_of(product, loaded, options)
+    if is_current(loaded, path, key):
+        current().note(f"{path}: unchanged")
+    else:
+        product.write(path, loaded, options)
+        note_written(loaded, path, key)
 
 
 def _wanted(files: dict[str, str | Path | None]) -> list[tuple[Product, Path]]:

@@ -4,5 +4,6 @@ from __future__ import annotations
 
 from survey.export.clouds import CLOUDS
 from survey.export.product import Product
+from survey.export.terrain import TERRAIN
 
-PRODUCTS: tuple[Product, ...] = (*CLOUDS,)
+PRODUCTS: tuple[Product, ...] = (*CLOUDS, *TERRAIN)

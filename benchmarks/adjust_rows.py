@@ -6,11 +6,15 @@ import os
 import shutil
 import tomllib
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import tomli_w
+
+from survey.adjust.refine import adjust_survey, apply_adjustment
+from survey.adjust.written import write_cameras
+from survey.folder.survey import load_survey
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("BATHYNERF_DATA", ROOT.parent / "shared" / "data"))
@@ -45,12 +49,13 @@ class Truth:
 
 @dataclass(frozen=True)
 class Row:
-    """A survey folder that is ready to be processed, its truth, and the quality to process it in."""
+    """A survey folder that is ready to be processed, its truth, and the quality and options to process it with."""
 
     survey: Path
     truth: Truth
     quality: str = "standard"
     kind: str = "drawn"
+    options: tuple[str, ...] = ()
 
 
 def prepare(name: str, folder: Path) -> Row:
@@ -175,6 +180,22 @@ def _gps_only(name: str, quality: str, folder: Path, *, level: bool = True) -> R
     return Row(folder, _drawn_truth(source), quality)
 
 
+def _straight(name: str, quality: str, folder: Path) -> Row:
+    """From poses and lens that were adjusted as if there were no water, which is put back afterwards.
+
+    What refraction inside the adjustment is worth: the bend that is left here.
+    """
+    row = _gps_only(name, quality, folder)
+    table, dry = _settings(folder), folder.parent / "straight"
+    _linked(DATA / name, dry, {key: value for key, value in table.items() if key != "water"})
+    survey = load_survey(dry, workspace=dry / "sfm")
+    survey = apply_adjustment(survey, adjust_survey(survey))
+    write_cameras(folder, survey)
+    table |= {"cameras": {"poses": "sparse"}, "local": {"origin": list(survey.frame.origin)}}
+    (folder / "survey.toml").write_text(tomli_w.dumps(table), encoding="utf-8")
+    return replace(row, options=("--poses", "fixed"))
+
+
 def _quick_noisy(folder: Path) -> Row:
     source, table = DATA / "quick", _settings(DATA / "quick")
     table["cameras"] |= {"position_std_m": [NOISY_STD_M] * 3, "rotation_std_deg": NOISY_STD_DEG}
@@ -231,6 +252,7 @@ ROWS: dict[str, Callable[[Path], Row]] = {
     "shore_free": lambda folder: _shore(folder, controlled=False),
     "river_gps": lambda folder: _gps_only("river", "standard", folder),
     "wreck_gps": lambda folder: _gps_only("wreck_water", "draft", folder),
+    "river_straight": lambda folder: _straight("river", "draft", folder),
     "river_no_level": lambda folder: _gps_only("river", "standard", folder, level=False),
     "wreck_no_level": lambda folder: _gps_only("wreck_water", "draft", folder, level=False),
     "quick_noisy": _quick_noisy,

@@ -14,9 +14,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
@@ -24,7 +21,8 @@ from adjust_coverage import covered, table
 from adjust_measures import errors_of
 from adjust_real import brighton_errors, copr_errors
 from adjust_rows import DATA, ROWS, Row, prepare
-from bench_surveys import BATHYNERF, timed
+
+from survey.benchmark.running import run_bathynerf
 
 MEASURES = {"drawn": errors_of, "brighton": brighton_errors, "copr": copr_errors}
 # Titles of the table, and the figures in millimetres.
@@ -65,14 +63,13 @@ def main() -> None:
 
 def measure(row: Row, run: Path, quality: str) -> dict:
     """Process a prepared survey and measure what came out."""
-    command = [*BATHYNERF, "process", str(row.survey), "-o", str(run), "--quality", quality, "--no-resume"]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    code, seconds, memory = timed(command, environment)
-    record = {"quality": quality, "wall_s": round(seconds, 1), "peak_gb": round(memory, 2)}
+    command = ["process", str(row.survey), "-o", str(run), "--quality", quality, "--no-resume", *row.options]
+    with tempfile.TemporaryDirectory() as home:
+        code, cost, words = run_bathynerf(command, Path(home))
+    record = {"quality": quality, "wall_s": round(cost.wall_s, 1), "peak_gb": round(cost.peak_bytes / 1e9, 2)}
     if not (run / "cloud.las").is_file():
         # Refused; what it says is worth reading.
-        words = subprocess.run(command, env=environment, capture_output=True, text=True, check=False).stderr
-        return record | {"exit_code": code, "words": words.strip().splitlines()[-1:]}
+        return record | {"exit_code": code, "words": [words]}
     return record | {"exit_code": code} | MEASURES[row.kind](row, run)
 
 

@@ -215,10 +215,10 @@ def test_help_version_and_errors_come_before_anything_slow_is_imported(tmp_path)
     assert re.match(r"bathynerf \d+\.\d+", shown.stdout)
     assert shown.stdout.endswith("[]\n")
     assert "compare" in run("--help").stdout
-    # check needs the images (cv2) and asks for the device (drjit), but neither torch nor a reconstruction.
+    # check needs images (cv2), asks for the device (drjit) and foresees (scipy); neither torch nor a reconstruction.
     checked = run("check", folder)
     assert checked.returncode == 0
-    assert checked.stdout.splitlines()[-1] == "['cv2', 'drjit']"
+    assert checked.stdout.splitlines()[-1] == "['cv2', 'drjit', 'scipy']"
 
 
 def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monkeypatch, tmp_path):

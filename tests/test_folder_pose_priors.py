@@ -16,7 +16,7 @@ from survey.folder.survey import load_survey
 from survey.photos.cameras import View
 from survey.photos.xmp import Rtk
 from survey.sfm.gps import gps_positions
-from survey.sfm.solve import _sensors
+from survey.sfm.solve import sensors_of
 from survey.stage_key import stage_key
 
 # Twice the way from crs to local is exact to 2e-8 m, and seconds of arc in EXIF have seven digits: 3 micrometres.
@@ -112,5 +112,5 @@ def test_priors_make_a_key_that_changes_with_them(tmp_path):
 def test_photographs_of_two_cameras_get_a_lens_for_each(tmp_path):
     found = find_survey(unposed(tmp_path / "s"))
     heads = {name: replace(head, camera=f"camera {i % 2}") for i, (name, head) in enumerate(found.heads.items())}
-    sensors = _sensors(heads, {name: name for name in heads}, None)
+    sensors = sensors_of(heads, {name: name for name in heads}, None)
     assert [sensor.names for sensor in sensors] == [("0000.jpg", "0002.jpg"), ("0001.jpg", "0003.jpg")]

@@ -18,9 +18,10 @@ import numpy as np
 
 from refract import FlatWater
 from survey.adjust.adjustment import Adjustment
+from survey.adjust.observed import rows_taken
 from survey.adjust.prediction import linearise
 from survey.adjust.priors import parameters_of
-from survey.adjust.state import RELIEF, WATER, Layout, State
+from survey.adjust.state import RELIEF, WATER, State
 from survey.photos.tie_points import TiePoints
 
 # The standard deviation of a mean over this many places, spread over the area, is that over all to a few per cent.
@@ -73,13 +74,15 @@ def common_error(found: Adjustment, water: FlatWater | None) -> CommonError | No
 
 def height_moves(found: Adjustment, water: FlatWater | None, ties: TiePoints) -> np.ndarray:
     """Derivative (K, P) of the heights of places by the parameters of `Adjustment.covariance`."""
-    layout = Layout(found.lens_of, np.array([lens.focal[1] / lens.focal[0] for lens in found.lenses]))
+    layout = found.layout
     if water is not None:
         x, y = found.water_point
         water = replace(water, point=(x, y, float(water.height(x, y))))
     lenses = np.array([parameters_of(lens) for lens in found.lenses])
-    state = State(water, np.zeros(RELIEF), lenses, found.centres, found.rotations, ties.start)
-    linear = linearise(layout, state, ties, np.zeros((len(ties.view), RELIEF)))
+    readouts = np.array(found.readouts_s or ())
+    state = State(water, np.zeros(RELIEF), lenses, found.centres, found.rotations, ties.start, readouts)
+    rows = rows_taken(ties, found.lenses, found.lens_of)
+    linear = linearise(layout, state, ties, np.zeros((len(ties.view), RELIEF)), rows)
     kept = np.r_[:WATER, layout.first_lens : len(layout)]
     by_parameters = linear.by_parameters.toarray()[:, kept].reshape(len(ties.view), 2, len(kept))
     moves = np.empty((len(ties), len(kept)))

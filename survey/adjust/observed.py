@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from refract.lens import undistorted
+from refract.lens import Lens, distorted, undistorted
 from survey.adjust.priors import Known, is_held
 from survey.control.points import Control
 from survey.folder.survey import Survey
@@ -99,6 +100,16 @@ def _marks(control: Control, survey: Survey) -> TiePoints:
         np.array([row[1] for row in rows], dtype=np.int64),
         np.array([row[2] for row in rows], dtype=np.float64),
     )
+
+
+def rows_taken(ties: TiePoints, lenses: Sequence[Lens], lens_of: np.ndarray) -> np.ndarray:
+    """Rows (N,) [px] of photographs as they were taken, of tie points in pixels that the adjustment predicts."""
+    rows = ties.pixel[:, 1].copy()
+    for number, lens in enumerate(lenses):
+        mine = lens_of[ties.view] == number
+        if is_held(lens) and mine.any():
+            rows[mine] = distorted(lens, ties.pixel[mine])[:, 1]
+    return rows
 
 
 def _straightened(ties: TiePoints, known: Known) -> np.ndarray:

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from geo.crs import is_geographic
 from geo.files import write_whole
 from refract.lens import Lens
-from survey.folder.survey import Survey
+from survey.folder.shutter import rows_between
+from survey.folder.survey import Survey, View
 from survey.photos.cameras import CAM_FROM_OPK_CAM
 
 # Decimals of coordinates in metres and in degrees: to a tenth of a micrometre, so that nothing is lost.
@@ -23,7 +24,8 @@ MODEL = ("sparse/cameras.txt", "sparse/images.txt", "sparse/points3D.txt")
 def write_cameras(folder: Path, survey: Survey) -> None:
     """Write cameras.csv (positions in crs; omega, phi, kappa) and a COLMAP model (topocentric) into a folder.
 
-    The model says in its first lines how survey.toml gives it back.
+    The model says in its first lines how survey.toml gives it back. Where shutters roll, cameras.csv has further
+    columns, how far each camera flew from the first row to the last [m], true east, north and up.
     """
     lenses = tuple(dict.fromkeys(view.lens for view in survey.views))
     (folder / "sparse").mkdir(exist_ok=True)
@@ -40,21 +42,32 @@ def write_cameras(folder: Path, survey: Survey) -> None:
 
 def _given_back(survey: Survey) -> str:
     origin = ", ".join(repr(float(v)) for v in survey.frame.origin)
-    return f'# In survey.toml: [cameras] poses = "sparse" and [local] origin = [{origin}]\n'
+    shutter = ""
+    if any(view.camera.motion is not None for view in survey.views):
+        shutter = f", rolling_shutter_s = {survey.config.cameras.rolling_shutter_s!r}"
+    return f'# In survey.toml: [cameras] poses = "sparse"{shutter} and [local] origin = [{origin}]\n'
 
 
 def _opk(survey: Survey) -> str:
     centres = survey.frame.crs_from_local(np.array([view.camera.centre for view in survey.views]))
     decimals = _DECIMALS_DEG if is_geographic(survey.frame.crs) else _DECIMALS_M
     places = (decimals, decimals, _DECIMALS_M)
-    lines = ["image,easting,northing,height,omega,phi,kappa"]
+    rolls = any(view.camera.motion is not None for view in survey.views)
+    lines = ["image,easting,northing,height,omega,phi,kappa" + (",flown_east,flown_north,flown_up" if rolls else "")]
     for view, centre, axes in zip(survey.views, centres, survey.frame.local_from_grid(centres), strict=True):
         r = axes.T @ view.camera.cam_from_local.T @ CAM_FROM_OPK_CAM
         angles = (math.atan2(-r[1, 2], r[2, 2]), math.asin(r[0, 2]), math.atan2(-r[0, 1], r[0, 0]))
         numbers = [f"{v:.{digits}f}" for v, digits in zip(centre, places, strict=True)]
         numbers += [f"{math.degrees(v):.10f}" for v in angles]
+        numbers += [f"{v:.{_DECIMALS_M}f}" for v in _flown(view)] if rolls else []
         lines.append(",".join([view.name, *numbers]))
     return "\n".join([*lines, ""])
+
+
+def _flown(view: View) -> np.ndarray:
+    """From the first row of a photograph to the last (3,) [m], local."""
+    motion = view.camera.motion
+    return np.zeros(3) if motion is None else motion * rows_between(view.lens.height)
 
 
 def _lens_line(number: int, lens: Lens) -> str:

@@ -14,8 +14,9 @@ from refract import FlatWater
 from refract.lens import Lens
 from survey.display.words import named
 from survey.errors import ConfigError, PosesError
-from survey.photos.cameras import CAM_FROM_OPK_CAM, Pose, View, grid_from_opk
+from survey.photos.cameras import CAM_FROM_OPK_CAM, View, grid_from_opk
 from survey.photos.exif import Exif
+from survey.photos.poses import Pose, PoseFrame
 
 # Diagonal field of view [degrees] of a pinhole of the same focal length: a fisheye lens of 180 degrees has 115, the
 # longest lens of a drone 3.
@@ -128,13 +129,13 @@ def _overlap_doubts(views: list[View], water: FlatWater) -> list[str]:
     return named(names, "view", "without overlap with another one at the water")
 
 
-def angle_doubts(poses: list[Pose]) -> list[str]:
+def angle_doubts(poses: list[Pose], frame: PoseFrame) -> list[str]:
     """A warning where omega, phi and kappa look like radians.
 
     All are below a full turn in radians; read as radians, all cameras look down, turn by more than a radian, and their
     image rows are level, as those of a gimbal are in nadir and oblique views alike.
     """
-    if not all(pose.in_crs for pose in poses):
+    if frame is not PoseFrame.GRID:
         return []
     angles = np.array([_opk_deg(pose.cam_from_world) for pose in poses])
     if np.abs(angles).max() > _FULL_TURN or np.ptp(angles[:, 2]) < 1.0:

@@ -82,7 +82,6 @@ def find_survey(folder: Path) -> Found:
         config.water.require_level()
     warnings = _turned(heads)
     if poses_path is None:
-        _require_positions(folder, heads)
         warnings += [
             f"{name} is not read; export a COLMAP model or cameras.csv instead" for name in find_unread(folder)
         ]
@@ -116,16 +115,6 @@ def _poses_path(folder: Path, config: SurveyConfig, assumptions: list[str]) -> P
         return None
     assumptions.append(f"the poses are those in {paths[0].relative_to(folder).as_posix()}, the only poses found")
     return paths[0]
-
-
-def _require_positions(folder: Path, heads: dict[str, Exif]) -> None:
-    """Raise where there are neither poses nor enough GPS positions to find them in crs."""
-    num = sum(head.lat_lon_height is not None for head in heads.values())
-    if num < MIN_VIEWS:
-        raise PosesError(
-            f"{folder} has no poses file, and {num} of {len(heads)} images have a GPS position in EXIF, expected at "
-            f"least {MIN_VIEWS}; name a file of poses in [cameras] poses in {FILE_NAME}"
-        )
 
 
 def _turned(heads: dict[str, Exif]) -> list[str]:

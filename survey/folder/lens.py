@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from refract.lens import MODELS, Lens, LensError
+from refract.lens import MODELS, Lens, LensError, coefficients_of
 from survey.errors import FILE_NAME, ConfigError
 from survey.folder.config import CamerasConfig
 from survey.photos.exif import Exif
@@ -37,7 +37,7 @@ def lens_from_config(cameras: CamerasConfig, heads: dict[str, Exif], assumptions
             f"[cameras] model {model} has one focal length, but focal_px is [{fx:g}, {fy:g}] in {FILE_NAME}; give "
             "one number, or a model with fx and fy"
         )
-    coefficients = [name for name in names if name[0] in "kp"]
+    coefficients = coefficients_of(model)
     given = cameras.distortion or ()
     if len(given) != len(coefficients):
         raise ConfigError(

@@ -24,8 +24,13 @@ _ONE_SURVEY_M = 20e3
 _EXIF_DOUBT_M = 50.0
 
 
-def require_true(frame: LocalFrame, views: list[View], water: FlatWater | None, config: SurveyConfig) -> None:
+def require_true(
+    frame: LocalFrame, views: list[View], water: FlatWater | None, config: SurveyConfig, *, see_points: bool = False
+) -> None:
     """Raise where cameras lie under the water, far above it, look at the sky, or far from the bounds.
+
+    Cameras of a dry survey may look up where they see tie points of their poses file (`see_points`), at a cliff or a
+    house.
 
     Raises
     ------
@@ -33,7 +38,7 @@ def require_true(frame: LocalFrame, views: list[View], water: FlatWater | None, 
         With the heights that were found.
     """
     rises = np.array([view.camera.cam_from_local[2, 2] for view in views])
-    if (rises > 0.0).mean() > 0.5:
+    if (rises > 0.0).mean() > 0.5 and not (see_points and water is None):
         raise PosesError(
             f"{int((rises > 0.0).sum())} of {len(views)} cameras look up at the sky, expected down at the bed; check "
             "the convention of the angles (omega, phi, kappa about the grid axes; camera x right, y up, z back)"

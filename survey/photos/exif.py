@@ -45,7 +45,9 @@ class Exif:
     rtk : Rtk or None
         Accuracy of the position by the receiver, where DJI's XMP has it.
     motion : Motion
-        Attitudes and speed at the exposure, by DJI's XMP.
+        Attitudes, speed and shutter at the exposure, by DJI's XMP.
+    clock : datetime or None
+        By the camera's own clock, to the fraction of a second that it has: for the time between photographs.
     """
 
     size_px: tuple[int, int]
@@ -58,6 +60,7 @@ class Exif:
     focal_candidates: tuple[FocalCandidate, ...] = ()
     rtk: Rtk | None = None
     motion: Motion = field(default_factory=Motion)
+    clock: datetime | None = None
 
 
 def read_exif(path: Path) -> Exif:
@@ -89,6 +92,7 @@ def read_exif(path: Path) -> Exif:
         focal_candidates=focal_candidates(size, details, xmp),
         rtk=rtk_of(xmp),
         motion=motion_of(xmp),
+        clock=_clock(details),
     )
 
 
@@ -116,6 +120,17 @@ def _taken(gps: dict, details: dict) -> datetime | None:
         offset = str(details.get(ExifTags.Base.OffsetTimeOriginal, "")).strip("\0 ")
         return datetime.strptime(local + offset, "%Y:%m:%d %H:%M:%S%z").astimezone(UTC)
     except (TypeError, ValueError):
+        return None
+
+
+def _clock(details: dict) -> datetime | None:
+    text = str(details.get(ExifTags.Base.DateTimeOriginal, "")).strip("\0 ")
+    # Digits behind the decimal point, as many as the camera counts.
+    digits = str(details.get(ExifTags.Base.SubsecTimeOriginal, "")).strip("\0 ")
+    fraction = float(f"0.{digits}") if digits.isascii() and digits.isdigit() else 0.0
+    try:
+        return datetime.strptime(text, "%Y:%m:%d %H:%M:%S") + timedelta(seconds=fraction)
+    except ValueError:
         return None
 
 

@@ -1,4 +1,4 @@
-"""What DJI's XMP says of an exposure: accuracy of the position, attitudes of drone and gimbal, speed."""
+"""What DJI's XMP says of an exposure: accuracy of the position, attitudes of drone and gimbal, speed, shutter."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 _DJI_NUMBER = r"drone-dji:{}\s*(?:=\s*\"|>)\s*([+-]?[0-9.]+)"
+_MECHANICAL = re.compile(r"drone-dji:ShutterType\s*(?:=\s*\"|>)\s*mechanical", re.IGNORECASE)
 # No receiver is this wrong and still reports a standard deviation; files without one have 0, or a filler.
 _MOST_STD_M = 100.0
 
@@ -30,7 +31,7 @@ class Rtk:
 
 @dataclass(frozen=True)
 class Motion:
-    """Attitudes and speed at an exposure; None where XMP does not have them.
+    """Attitudes, speed and shutter at an exposure; None where XMP does not have them.
 
     Attributes
     ----------
@@ -39,11 +40,14 @@ class Motion:
         with the pitch -90 looks straight down.
     speed : (east, north, up) [m/s] or None
         Over ground. XMP counts it north, east, down.
+    is_mechanical : bool
+        Whether the shutter is said to be mechanical: all rows are then exposed at once.
     """
 
     gimbal_deg: tuple[float, float, float] | None = None
     flight_deg: tuple[float, float, float] | None = None
     speed: tuple[float, float, float] | None = None
+    is_mechanical: bool = False
 
 
 def rtk_of(xmp: str) -> Rtk | None:
@@ -56,12 +60,13 @@ def rtk_of(xmp: str) -> Rtk | None:
 
 
 def motion_of(xmp: str) -> Motion:
-    """Attitudes and speed, as far as XMP has them."""
+    """Attitudes, speed and shutter, as far as XMP has them."""
     speed = _three(xmp, "FlightYSpeed", "FlightXSpeed", "FlightZSpeed")
     return Motion(
         gimbal_deg=_three(xmp, "GimbalYawDegree", "GimbalPitchDegree", "GimbalRollDegree"),
         flight_deg=_three(xmp, "FlightYawDegree", "FlightPitchDegree", "FlightRollDegree"),
         speed=None if speed is None else (speed[0], speed[1], 0.0 - speed[2]),
+        is_mechanical=_MECHANICAL.search(xmp) is not None,
     )
 
 

@@ -10,9 +10,11 @@ import numpy as np
 
 from geo.crs import height_unit_m
 from survey.display.quantities import length
+from survey.errors import SurveyError
 from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors
+from survey.folder.shutter import metres_per_px, shutter_rows
 from survey.folder.survey import Found, Survey, find_survey, load_survey
-from survey.folder.unposed import require_solvable
+from survey.folder.unposed import placing_control, require_solvable
 from survey.names import RUN_FOLDER
 from survey.plan.bounds import require_seen
 from survey.plan.check_inputs import control_rows, mark_rows, water_stds
@@ -61,26 +63,42 @@ def require_processable(folder: Path) -> Checked:
     return Checked(found, survey, survey.warnings)
 
 
-def check_survey(folder: Path, *, quality: str = "standard", device: str = "auto") -> list[Section]:
+def check_survey(
+    folder: Path, *, quality: str = "standard", device: str = "auto", checked: Checked | None = None
+) -> list[Section]:
     """Check a survey and describe what `process` would do; nothing is computed and nothing written.
+
+    Parameters
+    ----------
+    folder : Path
+    quality, device : str
+    checked : Checked, optional
+        What `require_processable` found in the folder, where it has looked already.
 
     Raises
     ------
     SurveyError, GeoError
         Where the survey cannot be processed as it is.
     """
-    checked = require_processable(folder)
+    checked = require_processable(folder) if checked is None else checked
     if checked.survey is None:
         return _without_poses(checked, quality, device)
     survey = checked.survey
     plan = make_plan(survey, quality=quality, device=device)
-    workload = workload_of(survey, plan)
-    warnings = (*checked.warnings, *require_room(workload, folder / RUN_FOLDER))
     rows = _rows_of_survey(checked.found, survey, plan)
-    return _sections(rows, plan.decisions, workload, survey.assumptions, warnings)
+    workload: Workload | str
+    try:
+        workload = workload_of(survey, plan)
+    except SurveyError as error:
+        if survey.reprojection is None:
+            raise
+        # Where tie points prove the poses, what they say is worth printing, though nothing can be made of them.
+        workload = f"process refuses this survey: {error}"
+    room = require_room(workload, folder / RUN_FOLDER) if isinstance(workload, Workload) else [workload]
+    return _sections(rows, plan.decisions, workload, survey.assumptions, (*checked.warnings, *room))
 
 
-def _sections(rows, decisions: tuple[Decision, ...], workload: Workload, assumptions, warnings) -> list[Section]:
+def _sections(rows, decisions: tuple[Decision, ...], workload: Workload | str, assumptions, warnings) -> list[Section]:
     plan = [(d.name, f"{d.choice}: {d.reason}") for d in decisions]
     sections = [Section("Found", tuple(rows)), Section("Plan", (*plan, ("workload", str(workload))))]
     sections += [Section("Assumed", tuple(("", text) for text in assumptions))] if assumptions else []
@@ -111,6 +129,10 @@ def _rows_of_survey(found: Found, survey: Survey, plan: Plan) -> list[tuple[str,
         ("local frame", f"topocentric at {', '.join(f'{v:.10g}' for v in survey.frame.origin)}"),
         ("water", _water(survey)),
         ("accuracy", accuracy_of_priors(survey.priors)),
+        *shutter_rows(
+            survey.config.cameras, survey.velocities, len(survey.views), metres_per_px(survey.views, survey.water)
+        ),
+        *(() if survey.reprojection is None else (("tie points", str(survey.reprojection)),)),
         *control_rows(found.control),
         *mark_rows(survey),
     ]
@@ -148,7 +170,8 @@ def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]
         ),
         (
             "positions",
-            f"{len(places)} of {len(found.heads)} images have one in EXIF, heights {_range(heights)} m",
+            f"{len(places)} of {len(found.heads)} images have one in EXIF"
+            + (f", heights {_range(heights)} m" if places else ""),
         ),
         ("poses", "none"),
         ("accuracy", accuracy_of_gps(found.config.cameras, found.heads)),
@@ -163,17 +186,18 @@ def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]
         rows.append(
             (
                 "water",
-                f"level {water.level_m:g} m; by EXIF the cameras are {_range(heights - level)} m over it"
-                f"{water_stds(water)}",
+                f"level {water.level_m:g} m"
+                + (f"; by EXIF the cameras are {_range(heights - level)} m over it" if places else "")
+                + water_stds(water),
             )
         )
     rows += control_rows(found.control)
     like = "heights in crs" if found.config.cameras.gps_height == "crs" else "ellipsoidal heights"
-    sfm = Decision(
-        "structure from motion",
-        "on",
-        f"there is no poses file; georeferenced by GPS positions, heights taken as {like}",
-    )
+    by_control = placing_control(found)
+    placed = f"GPS positions, heights taken as {like}"
+    if by_control is not None:
+        placed = f"the marks of {len(by_control.points)} control points, as too few images have a GPS position"
+    sfm = Decision("structure from motion", "on", f"there is no poses file; georeferenced by {placed}")
     rest = Decision("refraction and the rest", "later", "decided once the poses are known")
     decisions = (sfm, device_decision(device), rest)
     sizes = [head.size_px for head in found.heads.values()]

@@ -123,6 +123,8 @@ def image_pairs(names: Sequence[str], positions: Mapping[str, np.ndarray]) -> li
     if len(names) <= _ALL_PAIRS_UP_TO:
         return [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
     placed = [name for name in names if name in positions]
+    if len(placed) < 2:
+        return [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
     points = np.array([positions[name][:2] for name in placed])
     _, nearest = cKDTree(points).query(points, k=min(_NEIGHBOURS + 1, len(placed)))
     pairs = {tuple(sorted((placed[i], placed[j]))) for i, row in enumerate(nearest) for j in row if i != j}

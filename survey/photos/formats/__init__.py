@@ -1,21 +1,18 @@
-"""Poses files, one module per format: each reads a file into `survey.photos.cameras.Pose`s."""
+"""Poses files, one module per format: each reads a file into a `survey.photos.poses.PoseFile`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from survey.errors import PosesError
-from survey.photos.cameras import Pose
-from survey.photos.formats import colmap, opk_csv
+from survey.photos.formats import colmap, metashape, opensfm, opk_csv
 from survey.photos.formats.format import Format
-from survey.photos.tie_points import MIN_TRACK
+from survey.photos.poses import FileTies, PoseFile
 
 # Files of other programs that are not read; warnings name them.
-_NOT_READ = ("cameras.xml", "transforms.json", "reconstruction.json", "nvm", "bundle.out")
+_NOT_READ = ("transforms.json", "nvm", "bundle.out")
 # Asked in this order which of them a path is of.
-FORMATS = (opk_csv.FORMAT, colmap.FORMAT)
+FORMATS = (opk_csv.FORMAT, colmap.FORMAT, opensfm.FORMAT, metashape.FORMAT)
 
 
 def find_poses(folder: Path) -> list[Path]:
@@ -28,8 +25,8 @@ def find_unread(folder: Path) -> list[str]:
     return [name for name in _NOT_READ if (folder / name).is_file()]
 
 
-def read_poses(path: Path) -> list[Pose]:
-    """Poses in a file (cameras.csv) or folder (COLMAP model, text or binary).
+def read_poses(path: Path) -> PoseFile:
+    """What a poses file, or the folder of a model, holds.
 
     Raises
     ------
@@ -40,13 +37,13 @@ def read_poses(path: Path) -> list[Pose]:
         raise PosesError(f"the poses file {path} does not exist; correct [cameras] poses in survey.toml")
     known = _format_of(path)
     if known is None:
-        expected = " or ".join(known.name for known in FORMATS)
-        raise PosesError(f"{path} is not a known kind of poses file; expected {expected}")
+        expected = "; ".join(known.name for known in FORMATS)
+        raise PosesError(f"{path} is not a known kind of poses file; expected one of: {expected}")
     return known.read(path)
 
 
-def read_points(path: Path) -> np.ndarray | None:
-    """Matched points (N, 3) [m], local, that came with poses and that three photographs see; None where none came.
+def read_ties(path: Path) -> FileTies | None:
+    """Tie points that came with poses, in the frame of these; None where none came.
 
     Raises
     ------
@@ -54,10 +51,7 @@ def read_points(path: Path) -> np.ndarray | None:
         Where their file is damaged.
     """
     known = _format_of(path)
-    if known is None or known.read_points is None:
-        return None
-    points, num_views = known.read_points(path)
-    return points[num_views >= MIN_TRACK] if len(points) else None
+    return None if known is None or known.read_ties is None else known.read_ties(path)
 
 
 def _format_of(path: Path) -> Format | None:

@@ -9,8 +9,9 @@ import numpy as np
 
 from survey.errors import PosesError
 from survey.files.csv_table import Row, column_names, read_table
-from survey.photos.cameras import CAM_FROM_OPK_CAM, Pose, grid_from_opk
+from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.photos.formats.format import Format
+from survey.photos.poses import Pose, PoseFile, PoseFrame
 
 COLUMNS = ("image", "easting", "northing", "height", "omega", "phi", "kappa")
 
@@ -20,7 +21,7 @@ def is_opk_csv(path: Path) -> bool:
     return set(COLUMNS) <= set(column_names(path))
 
 
-def read_opk_csv(path: Path) -> list[Pose]:
+def read_opk_csv(path: Path) -> PoseFile:
     """Poses in crs from a table with the columns of `COLUMNS`, in any order; further columns are not read.
 
     Raises
@@ -34,13 +35,13 @@ def read_opk_csv(path: Path) -> list[Pose]:
         if pose.name in poses:
             raise PosesError(f"{row.where}: image {pose.name} has a second pose; keep one of the two lines")
         poses[pose.name] = pose
-    return list(poses.values())
+    return PoseFile(tuple(poses.values()), PoseFrame.GRID)
 
 
 def _pose(row: Row) -> Pose:
     e, n, h, *degrees = (row.number(name) for name in COLUMNS[1:])
     grid_from_cam = grid_from_opk(*(math.radians(angle) for angle in degrees)) @ CAM_FROM_OPK_CAM
-    return Pose(row.text("image"), np.array([e, n, h]), grid_from_cam.T, in_crs=True, lens=None)
+    return Pose(row.text("image"), np.array([e, n, h]), grid_from_cam.T)
 
 
 FORMAT = Format(

@@ -25,7 +25,7 @@ LAYERS = (
     {"refract", "geo", "evaluation/images", "fields"},
     {"evaluation", "fields/sweep", "fields/volume", "survey"},
     {"fields/colour", "fields/slab", "fields/solver", "survey/files", "survey/display"},
-    {"survey/photos", "survey/compare"},
+    {"survey/photos", "survey/compare", "survey/mesh"},
     {"survey/control", "survey/photos/formats", "survey/simulate/flight"},
     {"survey/sfm"},
     {"survey/folder", "survey/simulate"},
@@ -60,7 +60,19 @@ DISK_FILES = {
     f"{folder}/{name}.py"
     for folder, names in {
         "fields": ("device",),
-        "geo": ("e57", "files", "gltf", "las", "las_header", "obj", "ply", "ply_reading", "raster", "raster_writing"),
+        "geo": (
+            "e57",
+            "files",
+            "gltf",
+            "las",
+            "las_header",
+            "obj",
+            "obj_writing",
+            "ply",
+            "ply_reading",
+            "raster",
+            "raster_writing",
+        ),
         "survey": ("code_hash", "machine", "progress", "stage_key"),
         "survey/adjust": ("adjustment", "waterline", "written"),
         "survey/benchmark": ("benchmark", "cases", "corrected", "records", "running"),
@@ -75,6 +87,7 @@ DISK_FILES = {
         "survey/plan": ("workload",),
         "survey/report": ("__init__", "page"),
         "survey/run": (
+            "flight",
             "folder",
             "process",
             "products",

@@ -26,6 +26,18 @@ def run(
         typer.Option(metavar="CRS", help="Of the products, e.g. EPSG:32632; heights stay, or are given with it."),
     ] = None,
     fill: Annotated[float, typer.Option(metavar="M", help="Fill gaps up to this width [m]; default: none.")] = 0.0,
+    mesh_method: Annotated[
+        str,
+        typer.Option(metavar="METHOD", help="delaunay: one height at each place; poisson: overhangs too (extra mesh)."),
+    ] = "delaunay",
+    watertight: Annotated[bool, typer.Option("--watertight", help="Close the mesh with walls and a bottom.")] = False,
+    interval: Annotated[
+        float | None, typer.Option(metavar="M", help="Between contours [m]; default: some ten of them.")
+    ] = None,
+    no_bed: Annotated[
+        bool,
+        typer.Option("--no-bed", help="Into LAS, LAZ and COPC also what saw no bed: classes 45, and 41 over it."),
+    ] = False,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
     **files: Path | None,
@@ -37,7 +49,16 @@ def run(
     with command(verbose, quiet, run) as results:
         from survey.export.export import export
 
-        for path in export(run, options=ExportOptions(crs=crs, resolution_m=resolution, fill_m=fill), **files):
+        options = ExportOptions(
+            crs=crs,
+            resolution_m=resolution,
+            fill_m=fill,
+            mesh_method=mesh_method,
+            watertight=watertight,
+            interval_m=interval,
+            no_bed=no_bed,
+        )
+        for path in export(run, options=options, **files):
             results.line(path)
 
 

@@ -98,7 +98,7 @@ def _require_effect(products: list[Product], options: ExportOptions) -> None:
         if getattr(options, field.name) == field.default or any(field.name in p.takes for p in products):
             continue
         takers = ", ".join(_name(product) for product in PRODUCTS if field.name in product.takes)
-        option = "--" + field.name.removesuffix("_m")
+        option = "--" + field.name.removesuffix("_m").replace("_", "-")
         raise SurveyError(f"{option} has no effect on what is exported here; leave it out, or export one of {takers}")
 
 

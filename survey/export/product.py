@@ -27,11 +27,23 @@ class ExportOptions:
         Side of a cell; None leaves it to the product.
     fill_m : [m]
         Gaps up to this width are filled.
+    mesh_method : "delaunay" or "poisson"
+        See `survey.mesh.surface`.
+    watertight : bool
+        Close the mesh with walls and a bottom.
+    interval_m : [m] or None
+        Between contours; None leaves it to the product.
+    no_bed : bool
+        Add points where no bed was found, and of the water over them.
     """
 
     crs: str | None = None
     resolution_m: float | None = None
     fill_m: float = 0.0
+    mesh_method: str = "delaunay"
+    watertight: bool = False
+    interval_m: float | None = None
+    no_bed: bool = False
 
 
 @dataclass(frozen=True)

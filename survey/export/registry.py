@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from survey.export.clouds import CLOUDS
+from survey.export.meshes import MESHES
 from survey.export.product import Product
 from survey.export.terrain import TERRAIN
 
-PRODUCTS: tuple[Product, ...] = (*CLOUDS, *TERRAIN)
+PRODUCTS: tuple[Product, ...] = (*CLOUDS, *TERRAIN, *MESHES)

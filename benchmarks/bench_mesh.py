@@ -62,7 +62,9 @@ def main() -> None:
     stored = load_bed(RunDir(options.run).load_stage("bed"))
     bed = stored.bed
     sys.stdout.write(
-        "| | triangles | mean | RMS | median | 95 % [mm] | complete at 5 cm | at 2 cm [%] | s |\n|---|" + "---|" * 8 + "\n"
+        "| | triangles | mean | RMS | median | 95 % [mm] | complete at 5 cm | at 2 cm [%] | s |\n|---|"
+        + "---|" * 8
+        + "\n"
     )
     sys.stdout.write(truth.line("cloud", bed.xyz, bed.xyz, 0, 0.0))
     for method in options.methods:

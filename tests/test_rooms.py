@@ -79,7 +79,7 @@ DISK_FILES = {
         "survey/commands": ("console", "streams"),
         "survey/compare": ("canvas", "comparison"),
         "survey/control": ("metashape_xml", "reading"),
-        "survey/export": ("clouds", "gridded", "product", "written"),
+        "survey/export": ("cameras", "clouds", "export", "gridded", "product", "written"),
         "survey/files": ("csv_table", "json_values", "lock", "outputs", "toml_table", "xml_tree"),
         "survey/folder": ("found", "infer", "inputs", "pairing"),
         "survey/photos": ("images", "opening", "priors"),

@@ -64,7 +64,7 @@ def run(
 
 def _parameter(product: Product) -> inspect.Parameter:
     """The option of a product as Typer reads it."""
-    option = typer.Option(f"--{product.option}", metavar="FILE", help=product.help)
+    option = typer.Option(f"--{product.option}", metavar="DIR" if product.is_folder else "FILE", help=product.help)
     kind = inspect.Parameter.KEYWORD_ONLY
     return inspect.Parameter(product.option, kind, default=None, annotation=Annotated[Path | None, option])
 

@@ -69,6 +69,8 @@ class Product:
     write : callable
         Writes the file, whole or not at all. What it needs of slow modules it imports itself: the command line reads
         the registry.
+    is_folder : bool
+        Whether it is a folder of files, which is made where it is not there, and always written anew.
     """
 
     option: str
@@ -79,6 +81,7 @@ class Product:
     takes: tuple[str, ...]
     is_ours: Callable[[Path], bool]
     write: Callable[[Path, LoadedRun, ExportOptions], None]
+    is_folder: bool = False
 
 
 def begins_with(start: bytes, *marks: bytes) -> Callable[[Path], bool]:

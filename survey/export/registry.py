@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from survey.export.cameras import CAMERAS
 from survey.export.clouds import CLOUDS
 from survey.export.meshes import MESHES
 from survey.export.product import Product
 from survey.export.terrain import TERRAIN
 
-PRODUCTS: tuple[Product, ...] = (*CLOUDS, *TERRAIN, *MESHES)
+PRODUCTS: tuple[Product, ...] = (*CLOUDS, *TERRAIN, *MESHES, *CAMERAS)

@@ -19,7 +19,7 @@ from survey.names import RUN_FOLDER
 from survey.plan.bounds import require_seen
 from survey.plan.check_inputs import control_rows, mark_rows, water_stds
 from survey.plan.plan import Decision, Plan, device_decision, make_plan
-from survey.plan.workload import Workload, require_room, workload_of, workload_of_images
+from survey.plan.workload import Workload, room_doubts, workload_of, workload_of_images
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def check_survey(
             raise
         # Where tie points prove the poses, what they say is worth printing, though nothing can be made of them.
         workload = f"process refuses this survey: {error}"
-    room = require_room(workload, folder / RUN_FOLDER) if isinstance(workload, Workload) else [workload]
+    room = room_doubts(workload, folder / RUN_FOLDER) if isinstance(workload, Workload) else [workload]
     return _sections(rows, plan.decisions, workload, survey.assumptions, (*checked.warnings, *room))
 
 
@@ -179,6 +179,8 @@ def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]
     water = found.config.water
     if water is None:
         rows.append(("water", "none: a dry survey"))
+    elif water.level_m is None and water.clicks is not None:
+        rows.append(("water", f"its level by the clicks in {water.clicks}, once the poses are known"))
     elif water.level_m is None:
         rows.append(("water", "of unknown level: the adjustment finds it, where the photographs tell it"))
     else:
@@ -202,7 +204,7 @@ def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]
     decisions = (sfm, device_decision(device), rest)
     sizes = [head.size_px for head in found.heads.values()]
     workload = workload_of_images(sizes, quality=quality, device=decisions[1].choice)
-    warnings = (*checked.warnings, *require_room(workload, found.folder / RUN_FOLDER))
+    warnings = (*checked.warnings, *room_doubts(workload, found.folder / RUN_FOLDER))
     return _sections(rows, decisions, workload, found.assumptions, warnings)
 
 

@@ -45,6 +45,7 @@ def write_cloud(
     num_views: np.ndarray,
     incidence_deg: np.ndarray,
     is_wet: np.ndarray,
+    classification: np.ndarray | None = None,
 ) -> None:
     """Write a cloud as LAS 1.4, point format 7, whole or not at all; compressed if the suffix is .laz.
 
@@ -69,6 +70,8 @@ def write_cloud(
         Angle between ray and surface normal in air; NaN as above.
     is_wet : (N,) bool
         Class 40 (bathymetric) where true, else 2 (ground).
+    classification : (N,) uint8, optional
+        Other classes than those of ``is_wet``, e.g. with 45 (no bottom found) among them.
 
     Raises
     ------
@@ -84,7 +87,8 @@ def write_cloud(
     if not len(points) and path.name.lower().endswith(copc.SUFFIX):
         raise EmptyCloud(f"cannot write {path}: COPC needs one point at least; write LAZ.")
     extra = {"depth": depth_m, "std": std_m, "num_views": num_views, "incidence": incidence_deg}
-    _require_sound(points, {"rgb": rgb, "is_wet": is_wet} | extra)
+    classes = classes_of(is_wet) if classification is None else classification
+    _require_sound(points, {"rgb": rgb, "is_wet": classes} | extra)
 
     header = _header(points, crs, path)
     stored = add_extra_bytes(header, extra)
@@ -94,12 +98,17 @@ def write_cloud(
     las.return_number[:] = 1
     las.number_of_returns[:] = 1
     las.synthetic[:] = 1
-    las.classification[:] = np.where(np.asarray(is_wet, dtype=bool), CLASS_BATHYMETRIC, CLASS_GROUND)
+    las.classification[:] = classes
     # 257 maps 0..255 onto the whole of 0..65535.
     las.red, las.green, las.blue = np.asarray(rgb, dtype=np.uint16).T * np.uint16(257)
     for name, values in stored.items():
         las[name] = values
     _write(las, path)
+
+
+def classes_of(is_wet: np.ndarray) -> np.ndarray:
+    """Class (N,) uint8 of points of the bed: bathymetric where wet, else ground."""
+    return np.where(np.asarray(is_wet, dtype=bool), CLASS_BATHYMETRIC, CLASS_GROUND).astype(np.uint8)
 
 
 def _write(las: laspy.LasData, path: Path) -> None:

@@ -73,6 +73,7 @@ DISK_FILES = {
             "ply_reading",
             "raster",
             "raster_writing",
+            "vectors",
         ),
         "survey": ("code_hash", "machine", "progress", "stage_key"),
         "survey/adjust": ("adjustment", "waterline", "written"),

@@ -7,5 +7,6 @@ from survey.export.clouds import CLOUDS
 from survey.export.meshes import MESHES
 from survey.export.product import Product
 from survey.export.terrain import TERRAIN
+from survey.export.vectors import VECTORS
 
-PRODUCTS: tuple[Product, ...] = (*CLOUDS, *TERRAIN, *MESHES, *CAMERAS)
+PRODUCTS: tuple[Product, ...] = (*CLOUDS, *TERRAIN, *MESHES, *VECTORS, *CAMERAS)

@@ -99,7 +99,7 @@ def sampler(sigma: float, order: int) -> Iterator[None]:
         return stack
 
     def warped(stack, *rest):
-        with patch.object(warping_drjit, "sample", _cubic):
+        with patch.object(warping_drjit, "look_up", _cubic):
             return warp(raw[id(stack)], *rest)
 
     class Images(ViewStack):
@@ -113,7 +113,7 @@ def sampler(sigma: float, order: int) -> Iterator[None]:
 
 
 def _cubic(stack: ViewStack, view, u, v, inside):
-    """`fields.sweep.warping_drjit.sample` of the coefficients of a cubic spline."""
+    """`fields.sweep.warping_drjit.look_up` of the coefficients of a cubic spline."""
     import drjit as dr
 
     Float, UInt, Int = (getattr(stack.device.module, name) for name in ("Float", "UInt", "Int"))

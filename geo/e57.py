@@ -11,7 +11,7 @@ from pyproj import CRS
 
 from geo.crs import wkt1
 from geo.errors import EmptyCloud, UnreadableFile, UnwritableFile
-from geo.files import existing_file, written_whole
+from geo.files import existing_file, write_whole_at
 from geo.optional import library_for
 from geo.shapes import Cloud
 
@@ -73,7 +73,7 @@ def write_e57(path: str | Path, points_crs: np.ndarray, crs: CRS, *, rgb: np.nda
     columns = (points - origin).astype(np.float32).T
     data = {f"cartesian{axis}": column for axis, column in zip("XYZ", columns, strict=True)}
     data |= {f"color{name}": column for name, column in zip(("Red", "Green", "Blue"), rgb.T, strict=True)}
-    with written_whole(path) as part:
+    with write_whole_at(path) as part:
         try:
             file = _with_crs(pye57, wkt1(crs))(str(part), mode="w")
             file.write_scan_raw(data, name=_NAME, translation=origin)

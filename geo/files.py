@@ -87,8 +87,7 @@ def write_whole(path: str | Path) -> Iterator[BinaryIO]:
 
     Written under a temporary name in the same folder and renamed at the end; after any error the temporary file is
     gone and an older file of that name is untouched. A symbolic link is followed, as by `cp`; into a device or a pipe,
-    e.g. /dev/stdout, the bytes go at once, and cannot be
-    read back.
+    e.g. /dev/stdout, the bytes go at once, and cannot be read back.
 
     Raises
     ------
@@ -101,7 +100,7 @@ def write_whole(path: str | Path) -> Iterator[BinaryIO]:
             with path.open("wb") as stream:
                 yield stream
             return
-        with written_whole(path) as part, part.open("w+b") as stream:
+        with write_whole_at(path) as part, part.open("w+b") as stream:
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
@@ -110,25 +109,25 @@ def write_whole(path: str | Path) -> Iterator[BinaryIO]:
 
 
 @contextmanager
-def written_whole(path: str | Path) -> Iterator[Path]:
-    """The name of a file to write, in the folder of ``path``, that becomes ``path`` when the block ends well.
-
-    For libraries that write files by name; otherwise as `write_whole`.
+def write_whole_at(path: str | Path) -> Iterator[Path]:
+    """As `write_whole`, for libraries that want a path: that of the temporary file, which does not exist yet.
 
     Raises
     ------
     UnwritableFile
-        If the system refuses.
+        As `write_whole`.
     """
+    path = Path(path)
     target = Path(os.path.realpath(path))
     part = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        yield part
-        part.replace(target)
+        try:
+            yield part
+            part.replace(target)
+        finally:
+            part.unlink(missing_ok=True)
     except OSError as error:
         raise _unwritable(error, path) from error
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def existing_file(path: str | Path) -> Path:

@@ -14,11 +14,12 @@ import numpy as np
 import rasterio
 import rasterio.shutil
 from pyproj import CRS
+from rasterio.enums import ColorInterp
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from geo.errors import UnwritableFile
-from geo.files import refusal, written_whole
+from geo.files import refusal, write_whole_at
 
 # In the tag "Software" of every raster, by which bathynerf knows its own again.
 SOFTWARE = f"bathynerf {version('bathynerf')}"
@@ -93,15 +94,26 @@ def write_cog(path: str | Path, form: RasterForm, parts: Iterable[Part]) -> None
     UnwritableFile
         If the system or GDAL refuses.
     """
-    options = {
-        "driver": "COG",
-        "blocksize": _BLOCK,
-        "compress": "DEFLATE",
-        "predictor": "YES",
-        "overview_resampling": form.resampling,
-        "bigtiff": "IF_SAFER",
-    }
-    _write(Path(path), form, parts, options)
+    with write_whole_at(path) as part, _working_folder(part, Path(path)) as work:
+        # GDAL copies a plain GeoTIFF into this form.
+        plain, copy = work / "plain.tif", work / "copy.tif"
+        profile = {"tiled": True, "blockxsize": _BLOCK, "blockysize": _BLOCK, "sparse_ok": True, "bigtiff": "IF_SAFER"}
+        if form.is_colour:
+            profile |= {"photometric": "RGB", "interleave": "pixel"}
+        else:
+            profile |= {"photometric": "MINISBLACK", "interleave": "band"}
+        _write(plain, form, parts, driver="GTiff", **profile)
+        rasterio.shutil.copy(
+            plain,
+            copy,
+            driver="COG",
+            blocksize=_BLOCK,
+            compress="DEFLATE",
+            predictor="YES",
+            overview_resampling=form.resampling,
+            bigtiff="IF_SAFER",
+        )
+        copy.replace(part)
 
 
 def write_bag(path: str | Path, form: RasterForm, parts: Iterable[Part], said: dict[str, str]) -> None:
@@ -121,49 +133,45 @@ def write_bag(path: str | Path, form: RasterForm, parts: Iterable[Part], said: d
     UnwritableFile
         If the system or GDAL refuses.
     """
-    options = {"driver": "BAG", **{f"VAR_{name}": value for name, value in said.items()}}
-    _write(Path(path), form, parts, options)
-
-
-def _write(path: Path, form: RasterForm, parts: Iterable[Part], options: dict) -> None:
-    """Write a plain GeoTIFF beside the target, and have GDAL copy it into its form."""
-    with written_whole(path) as part, TemporaryDirectory(prefix=".", suffix=".part", dir=part.parent) as work:
-        # GDAL chooses some formats by the suffix.
-        plain, copy = Path(work) / "plain.tif", Path(work) / f"copy{path.suffix}"
-        with _refusals(path):
-            _write_plain(plain, form, parts)
-            rasterio.shutil.copy(plain, copy, **options)
+    with write_whole_at(path) as part, _working_folder(part, Path(path)) as work:
+        # GDAL knows the format by the suffix.
+        copy = work / "copy.bag"
+        _write(copy, form, parts, driver="BAG", **{f"VAR_{name}": value for name, value in said.items()})
         copy.replace(part)
 
 
-def _write_plain(path: Path, form: RasterForm, parts: Iterable[Part]) -> None:
+def _write(path: Path, form: RasterForm, parts: Iterable[Part], **profile) -> None:
     rows, columns = form.shape
-    profile = {
-        "driver": "GTiff",
-        "width": columns,
-        "height": rows,
-        "count": len(form.bands),
-        "dtype": form.dtype,
-        "crs": rasterio.crs.CRS.from_wkt(form.crs.to_wkt()),
-        "transform": rasterio.Affine(*form.transform),
-        "nodata": form.nodata,
-        "tiled": True,
-        "blockxsize": _BLOCK,
-        "blockysize": _BLOCK,
-        "sparse_ok": True,
-        "bigtiff": "IF_SAFER",
-        "interleave": "pixel" if form.is_colour else "band",
-    }
-    if form.is_colour:
-        profile |= {"photometric": "RGB", "alpha": "unspecified" if len(form.bands) == 4 else "no"}
-    with rasterio.open(path, "w", **profile) as raster:
-        raster.update_tags(TIFFTAG_SOFTWARE=SOFTWARE, AREA_OR_POINT="Area", **form.tags)
-        for number, band in enumerate(form.bands, start=1):
-            raster.set_band_description(number, band.name)
-            if band.unit:
-                raster.set_band_unit(number, band.unit)
+    raster = rasterio.open(
+        path,
+        "w",
+        width=columns,
+        height=rows,
+        count=len(form.bands),
+        dtype=form.dtype,
+        crs=rasterio.crs.CRS.from_wkt(form.crs.to_wkt()),
+        transform=rasterio.Affine(*form.transform),
+        nodata=form.nodata,
+        **profile,
+    )
+    with raster:
+        if profile["driver"] == "GTiff":
+            raster.update_tags(TIFFTAG_SOFTWARE=SOFTWARE, AREA_OR_POINT="Area", **form.tags)
+            if form.is_colour:
+                raster.colorinterp = [getattr(ColorInterp, name) for name in ("red", "green", "blue", "alpha")]
+            for number, band in enumerate(form.bands, start=1):
+                raster.set_band_description(number, band.name)
+                if band.unit:
+                    raster.set_band_unit(number, band.unit)
         for row, column, values in parts:
             raster.write(values, window=Window(column, row, values.shape[2], values.shape[1]))
+
+
+@contextmanager
+def _working_folder(part: Path, path: Path) -> Iterator[Path]:
+    """A folder beside a file that is being written; errors of GDAL in the block become UnwritableFile."""
+    with TemporaryDirectory(prefix=".", suffix=".part", dir=part.parent) as work, _refusals(path):
+        yield Path(work)
 
 
 @contextmanager

@@ -24,17 +24,19 @@ def plane_stored(folder: Path) -> StoredBed:
     return StoredBed(bed, survey.frame.crs_from_local(bed.xyz), survey.frame.crs, "Flußbett & Ufer", GSD_M)
 
 
-def run_of(stored: StoredBed, path: Path) -> Path:
-    """A run whose result is a cloud."""
+def run_of(stored: StoredBed, path: Path, **parts: str) -> Path:
+    """A run whose result is a cloud; ``parts`` are those of the key of its stage."""
     with RunDir(path) as run:
         folder = run.open_stage("bed")
         save_bed(folder, stored)
-        folder = run.finish_stage("bed", Key({}), folder)
+        folder = run.finish_stage("bed", Key(parts), folder)
         run.publish(run.open_result("standard"), quality="standard", stages={"bed": folder})
     return run.path
 
 
-def stored_points(points_crs: np.ndarray, crs, *, std_m=0.01, level_m: float | None = None) -> StoredBed:
+def stored_points(
+    points_crs: np.ndarray, crs, *, std_m=0.01, level_m: float | None = None, gsd_m: float = GSD_M, name: str = "drawn"
+) -> StoredBed:
     """Points (N, 3) in crs as a run would store them, under level water or dry."""
     n = len(points_crs)
     depth = np.full(n, np.nan) if level_m is None else level_m - points_crs[:, 2]
@@ -47,4 +49,4 @@ def stored_points(points_crs: np.ndarray, crs, *, std_m=0.01, level_m: float | N
         incidence=np.full(n, 0.2, dtype=np.float32),
         wet=depth > 0.0,
     )
-    return StoredBed(bed, points_crs, crs, "drawn", GSD_M)
+    return StoredBed(bed, points_crs, crs, name, gsd_m)

@@ -572,3 +572,8 @@ def test_ctrl_c_during_an_import_is_one_sentence(tmp_path, module):
     )
     result = console("check", folder, code=stop, stdout=subprocess.PIPE)
     assert (result.returncode, result.stdout, result.stderr) == (STOPPED, "", "error: stopped\n")
+
+
+def test_a_run_without_a_field_imports_no_torch():
+    code = "import sys, survey.run.process, survey.run.pipeline; print('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import subprocess
 import zlib
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 import rasterio
 import tifffile
+from gdal_programs import gdalinfo, needs_gdal
 from pyproj import CRS
 from rio_cogeo.cogeo import cog_validate
 from stored_run import plane_stored, run_of, stored_points
@@ -26,7 +26,6 @@ from survey.run.stored import StoredBed
 
 SIDE = 0.5
 AT_SIDE = ExportOptions(resolution_m=SIDE)
-needs_gdal = pytest.mark.skipif(shutil.which("gdalinfo") is None, reason="GDAL's programs are not installed")
 
 
 @pytest.fixture(scope="module")
@@ -43,11 +42,6 @@ def run_folder(stored, tmp_path_factory) -> Path:
 def dem(run_folder, tmp_path_factory) -> Path:
     (path,) = export(run_folder, options=AT_SIDE, dem=tmp_path_factory.mktemp("dem") / "dem.tif")
     return path
-
-
-def gdalinfo(path: Path) -> dict:
-    text = subprocess.run(["gdalinfo", "-json", path], capture_output=True, check=True, text=True).stdout
-    return json.loads(text)
 
 
 def by_hand(page: tifffile.TiffPage) -> np.ndarray:

@@ -54,8 +54,8 @@ def test_without_survey_toml_poses_have_to_fit_the_positions(tmp_path, poses):
     if poses == "sparse":
         (folder / "cameras.csv").unlink()
         (folder / "sparse").mkdir()
-        (folder / "sparse" / "cameras.txt").write_text("")
-        (folder / "sparse" / "images.txt").write_text("")
+        (folder / "sparse" / "cameras.txt").write_text("1 PINHOLE 64 48 100 100 32 24\n")
+        (folder / "sparse" / "images.txt").write_text("1 0 1 0 0 0 0 20 1 0000.jpg\n\n")
         words = "the poses in .*sparse are not georeferenced; write survey.toml"
     else:
         write_poses(folder, [line.replace(",589", ",489") for line in camera_lines()])

@@ -173,7 +173,7 @@ def test_report_json_keeps_its_names(report):
     assert {name: list(found[name]) for name in ("verdict", "survey", "water", "plan", "cloud", "baselines")} == {
         "verdict": ["passed", "gates"],
         "survey": [
-            "name", "crs", "bounds", "views_used", "views_left_out", "image_size_px", "focal_px", "poses",
+            "name", "crs", "bounds", "views_used", "views_left_out", "image_size_px", "focal_px", "poses", "shutter",
             "local_frame_origin",
         ],
         "water": [

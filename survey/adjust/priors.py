@@ -123,7 +123,7 @@ def priors_for(known: Known, ties: TiePoints, point_std: np.ndarray | None = Non
 def _flow(survey: Survey) -> np.ndarray | None:
     """See `Layout.flow`; zero for views whose velocity is not known."""
     cameras = survey.config.cameras
-    if not cameras.rolling_shutter_s and cameras.rolling_shutter_std_s is None:
+    if not cameras.rolls:
         return None
     flow = np.zeros((len(survey.views), 3))
     for number, view in enumerate(survey.views):

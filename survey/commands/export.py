@@ -38,6 +38,9 @@ def run(
         bool,
         typer.Option("--no-bed", help="Into LAS, LAZ and COPC also what saw no bed: classes 45, and 41 over it."),
     ] = False,
+    survey: Annotated[
+        str | None, typer.Option(metavar="DIR", help="Survey folder; default: the one that the run lies in.")
+    ] = None,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
     **files: Path | None,
@@ -57,6 +60,7 @@ def run(
             watertight=watertight,
             interval_m=interval,
             no_bed=no_bed,
+            survey=survey,
         )
         for path in export(run, options=options, **files):
             results.line(path)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from geo.reproject import Reprojection
+    from survey.folder.config import SurveyConfig
     from survey.run.flight import Flight
     from survey.run.stored import BedPlace, StoredBed
 
@@ -118,6 +119,38 @@ class LoadedRun:
         if key not in self._made:
             self._made[key] = make()
         return self._made[key]
+
+    @cached_property
+    def config(self) -> SurveyConfig:
+        """The settings that took effect."""
+        from survey.folder.config import read_config
+
+        return read_config(self.folder.settings_path)
+
+    @cached_property
+    def is_true_colour(self) -> bool:
+        """Whether points have the colour of the bed without its water."""
+        from survey.stage_key import stage_key
+
+        parts = read_json_object(self._bed_folder / "stage.json").get("parts") or {}
+        return parts.get("true_colour", stage_key(None)) != stage_key(None)
+
+    @cached_property
+    def plan_std_m(self) -> float:
+        """Standard deviation along each axis in plan of where the cameras are [m].
+
+        That of an adjustment, else what survey.toml says of the positions, else 0: they were taken as exact.
+        """
+        if (self.folder.path / "adjustment.json").is_file():
+            from survey.adjust.adjustment import read_adjustment
+
+            return float(read_adjustment(self.folder.path).position_std[:, :2].max(axis=1).mean())
+        given = self.config.cameras.position_std_m
+        if given is None:
+            return 0.0
+        from survey.folder.config_std import per_axis
+
+        return float(max(per_axis(given)[:2]))
 
     @cached_property
     def common_std_m(self) -> float:

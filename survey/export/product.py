@@ -35,6 +35,8 @@ class ExportOptions:
         Between contours; None leaves it to the product.
     no_bed : bool
         Add points where no bed was found, and of the water over them.
+    survey : str or None
+        Folder of the survey; None for the one that the run lies in.
     """
 
     crs: str | None = None
@@ -44,6 +46,7 @@ class ExportOptions:
     watertight: bool = False
     interval_m: float | None = None
     no_bed: bool = False
+    survey: str | None = None
 
 
 @dataclass(frozen=True)

@@ -91,9 +91,7 @@ def find_survey(folder: Path) -> Found:
         config.water.require_level()
     warnings = head_doubts(heads)
     if poses_path is None:
-        warnings += [
-            f"{name} is not read; export a COLMAP model or cameras.csv instead" for name in find_unread(folder)
-        ]
+        warnings += find_unread(folder)
     if config.cameras.rotation_std_deg is not None and poses_path is None:
         warnings.append(
             "[cameras] rotation_std_deg is not used: it is that of poses from a file, and structure from motion finds "

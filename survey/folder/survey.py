@@ -14,8 +14,8 @@ from refract import FlatWater
 from survey.control.points import Checkpoint, Control
 from survey.errors import FILE_NAME, SurveyError
 from survey.folder import place
-from survey.folder.block_control import checked_control
 from survey.folder.camera_faults import require_apart, require_focal_lengths
+from survey.folder.checked_control import checked_control, moved
 from survey.folder.config import SurveyConfig, WaterConfig
 from survey.folder.control import place_control
 from survey.folder.datum_mixups import exif_doubts, low_flight_doubts, place_of
@@ -165,14 +165,17 @@ def load_survey(
     views = with_masks(found, views, None if file is None else file.masks, assumptions, warnings)
     priors: Mapping[str, PosePrior]
     priors = priors_of_gps(found, frame, views) if file is None else file.priors
-    places = {view.name: view.camera.centre for view in views}
-    velocities = velocities_of(places, found.heads, found.config.cameras.speed_m_s)
-    views = with_motion(views, velocities, found.config.cameras, warnings)
     for view in views:
         require_image(view, found.heads[view.name])
     control, checkpoints = place_control(found.control, frame, [view.name for view in views], warnings)
     if file is None and control is not None:
-        control, priors = checked_control(found, frame, views, control, priors, warnings)
+        checked = checked_control(found, frame, views, control, priors, warnings)
+        control, priors = checked.control, checked.priors
+        if checked.move is not None:
+            views, points, ties = moved(views, ties, checked.move)
+    places = {view.name: view.camera.centre for view in views}
+    velocities = velocities_of(places, found.heads, found.config.cameras.speed_m_s)
+    views = with_motion(views, velocities, found.config.cameras, warnings)
     config, is_level_known, levels = found.config, True, found.levels
     if file is None:
         config, clicked = with_level_of_clicks(found.folder, config, views, frame, assumptions, warnings)

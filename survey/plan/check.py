@@ -12,7 +12,7 @@ from geo.crs import height_unit_m
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors
-from survey.folder.shutter import metres_per_px, shutter_rows
+from survey.folder.shutter import shutter_text
 from survey.folder.survey import Found, Survey, find_survey, load_survey
 from survey.folder.unposed import placing_control, require_solvable
 from survey.names import RUN_FOLDER
@@ -110,6 +110,7 @@ def _rows_of_survey(found: Found, survey: Survey, plan: Plan) -> list[tuple[str,
     centres = np.array([view.camera.centre for view in survey.views])
     heights = survey.frame.crs_from_local(centres)[:, 2]
     off_nadir = np.degrees([np.arccos(np.clip(-view.camera.cam_from_local[2, 2], -1.0, 1.0)) for view in survey.views])
+    shutter = shutter_text(survey.config.cameras, survey.velocities, survey.views, survey.water)
     lenses = Counter((v.lens.model, v.lens.width, v.lens.height, v.lens.focal[0]) for v in survey.views)
     rows = [
         ("survey", f"{survey.name} in {survey.folder}"),
@@ -129,9 +130,7 @@ def _rows_of_survey(found: Found, survey: Survey, plan: Plan) -> list[tuple[str,
         ("local frame", f"topocentric at {', '.join(f'{v:.10g}' for v in survey.frame.origin)}"),
         ("water", _water(survey)),
         ("accuracy", accuracy_of_priors(survey.priors)),
-        *shutter_rows(
-            survey.config.cameras, survey.velocities, len(survey.views), metres_per_px(survey.views, survey.water)
-        ),
+        *([] if shutter is None else [("shutter", shutter)]),
         *(() if survey.reprojection is None else (("tie points", str(survey.reprojection)),)),
         *control_rows(found.control),
         *mark_rows(survey),

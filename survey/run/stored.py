@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from fields.sweep.sweep import DepthMap
 
 BED_FILE, SURVEY_FILE = "bed.npz", "survey.json"
+# Of the stage of the field; `survey.run.stored_field` reads and writes them.
+FIELD_FILES = FIELD_FILE, FIGURES_FILE, PLACE_FILE = "field.pt", "field.json", "place.json"
 
 
 @dataclass(frozen=True)

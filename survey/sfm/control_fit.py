@@ -22,7 +22,8 @@ MIN_POINTS = 3
 _BENT_SHARE, _MOST_STD = 0.02, 3.0
 # Of more sets of three points, so many are drawn.
 _MOST_TRIPLES = 600
-# Points closer to one line than this share of its length, or so many standard deviations, leave the tilt open.
+# Points closer to one line than this share of its length, or so many standard deviations of their mean, leave the tilt
+# open.
 _LINE_SHARE, _LINE_STD = 0.05, 3.0
 
 
@@ -64,6 +65,7 @@ def fit_control(control: BlockControl, views: Mapping[str, Posed]) -> ControlFit
         which are wrong.
     """
     met = meet(control, views)
+    require_meeting(control, views, met)
     if len(met.points) < MIN_POINTS:
         raise ControlError(_too_few(control, views, met))
     theirs = np.array([point.local for point in met.points])
@@ -93,6 +95,18 @@ def fit_control(control: BlockControl, views: Mapping[str, Posed]) -> ControlFit
     return ControlFit(similarity, met, wrong)
 
 
+def require_meeting(control: BlockControl, views: Mapping[str, Posed], met: Met) -> None:
+    """Raise where the marks of more points contradict each other than not.
+
+    Raises
+    ------
+    ControlError
+        With what was found; says so where x and y are swapped.
+    """
+    if len(met.apart) > len(met.points):
+        raise ControlError(_too_few(control, views, met))
+
+
 def require_spread(places: np.ndarray, std: np.ndarray) -> None:
     """Raise where control points (K, 3) [m] lie on one line, as they leave the tilt of a block about it open.
 
@@ -102,7 +116,7 @@ def require_spread(places: np.ndarray, std: np.ndarray) -> None:
         With the extent along and across.
     """
     spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False) / np.sqrt(len(places))
-    least = max(_LINE_SHARE * spread[0], _LINE_STD * float(np.median(std[:, :2])))
+    least = max(_LINE_SHARE * spread[0], _LINE_STD * float(np.median(std[:, :2])) / np.sqrt(len(places)))
     if spread[1] < least:
         raise ControlError(
             f"the {len(places)} control points lie on one line (spread {spread[0]:.2f} m along and {spread[1]:.2f} m "
@@ -179,7 +193,7 @@ def _too_few(control: BlockControl, views: Mapping[str, Posed], met: Met) -> str
     if len(met.apart) > 1 and len(meet(turned_marks(control), views).points) >= MIN_POINTS:
         mend = "their rays meet with x and y of the marks swapped: swap the two columns"
     return (
-        f"{len(met.points)} of {len(control.points)} control points can place the photographs, expected at least "
+        f"{len(met.points)} of {len(control.points)} control points fit the photographs, expected at least "
         f"{MIN_POINTS} not on a line, each marked in two photographs or more ({'; '.join(told)}); {mend}"
     )
 

@@ -152,5 +152,6 @@ FORMAT = Format(
     find=lambda folder: [p for p in (folder, *(folder / name for name in _PLACES)) if is_model(p)],
     recognises=lambda path: _model_of(path) is not None,
     read=lambda path: read_model(_model_of(path) or path),
+    files=lambda path: [path.with_name(name) for name in _READERS],
     read_ties=lambda path: read_ties(_model_of(path) or path),
 )

@@ -278,5 +278,6 @@ FORMAT = Format(
     find=_files_in,
     recognises=is_opensfm,
     read=read_opensfm,
+    files=lambda path: [*map(path.with_name, (_TOPOCENTRIC, _PLAIN, _REFERENCE)), *filter(None, [_tracks_of(path)])],
     read_ties=read_ties,
 )

@@ -71,9 +71,8 @@ def read_file_poses(found: Found, path: Path, assumptions: list[str], warnings: 
     frame, views = place.views_in_local(found, file, poses)
     if file.tool is not None and found.config.water is not None:
         warnings.append(
-            f"{file.tool} adjusts with straight rays, and water bends them: its poses over water are off by a little; "
-            "they are refined where the photographs contradict them, and in any case where [cameras] position_std_m "
-            "says how well they are known"
+            f"{file.tool} adjusts with straight rays, and water bends them: its poses are off by what it saw through "
+            "water; the plan says whether they are refined, and [cameras] position_std_m refines them in any case"
         )
     if found.control is not None:
         centres = np.array([view.camera.centre for view in views])

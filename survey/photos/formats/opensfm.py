@@ -27,8 +27,7 @@ _REFERENCE, _TRACKS = "reference_lla.json", "tracks.csv"
 _EXPORT = "reconstruct it again with OpenSfM or OpenDroneMap"
 # Semi-axes of WGS 84 [m].
 _A, _B = 6378137.0, 6356752.314245179
-# OpenDroneMap's words in the name of a mask that lies beside its image.
-_MASK_WORDS = "*_mask.*"
+_MASKS = "masks"
 # The parameters of each projection besides focal lengths and principal point, in the order of our model.
 _BROWN = ("k1", "k2", "p1", "p2", "k3")
 _SUPPORTED = ("perspective", "simple_radial", "radial", "brown", "fisheye", "fisheye_opencv")
@@ -70,7 +69,7 @@ def read_opensfm(path: Path) -> PoseFile:
             "overlap, or each as a survey of its own"
         )
     frame = PoseFrame.LOCAL if block.reference is None else PoseFrame.GEOCENTRIC
-    return PoseFile(poses, frame, None, "OpenSfM", _masks(block.path), tuple(notes), tuple(warnings))
+    return PoseFile(poses, frame, None, "OpenSfM", _masks_beside(block.path), tuple(notes), tuple(warnings))
 
 
 def read_ties(path: Path) -> FileTies | None:
@@ -245,13 +244,10 @@ def _tracks_of(path: Path) -> Path | None:
     return next((place for name in (own, _TRACKS) if (place := path.with_name(name)).is_file()), None)
 
 
-def _masks(path: Path) -> Path | None:
-    """The folder of masks: that of OpenSfM, or where OpenDroneMap keeps the images if some of these are masks."""
-    beside, images = path.parent / "masks", path.parent.parent / "images"
-    if beside.is_dir():
-        return beside
-    is_project = path.parent.name == "opensfm" and images.is_dir()
-    return images if is_project and next(images.glob(_MASK_WORDS), None) is not None else None
+def _masks_beside(path: Path) -> Path | None:
+    """The folder of masks of OpenSfM; those of OpenDroneMap lie beside the images."""
+    folder = path.with_name(_MASKS)
+    return folder if folder.is_dir() else None
 
 
 def _files_in(folder: Path) -> list[Path]:

@@ -68,5 +68,5 @@ def test_a_photograph_without_texture_has_no_features(tmp_path):
 
 def test_what_is_no_image_is_refused(tmp_path):
     (tmp_path / "a.jpg").write_text("no image")
-    with pytest.raises(ImageError, match=r"a\.jpg cannot be read as an image"):
+    with pytest.raises(ImageError, match=r"a\.jpg"):
         features_of(tmp_path / "a.jpg", 100)

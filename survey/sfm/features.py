@@ -10,7 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from survey.errors import ImageError
+from survey.photos.images import eight_bits
+from survey.photos.pixels import read_rgb
 
 # Longest side [px] of a photograph for detection; larger ones are reduced.
 _SIZE_PX = 3200
@@ -41,11 +42,9 @@ def features_of(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
     Raises
     ------
     ImageError
-        If the photograph cannot be read.
+        If the photograph is damaged or cannot be read.
     """
-    pixels = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
-    if pixels is None:
-        raise ImageError(f"{path} cannot be read as an image; expected JPEG, PNG or TIFF; convert it or leave it out")
+    pixels = cv2.cvtColor(eight_bits(read_rgb(path)), cv2.COLOR_RGB2GRAY)
     shrunk = min(1.0, _SIZE_PX / max(pixels.shape))
     if shrunk < 1.0:
         pixels = cv2.resize(pixels, None, fx=shrunk, fy=shrunk, interpolation=cv2.INTER_AREA)

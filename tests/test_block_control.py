@@ -181,3 +181,21 @@ def test_good_control_beside_gps_is_all_used(drawn, tmp_path):
     survey = loaded(drawn, tmp_path)
     assert len(survey.control.points) == 5
     assert not [warning for warning in survey.warnings if "control" in warning]
+
+
+def test_control_on_one_line_places_nothing_and_is_used_beside_gps(drawn, blind, tmp_path):
+    """Along a bank all of it may lie so."""
+
+    def on_a_line(rows):
+        kept = only("gcp1", "gcp2")(rows)
+        # A third one halfway, with the marks of the first: only its coordinates are looked at before the marks are.
+        first, second = (
+            np.array([float(c) for c in next(r for r in kept[1:] if r[6] == n)[:3]]) for n in ("gcp1", "gcp2")
+        )
+        middle = [f"{c:.4f}" for c in 0.5 * (first + second)]
+        return [*kept, *([*middle, *row[3:6], "gcp9"] for row in kept[1:] if row[6] == "gcp1")]
+
+    with pytest.raises(SurveyError, match="3 control points lie on one line"):
+        loaded(blind, tmp_path, on_a_line)
+    shutil.rmtree(tmp_path / "survey")
+    assert {point.name for point in loaded(drawn, tmp_path, on_a_line).control.points} >= {"gcp1", "gcp2"}

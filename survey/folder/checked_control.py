@@ -17,7 +17,7 @@ from survey.folder.found import Found
 from survey.folder.pose_priors import PosePrior
 from survey.photos.cameras import View
 from survey.photos.tie_points import TiePoints
-from survey.sfm.control_fit import MIN_POINTS, fit_control, require_meeting
+from survey.sfm.control_fit import MIN_POINTS, agreed, coordinates, require_meeting, spread_of
 from survey.sfm.marked import Met, Posed, meet
 
 # Further across than this, GPS without corrections cannot put a block; its heights may have any datum.
@@ -67,7 +67,7 @@ def checked_control(
     posed = {view.name: Posed(view.lens, view.camera.centre, view.camera.cam_from_local) for view in views}
     met = meet(block, posed)
     require_meeting(block, posed, met)
-    fit = fit_control(block, posed) if len(met.points) >= MIN_POINTS else None
+    fit = agreed(met, posed) if _can_be_compared(met) else None
     wrong = {} if fit is None else fit.wrong
     warnings += _left_out(met, wrong)
     lost = {*met.apart, *wrong}
@@ -88,6 +88,14 @@ def checked_control(
         elif _are_few(priors):
             priors = _without_far(views, std, reach, priors, warnings)
     return CheckedControl(replace(control, points=points, marks=marks) if points else None, priors, move)
+
+
+def _can_be_compared(met: Met) -> bool:
+    """Whether control points tell a similarity by themselves: positions may do it where they lie on one line."""
+    if len(met.points) < MIN_POINTS:
+        return False
+    _, across, least = spread_of(*coordinates(met))
+    return across >= least
 
 
 def _left_out(met: Met, wrong: Mapping[str, float]) -> list[str]:

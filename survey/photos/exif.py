@@ -13,9 +13,8 @@ import numpy as np
 from PIL import ExifTags
 
 from geo.crs import utm_code
-from survey.errors import ImageError
 from survey.photos.exif_focal import FocalCandidate, focal_candidates, focal_px
-from survey.photos.opening import HEIC_SUFFIXES, open_image, without_complaints
+from survey.photos.opening import HEIC_SUFFIXES, damage_named, open_image, without_complaints
 from survey.photos.pixels import channel_bits, stored_size
 from survey.photos.png import exif_of_png
 from survey.photos.xmp import Motion, Rtk, height_datum, motion_of, number, rtk_of, stated_std, xmp_number
@@ -88,15 +87,16 @@ def read_exif(path: Path) -> Exif:
     ImageError
         Where the file is no image, or one that is too large for this machine.
     """
-    with open_image(path) as image, without_complaints():
-        try:
-            exif = exif_of_png(path) if image.format == "PNG" else image.getexif()
-            size, xmp = stored_size(image), image.info.get("xmp", b"")
-            bits = channel_bits(image)
-            has_pages = image.format == "TIFF" and getattr(image, "is_animated", False)
-            gps, details = exif.get_ifd(ExifTags.IFD.GPSInfo), exif.get_ifd(ExifTags.IFD.Exif)
-        except (SyntaxError, ValueError) as error:
-            raise ImageError(f"{path} has EXIF that cannot be read ({error}); copy it again or remove it") from error
+    with (
+        open_image(path) as image,
+        without_complaints(),
+        damage_named(f"{path} has EXIF that cannot be read"),
+    ):
+        exif = exif_of_png(path) if image.format == "PNG" else image.getexif()
+        size, xmp = stored_size(image), image.info.get("xmp", b"")
+        bits = channel_bits(image)
+        has_pages = image.format == "TIFF" and getattr(image, "is_animated", False)
+        gps, details = exif.get_ifd(ExifTags.IFD.GPSInfo), exif.get_ifd(ExifTags.IFD.Exif)
     xmp = _text_of_xmp(xmp)
     camera = " ".join(_words(exif.get(tag, "")) for tag in (ExifTags.Base.Make, ExifTags.Base.Model))
     orientation = exif.get(ExifTags.Base.Orientation, 1)

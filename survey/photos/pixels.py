@@ -16,7 +16,7 @@ from PIL import Image
 
 from geo.optional import library_for
 from survey.errors import ImageError
-from survey.photos.opening import HEIC_SUFFIXES, open_image
+from survey.photos.opening import HEIC_SUFFIXES, damage_named, open_image
 
 _WIDTH, _HEIGHT, _BITS, _ORIENTATION, _PLANES = 256, 257, 258, 274, 284
 _SEPARATE_PLANES = 2
@@ -93,21 +93,11 @@ def read_opaque(path: Path) -> np.ndarray | None:
 
 
 def _decoded(path: Path, decode: Callable[[Image.Image, int], np.ndarray]) -> np.ndarray:
-    try:
-        with open_image(path) as image:
-            bits = channel_bits(image)
-            if bits > 16:
-                raise ImageError(f"{path} has {bits} bits per channel, expected 8 or 16; convert it")
-            return decode(image, bits)
-    except ImageError:
-        raise
-    except (OSError, SyntaxError, ValueError, cv2.error) as error:
-        # Errors of the disk have an errno, those of decoders about damaged pixels have none.
-        if isinstance(error, OSError) and error.errno is not None:
-            raise
-        raise ImageError(
-            f"{path} is damaged or cut off ({error}); copy it again from the camera or remove it"
-        ) from error
+    with open_image(path) as image, damage_named(f"{path} is damaged or cut off"):
+        bits = channel_bits(image)
+        if bits > 16:
+            raise ImageError(f"{path} has {bits} bits per channel, expected 8 or 16; convert it")
+        return decode(image, bits)
 
 
 def _shallow(image: Image.Image, mode: str, of: Image.Image | None = None) -> np.ndarray:

@@ -68,9 +68,28 @@ def fit_control(control: BlockControl, views: Mapping[str, Posed]) -> ControlFit
     require_meeting(control, views, met)
     if len(met.points) < MIN_POINTS:
         raise ControlError(_too_few(control, views, met))
-    theirs = np.array([point.local for point in met.points])
-    std = np.array([point.std for point in met.points])
+    theirs, std = coordinates(met)
     require_spread(theirs, std)
+    fit = agreed(met, views)
+    good = np.array([point.name not in fit.wrong for point in met.points])
+    require_spread(theirs[good], std[good])
+    return fit
+
+
+def coordinates(met: Met) -> tuple[np.ndarray, np.ndarray]:
+    """Those of control points (K, 3) [m], local, and their standard deviations."""
+    return np.array([point.local for point in met.points]), np.array([point.std for point in met.points])
+
+
+def agreed(met: Met, views: Mapping[str, Posed]) -> ControlFit:
+    """The similarity that most of at least three points agree on.
+
+    Raises
+    ------
+    ControlError
+        If they contradict each other and nothing tells which are wrong.
+    """
+    theirs, std = coordinates(met)
     best = _agreements(met, theirs, std)
     if not best:
         raise ControlError(_contradiction(met, theirs, std))
@@ -91,7 +110,6 @@ def fit_control(control: BlockControl, views: Mapping[str, Posed]) -> ControlFit
         )
     off = np.linalg.norm(similarity(met.places) - theirs, axis=1)
     wrong = {met.points[i].name: float(off[i]) for i in np.flatnonzero(~good)}
-    require_spread(theirs[good], std[good])
     return ControlFit(similarity, met, wrong)
 
 
@@ -107,6 +125,13 @@ def require_meeting(control: BlockControl, views: Mapping[str, Posed], met: Met)
         raise ControlError(_too_few(control, views, met))
 
 
+def spread_of(places: np.ndarray, std: np.ndarray) -> tuple[float, float, float]:
+    """Extent of control points (K, 3) [m] along their line and across, and the least across that tells the tilt."""
+    along, across, _ = np.linalg.svd(places - places.mean(axis=0), compute_uv=False) / np.sqrt(len(places))
+    least = max(_LINE_SHARE * along, _LINE_STD * float(np.median(std[:, :2])) / np.sqrt(len(places)))
+    return float(along), float(across), float(least)
+
+
 def require_spread(places: np.ndarray, std: np.ndarray) -> None:
     """Raise where control points (K, 3) [m] lie on one line, as they leave the tilt of a block about it open.
 
@@ -115,11 +140,10 @@ def require_spread(places: np.ndarray, std: np.ndarray) -> None:
     ControlError
         With the extent along and across.
     """
-    spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False) / np.sqrt(len(places))
-    least = max(_LINE_SHARE * spread[0], _LINE_STD * float(np.median(std[:, :2])) / np.sqrt(len(places)))
-    if spread[1] < least:
+    along, across, least = spread_of(places, std)
+    if across < least:
         raise ControlError(
-            f"the {len(places)} control points lie on one line (spread {spread[0]:.2f} m along and {spread[1]:.2f} m "
+            f"the {len(places)} control points lie on one line (spread {along:.2f} m along and {across:.2f} m "
             f"across, expected {least:.2g} m at least), which leaves the tilt of the block about it open; add a point "
             "beside it"
         )
@@ -170,8 +194,10 @@ def _is_line(places: np.ndarray) -> bool:
 
 
 def _limits(met: Met, std: np.ndarray, scale: float) -> np.ndarray:
-    """By how much (K, 3) [m] a block may miss its points."""
-    return _MOST_STD * std + (_BENT_SHARE * scale * met.ranges + met.slack)[:, None]
+    """By how much (K, 3) [m] a block may miss its points: it is bent, the more the wider it is for its range."""
+    wide = np.mean(np.sum((met.places - met.places.mean(axis=0)) ** 2, axis=1))
+    bent = _BENT_SHARE * scale * (met.ranges + wide / met.ranges)
+    return _MOST_STD * std + (bent + met.slack)[:, None]
 
 
 def _is_below(similarity: Similarity, met: Met, good: np.ndarray, views: Mapping[str, Posed]) -> bool:

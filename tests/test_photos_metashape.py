@@ -7,7 +7,17 @@ from xml.sax.saxutils import escape
 import numpy as np
 import pytest
 from control_files import METASHAPE
-from foreign_block import CLOSE_PX, SIZE, draw_block, ecef_from_enu, in_ecef, in_utm, load, most_missed_px
+from foreign_block import (
+    CLOSE_PX,
+    SIZE,
+    draw_block,
+    ecef_from_enu,
+    in_ecef,
+    in_utm,
+    load,
+    lon_lat_height,
+    most_missed_px,
+)
 from pyproj import CRS
 from scipy.spatial.transform import Rotation
 
@@ -250,3 +260,31 @@ def test_several_chunks_are_refused(tmp_path, block):
 def test_markers_of_metashape_are_no_poses(tmp_path):
     (tmp_path / "markers.xml").write_text(METASHAPE)
     assert find_poses(tmp_path) == []
+
+
+class Geoid:
+    """A geoid 48.5 m over the ellipsoid everywhere."""
+
+    @staticmethod
+    def transform(lon, lat, height):
+        return lon, lat, height - 48.5
+
+
+@pytest.mark.parametrize("vertical", ["EPSG:25832+5773", "EPSG:25832+4937"])
+def test_a_geoid_that_the_program_added_is_taken_away_again(tmp_path, block, monkeypatch, vertical):
+    monkeypatch.setattr("survey.folder.posed.height_transformer", lambda crs, area: Geoid)
+    wkt = CRS(vertical).to_wkt("WKT1_GDAL") if "5773" in vertical else CRS("EPSG:4979").to_wkt()
+    # The reference of the cameras is in the chunk's CRS: over the geoid, or longitude, latitude over the ellipsoid.
+    places = in_utm(block.centres) - [0.0, 0.0, 48.5] if "5773" in vertical else lon_lat_height(block.centres)
+    tags = [f'<reference x="{x!r}" y="{y!r}" z="{z!r}" sxyz="0.1" enabled="1"/>' for x, y, z in places.tolist()]
+    survey = loaded(tmp_path, block, cameras_xml(block, wkt=wkt, references=tags), crs="EPSG:25832+5773")
+    heights = survey.frame.crs_from_local([view.camera.centre for view in survey.views])[:, 2]
+    assert heights == pytest.approx(in_utm(block.centres)[:, 2] - 48.5, abs=1e-3)
+    for view in survey.views:
+        assert survey.priors[view.name].position == pytest.approx(view.camera.centre, abs=2e-3)
+
+
+def test_a_chunk_over_another_vertical_datum_is_refused(tmp_path, block):
+    text = cameras_xml(block, wkt=CRS("EPSG:25832+5773").to_wkt("WKT1_GDAL"))
+    with pytest.raises(PosesError, match=r"are above EGM96 height, expected above .* as crs in survey\.toml says"):
+        loaded(tmp_path, block, text)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import tomli_w
+from without_gps import copy_without_gps
 
 from survey.adjust.refine import adjust_survey, apply_adjustment
 from survey.adjust.written import write_cameras
@@ -114,6 +115,18 @@ def _shore(folder: Path, *, controlled: bool) -> Row:
     if not controlled:
         del table["control"]
     linked(source, folder, table, *files)
+    return Row(folder, _shore_truth(source))
+
+
+def _shore_blind(folder: Path) -> Row:
+    """Shore without GPS: control alone says where it lies."""
+    source, table = DATA / "shore", settings_of(DATA / "shore")
+    del table["cameras"]["position_std_m"]
+    linked(source, folder, table, "gcp_list.txt", "checkpoints.csv")
+    (folder / "images").unlink()
+    (folder / "images").mkdir()
+    for path in sorted((source / "images").iterdir()):
+        copy_without_gps(path, folder / "images" / path.name)
     return Row(folder, _shore_truth(source))
 
 
@@ -255,6 +268,7 @@ ROWS: dict[str, Callable[[Path], Row]] = {
     "shore": lambda folder: _shore(folder, controlled=True),
     "shore_true": _shore_known,
     "shore_free": lambda folder: _shore(folder, controlled=False),
+    "shore_blind": _shore_blind,
     "river_gps": lambda folder: _gps_only("river", "standard", folder),
     "wreck_gps": lambda folder: _gps_only("wreck_water", "draft", folder),
     "river_straight": lambda folder: _straight("river", "draft", folder),

@@ -46,6 +46,7 @@ def write_cloud(
     incidence_deg: np.ndarray,
     is_wet: np.ndarray,
     std_common_m: np.ndarray | None = None,
+    classification: np.ndarray | None = None,
 ) -> None:
     """Write a cloud as LAS 1.4, point format 7, whole or not at all; compressed if the suffix is .laz.
 
@@ -73,6 +74,8 @@ def write_cloud(
     std_common_m : (N,) [m], optional
         Standard deviation of the height by what all points have in common, water, lens and poses, which ``std_m`` does
         not hold; "no data" where not given.
+    classification : (N,) uint8, optional
+        Other classes than those of ``is_wet``, e.g. with 45 (no bottom found) among them.
 
     Raises
     ------
@@ -91,7 +94,8 @@ def write_cloud(
     extra = {
         "depth": depth_m, "std": std_m, "std_common": common, "num_views": num_views, "incidence": incidence_deg,
     }  # fmt: skip
-    _require_sound(points, {"rgb": rgb, "is_wet": is_wet} | extra)
+    classes = classes_of(is_wet) if classification is None else classification
+    _require_sound(points, {"rgb": rgb, "is_wet": classes} | extra)
 
     header = _header(points, crs, path)
     stored = add_extra_bytes(header, extra)
@@ -101,12 +105,17 @@ def write_cloud(
     las.return_number[:] = 1
     las.number_of_returns[:] = 1
     las.synthetic[:] = 1
-    las.classification[:] = np.where(np.asarray(is_wet, dtype=bool), CLASS_BATHYMETRIC, CLASS_GROUND)
+    las.classification[:] = classes
     # 257 maps 0..255 onto the whole of 0..65535.
     las.red, las.green, las.blue = np.asarray(rgb, dtype=np.uint16).T * np.uint16(257)
     for name, values in stored.items():
         las[name] = values
     _write(las, path)
+
+
+def classes_of(is_wet: np.ndarray) -> np.ndarray:
+    """Class (N,) uint8 of points of the bed: bathymetric where wet, else ground."""
+    return np.where(np.asarray(is_wet, dtype=bool), CLASS_BATHYMETRIC, CLASS_GROUND).astype(np.uint8)
 
 
 def _write(las: laspy.LasData, path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import io
 import shutil
 import tomllib
 from pathlib import Path
@@ -12,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
-from PIL import Image
 
 from geo.errors import GeoError
 from survey.adjust.refine import adjust_survey
@@ -20,7 +18,6 @@ from survey.errors import SurveyError
 from survey.folder.survey import Survey, load_survey
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
-GPS = 0x8825
 
 
 @pytest.fixture(scope="module")
@@ -46,29 +43,16 @@ def blind(drawn, tmp_path_factory) -> Path:
     """The same without GPS."""
     folder = tmp_path_factory.mktemp("blind") / "01"
     shutil.copytree(drawn, folder)
-    for path in (folder / "images").iterdir():
-        without_gps(path)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(BENCHMARKS)
+        from without_gps import copy_without_gps
+
+        for path in (folder / "images").iterdir():
+            copy_without_gps(path, path)
     settings = tomllib.loads((folder / "survey.toml").read_text(encoding="utf-8"))
     del settings["cameras"]["position_std_m"]
     (folder / "survey.toml").write_text(tomli_w.dumps(settings), encoding="utf-8")
     return folder
-
-
-def without_gps(path: Path) -> None:
-    """Take the position out of EXIF; pixels stay to the bit."""
-    raw = path.read_bytes()
-    exif = Image.open(io.BytesIO(raw)).getexif()
-    del exif[GPS]
-    start, parts = 2, []
-    while raw[start + 1] != 0xDA:
-        end = start + 2 + int.from_bytes(raw[start + 2 : start + 4], "big")
-        if raw[start + 4 : start + 8] != b"Exif":
-            parts.append(raw[start:end])
-        start = end
-    data = exif.tobytes()
-    data = data if data.startswith(b"Exif") else b"Exif\0\0" + data
-    head = b"\xff\xd8\xff\xe1" + (len(data) + 2).to_bytes(2, "big") + data
-    path.write_bytes(head + b"".join(parts) + raw[start:])
 
 
 def loaded(folder: Path, tmp_path: Path, edit=lambda rows: rows) -> Survey:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import fields
 from pathlib import Path
 
-from survey.errors import SurveyError
+from survey.errors import OutputError, SurveyError
 from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions, Product
 from survey.export.registry import PRODUCTS
 from survey.export.written import is_current, key_of, note_written
-from survey.files.outputs import ReadFiles, require_file
+from survey.files.outputs import ReadFiles, require_file, require_folder
 from survey.progress import current
 
 
@@ -59,6 +59,9 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
 
 def _write(product: Product, path: Path, loaded: LoadedRun, options: ExportOptions) -> None:
     """Write one product, unless the file is there and up to date."""
+    if product.is_folder:
+        product.write(path, loaded, options)
+        return
     key = key_of(product, loaded, options)
     if is_current(loaded, path, key):
         current().note(f"{path}: unchanged")
@@ -89,6 +92,11 @@ def _wanted(files: dict[str, str | Path | None]) -> list[tuple[Product, Path]]:
 
 
 def _require_writable(product: Product, path: Path, inputs: ReadFiles) -> None:
+    if product.is_folder:
+        require_folder(_name(product), path, inputs)
+        if path.is_dir() and any(path.iterdir()) and not product.is_ours(path):
+            raise OutputError(f"{_name(product)} names {path}, which holds other files; name a new or empty folder")
+        return
     require_file(_name(product), path, inputs, kind=product.kind, is_of_kind=lambda _head: product.is_ours(path))
 
 
@@ -98,7 +106,7 @@ def _require_effect(products: list[Product], options: ExportOptions) -> None:
         if getattr(options, field.name) == field.default or any(field.name in p.takes for p in products):
             continue
         takers = ", ".join(_name(product) for product in PRODUCTS if field.name in product.takes)
-        option = "--" + field.name.removesuffix("_m")
+        option = "--" + field.name.removesuffix("_m").replace("_", "-")
         raise SurveyError(f"{option} has no effect on what is exported here; leave it out, or export one of {takers}")
 
 

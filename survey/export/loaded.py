@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from geo.reproject import Reprojection
     from survey.folder.config import SurveyConfig
+    from survey.run.flight import Flight
     from survey.run.stored import BedPlace, StoredBed
 
 # The stage whose folder holds the cloud.
@@ -69,6 +70,19 @@ class LoadedRun:
         from survey.run.stored import load_bed_place
 
         return load_bed_place(self._bed_folder)
+
+    @cached_property
+    def flight(self) -> Flight:
+        """Cameras, water and local frame; see `survey.run.flight`.
+
+        Raises
+        ------
+        SurveyError
+            If the run was made before runs kept them.
+        """
+        from survey.run.flight import load_flight
+
+        return load_flight(self.folder.path)
 
     @cached_property
     def scratch(self) -> Path:

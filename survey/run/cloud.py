@@ -12,8 +12,8 @@ from geo.ply import write_ply
 from survey.run.stored import StoredBed
 
 
-def write_bed_las(path: Path, stored: StoredBed) -> None:
-    """The cloud as LAS, or LAZ or COPC by the suffix; see `geo.write_cloud`."""
+def write_bed_las(path: Path, stored: StoredBed, classification: np.ndarray | None = None) -> None:
+    """The cloud as LAS, or LAZ or COPC by the suffix, with classes (N,) other than its own; see `geo.write_cloud`."""
     bed = stored.bed
     write_cloud(
         path,
@@ -26,6 +26,7 @@ def write_bed_las(path: Path, stored: StoredBed) -> None:
         incidence_deg=np.degrees(bed.incidence),
         is_wet=bed.wet,
         std_common_m=stored.std_common,
+        classification=classification,
     )
 
 

@@ -88,7 +88,7 @@ def measure(run: Path, mesh: Mesh, side: float, folder: Path) -> list[str]:
     (path,) = export(run, options=ExportOptions(resolution_m=side), dem=folder / f"{run.name}_{side:g}.tif")
     seconds = time.monotonic() - start
     with rasterio.open(path) as raster:
-        height, std, count = raster.read([1, 2, 3]).astype(np.float64)
+        height, std, count = raster.read([1, 2, 4]).astype(np.float64)
         true = true_cells(mesh, raster)
     known = (count > 0) & np.isfinite(true.mean)
     steep = ~(true.relief < STEEPEST * math.sqrt(2.0) * side)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pyproj import CRS
@@ -146,8 +148,22 @@ def test_what_all_heights_share_is_not_averaged_away(tmp_path):
     with run:
         raster = gridded(run, options)
         assert run.common_std_m == 0.04
-        assert (raster.std[raster.known == 1] > 0.04).all()
-        assert np.median(raster.std[raster.known == 1]) < np.hypot(0.04, 0.01)
+        assert (raster.common == np.float32(0.04)).all()
+        stds = raster.stds(Window(0, 40, 0, 40))
+        assert (stds > 0.04).all()
+        assert np.median(stds) < np.hypot(0.04, 0.01)
+
+
+def test_what_heights_share_is_that_of_the_points_where_they_have_it(tmp_path):
+    plan = grid_of_points()
+    points = np.column_stack([plan + CORNER, np.zeros(len(plan))])
+    common = np.where(plan[:, 0] < 2.0, 0.03, np.nan).astype(np.float32)
+    stored = replace(stored_points(points, CRS_OF_TEST), std_common=common)
+    with LoadedRun(run_of(stored, tmp_path / "run")) as run:
+        raster = gridded(run, ExportOptions(resolution_m=SIDE))
+        np.testing.assert_allclose(raster.common[:, :20], 0.03, rtol=1e-6)
+        # Not known of the others, and the run has no adjustment.
+        assert (raster.common[:, 20:] == 0.0).all()
 
 
 def test_gaps_up_to_a_width_are_filled_marked_and_less_sure(tmp_path):

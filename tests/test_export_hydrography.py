@@ -47,6 +47,7 @@ def test_a_bag_has_elevation_uncertainty_tracking_list_and_metadata(both, stored
     bag, dem = both
     with rasterio.open(dem) as raster:
         height, std = raster.read([1, 2], masked=True)
+        assert (raster.read(3, masked=True).compressed() == 0.0).all()
         west, south, _, _ = raster.bounds
         side = raster.transform.a
     with h5py.File(bag) as file:

@@ -65,10 +65,10 @@ def middles(raster) -> np.ndarray:
 
 def test_a_dem_has_heights_uncertainty_points_and_depths(stored, dem):
     with rasterio.open(dem) as raster:
-        height, std, count, depth, origin = raster.read(masked=True)
+        height, std, common, count, depth, origin = raster.read(masked=True)
         place = middles(raster)
         assert raster.descriptions[0] == "height"
-        assert raster.units == ("metre", "metre", "count", "metre", "code")
+        assert raster.units == ("metre", "metre", "metre", "count", "metre", "code")
     # The plane of the bed, through its points.
     points, bed = stored.points_crs, stored.bed
     columns = np.column_stack([points[:, :2] - points[0, :2], np.ones(len(points))])
@@ -80,6 +80,7 @@ def test_a_dem_has_heights_uncertainty_points_and_depths(stored, dem):
     assert count.sum() == len(points)
     np.testing.assert_array_equal(origin, count > 0)
     np.testing.assert_array_equal(height.mask, count.data == 0)
+    assert (common.compressed() == 0.0).all()
     # Points 10 cm apart, seen by pixels of 2 cm, err alone: 25 of them count as 1 + 25 / 15.
     whole = count.data == 25
     assert whole.sum() > 500
@@ -154,7 +155,7 @@ def test_depths_of_a_dry_survey_are_no_data(tmp_path):
     run = run_of(stored_points(points, CRS("EPSG:25832+5783")), tmp_path / "run")
     export(run, options=AT_SIDE, dem=tmp_path / "dem.tif")
     with rasterio.open(tmp_path / "dem.tif") as raster:
-        assert (raster.read(4) == raster.nodata).all()
+        assert (raster.read(5) == raster.nodata).all()
         assert (raster.read(1) == 500.0).all()
 
 

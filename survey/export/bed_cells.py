@@ -21,7 +21,9 @@ class Gridded:
     height : float32 [m]
         Mean height of the bed over the cell, seen from above; of no meaning where `known` is not set.
     std : float32 [m]
-        Standard deviation of that height, errors that cells have in common included.
+        Standard deviation of that height by errors of its own.
+    common : float32 [m]
+        Standard deviation by what all heights have in common, water, lens and poses, as far as the run knows it.
     count : uint32
         Points that the height is from; 0 where it was filled.
     known : uint8
@@ -37,6 +39,7 @@ class Gridded:
     cells: PlanCells
     height: np.ndarray
     std: np.ndarray
+    common: np.ndarray
     count: np.ndarray
     known: np.ndarray
     incidence: np.ndarray
@@ -47,6 +50,11 @@ class Gridded:
         """Heights (rows, columns) float64 [m] of a window, NaN where there is none."""
         at = window.slices
         return np.where(self.known[at] > 0, self.height[at].astype(np.float64), np.nan)
+
+    def stds(self, window: Window) -> np.ndarray:
+        """Standard deviations (rows, columns) float64 [m] by all errors, NaN where there is no height."""
+        at = window.slices
+        return np.where(self.known[at] > 0, np.hypot(self.std[at].astype(np.float64), self.common[at]), np.nan)
 
     def depths(self, window: Window) -> np.ndarray:
         """Depth under the water (rows, columns) float64 [m], negative above it; NaN without height or water."""

@@ -37,11 +37,11 @@ def fill_gaps(grid: Gridded, width_m: float) -> None:
         gaps = np.argwhere(closed & ~known & inner)
         if len(gaps):
             corner = np.array([around.top, around.left])
-            found.append((gaps + corner, *_interpolated(grid, known, around, gaps)))
+            found.append((tuple((gaps + corner).T), _interpolated(grid, known, around, gaps)))
     # All of them are made from points before any is set.
-    for gaps, height, std in found:
-        place = tuple(gaps.T)
-        grid.height[place], grid.std[place], grid.known[place] = height, std, 2
+    for place, values in found:
+        grid.height[place], grid.std[place], grid.common[place], grid.incidence[place] = values
+        grid.known[place] = 2
 
 
 def _closed(known: np.ndarray, width: int) -> np.ndarray:
@@ -52,10 +52,10 @@ def _closed(known: np.ndarray, width: int) -> np.ndarray:
     return ~ndimage.binary_opening(gap, square)[width + 1 : -width - 1, width + 1 : -width - 1]
 
 
-def _interpolated(grid: Gridded, known: np.ndarray, around: Window, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Height and standard deviation (K,) [m] of cells (K, 2) of a window, from its known ones."""
-    height = grid.height[around.slices].astype(np.float64)
-    std = grid.std[around.slices].astype(np.float64)
+def _interpolated(grid: Gridded, known: np.ndarray, around: Window, gaps: np.ndarray) -> np.ndarray:
+    """Height, both standard deviations [m] and incidence [rad] (4, K) of cells (K, 2) of a window, from known ones."""
+    layers = (grid.height, grid.std, grid.common, grid.incidence)
+    height, std, common, incidence = (layer[around.slices].astype(np.float64) for layer in layers)
     places = np.argwhere(known)
     count = min(_NEIGHBOURS, len(places))
     distance, near = cKDTree(places).query(gaps, k=count)
@@ -64,7 +64,11 @@ def _interpolated(grid: Gridded, known: np.ndarray, around: Window, gaps: np.nda
     weight /= weight.sum(axis=1, keepdims=True)
     of = tuple(places[near].transpose(2, 0, 1))
     step = distance[:, 0] * grid.cells.side_m * _slope(np.where(known, height, np.nan), grid.cells.side_m)
-    return (weight * height[of]).sum(axis=1), np.sqrt((weight * std[of] ** 2).sum(axis=1) + step**2)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return (weight * values[of]).sum(axis=1)
+
+    return np.stack([mean(height), np.sqrt(mean(std**2) + step**2), np.sqrt(mean(common**2)), mean(incidence)])
 
 
 def _slope(height: np.ndarray, side: float) -> float:

@@ -64,8 +64,8 @@ def _gridded(run: LoadedRun, options: ExportOptions) -> Gridded:
     cells = PlanCells.over(points, crs, options.resolution_m or round_side(_DEFAULT_PX * pixel))
     points[:, 2] *= height_unit_m(crs)
     grid = _empty(run, cells, LevelFit.of(points, columns["depth"]), pixel)
-    common = columns.get("std_common")
-    common = np.full(len(points), run.common_std_m, dtype=np.float32) if common is None else common
+    common = columns.get("std_common", np.full(len(points), np.nan, dtype=np.float32))
+    common = np.where(np.isfinite(common), common, np.float32(run.common_std_m))
     _fill_in(grid, points, columns["std"], common, columns["incidence"])
     if options.fill_m > 0.0:
         fill_gaps(grid, options.fill_m)
@@ -74,7 +74,7 @@ def _gridded(run: LoadedRun, options: ExportOptions) -> Gridded:
 
 def _empty(run: LoadedRun, cells: PlanCells, level: LevelFit | None, pixel_m: float) -> Gridded:
     """A raster without a height, in new files."""
-    kinds = {"height": "f4", "std": "f4", "count": "u4", "known": "u1", "incidence": "f4"}
+    kinds = {"height": "f4", "std": "f4", "common": "f4", "count": "u4", "known": "u1", "incidence": "f4"}
     place = run.scratch / f"cells-{len(list(run.scratch.iterdir()))}"
     place.mkdir()
     # Blocks of zeros take no room on the disk.
@@ -132,10 +132,11 @@ def _fit_tile(
     def mean(values: np.ndarray) -> np.ndarray:
         return np.bincount(inverse, values[own].astype(np.float64)) / fits.count
 
-    # What a cell's points have in common does not become less by their number.
-    variance = fits.std**2 + mean(np.square(wall_std)) + mean(np.square(common.astype(np.float64)))
+    # The place of a wall is an error of all points beside it.
+    variance = fits.std**2 + mean(np.square(wall_std))
     place = np.divmod(fits.cell, cells.shape[1])
     grid.height[place], grid.std[place], grid.count[place] = fits.height, np.sqrt(variance), fits.count
+    grid.common[place] = np.sqrt(mean(np.square(common.astype(np.float64))))
     grid.incidence[place], grid.known[place] = mean(incidence), 1
 
 

@@ -45,8 +45,7 @@ def _write_bag(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
     def values(window: Window) -> np.ndarray:
         height = grid.heights(window)
-        std = np.where(np.isfinite(height), grid.std[window.slices], np.nan)
-        return np.nan_to_num(np.stack([height, std]), nan=_BAG_NODATA).astype(np.float32)
+        return np.nan_to_num(np.stack([height, grid.stds(window)]), nan=_BAG_NODATA).astype(np.float32)
 
     cells = grid.cells
     bands = (Band("elevation", "metre"), Band("uncertainty", "metre"))
@@ -82,7 +81,7 @@ def _write_s44(path: Path, run: LoadedRun, options: ExportOptions) -> None:
         raise SurveyError("--s44 judges what lies under water, but the survey is dry; leave it out")
 
     def values(window: Window) -> np.ndarray:
-        std, depth = np.where(grid.known[window.slices] > 0, grid.std[window.slices], np.nan), grid.depths(window)
+        std, depth = grid.stds(window), grid.depths(window)
         vertical = order_by_tvu(std, depth)
         horizontal = order_by_thu(plan_std(grid, window, std, n_water, run.plan_std_m), depth)
         # The stricter order has the smaller number.

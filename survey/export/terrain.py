@@ -21,8 +21,8 @@ CELLS = ("crs", "resolution_m", "fill_m")
 _SUFFIXES = (".tif", ".tiff")
 _BLOCK = 512
 _UNCERTAINTY = (
-    "of the mean height of the cell: matching, relief that the points sample, the place of walls, and what all heights "
-    "have in common by water, lens and poses where these were adjusted"
+    "of the mean height of the cell: matching, relief that the points sample, the place of walls; beside it what all "
+    "share by water, lens and poses, as far as the run knows it: the root of the sum of squares is that of both"
 )
 
 
@@ -62,14 +62,14 @@ def _write_dem(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     def values(window: Window) -> np.ndarray:
         at = window.slices
         known = grid.known[at] > 0
-        std = np.where(known, grid.std[at], np.nan)
-        return np.stack(
-            [grid.heights(window) / grid.height_unit_m, std, grid.count[at], grid.depths(window), grid.known[at]]
-        )
+        std, common = (np.where(known, layer[at], np.nan) for layer in (grid.std, grid.common))
+        height = grid.heights(window) / grid.height_unit_m
+        return np.stack([height, std, common, grid.count[at], grid.depths(window), grid.known[at]])
 
     bands = (
         Band("height", unit),
         Band("uncertainty, one standard deviation", "metre"),
+        Band("uncertainty that all heights share, one standard deviation", "metre"),
         Band("points", "count"),
         Band("depth below the water, negative above it", "metre"),
         Band("origin of the height: 1 points, 2 filled, 0 none", "code"),

@@ -45,6 +45,7 @@ def write_cloud(
     num_views: np.ndarray,
     incidence_deg: np.ndarray,
     is_wet: np.ndarray,
+    std_common_m: np.ndarray | None = None,
     classification: np.ndarray | None = None,
 ) -> None:
     """Write a cloud as LAS 1.4, point format 7, whole or not at all; compressed if the suffix is .laz.
@@ -70,6 +71,9 @@ def write_cloud(
         Angle between ray and surface normal in air; NaN as above.
     is_wet : (N,) bool
         Class 40 (bathymetric) where true, else 2 (ground).
+    std_common_m : (N,) [m], optional
+        Standard deviation of the height by what all points have in common, water, lens and poses, which ``std_m`` does
+        not hold; "no data" where not given.
     classification : (N,) uint8, optional
         Other classes than those of ``is_wet``, e.g. with 45 (no bottom found) among them.
 
@@ -86,7 +90,10 @@ def write_cloud(
     points = np.asarray(points_crs, dtype=np.float64)
     if not len(points) and path.name.lower().endswith(copc.SUFFIX):
         raise EmptyCloud(f"cannot write {path}: COPC needs one point at least; write LAZ.")
-    extra = {"depth": depth_m, "std": std_m, "num_views": num_views, "incidence": incidence_deg}
+    common = np.full(len(points), np.nan) if std_common_m is None else std_common_m
+    extra = {
+        "depth": depth_m, "std": std_m, "std_common": common, "num_views": num_views, "incidence": incidence_deg,
+    }  # fmt: skip
     classes = classes_of(is_wet) if classification is None else classification
     _require_sound(points, {"rgb": rgb, "is_wet": classes} | extra)
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from PIL import Image
-from small_survey import SIZE, replaced, small_survey, unposed, write_image
+from PIL import Image, ImageFile
+from small_survey import SIZE, replaced, said, small_survey, unposed, write_image
 
 from survey.errors import ConfigError, ImageError
 from survey.folder.survey import load_survey
 from survey.photos.images import list_images, load_mask
-from survey.plan.check import require_processable
+from survey.plan.check import check_survey, require_processable
 
 NO_LENS = replaced(
     ('model = "PINHOLE"', ""),
@@ -122,3 +122,18 @@ def test_heic_without_poses_is_refused_with_what_to_do(tmp_path):
         ImageError, match="is HEIC, which structure from motion does not read; convert the images to JPEG"
     ):
         require_processable(folder)
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "png", "tif", "webp"])
+def test_check_decodes_no_photograph(tmp_path, monkeypatch, suffix):
+    folder = small_survey(tmp_path / "s")
+    for path in sorted((folder / "images").iterdir()):
+        with Image.open(path) as image:
+            image.save(path.with_suffix(f".{suffix}"))
+        if suffix != "jpg":
+            path.unlink()
+    cameras = folder / "cameras.csv"
+    cameras.write_text(cameras.read_text().replace(".jpg", f".{suffix}"))
+    monkeypatch.setattr(ImageFile.ImageFile, "load", lambda _: pytest.fail("decoded"))
+    sections = check_survey(folder, device="cpu")
+    assert said(sections, "Found")["images"].startswith("4 with a pose, of 4")

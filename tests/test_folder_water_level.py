@@ -15,7 +15,8 @@ from survey.folder.level_observation import points_of_surface, readings_of_gauge
 from survey.folder.survey import load_survey
 from survey.folder.water_level import fit_surface, with_level
 from survey.photos.exif import Exif
-from tests.small_survey import E0, LEVEL, N0, TOML, replaced, small_survey
+from survey.plan.check import check_survey
+from tests.small_survey import E0, LEVEL, N0, TOML, replaced, said, small_survey
 
 CRS = parse_crs("EPSG:25832+5778")
 HEAD = Exif((64, 48), None, None, 1, "", None)
@@ -154,6 +155,9 @@ def test_what_all_points_share_is_not_averaged_away(tmp_path):
     survey = load_survey(folder)
     assert survey.config.water.level_std_m == pytest.approx(0.015, abs=2e-4)
     assert len(survey.levels) == 100
+    assert said(check_survey(folder), "Found")["water"].endswith(
+        "; known: level to 0.015 m (gnss_points, 100 measured)"
+    )
     assert survey.levels[1].place == (E0 + 5, N0 - 3)
     assert {(level.std_m, level.time, level.source) for level in survey.levels} == {(0.02, None, "gnss_points")}
 

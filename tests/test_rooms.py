@@ -112,7 +112,7 @@ DISK_FILES = {
             "stored_field",
             "water_colour",
         ),
-        "survey/sfm": ("block", "poses", "solve"),
+        "survey/sfm": ("block", "features", "poses", "solve"),
         "survey/simulate/ground": ("texture",),
         "survey/simulate/output": ("sidecars", "truth", "writing"),
         "survey/simulate/staging": ("planning", "simulate"),

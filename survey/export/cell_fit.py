@@ -4,7 +4,8 @@ Each point has a standard deviation s. In a cell whose points scatter about thei
 taken as relief of variance t², and a point's weight is 1 / (s² + t²): where a wall cuts the cell all points weigh
 alike, as the mean over its area asks, and elsewhere a point that is badly known weighs little. Points that stand apart
 from the others of their cell weigh less (P. Huber 1964). The slope of a plane is held by a weak prior, so that a cell
-whose points lie on one side of it has a height, and a standard deviation that tells.
+whose points lie on one side of it has a height, and a standard deviation that tells. Relief makes a mean uncertain only
+as far as points do not sample it all over the cell.
 """
 
 from __future__ import annotations
@@ -65,15 +66,18 @@ def fit_cells(
     base = _medians(height, row, start, count)
     height = height - base[row]
     share = _independent(count, side, pixel)[row] / count[row]
+    unsampled = 1.0 - np.minimum(count * (pixel / side) ** 2, 1.0)
     relief, damping = np.zeros(len(numbers)), np.ones(len(height))
     for _ in range(_STEPS):
         weight = damping / (variance + relief[row])
-        plane, plane_variance = _planes(row, share * weight, offset, height, len(numbers), side)
+        plane, _ = _planes(row, share * weight, offset, height, len(numbers), side)
         residual = height - plane[row, 0] - (plane[row, 1:] * offset).sum(axis=1)
         spread = _MAD_TO_STD * _medians(np.abs(residual), row, start, count)
         relief = np.maximum(spread**2 - np.bincount(row, damping * variance) / np.bincount(row, damping), 0.0)
         size = np.abs(residual) / np.sqrt(variance + relief[row])
         damping = np.minimum(1.0, _HUBER / np.maximum(size, _HUBER))
+    weight = damping / (variance + (unsampled * relief)[row])
+    _, plane_variance = _planes(row, share * weight, offset, height, len(numbers), side)
     return CellFits(numbers, base + plane[:, 0], np.sqrt(plane_variance), count)
 
 

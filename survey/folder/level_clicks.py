@@ -66,7 +66,7 @@ def levels_of_clicks(
     for name, clicks in places.items():
         level = _level_of(clicks, frame)
         if level is None:
-            unclear.append(name[:40])
+            unclear.append("".join(letter for letter in name[:40] if letter.isprintable()))
         else:
             found.append(level)
     if strangers:

@@ -150,7 +150,7 @@ def _water(survey: Survey) -> str:
     return (
         f"level {water.level_m:g} m at {east:.10g}, {north:.10g}, slope "
         f"{water.slope_east:g} east and {water.slope_north:g} north, index {water.refractive_index:g}; cameras "
-        f"{_range(-plane.depth(centres))} m over it{water_stds(water)}"
+        f"{_range(-plane.depth(centres))} m over it{water_stds(water, survey.levels)}"
     )
 
 
@@ -189,7 +189,7 @@ def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]
                 "water",
                 f"level {water.level_m:g} m"
                 + (f"; by EXIF the cameras are {_range(heights - level)} m over it" if places else "")
-                + water_stds(water),
+                + water_stds(water, found.levels),
             )
         )
     rows += control_rows(found.control)

@@ -104,6 +104,7 @@ def _cloud(facts: ReportFacts) -> CloudFigures:
         covered_area_m2=area,
         depth_m=_spread(bed.depth[bed.wet]),
         std_m=_spread(bed.std),
+        std_common_m=None if facts.std_common is None else _spread(facts.std_common),
         views_per_point=_spread(bed.num_views),
         incidence_deg=_spread(np.degrees(bed.incidence)),
     )

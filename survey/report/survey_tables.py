@@ -33,6 +33,10 @@ def _distributions(found: CloudFigures) -> list[Table]:
     if (std := found.std_m) is not None:
         unit = LengthUnit.of([std.median, std.p95])
         rows.append((f"standard deviation [{unit.name}]", "", unit.number(std.median), unit.number(std.p95), ""))
+    if (std := found.std_common_m) is not None:
+        unit = LengthUnit.of([std.median, std.p95])
+        name = f"the same by water, lens and poses, in common [{unit.name}]"
+        rows.append((name, "", unit.number(std.median), unit.number(std.p95), ""))
     if (views := found.views_per_point) is not None:
         rows.append(("views per point", number(views.min, 0), number(views.median, 0), "", number(views.max, 0)))
     if (angle := found.incidence_deg) is not None:

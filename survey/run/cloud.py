@@ -25,6 +25,7 @@ def write_bed_las(path: Path, stored: StoredBed, classification: np.ndarray | No
         num_views=bed.num_views,
         incidence_deg=np.degrees(bed.incidence),
         is_wet=bed.wet,
+        std_common_m=stored.std_common,
         classification=classification,
     )
 
@@ -35,6 +36,7 @@ def write_bed_ply(path: Path, stored: StoredBed) -> None:
     scalars = {
         "depth_m": bed.depth,
         "std_m": bed.std,
+        "std_common_m": np.full(len(bed), np.nan) if stored.std_common is None else stored.std_common,
         "num_views": bed.num_views,
         "incidence_deg": np.degrees(bed.incidence),
     }

@@ -69,6 +69,7 @@ def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path]
         versions=_versions(done),
         verdict=verdict,
         adjustment=_adjustment(folder, done),
+        std_common=stored.std_common,
     )
     with job.progress.stage("Report", NUM_STEPS) as stage:
         figures = write_report(folder, facts, stage.advance)

@@ -49,6 +49,8 @@ class StoredBed:
         Of the survey.
     gsd_m : [m]
         Ground sampling distance that was worked at.
+    std_common : (N,) float32 [m] or None
+        Standard deviation of the heights by water, lens and poses, `survey.adjust.std_common`; None where not known.
     """
 
     bed: BedPoints
@@ -56,6 +58,7 @@ class StoredBed:
     crs: CRS
     name: str
     gsd_m: float
+    std_common: np.ndarray | None = None
 
 
 def save_arrays(path: str | Path, **arrays: np.ndarray) -> None:
@@ -92,6 +95,8 @@ def save_bed(folder: str | Path, stored: StoredBed) -> None:
     """Write what an export needs into the folder of the bed's stage: bed.npz and survey.json."""
     folder = Path(folder)
     columns = {f.name: getattr(stored.bed, f.name) for f in dataclasses.fields(stored.bed)}
+    if stored.std_common is not None:
+        columns["std_common"] = stored.std_common
     save_arrays(folder / BED_FILE, points_crs=stored.points_crs, **columns)
     said = {"crs_wkt": stored.crs.to_wkt(), "name": stored.name, "gsd_m": stored.gsd_m}
     with write_whole(folder / SURVEY_FILE) as stream:
@@ -111,8 +116,8 @@ def load_bed(folder: str | Path) -> StoredBed:
     arrays = load_arrays(Path(folder) / BED_FILE)
     place = load_bed_place(folder)
     try:
-        points_crs = arrays.pop("points_crs")
-        return StoredBed(BedPoints(**arrays), points_crs, place.crs, place.name, place.gsd_m)
+        points_crs, common = arrays.pop("points_crs"), arrays.pop("std_common", None)
+        return StoredBed(BedPoints(**arrays), points_crs, place.crs, place.name, place.gsd_m, common)
     except (KeyError, TypeError) as error:
         raise _no_bed(folder, error) from error
 

@@ -17,9 +17,10 @@ from geo.ellipsoid import enu_from_geocentric, geocentric_from_geodetic
 from refract.lens import Lens, LensError
 from survey.errors import PosesError
 from survey.files.csv_table import shortened
-from survey.files.json_values import finite_number, finite_numbers, read_foreign_json
+from survey.files.json_values import finite_numbers, read_foreign_json
 from survey.photos.cameras import rotation_from_axis_angle
 from survey.photos.formats.format import Format
+from survey.photos.formats.opensfm_lens import read_lens
 from survey.photos.poses import FileTies, Pose, PoseFile, PoseFrame
 
 _TOPOCENTRIC, _PLAIN, _GRID = "reconstruction.topocentric.json", "reconstruction.json", "reconstruction.geocoords.json"
@@ -28,9 +29,6 @@ _EXPORT = "reconstruct it again with OpenSfM or OpenDroneMap"
 # Semi-axes of WGS 84 [m].
 _A, _B = 6378137.0, 6356752.314245179
 _MASKS = "masks"
-# The parameters of each projection besides focal lengths and principal point, in the order of our model.
-_BROWN = ("k1", "k2", "p1", "p2", "k3")
-_SUPPORTED = ("perspective", "simple_radial", "radial", "brown", "fisheye", "fisheye_opencv")
 
 
 @dataclass(frozen=True)
@@ -138,7 +136,7 @@ def _block(path: Path) -> _Block:
     lenses = {}
     for name, camera in _object(block.get("cameras")).items():
         try:
-            lenses[name] = _lens(_object(camera))
+            lenses[name] = read_lens(_object(camera))
         except LensError as error:
             raise PosesError(f'{path}, camera "{shortened(name)}": {error}') from error
     shots = {name: _object(shot) for name, shot in _object(block.get("shots")).items()}
@@ -202,36 +200,6 @@ def _reference(path: Path, block: dict) -> tuple[float, float, float] | None:
         )
     # What OpenSfM writes where no photograph has a position.
     return None if found[:2] == [0.0, 0.0] else (found[0], found[1], found[2])
-
-
-def _lens(camera: dict) -> Lens:
-    """The lens of a camera, whose lengths are in units of the longer side of its image, from the middle of that."""
-    kind = str(camera.get("projection_type", "perspective"))
-    if kind not in _SUPPORTED:
-        raise LensError(
-            f"the projection {shortened(kind)} is not supported, expected one of {', '.join(_SUPPORTED)}; reconstruct "
-            "with one of these, e.g. --camera-lens brown in OpenDroneMap"
-        )
-    width, height = (_number(camera, key) for key in ("width", "height"))
-    if not (width.is_integer() and height.is_integer()):
-        raise LensError(f"the image has {width:g} x {height:g} pixels, expected whole numbers; correct it")
-    longer = max(width, height)
-    fx, fy = (longer * _number(camera, key if key in camera else "focal") for key in ("focal_x", "focal_y"))
-    cx, cy = (longer * _number(camera, key, 0.0) + 0.5 * side for key, side in (("c_x", width), ("c_y", height)))
-    if kind.startswith("fisheye"):
-        coefficients = [_number(camera, key, 0.0) for key in ("k1", "k2", "k3", "k4")]
-        return Lens("OPENCV_FISHEYE", (fx, fy, cx, cy, *coefficients), int(width), int(height))
-    k1, k2, p1, p2, k3 = (_number(camera, key, 0.0) for key in _BROWN)
-    if k3 == 0.0:
-        return Lens("OPENCV", (fx, fy, cx, cy, k1, k2, p1, p2), int(width), int(height))
-    return Lens("FULL_OPENCV", (fx, fy, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0), int(width), int(height))
-
-
-def _number(camera: dict, key: str, default: float | None = None) -> float:
-    found = finite_number(camera.get(key, default))
-    if found is None:
-        raise LensError(f"{key} is {shortened(str(camera.get(key)))}, expected a finite number; correct it")
-    return found
 
 
 def _object(value) -> dict:

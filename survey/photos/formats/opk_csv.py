@@ -12,7 +12,7 @@ import numpy as np
 from pyproj import CRS
 
 from survey.errors import PosesError
-from survey.files.csv_table import Row, column_names, read_table
+from survey.files.csv_table import Row, column_names, read_table, shortened
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk, level_from_yaw_pitch_roll
 from survey.photos.formats.format import Format
 from survey.photos.poses import GivenPosition, Pose, PoseFile, PoseFrame
@@ -67,7 +67,7 @@ def read_opk_csv(path: Path) -> PoseFile:
     for row in rows:
         pose = _pose(row, names)
         if pose.name in poses:
-            raise PosesError(f"{row.where}: image {pose.name} has a second pose; keep one of the two lines")
+            raise PosesError(f"{row.where}: image {shortened(pose.name)} has a second pose; keep one of the two lines")
         poses[pose.name] = pose
     crs = CRS("EPSG:4326") if names[1] == "longitude" else None
     if "omega" in columns:

@@ -14,6 +14,7 @@ from refract.lens import Lens
 from survey.errors import OutputError, SurveyError
 from survey.export.export import export
 from survey.folder.survey import load_survey
+from survey.photos.formats import read_poses
 from survey.run.flight import load_flight, save_flight
 
 LENSES = {
@@ -27,11 +28,17 @@ BESIDE = {
 }
 
 
+@pytest.fixture(scope="module")
+def block(tmp_path_factory):
+    """A cloud, and the survey that it belongs to."""
+    folder = tmp_path_factory.mktemp("block") / "small"
+    return plane_stored(folder), load_survey(small_survey(folder))
+
+
 @pytest.fixture
-def run(tmp_path):
+def run(block, tmp_path):
     """A run whose views look 20 degrees off nadir; a function that gives them another lens."""
-    stored = plane_stored(tmp_path / "small")
-    survey = load_survey(small_survey(tmp_path / "small"))
+    stored, survey = block
     path = run_of(stored, tmp_path / "run")
 
     def with_lens(lens: Lens):
@@ -53,10 +60,10 @@ def points_before(camera) -> np.ndarray:
     return camera.paths(pixels, None).at_height(np.linspace(-1.0, 1.0, len(pixels)), None)
 
 
-def test_a_flight_comes_back_as_it_was(run, tmp_path):
+def test_a_flight_comes_back_as_it_was(run, block):
     path, views, _ = run(LENSES["brown"])
     again = load_flight(path)
-    survey = load_survey(tmp_path / "small")
+    survey = block[1]
     assert (again.water, again.bounds, again.frame.origin) == (survey.water, survey.bounds, survey.frame.origin)
     for one, other in zip(again.views, views, strict=True):
         assert (one.name, one.lens, one.path) == (other.name, other.lens, other.path.absolute())
@@ -98,6 +105,22 @@ def test_nerfstudio_cameras_look_where_ours_do(run, tmp_path):
         u = frame["fl_x"] * (x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)) + frame["cx"]
         v = frame["fl_y"] * (y * radial + 2 * p2 * x * y + p1 * (r2 + 2 * y * y)) + frame["cy"]
         np.testing.assert_allclose(np.stack([u, v], 1), view.camera.project(points, None), atol=1e-6)
+
+
+@pytest.mark.parametrize("option", ["colmap", "nerfstudio"])
+def test_our_own_reader_finds_the_cameras_again(run, tmp_path, option):
+    path, views, _ = run(LENSES["brown"])
+    target = tmp_path / ("model" if option == "colmap" else "transforms.json")
+    export(path, **{option: target})
+    found = {pose.name.rpartition("/")[2]: pose for pose in read_poses(target).poses}
+    assert set(found) == {view.name for view in views}
+    for view in views:
+        pose = found[view.name]
+        np.testing.assert_allclose(pose.centre, view.camera.centre, atol=1e-9)
+        np.testing.assert_allclose(pose.cam_from_world, view.camera.cam_from_local, atol=1e-9)
+        pixels = np.array([[5.0, 7.0], [60.0, 44.0]])
+        camera = pose.lens.camera(pose.centre, pose.cam_from_world)
+        np.testing.assert_allclose(camera.directions(pixels), view.camera.directions(pixels), atol=1e-9)
 
 
 @pytest.mark.parametrize("option", ["colmap", "nerfstudio"])

@@ -10,6 +10,7 @@ import laspy
 import numpy as np
 import pytest
 from pyproj import CRS, Transformer
+from scipy import ndimage
 from small_bed import SLOPE
 from small_survey import small_survey
 from stored_run import plane_stored, run_of
@@ -125,6 +126,28 @@ def test_where_no_bed_was_seen_is_a_polygon_a_mask_and_classes_of_las(block, tmp
         east, north = (np.asarray(v)[classes == 45] for v in (las.x, las.y))
         local = survey.frame.local_from_crs(np.column_stack([east, north, np.full(number, 2105.0)]))
         assert (np.linalg.norm(local[:, :2] - HOLE_AT, axis=1) < 0.1).any()
+
+
+@pytest.mark.parametrize("crs", [None, "EPSG:25833"])
+def test_the_mask_of_unseen_bed_lies_upon_the_terrain_model(block, tmp_path, crs):
+    rasterio = pytest.importorskip("rasterio")
+    path, survey = block
+    options = ExportOptions(crs=crs, resolution_m=0.2)
+    for _ in range(2):  # an earlier one is replaced
+        export(path, options=options, dem=tmp_path / "d.tif", unseen=tmp_path / "u.tif")
+    with rasterio.open(tmp_path / "d.tif") as dem, rasterio.open(tmp_path / "u.tif") as mask:
+        assert (mask.transform, mask.shape, mask.crs.to_epsg()) == (dem.transform, dem.shape, dem.crs.to_epsg())
+        transform, has_height, codes = mask.transform, dem.read(1) != dem.nodata, mask.read(1)
+        assert mask.tags()["CODE_1"].startswith("two or more views")
+    assert (codes[has_height] == 0).all()
+    # Others lie along the rim of the bed, which is turned against the grid.
+    parts, _ = ndimage.label(codes == TWO_VIEWS)
+    plan = survey.frame.crs_from_local([*HOLE_AT, 0.0])[:2]
+    east, north = Transformer.from_crs("EPSG:25832", crs or "EPSG:25832", always_xy=True).transform(*plan)
+    row, column = (int(number) for number in rasterio.transform.rowcol(transform, east, north))
+    assert parts[row, column] > 0
+    area = 0.2**2 * (parts == parts[row, column]).sum()
+    assert np.pi * (HOLE_M - 0.3) ** 2 < area < np.pi * HOLE_M**2
 
 
 def test_a_geopackage_has_its_crs_and_is_read_without_the_library_that_wrote_it(block, tmp_path):

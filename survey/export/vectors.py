@@ -71,10 +71,35 @@ def _product(
     )
 
 
+def _is_our_unseen(path: Path) -> bool:
+    from geo.raster_writing import is_our_tiff
+
+    return is_our_tiff(path) if path.suffix.lower() in _RASTERS else _is_ours(path)
+
+
+def _write_unseen(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    if path.suffix.lower() in _RASTERS:
+        from survey.export.unseen_mask import write_mask
+
+        write_mask(path, run, options)
+    else:
+        _writer(_unseen)(path, run, options)
+
+
 _CELLS = ("crs", "resolution_m", "fill_m")
+_RASTERS = (".tif", ".tiff")
 VECTORS = (
     _product("footprints", "What each photograph shows of the bed", "images.geojson", ("crs",), _footprints),
     _product("shoreline", "Where the bed meets the water", "shore.gpkg --fill 0.5", _CELLS, _shoreline),
     _product("contours", "Lines of equal depth", "deep.gpkg --interval 0.5", (*_CELLS, "interval_m"), _contours),
-    _product("unseen", "Where water was looked at and no bed found", "unseen.geojson", ("crs",), _unseen),
+    Product(
+        option="unseen",
+        suffixes=(".geojson", ".gpkg", *_RASTERS),
+        kind="a layer or mask that bathynerf wrote",
+        help="Where water was looked at and no bed found: polygons, or GeoTIFF in the cells of --dem.",
+        example="--unseen unseen.geojson",
+        takes=_CELLS,
+        is_ours=_is_our_unseen,
+        write=_write_unseen,
+    ),
 )

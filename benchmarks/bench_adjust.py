@@ -3,9 +3,10 @@
     python benchmarks/bench_adjust.py [ROW ...] [-o FOLDER]
     python benchmarks/bench_adjust.py --coverage 20 [--shared] [--free-water]
 
-A row is a name of adjust_rows.ROWS or the folder of a survey that field_surveys.py drew; FOLDER:true is the same from
-its true poses, lens and water. Its survey is prepared in the work folder and processed by the command line; a row that
-the program refuses has its words. Prints a table, and writes results.json into the work folder.
+A row is a name of adjust_rows.ROWS or shutter_rows.SHUTTER_ROWS, or the folder of a survey that field_surveys.py drew;
+FOLDER:true is the same from its true poses, lens and water. Its survey is prepared in the work folder and processed by
+the command line; a row that the program refuses has its words. Prints a table, and writes results.json into the work
+folder.
 
 With --coverage: how often the truth of so many drawn blocks, without images, lies within what is stated.
 """
@@ -15,12 +16,14 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
+from functools import partial
 from pathlib import Path
 
 from adjust_coverage import covered, table
 from adjust_measures import errors_of
 from adjust_real import brighton_errors, copr_errors
 from adjust_rows import DATA, ROWS, Row, prepare
+from shutter_rows import SHUTTER_ROWS
 
 from survey.benchmark.running import run_bathynerf
 
@@ -32,8 +35,9 @@ COLUMNS = {"mean": "mean_inner90_m", "std": "std_inner90_m", "wet": "wet_mean_in
 
 def main() -> None:
     """Process and measure the requested rows."""
+    names = [*ROWS, *SHUTTER_ROWS]
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("rows", nargs="*", metavar="ROW", default=list(ROWS), help=f"default: {' '.join(ROWS)}")
+    parser.add_argument("rows", nargs="*", metavar="ROW", default=names, help=f"default: {' '.join(names)}")
     parser.add_argument("--quality", help="instead of that of the row")
     parser.add_argument("-o", "--output", type=Path, help="work folder; default: a new temporary one")
     parser.add_argument("--coverage", type=int, metavar="N", help="adjust N drawn blocks instead")
@@ -55,7 +59,7 @@ def main() -> None:
     records = []
     for name in options.rows:
         work = folder / Path(name).name.replace(":", "_")
-        row = prepare(name, work / "survey")
+        row = (SHUTTER_ROWS.get(name) or partial(prepare, name))(work / "survey")
         records.append({"row": name} | measure(row, work / "run", options.quality or row.quality))
         (folder / "results.json").write_text(json.dumps(records, indent=1), encoding="utf-8")
         print(as_text(records[-1]), flush=True)  # noqa: T201

@@ -87,8 +87,7 @@ def write_whole(path: str | Path) -> Iterator[BinaryIO]:
 
     Written under a temporary name in the same folder and renamed at the end; after any error the temporary file is
     gone and an older file of that name is untouched. A symbolic link is followed, as by `cp`; into a device or a pipe,
-    e.g. /dev/stdout, the bytes go at once, and cannot be
-    read back.
+    e.g. /dev/stdout, the bytes go at once, and cannot be read back.
 
     Raises
     ------

@@ -45,6 +45,8 @@ def write_cloud(
     num_views: np.ndarray,
     incidence_deg: np.ndarray,
     is_wet: np.ndarray,
+    std_common_m: np.ndarray | None = None,
+    classification: np.ndarray | None = None,
 ) -> None:
     """Write a cloud as LAS 1.4, point format 7, whole or not at all; compressed if the suffix is .laz.
 
@@ -69,6 +71,11 @@ def write_cloud(
         Angle between ray and surface normal in air; NaN as above.
     is_wet : (N,) bool
         Class 40 (bathymetric) where true, else 2 (ground).
+    std_common_m : (N,) [m], optional
+        Standard deviation of the height by what all points have in common, water, lens and poses, which ``std_m`` does
+        not hold; "no data" where not given.
+    classification : (N,) uint8, optional
+        Other classes than those of ``is_wet``, e.g. with 45 (no bottom found) among them.
 
     Raises
     ------
@@ -83,8 +90,12 @@ def write_cloud(
     points = np.asarray(points_crs, dtype=np.float64)
     if not len(points) and path.name.lower().endswith(copc.SUFFIX):
         raise EmptyCloud(f"cannot write {path}: COPC needs one point at least; write LAZ.")
-    extra = {"depth": depth_m, "std": std_m, "num_views": num_views, "incidence": incidence_deg}
-    _require_sound(points, {"rgb": rgb, "is_wet": is_wet} | extra)
+    common = np.full(len(points), np.nan) if std_common_m is None else std_common_m
+    extra = {
+        "depth": depth_m, "std": std_m, "std_common": common, "num_views": num_views, "incidence": incidence_deg,
+    }  # fmt: skip
+    classes = classes_of(is_wet) if classification is None else classification
+    _require_sound(points, {"rgb": rgb, "is_wet": classes} | extra)
 
     header = _header(points, crs, path)
     stored = add_extra_bytes(header, extra)
@@ -94,12 +105,17 @@ def write_cloud(
     las.return_number[:] = 1
     las.number_of_returns[:] = 1
     las.synthetic[:] = 1
-    las.classification[:] = np.where(np.asarray(is_wet, dtype=bool), CLASS_BATHYMETRIC, CLASS_GROUND)
+    las.classification[:] = classes
     # 257 maps 0..255 onto the whole of 0..65535.
     las.red, las.green, las.blue = np.asarray(rgb, dtype=np.uint16).T * np.uint16(257)
     for name, values in stored.items():
         las[name] = values
     _write(las, path)
+
+
+def classes_of(is_wet: np.ndarray) -> np.ndarray:
+    """Class (N,) uint8 of points of the bed: bathymetric where wet, else ground."""
+    return np.where(np.asarray(is_wet, dtype=bool), CLASS_BATHYMETRIC, CLASS_GROUND).astype(np.uint8)
 
 
 def _write(las: laspy.LasData, path: Path) -> None:

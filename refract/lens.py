@@ -148,7 +148,7 @@ def undistorted(lens: Lens, pixels: np.ndarray) -> np.ndarray:
     """Where pixels (N, 2) of a distorted photograph look, at depth 1 in cam (N, 2)."""
     fx, fy = lens.focal
     distortion = lens.distortion
-    if lens.model == "BROWN_AFFINE" and distortion is not None:
+    if is_affine(lens) and distortion is not None:
         return np.stack(distortion.undistorted(*((pixels - (lens["cx"], lens["cy"])) / (fx, fy)).T), axis=-1)
     matrix = np.array([[fx, 0.0, lens["cx"]], [0.0, fy, lens["cy"]], [0.0, 0.0, 1.0]])
     # Newton-like steps until they are below a billionth of the focal length.
@@ -166,13 +166,32 @@ def distorted(lens: Lens, pixels: np.ndarray) -> np.ndarray:
     (fx, fy), (cx, cy) = lens.focal, (lens["cx"], lens["cy"])
     plane = np.ascontiguousarray((pixels - (cx, cy)) / (fx, fy))
     distortion = lens.distortion
-    if lens.model == "BROWN_AFFINE" and distortion is not None:
+    if is_affine(lens) and distortion is not None:
         return np.stack(distortion.distorted(*plane.T), axis=-1) * (fx, fy) + (cx, cy)
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     if lens.model == "OPENCV_FISHEYE":
         return cv2.fisheye.distortPoints(plane[:, None], matrix, _coefficients(lens))[:, 0]
     points = np.concatenate([plane, np.ones((len(plane), 1))], axis=-1)
     return cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, _coefficients(lens))[0][:, 0]
+
+
+def is_affine(lens: Lens) -> bool:
+    """Whether a lens is Brown's with a shear and the eighth power of the radius."""
+    return lens.model == "BROWN_AFFINE"
+
+
+def brown_from_affine(lens: Lens, pixels: np.ndarray) -> np.ndarray:
+    """Pixels (N, 2) of an affine lens as they would be without its shear and the eighth power of the radius."""
+    return distorted(_brown_part(lens), undistorted(lens, pixels) * lens.focal + (lens["cx"], lens["cy"]))
+
+
+def affine_from_brown(lens: Lens, pixels: np.ndarray) -> np.ndarray:
+    """Undoes `brown_from_affine`."""
+    return distorted(lens, undistorted(_brown_part(lens), pixels) * lens.focal + (lens["cx"], lens["cy"]))
+
+
+def _brown_part(lens: Lens) -> Lens:
+    return Lens("FULL_OPENCV", (*lens.params[:9], 0.0, 0.0, 0.0), lens.width, lens.height)
 
 
 def _coefficients(lens: Lens) -> np.ndarray:

@@ -132,7 +132,7 @@ def ecef_from_enu() -> np.ndarray:
 
 def level_at(enu: np.ndarray) -> np.ndarray:
     """Rotation (3, 3) from true east, north and up at a point (3,) to those at the place."""
-    lon, lat, height = lon_lat_height(enu[None])[0]
+    lon, lat, height = lon_lat_height(enu[None])[0].tolist()
     there = Transformer.from_pipeline(
         f"+proj=pipeline +step +proj=cart +ellps=WGS84 +step +proj=topocentric +ellps=WGS84 +lon_0={lon!r} "
         f"+lat_0={lat!r} +h_0={height!r}"
@@ -187,5 +187,5 @@ def most_missed_px(survey: Survey, block: ForeignBlock) -> float:
         mine = block.seen(number)
         assert len(mine) > 10
         missed = view.camera.project(points[mine], None) - block.pixels(number)[mine]
-        most = max(most, float(np.linalg.norm(missed, axis=1).max()))
+        most = max(most, float(np.nan_to_num(np.linalg.norm(missed, axis=1), nan=np.inf).max()))
     return most

@@ -110,7 +110,8 @@ def test_the_readout_is_found_where_it_is_not_known_within_what_is_stated(tmp_pa
     assert len(found.covariance_names) == len(found.covariance)
     # What was found is what everything behind the adjustment uses.
     moved = apply_adjustment(survey, found)
-    assert moved.config.cameras.rolling_shutter_s == row.value
+    cameras = moved.config.cameras
+    assert (cameras.rolling_shutter_s, cameras.rolling_shutter_std_s) == (row.value, None)
     np.testing.assert_allclose(
         [view.camera.motion for view in moved.views], block.velocities * row.value / (block.lens.height - 1)
     )

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 from scipy.spatial import cKDTree
-from small_bed import plane_bed
-from small_survey import small_survey
+from stored_run import plane_stored, run_of
 
 from geo import Cloud, read_cloud, read_reference
 from geo.errors import UnwritableFile
@@ -18,7 +17,6 @@ from survey.export import written
 from survey.export.export import export
 from survey.export.product import ExportOptions
 from survey.export.registry import PRODUCTS
-from survey.folder.survey import load_survey
 from survey.progress import Progress
 from survey.run.folder import RunDir
 from survey.run.keys import Key
@@ -31,19 +29,12 @@ FLOAT_EPS = 1.2e-7
 
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory) -> StoredBed:
-    survey = load_survey(small_survey(tmp_path_factory.mktemp("survey") / "small"))
-    bed = plane_bed(survey)
-    return StoredBed(bed, survey.frame.crs_from_local(bed.xyz), survey.frame.crs, "Flußbett", 0.02)
+    return plane_stored(tmp_path_factory.mktemp("survey") / "small")
 
 
 @pytest.fixture(scope="module")
 def run_folder(stored, tmp_path_factory):
-    with RunDir(tmp_path_factory.mktemp("run") / "run") as run:
-        folder = run.open_stage("bed")
-        save_bed(folder, stored)
-        folder = run.finish_stage("bed", Key({}), folder)
-        run.publish(run.open_result("standard"), quality="standard", stages={"bed": folder})
-    return run.path
+    return run_of(stored, tmp_path_factory.mktemp("run") / "run")
 
 
 def in_order_of(cloud: Cloud, points: np.ndarray) -> Cloud:
@@ -62,7 +53,7 @@ def test_a_stored_bed_comes_back_to_the_bit(stored, run_folder):
         np.testing.assert_array_equal(before, after)
     np.testing.assert_array_equal(again.points_crs, stored.points_crs)
     assert again.crs.equals(stored.crs)
-    assert (again.name, again.gsd_m) == ("Flußbett", 0.02)
+    assert (again.name, again.gsd_m) == (stored.name, stored.gsd_m)
 
 
 @pytest.mark.parametrize("option", ["las", "laz", "copc"])
@@ -88,7 +79,7 @@ def test_ply_has_the_points_in_double_precision_and_the_scalars_with_their_units
     cloud = read_reference(tmp_path / "out.ply")
     np.testing.assert_array_equal(cloud.points, stored.points_crs)
     np.testing.assert_array_equal(cloud.rgb, stored.bed.rgb)
-    assert set(cloud.extra) == {"depth_m", "std_m", "num_views", "incidence_deg"}
+    assert set(cloud.extra) == {"depth_m", "std_m", "std_common_m", "num_views", "incidence_deg"}
     np.testing.assert_allclose(cloud.extra["incidence_deg"], np.degrees(stored.bed.incidence), rtol=FLOAT_EPS)
 
 
@@ -134,11 +125,7 @@ def test_an_earlier_export_is_replaced_and_nothing_else(run_folder, tmp_path, su
 
 
 def test_what_the_run_itself_needs_is_not_overwritten(stored, tmp_path):
-    with RunDir(tmp_path / "run") as run:
-        folder = run.open_stage("bed")
-        save_bed(folder, stored)
-        folder = run.finish_stage("bed", Key({}), folder)
-        run.publish(run.open_result("standard"), quality="standard", stages={"bed": folder})
+    run = RunDir(run_of(stored, tmp_path / "run"))
     export(run.path, las=tmp_path / "a.las")
     run.cloud_path.write_bytes((tmp_path / "a.las").read_bytes())
     (tmp_path / "link.las").symlink_to(run.cloud_path)

@@ -86,6 +86,18 @@ def test_without_a_number_in_survey_toml_a_fixed_receiver_tells_its_own_and_no_o
     )
 
 
+def test_an_accuracy_of_centimetres_by_another_maker_is_believed_and_one_of_metres_is_not(tmp_path):
+    found = find_survey(unposed(tmp_path / "s"))
+    heads = dict(found.heads)
+    heads["0000.jpg"] = replace(heads["0000.jpg"], std_m=(0.02, 0.02, 0.03))
+    heads["0001.jpg"] = replace(heads["0001.jpg"], std_m=(1.2, 1.2, 1.7))
+    found = replace(found, heads=heads)
+    frame = LocalFrame(found.crs, (E0, N0, LEVEL))
+    priors = priors_of_gps(found, frame, views_of(found, frame))
+    assert [prior.source for prior in priors.values()] == ["XMP accuracy", "GPS EXIF", "GPS EXIF", "GPS EXIF"]
+    assert tuple(priors["0000.jpg"].position_std) == (0.02, 0.02, 0.03)
+
+
 def test_a_photograph_without_a_position_or_its_height_has_no_prior(tmp_path):
     found = find_survey(unposed(tmp_path / "s", ("[water]", "position_std_m = 0.04\n[water]")))
     heads = dict(found.heads)

@@ -90,6 +90,12 @@ def test_neither_a_hover_nor_a_mechanical_shutter_is_warned_of(tmp_path):
 def test_check_says_what_the_shutter_does(tmp_path):
     row = said(check_survey(flown(tmp_path / "s", KEY)), "Found")["shutter"]
     assert row == "rolls in 47 ms; velocities of 4 of 4 images (4 by XMP), which move rows by up to 24 cm or 1.2 px"
+    toml = replaced(("[water]", "rolling_shutter_s = 0\nrolling_shutter_std_s = 0.02\n[water]"))
+    (tmp_path / "s" / "survey.toml").write_text(toml)
+    row = said(check_survey(tmp_path / "s"), "Found")["shutter"]
+    assert row == "rolls in 0 +- 20 ms; velocities of 4 of 4 images (4 by XMP)"
+    (tmp_path / "s" / "survey.toml").write_text(toml.replace("rolling_shutter_std_s = 0.02\n", ""))
+    assert said(check_survey(tmp_path / "s"), "Found")["shutter"] == "exposes all rows at once"
 
 
 def test_before_structure_from_motion_the_warning_is_there_too(tmp_path):

@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+import rasterio
 from pyproj import CRS
 
 from geo import Cloud, Mesh, read_reference
@@ -20,7 +21,7 @@ ORIGIN = np.array([589012.0, 5194736.0, 2105.0])
 
 @pytest.mark.parametrize(
     ("name", "module", "extra"),
-    [("r.glb", "trimesh", "gltf"), ("r.tif", "rasterio", "raster"), ("r.e57", "pye57", "e57")],
+    [("r.glb", "trimesh", "gltf"), ("r.e57", "pye57", "e57")],
 )
 def test_a_format_whose_library_is_missing_is_refused_with_the_extra_that_brings_it(
     tmp_path, monkeypatch, name, module, extra
@@ -66,7 +67,6 @@ def test_gltf_comes_with_z_up_and_its_nodes_where_they_are(tmp_path, name):
 
 
 def test_a_raster_is_the_surface_through_the_middles_of_its_cells_and_has_holes(tmp_path):
-    rasterio = pytest.importorskip("rasterio")
     rows, columns = np.mgrid[0:4, 0:5]
     heights = (100.0 + columns + 10.0 * rows).astype(np.float32)
     heights[0, 0] = -9999.0
@@ -90,7 +90,6 @@ def test_a_raster_is_the_surface_through_the_middles_of_its_cells_and_has_holes(
 
 
 def test_a_raster_without_data_is_refused(tmp_path):
-    rasterio = pytest.importorskip("rasterio")
     path = tmp_path / "r.tif"
     with rasterio.open(path, "w", driver="GTiff", height=3, width=3, count=1, dtype="float32", nodata=0.0) as out:
         out.write(np.zeros((3, 3), np.float32), 1)

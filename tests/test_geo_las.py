@@ -30,6 +30,7 @@ def values_for(number: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
         "rgb": rng.integers(0, 256, (number, 3), dtype=np.uint8),
         "depth_m": depth,
         "std_m": rng.uniform(0.001, 0.1, number),
+        "std_common_m": rng.uniform(0.001, 0.1, number),
         "num_views": rng.integers(2, 400, number),
         "incidence_deg": rng.uniform(0.0, 50.0, number),
         "is_wet": depth > 0.0,
@@ -71,7 +72,12 @@ def test_a_cloud_comes_back_with_all_its_values(written):
     np.testing.assert_array_equal(cloud.rgb, values["rgb"])
     np.testing.assert_array_equal(cloud.classification, np.where(values["is_wet"], 40, 2))
     np.testing.assert_array_equal(cloud.extra["num_views"], values["num_views"])
-    for name, given in (("depth", "depth_m"), ("std", "std_m"), ("incidence", "incidence_deg")):
+    for name, given in (
+        ("depth", "depth_m"),
+        ("std", "std_m"),
+        ("std_common", "std_common_m"),
+        ("incidence", "incidence_deg"),
+    ):
         np.testing.assert_array_equal(cloud.extra[name], values[given].astype(np.float32))
     assert [part.to_epsg() for part in cloud.crs.sub_crs_list] == [25832, 5778]
     assert cloud.notes == ()
@@ -89,7 +95,7 @@ def test_the_header_is_las_14_format_7_as_the_standard_wants_it(written):
     made = datetime.date(year, 1, 1) + datetime.timedelta(days=day - 1)
     assert abs((datetime.date.today() - made).days) <= 1
     assert head[104] & 0x3F == 7
-    assert struct.unpack_from("<H", head, 105)[0] == 36 + 14, "point format 7 and the extra bytes"
+    assert struct.unpack_from("<H", head, 105)[0] == 36 + 18, "point format 7 and the extra bytes"
     assert head[107:131] == bytes(24), "legacy counts are zero"
     assert struct.unpack_from("<3d", head, 131) == (0.001, 0.001, 0.001)
     offsets = struct.unpack_from("<3d", head, 155)
@@ -108,7 +114,7 @@ def test_the_records_hold_one_wkt_1_and_one_extra_bytes_descriptor(written):
         assert records[0].string.startswith('COMPD_CS["ETRS89 / UTM zone 32N + GHA height",PROJCS[')
         assert records[0].record_data_bytes().endswith(b"\0")
         described = {record.name.decode(): record for record in records[1].extra_bytes_structs}
-    assert list(described) == ["depth", "std", "num_views", "incidence"]
+    assert list(described) == ["depth", "std", "std_common", "num_views", "incidence"]
     for name, given in (("depth", "depth_m"), ("num_views", "num_views")):
         assert described[name].min[0] == values[given].astype(described[name].min.dtype).min()
         assert described[name].max[0] == values[given].astype(described[name].max.dtype).max()

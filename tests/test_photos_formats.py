@@ -17,7 +17,7 @@ from refract.lens import MODELS, Lens, LensError
 from survey.errors import PosesError
 from survey.folder.survey import load_survey
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
-from survey.photos.formats import colmap, find_poses, find_unread, opk_csv, read_poses, read_ties
+from survey.photos.formats import colmap, find_poses, find_unread, opk_csv, pose_files, read_poses, read_ties
 
 # cameras.csv of the drawn surveys is written to 1e-5 m and 1e-8 degrees, the COLMAP model to 1e-12.
 CENTRE_TOLERANCE_M = 1e-3
@@ -267,10 +267,10 @@ def test_poses_are_found_beside_the_images_and_other_formats_are_named(tmp_path)
     assert find_poses(tmp_path) == [tmp_path / "sparse"]
     (tmp_path / "poses.csv").write_text(HEADER)
     assert find_poses(tmp_path) == [tmp_path / "poses.csv", tmp_path / "sparse"]
-    (tmp_path / "transforms.json").write_text("{}")
-    assert find_unread(tmp_path) == ["transforms.json"]
+    (tmp_path / "flight.nvm").write_text("NVM_V3")
+    assert find_unread(tmp_path) == ["flight.nvm is not read: export a COLMAP model instead"]
     with pytest.raises(PosesError, match="is not a known kind of poses file"):
-        read_poses(tmp_path / "transforms.json")
+        read_poses(tmp_path / "flight.nvm")
 
 
 def test_a_model_may_be_named_by_one_of_its_files(tmp_path):
@@ -305,3 +305,19 @@ def test_angles_count_about_the_grid_axes_and_not_about_true_north():
     assert convergence > 1.0
     # The axes follow the grid by differences over 10 m, whose curvature is 1e-9.
     assert math.degrees(math.atan2(up_in_local[0], up_in_local[1])) == pytest.approx(convergence, abs=1e-6)
+
+
+def test_all_files_that_are_read_for_poses_are_inputs_that_no_result_replaces(tmp_path):
+    model = write_model(tmp_path / "m", "1 1 0 0 0 0 0 0 1 a.jpg\n\n")
+    (model / "points3D.txt").write_text("")
+    assert {path.name for path in pose_files(model / "images.txt")} == {"images.txt", "cameras.txt", "points3D.txt"}
+    assert set(pose_files(model)) == set(pose_files(model / "images.txt"))
+    for name in ("reconstruction.json", "tracks.csv", "reference_lla.json", "other.json"):
+        (tmp_path / name).write_text("[]")
+    names = {path.name for path in pose_files(tmp_path / "reconstruction.json")}
+    assert names == {"reconstruction.json", "tracks.csv", "reference_lla.json"}
+    stem = "p_calibrated_external_camera_parameters.txt"
+    for name in (stem, "p_offset.xyz", "q_offset.xyz"):
+        (tmp_path / name).write_text("")
+    assert {path.name for path in pose_files(tmp_path / stem)} == {stem, "p_offset.xyz"}
+    assert pose_files(tmp_path / "none.csv") == [tmp_path / "none.csv"]

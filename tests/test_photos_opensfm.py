@@ -254,3 +254,27 @@ def test_tracks_that_are_damaged_are_refused(tmp_path, block):
     path.with_name("tracks.csv").write_text("OPENSFM_TRACKS_VERSION_v2\n0000.jpg\t100\t1\tnone\t0.1\n")
     with pytest.raises(PosesError, match=r"tracks\.csv is damaged"):
         read_ties(path)
+
+
+def test_without_survey_toml_and_positions_in_exif_the_poses_tell_the_zone(tmp_path, block):
+    write(tmp_path, block, reference_lla=REFERENCE)
+    write_images(tmp_path, block.names)
+    survey = load_survey(tmp_path)
+    assert survey.config.crs == "EPSG:32632+5773"
+    assert any("the UTM zone of the poses" in text for text in survey.assumptions)
+    assert most_missed_px(survey, block) < CLOSE_PX
+
+
+def test_names_that_lead_out_of_the_folder_are_names_only(tmp_path, block):
+    made = block_json(block, reference_lla=REFERENCE)
+    shots = made["shots"]
+    shots["../../../../etc/passwd"] = dict(shots["0000.jpg"])
+    shots["/etc/0001.jpg"] = dict(shots["0000.jpg"])
+    shots["C:\\photos\\0002.jpg"] = shots.pop("0002.jpg")
+    write(tmp_path, block, blocks=[made])
+    survey = load(tmp_path, block, "reconstruction.json")
+    assert [view.name for view in survey.views] == list(block.names)
+    assert all(view.path.parent == tmp_path / "images" for view in survey.views)
+    assert most_missed_px(survey, block) < CLOSE_PX
+    (left_out,) = [text for text in survey.warnings if "without an image" in text]
+    assert "../../../../etc/passwd" in left_out

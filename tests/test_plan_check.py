@@ -156,7 +156,7 @@ def test_a_focal_length_of_a_cropped_photograph_is_doubted_by_check_and_by_proce
     folder = small_survey(tmp_path / "s")
     for line in camera_lines():
         write_image(folder / "images" / line.split(",")[0], FocalLengthIn35mmFilm=28)
-    warning, _of_straight_rays = load_survey(folder).warnings
+    (warning,) = load_survey(folder).warnings
     assert warning.startswith("the focal length of 0002.jpg is 100 px, and EXIF gives 50 px; check that")
     assert said(check_survey(folder), "Warnings")[""] == warning
 

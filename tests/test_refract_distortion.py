@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from refract import FlatWater
 from refract.distortion import AFFINE, BROWN, FISHEYE, RATIONAL, Distortion, distort, kinds_of, row_of, undistort
-from refract.lens import Lens, distorted, normalised, undistorted
+from refract.lens import Lens, affine_from_brown, brown_from_affine, distorted, normalised, undistorted
 
 BARREL = Distortion(BROWN, (-0.12, 0.03, 1e-3, -2e-3, -0.004))
 PINCUSHION = Distortion(BROWN, (0.15, 0.02, 1e-3, -1e-3, 0.0))
@@ -207,3 +207,15 @@ def test_the_affine_lens_takes_pixels_there_and_back_as_its_camera_does(rng):
     assert np.abs(straight - pixels).max() > 1.0
     _, change = normalised(AFFINE_LENS)
     assert change.shape == (320 * 240, 2, 2)
+
+
+def test_an_affine_lens_without_its_two_terms_is_browns(rng):
+    pixels = rng.uniform((0.0, 0.0), (320.0, 240.0), (300, 2))
+    brown = Lens("OPENCV", (*AFFINE_LENS.params[:8],), 320, 240)
+    k3, k4, skew = AFFINE_LENS.params[8:]
+    by_k3 = Lens("FULL_OPENCV", (*brown.params, k3, 0.0, 0.0, 0.0), 320, 240)
+    without = brown_from_affine(AFFINE_LENS, pixels)
+    assert np.abs(without - pixels).max() > 0.1
+    np.testing.assert_allclose(undistorted(by_k3, without), undistorted(AFFINE_LENS, pixels), rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(affine_from_brown(AFFINE_LENS, without), pixels, rtol=0.0, atol=1e-8)
+    assert k4 != 0.0 != skew

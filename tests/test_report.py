@@ -173,7 +173,7 @@ def test_report_json_keeps_its_names(report):
     assert {name: list(found[name]) for name in ("verdict", "survey", "water", "plan", "cloud", "baselines")} == {
         "verdict": ["passed", "gates"],
         "survey": [
-            "name", "crs", "bounds", "views_used", "views_left_out", "image_size_px", "focal_px", "poses",
+            "name", "crs", "bounds", "views_used", "views_left_out", "image_size_px", "focal_px", "poses", "shutter",
             "local_frame_origin",
         ],
         "water": [
@@ -183,7 +183,7 @@ def test_report_json_keeps_its_names(report):
         "plan": ["quality", "device", "image_scale", "gsd_m", "height_m", "footprint_m", "decisions"],
         "cloud": [
             "points", "points_wet", "points_dry", "extent", "covered_area_m2", "density_per_m2", "depth_m", "std_m",
-            "views_per_point", "incidence_deg",
+            "std_common_m", "views_per_point", "incidence_deg",
         ],
         "baselines": ["places", "views_per_place", "rows", "note"],
     }  # fmt: skip

@@ -43,6 +43,26 @@ def test_coverage_says_of_each_cell_who_sees_it_through_the_water():
     assert not seen[:, rim].any()
 
 
+def slow_greedy(seen, chosen, times):
+    """The greedy choice with all gains counted anew in every round."""
+    chosen, need = list(chosen), np.minimum(seen.sum(axis=0), times)
+    have = seen[chosen].sum(axis=0)
+    while True:
+        gain = (seen & (have < need)).sum(axis=1)
+        gain[chosen] = 0
+        if gain.max() == 0:
+            return chosen
+        chosen.append(int(gain.argmax()))
+        have = have + seen[chosen[-1]]
+
+
+def test_gains_that_are_kept_up_to_date_choose_as_gains_counted_anew(rng):
+    for _ in range(20):
+        seen = rng.random((rng.integers(3, 40), 200)) < rng.uniform(0.02, 0.5)
+        start, times = list(range(rng.integers(0, 3))), int(rng.integers(1, 7))
+        assert views._greedy(seen, start, times) == slow_greedy(seen, start, times)
+
+
 def test_on_a_long_flight_a_view_still_sees_many_cells_and_its_neighbours():
     cameras = flight(60, spacing=0.5)
     seen, cells = views.coverage(cameras, WATER, -2.0)

@@ -82,14 +82,16 @@ def _greedy(seen: np.ndarray, chosen: list[int], times: int) -> list[int]:
     chosen = list(chosen)
     need = np.minimum(seen.sum(axis=0), times)
     have = seen[chosen].sum(axis=0)
+    gain = (seen & (have < need)).sum(axis=1)
     while True:
-        gain = (seen & (have < need)).sum(axis=1)
         gain[chosen] = 0
         if gain.max() == 0:
             return chosen
         best = int(gain.argmax())
         chosen.append(best)
         have = have + seen[best]
+        # Only the cells that have enough now count less: thousands of views would take minutes otherwise.
+        gain -= seen[:, np.flatnonzero(seen[best] & (have == need))].sum(axis=1)
 
 
 def neighbours(

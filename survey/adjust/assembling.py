@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from refract.lens import Lens
+from refract.lens import Lens, is_affine
 from survey.adjust.adjustment import Adjustment, ControlResidual, Parameter
 from survey.adjust.control_check import control_warnings
 from survey.adjust.free_water import Lost
@@ -38,6 +38,9 @@ def lens_with(lens: Lens, parameters: np.ndarray) -> Lens:
         return lens
     fx, fy = lens.focal
     f, cx, cy, k1, k2, k3, p1, p2 = parameters.tolist()
+    if is_affine(lens):
+        inner = (f, f * fy / fx, cx, cy, k1, k2, p1, p2, k3)
+        return Lens(lens.model, (*inner, lens["k4"], lens["skew"]), lens.width, lens.height)
     return Lens("FULL_OPENCV", (f, f * fy / fx, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0), lens.width, lens.height)
 
 

@@ -21,7 +21,7 @@ from survey.adjust.adjustment import Adjustment
 from survey.adjust.observed import rows_taken
 from survey.adjust.prediction import linearise
 from survey.adjust.priors import parameters_of
-from survey.adjust.state import RELIEF, WATER, State
+from survey.adjust.state import RELIEF, WATER, Layout, State
 from survey.photos.tie_points import TiePoints
 
 # The standard deviation of a mean over this many places, spread over the area, is that over all to a few per cent.
@@ -81,7 +81,14 @@ def height_moves(found: Adjustment, water: FlatWater | None, ties: TiePoints) ->
     lenses = np.array([parameters_of(lens) for lens in found.lenses])
     readouts = np.array(found.readouts_s or ())
     state = State(water, np.zeros(RELIEF), lenses, found.centres, found.rotations, ties.start, readouts)
-    rows = rows_taken(ties, found.lenses, found.lens_of)
+    return moves_of(layout, state, ties, rows_taken(ties, found.lenses, found.lens_of))
+
+
+def moves_of(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray) -> np.ndarray:
+    """Derivative (K, P) of the heights of places, those of the state, by water, lenses and poses.
+
+    ``rows`` (N,) as `survey.adjust.observed.rows_taken` gives them.
+    """
     linear = linearise(layout, state, ties, np.zeros((len(ties.view), RELIEF)), rows)
     kept = np.r_[:WATER, layout.first_lens : len(layout)]
     by_parameters = linear.by_parameters.toarray()[:, kept].reshape(len(ties.view), 2, len(kept))

@@ -12,8 +12,9 @@ then; its covariance is S less that of the place.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,8 +27,9 @@ from survey.display.words import named
 from survey.photos.cameras import View
 from survey.photos.tie_points import TiePoints
 
-# Coordinates further off than this are wrong, in standard deviations that also explain most of the other points.
-_WRONG = 6.0
+# Coordinates further off than this, in standard deviations, and by this factor more than most points, are wrong: a
+# wrong point pulls the block away from the others. Once these are known to be as inaccurate, it may come back.
+_WRONG, _STANDS_OUT, _RIGHT = 6.0, 2.5, 4.0
 # The median of the largest of three normal deviates.
 _MEDIAN_OF_THREE = 1.26
 # Of so many points, most are further off than stated only where what is stated is too small by such a factor.
@@ -38,45 +40,81 @@ _PLACE_A_BLOCK = 3
 _LEAST_REDUNDANCY = 0.2
 
 
-def checked_points(problem: Problem, solution: Solution, seen: Observed) -> Observed:
+class Given(NamedTuple):
+    """The coordinates of a control point (3,) [m], local, and their standard deviations."""
+
+    place: np.ndarray
+    std: np.ndarray
+
+
+def given_points(seen: Observed) -> dict[str, Given]:
+    """Those of all control points, by name, before anything was found of them."""
+    first = len(seen.ties) - len(seen.control)
+    return {name: Given(seen.ties.start[k], seen.point_std[k]) for k, name in enumerate(seen.control, start=first)}
+
+
+def checked_points(problem: Problem, solution: Solution, seen: Observed, stated: Mapping[str, Given]) -> Observed:
     """The observations with coordinates of control freed or widened as the block shows; the same where it does not.
 
     Only the worst point is freed: it pulls the block away from others, which are judged without it.
+
+    Parameters
+    ----------
+    problem : Problem
+    solution : Solution
+    seen : Observed
+    stated : name to Given
+        Of control points, before any was freed or widened.
     """
     first = len(seen.ties) - len(seen.control)
-    known = [k for k in range(first, len(seen.ties)) if np.isfinite(seen.point_std[k]).all()]
-    off = {k: value for k in known if (value := _misfit(problem, solution, seen, k)) is not None}
+    std = seen.point_std.copy()
+    known = [k for k in range(first, len(std)) if np.isfinite(std[k]).all()]
+
+    def given(point: int) -> Given:
+        return stated[seen.control[point - first]]
+
+    def misfit(point: int, own_std: np.ndarray) -> float:
+        return _misfit(problem, solution, seen, point, Given(given(point).place, own_std))
+
+    off = {k: value for k in known if np.isfinite(value := misfit(k, std[k]))}
     if not off:
         return seen
-    scale = float(np.median(list(off.values()))) / _MEDIAN_OF_THREE if len(off) >= _FEWEST else 1.0
-    worst = max(off, key=off.__getitem__)
-    std = seen.point_std.copy()
+    median, worst = float(np.median(list(off.values()))), max(off, key=off.__getitem__)
     positions = problem.priors.std[problem.layout.first_pose :].reshape(-1, POSE)[:, :3]
-    if off[worst] > _WRONG * max(scale, 1.0):
-        if len(known) > _PLACE_A_BLOCK or np.isfinite(positions).any():
-            std[worst] = np.inf
-        else:
-            # Without the worst nothing would hold the block.
-            std[known] *= off[worst] / _MEDIAN_OF_THREE
-    elif scale > _OVERSTATED:
-        std[known] *= scale
+    can_lose = len(known) > _PLACE_A_BLOCK or bool(np.isfinite(positions).any())
+    stands_out = len(off) < _FEWEST or off[worst] > _STANDS_OUT * median
+    if off[worst] > _WRONG and stands_out and can_lose:
+        std[worst] = np.inf
+    elif off[worst] > _WRONG and len(off) < _FEWEST:
+        # Without the worst nothing would hold the block.
+        std[known] *= off[worst] / _MEDIAN_OF_THREE
+    elif len(off) >= _FEWEST and median > _OVERSTATED * _MEDIAN_OF_THREE:
+        std[known] *= median / _MEDIAN_OF_THREE
     else:
-        return seen
+        wider = float(np.max(std[known[0]] / given(known[0]).std))
+        freed = [k for k in range(first, len(std)) if k not in known and np.isfinite(given(k).std).all()]
+        back = [k for k in freed if wider > 1.0 and misfit(k, wider * given(k).std) < _RIGHT]
+        if not back:
+            return seen
+        std[back] = [wider * given(k).std for k in back]
+        start = seen.ties.start.copy()
+        start[back] = [given(k).place for k in back]
+        return replace(seen, point_std=std, ties=replace(seen.ties, start=start))
     return replace(seen, point_std=std)
 
 
-def _misfit(problem: Problem, solution: Solution, seen: Observed, point: int) -> float | None:
-    """How far a control point lies from its coordinates, in standard deviations; None where one photograph shows it."""
+def _misfit(problem: Problem, solution: Solution, seen: Observed, point: int, given: Given) -> float:
+    """How far a control point lies from its coordinates, in standard deviations; infinite where nothing tells."""
     marks = np.flatnonzero(seen.ties.point == point)
     if len(marks) < 2:
-        return None
-    stated = seen.point_std[point]
-    moved = solution.state.points[point] - seen.ties.start[point]
+        return np.inf
+    moved = solution.state.points[point] - given.place
     linear = linearise(
         problem.layout,
         replace(solution.state, points=solution.state.points[[point]]),
         TiePoints(seen.ties.start[[point]], np.zeros_like(marks), seen.ties.view[marks], seen.ties.pixel[marks]),
         problem.sides[marks],
+        None if problem.rows is None else problem.rows[marks],
     )
     residuals = seen.ties.pixel[marks] - linear.pixels
     by_parameters = linear.by_parameters.toarray().reshape(len(marks), 2, -1)
@@ -87,16 +125,18 @@ def _misfit(problem: Problem, solution: Solution, seen: Observed, point: int) ->
         inverse = np.linalg.pinv(by_point)
         step = inverse @ residuals[chosen].ravel()
         follow = inverse @ by_parameters[chosen].reshape(len(by_point), -1)
-        variance = stated**2 + std_px**2 * np.sum(inverse**2, axis=1)
+        variance = given.std**2 + std_px**2 * np.sum(inverse**2, axis=1)
         variance += np.einsum("ip,pq,iq->i", follow, solution.covariance, follow)
         return float(np.max(np.abs(moved + step) / np.sqrt(variance)))
 
     if not np.isfinite(residuals).all():
-        return None
+        return np.inf
     every = np.arange(len(marks))
     # A single wrong mark is no wrong point: what counts is what the point is off without it.
     parts = [np.delete(every, k) for k in every] if len(marks) > 2 else [every]
-    return max(min(apart(part) for part in parts), _leaning(solution, point, moved, stated))
+    away = min(apart(part) for part in parts)
+    is_used = bool(np.isfinite(seen.point_std[point]).all())
+    return max(away, _leaning(solution, point, moved, given.std)) if is_used else away
 
 
 def _leaning(solution: Solution, point: int, moved: np.ndarray, stated: np.ndarray) -> float:

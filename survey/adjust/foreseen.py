@@ -192,6 +192,8 @@ def _covariance(survey: Survey, gsd: float, ties: TiePoints, *, free: bool) -> _
         known = replace(known, std=std)
     state = replace(known.mean, points=ties.start)
     sides = relief_sides(state, ties)
+    # Pixels of cameras that stand still tell the rows at which those that fly on take them.
+    ties = replace(ties, pixel=predict(replace(known.layout, flow=None), state, ties, sides))
     ties = replace(ties, pixel=predict(known.layout, state, ties, sides))
     std_px = np.full(len(KINDS), TIE_STD_PX)
     kind = np.full(len(ties.view), WINDOW)

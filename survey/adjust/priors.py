@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from refract.lens import MODELS, Lens
+from refract.lens import MODELS, Lens, is_affine
 from survey.adjust.bundle import Priors
 from survey.adjust.state import LENS, LENS_NAMES, RELIEF, Layout, State
 from survey.folder.shutter import rows_between
@@ -123,7 +123,7 @@ def priors_for(known: Known, ties: TiePoints, point_std: np.ndarray | None = Non
 def _flow(survey: Survey) -> np.ndarray | None:
     """See `Layout.flow`; zero for views whose velocity is not known."""
     cameras = survey.config.cameras
-    if not cameras.rolling_shutter_s and cameras.rolling_shutter_std_s is None:
+    if not cameras.rolls:
         return None
     flow = np.zeros((len(survey.views), 3))
     for number, view in enumerate(survey.views):
@@ -142,15 +142,15 @@ def _under_cameras(survey: Survey, centres: np.ndarray):
 
 def parameters_of(lens: Lens) -> np.ndarray:
     """A lens as parameters (8,) of the adjustment."""
-    if lens.model not in BROWN or any(lens[name] != 0.0 for name in ("k4", "k5", "k6")):
+    if is_held(lens):
         # Its tie points are straightened: what is left is its pinhole.
         return np.array([lens.focal[0], lens["cx"], lens["cy"], *np.zeros(LENS - 3)])
     return np.array([lens.focal[0], *(lens[name] for name in LENS_NAMES[1:])])
 
 
 def is_held(lens: Lens) -> bool:
-    """Whether a lens is not adjusted: its distortion is not Brown's."""
-    return lens.model not in BROWN or any(lens[name] != 0.0 for name in ("k4", "k5", "k6"))
+    """Whether a lens is not adjusted: its distortion is not Brown's. Of an affine one Brown's part is adjusted."""
+    return not is_affine(lens) and (lens.model not in BROWN or any(lens[name] != 0.0 for name in ("k4", "k5", "k6")))
 
 
 def _data_sheet(survey: Survey, lens: Lens) -> np.ndarray:

@@ -123,7 +123,8 @@ def apply_adjustment(survey: Survey, found: Adjustment) -> Survey:
     views = _views(survey, found.lenses, found.layout, found.centres, found.rotations, found.readouts_s)
     survey = replace(survey, views=views, points=found.points, ties=None, is_adjusted=True)
     if found.layout.finds_readouts and found.readouts_s is not None and len(found.readouts_s) == 1:
-        cameras = replace(survey.config.cameras, rolling_shutter_s=max(found.readouts_s[0], 0.0))
+        readout = max(found.readouts_s[0], 0.0)
+        cameras = replace(survey.config.cameras, rolling_shutter_s=readout, rolling_shutter_std_s=None)
         survey = replace(survey, config=replace(survey.config, cameras=cameras))
     if found.water is None:
         return survey

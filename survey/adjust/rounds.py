@@ -8,7 +8,7 @@ import numpy as np
 
 from survey.adjust.bundle import NotConvergedError, Problem, Solution, solve
 from survey.adjust.clusters import inflation
-from survey.adjust.control_check import checked_points
+from survey.adjust.control_check import checked_points, given_points
 from survey.adjust.observed import KINDS, MARK, Observed, rows_taken
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import Known, priors_for
@@ -73,7 +73,8 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
     factors = np.ones(len(KINDS) * (1 + _STRATA))
     given = np.full(len(factors), np.nan)
     given[MARK :: len(KINDS)] = marks_std_px
-    remaining = _ROUNDS
+    coordinates, remaining = given_points(seen), _ROUNDS
+    most = _ROUNDS + len(coordinates)
     while True:
         priors, sides = priors_for(known, seen.ties, seen.point_std), relief_sides(state, seen.ties)
         kind = _by_depth(seen, state)
@@ -86,10 +87,11 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
         factors[MARK :: len(KINDS)] = 1.0
         known_blunders = blunders
         known, blunders, positions_changed = _positions_by_block(known, solution, blunders)
-        checked = checked_points(problem, solution, seen)
+        checked = checked_points(problem, solution, seen, coordinates)
         control_changed = checked is not seen
         # Wrong points are found one by one.
-        remaining -= not control_changed
+        most -= 1
+        remaining = min(remaining - (not control_changed), most)
         keep = np.linalg.norm(solution.residuals, axis=1) < _OUTLIER * found[kind]
         # A wrong position or point pulls photographs away from all that they show, and neighbours with them.
         if (blunders & ~known_blunders).any() or control_changed:

@@ -26,6 +26,21 @@ def run(
         typer.Option(metavar="CRS", help="Of the products, e.g. EPSG:32632; heights stay, or are given with it."),
     ] = None,
     fill: Annotated[float, typer.Option(metavar="M", help="Fill gaps up to this width [m]; default: none.")] = 0.0,
+    mesh_method: Annotated[
+        str,
+        typer.Option(metavar="METHOD", help="delaunay: one height at each place; poisson: overhangs too (extra mesh)."),
+    ] = "delaunay",
+    watertight: Annotated[bool, typer.Option("--watertight", help="Close the mesh with walls and a bottom.")] = False,
+    interval: Annotated[
+        float | None, typer.Option(metavar="M", help="Between contours [m]; default: some ten of them.")
+    ] = None,
+    no_bed: Annotated[
+        bool,
+        typer.Option("--no-bed", help="Into LAS, LAZ and COPC also what saw no bed: classes 45, and 41 over it."),
+    ] = False,
+    survey: Annotated[
+        str | None, typer.Option(metavar="DIR", help="Survey folder; default: the one that the run lies in.")
+    ] = None,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
     **files: Path | None,
@@ -37,13 +52,23 @@ def run(
     with command(verbose, quiet, run) as results:
         from survey.export.export import export
 
-        for path in export(run, options=ExportOptions(crs=crs, resolution_m=resolution, fill_m=fill), **files):
+        options = ExportOptions(
+            crs=crs,
+            resolution_m=resolution,
+            fill_m=fill,
+            mesh_method=mesh_method,
+            watertight=watertight,
+            interval_m=interval,
+            no_bed=no_bed,
+            survey=survey,
+        )
+        for path in export(run, options=options, **files):
             results.line(path)
 
 
 def _parameter(product: Product) -> inspect.Parameter:
     """The option of a product as Typer reads it."""
-    option = typer.Option(f"--{product.option}", metavar="FILE", help=product.help)
+    option = typer.Option(f"--{product.option}", metavar="DIR" if product.is_folder else "FILE", help=product.help)
     kind = inspect.Parameter.KEYWORD_ONLY
     return inspect.Parameter(product.option, kind, default=None, annotation=Annotated[Path | None, option])
 

@@ -18,7 +18,12 @@ _LAS_SYSTEM = slice(26, 58)
 def _write_las(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     from survey.run.cloud import write_bed_las
 
-    write_bed_las(path, run.bed_in(options.crs))
+    stored, classes = run.bed_in(options.crs), None
+    if options.no_bed:
+        from survey.export.unseen import with_unseen
+
+        stored, classes = with_unseen(run, stored, options.crs)
+    write_bed_las(path, stored, classes)
 
 
 def _write_ply(path: Path, run: LoadedRun, options: ExportOptions) -> None:
@@ -53,7 +58,7 @@ CLOUDS = (
         kind=_KIND,
         help="Points as LAS 1.4.",
         example="--las bed.las",
-        takes=("crs",),
+        takes=("crs", "no_bed"),
         is_ours=is_our_las,
         write=_write_las,
     ),
@@ -63,7 +68,7 @@ CLOUDS = (
         kind=_KIND,
         help="Points as LAZ, LAS compressed.",
         example="--laz bed.laz --crs EPSG:4326",
-        takes=("crs",),
+        takes=("crs", "no_bed"),
         is_ours=is_our_las,
         write=_write_las,
     ),
@@ -73,7 +78,7 @@ CLOUDS = (
         kind=_KIND,
         help="Points as cloud-optimised LAZ, from which readers fetch parts.",
         example="--copc bed.copc.laz",
-        takes=("crs",),
+        takes=("crs", "no_bed"),
         is_ours=is_our_las,
         write=_write_las,
     ),

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import fields
 from pathlib import Path
 
-from survey.errors import SurveyError
+from survey.errors import OutputError, SurveyError
 from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions, Product
 from survey.export.registry import PRODUCTS
 from survey.export.written import is_current, key_of, note_written
-from survey.files.outputs import ReadFiles, require_file
+from survey.files.outputs import ReadFiles, require_file, require_folder
 from survey.progress import current
 
 
@@ -45,21 +45,29 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
     options = options or ExportOptions()
     wanted = _wanted(files)
     _require_effect([product for product, _ in wanted], options)
-    loaded = LoadedRun(run)
-    inputs = loaded.folder.inputs()
-    for product, path in wanted:
-        _require_writable(product, path, inputs)
-    loaded.folder.warn_if_unfinished()
-    with current().stage("Export", len(wanted)) as stage:
+    with LoadedRun(run) as loaded:
+        inputs = loaded.folder.inputs()
         for product, path in wanted:
-            key = key_of(product, loaded, options)
-            if is_current(loaded, path, key):
-                current().note(f"{path}: unchanged")
-            else:
-                product.write(path, loaded, options)
-                note_written(loaded, path, key)
-            stage.advance()
+            _require_writable(product, path, inputs)
+        loaded.folder.warn_if_unfinished()
+        with current().stage("Export", len(wanted)) as stage:
+            for product, path in wanted:
+                _write(product, path, loaded, options)
+                stage.advance()
     return [path for _, path in wanted]
+
+
+def _write(product: Product, path: Path, loaded: LoadedRun, options: ExportOptions) -> None:
+    """Write one product, unless the file is there and up to date."""
+    if product.is_folder:
+        product.write(path, loaded, options)
+        return
+    key = key_of(product, loaded, options)
+    if is_current(loaded, path, key):
+        current().note(f"{path}: unchanged")
+    else:
+        product.write(path, loaded, options)
+        note_written(loaded, path, key)
 
 
 def _wanted(files: dict[str, str | Path | None]) -> list[tuple[Product, Path]]:
@@ -84,6 +92,11 @@ def _wanted(files: dict[str, str | Path | None]) -> list[tuple[Product, Path]]:
 
 
 def _require_writable(product: Product, path: Path, inputs: ReadFiles) -> None:
+    if product.is_folder:
+        require_folder(_name(product), path, inputs)
+        if path.is_dir() and any(path.iterdir()) and not product.is_ours(path):
+            raise OutputError(f"{_name(product)} names {path}, which holds other files; name a new or empty folder")
+        return
     require_file(_name(product), path, inputs, kind=product.kind, is_of_kind=lambda _head: product.is_ours(path))
 
 
@@ -93,7 +106,7 @@ def _require_effect(products: list[Product], options: ExportOptions) -> None:
         if getattr(options, field.name) == field.default or any(field.name in p.takes for p in products):
             continue
         takers = ", ".join(_name(product) for product in PRODUCTS if field.name in product.takes)
-        option = "--" + field.name.removesuffix("_m")
+        option = "--" + field.name.removesuffix("_m").replace("_", "-")
         raise SurveyError(f"{option} has no effect on what is exported here; leave it out, or export one of {takers}")
 
 

@@ -27,11 +27,26 @@ class ExportOptions:
         Side of a cell; None leaves it to the product.
     fill_m : [m]
         Gaps up to this width are filled.
+    mesh_method : "delaunay" or "poisson"
+        See `survey.mesh.surface`.
+    watertight : bool
+        Close the mesh with walls and a bottom.
+    interval_m : [m] or None
+        Between contours; None leaves it to the product.
+    no_bed : bool
+        Add points where no bed was found, and of the water over them.
+    survey : str or None
+        Folder of the survey; None for the one that the run lies in.
     """
 
     crs: str | None = None
     resolution_m: float | None = None
     fill_m: float = 0.0
+    mesh_method: str = "delaunay"
+    watertight: bool = False
+    interval_m: float | None = None
+    no_bed: bool = False
+    survey: str | None = None
 
 
 @dataclass(frozen=True)
@@ -57,6 +72,8 @@ class Product:
     write : callable
         Writes the file, whole or not at all. What it needs of slow modules it imports itself: the command line reads
         the registry.
+    is_folder : bool
+        Whether it is a folder of files, which is made where it is not there, and always written anew.
     """
 
     option: str
@@ -67,6 +84,7 @@ class Product:
     takes: tuple[str, ...]
     is_ours: Callable[[Path], bool]
     write: Callable[[Path, LoadedRun, ExportOptions], None]
+    is_folder: bool = False
 
 
 def begins_with(start: bytes, *marks: bytes) -> Callable[[Path], bool]:

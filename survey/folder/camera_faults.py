@@ -115,11 +115,10 @@ def _overlap_doubts(views: list[View], water: FlatWater) -> list[str]:
         along = float(-water.depth(camera.centre)) / falling
         places.append((camera.centre + along * camera.cam_from_local[2])[:2])
         radii.append(0.5 * along * math.hypot(camera.width / camera.fx, camera.height / camera.fy) / falling)
-    apart = np.linalg.norm(np.array(places)[:, None] - np.array(places), axis=-1) - np.add.outer(radii, radii)
-    np.fill_diagonal(apart, np.inf)
-    alone = apart.min(axis=1) > 0.0
+    apart = _gaps(np.array(places), np.array(radii))
+    alone = apart > 0.0
     if alone.mean() > 0.5:
-        gap = np.median(apart.min(axis=1)[alone])
+        gap = np.median(apart[alone])
         raise PosesError(
             f"{alone.sum()} of {len(views)} views overlap no other at the water: one covers "
             f"{2.0 * np.median(radii):.2f} m, and the next one begins {gap:.2f} m away, expected an overlap of "
@@ -127,6 +126,16 @@ def _overlap_doubts(views: list[View], water: FlatWater) -> list[str]:
         )
     names = [view.name for view, is_alone in zip(views, alone, strict=True) if is_alone]
     return named(names, "view", "without overlap with another one at the water")
+
+
+def _gaps(places: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """From each circle (N, 2), (N,) to the next one, (N,) [m]; below zero where they overlap."""
+    gaps = np.empty(len(places))
+    for i, (place, radius) in enumerate(zip(places, radii, strict=True)):
+        others = np.hypot(*(places - place).T) - radii - radius
+        others[i] = np.inf
+        gaps[i] = others.min()
+    return gaps
 
 
 def angle_doubts(poses: list[Pose], frame: PoseFrame) -> list[str]:

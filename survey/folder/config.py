@@ -86,6 +86,11 @@ class CamerasConfig:
                     f"{list(self.size_px)}; expected pixels from the upper left corner"
                 )
 
+    @property
+    def rolls(self) -> bool:
+        """Whether the shutter rolls, by a readout or by one that is to be found."""
+        return bool(self.rolling_shutter_s) or self.rolling_shutter_std_s is not None
+
     def _require_stds(self) -> None:
         require_std(
             "[cameras] position_std_m", self.position_std_m, 100.0, "metres", "GPS has about 3, with corrections 0.03"

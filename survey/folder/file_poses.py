@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from survey.folder.pairing import pair, with_lenses
 from survey.folder.pose_priors import PosePrior, priors_of_poses
 from survey.folder.posed import given_in_local, points_in_local
 from survey.folder.reprojection import Reprojection, reprojection
+from survey.folder.water_level import with_level_of_clicks
 from survey.photos.cameras import View
 from survey.photos.formats import read_poses, read_ties
 from survey.photos.poses import Pose, PoseFile
@@ -29,6 +30,8 @@ class FilePoses:
 
     Attributes
     ----------
+    found : Found
+        The contents of the survey folder, with the level that clicks in the photographs give.
     frame : LocalFrame
     views : list of View
     points : (N, 3) float64 [m], local, or None
@@ -40,6 +43,7 @@ class FilePoses:
     priors : dict of name to PosePrior
     """
 
+    found: Found
     frame: LocalFrame
     views: list[View]
     points: np.ndarray | None
@@ -63,12 +67,12 @@ def read_file_poses(found: Found, path: Path, assumptions: list[str], warnings: 
     paired = pair(found, file.poses, warnings)
     poses = with_lenses(found, list(paired.values()), assumptions, warnings)
     warnings += angle_doubts(poses, file.frame)
+    found = _with_clicks(found, file, poses, assumptions, warnings)
     frame, views = place.views_in_local(found, file, poses)
     if file.tool is not None and found.config.water is not None:
         warnings.append(
-            f"{file.tool} adjusts with straight rays, and water bends them: its poses over water are off by a little; "
-            "they are refined where the photographs contradict them, and in any case where [cameras] position_std_m "
-            "says how well they are known"
+            f"{file.tool} adjusts with straight rays, and water bends them: its poses are off by what it saw through "
+            "water; the plan says whether they are refined, and [cameras] position_std_m refines them in any case"
         )
     if found.control is not None:
         centres = np.array([view.camera.centre for view in views])
@@ -76,7 +80,21 @@ def read_file_poses(found: Found, path: Path, assumptions: list[str], warnings: 
     by_name = {view.name: view for view in views}
     points, misses = _ties(found, path, file, frame, {called: by_name[pose.name] for called, pose in paired.items()})
     priors = priors_of_poses(found.config.cameras, views, _given(found, file, poses, frame))
-    return FilePoses(frame, views, points, file.tool, file.masks, misses, priors)
+    return FilePoses(found, frame, views, points, file.tool, file.masks, misses, priors)
+
+
+def _with_clicks(found: Found, file: PoseFile, poses: list[Pose], assumptions: list[str], warnings: list[str]) -> Found:
+    """The contents with the level that clicks in the photographs give, where [water] names them.
+
+    The local frame of a survey lies at its level, which is not known before the poses are: another frame serves here.
+    """
+    water = found.config.water
+    if water is None or water.clicks is None:
+        return found
+    dry = replace(found, config=replace(found.config, water=None))
+    frame, views = place.views_in_local(dry, file, poses)
+    config, clicked = with_level_of_clicks(found.folder, found.config, views, frame, assumptions, warnings)
+    return replace(found, config=config, levels=found.levels + clicked)
 
 
 def _ties(

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
+from geo.crs import utm_code
 from survey.errors import FILE_NAME, ConfigError
 from survey.folder.config import ImagesConfig, SurveyConfig
 from survey.folder.plausible import distances_to_exif
-from survey.folder.posed import points_in_crs
+from survey.folder.posed import middle_of_geocentric, points_in_crs
 from survey.photos.exif import SUFFIXES, Exif, utm_code_of
 from survey.photos.formats import read_poses
 from survey.photos.names import ImageNames
@@ -50,31 +51,35 @@ def config_of_images(
     poses_path: Path | None,
     assumptions: list[str],
 ) -> SurveyConfig:
-    """Settings from the GPS positions in EXIF; every assumption is added to the list.
+    """Settings from the GPS positions in EXIF, else from geocentric poses; every assumption is added to the list.
 
     Raises
     ------
     ConfigError
         Where there is too little to infer them from.
     """
-    code = utm_code_of(heads)
+    file = None if poses_path is None else read_poses(poses_path)
+    by_exif = utm_code_of(heads)
+    code = by_exif
+    if code is None and file is not None and file.frame is PoseFrame.GEOCENTRIC:
+        lon, lat = middle_of_geocentric(file)
+        code = utm_code(lat, lon)
     if code is None:
         raise ConfigError(
             f"{folder} has no {FILE_NAME}, and no image has a GPS position to infer it from; write {FILE_NAME} with "
             f"{_EXAMPLE}"
         )
-    file = None if poses_path is None else read_poses(poses_path)
     if file is not None and file.frame is PoseFrame.LOCAL:
         raise ConfigError(
             f"{folder} has no {FILE_NAME}, and the poses in {poses_path} are not georeferenced; write "
             f"{FILE_NAME} with crs and [local] origin = [easting, northing, height]"
         )
     crs = f"EPSG:{code}+{_EGM96_HEIGHT}"
-    if file is not None and poses_path is not None:
+    if by_exif is not None and file is not None and poses_path is not None:
         _require_same_place(CRS(crs), file, poses_path, heads)
     assumptions += [
-        f'crs = "{crs}", the UTM zone of the GPS positions, with heights taken as they are in '
-        f"{'EXIF' if poses_path is None else poses_path.name}: above mean sea level",
+        f'crs = "{crs}", the UTM zone of the {"GPS positions" if by_exif is not None else "poses"}, with heights '
+        f"taken as they are in {'EXIF' if poses_path is None else poses_path.name}: above mean sea level",
         "no water: for a bed under water write survey.toml with [water] level_m, in the same heights",
     ]
     return replace(config, crs=crs)

@@ -1,16 +1,16 @@
-"""Photographs paired with their poses by name, with lens and mask."""
+"""Photographs paired with their poses by name, with their lenses."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 
 from survey.display.words import named
 from survey.errors import ImageError, PosesError
 from survey.files.csv_table import shortened
 from survey.folder.found import MIN_VIEWS, Found
-from survey.folder.lens import lens_from_config
+from survey.folder.lens import lenses_from_config
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.photos.images import require_complete
@@ -71,8 +71,8 @@ def with_lenses(found: Found, poses: list[Pose], assumptions: list[str], warning
     cameras = found.config.cameras
     lens = poses[0].lens
     if lens is None or any(pose.lens is None for pose in poses):
-        of_config = lens_from_config(cameras, {pose.name: found.heads[pose.name] for pose in poses}, assumptions)
-        return [replace(pose, lens=pose.lens or of_config) for pose in poses]
+        of_config = lenses_from_config(cameras, {pose.name: found.heads[pose.name] for pose in poses}, assumptions)
+        return [replace(pose, lens=pose.lens or of_config[pose.name]) for pose in poses]
     own, size = lens.focal[0], (lens.width, lens.height)
     given = cameras.focal_px[0] if isinstance(cameras.focal_px, tuple) else cameras.focal_px
     if given is not None and abs(given / own - 1.0) > 0.01:
@@ -87,39 +87,6 @@ def with_lenses(found: Found, poses: list[Pose], assumptions: list[str], warning
     return poses
 
 
-def with_masks(
-    found: Found, views: list[View], own: Path | None, assumptions: list[str], warnings: list[str]
-) -> list[View]:
-    """The views with their masks: files named like the image, with .png or _mask before or after its suffix.
-
-    They lie in the folder of [images] masks; else, where there are any, in the one that the program used that made the
-    poses.
-
-    Raises
-    ------
-    ImageError
-        If the folder does not exist or has no mask of any view.
-    """
-    given = found.config.images.masks
-    folder = found.folder / given if given is not None else own
-    if folder is None:
-        return views
-    if given is not None and not folder.is_dir():
-        raise ImageError(f"the mask folder {folder} does not exist; correct [images] masks in survey.toml")
-    masked = [replace(view, mask_path=_mask_path(folder / view.name, view.path)) for view in views]
-    without = [view.name for view in masked if view.mask_path is None]
-    if len(without) == len(views):
-        if given is None:
-            return views
-        raise ImageError(
-            f"no mask in {folder} has the name of an image, expected e.g. {Path(views[0].name).stem}.png; rename them"
-        )
-    if given is None:
-        assumptions.append(f"the masks are those in {folder}, which the program used that made the poses")
-    warnings += named(without, "image", "without a mask, used whole")
-    return masked
-
-
 def require_image(view: View, head: Exif) -> None:
     """Raise ImageError where an image does not have the size of its camera, or is cut off."""
     expected = (view.lens.width, view.lens.height)
@@ -132,9 +99,3 @@ def require_image(view: View, head: Exif) -> None:
             f"as its camera has; {mend}"
         )
     require_complete(view.path)
-
-
-def _mask_path(like: Path, image: Path) -> Path | None:
-    candidates = [like, like.with_name(like.name + ".png"), like.with_suffix(".png")]
-    candidates += (like.with_name(f"{like.stem}_mask{s}") for s in dict.fromkeys((like.suffix, ".png", ".PNG")))
-    return next((path for path in candidates if path != image and path.is_file()), None)

@@ -18,6 +18,9 @@ from survey.sfm.gps import positions_in_crs
 
 # What DJI calls a position whose carrier phases are resolved; its standard deviations are those of the receiver.
 _RTK_FIXED = 50
+# Receivers of other makers state an accuracy without saying how they came by it. One of centimetres comes from
+# corrections; the errors of one of metres are nearly the same in all photographs, and it says nothing of them.
+_WELL_KNOWN_M = 0.1
 # Positions before the adjustment of another program, with the accuracy that its file gives them.
 BY_FILE = "GPS in the poses file"
 
@@ -36,8 +39,8 @@ class PosePrior:
         Of the rotation that the view was loaded with, about the axes of local. None where that rotation was found by
         structure from motion, or its accuracy is not known.
     source : str
-        Of the standard deviation, "survey.toml", "XMP RTK" or `BY_FILE`; without one, of the position: "GPS EXIF",
-        "poses file", or "none".
+        Of the standard deviation, "survey.toml", "XMP RTK", "XMP accuracy" or `BY_FILE`; without one, of the position:
+        "GPS EXIF", "poses file", or "none".
     """
 
     position: np.ndarray | None
@@ -81,6 +84,8 @@ def _std_by_exif(cameras: CamerasConfig, head: Exif) -> tuple[np.ndarray | None,
         return np.array(per_axis(cameras.position_std_m)), "survey.toml"
     if head.rtk is not None and head.rtk.flag == _RTK_FIXED:
         return np.array(head.rtk.std_m), "XMP RTK"
+    if head.std_m is not None and max(head.std_m) <= _WELL_KNOWN_M:
+        return np.array(head.std_m), "XMP accuracy"
     return None, "GPS EXIF"
 
 

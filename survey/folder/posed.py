@@ -90,6 +90,12 @@ def given_in_local(file: PoseFile, places: np.ndarray, frame: LocalFrame, gps_he
     )
 
 
+def middle_of_geocentric(file: PoseFile) -> tuple[float, float]:
+    """Longitude and latitude [deg] of the middle of geocentric poses."""
+    lon, lat, _ = _geodetic(file, np.median([pose.centre for pose in file.poses], axis=0))
+    return float(np.degrees(lon)), float(np.degrees(lat))
+
+
 def _same_grid(a: CRS, b: CRS) -> bool:
     return crs_difference(horizontal_crs(a), horizontal_crs(b)) is None
 

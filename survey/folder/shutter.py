@@ -26,8 +26,7 @@ def with_motion(
     views: Sequence[View], velocities: Mapping[str, Velocity], cameras: CamerasConfig, warnings: list[str]
 ) -> list[View]:
     """The views with the motion of their cameras from row to row; as they are where no shutter is said to roll."""
-    readout = cameras.rolling_shutter_s
-    if not readout:
+    if not cameras.rolls:
         return list(views)
     unknown = [view.name for view in views if view.name not in velocities]
     if len(unknown) == len(views):
@@ -37,12 +36,13 @@ def with_motion(
         )
     else:
         warnings += named(unknown, "image", "of unknown velocity (at a turn?), whose rows count as exposed at once")
+    readout = cameras.rolling_shutter_s or 0.0
     return [replace(view, camera=replace(view.camera, motion=_motion(view, velocities, readout))) for view in views]
 
 
 def _motion(view: View, velocities: Mapping[str, Velocity], readout: float) -> np.ndarray | None:
     velocity = velocities.get(view.name)
-    if velocity is None or velocity.speed == 0.0:
+    if velocity is None or velocity.speed == 0.0 or readout == 0.0:
         return None
     return velocity.local * (readout / rows_between(view.lens.height))
 
@@ -78,21 +78,23 @@ def shutter_doubts(cameras: CamerasConfig, heads: Mapping[str, Exif], metres_per
     ]
 
 
-def shutter_rows(
-    cameras: CamerasConfig, velocities: Mapping[str, Velocity], num_views: int, metres_per_px: float | None
-) -> list[tuple[str, str]]:
-    """The row of `check` about the shutter; none where nothing is said of it."""
+def shutter_text(
+    cameras: CamerasConfig, velocities: Mapping[str, Velocity], views: Sequence[View], water: FlatWater | None
+) -> str | None:
+    """What is known of the shutter and of how fast the cameras flew, and what it does; None where nothing is said."""
     readout = cameras.rolling_shutter_s
     if readout is None:
-        return []
-    if readout == 0.0:
-        return [("shutter", "exposes all rows at once")]
+        return None
+    if not cameras.rolls:
+        return "exposes all rows at once"
     sources = Counter(velocity.source for velocity in velocities.values())
     by = ", ".join(f"{count} by {source}" for source, count in sources.items())
     fastest = max((velocity.speed for velocity in velocities.values()), default=0.0)
-    known = f"velocities of {len(velocities)} of {num_views} images" + (f" ({by})" if by else "")
-    moved = f", which move rows by up to {_moved(fastest * readout, metres_per_px)}" if fastest > 0.0 else ""
-    return [("shutter", f"rolls in {1000.0 * readout:g} ms; {known}{moved}")]
+    std = cameras.rolling_shutter_std_s
+    rolls = f"rolls in {1000.0 * readout:.3g}" + ("" if std is None else f" +- {1000.0 * std:.2g}") + " ms"
+    known = f"velocities of {len(velocities)} of {len(views)} images" + (f" ({by})" if by else "")
+    moved = _moved(fastest * readout, metres_per_px(views, water))
+    return f"{rolls}; {known}" + (f", which move rows by up to {moved}" if fastest * readout > 0.0 else "")
 
 
 def metres_per_px(views: Sequence[View], water: FlatWater | None) -> float | None:

@@ -8,19 +8,23 @@ from pathlib import Path
 
 import numpy as np
 
+from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from refract import FlatWater
 from survey.control.points import Checkpoint, Control
 from survey.errors import FILE_NAME, SurveyError
 from survey.folder import place
-from survey.folder.block_control import checked_control
 from survey.folder.camera_faults import require_apart, require_focal_lengths
+from survey.folder.checked_control import checked_control, moved
 from survey.folder.config import SurveyConfig, WaterConfig
 from survey.folder.control import place_control
+from survey.folder.datum_mixups import exif_doubts, low_flight_doubts, place_of
 from survey.folder.file_poses import FilePoses, read_file_poses
 from survey.folder.found import Found, find_survey
+from survey.folder.level_observation import LevelObservation
 from survey.folder.mark_residuals import mark_doubts
-from survey.folder.pairing import require_image, with_masks
+from survey.folder.masks import with_masks
+from survey.folder.pairing import require_image
 from survey.folder.plausible import doubts_of_places, require_true
 from survey.folder.pose_priors import PosePrior, priors_of_gps
 from survey.folder.reprojection import Reprojection
@@ -28,6 +32,7 @@ from survey.folder.shutter import metres_per_px, shutter_doubts, with_motion
 from survey.folder.start_height import start_doubts
 from survey.folder.unposed import solve_views
 from survey.folder.velocities import Velocity, velocities_of
+from survey.folder.water_level import with_level_of_clicks
 from survey.photos.cameras import View
 from survey.photos.images import load_image, load_mask
 from survey.photos.tie_points import TiePoints
@@ -76,6 +81,8 @@ class Survey:
         Control points that the photographs show.
     checkpoints : tuple of Checkpoint
         Points that results are compared with; none where there is no file of them.
+    levels : tuple of LevelObservation
+        What was measured of the water level, of which `config` has the mean and its standard deviation.
     velocities : dict of name to Velocity
         Of the views of which anything tells it.
     """
@@ -99,6 +106,7 @@ class Survey:
     priors: Mapping[str, PosePrior] = field(default_factory=dict, compare=False, repr=False)
     control: Control | None = field(default=None, compare=False, repr=False)
     checkpoints: tuple[Checkpoint, ...] = field(default=(), compare=False, repr=False)
+    levels: tuple[LevelObservation, ...] = field(default=(), compare=False, repr=False)
     velocities: Mapping[str, Velocity] = field(default_factory=dict, compare=False, repr=False)
 
     def require_water(self) -> tuple[FlatWater, WaterConfig]:
@@ -152,26 +160,32 @@ def load_survey(
         warnings += solved.warnings
     else:
         file = read_file_poses(found, found.poses_path, assumptions, warnings)
-        frame, views, points = file.frame, file.views, file.points
+        found, frame, views, points = file.found, file.frame, file.views, file.points
     views = sorted(views, key=lambda view: view.name)
     views = with_masks(found, views, None if file is None else file.masks, assumptions, warnings)
     priors: Mapping[str, PosePrior]
     priors = priors_of_gps(found, frame, views) if file is None else file.priors
-    places = {view.name: view.camera.centre for view in views}
-    velocities = velocities_of(places, found.heads, found.config.cameras.speed_m_s)
-    views = with_motion(views, velocities, found.config.cameras, warnings)
     for view in views:
         require_image(view, found.heads[view.name])
     control, checkpoints = place_control(found.control, frame, [view.name for view in views], warnings)
     if file is None and control is not None:
-        control, priors = checked_control(found, frame, views, control, priors, warnings)
-    config, is_level_known = found.config, True
+        checked = checked_control(found, frame, views, control, priors, warnings)
+        control, priors = checked.control, checked.priors
+        if checked.move is not None:
+            views, points, ties = moved(views, ties, checked.move)
+    places = {view.name: view.camera.centre for view in views}
+    velocities = velocities_of(places, found.heads, found.config.cameras.speed_m_s)
+    views = with_motion(views, velocities, found.config.cameras, warnings)
+    config, is_level_known, levels = found.config, True, found.levels
+    if file is None:
+        config, clicked = with_level_of_clicks(found.folder, config, views, frame, assumptions, warnings)
+        levels += clicked
     if config.water is not None and config.water.level_m is None:
         config, is_level_known = place.with_level_of_points(config, frame, views, points, assumptions), False
     config, water = place.water_in_local(config, frame, views, assumptions)
     seen = file is not None and file.reprojection is not None
-    require_true(frame, views, water, config, see_points=seen)
-    warnings += _doubts(found, frame, views, water, control)
+    require_true(frame, views, water, config, found.heads, see_points=seen)
+    warnings += _doubts(replace(found, config=config), frame, views, water, control)
     if found.poses_path is not None and found.poses_path.is_relative_to(found.folder):
         poses_name = found.poses_path.relative_to(found.folder).as_posix()
         config = replace(config, cameras=replace(config.cameras, poses=poses_name))
@@ -193,6 +207,7 @@ def load_survey(
         priors=priors,
         control=control,
         checkpoints=checkpoints,
+        levels=levels,
         velocities=velocities,
     )
 
@@ -215,5 +230,21 @@ def _doubts(
         warnings += mark_doubts(control, views, water)
     if water is not None:
         over_water = {view.name: float(-water.depth(view.camera.centre)) for view in views}
-        warnings += start_doubts(over_water, found.heads)
+        warnings += _height_doubts(found, frame, views, over_water)
     return warnings
+
+
+def _height_doubts(found: Found, frame: LocalFrame, views: list[View], over_water: Mapping[str, float]) -> list[str]:
+    """Warnings where heights of cameras over the water [m] and all else known of them can hardly belong together."""
+    if found.config.water is None:
+        return []
+    level_m, crs = found.config.water.known_level_m, frame.crs
+    centres = frame.crs_from_local(np.array([view.camera.centre for view in views]))
+    at, heads = place_of(crs, np.median(centres, axis=0)), {view.name: found.heads[view.name] for view in views}
+    heights_m = dict(zip(heads, (centres[:, 2] * height_unit_m(crs)).tolist(), strict=True))
+    warnings = low_flight_doubts(np.array(list(over_water.values())), level_m, at, crs)
+    return [
+        *warnings,
+        *start_doubts(over_water, found.heads, level_m, at, crs),
+        *exif_doubts(crs, heights_m, heads),
+    ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,9 +13,10 @@ from geo.frames import LocalFrame
 from refract.lens import Lens
 from survey.control.placing import require_near
 from survey.display.words import named
-from survey.errors import ControlError, PosesError
+from survey.errors import ControlError, ImageError, PosesError
 from survey.folder.block_control import control_of_block, require_placing_control
 from survey.folder.camera_faults import require_focal_lengths
+from survey.folder.datum_mixups import place_of, xmp_doubts
 from survey.folder.found import MIN_VIEWS, Found
 from survey.folder.plausible import require_level_fits_exif
 from survey.folder.shutter import shutter_doubts
@@ -23,6 +24,7 @@ from survey.folder.start_height import start_doubts
 from survey.names import RUN_FOLDER, SFM_FOLDER
 from survey.photos.cameras import View
 from survey.photos.images import require_complete
+from survey.photos.opening import HEIC_SUFFIXES
 from survey.photos.tie_points import TiePoints
 from survey.sfm.gps import MIN_POSITIONS, gps_positions, is_whole, positions_in_crs
 from survey.sfm.gps_fit import MIN_STD_M, require_area
@@ -59,7 +61,7 @@ def require_solvable(found: Found) -> list[str]:
         If it would fail: sizes, focal length, heights, positions and images are checked, no pixel is decoded.
     """
     cameras = found.config.cameras
-    require_level_fits_exif(found.config, found.heads)
+    require_level_fits_exif(found.config, found.heads, found.crs)
     require_size(found.images, found.heads, cameras.size_px)
     focal = one_focal(cameras.focal_px)
     placing_control(found)
@@ -70,15 +72,28 @@ def require_solvable(found: Found) -> list[str]:
         warnings += [] if found.control is None else require_near(found.control.points, cameras_crs, found.crs)
         if found.config.water is not None and found.config.water.level_m is not None:
             over_water = cameras_crs[:, 2] * height_unit_m(found.crs) - found.config.water.level_m
-            warnings += start_doubts(dict(zip(positions, over_water.tolist(), strict=True)), found.heads)
+            over = dict(zip(positions, over_water.tolist(), strict=True))
+            at = place_of(found.crs, np.median(cameras_crs, axis=0))
+            warnings += start_doubts(over, found.heads, found.config.water.level_m, at, found.crs)
+    warnings += xmp_doubts(cameras.gps_height, found.crs, found.heads)
     warnings += shutter_doubts(cameras, found.heads, None)
-    for path in found.images.values():
-        require_complete(path)
+    _require_readable(found.images)
     if focal is None:
         return warnings
     sizes = {name: head.size_px for name, head in found.heads.items()}
     lenses = {name: Lens("SIMPLE_PINHOLE", (focal, 0.5 * w, 0.5 * h), w, h) for name, (w, h) in sizes.items()}
     return warnings + require_focal_lengths(lenses, found.heads)
+
+
+def _require_readable(images: Mapping[str, Path]) -> None:
+    """Raise ImageError where an image is cut off, or of a format that structure from motion does not read."""
+    for path in images.values():
+        if path.suffix.lower() in HEIC_SUFFIXES:
+            raise ImageError(
+                f"{path} is HEIC, which structure from motion does not read; convert the images to JPEG with their "
+                "EXIF, or give poses made elsewhere in [cameras] poses"
+            )
+        require_complete(path)
 
 
 def placing_control(found: Found) -> BlockControl | None:

@@ -9,6 +9,7 @@ from geo.crs import crs_code
 from survey.adjust.adjustment import FREE, Adjustment
 from survey.display.plan_grid import PlanGrid
 from survey.files.json_values import plain
+from survey.folder.shutter import shutter_text
 from survey.folder.survey import Survey
 from survey.photos.images import list_images
 from survey.report.adjustment_figures import adjustment_of
@@ -60,6 +61,7 @@ def _survey(survey: Survey) -> SurveyFigures:
         image_size_px=(camera.width, camera.height),
         focal_px=camera.fx,
         poses=(config.cameras.poses or "structure from motion") + (", adjusted" if survey.is_adjusted else ""),
+        shutter=shutter_text(config.cameras, survey.velocities, survey.views, survey.water),
         local_frame_origin=survey.frame.origin,
     )
 
@@ -102,6 +104,7 @@ def _cloud(facts: ReportFacts) -> CloudFigures:
         covered_area_m2=area,
         depth_m=_spread(bed.depth[bed.wet]),
         std_m=_spread(bed.std),
+        std_common_m=None if facts.std_common is None else _spread(facts.std_common),
         views_per_point=_spread(bed.num_views),
         incidence_deg=_spread(np.degrees(bed.incidence)),
     )

@@ -48,6 +48,8 @@ class ReportFacts:
         Whether the cloud may be used unseen.
     adjustment : Adjustment or None
         None where poses and water were used as they came.
+    std_common : (N,) [m] or None
+        Of the heights of the points, by water, lens and poses.
     """
 
     survey: Survey
@@ -63,6 +65,7 @@ class ReportFacts:
     versions: dict[str, str] = field(default_factory=dict)
     verdict: Verdict | None = None
     adjustment: Adjustment | None = None
+    std_common: np.ndarray | None = None
 
 
 def distances_of(facts: ReportFacts) -> np.ndarray | None:

@@ -45,6 +45,8 @@ class SurveyFigures:
         Of the first view, as the size.
     poses : str
         Name of the file, or "structure from motion".
+    shutter : str or None
+        How it rolls, as a sentence; None where nothing is said of it.
     local_frame_origin : (easting, northing, height), in crs
     """
 
@@ -56,6 +58,7 @@ class SurveyFigures:
     image_size_px: tuple[int, int]
     focal_px: float
     poses: str
+    shutter: str | None
     local_frame_origin: tuple[float, float, float]
 
 
@@ -116,9 +119,10 @@ class CloudFigures:
         Of the cells, five ground sampling distances wide, that have points.
     depth_m : Spread or None
         True depth of the points under water [m]; None, as the next three, where no value is finite.
-    std_m, views_per_point, incidence_deg : Spread or None
-        Of all points: standard deviation of the height [m], number of views that agree [-], incidence at the water
-        or, in a dry survey, angle off nadir [deg].
+    std_m, std_common_m, views_per_point, incidence_deg : Spread or None
+        Of all points: standard deviation of the height [m] but for what all points have in common, and by that (water,
+        lens, poses), number of views that agree [-], incidence at the water or, in a dry survey, angle off nadir
+        [deg].
     """
 
     points: int
@@ -127,6 +131,7 @@ class CloudFigures:
     covered_area_m2: float
     depth_m: Spread | None
     std_m: Spread | None
+    std_common_m: Spread | None
     views_per_point: Spread | None
     incidence_deg: Spread | None
 

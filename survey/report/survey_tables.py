@@ -33,6 +33,10 @@ def _distributions(found: CloudFigures) -> list[Table]:
     if (std := found.std_m) is not None:
         unit = LengthUnit.of([std.median, std.p95])
         rows.append((f"standard deviation [{unit.name}]", "", unit.number(std.median), unit.number(std.p95), ""))
+    if (std := found.std_common_m) is not None:
+        unit = LengthUnit.of([std.median, std.p95])
+        name = f"the same by water, lens and poses, in common [{unit.name}]"
+        rows.append((name, "", unit.number(std.median), unit.number(std.p95), ""))
     if (views := found.views_per_point) is not None:
         rows.append(("views per point", number(views.min, 0), number(views.median, 0), "", number(views.max, 0)))
     if (angle := found.incidence_deg) is not None:
@@ -64,6 +68,8 @@ def survey(taken: SurveyFigures, water: WaterFigures | None, plan: Plan) -> list
         ("flying height", f"{with_unit(number(plan.height_m, 1), 'm')}, one image covers {with_unit(size, 'm')}"),
         ("ground sampling distance", length(plan.gsd_m)),
     ]
+    if taken.shutter is not None:
+        rows.append(("shutter", taken.shutter))
     if taken.bounds is not None:
         e0, n0, e1, n1 = (number(v, decimals) for v in taken.bounds)
         rows.append(("bounds", f"{e0} to {e1} east, {n0} to {n1} north"))

@@ -12,8 +12,8 @@ from geo.ply import write_ply
 from survey.run.stored import StoredBed
 
 
-def write_bed_las(path: Path, stored: StoredBed) -> None:
-    """The cloud as LAS, or LAZ or COPC by the suffix; see `geo.write_cloud`."""
+def write_bed_las(path: Path, stored: StoredBed, classification: np.ndarray | None = None) -> None:
+    """The cloud as LAS, or LAZ or COPC by the suffix, with classes (N,) other than its own; see `geo.write_cloud`."""
     bed = stored.bed
     write_cloud(
         path,
@@ -25,6 +25,8 @@ def write_bed_las(path: Path, stored: StoredBed) -> None:
         num_views=bed.num_views,
         incidence_deg=np.degrees(bed.incidence),
         is_wet=bed.wet,
+        std_common_m=stored.std_common,
+        classification=classification,
     )
 
 
@@ -34,6 +36,7 @@ def write_bed_ply(path: Path, stored: StoredBed) -> None:
     scalars = {
         "depth_m": bed.depth,
         "std_m": bed.std,
+        "std_common_m": np.full(len(bed), np.nan) if stored.std_common is None else stored.std_common,
         "num_views": bed.num_views,
         "incidence_deg": np.degrees(bed.incidence),
     }

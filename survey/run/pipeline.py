@@ -98,12 +98,12 @@ STAGES = (
     ),
     Stage(
         name="bed",
-        needs=("sweep", "solver", "field"),
-        depends_on=(*_VIEWS, "area", "frame", "name", "gsd", "true_colour"),
+        needs=("adjust", "sweep", "solver", "field"),
+        depends_on=(*_VIEWS, "water_settings", "priors", "area", "frame", "name", "gsd", "true_colour"),
         leaves=FILES,
         compute=make_bed,
     ),
 )
 
 # What the cloud would be of the sweep alone: a baseline for the report.
-BED_OF_SWEEP = replace(STAGES[-1], name="bed_of_sweep", needs=("sweep",), is_on=_is_refined)
+BED_OF_SWEEP = replace(STAGES[-1], name="bed_of_sweep", needs=("adjust", "sweep"), is_on=_is_refined)

@@ -10,6 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fields.sweep.bed import BedPoints, has_company, points_of, unique_pixels
+from fields.sweep.sweep import PEERS
+from survey.adjust.adjustment import read_adjustment
+from survey.adjust.std_common import BASIS_ADJUSTED, BASIS_STATED, std_common
+from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.plan.area import AREA_MARGIN_M, grown, local_area, within
 from survey.plan.block import backend, camera_of
@@ -21,10 +25,12 @@ from survey.run.water_colour import colour_of
 if TYPE_CHECKING:
     from fields.slab.tensor_field import TensorField
     from fields.solver.solver import SolvedMap
+    from fields.sweep.block import Block
     from fields.sweep.sweep import DepthMap
     from survey.run.job import Job
 
 FILES = (BED_FILE, SURVEY_FILE)
+LEAST_STD_PX = 0.01
 
 
 def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
@@ -58,8 +64,12 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         rgb, too_bright = true_colours(bed, water, WaterColumn(*colour_of(survey)))
         bed = replace(bed, rgb=rgb)
         job.progress.detail(f"{100 * too_bright:.1f} % of the points are brighter than white without the water")
+    found = read_adjustment(needs["adjust"]) if "adjust" in needs else None
+    common = std_common(bed.xyz, bed.wet, survey, found, job.plan.gsd_m)
+    basis = BASIS_STATED if found is None else BASIS_ADJUSTED
+    job.progress.note(f"std_common: {length(float(np.nanmedian(common)))} (median), by {basis}")
     points_crs = survey.frame.crs_from_local(bed.xyz)
-    save_bed(folder, StoredBed(bed, points_crs, survey.frame.crs, survey.name, job.plan.gsd_m))
+    save_bed(folder, StoredBed(bed, points_crs, survey.frame.crs, survey.name, job.plan.gsd_m, common))
 
 
 def _field_of(job: Job, folder: Path) -> TensorField:
@@ -92,15 +102,23 @@ def bed_points(
             height, taken = refine(field, camera, depth_map, rgb, survey.water, keep)
             depth_map, moved = replace(depth_map, height=height), moved + taken
         if solved is None:
-            parts.append(points_of(camera, survey.water, depth_map, keep, rgb))
+            points = points_of(camera, survey.water, depth_map, keep, rgb)
         else:
             refined, std = solved[number].over(depth_map)
             points = points_of(camera, survey.water, refined, keep, rgb)
             std = std[: camera.height, : camera.width][keep]
-            parts.append(replace(points, std=np.where(np.isnan(std), points.std, std)))
+            points = replace(points, std=np.where(np.isnan(std), points.std, std))
+        least = np.float32(_least_std(block, depth_map))
+        parts.append(replace(points, std=np.maximum(points.std, least)))
         advance(1.0)
     bed = BedPoints.concatenate(parts)
     area = local_area(survey)
     if area is not None:
         bed = bed[within(bed.xyz, grown(area, AREA_MARGIN_M))]
     return bed[has_company(bed.xyz, plan.gsd_m)], moved
+
+
+def _least_std(block: Block, depth_map: DepthMap) -> float:
+    """Of heights that agree by chance to the last bit [m]: they lie anywhere in a hundredth of a pixel of parallax."""
+    others = block.neighbours(depth_map.view, PEERS)
+    return LEAST_STD_PX / block.parallax(depth_map.view, others, float(np.median(depth_map.height)))

@@ -22,7 +22,8 @@ MIN_POINTS = 3
 _BENT_SHARE, _MOST_STD = 0.02, 3.0
 # Of more sets of three points, so many are drawn.
 _MOST_TRIPLES = 600
-# Points closer to one line than this share of its length, or so many standard deviations, leave the tilt open.
+# Points closer to one line than this share of its length, or so many standard deviations of their mean, leave the tilt
+# open.
 _LINE_SHARE, _LINE_STD = 0.05, 3.0
 
 
@@ -64,11 +65,31 @@ def fit_control(control: BlockControl, views: Mapping[str, Posed]) -> ControlFit
         which are wrong.
     """
     met = meet(control, views)
+    require_meeting(control, views, met)
     if len(met.points) < MIN_POINTS:
         raise ControlError(_too_few(control, views, met))
-    theirs = np.array([point.local for point in met.points])
-    std = np.array([point.std for point in met.points])
+    theirs, std = coordinates(met)
     require_spread(theirs, std)
+    fit = agreed(met, views)
+    good = np.array([point.name not in fit.wrong for point in met.points])
+    require_spread(theirs[good], std[good])
+    return fit
+
+
+def coordinates(met: Met) -> tuple[np.ndarray, np.ndarray]:
+    """Those of control points (K, 3) [m], local, and their standard deviations."""
+    return np.array([point.local for point in met.points]), np.array([point.std for point in met.points])
+
+
+def agreed(met: Met, views: Mapping[str, Posed]) -> ControlFit:
+    """The similarity that most of at least three points agree on.
+
+    Raises
+    ------
+    ControlError
+        If they contradict each other and nothing tells which are wrong.
+    """
+    theirs, std = coordinates(met)
     best = _agreements(met, theirs, std)
     if not best:
         raise ControlError(_contradiction(met, theirs, std))
@@ -89,8 +110,26 @@ def fit_control(control: BlockControl, views: Mapping[str, Posed]) -> ControlFit
         )
     off = np.linalg.norm(similarity(met.places) - theirs, axis=1)
     wrong = {met.points[i].name: float(off[i]) for i in np.flatnonzero(~good)}
-    require_spread(theirs[good], std[good])
     return ControlFit(similarity, met, wrong)
+
+
+def require_meeting(control: BlockControl, views: Mapping[str, Posed], met: Met) -> None:
+    """Raise where the marks of more points contradict each other than not.
+
+    Raises
+    ------
+    ControlError
+        With what was found; says so where x and y are swapped.
+    """
+    if len(met.apart) > len(met.points):
+        raise ControlError(_too_few(control, views, met))
+
+
+def spread_of(places: np.ndarray, std: np.ndarray) -> tuple[float, float, float]:
+    """Extent of control points (K, 3) [m] along their line and across, and the least across that tells the tilt."""
+    along, across, _ = np.linalg.svd(places - places.mean(axis=0), compute_uv=False) / np.sqrt(len(places))
+    least = max(_LINE_SHARE * along, _LINE_STD * float(np.median(std[:, :2])) / np.sqrt(len(places)))
+    return float(along), float(across), float(least)
 
 
 def require_spread(places: np.ndarray, std: np.ndarray) -> None:
@@ -101,11 +140,10 @@ def require_spread(places: np.ndarray, std: np.ndarray) -> None:
     ControlError
         With the extent along and across.
     """
-    spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False) / np.sqrt(len(places))
-    least = max(_LINE_SHARE * spread[0], _LINE_STD * float(np.median(std[:, :2])))
-    if spread[1] < least:
+    along, across, least = spread_of(places, std)
+    if across < least:
         raise ControlError(
-            f"the {len(places)} control points lie on one line (spread {spread[0]:.2f} m along and {spread[1]:.2f} m "
+            f"the {len(places)} control points lie on one line (spread {along:.2f} m along and {across:.2f} m "
             f"across, expected {least:.2g} m at least), which leaves the tilt of the block about it open; add a point "
             "beside it"
         )
@@ -156,8 +194,10 @@ def _is_line(places: np.ndarray) -> bool:
 
 
 def _limits(met: Met, std: np.ndarray, scale: float) -> np.ndarray:
-    """By how much (K, 3) [m] a block may miss its points."""
-    return _MOST_STD * std + (_BENT_SHARE * scale * met.ranges + met.slack)[:, None]
+    """By how much (K, 3) [m] a block may miss its points: it is bent, the more the wider it is for its range."""
+    wide = np.mean(np.sum((met.places - met.places.mean(axis=0)) ** 2, axis=1))
+    bent = _BENT_SHARE * scale * (met.ranges + wide / met.ranges)
+    return _MOST_STD * std + (bent + met.slack)[:, None]
 
 
 def _is_below(similarity: Similarity, met: Met, good: np.ndarray, views: Mapping[str, Posed]) -> bool:
@@ -179,7 +219,7 @@ def _too_few(control: BlockControl, views: Mapping[str, Posed], met: Met) -> str
     if len(met.apart) > 1 and len(meet(turned_marks(control), views).points) >= MIN_POINTS:
         mend = "their rays meet with x and y of the marks swapped: swap the two columns"
     return (
-        f"{len(met.points)} of {len(control.points)} control points can place the photographs, expected at least "
+        f"{len(met.points)} of {len(control.points)} control points fit the photographs, expected at least "
         f"{MIN_POINTS} not on a line, each marked in two photographs or more ({'; '.join(told)}); {mend}"
     )
 

@@ -101,14 +101,9 @@ def place_by_control(
         raise ControlError("; ".join([str(error), *free.notes])) from error
     sfm_block.transform(block, fit.similarity)
     _reset(block, sensors, notes)
-    off = [
-        fit.similarity(place) - point.local
-        for point, place in zip(fit.met.points, fit.met.places, strict=True)
-        if point.name in fit.used
-    ]
-    rms = np.sqrt(
-        np.mean(np.square([d for d, p in zip(off, fit.met.points, strict=True) if p.name in fit.used]), axis=0)
-    )
+    met = zip(fit.met.points, fit.met.places, strict=True)
+    off = [fit.similarity(place) - point.local for point, place in met if point.name in fit.used]
+    rms = np.sqrt(np.mean(np.square(off), axis=0))
     notes.append(
         f"{_found(block, len(alias_of))}; placed by control points alone ({listed(fit.used)}), which lie about "
         f"{math.hypot(rms[0], rms[1]):.2f} m across and {rms[2]:.2f} m up from it, before the adjustment"

@@ -12,6 +12,7 @@ import numpy as np
 
 from refract.lens import LensError
 from survey.errors import PosesError
+from survey.files.csv_table import shortened
 from survey.photos.cameras import rotation_from_quaternion
 from survey.photos.formats import colmap_files as files
 from survey.photos.formats.format import Format
@@ -51,18 +52,19 @@ def read_model(folder: Path) -> PoseFile:
     photos = _read(path)
     poses: dict[str, Pose] = {}
     for photo in photos:
+        name = shortened(photo.name)
         if not np.isfinite(photo.pose).all() or not np.any(photo.pose[:4]):
             raise PosesError(
-                f"{path}: the pose of {photo.name} is {[float(f'{v:.6g}') for v in photo.pose]}, expected a quaternion "
+                f"{path}: the pose of {name} is {[float(f'{v:.6g}') for v in photo.pose]}, expected a quaternion "
                 "and a translation of finite numbers; correct it or remove the image from the model"
             )
         if photo.camera not in lenses:
             raise PosesError(
-                f"{path}: image {photo.name} has the camera {photo.camera}, which cameras{suffix} does not have; write "
+                f"{path}: image {name} has the camera {photo.camera}, which cameras{suffix} does not have; write "
                 "the model again"
             )
         if photo.name in poses:
-            raise PosesError(f"{path}: image {photo.name} has a second pose; keep one of the two")
+            raise PosesError(f"{path}: image {name} has a second pose; keep one of the two")
         cam_from_local = rotation_from_quaternion(*photo.pose[:4])
         centre = -cam_from_local.T @ np.array(photo.pose[4:])
         poses[photo.name] = Pose(photo.name, centre, cam_from_local, lenses[photo.camera])
@@ -109,8 +111,9 @@ def _require_rigs_agree(folder: Path, suffix: str, photos: list[files.Photo]) ->
             # A pose that is not finite differs from every other.
             if not np.abs(expected - _matrix(photo.pose)).max() <= _SAME_POSE * max(1.0, np.abs(expected).max()):
                 raise PosesError(
-                    f"{folder}: the pose of {photo.name} in images{suffix} is not that of its rig in frames{suffix} "
-                    f"and rigs{suffix}; write the model again, or remove these two files if images{suffix} is right"
+                    f"{folder}: the pose of {shortened(photo.name)} in images{suffix} is not that of its rig in "
+                    f"frames{suffix} and rigs{suffix}; write the model again, or remove these two "
+                    f"files if images{suffix} is right"
                 )
 
 
@@ -134,7 +137,8 @@ def _read(path: Path):
         raise PosesError(f"{path}: {error}") from error
     except (struct.error, ValueError, IndexError, OverflowError, MemoryError) as error:
         raise PosesError(
-            f"{path} is damaged or not a COLMAP file ({error}); write the model again with COLMAP's model_converter"
+            f"{path} is damaged or not a COLMAP file ({shortened(str(error))}); write the model again with "
+            "COLMAP's model_converter"
         ) from error
     except OSError as error:
         raise PosesError(f"{path} cannot be read ({error.strerror}); correct its permissions") from error
@@ -152,5 +156,6 @@ FORMAT = Format(
     find=lambda folder: [p for p in (folder, *(folder / name for name in _PLACES)) if is_model(p)],
     recognises=lambda path: _model_of(path) is not None,
     read=lambda path: read_model(_model_of(path) or path),
+    files=lambda path: [path.with_name(name) for name in _READERS],
     read_ties=lambda path: read_ties(_model_of(path) or path),
 )

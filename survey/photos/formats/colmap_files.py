@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from refract.lens import MODELS, Lens
+from survey.files.csv_table import shortened
 
 _NAME_OF_ID = {number: name for name, (number, _) in MODELS.items() if number is not None}
 # Models that are the same as OPENCV_FISHEYE with fewer numbers: their id and the places of these among its own,
@@ -67,7 +68,7 @@ def cameras_txt(path: Path) -> dict[int, Lens]:
     lenses = {}
     for line in _lines(path):
         number, model, width, height, *params = line.split()
-        lenses[int(number)] = lens_of(model, tuple(float(p) for p in params), int(width), int(height))
+        lenses[int(number)] = lens_of(shortened(model), tuple(float(p) for p in params), int(width), int(height))
     return lenses
 
 

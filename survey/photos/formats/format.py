@@ -23,6 +23,8 @@ class Format:
         Whether a path, which exists, is of this format.
     read : callable
         What such a path holds; raises PosesError.
+    files : callable, optional
+        The files beside such a path, which is one, that are read with it.
     read_ties : callable, optional
         Tie points that came with the poses, in their frame; None where none came; raises PosesError.
     """
@@ -31,4 +33,5 @@ class Format:
     find: Callable[[Path], list[Path]]
     recognises: Callable[[Path], bool]
     read: Callable[[Path], PoseFile]
+    files: Callable[[Path], list[Path]] | None = None
     read_ties: Callable[[Path], FileTies | None] | None = None

@@ -84,7 +84,7 @@ def read_metashape(path: Path) -> PoseFile:
     if any(_is_true(tag.text, default="true") for tag in chunk.iter("rolling_shutter")):
         warnings.append(
             f"Metashape compensated a rolling shutter in {path.name}: its poses are those of the middle of each "
-            "exposure, and rows are taken as exposed at once here"
+            "exposure, and rows count as exposed at once unless [cameras] rolling_shutter_s gives the readout"
         )
     is_earth = _is_on_earth(poses.values(), crs, path)
     frame = PoseFrame.GEOCENTRIC if is_earth else PoseFrame.LOCAL

@@ -17,9 +17,10 @@ from geo.ellipsoid import enu_from_geocentric, geocentric_from_geodetic
 from refract.lens import Lens, LensError
 from survey.errors import PosesError
 from survey.files.csv_table import shortened
-from survey.files.json_values import finite_number, finite_numbers, read_foreign_json
+from survey.files.json_values import finite_numbers, read_foreign_json
 from survey.photos.cameras import rotation_from_axis_angle
 from survey.photos.formats.format import Format
+from survey.photos.formats.opensfm_lens import read_lens
 from survey.photos.poses import FileTies, Pose, PoseFile, PoseFrame
 
 _TOPOCENTRIC, _PLAIN, _GRID = "reconstruction.topocentric.json", "reconstruction.json", "reconstruction.geocoords.json"
@@ -27,11 +28,7 @@ _REFERENCE, _TRACKS = "reference_lla.json", "tracks.csv"
 _EXPORT = "reconstruct it again with OpenSfM or OpenDroneMap"
 # Semi-axes of WGS 84 [m].
 _A, _B = 6378137.0, 6356752.314245179
-# OpenDroneMap's words in the name of a mask that lies beside its image.
-_MASK_WORDS = "*_mask.*"
-# The parameters of each projection besides focal lengths and principal point, in the order of our model.
-_BROWN = ("k1", "k2", "p1", "p2", "k3")
-_SUPPORTED = ("perspective", "simple_radial", "radial", "brown", "fisheye", "fisheye_opencv")
+_MASKS = "masks"
 
 
 @dataclass(frozen=True)
@@ -70,7 +67,7 @@ def read_opensfm(path: Path) -> PoseFile:
             "overlap, or each as a survey of its own"
         )
     frame = PoseFrame.LOCAL if block.reference is None else PoseFrame.GEOCENTRIC
-    return PoseFile(poses, frame, None, "OpenSfM", _masks(block.path), tuple(notes), tuple(warnings))
+    return PoseFile(poses, frame, None, "OpenSfM", _masks_beside(block.path), tuple(notes), tuple(warnings))
 
 
 def read_ties(path: Path) -> FileTies | None:
@@ -139,7 +136,7 @@ def _block(path: Path) -> _Block:
     lenses = {}
     for name, camera in _object(block.get("cameras")).items():
         try:
-            lenses[name] = _lens(_object(camera))
+            lenses[name] = read_lens(_object(camera))
         except LensError as error:
             raise PosesError(f'{path}, camera "{shortened(name)}": {error}') from error
     shots = {name: _object(shot) for name, shot in _object(block.get("shots")).items()}
@@ -205,36 +202,6 @@ def _reference(path: Path, block: dict) -> tuple[float, float, float] | None:
     return None if found[:2] == [0.0, 0.0] else (found[0], found[1], found[2])
 
 
-def _lens(camera: dict) -> Lens:
-    """The lens of a camera, whose lengths are in units of the longer side of its image, from the middle of that."""
-    kind = str(camera.get("projection_type", "perspective"))
-    if kind not in _SUPPORTED:
-        raise LensError(
-            f"the projection {shortened(kind)} is not supported, expected one of {', '.join(_SUPPORTED)}; reconstruct "
-            "with one of these, e.g. --camera-lens brown in OpenDroneMap"
-        )
-    width, height = (_number(camera, key) for key in ("width", "height"))
-    if not (width.is_integer() and height.is_integer()):
-        raise LensError(f"the image has {width:g} x {height:g} pixels, expected whole numbers; correct it")
-    longer = max(width, height)
-    fx, fy = (longer * _number(camera, key if key in camera else "focal") for key in ("focal_x", "focal_y"))
-    cx, cy = (longer * _number(camera, key, 0.0) + 0.5 * side for key, side in (("c_x", width), ("c_y", height)))
-    if kind.startswith("fisheye"):
-        coefficients = [_number(camera, key, 0.0) for key in ("k1", "k2", "k3", "k4")]
-        return Lens("OPENCV_FISHEYE", (fx, fy, cx, cy, *coefficients), int(width), int(height))
-    k1, k2, p1, p2, k3 = (_number(camera, key, 0.0) for key in _BROWN)
-    if k3 == 0.0:
-        return Lens("OPENCV", (fx, fy, cx, cy, k1, k2, p1, p2), int(width), int(height))
-    return Lens("FULL_OPENCV", (fx, fy, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0), int(width), int(height))
-
-
-def _number(camera: dict, key: str, default: float | None = None) -> float:
-    found = finite_number(camera.get(key, default))
-    if found is None:
-        raise LensError(f"{key} is {shortened(str(camera.get(key)))}, expected a finite number; correct it")
-    return found
-
-
 def _object(value) -> dict:
     """An object of JSON; empty where it is anything else."""
     return value if isinstance(value, dict) else {}
@@ -245,13 +212,10 @@ def _tracks_of(path: Path) -> Path | None:
     return next((place for name in (own, _TRACKS) if (place := path.with_name(name)).is_file()), None)
 
 
-def _masks(path: Path) -> Path | None:
-    """The folder of masks: that of OpenSfM, or where OpenDroneMap keeps the images if some of these are masks."""
-    beside, images = path.parent / "masks", path.parent.parent / "images"
-    if beside.is_dir():
-        return beside
-    is_project = path.parent.name == "opensfm" and images.is_dir()
-    return images if is_project and next(images.glob(_MASK_WORDS), None) is not None else None
+def _masks_beside(path: Path) -> Path | None:
+    """The folder of masks of OpenSfM; those of OpenDroneMap lie beside the images."""
+    folder = path.with_name(_MASKS)
+    return folder if folder.is_dir() else None
 
 
 def _files_in(folder: Path) -> list[Path]:
@@ -278,5 +242,6 @@ FORMAT = Format(
     find=_files_in,
     recognises=is_opensfm,
     read=read_opensfm,
+    files=lambda path: [*map(path.with_name, (_TOPOCENTRIC, _PLAIN, _REFERENCE)), *filter(None, [_tracks_of(path)])],
     read_ties=read_ties,
 )

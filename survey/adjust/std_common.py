@@ -1,0 +1,114 @@
+"""The standard deviation of each height by what all points have in common: water, lens and poses.
+
+Worked out at places spread over the bed, wet and dry apart, and interpolated in plan. The covariance is that of the
+adjustment; without one the parameters count as independent, as good as survey.toml says or else as the defaults of
+`survey.adjust.priors` say, poses and lens those of an adjusted block.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from survey.adjust.adjustment import Adjustment
+from survey.adjust.common_error import height_moves, moves_of
+from survey.adjust.priors import EXACT_STD_DEG, EXACT_STD_M, known_of
+from survey.adjust.state import RELIEF, WATER
+from survey.folder.survey import Survey
+from survey.photos.tie_points import TiePoints
+
+# Squares along the longer side of the bed, from each of which one place at most is taken, of wet and dry points each.
+_SQUARES = 14
+# A place counts with the views that see it, of which these are enough for its geometry.
+_VIEWS = 12
+# Places that a point is interpolated from.
+_NEAREST = 4
+# What is left when nothing else is: no height is exact.
+_LEAST_M = 1e-5
+
+BASIS_ADJUSTED = "the covariance of the adjustment"
+BASIS_STATED = (
+    "the standard deviations in survey.toml or the defaults of water, with poses and lens as good as those of an "
+    f"adjusted block ({100 * EXACT_STD_M:g} cm, {EXACT_STD_DEG:g} degrees) where nothing is stated"
+)
+
+
+def std_common(xyz: np.ndarray, wet: np.ndarray, survey: Survey, found: Adjustment | None, gsd: float) -> np.ndarray:
+    """Standard deviation (N,) float32 [m] of heights by water, lens and poses.
+
+    Parameters
+    ----------
+    xyz : (N, 3) [m], local
+    wet : (N,) bool
+    survey : Survey
+        As the points were made with it.
+    found : Adjustment or None
+        None where poses and water were used as they came.
+    gsd : [m]
+        Ground sampling distance.
+
+    Returns
+    -------
+    (N,) float32 [m]
+        NaN where no place of the same kind, wet or dry, is seen by two views.
+    """
+    std = np.full(len(xyz), np.nan, dtype=np.float32)
+    for kind in (wet, ~wet):
+        places = _places(xyz[kind])
+        ties = _seen(places, survey)
+        if len(ties):
+            variance = _variance(survey, found, ties, gsd)
+            std[kind] = np.sqrt(_interpolated(ties.start[:, :2], variance, xyz[kind, :2]))
+    return np.maximum(std, np.float32(_LEAST_M))
+
+
+def _places(xyz: np.ndarray) -> np.ndarray:
+    """Points (K, 3) of a cloud spread over its plan: of each square the one nearest to its middle."""
+    if len(xyz) == 0:
+        return xyz
+    low = xyz[:, :2].min(axis=0)
+    side = max(float(np.ptp(xyz[:, :2], axis=0).max()), 1e-9) / _SQUARES
+    square, within = np.divmod((xyz[:, :2] - low) / side, 1.0)
+    order = np.argsort(np.sum((within - 0.5) ** 2, axis=1), kind="stable")
+    _, first = np.unique(square[order], axis=0, return_index=True)
+    return xyz[np.sort(order[first])]
+
+
+def _seen(places: np.ndarray, survey: Survey) -> TiePoints:
+    """Places that two views see, each with some of its views; what hides them is not asked."""
+    inside = np.zeros((len(places), len(survey.views)), dtype=bool)
+    pixels = np.zeros((*inside.shape, 2))
+    for number, each in enumerate(survey.views):
+        camera = each.camera
+        pixels[:, number] = at = camera.project(places, survey.water)
+        inside[:, number] = (at > 0.0).all(axis=1) & (at < (camera.width, camera.height)).all(axis=1)
+    enough = np.flatnonzero(inside.sum(axis=1) >= 2)
+    views = [np.flatnonzero(inside[place]) for place in enough]
+    views = [some[np.linspace(0, len(some) - 1, min(len(some), _VIEWS)).round().astype(np.int64)] for some in views]
+    point = np.repeat(np.arange(len(enough)), [len(some) for some in views])
+    view = np.concatenate([np.empty(0, dtype=np.int64), *views])
+    return TiePoints(places[enough], point, view, pixels[enough[point], view])
+
+
+def _variance(survey: Survey, found: Adjustment | None, ties: TiePoints, gsd: float) -> np.ndarray:
+    """Of the height of each place (K,) [m^2]."""
+    if found is not None:
+        moves = height_moves(found, survey.water, ties)
+        return np.einsum("ki,ij,kj->k", moves, found.covariance, moves)
+    known, of_water = known_of(survey, gsd, free_water=True), known_of(survey, gsd).std[:WATER]
+    std = np.concatenate([of_water, known.std[WATER + RELIEF :]])
+    # Structure from motion and poses without any word on them have no standard deviation of their own.
+    std = np.where(np.isfinite(std), std, EXACT_STD_M)
+    rows = ties.pixel[:, 1]
+    moves = moves_of(known.layout, replace(known.state, points=ties.start), ties, rows)
+    return (moves**2) @ std**2
+
+
+def _interpolated(at: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Values (K,) at places (K, 2) as they are at places (N, 2): means, weighted by the inverse square distance."""
+    count = min(_NEAREST, len(at))
+    distance, index = cKDTree(at).query(wanted, k=list(range(1, count + 1)), workers=-1)
+    weight = 1.0 / (distance**2 + 1e-6)
+    return (weight * values[index]).sum(axis=1) / weight.sum(axis=1)

@@ -1,0 +1,72 @@
+"""The standard deviation that all points have in common: geometry says what each parameter does to heights."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from adjusted_block import drawn_adjustment
+from block_survey import survey_of
+
+from survey.adjust.std_common import std_common
+
+GSD = 0.02
+
+
+def along(found, step: dict[str, float]) -> np.ndarray:
+    """A change of the parameters by their last names."""
+    return np.array([step.get(name.rpartition(".")[2], 0.0) for name in found.covariance_names])
+
+
+def of_change(step: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    """The points of a drawn block, and their std where only this change of the parameters is uncertain."""
+    block, found = drawn_adjustment(dry_share=0.0)
+    survey = replace(survey_of(block), ties=None)
+    change = along(found, step)
+    found = replace(found, covariance=np.outer(change, change))
+    wet = np.ones(len(found.points), dtype=bool)
+    return found.points, std_common(found.points, wet, survey, found, GSD)
+
+
+def test_cameras_and_water_that_rise_together_lift_every_height_as_much():
+    _, std = of_change({"z": 0.025, "height_m": 0.025})
+    np.testing.assert_allclose(std, 0.025, rtol=1e-3)
+
+
+def test_an_error_of_the_index_grows_with_the_depth():
+    points, std = of_change({"refractive_index": 0.001})
+    deep = points[:, 2] < np.quantile(points[:, 2], 0.2)
+    shallow = points[:, 2] > np.quantile(points[:, 2], 0.8)
+    assert np.median(std[deep]) > 1.2 * np.median(std[shallow])
+
+
+def test_no_height_is_exact():
+    _, std = of_change({})
+    assert (std > 0.0).all()
+
+
+def test_without_an_adjustment_the_level_alone_keeps_heights_from_being_exact():
+    block, found = drawn_adjustment(dry_share=0.3)
+    survey = replace(survey_of(block), ties=None)
+    wet = survey.water.depth(found.points) > 0.0
+    std = std_common(found.points, wet, survey, None, GSD)
+    assert np.isfinite(std).all()
+    assert (std > 1e-3).all()
+    assert np.median(std) < 0.2
+
+
+def test_points_that_no_two_views_see_have_none():
+    block, found = drawn_adjustment(dry_share=0.0)
+    away = found.points + np.array([1000.0, 0.0, 0.0])
+    std = std_common(away, np.ones(len(away), dtype=bool), replace(survey_of(block), ties=None), None, GSD)
+    assert np.isnan(std).all()
+
+
+def test_the_median_is_that_of_the_report():
+    from survey.adjust.common_error import common_error
+
+    block, found = drawn_adjustment(dry_share=0.0)
+    survey = replace(survey_of(block), ties=None)
+    std = std_common(found.points, np.ones(len(found.points), dtype=bool), survey, found, GSD)
+    assert np.median(std) == pytest.approx(common_error(found, survey.water).typical, rel=0.35)

@@ -8,7 +8,6 @@ from plane_survey import TILTED, PlaneBed, look, ring
 
 from fields.device import choose_device
 from fields.sweep import views
-from fields.sweep.arrays import host
 from fields.sweep.block import AGREEMENT_PX, Block
 from refract import FlatWater
 
@@ -177,7 +176,7 @@ def test_a_block_scales_images_with_their_cameras_and_forgets_them():
     assert (half.width, half.height) == (48, 36)
     assert block.stack(0.5) is half
     # The mean of 2 x 2 pixels at the half-size centre: the waves of 8 px and more lose little.
-    error = host(half.device, half.pixels).reshape(3, 36, 48)[1] - bed.photograph(half.cameras[1])
+    error = half.images[1] - bed.photograph(half.cameras[1])
     assert np.abs(error).mean() < 0.1 * bed.photograph(half.cameras[1]).std()
     block.release(0.5)
     assert block.stack(0.5) is not half

@@ -29,12 +29,12 @@ class Quads:
 
     Attributes
     ----------
-    values : (images * height * width) words of the device
+    values : list of (height * width) words of the device
     bits : of a level in a word, 8 or 16
     low, step : of the levels, ``low + step * whole``
     """
 
-    values: Any
+    values: list[Any]
     bits: int
     low: float
     step: float
@@ -46,10 +46,8 @@ class Quads:
         bits = 8 if most - least < 2**8 and all(np.array_equal(np.rint(i), i) for i in images) else 16
         step = 1.0 if bits == 8 else 2.0 ** np.ceil(np.log2(max(most - least, LEAST_SPAN) / (MASKED - 2)))
         low = step * np.floor(least / step)
-        packed = np.empty((len(images), *images[0].shape), dtype=np.uint32 if bits == 8 else np.uint64)
-        for image, target in zip(images, packed, strict=True):
-            _pack(image, low, step, target.view(np.uint8 if bits == 8 else np.uint16).reshape(*image.shape, 4))
-        return Quads(words(device, packed), bits, float(low), float(step))
+        values = [words(device, _packed(image, low, step, bits)) for image in images]
+        return Quads(values, bits, float(low), float(step))
 
 
 def _over_all(images: list[np.ndarray], extreme: np.ufunc) -> float:
@@ -58,8 +56,10 @@ def _over_all(images: list[np.ndarray], extreme: np.ufunc) -> float:
     return 0.0 if np.isnan(found) else found
 
 
-def _pack(image: np.ndarray, low: float, step: float, target: np.ndarray) -> None:
-    """Write the words (height, width, 4) of one image; the last row and column are neighbours of themselves."""
+def _packed(image: np.ndarray, low: float, step: float, bits: int) -> np.ndarray:
+    """The words (height, width) of one image; the last row and column are neighbours of themselves."""
+    part, word = (np.uint8, np.uint32) if bits == 8 else (np.uint16, np.uint64)
+    target = np.empty((*image.shape, 4), dtype=part)
     masked = np.isnan(image)
     target[..., 0] = np.rint((np.where(masked, np.float32(low), image) - np.float64(low)) / step).clip(min=0.0)
     for place, array in _neighbours(target[..., 0].copy()):
@@ -68,6 +68,7 @@ def _pack(image: np.ndarray, low: float, step: float, target: np.ndarray) -> Non
         for _, array in _neighbours(masked.copy()):
             masked |= array
         target[..., 0][masked] = MASKED
+    return target.view(word)[..., 0]
 
 
 def _neighbours(image: np.ndarray):

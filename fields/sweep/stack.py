@@ -157,9 +157,9 @@ class ViewStack:
         return [[constant(self.device, c) for c in row] for row in table]
 
     @cached_property
-    def pixels(self) -> Any:
-        """All images as one flat array (views * height * width) of the device, float32."""
-        return floats(self.device, np.stack(self.images))
+    def pixels(self) -> list[Any]:
+        """Each image as a flat array (height * width) of the device, float32."""
+        return [floats(self.device, image) for image in self.images]
 
     @cached_property
     def quads(self) -> Quads:

@@ -70,9 +70,8 @@ def sample(stack: ViewStack, view: int, u, v, inside):
     """Bilinear lookup in image `view` at pixel position (u, v); NaN where not inside."""
     Float, UInt = stack.device.module.Float, stack.device.module.UInt
     corner, fx, fy = _corner(stack, u, v, inside)
-    corner += dr.opaque(UInt, view * stack.width * stack.height)
     width = dr.opaque(UInt, stack.width)
-    corners = [dr.gather(Float, stack.pixels, corner + offset) for offset in (0, 1, width, width + 1)]
+    corners = [dr.gather(Float, stack.pixels[view], corner + offset) for offset in (0, 1, width, width + 1)]
     return dr.select(inside, _between(corners, fx, fy), dr.nan)
 
 
@@ -80,8 +79,8 @@ def look_up(stack: ViewStack, view: int, u, v, inside):
     """As `sample`, of `ViewStack.quads`: one lookup instead of four."""
     Float, UInt, quads = stack.device.module.Float, stack.device.module.UInt, stack.quads
     corner, fx, fy = _corner(stack, u, v, inside)
-    Word = type(quads.values)
-    word = dr.gather(Word, quads.values, corner + dr.opaque(UInt, view * stack.width * stack.height))
+    Word = type(quads.values[view])
+    word = dr.gather(Word, quads.values[view], corner)
     parts = [UInt((word >> (place * quads.bits)) & Word(2**quads.bits - 1)) for place in range(4)]
     value = _between([Float(part) for part in parts], fx, fy)
     value = dr.fma(value, constant(stack.device, quads.step), constant(stack.device, quads.low))
@@ -146,9 +145,8 @@ def claim(stack: ViewStack, legs, own, later: int, tolerance: float, claimed) ->
     u, v, inside = project_at(stack, legs, own, later)
     corner, _, _ = _corner(stack, u, v, inside)
     width = dr.opaque(UInt, stack.width)
-    base = dr.opaque(UInt, later * stack.width * stack.height)
     for offset in (0, 1, width, width + 1):
-        there = dr.gather(Float, stack.pixels, base + corner + offset, inside)
+        there = dr.gather(Float, stack.pixels[later], corner + offset, inside)
         same = inside & (dr.abs(there - own) < dr.opaque(Float, tolerance))
         dr.scatter(claimed, UInt(1), corner + offset, same)
     dr.eval(claimed)

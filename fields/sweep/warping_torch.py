@@ -60,8 +60,7 @@ def _between(corners: list[Tensor], fx: Tensor, fy: Tensor) -> Tensor:
 def sample(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Tensor) -> Tensor:
     """Bilinear lookup in image `view` at pixel position (u, v); NaN where not inside."""
     corner, fx, fy = _corner(stack, u, v, inside)
-    corner = corner + view * (stack.width * stack.height)
-    corners = [stack.pixels[corner + offset] for offset in (0, 1, stack.width, stack.width + 1)]
+    corners = [stack.pixels[view][corner + offset] for offset in (0, 1, stack.width, stack.width + 1)]
     return torch.where(inside, _between(corners, fx, fy), torch.nan)
 
 
@@ -69,7 +68,7 @@ def look_up(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Tensor) -
     """As `sample`, of `ViewStack.quads`: one lookup instead of four."""
     quads = stack.quads
     corner, fx, fy = _corner(stack, u, v, inside)
-    word = quads.values[corner + view * (stack.width * stack.height)]
+    word = quads.values[view][corner]
     parts = [(word >> (place * quads.bits)) & (2**quads.bits - 1) for place in range(4)]
     value = _between([part.float() for part in parts], fx, fy) * quads.step + quads.low
     return torch.where(inside & (parts[0] != MASKED), value, torch.nan)

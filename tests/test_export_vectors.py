@@ -37,7 +37,9 @@ def block(tmp_path_factory):
     stored = plane_stored(folder / "small")
     survey = load_survey(small_survey(folder / "small"))
     keep = np.linalg.norm(stored.bed.xyz[:, :2] - HOLE_AT, axis=1) > HOLE_M
-    path = run_of(replace(stored, bed=stored.bed[keep], points_crs=stored.points_crs[keep]), folder / "run")
+    common = np.full(int(keep.sum()), 0.004, dtype=np.float32)
+    holed = replace(stored, bed=stored.bed[keep], points_crs=stored.points_crs[keep], std_common=common)
+    path = run_of(holed, folder / "run")
     save_flight(path, survey)
     return path, survey
 
@@ -121,7 +123,8 @@ def test_where_no_bed_was_seen_is_a_polygon_a_mask_and_classes_of_las(block, tmp
         las = laspy.read(tmp_path / name)
         classes = np.asarray(las.classification)
         assert ((classes == 45).sum(), (classes == 41).sum()) == (number, number)
-        assert (np.asarray(las["depth"])[classes > 40] == -9999.0).all()
+        for column in ("depth", "std", "std_common", "incidence"):
+            assert ((np.asarray(las[column]) == -9999.0) == (classes > 40)).all(), column
         np.testing.assert_allclose(np.asarray(las.z)[classes > 40], 2105.0, atol=2e-3)
         east, north = (np.asarray(v)[classes == 45] for v in (las.x, las.y))
         local = survey.frame.local_from_crs(np.column_stack([east, north, np.full(number, 2105.0)]))

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from refract.lens import Lens, affine_from_brown, brown_from_affine, distorted, is_affine, undistorted
 from survey.adjust.priors import Known, is_held
 from survey.control.points import Control
-from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
+
+if TYPE_CHECKING:
+    from survey.folder.survey import Survey
 
 # Kinds of observations, each with a standard deviation of its own.
 MATCH, WINDOW, MARK = range(3)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,8 +12,10 @@ from refract.lens import MODELS, Lens, is_affine
 from survey.adjust.bundle import Priors
 from survey.adjust.state import LENS, LENS_NAMES, RELIEF, Layout, State
 from survey.folder.shutter import rows_between
-from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
+
+if TYPE_CHECKING:
+    from survey.folder.survey import Survey
 
 # What holds where survey.toml says nothing: a level read at a staff, an index by the temperature, level water.
 LEVEL_STD_M, INDEX_STD, SLOPE_STD = 0.02, 0.001, 0.0

@@ -8,6 +8,7 @@ adjustment; without one the parameters count as independent, as good as survey.t
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -16,8 +17,10 @@ from survey.adjust.adjustment import Adjustment
 from survey.adjust.common_error import height_moves, moves_of
 from survey.adjust.priors import EXACT_STD_DEG, EXACT_STD_M, known_of
 from survey.adjust.state import RELIEF, WATER
-from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
+
+if TYPE_CHECKING:
+    from survey.folder.survey import Survey
 
 # Squares along the longer side of the bed, from each of which one place at most is taken, of wet and dry points each.
 _SQUARES = 14

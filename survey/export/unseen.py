@@ -108,11 +108,11 @@ def with_unseen(run: LoadedRun, stored: StoredBed, crs: str | None) -> tuple[Sto
     if crs is not None:
         points = run.way_to(crs)(points)
     classes = [classes_of(bed.wet), np.full(number, CLASS_NO_BOTTOM), np.full(number, CLASS_WATER_SURFACE)]
-    common = None if stored.std_common is None else np.concatenate([stored.std_common, unknown, unknown])
+    common = stored.std_common
     whole = replace(
         stored,
         bed=BedPoints.concatenate([bed, added, added]),
         points_crs=np.concatenate([stored.points_crs, points, points]),
-        std_common=common,
+        std_common=None if common is None else np.concatenate([common, unknown, unknown]),
     )
     return whole, np.concatenate(classes).astype(np.uint8)

@@ -29,11 +29,12 @@ if TYPE_CHECKING:
     from survey.compare.comparison import compare_files as compare
     from survey.compare.options import CompareOptions
     from survey.errors import SurveyError
+    from survey.export.export import export
+    from survey.export.product import ExportOptions
     from survey.folder.survey import Survey, load_survey
     from survey.photos.cameras import View
     from survey.plan.plan import Plan, make_plan
     from survey.progress import Progress
-    from survey.run.export import export
     from survey.run.process import process
     from survey.run.render import render
     from survey.simulate.drawn import draw_survey
@@ -47,6 +48,7 @@ __all__ = [
     "CompareOptions",
     "Distortion",
     "DrawnScene",
+    "ExportOptions",
     "FlatWater",
     "GeoError",
     "HeightFieldWater",
@@ -97,11 +99,12 @@ _MODULES = {
     "survey.compare.comparison": ("compare",),
     "survey.compare.options": ("CompareOptions",),
     "survey.errors": ("SurveyError",),
+    "survey.export.export": ("export",),
+    "survey.export.product": ("ExportOptions",),
     "survey.folder.survey": ("Survey", "load_survey"),
     "survey.photos.cameras": ("View",),
     "survey.plan.plan": ("Plan", "make_plan"),
     "survey.progress": ("Progress",),
-    "survey.run.export": ("export",),
     "survey.run.process": ("process",),
     "survey.run.render": ("render",),
     "survey.simulate.drawn": ("draw_survey",),

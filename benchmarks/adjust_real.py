@@ -98,7 +98,11 @@ def _nmad(off: np.ndarray) -> float:
 
 
 def copr_errors(row: Row, run: Path) -> dict:
-    """Control points that were left out: where their rays meet, across, in pixels on the ground."""
+    """Control points that were left out: where their rays meet, and by how many pixels they miss each other.
+
+    across_m and across_gsd are root mean squares, and contain how wrong the coordinates of these points are;
+    height_m is the spread of their heights, which nobody measured.
+    """
     if not (run / "cameras.csv").is_file() or not (run / "adjustment.json").is_file():
         return {"real": {}}
     settings = tomllib.loads((row.survey / "survey.toml").read_text(encoding="utf-8"))
@@ -109,7 +113,7 @@ def copr_errors(row: Row, run: Path) -> dict:
         e, n, _, u, v, image, point = line.split()
         if image in poses:
             marks.setdefault(point, []).append((float(e), float(n), float(u) + 0.5, float(v) + 0.5, image))
-    off = []
+    off, off_gsd, meet_px, heights = [], [], [], []
     for seen in marks.values():
         if len(seen) < 2:
             continue
@@ -121,8 +125,26 @@ def copr_errors(row: Row, run: Path) -> dict:
         point = _where_rays_meet(origin, rays / np.linalg.norm(rays, axis=1, keepdims=True))
         known = frame.local_from_crs(np.array([[*seen[0][:2], frame.crs_from_local(point[None])[0, 2]]]))[0]
         gsd = float(np.linalg.norm(origin - point, axis=1).mean()) / lens.focal[0]
-        off.append(np.linalg.norm((point - known)[:2]) / gsd)
-    return {"real": {"left_out": len(off), "across_rms_gsd": float(np.sqrt(np.mean(np.square(off))))}}
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        apart = np.linalg.norm(np.cross(point - origin, rays), axis=1) / gsd
+        off.append(np.linalg.norm((point - known)[:2]))
+        off_gsd.append(off[-1] / gsd)
+        meet_px.append(np.sqrt(np.mean(apart**2)))
+        heights.append(float(frame.crs_from_local(point[None])[0, 2]))
+    if not off:
+        return {"real": {}}
+    numbers = {
+        "left_out": len(off),
+        "across_m": _rms(off),
+        "across_gsd": _rms(off_gsd),
+        "meet_px": _rms(meet_px),
+        "height_m": float(np.ptp(heights)),
+    }
+    return {"real": numbers}
+
+
+def _rms(values: list) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _lens(run: Path) -> Lens:

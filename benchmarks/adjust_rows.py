@@ -6,11 +6,16 @@ import os
 import shutil
 import tomllib
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import tomli_w
+from without_gps import copy_without_gps
+
+from survey.adjust.refine import adjust_survey, apply_adjustment
+from survey.adjust.written import write_cameras
+from survey.folder.survey import load_survey
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("BATHYNERF_DATA", ROOT.parent / "shared" / "data"))
@@ -45,12 +50,13 @@ class Truth:
 
 @dataclass(frozen=True)
 class Row:
-    """A survey folder that is ready to be processed, its truth, and the quality to process it in."""
+    """A survey folder that is ready to be processed, its truth, and the quality and options to process it with."""
 
     survey: Path
     truth: Truth
     quality: str = "standard"
     kind: str = "drawn"
+    options: tuple[str, ...] = ()
 
 
 def prepare(name: str, folder: Path) -> Row:
@@ -66,7 +72,7 @@ def prepare(name: str, folder: Path) -> Row:
     return _known(source, folder) if known else _field(source, folder)
 
 
-def _linked(source: Path, folder: Path, table: dict, *files: str) -> None:
+def linked(source: Path, folder: Path, table: dict, *files: str) -> None:
     """A survey folder with the images of another one, some of its files and other settings."""
     folder.mkdir(parents=True)
     (folder / "images").symlink_to((source / "images").resolve())
@@ -75,28 +81,28 @@ def _linked(source: Path, folder: Path, table: dict, *files: str) -> None:
     (folder / "survey.toml").write_text(tomli_w.dumps(table), encoding="utf-8")
 
 
-def _settings(source: Path) -> dict:
+def settings_of(source: Path) -> dict:
     return tomllib.loads((source / "survey.toml").read_text(encoding="utf-8"))
 
 
-def _true_lens(table: dict) -> dict[str, float]:
+def true_lens(table: dict) -> dict[str, float]:
     """From focal_px, principal_point_px and distortion (OPENCV)."""
     names = ("f", "cx", "cy", "k1", "k2", "p1", "p2")
     values = [table["focal_px"], *table["principal_point_px"], *table.get("distortion", (0.0,) * 4)]
     return dict(zip(names, values, strict=True))
 
 
-def _true_water(table: dict) -> dict[str, float]:
+def true_water(table: dict) -> dict[str, float]:
     names = ("level_m", "slope_east", "slope_north", "refractive_index")
     return {name: table.get(name, 0.0) for name in names}
 
 
 def _drawn_truth(source: Path) -> Truth:
     """Of a survey that comes with exact poses, lens and water."""
-    table = _settings(source)
+    table = settings_of(source)
     return Truth(
-        water=_true_water(table["water"]),
-        lens=_true_lens(table["cameras"]),
+        water=true_water(table["water"]),
+        lens=true_lens(table["cameras"]),
         cameras=source / "cameras.csv",
         reference=source / "reference.ply",
         visible=source / "visible.ply",
@@ -104,31 +110,43 @@ def _drawn_truth(source: Path) -> Truth:
 
 
 def _shore(folder: Path, *, controlled: bool) -> Row:
-    source, table = DATA / "shore", _settings(DATA / "shore")
+    source, table = DATA / "shore", settings_of(DATA / "shore")
     files = ("gcp_list.txt", "checkpoints.csv") if controlled else ()
     if not controlled:
         del table["control"]
-    _linked(source, folder, table, *files)
+    linked(source, folder, table, *files)
+    return Row(folder, _shore_truth(source))
+
+
+def _shore_blind(folder: Path) -> Row:
+    """Shore without GPS: control alone says where it lies."""
+    source, table = DATA / "shore", settings_of(DATA / "shore")
+    del table["cameras"]["position_std_m"]
+    linked(source, folder, table, "gcp_list.txt", "checkpoints.csv")
+    (folder / "images").unlink()
+    (folder / "images").mkdir()
+    for path in sorted((source / "images").iterdir()):
+        copy_without_gps(path, folder / "images" / path.name)
     return Row(folder, _shore_truth(source))
 
 
 def _shore_known(folder: Path) -> Row:
     """Shore from its true poses, lens and water: what the adjustment can gain at most."""
-    source, table = DATA / "shore", _settings(DATA / "shore")
+    source, table = DATA / "shore", settings_of(DATA / "shore")
     true = tomllib.loads((source / "truth.toml").read_text(encoding="utf-8"))
     del table["control"], table["cameras"]["position_std_m"], table["water"]["level_std_m"]
     table["cameras"] |= {name: true[name] for name in ("focal_px", "principal_point_px", "distortion")}
     table["cameras"]["poses"] = "cameras_true.csv"
     table["water"] |= {name: true[name] for name in ("level_m", "refractive_index")}
-    _linked(source, folder, table, "cameras_true.csv")
+    linked(source, folder, table, "cameras_true.csv")
     return Row(folder, _shore_truth(source))
 
 
 def _shore_truth(source: Path) -> Truth:
     true = tomllib.loads((source / "truth.toml").read_text(encoding="utf-8"))
     return Truth(
-        water=_true_water(true),
-        lens=_true_lens(true),
+        water=true_water(true),
+        lens=true_lens(true),
         cameras=source / "cameras_true.csv",
         reference=source / "reference.ply",
         visible=source / "visible.ply",
@@ -138,7 +156,7 @@ def _shore_truth(source: Path) -> Truth:
 
 def _field(source: Path, folder: Path) -> Row:
     names = [name for name in ("gcp_list.txt", "checkpoints.csv") if (source / name).is_file()]
-    _linked(source, folder, _settings(source), *names)
+    linked(source, folder, settings_of(source), *names)
     return Row(folder, field_truth(source))
 
 
@@ -155,8 +173,8 @@ def field_truth(source: Path) -> Truth:
     """Of a field survey that field_surveys.py drew."""
     true = tomllib.loads((source / "truth" / "truth.toml").read_text(encoding="utf-8"))
     return Truth(
-        water=_true_water(true),
-        lens=_true_lens(true),
+        water=true_water(true),
+        lens=true_lens(true),
         cameras=source / "truth" / "cameras.csv",
         reference=source / "truth" / "reference.ply",
         visible=source / "truth" / "visible.ply",
@@ -166,19 +184,41 @@ def field_truth(source: Path) -> Truth:
 
 def _gps_only(name: str, quality: str, folder: Path, *, level: bool = True) -> Row:
     """A drawn survey from its photographs and their GPS."""
-    source, table = DATA / name, _settings(DATA / name)
+    source, table = DATA / name, settings_of(DATA / name)
     del table["cameras"]["poses"], table["local"]
     table["cameras"]["position_std_m"] = GPS_STD_M
     if not level:
         del table["water"]["level_m"]
-    _linked(source, folder, table)
+    linked(source, folder, table)
     return Row(folder, _drawn_truth(source), quality)
 
 
+def _straight(name: str, quality: str, folder: Path) -> Row:
+    """From poses and lens that were adjusted as if there were no water, which is put back afterwards.
+
+    What refraction inside the adjustment is worth: the bend that is left here.
+    """
+    row = _gps_only(name, quality, folder)
+    table, dry = settings_of(folder), folder.parent / "straight"
+    linked(DATA / name, dry, {key: value for key, value in table.items() if key != "water"})
+    survey = load_survey(dry, workspace=dry / "sfm")
+    survey = apply_adjustment(survey, adjust_survey(survey))
+    write_cameras(folder, survey)
+    table |= {"cameras": {"poses": "sparse"}, "local": {"origin": list(survey.frame.origin)}}
+    (folder / "survey.toml").write_text(tomli_w.dumps(table), encoding="utf-8")
+    return replace(row, options=("--poses", "fixed"))
+
+
 def _quick_noisy(folder: Path) -> Row:
-    source, table = DATA / "quick", _settings(DATA / "quick")
+    source, table = DATA / "quick", settings_of(DATA / "quick")
+    noisy(source, folder, table)
+    return Row(folder, _drawn_truth(source))
+
+
+def noisy(source: Path, folder: Path, table: dict) -> None:
+    """A survey folder with errors of 2 cm and 0.02 degrees in its poses, stated; see `linked`."""
     table["cameras"] |= {"position_std_m": [NOISY_STD_M] * 3, "rotation_std_deg": NOISY_STD_DEG}
-    _linked(source, folder, table)
+    linked(source, folder, table)
     rng = np.random.default_rng(1)
     head, *lines = (source / "cameras.csv").read_text(encoding="utf-8").split()
     rows = [head]
@@ -187,12 +227,11 @@ def _quick_noisy(folder: Path) -> Row:
         noise = rng.standard_normal(6) * ([NOISY_STD_M] * 3 + [NOISY_STD_DEG] * 3)
         rows.append(",".join([image, *(f"{float(v) + d:.8f}" for v, d in zip(values, noise, strict=True))]))
     (folder / "cameras.csv").write_text("\n".join([*rows, ""]), encoding="utf-8")
-    return Row(folder, _drawn_truth(source))
 
 
 def _quick(folder: Path) -> Row:
     source = DATA / "quick"
-    _linked(source, folder, _settings(source), "cameras.csv")
+    linked(source, folder, settings_of(source), "cameras.csv")
     return Row(folder, _drawn_truth(source))
 
 
@@ -200,22 +239,22 @@ def _brighton(folder: Path) -> Row:
     source = DATA / "real" / "brighton_beach"
     # Land but for three photographs of the shoreline: without water. A receiver without corrections.
     table = {"crs": "EPSG:32615+3855", "cameras": {"position_std_m": [2.0, 2.0, 4.0]}}
-    _linked(source, folder, table)
+    linked(source, folder, table)
     return Row(folder, Truth(reference=source / "model.laz"), kind="brighton")
 
 
 def _copr(folder: Path) -> Row:
-    """Every second control point is left out of the adjustment; heights of all of them are unknown (0)."""
+    """Every third control point (gcp02, 05, 08) is left out; a receiver in the hand, and no heights (0)."""
     source = DATA / "real" / "copr_half"
-    table = {"crs": "EPSG:32611+3855", "control": {"gcps": "gcp_list.txt", "std_m": [0.05, 10.0]}}
-    _linked(source, folder, table)
+    table = {"crs": "EPSG:32611+3855", "control": {"gcps": "gcp_list.txt", "std_m": [1.0, 10.0]}}
+    linked(source, folder, table)
     head, *lines = (source / "gcp_list.txt").read_text(encoding="utf-8").strip().splitlines()
     points = sorted({line.split()[-1] for line in lines})
-    used = [_halved(line) for line in lines if line.split()[-1] in points[::2]]
-    left_out = [_halved(line) for line in lines if line.split()[-1] in points[1::2]]
+    used = [_halved(line) for line in lines if line.split()[-1] not in points[2::3]]
+    left_out = [_halved(line) for line in lines if line.split()[-1] in points[2::3]]
     (folder / "gcp_list.txt").write_text("\n".join([head, *used, ""]), encoding="utf-8")
     (folder / "left_out.txt").write_text("\n".join([head, *left_out, ""]), encoding="utf-8")
-    return Row(folder, Truth(), kind="copr")
+    return Row(folder, Truth(), "draft", kind="copr")
 
 
 def _halved(line: str) -> str:
@@ -229,8 +268,10 @@ ROWS: dict[str, Callable[[Path], Row]] = {
     "shore": lambda folder: _shore(folder, controlled=True),
     "shore_true": _shore_known,
     "shore_free": lambda folder: _shore(folder, controlled=False),
+    "shore_blind": _shore_blind,
     "river_gps": lambda folder: _gps_only("river", "standard", folder),
     "wreck_gps": lambda folder: _gps_only("wreck_water", "draft", folder),
+    "river_straight": lambda folder: _straight("river", "draft", folder),
     "river_no_level": lambda folder: _gps_only("river", "standard", folder, level=False),
     "wreck_no_level": lambda folder: _gps_only("wreck_water", "draft", folder, level=False),
     "quick_noisy": _quick_noisy,

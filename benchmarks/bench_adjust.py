@@ -3,9 +3,10 @@
     python benchmarks/bench_adjust.py [ROW ...] [-o FOLDER]
     python benchmarks/bench_adjust.py --coverage 20 [--shared] [--free-water]
 
-A row is a name of adjust_rows.ROWS or the folder of a survey that field_surveys.py drew; FOLDER:true is the same from
-its true poses, lens and water. Its survey is prepared in the work folder and processed by the command line; a row that
-the program refuses has its words. Prints a table, and writes results.json into the work folder.
+A row is a name of adjust_rows.ROWS or shutter_rows.SHUTTER_ROWS, or the folder of a survey that field_surveys.py drew;
+FOLDER:true is the same from its true poses, lens and water. Its survey is prepared in the work folder and processed by
+the command line; a row that the program refuses has its words. Prints a table, and writes results.json into the work
+folder.
 
 With --coverage: how often the truth of so many drawn blocks, without images, lies within what is stated.
 """
@@ -14,17 +15,17 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
-import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 
 from adjust_coverage import covered, table
 from adjust_measures import errors_of
 from adjust_real import brighton_errors, copr_errors
 from adjust_rows import DATA, ROWS, Row, prepare
-from bench_surveys import BATHYNERF, timed
+from shutter_rows import SHUTTER_ROWS
+
+from survey.benchmark.running import run_bathynerf
 
 MEASURES = {"drawn": errors_of, "brighton": brighton_errors, "copr": copr_errors}
 # Titles of the table, and the figures in millimetres.
@@ -34,8 +35,9 @@ COLUMNS = {"mean": "mean_inner90_m", "std": "std_inner90_m", "wet": "wet_mean_in
 
 def main() -> None:
     """Process and measure the requested rows."""
+    names = [*ROWS, *SHUTTER_ROWS]
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("rows", nargs="*", metavar="ROW", default=list(ROWS), help=f"default: {' '.join(ROWS)}")
+    parser.add_argument("rows", nargs="*", metavar="ROW", default=names, help=f"default: {' '.join(names)}")
     parser.add_argument("--quality", help="instead of that of the row")
     parser.add_argument("-o", "--output", type=Path, help="work folder; default: a new temporary one")
     parser.add_argument("--coverage", type=int, metavar="N", help="adjust N drawn blocks instead")
@@ -57,7 +59,7 @@ def main() -> None:
     records = []
     for name in options.rows:
         work = folder / Path(name).name.replace(":", "_")
-        row = prepare(name, work / "survey")
+        row = (SHUTTER_ROWS.get(name) or partial(prepare, name))(work / "survey")
         records.append({"row": name} | measure(row, work / "run", options.quality or row.quality))
         (folder / "results.json").write_text(json.dumps(records, indent=1), encoding="utf-8")
         print(as_text(records[-1]), flush=True)  # noqa: T201
@@ -65,14 +67,13 @@ def main() -> None:
 
 def measure(row: Row, run: Path, quality: str) -> dict:
     """Process a prepared survey and measure what came out."""
-    command = [*BATHYNERF, "process", str(row.survey), "-o", str(run), "--quality", quality, "--no-resume"]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    code, seconds, memory = timed(command, environment)
-    record = {"quality": quality, "wall_s": round(seconds, 1), "peak_gb": round(memory, 2)}
+    command = ["process", str(row.survey), "-o", str(run), "--quality", quality, "--no-resume", *row.options]
+    with tempfile.TemporaryDirectory() as home:
+        code, cost, words = run_bathynerf(command, Path(home))
+    record = {"quality": quality, "wall_s": round(cost.wall_s, 1), "peak_gb": round(cost.peak_bytes / 1e9, 2)}
     if not (run / "cloud.las").is_file():
         # Refused; what it says is worth reading.
-        words = subprocess.run(command, env=environment, capture_output=True, text=True, check=False).stderr
-        return record | {"exit_code": code, "words": words.strip().splitlines()[-1:]}
+        return record | {"exit_code": code, "words": [words]}
     return record | {"exit_code": code} | MEASURES[row.kind](row, run)
 
 

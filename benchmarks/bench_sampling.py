@@ -99,7 +99,7 @@ def sampler(sigma: float, order: int) -> Iterator[None]:
         return stack
 
     def warped(stack, *rest):
-        with patch.object(warping_drjit, "sample", _cubic):
+        with patch.object(warping_drjit, "look_up", _cubic):
             return warp(raw[id(stack)], *rest)
 
     class Images(ViewStack):
@@ -113,7 +113,7 @@ def sampler(sigma: float, order: int) -> Iterator[None]:
 
 
 def _cubic(stack: ViewStack, view, u, v, inside):
-    """`fields.sweep.warping_drjit.sample` of the coefficients of a cubic spline."""
+    """`fields.sweep.warping_drjit.look_up` of the coefficients of a cubic spline."""
     import drjit as dr
 
     Float, UInt, Int = (getattr(stack.device.module, name) for name in ("Float", "UInt", "Int"))
@@ -127,9 +127,9 @@ def _cubic(stack: ViewStack, view, u, v, inside):
     columns = [UInt(dr.clip(x0 + k, 0, stack.width - 1)) for k in (-1, 0, 1, 2)]
     total = Float(0.0)
     for k, by_row in zip((-1, 0, 1, 2), weights(y - Float(y0)), strict=True):
-        row = (view * stack.height + UInt(dr.clip(y0 + k, 0, stack.height - 1))) * stack.width
+        row = UInt(dr.clip(y0 + k, 0, stack.height - 1)) * stack.width
         across = zip(columns, weights(x - Float(x0)), strict=True)
-        total += by_row * sum(w * dr.gather(Float, stack.pixels, row + column, inside) for column, w in across)
+        total += by_row * sum(w * dr.gather(Float, stack.pixels[view], row + column, inside) for column, w in across)
     return dr.select(inside, total, dr.nan)
 
 

@@ -14,10 +14,10 @@ import os
 import subprocess
 import sys
 import tempfile
-import threading
-import time
 import tomllib
 from pathlib import Path
+
+from survey.benchmark.running import run_bathynerf
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("BATHYNERF_DATA", ROOT.parent / "shared" / "data"))
@@ -27,52 +27,17 @@ SHARES = ("accuracy_share", "completeness_visible")
 BATHYNERF = (sys.executable, "-c", "from survey.commands.app import main; main()")
 
 
-def tree_memory_bytes(pid: int) -> int:
-    """Resident memory of a process and its children."""
-    total, waiting = 0, [pid]
-    while waiting:
-        pid = waiting.pop()
-        try:
-            pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-            waiting += [int(c) for c in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-        except (FileNotFoundError, ProcessLookupError):
-            continue
-        total += pages * os.sysconf("SC_PAGE_SIZE")
-    return total
-
-
-def timed(command: list[str], environment: dict) -> tuple[int, float, float]:
-    """Exit code, wall clock [s] and peak memory of the tree [GB] of a command."""
-    start = time.monotonic()
-    # Paths of the results, which the command prints, are no part of the JSON.
-    process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL)
-    peak = 0
-
-    def watch() -> None:
-        nonlocal peak
-        while process.poll() is None:
-            peak = max(peak, tree_memory_bytes(process.pid))
-            time.sleep(0.1)
-
-    watcher = threading.Thread(target=watch)
-    watcher.start()
-    code = process.wait()
-    watcher.join()
-    return code, time.monotonic() - start, peak / 1e9
-
-
 def measure(name: str, quality: str, field: str, folder: Path) -> dict:
     """Process one survey and compare it with its reference."""
     survey, run = DATA / name, folder / f"{name}_{quality}_{field}"
     with tempfile.TemporaryDirectory() as home:  # Dr.Jit keeps its compiled kernels in the home folder
-        environment = {**os.environ, "HOME": home}
         options = ["-o", str(run), "--quality", quality, "--field", field, "--no-resume"]
-        code, seconds, memory = timed([*BATHYNERF, "process", str(survey), *options], environment)
+        code, cost, _ = run_bathynerf(["process", str(survey), *options], Path(home))
     if code != 0:
         return {"survey": name, "exit_code": code}
     reference = (DATA / name.replace("dry", "water") / "reference.ply").resolve()
     record = {"survey": name, "quality": quality, "field": field}
-    record |= {"wall_s": round(seconds, 1), "peak_gb": round(memory, 2)}
+    record |= {"wall_s": round(cost.wall_s, 1), "peak_gb": round(cost.peak_bytes / 1e9, 2)}
     return record | compared(survey, run, reference, survey / "visible.ply")
 
 

@@ -34,7 +34,7 @@ from survey.plan.plan import make_plan
 from survey.plan.recipe import RECIPES
 from survey.progress import current
 from survey.run import stage_bed
-from survey.run.export import write_bed_las
+from survey.run.cloud import write_bed_las
 from survey.run.job import Job
 from survey.run.stored import StoredBed
 from survey.simulate.drawn import DrawnScene, draw_survey

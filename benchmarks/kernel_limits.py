@@ -84,7 +84,7 @@ def operations(run: Callable[[], Any]) -> Counter:
     return counted
 
 
-def shares(limits: Limits, run: Callable[[], Any], points: int, bytes_a_point: int) -> dict[str, float]:
+def shares(limits: Limits, run: Callable[[], Any], points: int, bytes_a_point: float) -> dict[str, float]:
     """Nanoseconds a point over all cores, and the shares of the speed of memory and of arithmetic."""
     taken = seconds(lambda: _finish(run())) / points
     counted = operations(run)

@@ -19,6 +19,15 @@ TVU = (
     ("1a and 1b", 0.5, 0.013),
     ("2", 1.0, 0.023),
 )
+# Total horizontal uncertainty at 95 %, a + b depth, a in metres.
+THU = (
+    ("Exclusive", 1.0, 0.0),
+    ("Special", 2.0, 0.0),
+    ("1a and 1b", 5.0, 0.05),
+    ("2", 20.0, 0.1),
+)
+# From a standard deviation to 95 %: of a normal error in one direction, and in two that are alike.
+TO_95, TO_95_IN_PLAN = 1.959964, 2.447747
 _TVU_SHARE = 0.95
 _TVU_NOTE = (
     "Vertical uncertainty only: an order of IHO S-44 (Ed. 6.1.0) also asks for horizontal uncertainty, coverage and "
@@ -136,6 +145,27 @@ def iho_s44(errors: np.ndarray, depth_m: np.ndarray) -> IhoS44 | None:
     size, depth = np.abs(errors[use]), depth_m[use].astype(np.float64)
     orders = tuple(_order(*row, size, depth) for row in TVU)
     return IhoS44(len(size), float(np.quantile(size, _TVU_SHARE)), orders)
+
+
+def order_by_tvu(std_m: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
+    """Strictest order of `TVU` that heights of these standard deviations [m] meet at these depths [m], both (...).
+
+    Returns
+    -------
+    (...) uint8
+        1 for the first of the table, 5 for none, 0 where a value is NaN or the depth is not positive.
+    """
+    return _strictest([TO_95 * std_m <= np.hypot(a, b * depth_m) for _, a, b in TVU], std_m, depth_m)
+
+
+def order_by_thu(std_m: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
+    """As `order_by_tvu`, of `THU` and the standard deviations [m] of places along each axis in plan."""
+    return _strictest([TO_95_IN_PLAN * std_m <= a + b * depth_m for _, a, b in THU], std_m, depth_m)
+
+
+def _strictest(meets: list[np.ndarray], std_m: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
+    orders = np.select(meets, range(1, len(meets) + 1), default=len(meets) + 1)
+    return np.where(np.isfinite(std_m) & (depth_m > 0.0), orders, 0).astype(np.uint8)
 
 
 def _order(name: str, a: float, b: float, size: np.ndarray, depth: np.ndarray) -> TvuOrder:

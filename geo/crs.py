@@ -168,6 +168,20 @@ def prime_meridian_rad(crs: CRS) -> float:
     return found.longitude * float(found.unit_conversion_factor)  # a number, though pyproj's stubs say str
 
 
+def crs_code(crs: CRS) -> str | None:
+    """Codes of a CRS, e.g. "EPSG:25832+5778"; None where it has none."""
+    whole = crs.to_authority(min_confidence=100)
+    if whole is not None:
+        return ":".join(whole)
+    parts = [
+        part.to_authority(min_confidence=100) for part in (horizontal_crs(crs), vertical_crs(crs)) if part is not None
+    ]
+    if len(parts) != 2 or None in parts:
+        return None
+    (authority, first), (other, second) = parts
+    return f"{authority}:{first}+" + (second if authority == other else f"{other}:{second}")
+
+
 def degrees_outside_area(crs: CRS, lon: float, lat: float) -> float:
     """How far [deg] a longitude and latitude [rad] lie outside the area of use of a CRS.
 

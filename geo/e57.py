@@ -1,15 +1,25 @@
-"""Clouds as E57 (the extra ``e57``): all scans of a file in their common frame."""
+"""Clouds as E57 (the extra ``e57``): all scans of a file read in their common frame; one scan written."""
 
 from __future__ import annotations
 
+import uuid
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from pyproj import CRS
 
-from geo.errors import EmptyCloud, UnreadableFile
-from geo.files import existing_file
+from geo.crs import wkt1
+from geo.errors import EmptyCloud, UnreadableFile, UnwritableFile
+from geo.files import existing_file, write_whole_at
 from geo.optional import library_for
 from geo.shapes import Cloud
+
+_BEGINNING = b"ASTM-E57"
+_NAME = "bathynerf"
+# The names of scans stand at the end of a file.
+_PAGE = 1024
+_LAST_BYTES = 64 * _PAGE
 
 
 def read_e57(path: str | Path) -> Cloud:
@@ -36,3 +46,75 @@ def read_e57(path: str | Path) -> Cloud:
     if not len(cloud):
         raise EmptyCloud(f"{path} has no points; expected a cloud with at least one.")
     return Cloud(cloud)
+
+
+def write_e57(path: str | Path, points_crs: np.ndarray, crs: CRS, *, rgb: np.ndarray) -> None:
+    """Write a cloud as one scan of an E57 file, whole or not at all.
+
+    pye57 writes coordinates in single precision, so they are stored from an origin in the middle of the cloud, which is
+    the pose of the scan: within 1 km of it they step by 0.06 mm, as `read_e57` and other readers put them together
+    again. It knows no fields beyond colour; the CRS is the coordinateMetadata of the file.
+
+    Parameters
+    ----------
+    points_crs : (N, 3) float64, in crs, N at least 1
+    crs : pyproj.CRS
+        Written as WKT 1.
+    rgb : (N, 3) uint8
+
+    Raises
+    ------
+    UnwritableFile
+        If the file cannot be written, or pye57 is not installed.
+    """
+    pye57 = library_for(path, "pye57", "e57", to_write=True)
+    points = np.asarray(points_crs, dtype=np.float64)
+    origin = np.floor(0.5 * (points.min(axis=0) + points.max(axis=0)))
+    columns = (points - origin).astype(np.float32).T
+    data = {f"cartesian{axis}": column for axis, column in zip("XYZ", columns, strict=True)}
+    data |= {f"color{name}": column for name, column in zip(("Red", "Green", "Blue"), rgb.T, strict=True)}
+    with write_whole_at(path) as part:
+        try:
+            file = _with_crs(pye57, wkt1(crs))(str(part), mode="w")
+            file.write_scan_raw(data, name=_NAME, translation=origin)
+            file.close()
+        except pye57.libe57.E57Exception as error:
+            raise UnwritableFile(f"cannot write {path} ({error}); most likely no space is left on the disk.") from error
+
+
+def _with_crs(pye57: Any, wkt: str) -> type:
+    """The writer of pye57, which leaves the CRS of its header empty, with one."""
+    lib = pye57.libe57
+
+    class WithCrs(pye57.E57):
+        def write_default_header(self) -> None:
+            image = self.image_file
+            image.extensionsAdd("", lib.E57_V1_0_URI)
+            made = lib.StructureNode(image)
+            made.set("dateTimeValue", lib.FloatNode(image, 0.0))
+            made.set("isAtomicClockReferenced", lib.IntegerNode(image, 0))
+            for name, node in {
+                "formatName": lib.StringNode(image, "ASTM E57 3D Imaging Data File"),
+                "guid": lib.StringNode(image, f"{{{uuid.uuid4()}}}"),
+                "versionMajor": lib.IntegerNode(image, lib.E57_FORMAT_MAJOR),
+                "versionMinor": lib.IntegerNode(image, lib.E57_FORMAT_MINOR),
+                "e57LibraryVersion": lib.StringNode(image, lib.E57_LIBRARY_ID),
+                "coordinateMetadata": lib.StringNode(image, wkt),
+                "creationDateTime": made,
+                "data3D": lib.VectorNode(image, True),
+                "images2D": lib.VectorNode(image, True),
+            }.items():
+                self.root.set(name, node)
+
+    return WithCrs
+
+
+def is_our_e57(path: Path) -> bool:
+    """Whether a file is E57 whose scan `write_e57` named."""
+    with path.open("rb") as stream:
+        if stream.read(len(_BEGINNING)) != _BEGINNING:
+            return False
+        stream.seek(max(0, path.stat().st_size - _LAST_BYTES))
+        end = stream.read()
+    # Each page of 1024 bytes ends in its check sum.
+    return _NAME.encode() in b"".join(end[at : at + _PAGE - 4] for at in range(0, len(end), _PAGE))

@@ -50,7 +50,8 @@ def geodetic_from_geocentric(xyz, *, a: float, b: float) -> tuple[np.ndarray, np
     return np.arctan2(y, x), lat, height
 
 
-def enu_from_geocentric(lon: float, lat: float) -> np.ndarray:
-    """Rotation (3, 3) from geocentric axes to east, north and up at a longitude and latitude [rad]."""
+def enu_from_geocentric(lon, lat) -> np.ndarray:
+    """Rotations (..., 3, 3) from geocentric axes to east, north and up at longitudes and latitudes (...) [rad]."""
     sl, cl, sp, cp = np.sin(lon), np.cos(lon), np.sin(lat), np.cos(lat)
-    return np.array([[-sl, cl, 0.0], [-sp * cl, -sp * sl, cp], [cp * cl, cp * sl, sp]])
+    rows = [[-sl, cl, np.zeros_like(sl)], [-sp * cl, -sp * sl, cp], [cp * cl, cp * sl, sp]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

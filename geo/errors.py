@@ -37,3 +37,7 @@ class EmptyCloud(UnreadableFile):
 
 class UnwritableFile(GeoError):
     """A file could not be written: no room, no folder, no permission."""
+
+
+class MissingGrid(GeoError):
+    """A transformation between two datums needs a grid that PROJ does not have."""

@@ -83,11 +83,11 @@ def disk_refusals(path: str | Path) -> Iterator[None]:
 
 @contextmanager
 def write_whole(path: str | Path) -> Iterator[BinaryIO]:
-    """A binary stream that becomes the file ``path`` when the block ends well.
+    """A binary stream, to write and to read back, that becomes the file ``path`` when the block ends well.
 
     Written under a temporary name in the same folder and renamed at the end; after any error the temporary file is
     gone and an older file of that name is untouched. A symbolic link is followed, as by `cp`; into a device or a pipe,
-    e.g. /dev/stdout, the bytes go at once.
+    e.g. /dev/stdout, the bytes go at once, and cannot be read back.
 
     Raises
     ------
@@ -100,13 +100,29 @@ def write_whole(path: str | Path) -> Iterator[BinaryIO]:
             with path.open("wb") as stream:
                 yield stream
             return
-        target = Path(os.path.realpath(path))
-        part = target.with_name(f".{target.name}.{os.getpid()}.part")
+        with write_whole_at(path) as part, part.open("w+b") as stream:
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+    except OSError as error:
+        raise _unwritable(error, path) from error
+
+
+@contextmanager
+def write_whole_at(path: str | Path) -> Iterator[Path]:
+    """As `write_whole`, for libraries that want a path: that of the temporary file, which does not exist yet.
+
+    Raises
+    ------
+    UnwritableFile
+        As `write_whole`.
+    """
+    path = Path(path)
+    target = Path(os.path.realpath(path))
+    part = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
         try:
-            with part.open("wb") as stream:
-                yield stream
-                stream.flush()
-                os.fsync(stream.fileno())
+            yield part
             part.replace(target)
         finally:
             part.unlink(missing_ok=True)

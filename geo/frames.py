@@ -111,6 +111,14 @@ class LocalFrame:
         u, _, vt = np.linalg.svd(np.where(finite, columns, np.eye(3)))
         return np.where(finite, u @ vt, np.nan)
 
+    def local_from_level(self, point_crs) -> np.ndarray:
+        """Rotation (..., 3, 3) that turns true east, true north and up at points (..., 3) in crs into local axes.
+
+        NaN where a point is not on the map.
+        """
+        lon, lat, _ = self._map.geodetic_from_crs(_as_points(point_crs))
+        return self._local_from_geocentric @ np.swapaxes(enu_from_geocentric(lon, lat), -1, -2)
+
     def _steps(self, points: np.ndarray) -> np.ndarray:
         """Steps (..., 3, 3) of about `_STEP_M` along easting, northing and height, in units of crs."""
         unit = self._map.horizontal_unit

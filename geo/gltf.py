@@ -1,13 +1,15 @@
-"""glTF and GLB meshes (the extra ``gltf``): all nodes of a scene in one mesh, turned so that z is up."""
+"""glTF and GLB meshes (the extra ``gltf``): read as one mesh, turned so that z is up; written near their origin."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
+from pyproj import CRS
 
+from geo.crs import crs_code
 from geo.errors import UnreadableFile
-from geo.files import existing_file
+from geo.files import existing_file, write_whole
 from geo.optional import library_for
 from geo.shapes import Cloud, Mesh
 
@@ -57,3 +59,23 @@ def _rgb(meshes: list) -> np.ndarray | None:
         return None
     white = (np.full((len(part.vertices), 3), 255, dtype=np.uint8) for part in meshes)
     return np.concatenate([other if rgb is None else rgb for rgb, other in zip(colours, white, strict=True)])
+
+
+def write_glb(path: str | Path, mesh: Mesh, crs: CRS) -> None:
+    """Write a mesh in crs as GLB, whole or not at all: y up, from an origin in its middle.
+
+    The format stores single precision, which steps by half a metre at a northing of 5e6 m. The origin, whole units of
+    crs, and the CRS stand in the ``extras`` of the scene.
+
+    Raises
+    ------
+    UnwritableFile
+        If the file cannot be written, or trimesh is not installed.
+    """
+    trimesh = library_for(path, "trimesh", "gltf", to_write=True)
+    origin = np.floor(0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)))
+    body = trimesh.Trimesh((mesh.vertices - origin) @ _Z_UP, mesh.faces, vertex_colors=mesh.rgb, process=False)
+    said = {"made_by": "bathynerf", "crs": crs_code(crs) or crs.to_wkt(), "origin": origin.tolist()}
+    content = trimesh.Scene(body, metadata=said).export(file_type="glb", include_normals=False)
+    with write_whole(path) as stream:
+        stream.write(content)

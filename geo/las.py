@@ -15,6 +15,7 @@ from laspy.vlrs.known import WktCoordinateSystemVlr
 from lazrs import LazrsError
 from pyproj import CRS
 
+from geo import copc
 from geo.crs import is_geographic, wkt1
 from geo.errors import EmptyCloud, GeoError, UnreadableFile, UnwritableFile
 from geo.files import existing_file, write_whole
@@ -45,15 +46,18 @@ def write_cloud(
     incidence_deg: np.ndarray,
     is_wet: np.ndarray,
     std_common_m: np.ndarray | None = None,
+    classification: np.ndarray | None = None,
 ) -> None:
     """Write a cloud as LAS 1.4, point format 7, whole or not at all; compressed if the suffix is .laz.
 
+    Where the name ends in .copc.laz, it becomes COPC, see `geo.copc`.
+
     Coordinates are rounded to 0.001 of the unit of crs (1e-8 for longitude and latitude); offsets are whole
-    units. An empty cloud is written as a valid file without points.
+    units. An empty cloud is written as a valid file without points, except as COPC.
 
     Parameters
     ----------
-    path : .las or .laz
+    path : .las, .laz or .copc.laz
     points_crs : (N, 3) float64, in crs
         Finite: the caller leaves points without coordinates out and counts them.
     crs : pyproj.CRS
@@ -70,6 +74,8 @@ def write_cloud(
     std_common_m : (N,) [m], optional
         Standard deviation of the height by what all points have in common, water, lens and poses, which ``std_m`` does
         not hold; "no data" where not given.
+    classification : (N,) uint8, optional
+        Other classes than those of ``is_wet``, e.g. with 45 (no bottom found) among them.
 
     Raises
     ------
@@ -82,11 +88,14 @@ def write_cloud(
     if path.suffix.lower() not in _SUFFIXES:
         raise UnwritableFile(f"cannot write {path}: its suffix must be .las or .laz.")
     points = np.asarray(points_crs, dtype=np.float64)
+    if not len(points) and path.name.lower().endswith(copc.SUFFIX):
+        raise EmptyCloud(f"cannot write {path}: COPC needs one point at least; write LAZ.")
     common = np.full(len(points), np.nan) if std_common_m is None else std_common_m
     extra = {
         "depth": depth_m, "std": std_m, "std_common": common, "num_views": num_views, "incidence": incidence_deg,
     }  # fmt: skip
-    _require_sound(points, {"rgb": rgb, "is_wet": is_wet} | extra)
+    classes = classes_of(is_wet) if classification is None else classification
+    _require_sound(points, {"rgb": rgb, "is_wet": classes} | extra)
 
     header = _header(points, crs, path)
     stored = add_extra_bytes(header, extra)
@@ -96,7 +105,7 @@ def write_cloud(
     las.return_number[:] = 1
     las.number_of_returns[:] = 1
     las.synthetic[:] = 1
-    las.classification[:] = np.where(np.asarray(is_wet, dtype=bool), CLASS_BATHYMETRIC, CLASS_GROUND)
+    las.classification[:] = classes
     # 257 maps 0..255 onto the whole of 0..65535.
     las.red, las.green, las.blue = np.asarray(rgb, dtype=np.uint16).T * np.uint16(257)
     for name, values in stored.items():
@@ -104,10 +113,18 @@ def write_cloud(
     _write(las, path)
 
 
+def classes_of(is_wet: np.ndarray) -> np.ndarray:
+    """Class (N,) uint8 of points of the bed: bathymetric where wet, else ground."""
+    return np.where(np.asarray(is_wet, dtype=bool), CLASS_BATHYMETRIC, CLASS_GROUND).astype(np.uint8)
+
+
 def _write(las: laspy.LasData, path: Path) -> None:
     compress = path.suffix.lower() == ".laz"
     with write_whole(path) as stream:
         try:
+            if path.name.lower().endswith(copc.SUFFIX):
+                copc.write_copc(las, stream)
+                return
             writer = laspy.open(stream, mode="w", header=las.header, do_compress=compress, closefd=False)
             with writer:
                 writer.write_points(las.points)

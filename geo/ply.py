@@ -1,18 +1,35 @@
-"""Clouds written as PLY with double coordinates, which CloudCompare, MeshLab and Open3D read; see `geo.ply_reading`."""
+"""Clouds and meshes written as PLY with double coordinates; see `geo.ply_reading`.
+
+CloudCompare opens properties whose name begins with ``scalar_`` as scalar fields, and shows them without the prefix.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
+from pyproj import CRS
 
+from geo.crs import crs_code
 from geo.files import write_whole
 
+SCALAR = "scalar_"
 _COLOURS = ("red", "green", "blue")
+_WORDS = {"<f8": "double", "u1": "uchar", "<f4": "float"}
+# Readers built on rply, CloudCompare among them, refuse longer lines in a header.
+_LONGEST_COMMENT = 200
 
 
-def write_ply(path: str | Path, points_crs: np.ndarray, *, rgb: np.ndarray, scalars: dict[str, np.ndarray]) -> None:
-    """Write a cloud as binary little-endian PLY, whole or not at all.
+def write_ply(
+    path: str | Path,
+    points_crs: np.ndarray,
+    *,
+    rgb: np.ndarray,
+    scalars: dict[str, np.ndarray],
+    crs: CRS | None = None,
+    faces: np.ndarray | None = None,
+) -> None:
+    """Write a cloud or a mesh as binary little-endian PLY, whole or not at all.
 
     Parameters
     ----------
@@ -20,7 +37,12 @@ def write_ply(path: str | Path, points_crs: np.ndarray, *, rgb: np.ndarray, scal
         Stored as double x, y, z.
     rgb : (N, 3) uint8
     scalars : dict of (N,)
-        Further properties, stored as float; names without spaces, with their unit, e.g. ``"depth_m"``.
+        Further properties, stored as float with ``scalar_`` before their names; names without spaces, with their unit,
+        e.g. ``"depth_m"``.
+    crs : pyproj.CRS, optional
+        Named in a comment, ``crs EPSG:25832+5778``; where it has no code, as WKT in several (``crs_wkt``).
+    faces : (F, 3) int, optional
+        Triangles.
 
     Raises
     ------
@@ -38,17 +60,33 @@ def write_ply(path: str | Path, points_crs: np.ndarray, *, rgb: np.ndarray, scal
             raise ValueError(f"{name!r} cannot name a property; expected one word that is not in use")
         if np.shape(values) != points.shape[:1]:
             raise ValueError(f"{name} has shape {np.shape(values)}, expected {points.shape[:1]}")
-        fields.append((name, "<f4"))
+        fields.append((SCALAR + name, "<f4"))
     table = np.empty(len(points), dtype=fields)
     for values, names in ((points.T, "xyz"), (np.asarray(rgb, dtype=np.uint8).T, _COLOURS)):
         for column, name in zip(values, names, strict=True):
             table[name] = column
     for name, values in scalars.items():
-        table[name] = values
-    words = {"<f8": "double", "u1": "uchar", "<f4": "float"}
-    properties = "".join(f"property {words[kind]} {name}\n" for name, kind in fields)
-    head = "ply\nformat binary_little_endian 1.0\ncomment bathynerf\n"
-    header = f"{head}element vertex {len(points)}\n{properties}end_header\n"
+        table[SCALAR + name] = values
+    lines = ["ply", "format binary_little_endian 1.0", "comment bathynerf", *_crs_comments(crs)]
+    lines += [f"element vertex {len(points)}", *(f"property {_WORDS[kind]} {name}" for name, kind in fields)]
+    if faces is not None:
+        lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
     with write_whole(path) as stream:
-        stream.write(header.encode())
+        stream.write("\n".join([*lines, "end_header", ""]).encode())
         stream.write(table.view(np.uint8).data)
+        if faces is not None:
+            triangles = np.empty(len(faces), dtype=[("corners", "u1"), ("vertices", "<i4", 3)])
+            triangles["corners"], triangles["vertices"] = 3, faces
+            stream.write(triangles.view(np.uint8).data)
+
+
+def _crs_comments(crs: CRS | None) -> list[str]:
+    if crs is None:
+        return []
+    code = crs_code(crs)
+    if code is not None:
+        return [f"comment crs {code}"]
+    wkt = crs.to_wkt()
+    return [
+        f"comment crs_wkt {wkt[first : first + _LONGEST_COMMENT]}" for first in range(0, len(wkt), _LONGEST_COMMENT)
+    ]

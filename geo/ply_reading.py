@@ -21,6 +21,7 @@ import numpy as np
 
 from geo.errors import UnreadableFile
 from geo.files import existing_file
+from geo.ply import SCALAR
 from geo.shapes import Cloud, Mesh, triangulated
 
 _TYPES = {
@@ -233,4 +234,8 @@ def _rgb(vertex: dict[str, np.ndarray]) -> np.ndarray | None:
 
 def _scalars(vertex: dict[str, np.ndarray | _Lists]) -> dict[str, np.ndarray]:
     known = {"x", "y", "z", *_COLOURS}
-    return {k: np.array(v) for k, v in vertex.items() if k not in known and isinstance(v, np.ndarray)}
+    return {
+        name.removeprefix(SCALAR): np.array(values)
+        for name, values in vertex.items()
+        if name not in known and isinstance(values, np.ndarray)
+    }

@@ -1,4 +1,4 @@
-"""Terrain models as GeoTIFF (the extra ``raster``): the surface through the middles of their cells."""
+"""Terrain models as GeoTIFF: the surface through the middles of their cells."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from pyproj.exceptions import CRSError
 
 from geo.errors import UnreadableFile
 from geo.files import existing_file
-from geo.optional import library_for
 from geo.shapes import Mesh
 
 
@@ -23,10 +22,12 @@ def read_raster(path: str | Path) -> Mesh:
     Raises
     ------
     UnreadableFile
-        If it does not exist, is damaged, has fewer than 2 x 2 cells with data, or rasterio is not installed.
+        If it does not exist, is damaged, or has fewer than 2 x 2 cells with data.
     """
     path = existing_file(path)
-    rasterio = library_for(path, "rasterio", "raster")
+    # It takes a while to load, and most references are meshes or clouds.
+    import rasterio
+
     try:
         with rasterio.open(path) as raster:
             stored = raster.read(1, masked=True)

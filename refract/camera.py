@@ -53,7 +53,8 @@ class PinholeCamera:
         None for a pinhole. Pixels are those of the photograph as it was taken.
     motion : (3,) float64 [m/px], local, or None
         How far the camera flies, without turning, from one row of a rolling shutter to the next: velocity times
-        readout time over the rows. `centre` is its place at the row `cy`. None for a global shutter.
+        readout time over the rows from the first to the last. `centre` is its place at the row `cy`. None for a
+        global shutter.
 
     Raises
     ------

@@ -3,7 +3,8 @@
 Normalised coordinates (x, y) are those of a ray at depth 1 in cam. One source for numpy, torch and Dr.Jit: numbers of a
 lens are plain numbers, or arrays that hold those of another lens for each ray.
 
-    row      eight coefficients, then the square of the reach, then the widest angle of a fisheye lens, 0 for the others
+    row      eight coefficients, then the square of the reach, then the widest angle of a fisheye lens, -1 of an affine
+             one, 0 for the others
     reach    greatest distance of (x, y) from the axis up to which the model is one to one; beyond it a polynomial may
              fold back, and the lens sees nothing
     kinds    of the lenses among the rays; terms of the others are left out
@@ -21,9 +22,10 @@ import numpy as np
 from refract._array import namespace
 
 # Brown's polynomial k1 k2 p1 p2 k3; the same over another one, k1 k2 p1 p2 k3 k4 k5 k6; a polynomial of the angle to
-# the axis, k1 k2 k3 k4. Order and sense of the coefficients are OpenCV's.
-BROWN, RATIONAL, FISHEYE = "brown", "rational", "fisheye"
-_COUNTS = {BROWN: 5, RATIONAL: 8, FISHEYE: 4}
+# the axis, k1 k2 k3 k4. Order and sense of the coefficients are OpenCV's. Brown's polynomial with a term in the eighth
+# power of the radius and a shear of x by y, k1 k2 p1 p2 k3 k4 skew, as Metashape has it.
+BROWN, RATIONAL, FISHEYE, AFFINE = "brown", "rational", "fisheye", "affine"
+_COUNTS = {BROWN: 5, RATIONAL: 8, FISHEYE: 4, AFFINE: 7}
 _COEFFICIENTS = 8
 ROW = _COEFFICIENTS + 2
 
@@ -51,9 +53,10 @@ class Distortion:
 
     Attributes
     ----------
-    kind : "brown", "rational" or "fisheye"
+    kind : "brown", "rational", "fisheye" or "affine"
     coefficients : tuple of float
-        In OpenCV's order: k1 k2 p1 p2 k3 of brown, and k4 k5 k6 more of rational; k1 k2 k3 k4 of fisheye.
+        In OpenCV's order: k1 k2 p1 p2 k3 of brown, and k4 k5 k6 more of rational; k1 k2 k3 k4 of fisheye. Of affine
+        those of brown, k4 for the eighth power of the radius, and the skew: x grows by skew times y, both distorted.
 
     Raises
     ------
@@ -80,7 +83,8 @@ class Distortion:
     def row(self) -> tuple[float, ...]:
         """The ten numbers that `distort` and `undistort` take."""
         padding = (0.0,) * (_COEFFICIENTS - len(self.coefficients))
-        return (*self.coefficients, *padding, self.reach**2, math.atan(self.reach) if self.kind == FISHEYE else 0.0)
+        mark = {FISHEYE: math.atan(self.reach), AFFINE: -1.0}.get(self.kind, 0.0)
+        return (*self.coefficients, *padding, self.reach**2, mark)
 
     def distorted(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distorted coordinates of undistorted ones, float64 of any shape; NaN beyond the reach."""
@@ -107,13 +111,14 @@ def row_of(distortion: Distortion | None) -> tuple[float, ...]:
 def kinds_of(distortions) -> frozenset[str]:
     """The kinds among distortions, of which some may be None; none has kinds if all are None.
 
-    A lens without distortion is a polynomial of zeros, and a polynomial is a rational function over one.
+    A lens without distortion is a polynomial of zeros, and a polynomial is a rational function over one, or an affine
+    lens with two zeros.
     """
     distortions = list(distortions)
     kinds = {d.kind for d in distortions if d is not None}
     if FISHEYE in kinds and None in distortions:
         kinds.add(BROWN)
-    return frozenset(kinds - {BROWN} if RATIONAL in kinds else kinds)
+    return frozenset(kinds - {BROWN} if kinds & {RATIONAL, AFFINE} else kinds)
 
 
 def distort(kinds, x, y, row) -> tuple:
@@ -124,14 +129,15 @@ def distort(kinds, x, y, row) -> tuple:
     if kinds == {FISHEYE}:
         scale = xp.where(within, _fisheye_scale(xp, r2, row), math.nan)
         return x * scale, y * scale
-    radial, _ = _radial(xp, r2, row, RATIONAL in kinds)
+    radial, _ = _radial(xp, r2, row, kinds)
     p1, p2 = row[2], row[3]
     if FISHEYE in kinds:
         is_fisheye = row[9] > 0.0
         radial = xp.where(is_fisheye, _fisheye_scale(xp, r2, row), radial)
         p1, p2 = (xp.where(is_fisheye, 0.0, p) for p in (p1, p2))
     t = xp.where(within, 2.0 * xp.fma(y, p1, x * p2) + radial, math.nan)
-    return xp.fma(x, t, p2 * r2), xp.fma(y, t, p1 * r2)
+    x, y = xp.fma(x, t, p2 * r2), xp.fma(y, t, p1 * r2)
+    return (xp.fma(y, _of_affine(xp, row, kinds)[1], x), y) if AFFINE in kinds else (x, y)
 
 
 def undistort(kinds, x, y, row, steps: int = STEPS) -> tuple:
@@ -141,29 +147,31 @@ def undistort(kinds, x, y, row, steps: int = STEPS) -> tuple:
     """
     if kinds == {FISHEYE}:
         return _undistort_fisheye(x, y, row, steps)
-    return _undistort_polynomial(x, y, row, steps, RATIONAL in kinds)
+    return _undistort_polynomial(x, y, row, steps, kinds)
 
 
-def _undistort_polynomial(x, y, row, steps: int, rational: bool) -> tuple:
+def _undistort_polynomial(x, y, row, steps: int, kinds) -> tuple:
     xp = namespace(x, y)
+    if AFFINE in kinds:
+        x = x - _of_affine(xp, row, kinds)[1] * y
     p1, p2, reach2 = row[2], row[3], row[8]
     tolerance = _ROUNDINGS * xp.eps(x)
     u, v = _drawn_in(xp, x, y, reach2)
     for _ in range(steps):
-        (du, dv), (a, b, c, d) = _misfit(xp, u, v, x, y, p1, p2, row, rational)
+        (du, dv), (a, b, c, d) = _misfit(xp, u, v, x, y, p1, p2, row, kinds)
         if _all_small(xp, du, dv, tolerance):
             break
         over = 1.0 / (a * d - b * c)
         u, v = _drawn_in(xp, u - (d * du - b * dv) * over, v - (a * dv - c * du) * over, reach2)
-    (du, dv), _ = _misfit(xp, u, v, x, y, p1, p2, row, rational)
+    (du, dv), _ = _misfit(xp, u, v, x, y, p1, p2, row, kinds)
     solved = (xp.abs(du) + xp.abs(dv) < tolerance) & (xp.fma(u, u, v * v) < reach2)
     return xp.where(solved, u, math.nan), xp.where(solved, v, math.nan)
 
 
-def _misfit(xp, u, v, x, y, p1, p2, row, rational: bool) -> tuple:
+def _misfit(xp, u, v, x, y, p1, p2, row, kinds) -> tuple:
     """Distorted (u, v) less (x, y), and its derivatives: of the first by u and v, of the second by u and v."""
     r2 = xp.fma(u, u, v * v)
-    radial, slope = _radial(xp, r2, row, rational)
+    radial, slope = _radial(xp, r2, row, kinds)
     t = 2.0 * xp.fma(v, p1, u * p2) + radial
     t_u, t_v = 2.0 * xp.fma(u, slope, p2), 2.0 * xp.fma(v, slope, p1)
     du, dv = xp.fma(u, t, p2 * r2) - x, xp.fma(v, t, p1 * r2) - y
@@ -186,18 +194,34 @@ def _all_small(xp, du, dv, tolerance) -> bool:
     return xp.name == "numpy" and bool(np.all(~(np.abs(du) + np.abs(dv) > 0.5 * tolerance)))
 
 
-def _radial(xp, r2, row, rational: bool) -> tuple:
+def _radial(xp, r2, row, kinds) -> tuple:
     """Factor of a polynomial or rational lens at the square of a radius, and its derivative by that square."""
     k1, k2, k3 = row[0], row[1], row[4]
-    above = xp.fma(r2, xp.fma(r2, xp.fma(r2, k3, k2), k1), 1.0)
-    slope = xp.fma(r2, xp.fma(r2, 3.0 * k3, 2.0 * k2), k1)
-    if not rational:
+    cubic, cubic_slope = k3, 3.0 * k3
+    if AFFINE in kinds:
+        fourth = _of_affine(xp, row, kinds)[0]
+        cubic, cubic_slope = xp.fma(r2, fourth, k3), xp.fma(r2, 4.0 * fourth, 3.0 * k3)
+    above = xp.fma(r2, xp.fma(r2, xp.fma(r2, cubic, k2), k1), 1.0)
+    slope = xp.fma(r2, xp.fma(r2, cubic_slope, 2.0 * k2), k1)
+    if RATIONAL not in kinds:
         return above, slope
     k4, k5, k6 = row[5], row[6], row[7]
+    if AFFINE in kinds:
+        is_affine = row[9] < 0.0
+        k4, k5 = (xp.where(is_affine, 0.0, k) for k in (k4, k5))
     below = xp.fma(r2, xp.fma(r2, xp.fma(r2, k6, k5), k4), 1.0)
     slope_below = xp.fma(r2, xp.fma(r2, 3.0 * k6, 2.0 * k5), k4)
     factor = above / below
     return factor, (slope - factor * slope_below) / below
+
+
+def _of_affine(xp, row, kinds) -> tuple:
+    """The coefficient of the eighth power of the radius, and the skew; zeros for lenses of other kinds."""
+    if RATIONAL not in kinds:
+        # Of the other kinds these places of the row are zeros.
+        return row[5], row[6]
+    is_affine = row[9] < 0.0
+    return xp.where(is_affine, row[5], 0.0), xp.where(is_affine, row[6], 0.0)
 
 
 def _angle(xp, theta, row) -> tuple:
@@ -245,8 +269,9 @@ def _reach(kind: str, coefficients: tuple[float, ...]) -> float:
 
     def one_to_one(r: np.ndarray) -> np.ndarray:
         u, v = r * np.cos(side), r * np.sin(side)
-        below = _radial(_XP, r * r, (0.0, 0.0, 0.0, 0.0, 0.0, *row[5:]), True)[0]
-        _, (a, b, c, d) = _misfit(_XP, u, v, 0.0, 0.0, row[2], row[3], row, kind == RATIONAL)
+        over = row[5:] if kind == RATIONAL else (0.0, 0.0, 0.0)
+        below = _radial(_XP, r * r, (0.0, 0.0, 0.0, 0.0, 0.0, *over), {RATIONAL})[0]
+        _, (a, b, c, d) = _misfit(_XP, u, v, 0.0, 0.0, row[2], row[3], row, {kind})
         return ((a * d - b * c > 0.0) & (a + d > 0.0) & (below > 0.0)).all(axis=0)
 
     return _turn(one_to_one, _FARTHEST)

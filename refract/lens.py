@@ -1,6 +1,7 @@
 """Lenses in COLMAP's camera models, distortion included: from pixels to directions and back.
 
-The functions go by OpenCV: the simulator takes photographs by them, so that `refract.distortion` is tried on others.
+The functions go by OpenCV, as far as it has the lens: the simulator takes photographs by them, so that
+`refract.distortion` is tried on others.
 """
 
 from __future__ import annotations
@@ -12,10 +13,11 @@ import cv2
 import numpy as np
 
 from refract.camera import PinholeCamera
-from refract.distortion import BROWN, FISHEYE, RATIONAL, Distortion
+from refract.distortion import AFFINE, BROWN, FISHEYE, RATIONAL, Distortion
 
-# Parameters in COLMAP's order; the id is the one of COLMAP's binary files.
-MODELS = {
+# Parameters in COLMAP's order; the id is the one of COLMAP's binary files. COLMAP has no affine model: that is
+# Metashape's with p1 and p2 in OpenCV's order, and skew = b2 / fx.
+MODELS: dict[str, tuple[int | None, tuple[str, ...]]] = {
     "SIMPLE_PINHOLE": (0, ("f", "cx", "cy")),
     "PINHOLE": (1, ("fx", "fy", "cx", "cy")),
     "SIMPLE_RADIAL": (2, ("f", "cx", "cy", "k1")),
@@ -23,7 +25,14 @@ MODELS = {
     "OPENCV": (4, ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")),
     "OPENCV_FISHEYE": (5, ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")),
     "FULL_OPENCV": (6, ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")),
+    "BROWN_AFFINE": (None, ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "skew")),
 }
+_INNER = ("f", "fx", "fy", "cx", "cy")
+
+
+def coefficients_of(model: str) -> tuple[str, ...]:
+    """Names of the coefficients of distortion of a model, in its order."""
+    return tuple(name for name in MODELS[model][1] if name not in _INNER)
 
 
 class LensError(ValueError):
@@ -37,7 +46,7 @@ class Lens:
     Attributes
     ----------
     model : str
-        One of COLMAP's camera models, a key of `MODELS`.
+        A key of `MODELS`: one of COLMAP's camera models, or BROWN_AFFINE.
     params : tuple of float
         In COLMAP's order; focal lengths and principal point in px, the centre of the first pixel at (0.5,
         0.5).
@@ -87,8 +96,7 @@ class Lens:
     @property
     def is_distorted(self) -> bool:
         """Whether any coefficient of distortion differs from zero."""
-        names = MODELS[self.model][1]
-        distorted = any(p != 0.0 for name, p in zip(names, self.params, strict=True) if name[0] in "kp")
+        distorted = any(self[name] != 0.0 for name in coefficients_of(self.model))
         # A fisheye lens maps by the angle, even with all its coefficients at zero.
         return distorted or self.model == "OPENCV_FISHEYE"
 
@@ -99,6 +107,8 @@ class Lens:
             return None
         if self.model == "OPENCV_FISHEYE":
             return Distortion(FISHEYE, tuple(self[name] for name in ("k1", "k2", "k3", "k4")))
+        if self.model == "BROWN_AFFINE":
+            return Distortion(AFFINE, tuple(self[name] for name in coefficients_of(self.model)))
         names = ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"]
         is_rational = any(self[name] for name in names[5:])
         return Distortion(RATIONAL if is_rational else BROWN, tuple(self[n] for n in names[: 8 if is_rational else 5]))
@@ -137,6 +147,9 @@ def normalised(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
 def undistorted(lens: Lens, pixels: np.ndarray) -> np.ndarray:
     """Where pixels (N, 2) of a distorted photograph look, at depth 1 in cam (N, 2)."""
     fx, fy = lens.focal
+    distortion = lens.distortion
+    if is_affine(lens) and distortion is not None:
+        return np.stack(distortion.undistorted(*((pixels - (lens["cx"], lens["cy"])) / (fx, fy)).T), axis=-1)
     matrix = np.array([[fx, 0.0, lens["cx"]], [0.0, fy, lens["cy"]], [0.0, 0.0, 1.0]])
     # Newton-like steps until they are below a billionth of the focal length.
     until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
@@ -152,11 +165,33 @@ def distorted(lens: Lens, pixels: np.ndarray) -> np.ndarray:
         return pixels
     (fx, fy), (cx, cy) = lens.focal, (lens["cx"], lens["cy"])
     plane = np.ascontiguousarray((pixels - (cx, cy)) / (fx, fy))
+    distortion = lens.distortion
+    if is_affine(lens) and distortion is not None:
+        return np.stack(distortion.distorted(*plane.T), axis=-1) * (fx, fy) + (cx, cy)
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     if lens.model == "OPENCV_FISHEYE":
         return cv2.fisheye.distortPoints(plane[:, None], matrix, _coefficients(lens))[:, 0]
     points = np.concatenate([plane, np.ones((len(plane), 1))], axis=-1)
     return cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, _coefficients(lens))[0][:, 0]
+
+
+def is_affine(lens: Lens) -> bool:
+    """Whether a lens is Brown's with a shear and the eighth power of the radius."""
+    return lens.model == "BROWN_AFFINE"
+
+
+def brown_from_affine(lens: Lens, pixels: np.ndarray) -> np.ndarray:
+    """Pixels (N, 2) of an affine lens as they would be without its shear and the eighth power of the radius."""
+    return distorted(_brown_part(lens), undistorted(lens, pixels) * lens.focal + (lens["cx"], lens["cy"]))
+
+
+def affine_from_brown(lens: Lens, pixels: np.ndarray) -> np.ndarray:
+    """Undoes `brown_from_affine`."""
+    return distorted(lens, undistorted(_brown_part(lens), pixels) * lens.focal + (lens["cx"], lens["cy"]))
+
+
+def _brown_part(lens: Lens) -> Lens:
+    return Lens("FULL_OPENCV", (*lens.params[:9], 0.0, 0.0, 0.0), lens.width, lens.height)
 
 
 def _coefficients(lens: Lens) -> np.ndarray:

@@ -10,10 +10,11 @@ import numpy as np
 
 from geo import LocalFrame, parse_crs
 from survey.control.points import Control, ControlPoint, Mark
-from survey.folder.config import SurveyConfig, WaterConfig
+from survey.folder.config import CamerasConfig, SurveyConfig, WaterConfig
 from survey.folder.place import water_plane
 from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import Survey
+from survey.folder.velocities import BY_XMP, Velocity
 from survey.photos.cameras import View
 from survey.photos.tie_points import TiePoints
 from tests.drawn_block import DrawnBlock
@@ -23,8 +24,16 @@ CRS, ORIGIN = "EPSG:25832+5778", (500000.0, 5200000.0, 100.0)
 MARKS_STD_PX = 0.3
 
 
-def survey_of(block: DrawnBlock) -> Survey:
-    """The block with its GPS positions, stated lens, stated water and control points."""
+def survey_of(block: DrawnBlock, *, shutter: tuple[float, float | None] | None = None) -> Survey:
+    """The block with its GPS positions, stated lens, stated water and control points.
+
+    Parameters
+    ----------
+    block : DrawnBlock
+    shutter : (readout, standard deviation) [s], optional
+        As survey.toml states it.
+    """
+    readout, readout_std = (None, None) if shutter is None else shutter
     frame = LocalFrame(parse_crs(CRS), ORIGIN)
     level, slope_east, slope_north, index = block.stated_water.tolist()
     water = WaterConfig(
@@ -53,13 +62,18 @@ def survey_of(block: DrawnBlock) -> Survey:
         views=views,
         water=water_plane(frame, water),
         bounds=None,
-        config=SurveyConfig(crs=CRS, water=water),
+        config=SurveyConfig(
+            crs=CRS,
+            water=water,
+            cameras=CamerasConfig(rolling_shutter_s=readout, rolling_shutter_std_s=readout_std),
+        ),
         assumptions=(),
         warnings=(),
         points=ties.start,
         ties=ties,
         priors=priors,
         control=control,
+        velocities={view.name: Velocity(v, BY_XMP) for view, v in zip(views, block.velocities, strict=True)},
     )
 
 

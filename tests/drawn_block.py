@@ -7,7 +7,7 @@ errors of the stated standard deviations.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,6 +42,8 @@ class DrawnBlock:
     stated_lens, stated_water, water_std
         A data sheet without distortion; (4,) level at the origin [m], slopes along x and y [-], index [-], and their
         standard deviations.
+    velocities, readout : (V, 3) [m/s], [s]
+        Of the cameras, local, and of their rolling shutter from the first to the last row.
     pixel_std, seed : [px], int
     points, cameras, lens, water
         The truth: (M, 3), views with the true focal length and principal point, OPENCV lens, and (4,) like
@@ -61,6 +63,8 @@ class DrawnBlock:
     stated_lens: Lens
     stated_water: np.ndarray
     water_std: np.ndarray
+    velocities: np.ndarray
+    readout: float
     pixel_std: float
     seed: int
     points: np.ndarray
@@ -90,6 +94,8 @@ def draw_block(
     height: float | None = None,
     depth: float | None = None,
     strip: bool = False,
+    speed: float = 0.0,
+    readout: float = 0.0,
 ) -> DrawnBlock:
     """A random block; what is not passed is drawn.
 
@@ -110,6 +116,8 @@ def draw_block(
         Of the cameras over the water, and of the deepest water.
     strip : bool
         All strips lie on one line.
+    speed, readout : [m/s], [s]
+        Of the cameras, each in a direction of its own, and of their rolling shutter.
     """
     rng = np.random.default_rng([seed, 30])
     num_views = int(rng.integers(16, 41)) if num_views is None else num_views
@@ -133,6 +141,7 @@ def draw_block(
     cameras = _fly(rng, lens, water[0], height, half * [1.0, 0.0 if strip else 1.0], num_views, nadir_only)
     points = _bed(rng, plane, half, depth, num_points, dry_share)
 
+    velocities = _velocities(np.random.default_rng([seed, 32]), len(cameras), speed)
     seen = []
     for view, camera in enumerate(cameras):
         pixel = np.full((num_points, 2), np.nan)
@@ -142,6 +151,10 @@ def draw_block(
             1
         )
         pixel[near] = distorted(lens, ahead[near])
+        if velocities[view].any() and readout > 0.0:
+            motion = velocities[view] * readout / (lens.height - 1)
+            flown = replace(lens.camera(camera.centre, camera.cam_from_local), motion=motion)
+            pixel[near] = flown.project(points[near], plane)
         inside = np.flatnonzero(((pixel > 1.0) & (pixel < (lens.width - 1.0, lens.height - 1.0))).all(axis=1))
         # No matcher finds each point in each photograph.
         inside = inside[rng.random(len(inside)) < 0.8]
@@ -183,6 +196,8 @@ def draw_block(
         stated_lens=stated_lens,
         stated_water=water + water_std * rng.standard_normal(4),
         water_std=water_std,
+        velocities=velocities,
+        readout=readout,
         pixel_std=float(pixel_std),
         seed=seed,
         points=points,
@@ -233,6 +248,12 @@ def _camera(rng, lens: Lens, height: float, pose: tuple[float, float, float, flo
     axes = np.stack([np.cross(forward, top), -top, forward])
     centre = np.array([x, y, height]) + rng.normal(0.0, (0.2, 0.2, 0.012 * height))
     return lens.pinhole(centre, _turned(axes, rng.normal(0.0, 0.015, 3)))
+
+
+def _velocities(rng: np.random.Generator, count: int, speed: float) -> np.ndarray:
+    """Level velocities (count, 3) of one speed in all directions."""
+    toward = rng.uniform(0.0, 2.0 * math.pi, count)
+    return speed * np.column_stack([np.sin(toward), np.cos(toward), np.zeros(count)])
 
 
 def _bed(rng, plane: FlatWater, half, depth: float, num_points: int, dry_share: float) -> np.ndarray:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_survey import small_survey
+from small_survey import replaced, small_survey
 
 from survey.adjust.pose_check import misfit
 from survey.errors import SurveyError
@@ -51,6 +51,13 @@ def test_few_views_are_taken_as_they_are(tmp_path):
     survey = load_survey(small_survey(tmp_path / "s"))
     assert pose_choice(survey, "auto", free_water=False)[0] == "fixed"
     assert pose_choice(survey, "refine", free_water=False)[0] == "refine"
+
+
+def test_a_readout_that_is_to_be_found_needs_an_adjustment(tmp_path):
+    toml = replaced(("[water]", "rolling_shutter_s = 0.03\nrolling_shutter_std_s = 0.01\nspeed_m_s = 5\n[water]"))
+    survey = load_survey(small_survey(tmp_path / "s", toml=toml))
+    assert pose_choice(survey, "auto", free_water=False)[0] == "refine"
+    assert pose_choice(survey, "fixed", free_water=False)[0] == "fixed"
 
 
 def test_a_level_that_nobody_gave_cannot_be_kept(tmp_path):

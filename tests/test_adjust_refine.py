@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from refract.lens import Lens, distorted
+from refract.lens import Lens, affine_from_brown, distorted
 from survey.adjust.adjustment import FREE, HELD, UNKNOWN
 from survey.adjust.refine import adjust_survey, apply_adjustment
 from survey.adjust.thinning import thinned
@@ -69,6 +69,24 @@ def test_the_parameters_of_a_fisheye_lens_do_not_move():
     assert found.lenses == (fisheye,)
     assert not [row.name for row in found.parameters if row.name.startswith("camera")]
     assert apply_adjustment(survey, found).views[0].lens == fisheye
+    positions, _ = pose_errors(block, found.centres, found.rotations)
+    assert rms(positions) < 0.1
+
+
+def test_browns_part_of_an_affine_lens_is_adjusted_and_its_two_terms_stay():
+    block = draw_block(3, **SMALL)
+    survey, stated = survey_of(block), block.stated_lens
+    size, k4, skew = (stated.width, stated.height), 0.02, 0.004
+    true = Lens("BROWN_AFFINE", (*block.lens.params, 0.0, k4, skew), *size)
+    given = Lens("BROWN_AFFINE", (*stated.focal, stated["cx"], stated["cy"], *[0.0] * 5, k4, skew), *size)
+    pixels = affine_from_brown(true, survey.ties.pixel)
+    assert np.abs(pixels - survey.ties.pixel).max() > 1.0
+    survey = replace(survey, ties=replace(survey.ties, pixel=pixels), control=None)
+    found = adjust_survey(with_lenses(survey, [given] * len(survey.views)), use_windows=False)
+    (lens,) = found.lenses
+    assert (lens.model, lens["k4"], lens["skew"]) == ("BROWN_AFFINE", k4, skew)
+    row = found.parameter("camera0.f")
+    assert abs(row.value - true.focal[0]) < 4.0 * row.std
     positions, _ = pose_errors(block, found.centres, found.rotations)
     assert rms(positions) < 0.1
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from adjusted_block import drawn_adjustment
 from scipy.spatial.transform import Rotation
-from small_survey import TOML, small_survey
+from small_survey import TOML, replaced, small_survey
 
 from refract.lens import Lens
 from survey.adjust.adjustment import read_adjustment, write_adjustment
@@ -70,6 +70,23 @@ def test_the_model_says_how_it_is_given_back(tmp_path):
     first = (tmp_path / "sparse" / "cameras.txt").read_text(encoding="utf-8").splitlines()[0]
     east, north, up = survey.frame.origin
     assert first.endswith(f"[local] origin = [{float(east)!r}, {float(north)!r}, {float(up)!r}]")
+
+
+def test_where_shutters_roll_the_files_say_how_far_the_cameras_flew_and_are_given_back(tmp_path):
+    toml = replaced(("[water]", "rolling_shutter_s = 0.047\nspeed_m_s = 5\n[water]"))
+    folder = small_survey(tmp_path / "small", toml=toml)
+    survey = load_survey(folder)
+    write_cameras(tmp_path, survey)
+    first = (tmp_path / "sparse" / "cameras.txt").read_text(encoding="utf-8").splitlines()[0]
+    assert 'poses = "sparse", rolling_shutter_s = 0.047 and [local]' in first
+    head, *lines = (tmp_path / "cameras.csv").read_text(encoding="utf-8").splitlines()
+    assert head.split(",")[-3:] == ["flown_east", "flown_north", "flown_up"]
+    for line, view in zip(lines, survey.views, strict=True):
+        np.testing.assert_allclose(np.array(line.split(",")[-3:], float), view.camera.motion * 47, atol=1e-7)
+    (tmp_path / "cameras.csv").replace(folder / "cameras.csv")
+    again = load_survey(folder)
+    for view, true in zip(again.views, survey.views, strict=True):
+        np.testing.assert_allclose(view.camera.motion, true.camera.motion, rtol=1e-6)
 
 
 def test_an_adjustment_is_read_as_it_was_written(tmp_path):

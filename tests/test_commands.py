@@ -23,6 +23,8 @@ from survey.commands.faults import BAD_INPUT as BAD_INPUT_CODE
 from survey.commands.faults import BROKEN_PIPE, OUR_BUG, STOPPED
 from survey.commands.verbs import VERBS, app
 from survey.errors import SurveyError
+from survey.export.product import ExportOptions
+from survey.export.registry import PRODUCTS
 from survey.progress import Progress, clock
 from survey.run.process import QUALITY_GATE_FAILED
 
@@ -213,10 +215,10 @@ def test_help_version_and_errors_come_before_anything_slow_is_imported(tmp_path)
     assert re.match(r"bathynerf \d+\.\d+", shown.stdout)
     assert shown.stdout.endswith("[]\n")
     assert "compare" in run("--help").stdout
-    # check needs the images (cv2) and asks for the device (drjit), but neither torch nor a reconstruction.
+    # check needs images (cv2), asks for the device (drjit) and foresees (scipy); neither torch nor a reconstruction.
     checked = run("check", folder)
     assert checked.returncode == 0
-    assert checked.stdout.splitlines()[-1] == "['cv2', 'drjit']"
+    assert checked.stdout.splitlines()[-1] == "['cv2', 'drjit', 'scipy']"
 
 
 def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monkeypatch, tmp_path):
@@ -253,17 +255,20 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
 def test_export_needs_something_to_write_and_prints_what_it_wrote(monkeypatch):
     result = bathynerf("export", "run")
     assert result.exit_code == 2
-    assert "give at least one of --las F, --laz F, --ply F" in result.stderr
+    assert "give at least one of --las F" in result.stderr
     calls = []
 
     def export(run, **files):
         calls.append((run, files))
         return [Path("a.las"), Path("b.ply")]
 
-    fake_module(monkeypatch, "survey.run.export", export=export)
-    result = bathynerf("export", "run", "--las", "a.las", "--ply", "b.ply")
+    fake_module(monkeypatch, "survey.export.export", export=export)
+    result = bathynerf("export", "run", "--las", "a.las", "--ply", "b.ply", "--crs", "EPSG:32632", "--fill", "0.5")
     assert (result.exit_code, result.stdout) == (0, "a.las\nb.ply\n")
-    assert calls == [(Path("run"), {"las": Path("a.las"), "laz": None, "ply": Path("b.ply")})]
+    ((run, files),) = calls
+    assert (run, files.pop("options")) == (Path("run"), ExportOptions(crs="EPSG:32632", fill_m=0.5))
+    assert files.keys() == {product.option for product in PRODUCTS}
+    assert {name: path for name, path in files.items() if path} == {"las": Path("a.las"), "ply": Path("b.ply")}
 
 
 def test_compare_hands_its_options_on_and_prints_the_lines_in_columns(monkeypatch):
@@ -567,3 +572,8 @@ def test_ctrl_c_during_an_import_is_one_sentence(tmp_path, module):
     )
     result = console("check", folder, code=stop, stdout=subprocess.PIPE)
     assert (result.returncode, result.stdout, result.stderr) == (STOPPED, "", "error: stopped\n")
+
+
+def test_a_run_without_a_field_imports_no_torch():
+    code = "import sys, survey.run.process, survey.run.pipeline; print('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"

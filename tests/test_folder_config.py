@@ -28,6 +28,8 @@ gps_height = "ellipsoidal"
 position_std_m = [0.02, 0.02, 0.03]
 rotation_std_deg = 0.01
 rolling_shutter_s = 0.03
+rolling_shutter_std_s = 0.005
+speed_m_s = 5.5
 [water]
 level_m = 12.34
 level_at = [589012, 5194736]

@@ -199,6 +199,23 @@ def test_marks_are_held_against_the_poses(tmp_path):
     assert doubt == "1 mark far from where the pose shows its point, to be checked: p1 in 0000.jpg"
 
 
+def test_marks_are_measured_under_a_lens_that_distorts(tmp_path):
+    toml = TOML.replace('model = "PINHOLE"', 'model = "OPENCV"\ndistortion = [-0.2, 0.05, 0.002, 0.0]')
+    folder = small_survey(tmp_path / "s", toml=toml)
+    survey = load_survey(folder)
+    place = (E0 + 5.5, N0 - 3.0, LEVEL + 0.5)
+    local = survey.frame.local_from_crs(place)
+    lines = ["EPSG:25832"]
+    for view in survey.views:
+        x, y = view.camera.project(local, survey.water) - 0.5  # OpenDroneMap counts from the centre of the first pixel
+        lines.append(f"{place[0]} {place[1]} {place[2]} {x:.4f} {y:.4f} {view.name} far")
+    (folder / "gcp_list.txt").write_text("\n".join(lines) + "\n")
+    (folder / "survey.toml").write_text(toml + '[control]\ngcps = "gcp_list.txt"\n')
+    survey = load_survey(folder)
+    # The file has four digits.
+    assert mark_residuals(survey.control, survey.views, survey.water).max() < 1e-3
+
+
 def test_check_says_how_many_points_and_marks_there_are_and_how_well_all_is_known(tmp_path):
     control = 'gcps = "gcp_list.txt"\nstd_m = [0.02, 0.03]\ncheckpoints = "rods.csv"'
     folder = with_control(tmp_path, control, gcp_list__txt=odm(), rods__csv=table())

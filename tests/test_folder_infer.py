@@ -14,6 +14,7 @@ from refract.lens import Lens
 from survey.errors import ConfigError, PosesError
 from survey.folder.survey import find_survey, load_survey
 from survey.photos.tie_points import TiePoints
+from survey.sfm.poses import image_names
 
 
 def test_without_survey_toml_the_zone_comes_from_the_positions_and_it_says_what_it_assumed(tmp_path):
@@ -54,9 +55,9 @@ def test_without_survey_toml_poses_have_to_fit_the_positions(tmp_path, poses):
     if poses == "sparse":
         (folder / "cameras.csv").unlink()
         (folder / "sparse").mkdir()
-        (folder / "sparse" / "cameras.txt").write_text("")
-        (folder / "sparse" / "images.txt").write_text("")
-        words = "is not georeferenced; write survey.toml"
+        (folder / "sparse" / "cameras.txt").write_text("1 PINHOLE 64 48 100 100 32 24\n")
+        (folder / "sparse" / "images.txt").write_text("1 0 1 0 0 0 0 20 1 0000.jpg\n\n")
+        words = "the poses in .*sparse are not georeferenced; write survey.toml"
     else:
         write_poses(folder, [line.replace(",589", ",489") for line in camera_lines()])
         words = "does not fit the GPS positions of the images in the UTM zone"
@@ -84,7 +85,7 @@ def solved(monkeypatch, names):
     """Put a solver in the place of structure from motion, which has tests of its own; returns its calls."""
     calls = []
 
-    def solve_poses(image_paths, crs, workspace, *, gps_height, size_px, focal_px, report):
+    def solve_poses(image_paths, crs, workspace, *, gps_height, size_px, focal_px, control, report):
         calls.append((image_paths, workspace, gps_height, size_px, focal_px))
         frame = LocalFrame(crs, (E0, N0, LEVEL))
         lens = Lens("SIMPLE_RADIAL", (focal_px or 90.0, 32.0, 24.0, -0.01), 64, 48)
@@ -93,7 +94,8 @@ def solved(monkeypatch, names):
         ties = TiePoints(np.array([[1.0, 0.0, -2.0]]), np.zeros(3, int), np.arange(3), np.full((3, 2), 9.5))
         return SimpleNamespace(frame=frame, views=views, notes=["placed by GPS"], ties=ties)
 
-    monkeypatch.setitem(sys.modules, "survey.sfm.poses", SimpleNamespace(solve_poses=solve_poses))
+    there = SimpleNamespace(solve_poses=solve_poses, image_names=image_names)
+    monkeypatch.setitem(sys.modules, "survey.sfm.poses", there)
     return calls
 
 
@@ -109,6 +111,25 @@ def test_a_survey_without_poses_is_handed_to_structure_from_motion(tmp_path, mon
     assert survey.assumptions == ("placed by GPS",)
     assert survey.warnings == ("1 image without a pose, left out: 0002.jpg",)
     assert [view.path.name for view in survey.views] == ["0000.jpg", "0001.jpg", "0003.jpg"]
+
+
+def test_clicks_tell_the_level_of_a_survey_without_poses_once_it_is_placed(tmp_path, monkeypatch):
+    solved(monkeypatch, ["0000.jpg", "0001.jpg", "0002.jpg"])
+    level = (f"level_m = {LEVEL}", 'clicks = "clicks.csv"')
+    folder = small_survey(tmp_path / "s", gps=True, toml=replaced(('poses = "cameras.csv"', ""), level))
+    (folder / "cameras.csv").unlink()
+    lines = ["image,x,y,name"]
+    lens = Lens("SIMPLE_RADIAL", (100.0, 32.0, 24.0, -0.01), 64, 48)
+    for i in range(3):
+        camera = lens.camera(np.array([3.0 * i, 0.0, 20.0]), np.diag([1.0, -1.0, -1.0]))
+        for name, place in {"stone": (3.0, 1.0, 0.5), "post": (2.5, -2.0, 0.5)}.items():
+            x, y = camera.project(np.array(place), None)
+            lines.append(f"000{i}.jpg,{x:.5f},{y:.5f},{name}")
+    (folder / "clicks.csv").write_text("\n".join(lines))
+    survey = load_survey(folder)
+    assert survey.is_level_known
+    assert survey.config.water.level_m == pytest.approx(LEVEL + 0.5, abs=1e-4)
+    assert len(survey.levels) == 2
 
 
 def test_structure_from_motion_that_finds_two_poses_is_an_error(tmp_path, monkeypatch):

@@ -16,7 +16,7 @@ from survey.folder.survey import load_survey
 from survey.photos.cameras import View
 from survey.photos.xmp import Rtk
 from survey.sfm.gps import gps_positions
-from survey.sfm.solve import _sensors
+from survey.sfm.solve import sensors_of
 from survey.stage_key import stage_key
 
 # Twice the way from crs to local is exact to 2e-8 m, and seconds of arc in EXIF have seven digits: 3 micrometres.
@@ -86,6 +86,18 @@ def test_without_a_number_in_survey_toml_a_fixed_receiver_tells_its_own_and_no_o
     )
 
 
+def test_an_accuracy_of_centimetres_by_another_maker_is_believed_and_one_of_metres_is_not(tmp_path):
+    found = find_survey(unposed(tmp_path / "s"))
+    heads = dict(found.heads)
+    heads["0000.jpg"] = replace(heads["0000.jpg"], std_m=(0.02, 0.02, 0.03))
+    heads["0001.jpg"] = replace(heads["0001.jpg"], std_m=(1.2, 1.2, 1.7))
+    found = replace(found, heads=heads)
+    frame = LocalFrame(found.crs, (E0, N0, LEVEL))
+    priors = priors_of_gps(found, frame, views_of(found, frame))
+    assert [prior.source for prior in priors.values()] == ["XMP accuracy", "GPS EXIF", "GPS EXIF", "GPS EXIF"]
+    assert tuple(priors["0000.jpg"].position_std) == (0.02, 0.02, 0.03)
+
+
 def test_a_photograph_without_a_position_or_its_height_has_no_prior(tmp_path):
     found = find_survey(unposed(tmp_path / "s", ("[water]", "position_std_m = 0.04\n[water]")))
     heads = dict(found.heads)
@@ -112,5 +124,5 @@ def test_priors_make_a_key_that_changes_with_them(tmp_path):
 def test_photographs_of_two_cameras_get_a_lens_for_each(tmp_path):
     found = find_survey(unposed(tmp_path / "s"))
     heads = {name: replace(head, camera=f"camera {i % 2}") for i, (name, head) in enumerate(found.heads.items())}
-    sensors = _sensors(heads, {name: name for name in heads}, None)
+    sensors = sensors_of(heads, {name: name for name in heads}, None)
     assert [sensor.names for sensor in sensors] == [("0000.jpg", "0002.jpg"), ("0001.jpg", "0003.jpg")]

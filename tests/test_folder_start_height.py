@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 from small_survey import LEVEL, small_survey, unposed
 
+from geo.crs import parse_crs
 from survey.folder.found import find_survey
 from survey.folder.start_height import start_doubts
 from survey.folder.survey import load_survey
@@ -30,7 +31,13 @@ def heads(above_start_m: float | None) -> dict[str, Exif]:
     ],
 )
 def test_a_start_under_the_water_or_far_over_it_is_doubted(over_water, above_start, words):
-    found = start_doubts({f"{i}.jpg": over_water for i in range(4)}, heads(above_start))
+    found = start_doubts(
+        {f"{i}.jpg": over_water for i in range(4)},
+        heads(above_start),
+        LEVEL,
+        (46.9, 10.17),
+        parse_crs("EPSG:25832+5778"),
+    )
     assert [words in text for text in found] == ([] if words is None else [True])
 
 

@@ -287,7 +287,9 @@ def test_local_poses_need_an_origin_and_take_their_frame_from_it(tmp_path):
     centres = [view.camera.centre for view in survey.views]
     assert centres == pytest.approx(np.array([[3.0 * i, 0.0, 20.0] for i in range(4)]), abs=1e-12)
     assert survey.views[0].lens.model == "SIMPLE_RADIAL"
-    assert survey.warnings == (f"focal_px = 100 in survey.toml is not used: {model} has its own, 120.0 px",)
+    focal, bent = survey.warnings
+    assert focal == f"focal_px = 100 in survey.toml is not used: {model} has its own, 120.0 px"
+    assert bent.startswith("COLMAP adjusts with straight rays, and water bends them")
 
 
 @pytest.mark.parametrize(

@@ -8,13 +8,17 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
+from geo.crs import parse_crs
 from survey.errors import ConfigError
 from survey.folder.config import parse_config
+from survey.folder.level_observation import points_of_surface, readings_of_gauge
 from survey.folder.survey import load_survey
-from survey.folder.water_level import fit_surface, read_gauge, read_points, with_level
+from survey.folder.water_level import fit_surface, with_level
 from survey.photos.exif import Exif
-from tests.small_survey import E0, LEVEL, N0, TOML, replaced, small_survey
+from survey.plan.check import check_survey
+from tests.small_survey import E0, LEVEL, N0, TOML, replaced, said, small_survey
 
+CRS = parse_crs("EPSG:25832+5778")
 HEAD = Exif((64, 48), None, None, 1, "", None)
 
 
@@ -84,7 +88,11 @@ def write_gauge(folder, *rows):
 def test_a_gauge_is_interpolated_at_the_photographs(tmp_path):
     write_gauge(tmp_path, "2024-06-01T10:00:00Z,1.0", "2024-06-01T13:00:00+02:00,1.6")
     notes = []
-    config = with_level(tmp_path, gauge_config(), heads_at(10, 20), notes)
+    config, readings = with_level(tmp_path, gauge_config(), heads_at(10, 20), CRS, notes)
+    assert [reading.level_m for reading in readings] == [1.0, 1.6]
+    assert readings[1].time == datetime(2024, 6, 1, 11, tzinfo=UTC)
+    # A reading and the zero of the gauge are known to 1 cm each, and the two photographs are 0.1 m apart.
+    assert config.water.level_std_m == pytest.approx((2 * 0.01**2 + 0.05**2) ** 0.5)
     # A quarter of an hour into an hour that rises by 0.6 m.
     assert config.water.level_m == pytest.approx(1.15, abs=1e-9)
     assert config.water.gauge is None
@@ -95,13 +103,13 @@ def test_a_gauge_is_interpolated_at_the_photographs(tmp_path):
 def test_a_gauge_that_does_not_cover_the_flight_is_refused(tmp_path):
     write_gauge(tmp_path, "2024-06-01T10:00:00Z,1.0", "2024-06-01T10:15:00Z,1.1")
     with pytest.raises(ConfigError, match="add the readings around the flight"):
-        with_level(tmp_path, gauge_config(), heads_at(10, 20), [])
+        with_level(tmp_path, gauge_config(), heads_at(10, 20), CRS, [])
 
 
 def test_images_without_a_time_are_refused(tmp_path):
     write_gauge(tmp_path, "2024-06-01T10:00:00Z,1.0", "2024-06-01T10:15:00Z,1.1")
     with pytest.raises(ConfigError, match="no image has its time of exposure"):
-        with_level(tmp_path, gauge_config(), {"a.jpg": HEAD}, [])
+        with_level(tmp_path, gauge_config(), {"a.jpg": HEAD}, CRS, [])
 
 
 @pytest.mark.parametrize(
@@ -117,15 +125,15 @@ def test_images_without_a_time_are_refused(tmp_path):
 def test_a_damaged_gauge_is_named(tmp_path, rows, message):
     write_gauge(tmp_path, *rows)
     with pytest.raises(ConfigError, match=message):
-        read_gauge(tmp_path / "gauge.csv")
+        readings_of_gauge(tmp_path / "gauge.csv")
 
 
 def test_missing_columns_and_files_are_named(tmp_path):
     (tmp_path / "p.csv").write_text("x,y,z\n1,2,3\n")
     with pytest.raises(ConfigError, match="expected easting,northing,height"):
-        read_points(tmp_path / "p.csv")
+        points_of_surface(tmp_path / "p.csv", "shoreline", CRS, [])
     with pytest.raises(ConfigError, match="cannot be read"):
-        read_points(tmp_path / "none.csv")
+        points_of_surface(tmp_path / "none.csv", "shoreline", CRS, [])
 
 
 def test_two_sources_of_the_level_contradict_each_other():
@@ -135,4 +143,40 @@ def test_two_sources_of_the_level_contradict_each_other():
 
 def test_a_survey_with_a_level_is_left_as_it_is(tmp_path):
     config = parse_config(TOML)
-    assert with_level(tmp_path, config, {}, []) is config
+    same, (level,) = with_level(tmp_path, config, {}, CRS, [])
+    assert same is config
+    assert (level.level_m, level.std_m, level.place, level.source) == (LEVEL, 0.02, (E0, N0), "level_m")
+
+
+def test_what_all_points_share_is_not_averaged_away(tmp_path):
+    folder = small_survey(tmp_path / "s", toml=replaced((f"level_m = {LEVEL}", 'gnss_points = "points.csv"')))
+    rows = [f"{E0 + 5 * i},{N0 - 3 * (i % 7)},{LEVEL + 0.002 * (i % 3)}" for i in range(100)]
+    (folder / "points.csv").write_text("easting,northing,height\n" + "\n".join(rows) + "\n")
+    survey = load_survey(folder)
+    assert survey.config.water.level_std_m == pytest.approx(0.015, abs=2e-4)
+    assert len(survey.levels) == 100
+    assert said(check_survey(folder), "Found")["water"].endswith(
+        "; known: level to 0.015 m (gnss_points, 100 measured)"
+    )
+    assert survey.levels[1].place == (E0 + 5, N0 - 3)
+    assert {(level.std_m, level.time, level.source) for level in survey.levels} == {(0.02, None, "gnss_points")}
+
+
+def test_points_count_as_much_as_they_are_sure(tmp_path):
+    fit = fit_surface(np.array([[0.0, 0.0, 1.0], [9.0, 0.0, 1.0], [0.0, 9.0, 1.3]]), np.array([0.01, 0.01, 0.1]))
+    # Weights of 1, 1 and 0.01, as far as the third is no outlier.
+    assert fit.level_m == pytest.approx(1.0 + 0.3 * 0.01 / 2.01, abs=1e-3)
+    assert fit.covariance[0, 0] ** 0.5 >= 0.01 / 2.01**0.5
+    (tmp_path / "p.csv").write_text("easting,northing,height,std\n1,2,3,0.005\n1,2,3,\n")
+    stds = [each.std_m for each in points_of_surface(tmp_path / "p.csv", "shoreline", CRS, [])]
+    assert stds == [0.005, 0.03]
+    (tmp_path / "p.csv").write_text("easting,northing,height,std\n1,2,3,0\n")
+    with pytest.raises(ConfigError, match="std is 0, expected a standard deviation above 0"):
+        points_of_surface(tmp_path / "p.csv", "shoreline", CRS, [])
+
+
+def test_heights_of_points_in_feet_become_metres(tmp_path):
+    (tmp_path / "p.csv").write_text("easting,northing,height\n600000,4500000,100\n")
+    feet = parse_crs("EPSG:6344+6360")  # NAD83(2011) UTM 15N, NAVD88 in US survey feet
+    (point,) = points_of_surface(tmp_path / "p.csv", "shoreline", feet, [])
+    assert point.level_m == pytest.approx(30.48006)

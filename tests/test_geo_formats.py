@@ -6,10 +6,13 @@ import sys
 
 import numpy as np
 import pytest
+import rasterio
 from pyproj import CRS
 
 from geo import Cloud, Mesh, read_reference
-from geo.errors import UnreadableFile
+from geo.crs import parse_crs
+from geo.e57 import is_our_e57, write_e57
+from geo.errors import UnreadableFile, UnwritableFile
 
 # What the libraries themselves warn about on import or writing is not ours.
 pytestmark = pytest.mark.filterwarnings("ignore")
@@ -18,7 +21,7 @@ ORIGIN = np.array([589012.0, 5194736.0, 2105.0])
 
 @pytest.mark.parametrize(
     ("name", "module", "extra"),
-    [("r.glb", "trimesh", "gltf"), ("r.tif", "rasterio", "raster"), ("r.e57", "pye57", "e57")],
+    [("r.glb", "trimesh", "gltf"), ("r.e57", "pye57", "e57")],
 )
 def test_a_format_whose_library_is_missing_is_refused_with_the_extra_that_brings_it(
     tmp_path, monkeypatch, name, module, extra
@@ -27,6 +30,14 @@ def test_a_format_whose_library_is_missing_is_refused_with_the_extra_that_brings
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(UnreadableFile, match=rf"{name} is read by {module}, .*pip install 'bathynerf\[{extra}\]'"):
         read_reference(tmp_path / name)
+
+
+def test_a_format_to_write_whose_library_is_missing_is_refused_with_the_extra_that_brings_it(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pye57", None)
+    with pytest.raises(
+        UnwritableFile, match=r"r\.e57 is written by pye57, .*bathynerf\[e57\]', or name another format"
+    ):
+        write_e57(tmp_path / "r.e57", ORIGIN[None], CRS("EPSG:25832"), rgb=np.zeros((1, 3), np.uint8))
 
 
 @pytest.mark.parametrize(("name", "module"), [("r.glb", "trimesh"), ("r.tif", "rasterio"), ("r.e57", "pye57")])
@@ -56,7 +67,6 @@ def test_gltf_comes_with_z_up_and_its_nodes_where_they_are(tmp_path, name):
 
 
 def test_a_raster_is_the_surface_through_the_middles_of_its_cells_and_has_holes(tmp_path):
-    rasterio = pytest.importorskip("rasterio")
     rows, columns = np.mgrid[0:4, 0:5]
     heights = (100.0 + columns + 10.0 * rows).astype(np.float32)
     heights[0, 0] = -9999.0
@@ -80,7 +90,6 @@ def test_a_raster_is_the_surface_through_the_middles_of_its_cells_and_has_holes(
 
 
 def test_a_raster_without_data_is_refused(tmp_path):
-    rasterio = pytest.importorskip("rasterio")
     path = tmp_path / "r.tif"
     with rasterio.open(path, "w", driver="GTiff", height=3, width=3, count=1, dtype="float32", nodata=0.0) as out:
         out.write(np.zeros((3, 3), np.float32), 1)
@@ -100,3 +109,23 @@ def test_all_scans_of_an_e57_are_read_in_double_precision(tmp_path, rng):
     assert isinstance(cloud, Cloud)
     # float64 steps by 1e-9 m at a northing of 5e6 m.
     np.testing.assert_allclose(cloud.points, points, atol=2e-9)
+
+
+def test_a_written_e57_has_its_points_colours_and_crs(tmp_path, rng):
+    pye57 = pytest.importorskip("pye57")
+    points = ORIGIN + rng.uniform(-50.0, 50.0, (500, 3))
+    rgb = rng.integers(0, 256, (500, 3), dtype=np.uint8)
+    path = tmp_path / "r.e57"
+    write_e57(path, points, parse_crs("EPSG:25832+5778"), rgb=rgb)
+    with pye57.E57(str(path)) as file:
+        scan = file.read_scan(0, colors=True, ignore_missing_fields=True)
+        wkt = file.root["coordinateMetadata"].value()
+    # Single precision, 50 m from the origin of the scan.
+    step = 2.0 * float(np.spacing(np.float32(50.0)))
+    np.testing.assert_allclose(np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], 1), points, atol=step)
+    np.testing.assert_array_equal(np.stack([scan[f"color{name}"] for name in ("Red", "Green", "Blue")], 1), rgb)
+    assert CRS.from_wkt(wkt).sub_crs_list[0].to_epsg() == 25832
+    assert is_our_e57(path)
+    path.write_bytes(path.read_bytes().replace(b"bathynerf", b"otherwise"))
+    assert not is_our_e57(path)
+    assert list(tmp_path.iterdir()) == [path]

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import struct
+import subprocess
 
 import numpy as np
 import pytest
+from pyproj import CRS
 
 from geo.errors import EmptyCloud, UnreadableFile
 from geo.ply import write_ply
@@ -14,6 +18,8 @@ from geo.shapes import Cloud, Mesh, triangulated
 
 NORTHING = np.array([589012.0, 5194736.0, 2105.0])
 CORNERS = NORTHING + np.array([[0.0, 0, 0], [1, 0, 0.0001234567], [1, 1, 0], [0, 1, 0], [0.5, 2.000001, 0]])
+# A site grid, which no authority has a code for.
+SITE = "+proj=tmerc +lat_0=48 +lon_0=10.3 +k=1 +x_0=1000 +y_0=2000 +ellps=GRS80"
 TRIANGLES = [[0, 1, 2], [0, 2, 3]]
 POLYGONS = [[0, 1, 2], [0, 2, 4, 3], [0, 1, 2, 4, 3]]
 CUT = [[0, 1, 2], [0, 2, 4], [0, 4, 3], [0, 1, 2], [0, 2, 4], [0, 4, 3]]
@@ -104,6 +110,44 @@ def test_another_library_reads_the_written_ply_cloud_to_the_last_bit(tmp_path, r
     cloud = trimesh.load(tmp_path / "c.ply")
     np.testing.assert_array_equal(cloud.vertices, points)
     np.testing.assert_array_equal(cloud.colors[:, :3], rgb)
+    faces = rng.integers(0, 500, (300, 3))
+    write_ply(tmp_path / "m.ply", points, rgb=rgb, scalars={}, faces=faces)
+    mesh = trimesh.load(tmp_path / "m.ply", process=False)
+    np.testing.assert_array_equal(mesh.vertices, points)
+    np.testing.assert_array_equal(mesh.faces, faces)
+    np.testing.assert_array_equal(mesh.visual.vertex_colors[:, :3], rgb)
+    np.testing.assert_array_equal(read_reference(tmp_path / "m.ply").faces, faces)
+
+
+def test_cloudcompare_shows_every_field_of_a_written_ply_cloud(tmp_path, rng):
+    program = shutil.which("CloudCompare") or shutil.which("cloudcompare.CloudCompare")
+    if program is None:
+        pytest.skip("CloudCompare is not installed (Debian: apt-get install cloudcompare)")
+    points = NORTHING + rng.uniform(-20.0, 20.0, (50, 3))
+    depth = rng.uniform(0, 4, 50)
+    scalars = {"depth_m": depth, "num_views": np.arange(50)}
+    write_ply(tmp_path / "c.ply", points, rgb=np.zeros((50, 3), np.uint8), scalars=scalars, crs=CRS("EPSG:25832+5778"))
+    command = ["-SILENT", "-AUTO_SAVE", "OFF", "-NO_TIMESTAMP", "-C_EXPORT_FMT", "ASC", "-PREC", "9", "-ADD_HEADER",
+               "-O", "-GLOBAL_SHIFT", "AUTO", str(tmp_path / "c.ply"), "-SAVE_CLOUDS"]  # fmt: skip
+    subprocess.run(
+        [program, *command], env=os.environ | {"QT_QPA_PLATFORM": "offscreen"}, check=True, capture_output=True
+    )
+    head, *rows = (tmp_path / "c.asc").read_text().splitlines()
+    assert head.split()[-2:] == ["depth_m", "num_views"]
+    table = np.array([row.split() for row in rows[-50:]], dtype=float)
+    np.testing.assert_allclose(table[:, :3], points, atol=1e-5)  # single precision after a shift
+    np.testing.assert_allclose(table[:, -2], depth, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("crs", "words"), [("EPSG:25832+5778", [b"comment crs EPSG:25832+5778\n"]), (SITE, [])])
+def test_the_header_of_a_written_ply_names_its_crs_in_lines_that_every_reader_takes(tmp_path, crs, words):
+    write_ply(tmp_path / "c.ply", np.zeros((1, 3)), rgb=np.zeros((1, 3), np.uint8), scalars={}, crs=CRS(crs))
+    lines = (tmp_path / "c.ply").read_bytes().split(b"end_header")[0].splitlines(keepends=True)
+    assert [line for line in lines if line.startswith(b"comment crs ")] == words
+    assert max(len(line) for line in lines) < 256
+    if not words:
+        parts = [line[16:-1].decode() for line in lines if line.startswith(b"comment crs_wkt ")]
+        assert CRS.from_wkt("".join(parts)) == CRS(crs)
 
 
 def test_an_empty_ply_cloud_is_a_whole_file(tmp_path):

@@ -17,7 +17,7 @@ from refract.lens import MODELS, Lens, LensError
 from survey.errors import PosesError
 from survey.folder.survey import load_survey
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
-from survey.photos.formats import colmap, find_poses, find_unread, opk_csv, read_points, read_poses
+from survey.photos.formats import colmap, find_poses, find_unread, opk_csv, pose_files, read_poses, read_ties
 
 # cameras.csv of the drawn surveys is written to 1e-5 m and 1e-8 degrees, the COLMAP model to 1e-12.
 CENTRE_TOLERANCE_M = 1e-3
@@ -35,7 +35,7 @@ def project(pose, point, *, focal=100.0, centre=(32.0, 24.0)):
 def read_one(tmp_path, omega, phi, kappa):
     path = tmp_path / "cameras.csv"
     path.write_text(f"{HEADER}\na.jpg,10.0,46.0,100.0,{omega},{phi},{kappa}\n")
-    (pose,) = opk_csv.read_opk_csv(path)
+    (pose,) = opk_csv.read_opk_csv(path).poses
     return pose
 
 
@@ -104,7 +104,8 @@ def test_text_and_binary_are_read_as_pycolmap_reads_them(tmp_path, rng):
     text.mkdir()
     lenses = [
         f"{i} {model} 640 480 " + " ".join(str(v) for v in (500.0, 501.0, 320.0, 240.0, *[0.01] * 8)[: len(names)])
-        for i, (model, (_, names)) in enumerate(MODELS.items(), start=1)
+        for i, (model, (number, names)) in enumerate(MODELS.items(), start=1)
+        if number is not None
     ]
     (text / "cameras.txt").write_text("# a comment\n\n" + "\n".join(lenses) + "\n")
     images = []
@@ -122,7 +123,7 @@ def test_text_and_binary_are_read_as_pycolmap_reads_them(tmp_path, rng):
     theirs.write_binary(binary)
     expected = {image.name: image for image in theirs.images.values()}
     for folder in (text, binary):
-        poses = colmap.read_model(folder)
+        poses = colmap.read_model(folder).poses
         assert {pose.name for pose in poses} == set(expected)
         for pose in poses:
             image = expected[pose.name]
@@ -146,25 +147,28 @@ def test_points_are_those_of_pycolmap_in_text_and_binary_and_a_cut_is_refused(tm
     binary.mkdir()
     pycolmap.Reconstruction(text).write_binary(binary)
     for folder in (text, binary):
-        points, num_views = colmap.read_points(folder)
-        order = np.argsort(-num_views)
-        assert (points[order] == xyz).all()
-        assert list(num_views[order]) == [3, 2]
-        assert (read_points(folder) == xyz[:1]).all()
+        ties = read_ties(folder)
+        assert (ties.points == xyz).all()
+        assert list(ties.num_views) == [3, 2]
+        seen = list(zip(ties.point.tolist(), [ties.names[i] for i in ties.image], ties.pixel.tolist(), strict=True))
+        expected = [(p, f"{i}.jpg", place) for i in (1, 2, 3) for p, place in ((0, [1.0, 2.0]), (1, [3.0, 4.0]))]
+        assert seen == expected
     data = (binary / "points3D.bin").read_bytes()
     for length in range(len(data)):
         (binary / "points3D.bin").write_bytes(data[:length])
         with pytest.raises(PosesError, match=r"points3D\.bin is damaged"):
-            colmap.read_points(binary)
+            colmap.read_ties(binary)
     (text / "points3D.txt").write_text("1 0 0 0 9 9 9 0.5 1\n")
     with pytest.raises(PosesError, match=r"points3D\.txt is damaged"):
-        colmap.read_points(text)
+        colmap.read_ties(text)
     (text / "points3D.txt").unlink()
-    assert read_points(text) is None
+    assert read_ties(text) is None
 
 
 def test_the_ids_of_our_models_are_those_of_colmap():
     for model, (number, names) in MODELS.items():
+        if number is None:
+            continue  # none of COLMAP's
         camera = pycolmap.Camera(model=model, width=10, height=10, params=[1.0] * len(names))
         assert int(camera.model) == number
         spelt = ["k1" if name.strip() == "k" else name.strip() for name in camera.params_info.split(",")]
@@ -217,7 +221,7 @@ def test_a_binary_model_that_is_cut_off_is_refused_wherever_the_cut_is(tmp_path)
     whole.mkdir()
     pycolmap.Reconstruction(text).write_binary(whole)
     data = (whole / "images.bin").read_bytes()
-    assert len(colmap.read_model(whole)) == 2
+    assert len(colmap.read_model(whole).poses) == 2
     for length in range(len(data)):
         (whole / "images.bin").write_bytes(data[:length])
         with pytest.raises(PosesError, match=r"images\.bin is damaged"):
@@ -251,7 +255,7 @@ def test_columns_may_come_in_any_order_with_others_between_and_names_may_hold_sp
     path.write_text(
         "﻿Kappa, Phi, Omega, time, Height, Northing, Easting, Image\n90, 0, 0, 12:00, 3, 2, 1, my photo.jpg\n"
     )
-    (pose,) = read_poses(path)
+    (pose,) = read_poses(path).poses
     assert pose.name == "my photo.jpg"
     assert pose.centre.tolist() == [1.0, 2.0, 3.0]
     assert pose.cam_from_world[0] == pytest.approx([0.0, 1.0, 0.0], abs=1e-15)
@@ -263,15 +267,15 @@ def test_poses_are_found_beside_the_images_and_other_formats_are_named(tmp_path)
     assert find_poses(tmp_path) == [tmp_path / "sparse"]
     (tmp_path / "poses.csv").write_text(HEADER)
     assert find_poses(tmp_path) == [tmp_path / "poses.csv", tmp_path / "sparse"]
-    (tmp_path / "transforms.json").write_text("{}")
-    assert find_unread(tmp_path) == ["transforms.json"]
+    (tmp_path / "flight.nvm").write_text("NVM_V3")
+    assert find_unread(tmp_path) == ["flight.nvm is not read: export a COLMAP model instead"]
     with pytest.raises(PosesError, match="is not a known kind of poses file"):
-        read_poses(tmp_path / "transforms.json")
+        read_poses(tmp_path / "flight.nvm")
 
 
 def test_a_model_may_be_named_by_one_of_its_files(tmp_path):
     folder = write_model(tmp_path / "m", "1 1 0 0 0 0 0 0 1 a.jpg\n\n")
-    assert [pose.name for pose in read_poses(folder / "images.txt")] == ["a.jpg"]
+    assert [pose.name for pose in read_poses(folder / "images.txt").poses] == ["a.jpg"]
 
 
 @pytest.mark.parametrize(
@@ -301,3 +305,19 @@ def test_angles_count_about_the_grid_axes_and_not_about_true_north():
     assert convergence > 1.0
     # The axes follow the grid by differences over 10 m, whose curvature is 1e-9.
     assert math.degrees(math.atan2(up_in_local[0], up_in_local[1])) == pytest.approx(convergence, abs=1e-6)
+
+
+def test_all_files_that_are_read_for_poses_are_inputs_that_no_result_replaces(tmp_path):
+    model = write_model(tmp_path / "m", "1 1 0 0 0 0 0 0 1 a.jpg\n\n")
+    (model / "points3D.txt").write_text("")
+    assert {path.name for path in pose_files(model / "images.txt")} == {"images.txt", "cameras.txt", "points3D.txt"}
+    assert set(pose_files(model)) == set(pose_files(model / "images.txt"))
+    for name in ("reconstruction.json", "tracks.csv", "reference_lla.json", "other.json"):
+        (tmp_path / name).write_text("[]")
+    names = {path.name for path in pose_files(tmp_path / "reconstruction.json")}
+    assert names == {"reconstruction.json", "tracks.csv", "reference_lla.json"}
+    stem = "p_calibrated_external_camera_parameters.txt"
+    for name in (stem, "p_offset.xyz", "q_offset.xyz"):
+        (tmp_path / name).write_text("")
+    assert {path.name for path in pose_files(tmp_path / stem)} == {stem, "p_offset.xyz"}
+    assert pose_files(tmp_path / "none.csv") == [tmp_path / "none.csv"]

@@ -25,13 +25,13 @@ def survey(tmp_path):
 @pytest.fixture
 def decoded(monkeypatch) -> list[str]:
     """Names of the files that were decoded."""
-    names, decode = [], images._decode
+    names, decode = [], images.read_rgb
 
-    def counting(path, mode):
+    def counting(path):
         names.append(path.name)
-        return decode(path, mode)
+        return decode(path)
 
-    monkeypatch.setattr(images, "_decode", counting)
+    monkeypatch.setattr(images, "read_rgb", counting)
     return names
 
 

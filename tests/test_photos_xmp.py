@@ -4,13 +4,24 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from PIL import ExifTags
+from scipy.spatial.transform import Rotation
 from small_survey import write_image
 
 from survey.photos.exif import read_exif
 from survey.photos.exif_focal import focal_candidates
-from survey.photos.xmp import Motion, Rtk, motion_of, rtk_of
+from survey.photos.xmp import (
+    Motion,
+    Rtk,
+    from_frame_that_looks_down,
+    height_datum,
+    motion_of,
+    rtk_of,
+    stated_std,
+    xmp_number,
+)
 
 FIXED = 'drone-dji:RtkFlag="50" drone-dji:RtkStdLon="0.01234" drone-dji:RtkStdLat="0.02" drone-dji:RtkStdHgt="0.035"'
 
@@ -79,3 +90,99 @@ def test_a_photograph_without_xmp_has_none_of_it(tmp_path):
     write_image(tmp_path / "a.jpg")
     head = read_exif(tmp_path / "a.jpg")
     assert (head.rtk, head.motion, head.focal_candidates) == (None, Motion(), ())
+
+
+# What Parrot's documentation gives as examples of one photograph of an Anafi Ai, and a photograph of a senseFly SODA.
+PARROT = (
+    'Camera:GPSXYAccuracy="845389/2097152" Camera:GPSZAccuracy="5117051/8388608" Camera:Roll="-0.041258" '
+    'Camera:Pitch="38.011101" Camera:Yaw="146.781036" Camera:PerspectiveFocalLength="527/100" '
+    "<drone-parrot:CameraRollDegree>-0.052789</drone-parrot:CameraRollDegree>"
+    "<drone-parrot:CameraPitchDegree>-51.988888</drone-parrot:CameraPitchDegree>"
+    "<drone-parrot:CameraYawDegree>146.848038</drone-parrot:CameraYawDegree>"
+)
+SENSEFLY = (
+    "<Camera:Roll>3.7</Camera:Roll><Camera:Pitch>13.9</Camera:Pitch><Camera:Yaw>62.1</Camera:Yaw>"
+    "<Camera:GPSXYAccuracy>1.2</Camera:GPSXYAccuracy><Camera:GPSZAccuracy>1.7</Camera:GPSZAccuracy>"
+    "<CRSInfo:VERTCRS>EGM96</CRSInfo:VERTCRS>"
+)
+
+
+def test_parrot_states_angles_twice_and_both_say_the_same():
+    assert motion_of(PARROT).gimbal_deg == (146.848038, -51.988888, -0.052789)
+    of_frame = motion_of(PARROT.split("<drone")[0]).gimbal_deg
+    # The two sets of the documentation differ by 0.07 degrees in yaw themselves.
+    assert of_frame == pytest.approx((146.848038, -51.988888, -0.052789), abs=0.1)
+
+
+def test_fractions_are_divided_and_accuracies_are_east_north_up():
+    assert stated_std(PARROT) == pytest.approx((845389 / 2097152, 845389 / 2097152, 5117051 / 8388608))
+    assert stated_std(SENSEFLY) == (1.2, 1.2, 1.7)
+    assert stated_std(SENSEFLY.replace("1.7", "0")) is None
+    assert stated_std(PARROT.replace("/2097152", "/0")) is None
+
+
+def test_sensefly_counts_angles_from_a_frame_that_looks_down():
+    assert from_frame_that_looks_down(62.0, 0.0, 0.0) == pytest.approx((62.0, -90.0, 0.0))
+    assert from_frame_that_looks_down(62.0, 90.0, 0.0) == pytest.approx((62.0, 0.0, 0.0), abs=1e-9)
+    assert from_frame_that_looks_down(-170.0, 13.9, 0.0) == pytest.approx((-170.0, -76.1, 0.0), abs=1e-9)
+    yaw, pitch, roll = motion_of(SENSEFLY).gimbal_deg
+    # A roll of 3.7 to the right tilts the axis away from the vertical by acos(cos 13.9 cos 3.7).
+    assert -pitch == pytest.approx(
+        90.0 - math.degrees(math.acos(math.cos(math.radians(13.9)) * math.cos(math.radians(3.7))))
+    )
+    assert (yaw, roll) != (62.1, 0.0)
+
+
+def test_rotations_of_both_ways_of_counting_are_the_same(rng):
+    def about(axis, degrees):
+        turn = np.zeros(3)
+        turn[axis] = math.radians(degrees)
+        return Rotation.from_rotvec(turn)
+
+    for yaw, pitch, roll in rng.uniform(-80.0, 80.0, (50, 3)):
+        frame = about(2, yaw) * about(1, pitch) * about(0, roll) * about(1, -90.0)
+        y, p, r = from_frame_that_looks_down(yaw, pitch, roll)
+        gimbal = about(2, y) * about(1, p) * about(0, r)
+        np.testing.assert_allclose(frame.as_matrix(), gimbal.as_matrix(), atol=1e-9)
+
+
+def test_autel_has_the_names_of_dji_in_its_own_namespace():
+    xmp = (
+        'drone:GimbalRollDegree="0.0" drone:GimbalYawDegree="-12.5" drone:GimbalPitchDegree="-89.5" '
+        'drone:RelativeAltitude="+41.2" xmlns:drone="http://www.autelrobotics.com/"'
+    )
+    assert motion_of(xmp).gimbal_deg == (-12.5, -89.5, 0.0)
+    assert xmp_number(xmp, "RelativeAltitude") == 41.2
+    # Another namespace that ends alike is another one.
+    assert xmp_number(xmp.replace("drone:", "my-drone:"), "RelativeAltitude") is None
+
+
+def test_older_autel_has_those_of_pix4d():
+    assert motion_of(
+        'rdf:about="Autel Robotics Meta Data" Camera:Pitch="0" Camera:Yaw="15" Camera:Roll="0"'
+    ).gimbal_deg == (pytest.approx((15.0, -90.0, 0.0)))
+
+
+@pytest.mark.parametrize(
+    ("xmp", "expected"),
+    [
+        ('drone-dji:AltitudeType="RtkAlt"', "ellipsoidal"),
+        ('drone-dji:AltitudeType="GpsFusionAlt"', None),
+        (SENSEFLY, "EGM96"),
+        ('Camera:VertCS="ellipsoidal"', "ellipsoidal"),
+        ("", None),
+    ],
+)
+def test_xmp_may_say_what_heights_count_from(xmp, expected):
+    assert height_datum(xmp) == expected
+
+
+def test_the_calibrated_focal_length_of_a_maker_is_a_reading_too():
+    details = {ExifTags.Base.FocalPlaneXResolution: 5988.024, ExifTags.Base.FocalPlaneResolutionUnit: 3}
+    (found,) = focal_candidates((5472, 3648), details, 'Camera:PerspectiveFocalLength="1060/100"')
+    assert (found.source, found.focal_px) == ("XMP Camera", pytest.approx(10.6 * 598.8024))
+
+
+def test_a_number_of_ten_thousand_digits_is_none():
+    assert xmp_number(f'drone-dji:RelativeAltitude="{"9" * 10_000}"', "RelativeAltitude") is None
+    assert stated_std(SENSEFLY.replace("1.2", "1" * 50)) is None

@@ -30,6 +30,7 @@ from survey.folder.camera_faults import angle_doubts
 from survey.folder.survey import load_survey
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.photos.formats import read_poses
+from survey.photos.poses import PoseFrame
 from survey.plan.check import check_survey, require_processable
 from survey.plan.choices import Quality
 from survey.plan.plan import ground_height, make_plan
@@ -213,14 +214,14 @@ def with_angles(folder, angles: np.ndarray):
 
 @pytest.mark.parametrize("name", ["quick", "river", "wreck_water"])
 def test_the_angles_of_nadir_and_oblique_surveys_are_doubted_only_as_radians(data_dir, name):
-    poses = read_poses(data_dir / name / "cameras.csv")
-    assert angle_doubts(poses) == []
+    poses = read_poses(data_dir / name / "cameras.csv").poses
+    assert angle_doubts(poses, PoseFrame.GRID) == []
     angles = np.loadtxt(data_dir / name / "cameras.csv", delimiter=",", skiprows=1, usecols=(4, 5, 6))
     turned = [
         replace(p, cam_from_world=(grid_from_opk(*np.radians(a)) @ CAM_FROM_OPK_CAM).T)
         for p, a in zip(poses, np.radians(angles), strict=True)
     ]
-    assert len(angle_doubts(turned)) == 1
+    assert len(angle_doubts(turned, PoseFrame.GRID)) == 1
 
 
 def test_angles_in_radians_are_doubted_and_degrees_are_not(tmp_path):
@@ -244,7 +245,7 @@ def test_a_size_of_the_settings_that_a_model_contradicts_is_said_not_to_be_used(
     (folder / "sparse" / "images.txt").write_text("".join(lines))
     with (folder / "survey.toml").open("a") as file:
         file.write(f"[local]\norigin = [{E0}, {N0}, {LEVEL}]\n")
-    (warning,) = load_survey(folder).warnings
+    warning, _of_straight_rays = load_survey(folder).warnings
     assert warning.startswith("size_px = [640, 480] in survey.toml is not used")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -10,6 +11,7 @@ from small_survey import E0, N0, TOML, said, small_survey, unposed
 from survey import machine
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
+from survey.plan import workload as workload_module
 from survey.plan.check import check_survey
 from survey.plan.plan import make_plan
 from survey.plan.workload import Workload, require_room, workload_of, workload_of_images
@@ -20,6 +22,11 @@ GIGA = 1e9
 @pytest.fixture(autouse=True)
 def two_cores(monkeypatch):
     monkeypatch.setattr(machine, "num_cores", lambda: 2)
+
+
+def warnings_of(sections) -> list[str]:
+    (section,) = [section for section in sections if section.title == "Warnings"]
+    return [text for _, text in section.rows]
 
 
 @pytest.mark.parametrize(
@@ -65,15 +72,16 @@ def test_the_estimate_in_words():
     assert str(replace(workload, seconds=9000.0)).startswith("about 2.5 hours on 2 cores, ")
 
 
-def test_a_disk_without_room_is_refused_and_short_memory_is_a_warning_of_check(tmp_path, monkeypatch):
+def test_too_little_disk_or_memory_is_a_warning_of_check(tmp_path, monkeypatch):
     folder = small_survey(tmp_path / "s")
     monkeypatch.setattr(machine, "free_memory_bytes", lambda: 500_000_000)
     sections = check_survey(folder, device="cpu")
     assert "views get a height map" in said(sections, "Plan")["workload"]
     assert "of memory, and 500 MB are free" in said(sections, "Warnings")[""]
     monkeypatch.setattr(machine, "free_disk_bytes", lambda _folder: 1_000_000)
-    with pytest.raises(SurveyError, match=r"the run needs about \d+ MB in .*bathynerf, and 10 MB are free there"):
-        check_survey(folder, device="cpu")
+    (disk, memory) = warnings_of(check_survey(folder, device="cpu"))
+    assert re.search(r"the run needs about \d+ MB in .*bathynerf, and 10 MB are free there", disk)
+    assert "of memory, and 500 MB are free" in memory
 
 
 def test_what_an_earlier_run_left_counts_as_room(tmp_path, monkeypatch):
@@ -84,6 +92,17 @@ def test_what_an_earlier_run_left_counts_as_room(tmp_path, monkeypatch):
     (tmp_path / "stages" / "sweep").mkdir(parents=True)
     (tmp_path / "stages" / "sweep" / "maps.npz").write_bytes(bytes(600))
     assert require_room(workload, tmp_path) == []
+
+
+def test_more_views_than_can_be_chosen_from_make_it_a_bound(tmp_path, monkeypatch):
+    survey = load_survey(small_survey(tmp_path / "s"))
+    plan = replace(make_plan(survey, device="cpu"), device="llvm")
+    chosen = workload_of(survey, plan)
+    monkeypatch.setattr(workload_module, "_MOST_VIEWS", 3)
+    bound = workload_of(survey, plan)
+    assert (chosen.is_bound, bound.is_bound, bound.num_maps) == (False, True, 4)
+    assert str(bound).startswith("at most ")
+    assert "4 of 4 views get a height map" in str(bound)
 
 
 def test_without_poses_the_estimate_is_a_bound_that_refuses_nothing(tmp_path, monkeypatch):

@@ -13,14 +13,15 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from refract import FlatWater
-from refract.distortion import BROWN, FISHEYE, RATIONAL, Distortion, distort, kinds_of, row_of, undistort
-from refract.lens import Lens
+from refract.distortion import AFFINE, BROWN, FISHEYE, RATIONAL, Distortion, distort, kinds_of, row_of, undistort
+from refract.lens import Lens, affine_from_brown, brown_from_affine, distorted, normalised, undistorted
 
 BARREL = Distortion(BROWN, (-0.12, 0.03, 1e-3, -2e-3, -0.004))
 PINCUSHION = Distortion(BROWN, (0.15, 0.02, 1e-3, -1e-3, 0.0))
 FULL = Distortion(RATIONAL, (0.1, -0.05, 5e-4, 3e-4, 0.01, 0.2, 0.01, 1e-3))
 ROUND = Distortion(FISHEYE, (0.02, -0.01, 0.002, 0.001))
-ALL = {"barrel": BARREL, "pincushion": PINCUSHION, "rational": FULL, "fisheye": ROUND}
+SHEARED = Distortion(AFFINE, (-0.12, 0.03, 1e-3, -2e-3, -0.004, 0.006, 3e-3))
+ALL = {"barrel": BARREL, "pincushion": PINCUSHION, "rational": FULL, "fisheye": ROUND, "affine": SHEARED}
 # A few roundings of numbers near one; measured 7e-16.
 EXACT = 4e-15
 # Newton's method ends below a hundred roundings; measured 4e-15.
@@ -35,12 +36,19 @@ LENSES = [
     Lens("OPENCV_FISHEYE", (250.0, 250.0, 160.0, 120.0, 0.02, -0.01, 0.002, 0.001), 320, 240),
     Lens("FULL_OPENCV", (350.0, 351.0, 160.0, 120.0, 0.1, -0.05, 5e-4, 3e-4, 0.01, 0.2, 0.01, 1e-3), 320, 240),
 ]
+AFFINE_LENS = Lens("BROWN_AFFINE", (350.0, 351.0, 160.0, 120.0, -0.1, 0.05, 5e-4, 3e-4, 0.01, 0.02, 2e-3), 320, 240)
 
 
 def by_opencv(distortion: Distortion, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     coefficients = np.array(distortion.coefficients)
     if distortion.kind == FISHEYE:
         return cv2.fisheye.distortPoints(np.stack([x, y], -1)[:, None], np.eye(3), coefficients)[:, 0]
+    if distortion.kind == AFFINE:
+        # OpenCV has no such lens: its Brown's, and by hand what Metashape adds to that.
+        k4, skew = coefficients[5:]
+        brown = by_opencv(Distortion(BROWN, distortion.coefficients[:5]), x, y)
+        xd, yd = brown.T + k4 * (x * x + y * y) ** 4 * np.array([x, y])
+        return np.stack([xd + skew * yd, yd], -1)
     points = np.stack([x, y, np.ones_like(x)], -1)
     return cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), coefficients)[0][:, 0]
 
@@ -144,11 +152,15 @@ def test_every_library_distorts_alike(distortion, library, rng):
 
 
 @pytest.mark.parametrize("library", ["numpy", "torch", "drjit"])
-def test_lenses_of_several_kinds_among_the_rays_each_keep_their_own(library, rng):
+@pytest.mark.parametrize(
+    "lenses",
+    [(None, BARREL, FULL, ROUND), (None, BARREL, FULL, ROUND, SHEARED), (None, BARREL, ROUND, SHEARED)],
+    ids=["opencv", "all", "without rational"],
+)
+def test_lenses_of_several_kinds_among_the_rays_each_keep_their_own(lenses, library, rng):
     to_device, to_numpy = (np.asarray, np.asarray) if library == "numpy" else arrays(library)
     x, y = places(rng)
-    lenses = [None, BARREL, FULL, ROUND]
-    which = rng.integers(0, 4, x.size)
+    which = rng.integers(0, len(lenses), x.size)
     rows = np.array([row_of(lens) for lens in lenses])[which].T
     expected = np.stack([x, y])
     for k, lens in enumerate(lenses):
@@ -182,3 +194,28 @@ def test_a_bent_border_has_places_between_its_corners_and_reaches_as_far_as_it_l
 def test_numbers_that_are_no_distortion_are_refused(kind, coefficients, words):
     with pytest.raises(ValueError, match=words):
         Distortion(kind, coefficients)
+
+
+def test_the_affine_lens_takes_pixels_there_and_back_as_its_camera_does(rng):
+    pixels = rng.uniform((0.0, 0.0), (320.0, 240.0), (300, 2))
+    plane = undistorted(AFFINE_LENS, pixels)
+    camera = AFFINE_LENS.camera(np.zeros(3), np.eye(3))
+    rays = camera.directions(pixels)
+    np.testing.assert_allclose(rays[:, :2] / rays[:, 2:], plane, rtol=0.0, atol=SOLVED)
+    straight = plane * AFFINE_LENS.focal + (160.0, 120.0)
+    np.testing.assert_allclose(distorted(AFFINE_LENS, straight), pixels, rtol=0.0, atol=1e-10)
+    assert np.abs(straight - pixels).max() > 1.0
+    _, change = normalised(AFFINE_LENS)
+    assert change.shape == (320 * 240, 2, 2)
+
+
+def test_an_affine_lens_without_its_two_terms_is_browns(rng):
+    pixels = rng.uniform((0.0, 0.0), (320.0, 240.0), (300, 2))
+    brown = Lens("OPENCV", (*AFFINE_LENS.params[:8],), 320, 240)
+    k3, k4, skew = AFFINE_LENS.params[8:]
+    by_k3 = Lens("FULL_OPENCV", (*brown.params, k3, 0.0, 0.0, 0.0), 320, 240)
+    without = brown_from_affine(AFFINE_LENS, pixels)
+    assert np.abs(without - pixels).max() > 0.1
+    np.testing.assert_allclose(undistorted(by_k3, without), undistorted(AFFINE_LENS, pixels), rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(affine_from_brown(AFFINE_LENS, without), pixels, rtol=0.0, atol=1e-8)
+    assert k4 != 0.0 != skew

@@ -31,7 +31,7 @@ from survey.report.page import render_page
 from survey.report.profile import _medians, draw_profile, has_profile, two_digits
 from survey.report.raster import hillshade, without_pinholes
 from survey.report.verdict import Gate, Verdict
-from survey.run.export import write_bed_las
+from survey.run.cloud import write_bed_las
 from survey.run.folder import RunDir
 from survey.run.stored import StoredBed
 
@@ -173,7 +173,7 @@ def test_report_json_keeps_its_names(report):
     assert {name: list(found[name]) for name in ("verdict", "survey", "water", "plan", "cloud", "baselines")} == {
         "verdict": ["passed", "gates"],
         "survey": [
-            "name", "crs", "bounds", "views_used", "views_left_out", "image_size_px", "focal_px", "poses",
+            "name", "crs", "bounds", "views_used", "views_left_out", "image_size_px", "focal_px", "poses", "shutter",
             "local_frame_origin",
         ],
         "water": [

@@ -12,8 +12,9 @@ from fields.sweep.bed import BedPoints
 from refract import FlatWater, PinholeCamera
 from refract.distortion import BROWN, Distortion
 from survey.folder.survey import load_survey
-from survey.run import gate
-from survey.run.gate import CELL_GSD, MAX_STD_GSD, cells_seen, verdict_of
+from survey.run import seen_cells
+from survey.run.gate import MAX_STD_GSD, cells_of, verdict_of
+from survey.run.seen_cells import CELL_GSD
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 GSD = 0.05
@@ -50,7 +51,7 @@ def bed_over(x0: float, x1: float, *, std: float = 0.01) -> BedPoints:
 
 
 def test_cells_are_counted_by_the_views_that_see_them(survey):
-    _, num_views = cells_seen(survey, bed_over(-5.0, 9.0).xyz, GSD)
+    num_views = cells_of(survey, bed_over(-5.0, 9.0).xyz, GSD).num_views
     cell_m2 = (CELL_GSD * GSD) ** 2
     # Each sees 10 m x 6 m, and 6 m x 6 m together; a cell on an edge counts or not.
     for times, area in ((1, 2 * 4.0 * 6.0), (2, 6.0 * 6.0)):
@@ -62,9 +63,9 @@ def test_no_cell_that_a_lens_bends_into_view_is_left_out(survey, monkeypatch, k1
     lens = Distortion(BROWN, (k1, 0.0, 0.002, -0.001, 0.0))
     views = tuple(replace(view, camera=replace(view.camera, distortion=lens)) for view in survey.views)
     bent, bed = replace(survey, views=views), bed_over(-5.0, 9.0).xyz
-    found, straight = (cells_seen(s, bed, GSD)[1] for s in (bent, survey))
-    monkeypatch.setattr(gate, "_around", lambda *_: (slice(None), slice(None)))
-    np.testing.assert_array_equal(found, cells_seen(bent, bed, GSD)[1])
+    found, straight = (cells_of(s, bed, GSD).num_views for s in (bent, survey))
+    monkeypatch.setattr(seen_cells, "_around", lambda *_: (slice(None), slice(None)))
+    np.testing.assert_array_equal(found, cells_of(bent, bed, GSD).num_views)
     # A barrel shows more of the ground than a pinhole, a pincushion less.
     assert ((found >= 1).sum() > (straight >= 1).sum()) == (k1 < 0.0)
 

@@ -22,7 +22,8 @@ from survey.progress import Progress
 from survey.run.folder import RunDir
 from survey.run.keys import Key
 from survey.run.render import render
-from survey.run.stored_field import PLACE_FILE, load_place, save_field, save_place
+from survey.run.stored import PLACE_FILE
+from survey.run.stored_field import load_place, save_field, save_place
 
 ORIGIN = (691000.0, 5334000.0, 500.0)
 WATER = FlatWater((1.0, 2.0, 0.5), n_water=1.34, slope_x=0.01, slope_y=-0.004)

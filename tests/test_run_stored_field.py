@@ -14,7 +14,8 @@ from plane_survey import TILTED, PlaneBed, ring
 from fields.slab.tensor_field import TensorField
 from fields.slab.train import FieldFigures
 from survey.errors import SurveyError
-from survey.run.stored_field import FIELD_FILE, FIGURES_FILE, load_field, save_field
+from survey.run.stored import FIELD_FILE, FIGURES_FILE
+from survey.run.stored_field import load_field, save_field
 
 FIGURES = FieldFigures(300, 614400, 101, 31.5, 0.01, 26383)
 

@@ -15,6 +15,7 @@ import pytest
 from PIL import Image
 from pyproj import CRS, Geod
 from scipy.spatial.transform import Rotation
+from synthetic_block import synthetic_block
 
 from geo.crs import parse_crs
 from geo.errors import MissingVerticalDatum, UnwritableFile
@@ -25,6 +26,7 @@ from survey.errors import ConfigError, ImageError, PosesError, SurveyError
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.photos.exif import Exif
 from survey.sfm import block as sfm_block
+from survey.sfm import placing as sfm_placing
 from survey.sfm import solve as sfm_solve
 from survey.sfm.gps import gps_positions
 from survey.sfm.gps_fit import MIN_STD_M, gps_std, require_area
@@ -193,41 +195,6 @@ def test_an_unknown_kind_of_gps_height_is_named():
 # --------------------------------------------------------------------------------------------- synthetic blocks
 
 
-def synthetic_block(
-    rng: np.random.Generator, *, focal=900.0, tilt_deg=0.0
-) -> tuple[pycolmap.Reconstruction, dict[str, np.ndarray]]:
-    """A block of three strips of six nadir views, 40 m over rolling ground, at its true place; and true centres.
-
-    ``tilt_deg`` turns views by turns left and right.
-    """
-    size, half = (800, 600), (400.0, 300.0)
-    block = pycolmap.Reconstruction()
-    block.add_camera_with_trivial_rig(
-        pycolmap.Camera(camera_id=1, model="RADIAL", width=size[0], height=size[1], params=[focal, *half, 0.0, 0.0])
-    )
-    ground = np.column_stack([rng.uniform(-45.0, 45.0, (600, 2)), np.zeros(600)])
-    ground[:, 2] = 2.0 * np.sin(ground[:, 0] / 9.0) * np.cos(ground[:, 1] / 7.0)
-    seen_in, centres = [[] for _ in ground], {}
-    for i, (x, y) in enumerate((x, y) for y in (-20.0, 0.0, 20.0) for x in np.linspace(-25.0, 25.0, 6)):
-        name, centre = f"{i:02d}.jpg", np.array([x, y, 40.0]) + rng.normal(0.0, 0.2, 3)
-        rotation = Rotation.from_euler("xy", [180.0, tilt_deg * (-1) ** i], degrees=True).as_matrix()
-        rays = (ground - centre) @ rotation.T
-        rays = rays[:, :2] / rays[:, 2:]
-        pixels = focal * rays + half
-        inside = np.flatnonzero(((pixels > 0.0) & (pixels < size)).all(axis=1))
-        cam_from_local = pycolmap.Rigid3d(pycolmap.Rotation3d(rotation), -rotation @ centre)
-        image = pycolmap.Image(name=name, keypoints=pixels[inside], camera_id=1, image_id=i + 1)
-        block.add_image_with_trivial_frame(image, cam_from_local)
-        for place, point in enumerate(inside):
-            seen_in[point].append(pycolmap.TrackElement(i + 1, place))
-        centres[name] = centre
-    for xyz, elements in zip(ground, seen_in, strict=True):
-        if len(elements) > 2:
-            block.add_point3D(xyz, pycolmap.Track(elements))
-    block.update_point_3d_errors()
-    return block, centres
-
-
 def test_poses_and_lenses_of_a_block_project_as_pycolmap_does():
     options = pycolmap.SyntheticDatasetOptions()
     options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 5, 40
@@ -252,7 +219,7 @@ def test_poses_and_lenses_of_a_block_project_as_pycolmap_does():
 def test_a_focal_length_that_parallel_views_cannot_tell_is_put_back(rng):
     block, centres = synthetic_block(rng, focal=1130.0)
     notes = []
-    assert sfm_solve.reset_focals(block, dict.fromkeys(centres, 889.0), notes)
+    assert sfm_placing.reset_focals(block, dict.fromkeys(centres, 889.0), notes)
     assert sfm_block.focal_of(block, "00.jpg") == 889.0
     assert "889 px, is kept instead of the solved 1130 px" in notes[0]
 
@@ -268,7 +235,7 @@ def test_a_focal_length_that_parallel_views_cannot_tell_is_put_back(rng):
 def test_other_focal_lengths_are_left_alone(rng, focal, tilt_deg, nominal, said):
     block, centres = synthetic_block(rng, focal=focal, tilt_deg=tilt_deg)
     notes = []
-    assert not sfm_solve.reset_focals(block, dict.fromkeys(centres, nominal), notes)
+    assert not sfm_placing.reset_focals(block, dict.fromkeys(centres, nominal), notes)
     assert sfm_block.focal_of(block, "00.jpg") == focal
     assert len(notes) == said
 
@@ -333,7 +300,7 @@ def test_nadir_photographs_get_their_true_poses_and_keep_them(data_dir, tmp_path
     assert seconds > 0.0
 
     again = solve_poses([*paths, stranger], crs, work, focal_px=900.0, report=told.append)
-    assert "poses of 9 images from" in told[-1]
+    assert "poses of 9 images from" in told[-2]
     assert seconds_of_solve(work) == seconds
     assert seconds_of_solve(tmp_path / "elsewhere") is None
     assert (again.points == result.points).all()

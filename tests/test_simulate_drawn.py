@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from geo import read_reference
 from refract import FlatWater
@@ -26,6 +27,7 @@ STORED_PX = 1e-3
 # Coordinates of about 5e6 m are stored to 1e-9 m; a few roundings on the way into the local frame.
 EXACT_M = 1e-8
 
+ROLLING = DrawnScene.tiny(speed_m_s=4.0, readout_s=0.035)
 SHORE = DrawnScene.tiny(shore=True, slope_east=-0.002, slope_north=0.004)
 
 
@@ -226,6 +228,40 @@ def test_a_pixel_is_the_mean_light_of_its_quarters(drawing):
     np.testing.assert_array_equal(image[rows, columns], np.round(255.0 * light ** (1.0 / 2.2)))
 
 
+def test_a_rolling_shutter_takes_each_row_from_where_the_camera_is_then():
+    scene = stage_drawing(ROLLING)
+    camera = scene.cameras[6]
+    image = scene.photograph(6)
+    rows, columns = np.array([3, 50, 118, 77]), np.array([150, 20, 90, 1])
+    quarters = np.array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]])
+    pixels = (np.stack([columns, rows], axis=-1)[:, None] + quarters).reshape(-1, 2)
+    # 4 m/s, 35 ms, 120 rows.
+    late = (pixels[:, 1] - 60.0) * 0.035 / 119.0
+    places = camera.centre + late[:, None] * scene.velocities[6]
+    light = scene.renderer.radiance_of_rays(places, camera.directions(pixels)).reshape(4, 4, 3).mean(axis=1)
+    np.testing.assert_allclose(image[rows, columns], np.round(255.0 * light ** (1.0 / 2.2)), atol=1)
+    np.testing.assert_array_equal(scene.renderer.radiance(camera, pixels).reshape(4, 4, 3).mean(axis=1), light)
+    assert np.linalg.norm(scene.velocities, axis=1) == pytest.approx(4.0)
+    still = stage_drawing(dataclasses.replace(ROLLING, readout_s=0.0))
+    assert np.abs(image.astype(float) - still.photograph(6)).mean() > 2.0
+
+
+def test_a_survey_drawn_with_a_rolling_shutter_is_loaded_with_the_motion_that_it_was_drawn_with(tmp_path):
+    draw_survey(tmp_path / "s", ROLLING)
+    survey, scene = load_survey(tmp_path / "s"), stage_drawing(ROLLING)
+    assert survey.warnings == ()
+    for view, camera in zip(survey.views, scene.cameras, strict=True):
+        # XMP has 0.1 m/s, and axes of a frame with its origin a metre away.
+        np.testing.assert_allclose(view.camera.motion, camera.motion, atol=0.06 * 0.035 / 119.0)
+        points = np.column_stack([np.linspace(-1.0, 1.0, 9), np.linspace(1.0, -1.0, 9), np.full(9, -1.1)])
+        here = survey.frame.local_from_crs(scene.frame.crs_from_local(points))
+        apart = view.camera.project(here, survey.water) - camera.project(points, scene.water)
+        assert np.abs(apart).max() < 0.06 * 0.035 / 2.0 * 280.0 / 7.0 + STORED_PX
+    depth = np.asarray(Image.open(tmp_path / "s" / "truth" / "depth" / "0006.tif"))
+    hits = scene.renderer.trace(scene.cameras[6], scene.cameras[6].pixel_centres().reshape(-1, 2))
+    np.testing.assert_allclose(depth.ravel(), -hits.points[:, 2], atol=2e-3)
+
+
 def test_deep_ground_is_bluer_and_all_ground_is_textured(drawing):
     camera = drawing.cameras[0]
     hits = drawing.renderer.trace(camera, camera.pixel_centres().reshape(-1, 2))
@@ -365,7 +401,8 @@ def test_a_folder_with_other_things_in_it_is_refused(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("changes", "named"),
     [({"num_views": 2}, "at least 3"), ({"n_water": 0.7}, "1.333"), ({"depth_m": 0.0}, "above zero"),
-     ({"flying_m": 3.0}, "twice the depth"), ({"focal_px": float("nan")}, "above zero")],
+     ({"flying_m": 3.0}, "twice the depth"), ({"focal_px": float("nan")}, "above zero"),
+     ({"readout_s": 1.0}, "neither below zero")],
 )  # fmt: skip
 def test_scenes_that_cannot_be_drawn_are_refused_with_the_mend(changes, named):
     with pytest.raises(SurveyError, match=named):

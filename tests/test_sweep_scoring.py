@@ -28,8 +28,11 @@ def slow_ncc(reference: np.ndarray, image: np.ndarray, radius: int) -> np.ndarra
 
 
 def ncc_of(device, reference: np.ndarray, images: np.ndarray, radius: int) -> np.ndarray:
-    flat = floats(device, reference), floats(device, images)
-    return host(device, scoring(device).ncc(device, *flat, reference.shape[1], radius)).reshape(images.shape)
+    """NCC of images (rungs, height, width); `NOWHERE` before the first whole window and after the last."""
+    flat = floats(device, reference), [floats(device, images)]
+    (score,) = scoring(device).ncc(device, *flat, reference.shape[1], radius)
+    lost = radius * (reference.shape[1] + 1)
+    return np.pad(host(device, score), lost, constant_values=NOWHERE).reshape(images.shape)
 
 
 @pytest.mark.parametrize("radius", [1, 2, 3])
@@ -85,7 +88,7 @@ def test_best_half_agrees_with_a_slow_twin_whoever_sees_the_window(device, rng, 
     score[rng.uniform(size=score.shape) < rng.uniform(0.0, 1.2, 400)] = NOWHERE
     assert (score == NOWHERE).all(axis=0).any()
     assert (score > NOWHERE).all(axis=0).any()
-    found = host(device, scoring(device).best_half(device, floats(device, score), neighbours))
+    found = host(device, scoring(device).best_half(device, [floats(device, s) for s in score]))
     np.testing.assert_allclose(found, slow_best_half(score), atol=4 * EPS32)
 
 

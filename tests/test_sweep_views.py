@@ -8,7 +8,6 @@ from plane_survey import TILTED, PlaneBed, look, ring
 
 from fields.device import choose_device
 from fields.sweep import views
-from fields.sweep.arrays import host
 from fields.sweep.block import AGREEMENT_PX, Block
 from refract import FlatWater
 
@@ -42,6 +41,26 @@ def test_coverage_says_of_each_cell_who_sees_it_through_the_water():
         axis=1
     )
     assert not seen[:, rim].any()
+
+
+def slow_greedy(seen, chosen, times):
+    """The greedy choice with all gains counted anew in every round."""
+    chosen, need = list(chosen), np.minimum(seen.sum(axis=0), times)
+    have = seen[chosen].sum(axis=0)
+    while True:
+        gain = (seen & (have < need)).sum(axis=1)
+        gain[chosen] = 0
+        if gain.max() == 0:
+            return chosen
+        chosen.append(int(gain.argmax()))
+        have = have + seen[chosen[-1]]
+
+
+def test_gains_that_are_kept_up_to_date_choose_as_gains_counted_anew(rng):
+    for _ in range(20):
+        seen = rng.random((rng.integers(3, 40), 200)) < rng.uniform(0.02, 0.5)
+        start, times = list(range(rng.integers(0, 3))), int(rng.integers(1, 7))
+        assert views._greedy(seen, start, times) == slow_greedy(seen, start, times)
 
 
 def test_on_a_long_flight_a_view_still_sees_many_cells_and_its_neighbours():
@@ -157,7 +176,7 @@ def test_a_block_scales_images_with_their_cameras_and_forgets_them():
     assert (half.width, half.height) == (48, 36)
     assert block.stack(0.5) is half
     # The mean of 2 x 2 pixels at the half-size centre: the waves of 8 px and more lose little.
-    error = host(half.device, half.pixels).reshape(3, 36, 48)[1] - bed.photograph(half.cameras[1])
+    error = half.images[1] - bed.photograph(half.cameras[1])
     assert np.abs(error).mean() < 0.1 * bed.photograph(half.cameras[1]).std()
     block.release(0.5)
     assert block.stack(0.5) is not half

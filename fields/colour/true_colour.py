@@ -16,13 +16,36 @@ def true_colours(bed: BedPoints, water: FlatWater, column: WaterColumn) -> tuple
 
     Dry points keep theirs. Fully absorbed channels are black.
     """
-    depth = torch.as_tensor(np.where(bed.wet, bed.depth, 0.0))
-    cos_wet = np.sqrt(1.0 - (np.sin(bed.incidence) / water.n_water) ** 2)
-    mirrored = fresnel_coefficients(np.cos(bed.incidence), n_from=1.0, n_to=water.n_water).reflectance
-    seen = torch.as_tensor((bed.rgb / 255.0) ** GAMMA)
-    with torch.no_grad():
-        way = column.way(depth, depth / torch.as_tensor(cos_wet))
-        dry = column.bed_of(seen, way, torch.as_tensor(mirrored)).numpy()
-    stored = np.round(255.0 * np.clip(dry, 0.0, 1.0) ** (1.0 / GAMMA)).astype(np.uint8)
+    depth = np.where(bed.wet, bed.depth, 0.0)
+    dry = without_water(bed.rgb, depth, bed.incidence, water.n_water, column)
+    stored = np.round(stored_colours(dry)).astype(np.uint8)
     too_bright = bed.wet & (dry > 1.0).any(axis=1)
     return np.where(bed.wet[:, None], stored, bed.rgb), float(too_bright.mean())
+
+
+def without_water(
+    rgb: np.ndarray, depth: np.ndarray, incidence: np.ndarray, n_water: float, column: WaterColumn
+) -> np.ndarray:
+    """Linear radiance (N, 3) of the bed, 1 for white, from what photographs stored of it.
+
+    Parameters
+    ----------
+    rgb : (N, 3)
+        0 to 255.
+    depth : (N,) [m]
+    incidence : (N,) [rad]
+        In air.
+    n_water : [-]
+    column : WaterColumn
+    """
+    cos_wet = np.sqrt(1.0 - (np.sin(incidence) / n_water) ** 2)
+    mirrored = fresnel_coefficients(np.cos(incidence), n_from=1.0, n_to=n_water).reflectance
+    seen = torch.as_tensor((rgb / 255.0) ** GAMMA)
+    with torch.no_grad():
+        way = column.way(torch.as_tensor(depth), torch.as_tensor(depth) / torch.as_tensor(cos_wet))
+        return column.bed_of(seen, way, torch.as_tensor(mirrored)).numpy()
+
+
+def stored_colours(radiance: np.ndarray) -> np.ndarray:
+    """What a photograph stores, 0 to 255 with fractions, of linear radiance; brighter than white is white."""
+    return 255.0 * np.clip(radiance, 0.0, 1.0) ** (1.0 / GAMMA)

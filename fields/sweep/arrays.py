@@ -10,7 +10,10 @@ from fields.device import Device
 
 
 def floats(device: Device, array: np.ndarray) -> Any:
-    """An array of any shape as one flat array of float32, copied."""
+    """An array of any shape as one flat array of float32.
+
+    Dr.Jit on the CPU reads a contiguous array of float32 where it lies: it must not be written to afterwards.
+    """
     flat = np.ascontiguousarray(array, dtype=np.float32).ravel()
     if device.module is not None:
         return device.module.Float(flat)
@@ -26,6 +29,28 @@ def indices(device: Device, array) -> Any:
     import torch
 
     return torch.tensor(np.asarray(array, dtype=np.int64), device=device.place).reshape(-1)
+
+
+def words(device: Device, array: np.ndarray) -> Any:
+    """An array of uint32 or uint64 as one flat array of the same bits; torch has them with a sign."""
+    flat = np.ascontiguousarray(array).ravel()
+    wide = flat.dtype == np.uint64
+    if device.module is not None:
+        return (device.module.UInt64 if wide else device.module.UInt)(flat)
+    import torch
+
+    return torch.from_numpy(flat.view(np.int64 if wide else np.int32)).to(device.place)
+
+
+def constant(device: Device, value: float) -> Any:
+    """A single number, which kernels of Dr.Jit take as an argument: another value needs no other kernel."""
+    if device.module is not None:
+        import drjit
+
+        return drjit.opaque(device.module.Float, float(value))
+    import torch
+
+    return torch.tensor(float(value), device=device.place)
 
 
 def host(device: Device, array) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from fields.sweep.arrays import floats, host, indices
+from fields.sweep.arrays import floats, host
 from fields.sweep.backends import scoring, warping
 from fields.sweep.stack import ViewStack
 
@@ -44,22 +44,19 @@ def climb_view(
     images, scores = warping(device), scoring(device)
     width, height = stack.width, stack.height
     rows = max(4 * radius + 4, min(height, images.STRIP_SAMPLES // (len(others) * rungs * width)))
-    neighbours = indices(device, others)
-    found = [np.empty((height, width), dtype=np.float32) for _ in range(3)]
-    for first in range(0, height, rows):
-        last = min(first + rows, height)
-        top, bottom = max(first - radius, 0), min(last + radius, height)
+    found = [np.array(start, dtype=np.float32), *(np.full((height, width), v, np.float32) for v in (-1.0, 0.0))]
+    inner = slice(radius, width - radius)
+    for first in range(radius, height - radius if width > 2 * radius else 0, rows):
+        last = min(first + rows, height - radius)
+        top, bottom = first - radius, last + radius
         legs = images.legs_of(stack, view, top, bottom - top)
         begin = floats(device, start[top:bottom])
         grey = images.pixels_of(stack, view, top, bottom - top)
-        values = images.warp(stack, legs, begin, neighbours, step, rungs)
-        score = scores.ncc(device, grey, values, width, radius)
-        mean = scores.best_half(device, score, len(others))
+        values = images.warp(stack, legs, begin, others, step, rungs)
+        mean = scores.best_half(device, scores.ncc(device, grey, values, width, radius))
         for target, result in zip(found, scores.climb(device, mean, begin, step, rungs), strict=True):
-            target[first:last] = host(device, result).reshape(bottom - top, width)[first - top : last - top]
-    for array, value in zip(found[1:], (-1.0, 0.0), strict=True):
-        array[:radius], array[-radius:] = value, value
-        array[:, :radius], array[:, -radius:] = value, value
+            # The results begin with the first whole window: `radius` pixels into the first row of the target.
+            target[first:last, inner] = np.pad(host(device, result), radius).reshape(-1, width)[:, inner]
     return _filled(found[0], found[1] > MATCHED_NCC), found[1], found[2]
 
 

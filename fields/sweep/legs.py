@@ -1,13 +1,16 @@
 """The paths of pixels through the water, and where other views see their points: one source for Dr.Jit and torch.
 
-    camera  a row of `fields.sweep.stack.camera_table`: rotation (9), centre (3), fx, fy, cx, cy, width, height, and
-            what it has beyond a pinhole
-    beyond  what cameras have beyond pinholes (`fields.sweep.stack.Beyond`); the rest is not even traced
-    legs    nine numbers of a path: its foot on the water plane (3), its slope in air (3) and in water (3), both in
-            metres per metre of height; at height z over the plane the path is at ``foot + z * slope``
-    plane   point, normal and index of water, as `ViewStack.plane`
+All of it is in the frame of the water plane (`fields.sweep.stack.PlaneFrame`): its z is the height over the plane.
 
-Each of these numbers may be an array of the device; `fields.sweep.warping_drjit` and its twin prepare them.
+    camera  numbers of one camera, a row of `fields.sweep.stack.camera_table`: rotation (9), centre (3), fx, fy, cx, cy,
+            width, height, and what it has beyond a pinhole
+    beyond  what cameras have beyond pinholes (`fields.sweep.stack.Beyond`); the rest is not even traced
+    legs    six numbers of a path: x and y of its foot on the water plane, its slope in air (2) and in water (2), both
+            in metres per metre of height; at height z the path is at ``foot + z * slope``
+    n_water index of water, 1 in a dry survey
+
+Each of the numbers of cameras and legs may be an array of the device; `fields.sweep.warping_drjit` and its twin prepare
+them.
 """
 
 from __future__ import annotations
@@ -25,13 +28,14 @@ LEAST_FALL = 1e-3
 # Steps towards the row of a rolling shutter that takes a point. Each leaves a twentieth of the error, or less, of at
 # first some pixels.
 ROLLING_STEPS = 2
+# The water plane in its own frame.
+_POINT, _NORMAL = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 
 
-def legs_through(camera, u, v, plane, beyond: Beyond) -> list:
+def legs_through(camera, u, v, n_water, beyond: Beyond) -> list:
     """Legs of the paths through pixel positions (u, v) [px]; NaN where a ray does not fall towards the plane.
 
-    NaN also where the lens sees nothing; ``beyond`` is that of this camera alone. In a dry survey the plane is local
-    z = 0 with an index of one, and both slopes agree.
+    NaN also where the lens sees nothing; ``beyond`` is that of this camera alone. In a dry survey both slopes agree.
     """
     xp = kernels.namespace(u)
     x, y = (u - camera[14]) / camera[12], (v - camera[15]) / camera[13]
@@ -41,13 +45,17 @@ def legs_through(camera, u, v, plane, beyond: Beyond) -> list:
     unscaled = [camera[c] * x + camera[3 + c] * y + camera[6 + c] for c in range(3)]
     per_length = xp.rsqrt(kernels.dot(unscaled, unscaled))
     ray = tuple(c * per_length for c in unscaled)
-    point, normal, n_water = plane
-    fall = kernels.dot(ray, normal)
-    fall = xp.where(fall < -LEAST_FALL, fall, math.nan)
-    foot = kernels.along(centre, ray, -kernels.dot(kernels.minus(centre, point), normal) / fall)
-    bent = kernels.bend(ray, normal, 1.0, n_water)
-    fall_wet = kernels.dot(bent, normal)
-    return [*foot, *(c / fall for c in ray), *(c / fall_wet for c in bent)]
+    fall = xp.where(ray[2] < -LEAST_FALL, ray[2], math.nan)
+    air = ray[0] / fall, ray[1] / fall
+    bent = kernels.bend(ray, _NORMAL, 1.0, n_water)
+    foot = (c - centre[2] * slope for c, slope in zip(centre[:2], air, strict=True))
+    return [*foot, *air, bent[0] / bent[2], bent[1] / bent[2]]
+
+
+def point_at(legs, z) -> tuple:
+    """The point of a path at height z [m]."""
+    xp = kernels.namespace(z)
+    return *(legs[c] + z * xp.where(z > 0.0, legs[2 + c], legs[4 + c]) for c in range(2)), z
 
 
 def _place(camera, v, beyond: Beyond) -> tuple:
@@ -56,25 +64,22 @@ def _place(camera, v, beyond: Beyond) -> tuple:
     return kernels.along(centre, tuple(beyond.motion(camera)), v - camera[15]) if beyond.moves else centre
 
 
-def seen_at(camera, legs, z, plane, beyond: Beyond) -> tuple:
-    """Pixel position (u, v) [px] in a camera, and whether inside it, of paths at height z [m] over the plane.
+def seen_at(camera, point, n_water, beyond: Beyond) -> tuple:
+    """Pixel position (u, v) [px] of a point in a camera, and whether inside its image.
 
-    ``plane`` is None in a dry survey. Inside are positions between the outermost pixel centres.
+    ``n_water`` is None in a dry survey. Inside are positions between the outermost pixel centres.
     """
-    slope = kernels.chosen(z > 0.0, legs[3:6], tuple(legs[6:9]))
-    point = tuple(foot + z * s for foot, s in zip(legs[:3], slope, strict=True))
-    u, v, depth = _seen_from(camera, tuple(camera[9:12]), point, plane, beyond)
+    u, v, depth = _seen_from(camera, tuple(camera[9:12]), point, n_water, beyond)
     for _ in range(ROLLING_STEPS if beyond.moves else 0):
-        u, v, depth = _seen_from(camera, _place(camera, v, beyond), point, plane, beyond)
+        u, v, depth = _seen_from(camera, _place(camera, v, beyond), point, n_water, beyond)
     inside = (u >= 0.5) & (v >= 0.5) & (u < camera[16] - 0.5) & (v < camera[17] - 0.5) & (depth > 0.0)
     return u, v, inside
 
 
-def _seen_from(camera, centre, point, plane, beyond: Beyond) -> tuple:
+def _seen_from(camera, centre, point, n_water, beyond: Beyond) -> tuple:
     """Pixel position (u, v) [px] at which a camera sees a point from a place, and the depth of the point in cam [m]."""
-    if plane is not None:
-        at, normal, n_water = plane
-        point, _ = kernels.crossing_of_point(centre, point, at, normal, n_water, CROSSING_STEPS)
+    if n_water is not None:
+        point, _ = kernels.crossing_of_point(centre, point, _POINT, _NORMAL, n_water, CROSSING_STEPS)
     d = kernels.minus(point, centre)
     x, y, depth = (kernels.dot(camera[first : first + 3], d) for first in (0, 3, 6))
     if not beyond.lenses:

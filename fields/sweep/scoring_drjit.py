@@ -4,10 +4,15 @@
     NCC    of the warped intensities W (k, j, p) and the reference (p) over a square window
     score  mean of the best half of the neighbours' NCC, per (j, p): an occluded neighbour scores low and drops out
 
+`ncc` and `best_half` are one kernel, which reads each window from W in vectors of neighbouring pixels, and writes the
+score alone: nothing else goes through memory.
+
 Callers get these functions from `fields.sweep.backends.scoring`; `fields.sweep.scoring_torch` is the twin.
 """
 
 from __future__ import annotations
+
+import math
 
 import drjit as dr
 
@@ -19,89 +24,72 @@ NOISE_VARIANCE = 1.0
 RUNGS_PER_KERNEL = 8
 
 
-def _window_sums(device: Device, arrays, products, radius: int, width: int, stride: int):
-    """Sums over a row of 2 radius + 1 samples of each product of the gathered arrays, at every index."""
+def _shifted(device: Device, array, first: int, count: int):
+    """A run of consecutive values of an array: on the CPU a view of its memory, which kernels read in whole vectors."""
+    if device.name == "llvm":
+        return device.module.Float(array.numpy()[first : first + count])
     UInt = device.module.UInt
-    total = dr.width(arrays[0])
-    index = dr.arange(UInt, total)
-    sums = None
-    for offset in range(-radius, radius + 1):
-        where = dr.opaque(device.module.Int, offset * stride) + device.module.Int(index)
-        where = UInt(dr.clip(where, 0, dr.opaque(device.module.Int, total - 1)))
-        terms = products(where)
-        sums = terms if sums is None else [s + t for s, t in zip(sums, terms, strict=True)]
-    return sums
+    return dr.gather(type(array), array, dr.arange(UInt, count) + dr.opaque(UInt, first))
 
 
-def ncc(device: Device, reference, values, width: int, radius: int):
-    """NCC of W (K * J * P) with the reference strip (P) over square windows; -1 where a window is incomplete.
+def ncc(device: Device, reference, values: list, width: int, radius: int) -> list:
+    """NCC of W (K arrays of J * P) with the reference strip (P) over square windows; -1 where a window is incomplete.
 
-    The sums run over the flattened strip; windows that wrap around a row's end, or leave the strip, are wrong:
-    the caller discards the halo (`radius` pixels at every edge).
+    The windows run over the flattened strips, and the first and last M = radius * (width + 1) of them, which would
+    begin before it or end after it, are left out: K arrays of J * P - 2 M, traced and not computed yet. Windows that
+    wrap around a row's end, or leave the strip, are wrong: the caller discards the halo (`radius` pixels at every
+    edge).
     """
     Float, UInt = device.module.Float, device.module.UInt
-    P = dr.opaque(UInt, dr.width(reference))
-    mean_i, var_i = _reference_moments(device, reference, width, radius)
+    total = dr.width(values[0])
+    greys = dr.gather(Float, reference, dr.arange(UInt, total) % dr.opaque(UInt, dr.width(reference)))
+    dr.eval(greys)
+    side = 2 * radius + 1
+    offsets = [row * width + column for row in range(side) for column in range(side)]
+    count, scale = total - offsets[-1], 1.0 / side**2
+    reference, *windows = ([_shifted(device, array, o, count) for o in offsets] for array in (greys, *values))
+    m_i, v_i, _ = _moments(reference, reference, scale)
+    v_i = dr.maximum(v_i, NOISE_VARIANCE)
+    scores = []
+    for window in windows:
+        mean, variance, product = _moments(window, reference, scale)
+        score = (product - mean * m_i) * dr.rsqrt(dr.maximum(variance, NOISE_VARIANCE) * v_i)
+        # An incomplete window is NaN; a complete one stays above -1, the mark of an incomplete one.
+        scores.append(dr.select(dr.isnan(score), -1.0, dr.maximum(score, -0.999)))
+    return scores
 
-    def products(where):
-        w = dr.gather(Float, values, where)
-        i = dr.gather(Float, reference, where % P)
-        return [w, w * w, w * i]
 
-    rows = _window_sums(device, [values], products, radius, width, 1)
-    dr.eval(rows)
-    sums = _window_sums(device, rows, lambda where: [dr.gather(Float, r, where) for r in rows], radius, width, width)
-    scale = 1.0 / (2 * radius + 1) ** 2
-    pixel = dr.arange(UInt, dr.width(values)) % P
-    m_i, v_i = dr.gather(Float, mean_i, pixel), dr.gather(Float, var_i, pixel)
+def _moments(window: list, others: list, scale: float):
+    """Mean and variance over the pixels of a square window, and the mean of the products with those of another."""
+    side = math.isqrt(len(window))
+    sums = [0.0, 0.0, 0.0]
+    for first in range(0, len(window), side):  # rows, then their sums: less rounding than in one long chain
+        w, i = window[first], others[first]
+        row = [w, w * w, w * i]
+        for w, i in zip(window[first + 1 : first + side], others[first + 1 : first + side], strict=True):
+            row = [row[0] + w, dr.fma(w, w, row[1]), dr.fma(w, i, row[2])]
+        sums = [total + part for total, part in zip(sums, row, strict=True)]
     mean = sums[0] * scale
-    variance = dr.maximum(sums[1] * scale - mean * mean, NOISE_VARIANCE)
-    score = (sums[2] * scale - mean * m_i) * dr.rsqrt(variance * dr.maximum(v_i, NOISE_VARIANCE))
-    # An incomplete window is NaN; a complete one stays above -1, the mark of an incomplete one.
-    score = dr.select(dr.isnan(score), -1.0, dr.maximum(score, -0.999))
-    dr.eval(score)
-    return score
+    return mean, sums[1] * scale - mean * mean, sums[2] * scale
 
 
-def _reference_moments(device: Device, reference, width: int, radius: int):
-    Float = device.module.Float
-
-    def products(where):
-        i = dr.gather(Float, reference, where)
-        return [i, i * i]
-
-    rows = _window_sums(device, [reference], products, radius, width, 1)
-    dr.eval(rows)
-    sums = _window_sums(device, rows, lambda where: [dr.gather(Float, r, where) for r in rows], radius, width, width)
-    scale = 1.0 / (2 * radius + 1) ** 2
-    mean = sums[0] * scale
-    variance = sums[1] * scale - mean * mean
-    dr.eval(mean, variance)
-    return mean, variance
-
-
-def best_half(device: Device, score, neighbours: int):
-    """Mean over the better half of the neighbours that have the window in their image, (J * P); -1 where none has.
+def best_half(device: Device, scores: list):
+    """Mean over the better half of the K neighbours that have the window in their image; -1 where none has.
 
     The half is rounded up and at least two where two see the window, so that a place at the edge of the block is
     not judged by views that do not show it.
     """
-    Float, UInt = device.module.Float, device.module.UInt
-    plane = dr.width(score) // neighbours
-    index = dr.arange(UInt, plane)
-    size = dr.opaque(UInt, plane)
-    keep = max((neighbours + 1) // 2, min(2, neighbours))
+    Float = device.module.Float
+    keep = max((len(scores) + 1) // 2, min(2, len(scores)))
     top = [Float(-1.0)] * keep
-    seen = dr.zeros(Float, plane)
-    for k in range(neighbours):
-        s = dr.gather(Float, score, index + size * k)
-        seen += dr.select(s > -1.0, 1.0, 0.0)
+    seen, total, used = Float(0.0), Float(0.0), Float(0.0)
+    for score in scores:
+        seen += dr.select(score > -1.0, 1.0, 0.0)
         for slot in range(keep):  # insertion into a short sorted list, largest first
-            high = dr.maximum(top[slot], s)
-            s = dr.minimum(top[slot], s)
+            high = dr.maximum(top[slot], score)
+            score = dr.minimum(top[slot], score)
             top[slot] = high
     wanted = dr.maximum(dr.ceil(0.5 * seen), dr.minimum(seen, 2.0))
-    total, used = dr.zeros(Float, plane), dr.zeros(Float, plane)
     for slot in range(keep):
         take = float(slot) < wanted
         total += dr.select(take, top[slot], 0.0)
@@ -114,15 +102,19 @@ def best_half(device: Device, score, neighbours: int):
 def climb(device: Device, mean, start, step, rungs: int):
     """Best height per pixel with a parabola through its neighbours on the ladder, its score and its sharpness.
 
+    ``mean`` (J * P - 2 M) has lost M values at either end; so have the results, of P - 2 M.
+
     Returns
     -------
-    height : (P) [m]
-    score : (P) of the best rung
-    curvature : (P) [1/m^2], minus the second derivative of the score; 0 where the best rung is at an end
+    height : [m]
+    score : of the best rung
+    curvature : [1/m^2], minus the second derivative of the score; 0 where the best rung is at an end
     """
     Float, UInt = device.module.Float, device.module.UInt
-    P = dr.width(start)
-    pixel, size = dr.arange(UInt, P), dr.opaque(UInt, P)
+    lost = dr.width(start) * rungs - dr.width(mean)
+    P = dr.width(start) - lost
+    pixel, size = dr.arange(UInt, P), dr.opaque(UInt, dr.width(start))
+    start = dr.gather(Float, start, pixel + dr.opaque(UInt, lost // 2))
     best = dr.gather(Float, mean, pixel)
     at, low, high, before = dr.zeros(Float, P), Float(best), Float(best), Float(best)
     for j in range(1, rungs):

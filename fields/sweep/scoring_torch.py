@@ -28,32 +28,34 @@ def _window_means(images: Tensor, radius: int) -> Tensor:
     return images * (1.0 / (2 * radius + 1) ** 2)
 
 
-def ncc(device: Device, reference: Tensor, values: Tensor, width: int, radius: int) -> Tensor:
-    """NCC of W (K * J * P) with the reference strip (P) over square windows; -1 where a window is incomplete.
+def ncc(device: Device, reference: Tensor, values: list[Tensor], width: int, radius: int) -> list[Tensor]:
+    """NCC of W (K tensors of J * P) with the reference strip (P) over square windows; see the twin.
 
     Windows that leave the strip, or its first and last columns, are incomplete.
     """
-    grey = reference.reshape(-1, width)
+    grey, lost = reference.reshape(-1, width), radius * (width + 1)
     m_i = _window_means(grey, radius)
     v_i = (_window_means(grey * grey, radius) - m_i * m_i).clamp(min=NOISE_VARIANCE)
-    images = values.reshape(-1, *grey.shape)
-    score = torch.full_like(images, -1.0)
-    inner = score[:, radius : grey.shape[0] - radius, radius : width - radius]
     per_call = max(1, PORTION // grey.numel())
-    for part, target in zip(images.split(per_call), inner.split(per_call), strict=True):
-        mean = _window_means(part, radius)
-        variance = (_window_means(part * part, radius) - mean * mean).clamp(min=NOISE_VARIANCE)
-        found = (_window_means(part * grey, radius) - mean * m_i) * torch.rsqrt(variance * v_i)
-        # An incomplete window is NaN; a complete one stays above -1, the mark of an incomplete one.
-        target.copy_(torch.where(found.isnan(), -1.0, found.clamp(min=-0.999)))
-    return score.reshape(-1)
+    scores = []
+    for images in (each.reshape(-1, *grey.shape) for each in values):
+        score = torch.full_like(images, -1.0)
+        inner = score[:, radius : grey.shape[0] - radius, radius : width - radius]
+        for part, target in zip(images.split(per_call), inner.split(per_call), strict=True):
+            mean = _window_means(part, radius)
+            variance = (_window_means(part * part, radius) - mean * mean).clamp(min=NOISE_VARIANCE)
+            found = (_window_means(part * grey, radius) - mean * m_i) * torch.rsqrt(variance * v_i)
+            # An incomplete window is NaN; a complete one stays above -1, the mark of an incomplete one.
+            target.copy_(torch.where(found.isnan(), -1.0, found.clamp(min=-0.999)))
+        scores.append(score.reshape(-1)[lost : score.numel() - lost])
+    return scores
 
 
-def best_half(device: Device, score: Tensor, neighbours: int) -> Tensor:
-    """Mean over the better half of the neighbours that have the window, (J * P); see the twin."""
-    keep = max((neighbours + 1) // 2, min(2, neighbours))
-    parts = score.reshape(neighbours, -1).split(PORTION, dim=1)
-    return torch.cat([_best_half(part, keep) for part in parts])
+def best_half(device: Device, scores: list[Tensor]) -> Tensor:
+    """Mean over the better half of the K neighbours that have the window in their image; see the twin."""
+    keep = max((len(scores) + 1) // 2, min(2, len(scores)))
+    parts = zip(*(score.split(PORTION) for score in scores), strict=True)
+    return torch.cat([_best_half(torch.stack(part), keep) for part in parts])
 
 
 def _best_half(score: Tensor, keep: int) -> Tensor:
@@ -72,8 +74,11 @@ def _best_half(score: Tensor, keep: int) -> Tensor:
 
 
 def climb(device: Device, mean: Tensor, start: Tensor, step: float, rungs: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Best height (P) [m], its score (P) and its sharpness (P) [1/m^2]; see the twin."""
-    ladder = mean.reshape(rungs, -1)
+    """Best height [m], its score and its sharpness [1/m^2]; see the twin."""
+    lost = len(start) * rungs - len(mean)
+    start = start[lost // 2 : len(start) - lost // 2]
+    # From rung to rung the same place is one strip farther.
+    ladder = mean.as_strided((rungs, len(start)), (len(start) + lost, 1))
     at = ladder.argmax(dim=0, keepdim=True)  # the first of equals
     best, low, high = (ladder.gather(0, i)[0] for i in (at, (at - 1).clamp(min=0), (at + 1).clamp(max=rungs - 1)))
     inner = ((at > 0) & (at < rungs - 1))[0]

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from fields.device import Device
-from fields.sweep.arrays import floats
+from fields.sweep.arrays import constant, floats
+from fields.sweep.quads import Quads
 from refract import FlatWater, PinholeCamera
 from refract.distortion import ROW as LENS_ROW
 from refract.distortion import kinds_of, row_of
@@ -51,36 +52,61 @@ class Beyond:
         return row[len(row) - LENS_ROW :]
 
 
-def camera_table(cameras: list[PinholeCamera], beyond: Beyond) -> np.ndarray:
+@dataclass(frozen=True)
+class PlaneFrame:
+    """The frame of the water plane, in which z is the height over it; local itself in a dry survey.
+
+    Attributes
+    ----------
+    origin : (3,) [m], local
+        The point of the plane nearest to the origin of local.
+    from_local : (3, 3)
+        Rotation; ``p = from_local @ (p_in_local - origin)``.
+    """
+
+    origin: np.ndarray
+    from_local: np.ndarray
+
+    @staticmethod
+    def of(water: FlatWater | None) -> PlaneFrame:
+        """That of a plane of water."""
+        if water is None:
+            return PlaneFrame(np.zeros(3), np.eye(3))
+        up = np.asarray(water.up, dtype=np.float64)
+        east = np.array([1.0, 0.0, 0.0]) - up[0] * up
+        east /= np.linalg.norm(east)
+        return PlaneFrame(up * (up @ np.asarray(water.point)), np.stack([east, np.cross(up, east), up]))
+
+
+def camera_table(cameras: list[PinholeCamera], beyond: Beyond, frame: PlaneFrame) -> np.ndarray:
     """Rotation (9), centre (3), fx, fy, cx, cy, width, height of each camera, and what it has beyond a pinhole.
 
-    (cameras, 18 and more) float32.
+    (cameras, 18 and more) float64, in a frame.
     """
     rows = []
     for c in cameras:
+        rotation, centre = c.cam_from_local @ frame.from_local.T, frame.from_local @ (c.centre - frame.origin)
         inner = (c.fx, c.fy, c.cx, c.cy, c.width, c.height)
-        motion = (np.zeros(3) if c.motion is None else c.motion) if beyond.moves else ()
+        motion = (np.zeros(3) if c.motion is None else frame.from_local @ c.motion) if beyond.moves else ()
         lens = row_of(c.distortion) if beyond.lenses else ()
-        rows.append(np.concatenate([c.cam_from_local.ravel(), c.centre, inner, motion, lens]))
-    return np.asarray(rows, dtype=np.float32)
+        rows.append(np.concatenate([rotation.ravel(), centre, inner, motion, lens]))
+    return np.asarray(rows)
 
 
 @dataclass(frozen=True)
 class ViewStack:
-    """Scalar images of equal size with their cameras and the water, on one device.
+    """Scalar images of equal size with their cameras and the water, for one device.
 
     Attributes
     ----------
     cameras : list of PinholeCamera, all of one size
-    pixels : (views * height * width) float32 of the device
-    table : `camera_table`, flattened, float32 of the device
+    images : list of (height, width) float32
     water : FlatWater or None
     """
 
     device: Device
     cameras: list[PinholeCamera]
-    pixels: Any
-    table: Any
+    images: list[np.ndarray]
     water: FlatWater | None
 
     @staticmethod
@@ -99,9 +125,7 @@ class ViewStack:
                     f"a stack holds images of one size {size}, that of their cameras; got an image of {image.shape} "
                     f"with a camera of {(camera.height, camera.width)}"
                 )
-        flat = np.concatenate([np.asarray(image, dtype=np.float32).ravel() for image in images])
-        table = floats(device, camera_table(cameras, Beyond.of(cameras)))
-        return ViewStack(device, list(cameras), floats(device, flat), table, water)
+        return ViewStack(device, list(cameras), [np.asarray(image, dtype=np.float32) for image in images], water)
 
     @property
     def height(self) -> int:
@@ -111,14 +135,33 @@ class ViewStack:
     def width(self) -> int:
         return self.cameras[0].width
 
+    @property
+    def n_water(self) -> float | None:
+        """Index of the water; None in a dry survey."""
+        return None if self.water is None else self.water.n_water
+
     @cached_property
     def beyond(self) -> Beyond:
         """What its cameras have beyond pinholes."""
         return Beyond.of(self.cameras)
 
-    @property
-    def plane(self) -> tuple[tuple[float, ...], tuple[float, ...], float]:
-        """Point and normal of the water plane, local, and index; local z = 0 and index 1 for a dry survey."""
-        if self.water is None:
-            return (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0
-        return self.water.point, self.water.up, self.water.n_water
+    @cached_property
+    def frame(self) -> PlaneFrame:
+        """The frame of the water plane."""
+        return PlaneFrame.of(self.water)
+
+    @cached_property
+    def numbers(self) -> list[list]:
+        """The row of `camera_table` of each camera, as constants of the device."""
+        table = camera_table(self.cameras, self.beyond, self.frame)
+        return [[constant(self.device, c) for c in row] for row in table]
+
+    @cached_property
+    def pixels(self) -> list[Any]:
+        """Each image as a flat array (height * width) of the device, float32."""
+        return [floats(self.device, image) for image in self.images]
+
+    @cached_property
+    def quads(self) -> Quads:
+        """All images, packed for sampling."""
+        return Quads.build(self.device, self.images)

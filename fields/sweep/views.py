@@ -82,14 +82,16 @@ def _greedy(seen: np.ndarray, chosen: list[int], times: int) -> list[int]:
     chosen = list(chosen)
     need = np.minimum(seen.sum(axis=0), times)
     have = seen[chosen].sum(axis=0)
+    gain = (seen & (have < need)).sum(axis=1)
     while True:
-        gain = (seen & (have < need)).sum(axis=1)
         gain[chosen] = 0
         if gain.max() == 0:
             return chosen
         best = int(gain.argmax())
         chosen.append(best)
         have = have + seen[best]
+        # Only the cells that have enough now count less: thousands of views would take minutes otherwise.
+        gain -= seen[:, np.flatnonzero(seen[best] & (have == need))].sum(axis=1)
 
 
 def neighbours(
@@ -132,9 +134,7 @@ def parallax(
     the others; the sweep's steps and tolerances follow from it. At least 1e-3.
     """
     camera = cameras[view]
-    path = camera.paths(np.array([camera.width / 2, camera.height / 2]), water)
-    moves = []
-    for other in others:
-        ends = [cameras[other].project(path.at_height(np.array(height + dz), water), water) for dz in (-0.05, 0.05)]
-        moves.append(np.linalg.norm(ends[1] - ends[0]) / 0.1)
+    path = camera.paths(np.full((2, 2), (camera.width / 2, camera.height / 2)), water)
+    ends = path.at_height(height + np.array([-0.05, 0.05]), water)
+    moves = [np.linalg.norm(np.diff(cameras[other].project(ends, water), axis=0)) / 0.1 for other in others]
     return max(float(np.nanquantile(moves, 0.75)), 1e-3)

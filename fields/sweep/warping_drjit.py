@@ -6,8 +6,9 @@ are offsets to a *per-pixel* height, the window of each pixel follows the relief
     K neighbours, J rungs, P pixels of the strip (with a halo of the window's radius)
     W  neighbour intensity at (k, j, p): the bed point of pixel p at rung j, seen by neighbour k
 
-`fields.sweep.scoring_drjit` scores the agreement of W with the reference. Callers get these functions from
-`fields.sweep.backends.warping`; `fields.sweep.warping_torch` is the twin without Dr.Jit.
+The points of a ladder are computed once, and one kernel projects each of them into all neighbours, whose cameras are
+its arguments. `fields.sweep.scoring_drjit` scores the agreement of W with the reference. Callers get these functions
+from `fields.sweep.backends.warping`; `fields.sweep.warping_torch` is the twin without Dr.Jit.
 """
 
 from __future__ import annotations
@@ -15,25 +16,22 @@ from __future__ import annotations
 import drjit as dr
 import numpy as np
 
-from fields.sweep.arrays import indices
-from fields.sweep.legs import legs_through, seen_at
+from fields.sweep.arrays import constant, floats, indices
+from fields.sweep.legs import legs_through, point_at, seen_at
+from fields.sweep.quads import MASKED
 from fields.sweep.stack import Beyond, ViewStack, camera_table
 
-# Samples (neighbours x rungs x pixels) of one launch: 64 MB an array, large against a launch's cost.
-STRIP_SAMPLES = 16_000_000
+# Samples (neighbours x rungs x pixels) of one launch: 32 MB in all. A launch costs as much as 300,000 of them.
+STRIP_SAMPLES = 8_000_000
 
 
 def pixels_of(stack: ViewStack, view: int, first_row: int, rows: int):
     """A strip of rows of the image of `view`: P = rows * width values."""
-    UInt = stack.device.module.UInt
-    first = dr.opaque(UInt, (view * stack.height + first_row) * stack.width)
-    values = dr.gather(type(stack.pixels), stack.pixels, dr.arange(UInt, rows * stack.width) + first)
-    dr.eval(values)
-    return values
+    return floats(stack.device, stack.images[view][first_row : first_row + rows])
 
 
 def legs_of(stack: ViewStack, view: int, first_row: int, rows: int):
-    """Legs (see `fields.sweep.legs`) of a strip of pixels of `view`: nine floats of P = rows * width."""
+    """Legs (see `fields.sweep.legs`) of a strip of pixels of `view`: six floats of P = rows * width."""
     Float, UInt = stack.device.module.Float, stack.device.module.UInt
     width = dr.opaque(UInt, stack.width)
     index = dr.arange(UInt, rows * stack.width)
@@ -42,59 +40,66 @@ def legs_of(stack: ViewStack, view: int, first_row: int, rows: int):
     v = Float(line + dr.opaque(UInt, first_row)) + 0.5
     cameras = [stack.cameras[view]]
     beyond = Beyond.of(cameras)
-    camera = [dr.opaque(Float, float(c)) for c in camera_table(cameras, beyond)[0]]
-    legs = legs_through(camera, u, v, _water_plane(stack), beyond)
+    camera = [constant(stack.device, c) for c in camera_table(cameras, beyond, stack.frame)[0]]
+    legs = legs_through(camera, u, v, stack.n_water or 1.0, beyond)
     dr.eval(legs)
     return legs
 
 
-def _water_plane(stack: ViewStack):
-    """`ViewStack.plane` with point and normal as opaque Dr.Jit floats."""
-    Float = stack.device.module.Float
-    point, normal, n_water = stack.plane
-    return tuple(dr.opaque(Float, v) for v in point), tuple(dr.opaque(Float, v) for v in normal), n_water
+def project_at(stack: ViewStack, legs, z, view: int):
+    """Pixel position in `view`, and whether inside it, of each path at its height of `z`."""
+    return seen_at(stack.numbers[view], point_at(legs, z), stack.n_water, stack.beyond)
 
 
-def project_at(stack: ViewStack, legs, z, pixel, view):
-    """Pixel position in `view`, and whether inside it, of the path of `pixel` at height `z` (all Dr.Jit)."""
-    Float = stack.device.module.Float
-    own = [dr.gather(Float, row, pixel) for row in legs]
-    camera = [dr.gather(Float, stack.table, view * stack.beyond.row + c) for c in range(stack.beyond.row)]
-    return seen_at(camera, own, z, None if stack.water is None else _water_plane(stack), stack.beyond)
+def _corner(stack: ViewStack, u, v, inside):
+    """Index within its image of the upper left of the four pixels about (u, v), and the way from there [px]."""
+    Float, UInt = stack.device.module.Float, stack.device.module.UInt
+    x, y = dr.select(inside, u - 0.5, 0.0), dr.select(inside, v - 0.5, 0.0)
+    x0, y0 = UInt(x), UInt(y)
+    return y0 * dr.opaque(UInt, stack.width) + x0, x - Float(x0), y - Float(y0)
 
 
-def sample(stack: ViewStack, view, u, v, inside):
+def _between(corners, fx, fy):
+    """Bilinear interpolation between four corners, row by row."""
+    a, b, c, d = corners
+    top, bottom = dr.fma(fx, b - a, a), dr.fma(fx, d - c, c)
+    return dr.fma(fy, bottom - top, top)
+
+
+def sample(stack: ViewStack, view: int, u, v, inside):
     """Bilinear lookup in image `view` at pixel position (u, v); NaN where not inside."""
     Float, UInt = stack.device.module.Float, stack.device.module.UInt
-    x = dr.select(inside, u - 0.5, 0.0)
-    y = dr.select(inside, v - 0.5, 0.0)
-    x0, y0 = UInt(x), UInt(y)
-    fx, fy = x - Float(x0), y - Float(y0)
-    width, area = dr.opaque(UInt, stack.width), dr.opaque(UInt, stack.width * stack.height)
-    base = view * area + y0 * width + x0
-
-    def at(offset):
-        return dr.gather(Float, stack.pixels, base + offset, inside)
-
-    top = dr.fma(fx, at(1) - at(0), at(0))
-    bottom = dr.fma(fx, at(width + 1) - at(width), at(width))
-    return dr.select(inside, dr.fma(fy, bottom - top, top), dr.nan)
+    corner, fx, fy = _corner(stack, u, v, inside)
+    width = dr.opaque(UInt, stack.width)
+    corners = [dr.gather(Float, stack.pixels[view], corner + offset) for offset in (0, 1, width, width + 1)]
+    return dr.select(inside, _between(corners, fx, fy), dr.nan)
 
 
-def warp(stack: ViewStack, legs, start, neighbours, step, rungs: int):
-    """Neighbour intensities W at (k, j, p), a Dr.Jit float of K * J * P; NaN outside the neighbour's image."""
+def look_up(stack: ViewStack, view: int, u, v, inside):
+    """As `sample`, of `ViewStack.quads`: one lookup instead of four."""
+    Float, UInt, quads = stack.device.module.Float, stack.device.module.UInt, stack.quads
+    corner, fx, fy = _corner(stack, u, v, inside)
+    Word = type(quads.values[view])
+    word = dr.gather(Word, quads.values[view], corner)
+    parts = [UInt((word >> (place * quads.bits)) & Word(2**quads.bits - 1)) for place in range(4)]
+    value = _between([Float(part) for part in parts], fx, fy)
+    value = dr.fma(value, constant(stack.device, quads.step), constant(stack.device, quads.low))
+    return dr.select(inside & (parts[0] != MASKED), value, dr.nan)
+
+
+def warp(stack: ViewStack, legs, start, neighbours: list[int], step: float, rungs: int) -> list:
+    """Neighbour intensities W: for each neighbour a Dr.Jit float of J * P; NaN outside its image."""
     Float, UInt = stack.device.module.Float, stack.device.module.UInt
-    P, K = dr.width(start), dr.width(neighbours)
-    strip, ladder = dr.opaque(UInt, P), dr.opaque(UInt, P * rungs)
-    index = dr.arange(UInt, P * rungs * K)
-    k = index // ladder
-    rest = index - k * ladder
-    j = rest // strip
-    pixel = rest - j * strip
-    z = dr.gather(Float, start, pixel) + Float(j) * dr.opaque(Float, float(step))
-    view = dr.gather(UInt, neighbours, k)
-    u, v, inside = project_at(stack, legs, z, pixel, view)
-    values = sample(stack, view, u, v, inside)
+    index, strip = dr.arange(UInt, dr.width(start) * rungs), dr.opaque(UInt, dr.width(start))
+    rung = index // strip
+    pixel = index - rung * strip
+    z = dr.gather(Float, start, pixel) + Float(rung) * constant(stack.device, step)
+    points = point_at([dr.gather(Float, row, pixel) for row in legs], z)
+    dr.eval(points)
+    values = []
+    for view in neighbours:
+        seen = seen_at(stack.numbers[view], points, stack.n_water, stack.beyond)
+        values.append(look_up(stack, view, *seen))
     dr.eval(values)
     return values
 
@@ -107,21 +112,18 @@ def compare(stack: ViewStack, view: int, peers: list[int], tolerance: float):
     count, total, square : (P) each
         Of the differences [m] (the peer's height there, bilinear, less the own one) that are below `tolerance` [m].
     """
-    Float, UInt = stack.device.module.Float, stack.device.module.UInt
-    size = stack.width * stack.height
+    Float, size = stack.device.module.Float, stack.width * stack.height
     legs = legs_of(stack, view, 0, stack.height)
-    own, pixel = pixels_of(stack, view, 0, stack.height), dr.arange(UInt, size)
+    own = pixels_of(stack, view, 0, stack.height)
     count, total, square = dr.zeros(Float, size), dr.zeros(Float, size), dr.zeros(Float, size)
     for peer in peers:
-        which = dr.opaque(UInt, peer)
-        u, v, inside = project_at(stack, legs, own, pixel, which)
-        difference = sample(stack, which, u, v, inside) - own
+        difference = sample(stack, peer, *project_at(stack, legs, own, peer)) - own
         near = dr.abs(difference) < dr.opaque(Float, tolerance)
         difference = dr.select(near, difference, 0.0)
         count += dr.select(near, 1.0, 0.0)
         total += difference
         square += difference * difference
-        dr.eval(count, total, square)
+    dr.eval(count, total, square)
     return count, total, square
 
 
@@ -129,7 +131,7 @@ def paths_of(stack: ViewStack, view: int, pixels: np.ndarray):
     """Legs (as `legs_of`) of chosen pixels (flat indices) of a view, and their heights in a stack of height maps."""
     chosen = indices(stack.device, pixels)
     legs = [dr.gather(type(row), row, chosen) for row in legs_of(stack, view, 0, stack.height)]
-    own = dr.gather(type(stack.pixels), pixels_of(stack, view, 0, stack.height), chosen)
+    own = floats(stack.device, stack.images[view].ravel()[pixels])
     dr.eval(legs, own)
     return legs, own
 
@@ -140,13 +142,11 @@ def claim(stack: ViewStack, legs, own, later: int, tolerance: float, claimed) ->
     These are the four pixels about the projection of each path, where their height is within `tolerance` [m].
     """
     Float, UInt = stack.device.module.Float, stack.device.module.UInt
-    u, v, inside = project_at(stack, legs, own, dr.arange(UInt, dr.width(own)), dr.opaque(UInt, later))
-    x0, y0 = UInt(dr.select(inside, u - 0.5, 0.0)), UInt(dr.select(inside, v - 0.5, 0.0))
+    u, v, inside = project_at(stack, legs, own, later)
+    corner, _, _ = _corner(stack, u, v, inside)
     width = dr.opaque(UInt, stack.width)
-    corner = y0 * width + x0
-    base = dr.opaque(UInt, later * stack.width * stack.height)
     for offset in (0, 1, width, width + 1):
-        there = dr.gather(Float, stack.pixels, base + corner + offset, inside)
+        there = dr.gather(Float, stack.pixels[later], corner + offset, inside)
         same = inside & (dr.abs(there - own) < dr.opaque(Float, tolerance))
         dr.scatter(claimed, UInt(1), corner + offset, same)
     dr.eval(claimed)

@@ -10,8 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fields.sweep.arrays import indices
-from fields.sweep.legs import legs_through, seen_at
+from fields.sweep.arrays import floats, indices
+from fields.sweep.legs import legs_through, point_at, seen_at
+from fields.sweep.quads import MASKED
 from fields.sweep.stack import Beyond, ViewStack, camera_table
 
 # Samples (neighbours x rungs x pixels) of one strip: 32 MB an array.
@@ -22,31 +23,24 @@ PORTION = 250_000
 
 def pixels_of(stack: ViewStack, view: int, first_row: int, rows: int) -> Tensor:
     """A strip of rows of the image of `view`: P = rows * width values."""
-    first = (view * stack.height + first_row) * stack.width
-    return stack.pixels[first : first + rows * stack.width]
+    return floats(stack.device, stack.images[view][first_row : first_row + rows])
 
 
 def legs_of(stack: ViewStack, view: int, first_row: int, rows: int) -> list[Tensor]:
-    """Legs (see `fields.sweep.legs`) of a strip of pixels of `view`: nine tensors of P = rows * width."""
+    """Legs (see `fields.sweep.legs`) of a strip of pixels of `view`: six tensors of P = rows * width."""
     place = stack.device.place
     row = torch.arange(rows, dtype=torch.float32, device=place) + (first_row + 0.5)
     column = torch.arange(stack.width, dtype=torch.float32, device=place) + 0.5
     v, u = torch.meshgrid(row, column, indexing="ij")
     cameras = [stack.cameras[view]]
     beyond = Beyond.of(cameras)
-    camera = [float(c) for c in camera_table(cameras, beyond)[0]]
-    return legs_through(camera, u.reshape(-1), v.reshape(-1), stack.plane, beyond)
+    camera = camera_table(cameras, beyond, stack.frame)[0].tolist()
+    return legs_through(camera, u.reshape(-1), v.reshape(-1), stack.n_water or 1.0, beyond)
 
 
-def project_at(stack: ViewStack, legs, z: Tensor, pixel, view):
-    """Pixel position in `view`, and whether inside it, of the path of `pixel` at height `z`.
-
-    `pixel` indexes the legs: a tensor, or ``...`` for all of them against the last axis of `z`. `view` is a number or
-    a tensor of them.
-    """
-    own = [row[pixel] for row in legs]
-    camera = stack.table.reshape(-1, stack.beyond.row)[view].unbind(-1)
-    return seen_at(camera, own, z, None if stack.water is None else stack.plane, stack.beyond)
+def project_at(stack: ViewStack, legs, z: Tensor, view: int):
+    """Pixel position in `view`, and whether inside it, of each path at its height of `z`."""
+    return seen_at(stack.numbers[view], point_at(legs, z), stack.n_water, stack.beyond)
 
 
 def _corner(stack: ViewStack, u: Tensor, v: Tensor, inside: Tensor):
@@ -56,31 +50,41 @@ def _corner(stack: ViewStack, u: Tensor, v: Tensor, inside: Tensor):
     return y0 * stack.width + x0, x - x0, y - y0
 
 
-def sample(stack: ViewStack, view, u: Tensor, v: Tensor, inside: Tensor) -> Tensor:
+def _between(corners: list[Tensor], fx: Tensor, fy: Tensor) -> Tensor:
+    """Bilinear interpolation between four corners, row by row."""
+    a, b, c, d = corners
+    top, bottom = torch.addcmul(a, fx, b - a), torch.addcmul(c, fx, d - c)
+    return torch.addcmul(top, fy, bottom - top)
+
+
+def sample(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Tensor) -> Tensor:
     """Bilinear lookup in image `view` at pixel position (u, v); NaN where not inside."""
     corner, fx, fy = _corner(stack, u, v, inside)
-    corner = corner + view * (stack.width * stack.height)
-
-    def between(offset: int) -> Tensor:
-        left = stack.pixels[corner + offset]
-        return torch.addcmul(left, fx, stack.pixels[corner + (offset + 1)] - left)
-
-    top = between(0)
-    values = torch.addcmul(top, fy, between(stack.width) - top)
-    return torch.where(inside, values, torch.nan)
+    corners = [stack.pixels[view][corner + offset] for offset in (0, 1, stack.width, stack.width + 1)]
+    return torch.where(inside, _between(corners, fx, fy), torch.nan)
 
 
-def warp(stack: ViewStack, legs, start: Tensor, neighbours: Tensor, step: float, rungs: int) -> Tensor:
-    """Neighbour intensities W at (k, j, p), flat, K * J * P; NaN outside the neighbour's image."""
-    values = start.new_empty(len(neighbours), rungs, len(start))
+def look_up(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Tensor) -> Tensor:
+    """As `sample`, of `ViewStack.quads`: one lookup instead of four."""
+    quads = stack.quads
+    corner, fx, fy = _corner(stack, u, v, inside)
+    word = quads.values[view][corner]
+    parts = [(word >> (place * quads.bits)) & (2**quads.bits - 1) for place in range(4)]
+    value = _between([part.float() for part in parts], fx, fy) * quads.step + quads.low
+    return torch.where(inside & (parts[0] != MASKED), value, torch.nan)
+
+
+def warp(stack: ViewStack, legs, start: Tensor, neighbours: list[int], step: float, rungs: int) -> list[Tensor]:
+    """Neighbour intensities W: for each neighbour a tensor of J * P; NaN outside its image."""
+    values = [start.new_empty(rungs, len(start)) for _ in neighbours]
     ladder = torch.arange(rungs, dtype=torch.float32, device=start.device)
     per_call = max(1, PORTION // len(start))
     for first in range(0, rungs, per_call):
-        z = start + float(step) * ladder[first : first + per_call, None]
-        for k, view in enumerate(neighbours.tolist()):
-            u, v, inside = project_at(stack, legs, z, ..., view)
-            values[k, first : first + per_call] = sample(stack, view, u, v, inside)
-    return values.reshape(-1)
+        points = point_at(legs, start + float(step) * ladder[first : first + per_call, None])
+        for target, view in zip(values, neighbours, strict=True):
+            seen = seen_at(stack.numbers[view], points, stack.n_water, stack.beyond)
+            target[first : first + per_call] = look_up(stack, view, *seen)
+    return [each.reshape(-1) for each in values]
 
 
 def compare(stack: ViewStack, view: int, peers: list[int], tolerance: float) -> tuple[Tensor, Tensor, Tensor]:
@@ -88,7 +92,7 @@ def compare(stack: ViewStack, view: int, peers: list[int], tolerance: float) -> 
     legs, own = legs_of(stack, view, 0, stack.height), pixels_of(stack, view, 0, stack.height)
     count, total, square = torch.zeros_like(own), torch.zeros_like(own), torch.zeros_like(own)
     for peer in peers:
-        difference = sample(stack, peer, *project_at(stack, legs, own, ..., peer)) - own
+        difference = sample(stack, peer, *project_at(stack, legs, own, peer)) - own
         near = difference.abs() < tolerance
         difference = torch.where(near, difference, 0.0)
         count += near
@@ -106,7 +110,7 @@ def paths_of(stack: ViewStack, view: int, pixels: np.ndarray) -> tuple[list[Tens
 
 def claim(stack: ViewStack, legs, own: Tensor, later: int, tolerance: float, claimed: Tensor) -> None:
     """Set to 1, in `claimed` (P), the pixels of height map `later` that show the bed of paths at their own heights."""
-    u, v, inside = project_at(stack, legs, own, ..., later)
+    u, v, inside = project_at(stack, legs, own, later)
     corner = _corner(stack, u, v, inside)[0][inside]
     own, heights = own[inside], pixels_of(stack, later, 0, stack.height)
     for offset in (0, 1, stack.width, stack.width + 1):

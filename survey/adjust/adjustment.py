@@ -9,6 +9,7 @@ import numpy as np
 
 from geo.files import write_whole
 from refract.lens import Lens
+from survey.adjust.state import READOUT_NAME, Layout
 from survey.errors import SurveyError
 from survey.files.json_values import json_text, read_json_object
 from survey.folder.config import WaterConfig
@@ -24,7 +25,8 @@ class Parameter:
     Attributes
     ----------
     name : str
-        "level_m", "slope_east", "slope_north", "refractive_index", or of the first lens "camera0.f" to "camera0.p2".
+        "level_m", "slope_east", "slope_north", "refractive_index", or of the first lens "camera0.f" to "camera0.p2",
+        and "camera0.readout_s" where the readout of its shutter was to be found.
     value, std : float
         Level in m in crs at ``level_at``; slopes along the grid axes; the index relative to air; focal length and
         principal point in px, the first pixel's centre at 0.5, 0.5.
@@ -108,6 +110,10 @@ class Adjustment:
     residual_view, residual_px, residual_at_px, residual_point : (N,), (N, 2), (N, 2), (N,)
         Of each observation: its view, what the adjustment left, where in the photograph, and the number of its point.
     points : (M, 3) [m], local
+    readouts_s : tuple of float, or None
+        Of the shutter behind each lens, from the first to the last row [s]; None where no shutter rolls.
+    flow : (V, 3) [m/(s px)], local, or None
+        See `survey.adjust.state.Layout`.
     """
 
     parameters: tuple[Parameter, ...]
@@ -136,16 +142,26 @@ class Adjustment:
     residual_at_px: np.ndarray
     residual_point: np.ndarray
     points: np.ndarray
+    readouts_s: tuple[float, ...] | None = None
+    flow: np.ndarray | None = None
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name."""
         return next(found for found in self.parameters if found.name == name)
 
+    @property
+    def layout(self) -> Layout:
+        """That of `covariance`, but for the rises of a rough bed, which it leaves out."""
+        aspect = np.array([lens.focal[1] / lens.focal[0] for lens in self.lenses])
+        names = {f"camera0.{READOUT_NAME}"}
+        return Layout(self.lens_of, aspect, self.flow, finds_readouts=not names.isdisjoint(self.covariance_names))
 
-# Attributes that are arrays, in adjustment.npz; all others are in adjustment.json.
+
+# Attributes that are arrays, in adjustment.npz, some of them only where shutters roll; all others are in
+# adjustment.json.
 _ARRAYS = (
     "lens_of", "centres", "rotations", "position_std", "rotation_std_deg", "covariance", "residual_view",
-    "residual_px", "residual_at_px", "residual_point", "points",
+    "residual_px", "residual_at_px", "residual_point", "points", "flow",
 )  # fmt: skip
 
 
@@ -153,7 +169,8 @@ def write_adjustment(folder: Path, found: Adjustment) -> None:
     """Write adjustment.json and adjustment.npz into an existing folder."""
     record = {name: value for name, value in asdict(found).items() if name not in _ARRAYS}
     with write_whole(folder / ARRAYS) as stream:
-        np.savez_compressed(stream, names=np.array(found.covariance_names), **{n: getattr(found, n) for n in _ARRAYS})
+        arrays = {name: getattr(found, name) for name in _ARRAYS if getattr(found, name) is not None}
+        np.savez_compressed(stream, names=np.array(found.covariance_names), **arrays)
     with write_whole(folder / JSON) as stream:
         stream.write(json_text(record).encode())
 
@@ -170,7 +187,7 @@ def read_adjustment(folder: Path) -> Adjustment:
     if not record:
         raise SurveyError(f"{folder} has no adjustment; run process again with --no-resume")
     with np.load(folder / ARRAYS, allow_pickle=False) as arrays:
-        values = {name: arrays[name] for name in _ARRAYS}
+        values = {name: arrays[name] for name in _ARRAYS if name in arrays}
     water = record["water"]
     return Adjustment(
         **values,
@@ -181,6 +198,7 @@ def read_adjustment(folder: Path) -> Adjustment:
         **{name: _tuples(record[name]) for name in ("names", "covariance_names", "water_point", "notes", "warnings")},
         **{name: record[name] for name in ("std_px", "factor", "num_observations", "num_points", "num_left_out")},
         gps_std_m=_tuples(record["gps_std_m"]),
+        readouts_s=_tuples(record.get("readouts_s")),
     )
 
 

@@ -6,15 +6,23 @@ from collections.abc import Callable
 
 import numpy as np
 
-from refract.lens import Lens
+from refract.lens import Lens, is_affine
 from survey.adjust.adjustment import Adjustment, ControlResidual, Parameter
+from survey.adjust.control_check import control_warnings
 from survey.adjust.free_water import Lost
 from survey.adjust.holding import not_observable
 from survey.adjust.observed import KINDS, MARK, Observed
 from survey.adjust.priors import Known, is_held
 from survey.adjust.rounds import Adjusted
-from survey.adjust.state import LENS_NAMES, WATER, WATER_NAMES, State
-from survey.adjust.verdicts import lens_verdicts, lost_verdict, water_limits, water_verdicts
+from survey.adjust.state import LENS_NAMES, READOUT_NAME, WATER, WATER_NAMES, State
+from survey.adjust.verdicts import (
+    lens_verdicts,
+    lost_verdict,
+    readout_limits,
+    readout_verdict,
+    water_limits,
+    water_verdicts,
+)
 from survey.adjust.water_settings import settings_by_local, settings_of, with_settings
 from survey.folder.config import WaterConfig
 from survey.folder.survey import Survey
@@ -30,6 +38,9 @@ def lens_with(lens: Lens, parameters: np.ndarray) -> Lens:
         return lens
     fx, fy = lens.focal
     f, cx, cy, k1, k2, k3, p1, p2 = parameters.tolist()
+    if is_affine(lens):
+        inner = (f, f * fy / fx, cx, cy, k1, k2, p1, p2, k3)
+        return Lens(lens.model, (*inner, lens["k4"], lens["skew"]), lens.width, lens.height)
     return Lens("FULL_OPENCV", (f, f * fy / fx, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0), lens.width, lens.height)
 
 
@@ -70,6 +81,7 @@ def result(
     names = (
         *WATER_NAMES,
         *(f"camera{i}.{name}" for i in range(len(known.lenses)) for name in LENS_NAMES),
+        *(f"camera{i}.{READOUT_NAME}" for i in range(layout.first_pose - layout.first_readout)),
         *(f"{view.name}.{name}" for view in survey.views for name in _POSE_NAMES),
     )
     gps = known.std[layout.first_pose :].reshape(-1, 6)[:, :3]
@@ -77,7 +89,7 @@ def result(
     gps = np.median(gps, axis=0) if len(gps) else gps[:0, 0]
     counts = {name: int((used.kind == kind).sum()) for kind, name in enumerate(KINDS)}
     blunders = [view.name for view, bad in zip(survey.views, done.blunders, strict=True) if bad]
-    warnings = []
+    warnings = control_warnings(survey.control, survey.views, used, state)
     if blunders:
         warnings.append(f"positions that the block contradicts are not used: {', '.join(blunders)}")
     matches = np.bincount(used.ties.view, minlength=len(survey.views))
@@ -114,6 +126,8 @@ def result(
         residual_at_px=used.ties.pixel,
         residual_point=used.ties.point,
         points=state.points,
+        readouts_s=tuple(state.readouts.tolist()) or None,
+        flow=layout.flow,
     )
 
 
@@ -133,7 +147,25 @@ def _judged(
             at = known.layout.lens(number)
             std = np.sqrt(variance[at])
             parameters += lens_verdicts(number, state.lenses[number], std, known.mean.lenses[number], known.std[at])
+    if known.layout.finds_readouts:
+        parameters += _readouts(known, state, np.sqrt(variance))
     return tuple(parameters), water
+
+
+def _readouts(known: Known, state: State, std: np.ndarray) -> list[Parameter]:
+    """Readouts of the shutters with verdicts; ``std`` is that of all parameters (P,)."""
+    first, limits = known.layout.first_readout, readout_limits(state, known.layout, [w.height for w in known.lenses])
+    return [
+        readout_verdict(
+            number,
+            float(state.readouts[number]),
+            float(std[first + number]),
+            float(known.mean.readouts[number]),
+            float(known.std[first + number]),
+            float(limits[number]),
+        )
+        for number in range(len(known.lenses))
+    ]
 
 
 def _water(
@@ -172,5 +204,6 @@ def _control(survey: Survey, used: Observed, solution, state: State) -> tuple[Co
         wet = state.water is not None and float(state.water.depth(point[None])[0]) > 0.0
         east, north, up = (point - by_name[name].local).tolist()
         rms = float(np.sqrt(np.mean(np.square(solution.residuals[mine]))))
-        found.append(ControlResidual(name, by_name[name].is_check, wet, (east, north, up), int(mine.sum()), rms))
+        is_check = not np.isfinite(used.point_std[number]).all()
+        found.append(ControlResidual(name, is_check, wet, (east, north, up), int(mine.sum()), rms))
     return tuple(found)

@@ -64,7 +64,8 @@ class Priors:
         poses = np.concatenate([state.centres - self.state.centres, turns], axis=1)
         water = state.water_parameters() - self.state.water_parameters()
         lenses = (state.lenses - self.state.lenses).ravel()
-        return np.concatenate([water, state.relief - self.state.relief, lenses, poses.ravel()])
+        readouts = (state.readouts - self.state.readouts)[: layout.first_pose - layout.first_readout]
+        return np.concatenate([water, state.relief - self.state.relief, lenses, readouts, poses.ravel()])
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,8 @@ class Problem:
         Standard deviations of the kinds; NaN where the residuals tell.
     sides : (N, 3)
         See `survey.adjust.prediction.relief_sides`.
+    rows : (N,) [px], optional
+        See `survey.adjust.prediction.predict`.
     """
 
     layout: Layout
@@ -91,6 +94,11 @@ class Problem:
     priors: Priors
     given_std_px: np.ndarray
     sides: np.ndarray
+    rows: np.ndarray | None = None
+
+    def residuals(self, state: State) -> np.ndarray:
+        """Measured less predicted pixels (N, 2)."""
+        return self.ties.pixel - predict(self.layout, state, self.ties, self.sides, self.rows)
 
 
 @dataclass(frozen=True)
@@ -168,22 +176,24 @@ def solve(problem: Problem, start: State, *, inflation: np.ndarray | None = None
 
 
 def _solved(problem: Problem, start: State, inflation: np.ndarray | None) -> Solution:
-    def residuals_of(state: State) -> np.ndarray:
-        return problem.ties.pixel - predict(problem.layout, state, problem.ties, problem.sides)
-
     inflation = np.ones(len(problem.kind)) if inflation is None else inflation
-    std_px = std_of_kinds(problem, residuals_of(start), 0.0)
+    std_px = std_of_kinds(problem, problem.residuals(start), 0.0)
     state, system = _descend(problem, start, std_px, inflation)
     for _ in range(_MOST_ROUNDS):
         # Each parameter takes one coordinate, less the share that its prior determines.
         taken = float(np.sum(1.0 - np.diag(_inverse(system.normal)) / problem.priors.std**2))
-        before, std_px = std_px, std_of_kinds(problem, residuals_of(state), taken)
+        before, std_px = std_px, std_of_kinds(problem, problem.residuals(state), taken)
         if (np.abs(std_px / before - 1.0) < _STEADY).all():
             break
         state, system = _descend(problem, state, std_px, inflation)
-    residuals = residuals_of(state)
+    residuals = problem.residuals(state)
     weights = _weights(problem, residuals, std_px) / inflation
     return Solution(state, _inverse(system.normal), residuals, weights, std_px, system)
+
+
+def covariance_at(problem: Problem, state: State, std_px: np.ndarray) -> np.ndarray:
+    """Covariance (P, P) of the parameters at a state, for standard deviations (kinds,) [px] of the observations."""
+    return _inverse(_system(problem, state, std_px, np.ones(len(problem.kind))).normal)
 
 
 def std_of_kinds(problem: Problem, residuals: np.ndarray, taken: float) -> np.ndarray:
@@ -260,7 +270,7 @@ def _scaled(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _cost(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarray) -> float:
-    residuals = problem.ties.pixel - predict(problem.layout, state, problem.ties, problem.sides)
+    residuals = problem.residuals(state)
     length = np.linalg.norm(residuals, axis=1) / std_px[problem.kind]
     # A point that went behind a camera costs more than any that did not.
     length = np.where(np.isfinite(length), length, 1e6)
@@ -272,7 +282,7 @@ def _cost(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndar
 
 def _system(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarray) -> System:
     ties, priors = problem.ties, problem.priors
-    linear = linearise(problem.layout, state, ties, problem.sides)
+    linear = linearise(problem.layout, state, ties, problem.sides, problem.rows)
     residuals = ties.pixel - linear.pixels
     weights = _weights(problem, residuals, std_px) / inflation
     usable = weights > 0.0

@@ -18,6 +18,7 @@ import numpy as np
 
 from refract import FlatWater
 from survey.adjust.adjustment import Adjustment
+from survey.adjust.observed import rows_taken
 from survey.adjust.prediction import linearise
 from survey.adjust.priors import parameters_of
 from survey.adjust.state import RELIEF, WATER, Layout, State
@@ -73,17 +74,22 @@ def common_error(found: Adjustment, water: FlatWater | None) -> CommonError | No
 
 def height_moves(found: Adjustment, water: FlatWater | None, ties: TiePoints) -> np.ndarray:
     """Derivative (K, P) of the heights of places by the parameters of `Adjustment.covariance`."""
-    layout = Layout(found.lens_of, np.array([lens.focal[1] / lens.focal[0] for lens in found.lenses]))
+    layout = found.layout
     if water is not None:
         x, y = found.water_point
         water = replace(water, point=(x, y, float(water.height(x, y))))
     lenses = np.array([parameters_of(lens) for lens in found.lenses])
-    return moves_of(layout, State(water, np.zeros(RELIEF), lenses, found.centres, found.rotations, ties.start), ties)
+    readouts = np.array(found.readouts_s or ())
+    state = State(water, np.zeros(RELIEF), lenses, found.centres, found.rotations, ties.start, readouts)
+    return moves_of(layout, state, ties, rows_taken(ties, found.lenses, found.lens_of))
 
 
-def moves_of(layout: Layout, state: State, ties: TiePoints) -> np.ndarray:
-    """Derivative (K, P) of the heights of places, those of the state, by water, lenses and poses."""
-    linear = linearise(layout, state, ties, np.zeros((len(ties.view), RELIEF)))
+def moves_of(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray) -> np.ndarray:
+    """Derivative (K, P) of the heights of places, those of the state, by water, lenses and poses.
+
+    ``rows`` (N,) as `survey.adjust.observed.rows_taken` gives them.
+    """
+    linear = linearise(layout, state, ties, np.zeros((len(ties.view), RELIEF)), rows)
     kept = np.r_[:WATER, layout.first_lens : len(layout)]
     by_parameters = linear.by_parameters.toarray()[:, kept].reshape(len(ties.view), 2, len(kept))
     moves = np.empty((len(ties), len(kept)))

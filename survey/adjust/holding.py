@@ -16,7 +16,7 @@ import numpy as np
 from survey.adjust.adjustment import UNKNOWN, Parameter
 from survey.adjust.priors import HELD, Known
 from survey.adjust.rounds import Adjusted, adjust
-from survey.adjust.state import LENS_NAMES, Layout
+from survey.adjust.state import LENS_NAMES, READOUT_NAME, Layout
 from survey.adjust.water_settings import WATER_PARAMETERS
 
 
@@ -33,7 +33,10 @@ def _place(name: str, layout: Layout) -> int:
     if name in WATER_PARAMETERS:
         return WATER_PARAMETERS.index(name)
     camera, parameter = name.split(".")
-    return layout.lens(int(camera.removeprefix("camera"))).start + LENS_NAMES.index(parameter)
+    number = int(camera.removeprefix("camera"))
+    if parameter == READOUT_NAME:
+        return layout.first_readout + number
+    return layout.lens(number).start + LENS_NAMES.index(parameter)
 
 
 def adjusted_with(done: Adjusted, held: np.ndarray, stated_std: np.ndarray, sizes, marks_std_px: float) -> Adjusted:
@@ -77,6 +80,8 @@ def _step(done: Adjusted, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     water = done.known.mean.water_parameters() - state.water_parameters()
     lenses = (done.known.mean.lenses - state.lenses).ravel()
     back = np.zeros(len(layout))
-    back[: len(water)], back[layout.first_lens : layout.first_pose] = water, lenses
+    back[: len(water)], back[layout.first_lens : layout.first_readout] = water, lenses
+    if layout.finds_readouts:
+        back[layout.first_readout : layout.first_pose] = done.known.mean.readouts - state.readouts
     step = covariance[:, held] @ np.linalg.solve(covariance[np.ix_(held, held)], back[held])
     return step, done.solution.system.point_steps(step)

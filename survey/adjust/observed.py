@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from refract.lens import undistorted
+from refract.lens import Lens, affine_from_brown, brown_from_affine, distorted, is_affine, undistorted
 from survey.adjust.priors import Known, is_held
 from survey.control.points import Control
 from survey.folder.survey import Survey
@@ -101,11 +102,27 @@ def _marks(control: Control, survey: Survey) -> TiePoints:
     )
 
 
+def rows_taken(ties: TiePoints, lenses: Sequence[Lens], lens_of: np.ndarray) -> np.ndarray:
+    """Rows (N,) [px] of photographs as they were taken, of tie points in pixels that the adjustment predicts."""
+    rows = ties.pixel[:, 1].copy()
+    for number, lens in enumerate(lenses):
+        mine = lens_of[ties.view] == number
+        if is_affine(lens) and mine.any():
+            rows[mine] = affine_from_brown(lens, ties.pixel[mine])[:, 1]
+        elif is_held(lens) and mine.any():
+            rows[mine] = distorted(lens, ties.pixel[mine])[:, 1]
+    return rows
+
+
 def _straightened(ties: TiePoints, known: Known) -> np.ndarray:
-    """Pixels (N, 2) as they are; of lenses that the adjustment holds, those of their pinhole."""
+    """Pixels (N, 2) as they are; of lenses that the adjustment holds those of their pinhole, of affine ones those of
+    Brown's part.
+    """
     pixel = ties.pixel.copy()
     for number, lens in enumerate(known.lenses):
         mine = known.layout.lens_of[ties.view] == number
-        if is_held(lens) and mine.any():
+        if is_affine(lens) and mine.any():
+            pixel[mine] = brown_from_affine(lens, ties.pixel[mine])
+        elif is_held(lens) and mine.any():
             pixel[mine] = undistorted(lens, ties.pixel[mine]) * lens.focal + (lens["cx"], lens["cy"])
     return pixel

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from survey.adjust.bundle import Problem, solve
-from survey.adjust.observed import KINDS, WINDOW, observed
+from survey.adjust.observed import KINDS, WINDOW, observed, rows_taken
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import HELD, known_of, priors_for
 from survey.adjust.windows_of_survey import measure_windows
@@ -44,7 +44,8 @@ def pose_misfit(survey: Survey, *, device: str = "auto", advance: Callable[[floa
     held = replace(known, std=np.full_like(known.std, HELD))
     state = replace(known.state, points=seen.ties.start)
     priors, sides = priors_for(held, seen.ties), relief_sides(state, seen.ties)
-    problem = Problem(known.layout, seen.ties, seen.kind, priors, np.full(len(KINDS), np.nan), sides)
+    rows = rows_taken(seen.ties, known.lenses, known.layout.lens_of)
+    problem = Problem(known.layout, seen.ties, seen.kind, priors, np.full(len(KINDS), np.nan), sides, rows)
     return misfit(solve(problem, state).residuals, seen.ties.view)
 
 

@@ -32,26 +32,45 @@ class Linear:
     wet: np.ndarray
 
 
-def predict(layout: Layout, state: State, ties: TiePoints, sides: np.ndarray) -> np.ndarray:
-    """Predicted pixels (N, 2); NaN where a point lies behind its camera. ``sides`` as `relief_sides` gives them."""
-    line = lines_of_sight(state.centres[ties.view], _seen(state, ties, sides), state.water)
+def predict(
+    layout: Layout, state: State, ties: TiePoints, sides: np.ndarray, rows: np.ndarray | None = None
+) -> np.ndarray:
+    """Predicted pixels (N, 2); NaN where a point lies behind its camera.
+
+    Parameters
+    ----------
+    layout, state, ties
+    sides : (N, 3)
+        As `relief_sides` gives them.
+    rows : (N,) [px], optional
+        Of the photographs as they were taken, for rolling shutters; default those of the tie points.
+    """
+    line = lines_of_sight(_centres(layout, state, ties, rows), _seen(state, ties, sides), state.water)
     pixels, _ = _imaged(layout, state, ties, line)
     return pixels
 
 
-def linearise(layout: Layout, state: State, ties: TiePoints, sides: np.ndarray) -> Linear:
-    """Predicted pixels with their derivatives."""
-    sight = sights(state.centres[ties.view], _seen(state, ties, sides), state.water)
+def linearise(
+    layout: Layout, state: State, ties: TiePoints, sides: np.ndarray, rows: np.ndarray | None = None
+) -> Linear:
+    """Predicted pixels with their derivatives; see `predict`."""
+    sight = sights(_centres(layout, state, ties, rows), _seen(state, ties, sides), state.water)
     pixels, imaged = _imaged(layout, state, ties, sight.line)
     rotations = state.rotations[ties.view]
     by_line = np.einsum("nai,nij->naj", imaged.by_cam, rotations)
     by_point = by_line @ sight.by_point
+    by_centre, by_lens = by_line @ sight.by_centre, imaged.by_lens
+    by_readout = np.zeros((len(pixels), 2, 0))
+    if layout.flow is not None:
+        by_middle, by_readout = _by_shutter(layout, state, ties, rows, by_centre)
+        by_lens[:, :, 2] += by_middle
     dense = np.concatenate(
         [
             by_line @ sight.by_water,
             by_point[:, :, 2, None] * sides[:, None, :],
-            imaged.by_lens,
-            by_line @ sight.by_centre,
+            by_lens,
+            by_readout,
+            by_centre,
             -imaged.by_cam @ _cross(imaged.in_cam),
         ],
         axis=-1,
@@ -72,6 +91,31 @@ def relief_sides(state: State, ties: TiePoints) -> np.ndarray:
     leg = np.where((leg[:, 2] > 1e-9)[:, None], leg, centres - points)
     tangent = leg[:, :2] / leg[:, 2:]
     return np.column_stack([np.sum(tangent**2, axis=1), tangent])
+
+
+def _centres(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray | None) -> np.ndarray:
+    """Where the cameras are (N, 3) when they take the rows of the observations; a pose is that at the row `cy`."""
+    centres = state.centres[ties.view]
+    if layout.flow is None:
+        return centres
+    late, readouts = _late(layout, state, ties, rows)
+    return centres + (readouts * late)[:, None] * layout.flow[ties.view]
+
+
+def _late(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """By how many rows (N,) observations are taken after the row `cy`, and readouts (N,) of their photographs."""
+    number = layout.lens_of[ties.view]
+    rows = ties.pixel[:, 1] if rows is None else rows
+    return rows - state.lenses[number, 2], state.readouts[number]
+
+
+def _by_shutter(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray | None, by_centre: np.ndarray):
+    """What `cy`, as the row of the pose, adds to its derivative (N, 2); derivatives by the readout (N, 2, 0 or 1)."""
+    assert layout.flow is not None
+    late, readouts = _late(layout, state, ties, rows)
+    by_flow = np.einsum("nai,ni->na", by_centre, layout.flow[ties.view])
+    by_readout = (late[:, None] * by_flow)[:, :, None]
+    return -readouts[:, None] * by_flow, by_readout if layout.finds_readouts else by_readout[:, :, :0]
 
 
 def _seen(state: State, ties: TiePoints, sides: np.ndarray) -> np.ndarray:
@@ -116,11 +160,13 @@ def _cross(vectors: np.ndarray) -> np.ndarray:
 
 
 def _placed(layout: Layout, ties: TiePoints, dense: np.ndarray) -> csr_array:
-    """Derivatives (N, 2, 4 + 3 + 8 + 6) at the columns of their parameters, (2 N, P)."""
+    """Derivatives (N, 2, 4 + 3 + 8 + 6), one more with readouts, at the columns of their parameters, (2 N, P)."""
     count = len(ties.view)
     shared = np.tile(np.arange(WATER + RELIEF), (count, 1))
-    lens = layout.first_lens + LENS * layout.lens_of[ties.view][:, None] + np.arange(LENS)
+    number = layout.lens_of[ties.view][:, None]
+    lens = layout.first_lens + LENS * number + np.arange(LENS)
+    readout = layout.first_readout + number[:, : int(layout.finds_readouts)]
     pose = layout.first_pose + POSE * ties.view[:, None] + np.arange(POSE)
-    columns = np.repeat(np.concatenate([shared, lens, pose], axis=1), 2, axis=0)
+    columns = np.repeat(np.concatenate([shared, lens, readout, pose], axis=1), 2, axis=0)
     ends = np.arange(2 * count + 1) * columns.shape[1]
     return csr_array((dense.reshape(-1), columns.reshape(-1), ends), shape=(2 * count, len(layout)))

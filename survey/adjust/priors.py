@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from refract.lens import MODELS, Lens
+from refract.lens import MODELS, Lens, is_affine
 from survey.adjust.bundle import Priors
 from survey.adjust.state import LENS, LENS_NAMES, RELIEF, Layout, State
+from survey.folder.shutter import rows_between
 from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
 
@@ -84,13 +85,20 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
     views = survey.views
     lenses = tuple(dict.fromkeys(view.lens for view in views))
     lens_of = np.array([lenses.index(view.lens) for view in views])
-    layout = Layout(lens_of, np.array([lens.focal[1] / lens.focal[0] for lens in lenses]))
+    flow, readout_std = _flow(survey), survey.config.cameras.rolling_shutter_std_s
+    layout = Layout(
+        lens_of,
+        np.array([lens.focal[1] / lens.focal[0] for lens in lenses]),
+        flow,
+        finds_readouts=flow is not None and readout_std is not None,
+    )
+    readouts = np.full(0 if flow is None else len(lenses), survey.config.cameras.rolling_shutter_s, dtype=np.float64)
     centres = np.array([view.camera.centre for view in views])
     rotations = np.array([view.camera.cam_from_local for view in views])
     start = np.array([parameters_of(lens) for lens in lenses])
     sheet = np.array([_data_sheet(survey, lens) for lens in lenses])
     none = np.zeros((0, 3))
-    state = State(_under_cameras(survey, centres), np.zeros(RELIEF), start, centres, rotations, none)
+    state = State(_under_cameras(survey, centres), np.zeros(RELIEF), start, centres, rotations, none, readouts)
     exact = free_water and survey.ties is None
     positions, position_std, unknown = _positions(survey, centres, exact=exact)
     mean = replace(state, lenses=sheet, centres=positions)
@@ -99,6 +107,7 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
             _water_std(survey, free=free_water),
             np.full(RELIEF, _RELIEF_GSD * gsd),
             *(_lens_std(lens) * (_CALIBRATED if exact else 1.0) for lens in lenses),
+            np.full(layout.first_pose - layout.first_readout, readout_std, dtype=np.float64),
             np.concatenate([position_std, _rotation_std(survey, exact=exact)], axis=1).ravel(),
         ]
     )
@@ -111,6 +120,18 @@ def priors_for(known: Known, ties: TiePoints, point_std: np.ndarray | None = Non
     return Priors(replace(known.mean, points=ties.start), known.std, free)
 
 
+def _flow(survey: Survey) -> np.ndarray | None:
+    """See `Layout.flow`; zero for views whose velocity is not known."""
+    cameras = survey.config.cameras
+    if not cameras.rolls:
+        return None
+    flow = np.zeros((len(survey.views), 3))
+    for number, view in enumerate(survey.views):
+        if view.name in survey.velocities:
+            flow[number] = survey.velocities[view.name].local / rows_between(view.lens.height)
+    return flow if flow.any() else None
+
+
 def _under_cameras(survey: Survey, centres: np.ndarray):
     """The water with its reference point under the middle of the cameras, where level and slopes are separate."""
     if survey.water is None:
@@ -121,15 +142,15 @@ def _under_cameras(survey: Survey, centres: np.ndarray):
 
 def parameters_of(lens: Lens) -> np.ndarray:
     """A lens as parameters (8,) of the adjustment."""
-    if lens.model not in BROWN or any(lens[name] != 0.0 for name in ("k4", "k5", "k6")):
+    if is_held(lens):
         # Its tie points are straightened: what is left is its pinhole.
         return np.array([lens.focal[0], lens["cx"], lens["cy"], *np.zeros(LENS - 3)])
     return np.array([lens.focal[0], *(lens[name] for name in LENS_NAMES[1:])])
 
 
 def is_held(lens: Lens) -> bool:
-    """Whether a lens is not adjusted: its distortion is not Brown's."""
-    return lens.model not in BROWN or any(lens[name] != 0.0 for name in ("k4", "k5", "k6"))
+    """Whether a lens is not adjusted: its distortion is not Brown's. Of an affine one Brown's part is adjusted."""
+    return not is_affine(lens) and (lens.model not in BROWN or any(lens[name] != 0.0 for name in ("k4", "k5", "k6")))
 
 
 def _data_sheet(survey: Survey, lens: Lens) -> np.ndarray:

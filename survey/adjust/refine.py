@@ -6,11 +6,12 @@ windows matched to a fraction of a pixel on the adjusted block (`survey.adjust.w
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from refract.lens import Lens
 from survey.adjust.adjustment import UNKNOWN, Adjustment
 from survey.adjust.assembling import lens_with, result
 from survey.adjust.contradiction import Contradiction, contradictions, released
@@ -19,18 +20,16 @@ from survey.adjust.holding import adjusted_with
 from survey.adjust.observed import MATCH, WINDOW, Observed, observed
 from survey.adjust.priors import Known, known_of
 from survey.adjust.rounds import Adjusted, adjust
-from survey.adjust.state import WATER, State
-from survey.adjust.thinning import thinned
+from survey.adjust.state import WATER, Layout, State
+from survey.adjust.thinning import CELLS, PER_CELL, thinned
 from survey.adjust.water_settings import WATER_PARAMETERS
 from survey.adjust.windows_of_survey import measure_windows
 from survey.errors import SurveyError
 from survey.folder.place import water_plane
-from survey.folder.survey import Survey
+from survey.folder.survey import Survey, View
 from survey.photos.tie_points import TiePoints
 from survey.plan.plan import make_plan
 
-# Matches and windows are thinned to this many in each of so many cells along a photograph.
-_CELLS, _PER_CELL = 8, 3
 _MARKS_STD_PX = 0.5
 
 
@@ -116,18 +115,17 @@ def _against(found: Adjustment, each: Contradiction) -> str:
 
 
 def _thinned(ties: TiePoints, sizes: list[tuple[int, int]]) -> TiePoints:
-    return ties.only(np.isin(ties.point, thinned(ties, sizes, _CELLS, _PER_CELL)))
+    return ties.only(np.isin(ties.point, thinned(ties, sizes, CELLS, PER_CELL)))
 
 
 def apply_adjustment(survey: Survey, found: Adjustment) -> Survey:
     """The survey with the poses, lenses and water that an adjustment found."""
-    views = tuple(
-        replace(view, camera=found.lenses[number].camera(centre, rotation), lens=found.lenses[number])
-        for view, number, centre, rotation in zip(
-            survey.views, found.lens_of, found.centres, found.rotations, strict=True
-        )
-    )
+    views = _views(survey, found.lenses, found.layout, found.centres, found.rotations, found.readouts_s)
     survey = replace(survey, views=views, points=found.points, ties=None, is_adjusted=True)
+    if found.layout.finds_readouts and found.readouts_s is not None and len(found.readouts_s) == 1:
+        readout = max(found.readouts_s[0], 0.0)
+        cameras = replace(survey.config.cameras, rolling_shutter_s=readout, rolling_shutter_std_s=None)
+        survey = replace(survey, config=replace(survey.config, cameras=cameras))
     if found.water is None:
         return survey
     config = replace(survey.config, water=found.water)
@@ -143,10 +141,19 @@ def _started(known: Known, done: Adjusted) -> Known:
 
 def _with_state(survey: Survey, known: Known, state: State) -> Survey:
     lenses = [lens_with(lens, state.lenses[i]) for i, lens in enumerate(known.lenses)]
-    views = tuple(
-        replace(view, camera=lenses[number].camera(centre, rotation), lens=lenses[number])
-        for view, number, centre, rotation in zip(
-            survey.views, known.layout.lens_of, state.centres, state.rotations, strict=True
-        )
-    )
+    views = _views(survey, lenses, known.layout, state.centres, state.rotations, state.readouts)
     return replace(survey, views=views, water=state.water, points=state.points, is_adjusted=True)
+
+
+def _views(
+    survey: Survey, lenses: Sequence[Lens], layout: Layout, centres: np.ndarray, rotations: np.ndarray, readouts
+) -> tuple[View, ...]:
+    """The views with other lenses, poses, and readouts of their shutters (L,) [s]."""
+    views = []
+    for number, view in enumerate(survey.views):
+        lens = lenses[layout.lens_of[number]]
+        camera = lens.camera(centres[number], rotations[number])
+        if layout.flow is not None and layout.flow[number].any():
+            camera = replace(camera, motion=layout.flow[number] * readouts[layout.lens_of[number]])
+        views.append(replace(view, camera=camera, lens=lens))
+    return tuple(views)

@@ -8,7 +8,8 @@ import numpy as np
 
 from survey.adjust.bundle import NotConvergedError, Problem, Solution, solve
 from survey.adjust.clusters import inflation
-from survey.adjust.observed import KINDS, MARK, Observed
+from survey.adjust.control_check import checked_points, given_points
+from survey.adjust.observed import KINDS, MARK, Observed, rows_taken
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import Known, priors_for
 from survey.adjust.state import POSE, State
@@ -72,10 +73,13 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
     factors = np.ones(len(KINDS) * (1 + _STRATA))
     given = np.full(len(factors), np.nan)
     given[MARK :: len(KINDS)] = marks_std_px
-    for remaining in reversed(range(_ROUNDS)):
+    coordinates, remaining = given_points(seen), _ROUNDS
+    most = _ROUNDS + len(coordinates)
+    while True:
         priors, sides = priors_for(known, seen.ties, seen.point_std), relief_sides(state, seen.ties)
         kind = _by_depth(seen, state)
-        problem = Problem(known.layout, seen.ties, kind, priors, given, sides)
+        rows = rows_taken(seen.ties, known.lenses, known.layout.lens_of)
+        problem = Problem(known.layout, seen.ties, kind, priors, given, sides, rows)
         solution = solve(problem, state, inflation=factors[kind])
         found = solution.std_px
         shared = inflation(seen.ties, solution.residuals, found, kind, sizes)
@@ -83,14 +87,19 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
         factors[MARK :: len(KINDS)] = 1.0
         known_blunders = blunders
         known, blunders, positions_changed = _positions_by_block(known, solution, blunders)
+        checked = checked_points(problem, solution, seen, coordinates)
+        control_changed = checked is not seen
+        # Wrong points are found one by one.
+        most -= 1
+        remaining = min(remaining - (not control_changed), most)
         keep = np.linalg.norm(solution.residuals, axis=1) < _OUTLIER * found[kind]
-        # A wrong position pulls its photograph away from all that it shows, and neighbours with it.
-        if (blunders & ~known_blunders).any():
+        # A wrong position or point pulls photographs away from all that they show, and neighbours with them.
+        if (blunders & ~known_blunders).any() or control_changed:
             keep = np.ones_like(keep)
-        kept = seen.only(keep)
+        kept = checked.only(keep)
         # A few matches do no harm at their Huber weights; a mark is one of few, and has a name.
         few = (~keep).mean() < _FEW and keep[seen.kind == MARK].all()
-        settled = few and not positions_changed and (np.abs(factors / before - 1.0) < 0.2).all()
+        settled = few and not positions_changed and not control_changed and (np.abs(factors / before - 1.0) < 0.2).all()
         # What is returned as used is what the solution was found from.
         if settled or not remaining:
             break

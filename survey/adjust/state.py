@@ -1,16 +1,18 @@
 """What an adjustment finds: water, lenses, poses and points, and how a vector of steps changes them.
 
-The vector of parameters is [water (4) | relief (3) | lenses (8 each) | poses (6 each)]; points have three each besides.
+The vector of parameters is [water (4) | relief (3) | lenses (8 each) | readouts | poses (6 each)]; points have three
+each besides.
 
     water     height of the plane at its reference point [m], slopes along local x and y, index
     relief    by how much a rough bed seems to rise with the direction of view, see `relief_sides` [m]
     lens      `LENS_NAMES`; the ratio of both focal lengths is held
+    readouts  seconds from the first to the last row, of each lens, where they are to be found; else none
     pose      centre [m] along the axes of local, turn [rad] about the axes of cam
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,6 +22,7 @@ from survey.adjust.brown import COEFFICIENTS
 
 WATER_NAMES = ("height_m", "slope_x", "slope_y", "refractive_index")
 LENS_NAMES = ("f", "cx", "cy", *COEFFICIENTS)
+READOUT_NAME = "readout_s"
 WATER, RELIEF, LENS, POSE = 4, 3, 8, 6
 # An index outside these is no water; a step never leaves them.
 _INDEX_RANGE = (1.0, 2.0)
@@ -35,18 +38,29 @@ class Layout:
         Number of the lens of each photograph.
     aspect : (L,)
         fy / fx of each lens.
+    flow : (V, 3) [m/(s px)], local, or None
+        Velocity of each camera over the rows between the first and the last of its photographs; None where no
+        shutter rolls.
+    finds_readouts : bool
+        Whether the readouts of rolling shutters are parameters.
     """
 
     lens_of: np.ndarray
     aspect: np.ndarray
+    flow: np.ndarray | None = None
+    finds_readouts: bool = False
 
     @property
     def first_lens(self) -> int:
         return WATER + RELIEF
 
     @property
-    def first_pose(self) -> int:
+    def first_readout(self) -> int:
         return self.first_lens + LENS * len(self.aspect)
+
+    @property
+    def first_pose(self) -> int:
+        return self.first_readout + (len(self.aspect) if self.finds_readouts else 0)
 
     def __len__(self) -> int:
         return self.first_pose + POSE * len(self.lens_of)
@@ -71,6 +85,8 @@ class State:
     lenses : (L, 8)
     centres, rotations : (V, 3) [m], local; (V, 3, 3) cam from local
     points : (M, 3) [m], local
+    readouts : (L,) [s]
+        From the first to the last row; empty where no shutter rolls.
     """
 
     water: FlatWater | None
@@ -79,6 +95,7 @@ class State:
     centres: np.ndarray
     rotations: np.ndarray
     points: np.ndarray
+    readouts: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def water_parameters(self) -> np.ndarray:
         """The water as parameters (4,); zeros for a dry survey."""
@@ -93,10 +110,13 @@ class State:
         return State(
             water=with_parameters(self.water, self.water_parameters() + step[:WATER]),
             relief=self.relief + step[WATER : layout.first_lens],
-            lenses=self.lenses + step[layout.first_lens : layout.first_pose].reshape(-1, LENS),
+            lenses=self.lenses + step[layout.first_lens : layout.first_readout].reshape(-1, LENS),
             centres=self.centres + poses[:, :3],
             rotations=turns @ self.rotations,
             points=self.points + points,
+            readouts=self.readouts + step[layout.first_readout : layout.first_pose]
+            if layout.finds_readouts
+            else self.readouts,
         )
 
 

@@ -79,16 +79,16 @@ def _places(xyz: np.ndarray) -> np.ndarray:
 def _seen(places: np.ndarray, survey: Survey) -> TiePoints:
     """Places that two views see, each with some of its views; what hides them is not asked."""
     inside = np.zeros((len(places), len(survey.views)), dtype=bool)
-    for number, view in enumerate(survey.views):
-        camera = view.camera
-        at = camera.project(places, survey.water)
+    pixels = np.zeros((*inside.shape, 2))
+    for number, each in enumerate(survey.views):
+        camera = each.camera
+        pixels[:, number] = at = camera.project(places, survey.water)
         inside[:, number] = (at > 0.0).all(axis=1) & (at < (camera.width, camera.height)).all(axis=1)
     enough = np.flatnonzero(inside.sum(axis=1) >= 2)
     chosen = [_some(np.flatnonzero(inside[place])) for place in enough]
     point = np.repeat(np.arange(len(enough)), [len(some) for some in chosen])
     seen_by = np.concatenate([np.empty(0, dtype=np.int64), *chosen])
-    # The pixels themselves are not asked for.
-    return TiePoints(places[enough], point, seen_by, np.zeros((len(seen_by), 2)))
+    return TiePoints(places[enough], point, seen_by, pixels[enough[point], seen_by])
 
 
 def _some(views: np.ndarray) -> np.ndarray:
@@ -105,7 +105,8 @@ def _variance(survey: Survey, found: Adjustment | None, ties: TiePoints, gsd: fl
     std = np.concatenate([of_water, known.std[WATER + RELIEF :]])
     # Structure from motion and poses without any word on them have no standard deviation of their own.
     std = np.where(np.isfinite(std), std, EXACT_STD_M)
-    moves = moves_of(known.layout, replace(known.state, points=ties.start), ties)
+    rows = ties.pixel[:, 1]
+    moves = moves_of(known.layout, replace(known.state, points=ties.start), ties, rows)
     return (moves**2) @ std**2
 
 

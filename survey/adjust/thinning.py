@@ -12,6 +12,9 @@ import numpy as np
 
 from survey.photos.tie_points import TiePoints
 
+# How many points an adjustment takes: of each of so many cells along a photograph, so many.
+CELLS, PER_CELL = 8, 3
+
 
 def thinned(ties: TiePoints, sizes: Sequence[tuple[int, int]], cells: int, per_cell: int) -> np.ndarray:
     """Numbers of the points (K,) to keep, ascending.

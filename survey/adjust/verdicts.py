@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from survey.adjust.adjustment import FREE, HELD, UNKNOWN, Parameter
-from survey.adjust.state import LENS_NAMES
+from survey.adjust.state import LENS_NAMES, READOUT_NAME, Layout, State
 from survey.adjust.water_settings import WATER_PARAMETERS
 from survey.folder.config import WaterConfig
+from survey.folder.shutter import rows_between
 
 # One sigma beyond which a parameter is of no use. 5 cm of level move the bed by 2 cm, and so does 0.01 of index in 3 m
 # of water; 0.5 % of the focal length moves the ground by 0.5 % of the flying height.
 MOST_STD_LEVEL_M, MOST_STD_INDEX, MOST_STD_FOCAL = 0.05, 0.01, 0.005
+# Of the way that the camera flies from the first row to the last, in pixels on the ground.
+MOST_STD_ROWS_PX = 0.5
 # With more than this share of the standard deviation before, the photographs have told nearly nothing.
 _LITTLE = 0.9
 # What is given to better than this was not to move.
@@ -95,3 +99,25 @@ def lens_verdicts(
         full = f"camera{number}.{name}"
         found.append(judge(full, float(values[i]), float(std[i]), float(given[i]), float(given_std[i]), limit, unit))
     return found
+
+
+def readout_limits(state: State, layout: Layout, heights: Sequence[int]) -> np.ndarray:
+    """Limits (L,) of use [s] of readouts: they move the last row against the first by half a pixel on the ground.
+
+    Parameters
+    ----------
+    state, layout
+    heights : (L,) [px]
+        Of the photographs of each lens.
+    """
+    assert layout.flow is not None
+    away = np.maximum(state.centres[:, 2] - np.median(state.points[:, 2]), 1e-6)
+    rows = np.array([rows_between(height) for height in heights])[layout.lens_of]
+    px_per_s = np.linalg.norm(layout.flow, axis=1) * rows * state.lenses[layout.lens_of, 0] / away
+    fastest = np.array([px_per_s[layout.lens_of == number].max() for number in range(len(layout.aspect))])
+    return MOST_STD_ROWS_PX / np.maximum(fastest, 1e-9)
+
+
+def readout_verdict(number: int, value: float, std: float, given: float, given_std: float, limit: float) -> Parameter:
+    """Verdict on the readout [s] of the shutter behind one lens; ``limit`` as for `judge`."""
+    return judge(f"camera{number}.{READOUT_NAME}", value, std, given, given_std, limit, " s")

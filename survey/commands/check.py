@@ -33,18 +33,24 @@ def run(
 ) -> None:
     """Report what a survey has, what it lacks, and what process would do.
 
-    Nothing is computed and nothing is written, unless --deep asks for it: then poses, lens and water are adjusted to
-    the photographs, and where these contradict survey.toml it says so.
+    Also what the flight promises for a bed under still, clear water. No photograph is measured and nothing is written,
+    unless --deep asks for it: then poses, lens and water are adjusted to the photographs, and where these contradict
+    survey.toml it says so.
     """
     with command(verbose, quiet, survey) as results:
-        from survey.plan.check import check_survey
+        from survey.adjust.foreseen import foreseen_section
+        from survey.plan.check import check_survey, require_processable
         from survey.progress import current
 
         shortage = address_space_shortage()
         if shortage is not None:
             current().warn(shortage)
-        for section in check_survey(survey, quality=quality.value, device=device.value):
+        checked = require_processable(survey)
+        for section in check_survey(survey, quality=quality.value, device=device.value, checked=checked):
             show(results, section)
+        foreseen = None if checked.survey is None else foreseen_section(checked.survey)
+        if foreseen is not None:
+            show(results, foreseen)
         if deep:
             require_address_space()
             from survey.adjust.deep_check import deep_check

@@ -1,7 +1,8 @@
-"""`bathynerf export`: the options of `survey.run.export`."""
+"""`bathynerf export`: one option for each product of `survey.export.registry`."""
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
 from typing import Annotated
 
@@ -9,27 +10,76 @@ import typer
 
 from survey.commands.console import command
 from survey.commands.options import Quiet, RunFolder, Verbose
-from survey.errors import SurveyError
+from survey.export.product import ExportOptions, Product
+from survey.export.registry import PRODUCTS
 
-EXAMPLES = """
-    bathynerf export my_survey/bathynerf --laz bed.laz
-    bathynerf export my_run --las bed.las --ply bed.ply
-"""
+EXAMPLES = "".join(f"bathynerf export RUN {product.example}\n" for product in PRODUCTS)
 
 
 def run(
     run: RunFolder,
-    las: Annotated[Path | None, typer.Option(metavar="FILE", help="LAS 1.4 file to write.")] = None,
-    laz: Annotated[Path | None, typer.Option(metavar="FILE", help="LAZ file to write.")] = None,
-    ply: Annotated[Path | None, typer.Option(metavar="FILE", help="PLY file to write.")] = None,
+    resolution: Annotated[
+        float | None, typer.Option(metavar="M", help="Side of a cell [m]; default: by the density of the points.")
+    ] = None,
+    crs: Annotated[
+        str | None,
+        typer.Option(metavar="CRS", help="Of the products, e.g. EPSG:32632; heights stay, or are given with it."),
+    ] = None,
+    fill: Annotated[float, typer.Option(metavar="M", help="Fill gaps up to this width [m]; default: none.")] = 0.0,
+    mesh_method: Annotated[
+        str,
+        typer.Option(metavar="METHOD", help="delaunay: one height at each place; poisson: overhangs too (extra mesh)."),
+    ] = "delaunay",
+    watertight: Annotated[bool, typer.Option("--watertight", help="Close the mesh with walls and a bottom.")] = False,
+    interval: Annotated[
+        float | None, typer.Option(metavar="M", help="Between contours [m]; default: some ten of them.")
+    ] = None,
+    no_bed: Annotated[
+        bool,
+        typer.Option("--no-bed", help="Into LAS, LAZ and COPC also what saw no bed: classes 45, and 41 over it."),
+    ] = False,
+    survey: Annotated[
+        str | None, typer.Option(metavar="DIR", help="Survey folder; default: the one that the run lies in.")
+    ] = None,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
+    **files: Path | None,
 ) -> None:
-    """Write the point cloud of a run in other formats."""
-    with command(verbose, quiet, run) as results:
-        if las is laz is ply is None:
-            raise SurveyError("nothing to export was named; give at least one of --las F, --laz F, --ply F")
-        from survey.run.export import export
+    """Write products of a run for other programs.
 
-        for path in export(run, las=las, laz=laz, ply=ply):
+    A product that is there and up to date is not written again.
+    """
+    with command(verbose, quiet, run) as results:
+        from survey.export.export import export
+
+        options = ExportOptions(
+            crs=crs,
+            resolution_m=resolution,
+            fill_m=fill,
+            mesh_method=mesh_method,
+            watertight=watertight,
+            interval_m=interval,
+            no_bed=no_bed,
+            survey=survey,
+        )
+        for path in export(run, options=options, **files):
             results.line(path)
+
+
+def _parameter(product: Product) -> inspect.Parameter:
+    """The option of a product as Typer reads it."""
+    option = typer.Option(f"--{product.option}", metavar="DIR" if product.is_folder else "FILE", help=product.help)
+    kind = inspect.Parameter.KEYWORD_ONLY
+    return inspect.Parameter(product.option, kind, default=None, annotation=Annotated[Path | None, option])
+
+
+def _signature() -> inspect.Signature:
+    """Of `run`, with an option for each product in the place of ``files``."""
+    own = inspect.signature(run, eval_str=True).parameters
+    first = [own["run"], *(_parameter(product) for product in PRODUCTS)]
+    others = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for name, p in own.items() if name not in ("run", "files")]
+    return inspect.Signature([*first, *others], return_annotation=None)
+
+
+# Typer asks for the signature, so that the registry alone lists the products.
+vars(run)["__signature__"] = _signature()

@@ -14,11 +14,11 @@ from typing import Annotated, cast
 import typer
 from typer.core import TyperGroup
 
-from survey.commands import check, compare, export, process, render, simulate, waterline
+from survey.commands import benchmark, check, compare, export, process, render, simulate, waterline
 from survey.commands.faults import BAD_INPUT
 
 # In the order of `bathynerf --help`.
-VERBS = (check, process, waterline, export, render, compare, simulate)
+VERBS = (check, process, waterline, export, render, compare, simulate, benchmark)
 
 _EPILOG = """\b
 Exit codes:

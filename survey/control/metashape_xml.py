@@ -13,9 +13,9 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from survey.control.content import Content, ControlFormat, GivenMark, GivenPoint, require_std
-from survey.control.xml_elements import read_xml
 from survey.errors import ControlError
 from survey.files.csv_table import shortened
+from survey.files.xml_tree import read_xml
 
 _AXES, _STDS = ("x", "y", "z"), ("sx", "sy", "sz")
 _EXPORT = "in Metashape, File > Export > Export Markers writes them"
@@ -30,7 +30,7 @@ def read_metashape_xml(path: Path) -> Content:
         If the file is no XML or not safe, has no markers or those of several chunks, a marker or camera without its
         label, or a number that is not finite.
     """
-    root = read_xml(path)
+    root = read_xml(path, "the markers", ControlError)
     chunks = [chunk for chunk in (*root.iter("chunk"), root) if chunk.find(".//marker") is not None]
     if not chunks:
         raise ControlError(f"{path} has no markers, expected those of Metashape; {_EXPORT}")

@@ -50,17 +50,39 @@ def require_near(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) ->
                 "and latitude) swapped; swap the two columns in the file"
             )
         middle = np.median(cameras, axis=0)
-        if not is_geographic(crs) and abs(east) <= 180.0 and abs(north) <= 90.0:
-            raise ControlError(
-                f"{said} looks like longitude and latitude, expected {crs.name}, where the cameras are at "
-                f"{middle[0]:.10g}, {middle[1]:.10g}; convert it, or name the CRS in the first line of a gcp_list.txt "
-                '("EPSG:4326", longitude first)'
-            )
+        if _is_in_degrees(point, crs):
+            raise ControlError(_degrees(said, crs, f", where the cameras are at {middle[0]:.10g}, {middle[1]:.10g}"))
         raise ControlError(
             f"{said} lies {_km(apart)} from the nearest camera, the cameras are at {middle[0]:.10g}, {middle[1]:.10g} "
             f"in {crs.name}; correct it, or the CRS of the file"
         )
     return _height_doubts(points, cameras, crs)
+
+
+def require_metres(points: Sequence[GivenPoint], crs: CRS) -> None:
+    """Raise where a point has degrees and crs has none; for points without cameras to lie near.
+
+    Raises
+    ------
+    ControlError
+        With the point.
+    """
+    for point in points:
+        if _is_in_degrees(point, crs):
+            east, north, _ = point.place
+            said = f"{point.where}: the point {point.name[:40]} at {east:.10g}, {north:.10g}"
+            raise ControlError(_degrees(said, crs, ""))
+
+
+def _is_in_degrees(point: GivenPoint, crs: CRS) -> bool:
+    return not is_geographic(crs) and abs(point.place[0]) <= 180.0 and abs(point.place[1]) <= 90.0
+
+
+def _degrees(said: str, crs: CRS, where: str) -> str:
+    return (
+        f"{said} looks like longitude and latitude, expected {crs.name}{where}; convert it, or name the CRS in the "
+        'first line of a gcp_list.txt ("EPSG:4326", longitude first)'
+    )
 
 
 def _height_doubts(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) -> list[str]:

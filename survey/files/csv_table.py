@@ -174,7 +174,8 @@ def text_lines(path: Path, error: type[SurveyError]) -> Iterator[tuple[int, str]
 
 
 def shortened(text: str) -> str:
-    """A text of a file for a message, not longer than a line."""
+    """A text of a file for a message, on one line and not longer than that."""
+    text = " ".join(text.split())
     return text if len(text) <= 60 else text[:57] + "..."
 
 

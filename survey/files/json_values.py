@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from geo.files import write_whole
+from survey.errors import SurveyError
 
 
 def plain(value):
@@ -56,3 +57,42 @@ def write_json(path: str | Path, value) -> None:
     """
     with write_whole(path) as stream:
         stream.write(json_text(value).encode())
+
+
+def read_foreign_json(path: Path, error: type[SurveyError]):
+    """The value in a JSON file of another program, in UTF-8 with or without a byte order mark.
+
+    Numbers of more digits than any has become what float makes of them, infinity included.
+
+    Raises
+    ------
+    SurveyError
+        Of the given type, if the file cannot be read, is no JSON or nested too deep.
+    """
+    try:
+        return json.loads(path.read_bytes().decode("utf-8-sig"), parse_int=_short_int)
+    except OSError as problem:
+        raise error(f"{path} cannot be read ({problem.strerror}); correct its name or its permissions") from problem
+    except RecursionError as problem:
+        raise error(f"{path} is nested too deep, expected a file of poses; export it again") from problem
+    except ValueError as problem:
+        raise error(f"{path} is not whole JSON ({problem}); export it again") from problem
+
+
+def finite_numbers(value, count: int) -> list[float] | None:
+    """A list of so many finite numbers from JSON; None if it is anything else."""
+    if not isinstance(value, list | tuple) or len(value) != count:
+        return None
+    found = [finite_number(item) for item in value]
+    return None if None in found else [number for number in found if number is not None]
+
+
+def finite_number(value) -> float | None:
+    """A finite number from JSON; None if it is anything else."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return None
+    return float(value)
+
+
+def _short_int(text: str) -> int | float:
+    return int(text) if len(text) < 20 else float(text)

@@ -14,8 +14,9 @@ from refract import FlatWater
 from refract.lens import Lens
 from survey.display.words import named
 from survey.errors import ConfigError, PosesError
-from survey.photos.cameras import CAM_FROM_OPK_CAM, Pose, View, grid_from_opk
+from survey.photos.cameras import CAM_FROM_OPK_CAM, View, grid_from_opk
 from survey.photos.exif import Exif
+from survey.photos.poses import Pose, PoseFrame
 
 # Diagonal field of view [degrees] of a pinhole of the same focal length: a fisheye lens of 180 degrees has 115, the
 # longest lens of a drone 3.
@@ -114,11 +115,10 @@ def _overlap_doubts(views: list[View], water: FlatWater) -> list[str]:
         along = float(-water.depth(camera.centre)) / falling
         places.append((camera.centre + along * camera.cam_from_local[2])[:2])
         radii.append(0.5 * along * math.hypot(camera.width / camera.fx, camera.height / camera.fy) / falling)
-    apart = np.linalg.norm(np.array(places)[:, None] - np.array(places), axis=-1) - np.add.outer(radii, radii)
-    np.fill_diagonal(apart, np.inf)
-    alone = apart.min(axis=1) > 0.0
+    apart = _gaps(np.array(places), np.array(radii))
+    alone = apart > 0.0
     if alone.mean() > 0.5:
-        gap = np.median(apart.min(axis=1)[alone])
+        gap = np.median(apart[alone])
         raise PosesError(
             f"{alone.sum()} of {len(views)} views overlap no other at the water: one covers "
             f"{2.0 * np.median(radii):.2f} m, and the next one begins {gap:.2f} m away, expected an overlap of "
@@ -128,13 +128,23 @@ def _overlap_doubts(views: list[View], water: FlatWater) -> list[str]:
     return named(names, "view", "without overlap with another one at the water")
 
 
-def angle_doubts(poses: list[Pose]) -> list[str]:
+def _gaps(places: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """From each circle (N, 2), (N,) to the next one, (N,) [m]; below zero where they overlap."""
+    gaps = np.empty(len(places))
+    for i, (place, radius) in enumerate(zip(places, radii, strict=True)):
+        others = np.hypot(*(places - place).T) - radii - radius
+        others[i] = np.inf
+        gaps[i] = others.min()
+    return gaps
+
+
+def angle_doubts(poses: list[Pose], frame: PoseFrame) -> list[str]:
     """A warning where omega, phi and kappa look like radians.
 
     All are below a full turn in radians; read as radians, all cameras look down, turn by more than a radian, and their
     image rows are level, as those of a gimbal are in nadir and oblique views alike.
     """
-    if not all(pose.in_crs for pose in poses):
+    if frame is not PoseFrame.GRID:
         return []
     angles = np.array([_opk_deg(pose.cam_from_world) for pose in poses])
     if np.abs(angles).max() > _FULL_TURN or np.ptp(angles[:, 2]) < 1.0:

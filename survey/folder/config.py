@@ -16,6 +16,7 @@ from survey.folder.config_water import WaterConfig, require_sane
 
 # The slowest sensors of drones read a whole frame in a tenth of a second.
 _LONGEST_READOUT_S = 0.25
+_FASTEST_M_S = 50.0
 _TOPOCENTRIC = "topocentric east-north-up"
 
 # Synonyms used by other programs.
@@ -58,6 +59,8 @@ class CamerasConfig:
         None, "one number or [omega, phi, kappa] in degrees"
     )
     rolling_shutter_s: float | None = key(None, "the seconds from the first to the last row of an exposure")
+    rolling_shutter_std_s: float | None = key(None, "the standard deviation of rolling_shutter_s in seconds")
+    speed_m_s: float | None = key(None, "the speed along the flight lines in metres per second")
 
     def __post_init__(self):
         self._require_stds()
@@ -83,6 +86,11 @@ class CamerasConfig:
                     f"{list(self.size_px)}; expected pixels from the upper left corner"
                 )
 
+    @property
+    def rolls(self) -> bool:
+        """Whether the shutter rolls, by a readout or by one that is to be found."""
+        return bool(self.rolling_shutter_s) or self.rolling_shutter_std_s is not None
+
     def _require_stds(self) -> None:
         require_std(
             "[cameras] position_std_m", self.position_std_m, 100.0, "metres", "GPS has about 3, with corrections 0.03"
@@ -94,13 +102,27 @@ class CamerasConfig:
             "degrees",
             "poses of an adjusted block have about 0.01, the angles of a gimbal 1",
         )
-        readout = self.rolling_shutter_s
-        if readout is not None and not 0.0 < readout <= _LONGEST_READOUT_S:
+        require_std(
+            "[cameras] rolling_shutter_std_s",
+            self.rolling_shutter_std_s,
+            _LONGEST_READOUT_S,
+            "seconds",
+            "0.02 if the readout is nearly unknown",
+        )
+        readout, speed = self.rolling_shutter_s, self.speed_m_s
+        if readout is not None and not 0.0 <= readout <= _LONGEST_READOUT_S:
             raise ConfigError(
-                f"[cameras] rolling_shutter_s is {readout:g}, expected seconds from the first to the last row, above 0 "
-                f"and at most {_LONGEST_READOUT_S:g}; cameras of drones need about 0.01 to 0.08, and one with a "
-                "mechanical shutter needs no such key"
+                f"[cameras] rolling_shutter_s is {readout:g}, expected seconds from the first to the last row, at most "
+                f"{_LONGEST_READOUT_S:g}; cameras of drones need about 0.01 to 0.08, and a mechanical shutter 0"
             )
+        if speed is not None and not 0.0 < speed <= _FASTEST_M_S:
+            raise ConfigError(
+                f"[cameras] speed_m_s is {speed:g}, expected metres per second along the flight lines, above 0 and at "
+                f"most {_FASTEST_M_S:g}"
+            )
+        for name in ("rolling_shutter_std_s", "speed_m_s"):
+            if getattr(self, name) is not None and readout is None:
+                raise ConfigError(f"[cameras] {name} is given without rolling_shutter_s, which it is for; give both")
 
 
 @dataclass(frozen=True)

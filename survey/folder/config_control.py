@@ -43,3 +43,16 @@ class ControlConfig:
     def files(self) -> tuple[str, ...]:
         """All files that the table names."""
         return (*self.gcp_files, *(name for name in (self.marks, self.checkpoints) if name is not None))
+
+
+def per_direction(std_m: float | tuple[float, float] | None) -> tuple[float, float, float]:
+    """The standard deviations of control east, north and up [m].
+
+    Raises
+    ------
+    ValueError
+        If it is not known yet.
+    """
+    if std_m is None:
+        raise ValueError("[control] std_m is not filled in; expected what `find_control` returns")
+    return (std_m[0], std_m[0], std_m[1]) if isinstance(std_m, tuple) else (std_m, std_m, std_m)

@@ -9,7 +9,7 @@ from survey.files.toml_table import key
 from survey.folder.config_std import require_std
 
 MOST_LEVEL_STD_M = 10.0
-_ANY_LEVEL = ("level_m", "shoreline", "gnss_points", "gauge")
+_ANY_LEVEL = ("level_m", "shoreline", "gnss_points", "gauge", "clicks")
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,10 @@ class WaterConfig:
     veiling_light: tuple[float, float, float] | None = key(
         None, "[red, green, blue], linear light of endless water, 1 for white, e.g. [0.03, 0.17, 0.2]"
     )
-    shoreline: str | None = None  # CSV of points, easting, northing, height, where water meets land
+    shoreline: str | None = None  # CSV of points, easting, northing, height, or GeoJSON, where water meets land
     gnss_points: str | None = None  # the same, of points anywhere on the surface
     gauge: str | None = None  # CSV of time, level
+    clicks: str | None = None  # CSV of image, x, y, name: places of the waterline in two photographs or more
     level_std_m: float | None = None  # standard deviations, for the adjustment
     index_std: float | None = None
     slope_std: float | None = None
@@ -80,9 +81,9 @@ class WaterConfig:
         if all(getattr(self, name) is None for name in _ANY_LEVEL):
             raise ConfigError(
                 "level_m is missing from [water]. Give the height of the water surface in the survey's vertical "
-                "datum, e.g. level_m = 12.34, or a file of points or readings as shoreline, gnss_points or gauge, or "
-                "remove [water] for a dry survey; only a survey without poses, with GPS positions in its photographs, "
-                "can leave it to the adjustment"
+                "datum, e.g. level_m = 12.34, or a file as shoreline, gnss_points, gauge or clicks, or remove [water] "
+                "for a dry survey; only a survey without poses, with GPS positions in its photographs, can leave it to "
+                "the adjustment"
             )
 
     def _require_one_level(self) -> None:

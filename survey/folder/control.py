@@ -15,7 +15,7 @@ from survey.control.points import Checkpoint, Control
 from survey.control.reading import Gathered, gather, read_control
 from survey.control.tables import read_checkpoints
 from survey.display.words import named
-from survey.folder.config_control import DEFAULT_MARKS_STD_PX, DEFAULT_STD_M, ControlConfig
+from survey.folder.config_control import DEFAULT_MARKS_STD_PX, DEFAULT_STD_M, ControlConfig, per_direction
 from survey.photos.exif import Exif
 
 
@@ -107,10 +107,9 @@ def place_control(
     checkpoints = checkpoints_in_local(found.checkpoints, frame)
     if found.gathered is None:
         return None, checkpoints
-    std_m, marks_std_px = found.config.std_m, found.config.marks_std_px
-    if std_m is None or marks_std_px is None:
-        raise ValueError("the standard deviations of control are not filled in; expected what `find_control` returns")
-    std = (std_m[0], std_m[0], std_m[1]) if isinstance(std_m, tuple) else (std_m, std_m, std_m)
+    std, marks_std_px = per_direction(found.config.std_m), found.config.marks_std_px
+    if marks_std_px is None:
+        raise ValueError("[control] marks_std_px is not filled in; expected what `find_control` returns")
     warnings += named(
         without_pose(found.gathered.marks, views), "photograph", "with marks of control has no pose, its marks left out"
     )

@@ -8,16 +8,21 @@ from pathlib import Path
 from pyproj import CRS
 
 from geo.crs import parse_crs
+from geo.grids import use_grids
 from survey.errors import FILE_NAME, ConfigError, PosesError, SurveyError
 from survey.folder import infer
 from survey.folder.config import SurveyConfig, read_config
 from survey.folder.control import FoundControl, find_control
+from survey.folder.head_doubts import head_doubts
+from survey.folder.level_observation import LevelObservation
 from survey.folder.water_level import with_level
 from survey.photos.exif import Exif, read_exif
 from survey.photos.formats import find_poses, find_unread
 from survey.photos.images import list_images
 
 MIN_VIEWS = 3
+# Where a survey may have the grid of the geoid under its heights.
+GRIDS_FOLDER = "geoid"
 # Where OpenDroneMap looks for control points.
 _GCP_LIST = "gcp_list.txt"
 
@@ -41,6 +46,8 @@ class Found:
     assumptions, warnings : sentences
     control : FoundControl or None
         Control and check points in crs; None where survey.toml names none.
+    levels : tuple of LevelObservation
+        What was measured of the water level; clicks in photographs are not among them before the poses are known.
     """
 
     folder: Path
@@ -52,6 +59,7 @@ class Found:
     assumptions: tuple[str, ...]
     warnings: tuple[str, ...]
     control: FoundControl | None = None
+    levels: tuple[LevelObservation, ...] = ()
 
 
 def find_survey(folder: Path) -> Found:
@@ -76,16 +84,14 @@ def find_survey(folder: Path) -> Found:
         config = infer.config_of_images(folder, config, heads, poses_path, assumptions)
     if config.crs is None:
         raise ConfigError(f"{toml}: crs is missing; {infer.crs_advice(heads)}")
+    use_grids(folder / GRIDS_FOLDER)
     crs = parse_crs(config.crs, where=f"crs in {toml}" if toml.is_file() else "the inferred crs")
-    config = with_level(folder, config, heads, assumptions)
+    config, levels = with_level(folder, config, heads, crs, assumptions)
     if poses_path is not None and config.water is not None:
         config.water.require_level()
-    warnings = _turned(heads)
+    warnings = head_doubts(heads)
     if poses_path is None:
-        _require_positions(folder, heads)
-        warnings += [
-            f"{name} is not read; export a COLMAP model or cameras.csv instead" for name in find_unread(folder)
-        ]
+        warnings += find_unread(folder)
     if config.cameras.rotation_std_deg is not None and poses_path is None:
         warnings.append(
             "[cameras] rotation_std_deg is not used: it is that of poses from a file, and structure from motion finds "
@@ -97,7 +103,8 @@ def find_survey(folder: Path) -> Found:
     if config.control.files:
         control = find_control(folder, config.control, crs, heads, assumptions, warnings)
         config = replace(config, control=control.config)
-    return Found(folder, config, crs, images, heads, poses_path, tuple(assumptions), tuple(warnings), control)
+    said = tuple(assumptions), tuple(warnings)
+    return Found(folder, config, crs, images, heads, poses_path, *said, control, levels)
 
 
 def _poses_path(folder: Path, config: SurveyConfig, assumptions: list[str]) -> Path | None:
@@ -116,23 +123,3 @@ def _poses_path(folder: Path, config: SurveyConfig, assumptions: list[str]) -> P
         return None
     assumptions.append(f"the poses are those in {paths[0].relative_to(folder).as_posix()}, the only poses found")
     return paths[0]
-
-
-def _require_positions(folder: Path, heads: dict[str, Exif]) -> None:
-    """Raise where there are neither poses nor enough GPS positions to find them in crs."""
-    num = sum(head.lat_lon_height is not None for head in heads.values())
-    if num < MIN_VIEWS:
-        raise PosesError(
-            f"{folder} has no poses file, and {num} of {len(heads)} images have a GPS position in EXIF, expected at "
-            f"least {MIN_VIEWS}; name a file of poses in [cameras] poses in {FILE_NAME}"
-        )
-
-
-def _turned(heads: dict[str, Exif]) -> list[str]:
-    num = sum(head.orientation != 1 for head in heads.values())
-    if not num:
-        return []
-    return [
-        f"EXIF marks {num} of {len(heads)} images as rotated; pixels are used as stored and poses are assumed to refer "
-        "to them"
-    ]

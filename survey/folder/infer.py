@@ -8,11 +8,15 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
+from geo.crs import utm_code
 from survey.errors import FILE_NAME, ConfigError
 from survey.folder.config import ImagesConfig, SurveyConfig
 from survey.folder.plausible import distances_to_exif
+from survey.folder.posed import middle_of_geocentric, points_in_crs
 from survey.photos.exif import SUFFIXES, Exif, utm_code_of
-from survey.photos.formats import colmap, read_poses
+from survey.photos.formats import read_poses
+from survey.photos.names import ImageNames
+from survey.photos.poses import PoseFile, PoseFrame
 
 # EXIF counts heights from the sea level; receivers mean the geoid model EGM96 by that.
 _EGM96_HEIGHT = 5773
@@ -47,30 +51,35 @@ def config_of_images(
     poses_path: Path | None,
     assumptions: list[str],
 ) -> SurveyConfig:
-    """Settings from the GPS positions in EXIF; every assumption is added to the list.
+    """Settings from the GPS positions in EXIF, else from geocentric poses; every assumption is added to the list.
 
     Raises
     ------
     ConfigError
         Where there is too little to infer them from.
     """
-    code = utm_code_of(heads)
+    file = None if poses_path is None else read_poses(poses_path)
+    by_exif = utm_code_of(heads)
+    code = by_exif
+    if code is None and file is not None and file.frame is PoseFrame.GEOCENTRIC:
+        lon, lat = middle_of_geocentric(file)
+        code = utm_code(lat, lon)
     if code is None:
         raise ConfigError(
             f"{folder} has no {FILE_NAME}, and no image has a GPS position to infer it from; write {FILE_NAME} with "
             f"{_EXAMPLE}"
         )
-    if poses_path is not None and colmap.is_model(poses_path):
+    if file is not None and file.frame is PoseFrame.LOCAL:
         raise ConfigError(
-            f"{folder} has no {FILE_NAME}, and the model in {poses_path} is not georeferenced; write "
+            f"{folder} has no {FILE_NAME}, and the poses in {poses_path} are not georeferenced; write "
             f"{FILE_NAME} with crs and [local] origin = [easting, northing, height]"
         )
     crs = f"EPSG:{code}+{_EGM96_HEIGHT}"
-    if poses_path is not None:
-        _require_same_place(CRS(crs), poses_path, heads)
+    if by_exif is not None and file is not None and poses_path is not None:
+        _require_same_place(CRS(crs), file, poses_path, heads)
     assumptions += [
-        f'crs = "{crs}", the UTM zone of the GPS positions, with heights taken as they are in '
-        f"{'EXIF' if poses_path is None else poses_path.name}: above mean sea level",
+        f'crs = "{crs}", the UTM zone of the {"GPS positions" if by_exif is not None else "poses"}, with heights '
+        f"taken as they are in {'EXIF' if poses_path is None else poses_path.name}: above mean sea level",
         "no water: for a bed under water write survey.toml with [water] level_m, in the same heights",
     ]
     return replace(config, crs=crs)
@@ -82,9 +91,12 @@ def crs_advice(heads: dict[str, Exif]) -> str:
     return f'give the one of poses and heights, with a vertical part, e.g. crs = "EPSG:{code}+{_EGM96_HEIGHT}"'
 
 
-def _require_same_place(crs: CRS, poses_path: Path, heads: dict[str, Exif]) -> None:
-    poses = {pose.name: pose.centre for pose in read_poses(poses_path)}
-    distances = distances_to_exif(crs, poses, heads)
+def _require_same_place(crs: CRS, file: PoseFile, poses_path: Path, heads: dict[str, Exif]) -> None:
+    centres = points_in_crs(file, np.array([pose.centre for pose in file.poses]), crs, "crs")
+    names = ImageNames(heads)
+    called = [names.find(pose.name) for pose in file.poses]
+    known = {name: centre for name, centre in zip(called, centres, strict=True) if name is not None}
+    distances = distances_to_exif(crs, known, heads)
     if not distances.size or np.median(distances) > _SAME_PLACE_M:
         raise ConfigError(
             f"{poses_path} does not fit the GPS positions of the images in the UTM zone {crs.sub_crs_list[0].name}; "

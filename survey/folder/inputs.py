@@ -10,7 +10,7 @@ from survey.folder import infer
 from survey.folder.config import read_config
 from survey.folder.water_level import SOURCES
 from survey.photos.exif import SUFFIXES
-from survey.photos.formats import find_poses
+from survey.photos.formats import find_poses, pose_files
 
 
 def survey_inputs(folder: Path) -> ReadFiles:
@@ -39,5 +39,5 @@ def survey_inputs(folder: Path) -> ReadFiles:
 
 
 def poses_inputs(path: Path) -> ReadFiles:
-    """The files of poses: a table, or those of a COLMAP model, but not what lies below the folder of a model."""
-    return ReadFiles.of(*(file for file in path.iterdir() if file.is_file())) if path.is_dir() else ReadFiles.of(path)
+    """The files of poses: a table, or those of a model or project, but not what lies below its folder."""
+    return ReadFiles.of(*pose_files(path))

@@ -2,10 +2,34 @@
 
 from __future__ import annotations
 
-from refract.lens import MODELS, Lens, LensError
+import math
+
+from refract.lens import MODELS, Lens, LensError, coefficients_of
 from survey.errors import FILE_NAME, ConfigError
 from survey.folder.config import CamerasConfig
 from survey.photos.exif import Exif
+
+
+def lenses_from_config(cameras: CamerasConfig, heads: dict[str, Exif], assumptions: list[str]) -> dict[str, Lens]:
+    """The lens of each image: one for all, or one for each camera where survey.toml has no number of them.
+
+    Cameras are told apart by maker and model, size, and focal length in EXIF. Parameters and errors are those of
+    `lens_from_config`.
+    """
+    groups: dict[tuple, dict[str, Exif]] = {}
+    if (cameras.size_px, cameras.focal_px, cameras.principal_point_px, cameras.distortion) == (None,) * 4:
+        for name, head in heads.items():
+            # Focal lengths within 1 % are roundings of one.
+            focal = None if head.focal_px is None else round(100.0 * math.log(head.focal_px))
+            groups.setdefault((head.camera, head.size_px, focal), {})[name] = head
+    if len(groups) < 2 or any(head.focal_px is None for head in heads.values()):
+        return dict.fromkeys(heads, lens_from_config(cameras, heads, assumptions))
+    lenses: dict[str, Lens] = {}
+    for (camera, _, _), own in groups.items():
+        notes: list[str] = []
+        lenses |= dict.fromkeys(own, lens_from_config(cameras, own, notes))
+        assumptions += [f"{camera or 'a camera without a name'}, {len(own)} images: {note}" for note in notes]
+    return lenses
 
 
 def lens_from_config(cameras: CamerasConfig, heads: dict[str, Exif], assumptions: list[str]) -> Lens:
@@ -37,7 +61,7 @@ def lens_from_config(cameras: CamerasConfig, heads: dict[str, Exif], assumptions
             f"[cameras] model {model} has one focal length, but focal_px is [{fx:g}, {fy:g}] in {FILE_NAME}; give "
             "one number, or a model with fx and fy"
         )
-    coefficients = [name for name in names if name[0] in "kp"]
+    coefficients = coefficients_of(model)
     given = cameras.distortion or ()
     if len(given) != len(coefficients):
         raise ConfigError(

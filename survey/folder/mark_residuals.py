@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from refract import FlatWater
-from refract.lens import distorted
 from survey.control.points import Control
 from survey.display.words import named
 from survey.photos.cameras import View
@@ -28,7 +27,7 @@ def mark_residuals(control: Control, views: Sequence[View], water: FlatWater | N
     found = []
     for mark in control.marks:
         view = by_name[mark.view]
-        shown = distorted(view.lens, np.atleast_2d(view.camera.project(local[mark.point], water)))[0]
+        shown = view.camera.project(local[mark.point], water)
         found.append(np.linalg.norm(np.array(mark.pixel) - shown))
     return np.array(found)
 

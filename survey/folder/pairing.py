@@ -1,57 +1,69 @@
-"""Photographs paired with their poses by name, with lens and mask."""
+"""Photographs paired with their poses by name, with their lenses."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 
 from survey.display.words import named
 from survey.errors import ImageError, PosesError
+from survey.files.csv_table import shortened
 from survey.folder.found import MIN_VIEWS, Found
-from survey.folder.lens import lens_from_config
-from survey.photos.cameras import Pose, View
+from survey.folder.lens import lenses_from_config
+from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.photos.images import require_complete
-from survey.photos.names import name_key
+from survey.photos.names import ImageNames, name_key
+from survey.photos.poses import Pose
 
 
-def pair(found: Found, poses: list[Pose], warnings: list[str]) -> list[Pose]:
-    """The poses that have an image, under the name of that image.
+def pair(found: Found, poses: Sequence[Pose], warnings: list[str]) -> dict[str, Pose]:
+    """The poses that have an image, under the name of that image, by the name that their file has.
 
     Warns of images without a pose and of poses without an image. Where no name matches exactly, case, the encoding of
-    accents and a suffix that only one of the two has are ignored.
+    accents, a suffix that only one of the two has and, last, folders are ignored.
 
     Raises
     ------
     PosesError
         If fewer than three are left.
     """
-    keys: dict[str, list[str]] = {}
-    for name in found.images:
-        for key in (name_key(name), name_key(str(PurePosixPath(name).with_suffix("")))):
-            keys.setdefault(key, []).append(name)
+    names = ImageNames(found.images)
     paired: dict[str, Pose] = {}
+    taken: set[str] = set()
     unmatched = []
-    for pose in poses:
-        candidates = keys.get(name_key(pose.name), [])
-        image = pose.name if pose.name in found.images else candidates[0] if len(candidates) == 1 else None
-        if image is None or image in paired:
+    # Exact names first, so that no other one takes their image.
+    for pose in sorted(poses, key=lambda pose: pose.name not in found.images):
+        image = names.find(pose.name)
+        if image is None or image in taken or not _same_tail(pose.name, image):
             unmatched.append(pose.name)
         else:
-            paired[image] = replace(pose, name=image)
-    without_pose = [name for name in found.images if name not in paired]
+            taken.add(image)
+            paired[pose.name] = replace(pose, name=image)
+    without_pose = [name for name in found.images if name not in taken]
     if len(paired) < MIN_VIEWS:
         mend = "add photographs with poses"
         if unmatched and without_pose:
-            mend = f'make the names in the poses those of the images ("{unmatched[0]}" against "{without_pose[0]}")'
+            mend = (
+                f'make the names in the poses those of the images ("{shortened(unmatched[0])}" against '
+                f'"{without_pose[0]}")'
+            )
         raise PosesError(
             f"only {len(paired)} of the {len(poses)} poses in {found.poses_path} belong to one of the "
             f"{len(found.images)} images in {found.folder / found.config.images.dir}, expected at least {MIN_VIEWS}; "
             f"{mend}"
         )
     warnings += named(without_pose, "image", "without a pose, left out")
-    warnings += named(unmatched, "pose", "without an image, left out")
-    return list(paired.values())
+    warnings += named([shortened(name) for name in unmatched], "pose", "without an image, left out")
+    return paired
+
+
+def _same_tail(called: str, image: str) -> bool:
+    """Whether the folders of two names do not contradict each other: one path may begin further up."""
+    a, b = (PurePosixPath(name_key(name.strip())).parts[:-1] for name in (called, image))
+    shared = min(len(a), len(b))
+    return a[len(a) - shared :] == b[len(b) - shared :]
 
 
 def with_lenses(found: Found, poses: list[Pose], assumptions: list[str], warnings: list[str]) -> list[Pose]:
@@ -59,8 +71,8 @@ def with_lenses(found: Found, poses: list[Pose], assumptions: list[str], warning
     cameras = found.config.cameras
     lens = poses[0].lens
     if lens is None or any(pose.lens is None for pose in poses):
-        of_config = lens_from_config(cameras, {pose.name: found.heads[pose.name] for pose in poses}, assumptions)
-        return [replace(pose, lens=pose.lens or of_config) for pose in poses]
+        of_config = lenses_from_config(cameras, {pose.name: found.heads[pose.name] for pose in poses}, assumptions)
+        return [replace(pose, lens=pose.lens or of_config[pose.name]) for pose in poses]
     own, size = lens.focal[0], (lens.width, lens.height)
     given = cameras.focal_px[0] if isinstance(cameras.focal_px, tuple) else cameras.focal_px
     if given is not None and abs(given / own - 1.0) > 0.01:
@@ -75,29 +87,6 @@ def with_lenses(found: Found, poses: list[Pose], assumptions: list[str], warning
     return poses
 
 
-def with_masks(found: Found, views: list[View], warnings: list[str]) -> list[View]:
-    """The views with their masks: files named like the image, with .png instead of its suffix, or with .png appended.
-
-    Raises
-    ------
-    ImageError
-        If the folder does not exist or has no mask of any view.
-    """
-    if found.config.images.masks is None:
-        return views
-    folder = found.folder / found.config.images.masks
-    if not folder.is_dir():
-        raise ImageError(f"the mask folder {folder} does not exist; correct [images] masks in survey.toml")
-    masked = [replace(view, mask_path=_mask_path(folder / view.name)) for view in views]
-    without = [view.name for view in masked if view.mask_path is None]
-    if len(without) == len(views):
-        raise ImageError(
-            f"no mask in {folder} has the name of an image, expected e.g. {Path(views[0].name).stem}.png; rename them"
-        )
-    warnings += named(without, "image", "without a mask, used whole")
-    return masked
-
-
 def require_image(view: View, head: Exif) -> None:
     """Raise ImageError where an image does not have the size of its camera, or is cut off."""
     expected = (view.lens.width, view.lens.height)
@@ -110,8 +99,3 @@ def require_image(view: View, head: Exif) -> None:
             f"as its camera has; {mend}"
         )
     require_complete(view.path)
-
-
-def _mask_path(like: Path) -> Path | None:
-    candidates = (like, like.with_name(like.name + ".png"), like.with_suffix(".png"))
-    return next((path for path in candidates if path.is_file()), None)

@@ -14,16 +14,18 @@ from survey.errors import FILE_NAME, ConfigError, PosesError
 from survey.folder.config import SurveyConfig, WaterConfig
 from survey.folder.config_water import MOST_LEVEL_STD_M
 from survey.folder.found import Found
+from survey.folder.posed import cams_from_local, points_in_crs
 from survey.folder.water import refractive_index
-from survey.photos.cameras import Pose, View
+from survey.photos.cameras import View
+from survey.photos.poses import Pose, PoseFile, PoseFrame
 
 # Where the search for an unknown level starts: over this quantile of the heights of the points, by this share of the
 # flying height, which few waters are deeper than.
 _TOP_OF_POINTS, _START_OVER_POINTS = 0.95, 0.1
 
 
-def views_in_local(found: Found, poses: list[Pose]) -> tuple[LocalFrame, list[View]]:
-    """The local frame of a survey with poses, and its views.
+def views_in_local(found: Found, file: PoseFile, poses: list[Pose]) -> tuple[LocalFrame, list[View]]:
+    """The local frame of a survey with poses, and the views of some poses of the file.
 
     The frame is that of [local] where the poses are in it; else it lies under the middle of the cameras, at
     the height of the water, or of the lowest camera of a dry survey.
@@ -31,16 +33,18 @@ def views_in_local(found: Found, poses: list[Pose]) -> tuple[LocalFrame, list[Vi
     Raises
     ------
     ConfigError
-        If poses are in a local frame without an origin.
+        If poses are in a local frame without an origin, or need a grid of the geoid that is not installed.
     PosesError, PlaceMismatch
-        If a position does not lie on the map of crs.
+        If a position does not lie on the map of crs, or the file counts heights from another datum.
     """
-    if not poses[0].in_crs:
-        return _views_of_local_poses(found, poses)
     centres = np.array([pose.centre for pose in poses])
-    frame = LocalFrame(found.crs, _origin(found, centres))
-    local = frame.local_from_crs(centres)
-    local_from_grid = frame.local_from_grid(centres)
+    if file.frame is PoseFrame.LOCAL:
+        frame = _given_frame(found)
+        return frame, [_view(found, pose, pose.centre, pose.cam_from_world) for pose in poses]
+    in_crs = points_in_crs(file, centres, found.crs, found.config.cameras.gps_height)
+    known = np.isfinite(in_crs).all(axis=1)
+    frame = LocalFrame(found.crs, _origin(found, in_crs[known] if known.any() else in_crs))
+    local = frame.local_from_crs(in_crs)
     lost = ~np.isfinite(local).all(axis=1)
     if lost.any():
         bad = poses[int(np.argmax(lost))]
@@ -48,21 +52,20 @@ def views_in_local(found: Found, poses: list[Pose]) -> tuple[LocalFrame, list[Vi
             f"the position {bad.centre.tolist()} of {bad.name} in {found.poses_path} is not on the map of "
             f"{found.crs.name}; correct it, or crs in {FILE_NAME}"
         )
+    rotations = cams_from_local(file, poses, in_crs, frame)
     return frame, [
-        _view(found, pose, centre, pose.cam_from_world @ rotation.T)
-        for pose, centre, rotation in zip(poses, local, local_from_grid, strict=True)
+        _view(found, pose, centre, rotation) for pose, centre, rotation in zip(poses, local, rotations, strict=True)
     ]
 
 
-def _views_of_local_poses(found: Found, poses: list[Pose]) -> tuple[LocalFrame, list[View]]:
+def _given_frame(found: Found) -> LocalFrame:
     origin = found.config.local.origin
     if origin is None:
         raise ConfigError(
             f"the poses in {found.poses_path} are in a local frame, but {FILE_NAME} does not give its place; give "
             "[local] origin = [easting, northing, height] of its zero point in crs"
         )
-    frame = LocalFrame(found.crs, origin)
-    return frame, [_view(found, pose, pose.centre, pose.cam_from_world) for pose in poses]
+    return LocalFrame(found.crs, origin)
 
 
 def _view(found: Found, pose: Pose, centre: np.ndarray, cam_from_local: np.ndarray) -> View:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from pyproj import CRS, Geod, Transformer
 
@@ -11,6 +13,7 @@ from refract import FlatWater
 from survey.display.words import named
 from survey.errors import FILE_NAME, ConfigError, PosesError
 from survey.folder.config import SurveyConfig, WaterConfig
+from survey.folder.datum_mixups import above_start_of, explanation, place_of
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 
@@ -24,8 +27,19 @@ _ONE_SURVEY_M = 20e3
 _EXIF_DOUBT_M = 50.0
 
 
-def require_true(frame: LocalFrame, views: list[View], water: FlatWater | None, config: SurveyConfig) -> None:
+def require_true(
+    frame: LocalFrame,
+    views: list[View],
+    water: FlatWater | None,
+    config: SurveyConfig,
+    heads: Mapping[str, Exif],
+    *,
+    see_points: bool = False,
+) -> None:
     """Raise where cameras lie under the water, far above it, look at the sky, or far from the bounds.
+
+    Cameras of a dry survey may look up where they see tie points of their poses file (`see_points`), at a cliff or a
+    house.
 
     Raises
     ------
@@ -33,7 +47,7 @@ def require_true(frame: LocalFrame, views: list[View], water: FlatWater | None, 
         With the heights that were found.
     """
     rises = np.array([view.camera.cam_from_local[2, 2] for view in views])
-    if (rises > 0.0).mean() > 0.5:
+    if (rises > 0.0).mean() > 0.5 and not (see_points and water is None):
         raise PosesError(
             f"{int((rises > 0.0).sum())} of {len(views)} cameras look up at the sky, expected down at the bed; check "
             "the convention of the angles (omega, phi, kappa about the grid axes; camera x right, y up, z back)"
@@ -41,7 +55,7 @@ def require_true(frame: LocalFrame, views: list[View], water: FlatWater | None, 
     centres = np.array([view.camera.centre for view in views])
     _require_together(frame, views, centres)
     if water is not None and config.water is not None:
-        _require_above_water(frame, views, -water.depth(centres), config.water)
+        _require_above_water(frame, views, -water.depth(centres), config.water, heads)
     if config.area.bounds is not None:
         _require_bounds_near(frame, centres, config.area.bounds)
 
@@ -57,10 +71,13 @@ def _require_together(frame: LocalFrame, views: list[View], centres: np.ndarray)
         )
 
 
-def _require_above_water(frame: LocalFrame, views: list[View], over_water: np.ndarray, water: WaterConfig) -> None:
-    unit = height_unit_m(frame.crs)
-    heights = frame.crs_from_local(np.array([view.camera.centre for view in views]))[:, 2] * unit
-    _require_level_fits(water, "the cameras are", heights, over_water, f"the poses ({frame.crs.name})")
+def _require_above_water(
+    frame: LocalFrame, views: list[View], over_water: np.ndarray, water: WaterConfig, heads: Mapping[str, Exif]
+) -> None:
+    centres = frame.crs_from_local(np.array([view.camera.centre for view in views]))
+    heights, at = centres[:, 2] * height_unit_m(frame.crs), place_of(frame.crs, np.median(centres, axis=0))
+    why = explanation(float(np.median(over_water)), water.known_level_m, at, frame.crs, above_start_of(heads))
+    _require_level_fits(water, "the cameras are", heights, over_water, f"the poses ({frame.crs.name}){why}")
     lowest = int(np.argmin(over_water))
     if over_water[lowest] <= 0.0:
         raise PosesError(
@@ -70,7 +87,7 @@ def _require_above_water(frame: LocalFrame, views: list[View], over_water: np.nd
         )
 
 
-def require_level_fits_exif(config: SurveyConfig, heads: dict[str, Exif]) -> None:
+def require_level_fits_exif(config: SurveyConfig, heads: dict[str, Exif], crs: CRS) -> None:
     """Raise where the level cannot fit the heights in EXIF, which structure from motion would use.
 
     Raises
@@ -78,12 +95,15 @@ def require_level_fits_exif(config: SurveyConfig, heads: dict[str, Exif]) -> Non
     ConfigError
         Where all images lie under the water or far above it.
     """
-    heights = np.array([h.lat_lon_height[2] for h in heads.values() if h.lat_lon_height is not None])
-    heights = heights[np.isfinite(heights)]
+    places = np.array([h.lat_lon_height for h in heads.values() if h.lat_lon_height is not None]).reshape(-1, 3)
+    places = places[np.isfinite(places).all(axis=1)]
+    heights = places[:, 2]
     if config.water is None or config.water.level_m is None or config.cameras.gps_height != "crs" or not heights.size:
         return
     over_water = heights - config.water.known_level_m
-    _require_level_fits(config.water, "EXIF has the cameras", heights, over_water, "the heights in EXIF")
+    lat, lon, _ = np.median(places, axis=0).tolist()
+    why = explanation(float(np.median(over_water)), config.water.known_level_m, (lat, lon), crs, above_start_of(heads))
+    _require_level_fits(config.water, "EXIF has the cameras", heights, over_water, f"the heights in EXIF{why}")
 
 
 def _require_level_fits(water: WaterConfig, who: str, heights: np.ndarray, over_water: np.ndarray, like: str) -> None:

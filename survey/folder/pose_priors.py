@@ -14,10 +14,15 @@ from survey.folder.config_std import per_axis
 from survey.folder.found import Found
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
-from survey.sfm.gps import gps_positions
+from survey.sfm.gps import positions_in_crs
 
 # What DJI calls a position whose carrier phases are resolved; its standard deviations are those of the receiver.
 _RTK_FIXED = 50
+# Receivers of other makers state an accuracy without saying how they came by it. One of centimetres comes from
+# corrections; the errors of one of metres are nearly the same in all photographs, and it says nothing of them.
+_WELL_KNOWN_M = 0.1
+# Positions before the adjustment of another program, with the accuracy that its file gives them.
+BY_FILE = "GPS in the poses file"
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +39,8 @@ class PosePrior:
         Of the rotation that the view was loaded with, about the axes of local. None where that rotation was found by
         structure from motion, or its accuracy is not known.
     source : str
-        Of the standard deviation, "survey.toml" or "XMP RTK"; without one, of the position: "GPS EXIF", "poses file",
-        or "none".
+        Of the standard deviation, "survey.toml", "XMP RTK", "XMP accuracy" or `BY_FILE`; without one, of the position:
+        "GPS EXIF", "poses file", or "none".
     """
 
     position: np.ndarray | None
@@ -44,12 +49,22 @@ class PosePrior:
     source: str
 
 
-def priors_of_poses(cameras: CamerasConfig, views: Sequence[View]) -> dict[str, PosePrior]:
-    """Of views with poses from a file: these poses, as accurate as [cameras] says."""
+def priors_of_poses(
+    cameras: CamerasConfig, views: Sequence[View], given: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None
+) -> dict[str, PosePrior]:
+    """Of views with poses from a file: these poses, as accurate as [cameras] says.
+
+    Where it says nothing, the positions [m], local, and standard deviations [m] that the file gives for before its
+    adjustment, by name of the view.
+    """
     position_std = None if cameras.position_std_m is None else np.array(per_axis(cameras.position_std_m))
     rotation_std = None if cameras.rotation_std_deg is None else np.array(per_axis(cameras.rotation_std_deg))
     source = "poses file" if position_std is None else "survey.toml"
-    return {view.name: PosePrior(view.camera.centre, position_std, rotation_std, source) for view in views}
+    priors = {view.name: PosePrior(view.camera.centre, position_std, rotation_std, source) for view in views}
+    if position_std is None:
+        for name, (position, std) in (given or {}).items():
+            priors[name] = PosePrior(position, std, rotation_std, BY_FILE)
+    return priors
 
 
 def priors_of_gps(found: Found, frame: LocalFrame, views: Sequence[View]) -> dict[str, PosePrior]:
@@ -58,9 +73,8 @@ def priors_of_gps(found: Found, frame: LocalFrame, views: Sequence[View]) -> dic
     As accurate as [cameras] says, else as XMP does, where the receiver had a fixed solution.
     """
     cameras = found.config.cameras
-    gps = gps_positions(found.heads, found.crs, cameras.gps_height)
-    # By crs, for the two frames have different origins.
-    local = {name: frame.local_from_crs(gps.frame.crs_from_local(p)) for name, p in gps.local.items()}
+    positions = positions_in_crs(found.heads, found.crs, cameras.gps_height, [])
+    local = {name: frame.local_from_crs(position) for name, position in positions.items()}
     return {view.name: _by_gps(cameras, local.get(view.name), found.heads[view.name]) for view in views}
 
 
@@ -70,6 +84,8 @@ def _std_by_exif(cameras: CamerasConfig, head: Exif) -> tuple[np.ndarray | None,
         return np.array(per_axis(cameras.position_std_m)), "survey.toml"
     if head.rtk is not None and head.rtk.flag == _RTK_FIXED:
         return np.array(head.rtk.std_m), "XMP RTK"
+    if head.std_m is not None and max(head.std_m) <= _WELL_KNOWN_M:
+        return np.array(head.std_m), "XMP accuracy"
     return None, "GPS EXIF"
 
 

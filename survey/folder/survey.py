@@ -8,24 +8,32 @@ from pathlib import Path
 
 import numpy as np
 
+from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from refract import FlatWater
-from survey.control.placing import require_near
 from survey.control.points import Checkpoint, Control
 from survey.errors import FILE_NAME, SurveyError
 from survey.folder import place
-from survey.folder.camera_faults import angle_doubts, require_apart, require_focal_lengths
+from survey.folder.camera_faults import require_apart, require_focal_lengths
+from survey.folder.checked_control import checked_control, moved
 from survey.folder.config import SurveyConfig, WaterConfig
 from survey.folder.control import place_control
+from survey.folder.datum_mixups import exif_doubts, low_flight_doubts, place_of
+from survey.folder.file_poses import FilePoses, read_file_poses
 from survey.folder.found import Found, find_survey
+from survey.folder.level_observation import LevelObservation
 from survey.folder.mark_residuals import mark_doubts
-from survey.folder.pairing import pair, require_image, with_lenses, with_masks
+from survey.folder.masks import with_masks
+from survey.folder.pairing import require_image
 from survey.folder.plausible import doubts_of_places, require_true
-from survey.folder.pose_priors import PosePrior, priors_of_gps, priors_of_poses
+from survey.folder.pose_priors import PosePrior, priors_of_gps
+from survey.folder.reprojection import Reprojection
+from survey.folder.shutter import metres_per_px, shutter_doubts, with_motion
 from survey.folder.start_height import start_doubts
 from survey.folder.unposed import solve_views
+from survey.folder.velocities import Velocity, velocities_of
+from survey.folder.water_level import with_level_of_clicks
 from survey.photos.cameras import View
-from survey.photos.formats import read_points, read_poses
 from survey.photos.images import load_image, load_mask
 from survey.photos.tie_points import TiePoints
 
@@ -57,6 +65,11 @@ class Survey:
         These points with their places in the photographs as they were taken, where structure from motion found them.
     is_adjusted : bool
         Whether views and water are those of an adjustment with bent rays, and `points` too.
+    tool : str or None
+        The program that adjusted the poses of the poses file on straight rays; None where there is no file, or it does
+        not tell.
+    reprojection : Reprojection or None
+        How well tie points of the poses file fall back on their places; None where there are none.
     pose_misfit_px : float or None
         By how much photographs miss each other under the given poses [px]; below 0 where too little matches to tell,
         None where nobody has looked.
@@ -68,6 +81,10 @@ class Survey:
         Control points that the photographs show.
     checkpoints : tuple of Checkpoint
         Points that results are compared with; none where there is no file of them.
+    levels : tuple of LevelObservation
+        What was measured of the water level, of which `config` has the mean and its standard deviation.
+    velocities : dict of name to Velocity
+        Of the views of which anything tells it.
     """
 
     name: str
@@ -83,10 +100,14 @@ class Survey:
     ties: TiePoints | None = field(default=None, compare=False, repr=False)
     is_adjusted: bool = False
     is_level_known: bool = True
+    tool: str | None = None
+    reprojection: Reprojection | None = None
     pose_misfit_px: float | None = None
     priors: Mapping[str, PosePrior] = field(default_factory=dict, compare=False, repr=False)
     control: Control | None = field(default=None, compare=False, repr=False)
     checkpoints: tuple[Checkpoint, ...] = field(default=(), compare=False, repr=False)
+    levels: tuple[LevelObservation, ...] = field(default=(), compare=False, repr=False)
+    velocities: Mapping[str, Velocity] = field(default_factory=dict, compare=False, repr=False)
 
     def require_water(self) -> tuple[FlatWater, WaterConfig]:
         """The water plane and its settings, with level, place and index.
@@ -129,6 +150,7 @@ def load_survey(
     assumptions, warnings = list(found.assumptions), list(found.warnings)
     points: np.ndarray | None
     ties: TiePoints | None = None
+    file: FilePoses | None = None
     if found.poses_path is None:
         solved = solve_views(found, workspace, report)
         frame, points = solved.frame, solved.ties.start
@@ -137,19 +159,33 @@ def load_survey(
         assumptions += solved.assumptions
         warnings += solved.warnings
     else:
-        frame, views, points = _views_of_file(found, found.poses_path, assumptions, warnings)
-    views = with_masks(found, sorted(views, key=lambda view: view.name), warnings)
-    by_gps = found.poses_path is None
-    priors = priors_of_gps(found, frame, views) if by_gps else priors_of_poses(found.config.cameras, views)
+        file = read_file_poses(found, found.poses_path, assumptions, warnings)
+        found, frame, views, points = file.found, file.frame, file.views, file.points
+    views = sorted(views, key=lambda view: view.name)
+    views = with_masks(found, views, None if file is None else file.masks, assumptions, warnings)
+    priors: Mapping[str, PosePrior]
+    priors = priors_of_gps(found, frame, views) if file is None else file.priors
     for view in views:
         require_image(view, found.heads[view.name])
     control, checkpoints = place_control(found.control, frame, [view.name for view in views], warnings)
-    config, is_level_known = found.config, True
+    if file is None and control is not None:
+        checked = checked_control(found, frame, views, control, priors, warnings)
+        control, priors = checked.control, checked.priors
+        if checked.move is not None:
+            views, points, ties = moved(views, ties, checked.move)
+    places = {view.name: view.camera.centre for view in views}
+    velocities = velocities_of(places, found.heads, found.config.cameras.speed_m_s)
+    views = with_motion(views, velocities, found.config.cameras, warnings)
+    config, is_level_known, levels = found.config, True, found.levels
+    if file is None:
+        config, clicked = with_level_of_clicks(found.folder, config, views, frame, assumptions, warnings)
+        levels += clicked
     if config.water is not None and config.water.level_m is None:
         config, is_level_known = place.with_level_of_points(config, frame, views, points, assumptions), False
     config, water = place.water_in_local(config, frame, views, assumptions)
-    require_true(frame, views, water, config)
-    warnings += _doubts(found, frame, views, water, control)
+    seen = file is not None and file.reprojection is not None
+    require_true(frame, views, water, config, found.heads, see_points=seen)
+    warnings += _doubts(replace(found, config=config), frame, views, water, control)
     if found.poses_path is not None and found.poses_path.is_relative_to(found.folder):
         poses_name = found.poses_path.relative_to(found.folder).as_posix()
         config = replace(config, cameras=replace(config.cameras, poses=poses_name))
@@ -166,25 +202,14 @@ def load_survey(
         points=points,
         ties=ties,
         is_level_known=is_level_known,
+        tool=None if file is None else file.tool,
+        reprojection=None if file is None else file.reprojection,
         priors=priors,
         control=control,
         checkpoints=checkpoints,
+        levels=levels,
+        velocities=velocities,
     )
-
-
-def _views_of_file(
-    found: Found, poses_path: Path, assumptions: list[str], warnings: list[str]
-) -> tuple[LocalFrame, list[View], np.ndarray | None]:
-    """Local frame, views and points of a survey whose poses stand in a file."""
-    poses = pair(found, read_poses(poses_path), warnings)
-    points = read_points(poses_path)
-    poses = with_lenses(found, poses, assumptions, warnings)
-    warnings += angle_doubts(poses)
-    frame, views = place.views_in_local(found, poses)
-    if found.control is not None:
-        centres = np.array([view.camera.centre for view in views])
-        warnings += require_near(found.control.points, frame.crs_from_local(centres), frame.crs)
-    return frame, views, points
 
 
 def _doubts(
@@ -197,16 +222,29 @@ def _doubts(
     posed = found.poses_path is not None
     warnings = require_focal_lengths({view.name: view.lens for view in views}, found.heads) if posed else []
     warnings += require_apart(views, water) + doubts_of_places(frame, views, water, found.heads)
-    if found.config.cameras.rolling_shutter_s is not None:
-        warnings.append(
-            "[cameras] rolling_shutter_s is not used: rows are taken as exposed at once, and a photograph taken at 5 "
-            "m/s and read out in 30 ms is 15 cm longer or shorter than it shows; hover, or use a mechanical shutter"
-        )
     if not posed:
         return warnings
+    heads = {view.name: found.heads[view.name] for view in views}
+    warnings += shutter_doubts(found.config.cameras, heads, metres_per_px(views, water))
     if control is not None:
         warnings += mark_doubts(control, views, water)
     if water is not None:
         over_water = {view.name: float(-water.depth(view.camera.centre)) for view in views}
-        warnings += start_doubts(over_water, found.heads)
+        warnings += _height_doubts(found, frame, views, over_water)
     return warnings
+
+
+def _height_doubts(found: Found, frame: LocalFrame, views: list[View], over_water: Mapping[str, float]) -> list[str]:
+    """Warnings where heights of cameras over the water [m] and all else known of them can hardly belong together."""
+    if found.config.water is None:
+        return []
+    level_m, crs = found.config.water.known_level_m, frame.crs
+    centres = frame.crs_from_local(np.array([view.camera.centre for view in views]))
+    at, heads = place_of(crs, np.median(centres, axis=0)), {view.name: found.heads[view.name] for view in views}
+    heights_m = dict(zip(heads, (centres[:, 2] * height_unit_m(crs)).tolist(), strict=True))
+    warnings = low_flight_doubts(np.array(list(over_water.values())), level_m, at, crs)
+    return [
+        *warnings,
+        *start_doubts(over_water, found.heads, level_m, at, crs),
+        *exif_doubts(crs, heights_m, heads),
+    ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,17 +13,22 @@ from geo.frames import LocalFrame
 from refract.lens import Lens
 from survey.control.placing import require_near
 from survey.display.words import named
-from survey.errors import PosesError
+from survey.errors import ControlError, ImageError, PosesError
+from survey.folder.block_control import control_of_block, require_placing_control
 from survey.folder.camera_faults import require_focal_lengths
+from survey.folder.datum_mixups import place_of, xmp_doubts
 from survey.folder.found import MIN_VIEWS, Found
 from survey.folder.plausible import require_level_fits_exif
+from survey.folder.shutter import shutter_doubts
 from survey.folder.start_height import start_doubts
 from survey.names import RUN_FOLDER, SFM_FOLDER
 from survey.photos.cameras import View
 from survey.photos.images import require_complete
+from survey.photos.opening import HEIC_SUFFIXES
 from survey.photos.tie_points import TiePoints
-from survey.sfm.gps import gps_positions
+from survey.sfm.gps import MIN_POSITIONS, gps_positions, is_whole, positions_in_crs
 from survey.sfm.gps_fit import MIN_STD_M, require_area
+from survey.sfm.marked import BlockControl
 from survey.sfm.settings import one_focal, require_size
 
 
@@ -56,24 +61,63 @@ def require_solvable(found: Found) -> list[str]:
         If it would fail: sizes, focal length, heights, positions and images are checked, no pixel is decoded.
     """
     cameras = found.config.cameras
-    require_level_fits_exif(found.config, found.heads)
+    require_level_fits_exif(found.config, found.heads, found.crs)
     require_size(found.images, found.heads, cameras.size_px)
     focal = one_focal(cameras.focal_px)
-    positions = gps_positions(found.heads, found.crs, cameras.gps_height)
-    local = np.array(list(positions.local.values()))
-    require_area(local, MIN_STD_M)
-    cameras_crs = positions.frame.crs_from_local(local)
-    warnings = [] if found.control is None else require_near(found.control.points, cameras_crs, found.crs)
-    if found.config.water is not None and found.config.water.level_m is not None:
-        over_water = cameras_crs[:, 2] * height_unit_m(found.crs) - found.config.water.level_m
-        warnings += start_doubts(dict(zip(positions.local, over_water.tolist(), strict=True)), found.heads)
-    for path in found.images.values():
-        require_complete(path)
+    placing_control(found)
+    positions = positions_in_crs(found.heads, found.crs, cameras.gps_height, [])
+    warnings: list[str] = []
+    if positions:
+        cameras_crs = np.array(list(positions.values()))
+        warnings += [] if found.control is None else require_near(found.control.points, cameras_crs, found.crs)
+        if found.config.water is not None and found.config.water.level_m is not None:
+            over_water = cameras_crs[:, 2] * height_unit_m(found.crs) - found.config.water.level_m
+            over = dict(zip(positions, over_water.tolist(), strict=True))
+            at = place_of(found.crs, np.median(cameras_crs, axis=0))
+            warnings += start_doubts(over, found.heads, found.config.water.level_m, at, found.crs)
+    warnings += xmp_doubts(cameras.gps_height, found.crs, found.heads)
+    warnings += shutter_doubts(cameras, found.heads, None)
+    _require_readable(found.images)
     if focal is None:
         return warnings
     sizes = {name: head.size_px for name, head in found.heads.items()}
     lenses = {name: Lens("SIMPLE_PINHOLE", (focal, 0.5 * w, 0.5 * h), w, h) for name, (w, h) in sizes.items()}
     return warnings + require_focal_lengths(lenses, found.heads)
+
+
+def _require_readable(images: Mapping[str, Path]) -> None:
+    """Raise ImageError where an image is cut off, or of a format that structure from motion does not read."""
+    for path in images.values():
+        if path.suffix.lower() in HEIC_SUFFIXES:
+            raise ImageError(
+                f"{path} is HEIC, which structure from motion does not read; convert the images to JPEG with their "
+                "EXIF, or give poses made elsewhere in [cameras] poses"
+            )
+        require_complete(path)
+
+
+def placing_control(found: Found) -> BlockControl | None:
+    """The control that places a block of photographs; None where GPS positions do.
+
+    Raises
+    ------
+    PosesError, ControlError
+        If neither can.
+    """
+    num = sum(is_whole(head.lat_lon_height) for head in found.heads.values())
+    if num < MIN_POSITIONS:
+        return require_placing_control(found)
+    positions = gps_positions(found.heads, found.crs, found.config.cameras.gps_height)
+    try:
+        require_area(np.array(list(positions.local.values())), MIN_STD_M)
+    except PosesError as error:
+        if control_of_block(found) is None:
+            raise
+        try:
+            return require_placing_control(found)
+        except ControlError as lack:
+            raise ControlError(f"{error}; nor can control place them: {lack}") from lack
+    return None
 
 
 def solve_views(found: Found, workspace: Path | None, report: Callable[[str], None] | None) -> SolvedViews:
@@ -86,8 +130,11 @@ def solve_views(found: Found, workspace: Path | None, report: Callable[[str], No
     """
     warnings = require_solvable(found)
     # Slow to import, and needed only without poses.
-    from survey.sfm.poses import solve_poses
+    from survey.sfm.poses import image_names, solve_poses
 
+    names = {path.absolute(): name for name, path in found.images.items()}
+    name_of = {called: names[path] for called, path in image_names(list(found.images.values())).items()}
+    control = placing_control(found)
     result = solve_poses(
         list(found.images.values()),
         found.crs,
@@ -95,12 +142,12 @@ def solve_views(found: Found, workspace: Path | None, report: Callable[[str], No
         gps_height=found.config.cameras.gps_height,
         size_px=found.config.cameras.size_px,
         focal_px=found.config.cameras.focal_px,
+        control=None if control is None else control.with_views({name: called for called, name in name_of.items()}),
         report=report,
     )
-    by_file = {path.name: name for name, path in found.images.items()}
     views = []
-    for file_name, lens, centre, cam_from_local in result.views:
-        name = file_name if file_name in found.images else by_file[Path(file_name).name]
+    for called, lens, centre, cam_from_local in result.views:
+        name = name_of[called]
         views.append(View(name, found.images[name], lens.camera(centre, cam_from_local), lens))
     if len(views) < MIN_VIEWS:
         raise PosesError(

@@ -1,28 +1,43 @@
-"""The water level from measurements on site: points of the water surface, or a gauge.
+"""The water level from measurements on site: points of the water surface, a gauge, or clicks in photographs.
 
-    shoreline, gnss_points   CSV with easting, northing, height in crs: a plane is fitted
+    shoreline, gnss_points   CSV with easting, northing, height in crs, or GeoJSON: a plane is fitted
     gauge                    CSV with time, level: interpolated at the time of each photograph
+    clicks                   CSV with image, x, y, name: places of the waterline where rays meet
 
-Each is converted to level_m (and slopes) of [water] when the survey is read.
+Each is converted to level_m, its standard deviation (and slopes) of [water] when the survey is read; clicks when its
+poses are known. `survey.folder.level_observation` has the measurements themselves.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
+from pyproj import CRS
 
+from geo.crs import is_geographic
+from geo.frames import LocalFrame
 from survey.errors import FILE_NAME, ConfigError
-from survey.files.csv_table import Row, read_table
 from survey.folder.config import SurveyConfig
-from survey.folder.config_water import MOST_LEVEL_STD_M
+from survey.folder.config_water import MOST_LEVEL_STD_M, WaterConfig
+from survey.folder.level_clicks import levels_of_clicks
+from survey.folder.level_observation import (
+    COMMON_STD_M,
+    LevelObservation,
+    points_of_surface,
+    readings_of_gauge,
+)
+from survey.photos.cameras import View
 from survey.photos.exif import Exif
 
-SOURCES = ("shoreline", "gnss_points", "gauge")
+SOURCES = ("shoreline", "gnss_points", "gauge", "clicks")
+_POINTS = ("shoreline", "gnss_points")
+# A level in survey.toml without level_std_m is that of a staff.
+STAFF_STD_M = 0.02
 
 # Huber's constant: 95 % of the efficiency of least squares where errors are normal (P. J. Huber 1964).
 _HUBER = 1.345
@@ -33,6 +48,10 @@ _ROUNDS = 50
 _SIGNIFICANT = 3.0
 # Fewer points than this may lie on a tilted plane by chance.
 _LEAST_FOR_SLOPES = 6
+# Fewer points than this say too little of their scatter themselves.
+_FEW = 6
+_LEAST_STD_M = 1e-3
+_IN_WORDS = {1: "one", 3: "three"}
 # Water that rises by more than this during a flight [m] no longer has one level.
 MOST_RISE_M = 0.005
 
@@ -61,8 +80,12 @@ class SurfaceFit:
     num_points: int
 
 
-def with_level(folder: Path, config: SurveyConfig, heads: Mapping[str, Exif], notes: list[str]) -> SurveyConfig:
-    """Settings with the water level read from the file that [water] names; a sentence is added to the notes.
+def with_level(
+    folder: Path, config: SurveyConfig, heads: Mapping[str, Exif], crs: CRS, notes: list[str]
+) -> tuple[SurveyConfig, tuple[LevelObservation, ...]]:
+    """Settings with the water level read from the file that [water] names, and what was measured.
+
+    Clicks are left for `with_level_of_clicks`. Sentences are added to the notes.
 
     Raises
     ------
@@ -71,122 +94,149 @@ def with_level(folder: Path, config: SurveyConfig, heads: Mapping[str, Exif], no
     """
     water = config.water
     if water is None:
-        return config
-    name = next((s for s in SOURCES if getattr(water, s) is not None), None)
+        return config, ()
+    if water.level_m is not None:
+        std = STAFF_STD_M if water.level_std_m is None else water.level_std_m
+        return config, (LevelObservation(water.level_m, std, water.level_at, None, "level_m"),)
+    if water.gauge is not None:
+        readings = readings_of_gauge(folder / water.gauge)
+        return replace(config, water=_at_flight(water, folder / water.gauge, readings, heads, notes)), readings
+    name = next((source for source in _POINTS if getattr(water, source) is not None), None)
     if name is None:
-        return config
-    path = folder / getattr(water, name)
-    if name == "gauge":
-        level, note = _level_at_flight(path, heads)
-        notes.append(f"level_m = {level:.3f} from [water] gauge: {note}")
-        return replace(config, water=replace(water, level_m=level, gauge=None))
-    fit = fit_surface(read_points(path), with_slopes=water.slope_east == 0.0 == water.slope_north)
+        return config, ()
+    points = points_of_surface(folder / getattr(water, name), name, crs, notes)
+    return replace(config, water=_of_points(water, points, crs, notes)), points
+
+
+def with_level_of_clicks(
+    folder: Path,
+    config: SurveyConfig,
+    views: Sequence[View],
+    frame: LocalFrame,
+    notes: list[str],
+    warnings: list[str],
+) -> tuple[SurveyConfig, tuple[LevelObservation, ...]]:
+    """Settings with the water level where rays of clicks in the photographs meet, and the heights of all places.
+
+    Raises
+    ------
+    ConfigError
+        As `survey.folder.level_clicks.levels_of_clicks`.
+    """
+    water = config.water
+    if water is None or water.clicks is None:
+        return config, ()
+    places = levels_of_clicks(folder / water.clicks, views, frame, warnings)
+    return replace(config, water=_of_points(water, places, frame.crs, notes)), places
+
+
+def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS, notes: list[str]) -> WaterConfig:
+    """The water through points of its surface, with the standard deviation of its level at ``level_at``."""
+    source = points[0].source if points else "points"
+    coordinates = np.array([(*each.place, each.level_m) for each in points if each.place is not None]).reshape(-1, 3)
+    # Slopes in degrees of longitude are none.
+    free = water.slope_east == 0.0 == water.slope_north and not is_geographic(crs)
+    fit = fit_surface(
+        coordinates, np.array([each.std_m for each in points]), with_slopes=free, least=1 if source == "clicks" else 3
+    )
     # By the slopes, from the middle of the points to level_at.
     level_at = water.level_at or fit.level_at
     fit = replace(fit, slope_east=fit.slope_east or water.slope_east, slope_north=fit.slope_north or water.slope_north)
     away = np.subtract(level_at, fit.level_at)
     level = fit.level_m + fit.slope_east * away[0] + fit.slope_north * away[1]
-    std = math.sqrt(np.array([1.0, *away]) @ fit.covariance @ np.array([1.0, *away]))
+    common = COMMON_STD_M.get(source, 0.0)
+    std = math.hypot(math.sqrt(np.array([1.0, *away]) @ fit.covariance @ np.array([1.0, *away])), common)
+    shared = f", of which {common:g} m that all of them share" if common else ""
     notes.append(
-        f"level_m = {level:.3f} +- {std:.3f} from {fit.num_points} points in [water] {name}, slope "
-        f"{fit.slope_east:.5f} east and {fit.slope_north:.5f} north"
+        f"level_m = {level:.3f} +- {std:.3f} from {fit.num_points} points in [water] {source}, slope "
+        f"{fit.slope_east:.5f} east and {fit.slope_north:.5f} north{shared}"
     )
-    water = replace(
+    return replace(
         water,
         level_m=level,
         level_at=level_at,
         slope_east=fit.slope_east,
         slope_north=fit.slope_north,
         level_std_m=water.level_std_m or min(std, MOST_LEVEL_STD_M),
-        shoreline=None,
-        gnss_points=None,
+        **dict.fromkeys((*_POINTS, "clicks"), None),
     )
-    return replace(config, water=water)
 
 
-def fit_surface(points: np.ndarray, *, with_slopes: bool = True) -> SurfaceFit:
+def fit_surface(
+    points: np.ndarray, stds: np.ndarray | None = None, *, with_slopes: bool = True, least: int = 3
+) -> SurfaceFit:
     """A level surface, or a tilted plane where the points show one; robust against outliers.
 
     Parameters
     ----------
     points : (N, 3) easting, northing, height [m]
+    stds : (N,) [m], optional
+        How sure the heights are: weights, and what the scatter of few points is not believed to be below.
     with_slopes : bool
         Allow a tilt where it exceeds three standard deviations.
+    least : int
+        How many points are needed.
 
     Raises
     ------
     ConfigError
-        If there are fewer than three points.
+        If there are too few points.
     """
     points = np.asarray(points, dtype=np.float64)
-    if len(points) < 3:
+    if len(points) < least:
         raise ConfigError(
-            f"{len(points)} points of the water surface were found, expected three or more; measure more, or give "
-            "level_m"
+            f"{len(points)} points of the water surface were found, expected {_IN_WORDS[least]} or more; measure "
+            "more, or give level_m"
         )
+    stds = np.full(len(points), _LEAST_STD_M) if stds is None else stds
     middle = points[:, :2].mean(axis=0)
     level_at = (float(middle[0]), float(middle[1]))
     design = np.column_stack([np.ones(len(points)), points[:, :2] - middle])
     # Points along one line do not determine the slope across it.
     spread = np.linalg.svd(design[:, 1:], compute_uv=False)
     if with_slopes and len(points) >= _LEAST_FOR_SLOPES and spread[1] > 0.05 * spread[0]:
-        values, covariance = _robust(design, points[:, 2])
+        values, covariance = _robust(design, points[:, 2], stds)
         slopes, rough = values[1:], covariance[1:, 1:]
         if slopes @ np.linalg.solve(rough, slopes) > _SIGNIFICANT**2:
             level, east, north = values.tolist()
             return SurfaceFit(level, level_at, east, north, covariance, len(points))
-    values, covariance = _robust(design[:, :1], points[:, 2])
+    values, covariance = _robust(design[:, :1], points[:, 2], stds)
     padded = np.zeros((3, 3))
     padded[0, 0] = covariance[0, 0]
     return SurfaceFit(float(values[0]), level_at, 0.0, 0.0, padded, len(points))
 
 
-def _robust(design: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Huber's estimate and its covariance; the scatter is the median absolute deviation."""
-    weights = np.ones(len(heights))
+def _robust(design: np.ndarray, heights: np.ndarray, stds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Huber's estimate and its covariance, in units of the stated standard deviations.
+
+    The scatter is the median absolute deviation; of few points it tells little, and the stated one counts if larger.
+    """
+    design, heights = design / stds[:, None], heights / stds
+    weights, spare = np.ones(len(heights)), max(len(heights) - design.shape[1], 1)
     for _ in range(_ROUNDS):
         normal = design.T @ (weights[:, None] * design)
         values = np.linalg.solve(normal, design.T @ (weights * heights))
         residuals = heights - design @ values
+        scatter = float(np.median(np.abs(residuals))) / _MEDIAN_DEVIATION
         # Such files are rounded to a millimetre: the scatter is not smaller than that.
-        std = max(float(np.median(np.abs(residuals))) / _MEDIAN_DEVIATION, 1e-3)
+        std = max(scatter, _LEAST_STD_M / float(np.median(stds)), 1.0 if len(heights) < _FEW else 0.0)
         weights = np.minimum(1.0, _HUBER * std / np.maximum(np.abs(residuals), 1e-12))
-    spare = max(len(heights) - design.shape[1], 1)
     return values, np.linalg.inv(normal) * std**2 * len(heights) / spare
 
 
-def read_points(path: Path) -> np.ndarray:
-    """Points (N, 3) easting, northing, height of a CSV file with these columns.
+def _at_flight(
+    water: WaterConfig,
+    path: Path,
+    readings: Sequence[LevelObservation],
+    heads: Mapping[str, Exif],
+    notes: list[str],
+) -> WaterConfig:
+    """The water with the mean level over the photographs; a sentence on its spread is added to the notes.
 
-    Raises
-    ------
-    ConfigError
-        If the file or a column is missing, or a value is not a finite number.
+    Its standard deviation has that of a reading, the zero of the gauge, and the change during the flight.
     """
-    columns = ("easting", "northing", "height")
-    rows = read_table(path, columns, error=ConfigError)
-    return np.array([[row.number(name) for name in columns] for row in rows]).reshape(-1, 3)
-
-
-def read_gauge(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Times (N,) [s since 1970, UTC], rising, and levels (N,) [m] of a CSV file with columns time and level.
-
-    Raises
-    ------
-    ConfigError
-        If the file is missing or damaged, a time has no time zone, or times do not rise.
-    """
-    rows = read_table(path, ("time", "level"), error=ConfigError)
-    times = np.array([_time(row) for row in rows])
-    levels = np.array([row.number("level") for row in rows])
-    if len(times) < 2 or (np.diff(times) <= 0.0).any():
-        raise ConfigError(f"{path} has {len(times)} readings, expected two or more with rising times; sort them")
-    return times, levels
-
-
-def _level_at_flight(path: Path, heads: Mapping[str, Exif]) -> tuple[float, str]:
-    """Mean level [m] over the photographs, and a sentence on its spread."""
-    times, levels = read_gauge(path)
+    times = np.array([reading.time.timestamp() for reading in readings if reading.time is not None])
+    levels = np.array([reading.level_m for reading in readings])
     taken = {name: head.taken for name, head in heads.items() if head.taken is not None}
     if not taken:
         raise ConfigError(
@@ -204,18 +254,10 @@ def _level_at_flight(path: Path, heads: Mapping[str, Exif]) -> tuple[float, str]
     note = f"mean at {len(moments)} of {len(heads)} images, over which it changes by {1000.0 * rise:.0f} mm"
     if rise > MOST_RISE_M:
         note += f"; more than {1000.0 * MOST_RISE_M:.0f} mm shift the bed: cut the flight into parts of equal level"
-    return float(at_images.mean()), note
-
-
-def _time(row: Row) -> float:
-    text = row.text("time")
-    try:
-        moment = datetime.fromisoformat(text)
-    except ValueError as error:
-        raise ConfigError(f"{row.where}: {text!r} is not a time, expected e.g. 2024-06-01T10:30:00Z") from error
-    if moment.tzinfo is None:
-        raise ConfigError(f"{row.where}: {text} has no time zone; write Z for UTC or e.g. +02:00 after it")
-    return moment.timestamp()
+    level, reading = float(at_images.mean()), float(np.median([each.std_m for each in readings]))
+    std = math.sqrt(reading**2 + COMMON_STD_M["gauge"] ** 2 + float(at_images.var()))
+    notes.append(f"level_m = {level:.3f} +- {std:.3f} from [water] gauge: {note}")
+    return replace(water, level_m=level, level_std_m=water.level_std_m or min(std, MOST_LEVEL_STD_M), gauge=None)
 
 
 def _shown(timestamp: float) -> str:

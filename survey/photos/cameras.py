@@ -1,4 +1,4 @@
-"""Poses as files have them, and photographs with their cameras in the local frame."""
+"""Photographs with their cameras in the local frame, and rotations as other programs write them."""
 
 from __future__ import annotations
 
@@ -13,31 +13,6 @@ from refract.lens import Lens
 
 # Camera axes of photogrammetry (x right, y up, z back) to ours (x right, y down, z forward).
 CAM_FROM_OPK_CAM = np.diag([1.0, -1.0, -1.0])
-
-
-@dataclass(frozen=True)
-class Pose:
-    """One line of a poses file.
-
-    Attributes
-    ----------
-    name : str
-        Of the image, as the file has it.
-    centre : (3,) float64
-        Of the camera: in crs where `in_crs`, else [m] in the topocentric frame of [local].
-    cam_from_world : (3, 3) float64
-        Rotation into cam (x right, y down, z forward), from the grid axes (east, north, up) at the camera
-        where `in_crs`, else from the axes of the topocentric frame.
-    in_crs : bool
-    lens : Lens or None
-        None if the file has no lens.
-    """
-
-    name: str
-    centre: np.ndarray
-    cam_from_world: np.ndarray
-    in_crs: bool
-    lens: Lens | None
 
 
 @dataclass(frozen=True)
@@ -78,7 +53,7 @@ def grid_from_opk(omega: float, phi: float, kappa: float) -> np.ndarray:
 
 def rotation_from_quaternion(w: float, x: float, y: float, z: float) -> np.ndarray:
     """Rotation (3, 3) of a quaternion of any length but zero (Hamilton's convention, as COLMAP has it)."""
-    w, x, y, z = np.array([w, x, y, z]) / math.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = np.array([w, x, y, z]) / math.hypot(w, x, y, z)
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -86,3 +61,33 @@ def rotation_from_quaternion(w: float, x: float, y: float, z: float) -> np.ndarr
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
+
+
+def rotation_from_axis_angle(vector: np.ndarray) -> np.ndarray:
+    """Rotation (3, 3) about the direction of a vector (3,), by its length [rad] (Rodrigues)."""
+    half = 0.5 * float(np.linalg.norm(vector))
+    # sin(half) / (2 half), which has a value at 0 too.
+    x, y, z = np.asarray(vector, dtype=np.float64) * (0.5 * float(np.sinc(half / math.pi)))
+    return rotation_from_quaternion(math.cos(half), x, y, z)
+
+
+def level_from_yaw_pitch_roll(yaw: float, pitch: float, roll: float) -> np.ndarray:
+    """Rotation (3, 3) from cam to true east, north and up, angles in radians.
+
+    At 0, 0, 0 the camera looks straight down with the top of its image to the north. Yaw turns it clockwise, seen from
+    above; pitch lifts the view forward, to the horizon at 90 degrees; roll lowers the right side.
+    """
+    cy, sy, cp, sp, cr, sr = (f(a) for a in (yaw, pitch, roll) for f in (math.cos, math.sin))
+    about_down = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
+    about_right = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
+    about_forward = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    # Aircraft axes: forward, right, down, in north, east, down.
+    east_north_up = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    aircraft_from_cam = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    return east_north_up @ about_down @ about_right @ about_forward @ aircraft_from_cam
+
+
+def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
+    """The rotation (3, 3) nearest to a matrix that is one but for rounding (by its singular values)."""
+    u, _, vt = np.linalg.svd(matrix)
+    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt

@@ -1,4 +1,4 @@
-"""Metadata of a photograph: size, position, focal length, time; from EXIF and DJI's XMP, by Pillow."""
+"""Metadata of a photograph: size, position, focal length, time; from EXIF and XMP, by Pillow."""
 
 from __future__ import annotations
 
@@ -7,17 +7,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import ExifTags
 
 from geo.crs import utm_code
-from survey.errors import ImageError
 from survey.photos.exif_focal import FocalCandidate, focal_candidates, focal_px
-from survey.photos.opening import open_image
-from survey.photos.xmp import Motion, Rtk, motion_of, number, rtk_of, xmp_number
+from survey.photos.opening import HEIC_SUFFIXES, damage_named, open_image, without_complaints
+from survey.photos.pixels import channel_bits, stored_size
+from survey.photos.png import exif_of_png
+from survey.photos.xmp import Motion, Rtk, height_datum, motion_of, number, rtk_of, stated_std, xmp_number
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", *HEIC_SUFFIXES)
+
+_LONGEST_XMP, _LONGEST_WORDS = 1_000_000, 60
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,7 @@ class Exif:
     camera : str
         Maker and model.
     above_start_m : float or None
-        DJI's height over the take-off point [m].
+        DJI's and Autel's height over the take-off point [m].
     taken : datetime or None
         In UTC: of the GPS clock, else of the camera's with its offset; None where neither is there.
     focal_candidates : tuple of FocalCandidate
@@ -45,7 +49,17 @@ class Exif:
     rtk : Rtk or None
         Accuracy of the position by the receiver, where DJI's XMP has it.
     motion : Motion
-        Attitudes and speed at the exposure, by DJI's XMP.
+        Attitudes, speed and shutter at the exposure, by XMP.
+    std_m : (east, north, up) [m] or None
+        Accuracy of the position where XMP states it in the namespace of Pix4D, as senseFly and Parrot do.
+    height_datum : str or None
+        What XMP says that the height counts from; see `survey.photos.xmp.height_datum`.
+    bits : int
+        Of one channel.
+    has_pages : bool
+        Whether a TIFF has more images than the first one, which is used.
+    clock : datetime or None
+        By the camera's own clock, to the fraction of a second that it has: for the time between photographs.
     """
 
     size_px: tuple[int, int]
@@ -58,6 +72,11 @@ class Exif:
     focal_candidates: tuple[FocalCandidate, ...] = ()
     rtk: Rtk | None = None
     motion: Motion = field(default_factory=Motion)
+    std_m: tuple[float, float, float] | None = None
+    height_datum: str | None = None
+    bits: int = 8
+    has_pages: bool = False
+    clock: datetime | None = None
 
 
 def read_exif(path: Path) -> Exif:
@@ -68,15 +87,18 @@ def read_exif(path: Path) -> Exif:
     ImageError
         Where the file is no image, or one that is too large for this machine.
     """
-    with open_image(path) as image:
-        try:
-            size, exif, xmp = image.size, image.getexif(), image.info.get("xmp", b"")
-            gps, details = exif.get_ifd(ExifTags.IFD.GPSInfo), exif.get_ifd(ExifTags.IFD.Exif)
-        except (SyntaxError, ValueError) as error:
-            raise ImageError(f"{path} has EXIF that cannot be read ({error}); copy it again or remove it") from error
-    if isinstance(xmp, bytes):
-        xmp = xmp.decode("utf-8", errors="replace")
-    camera = " ".join(str(exif.get(tag, "")).strip("\0 ") for tag in (ExifTags.Base.Make, ExifTags.Base.Model))
+    with (
+        open_image(path) as image,
+        without_complaints(),
+        damage_named(f"{path} has EXIF that cannot be read"),
+    ):
+        exif = exif_of_png(path) if image.format == "PNG" else image.getexif()
+        size, xmp = stored_size(image), image.info.get("xmp", b"")
+        bits = channel_bits(image)
+        has_pages = image.format == "TIFF" and getattr(image, "is_animated", False)
+        gps, details = exif.get_ifd(ExifTags.IFD.GPSInfo), exif.get_ifd(ExifTags.IFD.Exif)
+    xmp = _text_of_xmp(xmp)
+    camera = " ".join(_words(exif.get(tag, "")) for tag in (ExifTags.Base.Make, ExifTags.Base.Model))
     orientation = exif.get(ExifTags.Base.Orientation, 1)
     return Exif(
         size_px=size,
@@ -89,7 +111,24 @@ def read_exif(path: Path) -> Exif:
         focal_candidates=focal_candidates(size, details, xmp),
         rtk=rtk_of(xmp),
         motion=motion_of(xmp),
+        std_m=stated_std(xmp),
+        height_datum=height_datum(xmp),
+        bits=bits,
+        has_pages=has_pages,
+        clock=_clock(details),
     )
+
+
+def _text_of_xmp(value: Any) -> str:
+    if isinstance(value, bytes):
+        value = value[:_LONGEST_XMP].decode("utf-8", errors="replace")
+    return value[:_LONGEST_XMP] if isinstance(value, str) else ""
+
+
+def _words(value: Any) -> str:
+    """A text of EXIF for messages: without what a terminal obeys, and not longer than a line."""
+    text = str(value)[:_LONGEST_WORDS]
+    return "".join(letter for letter in text if letter.isprintable()).strip()
 
 
 def _position(gps: dict) -> tuple[float, float, float] | None:
@@ -115,13 +154,24 @@ def _taken(gps: dict, details: dict) -> datetime | None:
         local = str(details.get(ExifTags.Base.DateTimeOriginal, "")).strip("\0 ")
         offset = str(details.get(ExifTags.Base.OffsetTimeOriginal, "")).strip("\0 ")
         return datetime.strptime(local + offset, "%Y:%m:%d %H:%M:%S%z").astimezone(UTC)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
+def _clock(details: dict) -> datetime | None:
+    text = str(details.get(ExifTags.Base.DateTimeOriginal, "")).strip("\0 ")
+    # Digits behind the decimal point, as many as the camera counts.
+    digits = str(details.get(ExifTags.Base.SubsecTimeOriginal, "")).strip("\0 ")
+    fraction = float(f"0.{digits}") if digits.isascii() and digits.isdigit() else 0.0
+    try:
+        return datetime.strptime(text, "%Y:%m:%d %H:%M:%S") + timedelta(seconds=fraction)
+    except ValueError:
         return None
 
 
 def _degrees(parts, reference, negative: str) -> float:
     try:
-        value = sum(number(part) / 60.0**i for i, part in enumerate(parts))
+        value = sum(number(part) / 60.0**i for i, part in enumerate(parts[:3]))
     except TypeError:
         return math.nan
     return -value if str(reference).strip("\0 ").upper() == negative else value

@@ -9,7 +9,7 @@ from typing import Any
 
 from PIL import ExifTags
 
-from survey.photos.xmp import number, xmp_number
+from survey.photos.xmp import number, pix4d_number, xmp_number
 
 # The film that "focal length in 35 mm film" refers to [mm].
 _FILM_WIDTH_MM, _FILM_DIAGONAL_MM = 36.0, math.hypot(36.0, 24.0)
@@ -30,7 +30,8 @@ class FocalCandidate:
         In pixels of the stored size.
     source : str
         "35 mm film, by width" or ", by diagonal" (the standard leaves open which); "focal plane" (focal length and
-        pixel pitch of the sensor); "DJI calibration" (a design value).
+        pixel pitch of the sensor); "XMP Camera" (the same with the maker's calibrated focal length, as senseFly and
+        Parrot write it); "DJI calibration" (a design value).
     """
 
     focal_px: float
@@ -44,9 +45,12 @@ def focal_candidates(size: tuple[int, int], details: Mapping[int, Any], xmp: str
     if film > 0.0:
         found.append(FocalCandidate(film / _FILM_WIDTH_MM * max(size), "35 mm film, by width"))
         found.append(FocalCandidate(film / _FILM_DIAGONAL_MM * math.hypot(*size), "35 mm film, by diagonal"))
-    by_plane = _by_focal_plane(size, details)
+    by_plane = _by_focal_plane(size, details, number(details.get(ExifTags.Base.FocalLength)))
     if by_plane is not None:
         found.append(FocalCandidate(by_plane, "focal plane"))
+    by_maker = _by_focal_plane(size, details, pix4d_number(xmp, "PerspectiveFocalLength") or math.nan)
+    if by_maker is not None:
+        found.append(FocalCandidate(by_maker, "XMP Camera"))
     calibrated = xmp_number(xmp, "CalibratedFocalLength")
     if calibrated is not None and calibrated > 0.0:
         found.append(FocalCandidate(calibrated / _reduction(size, details), "DJI calibration"))
@@ -64,8 +68,7 @@ def focal_px(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> flo
     return by_film
 
 
-def _by_focal_plane(size: tuple[int, int], details: Mapping[int, Any]) -> float | None:
-    focal_mm = number(details.get(ExifTags.Base.FocalLength))
+def _by_focal_plane(size: tuple[int, int], details: Mapping[int, Any], focal_mm: float) -> float | None:
     pixels_per_unit = number(details.get(ExifTags.Base.FocalPlaneXResolution))
     unit_mm = _PLANE_UNIT_MM.get(details.get(ExifTags.Base.FocalPlaneResolutionUnit, _INCH))
     if not (focal_mm > 0.0 and pixels_per_unit > 0.0) or unit_mm is None:

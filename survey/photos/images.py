@@ -9,15 +9,20 @@ import numpy as np
 
 from survey.errors import ImageError
 from survey.photos.cameras import View
+from survey.photos.complete import is_complete
 from survey.photos.exif import SUFFIXES
-from survey.photos.opening import open_image
+from survey.photos.names import MASK_ENDING
+from survey.photos.pixels import read_grey, read_opaque, read_rgb
 
-# A complete JPEG ends with this marker, which the compressed pixels never contain.
-_JPEG_END = b"\xff\xd9"
+# White of 16 bits in white of 8 bits.
+_STEPS = 257.0
+_LOSSY = (".jpg", ".jpeg")
 
 
 def list_images(folder: Path, *, deep: bool = True) -> dict[str, Path]:
     """Images in a folder and, if `deep`, below it, by name: the path in the folder with forward slashes.
+
+    A file named like another one with _mask behind, as OpenDroneMap has them, is its mask, and no image.
 
     Raises
     ------
@@ -28,26 +33,27 @@ def list_images(folder: Path, *, deep: bool = True) -> dict[str, Path]:
         raise ImageError(f"the image folder {folder} does not exist; make it, or correct [images] dir in survey.toml")
     below = folder.rglob("*") if deep else folder.iterdir()
     files = sorted(p for p in below if p.suffix.lower() in SUFFIXES and p.name[0] != "." and p.is_file())
+    stems = {path.with_suffix("") for path in files}
+    files = [path for path in files if not is_mask_of_another(path, stems)]
     if not files:
         raise ImageError(f"no images in {folder}; expected files ending in {', '.join(SUFFIXES)}")
     return {path.relative_to(folder).as_posix(): path for path in files}
 
 
-def require_complete(path: Path) -> None:
-    """Raise ImageError where an image is cut off.
+def is_mask_of_another(path: Path, stems: set[Path]) -> bool:
+    """Whether a file is the mask of another one, of whose paths without suffixes there is a set."""
+    stem = path.stem
+    return stem.lower().endswith(MASK_ENDING) and path.with_name(stem[: -len(MASK_ENDING)]) in stems
 
-    A JPEG that ends with its end marker is complete; anything else is decoded to find out.
-    """
-    if path.suffix.lower() in (".jpg", ".jpeg"):
-        with path.open("rb") as file:
-            file.seek(max(0, path.stat().st_size - 64))
-            if file.read().endswith(_JPEG_END):
-                return
-    _decode(path, "RGB")
+
+def require_complete(path: Path) -> None:
+    """Raise ImageError where an image is cut off; it is decoded only where its structure does not tell."""
+    if not is_complete(path):
+        read_rgb(path)
 
 
 def load_image(view: View, *, scale: float = 1.0) -> np.ndarray:
-    """The photograph as it was taken by `view.camera`.
+    """The photograph as it was taken by `view.camera`, in the 8 bits that colours of points have.
 
     Parameters
     ----------
@@ -65,41 +71,55 @@ def load_image(view: View, *, scale: float = 1.0) -> np.ndarray:
     ImageError
         Where the image is cut off, cannot be read or is not of the size of its camera.
     """
-    pixels = _decode(view.path, "RGB")
+    return eight_bits(load_pixels(view, scale=scale))
+
+
+def load_pixels(view: View, *, scale: float = 1.0) -> np.ndarray:
+    """As `load_image`, with the depth of the file: uint8 or uint16."""
+    pixels = read_rgb(view.path)
     _require_size(view, pixels)
     return _shrink(pixels, view, scale)
 
 
+def eight_bits(pixels: np.ndarray) -> np.ndarray:
+    """Pixels of 8 or 16 bits as uint8, rounded."""
+    return pixels if pixels.dtype == np.uint8 else np.rint(pixels / _STEPS).astype(np.uint8)
+
+
+def grey_levels(pixels: np.ndarray) -> np.ndarray:
+    """Brightness (height, width) float32 of pixels (height, width, 3), 0 to 255; of 16 bits with all their steps."""
+    grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    return grey if pixels.dtype == np.uint8 else grey / np.float32(_STEPS)
+
+
 def load_mask(view: View, *, scale: float = 1.0) -> np.ndarray | None:
-    """Where the mask of the view lets `load_image` be used, (height, width) bool; None where everywhere."""
-    if view.mask_path is None:
-        return None
-    mask = _decode(view.mask_path, "L")
-    _require_size(view, mask, path=view.mask_path)
-    used = mask > 0
-    if used.all():
+    """Where the photograph may be used, (height, width) bool; None where everywhere.
+
+    Black of the mask of the view is left out, and so is what is transparent in the photograph itself.
+    """
+    used = read_opaque(view.path)
+    if view.mask_path is not None:
+        mask = read_mask(view.mask_path)
+        _require_size(view, mask, path=view.mask_path)
+        used = mask if used is None else used & mask
+    if used is None or used.all():
         return None
     # A pixel of the smaller image is used where all of its area is; the average is rounded in float32.
     share = _shrink(used.astype(np.float32), view, scale)
     return share > 1.0 - 1e-4
 
 
-def _decode(path: Path, mode: str) -> np.ndarray:
-    try:
-        with open_image(path) as image:
-            # Pillow would silently clip these at 255.
-            if image.mode[0] in "IF":
-                raise ImageError(f"{path} has pixels of kind {image.mode}, expected 8 bits per channel; convert it")
-            return np.asarray(image.convert(mode))
-    except ImageError:
-        raise
-    except (OSError, SyntaxError, ValueError) as error:
-        # Errors of the disk have an errno, those of Pillow about damaged pixels have none.
-        if isinstance(error, OSError) and error.errno is not None:
-            raise
-        raise ImageError(
-            f"{path} is damaged or cut off ({error}); copy it again from the camera or remove it"
-        ) from error
+def read_mask(path: Path) -> np.ndarray:
+    """Where a mask lets its photograph be used, (height, width) bool: everywhere but where it is black.
+
+    JPEG has grey levels about the edges of black and white, so that the darker half counts as black there.
+
+    Raises
+    ------
+    ImageError
+        Where the file is cut off or damaged.
+    """
+    return read_grey(path) > (127 if path.suffix.lower() in _LOSSY else 0)
 
 
 def _require_size(view: View, pixels: np.ndarray, *, path: Path | None = None) -> None:

@@ -6,6 +6,9 @@ import unicodedata
 from collections.abc import Iterable
 from pathlib import PurePosixPath
 
+# Behind the name of a photograph, before its suffix, in the name of its mask.
+MASK_ENDING = "_mask"
+
 
 def name_key(name: str) -> str:
     """A name normalised for comparison: case, slashes and the encoding of accents."""

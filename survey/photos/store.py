@@ -6,7 +6,7 @@ import numpy as np
 
 from survey import machine
 from survey.photos.cameras import View
-from survey.photos.images import load_image
+from survey.photos.images import eight_bits, grey_levels, load_pixels
 
 # Of the memory that is free when a store is made.
 _SHARE_OF_FREE = 0.25
@@ -36,12 +36,26 @@ class ImageStore:
         ImageError
             As `load_image`.
         """
+        image = eight_bits(self._pixels(view, scale))
+        image.flags.writeable = False
+        return image
+
+    def grey(self, view: View, *, scale: float = 1.0) -> np.ndarray:
+        """The brightness (height, width) float32 of the photograph, 0 to 255, with the depth of its file.
+
+        Raises
+        ------
+        ImageError
+            As `load_image`.
+        """
+        return grey_levels(self._pixels(view, scale))
+
+    def _pixels(self, view: View, scale: float) -> np.ndarray:
         key = (view.path, view.lens, scale)
         if key in self._images:
             return self._images[key]
-        image = load_image(view, scale=scale)
+        image = load_pixels(view, scale=scale)
         if image.nbytes <= self._left:
             self._left -= image.nbytes
             self._images[key] = image
-        image.flags.writeable = False
         return image

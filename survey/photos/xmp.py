@@ -1,4 +1,8 @@
-"""What DJI's XMP says of an exposure: accuracy of the position, attitudes of drone and gimbal, speed."""
+"""What XMP says of an exposure: accuracy and datum of the position, attitudes of drone and camera, speed, shutter.
+
+DJI, Parrot and Autel have namespaces of their own; senseFly, Parrot, older Autel and many others write that of Pix4D,
+`Camera`. Texts are searched, not parsed as XML: there are no entities to expand, and damaged XMP costs what it lacks.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +11,23 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
-_DJI_NUMBER = r"drone-dji:{}\s*(?:=\s*\"|>)\s*([+-]?[0-9.]+)"
+import numpy as np
+
+_DJI, _AUTEL, _PARROT, _PIX4D = "drone-dji", "drone", "drone-parrot", "Camera"
+_VALUE = r"(?<![\w-]){}:{}\s{{0,40}}(?:=\s{{0,40}}\"|>)\s{{0,40}}([^\"<]{{1,60}})[\"<]"
+_NUMBER = re.compile(r"[+-]?[0-9.]+(?:[eE][+-]?[0-9]{1,3})?")
+_MECHANICAL = re.compile(r"drone-dji:ShutterType\s*(?:=\s*\"|>)\s*mechanical", re.IGNORECASE)
 # No receiver is this wrong and still reports a standard deviation; files without one have 0, or a filler.
 _MOST_STD_M = 100.0
+# Nearer to the vertical than this sine, the camera's yaw and roll turn about the same axis.
+_VERTICAL = 1.0 - 1e-12
+ELLIPSOIDAL = "ellipsoidal"
+_ELLIPSOIDS = ("ELLIPSOID", "EPSG:4326", "EPSG:4979", "EPSG:6318", "EPSG:6319")
 
 
 @dataclass(frozen=True)
 class Rtk:
-    """Accuracy of a position by the receiver.
+    """Accuracy of a position by DJI's receiver.
 
     Attributes
     ----------
@@ -30,7 +43,7 @@ class Rtk:
 
 @dataclass(frozen=True)
 class Motion:
-    """Attitudes and speed at an exposure; None where XMP does not have them.
+    """Attitudes, speed and shutter at an exposure; None where XMP does not have them.
 
     Attributes
     ----------
@@ -39,47 +52,127 @@ class Motion:
         with the pitch -90 looks straight down.
     speed : (east, north, up) [m/s] or None
         Over ground. XMP counts it north, east, down.
+    is_mechanical : bool
+        Whether the shutter is said to be mechanical: all rows are then exposed at once.
     """
 
     gimbal_deg: tuple[float, float, float] | None = None
     flight_deg: tuple[float, float, float] | None = None
     speed: tuple[float, float, float] | None = None
+    is_mechanical: bool = False
 
 
 def rtk_of(xmp: str) -> Rtk | None:
-    """The accuracy of the position, where XMP has a flag and three standard deviations."""
+    """The accuracy of the position, where DJI's XMP has a flag and three standard deviations."""
     flag = xmp_number(xmp, "RtkFlag")
-    std = _three(xmp, "RtkStdLon", "RtkStdLat", "RtkStdHgt")
+    std = _three(xmp, _DJI, "RtkStdLon", "RtkStdLat", "RtkStdHgt")
     if flag is None or not abs(flag) < 1000.0 or std is None or not all(0.0 < s <= _MOST_STD_M for s in std):
         return None
     return Rtk(int(flag), std)
 
 
+def stated_std(xmp: str) -> tuple[float, float, float] | None:
+    """One standard deviation of the position, (east, north, up) [m], where XMP has both in the namespace of Pix4D."""
+    across, up = (_number_in(xmp, _PIX4D, name) for name in ("GPSXYAccuracy", "GPSZAccuracy"))
+    if across is None or up is None or not (0.0 < across <= _MOST_STD_M and 0.0 < up <= _MOST_STD_M):
+        return None
+    return across, across, up
+
+
+def height_datum(xmp: str) -> str | None:
+    """What XMP says that heights count from: "ellipsoidal", a name such as "EGM96", or None where it says nothing.
+
+    DJI's receivers with corrections give heights above the ellipsoid (AltitudeType RtkAlt).
+    """
+    if _text_in(xmp, _DJI, "AltitudeType") == "RtkAlt":
+        return ELLIPSOIDAL
+    said = _text_in(xmp, "CRSInfo", "VERTCRS") or _text_in(xmp, _PIX4D, "VertCS")
+    if said is None:
+        return None
+    return ELLIPSOIDAL if said.upper().startswith(_ELLIPSOIDS) else said
+
+
 def motion_of(xmp: str) -> Motion:
-    """Attitudes and speed, as far as XMP has them."""
-    speed = _three(xmp, "FlightYSpeed", "FlightXSpeed", "FlightZSpeed")
+    """Attitudes, speed and shutter, as far as XMP has them."""
+    speed = _three(xmp, _DJI, "FlightYSpeed", "FlightXSpeed", "FlightZSpeed")
     return Motion(
-        gimbal_deg=_three(xmp, "GimbalYawDegree", "GimbalPitchDegree", "GimbalRollDegree"),
-        flight_deg=_three(xmp, "FlightYawDegree", "FlightPitchDegree", "FlightRollDegree"),
+        gimbal_deg=_camera_angles(xmp),
+        flight_deg=_angles(xmp, "Flight{}Degree", _DJI, _AUTEL),
         speed=None if speed is None else (speed[0], speed[1], 0.0 - speed[2]),
+        is_mechanical=_MECHANICAL.search(xmp) is not None,
+    )
+
+
+def _camera_angles(xmp: str) -> tuple[float, float, float] | None:
+    """Yaw, pitch, roll of the camera from north, east, down, whichever maker has written them."""
+    of_gimbal = _angles(xmp, "Gimbal{}Degree", _DJI, _AUTEL) or _angles(xmp, "Camera{}Degree", _PARROT)
+    if of_gimbal is not None:
+        return of_gimbal
+    of_frame = _angles(xmp, "{}", _PIX4D)
+    return None if of_frame is None else from_frame_that_looks_down(*of_frame)
+
+
+def _angles(xmp: str, name: str, *namespaces: str) -> tuple[float, float, float] | None:
+    names = [name.format(axis) for axis in ("Yaw", "Pitch", "Roll")]
+    return next((found for space in namespaces if (found := _three(xmp, space, *names)) is not None), None)
+
+
+def from_frame_that_looks_down(yaw: float, pitch: float, roll: float) -> tuple[float, float, float]:
+    """Yaw, pitch, roll [deg] of a camera as Pix4D counts them, as those of a gimbal.
+
+    Pix4D turns a frame whose camera looks down with the top of the image forward, a gimbal one whose camera looks
+    forward: all zero here is a pitch of -90 there.
+    """
+    y, p, r = np.radians([yaw, pitch, roll])
+    about_z = np.array([[np.cos(y), -np.sin(y), 0.0], [np.sin(y), np.cos(y), 0.0], [0.0, 0.0, 1.0]])
+    about_y = np.array([[np.cos(p), 0.0, np.sin(p)], [0.0, 1.0, 0.0], [-np.sin(p), 0.0, np.cos(p)]])
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(r), -np.sin(r)], [0.0, np.sin(r), np.cos(r)]])
+    down = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    turned = about_z @ about_y @ about_x @ down
+    sine = float(np.clip(-turned[2, 0], -1.0, 1.0))
+    if abs(sine) > _VERTICAL:
+        return math.degrees(math.atan2(-turned[0, 1], turned[1, 1])), math.copysign(90.0, sine), 0.0
+    return (
+        math.degrees(math.atan2(turned[1, 0], turned[0, 0])),
+        math.degrees(math.asin(sine)),
+        math.degrees(math.atan2(turned[2, 1], turned[2, 2])),
     )
 
 
 def xmp_number(xmp: str, name: str) -> float | None:
-    """A finite number in the namespace drone-dji, as an attribute or an element; None where there is none."""
-    found = re.search(_DJI_NUMBER.format(name), xmp)
-    value = number(found.group(1)) if found else math.nan
+    """A finite number in the namespace of DJI, else of Autel, which has the same names; None where there is none."""
+    found = _number_in(xmp, _DJI, name)
+    return _number_in(xmp, _AUTEL, name) if found is None else found
+
+
+def pix4d_number(xmp: str, name: str) -> float | None:
+    """A finite number in the namespace of Pix4D; None where there is none."""
+    return _number_in(xmp, _PIX4D, name)
+
+
+def _three(xmp: str, namespace: str, *names: str) -> tuple[float, float, float] | None:
+    a, b, c = (_number_in(xmp, namespace, name) for name in names)
+    return None if a is None or b is None or c is None else (a, b, c)
+
+
+def _number_in(xmp: str, namespace: str, name: str) -> float | None:
+    """A finite number, as an attribute or an element; a fraction, as Parrot writes them, is divided."""
+    text = _text_in(xmp, namespace, name)
+    if text is None:
+        return None
+    parts = [number(part) if _NUMBER.fullmatch(part) else math.nan for part in text.split("/")]
+    value = parts[0] if len(parts) == 1 else parts[0] / parts[1] if len(parts) == 2 and parts[1] else math.nan
     return value if math.isfinite(value) else None
 
 
-def _three(xmp: str, *names: str) -> tuple[float, float, float] | None:
-    a, b, c = (xmp_number(xmp, name) for name in names)
-    return None if a is None or b is None or c is None else (a, b, c)
+def _text_in(xmp: str, namespace: str, name: str) -> str | None:
+    found = re.search(_VALUE.format(namespace, name), xmp)
+    return found.group(1).strip() if found else None
 
 
 def number(value: Any) -> float:
     """A value of EXIF or XMP as a number; NaN where it is none."""
     try:
         return float(value)
-    except (TypeError, ValueError, ZeroDivisionError):
+    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
         return math.nan

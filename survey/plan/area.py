@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from survey.plan.ground import ground_height
 from survey.plan.heights import height_range
 
 if TYPE_CHECKING:
+    from geo.frames import LocalFrame
     from survey.folder.survey import Survey
 
 # The cloud ends this far beyond the bounds that the survey asks for.
@@ -32,7 +33,17 @@ def limits(survey: Survey) -> tuple[float, float]:
     return found.low, found.high
 
 
-def local_area(survey: Survey) -> tuple[float, float, float, float] | None:
+class Placed(Protocol):
+    """What has a place on the map: a survey, or the flight of a run."""
+
+    @property
+    def frame(self) -> LocalFrame: ...
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float] | None: ...
+
+
+def local_area(survey: Placed) -> tuple[float, float, float, float] | None:
     """The bounds of the survey as (x0, y0, x1, y1) [m], local, that hold them; None where it has none."""
     if survey.bounds is None:
         return None

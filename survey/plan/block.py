@@ -6,19 +6,18 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
 from fields.device import Device, choose_device
 from fields.sweep.block import Block
 from refract import PinholeCamera
 from survey.errors import SurveyError
-from survey.photos.images import load_image, load_mask
+from survey.photos.images import load_mask
+from survey.photos.store import ImageStore
 from survey.plan.ground import ground_height
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey, View
-    from survey.photos.store import ImageStore
     from survey.plan.plan import Plan
 
 
@@ -31,10 +30,9 @@ def load_block(survey: Survey, plan: Plan, advance: Callable[[float], None], sto
     cameras = [camera_of(view, plan) for view in survey.views]
     width, height = max(c.width for c in cameras), max(c.height for c in cameras)
     images = []
-    load = load_image if store is None else store.load
+    store = ImageStore(0) if store is None else store
     for view in survey.views:
-        rgb = load(view, scale=plan.image_scale)
-        grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) - 128.0
+        grey = store.grey(view, scale=plan.image_scale) - 128.0
         mask = load_mask(view, scale=plan.image_scale)
         if mask is not None:
             grey[~mask] = np.nan

@@ -10,14 +10,16 @@ import numpy as np
 
 from geo.crs import height_unit_m
 from survey.display.quantities import length
+from survey.errors import SurveyError
 from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors
+from survey.folder.shutter import shutter_text
 from survey.folder.survey import Found, Survey, find_survey, load_survey
-from survey.folder.unposed import require_solvable
+from survey.folder.unposed import placing_control, require_solvable
 from survey.names import RUN_FOLDER
 from survey.plan.bounds import require_seen
 from survey.plan.check_inputs import control_rows, mark_rows, water_stds
 from survey.plan.plan import Decision, Plan, device_decision, make_plan
-from survey.plan.workload import Workload, require_room, workload_of, workload_of_images
+from survey.plan.workload import Workload, room_doubts, workload_of, workload_of_images
 
 
 @dataclass(frozen=True)
@@ -61,26 +63,42 @@ def require_processable(folder: Path) -> Checked:
     return Checked(found, survey, survey.warnings)
 
 
-def check_survey(folder: Path, *, quality: str = "standard", device: str = "auto") -> list[Section]:
+def check_survey(
+    folder: Path, *, quality: str = "standard", device: str = "auto", checked: Checked | None = None
+) -> list[Section]:
     """Check a survey and describe what `process` would do; nothing is computed and nothing written.
+
+    Parameters
+    ----------
+    folder : Path
+    quality, device : str
+    checked : Checked, optional
+        What `require_processable` found in the folder, where it has looked already.
 
     Raises
     ------
     SurveyError, GeoError
         Where the survey cannot be processed as it is.
     """
-    checked = require_processable(folder)
+    checked = require_processable(folder) if checked is None else checked
     if checked.survey is None:
         return _without_poses(checked, quality, device)
     survey = checked.survey
     plan = make_plan(survey, quality=quality, device=device)
-    workload = workload_of(survey, plan)
-    warnings = (*checked.warnings, *require_room(workload, folder / RUN_FOLDER))
     rows = _rows_of_survey(checked.found, survey, plan)
-    return _sections(rows, plan.decisions, workload, survey.assumptions, warnings)
+    workload: Workload | str
+    try:
+        workload = workload_of(survey, plan)
+    except SurveyError as error:
+        if survey.reprojection is None:
+            raise
+        # Where tie points prove the poses, what they say is worth printing, though nothing can be made of them.
+        workload = f"process refuses this survey: {error}"
+    room = room_doubts(workload, folder / RUN_FOLDER) if isinstance(workload, Workload) else [workload]
+    return _sections(rows, plan.decisions, workload, survey.assumptions, (*checked.warnings, *room))
 
 
-def _sections(rows, decisions: tuple[Decision, ...], workload: Workload, assumptions, warnings) -> list[Section]:
+def _sections(rows, decisions: tuple[Decision, ...], workload: Workload | str, assumptions, warnings) -> list[Section]:
     plan = [(d.name, f"{d.choice}: {d.reason}") for d in decisions]
     sections = [Section("Found", tuple(rows)), Section("Plan", (*plan, ("workload", str(workload))))]
     sections += [Section("Assumed", tuple(("", text) for text in assumptions))] if assumptions else []
@@ -92,6 +110,7 @@ def _rows_of_survey(found: Found, survey: Survey, plan: Plan) -> list[tuple[str,
     centres = np.array([view.camera.centre for view in survey.views])
     heights = survey.frame.crs_from_local(centres)[:, 2]
     off_nadir = np.degrees([np.arccos(np.clip(-view.camera.cam_from_local[2, 2], -1.0, 1.0)) for view in survey.views])
+    shutter = shutter_text(survey.config.cameras, survey.velocities, survey.views, survey.water)
     lenses = Counter((v.lens.model, v.lens.width, v.lens.height, v.lens.focal[0]) for v in survey.views)
     rows = [
         ("survey", f"{survey.name} in {survey.folder}"),
@@ -111,6 +130,8 @@ def _rows_of_survey(found: Found, survey: Survey, plan: Plan) -> list[tuple[str,
         ("local frame", f"topocentric at {', '.join(f'{v:.10g}' for v in survey.frame.origin)}"),
         ("water", _water(survey)),
         ("accuracy", accuracy_of_priors(survey.priors)),
+        *([] if shutter is None else [("shutter", shutter)]),
+        *(() if survey.reprojection is None else (("tie points", str(survey.reprojection)),)),
         *control_rows(found.control),
         *mark_rows(survey),
     ]
@@ -129,7 +150,7 @@ def _water(survey: Survey) -> str:
     return (
         f"level {water.level_m:g} m at {east:.10g}, {north:.10g}, slope "
         f"{water.slope_east:g} east and {water.slope_north:g} north, index {water.refractive_index:g}; cameras "
-        f"{_range(-plane.depth(centres))} m over it{water_stds(water)}"
+        f"{_range(-plane.depth(centres))} m over it{water_stds(water, survey.levels)}"
     )
 
 
@@ -148,7 +169,8 @@ def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]
         ),
         (
             "positions",
-            f"{len(places)} of {len(found.heads)} images have one in EXIF, heights {_range(heights)} m",
+            f"{len(places)} of {len(found.heads)} images have one in EXIF"
+            + (f", heights {_range(heights)} m" if places else ""),
         ),
         ("poses", "none"),
         ("accuracy", accuracy_of_gps(found.config.cameras, found.heads)),
@@ -156,6 +178,8 @@ def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]
     water = found.config.water
     if water is None:
         rows.append(("water", "none: a dry survey"))
+    elif water.level_m is None and water.clicks is not None:
+        rows.append(("water", f"its level by the clicks in {water.clicks}, once the poses are known"))
     elif water.level_m is None:
         rows.append(("water", "of unknown level: the adjustment finds it, where the photographs tell it"))
     else:
@@ -163,22 +187,23 @@ def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]
         rows.append(
             (
                 "water",
-                f"level {water.level_m:g} m; by EXIF the cameras are {_range(heights - level)} m over it"
-                f"{water_stds(water)}",
+                f"level {water.level_m:g} m"
+                + (f"; by EXIF the cameras are {_range(heights - level)} m over it" if places else "")
+                + water_stds(water, found.levels),
             )
         )
     rows += control_rows(found.control)
     like = "heights in crs" if found.config.cameras.gps_height == "crs" else "ellipsoidal heights"
-    sfm = Decision(
-        "structure from motion",
-        "on",
-        f"there is no poses file; georeferenced by GPS positions, heights taken as {like}",
-    )
+    by_control = placing_control(found)
+    placed = f"GPS positions, heights taken as {like}"
+    if by_control is not None:
+        placed = f"the marks of {len(by_control.points)} control points, as too few images have a GPS position"
+    sfm = Decision("structure from motion", "on", f"there is no poses file; georeferenced by {placed}")
     rest = Decision("refraction and the rest", "later", "decided once the poses are known")
     decisions = (sfm, device_decision(device), rest)
     sizes = [head.size_px for head in found.heads.values()]
     workload = workload_of_images(sizes, quality=quality, device=decisions[1].choice)
-    warnings = (*checked.warnings, *require_room(workload, found.folder / RUN_FOLDER))
+    warnings = (*checked.warnings, *room_doubts(workload, found.folder / RUN_FOLDER))
     return _sections(rows, decisions, workload, found.assumptions, warnings)
 
 

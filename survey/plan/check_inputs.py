@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from survey.errors import FILE_NAME
 from survey.folder.config import WaterConfig
 from survey.folder.control import FoundControl
+from survey.folder.level_observation import LevelObservation
 from survey.folder.mark_residuals import mark_residuals
 from survey.folder.survey import Survey
 
@@ -56,9 +60,12 @@ def _stds(control: FoundControl) -> str:
     return f"{', '.join(parts)}; marks to {control.config.marks_std_px:g} px"
 
 
-def water_stds(water: WaterConfig) -> str:
-    """What [water] says of how well it is known, to follow its level; empty where it says nothing."""
+def water_stds(water: WaterConfig, levels: Sequence[LevelObservation]) -> str:
+    """How well the water is known, and by what, to follow its level; empty where nothing says it."""
     known = {"level": water.level_std_m, "index": water.index_std, "slopes": water.slope_std}
-    units = {"level": " m", "index": "", "slopes": ""}
-    said = [f"{name} to {std:.3g}{units[name]}" for name, std in known.items() if std is not None]
-    return f"; known: {', '.join(said)} (survey.toml)" if said else ""
+    said = [f"{name} to {std:.3g}{' m' if name == 'level' else ''}" for name, std in known.items() if std is not None]
+    by = FILE_NAME
+    measured = [each.source for each in levels if each.source != "level_m"]
+    if measured and water.level_std_m is not None:
+        by = f"{measured[0]}, {len(measured)} measured" + (f", and {FILE_NAME}" if len(said) > 1 else "")
+    return f"; known: {', '.join(said)} ({by})" if said else ""

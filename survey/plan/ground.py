@@ -6,11 +6,14 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from refract import PinholeCamera
 
 # Overlap along the flight line that planners aim at; used only where the height of dry ground is unknown.
 _USUAL_OVERLAP = 0.75
+# All pairs of more cameras than this fill the memory; every second one, or third, tells the same.
+_MOST_PAIRED = 1500
 
 
 def ground_height(cameras: Sequence[PinholeCamera]) -> float:
@@ -21,7 +24,8 @@ def ground_height(cameras: Sequence[PinholeCamera]) -> float:
     """
     centres = np.array([camera.centre for camera in cameras])
     axes = np.array([camera.cam_from_local[2] for camera in cameras])
-    i, j = np.triu_indices(len(cameras), 1)
+    every = -(-len(cameras) // _MOST_PAIRED)
+    i, j = (every * side for side in np.triu_indices(-(-len(cameras) // every), 1))
     cos = np.sum(axes[i] * axes[j], axis=1)
     convergent = cos < math.cos(math.radians(15.0))
     if convergent.sum() >= 10:
@@ -32,9 +36,7 @@ def ground_height(cameras: Sequence[PinholeCamera]) -> float:
         met = (centres[i] + t[:, None] * axes[i])[t > 0.0, 2]
         if met.size >= 10:
             return float(np.median(met))
-    apart = np.linalg.norm(centres[:, None, :2] - centres[None, :, :2], axis=-1)
-    np.fill_diagonal(apart, np.inf)
-    base = float(np.median(apart.min(axis=1)))
+    base = float(np.median(KDTree(centres[:, :2]).query(centres[:, :2], k=2)[0][:, 1]))
     camera = cameras[0]
     seen = min(camera.width / camera.fx, camera.height / camera.fy)
     return float(np.median(centres[:, 2]) - base / ((1.0 - _USUAL_OVERLAP) * seen))

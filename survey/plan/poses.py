@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from survey.errors import SurveyError
+from survey.folder.pose_priors import BY_FILE
 from survey.folder.survey import Survey
 from survey.plan.choices import Poses
 
@@ -40,8 +41,14 @@ def pose_choice(survey: Survey, asked: str, *, free_water: bool) -> tuple[str, s
     sources = {prior.source for prior in survey.priors.values()}
     if "survey.toml" in sources:
         return "refine", "survey.toml says how well the poses are known, and they are refined within that"
+    if survey.config.cameras.rolling_shutter_std_s is not None:
+        return "refine", "rolling_shutter_std_s says that the readout of the shutter is to be found"
+    if BY_FILE in sources:
+        return "refine", "the poses file says how well positions were known before, and poses are refined within that"
     if free_water:
         return "refine", "--calibrate-water finds the water together with what is uncertain of poses and lens"
+    if len(survey.views) < _FEWEST_VIEWS and survey.tool is not None and survey.water is not None:
+        return "refine", f"{survey.tool} adjusted them with straight rays, and there are too few views to check them"
     if len(survey.views) < _FEWEST_VIEWS:
         return (
             "fixed",

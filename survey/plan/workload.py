@@ -41,8 +41,8 @@ _BYTES_OF_DECODING = 14
 _BYTES_OF_FIELD, _BYTES_OF_RAYS, _RAYS_OF_CELLS = 400, 1000, 500_000
 # On the disk, per pixel of a height map and per cell of the bed; pictures, report and log; structure from motion.
 _DISK_OF_MAP, _DISK_OF_CELL, _DISK_AT_LEAST, _DISK_OF_SFM = 17, 120, 30e6, 4e6
-# With more views than this, choosing those that cover the bed takes too long here: all count.
-_MOST_VIEWS = 600
+# With more views than this, choosing those that cover the bed takes too long here: all count, as a bound.
+_MOST_VIEWS = 2000
 # Without poses: cells of the bed per pixel; with the usual overlap a place is seen ten times or more.
 _OWN_GROUND = 0.1
 
@@ -63,7 +63,8 @@ class Workload:
     disk_bytes : int
         Of the run folder.
     is_bound : bool
-        Whether this is an upper bound: poses are not known yet, and all views count.
+        Whether this is an upper bound: poses are not known yet, or there are too many views to choose from here, and
+        all of them count.
     """
 
     num_views: int
@@ -82,13 +83,13 @@ class Workload:
     def __str__(self) -> str:
         """In words, as `check` and `process` say it."""
         room = f"{self.most}{_size(self.memory_bytes)} of memory and {_size(self.disk_bytes)} on the disk"
-        if self.is_bound:
+        if self.is_bound and self.seconds is None:
             return f"{room}; time is known when the poses are"
         maps = f"{self.num_maps} of {self.num_views} views get a height map"
         if self.seconds is None:
             return f"{room}; {maps}; no time was measured on such a device"
         cores = "core" if self.num_cores == 1 else "cores"
-        return f"about {_duration(self.seconds)} on {self.num_cores} {cores}, {room}; {maps}"
+        return f"{self.most}{_duration(self.seconds)} on {self.num_cores} {cores}, {room}; {maps}"
 
 
 def workload_of(survey: Survey, plan: Plan) -> Workload:
@@ -103,8 +104,8 @@ def workload_of(survey: Survey, plan: Plan) -> Workload:
     pixels = np.array([camera.width * camera.height for camera in cameras])
     chosen = list(range(len(cameras)))
     area = local_area(survey)
-    num_cells = _OWN_GROUND * float(pixels.sum())
-    if len(cameras) <= _MOST_VIEWS:
+    num_cells, is_bound = _OWN_GROUND * float(pixels.sum()), len(cameras) > _MOST_VIEWS
+    if not is_bound:
         bed = 0.0 if survey.water is not None else ground_height([view.camera for view in survey.views])
         try:
             overlap = Overlap(cameras, survey.water, bed)
@@ -118,7 +119,8 @@ def workload_of(survey: Survey, plan: Plan) -> Workload:
         num_cells = min(num_cells, (x1 - x0) * (y1 - y0) / plan.gsd_m**2)
     largest = max(view.lens.width * view.lens.height for view in survey.views)
     field = num_cells if plan.field == "slab" else 0.0
-    return _workload(pixels, pixels[chosen], largest, num_cells, field, plan.device)
+    found = _workload(pixels, pixels[chosen], largest, num_cells, field, plan.device)
+    return replace(found, is_bound=True) if is_bound else found
 
 
 def workload_of_images(sizes: Iterable[tuple[int, int]], *, quality: str, device: str) -> Workload:
@@ -141,17 +143,16 @@ def require_room(workload: Workload, run_folder: Path) -> list[str]:
     SurveyError
         If the disk of the run folder has too little space; files of an earlier run there count as free.
     """
-    warnings = []
-    there = sum(p.stat().st_size for p in run_folder.glob("stages/**/*") if p.is_file()) if run_folder.is_dir() else 0
-    free = machine.free_disk_bytes(run_folder) + there
-    if workload.disk_bytes > free:
-        words = (
-            f"the run needs {workload.most}{_size(workload.disk_bytes)} in {run_folder}, and {_size(free)} are free "
-            "there; free some, name a run folder elsewhere with -o, or use a lower --quality"
-        )
-        if not workload.is_bound:
-            raise SurveyError(words)
-        warnings.append(words)
+    words = _disk_doubt(workload, run_folder)
+    if words is not None and not workload.is_bound:
+        raise SurveyError(words)
+    return room_doubts(workload, run_folder)
+
+
+def room_doubts(workload: Workload, run_folder: Path) -> list[str]:
+    """Warnings where the disk of the run folder or the free memory will not suffice."""
+    disk = _disk_doubt(workload, run_folder)
+    warnings = [] if disk is None else [disk]
     free = machine.free_memory_bytes()
     if workload.memory_bytes > free:
         warnings.append(
@@ -159,6 +160,17 @@ def require_room(workload: Workload, run_folder: Path) -> list[str]:
             "system may stop it; close other programs, use a lower --quality, or give [area] bounds"
         )
     return warnings
+
+
+def _disk_doubt(workload: Workload, run_folder: Path) -> str | None:
+    there = sum(p.stat().st_size for p in run_folder.glob("stages/**/*") if p.is_file()) if run_folder.is_dir() else 0
+    free = machine.free_disk_bytes(run_folder) + there
+    if workload.disk_bytes <= free:
+        return None
+    return (
+        f"the run needs {workload.most}{_size(workload.disk_bytes)} in {run_folder}, and {_size(free)} are free "
+        "there; free some, name a run folder elsewhere with -o, or use a lower --quality"
+    )
 
 
 def _workload(pixels, of_maps, largest: int, num_cells: float, of_field: float, device: str) -> Workload:

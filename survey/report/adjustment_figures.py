@@ -8,7 +8,7 @@ import numpy as np
 
 from survey.adjust.adjustment import Adjustment, ControlResidual, Parameter
 from survey.adjust.common_error import CommonError, common_error
-from survey.adjust.state import LENS, WATER
+from survey.adjust.state import RELIEF
 from survey.display.quantities import length
 from survey.folder.survey import Survey
 
@@ -168,7 +168,7 @@ def adjustment_of(survey: Survey, found: Adjustment | None) -> AdjustmentFigures
 
 def correlations(found: Adjustment) -> tuple[tuple[str, ...], np.ndarray]:
     """Names (K,) and correlations (K, K) of those parameters of water and lenses that were free to move."""
-    count = WATER + LENS * len(found.lenses)
+    count = found.layout.first_pose - RELIEF
     std = np.sqrt(np.diag(found.covariance)[:count])
     free = np.flatnonzero(std > HELD_STD)
     matrix = found.covariance[np.ix_(free, free)] / np.outer(std[free], std[free])

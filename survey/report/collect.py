@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import horizontal_crs, vertical_crs
+from geo.crs import crs_code
 from survey.adjust.adjustment import FREE, Adjustment
 from survey.display.plan_grid import PlanGrid
 from survey.files.json_values import plain
+from survey.folder.shutter import shutter_text
 from survey.folder.survey import Survey
 from survey.photos.images import list_images
 from survey.report.adjustment_figures import adjustment_of
@@ -60,6 +61,7 @@ def _survey(survey: Survey) -> SurveyFigures:
         image_size_px=(camera.width, camera.height),
         focal_px=camera.fx,
         poses=(config.cameras.poses or "structure from motion") + (", adjusted" if survey.is_adjusted else ""),
+        shutter=shutter_text(config.cameras, survey.velocities, survey.views, survey.water),
         local_frame_origin=survey.frame.origin,
     )
 
@@ -67,18 +69,6 @@ def _survey(survey: Survey) -> SurveyFigures:
 def _crs(crs: CRS) -> CrsFigures:
     units = [_UNITS.get(axis.unit_name, axis.unit_name) for axis in crs.axis_info]
     return CrsFigures(crs.name, crs_code(crs), units[0], units[-1])
-
-
-def crs_code(crs: CRS) -> str | None:
-    """Codes of a CRS, e.g. "EPSG:25832+5778"; None where it has none."""
-    whole = crs.to_authority()
-    if whole is not None:
-        return ":".join(whole)
-    parts = [part.to_authority() for part in (horizontal_crs(crs), vertical_crs(crs)) if part is not None]
-    if len(parts) != 2 or None in parts:
-        return None
-    (authority, first), (other, second) = parts
-    return f"{authority}:{first}+" + (second if authority == other else f"{other}:{second}")
 
 
 def _water(survey: Survey, adjustment: Adjustment | None) -> WaterFigures | None:

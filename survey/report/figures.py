@@ -45,6 +45,8 @@ class SurveyFigures:
         Of the first view, as the size.
     poses : str
         Name of the file, or "structure from motion".
+    shutter : str or None
+        How it rolls, as a sentence; None where nothing is said of it.
     local_frame_origin : (easting, northing, height), in crs
     """
 
@@ -56,6 +58,7 @@ class SurveyFigures:
     image_size_px: tuple[int, int]
     focal_px: float
     poses: str
+    shutter: str | None
     local_frame_origin: tuple[float, float, float]
 
 

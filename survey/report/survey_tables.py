@@ -68,6 +68,8 @@ def survey(taken: SurveyFigures, water: WaterFigures | None, plan: Plan) -> list
         ("flying height", f"{with_unit(number(plan.height_m, 1), 'm')}, one image covers {with_unit(size, 'm')}"),
         ("ground sampling distance", length(plan.gsd_m)),
     ]
+    if taken.shutter is not None:
+        rows.append(("shutter", taken.shutter))
     if taken.bounds is not None:
         e0, n0, e1, n1 = (number(v, decimals) for v in taken.bounds)
         rows.append(("bounds", f"{e0} to {e1} east, {n0} to {n1} north"))

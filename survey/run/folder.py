@@ -1,6 +1,6 @@
 """The run folder: its contents, and which of them a later run may reuse.
 
-RUN/cloud.las, report.json, report.html, settings.toml, plan.json, result.json, log.txt, pictures/*.png,
+RUN/cloud.las, report.json, report.html, settings.toml, plan.json, flight.json, result.json, log.txt, pictures/*.png,
 stages/<name>-<key>/..., and sfm/ where poses had to be found.
 
 A stage works in a fresh hidden folder that is renamed when the stage is finished, so that every folder under

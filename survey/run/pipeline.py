@@ -14,7 +14,7 @@ from survey.run.stage_pose_check import MISFIT, check_poses, use_misfit
 from survey.run.stage_solver import SOLVED, solve_heights
 from survey.run.stage_sweep import BOUND, MAPS, sweep_views
 from survey.run.stage_water_colour import estimate_colour, use_colour
-from survey.run.stored_field import FIELD_FILES
+from survey.run.stored import FIELD_FILES
 from survey.run.water_colour import COLOUR_FILE, colour_is_known
 
 

@@ -16,7 +16,8 @@ from survey.folder.config import dump_config
 from survey.folder.survey import Survey
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.verdict import Verdict
-from survey.run.export import write_bed_las
+from survey.run.cloud import write_bed_las
+from survey.run.flight import save_flight
 from survey.run.folder import RunDir, seconds_of, versions, versions_of
 from survey.run.gate import verdict_of
 from survey.run.job import Job
@@ -47,6 +48,7 @@ def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path]
     write_json(folder / "plan.json", plan.as_dict())
     stored = load_bed(done["bed"])
     write_bed_las(folder / "cloud.las", stored)
+    save_flight(folder, survey)
     job.progress.note(f"{len(stored.bed):,} points of the bed")
     start = time.monotonic()
     comparison, of_sweep = _comparisons(folder, run, survey, done, truth)

@@ -20,8 +20,9 @@ from survey.files.outputs import ReadFiles, require_file, require_folder
 from survey.folder.config import CamerasConfig, SurveyConfig, read_config
 from survey.folder.inputs import poses_inputs, survey_inputs
 from survey.folder.lens import lens_from_config
-from survey.photos.cameras import Pose
+from survey.folder.posed import cams_from_local, points_in_crs
 from survey.photos.formats import read_poses
+from survey.photos.poses import PoseFile, PoseFrame
 from survey.progress import current
 from survey.run.folder import RunDir
 from survey.run.stored_field import load_field, load_place
@@ -115,32 +116,35 @@ def _field_folder(folder: RunDir) -> Path:
         ) from error
 
 
-def _cameras(poses: list[Pose], path: Path, frame: LocalFrame, config: SurveyConfig) -> dict[str, PinholeCamera]:
+def _cameras(file: PoseFile, path: Path, frame: LocalFrame, config: SurveyConfig) -> dict[str, PinholeCamera]:
     """Cameras in the local frame of the field, by name."""
-    if not poses[0].in_crs and config.local.origin != frame.origin:
+    if file.frame is PoseFrame.LOCAL and config.local.origin != frame.origin:
         raise SurveyError(
             f"the poses in {path} are in a local frame, but the run's cameras were not; give a table of positions in "
             f"{frame.crs.name} instead (image, easting, northing, height, omega, phi, kappa)"
         )
-    found = {}
-    for pose in poses:
-        centre, rotation = pose.centre, pose.cam_from_world
-        if pose.in_crs:
-            centre = _on_the_map(frame, pose, path)
-            rotation = rotation @ frame.local_from_grid(pose.centre).T
-        lens = pose.lens or _lens(config.cameras, path)
-        found[pose.name] = lens.camera(centre, rotation)
-    return found
+    centres = np.array([pose.centre for pose in file.poses]).reshape(-1, 3)
+    if file.frame is not PoseFrame.LOCAL:
+        in_crs = points_in_crs(file, centres, frame.crs, config.cameras.gps_height)
+        centres = frame.local_from_crs(in_crs)
+        _require_on_the_map(file, centres, path, frame)
+        rotations = cams_from_local(file, file.poses, in_crs, frame)
+    else:
+        rotations = np.array([pose.cam_from_world for pose in file.poses])
+    lenses = [pose.lens or _lens(config.cameras, path) for pose in file.poses]
+    return {
+        pose.name: lens.camera(centre, rotation)
+        for pose, lens, centre, rotation in zip(file.poses, lenses, centres, rotations, strict=True)
+    }
 
 
-def _on_the_map(frame: LocalFrame, pose: Pose, path: Path) -> np.ndarray:
-    centre = frame.local_from_crs(pose.centre)
-    if not np.isfinite(centre).all():
-        raise SurveyError(
-            f"the position {pose.centre.tolist()} of {pose.name} in {path} is not on the map of {frame.crs.name}; "
-            "correct it"
-        )
-    return centre
+def _require_on_the_map(file: PoseFile, centres: np.ndarray, path: Path, frame: LocalFrame) -> None:
+    for pose, centre in zip(file.poses, centres, strict=True):
+        if not np.isfinite(centre).all():
+            raise SurveyError(
+                f"the position {pose.centre.tolist()} of {pose.name} in {path} is not on the map of {frame.crs.name}; "
+                "correct it"
+            )
 
 
 def _lens(config: CamerasConfig, path: Path) -> Lens:

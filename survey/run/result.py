@@ -14,8 +14,8 @@ from pathlib import Path
 from survey.files.json_values import read_json_object, write_json
 
 NAMES = (
-    "settings.toml", "plan.json", "cloud.las", "adjustment.json", "adjustment.npz", "cameras.csv", "sparse",
-    "report.json", "report.html", "pictures", "result.json",
+    "settings.toml", "plan.json", "cloud.las", "flight.json", "adjustment.json", "adjustment.npz", "cameras.csv",
+    "sparse", "report.json", "report.html", "pictures", "result.json",
 )  # fmt: skip
 _RECORD = "result.json"
 _WHOLE = ".result.whole"

@@ -9,11 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fields.colour.true_colour import true_colours
-from fields.slab.refine import refine
 from fields.sweep.bed import BedPoints, has_company, points_of, unique_pixels
 from fields.sweep.sweep import PEERS
-from fields.water_column import WaterColumn
 from survey.adjust.adjustment import read_adjustment
 from survey.adjust.std_common import BASIS_ADJUSTED, BASIS_STATED, std_common
 from survey.display.quantities import length
@@ -23,7 +20,6 @@ from survey.plan.block import backend, camera_of
 from survey.run.stage_solver import SOLVED
 from survey.run.stage_sweep import MAPS, look_at_bed
 from survey.run.stored import BED_FILE, SURVEY_FILE, StoredBed, load_depth_maps, load_solved_maps, save_bed
-from survey.run.stored_field import load_field
 from survey.run.water_colour import colour_of
 
 if TYPE_CHECKING:
@@ -47,7 +43,7 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """
     survey = job.survey
     maps = load_depth_maps(needs["sweep"] / MAPS)
-    field = load_field(needs["field"], backend(job.plan)) if "field" in needs else None
+    field = _field_of(job, needs["field"]) if "field" in needs else None
     solved = load_solved_maps(needs["solver"] / SOLVED) if "solver" in needs else None
     look_at_bed(job, needs["sweep"])
     with job.progress.stage("Bed", len(maps)) as stage:
@@ -60,6 +56,10 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
             "together (bathynerf check) and that the views overlap"
         )
     if job.true_colour:
+        # Imported where it is needed: it takes torch, whose import takes seconds.
+        from fields.colour.true_colour import true_colours
+        from fields.water_column import WaterColumn
+
         water, _ = survey.require_water()
         rgb, too_bright = true_colours(bed, water, WaterColumn(*colour_of(survey)))
         bed = replace(bed, rgb=rgb)
@@ -70,6 +70,12 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     job.progress.note(f"std_common: {length(float(np.nanmedian(common)))} (median), by {basis}")
     points_crs = survey.frame.crs_from_local(bed.xyz)
     save_bed(folder, StoredBed(bed, points_crs, survey.frame.crs, survey.name, job.plan.gsd_m, common))
+
+
+def _field_of(job: Job, folder: Path) -> TensorField:
+    from survey.run.stored_field import load_field
+
+    return load_field(folder, backend(job.plan))
 
 
 def bed_points(
@@ -91,6 +97,8 @@ def bed_points(
         rgb = job.photographs.load(view, scale=plan.image_scale)
         keep = keep[: camera.height, : camera.width]
         if field is not None:
+            from fields.slab.refine import refine
+
             height, taken = refine(field, camera, depth_map, rgb, survey.water, keep)
             depth_map, moved = replace(depth_map, height=height), moved + taken
         if solved is None:

@@ -6,16 +6,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fields.slab.from_sweep import slab_of
-from fields.slab.tensor_field import FieldSettings
-from fields.slab.train import Schedule, train
 from survey.plan.area import AREA_MARGIN_M, grown, local_area
 from survey.plan.block import backend
 from survey.progress import shares
 from survey.run.sources import sources_of
 from survey.run.stage_sweep import MAPS
 from survey.run.stored import load_depth_maps
-from survey.run.stored_field import save_field, save_place
 
 if TYPE_CHECKING:
     from fields.slab.tensor_field import TensorField
@@ -26,6 +22,9 @@ if TYPE_CHECKING:
 
 def train_field(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Train the field on the photographs that have a height map."""
+    # Imported where it is needed, as below: it takes torch, whose import takes seconds.
+    from survey.run.stored_field import save_field, save_place
+
     maps = load_depth_maps(needs["sweep"] / MAPS)
     with job.progress.stage("Field", 1.0) as stage:
         field, figures = trained(job, maps, shares(stage))
@@ -36,6 +35,10 @@ def train_field(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 
 def trained(job: Job, maps: list[DepthMap], progress: Callable[[float], None]) -> tuple[TensorField, FieldFigures]:
     """The field inside the bound of the sweep, and the figures of its training."""
+    from fields.slab.from_sweep import slab_of
+    from fields.slab.tensor_field import FieldSettings
+    from fields.slab.train import Schedule, train
+
     plan, area = job.plan, local_area(job.survey)
     sources = sources_of(job, maps)
     slab = slab_of(sources, plan.gsd_m, None if area is None else grown(area, AREA_MARGIN_M))

@@ -21,6 +21,17 @@ if TYPE_CHECKING:
     from fields.sweep.sweep import DepthMap
 
 BED_FILE, SURVEY_FILE = "bed.npz", "survey.json"
+# Of the stage of the field; `survey.run.stored_field` reads and writes them.
+FIELD_FILES = FIELD_FILE, FIGURES_FILE, PLACE_FILE = "field.pt", "field.json", "place.json"
+
+
+@dataclass(frozen=True)
+class BedPlace:
+    """What is known of a stored bed without its points; the attributes are those of `StoredBed`."""
+
+    crs: CRS
+    name: str
+    gsd_m: float
 
 
 @dataclass(frozen=True)
@@ -63,8 +74,8 @@ def save_arrays(path: str | Path, **arrays: np.ndarray) -> None:
         np.savez(stream, **named)
 
 
-def load_arrays(path: str | Path) -> dict[str, np.ndarray]:
-    """The arrays of a file of `save_arrays`.
+def load_arrays(path: str | Path, names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
+    """The arrays of a file of `save_arrays`; with ``names`` only those of them that it has.
 
     Raises
     ------
@@ -73,7 +84,7 @@ def load_arrays(path: str | Path) -> dict[str, np.ndarray]:
     """
     try:
         with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            return {name: stored[name] for name in stored.files}
+            return {name: stored[name] for name in stored.files if names is None or name in names}
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
         raise SurveyError(
             f"{path} cannot be read ({error}); delete its folder and give `bathynerf process` again"
@@ -102,17 +113,46 @@ def load_bed(folder: str | Path) -> StoredBed:
     """
     from fields.sweep.bed import BedPoints
 
-    folder = Path(folder)
-    arrays = load_arrays(folder / BED_FILE)
+    arrays = load_arrays(Path(folder) / BED_FILE)
+    place = load_bed_place(folder)
     try:
-        said = json.loads((folder / SURVEY_FILE).read_text(encoding="utf-8"))
         points_crs, common = arrays.pop("points_crs"), arrays.pop("std_common", None)
-        crs = CRS.from_wkt(said["crs_wkt"])
-        return StoredBed(BedPoints(**arrays), points_crs, crs, said["name"], said["gsd_m"], common)
+        return StoredBed(BedPoints(**arrays), points_crs, place.crs, place.name, place.gsd_m, common)
+    except (KeyError, TypeError) as error:
+        raise _no_bed(folder, error) from error
+
+
+def load_bed_place(folder: str | Path) -> BedPlace:
+    """What `save_bed` wrote of a bed beside its points.
+
+    Raises
+    ------
+    SurveyError
+        If the file is missing or damaged.
+    """
+    try:
+        said = json.loads((Path(folder) / SURVEY_FILE).read_text(encoding="utf-8"))
+        return BedPlace(CRS.from_wkt(said["crs_wkt"]), said["name"], said["gsd_m"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise SurveyError(
-            f"{folder} is no bed that can be read ({error}); delete it and give `bathynerf process` again"
-        ) from error
+        raise _no_bed(folder, error) from error
+
+
+def _no_bed(folder: str | Path, error: Exception) -> SurveyError:
+    return SurveyError(f"{folder} is no bed that can be read ({error}); delete it and give `bathynerf process` again")
+
+
+def load_bed_columns(folder: str | Path, *names: str) -> dict[str, np.ndarray]:
+    """Some columns of the points that `save_bed` wrote, by name: points_crs, or a field of BedPoints.
+
+    The others are not read: a cloud is larger than what a raster needs of it. Names that the file does not have are
+    left out.
+
+    Raises
+    ------
+    SurveyError
+        If the file is missing or damaged.
+    """
+    return load_arrays(Path(folder) / BED_FILE, names)
 
 
 def save_depth_maps(path: str | Path, maps: list[DepthMap]) -> None:

@@ -21,11 +21,11 @@ from geo.files import write_whole
 from geo.frames import LocalFrame
 from refract import FlatWater
 from survey.errors import SurveyError
+from survey.run.stored import FIELD_FILE, FIGURES_FILE, PLACE_FILE
 
 if TYPE_CHECKING:
     from fields.slab.train import FieldFigures
 
-FIELD_FILES = FIELD_FILE, FIGURES_FILE, PLACE_FILE = "field.pt", "field.json", "place.json"
 _DAMAGE = (OSError, RuntimeError, KeyError, TypeError, ValueError, EOFError, pickle.UnpicklingError, zipfile.BadZipFile)
 
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fields.colour.absorption import estimate_absorption
 from geo.files import write_whole
 from survey.errors import SurveyError
 
@@ -37,6 +36,9 @@ def save_colour(folder: Path, sources: Sources) -> None:
     SurveyError
         If it cannot be estimated from the photographs.
     """
+    # Imported where it is needed: it takes torch, whose import takes seconds.
+    from fields.colour.absorption import estimate_absorption
+
     try:
         absorption = estimate_absorption(sources)
     except ValueError as error:

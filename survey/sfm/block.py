@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 from geo.similarity import Similarity
 from refract.lens import Lens
 from survey.photos.tie_points import MIN_TRACK, TiePoints
+from survey.sfm.features import features_of
 
 if TYPE_CHECKING:
     import pycolmap
@@ -29,8 +30,6 @@ _THREADS = 2
 _SEED = 0
 # f, cx, cy, k1, k2. With one coefficient a real block is bent by decimetres; more than two gain nothing (see tests).
 MODEL = "RADIAL"
-# Longest side [px] of an image for feature detection; larger images are reduced.
-_FEATURE_SIZE_PX = 3200
 # Most features of an image. The adjustment uses a few hundred of them (`survey.adjust.thinning`), and twice as many
 # take twice the time.
 _MOST_FEATURES = 4096
@@ -89,17 +88,22 @@ def solve_block(
     for sensor in sensors:
         # Before the features, so that images have the same numbers however threads take turns.
         colmap.import_images(database, folder, colmap.CameraMode.SINGLE, list(sensor.names), _reader(sensor))
-    extraction = colmap.FeatureExtractionOptions()
-    extraction.num_threads, extraction.use_gpu, extraction.max_image_size = _THREADS, False, _FEATURE_SIZE_PX
-    extraction.sift.max_num_features = _MOST_FEATURES
     say(f"structure from motion: features of {len(names)} images")
-    colmap.extract_features(
-        database, folder, names, colmap.CameraMode.AUTO, colmap.ImageReaderOptions(), extraction, colmap.Device.cpu
-    )
+    _extract(database, folder, names)
     pairs = image_pairs(names, positions)
     say(f"structure from motion: matches of {len(pairs)} pairs")
     _match(database, pairs, work)
     return _map(database, folder, work, len(names), say)
+
+
+def _extract(database: Path, folder: Path, names: Sequence[str]) -> None:
+    colmap = _pycolmap()
+    with colmap.Database.open(database) as opened:
+        for name in names:
+            number = opened.read_image_with_name(name).image_id
+            keypoints, descriptors = features_of(folder / name, _MOST_FEATURES)
+            opened.write_keypoints(number, keypoints)
+            opened.write_descriptors(number, colmap.FeatureDescriptors(colmap.FeatureExtractorType.SIFT, descriptors))
 
 
 def _pycolmap():
@@ -123,6 +127,8 @@ def image_pairs(names: Sequence[str], positions: Mapping[str, np.ndarray]) -> li
     if len(names) <= _ALL_PAIRS_UP_TO:
         return [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
     placed = [name for name in names if name in positions]
+    if len(placed) < 2:
+        return [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
     points = np.array([positions[name][:2] for name in placed])
     _, nearest = cKDTree(points).query(points, k=min(_NEIGHBOURS + 1, len(placed)))
     pairs = {tuple(sorted((placed[i], placed[j]))) for i, row in enumerate(nearest) for j in row if i != j}

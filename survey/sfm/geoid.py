@@ -50,7 +50,10 @@ def height_transformer(crs: CRS, area: AreaOfInterest) -> Transformer:
         )
     missing = f"the grid {grids[0]} is" if len(grids) == 1 else f"the grids {' and '.join(grids)} are"
     get = " and ".join(f"pyproj sync --file {name}" for name in grids)
-    raise ConfigError(f"{said}, and {missing} not installed; install with {get}, {instead}")
+    raise ConfigError(
+        f"{said}, and {missing} not installed; install with {get}, put it into the folder geoid of the "
+        f"survey, {instead}"
+    )
 
 
 def _geoid_grids(operations: list[CoordinateOperation], datum: str) -> list[str]:

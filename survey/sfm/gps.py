@@ -18,7 +18,7 @@ from survey.sfm.geoid import height_transformer
 
 # Mean sea level by EGM96: the heights of consumer receivers and drones.
 _EGM96_HEIGHT = 5773
-_MIN_POSITIONS = 3
+MIN_POSITIONS = 3
 _GIVE_POSES = f"name a file of poses in [cameras] poses in {FILE_NAME}"
 
 
@@ -62,12 +62,12 @@ def gps_positions(heads: Mapping[str, Exif], crs: CRS | None, gps_height: str) -
     MissingVerticalDatum, UnsupportedCRS
         As `geo.crs.parse_crs`.
     """
-    wgs84 = {name: head.lat_lon_height for name, head in heads.items() if head.lat_lon_height is not None}
-    with_height = {name: p for name, p in wgs84.items() if math.isfinite(p[2])}
-    if len(with_height) < _MIN_POSITIONS:
+    num = sum(head.lat_lon_height is not None for head in heads.values())
+    num_with_height = sum(is_whole(head.lat_lon_height) for head in heads.values())
+    if num_with_height < MIN_POSITIONS:
         raise PosesError(
-            f"{len(wgs84)} of {len(heads)} images have a GPS position in EXIF, {len(with_height)} of them with a "
-            f"height, expected at least {_MIN_POSITIONS} to place the survey on Earth; {_GIVE_POSES}"
+            f"{num} of {len(heads)} images have a GPS position in EXIF, {num_with_height} of them with a "
+            f"height, expected at least {MIN_POSITIONS} to place the survey on Earth; {_GIVE_POSES}"
         )
     notes = []
     if crs is None:
@@ -75,19 +75,46 @@ def gps_positions(heads: Mapping[str, Exif], crs: CRS | None, gps_height: str) -
         crs = parse_crs(code)
         notes.append(f'crs = "{code}", the UTM zone of the GPS positions with heights above mean sea level (EGM96)')
     crs = parse_crs(crs)
-    lat, lon, height = np.array(list(with_height.values())).T
-    points = _crs_from_wgs84(crs, lon, lat, height, gps_height, notes)
-    if not np.isfinite(points).all():
-        name = list(with_height)[int(np.argmin(np.isfinite(points).all(axis=1)))]
-        raise ConfigError(
-            f"the GPS position {with_height[name]} of {name} is not on the map of {crs.name}; correct crs in "
-            f"{FILE_NAME}"
-        )
+    positions = positions_in_crs(heads, crs, gps_height, notes)
+    points = np.array(list(positions.values()))
     frame = LocalFrame(crs, _origin(crs, points))
-    missing = len(heads) - len(with_height)
+    missing = len(heads) - num_with_height
     if missing:
         notes.append(f"{missing} of {len(heads)} images have no GPS position with a height; the others place the block")
-    return GpsPositions(frame, dict(zip(with_height, frame.local_from_crs(points), strict=True)), tuple(notes))
+    return GpsPositions(frame, dict(zip(positions, frame.local_from_crs(points), strict=True)), tuple(notes))
+
+
+def positions_in_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str, notes: list[str]) -> dict[str, np.ndarray]:
+    """The positions (3,) in crs of the photographs that have one with a height, by name; there may be none.
+
+    Parameters
+    ----------
+    heads, crs, gps_height
+        As for `gps_positions`.
+    notes : list of sentences
+        Added to: what the heights are taken for.
+
+    Raises
+    ------
+    ConfigError
+        As `gps_positions`.
+    """
+    wgs84 = {name: head.lat_lon_height for name, head in heads.items() if is_whole(head.lat_lon_height)}
+    if not wgs84:
+        return {}
+    lat, lon, height = np.array(list(wgs84.values())).T
+    points = _crs_from_wgs84(crs, lon, lat, height, gps_height, notes)
+    if not np.isfinite(points).all():
+        name = list(wgs84)[int(np.argmin(np.isfinite(points).all(axis=1)))]
+        raise ConfigError(
+            f"the GPS position {wgs84[name]} of {name} is not on the map of {crs.name}; correct crs in {FILE_NAME}"
+        )
+    return dict(zip(wgs84, points, strict=True))
+
+
+def is_whole(position: tuple[float, float, float] | None) -> bool:
+    """Whether a photograph has a position with a height."""
+    return position is not None and math.isfinite(position[2])
 
 
 def _crs_from_wgs84(crs: CRS, lon, lat, height, gps_height: str, notes: list[str]) -> np.ndarray:

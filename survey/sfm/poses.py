@@ -1,8 +1,8 @@
 """Structure from motion: poses in the local frame for a survey that comes without them.
 
-Photographs with GPS positions in EXIF (`survey.sfm.gps`) -> a block of poses and points by pycolmap
-(`survey.sfm.block`) -> georeferenced by the positions (`survey.sfm.gps_fit`, `survey.sfm.solve`). Here: the entry
-point, the result, and the solved block, which is stored to be used again.
+Photographs -> a block of poses and points by pycolmap (`survey.sfm.block`, `survey.sfm.solve`) -> georeferenced by GPS
+positions in EXIF or by control points (`survey.sfm.placing`). Here: the entry point, the result, and the solved block,
+which is stored, in its own frame, to be used again.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import height_unit_m
 from geo.files import disk_refusals
 from geo.frames import LocalFrame
 from refract.lens import Lens
@@ -30,12 +30,14 @@ from survey.files.lock import locked
 from survey.photos.exif import read_exif
 from survey.photos.tie_points import TiePoints
 from survey.sfm import block as sfm_block
-from survey.sfm.gps import GpsPositions, gps_positions
+from survey.sfm.gps import gps_positions, positions_in_crs
+from survey.sfm.marked import BlockControl
+from survey.sfm.placing import Placed, place_by_control, place_by_gps
 from survey.sfm.settings import one_focal, require_size
-from survey.sfm.solve import Solved, aliases, solve
+from survey.sfm.solve import Free, aliases, sensors_of, solve
 from survey.stage_key import stage_key
 
-__all__ = ["SfmResult", "SfmView", "seconds_of_solve", "solve_poses"]
+__all__ = ["SfmResult", "SfmView", "image_names", "seconds_of_solve", "solve_poses"]
 
 _RECORD, _MODEL, _WORK = "solved.json", "model", ".work.part"
 # Features and matches of an image take about 2 MB in the database.
@@ -67,7 +69,7 @@ class SfmResult:
     Attributes
     ----------
     frame : LocalFrame
-        Origin: median GPS position, at the height of the middle point of the block, rounded.
+        Origin: median GPS position or control point, at the height of the middle point of the block, rounded.
     views : tuple of SfmView
         In order of names; images that could not be placed are left out.
     notes : list of sentences
@@ -101,9 +103,10 @@ def solve_poses(
     gps_height: str = "crs",
     size_px: tuple[int, int] | None = None,
     focal_px: float | tuple[float, float] | None = None,
+    control: BlockControl | None = None,
     report: Callable[[str], None] | None = None,
 ) -> SfmResult:
-    """Poses, lenses and points of photographs with GPS positions.
+    """Poses, lenses and points of photographs with GPS positions, or with control points.
 
     Parameters
     ----------
@@ -118,13 +121,15 @@ def solve_poses(
         That all images must have.
     focal_px : float, optional
         Of a calibration; it is kept. Without it, the one in EXIF is where the search starts.
+    control : BlockControl, optional
+        Places the block instead of GPS positions; its views have the names of `image_names`.
     report : callable, optional
         Called with a sentence on the progress.
 
     Raises
     ------
     SurveyError
-        Where positions, overlap or room on the disk do not suffice; the message says what to give instead.
+        Where positions, control, overlap or room on the disk do not suffice; the message says what to give instead.
     UnwritableFile
         Where the workspace cannot be written to.
 
@@ -133,29 +138,38 @@ def solve_poses(
     The same images on the same kind of computer give the same poses: seeds and threads are fixed.
     """
     say = report or (lambda _text: None)
-    images = _named(image_paths)
+    images = image_names(image_paths)
     heads = {name: read_exif(path) for name, path in images.items()}
     require_size(images, heads, size_px)
     focal_px = one_focal(focal_px)
-    gps = gps_positions(heads, crs, gps_height)
+    place: Callable[..., Placed]
+    if control is None:
+        gps = gps_positions(heads, crs, gps_height)
+        frame, place = gps.frame, partial(place_by_gps, gps=gps)
+    else:
+        frame, place = control.frame, partial(place_by_control, control=control)
+    positions = positions_in_crs(heads, frame.crs, gps_height, [])
+    local = {name: frame.local_from_crs(position) for name, position in positions.items()}
     code = code_hash("survey.sfm.solve")
-    key = stage_key("sfm", code, gps.frame, gps_height, focal_px, list(images), list(images.values()))
+    key = stage_key("sfm", code, focal_px, list(images), list(images.values()))
     busy = f"another process (number {{pid}}) looks for poses in {workspace}; wait until it ends, or stop it"
     with disk_refusals(workspace), locked(_made(workspace), busy=busy):
-        solved = _stored(workspace, key)
-        if solved is not None:
-            say(f"structure from motion: poses of {solved.block.num_reg_images()} images from {workspace}")
+        free = _stored(workspace, key)
+        if free is not None:
+            say(f"structure from motion: poses of {free.block.num_reg_images()} images from {workspace}")
         else:
             if (workspace / _RECORD).is_file():
                 say(f"structure from motion: {workspace} has poses of other photographs or settings, or by other code")
             with _work_folder(workspace, len(images)) as work:
                 start = time.monotonic()
-                solved = solve(images, heads, gps, focal_px, work, say)
-                _store(workspace, key, work, solved, time.monotonic() - start)
-    return _result(solved, gps, images)
+                free = solve(images, heads, local, focal_px, work, say)
+                _store(workspace, key, work, free, time.monotonic() - start)
+    alias_of = aliases(images)
+    sensors = sensors_of(heads, alias_of, focal_px)
+    return _result(place(free, alias_of=alias_of, sensors=sensors, say=say), positions, alias_of)
 
 
-def _named(paths: Sequence[Path]) -> dict[str, Path]:
+def image_names(paths: Sequence[Path]) -> dict[str, Path]:
     """Images by their path below the folder that they have in common, in order of names."""
     if not paths:
         raise ImageError("structure from motion got no images, expected at least three")
@@ -192,38 +206,32 @@ def seconds_of_solve(workspace: Path) -> float | None:
     return read_json_object(workspace / _RECORD).get("seconds")
 
 
-def _stored(workspace: Path, key: str) -> Solved | None:
+def _stored(workspace: Path, key: str) -> Free | None:
     """What `_store` left with this key; None if there is nothing, or something else."""
     record = read_json_object(workspace / _RECORD)
     if record.get("key") != key or not (workspace / _MODEL).is_dir():
         return None
-    frame = LocalFrame(CRS(record["crs"]), tuple(record["origin"]))
-    return Solved(sfm_block.read_block(workspace / _MODEL), frame, tuple(record["notes"]))
+    return Free(sfm_block.read_block(workspace / _MODEL), tuple(record["notes"]))
 
 
-def _store(workspace: Path, key: str, work: Path, solved: Solved, seconds: float) -> None:
+def _store(workspace: Path, key: str, work: Path, free: Free, seconds: float) -> None:
     """Store a block; the record is written last and marks it as complete."""
     (workspace / _RECORD).unlink(missing_ok=True)
     shutil.rmtree(workspace / _MODEL, ignore_errors=True)
     model = work / _MODEL
     model.mkdir()
-    sfm_block.write_block(solved.block, model)
+    sfm_block.write_block(free.block, model)
     model.rename(workspace / _MODEL)
-    frame = solved.frame
-    record = {"key": key, "crs": frame.crs.to_wkt(), "origin": frame.origin, "notes": solved.notes}
-    write_json(workspace / _RECORD, record | {"seconds": round(seconds, 3)})
+    write_json(workspace / _RECORD, {"key": key, "notes": free.notes, "seconds": round(seconds, 3)})
 
 
-def _result(solved: Solved, gps: GpsPositions, images: Mapping[str, Path]) -> SfmResult:
-    poses, frame = sfm_block.poses_of(solved.block), solved.frame
-    placed = {name: alias for name, alias in aliases(images).items() if alias in poses}
-    views = tuple(
-        SfmView(name, sfm_block.lens_of(solved.block, alias), *poses[alias]) for name, alias in placed.items()
-    )
-    # The positions are in a frame that lies higher: at the cameras, not at the ground.
-    fall = np.array([0.0, 0.0, (frame.origin[2] - gps.frame.origin[2]) * height_unit_m(frame.crs)])
-    measured = np.array([gps.local.get(name, np.full(3, np.nan)) - fall for name in placed])
-    points, num_views, error_px = sfm_block.points_of(solved.block)
+def _result(placed: Placed, positions: Mapping[str, np.ndarray], alias_of: Mapping[str, str]) -> SfmResult:
+    poses, frame = sfm_block.poses_of(placed.block), placed.frame
+    posed = {name: alias for name, alias in alias_of.items() if alias in poses}
+    views = tuple(SfmView(name, sfm_block.lens_of(placed.block, alias), *poses[alias]) for name, alias in posed.items())
+    lost = np.full(3, np.nan)
+    measured = np.array([frame.local_from_crs(positions[name]) if name in positions else lost for name in posed])
+    points, num_views, error_px = sfm_block.points_of(placed.block)
     residuals = np.array([view.centre for view in views]) - measured
-    ties = sfm_block.tracks_of(solved.block, list(placed.values()))
-    return SfmResult(frame, views, list(solved.notes), points, num_views, error_px, residuals, ties)
+    ties = sfm_block.tracks_of(placed.block, list(posed.values()))
+    return SfmResult(frame, views, list(placed.notes), points, num_views, error_px, residuals, ties)

@@ -69,6 +69,7 @@ class Sensor:
         middle, across, down = (part.astype(dtype) for part in _rays_of(lens, camera))
         total = np.zeros((camera.height * camera.width, 3))
         forward = self.blur_m * _horizontal(-camera.cam_from_local[1])
+        rows = np.repeat(np.arange(camera.height) + 0.5, camera.width)[:, None]
         turn = np.random.default_rng([seed[0], 6, seed[1]]).random((len(total), 3), dtype=np.float32)
         for number, (part, offsets) in enumerate(self._samples(turn)):
             u, v, time = np.moveaxis(offsets.astype(dtype, copy=False), -1, 0)[..., None]
@@ -76,6 +77,9 @@ class Sensor:
             rays = middle[part, None] + u * across[part, None] + v * down[part, None]
             rays /= np.sqrt(np.einsum("pri,pri->pr", rays, rays))[..., None]
             origin = camera.centre if self.blur_m == 0.0 else (camera.centre + time * forward).reshape(-1, 3)
+            if camera.motion is not None:
+                late = rows[part, None] + v - camera.cy
+                origin = origin + np.broadcast_to(late * camera.motion, rays.shape).reshape(-1, 3)
             radiance = eye(np.broadcast_to(origin, (rays.size // 3, 3)), rays.reshape(-1, 3), _seed_of(seed, number))
             total[part] += radiance.reshape(rays.shape).sum(axis=1)
         return (total / self.samples).reshape(camera.height, camera.width, 3)

@@ -1,21 +1,28 @@
-"""Poses files, one module per format: each reads a file into `survey.photos.cameras.Pose`s."""
+"""Poses files, one module per format: each reads a file into a `survey.photos.poses.PoseFile`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from survey.errors import PosesError
-from survey.photos.cameras import Pose
-from survey.photos.formats import colmap, opk_csv
+from survey.photos.formats import colmap, exterior_text, metashape, nerfstudio, opensfm, opk_csv, pix4d
 from survey.photos.formats.format import Format
-from survey.photos.tie_points import MIN_TRACK
+from survey.photos.poses import FileTies, PoseFile
 
-# Files of other programs that are not read; warnings name them.
-_NOT_READ = ("cameras.xml", "transforms.json", "reconstruction.json", "nvm", "bundle.out")
+# Files of poses of other programs that are not read, and what to do instead; warnings name them.
+_NOT_READ = {
+    "*.nvm": "export a COLMAP model instead",
+    "bundle.out": "export a COLMAP model instead",
+    "*.psx": "export the cameras from Metashape (File > Export > Export Cameras)",
+    "*.p4d": "give the files in 1_initial/params of the Pix4D project",
+    "*.rcproj": "export the registration as a COLMAP model",
+    "*.ori": "which way the matrices of PATB turn is not certain; export omega, phi, kappa as lines of text",
+}
 # Asked in this order which of them a path is of.
-FORMATS = (opk_csv.FORMAT, colmap.FORMAT)
+FORMATS = (
+    pix4d.FORMAT, exterior_text.FORMAT, opk_csv.FORMAT, colmap.FORMAT, opensfm.FORMAT, metashape.FORMAT,
+    nerfstudio.FORMAT,
+)  # fmt: skip
 
 
 def find_poses(folder: Path) -> list[Path]:
@@ -24,12 +31,16 @@ def find_poses(folder: Path) -> list[Path]:
 
 
 def find_unread(folder: Path) -> list[str]:
-    """Names of poses files in a survey folder whose format is not read yet."""
-    return [name for name in _NOT_READ if (folder / name).is_file()]
+    """Sentences on poses files in a survey folder whose format is not read: their name, and what to do instead."""
+    return [
+        f"{path.name} is not read: {instead}"
+        for pattern, instead in _NOT_READ.items()
+        for path in sorted(folder.glob(pattern))
+    ]
 
 
-def read_poses(path: Path) -> list[Pose]:
-    """Poses in a file (cameras.csv) or folder (COLMAP model, text or binary).
+def read_poses(path: Path) -> PoseFile:
+    """What a poses file, or the folder of a model, holds.
 
     Raises
     ------
@@ -40,13 +51,25 @@ def read_poses(path: Path) -> list[Pose]:
         raise PosesError(f"the poses file {path} does not exist; correct [cameras] poses in survey.toml")
     known = _format_of(path)
     if known is None:
-        expected = " or ".join(known.name for known in FORMATS)
-        raise PosesError(f"{path} is not a known kind of poses file; expected {expected}")
-    return known.read(path)
+        expected = "; ".join(known.name for known in FORMATS)
+        raise PosesError(f"{path} is not a known kind of poses file; expected one of: {expected}")
+    file = known.read(path)
+    if not file.poses:
+        raise PosesError(f"{path} has no poses, expected those of the photographs; correct it or give another file")
+    return file
 
 
-def read_points(path: Path) -> np.ndarray | None:
-    """Matched points (N, 3) [m], local, that came with poses and that three photographs see; None where none came.
+def pose_files(path: Path) -> list[Path]:
+    """The files that are read for the poses in a path, none of which a result may replace."""
+    if path.is_dir():
+        return [file for file in path.iterdir() if file.is_file()]
+    known = _format_of(path) if path.exists() else None
+    beside = [] if known is None or known.files is None else known.files(path)
+    return [path, *(file for file in beside if file.is_file())]
+
+
+def read_ties(path: Path) -> FileTies | None:
+    """Tie points that came with poses, in the frame of these; None where none came.
 
     Raises
     ------
@@ -54,10 +77,7 @@ def read_points(path: Path) -> np.ndarray | None:
         Where their file is damaged.
     """
     known = _format_of(path)
-    if known is None or known.read_points is None:
-        return None
-    points, num_views = known.read_points(path)
-    return points[num_views >= MIN_TRACK] if len(points) else None
+    return None if known is None or known.read_ties is None else known.read_ties(path)
 
 
 def _format_of(path: Path) -> Format | None:

@@ -1,7 +1,6 @@
-"""COLMAP models, text and binary: cameras, images and points in the topocentric frame of [local].
+"""COLMAP models, text and binary, versions 3 and 4: cameras, images and points in the topocentric frame of [local].
 
-The layouts are those of COLMAP's ``doc/format.rst`` and ``reconstruction_io_binary.cc``; rigs and frames are not
-needed, because images still carry the pose of each photograph.
+Images carry the pose of each photograph. Rigs and frames, where version 4 wrote them, must say the same.
 """
 
 from __future__ import annotations
@@ -11,20 +10,26 @@ from pathlib import Path
 
 import numpy as np
 
-from refract.lens import MODELS, Lens, LensError
+from refract.lens import LensError
 from survey.errors import PosesError
-from survey.photos.cameras import Pose, rotation_from_quaternion
+from survey.files.csv_table import shortened
+from survey.photos.cameras import rotation_from_quaternion
+from survey.photos.formats import colmap_files as files
 from survey.photos.formats.format import Format
+from survey.photos.poses import FileTies, Pose, PoseFile, PoseFrame
 
 # Where models lie in a survey folder, beside the folder itself.
 _PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "colmap")
-_NAME_OF_ID = {number: name for name, (number, _) in MODELS.items()}
-# Names and number of parameters of the models that COLMAP has beyond ours, so that an error can name them.
-_OTHER_IDS = {
-    7: "FOV", 8: "SIMPLE_RADIAL_FISHEYE", 9: "RADIAL_FISHEYE", 10: "THIN_PRISM_FISHEYE",
-    11: "RAD_TAN_THIN_PRISM_FISHEYE", 12: "SIMPLE_DIVISION", 13: "DIVISION", 14: "SIMPLE_FISHEYE",
-    15: "FISHEYE", 16: "EUCM", 17: "EQUIRECTANGULAR",
+_READERS = {
+    "cameras.txt": files.cameras_txt, "images.txt": files.images_txt, "points3D.txt": files.points_txt,
+    "rigs.txt": files.rigs_txt, "frames.txt": files.frames_txt,
+    "cameras.bin": files.cameras_bin, "images.bin": files.images_bin, "points3D.bin": files.points_bin,
+    "rigs.bin": files.rigs_bin, "frames.bin": files.frames_bin,
 }  # fmt: skip
+# How models begin that come from an adjustment with bent rays, see `survey.adjust.written`.
+_OWN_FIRST_WORDS = b"# In survey.toml:"
+# Poses of a rig and of its images are written with 17 digits; further apart than this they are not the same.
+_SAME_POSE = 1e-6
 
 
 def is_model(folder: Path) -> bool:
@@ -32,142 +37,111 @@ def is_model(folder: Path) -> bool:
     return any((folder / f"cameras{s}").is_file() and (folder / f"images{s}").is_file() for s in (".bin", ".txt"))
 
 
-def read_model(folder: Path) -> list[Pose]:
+def read_model(folder: Path) -> PoseFile:
     """Poses and lenses of a model in a topocentric frame; binary files take precedence over text, as in COLMAP.
 
     Raises
     ------
     PosesError
-        Where a file is damaged, a camera model is not supported, a pose is not finite or an image has no
-        camera.
+        Where a file is damaged, a camera model is not supported, a pose is not finite, an image has no camera, or rigs
+        and frames contradict the images.
     """
-    binary = (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file()
-    suffix, cameras, images = (".bin", _cameras_bin, _images_bin) if binary else (".txt", _cameras_txt, _images_txt)
-    lenses = _guarded(cameras, folder / f"cameras{suffix}")
-    poses: dict[str, Pose] = {}
+    suffix = _suffix(folder)
+    lenses = _read(folder / f"cameras{suffix}")
     path = folder / f"images{suffix}"
-    for name, camera_id, numbers in _guarded(images, path):
-        if not np.isfinite(numbers).all() or not np.any(numbers[:4]):
+    photos = _read(path)
+    poses: dict[str, Pose] = {}
+    for photo in photos:
+        name = shortened(photo.name)
+        if not np.isfinite(photo.pose).all() or not np.any(photo.pose[:4]):
             raise PosesError(
-                f"{path}: the pose of {name} is {[float(f'{v:.6g}') for v in numbers]}, expected a quaternion and a "
-                "translation of finite numbers; correct it or remove the image from the model"
+                f"{path}: the pose of {name} is {[float(f'{v:.6g}') for v in photo.pose]}, expected a quaternion "
+                "and a translation of finite numbers; correct it or remove the image from the model"
             )
-        if camera_id not in lenses:
-            raise PosesError(f"{path}: image {name} has the camera {camera_id}, which cameras{suffix} does not have")
-        if name in poses:
+        if photo.camera not in lenses:
+            raise PosesError(
+                f"{path}: image {name} has the camera {photo.camera}, which cameras{suffix} does not have; write "
+                "the model again"
+            )
+        if photo.name in poses:
             raise PosesError(f"{path}: image {name} has a second pose; keep one of the two")
-        cam_from_local = rotation_from_quaternion(*numbers[:4])
-        centre = -cam_from_local.T @ np.array(numbers[4:])
-        poses[name] = Pose(name, centre, cam_from_local, in_crs=False, lens=lenses[camera_id])
-    return list(poses.values())
+        cam_from_local = rotation_from_quaternion(*photo.pose[:4])
+        centre = -cam_from_local.T @ np.array(photo.pose[4:])
+        poses[photo.name] = Pose(photo.name, centre, cam_from_local, lenses[photo.camera])
+    if (folder / f"frames{suffix}").is_file() and (folder / f"rigs{suffix}").is_file():
+        _require_rigs_agree(folder, suffix, photos)
+    with (folder / f"cameras{suffix}").open("rb") as file:
+        is_own = file.read(len(_OWN_FIRST_WORDS)) == _OWN_FIRST_WORDS
+    return PoseFile(tuple(poses.values()), PoseFrame.LOCAL, tool=None if is_own else "COLMAP")
 
 
-def read_points(folder: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Points (N, 3) [m] of a model, in its frame, and how many images see each, (N,); empty without a file of them.
+def read_ties(folder: Path) -> FileTies | None:
+    """Points of a model with their places in its images; None without a file of points, or with an empty one.
 
     Raises
     ------
     PosesError
-        Where the file is damaged.
+        Where a file is damaged.
     """
-    for name, reader in (("points3D.bin", _points_bin), ("points3D.txt", _points_txt)):
-        if (folder / name).is_file():
-            found = _guarded(reader, folder / name)
-            points = np.array([point for point, _ in found], dtype=np.float64).reshape(-1, 3)
-            good = np.isfinite(points).all(axis=1)
-            return points[good], np.array([count for _, count in found], dtype=np.int64)[good]
-    return np.empty((0, 3)), np.empty(0, dtype=np.int64)
+    path = next((folder / f"points3D{s}" for s in (".bin", ".txt") if (folder / f"points3D{s}").is_file()), None)
+    if path is None:
+        return None
+    number, points, num_views = _read(path)
+    if not len(points):
+        return None
+    photos = _read(folder / f"images{_suffix(folder)}")
+    image = np.repeat(np.arange(len(photos)), [len(photo.point) for photo in photos])
+    seen = np.concatenate([np.empty(0, dtype=np.int64), *(photo.point for photo in photos)])
+    pixel = np.concatenate([np.empty((0, 2)), *(photo.xy for photo in photos)])
+    at = np.searchsorted(number, seen).clip(max=len(number) - 1)
+    known = (number[at] == seen) & np.isfinite(pixel).all(axis=1)
+    return FileTies(points, num_views, tuple(photo.name for photo in photos), at[known], image[known], pixel[known])
 
 
-def _guarded(reader, path: Path):
-    """The result of a reader; its errors name the file."""
+def _require_rigs_agree(folder: Path, suffix: str, photos: list[files.Photo]) -> None:
+    """Raise where the poses of frames and rigs, which COLMAP 4 goes by, are not those of the images."""
+    rigs = _read(folder / f"rigs{suffix}")
+    by_number = {photo.number: photo for photo in photos}
+    for rig, rig_from_world, data in _read(folder / f"frames{suffix}"):
+        for camera, image in data:
+            photo, cam_from_rig = by_number.get(image), rigs.get((rig, camera))
+            if photo is None or cam_from_rig is None:
+                continue
+            expected = _matrix(cam_from_rig) @ _matrix(rig_from_world)
+            # A pose that is not finite differs from every other.
+            if not np.abs(expected - _matrix(photo.pose)).max() <= _SAME_POSE * max(1.0, np.abs(expected).max()):
+                raise PosesError(
+                    f"{folder}: the pose of {shortened(photo.name)} in images{suffix} is not that of its rig in "
+                    f"frames{suffix} and rigs{suffix}; write the model again, or remove these two "
+                    f"files if images{suffix} is right"
+                )
+
+
+def _matrix(pose: list[float]) -> np.ndarray:
+    """(3, 4) and a last row."""
+    found = np.eye(4)
+    found[:3, :3] = rotation_from_quaternion(*pose[:4]) if np.any(pose[:4]) else np.nan
+    found[:3, 3] = pose[4:]
+    return found
+
+
+def _suffix(folder: Path) -> str:
+    return ".bin" if (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file() else ".txt"
+
+
+def _read(path: Path):
+    """The content of a file of a model; errors name the file."""
     try:
-        return reader(path)
+        return _READERS[path.name](path)
     except (PosesError, LensError) as error:
         raise PosesError(f"{path}: {error}") from error
-    except (struct.error, ValueError, IndexError) as error:
+    except (struct.error, ValueError, IndexError, OverflowError, MemoryError) as error:
         raise PosesError(
-            f"{path} is damaged or not a COLMAP file ({error}); write the model again with COLMAP's model_converter"
+            f"{path} is damaged or not a COLMAP file ({shortened(str(error))}); write the model again with "
+            "COLMAP's model_converter"
         ) from error
-
-
-def _cameras_txt(path: Path) -> dict[int, Lens]:
-    lenses = {}
-    for line in path.read_text(encoding="utf-8").splitlines():
-        if line.strip() and not line.startswith("#"):
-            number, model, width, height, *params = line.split()
-            lenses[int(number)] = Lens(model, tuple(float(p) for p in params), int(width), int(height))
-    return lenses
-
-
-def _images_txt(path: Path) -> list[tuple[str, int, list[float]]]:
-    # Every image has two lines, and the second one (its points) may be empty: never drop blank lines before
-    # pairing.
-    images, lines = [], iter(path.read_text(encoding="utf-8").splitlines())
-    for line in lines:
-        if not line.strip() or line.startswith("#"):
-            continue
-        parts = line.split(maxsplit=9)
-        images.append((parts[9].strip(), int(parts[8]), [float(v) for v in parts[1:8]]))
-        if len(next(lines, "").split()) % 3:
-            raise ValueError(f"the line after image {images[-1][0]} is no list of points (x, y, id) and not empty")
-    return images
-
-
-def _cameras_bin(path: Path) -> dict[int, Lens]:
-    data = path.read_bytes()
-    (count,) = struct.unpack_from("<Q", data)
-    at, lenses = 8, {}
-    for _ in range(count):
-        number, model_id, width, height = struct.unpack_from("<IiQQ", data, at)
-        if model_id not in _NAME_OF_ID:
-            model = _OTHER_IDS.get(model_id, f"number {model_id}")
-            return {number: Lens(model, (), width, height)}  # refused there, by name
-        model = _NAME_OF_ID[model_id]
-        size = len(MODELS[model][1])
-        params = struct.unpack_from(f"<{size}d", data, at + 24)
-        lenses[number] = Lens(model, params, width, height)
-        at += 24 + 8 * size
-    return lenses
-
-
-def _images_bin(path: Path) -> list[tuple[str, int, list[float]]]:
-    data = path.read_bytes()
-    (count,) = struct.unpack_from("<Q", data)
-    at, images = 8, []
-    for _ in range(count):
-        _, *numbers, camera_id = struct.unpack_from("<I7dI", data, at)
-        end = data.index(b"\0", at + 64)
-        images.append((data[at + 64 : end].decode("utf-8"), camera_id, numbers))
-        (points,) = struct.unpack_from("<Q", data, end + 1)
-        at = end + 9 + 24 * points
-        if at > len(data):
-            raise ValueError(f"it ends after {len(data)} bytes, within the points of {images[-1][0]}")
-    return images
-
-
-def _points_txt(path: Path) -> list[tuple[tuple[float, ...], int]]:
-    points = []
-    for line in path.read_text(encoding="utf-8").splitlines():
-        if line.strip() and not line.startswith("#"):
-            numbers = line.split()
-            if len(numbers) < 8 or len(numbers) % 2:
-                raise ValueError(f"the line of point {numbers[0]} has {len(numbers)} numbers")
-            points.append((tuple(float(v) for v in numbers[1:4]), (len(numbers) - 8) // 2))
-    return points
-
-
-def _points_bin(path: Path) -> list[tuple[tuple[float, ...], int]]:
-    data = path.read_bytes()
-    (count,) = struct.unpack_from("<Q", data)
-    at, points = 8, list[tuple[tuple[float, ...], int]]()
-    for _ in range(count):
-        _, x, y, z, *_, length = struct.unpack_from("<Q3d3BdQ", data, at)
-        points.append(((x, y, z), length))
-        at += 51 + 8 * length
-    if at > len(data):
-        raise ValueError(f"it ends after {len(data)} bytes, within its points")
-    return points
+    except OSError as error:
+        raise PosesError(f"{path} cannot be read ({error.strerror}); correct its permissions") from error
 
 
 def _model_of(path: Path) -> Path | None:
@@ -182,5 +156,6 @@ FORMAT = Format(
     find=lambda folder: [p for p in (folder, *(folder / name for name in _PLACES)) if is_model(p)],
     recognises=lambda path: _model_of(path) is not None,
     read=lambda path: read_model(_model_of(path) or path),
-    read_points=lambda path: read_points(_model_of(path) or path),
+    files=lambda path: [path.with_name(name) for name in _READERS],
+    read_ties=lambda path: read_ties(_model_of(path) or path),
 )

@@ -6,9 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from survey.photos.cameras import Pose
+from survey.photos.poses import FileTies, PoseFile
 
 
 @dataclass(frozen=True)
@@ -24,14 +22,16 @@ class Format:
     recognises : callable
         Whether a path, which exists, is of this format.
     read : callable
-        The poses in such a path; raises PosesError.
-    read_points : callable, optional
-        Matched points (N, 3) [m], local, that came with the poses, and how many images see each (N,); raises
-        PosesError.
+        What such a path holds; raises PosesError.
+    files : callable, optional
+        The files beside such a path, which is one, that are read with it.
+    read_ties : callable, optional
+        Tie points that came with the poses, in their frame; None where none came; raises PosesError.
     """
 
     name: str
     find: Callable[[Path], list[Path]]
     recognises: Callable[[Path], bool]
-    read: Callable[[Path], list[Pose]]
-    read_points: Callable[[Path], tuple[np.ndarray, np.ndarray]] | None = None
+    read: Callable[[Path], PoseFile]
+    files: Callable[[Path], list[Path]] | None = None
+    read_ties: Callable[[Path], FileTies | None] | None = None

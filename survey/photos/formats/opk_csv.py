@@ -1,4 +1,7 @@
-"""cameras.csv: positions in crs, and omega, phi, kappa in degrees about the grid axes at the camera."""
+"""Tables of poses: positions in crs, and omega, phi, kappa or yaw, pitch, roll in degrees.
+
+Omega, phi and kappa count about the grid axes at the camera, yaw from true north. cameras.csv is such a table.
+"""
 
 from __future__ import annotations
 
@@ -6,45 +9,127 @@ import math
 from pathlib import Path
 
 import numpy as np
+from pyproj import CRS
 
 from survey.errors import PosesError
-from survey.files.csv_table import Row, column_names, read_table
-from survey.photos.cameras import CAM_FROM_OPK_CAM, Pose, grid_from_opk
+from survey.files.csv_table import Row, column_names, read_table, shortened
+from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk, level_from_yaw_pitch_roll
 from survey.photos.formats.format import Format
+from survey.photos.poses import GivenPosition, Pose, PoseFile, PoseFrame
 
 COLUMNS = ("image", "easting", "northing", "height", "omega", "phi", "kappa")
+_PLACE, _OPK = COLUMNS[1:4], COLUMNS[4:]
+_YPR, _GIMBAL = ("yaw", "pitch", "roll"), ("gimbal_yaw", "gimbal_pitch", "gimbal_roll")
+# As Metashape calls the poses that it found, beside the positions of its reference.
+_ESTIMATED = {name: f"{name}_est" for name in (*_PLACE, *_OPK, *_YPR)}
+_STDS = ("std_east", "std_north", "std_height")
+_UNITS = ("", "_deg", " (deg)", " [deg]", "(deg)", "[deg]", "_m", " (m)", " [m]", "(m)", "[m]")
+_WORDS = {
+    "image": ("photo", "photograph", "file", "filename", "file_name", "imagename", "image_name", "name", "label",
+              "camera", "photoid", "#label", "#name", "#image"),
+    "easting": ("e", "east", "x", "x/easting", "x/east"), "northing": ("n", "north", "y", "y/northing", "y/north"),
+    "longitude": ("lon", "long", "x/longitude"), "latitude": ("lat", "y/latitude"),
+    "height": ("h", "z", "z/altitude", "z/height", "alt", "altitude", "elevation", "up"),
+    "omega": ("om", "w"), "phi": ("ph", "p"), "kappa": ("ka", "k"),
+    "yaw": ("heading", "azimuth"), "pitch": (), "roll": (),
+    "gimbal_yaw": ("gimbalyawdegree", "gimbalyaw"), "gimbal_pitch": ("gimbalpitchdegree", "gimbalpitch"),
+    "gimbal_roll": ("gimbalrolldegree", "gimbalroll"),
+    "easting_est": ("x_est",), "northing_est": ("y_est",), "height_est": ("z_est",),
+    "std": ("accuracy", "sigma", "std_position"), "std_east": ("std_e", "sx", "std_easting", "accuracy_x"),
+    "std_north": ("std_n", "sy", "std_northing", "accuracy_y"), "std_height": ("std_h", "sz", "std_up", "accuracy_z"),
+}  # fmt: skip
+_SYNONYMS = {word + unit: name for name, words in _WORDS.items() for word in (name, *words) for unit in _UNITS}
+# A camera that looks straight down has this pitch by its gimbal, and 0 by the convention of photogrammetry.
+_GIMBAL_DOWN_DEG = -90.0
 
 
 def is_opk_csv(path: Path) -> bool:
-    """Whether the first line of a file has the columns of cameras.csv."""
-    return set(COLUMNS) <= set(column_names(path))
+    """Whether the first line of a file has the columns of a table of poses."""
+    return _columns(column_names(path, _SYNONYMS)) is not None
 
 
-def read_opk_csv(path: Path) -> list[Pose]:
-    """Poses in crs from a table with the columns of `COLUMNS`, in any order; further columns are not read.
+def read_opk_csv(path: Path) -> PoseFile:
+    """Poses in crs from a table with the columns of `COLUMNS` or their like, in any order; others are not read.
+
+    Columns longitude and latitude are those of WGS 84. Where there are columns of the accuracy of positions, these are
+    how well the positions are known.
 
     Raises
     ------
     PosesError
-        Where a column is missing, a number is missing or not finite, or an image has two lines.
+        Where a column is missing, a number is missing or not finite, a pitch is that of a gimbal, or an image has two
+        lines.
     """
+    columns = _columns(column_names(path, _SYNONYMS)) or dict(zip(COLUMNS, COLUMNS, strict=True))
+    names = tuple(columns.values())
+    rows = read_table(path, names, optional=("std", *_STDS), synonyms=_SYNONYMS, error=PosesError)
     poses: dict[str, Pose] = {}
-    for row in read_table(path, COLUMNS, error=PosesError):
-        pose = _pose(row)
+    for row in rows:
+        pose = _pose(row, names)
         if pose.name in poses:
-            raise PosesError(f"{row.where}: image {pose.name} has a second pose; keep one of the two lines")
+            raise PosesError(f"{row.where}: image {shortened(pose.name)} has a second pose; keep one of the two lines")
         poses[pose.name] = pose
-    return list(poses.values())
+    crs = CRS("EPSG:4326") if names[1] == "longitude" else None
+    if "omega" in columns:
+        return PoseFile(tuple(poses.values()), PoseFrame.GRID, crs)
+    is_of_gimbal = "gimbal_yaw" in columns
+    if not is_of_gimbal:
+        _require_photogrammetric(path, rows, names[5])
+    down = "-90 looks" if is_of_gimbal else "0 looks"
+    notes = (f"yaw in {path.name} counts from true north, not from the grid's, and a pitch of {down} straight down",)
+    return PoseFile(tuple(poses.values()), PoseFrame.LEVEL, crs, notes=notes)
 
 
-def _pose(row: Row) -> Pose:
-    e, n, h, *degrees = (row.number(name) for name in COLUMNS[1:])
-    grid_from_cam = grid_from_opk(*(math.radians(angle) for angle in degrees)) @ CAM_FROM_OPK_CAM
-    return Pose(row.text("image"), np.array([e, n, h]), grid_from_cam.T, in_crs=True, lens=None)
+def _columns(names: list[str]) -> dict[str, str] | None:
+    """What the columns of a pose are called in a table that has these; None where they are not all there."""
+    found = set(names)
+    estimated = all(_ESTIMATED[name] in found for name in _PLACE)
+    place = [_ESTIMATED[name] if estimated else name for name in _PLACE]
+    if not estimated and not set(place) <= found:
+        place = ["longitude", "latitude", "height"]
+    for angles in (_OPK, _YPR, _GIMBAL):
+        called = [_ESTIMATED.get(name, name) if estimated else name for name in angles]
+        if {"image", *place, *called} <= found:
+            return dict(zip(("image", *_PLACE, *angles), ("image", *place, *called), strict=True))
+    return None
+
+
+def _pose(row: Row, names: tuple[str, ...]) -> Pose:
+    e, n, h, *degrees = (row.number(name) for name in names[1:])
+    angles = [math.radians(angle) for angle in degrees]
+    centre = np.array([e, n, h])
+    if names[4].startswith("omega"):
+        world_from_cam = grid_from_opk(*angles) @ CAM_FROM_OPK_CAM
+    else:
+        lift = math.radians(_GIMBAL_DOWN_DEG) if names[4] == "gimbal_yaw" else 0.0
+        world_from_cam = level_from_yaw_pitch_roll(angles[0], angles[1] - lift, angles[2])
+    return Pose(row.text("image"), centre, world_from_cam.T, given=_given(row, centre))
+
+
+def _given(row: Row, centre: np.ndarray) -> GivenPosition | None:
+    stds = [row.cells.get(name) or row.cells.get("std") for name in _STDS]
+    if any(not std for std in stds):
+        return None
+    values = np.array([row.number(name if row.cells.get(name) else "std") for name in _STDS])
+    if not (values > 0.0).all():
+        raise PosesError(
+            f"{row.where}: the accuracy of the position is {values.tolist()}, expected above 0; correct it"
+        )
+    return GivenPosition(centre, values)
+
+
+def _require_photogrammetric(path: Path, rows: list[Row], pitch: str) -> None:
+    """Raise where cameras look down by the pitch of a gimbal under the heading of photogrammetry's."""
+    pitches = [row.number(pitch) for row in rows]
+    if pitches and np.median(pitches) < 0.5 * _GIMBAL_DOWN_DEG:
+        raise PosesError(
+            f"{path}: the pitch is {np.median(pitches):.0f} degrees (median), expected 0 for straight down; if it is "
+            "that of a gimbal, call the columns gimbal_yaw, gimbal_pitch, gimbal_roll"
+        )
 
 
 FORMAT = Format(
-    name="a table image,easting,northing,height,omega,phi,kappa (.csv)",
+    name="a table image,easting,northing,height,omega,phi,kappa, or with yaw,pitch,roll (.csv)",
     find=lambda folder: sorted(path for path in folder.glob("*.csv") if is_opk_csv(path)),
     recognises=lambda path: path.is_file() and (path.suffix.lower() == ".csv" or is_opk_csv(path)),
     read=read_opk_csv,

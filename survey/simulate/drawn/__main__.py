@@ -11,6 +11,9 @@ from survey.progress import Progress
 from survey.simulate.drawn import draw_survey
 from survey.simulate.drawn.settings import DrawnScene
 
+# Flown with --rolling [m/s], [s].
+_SPEED_M_S, _READOUT_S = 5.0, 0.03
+
 
 def main(arguments: list[str] | None = None) -> None:
     """``python -m survey.simulate.drawn``; a folder that cannot be used, or written, ends it with exit code 2."""
@@ -19,13 +22,15 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--tiny", action="store_true", help="8 small views without noise, in about a second")
     parser.add_argument("--shore", action="store_true", help="with a bank that rises out of the water")
     parser.add_argument("--dry", action="store_true", help="the same bed without water")
+    parser.add_argument("--rolling", action="store_true", help="flown at 5 m/s, with a shutter that rolls in 30 ms")
     parser.add_argument("--seed", type=int, default=1, help="another bed and flight (default: 1)")
     parser.add_argument("--again", action="store_true", help="draw even if the same survey lies there")
     given = parser.parse_args(arguments)
     make = DrawnScene.tiny if given.tiny else DrawnScene
     try:
         with Progress() as progress:
-            scene = make(shore=given.shore, water=not given.dry, seed=given.seed)
+            speed, readout = (_SPEED_M_S, _READOUT_S) if given.rolling else (0.0, 0.0)
+            scene = make(shore=given.shore, water=not given.dry, seed=given.seed, speed_m_s=speed, readout_s=readout)
             draw_survey(given.folder, scene, again=given.again, progress=progress)
     except (GeoError, SurveyError, OSError) as error:
         parser.error(str(error))

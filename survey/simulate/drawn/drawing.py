@@ -36,4 +36,6 @@ def stage_drawing(scene: DrawnScene) -> StagedScene:
         sensor=Sensor(noise=scene.noise),
         bounds=(e - 0.5 * wide, n - 0.5 * deep, e + 0.5 * wide, n + 0.5 * deep),
         seed=scene.seed,
+        velocities=scene.velocities() if scene.speed_m_s > 0.0 else None,
+        readout_s=scene.readout_s,
     )

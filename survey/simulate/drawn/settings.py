@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,8 +14,8 @@ from survey.errors import SurveyError
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 # Tilt of the convergent views from the plumb line, least and most [rad].
 _TILTS = (math.radians(10.0), math.radians(35.0))
-# Share of the views that look straight down.
-_NADIR_SHARE = 0.6
+# Of drones, and of their slowest sensors.
+_FASTEST_M_S, _LONGEST_READOUT_S = 30.0, 0.25
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,9 @@ class DrawnScene:
     cell_m, texel_m : [m]
         Between vertices of the bed, which the mesh of the truth has too, and between points of its texture, which
         should be finer than any pixel.
+    speed_m_s, readout_s : [m/s], [s]
+        How fast the camera flies at each photograph, each time in another level direction, and how long its rolling
+        shutter takes from the first to the last row; 0 for a global shutter.
     shore, objects, water : bool
         A bank that rises out of the water in the north; a boat, an amphora, rocks; False for a dry bed.
 
@@ -64,6 +67,7 @@ class DrawnScene:
     slope_east: float = 0.0
     slope_north: float = 0.0
     num_views: int = 20
+    nadir_share: float = 0.6
     image_px: tuple[int, int] = (480, 360)
     focal_px: float = 840.0
     flying_m: float = 21.0
@@ -73,6 +77,8 @@ class DrawnScene:
     origin: tuple[float, float] = (676120.0, 5311480.0)
     cell_m: float = 0.025
     texel_m: float = 0.01
+    speed_m_s: float = 0.0
+    readout_s: float = 0.0
     shore: bool = False
     objects: bool = True
     water: bool = True
@@ -81,8 +87,15 @@ class DrawnScene:
         positive = (*self.size_m, self.depth_m, *self.image_px, self.focal_px, self.cell_m, self.texel_m)
         if not all(math.isfinite(v) and v > 0.0 for v in positive):
             raise SurveyError(f"sizes and depth of a drawn scene are {positive}; give numbers above zero")
+        if not (0.0 <= self.speed_m_s <= _FASTEST_M_S and 0.0 <= self.readout_s <= _LONGEST_READOUT_S):
+            raise SurveyError(
+                f"speed_m_s is {self.speed_m_s:g} and readout_s {self.readout_s:g}, expected at most {_FASTEST_M_S:g} "
+                f"m/s and {_LONGEST_READOUT_S:g} s, and neither below zero"
+            )
         if self.num_views < 3:
             raise SurveyError(f"a drawn survey of {self.num_views} views cannot be reconstructed; give at least 3")
+        if not 0.0 <= self.nadir_share <= 1.0:
+            raise SurveyError(f"nadir_share is {self.nadir_share:g}, expected 0 to 1; 1 has no tilted views")
         if not 1.0 <= self.n_water <= 1.6:
             raise SurveyError(f"n_water is {self.n_water:g}, expected 1.0 to 1.6; fresh water has 1.333")
         if self.flying_m < 2.0 * self.depth_m:
@@ -108,12 +121,21 @@ class DrawnScene:
     def cameras(self) -> list[PinholeCamera]:
         """The flight: strips of views that look down, then convergent views, tilted by 10 to 35 degrees."""
         rng = np.random.default_rng([self.seed, 1])
-        nadir = min(max(round(_NADIR_SHARE * self.num_views), 1), self.num_views)
+        nadir = min(max(round(self.nadir_share * self.num_views), 1), self.num_views)
         places = _grid(nadir, self.size_m, self.image_px)
         cameras = [self._look_down(x, y, row, rng) for row, x, y in places]
         tilts = np.linspace(*_TILTS, self.num_views - nadir)
         azimuths = _GOLDEN_ANGLE * np.arange(len(tilts))
-        return cameras + [self._look_in(tilt, azimuth, rng) for tilt, azimuth in zip(tilts, azimuths, strict=True)]
+        cameras += [self._look_in(tilt, azimuth, rng) for tilt, azimuth in zip(tilts, azimuths, strict=True)]
+        if self.speed_m_s == 0.0 or self.readout_s == 0.0:
+            return cameras
+        motions = self.velocities() * self.readout_s / (self.image_px[1] - 1)
+        return [replace(camera, motion=motion) for camera, motion in zip(cameras, motions, strict=True)]
+
+    def velocities(self) -> np.ndarray:
+        """Of the cameras (views, 3) [m/s], local: level, in any direction."""
+        toward = np.random.default_rng([self.seed, 9]).uniform(0.0, 2.0 * math.pi, self.num_views)
+        return self.speed_m_s * np.stack([np.sin(toward), np.cos(toward), np.zeros(self.num_views)], axis=-1)
 
     def _look_down(self, x: float, y: float, row: int, rng: np.random.Generator) -> PinholeCamera:
         """A view of a strip; drones turn at the ends of strips, and never hang quite still."""

@@ -1,4 +1,4 @@
-"""What goes with simulated photographs: survey.toml, cameras.csv and EXIF."""
+"""What goes with simulated photographs: survey.toml, cameras.csv, EXIF and XMP."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import ExifTags, Image
+from PIL.PngImagePlugin import PngInfo
 from PIL.TiffImagePlugin import IFDRational
 from pyproj import Transformer
 
@@ -16,7 +17,7 @@ from geo import write_whole
 from geo.crs import horizontal_crs
 from geo.frames import LocalFrame
 from refract import PinholeCamera
-from refract.lens import MODELS
+from refract.lens import coefficients_of
 from survey.photos.cameras import CAM_FROM_OPK_CAM
 from survey.simulate.output.staged_scene import StagedScene
 
@@ -39,7 +40,9 @@ def survey_toml(scene: StagedScene) -> str:
         f"focal_px = {fx if fx == fy else [fx, fy]}",
         f"principal_point_px = [{lens['cx']}, {lens['cy']}]    # the centre of the first pixel is at 0.5, 0.5",
     ]
-    coefficients = [lens[name] for name in MODELS[lens.model][1] if name[0] in "kp"]
+    if scene.readout_s > 0.0:
+        lines.append(f"rolling_shutter_s = {scene.readout_s}    # from the first to the last row")
+    coefficients = [lens[name] for name in coefficients_of(lens.model)]
     lines += [f"distortion = {coefficients}", ""] if coefficients else [""]
     if level is not None:
         lines += [
@@ -90,6 +93,20 @@ def exif_of_views(scene: StagedScene) -> list[Image.Exif]:
     return exifs
 
 
+def xmp_of_views(scene: StagedScene) -> list[str]:
+    """XMP of all images with their speed, as DJI writes it: north, east, down, to 0.1 m/s; empty for a still scene."""
+    if scene.velocities is None:
+        return [""] * len(scene.cameras)
+    head = '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+    speeds = [
+        f'drone-dji:FlightXSpeed="{north:+.1f}" drone-dji:FlightYSpeed="{east:+.1f}" '
+        f'drone-dji:FlightZSpeed="{-up:+.1f}"'
+        for east, north, up in scene.velocities.tolist()
+    ]
+    space = 'xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/"'
+    return [f"{head}<rdf:Description {space} {speed}/></rdf:RDF></x:xmpmeta>" for speed in speeds]
+
+
 def gps_exif(lon: float, lat: float, height: float) -> dict:
     """The GPS part of EXIF, from degrees and metres."""
 
@@ -109,11 +126,14 @@ def gps_exif(lon: float, lat: float, height: float) -> dict:
     }
 
 
-def write_image(path: Path, image: np.ndarray, exif: Image.Exif) -> None:
+def write_image(path: Path, image: np.ndarray, exif: Image.Exif, xmp: str = "") -> None:
     """Write an image (height, width, 3) uint8, whole or not at all; without loss where the name ends in .png."""
     picture = Image.fromarray(image)
     with write_whole(path) as stream:
         if path.suffix == ".png":
-            picture.save(stream, "PNG", exif=exif)
+            texts = PngInfo()
+            if xmp:
+                texts.add_itxt("XML:com.adobe.xmp", xmp)
+            picture.save(stream, "PNG", exif=exif, pnginfo=texts)
         else:
-            picture.save(stream, "JPEG", quality=_JPEG_QUALITY, subsampling=0, exif=exif)
+            picture.save(stream, "JPEG", quality=_JPEG_QUALITY, subsampling=0, exif=exif, xmp=xmp.encode())

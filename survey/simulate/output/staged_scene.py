@@ -25,7 +25,7 @@ class StagedScene:
         As survey.toml has them.
     frame : LocalFrame
     cameras : tuple of PinholeCamera
-        Local, without the distortion of `lens`.
+        Local, without the distortion of `lens`. Where their shutters roll (`PinholeCamera.motion`), `lens` has none.
     lens : Lens
         Of all photographs.
     level : WaterLevel or None
@@ -38,6 +38,10 @@ class StagedScene:
     seed : int
     eye : callable, optional
         Light along rays; by default that of `renderer`.
+    velocities : (cameras, 3) [m/s], local, or None
+        For XMP; None writes none.
+    readout_s : [s]
+        Of rolling shutters, for survey.toml; 0 where all rows are exposed at once.
     """
 
     name: str
@@ -51,6 +55,8 @@ class StagedScene:
     bounds: tuple[float, float, float, float]
     seed: int
     eye: Eye | None = None
+    velocities: np.ndarray | None = None
+    readout_s: float = 0.0
 
     @property
     def water(self) -> WaterSurface | None:

@@ -81,7 +81,8 @@ def depth_map(renderer: DirectRenderer, camera: PinholeCamera, lens: Lens) -> tu
     plane, _ = normalised(lens)
     direction = np.concatenate([plane, np.ones((len(plane), 1))], axis=-1) @ camera.cam_from_local
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    hits = renderer.trace_rays(np.broadcast_to(camera.centre, direction.shape), direction)
+    origin = camera.centres(camera.pixel_centres().reshape(-1, 2))
+    hits = renderer.trace_rays(np.broadcast_to(origin, direction.shape), direction)
     depth = depth_below(renderer.water, hits.points)
     shape = (lens.height, lens.width)
     wet = np.where(hits.in_water > 0.0, 255, 0).astype(np.uint8)

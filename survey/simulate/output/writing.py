@@ -20,7 +20,7 @@ from PIL import Image
 from geo import write_whole
 from survey.errors import SurveyError
 from survey.progress import Progress, Step
-from survey.simulate.output.sidecars import cameras_csv, exif_of_views, survey_toml, write_image
+from survey.simulate.output.sidecars import cameras_csv, exif_of_views, survey_toml, write_image, xmp_of_views
 from survey.simulate.output.staged_scene import StagedScene
 from survey.simulate.output.truth import depth_map, ground_mesh, points_on, seen_by, write_ply
 
@@ -117,12 +117,12 @@ def _write(folder: Path, scene: StagedScene, progress: Progress) -> None:
     (folder / "survey.toml").write_text(survey_toml(scene), encoding="utf-8")
     (folder / "cameras.csv").write_text(cameras_csv(scene.names, scene.cameras, scene.frame), encoding="utf-8")
     # Positions first: PROJ's transformations are not for several threads.
-    exifs = exif_of_views(scene)
+    exifs, xmps = exif_of_views(scene), xmp_of_views(scene)
 
     def take(index: int) -> None:
         path = folder / "images" / scene.names[index]
         if not path.exists():
-            write_image(path, scene.photograph(index), exifs[index])
+            write_image(path, scene.photograph(index), exifs[index], xmps[index])
 
     count = len(scene.cameras)
     with progress.stage("photographing the scene", count) as step, ThreadPoolExecutor(_threads(scene)) as pool:

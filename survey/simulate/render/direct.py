@@ -60,7 +60,7 @@ class DirectRenderer:
     def trace(self, camera: PinholeCamera, pixels: np.ndarray) -> Hits:
         """What pixels (N, 2) [px] of a camera see."""
         direction = camera.directions(pixels)
-        return self.trace_rays(np.broadcast_to(camera.centre, direction.shape), direction)
+        return self.trace_rays(np.broadcast_to(camera.centres(pixels), direction.shape), direction)
 
     def trace_rays(self, origin: np.ndarray, direction: np.ndarray) -> Hits:
         """What rays from origins (N, 3) [m] in unit directions (N, 3), local, see."""
@@ -79,7 +79,7 @@ class DirectRenderer:
     def radiance(self, camera: PinholeCamera, pixels: np.ndarray) -> np.ndarray:
         """Linear radiance (N, 3) that reaches pixels (N, 2) [px]."""
         direction = camera.directions(pixels)
-        return self.radiance_of_rays(np.broadcast_to(camera.centre, direction.shape), direction)
+        return self.radiance_of_rays(np.broadcast_to(camera.centres(pixels), direction.shape), direction)
 
     def radiance_of_rays(self, origin: np.ndarray, direction: np.ndarray, seed: int = 0) -> np.ndarray:
         """Linear radiance (N, 3) along rays; see `trace_rays`. Deterministic: `seed` is not used."""

@@ -11,7 +11,7 @@ import numpy as np
 from geo.crs import parse_crs
 from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera
-from refract.lens import MODELS, Lens, LensError
+from refract.lens import MODELS, Lens, LensError, coefficients_of
 from survey.errors import ConfigError, SurveyError
 from survey.simulate.flight import plan_flight
 from survey.simulate.flight.patterns import Site
@@ -106,7 +106,7 @@ def lens_of(camera: CameraSettings) -> Lens:
     if camera.model not in MODELS:
         raise ConfigError(f'camera.model is "{camera.model}", expected one of {", ".join(MODELS)}')
     names = MODELS[camera.model][1]
-    coefficients = [name for name in names if name[0] in "kp"]
+    coefficients = coefficients_of(camera.model)
     if len(camera.distortion) != len(coefficients):
         raise ConfigError(
             f"camera.distortion has {len(camera.distortion)} numbers, expected {len(coefficients)} for "

@@ -6,18 +6,26 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
-from survey.errors import ControlError
+from survey.errors import SurveyError
 
 # No file of a program is nested further; a tree is walked by recursion.
 _DEEPEST = 100
 
 
-def read_xml(path: Path) -> Element:
-    """The root of an XML file.
+def read_xml(path: Path, content: str, error: type[SurveyError]) -> Element:
+    """The root of an XML file of Metashape.
+
+    Parameters
+    ----------
+    path : Path
+    content : str
+        What is to be exported again if the file is damaged, e.g. "the markers".
+    error : type
+        What is raised.
 
     Raises
     ------
-    ControlError
+    SurveyError
         If the file cannot be read, is no XML, declares a document type, or is nested more than 100 deep. Entities are
         declared in document types only, so that none grows, and none reads another file.
     """
@@ -25,18 +33,18 @@ def read_xml(path: Path) -> Element:
     parser = expat.ParserCreate()
 
     def refuse(*_):
-        raise ControlError(
+        raise error(
             f"{path}, line {parser.CurrentLineNumber}: a document type (<!DOCTYPE>) was found, expected none, as "
-            "Metashape writes it; remove it, or export the markers again"
+            f"Metashape writes it; remove it, or export {content} again"
         )
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal depth
         depth += 1
         if depth > _DEEPEST:
-            raise ControlError(
-                f"{path}, line {parser.CurrentLineNumber}: elements are nested more than {_DEEPEST} deep, expected the "
-                "markers of Metashape; export them again"
+            raise error(
+                f"{path}, line {parser.CurrentLineNumber}: elements are nested more than {_DEEPEST} deep, expected "
+                f"{content} of Metashape; export them again"
             )
         builder.start(tag, attributes)
 
@@ -49,10 +57,10 @@ def read_xml(path: Path) -> Element:
     parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = start, end, builder.data
     try:
         parser.Parse(path.read_bytes(), True)
-    except (expat.ExpatError, ValueError, LookupError) as error:
-        if isinstance(error, ControlError):
-            raise
-        raise ControlError(f"{path} is not whole XML ({error}); export the markers again") from error
-    except OSError as error:
-        raise ControlError(f"{path} cannot be read ({error.strerror}); correct its name or its permissions") from error
+    except SurveyError:
+        raise
+    except (expat.ExpatError, ValueError, LookupError) as problem:
+        raise error(f"{path} is not whole XML ({problem}); export {content} again") from problem
+    except OSError as problem:
+        raise error(f"{path} cannot be read ({problem.strerror}); correct its name or its permissions") from problem
     return builder.close()

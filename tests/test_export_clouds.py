@@ -1,16 +1,23 @@
-"""What a run stored of its cloud, and the files that are exported from it."""
+"""What a run stored of its cloud, and the files of points that are exported from it."""
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
-from small_bed import plane_bed
-from small_survey import small_survey
+from pyproj import Transformer
+from scipy.spatial import cKDTree
+from stored_run import plane_stored, run_of
 
-from geo import read_cloud, read_reference
+from geo import Cloud, read_cloud, read_reference
+from geo.errors import UnwritableFile
 from survey.errors import OutputError, SurveyError
-from survey.folder.survey import load_survey
-from survey.run.export import export
+from survey.export import written
+from survey.export.export import export
+from survey.export.product import ExportOptions
+from survey.export.registry import PRODUCTS
+from survey.progress import Progress
 from survey.run.folder import RunDir
 from survey.run.keys import Key
 from survey.run.stored import StoredBed, load_bed, save_bed
@@ -22,19 +29,20 @@ FLOAT_EPS = 1.2e-7
 
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory) -> StoredBed:
-    survey = load_survey(small_survey(tmp_path_factory.mktemp("survey") / "small"))
-    bed = plane_bed(survey)
-    return StoredBed(bed, survey.frame.crs_from_local(bed.xyz), survey.frame.crs, "Flußbett", 0.02)
+    return plane_stored(tmp_path_factory.mktemp("survey") / "small")
 
 
 @pytest.fixture(scope="module")
 def run_folder(stored, tmp_path_factory):
-    with RunDir(tmp_path_factory.mktemp("run") / "run") as run:
-        folder = run.open_stage("bed")
-        save_bed(folder, stored)
-        folder = run.finish_stage("bed", Key({}), folder)
-        run.publish(run.open_result("standard"), quality="standard", stages={"bed": folder})
-    return run.path
+    return run_of(stored, tmp_path_factory.mktemp("run") / "run")
+
+
+def in_order_of(cloud: Cloud, points: np.ndarray) -> Cloud:
+    """The points of a cloud in the order of those that they are nearest to, each of them once."""
+    _, order = cKDTree(cloud.points).query(points)
+    assert sorted(order) == list(range(len(cloud.points)))
+    extra = {name: values[order] for name, values in cloud.extra.items()}
+    return Cloud(cloud.points[order], cloud.rgb[order], cloud.crs, cloud.classification[order], extra)
 
 
 def test_a_stored_bed_comes_back_to_the_bit(stored, run_folder):
@@ -45,14 +53,17 @@ def test_a_stored_bed_comes_back_to_the_bit(stored, run_folder):
         np.testing.assert_array_equal(before, after)
     np.testing.assert_array_equal(again.points_crs, stored.points_crs)
     assert again.crs.equals(stored.crs)
-    assert (again.name, again.gsd_m) == ("Flußbett", 0.02)
+    assert (again.name, again.gsd_m) == (stored.name, stored.gsd_m)
 
 
-@pytest.mark.parametrize("suffix", ["las", "laz"])
-def test_las_and_laz_have_the_points_their_crs_and_their_extra_bytes(stored, run_folder, tmp_path, suffix):
-    path = tmp_path / f"out.{suffix}"
-    assert export(run_folder, **{suffix: path}) == [path]
+@pytest.mark.parametrize("option", ["las", "laz", "copc"])
+def test_las_laz_and_copc_have_the_points_their_crs_and_their_extra_bytes(stored, run_folder, tmp_path, option):
+    path = tmp_path / ("out.copc.laz" if option == "copc" else f"out.{option}")
+    assert export(run_folder, **{option: path}) == [path]
     cloud = read_cloud(path)
+    if option == "copc":
+        # Nodes have an order of their own; the points of this bed differ in plan.
+        cloud = in_order_of(cloud, stored.points_crs)
     np.testing.assert_allclose(cloud.points, stored.points_crs, rtol=0.0, atol=LAS_ROUNDING)
     np.testing.assert_array_equal(cloud.rgb, stored.bed.rgb)
     np.testing.assert_array_equal(cloud.classification == 40, stored.bed.wet)
@@ -114,11 +125,7 @@ def test_an_earlier_export_is_replaced_and_nothing_else(run_folder, tmp_path, su
 
 
 def test_what_the_run_itself_needs_is_not_overwritten(stored, tmp_path):
-    with RunDir(tmp_path / "run") as run:
-        folder = run.open_stage("bed")
-        save_bed(folder, stored)
-        folder = run.finish_stage("bed", Key({}), folder)
-        run.publish(run.open_result("standard"), quality="standard", stages={"bed": folder})
+    run = RunDir(run_of(stored, tmp_path / "run"))
     export(run.path, las=tmp_path / "a.las")
     run.cloud_path.write_bytes((tmp_path / "a.las").read_bytes())
     (tmp_path / "link.las").symlink_to(run.cloud_path)
@@ -147,3 +154,60 @@ def test_a_damaged_bed_is_named_with_the_mend(stored, tmp_path, spoil):
     (tmp_path / spoil).write_text("{}")
     with pytest.raises(SurveyError, match=r"bathynerf process"):
         load_bed(tmp_path)
+
+
+def test_another_crs_moves_the_points_in_plan_and_keeps_their_heights(stored, run_folder, tmp_path):
+    export(run_folder, options=ExportOptions(crs="EPSG:4326"), ply=tmp_path / "out.ply", las=tmp_path / "out.las")
+    way = Transformer.from_crs("EPSG:25832", "EPSG:4326", always_xy=True)
+    lon, lat = way.transform(*stored.points_crs[:, :2].T)
+    expected = np.column_stack([lon, lat, stored.points_crs[:, 2]])
+    np.testing.assert_array_equal(read_reference(tmp_path / "out.ply").points, expected)
+    cloud = read_cloud(tmp_path / "out.las")
+    # Steps of 1e-8 degrees in plan.
+    np.testing.assert_allclose(cloud.points[:, :2], expected[:, :2], rtol=0.0, atol=0.51e-8)
+    assert cloud.crs.sub_crs_list[0].to_epsg() == 4326
+    assert cloud.crs.sub_crs_list[1].equals(stored.crs.sub_crs_list[1])
+
+
+def test_a_file_that_is_up_to_date_is_not_written_again(stored, run_folder, tmp_path, capsys):
+    paths = {"las": tmp_path / "a.las", "ply": tmp_path / "a.ply"}
+    export(run_folder, **paths)
+    before = {path: path.stat().st_ino for path in paths.values()}
+    with Progress(verbosity=0):
+        export(run_folder, **paths)
+    assert capsys.readouterr().err.count(": unchanged") == 2
+    assert {path: path.stat().st_ino for path in paths.values()} == before
+    # Another CRS, and a file that something else has changed.
+    export(run_folder, options=ExportOptions(crs="EPSG:4326"), las=paths["las"])
+    paths["ply"].write_bytes(paths["ply"].read_bytes()[:-1])
+    export(run_folder, ply=paths["ply"])
+    assert all(path.stat().st_ino != inode for path, inode in before.items())
+    np.testing.assert_array_equal(read_reference(paths["ply"]).points, stored.points_crs)
+
+
+def test_a_run_that_cannot_be_written_to_is_exported_all_the_same(run_folder, tmp_path, monkeypatch):
+    def refuse(path, _value):
+        raise UnwritableFile(f"cannot write {path}: the disk is read-only")
+
+    monkeypatch.setattr(written, "write_json", refuse)
+    for _ in range(2):
+        assert export(run_folder, las=tmp_path / "a.las") == [tmp_path / "a.las"]
+
+
+def test_an_option_that_nothing_follows_and_a_name_that_is_given_twice_are_refused(run_folder, tmp_path):
+    with pytest.raises(SurveyError, match=r"--fill has no effect on what is exported here"):
+        export(run_folder, options=ExportOptions(fill_m=1.0), las=tmp_path / "a.las")
+    with pytest.raises(TypeError, match="no product is called xyz"):
+        export(run_folder, xyz=tmp_path / "a.xyz")
+
+
+def test_every_product_is_described_once_and_has_an_example_of_its_own():
+    options = [product.option for product in PRODUCTS]
+    assert len(set(options)) == len(options)
+    known = {field.name for field in fields(ExportOptions)}
+    for product in PRODUCTS:
+        assert set(product.takes) <= known
+        name = product.example.partition(f"--{product.option} ")[2].split()[0]
+        assert name.endswith(product.suffixes)
+        assert product.help.endswith(".")
+        assert "\n" not in product.help

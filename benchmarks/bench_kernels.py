@@ -1,0 +1,143 @@
+"""Where does the time of the sweep go? By function, and how near its kernels come to the limits of the machine.
+
+    python benchmarks/bench_kernels.py SURVEY [--quality Q]
+
+Seconds are processor time of the whole process, all cores together; samples are pixels x heights x neighbours. Prints
+the tables of docs/performance.md in Markdown. The kernels run on the middle view at full size; the best of many rounds
+counts. `kernel_limits` says how the limits of arithmetic and memory are measured; here they are those of one core.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial, wraps
+from pathlib import Path
+from unittest.mock import patch
+
+import drjit
+import numpy as np
+from kernel_limits import Limits, measure_limits, shares
+
+from fields.sweep import ranging, scoring_drjit, warping_drjit
+from fields.sweep import sweep as passes
+from fields.sweep.arrays import floats
+from fields.sweep.block import Block, Overlap
+from survey.folder.survey import load_survey
+from survey.plan.area import limits, local_area
+from survey.plan.plan import make_plan
+from survey.plan.recipe import RECIPES
+from survey.progress import current
+from survey.run.job import Job
+
+FUNCTIONS = {
+    "paths of pixels": (warping_drjit, ("legs_of", "pixels_of")),
+    "warp": (warping_drjit, ("warp",)),
+    "scores": (scoring_drjit, ("ncc", "best_half")),
+    "best of the ladder": (scoring_drjit, ("climb",)),
+    "height maps compared": (warping_drjit, ("compare",)),
+    "parallax": (Overlap, ("parallax",)),
+}
+# Kernels: the pass of the sweep that they are taken from.
+KERNEL_PASS = passes.PASSES[2]
+
+
+def timed(spent: Counter, name: str, function: Callable) -> Callable:
+    """A function that adds the processor time of its calls, until their kernels have ended."""
+
+    @wraps(function)
+    def call(*args, **options):
+        start = time.process_time()
+        result = function(*args, **options)
+        drjit.sync_thread()
+        spent[name] += time.process_time() - start
+        return result
+
+    return call
+
+
+@contextmanager
+def clocks(spent: Counter) -> Iterator[None]:
+    """The functions of the sweep, timed."""
+    with ExitStack() as stack:
+        for name, (owner, functions) in FUNCTIONS.items():
+            for function in functions:
+                stack.enter_context(patch.object(owner, function, timed(spent, name, getattr(owner, function))))
+        yield
+
+
+def stage_table(block: Block, chosen: list[int], bound: tuple[float, float], heights: tuple[float, float]) -> str:
+    """Markdown of the seconds of the search for the range of heights, and of the sweep."""
+    lines = ["| | samples | processor time | a sample |", "|---|---|---|---|"]
+    climbs = [passes.climbs_of(block, chosen, p, bound if k == 0 else None) for k, p in enumerate(passes.PASSES)]
+    samples = sum(climb.samples for each in climbs for climb in each)
+    for name, run, number in (
+        ("range of heights", partial(ranging.find_range, block, heights), None),
+        ("sweep", partial(passes.sweep, block, chosen, bound, lambda done: None), samples),
+    ):
+        spent: Counter = Counter()
+        start = time.process_time()
+        with clocks(spent):
+            run()
+        total = time.process_time() - start
+        rows = [(f"**{name}**", total), *spent.items(), ("the rest", total - sum(spent.values()))]
+        for row, seconds in rows:
+            each = f"{1e9 * seconds / number:.2f} ns" if number else ""
+            lines.append(f"| {row} | {f'{number / 1e6:.0f} million' if number else ''} | {seconds:.2f} s | {each} |")
+    return "\n".join(lines)
+
+
+def kernel_table(block: Block, bound: tuple[float, float], machine: Limits) -> str:
+    """Markdown of the two kernels that take most, against the limits of the machine."""
+    stack, device, p = block.stack(KERNEL_PASS.scale), block.device, KERNEL_PASS
+    view = len(stack.cameras) // 2
+    others, rungs = block.neighbours(view, p.neighbours), p.rungs or 0
+    rows = min(stack.height, warping_drjit.STRIP_SAMPLES // (len(others) * rungs * stack.width))
+    start = floats(device, np.full((rows, stack.width), 0.5 * (bound[0] + bound[1]), np.float32))
+    legs, grey = (f(stack, view, 0, rows) for f in (warping_drjit.legs_of, warping_drjit.pixels_of))
+    warp = partial(warping_drjit.warp, stack, legs, start, others, 0.05, rungs)
+    values = warp()
+    samples = len(others) * rungs * rows * stack.width
+    lines = ["| | a sample | operations | of the arithmetic limit | of the memory limit |", "|---|---|---|---|---|"]
+    # Bytes a sample: points and words read, W written; W read, scores written.
+    kernels: list[tuple[str, Callable, float]] = [("warp", warp, 8 + 24 / len(others))]
+    for radius in (1, 2, 3):
+        scores = partial(scored, device, grey, values, stack.width, radius)
+        kernels.append((f"scores, {2 * radius + 1} x {2 * radius + 1}", scores, 4 + 8 / len(others)))
+    for name, run, num_bytes in kernels:
+        found = shares(machine, run, samples, num_bytes)
+        counts = f"{found['ns']:.2f} ns | {found['operations'] / len(others):.0f}"
+        lines.append(
+            f"| {name} | {counts} | {100 * found['arithmetic'] / len(others):.0f} % | {100 * found['memory']:.0f} % |"
+        )
+    return "\n".join(lines)
+
+
+def scored(device, grey, values: list, width: int, radius: int):
+    """The score of all neighbours."""
+    return scoring_drjit.best_half(device, scoring_drjit.ncc(device, grey, values, width, radius))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("survey", type=Path)
+    parser.add_argument("--quality", default="draft", choices=list(RECIPES))
+    options = parser.parse_args()
+    job = Job(load_survey(options.survey), partial(make_plan, quality=options.quality, device="cpu"), current())
+    heights, block = limits(job.survey), job.block
+    bound = ranging.find_range(block, heights)
+    block.look_at(0.5 * (bound[0] + bound[1]))
+    chosen = block.cover(*RECIPES[options.quality].times_seen, local_area(job.survey))
+    sys.stdout.write(stage_table(block, chosen, bound, heights) + "\n\n")
+    # In processor time too: other programs on the machine do not count.
+    with patch.object(time, "perf_counter", time.process_time):
+        machine = measure_limits()
+        sys.stdout.write(f"{kernel_table(block, bound, machine)}\n\nA copy moves {machine.copy / 1e9:.1f} GB/s.\n")
+
+
+if __name__ == "__main__":
+    main()

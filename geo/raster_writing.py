@@ -1,0 +1,195 @@
+"""Rasters written as cloud-optimised GeoTIFF and as BAG, window by window, whole or not at all."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import rasterio
+import rasterio.shutil
+from pyproj import CRS
+from rasterio.enums import ColorInterp
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.windows import Window
+
+from geo.errors import UnwritableFile
+from geo.files import refusal, write_whole_at
+
+# In the tag "Software" of every raster, by which bathynerf knows its own again.
+SOFTWARE = f"bathynerf {version('bathynerf')}"
+_BLOCK = 512
+
+
+@dataclass(frozen=True)
+class Band:
+    """One band of a raster.
+
+    Attributes
+    ----------
+    name : str
+        What it holds, e.g. "height".
+    unit : str
+        E.g. "metre"; empty for none.
+    """
+
+    name: str
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class RasterForm:
+    """What is said of a raster beside its values.
+
+    Attributes
+    ----------
+    crs : pyproj.CRS
+    transform : six floats
+        Coefficients a to f of ``east = a column + b row + c, north = d column + e row + f``, from outer corners.
+    shape : (rows, columns)
+    bands : tuple of Band
+    dtype : str
+        Of all bands, e.g. "float32".
+    nodata : float or None
+    tags : dict of str to str
+        Metadata, e.g. how the values were computed.
+    resampling : str
+        How overviews are made: "AVERAGE", or "NEAREST" for codes.
+    is_colour : bool
+        Whether the bands are red, green, blue and transparency.
+    """
+
+    crs: CRS
+    transform: tuple[float, float, float, float, float, float]
+    shape: tuple[int, int]
+    bands: tuple[Band, ...]
+    dtype: str = "float32"
+    nodata: float | None = None
+    tags: dict[str, str] = field(default_factory=dict)
+    resampling: str = "AVERAGE"
+    is_colour: bool = False
+
+
+# Rows and columns from the top left corner, and the values (bands, rows, columns) there.
+Part = tuple[int, int, np.ndarray]
+
+
+def write_cog(path: str | Path, form: RasterForm, parts: Iterable[Part]) -> None:
+    """Write a raster as cloud-optimised GeoTIFF: tiles of 512 cells, overviews, compressed without loss.
+
+    Parameters
+    ----------
+    path : .tif
+    form : RasterForm
+    parts : iterable of (row, column, values)
+        Windows that cover the raster, in any order; blocks that none covers are left without data.
+
+    Raises
+    ------
+    UnwritableFile
+        If the system or GDAL refuses.
+    """
+    with write_whole_at(path) as part, _working_folder(part, Path(path)) as work:
+        # GDAL copies a plain GeoTIFF into this form.
+        plain, copy = work / "plain.tif", work / "copy.tif"
+        profile = {"tiled": True, "blockxsize": _BLOCK, "blockysize": _BLOCK, "sparse_ok": True, "bigtiff": "IF_SAFER"}
+        if form.is_colour:
+            profile |= {"photometric": "RGB", "interleave": "pixel"}
+        else:
+            profile |= {"photometric": "MINISBLACK", "interleave": "band"}
+        _write(plain, form, parts, driver="GTiff", **profile)
+        rasterio.shutil.copy(
+            plain,
+            copy,
+            driver="COG",
+            blocksize=_BLOCK,
+            compress="DEFLATE",
+            predictor="YES",
+            overview_resampling=form.resampling,
+            bigtiff="IF_SAFER",
+        )
+        copy.replace(part)
+
+
+def write_bag(path: str | Path, form: RasterForm, parts: Iterable[Part], said: dict[str, str]) -> None:
+    """Write heights and their uncertainty as a Bathymetric Attributed Grid (HDF5).
+
+    Parameters
+    ----------
+    path : .bag
+    form : RasterForm
+        Of two bands, height and uncertainty [m].
+    parts : iterable of (row, column, values)
+    said : dict
+        Variables of GDAL's metadata template, without the VAR\\_ before them, e.g. "ABSTRACT".
+
+    Raises
+    ------
+    UnwritableFile
+        If the system or GDAL refuses.
+    """
+    with write_whole_at(path) as part, _working_folder(part, Path(path)) as work:
+        # GDAL knows the format by the suffix.
+        copy = work / "copy.bag"
+        _write(copy, form, parts, driver="BAG", **{f"VAR_{name}": value for name, value in said.items()})
+        copy.replace(part)
+
+
+def _write(path: Path, form: RasterForm, parts: Iterable[Part], **profile) -> None:
+    rows, columns = form.shape
+    raster = rasterio.open(
+        path,
+        "w",
+        width=columns,
+        height=rows,
+        count=len(form.bands),
+        dtype=form.dtype,
+        crs=rasterio.crs.CRS.from_wkt(form.crs.to_wkt()),
+        transform=rasterio.Affine(*form.transform),
+        nodata=form.nodata,
+        **profile,
+    )
+    with raster:
+        if profile["driver"] == "GTiff":
+            raster.update_tags(TIFFTAG_SOFTWARE=SOFTWARE, AREA_OR_POINT="Area", **form.tags)
+            if form.is_colour:
+                raster.colorinterp = [getattr(ColorInterp, name) for name in ("red", "green", "blue", "alpha")]
+            for number, band in enumerate(form.bands, start=1):
+                raster.set_band_description(number, band.name)
+                if band.unit:
+                    raster.set_band_unit(number, band.unit)
+        for row, column, values in parts:
+            raster.write(values, window=Window(column, row, values.shape[2], values.shape[1]))
+
+
+@contextmanager
+def _working_folder(part: Path, path: Path) -> Iterator[Path]:
+    """A folder beside a file that is being written; errors of GDAL in the block become UnwritableFile."""
+    with TemporaryDirectory(prefix=".", suffix=".part", dir=part.parent) as work, _refusals(path):
+        yield Path(work)
+
+
+@contextmanager
+def _refusals(path: Path) -> Iterator[None]:
+    """Turn errors of GDAL into UnwritableFile."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            yield
+    except RasterioError as error:
+        said = (str(error).splitlines() or [type(error).__name__])[0][:120]
+        # GDAL hides the system's error.
+        text = refusal(OSError(said), path) or f"cannot write {path} ({said})"
+        raise UnwritableFile(f"{text}.") from error
+
+
+def is_our_tiff(path: Path) -> bool:
+    """Whether a file is a TIFF whose tag "Software" names bathynerf."""
+    with path.open("rb") as stream:
+        head = stream.read(1 << 16)
+    return head[:2] in (b"II", b"MM") and b"\0bathynerf " in head.replace(b"\n", b"\0")

@@ -1,0 +1,127 @@
+"""Lines and polygons in plan, written as GeoJSON (RFC 7946) or GeoPackage."""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pyproj import CRS, Transformer
+
+from geo.crs import crs_code, horizontal_crs
+from geo.files import write_whole
+from geo.optional import library_for
+
+MARK = b'"made_by": "bathynerf"'
+_WGS84 = "EPSG:4326"
+# Of a degree: a tenth of a millimetre.
+_DECIMALS = 9
+_WKB_TYPES = {"LineString": 2, "Polygon": 3}
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Features of one kind.
+
+    Attributes
+    ----------
+    name : str
+        One word, e.g. "contours".
+    kind : "LineString" or "Polygon"
+    shapes : list
+        Of each feature a line (N, 2), or the rings (N, 2) of a polygon, the outer one first, each closed; in crs,
+        easting or longitude first.
+    crs : pyproj.CRS
+        Its horizontal part counts.
+    columns : dict of list
+        Attributes of the features, by name.
+    notes : str
+        What the features are.
+    """
+
+    name: str
+    kind: Literal["LineString", "Polygon"]
+    shapes: list
+    crs: CRS
+    columns: dict[str, list] = field(default_factory=dict)
+    notes: str = ""
+
+
+def write_geojson(path: str | Path, layer: Layer) -> None:
+    """Write a layer as GeoJSON, whole or not at all: longitude and latitude of WGS 84, as RFC 7946 wants it.
+
+    The member ``bathynerf`` names the CRS that the features were made in.
+
+    Raises
+    ------
+    UnwritableFile
+        If the file cannot be written.
+    """
+    way = Transformer.from_crs(horizontal_crs(layer.crs), _WGS84, always_xy=True)
+
+    def turned(line: np.ndarray) -> list:
+        places = np.column_stack(way.transform(*np.asarray(line, dtype=np.float64).T))
+        return np.round(places, _DECIMALS).tolist()
+
+    features = []
+    for number, shape in enumerate(layer.shapes):
+        if layer.kind == "Polygon":
+            coordinates = [turned(_wound(ring, left=place == 0)) for place, ring in enumerate(shape)]
+        else:
+            coordinates = turned(shape)
+        properties = {name: values[number] for name, values in layer.columns.items()}
+        geometry = {"type": layer.kind, "coordinates": coordinates}
+        features.append({"type": "Feature", "properties": properties, "geometry": geometry})
+    said = {"made_by": "bathynerf", "crs_of_survey": crs_code(layer.crs) or layer.crs.name, "about": layer.notes}
+    whole = {"type": "FeatureCollection", "name": layer.name, "bathynerf": said, "features": features}
+    with write_whole(path) as stream:
+        stream.write(json.dumps(whole, ensure_ascii=False, allow_nan=False).encode())
+
+
+def write_geopackage(path: str | Path, layer: Layer) -> None:
+    """Write a layer as GeoPackage in its own CRS, whole or not at all.
+
+    Raises
+    ------
+    UnwritableFile
+        If the file cannot be written, or pyogrio is not installed.
+    """
+    pyogrio = library_for(path, "pyogrio.raw", "vector", to_write=True)
+    crs = horizontal_crs(layer.crs)
+    content = BytesIO()
+    pyogrio.write(
+        content,
+        geometry=np.array([_wkb(layer.kind, shape) for shape in layer.shapes], dtype=object),
+        field_data=[np.array(values) for values in layer.columns.values()],
+        fields=np.array(list(layer.columns), dtype=object),
+        layer=layer.name,
+        driver="GPKG",
+        geometry_type=layer.kind,
+        crs=crs_code(crs) or crs.to_wkt(),
+        layer_options={"IDENTIFIER": f"bathynerf {layer.name}", "DESCRIPTION": layer.notes},
+    )
+    with write_whole(path) as stream:
+        stream.write(content.getvalue())
+
+
+def _wkb(kind: str, shape) -> bytes:
+    """A shape as well-known binary, little-endian."""
+    rings = [np.asarray(line, dtype="<f8") for line in (shape if kind == "Polygon" else [shape])]
+    parts = [struct.pack("<BI", 1, _WKB_TYPES[kind])]
+    if kind == "Polygon":
+        parts.append(struct.pack("<I", len(rings)))
+    for ring in rings:
+        parts += [struct.pack("<I", len(ring)), ring.tobytes()]
+    return b"".join(parts)
+
+
+def _wound(ring: np.ndarray, *, left: bool) -> np.ndarray:
+    """A closed ring with its inside to the left (counter-clockwise) or to the right."""
+    ring = np.asarray(ring, dtype=np.float64)
+    x, y = (ring - ring[0]).T
+    is_left = float((x[:-1] * y[1:] - x[1:] * y[:-1]).sum()) > 0.0
+    return ring if is_left == left else ring[::-1]

@@ -1,0 +1,185 @@
+"""Control points against the block: coordinates that it contradicts, how accurate the rest is, and marks left out.
+
+With X and B the derivatives of the marks of a point by its place and by the parameters, and r their residuals, the
+marks alone put the point at ``place + (X' X)^-1 X' r``. This less its coordinates has the covariance
+
+    S + s^2 (X' X)^-1 + J C J',    J = (X' X)^-1 X' B
+
+with S that of the coordinates, s the standard deviation of the marks and C the covariance of the parameters. Where the
+block leans on the point, C counts it too, and the sum is too large. The adjusted place less the coordinates tells more
+then; its covariance is S less that of the place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from survey.adjust.bundle import Problem, Solution
+from survey.adjust.observed import MARK, Observed
+from survey.adjust.prediction import linearise
+from survey.adjust.state import POSE, State
+from survey.control.points import Control
+from survey.display.words import named
+from survey.photos.cameras import View
+from survey.photos.tie_points import TiePoints
+
+# Coordinates further off than this, in standard deviations, and by this factor more than most points, are wrong: a
+# wrong point pulls the block away from the others. Once these are known to be as inaccurate, it may come back.
+_WRONG, _STANDS_OUT, _RIGHT = 6.0, 2.5, 4.0
+# The median of the largest of three normal deviates.
+_MEDIAN_OF_THREE = 1.26
+# Of so many points, most are further off than stated only where what is stated is too small by such a factor.
+_FEWEST, _OVERSTATED = 4, 2.0
+# Without positions of cameras a block needs so many points.
+_PLACE_A_BLOCK = 3
+# What the adjustment leaves of an error is no measure of it where it is a smaller part.
+_LEAST_REDUNDANCY = 0.2
+
+
+class Given(NamedTuple):
+    """The coordinates of a control point (3,) [m], local, and their standard deviations."""
+
+    place: np.ndarray
+    std: np.ndarray
+
+
+def given_points(seen: Observed) -> dict[str, Given]:
+    """Those of all control points, by name, before anything was found of them."""
+    first = len(seen.ties) - len(seen.control)
+    return {name: Given(seen.ties.start[k], seen.point_std[k]) for k, name in enumerate(seen.control, start=first)}
+
+
+def checked_points(problem: Problem, solution: Solution, seen: Observed, stated: Mapping[str, Given]) -> Observed:
+    """The observations with coordinates of control freed or widened as the block shows; the same where it does not.
+
+    Only the worst point is freed: it pulls the block away from others, which are judged without it.
+
+    Parameters
+    ----------
+    problem : Problem
+    solution : Solution
+    seen : Observed
+    stated : name to Given
+        Of control points, before any was freed or widened.
+    """
+    first = len(seen.ties) - len(seen.control)
+    std = seen.point_std.copy()
+    known = [k for k in range(first, len(std)) if np.isfinite(std[k]).all()]
+
+    def given(point: int) -> Given:
+        return stated[seen.control[point - first]]
+
+    def misfit(point: int, own_std: np.ndarray) -> float:
+        return _misfit(problem, solution, seen, point, Given(given(point).place, own_std))
+
+    off = {k: value for k in known if np.isfinite(value := misfit(k, std[k]))}
+    if not off:
+        return seen
+    median, worst = float(np.median(list(off.values()))), max(off, key=off.__getitem__)
+    positions = problem.priors.std[problem.layout.first_pose :].reshape(-1, POSE)[:, :3]
+    can_lose = len(known) > _PLACE_A_BLOCK or bool(np.isfinite(positions).any())
+    stands_out = len(off) < _FEWEST or off[worst] > _STANDS_OUT * median
+    if off[worst] > _WRONG and stands_out and can_lose:
+        std[worst] = np.inf
+    elif off[worst] > _WRONG and len(off) < _FEWEST:
+        # Without the worst nothing would hold the block.
+        std[known] *= off[worst] / _MEDIAN_OF_THREE
+    elif len(off) >= _FEWEST and median > _OVERSTATED * _MEDIAN_OF_THREE:
+        std[known] *= median / _MEDIAN_OF_THREE
+    else:
+        wider = float(np.max(std[known[0]] / given(known[0]).std))
+        freed = [k for k in range(first, len(std)) if k not in known and np.isfinite(given(k).std).all()]
+        back = [k for k in freed if wider > 1.0 and misfit(k, wider * given(k).std) < _RIGHT]
+        if not back:
+            return seen
+        std[back] = [wider * given(k).std for k in back]
+        start = seen.ties.start.copy()
+        start[back] = [given(k).place for k in back]
+        return replace(seen, point_std=std, ties=replace(seen.ties, start=start))
+    return replace(seen, point_std=std)
+
+
+def _misfit(problem: Problem, solution: Solution, seen: Observed, point: int, given: Given) -> float:
+    """How far a control point lies from its coordinates, in standard deviations; infinite where nothing tells."""
+    marks = np.flatnonzero(seen.ties.point == point)
+    if len(marks) < 2:
+        return np.inf
+    moved = solution.state.points[point] - given.place
+    linear = linearise(
+        problem.layout,
+        replace(solution.state, points=solution.state.points[[point]]),
+        TiePoints(seen.ties.start[[point]], np.zeros_like(marks), seen.ties.view[marks], seen.ties.pixel[marks]),
+        problem.sides[marks],
+        None if problem.rows is None else problem.rows[marks],
+    )
+    residuals = seen.ties.pixel[marks] - linear.pixels
+    by_parameters = linear.by_parameters.toarray().reshape(len(marks), 2, -1)
+    std_px = float(solution.std_px[problem.kind[marks[0]]])
+
+    def apart(chosen: np.ndarray) -> float:
+        by_point = linear.by_point[chosen].reshape(-1, 3)
+        inverse = np.linalg.pinv(by_point)
+        step = inverse @ residuals[chosen].ravel()
+        follow = inverse @ by_parameters[chosen].reshape(len(by_point), -1)
+        variance = given.std**2 + std_px**2 * np.sum(inverse**2, axis=1)
+        variance += np.einsum("ip,pq,iq->i", follow, solution.covariance, follow)
+        return float(np.max(np.abs(moved + step) / np.sqrt(variance)))
+
+    if not np.isfinite(residuals).all():
+        return np.inf
+    every = np.arange(len(marks))
+    # A single wrong mark is no wrong point: what counts is what the point is off without it.
+    parts = [np.delete(every, k) for k in every] if len(marks) > 2 else [every]
+    away = min(apart(part) for part in parts)
+    is_used = bool(np.isfinite(seen.point_std[point]).all())
+    return max(away, _leaning(solution, point, moved, given.std)) if is_used else away
+
+
+def _leaning(solution: Solution, point: int, moved: np.ndarray, stated: np.ndarray) -> float:
+    """The same from where the adjustment put the point."""
+    system = solution.system
+    root, mixed = system.root[point], system.mixed[3 * point : 3 * point + 3].toarray()
+    covariance = root.T @ (np.eye(3) + mixed @ solution.covariance @ mixed.T) @ root
+    redundancy = 1.0 - np.diag(covariance) / stated**2
+    told = redundancy > _LEAST_REDUNDANCY
+    if not told.any():
+        return 0.0
+    return float(np.max(np.abs(moved[told]) / (stated[told] * np.sqrt(redundancy[told]))))
+
+
+def control_warnings(control: Control | None, views: Sequence[View], used: Observed, state: State) -> list[str]:
+    """What of the control was left out or widened, by name."""
+    if control is None:
+        return []
+    first = len(used.ties) - len(used.control)
+    number = {name: k for k, name in enumerate(used.control, start=first)}
+    shown = {
+        (used.control[point - first], views[view].name)
+        for point, view in zip(used.ties.point[used.kind == MARK], used.ties.view[used.kind == MARK], strict=True)
+    }
+    lost = [mark for mark in control.marks if (mark.point, mark.view) not in shown]
+    by_name = {point.name: point for point in control.points}
+    freed, widened = [], []
+    for name, k in number.items():
+        point = by_name[name]
+        if point.is_check:
+            continue
+        if not np.isfinite(used.point_std[k]).all():
+            off = state.points[k] - point.local
+            freed.append(f"{name} (off by {off[0]:.3f} m east, {off[1]:.3f} m north, {off[2]:.3f} m up)")
+        else:
+            widened.append(float(np.max(used.point_std[k] / point.std)))
+    warnings = named(
+        [f"{mark.point} in {mark.view}" for mark in lost], "mark", "of control that the block contradicts, left out"
+    )
+    warnings += named(freed, "control point", "that the block contradicts, its coordinates left out")
+    if widened and max(widened) > 1.0:
+        warnings.append(
+            f"control points fit the block {max(widened):.1f} times worse than their standard deviations say, and "
+            "count as that much less accurate; correct [control] std_m, or the coordinates"
+        )
+    return warnings

@@ -1,0 +1,177 @@
+"""The benchmark itself: every method on every survey, each in a process of its own, round after round."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from geo.errors import GeoError
+from survey.benchmark.cases import POSES, Case, case_of, drawn_case, drawn_names, variant
+from survey.benchmark.corrected import write_corrected
+from survey.benchmark.front import draw_front
+from survey.benchmark.measured import errors_of
+from survey.benchmark.methods import METHODS, Method
+from survey.benchmark.records import Record, Results, write_results
+from survey.benchmark.running import commit, machine, run_bathynerf
+from survey.errors import SurveyError
+from survey.progress import current
+from survey.run.folder import versions
+
+RESULTS, FRONT = "results.json", "front.png"
+_CLOUD = "cloud.las"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is measured.
+
+    Attributes
+    ----------
+    methods : names of `METHODS`
+    qualities, poses, devices : tuple of str
+        As `process` has them; poses are "given" and "images".
+    repeats : int
+        Rounds; times are those of all of them, clouds of the first.
+    """
+
+    methods: tuple[str, ...] = tuple(METHODS)
+    qualities: tuple[str, ...] = ("draft", "standard", "fine")
+    poses: tuple[str, ...] = ("given",)
+    devices: tuple[str, ...] = ("cpu",)
+    repeats: int = 1
+
+    def __post_init__(self):
+        unknown = [name for name in self.methods if name not in METHODS]
+        if unknown:
+            raise SurveyError(f"--method is {unknown[0]}, expected one of {', '.join(METHODS)}")
+        strange = [name for name in self.poses if name not in POSES]
+        if strange:
+            raise SurveyError(f"--poses is {strange[0]}, expected one of {', '.join(POSES)}")
+        if self.repeats < 1:
+            raise SurveyError(f"--repeats is {self.repeats}, expected at least 1")
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One process: those of its methods that differ by a correction share it."""
+
+    case: Case
+    methods: tuple[Method, ...]
+    quality: str
+    poses: str
+    device: str
+
+    @property
+    def name(self) -> str:
+        first = self.methods[0]
+        kind = first.field if first.is_refracted else "straight"
+        return "_".join((self.case.name, kind, self.quality, self.poses, self.device))
+
+
+def benchmark(
+    surveys: Sequence[Path], folder: Path, *, drawn: Sequence[str] = (), settings: Settings | None = None
+) -> Results:
+    """Measure run time against error.
+
+    Parameters
+    ----------
+    surveys : of Path
+        Survey folders with a known truth; they are not written to.
+    folder : Path
+        For drawn surveys, run folders, results.json and front.png, which are written anew after every process.
+    drawn : names DEPTH,PATTERN,IMAGES or "all", see `survey.benchmark.cases.drawn_names`
+    settings : Settings, optional
+
+    Raises
+    ------
+    SurveyError
+        If a survey has no truth, or a name is not known.
+    """
+    settings = settings or Settings()
+    if not surveys and not drawn:
+        raise SurveyError(
+            "no survey is named; give a survey folder with reference.ply, or --drawn, e.g. --drawn 2,oblique,20"
+        )
+    names = drawn_names(list(drawn))
+    cases = [case_of(Path(survey)) for survey in surveys]
+    doubled = {case.name for case in cases if [other.name for other in cases].count(case.name) > 1}
+    if doubled:
+        raise SurveyError(f"two surveys are named {min(doubled)}; rename the folder of one of them")
+    folder.mkdir(parents=True, exist_ok=True)
+    cases += [drawn_case(name, folder) for name in names]
+    jobs = [job for case in cases for job in _jobs(case, settings)]
+    results = Results(machine(), versions(), commit(), ())
+    found: dict[tuple[str, ...], Record] = {}
+    with current().stage("Benchmark", len(jobs) * settings.repeats) as stage:
+        # Round after round, so that what slows the machine for a while slows all methods.
+        for _ in range(settings.repeats):
+            for job in jobs:
+                current().note(f"benchmark: {job.name}")
+                for record in _measure(job, folder, found):
+                    found[record.key] = record
+                results = replace(results, records=tuple(found.values()))
+                write_results(folder / RESULTS, results)
+                draw_front(folder / FRONT, results.records)
+                stage.advance()
+    return results
+
+
+def present_devices() -> tuple[str, ...]:
+    """The processor, and CUDA where there is some."""
+    from fields.device import choose_device
+
+    return ("cpu",) if choose_device("auto").name != "cuda" else ("cpu", "cuda")
+
+
+def _jobs(case: Case, settings: Settings) -> list[_Job]:
+    groups: dict[tuple[str, bool], list[Method]] = {}
+    for name in settings.methods:
+        method = METHODS[name]
+        groups.setdefault((method.field, method.is_refracted), []).append(method)
+    return [
+        _Job(case, tuple(methods), quality, poses, device)
+        for poses in settings.poses
+        for device in settings.devices
+        for quality in settings.qualities
+        for methods in groups.values()
+    ]
+
+
+def _measure(job: _Job, folder: Path, found: dict[tuple[str, ...], Record]) -> list[Record]:
+    """The records of a job; where there are some already, with one cost more."""
+    first = job.methods[0]
+    straight = "" if first.is_refracted else "_straight"
+    survey = variant(
+        job.case, folder / f"{job.case.name}_{job.poses}{straight}", poses=job.poses, is_refracted=first.is_refracted
+    )
+    run = folder / "runs" / job.name
+    options = ["--quality", job.quality, "--field", first.field, "--device", job.device, "--no-resume"]
+    # Dr.Jit keeps its compiled kernels in the home folder: a new one is a cold start.
+    with tempfile.TemporaryDirectory() as home:
+        code, cost, words = run_bathynerf(["process", str(survey), "-o", str(run), *options], Path(home))
+    records = []
+    for method in job.methods:
+        record = Record(job.case.name, method.name, job.quality, job.poses, job.device, code, (cost,), None, words)
+        before = found.get(record.key)
+        if before is not None:
+            records.append(replace(before, costs=(*before.costs, cost)))
+            continue
+        records.append(_with_errors(record, job, method, run, folder))
+    return records
+
+
+def _with_errors(record: Record, job: _Job, method: Method, run: Path, folder: Path) -> Record:
+    """The record with what its cloud is worth; its words say why there is none."""
+    cloud = run / _CLOUD
+    if not cloud.is_file():
+        return record
+    try:
+        if method.correction:
+            survey = variant(job.case, folder / f"{job.case.name}_{job.poses}", poses=job.poses, is_refracted=True)
+            cloud = run / f"{method.correction}.las"
+            write_corrected(cloud, run, survey, method.correction)
+        return replace(record, errors=errors_of(cloud, job.case), words="")
+    except (GeoError, SurveyError) as error:
+        return replace(record, words=str(error))

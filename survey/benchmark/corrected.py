@@ -1,0 +1,111 @@
+"""A cloud of straight rays, its depths corrected afterwards: what is done without rays that bend."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from evaluation import per_camera, times_index
+from geo import LocalFrame, read_cloud, write_cloud
+from refract import FlatWater, PinholeCamera
+from survey.errors import SurveyError
+from survey.folder import place
+from survey.folder.found import find_survey
+from survey.folder.survey import load_survey
+from survey.photos.cameras import View
+from survey.photos.formats import read_poses
+
+# Points at a time: each has an angle for every camera.
+_BATCH = 100_000
+CAMERAS, MODEL = "cameras.csv", "sparse"
+
+
+@dataclass(frozen=True)
+class _Scene:
+    frame: LocalFrame
+    cameras: tuple[PinholeCamera, ...]
+    water: FlatWater
+
+
+def write_corrected(path: Path, run: Path, survey: Path, correction: str) -> None:
+    """The cloud of a run over straight rays, its depths corrected, as LAS.
+
+    Parameters
+    ----------
+    path : Path
+    run : Path
+        Of the survey without its water.
+    survey : Path
+        Survey folder with water: its level and index are taken, and its cameras where the run has found none.
+    correction : "times_index" or "per_camera"
+
+    Raises
+    ------
+    SurveyError
+        If the survey has no water with a level.
+    """
+    cloud = read_cloud(run / "cloud.las")
+    scene = _scene(run, survey)
+    points = scene.frame.local_from_crs(cloud.points)
+    depth = np.asarray(scene.water.depth(points))
+    wet = np.flatnonzero(depth > 0.0)
+    true = np.concatenate(
+        [_depths(points[rows], depth[rows], scene, correction) for rows in np.array_split(wet, len(wet) // _BATCH + 1)]
+    )
+    moved, new_depth = points.copy(), depth.copy()
+    moved[wet] -= (true - depth[wet])[:, None] * np.asarray(scene.water.up)
+    new_depth[wet] = true
+    # Where no camera sees a point there is no factor, and no corrected point.
+    known = np.isfinite(moved).all(axis=1)
+    colours = np.zeros((len(points), 3), dtype=np.uint8) if cloud.rgb is None else cloud.rgb
+    write_cloud(
+        path,
+        scene.frame.crs_from_local(moved[known]),
+        scene.frame.crs,
+        rgb=colours[known],
+        depth_m=new_depth[known],
+        std_m=cloud.extra["std"][known],
+        num_views=cloud.extra["num_views"][known],
+        incidence_deg=cloud.extra["incidence"][known],
+        is_wet=new_depth[known] > 0.0,
+    )
+
+
+def _depths(points: np.ndarray, apparent: np.ndarray, scene: _Scene, correction: str) -> np.ndarray:
+    n = float(scene.water.n_water)
+    if correction == "times_index":
+        return times_index(apparent, n)
+    up, incidence, is_seen = np.asarray(scene.water.up), [], []
+    for camera in scene.cameras:
+        towards = camera.centre - points
+        cos = (towards @ up) / np.linalg.norm(towards, axis=1)
+        pixels = camera.project(points, None)
+        with np.errstate(invalid="ignore"):
+            is_seen.append(((pixels >= 0.0) & (pixels <= [camera.width, camera.height])).all(axis=1))
+        incidence.append(np.arccos(np.clip(cos, -1.0, 1.0)))
+    return per_camera(apparent, np.stack(incidence, axis=1), np.stack(is_seen, axis=1), n)
+
+
+def _scene(run: Path, survey: Path) -> _Scene:
+    """The cameras that the run found, else those of the survey, with the water of the survey."""
+    if not (run / CAMERAS).is_file():
+        loaded = load_survey(survey)
+        water, _ = loaded.require_water()
+        return _Scene(loaded.frame, tuple(view.camera for view in loaded.views), water)
+    found = find_survey(survey)
+    lenses = {pose.name: pose.lens for pose in read_poses(run / MODEL).poses}
+    poses = [pose for pose in read_poses(run / CAMERAS).poses if lenses.get(pose.name) is not None]
+    middle = np.median([pose.centre for pose in poses], axis=0)
+    frame = LocalFrame(found.crs, (float(middle[0]), float(middle[1]), float(middle[2])))
+    centres = np.array([pose.centre for pose in poses])
+    views = []
+    for pose, centre, axes in zip(poses, frame.local_from_crs(centres), frame.local_from_grid(centres), strict=True):
+        lens = lenses[pose.name]
+        assert lens is not None
+        views.append(View(pose.name, found.images[pose.name], lens.camera(centre, pose.cam_from_world @ axes.T), lens))
+    plane = place.water_in_local(found.config, frame, views, [])[1]
+    if plane is None:
+        raise SurveyError(f"{survey} has no water whose refraction could be corrected")
+    return _Scene(frame, tuple(view.camera for view in views), plane)

@@ -1,0 +1,74 @@
+"""Run time over error: which records nothing else beats in both, and the picture of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.ticker import LogLocator, NullFormatter
+
+from survey.benchmark.methods import METHODS
+from survey.benchmark.records import Record
+from survey.compare.canvas import canvas, save
+from survey.display.palette import INK, SERIES, SOFT
+
+# Numbers within each decade that stand at the axes.
+_TICKS = (1.0, 2.0, 5.0)
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "<", ">")
+
+
+def wall_s(record: Record) -> float:
+    """Median wall clock of the repeats [s]."""
+    return float(np.median([cost.wall_s for cost in record.costs]))
+
+
+def on_front(records: Sequence[Record]) -> set[tuple[str, ...]]:
+    """Keys of the records of each case than which none is both faster and more accurate."""
+    front: set[tuple[str, ...]] = set()
+    for case in {record.case for record in records}:
+        least = np.inf
+        known = [(wall_s(r), r.errors.error_m, r.key) for r in records if r.case == case and r.errors is not None]
+        for _, error, key in sorted(known):
+            if error < least:
+                least = error
+                front.add(key)
+    return front
+
+
+def draw_front(path: Path, records: Sequence[Record]) -> None:
+    """Time over error on logarithmic axes: a colour for each method, a mark for each case; the front is filled."""
+    known = [record for record in records if record.errors is not None]
+    cases, front = list(dict.fromkeys(record.case for record in known)), on_front(known)
+    figure, axes = canvas(7.2, 4.6)
+    methods = [name for name in METHODS if any(record.method == name for record in known)]
+    for record in known:
+        assert record.errors is not None
+        colour = SERIES[methods.index(record.method) % len(SERIES)]
+        axes.plot(
+            1000.0 * record.errors.error_m,
+            wall_s(record),
+            _MARKERS[cases.index(record.case) % len(_MARKERS)],
+            color=colour,
+            markerfacecolor=colour if record.key in front else "none",
+            ms=7,
+        )
+        axes.annotate(
+            record.quality, (1000.0 * record.errors.error_m, wall_s(record)), textcoords="offset points", xytext=(6, 3),
+            fontsize=7, color=SOFT,
+        )  # fmt: skip
+    for number, name in enumerate(methods):
+        axes.plot([], [], "o", color=SERIES[number % len(SERIES)], label=METHODS[name].words)
+    for number, case in enumerate(cases):
+        axes.plot([], [], _MARKERS[number % len(_MARKERS)], color=INK, markerfacecolor="none", label=case)
+    axes.set(xscale="log", yscale="log")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=_TICKS))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
+    axes.set_xlabel("error: root of mean² + std² of the inner 90 % [mm]", color=INK)
+    axes.set_ylabel("run time [s]", color=INK)
+    axes.grid(True, lw=0.3, color=SOFT, alpha=0.5)
+    if known:
+        axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    save(figure, path)

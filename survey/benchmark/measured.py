@@ -1,0 +1,75 @@
+"""A cloud against the truth of its survey, in the figures of a benchmark."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from evaluation import vertical_difference
+from geo import Mesh
+from survey.benchmark.cases import Case
+from survey.benchmark.records import Errors
+from survey.compare.area import to_local
+from survey.compare.comparison import CompareOptions, compare_surfaces
+from survey.compare.result import Comparison
+
+TOLERANCES_M = (0.05, 0.1, 0.2)
+_INNER = 0.9
+# Blocks along the longer side of the area: enough of them to resample, each many points wide.
+_BLOCKS = 16
+_SIGMAS = 1.96
+_STD = "std"
+
+
+def errors_of(cloud: Path, case: Case) -> Errors:
+    """The errors of a cloud.
+
+    Raises
+    ------
+    GeoError, SurveyError
+        As `survey.compare.comparison.compare_surfaces`.
+    """
+    found = compare_surfaces(
+        cloud, case.reference, CompareOptions(TOLERANCES_M, visible=case.visible, bounds=case.bounds)
+    )
+    whole, distances = found.figures.summary.distances, found.distances
+    shares = {
+        f"{scores.tolerance_m:g}": scores.completeness if case.visible is None else scores.completeness_visible
+        for scores in found.figures.tolerances
+    }
+    inner = np.abs(distances) <= np.nanquantile(np.abs(distances), _INNER)
+    return Errors(
+        n_points=whole.n_points,
+        mean_m=whole.mean_inner90_m,
+        std_m=whole.std_inner90_m,
+        rms_m=whole.rms_m,
+        completeness={tolerance: float(share) for tolerance, share in shares.items() if share is not None},
+        coverage=_coverage(found),
+        blocks=_blocks(found.points[inner, :2], distances[inner], case),
+    )
+
+
+def _coverage(found: Comparison) -> float | None:
+    """Share of vertical errors within 1.96 std."""
+    reference, std = found.inputs.reference, found.inputs.cloud.extra.get(_STD)
+    if std is None or not isinstance(reference, Mesh):
+        return None
+    paths = found.inputs.paths
+    points = to_local(found.inputs.frame, found.points, paths.cloud)
+    vertices = to_local(found.inputs.frame, reference.vertices, paths.reference)
+    error = vertical_difference(points, vertices, reference.faces)
+    known = np.isfinite(error)
+    return float(np.mean(np.abs(error[known]) < _SIGMAS * std[found.inputs.inside][known]))
+
+
+def _blocks(plan: np.ndarray, distances: np.ndarray, case: Case) -> dict[str, list[float]]:
+    """Number, sum and sum of squares of distances by block; its name is "column,row" from the corner of the bounds."""
+    low = plan.min(axis=0) if case.bounds is None else np.array(case.bounds[:2])
+    high = plan.max(axis=0) if case.bounds is None else np.array(case.bounds[2:])
+    cell = np.floor((plan - low) / (float((high - low).max()) / _BLOCKS)).astype(np.int64)
+    cells, number = np.unique(cell, axis=0, return_inverse=True)
+    sums = [
+        np.bincount(number.ravel(), weights=values) for values in (np.ones_like(distances), distances, distances**2)
+    ]
+    return {f"{x},{y}": [float(v) for v in row] for (x, y), row in zip(cells, np.transpose(sums), strict=True)}

@@ -1,0 +1,147 @@
+"""What one process of the benchmark cost and how far its cloud is from the truth; the file of all of them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from survey.errors import SurveyError
+from survey.files.json_values import write_json
+
+# Of the file's layout; another one is not read.
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a process took, start and imports included.
+
+    Attributes
+    ----------
+    wall_s, processor_s : [s]
+        Processor time is that of all threads.
+    peak_bytes : [B]
+        Largest resident memory of the process and its children.
+    """
+
+    wall_s: float
+    processor_s: float
+    peak_bytes: int
+
+
+@dataclass(frozen=True)
+class Errors:
+    """How far a cloud is from the true bed, within the bounds of the survey.
+
+    Attributes
+    ----------
+    n_points : int
+    mean_m, std_m : [m]
+        Of the signed distances of the inner 90 %.
+    rms_m : [m]
+        Of all distances.
+    completeness : dict
+        Share of the points that cameras see, by tolerance in metres, e.g. "0.05".
+    coverage : float or None
+        Share of vertical errors below 1.96 times the std that the points carry; None where they carry none.
+    blocks : dict of str to (n, sum, sum of squares)
+        Signed distances of the inner 90 % by block of the plan [m, m2]: what another result of the same survey is
+        compared with, block by block.
+    """
+
+    n_points: int
+    mean_m: float
+    std_m: float
+    rms_m: float
+    completeness: dict[str, float]
+    coverage: float | None
+    blocks: dict[str, list[float]] = field(default_factory=dict, repr=False)
+
+    @property
+    def error_m(self) -> float:
+        """Root of mean squared and std squared [m]: what the picture has over the time."""
+        return (self.mean_m**2 + self.std_m**2) ** 0.5
+
+
+@dataclass(frozen=True)
+class Record:
+    """One method on one survey.
+
+    Attributes
+    ----------
+    case, method, quality, poses, device : str
+        Together the name of the record, see `key`.
+    exit_code : int
+        Of `process`; 3 where a quality gate failed.
+    costs : tuple of Cost
+        One for each repeat.
+    errors : Errors or None
+        None where no cloud was written; `words` has the reason.
+    words : str
+    """
+
+    case: str
+    method: str
+    quality: str
+    poses: str
+    device: str
+    exit_code: int
+    costs: tuple[Cost, ...]
+    errors: Errors | None
+    words: str = ""
+
+    @property
+    def key(self) -> tuple[str, str, str, str, str]:
+        """By which records of two files are paired."""
+        return self.case, self.method, self.quality, self.poses, self.device
+
+
+@dataclass(frozen=True)
+class Results:
+    """All records of a benchmark and where they were measured.
+
+    Attributes
+    ----------
+    machine, versions : dict of str to str
+    commit : str
+        Of the working tree, else the hash of the code.
+    records : tuple of Record
+    """
+
+    machine: dict[str, str]
+    versions: dict[str, str]
+    commit: str
+    records: tuple[Record, ...]
+
+
+def write_results(path: Path, results: Results) -> None:
+    """Write the results as JSON, whole or not at all."""
+    write_json(path, {"version": VERSION} | asdict(results))
+
+
+def read_results(path: Path) -> Results:
+    """The results in a file of `write_results`.
+
+    Raises
+    ------
+    SurveyError
+        If it is none.
+    """
+    try:
+        table = json.loads(Path(path).read_text(encoding="utf-8"))
+        if table["version"] != VERSION:
+            raise SurveyError(f"{path} has the layout {table['version']}, expected {VERSION}; measure it again")
+        records = tuple(_record(entry) for entry in table["records"])
+        return Results(table["machine"], table["versions"], table["commit"], records)
+    except FileNotFoundError as error:
+        raise SurveyError(f"{path} does not exist; name a file that `bathynerf benchmark` wrote") from error
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise SurveyError(
+            f"{path} is no result of `bathynerf benchmark` ({error}); name a file that it wrote"
+        ) from error
+
+
+def _record(entry: dict) -> Record:
+    errors = None if entry["errors"] is None else Errors(**entry["errors"])
+    return Record(**(entry | {"costs": tuple(Cost(**cost) for cost in entry["costs"]), "errors": errors}))

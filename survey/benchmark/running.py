@@ -1,0 +1,126 @@
+"""One process, with its run time, processor time and memory; and the machine it runs on."""
+
+from __future__ import annotations
+
+import os
+import platform
+import resource
+import shutil
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import survey
+from survey.benchmark.records import Cost
+from survey.code_hash import code_hash
+from survey.machine import memory_bytes, num_cores
+
+_BATHYNERF = (sys.executable, "-c", "from survey.commands.app import main; main()")
+_ROOT = Path(survey.__file__).resolve().parent.parent
+# Between two looks at the memory [s].
+_LOOK_S = 0.1
+
+
+def run_bathynerf(arguments: list[str], home: Path) -> tuple[int, Cost, str]:
+    """Run the command line in a process of its own, with its compiled kernels in `home`.
+
+    Returns
+    -------
+    exit code, cost, last line of standard error
+    """
+    environment = {**os.environ, "HOME": str(home), "PYTHONPATH": os.pathsep.join([str(_ROOT), *sys.path])}
+    log = home / "stderr.txt"
+    start, before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
+    with log.open("wb") as errors:
+        process = subprocess.Popen([*_BATHYNERF, *arguments], env=environment, stdout=subprocess.DEVNULL, stderr=errors)
+        peak = _Peak(process.pid)
+        try:
+            code = process.wait()
+        except BaseException:
+            process.terminate()
+            process.wait()
+            raise
+        finally:
+            peak.stop()
+    wall, after = time.monotonic() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
+    processor = (after.ru_utime - before.ru_utime) + (after.ru_stime - before.ru_stime)
+    words = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    return code, Cost(wall, processor, peak.bytes), words[-1] if words else ""
+
+
+class _Peak:
+    """Watches the resident memory of a process and its children, in a thread; 0 where the system has no /proc."""
+
+    def __init__(self, pid: int):
+        self.bytes = 0
+        self._pid, self._ended = pid, threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def _watch(self) -> None:
+        while not self._ended.wait(_LOOK_S):
+            self.bytes = max(self.bytes, _tree_bytes(self._pid))
+
+
+def _tree_bytes(pid: int) -> int:
+    total, waiting = 0, [pid]
+    while waiting:
+        place = Path(f"/proc/{waiting.pop()}")
+        try:
+            pages = int((place / "statm").read_text(encoding="ascii").split()[1])
+            for task in (place / "task").iterdir():
+                waiting += [int(child) for child in (task / "children").read_text(encoding="ascii").split()]
+        except (OSError, ValueError, IndexError):
+            # It has just ended.
+            continue
+        total += pages * os.sysconf("SC_PAGE_SIZE")
+    return total
+
+
+def machine() -> dict[str, str]:
+    """Processor, cores, memory and system, in words."""
+    return {
+        "processor": _processor(),
+        "cores": str(num_cores()),
+        "memory": f"{memory_bytes() / 1024**3:.1f} GiB",
+        "gpu": _gpu(),
+        "system": platform.platform(),
+        "python": platform.python_version(),
+    }
+
+
+def commit() -> str:
+    """The commit of the working tree, with + where files differ; the hash of the code where there is no repository."""
+    git = shutil.which("git")
+    if git is not None and (_ROOT / ".git").exists():
+        words = [git, "-C", str(_ROOT), "describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*"]
+        found = subprocess.run(words, capture_output=True, text=True, check=False)
+        if found.returncode == 0:
+            return found.stdout.strip()
+    return code_hash("survey.run.process")[:12]
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    flags = next((line.partition(":")[2].split() for line in lines if line.startswith("flags")), [])
+    width = next((text for flag, text in (("avx512f", "AVX-512"), ("avx2", "AVX2")) if flag in flags), "")
+    return ", ".join(filter(None, [named[0] if named else platform.machine(), width]))
+
+
+def _gpu() -> str:
+    nvidia = shutil.which("nvidia-smi")
+    if nvidia is None:
+        return "none"
+    words = [nvidia, "--query-gpu=name", "--format=csv,noheader"]
+    found = subprocess.run(words, capture_output=True, text=True, check=False)
+    return found.stdout.strip().replace("\n", ", ") or "none"

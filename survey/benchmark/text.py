@@ -1,0 +1,47 @@
+"""The records of a benchmark as the rows of a table."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from survey.benchmark.against import Change
+from survey.benchmark.front import on_front, wall_s
+from survey.benchmark.methods import METHODS
+from survey.benchmark.records import Record, Results
+from survey.display.quantities import length
+
+_HEAD = ("survey", "method", "quality", "poses", "time", "processor", "memory", "mean", "std", "complete 0.2, 0.05 m",
+         "std covers", "")  # fmt: skip
+
+
+def table(results: Results) -> list[str]:
+    """One line for each record, under a head; * marks the front of its survey."""
+    front = on_front(results.records)
+    rows = [_HEAD, *(_row(record, record.key in front) for record in results.records)]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(_HEAD))]
+    return ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+
+
+def _row(record: Record, is_front: bool) -> tuple[str, ...]:
+    name = (record.case, METHODS[record.method].words, record.quality, record.poses)
+    processor = float(np.median([cost.processor_s for cost in record.costs]))
+    memory = max(cost.peak_bytes for cost in record.costs)
+    costs = (f"{wall_s(record):.1f} s", f"{processor:.1f} s", f"{memory / 1e9:.2f} GB")
+    errors = record.errors
+    if errors is None:
+        return (*name, *costs, "-", "-", "-", "-", record.words[:80])
+    shares = ", ".join(f"{100.0 * errors.completeness[key]:.1f}" for key in ("0.2", "0.05"))
+    covers = "-" if errors.coverage is None else f"{100.0 * errors.coverage:.1f} %"
+    marks = ("*" if is_front else "") + (" quality gate failed" if record.exit_code else "")
+    return (*name, *costs, length(errors.mean_m), length(errors.std_m), f"{shares} %", covers, marks.strip())
+
+
+def lines_of(changes: list[Change]) -> list[str]:
+    """One line for each change."""
+    lines = []
+    for change in changes:
+        between = "" if change.interval is None else f" ({change.interval[0]:.3f} to {change.interval[1]:.3f})"
+        why = f": {change.why}" if change.why else ""
+        ratio = "" if np.isnan(change.ratio) else f" {change.ratio:.3f}{between}"
+        lines.append(f"{' '.join(change.key)}: {change.figure}{ratio} {change.verdict}{why}")
+    return lines

@@ -1,0 +1,67 @@
+"""`bathynerf benchmark`: the options and results of `survey.benchmark`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from survey.commands.console import command
+from survey.commands.options import Quiet, Verbose
+from survey.plan.choices import Device, Quality
+
+EXAMPLES = """
+    bathynerf benchmark my_survey -o out
+    bathynerf benchmark --drawn 2,oblique,20 --method full
+    bathynerf benchmark my_survey --repeats 5 \\
+        --against before/results.json
+"""
+FOLDER = Path("benchmark")
+
+
+def run(
+    surveys: Annotated[
+        list[Path] | None, typer.Argument(metavar="SURVEY", help="Survey folders with reference.ply.")
+    ] = None,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for all results.")] = FOLDER,
+    drawn: Annotated[
+        list[str] | None,
+        typer.Option(metavar="D,P,N", help="Also draw one: depth [m], nadir or oblique, images; or all. Repeatable."),
+    ] = None,
+    method: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="full, sweep, slab, straight, times_index, per_camera; default: all."),
+    ] = None,
+    quality: Annotated[list[Quality] | None, typer.Option(help="Repeatable; default: all.")] = None,
+    poses: Annotated[list[str] | None, typer.Option(metavar="given|images", help="Repeatable; default: given.")] = None,
+    device: Annotated[list[Device] | None, typer.Option(help="Repeatable; default: all that are present.")] = None,
+    repeats: Annotated[int, typer.Option(metavar="N", help="Rounds; times get intervals from three on.")] = 1,
+    against: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="An earlier results.json: say what became better or worse.")
+    ] = None,
+    verbose: Verbose = 0,
+    quiet: Quiet = 0,
+) -> None:
+    """Measure run time against error, of the whole chain and of what it has to beat."""
+    with command(verbose, quiet, output) as results:
+        from survey.benchmark.against import changes
+        from survey.benchmark.benchmark import FRONT, RESULTS, Settings, benchmark, present_devices
+        from survey.benchmark.methods import METHODS
+        from survey.benchmark.records import read_results
+        from survey.benchmark.text import lines_of, table
+
+        # Read before hours are spent.
+        earlier = None if against is None else read_results(against)
+        settings = Settings(
+            methods=tuple(method or METHODS),
+            qualities=tuple(choice.value for choice in quality or Quality),
+            poses=tuple(poses or ("given",)),
+            devices=tuple(choice.value for choice in device or ()) or present_devices(),
+            repeats=repeats,
+        )
+        found = benchmark(surveys or [], output, drawn=drawn or [], settings=settings)
+        for line in table(found) + ([] if earlier is None else ["", *lines_of(changes(found, earlier))]):
+            results.line(line)
+        results.line(output / RESULTS)
+        results.line(output / FRONT)

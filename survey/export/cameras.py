@@ -1,0 +1,166 @@
+"""The cameras of a run for other programs to train on: a COLMAP model, and nerfstudio's transforms.json.
+
+Both know straight rays only. The poses are the true ones, so the ray of a pixel is right as far as the water: there it
+bends, which the files say with the plane and the index. A program that traces straight rays sees the bed about a
+quarter too shallow, and blurred, as each camera sees it elsewhere.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from survey.errors import SurveyError
+from survey.export.product import ExportOptions, Product, begins_with
+
+if TYPE_CHECKING:
+    from refract.lens import Lens
+    from survey.export.loaded import LoadedRun
+    from survey.run.flight import Flight
+
+_MARK = "# bathynerf\n"
+# What trainers start from; more take them longer and help little.
+_MOST_POINTS = 200_000
+_KIND = "cameras that bathynerf wrote"
+
+
+def _is_our_model(path: Path) -> bool:
+    return begins_with(_MARK.encode())(path / "cameras.txt") if (path / "cameras.txt").is_file() else False
+
+
+def _said(flight: Flight) -> dict:
+    """Where the frame lies and how rays bend."""
+    from geo.crs import crs_code
+
+    frame, water = flight.frame, flight.water
+    said = {
+        "made_by": "bathynerf",
+        "frame": "topocentric east-north-up, metres",
+        "crs": crs_code(frame.crs) or frame.crs.to_wkt(),
+        "origin_in_crs": list(frame.origin),
+    }
+    if any(view.camera.motion is not None for view in flight.views):
+        said["rolling_shutter"] = "positions are those at the middle row; how the cameras flew on is left out"
+    if water is None:
+        return said | {"rays": "straight: a dry survey"}
+    level = float(water.height(0.0, 0.0))
+    plane = {"level": level, "slope_x": float(water.slope_x), "slope_y": float(water.slope_y)}
+    return said | {
+        "water_plane": plane,
+        "refractive_index": float(water.n_water),
+        "rays": "straight from the camera to the plane z = level + slope_x x + slope_y y, bent there by Snell's law; a "
+        "program without refraction sees the bed too shallow",
+    }
+
+
+def _in_colmap(lens: Lens) -> Lens:
+    """The lens in a model of COLMAP.
+
+    Raises
+    ------
+    SurveyError
+        If it has none.
+    """
+    if lens.model != "BROWN_AFFINE":
+        return lens
+    if lens["k4"] or lens["skew"]:
+        raise SurveyError(
+            "the lens has k4 or skew (Metashape's k4, b2), which no camera model of COLMAP has; undistort the "
+            "photographs with the program that made the lens, and process them instead"
+        )
+    params = [lens[name] for name in ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")]
+    return replace(lens, model="FULL_OPENCV", params=(*params, 0.0, 0.0, 0.0))
+
+
+def _write_colmap(path: Path, run: LoadedRun, _options: ExportOptions) -> None:
+    from geo.files import disk_refusals, write_whole
+    from survey.photos.colmap_text import model_texts
+
+    flight = run.flight
+    views = [replace(view, lens=_in_colmap(view.lens)) for view in flight.views]
+    comments = [f"# {name}: {json.dumps(value, ensure_ascii=False)}\n" for name, value in _said(flight).items()]
+    texts = model_texts(views, head=_MARK + "".join(comments), points=_points(run))
+    with disk_refusals(path):
+        path.mkdir(parents=True, exist_ok=True)
+    for name, text in texts.items():
+        with write_whole(path / name) as stream:
+            stream.write(text.encode())
+
+
+def _points(run: LoadedRun) -> str:
+    """points3D.txt: points of the bed where they are, not where straight rays see them, without tracks."""
+    bed = run.bed.bed
+    every = -(-len(bed) // _MOST_POINTS)
+    head = "# points of the bed, true places; no tracks\n"
+    rows = zip(bed.xyz[::every], bed.rgb[::every], strict=True)
+    return head + "".join(
+        f"{number} {x:.4f} {y:.4f} {z:.4f} {r} {g} {b} 0\n"
+        for number, ((x, y, z), (r, g, b)) in enumerate(rows, start=1)
+    )
+
+
+def _write_nerfstudio(path: Path, run: LoadedRun, _options: ExportOptions) -> None:
+    import numpy as np
+
+    from geo.files import write_whole
+
+    flight = run.flight
+    frames = []
+    for view in flight.views:
+        matrix = np.eye(4)
+        # Its cameras look along -z, with y up.
+        matrix[:3, :3] = view.camera.cam_from_local.T * np.array([1.0, -1.0, -1.0])
+        matrix[:3, 3] = view.camera.centre
+        frame = {"file_path": str(view.path), **_nerfstudio_lens(view.lens), "transform_matrix": matrix.tolist()}
+        frames.append(frame if view.mask_path is None else frame | {"mask_path": str(view.mask_path)})
+    said = {"bathynerf": _said(flight), "frames": frames}
+    with write_whole(path) as stream:
+        stream.write(json.dumps(said, indent=1, ensure_ascii=False).encode())
+
+
+def _nerfstudio_lens(lens: Lens) -> dict:
+    """The lens of one photograph.
+
+    Raises
+    ------
+    SurveyError
+        If nerfstudio has none like it.
+    """
+    rational = lens.model == "FULL_OPENCV"
+    if lens["skew"] or (rational and (lens["k4"] or lens["k5"] or lens["k6"])):
+        raise SurveyError(
+            "the lens has skew or the denominator of the rational model (k4 to k6), which nerfstudio lacks; undistort "
+            "the photographs with the program that made the lens, and process them instead"
+        )
+    fx, fy = lens.focal
+    inside = {"fl_x": fx, "fl_y": fy, "cx": lens["cx"], "cy": lens["cy"], "w": lens.width, "h": lens.height}
+    names = ("k1", "k2", "k3") if rational else ("k1", "k2", "k3", "k4")
+    model = "OPENCV_FISHEYE" if lens.model == "OPENCV_FISHEYE" else "OPENCV"
+    return {"camera_model": model, **inside, **{name: lens[name] for name in (*names, "p1", "p2")}}
+
+
+CAMERAS = (
+    Product(
+        option="colmap",
+        suffixes=("",),
+        kind=_KIND,
+        help="Folder: cameras as a COLMAP model (text); rays bend at the water.",
+        example="--colmap sparse",
+        takes=(),
+        is_ours=_is_our_model,
+        write=_write_colmap,
+        is_folder=True,
+    ),
+    Product(
+        option="nerfstudio",
+        suffixes=(".json",),
+        kind=_KIND,
+        help="Cameras as nerfstudio's transforms.json.",
+        example="--nerfstudio cameras.json",
+        takes=(),
+        is_ours=begins_with(b"{", b'"made_by": "bathynerf"'),
+        write=_write_nerfstudio,
+    ),
+)

@@ -1,0 +1,146 @@
+"""From the points of a run to the raster of heights that every raster product is made of.
+
+Cells are worked on in tiles of about two million points; the rasters lie in files, so that they may be larger than the
+memory.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geo.crs import height_unit_m
+from survey.errors import SurveyError
+from survey.export.bed_cells import Gridded
+from survey.export.cell_fit import fit_cells
+from survey.export.from_above import margin_of, seen_from_above
+from survey.export.gap_filling import fill_gaps
+from survey.export.plan_cells import PlanCells, round_side
+from survey.export.water_level import LevelFit
+
+if TYPE_CHECKING:
+    from survey.export.loaded import LoadedRun
+    from survey.export.product import ExportOptions
+
+# Side of a cell where none is asked for [px]: some ten points in each.
+_DEFAULT_PX = 4.0
+_POINTS_PER_TILE = 2_000_000
+_LEAST_TILE, _LARGEST_TILE = 64, 2048
+_COLUMNS = ("points_crs", "std", "depth", "incidence", "std_common")
+
+
+def gridded(run: LoadedRun, options: ExportOptions) -> Gridded:
+    """The bed of a run in cells, made once for the products of a command.
+
+    Raises
+    ------
+    SurveyError
+        If the resolution or the width of gaps is unusable.
+    GeoError
+        If the CRS is.
+    """
+    _require_lengths(options)
+    key = ("gridded", options.crs, options.resolution_m, options.fill_m)
+    return run.once(key, lambda: _gridded(run, options))
+
+
+def _require_lengths(options: ExportOptions) -> None:
+    side, fill = options.resolution_m, options.fill_m
+    if side is not None and not (math.isfinite(side) and side > 0.0):
+        raise SurveyError(f"--resolution is {side:g}, expected the side of a cell in metres, e.g. 0.1")
+    if not (math.isfinite(fill) and fill >= 0.0):
+        raise SurveyError(f"--fill is {fill:g}, expected the width of the gaps to fill in metres, e.g. 0.5")
+
+
+def _gridded(run: LoadedRun, options: ExportOptions) -> Gridded:
+    pixel = run.place.gsd_m
+    columns = run.columns(*_COLUMNS)
+    points, crs = columns["points_crs"], run.place.crs
+    if options.crs is not None:
+        way = run.way_to(options.crs)
+        points, crs = way(points), way.crs
+    cells = PlanCells.over(points, crs, options.resolution_m or round_side(_DEFAULT_PX * pixel))
+    points[:, 2] *= height_unit_m(crs)
+    grid = _empty(run, cells, LevelFit.of(points, columns["depth"]), pixel)
+    common = columns.get("std_common", np.full(len(points), np.nan, dtype=np.float32))
+    common = np.where(np.isfinite(common), common, np.float32(run.common_std_m))
+    _fill_in(grid, points, columns["std"], common, columns["incidence"])
+    if options.fill_m > 0.0:
+        fill_gaps(grid, options.fill_m)
+    return grid
+
+
+def _empty(run: LoadedRun, cells: PlanCells, level: LevelFit | None, pixel_m: float) -> Gridded:
+    """A raster without a height, in new files."""
+    kinds = {"height": "f4", "std": "f4", "common": "f4", "count": "u4", "known": "u1", "incidence": "f4"}
+    place = run.scratch / f"cells-{len(list(run.scratch.iterdir()))}"
+    place.mkdir()
+    # Blocks of zeros take no room on the disk.
+    arrays = {name: np.memmap(place / name, dtype=kind, mode="w+", shape=cells.shape) for name, kind in kinds.items()}
+    return Gridded(cells=cells, level=level, pixel_m=pixel_m, **arrays)
+
+
+def _fill_in(grid: Gridded, points: np.ndarray, std: np.ndarray, common: np.ndarray, incidence: np.ndarray) -> None:
+    """Fit the cells, tile by tile."""
+    cells = grid.cells
+    at = cells.place(points)
+    side = _tile_side(len(points), cells)
+    tiles = np.floor(at / side).astype(np.int32)
+    across = -(-cells.shape[1] // side)
+    margin = margin_of(grid.pixel_m) / cells.side_m
+    number = tiles[:, 1] * across + tiles[:, 0]
+    order = np.argsort(number, kind="stable")
+    first = np.searchsorted(number[order], np.arange(across * -(-cells.shape[0] // side) + 1))
+    for tile in np.unique(number):
+        row, column = divmod(int(tile), across)
+        near = [
+            order[first[r * across + c] : first[r * across + c + 1]]
+            for r in range(max(row - 1, 0), min(row + 2, -(-cells.shape[0] // side)))
+            for c in range(max(column - 1, 0), min(column + 2, across))
+        ]
+        rows = np.concatenate(near)
+        low = np.array([column, row]) * side
+        rows = rows[((at[rows] >= low - margin) & (at[rows] < low + side + margin)).all(axis=1)]
+        _fit_tile(grid, low, side, rows, at[rows], points[rows, 2], std[rows], common[rows], incidence[rows])
+
+
+def _fit_tile(
+    grid: Gridded,
+    low: np.ndarray,
+    side: int,
+    rows: np.ndarray,
+    at: np.ndarray,
+    height: np.ndarray,
+    std: np.ndarray,
+    common: np.ndarray,
+    incidence: np.ndarray,
+) -> None:
+    """Fit the cells of one tile to the points in it; those of the margin only decide which ones are covered."""
+    cells = grid.cells
+    is_seen, wall_std = seen_from_above(at * cells.side_m, height, std, grid.pixel_m)
+    own = is_seen & ((at >= low) & (at < low + side)).all(axis=1)
+    if not own.any():
+        return
+    whole = np.minimum(np.floor(at[own]).astype(np.int64), np.array(cells.shape[::-1]) - 1)
+    offset = (at[own] - whole - 0.5) * np.array([1.0, -1.0])
+    number = whole[:, 1] * cells.shape[1] + whole[:, 0]
+    fits = fit_cells(number, offset, height[own], std[own], side=cells.side_m, pixel=grid.pixel_m)
+    inverse = np.searchsorted(fits.cell, number)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.bincount(inverse, values[own].astype(np.float64)) / fits.count
+
+    # The place of a wall is an error of all points beside it.
+    variance = fits.std**2 + mean(np.square(wall_std))
+    place = np.divmod(fits.cell, cells.shape[1])
+    grid.height[place], grid.std[place], grid.count[place] = fits.height, np.sqrt(variance), fits.count
+    grid.common[place] = np.sqrt(mean(np.square(common.astype(np.float64))))
+    grid.incidence[place], grid.known[place] = mean(incidence), 1
+
+
+def _tile_side(num_points: int, cells: PlanCells) -> int:
+    """Cells along a tile of about `_POINTS_PER_TILE` points."""
+    per_cell = num_points / (cells.shape[0] * cells.shape[1])
+    return int(np.clip(math.sqrt(_POINTS_PER_TILE / per_cell), _LEAST_TILE, _LARGEST_TILE))

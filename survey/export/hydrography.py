@@ -1,0 +1,140 @@
+"""What hydrographic offices take: the bed as BAG, and the order of IHO S-44 that each cell reaches."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from survey.errors import SurveyError
+from survey.export.product import ExportOptions, Product, begins_with
+from survey.export.terrain import CELLS, is_our_raster, parts_of, raster_form
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from survey.export.bed_cells import Gridded
+    from survey.export.loaded import LoadedRun
+    from survey.export.plan_cells import Window
+
+# Fixed by the format.
+_BAG_NODATA = 1_000_000.0
+_BAG_MARK = b"made by bathynerf"
+_NOT_TESTED = (
+    "An order of IHO S-44 (Ed. 6.1.0) also asks for feature detection, bathymetric coverage and search, which are not "
+    "tested here"
+)
+
+
+def _write_bag(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    """Write the BAG.
+
+    Raises
+    ------
+    SurveyError
+        If the CRS is geographic, or not in metres.
+    """
+    import numpy as np
+
+    from geo.raster_writing import SOFTWARE, Band, RasterForm, write_bag
+    from survey.export.gridded import gridded
+
+    grid = gridded(run, options)
+    crs = grid.cells.crs
+    if not crs.is_projected or any(axis.unit_name != "metre" for axis in crs.axis_info):
+        raise SurveyError(f"--bag holds square cells and heights in metres, but the CRS is {crs.name}; give --crs")
+
+    def values(window: Window) -> np.ndarray:
+        height = grid.heights(window)
+        return np.nan_to_num(np.stack([height, grid.stds(window)]), nan=_BAG_NODATA).astype(np.float32)
+
+    cells = grid.cells
+    bands = (Band("elevation", "metre"), Band("uncertainty", "metre"))
+    form = RasterForm(crs, cells.transform, cells.shape, bands, nodata=_BAG_NODATA)
+    filled = f"; gaps up to {options.fill_m:g} m are interpolated" if options.fill_m else ""
+    said = {
+        "ABSTRACT": f"{run.place.name}: bed of shallow water from photographs, {_BAG_MARK.decode()}. Elevation: mean "
+        f"of the bed over a cell around the node{filled}. Uncertainty: one standard deviation of it, 1.96 of which "
+        "are 95 %.",
+        "PROCESS_STEP_DESCRIPTION": f"{SOFTWARE}: a plane by least squares through the points of each cell, seen from "
+        "above",
+    }
+    write_bag(path, form, parts_of(grid, values), said)
+
+
+def _write_s44(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    """Write the orders.
+
+    Raises
+    ------
+    SurveyError
+        If the survey is dry.
+    """
+    import numpy as np
+
+    from evaluation.standards import TVU, order_by_thu, order_by_tvu
+    from geo.raster_writing import Band, write_cog
+    from survey.export.gridded import gridded
+
+    grid = gridded(run, options)
+    n_water = None if run.config.water is None else run.config.water.refractive_index
+    if grid.level is None or n_water is None:
+        raise SurveyError("--s44 judges what lies under water, but the survey is dry; leave it out")
+
+    def values(window: Window) -> np.ndarray:
+        std, depth = grid.stds(window), grid.depths(window)
+        vertical = order_by_tvu(std, depth)
+        horizontal = order_by_thu(plan_std(grid, window, std, n_water, run.plan_std_m), depth)
+        # The stricter order has the smaller number.
+        return np.stack([np.maximum(vertical, horizontal), vertical, horizontal])
+
+    codes = ", ".join(f"{number} {name}" for number, (name, _, _) in enumerate(TVU, start=1))
+    exact = "positions of the cameras taken as exact" if run.plan_std_m == 0.0 else "positions of the cameras included"
+    said = {
+        "ORDERS": f"IHO S-44 Ed. 6.1.0, table 1: {codes}, {len(TVU) + 1} none, 0 no data or not under water",
+        "UNCERTAINTIES": f"stated ones at 95 %: 1.96 std of the height, 2.45 std of the place; {exact}",
+        "NOT_TESTED": _NOT_TESTED,
+    }
+    bands = (
+        Band("order by vertical and horizontal uncertainty", "code"),
+        Band("order by vertical uncertainty (TVU)", "code"),
+        Band("order by horizontal uncertainty (THU)", "code"),
+    )
+    form = raster_form(grid, *bands, said=said, dtype="uint8", nodata=0, resampling="NEAREST")
+    write_cog(path, form, parts_of(grid, values))
+
+
+def plan_std(grid: Gridded, window: Window, std: np.ndarray, n_water: float, cameras_std: float) -> np.ndarray:
+    """Standard deviation (rows, columns) [m] along each axis in plan of where the points of cells lie.
+
+    A point moves along its ray in water by its error in height; its pixel covers a piece of the bed; and the cameras
+    may be elsewhere than they are taken to be.
+    """
+    import numpy as np
+
+    sine = np.sin(grid.incidence[window.slices].astype(np.float64)) / n_water
+    lean = sine / np.sqrt(1.0 - sine**2)
+    return np.sqrt((lean * std) ** 2 + (0.5 * grid.pixel_m) ** 2 + cameras_std**2)
+
+
+HYDROGRAPHY = (
+    Product(
+        option="bag",
+        suffixes=(".bag",),
+        kind="a BAG that bathynerf wrote",
+        help="Heights and uncertainty as BAG (HDF5).",
+        example="--bag bed.bag --resolution 0.5",
+        takes=CELLS,
+        is_ours=begins_with(b"\x89HDF\r\n\x1a\n", _BAG_MARK),
+        write=_write_bag,
+    ),
+    Product(
+        option="s44",
+        suffixes=(".tif", ".tiff"),
+        kind="a raster that bathynerf wrote",
+        help="Order of IHO S-44 by uncertainty, as GeoTIFF.",
+        example="--s44 orders.tif --resolution 1",
+        takes=CELLS,
+        is_ours=is_our_raster,
+        write=_write_s44,
+    ),
+)

@@ -1,0 +1,163 @@
+"""A finished run as products read it: each part when it is first needed, and once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from survey.files.json_values import read_json_object
+from survey.run.folder import RunDir
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from geo.reproject import Reprojection
+    from survey.folder.config import SurveyConfig
+    from survey.run.flight import Flight
+    from survey.run.stored import BedPlace, StoredBed
+
+# The stage whose folder holds the cloud.
+BED_STAGE = "bed"
+
+_Made = TypeVar("_Made")
+
+
+class LoadedRun:
+    """The result that stands in a run folder, for use in a ``with`` block, which removes what it left on the disk.
+
+    Attributes
+    ----------
+    folder : RunDir
+    stages : dict of str to str
+        Names of the stages of the result, and their folders; a folder's name ends in a hash of all that it depends on.
+
+    Raises
+    ------
+    SurveyError
+        If the folder is no run, or the run has not come as far as the cloud.
+    """
+
+    def __init__(self, path: str | Path):
+        self.folder = RunDir(path)
+        self.folder.require_run()
+        self._bed_folder = self.folder.load_stage(BED_STAGE)
+        self.stages: dict[str, str] = self.folder.result()["stages"]
+        self._made: dict[Hashable, Any] = {}
+        self._held = ExitStack()
+
+    def __enter__(self) -> LoadedRun:
+        return self
+
+    def __exit__(self, *exception) -> None:
+        self._made.clear()
+        self._held.close()
+
+    @cached_property
+    def bed(self) -> StoredBed:
+        """The cloud, in the CRS of the survey."""
+        from survey.run.stored import load_bed
+
+        return load_bed(self._bed_folder)
+
+    @cached_property
+    def place(self) -> BedPlace:
+        """CRS, name and ground sampling distance, without the points."""
+        from survey.run.stored import load_bed_place
+
+        return load_bed_place(self._bed_folder)
+
+    @cached_property
+    def flight(self) -> Flight:
+        """Cameras, water and local frame; see `survey.run.flight`.
+
+        Raises
+        ------
+        SurveyError
+            If the run was made before runs kept them.
+        """
+        from survey.run.flight import load_flight
+
+        return load_flight(self.folder.path)
+
+    @cached_property
+    def scratch(self) -> Path:
+        """A folder for intermediate results that are larger than the memory; it goes with the run."""
+        return Path(self._held.enter_context(TemporaryDirectory(prefix="bathynerf-export-")))
+
+    def columns(self, *names: str) -> dict[str, np.ndarray]:
+        """Some columns of the points; see `survey.run.stored.load_bed_columns`."""
+        from survey.run.stored import load_bed_columns
+
+        return load_bed_columns(self._bed_folder, *names)
+
+    def way_to(self, crs: str) -> Reprojection:
+        """From the CRS of the survey to another one; see `geo.reproject.Reprojection`.
+
+        Raises
+        ------
+        GeoError
+            If the CRS is unusable, or a grid that the way to it needs is not there.
+        """
+        from geo.reproject import Reprojection
+
+        return Reprojection.between(self.place.crs, crs, where="--crs")
+
+    def bed_in(self, crs: str | None) -> StoredBed:
+        """The cloud with its coordinates in another CRS; None for that of the survey. Errors as `way_to`."""
+        if crs is None:
+            return self.bed
+        way = self.way_to(crs)
+        return replace(self.bed, points_crs=way(self.bed.points_crs), crs=way.crs)
+
+    def once(self, key: Hashable, make: Callable[[], _Made]) -> _Made:
+        """What ``make`` gives, made once for a key: for what several products of one command need."""
+        if key not in self._made:
+            self._made[key] = make()
+        return self._made[key]
+
+    @cached_property
+    def config(self) -> SurveyConfig:
+        """The settings that took effect."""
+        from survey.folder.config import read_config
+
+        return read_config(self.folder.settings_path)
+
+    @cached_property
+    def is_true_colour(self) -> bool:
+        """Whether points have the colour of the bed without its water."""
+        from survey.stage_key import stage_key
+
+        parts = read_json_object(self._bed_folder / "stage.json").get("parts") or {}
+        return parts.get("true_colour", stage_key(None)) != stage_key(None)
+
+    @cached_property
+    def plan_std_m(self) -> float:
+        """Standard deviation along each axis in plan of where the cameras are [m].
+
+        That of an adjustment, else what survey.toml says of the positions, else 0: they were taken as exact.
+        """
+        if (self.folder.path / "adjustment.json").is_file():
+            from survey.adjust.adjustment import read_adjustment
+
+            return float(read_adjustment(self.folder.path).position_std[:, :2].max(axis=1).mean())
+        given = self.config.cameras.position_std_m
+        if given is None:
+            return 0.0
+        from survey.folder.config_std import per_axis
+
+        return float(max(per_axis(given)[:2]))
+
+    @cached_property
+    def common_std_m(self) -> float:
+        """Standard deviation of the height that all points share, by water, lens and poses [m].
+
+        0 where poses and water were taken as exact, as the report says.
+        """
+        adjustment = read_json_object(self.folder.report_json_path).get("adjustment") or {}
+        common = adjustment.get("height_std_common_m") or {}
+        return float(common.get("typical") or 0.0)

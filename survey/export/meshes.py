@@ -1,0 +1,82 @@
+"""The bed as triangles: PLY, OBJ, GLB."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from survey.errors import SurveyError
+from survey.export.product import ExportOptions, Product, begins_with
+
+if TYPE_CHECKING:
+    from geo.shapes import Mesh
+    from survey.export.loaded import LoadedRun
+
+_IS_OURS = {
+    ".ply": begins_with(b"ply\n", b"\ncomment bathynerf\n", b"\nelement face "),
+    ".obj": begins_with(b"# bathynerf\n"),
+    ".glb": begins_with(b"glTF", b'"made_by":"bathynerf"'),
+}
+
+
+def _is_ours(path: Path) -> bool:
+    return _IS_OURS[path.suffix.lower()](path)
+
+
+def _write_mesh(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    from geo.gltf import write_glb
+    from geo.obj_writing import write_obj
+    from geo.ply import write_ply
+
+    key = ("mesh", options.crs, options.resolution_m, options.mesh_method, options.watertight)
+    mesh = run.once(key, lambda: _mesh(path, run, options))
+    crs = mesh.crs
+    if crs is None or mesh.rgb is None:
+        raise RuntimeError("the surface of a run has a CRS and colours")
+    match path.suffix.lower():
+        case ".ply":
+            write_ply(path, mesh.vertices, rgb=mesh.rgb, scalars={}, crs=crs, faces=mesh.faces)
+        case ".obj":
+            write_obj(path, mesh, crs)
+        case _:
+            write_glb(path, mesh, crs)
+
+
+def _mesh(path: Path, run: LoadedRun, options: ExportOptions) -> Mesh:
+    """The surface in crs; it is made in the local frame, whose axes are equal."""
+    from dataclasses import replace
+
+    from survey.mesh.surface import bed_surface
+
+    spacing = options.resolution_m
+    if spacing is not None and not spacing > 0.0:
+        raise SurveyError(f"--resolution is {spacing:g}, expected the spacing of vertices in metres, e.g. 0.1")
+    bed, frame = run.bed.bed, run.flight.frame
+    mesh = bed_surface(
+        bed.xyz,
+        bed.rgb,
+        bed.std,
+        spacing_m=spacing or run.place.gsd_m,
+        method=options.mesh_method,
+        watertight=options.watertight,
+        path=path,
+    )
+    vertices, crs = frame.crs_from_local(mesh.vertices), frame.crs
+    if options.crs is not None:
+        way = run.way_to(options.crs)
+        vertices, crs = way(vertices), way.crs
+    return replace(mesh, vertices=vertices, crs=crs)
+
+
+MESHES = (
+    Product(
+        option="mesh",
+        suffixes=(".ply", ".obj", ".glb"),
+        kind="a mesh that bathynerf wrote",
+        help="The bed in coloured triangles: PLY, OBJ or (extra gltf) GLB.",
+        example="--mesh bed.obj --watertight",
+        takes=("crs", "resolution_m", "mesh_method", "watertight"),
+        is_ours=_is_ours,
+        write=_write_mesh,
+    ),
+)

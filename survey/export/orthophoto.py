@@ -1,0 +1,134 @@
+"""The bed from above, through the water, from the photographs themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from survey.export.product import ExportOptions, Product
+from survey.export.terrain import is_our_raster
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from survey.export.bed_cells import Gridded
+    from survey.export.loaded import LoadedRun
+    from survey.export.mosaic import Mosaic
+    from survey.export.plan_cells import PlanCells, Window
+    from survey.export.sight import Sight
+
+    ColourOf = Callable[[np.ndarray, Window, np.ndarray, Sight], np.ndarray]
+
+
+def _write_orthophoto(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    from geo.crs import horizontal_crs
+    from geo.raster_writing import Band, RasterForm, write_cog
+    from survey.export.plan_cells import round_side
+    from survey.export.sight import WINDOW
+
+    side_m = options.resolution_m or round_side(run.place.gsd_m)
+    mosaic = _mosaic(run, options, side_m)
+    cells = mosaic.cells
+    said = {
+        "COLOURS": "of the bed without its water" if run.is_true_colour else "as photographed, to a common exposure",
+        "CELL_M": f"{side_m:g}",
+    }
+    bands = (Band("red"), Band("green"), Band("blue"), Band("seen"))
+    crs = horizontal_crs(cells.crs)
+    form = RasterForm(crs, cells.transform, cells.shape, bands, dtype="uint8", tags=said, is_colour=True)
+    write_cog(path, form, ((window.top, window.left, mosaic.rgba(window)) for window in cells.windows(WINDOW)))
+
+
+def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
+    """The photographs on the bed, in cells of a side [m]."""
+    import numpy as np
+
+    from survey.export.exposure import common_exposure
+    from survey.export.gridded import gridded
+    from survey.export.hidden import Tops
+    from survey.export.mosaic import Mosaic, log_weight
+    from survey.export.photographs import photographs_of
+    from survey.export.sight import Windows
+    from survey.progress import current
+
+    grid = gridded(run, replace(options, resolution_m=None))
+    if side_m > grid.cells.side_m:
+        # Heights need larger cells than colours do, but not larger ones than are asked for.
+        grid = gridded(run, options)
+    survey = photographs_of(run, options.survey)
+    scale = min(1.0, grid.pixel_m / side_m)
+    photographs = survey.at_scale(scale)
+    cells = grid.cells.finer(side_m)
+    mosaic, colour_of = Mosaic.empty(cells, run.scratch), _colour_of(run, grid, cells)
+    coarse = Windows(survey, grid.cells, grid.heights)
+    fine = Windows(survey, cells, lambda window: _heights(grid, cells, window))
+    with current().stage("Orthophoto", 2.0 * len(photographs)) as stage:
+        cell_px = grid.cells.side_m / grid.pixel_m * scale
+        tops = [Tops.of(p.camera, coarse, cell_m=grid.cells.side_m, cell_px=cell_px) for p in photographs]
+        factors = common_exposure(photographs, tops, coarse, stage.advance)
+        for photograph, hiding, factor in zip(photographs, tops, factors, strict=True):
+            pixels = photograph.pixels()
+            for window, height, sight in fine.through(photograph.camera):
+                seen = hiding.unhidden(sight, height)
+                colour = pixels.at(seen.u, seen.v) * factor
+                weight = np.where(np.isfinite(colour[..., 0]), log_weight(seen, photograph.camera), np.nan)
+                mosaic.add(window, weight, colour_of(colour, window, height, seen))
+            stage.advance()
+    return mosaic
+
+
+def _heights(grid: Gridded, cells: PlanCells, window: Window) -> np.ndarray:
+    """Heights (rows, columns) [m] of finer cells, linear between those of the bed's raster; NaN where it has none."""
+    import numpy as np
+
+    at = grid.cells.place(cells.middles(window).reshape(-1, 2))
+    shape = grid.cells.shape
+    own = np.clip(np.floor(at).astype(np.int64), 0, np.array(shape[::-1]) - 1)
+    first = np.floor(at - 0.5).astype(np.int64)
+    share = at - 0.5 - first
+    total, weight = np.zeros(len(at)), np.zeros(len(at))
+    for step in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        column, row = np.clip(first + step, 0, np.array(shape[::-1]) - 1).T
+        part = np.where(step, share, 1.0 - share).prod(axis=1) * (grid.known[row, column] > 0)
+        total, weight = total + part * grid.height[row, column], weight + part
+    known = (grid.known[own[:, 1], own[:, 0]] > 0) & (weight > 0.0)
+    return np.where(known, total / np.where(weight > 0.0, weight, 1.0), np.nan).reshape(window.shape)
+
+
+def _colour_of(run: LoadedRun, grid: Gridded, cells: PlanCells) -> ColourOf:
+    """Colours as the mosaic has them, of what a photograph shows: as they are, or without the water."""
+    water = run.config.water
+    if not run.is_true_colour or water is None or water.refractive_index is None or grid.level is None:
+        return lambda colour, _window, _height, _seen: colour
+    import numpy as np
+
+    from fields.colour.true_colour import stored_colours, without_water
+    from fields.water_column import WaterColumn
+
+    column = WaterColumn(water.absorption_per_m, water.veiling_light)
+    level, n_water = grid.level, water.refractive_index
+
+    def dry(colour: np.ndarray, window: Window, height: np.ndarray, seen: Sight) -> np.ndarray:
+        depth = level(cells.middles(window)) - height
+        wet = np.isfinite(colour[..., 0]) & (depth > 0.0)
+        incidence = np.arccos(np.clip(seen.cos_incidence[wet], -1.0, 1.0))
+        colour[wet] = stored_colours(without_water(colour[wet], depth[wet], incidence, n_water, column))
+        return colour
+
+    return dry
+
+
+ORTHOPHOTO = (
+    Product(
+        option="orthophoto",
+        suffixes=(".tif", ".tiff"),
+        kind="a raster that bathynerf wrote",
+        help="The bed from above, from the photographs, as GeoTIFF.",
+        example="--orthophoto bed.tif --fill 0.5",
+        takes=("crs", "resolution_m", "fill_m", "survey"),
+        is_ours=is_our_raster,
+        write=_write_orthophoto,
+    ),
+)

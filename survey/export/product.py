@@ -1,0 +1,98 @@
+"""A product of `bathynerf export`, as data: its option, its files, and the function that writes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from survey.export.loaded import LoadedRun
+
+
+# Enough for the marks that writers leave near the beginning of their files.
+_HEAD_BYTES = 1 << 16
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """What a user may ask of products; each product says in `Product.takes` which of these it follows.
+
+    Attributes
+    ----------
+    crs : str or None
+        CRS of the product; None for that of the run.
+    resolution_m : [m] or None
+        Side of a cell; None leaves it to the product.
+    fill_m : [m]
+        Gaps up to this width are filled.
+    mesh_method : "delaunay" or "poisson"
+        See `survey.mesh.surface`.
+    watertight : bool
+        Close the mesh with walls and a bottom.
+    interval_m : [m] or None
+        Between contours; None leaves it to the product.
+    no_bed : bool
+        Add points where no bed was found, and of the water over them.
+    survey : str or None
+        Folder of the survey; None for the one that the run lies in.
+    """
+
+    crs: str | None = None
+    resolution_m: float | None = None
+    fill_m: float = 0.0
+    mesh_method: str = "delaunay"
+    watertight: bool = False
+    interval_m: float | None = None
+    no_bed: bool = False
+    survey: str | None = None
+
+
+@dataclass(frozen=True)
+class Product:
+    """One option of `bathynerf export`.
+
+    Attributes
+    ----------
+    option : str
+        Without the dashes, e.g. "las".
+    suffixes : tuple of str
+        That a file of it may have, in lower case, e.g. (".tif", ".tiff").
+    kind : str
+        What its files are, with an article, e.g. "a cloud that bathynerf wrote".
+    help : str
+        One line.
+    example : str
+        What follows ``bathynerf export RUN`` in an example.
+    takes : tuple of str
+        Fields of `ExportOptions` that it follows.
+    is_ours : callable
+        Whether an existing file is one that this product wrote, and may be replaced.
+    write : callable
+        Writes the file, whole or not at all. What it needs of slow modules it imports itself: the command line reads
+        the registry.
+    is_folder : bool
+        Whether it is a folder of files, which is made where it is not there, and always written anew.
+    """
+
+    option: str
+    suffixes: tuple[str, ...]
+    kind: str
+    help: str
+    example: str
+    takes: tuple[str, ...]
+    is_ours: Callable[[Path], bool]
+    write: Callable[[Path, LoadedRun, ExportOptions], None]
+    is_folder: bool = False
+
+
+def begins_with(start: bytes, *marks: bytes) -> Callable[[Path], bool]:
+    """For `Product.is_ours`: whether a file begins so, and has these marks soon after."""
+
+    def is_ours(path: Path) -> bool:
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD_BYTES)
+        return head.startswith(start) and all(mark in head for mark in marks)
+
+    return is_ours

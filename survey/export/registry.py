@@ -1,0 +1,16 @@
+"""Every product of `bathynerf export`, in the order of its help. A new family of products is one line here."""
+
+from __future__ import annotations
+
+from survey.export.cameras import CAMERAS
+from survey.export.clouds import CLOUDS
+from survey.export.hydrography import HYDROGRAPHY
+from survey.export.meshes import MESHES
+from survey.export.orthophoto import ORTHOPHOTO
+from survey.export.product import Product
+from survey.export.terrain import TERRAIN
+from survey.export.vectors import VECTORS
+
+PRODUCTS: tuple[Product, ...] = (
+    *CLOUDS, *TERRAIN, *HYDROGRAPHY, *ORTHOPHOTO, *MESHES, *VECTORS, *CAMERAS,
+)  # fmt: skip

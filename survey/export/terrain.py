@@ -1,0 +1,152 @@
+"""The bed as rasters: heights with their uncertainty (DEM), slope, and light on the relief."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from survey.export.product import ExportOptions, Product
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from geo.raster_writing import Band, RasterForm
+    from survey.export.bed_cells import Gridded
+    from survey.export.loaded import LoadedRun
+    from survey.export.plan_cells import Window
+
+NODATA = -9999.0
+CELLS = ("crs", "resolution_m", "fill_m")
+_SUFFIXES = (".tif", ".tiff")
+_BLOCK = 512
+_UNCERTAINTY = (
+    "of the mean height of the cell: matching, relief that the points sample, the place of walls; beside it what all "
+    "share by water, lens and poses, as far as the run knows it: the root of the sum of squares is that of both"
+)
+
+
+def raster_form(grid: Gridded, *bands: Band, said: dict[str, str], **form) -> RasterForm:
+    """What is said of a raster of a gridded bed; ``said`` are tags of the product beside those of every one."""
+    from geo.raster_writing import RasterForm
+
+    tags = {
+        "CELL_M": f"{grid.cells.side_m:g}",
+        "HEIGHT": "mean of the bed over each cell, seen from above: a plane by least squares through its points",
+        **said,
+    }
+    form = {"nodata": NODATA, **form}
+    return RasterForm(grid.cells.crs, grid.cells.transform, grid.cells.shape, bands, tags=tags, **form)
+
+
+def parts_of(grid: Gridded, values: Callable[[Window], np.ndarray]) -> Iterator[tuple[int, int, np.ndarray]]:
+    """Windows of a raster with their values (bands, rows, columns), in float32 with NaN as `NODATA`."""
+    import numpy as np
+
+    for window in grid.cells.windows(_BLOCK):
+        found = values(window)
+        if found.dtype.kind == "f":
+            found = np.where(np.isfinite(found), found, NODATA).astype(np.float32)
+        yield window.top, window.left, found
+
+
+def _write_dem(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    import numpy as np
+
+    from geo.raster_writing import Band, write_cog
+    from survey.export.gridded import gridded
+
+    grid = gridded(run, options)
+    unit = grid.cells.crs.axis_info[2].unit_name
+
+    def values(window: Window) -> np.ndarray:
+        at = window.slices
+        known = grid.known[at] > 0
+        std, common = (np.where(known, layer[at], np.nan) for layer in (grid.std, grid.common))
+        height = grid.heights(window) / grid.height_unit_m
+        return np.stack([height, std, common, grid.count[at], grid.depths(window), grid.known[at]])
+
+    bands = (
+        Band("height", unit),
+        Band("uncertainty, one standard deviation", "metre"),
+        Band("uncertainty that all heights share, one standard deviation", "metre"),
+        Band("points", "count"),
+        Band("depth below the water, negative above it", "metre"),
+        Band("origin of the height: 1 points, 2 filled, 0 none", "code"),
+    )
+    said = {"FILLED_GAPS_M": f"{options.fill_m:g}", "UNCERTAINTY": _UNCERTAINTY}
+    write_cog(path, raster_form(grid, *bands, said=said), parts_of(grid, values))
+
+
+def _write_slope(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+
+    from geo.raster_writing import Band, write_cog
+    from survey.export.gridded import gridded
+    from survey.export.relief import slope_deg
+
+    grid = gridded(run, options)
+
+    def values(window: Window) -> np.ndarray:
+        around = window.grown(1, grid.cells.shape)
+        return slope_deg(grid.heights(around), grid.cells.side_m)[window.within(around)][None]
+
+    said = {"SLOPE": "of central differences between neighbouring cells"}
+    write_cog(path, raster_form(grid, Band("slope", "degree"), said=said), parts_of(grid, values))
+
+
+def _write_hillshade(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+
+    from geo.raster_writing import Band, write_cog
+    from survey.export.gridded import gridded
+    from survey.export.relief import hillshade
+
+    grid = gridded(run, options)
+
+    def values(window: Window) -> np.ndarray:
+        around = window.grown(1, grid.cells.shape)
+        return hillshade(grid.heights(around), grid.cells.side_m)[window.within(around)][None]
+
+    said = {"HILLSHADE": "light from the north-west at 45 degrees, heights not exaggerated; 1 to 255"}
+    form = raster_form(grid, Band("hillshade"), said=said, dtype="uint8", nodata=0)
+    write_cog(path, form, parts_of(grid, values))
+
+
+def is_our_raster(path: Path) -> bool:
+    """Whether a file is a GeoTIFF that bathynerf wrote."""
+    from geo.raster_writing import is_our_tiff
+
+    return is_our_tiff(path)
+
+
+TERRAIN = (
+    Product(
+        option="dem",
+        suffixes=_SUFFIXES,
+        kind="a raster that bathynerf wrote",
+        help="Heights as GeoTIFF: height, uncertainty, points, depth, origin.",
+        example="--dem bed.tif --resolution 0.1",
+        takes=CELLS,
+        is_ours=is_our_raster,
+        write=_write_dem,
+    ),
+    Product(
+        option="slope",
+        suffixes=_SUFFIXES,
+        kind="a raster that bathynerf wrote",
+        help="Slope of the bed as GeoTIFF [deg].",
+        example="--slope slope.tif --resolution 0.5",
+        takes=CELLS,
+        is_ours=is_our_raster,
+        write=_write_slope,
+    ),
+    Product(
+        option="hillshade",
+        suffixes=_SUFFIXES,
+        kind="a raster that bathynerf wrote",
+        help="Light on the relief as GeoTIFF.",
+        example="--hillshade relief.tif --fill 0.5",
+        takes=CELLS,
+        is_ours=is_our_raster,
+        write=_write_hillshade,
+    ),
+)

@@ -1,0 +1,105 @@
+"""Lines and areas of a run: footprints of the photographs, shoreline, contours, and where no bed was seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from survey.export.product import ExportOptions, Product, begins_with
+
+if TYPE_CHECKING:
+    from geo.vectors import Layer
+    from survey.export.loaded import LoadedRun
+
+_GEOJSON = begins_with(b"{", b'"made_by": "bathynerf"')
+_SQLITE = begins_with(b"SQLite format 3\0", b"bathynerf ")
+
+
+def _is_ours(path: Path) -> bool:
+    return (_SQLITE if path.suffix.lower() == ".gpkg" else _GEOJSON)(path)
+
+
+def _writer(make: Callable[[LoadedRun, ExportOptions], Layer]) -> Callable[[Path, LoadedRun, ExportOptions], None]:
+    """The function of a product that writes the layer that ``make`` gives."""
+
+    def write(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+        from geo.vectors import write_geojson, write_geopackage
+
+        layer = make(run, options)
+        (write_geopackage if path.suffix.lower() == ".gpkg" else write_geojson)(path, layer)
+
+    return write
+
+
+def _footprints(run: LoadedRun, options: ExportOptions) -> Layer:
+    from survey.export.footprints import footprints
+
+    return footprints(run, options)
+
+
+def _shoreline(run: LoadedRun, options: ExportOptions) -> Layer:
+    from survey.export.contours import shoreline
+
+    return shoreline(run, options)
+
+
+def _contours(run: LoadedRun, options: ExportOptions) -> Layer:
+    from survey.export.contours import contours
+
+    return contours(run, options)
+
+
+def _unseen(run: LoadedRun, options: ExportOptions) -> Layer:
+    from survey.export.footprints import unseen_areas
+
+    return unseen_areas(run, options)
+
+
+def _product(
+    option: str, what: str, example: str, takes: tuple[str, ...], make: Callable[[LoadedRun, ExportOptions], Layer]
+) -> Product:
+    return Product(
+        option=option,
+        suffixes=(".geojson", ".gpkg"),
+        kind="a layer that bathynerf wrote",
+        help=f"{what}: GeoJSON or (extra vector) GeoPackage.",
+        example=f"--{option} {example}",
+        takes=takes,
+        is_ours=_is_ours,
+        write=_writer(make),
+    )
+
+
+def _is_our_unseen(path: Path) -> bool:
+    from geo.raster_writing import is_our_tiff
+
+    return is_our_tiff(path) if path.suffix.lower() in _RASTERS else _is_ours(path)
+
+
+def _write_unseen(path: Path, run: LoadedRun, options: ExportOptions) -> None:
+    if path.suffix.lower() in _RASTERS:
+        from survey.export.unseen_mask import write_mask
+
+        write_mask(path, run, options)
+    else:
+        _writer(_unseen)(path, run, options)
+
+
+_CELLS = ("crs", "resolution_m", "fill_m")
+_RASTERS = (".tif", ".tiff")
+VECTORS = (
+    _product("footprints", "What each photograph shows of the bed", "images.geojson", ("crs",), _footprints),
+    _product("shoreline", "Where the bed meets the water", "shore.gpkg --fill 0.5", _CELLS, _shoreline),
+    _product("contours", "Lines of equal depth", "deep.gpkg --interval 0.5", (*_CELLS, "interval_m"), _contours),
+    Product(
+        option="unseen",
+        suffixes=(".geojson", ".gpkg", *_RASTERS),
+        kind="a layer or mask that bathynerf wrote",
+        help="Where water was looked at and no bed found: polygons, or GeoTIFF in the cells of --dem.",
+        example="--unseen unseen.geojson",
+        takes=_CELLS,
+        is_ours=_is_our_unseen,
+        write=_write_unseen,
+    ),
+)

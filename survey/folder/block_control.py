@@ -1,0 +1,91 @@
+"""Control points that place a survey without poses: whether they can, from their files alone."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+import numpy as np
+
+from geo.crs import height_unit_m, is_geographic
+from geo.errors import PlaceMismatch
+from geo.frames import LocalFrame
+from survey.control.placing import control_in_local, require_metres
+from survey.control.points import Control
+from survey.errors import FILE_NAME, ControlError, PosesError
+from survey.folder.config_control import per_direction
+from survey.folder.found import Found
+from survey.sfm.control_fit import MIN_POINTS, require_spread
+from survey.sfm.gps import MIN_POSITIONS, is_whole
+from survey.sfm.marked import BlockControl
+
+# On straight rays the bed seems higher than it is by about a quarter of its depth.
+_APPARENT_SHARE = 0.3
+
+
+def control_of_block(found: Found) -> BlockControl | None:
+    """The control points of a survey in a local frame of their own; None where there are none."""
+    if found.control is None or found.control.gathered is None:
+        return None
+    gathered = found.control.gathered
+    given = [point for point in gathered.points if not point.is_check]
+    if not given:
+        return None
+    e, n, h = np.median([point.place for point in given], axis=0).tolist()
+    digits = 5 if is_geographic(found.crs) else 0
+    try:
+        frame = LocalFrame(found.crs, (round(e, digits), round(n, digits), float(math.floor(h))))
+    except PlaceMismatch as error:
+        raise ControlError(f"control points (first in {given[0].where}) cannot be in crs: {error}") from error
+    control = control_in_local(
+        gathered, frame, list(found.images), per_direction(found.control.config.std_m), marks_std_px=1.0
+    )
+    return None if control is None else of_block(control, frame, found)
+
+
+def require_placing_control(found: Found) -> BlockControl:
+    """The control of a survey without GPS positions and poses.
+
+    Raises
+    ------
+    PosesError
+        If there is no control.
+    ControlError
+        If it cannot place photographs: fewer than three points with two marks, or all on one line.
+    """
+    require_metres(() if found.control is None else found.control.points, found.crs)
+    control = control_of_block(found)
+    num = sum(head.lat_lon_height is not None for head in found.heads.values())
+    num_whole = sum(is_whole(head.lat_lon_height) for head in found.heads.values())
+    told = (
+        f"{found.folder} has no poses file, and {num} of {len(found.heads)} images have a GPS position in EXIF "
+        f"({num_whole} with a height), expected at least {MIN_POSITIONS}"
+    )
+    if control is None:
+        raise PosesError(
+            f"{told}, or at least {MIN_POINTS} control points; name a file of poses in [cameras] poses in {FILE_NAME}, "
+            "or control points with their marks in [control] gcps"
+        )
+    count = Counter(mark.point for mark in control.marks)
+    enough = [point for point in control.points if count[point.name] >= 2]
+    if len(enough) < MIN_POINTS:
+        marks = ", ".join(f"{point.name} {count[point.name]}" for point in control.points[:10])
+        raise ControlError(
+            f"{told}; {len(enough)} of {len(control.points)} control points are marked in two photographs or more "
+            f"(marks: {marks}), expected at least {MIN_POINTS} not on a line to place the survey without positions; "
+            "mark more"
+        )
+    require_spread(np.array([point.local for point in enough]), np.array([point.std for point in enough]))
+    return control
+
+
+def of_block(control: Control, frame: LocalFrame, found: Found) -> BlockControl:
+    """What structure from motion takes of control: no check points, and what the water hides from straight rays."""
+    points = tuple(point for point in control.points if not point.is_check)
+    heights = np.array([point.crs[2] for point in points]) * height_unit_m(frame.crs)
+    slack = np.zeros(len(points))
+    if found.config.water is not None:
+        level = found.config.water.level_m
+        # Where nobody knows the level, the highest point may be just over it.
+        slack = _APPARENT_SHARE * np.maximum((heights.max() if level is None else level) - heights, 0.0)
+    return BlockControl(frame, points, control.marks, slack)

@@ -1,0 +1,186 @@
+"""Control points against the block of structure from motion: what contradicts it, and whether positions agree."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geo.frames import LocalFrame
+from geo.similarity import Similarity
+from survey.control.points import Control
+from survey.display.words import named
+from survey.errors import ControlError
+from survey.folder.block_control import of_block
+from survey.folder.found import Found
+from survey.folder.pose_priors import PosePrior
+from survey.photos.cameras import View
+from survey.photos.tie_points import TiePoints
+from survey.sfm.control_fit import MIN_POINTS, agreed, coordinates, require_meeting, spread_of
+from survey.sfm.marked import Met, Posed, meet
+
+# Further across than this, GPS without corrections cannot put a block; its heights may have any datum.
+_OTHER_DATUM_M = 20.0
+# A stated accuracy is not that of positions which control contradicts by more standard deviations, and by more than
+# straight rays bend a block.
+_MOST_STD, _BENT_SHARE = 6.0, 0.02
+# Of a position without corrections.
+_GPS_STD_M = 3.0
+# Fewer positions than this do not show which of them is wrong.
+_TELL_A_WRONG_ONE = 4
+
+
+@dataclass(frozen=True)
+class CheckedControl:
+    """Control and priors of a block of structure from motion, without what it contradicts.
+
+    Attributes
+    ----------
+    control : Control or None
+    priors : by name of view
+    move : Similarity or None
+        Takes the block to its control, where its positions put it elsewhere.
+    """
+
+    control: Control | None
+    priors: Mapping[str, PosePrior]
+    move: Similarity | None
+
+
+def checked_control(
+    found: Found,
+    frame: LocalFrame,
+    views: Sequence[View],
+    control: Control,
+    priors: Mapping[str, PosePrior],
+    warnings: list[str],
+) -> CheckedControl:
+    """Hold control against the block; warnings are added to: what is left out.
+
+    Raises
+    ------
+    ControlError
+        If the control fits the block nowhere, or lies elsewhere.
+    """
+    block = of_block(control, frame, found)
+    posed = {view.name: Posed(view.lens, view.camera.centre, view.camera.cam_from_local) for view in views}
+    met = meet(block, posed)
+    require_meeting(block, posed, met)
+    fit = agreed(met, posed) if _can_be_compared(met) else None
+    wrong = {} if fit is None else fit.wrong
+    warnings += _left_out(met, wrong)
+    lost = {*met.apart, *wrong}
+    points = tuple(point for point in control.points if point.name not in lost)
+    bad = {(mark.point, mark.view) for mark in met.wrong_marks}
+    marks = tuple(mark for mark in control.marks if mark.point not in lost and (mark.point, mark.view) not in bad)
+    good = [(place, p.local, p.std) for p, place in zip(met.points, met.places, strict=True) if p.name not in lost]
+    move = None
+    if good:
+        places, theirs, stds = (np.array(column) for column in zip(*good, strict=True))
+        reach, std = float(np.median(met.ranges)), np.median(stds, axis=0)
+        if not _is_one_datum(np.median(places - theirs, axis=0), std, reach, priors, warnings):
+            move = None if fit is None else fit.similarity
+            priors = {
+                name: replace(prior, position_std=None, source="none" if prior.position is None else "GPS EXIF")
+                for name, prior in priors.items()
+            }
+        elif _are_few(priors):
+            priors = _without_far(views, std, reach, priors, warnings)
+    return CheckedControl(replace(control, points=points, marks=marks) if points else None, priors, move)
+
+
+def _can_be_compared(met: Met) -> bool:
+    """Whether control points tell a similarity by themselves: positions may do it where they lie on one line."""
+    if len(met.points) < MIN_POINTS:
+        return False
+    _, across, least = spread_of(*coordinates(met))
+    return across >= least
+
+
+def _left_out(met: Met, wrong: Mapping[str, float]) -> list[str]:
+    return [
+        *named(
+            [f"{mark.point} in {mark.view}" for mark in met.wrong_marks],
+            "mark",
+            "of control that the other marks of its point contradict, left out",
+        ),
+        *named(list(met.apart), "control point", "whose marks contradict each other, left out; correct the marks"),
+        *named(
+            [f"{name} (by {off:.2f} m)" for name, off in wrong.items()],
+            "control point",
+            "that the others contradict, left out; correct coordinates or name",
+        ),
+    ]
+
+
+def _is_one_datum(
+    common: np.ndarray, std: np.ndarray, reach: float, priors: Mapping[str, PosePrior], warnings: list[str]
+) -> bool:
+    """Whether control and positions agree; a warning where they do not.
+
+    Parameters
+    ----------
+    common : (3,) [m]
+        Control points as the positions of the cameras put them, less their coordinates.
+    std, reach : (3,) [m], [m]
+        Of control points; distance to the cameras.
+    """
+    said = (
+        f"the positions of the cameras put control points {common[0]:.2f} m east, {common[1]:.2f} m north and "
+        f"{common[2]:.2f} m up of their coordinates"
+    )
+    bent = _BENT_SHARE * reach
+    if np.hypot(common[0], common[1]) > _OTHER_DATUM_M + bent + _MOST_STD * float(std[:2].max()):
+        raise ControlError(f"{said}: one of both has another CRS or datum; correct crs, or the CRS of the control")
+    stated = [prior.position_std for prior in priors.values() if prior.position_std is not None]
+    of_positions = np.median(stated, axis=0) if stated else np.full(3, _GPS_STD_M)
+    if (np.abs(common) <= bent + _MOST_STD * np.hypot(of_positions, std)).all():
+        return True
+    warnings.append(
+        f"{said}, more than the accuracy of both explains: control decides, and the block tells how good the positions "
+        "are; check the base station, and the datum of the heights"
+    )
+    return False
+
+
+def _are_few(priors: Mapping[str, PosePrior]) -> bool:
+    """Whether the positions are too few for the adjustment to tell a wrong one."""
+    return sum(prior.position is not None for prior in priors.values()) < _TELL_A_WRONG_ONE
+
+
+def _without_far(
+    views: Sequence[View], std: np.ndarray, reach: float, priors: Mapping[str, PosePrior], warnings: list[str]
+) -> Mapping[str, PosePrior]:
+    """The priors without positions that lie elsewhere than where the block has the camera."""
+    kept, far = dict(priors), []
+    for view in views:
+        prior = priors[view.name]
+        if prior.position is None:
+            continue
+        accuracy = np.full(3, _GPS_STD_M) if prior.position_std is None else prior.position_std
+        # Cameras hang over their control by its tilt.
+        limit = 2.0 * _BENT_SHARE * reach + _MOST_STD * float(np.hypot(accuracy, std).max())
+        off = float(np.linalg.norm(prior.position - view.camera.centre))
+        if off > limit:
+            kept[view.name] = PosePrior(None, None, None, "none")
+            far.append(f"{view.name} (by {off:.0f} m)")
+    warnings += named(far, "GPS position", "that the block contradicts, left out")
+    return kept
+
+
+def moved(
+    views: list[View], ties: TiePoints | None, move: Similarity
+) -> tuple[list[View], np.ndarray | None, TiePoints | None]:
+    """Views, points and ties of a block that is taken elsewhere."""
+    moved = [
+        replace(
+            view,
+            camera=view.lens.camera(move(view.camera.centre), view.camera.cam_from_local @ move.rotation.T),
+        )
+        for view in views
+    ]
+    if ties is None:
+        return moved, None, None
+    ties = replace(ties, start=move(ties.start))
+    return moved, ties.start, ties

@@ -1,0 +1,125 @@
+"""The poses file of a survey: frame, views, and what else the file knows of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from geo.frames import LocalFrame
+from survey.control.placing import require_near
+from survey.folder import place
+from survey.folder.camera_faults import angle_doubts
+from survey.folder.found import Found
+from survey.folder.pairing import pair, with_lenses
+from survey.folder.pose_priors import PosePrior, priors_of_poses
+from survey.folder.posed import given_in_local, points_in_local
+from survey.folder.reprojection import Reprojection, reprojection
+from survey.folder.water_level import with_level_of_clicks
+from survey.photos.cameras import View
+from survey.photos.formats import read_poses, read_ties
+from survey.photos.poses import Pose, PoseFile
+from survey.photos.tie_points import MIN_TRACK
+
+
+@dataclass(frozen=True)
+class FilePoses:
+    """What the poses file of a survey says, in its local frame.
+
+    Attributes
+    ----------
+    found : Found
+        The contents of the survey folder, with the level that clicks in the photographs give.
+    frame : LocalFrame
+    views : list of View
+    points : (N, 3) float64 [m], local, or None
+        Tie points that three photographs see; None where none came.
+    tool, masks
+        See `PoseFile`.
+    reprojection : Reprojection or None
+        None where the file does not say where the photographs show its points.
+    priors : dict of name to PosePrior
+    """
+
+    found: Found
+    frame: LocalFrame
+    views: list[View]
+    points: np.ndarray | None
+    tool: str | None
+    masks: Path | None
+    reprojection: Reprojection | None
+    priors: dict[str, PosePrior]
+
+
+def read_file_poses(found: Found, path: Path, assumptions: list[str], warnings: list[str]) -> FilePoses:
+    """Read the poses file of a survey; its assumptions and warnings are added to the lists.
+
+    Raises
+    ------
+    SurveyError, GeoError
+        Where the file, or its fit to the survey, is wrong.
+    """
+    file = read_poses(path)
+    assumptions += file.notes
+    warnings += file.warnings
+    paired = pair(found, file.poses, warnings)
+    poses = with_lenses(found, list(paired.values()), assumptions, warnings)
+    warnings += angle_doubts(poses, file.frame)
+    found = _with_clicks(found, file, poses, assumptions, warnings)
+    frame, views = place.views_in_local(found, file, poses)
+    if file.tool is not None and found.config.water is not None:
+        warnings.append(
+            f"{file.tool} adjusts with straight rays, and water bends them: its poses are off by what it saw through "
+            "water; the plan says whether they are refined, and [cameras] position_std_m refines them in any case"
+        )
+    if found.control is not None:
+        centres = np.array([view.camera.centre for view in views])
+        warnings += require_near(found.control.points, frame.crs_from_local(centres), frame.crs)
+    by_name = {view.name: view for view in views}
+    points, misses = _ties(found, path, file, frame, {called: by_name[pose.name] for called, pose in paired.items()})
+    priors = priors_of_poses(found.config.cameras, views, _given(found, file, poses, frame))
+    return FilePoses(found, frame, views, points, file.tool, file.masks, misses, priors)
+
+
+def _with_clicks(found: Found, file: PoseFile, poses: list[Pose], assumptions: list[str], warnings: list[str]) -> Found:
+    """The contents with the level that clicks in the photographs give, where [water] names them.
+
+    The local frame of a survey lies at its level, which is not known before the poses are: another frame serves here.
+    """
+    water = found.config.water
+    if water is None or water.clicks is None:
+        return found
+    dry = replace(found, config=replace(found.config, water=None))
+    frame, views = place.views_in_local(dry, file, poses)
+    config, clicked = with_level_of_clicks(found.folder, found.config, views, frame, assumptions, warnings)
+    return replace(found, config=config, levels=found.levels + clicked)
+
+
+def _ties(
+    found: Found, path: Path, file: PoseFile, frame: LocalFrame, views: Mapping[str, View]
+) -> tuple[np.ndarray | None, Reprojection | None]:
+    """Tie points in local that three photographs see, and how well all of them fall back on their places."""
+    ties = read_ties(path)
+    if ties is None:
+        return None, None
+    points = points_in_local(file, ties.points, frame, found.config.cameras.gps_height)
+    good = np.isfinite(points).all(axis=1) & (ties.num_views >= MIN_TRACK)
+    return points[good], reprojection(ties, points, views)
+
+
+def _given(
+    found: Found, file: PoseFile, poses: list[Pose], frame: LocalFrame
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Positions in local, and their standard deviations, that a file gives for before its adjustment."""
+    known = [(pose.name, pose.given) for pose in poses if pose.given is not None]
+    if not known:
+        return {}
+    places = np.array([given.place for _, given in known])
+    local = given_in_local(file, places, frame, found.config.cameras.gps_height)
+    return {
+        name: (position, given.std)
+        for (name, given), position in zip(known, local, strict=True)
+        if np.isfinite(position).all()
+    }

@@ -1,0 +1,111 @@
+"""What was measured of the water level on site, each with how sure it is, where and when: points, readings, clicks.
+
+survey.toml              level_m, level_std_m
+shoreline, gnss_points   CSV with easting, northing, height in crs (and std), or GeoJSON
+gauge                    CSV with time, level (and std)
+clicks                   CSV with image, x, y, name: `survey.folder.level_clicks`
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import pairwise
+from pathlib import Path
+
+from pyproj import CRS
+
+from geo.crs import height_unit_m
+from survey.errors import ConfigError
+from survey.files.csv_table import Row, read_table
+from survey.folder.level_geojson import points_of_geojson
+
+# Of one measurement whose file does not say how sure it is [m]: of GNSS with corrections on the surface, and where
+# water meets land, which waves move; of a reading.
+STD_M = {"shoreline": 0.03, "gnss_points": 0.02, "gauge": 0.01}
+# What all measurements of a source share, so that more of them do not help [m]: the height of the base and the antenna;
+# that water wets the land above its level; the zero of the gauge.
+COMMON_STD_M = {"shoreline": 0.02, "gnss_points": 0.015, "gauge": 0.01, "clicks": 0.0}
+_GEOJSON = (".geojson", ".json")
+_MOST_STD_M = 10.0
+
+
+@dataclass(frozen=True)
+class LevelObservation:
+    """One measurement of the height of the water surface.
+
+    Attributes
+    ----------
+    level_m : [m]
+        In the heights of crs.
+    std_m : [m]
+        Standard deviation, without what it shares with others of its source (`COMMON_STD_M`).
+    place : (easting, northing) in crs, or None
+        None where it holds for the whole water.
+    time : datetime or None
+        In UTC; None where it holds for the whole flight.
+    source : str
+        The key of [water] that it comes from.
+    """
+
+    level_m: float
+    std_m: float
+    place: tuple[float, float] | None
+    time: datetime | None
+    source: str
+
+
+def points_of_surface(path: Path, source: str, crs: CRS, notes: list[str]) -> tuple[LevelObservation, ...]:
+    """Points of the water surface in a CSV or GeoJSON file; a sentence is added to the notes where crs was assumed.
+
+    Raises
+    ------
+    ConfigError
+        If the file or a column is missing, a value is not a finite number, or GeoJSON has no heights.
+    """
+    unit = height_unit_m(crs)
+    if path.suffix.lower() in _GEOJSON:
+        points = points_of_geojson(path, crs, notes)
+        return tuple(LevelObservation(h * unit, STD_M[source], (e, n), None, source) for e, n, h in points.tolist())
+    rows = read_table(path, ("easting", "northing", "height"), optional=("std",), error=ConfigError)
+    places = [(row.number("easting"), row.number("northing")) for row in rows]
+    return tuple(
+        LevelObservation(row.number("height") * unit, _std(row, source), place, None, source)
+        for row, place in zip(rows, places, strict=True)
+    )
+
+
+def readings_of_gauge(path: Path) -> tuple[LevelObservation, ...]:
+    """Readings of a gauge, in rising order of time.
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing or damaged, a time has no time zone, or times do not rise.
+    """
+    rows = read_table(path, ("time", "level"), optional=("std",), error=ConfigError)
+    found = tuple(LevelObservation(row.number("level"), _std(row, "gauge"), None, _time(row), "gauge") for row in rows)
+    times = [reading.time for reading in found if reading.time is not None]
+    if len(times) < 2 or any(later <= earlier for earlier, later in pairwise(times)):
+        raise ConfigError(f"{path} has {len(times)} readings, expected two or more with rising times; sort them")
+    return found
+
+
+def _std(row: Row, source: str) -> float:
+    std = row.number("std", default=STD_M[source])
+    if not 0.0 < std <= _MOST_STD_M:
+        raise ConfigError(
+            f"{row.where}: std is {std:g}, expected a standard deviation above 0 and at most {_MOST_STD_M:g} m"
+        )
+    return std
+
+
+def _time(row: Row) -> datetime:
+    text = row.text("time")
+    try:
+        moment = datetime.fromisoformat(text)
+        if moment.tzinfo is not None:
+            return moment.astimezone(UTC)
+    except (ValueError, OverflowError) as error:
+        raise ConfigError(f"{row.where}: {text[:40]!r} is not a time, expected e.g. 2024-06-01T10:30:00Z") from error
+    raise ConfigError(f"{row.where}: {text} has no time zone; write Z for UTC or e.g. +02:00 after it")

@@ -1,0 +1,167 @@
+"""Poses and points of a file, in whatever frame it has them, in crs and in local."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from pyproj import CRS, Transformer
+from pyproj.transformer import AreaOfInterest
+
+from geo.compatibility import crs_difference
+from geo.crs import (
+    angular_unit_rad,
+    ellipsoid,
+    geodetic_crs,
+    has_height,
+    height_unit_m,
+    horizontal_crs,
+    prime_meridian_rad,
+    vertical_crs,
+)
+from geo.ellipsoid import enu_from_geocentric, geocentric_from_geodetic, geodetic_from_geocentric
+from geo.frames import LocalFrame
+from geo.projection import MapProjection
+from survey.errors import FILE_NAME, PosesError
+from survey.photos.poses import Pose, PoseFile, PoseFrame
+from survey.sfm.geoid import height_transformer
+
+_WGS84 = CRS("EPSG:4979")
+
+
+def points_in_crs(file: PoseFile, points: np.ndarray, crs: CRS, gps_height: str) -> np.ndarray:
+    """Points (N, 3) in the frame of a poses file, which is not LOCAL, as (N, 3) in crs; NaN off the map.
+
+    Geocentric heights are those of GPS: heights in crs, or above the ellipsoid, as `gps_height` says.
+
+    Raises
+    ------
+    PosesError
+        If the file counts heights from another datum than crs.
+    ConfigError
+        If the grid of the geoid is needed and not installed.
+    """
+    if file.frame is PoseFrame.GEOCENTRIC:
+        return _from_geocentric(file, points, crs, gps_height)
+    if file.crs is None:
+        return points
+    _require_heights(file.crs, crs)
+    if crs_difference(horizontal_crs(file.crs), horizontal_crs(crs)) is None:
+        return points
+    x, y, height = points.T
+    lon, lat = Transformer.from_crs(horizontal_crs(file.crs), _WGS84.to_2d(), always_xy=True).transform(x, y)
+    return np.column_stack([*_horizontal(file.crs, crs, x, y, lon, lat), height])
+
+
+def cams_from_local(file: PoseFile, poses: Sequence[Pose], centres_crs: np.ndarray, frame: LocalFrame) -> np.ndarray:
+    """Rotations (N, 3, 3) of poses of a file from local, with their centres (N, 3) in crs; NaN off the map."""
+    rotations = np.array([pose.cam_from_world for pose in poses])
+    if file.frame is PoseFrame.LOCAL:
+        return rotations
+    if file.frame is PoseFrame.GRID and (file.crs is None or _same_grid(file.crs, frame.crs)):
+        return rotations @ np.swapaxes(frame.local_from_grid(centres_crs), -1, -2)
+    if file.frame is PoseFrame.GRID:
+        rotations = rotations @ _grid_from_level(file, poses)
+    elif file.frame is PoseFrame.GEOCENTRIC:
+        lon, lat, _ = _geodetic(file, np.array([pose.centre for pose in poses]))
+        rotations = rotations @ np.swapaxes(enu_from_geocentric(lon, lat), -1, -2)
+    return rotations @ np.swapaxes(frame.local_from_level(centres_crs), -1, -2)
+
+
+def points_in_local(file: PoseFile, points: np.ndarray, frame: LocalFrame, gps_height: str) -> np.ndarray:
+    """Points (N, 3) in the frame of a poses file as (N, 3) [m], local; raises as `points_in_crs`."""
+    if file.frame is PoseFrame.LOCAL or not len(points):
+        return points
+    return frame.local_from_crs(points_in_crs(file, points, frame.crs, gps_height))
+
+
+def given_in_local(file: PoseFile, places: np.ndarray, frame: LocalFrame, gps_height: str) -> np.ndarray:
+    """Positions (N, 3) in the crs of a poses file, by GPS before its adjustment, as (N, 3) [m], local.
+
+    Their heights are of the same kind as those of the poses.
+    """
+    if file.frame is not PoseFrame.GEOCENTRIC or file.crs is None or vertical_crs(file.crs) is not None:
+        return points_in_local(replace(file, frame=PoseFrame.LEVEL), places, frame, gps_height)
+    own = MapProjection(file.crs if has_height(file.crs) else file.crs.to_3d())
+    return points_in_local(
+        file, geocentric_from_geodetic(*own.geodetic_from_crs(places), a=own.a, b=own.b), frame, gps_height
+    )
+
+
+def middle_of_geocentric(file: PoseFile) -> tuple[float, float]:
+    """Longitude and latitude [deg] of the middle of geocentric poses."""
+    lon, lat, _ = _geodetic(file, np.median([pose.centre for pose in file.poses], axis=0))
+    return float(np.degrees(lon)), float(np.degrees(lat))
+
+
+def _same_grid(a: CRS, b: CRS) -> bool:
+    return crs_difference(horizontal_crs(a), horizontal_crs(b)) is None
+
+
+def _grid_from_level(file: PoseFile, poses: Sequence[Pose]) -> np.ndarray:
+    """Rotations (N, 3, 3) from true east, north and up to the grid axes of the file's own crs, at its poses."""
+    own = file.crs
+    if own is None:
+        raise ValueError("a poses file without a crs of its own has the grid of the survey")
+    centres = np.array([pose.centre for pose in poses])
+    frame = LocalFrame(own if has_height(own) else own.to_3d(), tuple(np.median(centres, axis=0).tolist()))
+    return np.swapaxes(frame.local_from_grid(centres), -1, -2) @ frame.local_from_level(centres)
+
+
+def _geodetic(file: PoseFile, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    axes = ellipsoid(_WGS84 if file.crs is None else file.crs)
+    return geodetic_from_geocentric(points, a=axes.semi_major_metre, b=axes.semi_minor_metre)
+
+
+def _from_geocentric(file: PoseFile, points: np.ndarray, crs: CRS, gps_height: str) -> np.ndarray:
+    own = _WGS84 if file.crs is None else file.crs
+    if prime_meridian_rad(own) or angular_unit_rad(own) != math.radians(1.0):
+        raise PosesError(
+            f"the poses are geocentric on the datum of {own.name}, expected one with degrees from Greenwich; export "
+            "them in WGS 84 or in a CRS on it"
+        )
+    lon, lat, height = _geodetic(file, points)
+    lon, lat = np.degrees(lon), np.degrees(lat)
+    east, north = _horizontal(geodetic_crs(own), crs, lon, lat, lon, lat)
+    if file.crs is not None and has_height(file.crs):
+        if vertical_crs(file.crs) is not None:
+            _require_heights(file.crs, crs)
+        # Geocentric heights are ellipsoidal: of heights over a geoid, the program has added that.
+        gps_height = "ellipsoidal"
+    if gps_height == "crs":
+        return np.column_stack([east, north, height / height_unit_m(crs)])
+    known = np.isfinite(lon) & np.isfinite(lat)
+    to_height = height_transformer(crs, _area(lon[known], lat[known]))
+    return np.column_stack([east, north, to_height.transform(lon, lat, height)[2]])
+
+
+def _horizontal(source: CRS, crs: CRS, x, y, lon, lat) -> tuple[np.ndarray, np.ndarray]:
+    """Easting and northing in crs of coordinates in another horizontal CRS, which lie at lon, lat [deg]."""
+    known = np.isfinite(lon) & np.isfinite(lat)
+    if not known.any():
+        return np.full(len(lon), np.nan), np.full(len(lon), np.nan)
+    transformer = Transformer.from_crs(
+        horizontal_crs(source), horizontal_crs(crs), always_xy=True, area_of_interest=_area(lon[known], lat[known])
+    )
+    return transformer.transform(x, y)
+
+
+def _area(lon, lat) -> AreaOfInterest:
+    """Where a survey lies, for PROJ to choose among the regional transformations of a datum."""
+    lon, lat = float(np.median(lon)), float(np.median(lat))
+    return AreaOfInterest(lon - 0.01, max(lat - 0.01, -90.0), lon + 0.01, min(lat + 0.01, 90.0))
+
+
+def _require_heights(source: CRS, crs: CRS) -> None:
+    """Raise where the CRS of a file says that its heights count from another datum than those of the survey."""
+    if not has_height(source):
+        return
+    theirs, ours = vertical_crs(source), vertical_crs(crs)
+    if theirs != ours and (theirs is None or ours is None or not theirs.equals(ours)):
+        names = [part.name if part is not None else "the ellipsoid" for part in (theirs, ours)]
+        raise PosesError(
+            f"the heights of the poses are above {names[0]}, expected above {names[1]} as crs in {FILE_NAME} says; "
+            "change the vertical part of crs, or export the poses with heights of that datum"
+        )

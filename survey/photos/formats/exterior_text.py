@@ -1,0 +1,145 @@
+"""Lines of text with a name, a position and omega, phi, kappa: Metashape's export, BINGO's and others like them.
+
+Positions are in crs, angles in degrees about the grid axes, unless a heading says gon. Metashape adds the nine numbers
+of the rotation from the grid into photo axes, which have to agree with the angles.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+
+from survey.errors import PosesError
+from survey.files.csv_table import shortened, text_lines
+from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
+from survey.photos.formats.format import Format
+from survey.photos.poses import Pose, PoseFile, PoseFrame
+
+_SUFFIXES = (".txt", ".dat", ".opk", ".eo")
+_NUMBERS, _WITH_MATRIX = 6, 15
+_ORDER = re.compile(r"\bx\b.*\by\b.*\bz\b.*\bomega\b.*\bphi\b.*\bkappa\b")
+# Angles and matrix are written with six digits at least.
+_AGREE = 1e-3
+_EXPECTED = "expected name, x, y, z, omega, phi, kappa"
+
+
+def read_exterior_text(path: Path) -> PoseFile:
+    """Poses in crs from the lines of a file that are neither empty nor headings.
+
+    Raises
+    ------
+    PosesError
+        If a line is something else, an angle cannot be in its unit, a matrix contradicts its angles, or an image has
+        two lines.
+    """
+    poses: dict[str, Pose] = {}
+    heading, unit, tool = "", 1.0, None
+    for number, line in text_lines(path, PosesError):
+        where = f"{path}, line {number}"
+        if _is_heading(line) and not poses:
+            heading += line.casefold() + " "
+            unit = 0.9 if "gon" in heading.split() or "[gon]" in heading or "(gon)" in heading else 1.0
+            tool = "Metashape" if "photoid" in heading else None
+        elif line.strip() and not line.lstrip().startswith("#"):
+            name, values = _split(line, where)
+            if name in poses:
+                raise PosesError(f"{where}: image {shortened(name)} has a second pose; keep one of the two lines")
+            poses[name] = _pose(name, values, unit, where)
+    if heading.lstrip("# ").startswith(("epsg:", "+proj", "wgs84")):
+        raise PosesError(
+            f"{path} begins with a CRS, as OpenDroneMap's geo.txt does: its angles are yaw, pitch and roll of the "
+            f"flight, and no poses; {_EXPECTED}"
+        )
+    return PoseFile(tuple(poses.values()), PoseFrame.GRID, tool=tool)
+
+
+def _pose(name: str, values: list[float], unit: float, where: str) -> Pose:
+    omega, phi, kappa = (unit * angle for angle in values[3:6])
+    if max(abs(omega), abs(phi), abs(kappa)) > 360.0:
+        raise PosesError(
+            f"{where}: the angles are {values[3]:g}, {values[4]:g}, {values[5]:g}, expected degrees within 360; write "
+            "gon into the heading if that is their unit"
+        )
+    grid_from_photo = grid_from_opk(*(math.radians(angle) for angle in (omega, phi, kappa)))
+    if len(values) == _WITH_MATRIX:
+        matrix = np.array(values[6:]).reshape(3, 3)
+        if not np.abs(matrix - grid_from_photo.T).max() < _AGREE:
+            raise PosesError(
+                f"{where}: the nine numbers of its rotation are not those of omega, phi and kappa, expected the "
+                "rotation from the grid into photo axes (x right, y up); export the cameras again as omega, phi, kappa"
+            )
+    return Pose(name, np.array(values[:3]), (grid_from_photo @ CAM_FROM_OPK_CAM).T)
+
+
+def _split(line: str, where: str) -> tuple[str, list[float]]:
+    """The name and the numbers of a line; names may hold spaces, and a number may stand before them."""
+    cells = [cell.strip() for cell in line.rstrip().split("\t" if "\t" in line else None)]
+    for count in (_WITH_MATRIX, _NUMBERS):
+        values = [_number(cell) for cell in cells[-count:]]
+        if len(cells) > count and None not in values:
+            words = cells[:-count]
+            if len(words) > 1 and words[0].isdecimal() and _number(words[1]) is None:
+                words = words[1:]
+            return " ".join(words), [value for value in values if value is not None]
+    raise PosesError(f'{where}: "{shortened(line.strip())}" was found, {_EXPECTED}; correct or remove the line')
+
+
+def _is_heading(line: str) -> bool:
+    """Whether a line has no number but those in a heading."""
+    cells = line.split()
+    return not cells or line.lstrip().startswith("#") or sum(_number(cell) is not None for cell in cells) < 3
+
+
+def _number(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def is_exterior_text(path: Path) -> bool:
+    """Whether the first line with numbers in a file of text has a name, a position and three angles.
+
+    A heading that names them in another order makes it a table.
+    """
+    if not path.is_file() or path.suffix.casefold() not in _SUFFIXES:
+        return False
+    heading = ""
+    try:
+        for _, line in text_lines(path, PosesError):
+            if not _is_heading(line):
+                _split(line, "")
+                return _ORDER.search(heading) is not None or "omega" not in heading
+            heading += line.casefold() + "\n"
+    except PosesError:
+        pass
+    return False
+
+
+def _names_angles(path: Path) -> bool:
+    """Whether a heading names the angles: other lists of positions have as many numbers."""
+    try:
+        for _, line in text_lines(path, PosesError):
+            if not _is_heading(line):
+                return False
+            if "omega" in line.casefold():
+                return True
+    except PosesError:
+        pass
+    return False
+
+
+FORMAT = Format(
+    name="lines of name, x, y, z, omega, phi, kappa (.txt, .dat, .opk, .eo)",
+    find=lambda folder: sorted(
+        path
+        for path in folder.iterdir()
+        if is_exterior_text(path) and _names_angles(path) and "calibrated_" not in path.name
+    ),
+    recognises=is_exterior_text,
+    read=read_exterior_text,
+)

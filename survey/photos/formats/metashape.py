@@ -1,0 +1,248 @@
+"""Cameras as Metashape exports them to XML: poses in the coordinates of a chunk, which a transform sets on the Earth.
+
+The world of a georeferenced chunk is geocentric, on the datum of the chunk's reference, whatever its map is.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from refract.lens import Lens, LensError
+from survey.display.words import named
+from survey.errors import PosesError
+from survey.files.csv_table import shortened
+from survey.files.xml_tree import read_xml
+from survey.photos.cameras import nearest_rotation
+from survey.photos.formats.format import Format
+from survey.photos.formats.metashape_lens import read_lens
+from survey.photos.poses import GivenPosition, Pose, PoseFile, PoseFrame
+
+_EXPORT = "in Metashape, File > Export > Export Cameras writes it again"
+# A rotation is written with 16 digits.
+_ROUNDED = 1e-6
+# Nothing on Earth is nearer to its centre than this [m]; a chunk in local coordinates lies near its own zero.
+_UNDERGROUND_M = 6.2e6
+
+
+def read_metashape(path: Path) -> PoseFile:
+    """Poses and lenses of the cameras that are aligned and enabled.
+
+    Raises
+    ------
+    PosesError
+        If the file is no XML or not safe, has no or several chunks with aligned cameras, is not georeferenced, has a
+        camera without a lens or a lens that is not supported, or a number that is not finite.
+    """
+    chunk = _chunk(path)
+    warnings: list[str] = []
+    sensors = {sensor.get("id", ""): sensor for sensor in chunk.iter("sensor")}
+    lenses: dict[str, Lens] = {}
+    transforms = _transforms(chunk, path)
+    crs = _crs_of(chunk, path)
+    poses: dict[str, Pose] = {}
+    disabled, unplaced, components = [], [], set()
+    for camera in chunk.iter("camera"):
+        name, matrix = camera.get("label") or "", camera.find("transform")
+        if not _is_true(camera.get("enabled")):
+            disabled.append(shortened(name))
+            continue
+        component = _component_of(camera, transforms)
+        if matrix is None or component not in transforms:
+            unplaced.append(shortened(name))
+            continue
+        where = f'{path}, camera "{shortened(name)}"'
+        if not name:
+            raise PosesError(f"{path}: a camera has no label, expected the name of its image; {_EXPORT}")
+        if name in poses:
+            raise PosesError(
+                f"{where}: a second camera has the same label; rename the images, and export the cameras again"
+            )
+        sensor = camera.get("sensor_id", "")
+        if sensor not in lenses:
+            lenses[sensor] = _lens(sensors.get(sensor), where)
+        given = _given(camera, sensors[sensor], where, crs)
+        poses[name] = _pose(name, matrix, transforms[component], lenses[sensor], given, where)
+        components.add(component)
+    if not poses:
+        raise PosesError(
+            f"{path} has no camera that is enabled, aligned and georeferenced; align the photos, set the reference of "
+            f"the chunk and update it, then {_EXPORT}"
+        )
+    warnings += named(disabled, "camera", f"disabled in {path.name}, left out")
+    warnings += named(unplaced, "camera", f"not aligned in {path.name}, left out")
+    if len(components) > 1:
+        warnings.append(
+            f"{path.name} has a block in {len(components)} components that no tie point joins; they fit each other "
+            "only as their references do: align them together, or export one alone"
+        )
+    if any(_is_true(tag.text, default="true") for tag in chunk.iter("rolling_shutter")):
+        warnings.append(
+            f"Metashape compensated a rolling shutter in {path.name}: its poses are those of the middle of each "
+            "exposure, and rows count as exposed at once unless [cameras] rolling_shutter_s gives the readout"
+        )
+    is_earth = _is_on_earth(poses.values(), crs, path)
+    frame = PoseFrame.GEOCENTRIC if is_earth else PoseFrame.LOCAL
+    return PoseFile(tuple(poses.values()), frame, crs, "Metashape", warnings=tuple(warnings))
+
+
+def _chunk(path: Path) -> Element:
+    root = read_xml(path, "the cameras", PosesError)
+    chunks = [chunk for chunk in root.iter("chunk") if chunk.find(".//camera/transform") is not None]
+    if not chunks and root.find(".//camera/transform") is not None:
+        return root
+    if not chunks:
+        raise PosesError(f"{path} has no aligned cameras, expected those of a chunk of Metashape; {_EXPORT}")
+    if len(chunks) > 1:
+        raise PosesError(f"{path} has cameras of {len(chunks)} chunks, expected one; export one of them alone")
+    return chunks[0]
+
+
+def _transforms(chunk: Element, path: Path) -> dict[str, np.ndarray]:
+    """World from chunk (4, 4) of each component by its id; that of the chunk itself as "", where it has one."""
+    found = {}
+    for key, element in [("", chunk), *((part.get("id", ""), part) for part in chunk.iterfind("components/component"))]:
+        transform = element.find("transform")
+        if transform is not None:
+            found[key] = _similarity(
+                transform, f"{path}, the transform of {'component ' + key if key else 'the chunk'}"
+            )
+    return found
+
+
+def _component_of(camera: Element, transforms: dict[str, np.ndarray]) -> str | None:
+    """The key of the transform of a camera; files of old versions have that of the chunk only."""
+    own = camera.get("component_id")
+    if own is not None:
+        # A component without a transform of its own has that of the chunk, if there is one.
+        return own if own in transforms else ""
+    if "" in transforms or len(transforms) != 1:
+        return ""
+    return next(iter(transforms))
+
+
+def _similarity(transform: Element, where: str) -> np.ndarray:
+    if transform.find("rotation") is None:
+        return _numbers(transform, 16, where).reshape(4, 4)
+    found = np.eye(4)
+    rotation, translation = transform.find("rotation"), transform.find("translation")
+    scale = transform.find("scale")
+    size = 1.0 if scale is None else float(_numbers(scale, 1, where)[0])
+    found[:3, :3] = size * _numbers(rotation, 9, where).reshape(3, 3)
+    if translation is not None:
+        found[:3, 3] = _numbers(translation, 3, where)
+    return found
+
+
+def _pose(
+    name: str, matrix: Element, world_from_chunk: np.ndarray, lens: Lens, given: GivenPosition | None, where: str
+) -> Pose:
+    chunk_from_cam = _numbers(matrix, 16, where).reshape(4, 4)
+    world_from_cam = world_from_chunk @ chunk_from_cam
+    turn = world_from_cam[:3, :3]
+    size = float(np.cbrt(np.linalg.det(turn)))
+    if not size > 0.0 or np.abs(turn.T @ turn / size**2 - np.eye(3)).max() > _ROUNDED:
+        raise PosesError(f"{where}: its transform is no rotation with a scale; {_EXPORT}")
+    return Pose(name, world_from_cam[:3, 3], nearest_rotation(turn / size).T, lens, given)
+
+
+def _lens(sensor: Element | None, where: str) -> Lens:
+    if sensor is None:
+        raise PosesError(f"{where}: its sensor is not in the file; {_EXPORT}")
+    try:
+        return read_lens(sensor)
+    except LensError as error:
+        raise PosesError(f'{where}, sensor "{shortened(sensor.get("label", ""))}": {error}') from error
+
+
+def _given(camera: Element, sensor: Element, where: str, crs: CRS | None) -> GivenPosition | None:
+    """The position and its accuracy in the reference of a camera, where both are there and not of an antenna."""
+    reference = camera.find("reference")
+    if crs is None or reference is None or not _is_true(reference.get("enabled")) or reference.get("x") is None:
+        return None
+    antenna = sensor.find("antenna")
+    if antenna is not None and any(float(n) != 0.0 for tag in antenna for n in _texts(tag) if _is_number(n)):
+        return None
+    both = [reference.get("sxyz")] * 3
+    stds = [reference.get(key) or same for key, same in zip(("sx", "sy", "sz"), both, strict=True)]
+    if any(std is None for std in stds):
+        return None
+    values = [_finite(text, where) for text in (*(reference.get(key, "") for key in "xyz"), *stds)]
+    if min(values[3:]) <= 0.0:
+        raise PosesError(f"{where}: the accuracy of its reference is {values[3:]} m, expected above 0; {_EXPORT}")
+    return GivenPosition(np.array(values[:3]), np.array(values[3:]))
+
+
+def _crs_of(chunk: Element, path: Path) -> CRS | None:
+    """The CRS of the chunk; None where it has none, or local coordinates."""
+    text = next((tag.text for key in ("cameras/reference", "reference") if (tag := chunk.find(key)) is not None), None)
+    text = (text or "").strip()
+    if not text or text.startswith(("LOCAL_CS", "ENGCRS")):
+        return None
+    try:
+        return CRS.from_user_input(text)
+    except CRSError as error:
+        raise PosesError(
+            f'{path}: the reference "{shortened(text)}" is not a known CRS; set one in Metashape and export the '
+            "cameras again"
+        ) from error
+
+
+def _is_on_earth(poses, crs: CRS | None, path: Path) -> bool:
+    """Whether the world is geocentric; else it is local."""
+    lengths = [float(np.linalg.norm(pose.centre)) for pose in poses]
+    is_earth = min(lengths) > _UNDERGROUND_M
+    if crs is not None and not is_earth:
+        raise PosesError(
+            f"{path}: its chunk has the reference {crs.name}, but a camera lies {min(lengths) / 1000.0:.0f} km from "
+            "the centre of the Earth; update the reference in Metashape, and export the cameras again"
+        )
+    return is_earth
+
+
+def _numbers(element: Element | None, count: int, where: str) -> np.ndarray:
+    texts = [] if element is None else _texts(element)
+    if len(texts) != count:
+        raise PosesError(f"{where}: {len(texts)} numbers were found, expected {count}; {_EXPORT}")
+    return np.array([_finite(text, where) for text in texts])
+
+
+def _texts(element: Element) -> list[str]:
+    return (element.text or "").replace(",", " ").split()
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+def _finite(text: str | None, where: str) -> float:
+    if text is None or not _is_number(text):
+        raise PosesError(f"{where}: {shortened(text or 'nothing')} was found, expected a finite number; {_EXPORT}")
+    return float(text)
+
+
+def _is_true(text: str | None, default: str = "true") -> bool:
+    return (text or default).strip().casefold() not in ("false", "0", "disabled", "none")
+
+
+def is_metashape(path: Path) -> bool:
+    """Whether a file of XML has cameras with poses; files of markers have cameras too, without them."""
+    with path.open("rb") as file:
+        _, cameras, rest = file.read().partition(b"<cameras")
+    return bool(cameras) and b"<transform>" in rest
+
+
+FORMAT = Format(
+    name="the cameras of Metashape (.xml)",
+    find=lambda folder: sorted(path for path in folder.glob("*.xml") if is_metashape(path)),
+    recognises=lambda path: path.is_file() and path.suffix.casefold() == ".xml",
+    read=read_metashape,
+)

@@ -1,0 +1,151 @@
+"""nerfstudio's transforms.json: poses in the frame of [local], once what its converter applied to them is undone."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from refract.lens import Lens, LensError
+from survey.errors import PosesError
+from survey.files.csv_table import shortened
+from survey.files.json_values import finite_number, finite_numbers, read_foreign_json
+from survey.photos.cameras import nearest_rotation
+from survey.photos.formats.format import Format
+from survey.photos.poses import Pose, PoseFile, PoseFrame
+
+_NAME = "transforms.json"
+_EXPORT = "write it again with ns-process-data"
+# Matrices are written with seven digits at least.
+_ROUNDED = 1e-4
+# From cameras of computer graphics (x right, y up, z back) to ours.
+_CAM_FROM_GRAPHICS = np.diag([1.0, -1.0, -1.0])
+_SUPPORTED = ("OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE")
+
+
+def read_nerfstudio(path: Path) -> PoseFile:
+    """Poses and lenses of the frames.
+
+    Raises
+    ------
+    PosesError
+        If the file is damaged, a matrix is no pose, or a lens is missing or not supported.
+    """
+    data = read_foreign_json(path, PosesError)
+    frames = data.get("frames") if isinstance(data, dict) else None
+    if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
+        raise PosesError(f"{path} has no list of frames, expected that of nerfstudio; {_EXPORT}")
+    applied, scale = _applied(path, data)
+    poses: dict[str, Pose] = {}
+    for frame in frames:
+        name = frame.get("file_path")
+        if not isinstance(name, str) or not name:
+            raise PosesError(f"{path}: a frame has no file_path, expected the name of its image; {_EXPORT}")
+        where = f"{path}, frame {shortened(name)}"
+        if name in poses:
+            raise PosesError(f"{where}: the image has a second pose; keep one of the two")
+        try:
+            lens = _lens({**data, **frame})
+        except LensError as error:
+            raise PosesError(f"{where}: {error}") from error
+        poses[name] = _pose(name, frame, lens, applied, scale, where)
+    notes = () if "applied_transform" in data else (
+        f"{path.name} has no applied_transform: its axes are taken as those of [local]",
+    )  # fmt: skip
+    tool = "the program behind nerfstudio"
+    return PoseFile(tuple(poses.values()), PoseFrame.LOCAL, None, tool, _masks(path, frames), notes)
+
+
+def _pose(name: str, frame: dict, lens: Lens, applied: np.ndarray, scale: float, where: str) -> Pose:
+    saved_from_cam = _matrix(frame.get("transform_matrix"), 4)
+    if saved_from_cam is None or not np.array_equal(saved_from_cam[3], [0.0, 0.0, 0.0, 1.0]):
+        raise PosesError(f"{where}: its transform_matrix is no 4 x 4 matrix of a pose; {_EXPORT}")
+    rotation = saved_from_cam[:3, :3]
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > _ROUNDED or np.linalg.det(rotation) < 0.0:
+        raise PosesError(f"{where}: its transform_matrix is no rotation and a position; {_EXPORT}")
+    turn = applied[:, :3]
+    centre = turn.T @ (saved_from_cam[:3, 3] / scale - applied[:, 3])
+    return Pose(name, centre, _CAM_FROM_GRAPHICS @ (turn.T @ nearest_rotation(rotation)).T, lens)
+
+
+def _applied(path: Path, data: dict) -> tuple[np.ndarray, float]:
+    """What the converter applied: saved = scale * (rotation @ original + shift); a matrix (3, 4), and the scale."""
+    given = data.get("applied_transform", [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]])
+    applied, scale = _matrix(given, 3), finite_number(data.get("applied_scale", 1.0))
+    turn = np.zeros((3, 3)) if applied is None else applied[:, :3]
+    if applied is None or np.abs(turn @ turn.T - np.eye(3)).max() > _ROUNDED or np.linalg.det(turn) < 0.0:
+        raise PosesError(f"{path}: applied_transform is no 3 x 4 matrix of a rotation and a shift; {_EXPORT}")
+    if scale is None or scale <= 0.0:
+        raise PosesError(f"{path}: applied_scale is {shortened(str(scale))}, expected a number above 0; {_EXPORT}")
+    return applied, scale
+
+
+def _matrix(value, num_rows: int) -> np.ndarray | None:
+    """(rows, 4) finite numbers; None for anything else. Some writers leave out the last row of a pose."""
+    if not isinstance(value, list):
+        return None
+    rows = [finite_numbers(row, 4) for row in value]
+    if num_rows == 4 and len(rows) == 3:
+        rows.append([0.0, 0.0, 0.0, 1.0])
+    return None if len(rows) != num_rows or None in rows else np.array(rows, dtype=np.float64)
+
+
+def _lens(values: dict) -> Lens:
+    """The lens of a frame, from its own numbers or those of all; k3 and k4 of OPENCV are powers of the radius."""
+    model = str(values.get("camera_model", "OPENCV"))
+    if model not in _SUPPORTED:
+        raise LensError(f"camera model {shortened(model)} is not supported, expected one of {', '.join(_SUPPORTED)}")
+    width, height = _number(values, "w"), _number(values, "h")
+    if not (width.is_integer() and height.is_integer() and max(width, height) < 1e9):
+        raise LensError(f"the image has {width:g} x {height:g} pixels, expected whole numbers; correct it")
+    fx = _number(values, "fl_x", _by_angle(values, "camera_angle_x", width))
+    fy = _number(values, "fl_y", _by_angle(values, "camera_angle_y", height) or fx)
+    cx, cy = _number(values, "cx", 0.5 * width), _number(values, "cy", 0.5 * height)
+    k1, k2, k3, k4, p1, p2 = (_number(values, key, 0.0) for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
+    size = (int(width), int(height))
+    if model == "OPENCV_FISHEYE":
+        return Lens(model, (fx, fy, cx, cy, k1, k2, k3, k4), *size)
+    if k4:
+        return Lens("BROWN_AFFINE", (fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, 0.0), *size)
+    if k3:
+        return Lens("FULL_OPENCV", (fx, fy, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0), *size)
+    return Lens("OPENCV", (fx, fy, cx, cy, k1, k2, p1, p2), *size)
+
+
+def _by_angle(values: dict, key: str, side: float) -> float | None:
+    """A focal length [px] by the field of view [rad] across a side; None where it is not given."""
+    angle = finite_number(values.get(key))
+    return None if angle is None or not 0.0 < angle < math.pi else 0.5 * side / math.tan(0.5 * angle)
+
+
+def _number(values: dict, key: str, default: float | None = None) -> float:
+    found = finite_number(values.get(key, default))
+    if found is None:
+        raise LensError(f"{key} is {shortened(str(values.get(key)))}, expected a finite number; give it")
+    return found
+
+
+def _masks(path: Path, frames: list[dict]) -> Path | None:
+    """The folder of the masks of the frames, if it lies below that of the file."""
+    masks = [mask for frame in frames if isinstance(mask := frame.get("mask_path"), str) and "\0" not in mask]
+    if not masks:
+        return None
+    folder, root = (path.parent / masks[0]).parent.resolve(), path.parent.resolve()
+    return folder if folder.is_relative_to(root) and folder.is_dir() else None
+
+
+def is_nerfstudio(path: Path) -> bool:
+    """Whether a path is an object in JSON, by its first character."""
+    if not path.is_file() or path.suffix.casefold() != ".json":
+        return False
+    with path.open("rb") as file:
+        return file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{")
+
+
+FORMAT = Format(
+    name="nerfstudio's transforms.json",
+    find=lambda folder: [folder / _NAME] if (folder / _NAME).is_file() else [],
+    recognises=is_nerfstudio,
+    read=read_nerfstudio,
+)

@@ -1,0 +1,247 @@
+"""OpenSfM and OpenDroneMap: reconstruction.json, topocentric at reference_lla, with the tracks beside it.
+
+At the end OpenDroneMap moves that file to reconstruction.topocentric.json, and writes another reconstruction.json in
+grid coordinates, whose rotations hold grid scale and convergence: that one is never read.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from geo.ellipsoid import enu_from_geocentric, geocentric_from_geodetic
+from refract.lens import Lens, LensError
+from survey.errors import PosesError
+from survey.files.csv_table import shortened
+from survey.files.json_values import finite_numbers, read_foreign_json
+from survey.photos.cameras import rotation_from_axis_angle
+from survey.photos.formats.format import Format
+from survey.photos.formats.opensfm_lens import read_lens
+from survey.photos.poses import FileTies, Pose, PoseFile, PoseFrame
+
+_TOPOCENTRIC, _PLAIN, _GRID = "reconstruction.topocentric.json", "reconstruction.json", "reconstruction.geocoords.json"
+_REFERENCE, _TRACKS = "reference_lla.json", "tracks.csv"
+_EXPORT = "reconstruct it again with OpenSfM or OpenDroneMap"
+# Semi-axes of WGS 84 [m].
+_A, _B = 6378137.0, 6356752.314245179
+_MASKS = "masks"
+
+
+@dataclass(frozen=True)
+class _Block:
+    """The largest reconstruction of a file: its cameras, shots and points, and where it stands."""
+
+    path: Path
+    lenses: dict[str, Lens]
+    shots: dict[str, dict]
+    points: dict[str, dict]
+    reference: tuple[float, float, float] | None
+    sizes: tuple[int, ...]
+
+
+def read_opensfm(path: Path) -> PoseFile:
+    """Poses and lenses of a reconstruction: geocentric where it has a reference, else in the frame of [local].
+
+    Raises
+    ------
+    PosesError
+        If the file is damaged or in grid coordinates, a camera is missing or not supported, or a number is not finite.
+    """
+    block = _block(path)
+    poses = tuple(_pose(block, name, shot) for name, shot in block.shots.items())
+    notes, warnings = [], []
+    if block.path != path and path.is_file():
+        notes.append(f"the poses are those of {block.path.name}: {path.name} beside it is in grid coordinates")
+    if block.reference is not None:
+        lat, lon, altitude = block.reference
+        notes.append(f"the poses are topocentric at latitude {lat:.8f}, longitude {lon:.8f}, height {altitude:g} m")
+    if len(block.sizes) > 1:
+        others = ", ".join(str(size) for size in block.sizes[1:5]) + (", ..." if len(block.sizes) > 5 else "")
+        warnings.append(
+            f"{block.path.name} has a block in {len(block.sizes)} pieces that no tie point joins: the largest, of "
+            f"{block.sizes[0]} images, is used, the others, of {others}, are left out; reconstruct them with more "
+            "overlap, or each as a survey of its own"
+        )
+    frame = PoseFrame.LOCAL if block.reference is None else PoseFrame.GEOCENTRIC
+    return PoseFile(poses, frame, None, "OpenSfM", _masks_beside(block.path), tuple(notes), tuple(warnings))
+
+
+def read_ties(path: Path) -> FileTies | None:
+    """Points of a reconstruction with their places in its images, by the tracks beside it; None without these.
+
+    Raises
+    ------
+    PosesError
+        If a file is damaged.
+    """
+    block = _block(path)
+    tracks = _tracks_of(block.path)
+    ids = {key: i for i, key in enumerate(block.points)}
+    if tracks is None or not ids:
+        return None
+    coordinates = [finite_numbers(_object(point).get("coordinates"), 3) for point in block.points.values()]
+    points = np.array([[math.nan] * 3 if xyz is None else xyz for xyz in coordinates])
+    names = tuple(block.shots)
+    numbers = {name: i for i, name in enumerate(names)}
+    lenses = [block.lenses[str(shot["camera"])] for shot in block.shots.values()]
+    point, image, place = _seen(tracks, ids, numbers)
+    size = np.array([[max(lens.width, lens.height), lens.width, lens.height] for lens in lenses], dtype=np.float64)
+    pixel = size[image, :1] * place + 0.5 * size[image, 1:]
+    good = np.isfinite(points).all(axis=1)
+    keep = good[point] & np.isfinite(pixel).all(axis=1)
+    number = np.cumsum(good) - 1
+    num_views = np.bincount(point, minlength=len(points))[good]
+    points = _geocentric(points[good], block.reference)
+    return FileTies(points, num_views, names, number[point[keep]], image[keep], pixel[keep])
+
+
+def _seen(
+    tracks: Path, ids: Mapping[str, int], numbers: Mapping[str, int]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Number of the point (M,), of the image (M,) and normalised place (M, 2) of each observation in tracks."""
+    found = []
+    try:
+        with tracks.open(encoding="utf-8") as file:
+            for line in file:
+                cells = line.rstrip("\n").split("\t", 5)
+                if len(cells) < 5:
+                    if cells[0].startswith("OPENSFM_TRACKS_VERSION") or not line.strip():
+                        continue
+                    raise ValueError(f"a line has {len(cells)} values")
+                if cells[1] in ids and cells[0] in numbers:
+                    found.append((ids[cells[1]], numbers[cells[0]], float(cells[3]), float(cells[4])))
+    except OSError as error:
+        raise PosesError(f"{tracks} cannot be read ({error.strerror}); correct its permissions") from error
+    except ValueError as error:
+        raise PosesError(
+            f"{tracks} is damaged ({shortened(str(error))}), expected image, track, feature, x and y; remove it, or "
+            f"{_EXPORT}"
+        ) from error
+    table = np.array(found, dtype=np.float64).reshape(-1, 4)
+    return table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2:]
+
+
+def _block(path: Path) -> _Block:
+    path = _topocentric_of(path)
+    found = read_foreign_json(path, PosesError)
+    blocks = [block for block in found if isinstance(block, dict)] if isinstance(found, list) else []
+    if not blocks or len(blocks) != len(found):
+        raise PosesError(f"{path} is no list of reconstructions, expected that of OpenSfM; {_EXPORT}")
+    by_size = sorted(blocks, key=lambda block: -len(_object(block.get("shots"))))
+    block = by_size[0]
+    lenses = {}
+    for name, camera in _object(block.get("cameras")).items():
+        try:
+            lenses[name] = read_lens(_object(camera))
+        except LensError as error:
+            raise PosesError(f'{path}, camera "{shortened(name)}": {error}') from error
+    shots = {name: _object(shot) for name, shot in _object(block.get("shots")).items()}
+    for name, shot in shots.items():
+        if str(shot.get("camera")) not in lenses:
+            raise PosesError(f"{path}: the camera of {shortened(name)} is not in the file; {_EXPORT}")
+    sizes = tuple(len(_object(block.get("shots"))) for block in by_size)
+    return _Block(path, lenses, shots, _object(block.get("points")), _reference(path, block), sizes)
+
+
+def _topocentric_of(path: Path) -> Path:
+    """The file in topocentric coordinates that a path, a file or its folder, stands for."""
+    if path.is_dir():
+        return _files_in(path)[0]
+    beside = path.with_name(_TOPOCENTRIC)
+    if path.name in (_PLAIN, _GRID) and beside.is_file():
+        return beside
+    is_of_finished_project = path.name == _PLAIN and (path.parent.parent / "odm_georeferencing").is_dir()
+    if path.name == _GRID or (is_of_finished_project and path.parent.name == "opensfm"):
+        raise PosesError(
+            f"{path} is in grid coordinates, and its rotations hold the scale and convergence of the grid; put "
+            f"OpenDroneMap's {_TOPOCENTRIC} beside it, which has the same poses without them"
+        )
+    return path
+
+
+def _pose(block: _Block, name: str, shot: dict) -> Pose:
+    rotation, translation = (finite_numbers(shot.get(key), 3) for key in ("rotation", "translation"))
+    if rotation is None or translation is None:
+        raise PosesError(
+            f"{block.path}: the pose of {shortened(name)} is no rotation and translation of three finite numbers each; "
+            f"{_EXPORT}"
+        )
+    cam_from_world = rotation_from_axis_angle(np.array(rotation))
+    centre = -cam_from_world.T @ np.array(translation)
+    if block.reference is not None:
+        lat, lon, _ = block.reference
+        cam_from_world = cam_from_world @ enu_from_geocentric(math.radians(lon), math.radians(lat))
+    return Pose(name, _geocentric(centre, block.reference), cam_from_world, block.lenses[str(shot["camera"])])
+
+
+def _geocentric(points: np.ndarray, reference: tuple[float, float, float] | None) -> np.ndarray:
+    """Topocentric points (..., 3) as geocentric ones; as they are where there is no reference."""
+    if reference is None:
+        return points
+    lat, lon, altitude = math.radians(reference[0]), math.radians(reference[1]), reference[2]
+    return geocentric_from_geodetic(lon, lat, altitude, a=_A, b=_B) + points @ enu_from_geocentric(lon, lat)
+
+
+def _reference(path: Path, block: dict) -> tuple[float, float, float] | None:
+    given, beside = block.get("reference_lla"), path.with_name(_REFERENCE)
+    if given is None and beside.is_file():
+        given = read_foreign_json(beside, PosesError)
+    if given is None:
+        return None
+    keys = ("latitude", "longitude", "altitude")
+    found = finite_numbers([_object(given).get(key) for key in keys], 3)
+    if found is None or abs(found[0]) > 90.0 or abs(found[1]) > 360.0:
+        raise PosesError(
+            f"{path}: its reference is {shortened(str(given))}, expected latitude, longitude and altitude; correct it"
+        )
+    # What OpenSfM writes where no photograph has a position.
+    return None if found[:2] == [0.0, 0.0] else (found[0], found[1], found[2])
+
+
+def _object(value) -> dict:
+    """An object of JSON; empty where it is anything else."""
+    return value if isinstance(value, dict) else {}
+
+
+def _tracks_of(path: Path) -> Path | None:
+    own = path.name.replace(".topocentric", "").replace("reconstruction", "tracks", 1).replace(".json", ".csv")
+    return next((place for name in (own, _TRACKS) if (place := path.with_name(name)).is_file()), None)
+
+
+def _masks_beside(path: Path) -> Path | None:
+    """The folder of masks of OpenSfM; those of OpenDroneMap lie beside the images."""
+    folder = path.with_name(_MASKS)
+    return folder if folder.is_dir() else None
+
+
+def _files_in(folder: Path) -> list[Path]:
+    """The reconstruction in a folder, or in opensfm/ below it: the topocentric one before the plain one."""
+    for place in (folder / "opensfm", folder):
+        for name in (_TOPOCENTRIC, _PLAIN):
+            if (place / name).is_file():
+                return [place / name]
+    return sorted(path for path in folder.glob("reconstruction*.json") if path.name != _GRID)
+
+
+def is_opensfm(path: Path) -> bool:
+    """Whether a path is a reconstruction, a list in JSON, or a folder that has one."""
+    if path.is_dir():
+        return len(_files_in(path)) == 1
+    if path.suffix.casefold() != ".json":
+        return False
+    with path.open("rb") as file:
+        return file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"[")
+
+
+FORMAT = Format(
+    name="a reconstruction of OpenSfM or OpenDroneMap (reconstruction.json)",
+    find=_files_in,
+    recognises=is_opensfm,
+    read=read_opensfm,
+    files=lambda path: [*map(path.with_name, (_TOPOCENTRIC, _PLAIN, _REFERENCE)), *filter(None, [_tracks_of(path)])],
+    read_ties=read_ties,
+)

@@ -1,0 +1,198 @@
+"""Pix4D's calibrated cameras: full positions and angles in one file, lens and local positions in another.
+
+The local positions lack an offset, which lies in a third file; the map of all is that of a fourth. Radial and
+tangential coefficients have OpenCV's order and sense.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from refract.lens import Lens, LensError
+from survey.errors import PosesError
+from survey.files.csv_table import shortened, text_lines
+from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk, nearest_rotation
+from survey.photos.formats.format import Format
+from survey.photos.poses import Pose, PoseFile, PoseFrame
+
+_EXTERNAL, _CAMERAS = "_calibrated_external_camera_parameters.txt", "_calibrated_camera_parameters.txt"
+_OFFSET, _MAP = "_offset.xyz", "_wkt.prj"
+_PLACES = (".", "params", "1_initial/params")
+_LAST_OF_HEAD, _LINES_OF_IMAGE = "camera model", 10
+_AGREE = 1e-3
+_EXPORT = "export it again in Pix4D (1. Initial Processing > Calibration > Camera Internals and Externals)"
+
+
+@dataclass(frozen=True, eq=False)
+class _Camera:
+    """An image in the file of cameras: its lens, its position (3,) less the offset, and cam from grid (3, 3)."""
+
+    lens: Lens
+    local: np.ndarray
+    cam_from_grid: np.ndarray
+
+
+def read_pix4d(path: Path) -> PoseFile:
+    """Poses in crs, with lenses where the file of cameras is there.
+
+    Raises
+    ------
+    PosesError
+        If a file is damaged, the two contradict each other, or neither positions nor their offset are there.
+    """
+    path = _file_of(path)
+    stem = _stem(path)
+    cameras_path, external_path = (path.with_name(stem + ending) for ending in (_CAMERAS, _EXTERNAL))
+    cameras = _cameras(cameras_path) if cameras_path.is_file() else {}
+    crs = _crs(path.with_name(stem + _MAP))
+    if external_path.is_file():
+        poses = [
+            _external_pose(name, numbers, where, cameras.get(name)) for where, name, numbers in _external(external_path)
+        ]
+    else:
+        offset = _offset(path.with_name(stem + _OFFSET), path)
+        poses = [Pose(name, one.local + offset, one.cam_from_grid, one.lens) for name, one in cameras.items()]
+    names = [pose.name for pose in poses]
+    twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
+    if twice is not None:
+        raise PosesError(f"{path}: image {shortened(twice)} has a second pose; keep one of the two")
+    notes = () if crs is None else (f"the poses are in {crs.name}, as {stem}{_MAP} says",)
+    return PoseFile(tuple(poses), PoseFrame.GRID, crs, "Pix4D", notes=notes)
+
+
+def _external(path: Path) -> Iterator[tuple[str, str, list[float]]]:
+    """Place in the file, name and six numbers of each image; names may hold spaces."""
+    for number, line in text_lines(path, PosesError):
+        where = f"{path}, line {number}"
+        cells = line.split()
+        if not cells or cells[0].casefold() == "imagename":
+            continue
+        if len(cells) < 7:
+            raise PosesError(f"{where}: {len(cells)} values were found, expected a name and six numbers; {_EXPORT}")
+        yield where, line.strip().rsplit(None, 6)[0], _numbers(cells[-6:], 6, where)
+
+
+def _external_pose(name: str, numbers: list[float], where: str, camera: _Camera | None) -> Pose:
+    angles = (math.radians(angle) for angle in numbers[3:])
+    cam_from_grid = (grid_from_opk(*angles) @ CAM_FROM_OPK_CAM).T
+    if camera is not None and not np.abs(cam_from_grid - camera.cam_from_grid).max() < _AGREE:
+        raise PosesError(
+            f"{where}: the angles of {shortened(name)} are not those of its rotation in the file of cameras, expected "
+            f"both of one project; {_EXPORT}"
+        )
+    return Pose(name, np.array(numbers[:3]), cam_from_grid, None if camera is None else camera.lens)
+
+
+def _cameras(path: Path) -> dict[str, _Camera]:
+    found: dict[str, _Camera] = {}
+    lines = [(f"{path}, line {number}", line.strip()) for number, line in text_lines(path, PosesError)]
+    head = next((i for i, (_, line) in enumerate(lines) if line.startswith(_LAST_OF_HEAD)), None)
+    if head is None:
+        raise PosesError(
+            f'{path} has no line "{_LAST_OF_HEAD} ...", expected the calibrated cameras of Pix4D; {_EXPORT}'
+        )
+    lines = [(where, line) for where, line in lines[head + 1 :] if line]
+    for first in range(0, len(lines), _LINES_OF_IMAGE):
+        block = lines[first : first + _LINES_OF_IMAGE]
+        where, title = block[0]
+        if len(block) < _LINES_OF_IMAGE:
+            raise PosesError(
+                f"{where}: {len(block)} lines of an image were found, expected {_LINES_OF_IMAGE}; {_EXPORT}"
+            )
+        found[title.rsplit(None, 2)[0]] = _camera(where, title, [line for _, line in block])
+    return found
+
+
+def _camera(where: str, title: str, lines: list[str]) -> _Camera:
+    size = title.rsplit(None, 2)[1:]
+    if len(size) != 2 or not all(text.isdecimal() and len(text) < 10 for text in size):
+        raise PosesError(f'{where}: "{shortened(title)}" was found, expected a name, width and height; {_EXPORT}')
+    inner = np.array([_numbers(line.split(), 3, where) for line in lines[1:4]])
+    k1, k2, k3 = _numbers(lines[4].split(), 3, where)
+    p1, p2 = _numbers(lines[5].split(), 2, where)
+    local = np.array(_numbers(lines[6].split(), 3, where))
+    rotation = np.array([_numbers(line.split(), 3, where) for line in lines[7:10]])
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > _AGREE or inner[0, 1] != 0.0 or inner[2].tolist() != [0, 0, 1]:
+        raise PosesError(f"{where}: its matrices are no rotation and no camera without skew; {_EXPORT}")
+    params = (inner[0, 0], inner[1, 1], inner[0, 2], inner[1, 2], k1, k2, p1, p2)
+    width, height = (int(text) for text in size)
+    try:
+        lens = Lens("FULL_OPENCV", (*map(float, params), k3, 0.0, 0.0, 0.0), width, height)
+    except LensError as error:
+        raise PosesError(f"{where}: {error}") from error
+    return _Camera(lens, local, nearest_rotation(rotation))
+
+
+def _offset(path: Path, wanted_by: Path) -> np.ndarray:
+    if not path.is_file():
+        raise PosesError(
+            f"{wanted_by} has positions less an offset, and {path.name} is not beside it; put it there, or "
+            f"*{_EXTERNAL}, which has full positions"
+        )
+    return np.array(_numbers([cell for _, line in text_lines(path, PosesError) for cell in line.split()], 3, str(path)))
+
+
+def _crs(path: Path) -> CRS | None:
+    if not path.is_file():
+        return None
+    text = " ".join(line for _, line in text_lines(path, PosesError)).strip()
+    if not text or text.startswith("LOCAL_CS"):
+        return None
+    try:
+        return CRS.from_user_input(text)
+    except CRSError as error:
+        raise PosesError(f'{path}: "{shortened(text)}" is not a known CRS; correct or remove it') from error
+
+
+def _numbers(cells: list[str], count: int, where: str) -> list[float]:
+    try:
+        found = [float(cell) for cell in cells]
+    except ValueError:
+        found = [math.nan]
+    if len(found) != count or not all(map(math.isfinite, found)):
+        raise PosesError(
+            f'{where}: "{shortened(" ".join(cells))}" was found, expected {count} finite numbers; {_EXPORT}'
+        )
+    return found
+
+
+def _stem(path: Path) -> str:
+    """The name of the project."""
+    return path.name.removesuffix(_EXTERNAL).removesuffix(_CAMERAS)
+
+
+def _file_of(path: Path) -> Path:
+    return _files_in(path)[0] if path.is_dir() else path
+
+
+def _files_in(folder: Path) -> list[Path]:
+    """The file of positions of each project in a folder, or in the params folder of Pix4D below it."""
+    found: dict[str, Path] = {}
+    for place in _PLACES:
+        for ending in (_EXTERNAL, _CAMERAS):
+            for path in sorted((folder / place).glob(f"*{ending}")):
+                found.setdefault(path.name.removesuffix(ending), path)
+    return list(found.values())
+
+
+def is_pix4d(path: Path) -> bool:
+    """Whether a path is one of the two files of cameras, or a folder that has them."""
+    if path.is_dir():
+        return len(_files_in(path)) == 1
+    return path.name.endswith((_EXTERNAL, _CAMERAS))
+
+
+FORMAT = Format(
+    name="the calibrated camera parameters of Pix4D (params/..._calibrated_external_camera_parameters.txt)",
+    find=_files_in,
+    recognises=is_pix4d,
+    read=read_pix4d,
+    files=lambda path: [path.with_name(_stem(path) + ending) for ending in (_EXTERNAL, _CAMERAS, _OFFSET, _MAP)],
+)

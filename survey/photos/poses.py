@@ -1,0 +1,124 @@
+"""Poses and tie points as files of other programs have them, and the frames that they count from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+from pyproj import CRS
+
+from refract.lens import Lens
+
+
+class PoseFrame(Enum):
+    """What the positions and rotations of a poses file count from.
+
+    | frame | positions | rotations, from |
+    |---|---|---|
+    | GRID | in crs | the grid axes at the camera: easting, northing, height |
+    | LEVEL | in crs | true east, true north and up at the camera |
+    | GEOCENTRIC | x, y, z [m] from the centre of the Earth | the same axes |
+    | LOCAL | [m] in the topocentric frame of [local] | its axes |
+    """
+
+    GRID = "grid"
+    LEVEL = "level"
+    GEOCENTRIC = "geocentric"
+    LOCAL = "local"
+
+
+@dataclass(frozen=True, eq=False)
+class GivenPosition:
+    """Where a file says that a camera was before any adjustment, by GPS.
+
+    Attributes
+    ----------
+    place : (3,) float64
+        Easting or longitude, northing or latitude and height in the crs of its file.
+    std : (3,) float64 [m]
+        East, north, up.
+    """
+
+    place: np.ndarray
+    std: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """The pose of one photograph in a poses file.
+
+    Attributes
+    ----------
+    name : str
+        Of the image, as the file has it.
+    centre : (3,) float64
+        Of the camera, in the frame of the file.
+    cam_from_world : (3, 3) float64
+        Rotation into cam (x right, y down, z forward), from the axes of the frame of the file.
+    lens : Lens or None
+        None if the file has no lens.
+    given : GivenPosition or None
+        None where the file does not say how well the position was known beforehand.
+    """
+
+    name: str
+    centre: np.ndarray
+    cam_from_world: np.ndarray
+    lens: Lens | None = None
+    given: GivenPosition | None = None
+
+
+@dataclass(frozen=True)
+class PoseFile:
+    """What a poses file holds.
+
+    Attributes
+    ----------
+    poses : tuple of Pose
+        Of different names.
+    frame : PoseFrame
+    crs : pyproj.CRS or None
+        Of GRID and LEVEL: that of the positions; of GEOCENTRIC: the one on whose datum they are. None: the crs of the
+        survey, or WGS 84 for GEOCENTRIC.
+    tool : str or None
+        The program that adjusted the poses, which knows straight rays only; None where the format does not tell.
+    masks : Path or None
+        Folder of the masks that the program used.
+    notes, warnings : sentences
+        What was assumed of the file, and what it has that is not used.
+    """
+
+    poses: tuple[Pose, ...]
+    frame: PoseFrame
+    crs: CRS | None = None
+    tool: str | None = None
+    masks: Path | None = None
+    notes: tuple[str, ...] = field(default=(), compare=False)
+    warnings: tuple[str, ...] = field(default=(), compare=False)
+
+
+@dataclass(frozen=True, eq=False)
+class FileTies:
+    """Tie points of the program that made the poses.
+
+    Attributes
+    ----------
+    points : (N, 3) float64
+        In the frame of the poses file.
+    num_views : (N,) int64
+        How many photographs see each.
+    names : tuple of str
+        Of photographs, as the file has them.
+    point, image : (M,) int64
+        Which point is seen in which photograph, a number into `names`.
+    pixel : (M, 2) float64 [px], img
+    """
+
+    points: np.ndarray
+    num_views: np.ndarray
+    names: tuple[str, ...] = ()
+    point: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    image: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    pixel: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))

@@ -1,0 +1,115 @@
+"""The photographs of a run as it used them, kept beside its cloud: cameras, water and place, for what is made later."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pyproj import CRS
+
+from geo.files import write_whole
+from geo.frames import LocalFrame
+from refract import FlatWater
+from refract.lens import Lens
+from survey.errors import SurveyError
+from survey.files.json_values import read_json_object
+from survey.photos.cameras import View
+
+if TYPE_CHECKING:
+    from survey.folder.survey import Survey
+
+FLIGHT = "flight.json"
+_WATER = ("point", "n_water", "slope_x", "slope_y")
+
+
+@dataclass(frozen=True)
+class Flight:
+    """Cameras, water and place of a run.
+
+    Attributes
+    ----------
+    frame : LocalFrame
+    water : FlatWater or None
+        Local; None for a dry survey.
+    views : tuple of View
+        Adjusted, where the run adjusted them.
+    bounds : (e0, n0, e1, n1) or None
+        In crs: where the bed was wanted.
+    """
+
+    frame: LocalFrame
+    water: FlatWater | None
+    views: tuple[View, ...]
+    bounds: tuple[float, float, float, float] | None
+
+
+def save_flight(folder: Path, survey: Survey) -> None:
+    """Write what `load_flight` reads into the folder of a result."""
+    water = None if survey.water is None else {name: getattr(survey.water, name) for name in _WATER}
+    said = {
+        "crs_wkt": survey.frame.crs.to_wkt(),
+        "origin": list(survey.frame.origin),
+        "water": water,
+        "bounds": survey.bounds,
+        "views": [_said(view) for view in survey.views],
+    }
+    with write_whole(folder / FLIGHT) as stream:
+        stream.write(json.dumps(said, indent=1, ensure_ascii=False, default=_plain).encode())
+
+
+def _said(view: View) -> dict:
+    camera, lens = view.camera, view.lens
+    return {
+        "name": view.name,
+        "image": str(view.path.absolute()),
+        "mask": None if view.mask_path is None else str(view.mask_path.absolute()),
+        "model": lens.model,
+        "params": lens.params,
+        "size_px": [lens.width, lens.height],
+        "centre": camera.centre,
+        "cam_from_local": camera.cam_from_local,
+        "motion_m_per_row": camera.motion,
+    }
+
+
+def _plain(value: object) -> object:
+    """Arrays, and numbers of numpy, for JSON."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} cannot be written as JSON")
+
+
+def load_flight(run: Path) -> Flight:
+    """The flight of the result that stands in a run folder.
+
+    Raises
+    ------
+    SurveyError
+        If it is not there, or damaged.
+    """
+    path = run / FLIGHT
+    said = read_json_object(path)
+    try:
+        water = said["water"]
+        return Flight(
+            LocalFrame(CRS.from_wkt(said["crs_wkt"]), tuple(said["origin"])),
+            None if water is None else FlatWater(**{**water, "point": tuple(water["point"])}),
+            tuple(_view(entry) for entry in said["views"]),
+            None if said["bounds"] is None else tuple(said["bounds"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        why = "was made before runs kept their cameras" if not said else f"holds a {FLIGHT} that cannot be read"
+        raise SurveyError(f"the run {run} {why}; give the same `bathynerf process` again") from error
+
+
+def _view(said: dict) -> View:
+    lens = Lens(said["model"], tuple(said["params"]), *said["size_px"])
+    camera = lens.camera(np.array(said["centre"]), np.array(said["cam_from_local"]))
+    motion = said["motion_m_per_row"]
+    if motion is not None:
+        camera = replace(camera, motion=np.array(motion))
+    mask = said["mask"]
+    return View(said["name"], Path(said["image"]), camera, lens, None if mask is None else Path(mask))

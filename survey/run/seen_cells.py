@@ -1,0 +1,128 @@
+"""Cells of the ground in plan: which have a point of the bed, and how many views see each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+from survey.display.plan_grid import PlanGrid
+
+if TYPE_CHECKING:
+    from refract import FlatWater, PinholeCamera
+
+    Area = tuple[float, float, float, float]
+
+# Side of a cell: large against the spacing of points of a well matched bed, which is one, and smaller than a gap that
+# matters.
+CELL_GSD = 10.0
+# At most this many cells along an axis; larger areas take larger cells.
+_MOST_CELLS = 2000
+
+
+@dataclass(frozen=True)
+class SeenCells:
+    """Square cells of the ground; arrays (rows, columns), rows from south to north.
+
+    Attributes
+    ----------
+    low : (2,) [m], local
+        South-western corner of the first cell.
+    cell_m : [m]
+    has_point : bool
+    num_views : int
+        Views that see the middle of the cell; occlusion is ignored.
+    height : float64 [m], local
+        Mean of the points; where there are none, that of the nearest cell that has some.
+    """
+
+    low: np.ndarray
+    cell_m: float
+    has_point: np.ndarray
+    num_views: np.ndarray
+    height: np.ndarray
+
+    @property
+    def middles(self) -> np.ndarray:
+        """Middles of the cells at their heights (rows, columns, 3) [m], local."""
+        rows, columns = self.height.shape
+        x, y = (start + self.cell_m * (np.arange(n) + 0.5) for start, n in zip(self.low, (columns, rows), strict=True))
+        return np.stack([*np.meshgrid(x, y), self.height], axis=-1)
+
+    def index(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and columns of the cells under points (..., 2 or more) [m], local; those beyond take the outermost."""
+        at = np.floor((np.asarray(points)[..., :2] - self.low) / self.cell_m)
+        rows, columns = self.height.shape
+        return np.clip(at[..., 1], 0, rows - 1).astype(np.int64), np.clip(at[..., 0], 0, columns - 1).astype(np.int64)
+
+
+def cells_seen(
+    cameras: Sequence[PinholeCamera], water: FlatWater | None, area: Area | None, xyz: np.ndarray, gsd_m: float
+) -> SeenCells:
+    """Look at the ground with every camera, at the heights of points (N, 3) [m], local, N at least 1.
+
+    Parameters
+    ----------
+    cameras : sequence of PinholeCamera
+    water : FlatWater or None
+    area : (x0, y0, x1, y1) [m], local, or None
+        The ground that is asked about; None for where the axes of cameras meet the bed and one view reaches around.
+    xyz : (N, 3) [m], local
+    gsd_m : [m]
+        Ground sampling distance; cells are `CELL_GSD` of them wide.
+    """
+    low, high = _extent(cameras, area, float(np.median(xyz[:, 2])))
+    cell = max(CELL_GSD * gsd_m, float((high - low).max()) / _MOST_CELLS)
+    grid = PlanGrid.within(xyz, low, high, cell)
+    height = grid.mean(xyz[:, 2])[::-1]
+    has_point = np.isfinite(height)
+    west, _, south, _ = grid.extent
+    corner = np.array([west, south])
+    num_views = np.zeros(grid.shape, dtype=int)
+    if not has_point.any():
+        return SeenCells(corner, cell, has_point, num_views, height)
+    nearest = distance_transform_edt(~has_point, return_distances=False, return_indices=True)
+    cells = SeenCells(corner, cell, has_point, num_views, height[tuple(nearest)])
+    places = cells.middles
+    x, y = places[0, :, 0], places[:, 0, 1]
+    for camera in cameras:
+        part = _around(camera, x, y, cells.height)
+        pixel = camera.project(places[part].reshape(-1, 3), water)
+        sees = ((pixel > 0.0) & (pixel < (camera.width, camera.height))).all(axis=1)  # False for NaN
+        num_views[part] += sees.reshape(num_views[part].shape)
+    return cells
+
+
+def _extent(cameras: Sequence[PinholeCamera], area: Area | None, height: float) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (2,), (2,) [m], local, of the ground that is asked about."""
+    if area is not None:
+        return np.array(area[:2]), np.array(area[2:])
+    centres, reaches = np.array([camera.centre for camera in cameras]), []
+    axes = np.array([camera.cam_from_local[2] for camera in cameras])
+    # Views to the horizon are taken to look at most 45 degrees up from the vertical.
+    fall = np.minimum(axes[:, 2], -np.sqrt(0.5))
+    foot = centres[:, :2] + axes[:, :2] * ((height - centres[:, 2]) / fall)[:, None]
+    for camera in cameras:
+        half = 0.5 * camera.widening * np.hypot(camera.width / camera.fx, camera.height / camera.fy)
+        reaches.append(half * max(camera.centre[2] - height, 0.0))
+    reach = np.array(reaches)[:, None]
+    return (foot - reach).min(axis=0), (foot + reach).max(axis=0)
+
+
+def _around(camera: PinholeCamera, x: np.ndarray, y: np.ndarray, height: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns of the cells that a camera can see at all: those within the cone about its vertical.
+
+    Refraction only draws what is seen nearer to the vertical.
+    """
+    directions = camera.directions(camera.outline())
+    fall = camera.centre[2] - float(height.min())
+    # False for NaN, where the lens brings no light to the border.
+    if not (directions[:, 2] < -1e-3).all() or fall <= 0.0:
+        return slice(None), slice(None)
+    ends = camera.centre[:2] + directions[:, :2] * (fall / -directions[:, 2])[:, None]
+    ends = np.concatenate([ends, camera.centre[None, :2]])
+    (x0, y0), (x1, y1) = ends.min(axis=0), ends.max(axis=0)
+    return slice(*np.searchsorted(y, (y0, y1))), slice(*np.searchsorted(x, (x0, x1)))

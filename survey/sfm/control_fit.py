@@ -1,0 +1,252 @@
+"""A block of photographs placed by control points alone: the similarity that most of them agree on.
+
+The rays of the photographs are straight here and the water is not: a block is bent by a per cent of its range, and
+points under water seem to lie higher. So only gross errors count; the adjustment finds the small ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import combinations
+from math import comb
+
+import numpy as np
+
+from geo.similarity import Similarity, fit_similarity
+from survey.errors import ControlError
+from survey.sfm.marked import BlockControl, Met, Posed, meet, turned_marks
+
+MIN_POINTS = 3
+# A block may miss its control by this share of the distance to the cameras, and this many standard deviations of it.
+_BENT_SHARE, _MOST_STD = 0.02, 3.0
+# Of more sets of three points, so many are drawn.
+_MOST_TRIPLES = 600
+# Points closer to one line than this share of its length, or so many standard deviations of their mean, leave the tilt
+# open.
+_LINE_SHARE, _LINE_STD = 0.05, 3.0
+
+
+@dataclass(frozen=True)
+class ControlFit:
+    """How a block is placed by its control.
+
+    Attributes
+    ----------
+    similarity : Similarity
+        From the frame of the block to that of the control.
+    met : Met
+    wrong : dict of name to float [m]
+        Points that the others contradict, and how far they lie from where the photographs show them.
+    """
+
+    similarity: Similarity
+    met: Met
+    wrong: dict[str, float]
+
+    @property
+    def used(self) -> tuple[str, ...]:
+        """Names of the points that agree."""
+        return tuple(point.name for point in self.met.points if point.name not in self.wrong)
+
+
+def fit_control(control: BlockControl, views: Mapping[str, Posed]) -> ControlFit:
+    """Place a block by its control points.
+
+    Parameters
+    ----------
+    control : BlockControl
+    views : name to Posed, in the frame of the block
+
+    Raises
+    ------
+    ControlError
+        If fewer than three points can be used, they lie on one line, or they contradict each other and nothing tells
+        which are wrong.
+    """
+    met = meet(control, views)
+    require_meeting(control, views, met)
+    if len(met.points) < MIN_POINTS:
+        raise ControlError(_too_few(control, views, met))
+    theirs, std = coordinates(met)
+    require_spread(theirs, std)
+    fit = agreed(met, views)
+    good = np.array([point.name not in fit.wrong for point in met.points])
+    require_spread(theirs[good], std[good])
+    return fit
+
+
+def coordinates(met: Met) -> tuple[np.ndarray, np.ndarray]:
+    """Those of control points (K, 3) [m], local, and their standard deviations."""
+    return np.array([point.local for point in met.points]), np.array([point.std for point in met.points])
+
+
+def agreed(met: Met, views: Mapping[str, Posed]) -> ControlFit:
+    """The similarity that most of at least three points agree on.
+
+    Raises
+    ------
+    ControlError
+        If they contradict each other and nothing tells which are wrong.
+    """
+    theirs, std = coordinates(met)
+    best = _agreements(met, theirs, std)
+    if not best:
+        raise ControlError(_contradiction(met, theirs, std))
+    # Three points fit by chance alone where heights are wrong; four do not.
+    if len(best) > 1 and best[0].sum() == MIN_POINTS:
+        names = ", ".join(point.name for point in met.points)
+        raise ControlError(
+            f"the {len(met.points)} control points {names} contradict each other, and fit the photographs equally well "
+            f"without {' or without '.join(_left_of(met, good) for good in best[:4])}: correct the coordinates or the "
+            "marks of the wrong one, or add points"
+        )
+    good = best[0]
+    similarity = fit_similarity(met.places[good], theirs[good])
+    if _is_below(similarity, met, good, views):
+        raise ControlError(
+            "control points put the cameras under the ground: easting and northing (or longitude and latitude) are "
+            "swapped in their file; swap the two columns"
+        )
+    off = np.linalg.norm(similarity(met.places) - theirs, axis=1)
+    wrong = {met.points[i].name: float(off[i]) for i in np.flatnonzero(~good)}
+    return ControlFit(similarity, met, wrong)
+
+
+def require_meeting(control: BlockControl, views: Mapping[str, Posed], met: Met) -> None:
+    """Raise where the marks of more points contradict each other than not.
+
+    Raises
+    ------
+    ControlError
+        With what was found; says so where x and y are swapped.
+    """
+    if len(met.apart) > len(met.points):
+        raise ControlError(_too_few(control, views, met))
+
+
+def spread_of(places: np.ndarray, std: np.ndarray) -> tuple[float, float, float]:
+    """Extent of control points (K, 3) [m] along their line and across, and the least across that tells the tilt."""
+    along, across, _ = np.linalg.svd(places - places.mean(axis=0), compute_uv=False) / np.sqrt(len(places))
+    least = max(_LINE_SHARE * along, _LINE_STD * float(np.median(std[:, :2])) / np.sqrt(len(places)))
+    return float(along), float(across), float(least)
+
+
+def require_spread(places: np.ndarray, std: np.ndarray) -> None:
+    """Raise where control points (K, 3) [m] lie on one line, as they leave the tilt of a block about it open.
+
+    Raises
+    ------
+    ControlError
+        With the extent along and across.
+    """
+    along, across, least = spread_of(places, std)
+    if across < least:
+        raise ControlError(
+            f"the {len(places)} control points lie on one line (spread {along:.2f} m along and {across:.2f} m "
+            f"across, expected {least:.2g} m at least), which leaves the tilt of the block about it open; add a point "
+            "beside it"
+        )
+
+
+def _agreements(met: Met, theirs: np.ndarray, std: np.ndarray) -> list[np.ndarray]:
+    """The largest sets (K,) bool of points that one similarity fits, the best first; none that are no majority."""
+    found: dict[bytes, tuple[int, float, np.ndarray]] = {}
+    for triple in _triples(len(theirs)):
+        start = np.zeros(len(theirs), dtype=bool)
+        start[list(triple)] = True
+        good, cost = _grown(met, theirs, std, start)
+        if good.sum() >= MIN_POINTS and 2 * good.sum() > len(theirs):
+            found[good.tobytes()] = (int(good.sum()), cost, good)
+    if not found:
+        return []
+    most = max(count for count, _, _ in found.values())
+    return [good for count, _, good in sorted(found.values(), key=lambda each: each[1]) if count == most]
+
+
+def _triples(num: int) -> Iterator[tuple[int, ...]]:
+    if comb(num, MIN_POINTS) <= _MOST_TRIPLES:
+        yield from combinations(range(num), MIN_POINTS)
+        return
+    rng = np.random.default_rng(0)
+    for _ in range(_MOST_TRIPLES):
+        yield tuple(rng.choice(num, MIN_POINTS, replace=False))
+
+
+def _grown(met: Met, theirs: np.ndarray, std: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, float]:
+    """The points (K,) bool that agree with the similarity of some of them, until they stay the same, and their cost."""
+    good, cost = start, np.inf
+    for _ in range(10):
+        if good.sum() < MIN_POINTS or _is_line(met.places[good]):
+            return np.zeros_like(start), np.inf
+        similarity = fit_similarity(met.places[good], theirs[good])
+        share = np.abs(similarity(met.places) - theirs) / _limits(met, std, similarity.scale)
+        before, good = good, share.max(axis=1) <= 1.0
+        cost = float(np.sum(share[good] ** 2))
+        if (good == before).all():
+            break
+    return good, cost
+
+
+def _is_line(places: np.ndarray) -> bool:
+    lengths = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+    return bool(lengths[1] < _LINE_SHARE * lengths[0])
+
+
+def _limits(met: Met, std: np.ndarray, scale: float) -> np.ndarray:
+    """By how much (K, 3) [m] a block may miss its points: it is bent, the more the wider it is for its range."""
+    wide = np.mean(np.sum((met.places - met.places.mean(axis=0)) ** 2, axis=1))
+    bent = _BENT_SHARE * scale * (met.ranges + wide / met.ranges)
+    return _MOST_STD * std + (bent + met.slack)[:, None]
+
+
+def _is_below(similarity: Similarity, met: Met, good: np.ndarray, views: Mapping[str, Posed]) -> bool:
+    """Whether most cameras lie lower than the points that they show."""
+    heights = similarity(np.array([view.centre for view in views.values()]))[:, 2]
+    return bool(np.median(heights) < np.median(similarity(met.places[good])[:, 2]))
+
+
+def _too_few(control: BlockControl, views: Mapping[str, Posed], met: Met) -> str:
+    told = []
+    if met.points:
+        told.append(f"usable: {_listed([point.name for point in met.points])}")
+    if met.single:
+        told.append(f"with a mark in fewer than two placed photographs, or from one direction: {_listed(met.single)}")
+    if met.apart:
+        told.append(f"with marks whose rays do not meet: {_listed(met.apart)}")
+    told.append(f"{len(views)} photographs are placed")
+    mend = "mark more points in more photographs, or correct the marks"
+    if len(met.apart) > 1 and len(meet(turned_marks(control), views).points) >= MIN_POINTS:
+        mend = "their rays meet with x and y of the marks swapped: swap the two columns"
+    return (
+        f"{len(met.points)} of {len(control.points)} control points fit the photographs, expected at least "
+        f"{MIN_POINTS} not on a line, each marked in two photographs or more ({'; '.join(told)}); {mend}"
+    )
+
+
+def _contradiction(met: Met, theirs: np.ndarray, std: np.ndarray) -> str:
+    """Why no similarity fits most of the points."""
+    if _agreements(met, theirs[:, [1, 0, 2]], std):
+        return (
+            "control points fit the photographs with easting and northing (or longitude and latitude) swapped, and not "
+            "as they are; swap the two columns in their file"
+        )
+    similarity = fit_similarity(met.places, theirs)
+    off = similarity(met.places) - theirs
+    rms = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+    worst = int(np.argmax(np.linalg.norm(off, axis=1)))
+    limit = float(np.median(_limits(met, std, similarity.scale)[:, 0]))
+    return (
+        f"{len(met.points)} control points do not fit the photographs: the misfit is {rms:.2g} m (root mean square, "
+        f"largest at {met.points[worst].name}), and no more than half of them agree to {limit:.2g} m; check their "
+        "names, coordinates, CRS and marks, or say in [control] std_m how inaccurate they are"
+    )
+
+
+def _left_of(met: Met, good: np.ndarray) -> str:
+    return _listed([met.points[i].name for i in np.flatnonzero(~good)])
+
+
+def _listed(names) -> str:
+    more = f" and {len(names) - 10} more" if len(names) > 10 else ""
+    return ", ".join(names[:10]) + more

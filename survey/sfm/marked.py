@@ -1,0 +1,197 @@
+"""Control points in a block of photographs: where the rays of their marks meet, and which marks do not belong."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from geo.frames import LocalFrame
+from refract.lens import Lens, undistorted
+from survey.control.points import ControlPoint, Mark
+
+# A ray further from its point belongs to another one, as a share of the longer side; bent rays, lenses and hands are
+# off by far less.
+_WRONG_SHARE = 0.01
+# Rays that open by less leave the distance of their point to the lens.
+_LEAST_ANGLE_DEG = 1.5
+# Of a point with more marks, pairs of these alone are tried.
+_MOST_TRIED = 30
+
+
+@dataclass(frozen=True, eq=False)
+class BlockControl:
+    """Control for a block of photographs.
+
+    Attributes
+    ----------
+    frame : LocalFrame
+        That of `ControlPoint.local`.
+    points : tuple of ControlPoint
+        Control, no check points.
+    marks : tuple of Mark
+        Their views have the names that the block has for them.
+    slack : (points,) [m]
+        By how much straight rays may miss a point: those under water seem to lie higher.
+    """
+
+    frame: LocalFrame
+    points: tuple[ControlPoint, ...]
+    marks: tuple[Mark, ...]
+    slack: np.ndarray
+
+    def with_views(self, names: Mapping[str, str]) -> BlockControl:
+        """The same with other names of views."""
+        return replace(self, marks=tuple(replace(mark, view=names[mark.view]) for mark in self.marks))
+
+
+@dataclass(frozen=True)
+class Posed:
+    """A photograph of a block.
+
+    Attributes
+    ----------
+    lens : Lens
+    centre, rotation : (3,), (3, 3)
+        In the frame of the block; from that to cam.
+    """
+
+    lens: Lens
+    centre: np.ndarray
+    rotation: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Met:
+    """Control points where the rays of their marks meet.
+
+    Attributes
+    ----------
+    points : tuple of ControlPoint
+        Those with a place.
+    places : (K, 3)
+        Of each, in the frame of the block.
+    ranges : (K,)
+        Distance of each to its nearest camera, in that frame.
+    slack : (K,) [m]
+        As that of `BlockControl`.
+    wrong_marks : tuple of Mark
+        That miss a point whose other marks meet.
+    apart : tuple of str
+        Names of points whose marks do not meet, and none can be told to be right.
+    single : tuple of str
+        Names of points with fewer than two marks in the block, or that are seen from one direction.
+    """
+
+    points: tuple[ControlPoint, ...]
+    places: np.ndarray
+    ranges: np.ndarray
+    slack: np.ndarray
+    wrong_marks: tuple[Mark, ...]
+    apart: tuple[str, ...]
+    single: tuple[str, ...]
+
+
+def meet(control: BlockControl, views: Mapping[str, Posed]) -> Met:
+    """Where the rays of the marks of each point meet in a block."""
+    marks_of: dict[str, list[Mark]] = {point.name: [] for point in control.points}
+    for mark in control.marks:
+        if mark.point in marks_of and mark.view in views:
+            marks_of[mark.point].append(mark)
+    points, places, ranges, slack = [], [], [], []
+    wrong: list[Mark] = []
+    apart: list[str] = []
+    single: list[str] = []
+    for point, own_slack in zip(control.points, control.slack, strict=True):
+        marks = marks_of[point.name]
+        if len(marks) < 2:
+            single.append(point.name)
+            continue
+        place, good = _agreed(marks, views)
+        if place is None:
+            (apart if (~good).any() else single).append(point.name)
+            continue
+        points.append(point)
+        places.append(place)
+        ranges.append(min(np.linalg.norm(views[mark.view].centre - place) for mark in marks))
+        slack.append(own_slack)
+        wrong += [mark for mark, is_good in zip(marks, good, strict=True) if not is_good]
+    return Met(
+        points=tuple(points),
+        places=np.array(places).reshape(-1, 3),
+        ranges=np.array(ranges),
+        slack=np.array(slack),
+        wrong_marks=tuple(wrong),
+        apart=tuple(apart),
+        single=tuple(single),
+    )
+
+
+def turned_marks(control: BlockControl) -> BlockControl:
+    """The control with x and y of its marks swapped."""
+    return replace(control, marks=tuple(replace(mark, pixel=mark.pixel[::-1]) for mark in control.marks))
+
+
+def _agreed(marks: list[Mark], views: Mapping[str, Posed]) -> tuple[np.ndarray | None, np.ndarray]:
+    """The place (3,) where most of the rays of some marks meet, and which do (N,) bool.
+
+    No place where that is no majority, or all that meet come from one direction.
+    """
+    origins, rays, wrong = _rays(marks, views)
+    best = np.zeros(len(marks), dtype=bool)
+    least = np.inf
+    for pair in combinations(range(min(len(marks), _MOST_TRIED)), 2):
+        place = _meeting(origins[list(pair)], rays[list(pair)])
+        if place is None:
+            continue
+        off = _off(place, origins, rays) / wrong
+        good = off <= 1.0
+        total = float(off[good].sum())
+        if (good.sum(), -total) > (best.sum(), -least):
+            best, least = good, total
+    if best.sum() < 2 or 2 * best.sum() <= len(marks):
+        return None, best
+    place = _meeting(origins[best], rays[best])
+    opening = np.degrees(np.arccos(np.clip((rays[best] @ rays[best].T).min(), -1.0, 1.0)))
+    if place is None or opening < _LEAST_ANGLE_DEG:
+        return None, np.ones(len(marks), dtype=bool)
+    return place, best
+
+
+def _rays(marks: list[Mark], views: Mapping[str, Posed]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Origins and directions (N, 3) of the rays of marks, and the angle (N,) [rad] that makes one wrong."""
+    posed = [views[mark.view] for mark in marks]
+    origins = np.array([view.centre for view in posed])
+    rays = np.empty_like(origins)
+    for number, (mark, view) in enumerate(zip(marks, posed, strict=True)):
+        x, y = undistorted(view.lens, np.array([mark.pixel]))[0]
+        rays[number] = np.array([x, y, 1.0]) @ view.rotation
+    wrong = np.array([_WRONG_SHARE * max(view.lens.width, view.lens.height) / view.lens.focal[0] for view in posed])
+    return origins, rays / np.linalg.norm(rays, axis=1, keepdims=True), wrong
+
+
+def _meeting(origins: np.ndarray, rays: np.ndarray) -> np.ndarray | None:
+    """The point (3,) nearest to all rays, by angle; None where they are parallel."""
+    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    place = None
+    weights = np.ones(len(rays))
+    # Distances from a ray count by the angle at which its camera sees them.
+    for _ in range(3):
+        weighted = across * weights[:, None, None]
+        normal = weighted.sum(axis=0)
+        if np.linalg.cond(normal) > 1e12:
+            return None
+        place = np.linalg.solve(normal, np.einsum("nij,nj->i", weighted, origins))
+        weights = 1.0 / np.maximum(np.sum((place - origins) ** 2, axis=1), 1e-12)
+        weights /= weights.max()
+    return place
+
+
+def _off(place: np.ndarray, origins: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    """Angles (N,) [rad] between the rays and a place; infinite for what lies behind a camera."""
+    to = place - origins
+    ahead = np.sum(to * rays, axis=1)
+    across = np.linalg.norm(to - ahead[:, None] * rays, axis=1)
+    return np.where(ahead > 0.0, np.arctan2(across, ahead), np.inf)

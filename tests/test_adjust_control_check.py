@@ -1,0 +1,98 @@
+"""Control points against an adjusted block: wrong coordinates are named, stated accuracies widened, GPS not needed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from block_survey import pose_errors, rms, survey_of
+from drawn_block import draw_block
+
+from survey.adjust.refine import adjust_survey
+from survey.folder.pose_priors import PosePrior
+from survey.folder.survey import Survey
+
+
+def block_and_survey(num_control: int = 7):
+    block = draw_block(3, num_points=150, num_views=18, dry_share=0.35, num_control=num_control)
+    return block, survey_of(block)
+
+
+def without_positions(survey: Survey) -> Survey:
+    return replace(survey, priors={view.name: PosePrior(None, None, None, "none") for view in survey.views})
+
+
+def with_shift(survey: Survey, number: int, shift) -> Survey:
+    points = list(survey.control.points)
+    points[number] = replace(points[number], local=points[number].local + np.array(shift))
+    return replace(survey, control=replace(survey.control, points=tuple(points)))
+
+
+@pytest.mark.parametrize("with_gps", [True, False])
+@pytest.mark.parametrize("shift", [(0.3, 0.0, 0.0), (0.0, 0.0, -5.0)])
+def test_wrong_coordinates_are_named_and_change_nothing(with_gps, shift):
+    block, survey = block_and_survey()
+    survey = survey if with_gps else without_positions(survey)
+    found = adjust_survey(with_shift(survey, 2, shift), use_windows=False)
+    (warning,) = found.warnings
+    assert "1 control point that the block contradicts, its coordinates left out: gcp2 (off by " in warning
+    whole = adjust_survey(survey, use_windows=False)
+    assert not whole.warnings
+    # One point fewer: both are within what the block states.
+    assert (np.abs(found.centres - whole.centres) < 3.0 * found.position_std).all()
+    errors, _ = pose_errors(block, found.centres, found.rotations)
+    assert np.mean(np.abs(errors) < 2.6 * found.position_std) > 0.8
+    (point,) = [each for each in found.control if each.is_check]
+    np.testing.assert_allclose(point.residual_m, -np.array(shift), atol=0.1)
+
+
+def test_two_wrong_points_are_both_named():
+    _, survey = block_and_survey()
+    found = adjust_survey(with_shift(with_shift(survey, 2, (0.4, 0.0, 0.0)), 5, (0.0, 0.3, 0.3)), use_windows=False)
+    assert "2 control points" in found.warnings[0]
+    assert "gcp2" in found.warnings[0]
+    assert "gcp5" in found.warnings[0]
+
+
+def test_a_wrong_mark_is_named_and_its_point_keeps_its_coordinates():
+    _, survey = block_and_survey()
+    mark, *rest = survey.control.marks
+    wrong = replace(mark, pixel=(mark.pixel[0] + 60.0, mark.pixel[1] - 40.0))
+    found = adjust_survey(replace(survey, control=replace(survey.control, marks=(wrong, *rest))), use_windows=False)
+    assert found.warnings == (f"1 mark of control that the block contradicts, left out: {mark.point} in {mark.view}",)
+    assert not any(point.is_check for point in found.control)
+
+
+def test_control_that_is_worse_than_stated_counts_as_good_as_it_fits(rng):
+    block, survey = block_and_survey()
+    points = tuple(replace(point, local=point.local + rng.normal(0.0, 0.1, 3)) for point in survey.control.points)
+    found = adjust_survey(replace(survey, control=replace(survey.control, points=points)), use_windows=False)
+    (warning,) = found.warnings
+    assert "times worse than their standard deviations say" in warning
+    assert 4.0 < float(warning.split("fit the block ")[1].split(" times")[0]) < 25.0
+    errors, _ = pose_errors(block, found.centres, found.rotations)
+    assert rms(errors) < 0.03
+
+
+def test_three_points_that_contradict_each_other_hold_the_block_with_a_word():
+    _, survey = block_and_survey(3)
+    found = adjust_survey(with_shift(without_positions(survey), 1, (0.5, 0.3, 0.0)), use_windows=False)
+    assert any("times worse than their standard deviations say" in warning for warning in found.warnings)
+    assert np.isfinite(found.position_std).all()
+
+
+def test_blocks_without_positions_are_as_uncertain_as_their_control_leaves_them():
+    within = []
+    for seed in (8, 11, 12):
+        block = draw_block(seed, num_points=150, num_views=18, dry_share=0.35, num_control=7)
+        survey = survey_of(block)
+        found = adjust_survey(without_positions(survey), use_windows=False)
+        assert found.gps_std_m is None
+        errors, _ = pose_errors(block, found.centres, found.rotations)
+        assert rms(errors) < 0.2
+        within.append(np.abs(errors) < 1.96 * found.position_std)
+    # Errors of a block are all of a few modes: tilts, scale, bend.
+    assert np.mean(within) > 0.85
+    with_gps = adjust_survey(survey, use_windows=False)
+    assert (found.position_std.mean(axis=0) > with_gps.position_std.mean(axis=0)).all()

@@ -1,0 +1,161 @@
+"""Rolling shutters in the adjustment: predictions, derivatives, blocks flown in all directions, and their readout."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from refract.lens import Lens, distorted, undistorted
+from survey.adjust import verdicts
+from survey.adjust.adjustment import FREE, HELD, UNKNOWN, read_adjustment, write_adjustment
+from survey.adjust.common_error import common_error
+from survey.adjust.observed import rows_taken
+from survey.adjust.prediction import linearise, predict, relief_sides
+from survey.adjust.refine import adjust_survey, apply_adjustment
+from survey.adjust.state import LENS, RELIEF, Layout, State
+from survey.photos.tie_points import TiePoints
+from tests.block_survey import pose_errors, rms, survey_of
+from tests.drawn_block import DrawnBlock, draw_block, water_plane
+
+READOUT = 0.03
+FLOWN = {"num_points": 300, "num_views": 16, "nadir_only": False, "dry_share": 0.3, "num_control": 6,
+         "speed": 5.0, "readout": READOUT, "pixel_std": 0.15, "height": 22.0}  # fmt: skip
+STEP = 1e-5
+
+
+def drawn_state(block: DrawnBlock, *, finds_readouts: bool = False) -> tuple[Layout, State, TiePoints]:
+    """The truth of a block with two lenses that are alike."""
+    lens = block.lens
+    parameters = np.array([lens.focal[0], lens["cx"], lens["cy"], lens["k1"], lens["k2"], 0.0, lens["p1"], lens["p2"]])
+    flow = block.velocities / (lens.height - 1)
+    layout = Layout(np.arange(len(block.cameras)) % 2, np.ones(2), flow, finds_readouts=finds_readouts)
+    state = State(
+        water_plane(block.water),
+        np.zeros(RELIEF),
+        np.tile(parameters, (2, 1)),
+        np.array([camera.centre for camera in block.cameras]),
+        np.array([camera.cam_from_local for camera in block.cameras]),
+        block.points,
+        np.full(2, block.readout),
+    )
+    return layout, state, TiePoints(block.points, block.point, block.view, block.pixel)
+
+
+def test_predictions_are_the_pixels_of_cameras_that_fly_on_while_they_are_read_out():
+    layout, state, ties = drawn_state(draw_block(2, **FLOWN | {"pixel_std": 1e-9}))
+    sides = np.zeros((len(ties.view), RELIEF))
+    np.testing.assert_allclose(predict(layout, state, ties, sides), ties.pixel, atol=1e-6)
+    still = predict(replace(layout, flow=None), state, ties, sides)
+    assert np.abs(still - ties.pixel).max() > 1.0
+
+
+@pytest.mark.parametrize("finds_readouts", [False, True])
+def test_derivatives_with_a_rolling_shutter_are_those_of_differences(finds_readouts):
+    block = draw_block(2, **FLOWN | {"num_points": 30, "num_views": 8})
+    layout, state, ties = drawn_state(block, finds_readouts=finds_readouts)
+    sides = relief_sides(state, ties)
+    linear = linearise(layout, state, ties, sides)
+    np.testing.assert_array_equal(linear.pixels, predict(layout, state, ties, sides))
+    still, dense = np.zeros((len(ties), 3)), linear.by_parameters.toarray()
+    assert dense.shape[1] == len(layout) == 4 + RELIEF + 2 * LENS + 2 * finds_readouts + 6 * 8
+    steps = np.full(len(layout), STEP)
+    steps[layout.first_lens : layout.first_readout] = np.tile([0.01, 0.01, 0.01, *np.full(LENS - 3, STEP)], 2)
+    for number in range(len(layout)):
+        step = np.zeros(len(layout))
+        step[number] = steps[number]
+        ahead, behind = (predict(layout, state.moved(layout, sign * step, still), ties, sides) for sign in (1.0, -1.0))
+        difference = (ahead - behind).ravel() / (2.0 * steps[number])
+        scale = max(np.abs(difference).max(), 1.0)
+        np.testing.assert_allclose(dense[:, number] / scale, difference / scale, atol=1e-6, err_msg=str(number))
+
+
+def adjusted(block: DrawnBlock, shutter):
+    survey = survey_of(block, shutter=shutter)
+    return survey, adjust_survey(survey, use_windows=False)
+
+
+def test_with_the_key_poses_are_as_good_as_with_a_global_shutter_and_without_it_they_are_not():
+    still = draw_block(6, **FLOWN | {"speed": 0.0})
+    _, of_still = adjusted(still, None)
+    block = draw_block(6, **FLOWN)
+    survey, known = adjusted(block, (READOUT, None))
+    _, ignored = adjusted(block, None)
+    errors = [pose_errors(block, found.centres, found.rotations)[0] for found in (of_still, known, ignored)]
+    # Other noise: 11.9, 12.5 and 374 mm.
+    assert rms(errors[1]) < 1.3 * rms(errors[0])
+    assert rms(errors[2]) > 5.0 * rms(errors[1])
+    assert rms(errors[1] / known.position_std) < 1.3
+    assert rms(errors[2] / ignored.position_std) > 2.0
+    # A shutter that is not modelled leaves its mark in the residuals.
+    assert known.std_px["matches"] == pytest.approx(of_still.std_px["matches"], rel=0.1)
+    assert ignored.std_px["matches"] > 2.0 * known.std_px["matches"]
+    moved = apply_adjustment(survey, known)
+    for view, velocity in zip(moved.views, block.velocities, strict=True):
+        np.testing.assert_allclose(view.camera.motion, velocity * READOUT / (block.lens.height - 1), rtol=1e-12)
+    assert common_error(known, moved.water).mean == pytest.approx(common_error(of_still, moved.water).mean, rel=0.1)
+
+
+def test_the_readout_is_found_where_it_is_not_known_within_what_is_stated(tmp_path):
+    block = draw_block(4, **FLOWN)
+    survey, found = adjusted(block, (0.02, 0.02))
+    row = found.parameter("camera0.readout_s")
+    assert row.status == FREE
+    assert row.std < 1e-3
+    assert abs(row.value - READOUT) < 3.0 * row.std
+    assert row.verdict.startswith("found: 0.0")
+    at = found.covariance_names.index("camera0.readout_s")
+    assert np.sqrt(found.covariance[at, at]) == pytest.approx(row.std)
+    assert len(found.covariance_names) == len(found.covariance)
+    # What was found is what everything behind the adjustment uses.
+    moved = apply_adjustment(survey, found)
+    cameras = moved.config.cameras
+    assert (cameras.rolling_shutter_s, cameras.rolling_shutter_std_s) == (row.value, None)
+    np.testing.assert_allclose(
+        [view.camera.motion for view in moved.views], block.velocities * row.value / (block.lens.height - 1)
+    )
+    assert common_error(found, moved.water).mean > 0.0
+    write_adjustment(tmp_path, found)
+    again = read_adjustment(tmp_path)
+    np.testing.assert_array_equal(again.flow, found.flow)
+    assert (again.readouts_s, again.parameter(row.name)) == (found.readouts_s, row)
+
+
+def test_a_slow_flight_does_not_tell_the_readout():
+    _, found = adjusted(draw_block(4, **FLOWN | {"speed": 0.05, "num_points": 120}), (READOUT, 0.005))
+    row = found.parameter("camera0.readout_s")
+    assert row.status == HELD
+    assert row.value == pytest.approx(READOUT, abs=0.003)
+
+
+def test_a_readout_that_is_of_no_use_is_kept_as_given_and_the_block_adjusted_to_it(monkeypatch):
+    monkeypatch.setattr(verdicts, "MOST_STD_ROWS_PX", 1e-6)
+    _, found = adjusted(draw_block(4, **FLOWN), (0.02, 0.02))
+    row = found.parameter("camera0.readout_s")
+    assert (row.status, row.value) == (UNKNOWN, 0.02)
+    assert found.readouts_s == pytest.approx((0.02,), abs=1e-9)
+    at = found.covariance_names.index(row.name)
+    assert np.sqrt(found.covariance[at, at]) == pytest.approx(0.02)
+
+
+def test_a_camera_that_hovers_is_adjusted_to_the_last_bit_as_without_the_key():
+    block = draw_block(4, **FLOWN | {"speed": 0.0, "num_points": 120})
+    _, without = adjusted(block, None)
+    for shutter in ((READOUT, None), (READOUT, 0.01)):
+        _, found = adjusted(block, shutter)
+        assert (found.flow, found.readouts_s) == (None, None)
+        for name in ("centres", "rotations", "points", "covariance", "residual_px"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(without, name))
+
+
+def test_rows_behind_a_lens_that_is_held_are_those_of_the_photograph(rng):
+    fisheye = Lens("OPENCV_FISHEYE", (300.0, 300.0, 320.0, 240.0, 0.01, 0.0, 0.0, 0.0), 640, 480)
+    taken = rng.uniform([40.0, 40.0], [600.0, 440.0], (20, 2))
+    seen = undistorted(fisheye, taken) * fisheye.focal + (fisheye["cx"], fisheye["cy"])
+    ties = TiePoints(np.zeros((20, 3)), np.arange(20), np.arange(20) % 2, seen)
+    plain = Lens("PINHOLE", (300.0, 300.0, 320.0, 240.0), 640, 480)
+    rows = rows_taken(ties, (fisheye, plain), np.array([0, 1]))
+    np.testing.assert_allclose(rows[::2], taken[::2, 1], atol=1e-6)
+    np.testing.assert_array_equal(rows[1::2], seen[1::2, 1])
+    assert np.abs(rows - distorted(plain, seen)[:, 1])[::2].max() > 5.0

@@ -1,0 +1,153 @@
+"""The benchmark: its records, what it calls better or worse, its baselines, and the command on a tiny survey."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geo import read_cloud
+from survey.benchmark.against import changes
+from survey.benchmark.benchmark import Settings, benchmark
+from survey.benchmark.cases import case_of, drawn_names, variant
+from survey.benchmark.front import draw_front, on_front
+from survey.benchmark.records import Cost, Errors, Record, Results, read_results, write_results
+from survey.benchmark.text import lines_of, table
+from survey.errors import SurveyError
+from survey.simulate.drawn import DrawnScene, draw_survey
+
+
+def errors(scale: float = 1.0, seed: int = 0, noise: float = 0.0) -> Errors:
+    """Errors of a std of 10 mm times `scale`, in blocks whose roughness varies."""
+    rng = np.random.default_rng(7)
+    rough = 0.01 * scale * rng.uniform(0.7, 1.3, 100)
+    rough *= 1.0 + noise * np.random.default_rng(seed).standard_normal(100)
+    blocks = {f"{i},0": [1000.0, 0.0, 1000.0 * float(s) ** 2] for i, s in enumerate(rough)}
+    std = float(np.sqrt(np.mean(rough**2)))
+    return Errors(100_000, 0.0, std, 2.0 * std, {"0.05": 0.9, "0.1": 0.95, "0.2": 0.99}, 0.95, blocks)
+
+
+def record(method: str = "full", times: tuple[float, ...] = (10.0,), found: Errors | None = None) -> Record:
+    costs = tuple(Cost(t, 1.8 * t, 10**9) for t in times)
+    return Record("survey", method, "standard", "given", "cpu", 0, costs, found or errors())
+
+
+def results(*records: Record, processor: str = "one") -> Results:
+    return Results({"processor": processor}, {"numpy": "2"}, "abc", records)
+
+
+def verdicts(now: Results, then: Results) -> dict[str, str]:
+    return {change.figure: change.verdict for change in changes(now, then)}
+
+
+def test_results_are_read_as_they_were_written(tmp_path):
+    found = results(record(), replace(record("slab"), errors=None, words="refused"))
+    write_results(tmp_path / "results.json", found)
+    assert read_results(tmp_path / "results.json") == found
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"version": 1, "records": [{}]}', '{"version": 99}'])
+def test_a_file_that_is_no_result_is_refused_in_one_sentence(tmp_path, text):
+    path = tmp_path / "other.json"
+    path.write_text(text)
+    with pytest.raises(SurveyError, match=r"other\.json"):
+        read_results(path)
+
+
+def test_a_cloud_of_three_quarters_of_the_error_is_better_and_the_same_one_is_as_before():
+    assert verdicts(results(record(found=errors(0.75))), results(record()))["error"] == "better"
+    assert verdicts(results(record(found=errors(1.3))), results(record()))["error"] == "worse"
+    assert verdicts(results(record()), results(record()))["error"] == "as before"
+
+
+def test_a_change_that_is_lost_among_the_blocks_is_no_change():
+    noisy = record(found=errors(1.002, seed=3, noise=0.3))
+    assert verdicts(results(noisy), results(record()))["error"] == "as before"
+
+
+def test_times_are_judged_with_three_repeats_on_one_machine_only():
+    slow, fast = record(times=(10.0, 10.2, 10.1)), record(times=(5.0, 5.1, 5.05))
+    assert verdicts(results(fast), results(slow))["wall_s"] == "better"
+    assert verdicts(results(slow), results(fast))["processor_s"] == "worse"
+    assert verdicts(results(fast), results(slow, processor="other"))["wall_s"] == "not judged"
+    assert verdicts(results(record()), results(slow))["wall_s"] == "not judged"
+
+
+def test_a_lost_cloud_is_worse():
+    lost = replace(record(), errors=None)
+    assert verdicts(results(lost), results(record())) == {"has a cloud": "worse"}
+    assert lines_of(changes(results(lost), results(record()))) == ["survey full standard given cpu: has a cloud worse"]
+
+
+def test_the_front_holds_what_nothing_beats_in_both_time_and_error(tmp_path):
+    fast, good = record("sweep", (5.0,), errors(2.0)), record("full", (10.0,), errors(1.0))
+    beaten = record("slab", (20.0,), errors(1.5))
+    found = (fast, good, beaten)
+    assert on_front(found) == {fast.key, good.key}
+    draw_front(tmp_path / "front.png", found)
+    assert (tmp_path / "front.png").read_bytes().startswith(b"\x89PNG")
+    lines = table(results(*found))
+    assert [line.endswith("*") for line in lines[1:]] == [True, True, False]
+
+
+def test_names_of_drawn_surveys_are_checked_before_anything_is_drawn():
+    assert drawn_names(["2,oblique,20"]) == ["2,oblique,20"]
+    assert len(drawn_names(["all"])) == 24
+    for word in ("2,oblique", "deep,nadir,20", "2,sideways,20", "0.5,nadir,-4"):
+        with pytest.raises(SurveyError):
+            drawn_names([word])
+
+
+def test_settings_name_what_is_not_known():
+    with pytest.raises(SurveyError, match="--method is magic"):
+        Settings(methods=("magic",))
+    with pytest.raises(SurveyError, match="--poses is guessed"):
+        Settings(poses=("guessed",))
+    with pytest.raises(SurveyError, match="--repeats is 0"):
+        Settings(repeats=0)
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("benchmark") / "small"
+    draw_survey(folder, DrawnScene.tiny())
+    return folder
+
+
+def test_a_variant_links_what_the_survey_has_and_leaves_out_what_is_not_wanted(survey, tmp_path):
+    case = case_of(survey)
+    dry = variant(case, tmp_path / "dry", poses="given", is_refracted=False)
+    assert "[water]" not in (dry / "survey.toml").read_text()
+    assert (dry / "cameras.csv").read_text() == (survey / "cameras.csv").read_text()
+    unposed = variant(case, tmp_path / "unposed", poses="images", is_refracted=True)
+    assert not (unposed / "cameras.csv").exists()
+    assert "poses" not in (unposed / "survey.toml").read_text()
+    assert "[water]" in (unposed / "survey.toml").read_text()
+
+
+def test_a_survey_without_truth_is_refused(survey, tmp_path):
+    folder = tmp_path / "bare"
+    folder.mkdir()
+    (folder / "survey.toml").write_text((survey / "survey.toml").read_text())
+    with pytest.raises(SurveyError, match=r"has no reference\.ply"):
+        case_of(folder)
+    with pytest.raises(SurveyError, match="no survey is named"):
+        benchmark([], tmp_path / "out")
+
+
+def test_corrected_depths_are_better_than_straight_rays_and_cost_no_second_run(survey, tmp_path):
+    before = (survey / "survey.toml").read_text()
+    settings = Settings(methods=("straight", "times_index", "per_camera"), qualities=("draft",))
+    found = benchmark([survey], tmp_path, settings=settings)
+    error = {r.method: r.errors.error_m for r in found.records if r.errors is not None}
+    # Depth 1.2 m: straight rays lose a quarter of it; corrections leave what angles and the mean over views do.
+    assert error["straight"] > 0.15
+    assert max(error["times_index"], error["per_camera"]) < 0.25 * error["straight"]
+    assert len({record.costs for record in found.records}) == 1
+    assert json.loads((tmp_path / "results.json").read_text())["version"] == 1
+    corrected = read_cloud(tmp_path / "runs" / "small_straight_draft_given_cpu" / "times_index.las")
+    assert len(corrected.points) > 1000
+    assert (survey / "survey.toml").read_text() == before

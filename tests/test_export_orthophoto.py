@@ -1,0 +1,216 @@
+"""The bed from above, from photographs that were painted so that its colours are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+import torch
+from PIL import Image
+from plane_survey import PlaneBed, look
+from pyproj import CRS
+from rio_cogeo.cogeo import cog_validate
+from small_survey import E0, HEADER, LEVEL, N0, TOML, camera_lines
+from stored_run import run_of, stored_points
+
+from fields.gamma import GAMMA
+from fields.water_column import WaterColumn
+from geo.frames import LocalFrame
+from refract import FlatWater, fresnel_coefficients
+from survey.errors import SurveyError
+from survey.export.export import export
+from survey.export.hidden import Tops
+from survey.export.mosaic import Mosaic
+from survey.export.photographs import Photographs
+from survey.export.plan_cells import PlanCells, Window
+from survey.export.product import ExportOptions
+from survey.export.sight import Windows
+from survey.folder.config import dump_config
+from survey.folder.survey import Survey, load_survey
+from survey.run.folder import RunDir
+
+# A pixel covers this of the bed.
+GSD_M = 0.2
+DEPTH_M, SLOPE = 1.5, 0.1
+EXPOSURES = (1.0, 0.8, 1.1, 0.9)
+ABSORPTION, VEIL = (0.4, 0.1, 0.05), (0.02, 0.05, 0.06)
+
+
+def pattern(xy: np.ndarray) -> np.ndarray:
+    """The bed's own colours (..., 3), 60 to 180, at local places (..., 2 or more); long against a pixel."""
+    x, y = xy[..., 0], xy[..., 1]
+    waves = np.stack([np.sin(1.5 * x) * np.cos(1.1 * y), np.cos(1.3 * x + y), np.sin(0.9 * y - x)], axis=-1)
+    return 120.0 + 60.0 * waves
+
+
+def through_water(colour: np.ndarray, depth: np.ndarray, incidence: np.ndarray, n_water: float) -> np.ndarray:
+    """Stored colours (N, 3) as a photograph has them of a bed with these of its own."""
+    column = WaterColumn(ABSORPTION, VEIL)
+    cosine = np.sqrt(1.0 - (np.sin(incidence) / n_water) ** 2)
+    mirrored = fresnel_coefficients(np.cos(incidence), n_from=1.0, n_to=n_water).reflectance
+    way = column.way(torch.as_tensor(depth), torch.as_tensor(depth / cosine))
+    with torch.no_grad():
+        light = column(torch.as_tensor((colour / 255.0) ** GAMMA), way, torch.as_tensor(mirrored)).numpy()
+    return 255.0 * light ** (1.0 / GAMMA)
+
+
+def bed_height(survey: Survey, xy: np.ndarray) -> np.ndarray:
+    """Height (...) [m] of the bed at local places (..., 2 or more)."""
+    return survey.water.point[2] - DEPTH_M + SLOPE * xy[..., 0]
+
+
+def painted_survey(folder: Path, *, exposures=EXPOSURES, coloured_water: bool = False) -> Survey:
+    """A survey over a sloped bed under water whose photographs show the pattern, each in its exposure."""
+    (folder / "images").mkdir(parents=True)
+    lines = [line.replace(".jpg", ".png") for line in camera_lines(len(exposures))]
+    (folder / "cameras.csv").write_text("\n".join([HEADER, *lines]) + "\n")
+    (folder / "survey.toml").write_text(TOML)
+    for i in range(len(exposures)):
+        Image.new("RGB", (64, 48)).save(folder / "images" / f"{i:04d}.png")
+    survey = load_survey(folder)
+    bed = PlaneBed(survey.water, float(bed_height(survey, np.zeros(2))), SLOPE)
+    for view, exposure in zip(survey.views, exposures, strict=True):
+        path = view.camera.paths(view.camera.pixel_centres(), survey.water)
+        points = path.at_height(bed.true_height(view.camera), survey.water)
+        colour = pattern(points)
+        if coloured_water:
+            incidence = np.arccos(-(path.air_direction @ np.array(survey.water.up)))
+            depth = survey.water.height(points[..., 0], points[..., 1]) - points[..., 2]
+            flat = through_water(colour.reshape(-1, 3), depth.ravel(), incidence.ravel(), survey.water.n_water)
+            colour = flat.reshape(colour.shape)
+        Image.fromarray(np.clip(np.round(exposure * colour), 0, 255).astype(np.uint8)).save(view.path)
+    return survey
+
+
+def run_over(survey: Survey, path: Path, *, name: str | None = None, **parts: str) -> Path:
+    """A run with the points of the bed under the middle of the flight."""
+    centre = np.mean([view.camera.centre[:2] for view in survey.views], axis=0)
+    along = np.arange(-4.0, 4.0, 0.1)
+    plan = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2) + centre
+    points = survey.frame.crs_from_local(np.column_stack([plan, bed_height(survey, plan)]))
+    level = float(survey.frame.crs_from_local(np.array([*centre, survey.water.point[2]]))[2])
+    stored = stored_points(points, survey.frame.crs, level_m=level, gsd_m=GSD_M, name=name or survey.name)
+    run = run_of(stored, path, **parts)
+    RunDir(run).settings_path.write_text(dump_config(survey.config))
+    return run
+
+
+def picture(path: Path, survey: Survey) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Colours (K, 3) of the cells of an orthophoto that are seen, the bed's own there, and where all are seen."""
+    with rasterio.open(path) as raster:
+        bands = raster.read()
+        t = raster.transform
+        columns, rows = np.meshgrid(np.arange(raster.width) + 0.5, np.arange(raster.height) + 0.5)
+        place = np.stack([t.c + t.a * columns, t.f + t.e * rows, np.full(rows.shape, LEVEL - DEPTH_M)], axis=-1)
+        assert raster.colorinterp[3] == rasterio.enums.ColorInterp.alpha
+    seen = bands[3] == 255
+    return np.moveaxis(bands[:3], 0, -1)[seen].astype(float), pattern(survey.frame.local_from_crs(place))[seen], seen
+
+
+def test_an_orthophoto_shows_the_bed_where_it_is_in_one_exposure(tmp_path):
+    survey = painted_survey(tmp_path / "s")
+    run = run_over(survey, tmp_path / "s" / "bathynerf")
+    export(run, orthophoto=tmp_path / "o.tif")
+    found, own, seen = picture(tmp_path / "o.tif", survey)
+    assert seen.mean() > 0.85
+    # One factor for all, where the photographs differ by up to 1.375; the rest is bilinear interpolation.
+    factor = np.median(found / own)
+    assert 0.8 < factor < 1.1
+    assert np.sqrt(np.mean((found / factor - own) ** 2)) < 3.0
+    assert cog_validate(tmp_path / "o.tif", strict=True)[0]
+
+
+def test_a_run_in_true_colour_gives_an_orthophoto_in_the_bed_s_own_colours(tmp_path):
+    survey = painted_survey(tmp_path / "s", exposures=(1.0,) * 4, coloured_water=True)
+    water = replace(survey.config.water, absorption_per_m=ABSORPTION, veiling_light=VEIL)
+    survey = replace(survey, config=replace(survey.config, water=water))
+    run = run_over(survey, tmp_path / "s" / "bathynerf", true_colour="given")
+    export(run, orthophoto=tmp_path / "o.tif")
+    found, own, _ = picture(tmp_path / "o.tif", survey)
+    photographed = through_water(own, np.full(len(own), DEPTH_M), np.zeros(len(own)), 1.333)
+    assert np.sqrt(np.mean((photographed - own)[:, 0] ** 2)) > 15.0
+    assert np.sqrt(np.mean((found - own) ** 2)) < 5.0
+    with rasterio.open(tmp_path / "o.tif") as raster:
+        assert raster.tags()["COLOURS"] == "of the bed without its water"
+
+
+def test_a_run_elsewhere_needs_its_survey_named_and_another_one_is_refused(tmp_path):
+    survey = painted_survey(tmp_path / "s")
+    run = run_over(survey, tmp_path / "run")
+    with pytest.raises(SurveyError, match=r"run does not lie in a survey; name the survey's folder with --survey DIR"):
+        export(run, orthophoto=tmp_path / "o.tif")
+    export(run, options=ExportOptions(survey=str(tmp_path / "s")), orthophoto=tmp_path / "o.tif")
+    other = run_over(survey, tmp_path / "other", name="another")
+    with pytest.raises(SurveyError, match=r'has the name "small" .*was not made from this survey'):
+        export(other, options=ExportOptions(survey=str(tmp_path / "s")), orthophoto=tmp_path / "p.tif")
+
+
+def photographs(cameras, water) -> Photographs:
+    """Without images: for what only asks where things are seen."""
+    frame = LocalFrame(CRS("EPSG:25832+5778"), (E0, N0, LEVEL))
+    return Photographs(frame, tuple(cameras), water)
+
+
+def test_pixels_of_cells_are_those_of_the_exact_way_through_the_water():
+    rng = np.random.default_rng(1)
+    water = FlatWater((0.0, 0.0, 0.0), n_water=1.34, slope_x=0.01, slope_y=-0.02)
+    camera = look((9.0, -6.0, 20.0), (1.0, 0.5, -2.0), focal=900.0, size=(1200, 900), heading=0.7)
+    cells = PlanCells(CRS("EPSG:25832+5778"), E0 - 6.0, N0 + 6.0, (0.02, 0.02), 0.02, (600, 600))
+    bed = photographs([camera], water)
+    heights = LEVEL - 1.0 - 2.5 * rng.random(cells.shape)
+    worst = 0.0
+    for window, height, sight in Windows(bed, cells, lambda w: heights[w.slices]).through(camera):
+        places = np.concatenate([cells.middles(window), height[..., None]], axis=-1)[::37, ::31]
+        exact = camera.project(bed.frame.local_from_crs(places), water)
+        found = np.stack([sight.u, sight.v], axis=-1)[::37, ::31]
+        seen = np.isfinite(found[..., 0])
+        worst = max(worst, float(np.abs(found - exact)[seen].max(initial=0.0)))
+    assert 0.0 < worst < 0.05
+
+
+def test_what_stands_behind_something_is_hidden():
+    camera = look((-8.0, 0.0, 8.0), (0.0, 0.0, 0.0), focal=300.0, size=(400, 300), heading=np.pi / 2)
+    cells = PlanCells(CRS("EPSG:25832+5778"), E0 - 6.0, N0 + 3.0, (0.1, 0.1), 0.1, (60, 120))
+    window = Window(0, 60, 0, 120)
+    x, y = np.moveaxis(cells.middles(window) - [E0, N0], -1, 0)
+    heights = LEVEL + np.where((np.abs(x) < 1.0) & (np.abs(y) < 1.0), 2.0, 0.0)
+    bed = Windows(photographs([camera], None), cells, lambda w: heights[w.slices])
+    tops = Tops.of(camera, bed, cell_m=0.1, cell_px=300.0 * 0.1 / 11.3)
+    ((_, height, sight),) = bed.through(camera)
+    seen = np.isfinite(tops.unhidden(sight, height).u)
+    # The ray over the far edge of the deck comes down to the bed at x = 4; the deck's own edges are blurred.
+    shadow = (x > 1.4) & (x < 3.4) & (np.abs(y) < 0.7)
+    assert not seen[shadow].any()
+    clear = np.isfinite(sight.u) & ((x > 4.6) | (x < -1.4) | (np.abs(y) > 1.8) | (heights > LEVEL + 1.0))
+    assert seen[clear].mean() > 0.99
+
+
+def test_a_picture_does_not_depend_on_the_order_of_its_views(tmp_path):
+    rng = np.random.default_rng(2)
+    cells = PlanCells(CRS("EPSG:25832+5778"), E0, N0, (0.1, 0.1), 0.1, (8, 9))
+    window = Window(0, 8, 0, 9)
+    greys = np.array([50.0, 100.0, 200.0])
+    weights = np.where(rng.random((3, 8, 9)) < 0.6, -300.0 * rng.random((3, 8, 9)), np.nan)
+    pictures = []
+    for order in ([0, 1, 2], [2, 0, 1]):
+        folder = tmp_path / f"{order[0]}"
+        folder.mkdir()
+        mosaic = Mosaic.empty(cells, folder)
+        for number in order:
+            mosaic.add(
+                window, weights[number], np.where(np.isfinite(weights[number]), greys[number], np.nan)[..., None]
+            )
+        pictures.append(mosaic.rgba(window).astype(int))
+    assert np.abs(pictures[0] - pictures[1]).max() <= 1
+    unseen = np.isnan(weights).all(axis=0)
+    assert unseen.any()
+    np.testing.assert_array_equal(pictures[0][3] == 0, unseen)
+    # Where one view is far better than the others, it alone counts.
+    order = np.sort(np.nan_to_num(weights, nan=-1e9), axis=0)
+    clear = ~unseen & (order[2] - order[1] > 12.0)
+    best = greys[np.argmax(np.nan_to_num(weights, nan=-1e9), axis=0)]
+    assert clear.sum() > 30
+    np.testing.assert_array_equal(pictures[0][0][clear], best[clear])

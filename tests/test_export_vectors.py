@@ -1,0 +1,215 @@
+"""Lines and areas of a run: where they lie by the drawn plane, read by other libraries than those that wrote them."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from dataclasses import replace
+
+import laspy
+import numpy as np
+import pytest
+from pyproj import CRS, Transformer
+from scipy import ndimage
+from small_bed import SLOPE
+from small_survey import small_survey
+from stored_run import plane_stored, run_of
+
+from geo.vectors import Layer, write_geojson, write_geopackage
+from survey.errors import SurveyError
+from survey.export.export import export
+from survey.export.loaded import LoadedRun
+from survey.export.product import ExportOptions
+from survey.export.unseen import ONE_VIEW, TWO_VIEWS, unseen_of
+from survey.folder.survey import load_survey
+from survey.run.flight import save_flight
+
+TO_CRS = Transformer.from_crs("EPSG:4326", "EPSG:25832", always_xy=True)
+# Cells of 0.2 m on the rim of the hole have points in one half only.
+RIM_M = 0.5 * 0.2 * SLOPE
+HOLE_AT, HOLE_M = np.array([1.0, -1.0]), 1.0
+
+
+@pytest.fixture(scope="module")
+def block(tmp_path_factory):
+    """A survey over a plane that rises out of the water, and a run in whose cloud is a hole under water."""
+    folder = tmp_path_factory.mktemp("vectors")
+    stored = plane_stored(folder / "small")
+    survey = load_survey(small_survey(folder / "small"))
+    keep = np.linalg.norm(stored.bed.xyz[:, :2] - HOLE_AT, axis=1) > HOLE_M
+    path = run_of(replace(stored, bed=stored.bed[keep], points_crs=stored.points_crs[keep]), folder / "run")
+    save_flight(path, survey)
+    return path, survey
+
+
+def lines_of(path, survey) -> tuple[list[np.ndarray], list[dict]]:
+    """The lines, or outer rings, of a GeoJSON in plan [m], local, and the properties."""
+    said = json.loads(path.read_text(encoding="utf-8"))
+    lines = []
+    for feature in said["features"]:
+        coordinates = feature["geometry"]["coordinates"]
+        degrees = np.array(coordinates[0] if feature["geometry"]["type"] == "Polygon" else coordinates)
+        assert np.allclose(degrees.mean(axis=0), [10.168, 46.9], atol=0.01), "longitude first"
+        plan = np.column_stack(TO_CRS.transform(*degrees.T))
+        lines.append(survey.frame.local_from_crs(np.column_stack([plan, np.full(len(plan), 2105.0)]))[:, :2])
+    return lines, [feature["properties"] for feature in said["features"]]
+
+
+def test_the_shoreline_is_where_the_plane_meets_the_water(block, tmp_path):
+    path, survey = block
+    export(path, options=ExportOptions(resolution_m=0.2), shoreline=tmp_path / "s.geojson")
+    lines, _ = lines_of(tmp_path / "s.geojson", survey)
+    assert len(lines) == 1
+    np.testing.assert_allclose(lines[0][:, 0], 0.3 / SLOPE, atol=0.01)
+    assert np.ptp(lines[0][:, 1]) > 13.0
+
+
+def test_contours_have_the_depth_of_the_plane_and_the_interval_that_was_asked_for(block, tmp_path):
+    path, survey = block
+    options = ExportOptions(resolution_m=0.2, interval_m=0.05)
+    export(path, options=options, contours=tmp_path / "c.geojson")
+    lines, said = lines_of(tmp_path / "c.geojson", survey)
+    assert sorted({entry["depth_m"] for entry in said}) == pytest.approx(np.arange(13) * 0.05)
+    for line, entry in zip(lines, said, strict=True):
+        np.testing.assert_allclose(0.3 - SLOPE * line[:, 0], entry["depth_m"], atol=RIM_M)
+    # Around the hole a line ends, and goes on behind it.
+    assert sum(entry["depth_m"] == 0.4 for entry in said) == 1
+    assert sum(entry["depth_m"] == 0.25 for entry in said) == 2
+    with pytest.raises(SurveyError, match="--interval is -1, expected metres between contours"):
+        export(path, options=replace(options, interval_m=-1.0), contours=tmp_path / "d.geojson")
+    export(path, options=ExportOptions(resolution_m=0.2), contours=tmp_path / "c.geojson")
+    _, said = lines_of(tmp_path / "c.geojson", survey)
+    assert 5 <= len({entry["depth_m"] for entry in said}) <= 20
+
+
+def test_a_footprint_is_where_the_border_of_the_photograph_projects_from(block, tmp_path):
+    path, survey = block
+    export(path, footprints=tmp_path / "f.geojson")
+    rings, said = lines_of(tmp_path / "f.geojson", survey)
+    assert [entry["image"] for entry in said] == [view.name for view in survey.views]
+    for ring, view in zip(rings, survey.views, strict=True):
+        inner = ring[np.abs(ring).max(axis=1) < 6.5]
+        pixels = view.camera.project(np.column_stack([inner, SLOPE * inner[:, 0] - 0.3]), survey.water)
+        w, h = view.camera.width, view.camera.height
+        to_border = np.min(
+            [np.abs(pixels[:, 0]), np.abs(pixels[:, 0] - w), np.abs(pixels[:, 1]), np.abs(pixels[:, 1] - h)], 0
+        )
+        # Heights are those of cells of 0.2 m: half a cell of slope moves a place at 18 degrees by 1.5 mm.
+        assert to_border.max() < 0.03
+    # 12.8 m by 9.6 m at the water, and a little more below it.
+    assert said[0]["area_m2"] == pytest.approx(12.8 * 9.6 * (1.0 + 0.3 / 1.333 / 20.0) ** 2, rel=0.01)
+
+
+def test_where_no_bed_was_seen_is_a_polygon_a_mask_and_classes_of_las(block, tmp_path):
+    path, survey = block
+    export(path, unseen=tmp_path / "u.geojson")
+    rings, said = lines_of(tmp_path / "u.geojson", survey)
+    hole = [n for n, ring in enumerate(rings) if np.linalg.norm(ring.mean(axis=0) - HOLE_AT) < 0.5]
+    assert len(hole) == 1
+    assert said[hole[0]]["views"] == "two or more"
+    # Cells that touch a point on the rim are not empty: a ring of up to one cell of 0.2 m is missing.
+    assert np.pi * (HOLE_M - 0.3) ** 2 < said[hole[0]]["area_m2"] < np.pi * HOLE_M**2
+    with LoadedRun(path) as run:
+        unseen = unseen_of(run)
+        places = survey.frame.crs_from_local([[*HOLE_AT, 0.0], [-3.0, 2.0, 0.0], [500.0, 0.0, 0.0]])
+        assert unseen.codes_at(places).tolist() == [TWO_VIEWS, 0, 0]
+        number = int((unseen.codes > 0).sum())
+        assert (unseen.codes == ONE_VIEW).any()
+        assert not (unseen.codes[unseen.cells.middles[..., 0] > 0.5 + 0.3 / SLOPE] > 0).any(), "dry ground is not water"
+    export(path, options=ExportOptions(no_bed=True), copc=tmp_path / "u.copc.laz", las=tmp_path / "u.las")
+    for name in ("u.copc.laz", "u.las"):
+        las = laspy.read(tmp_path / name)
+        classes = np.asarray(las.classification)
+        assert ((classes == 45).sum(), (classes == 41).sum()) == (number, number)
+        assert (np.asarray(las["depth"])[classes > 40] == -9999.0).all()
+        np.testing.assert_allclose(np.asarray(las.z)[classes > 40], 2105.0, atol=2e-3)
+        east, north = (np.asarray(v)[classes == 45] for v in (las.x, las.y))
+        local = survey.frame.local_from_crs(np.column_stack([east, north, np.full(number, 2105.0)]))
+        assert (np.linalg.norm(local[:, :2] - HOLE_AT, axis=1) < 0.1).any()
+
+
+@pytest.mark.parametrize("crs", [None, "EPSG:25833"])
+def test_the_mask_of_unseen_bed_lies_upon_the_terrain_model(block, tmp_path, crs):
+    rasterio = pytest.importorskip("rasterio")
+    path, survey = block
+    options = ExportOptions(crs=crs, resolution_m=0.2)
+    for _ in range(2):  # an earlier one is replaced
+        export(path, options=options, dem=tmp_path / "d.tif", unseen=tmp_path / "u.tif")
+    with rasterio.open(tmp_path / "d.tif") as dem, rasterio.open(tmp_path / "u.tif") as mask:
+        assert (mask.transform, mask.shape, mask.crs.to_epsg()) == (dem.transform, dem.shape, dem.crs.to_epsg())
+        transform, has_height, codes = mask.transform, dem.read(1) != dem.nodata, mask.read(1)
+        assert mask.tags()["CODE_1"].startswith("two or more views")
+    assert (codes[has_height] == 0).all()
+    # Others lie along the rim of the bed, which is turned against the grid.
+    parts, _ = ndimage.label(codes == TWO_VIEWS)
+    plan = survey.frame.crs_from_local([*HOLE_AT, 0.0])[:2]
+    east, north = Transformer.from_crs("EPSG:25832", crs or "EPSG:25832", always_xy=True).transform(*plan)
+    row, column = (int(number) for number in rasterio.transform.rowcol(transform, east, north))
+    assert parts[row, column] > 0
+    area = 0.2**2 * (parts == parts[row, column]).sum()
+    assert np.pi * (HOLE_M - 0.3) ** 2 < area < np.pi * HOLE_M**2
+
+
+def test_a_geopackage_has_its_crs_and_is_read_without_the_library_that_wrote_it(block, tmp_path):
+    pytest.importorskip("pyogrio", reason="pyogrio is not installed: pip install 'bathynerf[vector]'")
+    path, survey = block
+    for _ in range(2):  # an earlier one is replaced
+        export(path, footprints=tmp_path / "f.gpkg")
+    with sqlite3.connect(tmp_path / "f.gpkg") as database:
+        contents = database.execute("select table_name, identifier, srs_id, min_x, max_y from gpkg_contents").fetchall()
+        images = [row[0] for row in database.execute("select image from footprints")]
+        systems = database.execute("select organization from gpkg_spatial_ref_sys where srs_id = 25832").fetchall()
+        (shape,) = database.execute("select geom from footprints").fetchone()
+    database.close()
+    assert contents[0][:3] == ("footprints", "bathynerf footprints", 25832)
+    assert [row[0].upper() for row in systems] == ["EPSG"]
+    assert images == [view.name for view in survey.views]
+    assert abs(contents[0][3] - 589005.6) < 0.2
+    assert shape[:2] == b"GP"
+
+
+def test_another_library_reads_the_geojson(block, tmp_path):
+    pyogrio = pytest.importorskip("pyogrio", reason="pyogrio is not installed: pip install 'bathynerf[vector]'")
+    path, survey = block
+    export(path, footprints=tmp_path / "f.geojson")
+    info = pyogrio.read_info(tmp_path / "f.geojson")
+    assert CRS(info["crs"]) == CRS("EPSG:4326")
+    assert (info["features"], info["geometry_type"]) == (len(survey.views), "Polygon")
+
+
+def test_rings_of_polygons_are_wound_as_rfc_7946_wants_them(tmp_path):
+    square = np.array([[0.0, 0], [0, 1], [1, 1], [1, 0], [0, 0]])
+    layer = Layer("a", "Polygon", [[9.0 + square, 9.25 + 0.5 * square[::-1]]], CRS("EPSG:4326"), {"name": ["é"]})
+    write_geojson(tmp_path / "a.geojson", layer)
+    said = json.loads((tmp_path / "a.geojson").read_text(encoding="utf-8"))
+    outer, inner = (np.array(ring) for ring in said["features"][0]["geometry"]["coordinates"])
+    areas = [float((r[:-1, 0] * r[1:, 1] - r[1:, 0] * r[:-1, 1]).sum()) for r in (outer - 9.0, inner - 9.0)]
+    assert areas[0] > 0.0 > areas[1]
+    assert said["features"][0]["properties"] == {"name": "é"}
+
+
+@pytest.mark.parametrize("suffix", ["geojson", "gpkg"])
+def test_a_layer_without_features_is_a_whole_file(tmp_path, suffix):
+    path = tmp_path / f"a.{suffix}"
+    layer = Layer("shoreline", "LineString", [], CRS("EPSG:25832+5778"), {"depth_m": []})
+    if suffix == "gpkg":
+        pytest.importorskip("pyogrio")
+        write_geopackage(path, layer)
+        with sqlite3.connect(path) as database:
+            assert database.execute("select count(*) from shoreline").fetchone() == (0,)
+        database.close()
+    else:
+        write_geojson(path, layer)
+        assert json.loads(path.read_text(encoding="utf-8"))["features"] == []
+
+
+def test_a_dry_survey_has_contours_of_height_and_no_shoreline(tmp_path):
+    stored = plane_stored(tmp_path / "small")
+    dry = replace(stored, bed=replace(stored.bed, depth=np.full(len(stored.bed), np.nan, np.float32)))
+    path = run_of(dry, tmp_path / "run")
+    export(path, options=ExportOptions(resolution_m=0.2), contours=tmp_path / "c.geojson")
+    said = json.loads((tmp_path / "c.geojson").read_text(encoding="utf-8"))
+    heights = [feature["properties"]["height_m"] for feature in said["features"]]
+    assert 2104.0 < min(heights) < max(heights) < 2105.1
+    with pytest.raises(SurveyError, match="is a dry survey and has no shoreline; leave --shoreline out"):
+        export(path, shoreline=tmp_path / "s.geojson")

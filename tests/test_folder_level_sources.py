@@ -1,0 +1,180 @@
+"""The water level from GeoJSON and from clicks in photographs: known places, what they are worth, refusals."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from pyproj import Transformer
+
+from geo.crs import parse_crs
+from survey.errors import ConfigError
+from survey.folder.level_geojson import points_of_geojson
+from survey.folder.survey import load_survey
+from survey.plan.check import check_survey
+from tests.small_survey import E0, LEVEL, N0, replaced, said, small_survey, unposed
+
+CRS = parse_crs("EPSG:25832+5778")
+RING = [[E0, N0, LEVEL], [E0 + 9, N0, LEVEL + 0.01], [E0 + 9, N0 + 9, LEVEL], [E0, N0, LEVEL]]
+
+
+def feature(kind: str, coordinates, **properties) -> dict:
+    return {"type": "Feature", "properties": properties, "geometry": {"type": kind, "coordinates": coordinates}}
+
+
+def written(folder, content) -> object:
+    path = folder / "shore.geojson"
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
+    return path
+
+
+def test_the_ring_of_a_polygon_counts_each_vertex_once(tmp_path):
+    notes = []
+    points = points_of_geojson(written(tmp_path, feature("Polygon", [RING])), CRS, notes)
+    np.testing.assert_array_equal(points, RING[:3])
+    assert "taken as crs" in notes[0]
+
+
+def test_longitude_and_latitude_are_taken_to_crs(tmp_path):
+    to_lonlat = Transformer.from_crs("EPSG:25832", "EPSG:4326", always_xy=True)
+    line = [[*to_lonlat.transform(e, n), h] for e, n, h in RING[:3]]
+    content = {
+        "type": "FeatureCollection",
+        "features": [feature("LineString", line), {"type": "Feature", "geometry": None}],
+    }
+    points = points_of_geojson(written(tmp_path, content), CRS, [])
+    # Degrees of JSON have all their digits.
+    np.testing.assert_allclose(points, RING[:3], atol=1e-6)
+
+
+def test_an_older_file_names_its_crs_and_a_contour_line_its_height(tmp_path):
+    to_utm31 = Transformer.from_crs("EPSG:25832", "EPSG:25831", always_xy=True)
+    line = [list(to_utm31.transform(e, n)) for e, n, _ in RING[:3]]
+    content = {
+        "type": "FeatureCollection",
+        "crs": {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::25831"}},
+        "features": [feature("MultiLineString", [line], ELEV=LEVEL)],
+    }
+    points = points_of_geojson(written(tmp_path, content), CRS, [])
+    np.testing.assert_allclose(points, np.array(RING[:3])[:, :2].tolist() @ np.eye(2, 3) + [0, 0, LEVEL], atol=1e-4)
+
+
+def test_a_shoreline_in_geojson_gives_a_survey_its_level(tmp_path):
+    folder = small_survey(tmp_path / "s", toml=replaced((f"level_m = {LEVEL}", 'shoreline = "shore.geojson"')))
+    written(folder, feature("Polygon", [RING]))
+    survey = load_survey(folder)
+    assert survey.config.water.level_m == pytest.approx(LEVEL, abs=0.01)
+    # Three points of 3 cm each, and 2 cm that they share.
+    assert survey.config.water.level_std_m == pytest.approx((0.03**2 / 3 * 3 / 2 + 0.02**2) ** 0.5, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("{", "is not GeoJSON"),
+        ("[" * 100_000, "is not GeoJSON"),
+        ("[1, 2]", "expected an object with a type"),
+        ('{"type": "Point", "coordinates": [1, 2, ' + "9" * 10_000 + "]}", "is not GeoJSON|finite numbers"),
+        ('{"type": "Point", "coordinates": [1, 2, ' + "9" * 4_000 + "]}", "finite numbers"),
+        ('{"type": "Point", "coordinates": [1, NaN, 2]}', "finite numbers"),
+        ('{"type": "Point", "coordinates": {"a": 1}}', "finite numbers"),
+        (feature("Polygon", 5), "finite numbers"),
+        (feature("LineString", [[1, 2], [3, 4]]), "positions without a height"),
+        ({"type": "Topology"}, "has a Topology"),
+        ({"type": "Feature", "geometry": {"coordinates": []}}, "an object without a type"),
+        ({"type": "Point", "coordinates": [1, 2, 3], "crs": {"properties": {"name": "EPSG:0"}}}, "CRS 'EPSG:0'"),
+    ],
+)
+def test_other_content_is_refused_by_name(tmp_path, content, message):
+    path = written(tmp_path, content)
+    with pytest.raises(ConfigError, match=message) as refused:
+        points_of_geojson(path, CRS, [])
+    assert "shore.geojson" in str(refused.value)
+    assert len(str(refused.value)) < 600
+
+
+def clicks_of(survey, rng, *, std: float, num: int = 6) -> list[str]:
+    """Lines of a table of clicks: places on the water as all views see them, with errors."""
+    lines = ["image,x,y,name"]
+    for i in range(num):
+        place = np.array([E0 + 2.0 + rng.uniform(-3, 5), N0 - 2.0 + rng.uniform(-3, 3), LEVEL])
+        local = survey.frame.local_from_crs(place)
+        for view in survey.views:
+            x, y = view.camera.project(local, None) + std * rng.normal(size=2)
+            if 0 < x < view.camera.width and 0 < y < view.camera.height:
+                lines.append(f"{view.name},{x:.4f},{y:.4f},p{i}")
+    return lines
+
+
+@pytest.fixture
+def clicked(tmp_path, rng):
+    """A survey whose level is that of clicks; its lens distorts."""
+    lens = ('model = "PINHOLE"', 'model = "OPENCV"\ndistortion = [-0.1, 0.02, 0.001, 0.0]')
+    truth = load_survey(small_survey(tmp_path / "truth", toml=replaced(lens)))
+    folder = small_survey(tmp_path / "s", toml=replaced(lens, (f"level_m = {LEVEL}", 'clicks = "clicks.csv"')))
+    return truth, folder
+
+
+def test_clicks_without_errors_give_the_level_to_the_digits_of_the_file(clicked, rng):
+    truth, folder = clicked
+    (folder / "clicks.csv").write_text("\n".join(clicks_of(truth, rng, std=0.0)))
+    survey = load_survey(folder)
+    # 0.0001 px of 0.2 m are 20 micrometres across, and some times that in height.
+    assert survey.config.water.level_m == pytest.approx(LEVEL, abs=1e-3)
+    assert survey.water.height(0.0, 0.0) == pytest.approx(survey.frame.local_from_crs([E0, N0, LEVEL])[2], abs=1e-2)
+    assert survey.is_level_known
+    assert [level.source for level in survey.levels] == ["clicks"] * 6
+    assert any("from 6 points in [water] clicks" in text for text in survey.assumptions)
+    assert said(check_survey(folder), "Found")["water"].startswith("level 2105")
+
+
+def test_the_stated_standard_deviation_of_clicks_is_theirs(clicked, rng):
+    truth, folder = clicked
+    sigmas = []
+    for _ in range(12):
+        lines = clicks_of(truth, rng, std=0.5)
+        (folder / "clicks.csv").write_text("\n".join([lines[0] + ",std", *(line + ",0.5" for line in lines[1:])]))
+        survey = load_survey(folder)
+        sigmas += [(level.level_m - LEVEL) / level.std_m for level in survey.levels]
+    # 72 deviates of unit variance: the mean of their squares is within 0.5 of one but once in 300 times.
+    assert np.mean(np.square(sigmas)) == pytest.approx(1.0, abs=0.5)
+    assert abs(np.mean(sigmas)) < 4.0 / 72**0.5
+
+
+def test_clicks_of_a_survey_without_poses_wait_for_them(tmp_path):
+    folder = unposed(tmp_path / "s", (f"level_m = {LEVEL}", 'clicks = "clicks.csv"'))
+    (folder / "clicks.csv").write_text("image,x,y,name\n")
+    assert (
+        said(check_survey(folder), "Found")["water"]
+        == "its level by the clicks in clicks.csv, once the poses are known"
+    )
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        (["0000.jpg,10,10,a"], "no place that two photographs with poses show"),
+        (["0000.jpg,10,10,a", "none.jpg,10,10,a"], "no place that two"),
+        (["0000.jpg,10,10,a", "0001.jpg,900,10,a"], "expected a pixel in 0001.jpg"),
+        (["0000.jpg,10,10,", "0001.jpg,10,10,"], "name is empty"),
+        (["0000.jpg,10,ten,a"], "expected a finite number"),
+    ],
+)
+def test_clicks_that_tell_nothing_are_refused(tmp_path, rows, message):
+    folder = small_survey(tmp_path / "s", toml=replaced((f"level_m = {LEVEL}", 'clicks = "clicks.csv"')))
+    (folder / "clicks.csv").write_text("\n".join(["image,x,y,name", *rows]) + "\n")
+    with pytest.raises(ConfigError, match=message):
+        load_survey(folder)
+
+
+def test_a_click_at_another_spot_costs_its_place_and_is_said(clicked, rng):
+    truth, folder = clicked
+    lines = clicks_of(truth, rng, std=0.0)
+    wrong = next(i for i, line in enumerate(lines) if line.endswith("p3"))
+    image, x, y, name = lines[wrong].split(",")
+    lines[wrong] = f"{image},{float(x) * 0.2:.3f},{float(y) * 0.2:.3f},{name}"
+    (folder / "clicks.csv").write_text("\n".join(lines))
+    survey = load_survey(folder)
+    assert len(survey.levels) == 5
+    assert any("1 places of clicks.csv tell no level (first: p3)" in text for text in survey.warnings)

@@ -1,0 +1,139 @@
+"""Photographs of a survey folder as users have them: masks beside them, several cameras, pages, rotated ones, HEIC."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PIL import Image, ImageFile
+from small_survey import SIZE, replaced, said, small_survey, unposed, write_image
+
+from survey.errors import ConfigError, ImageError
+from survey.folder.survey import load_survey
+from survey.photos.images import list_images, load_mask
+from survey.plan.check import check_survey, require_processable
+
+NO_LENS = replaced(
+    ('model = "PINHOLE"', ""),
+    ("size_px = [64, 48]", ""),
+    ("focal_px = 100.0", ""),
+    ("principal_point_px = [32.0, 24.0]", ""),
+)
+
+
+def write_mask(path, *, black: int) -> None:
+    """A white mask whose first columns are black."""
+    mask = np.full(SIZE[::-1], 255, np.uint8)
+    mask[:, :black] = 0
+    Image.fromarray(mask).save(path)
+
+
+def test_masks_beside_photographs_are_no_photographs_and_are_used(tmp_path):
+    folder = small_survey(tmp_path / "s")
+    for i in range(4):
+        write_mask(folder / "images" / f"{i:04d}_mask.png", black=20)
+    (folder / "images" / "0003_mask.png").rename(folder / "images" / "0003_MASK.PNG")
+    assert list(list_images(folder / "images")) == [f"{i:04d}.jpg" for i in range(4)]
+    survey = load_survey(folder)
+    assert [view.mask_path.name for view in survey.views] == [f"000{i}_mask.png" for i in range(3)] + ["0003_MASK.PNG"]
+    assert load_mask(survey.views[0]).sum() == 48 * 44
+    assert "the masks are those beside the images, of 4 images; black is left out" in survey.assumptions
+
+
+def test_an_image_whose_name_ends_like_a_mask_is_one_where_there_is_no_other(tmp_path):
+    write_image(tmp_path / "reef_mask.jpg")
+    write_image(tmp_path / "reef.jpg")
+    write_image(tmp_path / "sea_mask.jpg")
+    assert list(list_images(tmp_path)) == ["reef.jpg", "sea_mask.jpg"]
+
+
+@pytest.mark.parametrize("name", ["{}.jpg", "{}.png", "{}.jpg.png", "{}_mask.png", "{}_mask.jpg", "{}.PNG"])
+def test_masks_in_a_folder_have_one_of_several_names(tmp_path, name):
+    folder = small_survey(tmp_path / "s", toml=replaced(("[cameras]", '[images]\nmasks = "masks"\n[cameras]')))
+    (folder / "masks").mkdir()
+    for i in range(3):
+        write_mask(folder / "masks" / name.format(f"{i:04d}"), black=20)
+    survey = load_survey(folder)
+    assert [view.mask_path is not None for view in survey.views] == [True, True, True, False]
+    assert any("1 image without a mask, used whole" in text for text in survey.warnings)
+
+
+def test_a_mask_of_another_size_is_refused_before_anything_is_computed(tmp_path):
+    folder = small_survey(tmp_path / "s")
+    Image.new("L", (32, 24)).save(folder / "images" / "0002_mask.png")
+    with pytest.raises(ImageError, match=r"0002_mask\.png has 32 x 24 pixels, expected 64 x 48"):
+        load_survey(folder)
+
+
+def test_masks_that_leave_out_nearly_all_are_doubtful(tmp_path):
+    folder = small_survey(tmp_path / "s")
+    for i in range(4):
+        write_mask(folder / "images" / f"{i:04d}_mask.png", black=60)
+    (warning,) = load_survey(folder).warnings
+    assert "masks leave out 94% of their photographs" in warning
+    assert "invert them" in warning
+
+
+def test_two_cameras_have_a_lens_each(tmp_path):
+    folder = small_survey(tmp_path / "s", toml=NO_LENS)
+    for i, (size, film, model) in enumerate(
+        [(SIZE, 24, "A"), (SIZE, 24, "A"), ((96, 64), 35, "B"), ((96, 64), 35, "B")]
+    ):
+        write_image(folder / "images" / f"{i:04d}.jpg", size=size, FocalLengthIn35mmFilm=film, Model=model)
+    survey = load_survey(folder)
+    lenses = [view.lens for view in survey.views]
+    assert [(lens.width, round(lens.focal[0], 6)) for lens in lenses] == [
+        (64, round(24 / 36 * 64, 6)),
+        (64, round(24 / 36 * 64, 6)),
+        (96, round(35 / 36 * 96, 6)),
+        (96, round(35 / 36 * 96, 6)),
+    ]
+    assert any(text.startswith("B, 2 images: the focal length is 93.3 px") for text in survey.assumptions)
+
+
+def test_two_cameras_cannot_share_one_focal_length_of_the_settings(tmp_path):
+    folder = small_survey(
+        tmp_path / "s", toml=replaced(("size_px = [64, 48]", ""), ("principal_point_px = [32.0, 24.0]", ""))
+    )
+    write_image(folder / "images" / "0003.jpg", size=(96, 64))
+    with pytest.raises(ConfigError, match="images have different sizes"):
+        load_survey(folder)
+
+
+def test_pages_and_rotation_are_said(tmp_path):
+    folder = small_survey(tmp_path / "s", toml=replaced(('poses = "cameras.csv"', 'poses = "cameras.csv"')))
+    write_image(folder / "images" / "0000.jpg", Orientation=3)
+    first = Image.new("RGB", SIZE)
+    first.save(folder / "images" / "0001.tif", save_all=True, append_images=[first])
+    (folder / "images" / "0001.jpg").unlink()
+    warnings = load_survey(folder).warnings
+    assert any("EXIF marks 1 of 4 images as rotated; pixels are used as stored" in text for text in warnings)
+    assert any("1 of 4 images have several pages, of which the first is used" in text for text in warnings)
+
+
+def test_heic_without_poses_is_refused_with_what_to_do(tmp_path):
+    heif = pytest.importorskip("pillow_heif")
+    folder = unposed(tmp_path / "s")
+    heif.register_heif_opener()
+    path = folder / "images" / "0000.jpg"
+    with Image.open(path) as image:
+        image.save(path.with_suffix(".heic"), exif=image.getexif())
+    path.unlink()
+    with pytest.raises(
+        ImageError, match="is HEIC, which structure from motion does not read; convert the images to JPEG"
+    ):
+        require_processable(folder)
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "png", "tif", "webp"])
+def test_check_decodes_no_photograph(tmp_path, monkeypatch, suffix):
+    folder = small_survey(tmp_path / "s")
+    for path in sorted((folder / "images").iterdir()):
+        with Image.open(path) as image:
+            image.save(path.with_suffix(f".{suffix}"))
+        if suffix != "jpg":
+            path.unlink()
+    cameras = folder / "cameras.csv"
+    cameras.write_text(cameras.read_text().replace(".jpg", f".{suffix}"))
+    monkeypatch.setattr(ImageFile.ImageFile, "load", lambda _: pytest.fail("decoded"))
+    sections = check_survey(folder, device="cpu")
+    assert said(sections, "Found")["images"].startswith("4 with a pose, of 4")

@@ -1,0 +1,62 @@
+"""What `check` promises from poses alone, against what adjustments of drawn blocks reach."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from survey.adjust.foreseen import foresee, foreseen_section
+from survey.folder.survey import load_survey
+from survey.simulate.drawn import DrawnScene, draw_survey
+from tests.block_survey import survey_of
+from tests.drawn_block import draw_block
+
+
+def with_poses_alone(seed: int, **kind):
+    """The survey of a drawn block as from a file of poses."""
+    return replace(survey_of(draw_block(seed, **kind)), ties=None)
+
+
+def test_convergent_views_tell_the_level_and_nadir_ones_do_not():
+    convergent, nadir = foresee(with_poses_alone(3)), foresee(with_poses_alone(3, nadir_only=True))
+    assert convergent is not None
+    assert nadir is not None
+    assert convergent.level_std_m < 0.5 * nadir.level_std_m
+    assert convergent.angle_deg > nadir.angle_deg
+
+
+def test_better_water_gives_better_heights():
+    survey = with_poses_alone(4)
+    water = survey.config.water
+    rough, fine = (
+        foresee(replace(survey, config=replace(survey.config, water=replace(water, level_std_m=std))))
+        for std in (0.1, 0.005)
+    )
+    assert rough is not None
+    assert fine is not None
+    assert fine.common_std_m < rough.common_std_m
+    assert fine.point_std_m == pytest.approx(rough.point_std_m)
+
+
+def test_heights_of_two_rays_are_as_their_triangle_says(tmp_path):
+    draw_survey(tmp_path / "dry", DrawnScene.tiny(water=False))
+    survey = load_survey(tmp_path / "dry")
+    found = foresee(survey)
+    assert found is not None
+    assert math.isnan(found.level_std_m)
+    # With V rays spread by the angle a about the vertical the height is good to the pixel over tan(a / 2) sqrt(V):
+    # within a factor of two, as rays lie in all directions.
+    distance = DrawnScene.tiny().flying_m + DrawnScene.tiny().depth_m
+    pixel = 0.15 * distance / survey.views[0].camera.fx
+    rough = pixel / (math.tan(math.radians(0.5 * found.angle_deg)) * math.sqrt(found.views_of_place[1] / 2.0))
+    assert 0.4 < found.point_std_m / rough < 2.5
+
+
+def test_the_section_says_what_was_assumed_and_what_has_to_be_given():
+    section = foreseen_section(with_poses_alone(3, nadir_only=True))
+    assert section is not None
+    rows = dict(section.rows)
+    assert "has to be given" in rows["level"]
+    assert "tie points good to" in rows["assumed"]

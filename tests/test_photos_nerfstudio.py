@@ -1,0 +1,124 @@
+"""nerfstudio's transforms.json: what its converter applied, lenses of all and of each frame, masks."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from foreign_block import CLOSE_PX, SIZE, draw_block, in_utm, load, most_missed_px
+from PIL import Image
+
+from survey.errors import PosesError
+from survey.photos.formats import find_poses, read_poses
+
+# The converters of nerfstudio for COLMAP's models and for Metashape's cameras.
+COLMAPS = [[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]]
+METASHAPES = [[0, 0, 1, 0.5], [1, 0, 0, -2.0], [0, 1, 0, 3.0]]
+
+
+@pytest.fixture(scope="module")
+def block():
+    return draw_block()
+
+
+def inner(lens) -> dict:
+    k = {f"k{i + 1}": value for i, value in enumerate(lens.k)}
+    sizes = {"w": SIZE[0], "h": SIZE[1]}
+    return {"fl_x": lens.fx, "fl_y": lens.fy, "cx": lens.cx, "cy": lens.cy, **sizes, **k, "p1": lens.p1, "p2": lens.p2}
+
+
+def transforms(block, *, applied=COLMAPS, scale=1.0, per_frame=False, **more) -> dict:
+    frames = []
+    change = np.eye(4)
+    change[:3] = np.array(applied if applied is not None else np.eye(4)[:3])
+    for i, name in enumerate(block.names):
+        original = np.eye(4)
+        # x right, y up, z back.
+        original[:3, :3] = block.cams[i].T @ np.diag([1.0, -1.0, -1.0])
+        original[:3, 3] = block.centres[i]
+        saved = change @ original
+        saved[:3, 3] *= scale
+        frames.append({"file_path": f"./images/{name}", "transform_matrix": saved.tolist()})
+        if per_frame:
+            frames[-1] |= inner(block.lens)
+    found = {"camera_model": "OPENCV", "frames": frames, **more}
+    found |= {} if per_frame else inner(block.lens)
+    found |= {} if applied is None else {"applied_transform": applied}
+    return found | ({} if scale == 1.0 else {"applied_scale": scale})
+
+
+def loaded(folder, block, data):
+    folder.mkdir(exist_ok=True)
+    (folder / "transforms.json").write_text(json.dumps(data))
+    origin = in_utm(np.zeros((1, 3)))[0].tolist()
+    return load(folder, block, "transforms.json", f"[local]\norigin = {origin}")
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"applied": COLMAPS}, {"applied": METASHAPES}, {"applied": METASHAPES, "scale": 0.37}, {"applied": None},
+        {"applied": COLMAPS, "per_frame": True},
+    ],
+    ids=["COLMAP's", "Metashape's", "scaled", "none", "per frame"],
+)  # fmt: skip
+def test_what_was_applied_is_undone(tmp_path, block, how):
+    survey = loaded(tmp_path, block, transforms(block, **how))
+    assert find_poses(tmp_path) == [tmp_path / "transforms.json"]
+    assert most_missed_px(survey, block) < CLOSE_PX
+    assert any("no applied_transform" in text for text in survey.assumptions) == (how["applied"] is None)
+
+
+def test_the_eighth_power_of_the_radius_is_kept(tmp_path, block):
+    block = block.with_lens(k=(-0.08, 0.03, -0.01, 0.02))
+    survey = loaded(tmp_path, block, transforms(block))
+    assert survey.views[0].lens.model == "BROWN_AFFINE"
+    assert most_missed_px(survey, block) < CLOSE_PX
+
+
+@pytest.mark.parametrize("change", [{"p1": -0.002, "p2": 0.004}, {"cx": 326.0}, {"cy": 237.75}, {"fy": 520.0}])
+def test_half_a_pixel_or_swapped_coefficients_do_not_pass(tmp_path, block, change):
+    assert most_missed_px(loaded(tmp_path, block, transforms(block.with_lens(**change))), block) > 0.3
+
+
+def test_a_field_of_view_gives_the_focal_length(tmp_path, block):
+    data = transforms(block, camera_angle_x=2.0 * np.arctan(0.5 * SIZE[0] / 520.0))
+    del data["fl_x"], data["fl_y"]
+    (tmp_path / "transforms.json").write_text(json.dumps(data))
+    (pose, *_) = read_poses(tmp_path / "transforms.json").poses
+    assert pose.lens.focal == pytest.approx((520.0, 520.0))
+
+
+def test_masks_are_found_below_the_file_and_nowhere_else(tmp_path, block):
+    (tmp_path / "masks").mkdir()
+    Image.fromarray(np.full(SIZE[::-1], 255, dtype=np.uint8)).save(tmp_path / "masks" / "0000.png")
+    for mask, expected in (("masks/0000.png", tmp_path / "masks"), ("../../etc/0000.png", None), ("\0", None)):
+        data = transforms(block)
+        data["frames"][0]["mask_path"] = mask
+        (tmp_path / "transforms.json").write_text(json.dumps(data))
+        assert read_poses(tmp_path / "transforms.json").masks == expected
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"frames": 1}, "has no list of frames"),
+        ({"frames": []}, "has no poses"),
+        ({"frames": [{}]}, "a frame has no file_path"),
+        ({"frames": [{"file_path": "a"}]}, "its transform_matrix is no 4 x 4 matrix"),
+        ({"frames": [{"file_path": "a", "transform_matrix": np.diag([2.0, 1, 1, 1]).tolist()}]}, "is no rotation"),
+        ({"frames": [{"file_path": "a", "transform_matrix": np.diag([-1.0, 1, 1, 1]).tolist()}]}, "is no rotation"),
+        ({"applied_transform": np.diag([1.0, 1, -1, 1])[:3].tolist()}, "applied_transform is no 3 x 4 matrix"),
+        ({"applied_scale": 0}, "applied_scale is 0.0, expected a number above 0"),
+        ({"fl_x": float("nan")}, "fl_x is nan, expected a finite number"),
+        ({"w": 10**400}, "w is inf, expected a finite"),
+        ({"w": "640"}, "w is 640, expected a finite number"),
+        ({"camera_model": "EQUIRECTANGULAR"}, "camera model EQUIRECTANGULAR is not supported"),
+    ],
+)
+def test_a_fault_is_refused_in_one_sentence(tmp_path, block, change, words):
+    (tmp_path / "transforms.json").write_text(json.dumps({**transforms(block), **change}))
+    with pytest.raises(PosesError, match=words) as error:
+        read_poses(tmp_path / "transforms.json")
+    assert len(str(error.value)) < 500

@@ -1,0 +1,72 @@
+"""Features of photographs: where pycolmap finds them, in pixels of the stored photograph, the largest first."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+from scipy.spatial import cKDTree
+
+from survey.errors import ImageError
+from survey.sfm.features import features_of
+
+
+def texture(path: Path, rng: np.random.Generator, size: tuple[int, int] = (240, 320)) -> np.ndarray:
+    """Noise of several scales, as a PNG."""
+    layers = [cv2.GaussianBlur(rng.normal(0.0, 1.0, size), (0, 0), sigma) * sigma for sigma in (1.2, 3.0, 8.0)]
+    pixels = np.clip(128.0 + 40.0 * sum(layers), 0.0, 255.0).astype(np.uint8)
+    cv2.imwrite(str(path), pixels)
+    return pixels
+
+
+def test_features_lie_where_pycolmap_finds_them_and_look_alike(tmp_path, rng):
+    pixels = texture(tmp_path / "a.png", rng)
+    ours, descriptors = features_of(tmp_path / "a.png", 4096)
+    options = pycolmap.FeatureExtractionOptions()
+    options.use_gpu, options.num_threads = False, 1
+    pycolmap.logging.minloglevel = 2
+    extractor = pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
+    found, _ = extractor.extract_from_float32_array(pixels.astype(np.float32) / 255.0)
+    theirs = np.array([[each.x, each.y] for each in found])
+    away, nearest = cKDTree(theirs).query(ours[:, :2])
+    same = away < 0.5
+    assert same.mean() > 0.9
+    np.testing.assert_allclose(np.median((ours[:, :2] - theirs[nearest])[same], axis=0), 0.0, atol=0.02)
+    lengths = np.linalg.norm(descriptors.astype(np.float64), axis=1)
+    # Roots of shares that sum to one, in steps of a 512th.
+    np.testing.assert_allclose(lengths, 512.0, atol=8.0)
+
+
+def test_the_largest_features_are_kept_and_come_first(tmp_path, rng):
+    texture(tmp_path / "a.png", rng)
+    every, _ = features_of(tmp_path / "a.png", 4096)
+    few, descriptors = features_of(tmp_path / "a.png", 50)
+    assert len(few) == len(descriptors) == 50
+    assert (np.diff(every[:, 2]) <= 0.0).all()
+    np.testing.assert_array_equal(few, every[:50])
+
+
+def test_features_of_a_large_photograph_are_in_its_own_pixels(tmp_path):
+    rows, columns = np.mgrid[0:200, 0:4000]
+    places = np.array([[300.0, 90.0], [1700.0, 120.0], [3500.0, 70.0]])
+    spots = sum(np.exp(-((columns + 0.5 - x) ** 2 + (rows + 0.5 - y) ** 2) / (2 * 9.0**2)) for x, y in places)
+    cv2.imwrite(str(tmp_path / "wide.png"), (40.0 + 160.0 * spots).astype(np.uint8))
+    found, _ = features_of(tmp_path / "wide.png", 100)
+    away, _ = cKDTree(found[:, :2]).query(places)
+    assert away.max() < 0.3
+
+
+def test_a_photograph_without_texture_has_no_features(tmp_path):
+    cv2.imwrite(str(tmp_path / "grey.png"), np.full((60, 80), 120, np.uint8))
+    keypoints, descriptors = features_of(tmp_path / "grey.png", 100)
+    assert keypoints.shape == (0, 4)
+    assert descriptors.shape == (0, 128)
+
+
+def test_what_is_no_image_is_refused(tmp_path):
+    (tmp_path / "a.jpg").write_text("no image")
+    with pytest.raises(ImageError, match=r"a\.jpg"):
+        features_of(tmp_path / "a.jpg", 100)

@@ -7,6 +7,7 @@
 | distance along normals (M3C2), positive above the reference | `m3c2` |
 | distance to a cloud, completeness, F-score | `completeness` |
 | bias, spread and scores | `summary`; by depth, incidence and views: `strata`; intervals of confidence: `bootstrap` |
+| share of errors within 1.96 std, in classes | `coverage` |
 | IHO S-44 and ASPRS | `standards`; the height of a cloud at check points: `checkpoints` |
 | statistical outliers | `outliers` |
 | what straight rays would give | `baselines` |
@@ -19,6 +20,7 @@ from evaluation.bootstrap import Blocks, mean_interval, spatial_blocks
 from evaluation.c2m import MeshDistances, distance_to_mesh
 from evaluation.checkpoints import height_at
 from evaluation.completeness import distance_to_cloud, f_score, is_reached, sample_mesh
+from evaluation.coverage import Coverage, coverage_by_class, slope_below
 from evaluation.images.feature_similarity import fsim, vsi
 from evaluation.images.quality import gmsd, image_quality, ms_gmsd, ms_ssim, psnr, ssim
 from evaluation.m3c2 import M3C2Distances, m3c2_distances
@@ -33,6 +35,7 @@ __all__ = [
     "AsprsAccuracy",
     "Band",
     "Blocks",
+    "Coverage",
     "DepthParts",
     "DistanceStatistics",
     "IhoS44",
@@ -44,6 +47,7 @@ __all__ = [
     "asprs_vertical",
     "by_band",
     "by_depth",
+    "coverage_by_class",
     "distance_statistics",
     "distance_to_cloud",
     "distance_to_mesh",
@@ -63,6 +67,7 @@ __all__ = [
     "psnr",
     "sample_mesh",
     "scores",
+    "slope_below",
     "spatial_blocks",
     "ssim",
     "summarise",

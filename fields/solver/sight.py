@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -43,7 +44,7 @@ class Sight:
     motion: np.ndarray
     seen: np.ndarray
 
-    def sample(self, images: list[np.ndarray], change: np.ndarray) -> np.ndarray:
+    def sample(self, images: Mapping[int, np.ndarray], change: np.ndarray) -> np.ndarray:
         """Grey values (K, N) at start height plus change (N,) [m]; NaN where not seen."""
         values = np.empty(self.seen.shape, dtype=np.float32)
         for value, view, at, rise in zip(values, self.views, self.position, self.rise, strict=True):
@@ -67,7 +68,7 @@ def sight_of(
     tile: Tile,
     view: int,
     others: list[int],
-    cameras: list[PinholeCamera],
+    cameras: Mapping[int, PinholeCamera],
     maps: dict[int, DepthMap],
     water: FlatWater | None,
     tolerance: float,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -39,6 +39,10 @@ class Solved:
     brightness : Brightness
     slope : (K, N) [grey/m]
         Change of each residual with the height.
+    motion : (K, 2, N) [px/m]
+        As `Sight` has it.
+    of_noise : (N,) [1/m^2]
+        What the noise of the albedo's gradients, which counts as texture, adds to ``information``.
     """
 
     height: np.ndarray
@@ -47,10 +51,12 @@ class Solved:
     bends: Bends
     brightness: Brightness
     slope: np.ndarray
+    motion: np.ndarray
+    of_noise: np.ndarray
 
 
 def solve(
-    tile: Tile, sight: Sight, images: list[np.ndarray], start: np.ndarray, roughness: float, tolerance: float
+    tile: Tile, sight: Sight, images: Mapping[int, np.ndarray], start: np.ndarray, roughness: float, tolerance: float
 ) -> Solved:
     """Heights of a tile by least squares over all photographs that see it.
 
@@ -58,8 +64,8 @@ def solve(
     ----------
     tile : Tile
     sight : Sight
-    images : list of (height, width) float32
-        Grey levels of all views; NaN where masked.
+    images : (height, width) float32, by view
+        Grey levels; NaN where masked.
     start : (N,) float32 [m]
         Heights of the sweep.
     roughness : [m]
@@ -84,7 +90,19 @@ def solve(
             information + bends.squared @ stiffness + FAINT,
         )
         height = height + np.clip(step, -tolerance, tolerance).astype(np.float32)
-    return Solved(height, information, stiffness, bends, brightness, slope)
+    of_noise = _gradient_noise(sight, brightness)
+    return Solved(height, information, stiffness, bends, brightness, slope, sight.motion, of_noise)
+
+
+def _gradient_noise(sight: Sight, brightness: Brightness) -> np.ndarray:
+    """Information (N,) [1/m^2] that gradients of a level albedo would seem to have, by its noise alone."""
+    weight = brightness.weight
+    found = np.zeros(weight.shape[1], dtype=np.float32)
+    for axis in (0, 1):
+        motion = sight.motion[:, axis]
+        motion = brightness.less_mean(np.where(np.isfinite(motion), motion, np.float32(0.0)))
+        found += np.einsum("kn,kn,kn->n", weight, motion, motion)
+    return found * (_DERIVATIVE**2).sum() / np.maximum(weight.sum(axis=0), 1e-12)
 
 
 def _slopes(tile: Tile, sight: Sight, image: np.ndarray, brightness: Brightness) -> np.ndarray:
@@ -98,6 +116,19 @@ def _slopes(tile: Tile, sight: Sight, image: np.ndarray, brightness: Brightness)
     across, down = (tile_filter(albedo, kernel)[tile.inside] for kernel in (_DERIVATIVE, _DERIVATIVE.T))
     slope = sight.motion[:, 0] * across + sight.motion[:, 1] * down
     return brightness.less_mean(np.where(np.isfinite(slope), slope, np.float32(0.0)))
+
+
+def parallax_of(weight: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """How firmly photographs hold a height by where they show it, (N,) [px^2/m^2].
+
+    A shift of each photograph by one pixel, at random, changes the height by one over its root. ``weight`` (K, N) is 0
+    where not seen, ``motion`` (K, 2, N) [px/m] as `Sight` has it.
+    """
+    seen = (weight > 0.0)[:, None]
+    count = np.maximum(seen.sum(axis=0), 1)
+    there = np.where(seen, motion, np.float32(0.0))
+    about = np.where(seen, motion - there.sum(axis=0) / count, np.float32(0.0))
+    return np.maximum(0.5 * np.einsum("kan,kan->n", about, about), 1e-6)
 
 
 def tile_filter(image: np.ndarray, kernel: np.ndarray) -> np.ndarray:

@@ -4,23 +4,28 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fields.solver.roughness import START_GSD, roughness_of
-from fields.solver.sight import sight_of
-from fields.solver.solve import Solved, solve
-from fields.solver.tile import Tile, tiles_of
-from fields.solver.uncertainty import below_pixel, motion_of, variance_of
+from fields.solver.shares import for_few, halved, noise_share
+from fields.solver.solve import Solved, parallax_of
+from fields.solver.tile import Tile
+from fields.solver.uncertainty import below_pixel, shift_of, variance_of
+from fields.solver.views import Job, Views
 from fields.sweep.block import Block
 from fields.sweep.sweep import DepthMap
 
-# Photographs that a tile is compared with.
-MOST_VIEWS = 20
-# The roughness is learned from so many tiles of this side, spread over those that are nearly as full as the fullest.
+# What a survey is like is learned from so many tiles of this side, spread over those that are nearly as full as the
+# fullest.
 SAMPLES, SAMPLE_PX, NEARLY = 6, 112, 0.7
+# What the variance by noise is worth, from so many tiles of this side at twice the ground sampling distance,
+# spread over all of the bed, its edges too.
+COARSE_SAMPLES, COARSE_PX = 10, 48
+# The truth of a pixel of twice the size is the mean of four heights, unless it is a step of this many pixels.
+_STEP_GSD = 10.0
 _WORKERS = min(os.cpu_count() or 1, 4)
 
 
@@ -56,28 +61,32 @@ class SolverFigures:
     ----------
     roughness_m : float
         Of the bed, from pixel to pixel: `fields.solver.roughness.roughness_of`.
-    motion : float
-        Of the variance: `fields.solver.uncertainty.motion_of`.
+    shift_px : float
+        Between photographs: `fields.solver.uncertainty.shift_of`.
+    noise_share : float
+        Of the variance by noise and prior: `fields.solver.shares.noise_share`.
     """
 
     roughness_m: float
-    motion: float
+    shift_px: float
+    noise_share: float
 
     def __str__(self) -> str:
         return (
-            f"the bed bends by {1e3 * self.roughness_m:.1f} mm from pixel to pixel; photographs differ "
-            f"{self.motion**0.5:.1f} times as much as by their noise"
+            f"the bed bends by {1e3 * self.roughness_m:.1f} mm from pixel to pixel; photographs are shifted by "
+            f"{self.shift_px:.2f} px against each other; the variance by noise counts {self.noise_share:.2f} times"
         )
 
 
 @dataclass(frozen=True)
-class _Job:
-    """A tile of a height map, and what it is compared with."""
+class _Solved:
+    """Pixels of a map, their heights, and the parts of the variance [m^2]; that of a shift by one pixel last."""
 
-    index: int
-    tile: Tile
-    others: list[int]
-    tolerance: float
+    pixels: np.ndarray
+    height: np.ndarray
+    noise: np.ndarray
+    bends: np.ndarray
+    shift: np.ndarray
 
 
 def solve_maps(
@@ -102,59 +111,99 @@ def solve_maps(
     figures : SolverFigures
         NaN where nothing is kept.
     """
-    by_view = {m.view: m for m in maps}
-
-    def jobs_of(index: int, side: dict) -> list[_Job]:
-        m = maps[index]
-        others = block.neighbours(m.view, MOST_VIEWS)
-        if not others:
-            return []
-        tolerance = block.agreement_tolerance(m.view, others, float(np.median(m.height)))
-        tiles = tiles_of(kept[index], m.agreeing > 0, **side)
-        return [_Job(index, tile, others, tolerance) for tile in tiles]
-
-    def solved(job: _Job, roughness: float) -> tuple[Tile, Solved]:
-        view, start = maps[job.index].view, job.tile.of(maps[job.index].height)
-        sight = sight_of(job.tile, view, job.others, block.cameras, by_view, block.water, job.tolerance)
-        return job.tile, solve(job.tile, sight, block.images, start, roughness, job.tolerance)
-
-    small = [job for index in range(len(maps)) for job in jobs_of(index, {"side": SAMPLE_PX})]
-    jobs = [job for index in range(len(maps)) for job in jobs_of(index, {})]
+    views = Views.of(block, maps)
+    jobs = [job for index, wanted in enumerate(kept) for job in views.jobs(index, wanted)]
     if not jobs:
         empty = np.empty(0, dtype=np.float32)
-        return [SolvedMap(np.empty(0, dtype=np.int64), empty, empty) for _ in maps], SolverFigures(np.nan, np.nan)
+        nothing = SolvedMap(np.empty(0, dtype=np.int64), empty, empty)
+        return [nothing for _ in maps], SolverFigures(np.nan, np.nan, np.nan)
+    small = [job for index, wanted in enumerate(kept) for job in views.jobs(index, wanted, SAMPLE_PX)]
     total, done = sum(len(job.tile) for job in jobs), 0
-    parts: list[list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = [[] for _ in maps]
+    parts: list[list[_Solved]] = [[] for _ in maps]
     with ThreadPoolExecutor(_WORKERS) as pool:
-        first = list(pool.map(lambda job: solved(job, START_GSD * gsd), _sample(small)))
-        roughness = roughness_of(first, gsd, pool)
-        motion = motion_of(first, roughness, pool)
-
-        def part(job: _Job) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            tile, result = solved(job, roughness)
-            rows, columns = tile.places
-            pixels = (rows + tile.row) * maps[job.index].height.shape[1] + columns + tile.column
-            std = np.sqrt(motion * variance_of(tile, result) + below_pixel(tile, result))
-            return pixels[tile.asked], result.height[tile.asked], std[tile.asked].astype(np.float32)
-
-        for job, found in zip(jobs, pool.map(part, jobs), strict=True):
+        sample = _sample(small)
+        first = [
+            (job.tile, found)
+            for job, found in zip(sample, pool.map(lambda job: views.solved(job, START_GSD * gsd), sample), strict=True)
+        ]
+        roughness, noise = roughness_of(first, gsd, pool), _noise(first)
+        shift = shift_of(first, roughness, pool)
+        found_tiles = pool.map(lambda job: _part(job, maps[job.index], views.solved(job, roughness)), jobs)
+        for job, found in zip(jobs, found_tiles, strict=True):
             parts[job.index].append(found)
             done += len(job.tile)
             progress(done / total)
-    return [_joined(each) for each in parts], SolverFigures(roughness, motion)
+        joined = [_joined(each) for each in parts]
+        share = _share(views, joined, noise, roughness, gsd, pool)
+    solved = [_with_std(m, each, share, shift) for m, each in zip(maps, joined, strict=True)]
+    return solved, SolverFigures(roughness, shift, share)
 
 
-def _sample(jobs: list[_Job]) -> list[_Job]:
+def _part(job: Job, m: DepthMap, found: Solved) -> _Solved:
+    """The asked pixels of a tile."""
+    tile = job.tile
+    rows, columns = tile.places
+    pixels = (rows + tile.row) * m.height.shape[1] + columns + tile.column
+    of_shift = 1.0 / parallax_of(found.brightness.weight, found.motion)
+    columns_of = (pixels, found.height, variance_of(tile, found), below_pixel(tile, found), of_shift)
+    return _Solved(pixels[tile.asked], *(each[tile.asked].astype(np.float32) for each in columns_of[1:]))
+
+
+def _joined(parts: list[_Solved]) -> _Solved:
+    if not parts:
+        empty = np.empty(0, dtype=np.float32)
+        return _Solved(np.empty(0, dtype=np.int64), empty, empty, empty, empty)
+    names = ("pixels", "height", "noise", "bends", "shift")
+    pixels, *others = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
+    order = np.argsort(pixels)
+    return _Solved(pixels[order], *(each[order] for each in others))
+
+
+def _with_std(m: DepthMap, found: _Solved, share: float, shift: float) -> SolvedMap:
+    photographs = m.agreeing.flat[found.pixels] + np.float32(1.0)
+    variance = for_few(photographs) * (share * found.noise + found.bends) + shift**2 * found.shift
+    return SolvedMap(found.pixels, found.height, np.sqrt(variance).astype(np.float32))
+
+
+def _noise(samples: list[tuple[Tile, Solved]]) -> float:
+    """Mean noise of the photographs [grey levels]."""
+    return float(np.mean(np.concatenate([found.brightness.noise for _, found in samples])))
+
+
+def _sample(jobs: list[Job], count: int = SAMPLES) -> list[Job]:
     """Some of the fullest tiles, spread evenly over the maps."""
     filled = np.array([int(job.tile.asked.sum()) for job in jobs])
     full = np.flatnonzero(filled >= NEARLY * filled.max())
-    return [jobs[i] for i in full[np.unique(np.linspace(0, len(full) - 1, SAMPLES).astype(int))]]
+    return [jobs[i] for i in full[np.unique(np.linspace(0, len(full) - 1, count).astype(int))]]
 
 
-def _joined(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> SolvedMap:
-    if not parts:
-        empty = np.empty(0, dtype=np.float32)
-        return SolvedMap(np.empty(0, dtype=np.int64), empty, empty)
-    pixels, height, std = (np.concatenate(column) for column in zip(*parts, strict=True))
-    order = np.argsort(pixels)
-    return SolvedMap(pixels[order], height[order], std[order])
+def _share(views: Views, joined: list[_Solved], noise: float, roughness: float, gsd: float, pool: Executor) -> float:
+    """What the variance by noise is worth, from the survey at twice its ground sampling distance."""
+    chosen = _spread([len(each.pixels) for each in joined], COARSE_SAMPLES)
+    coarse = views.halved(sorted(set(chosen)), noise)
+    jobs, truths = [], {}
+    for number, index in enumerate(sorted(set(chosen))):
+        truth = np.full(views.maps[index].height.shape, np.nan, dtype=np.float32)
+        truth.flat[joined[index].pixels] = joined[index].height
+        truths[number] = halved(truth)
+        step = halved(truth**2) - truths[number] ** 2
+        wanted = np.isfinite(truths[number]) & (step < (0.5 * _STEP_GSD * gsd) ** 2)
+        tiles = coarse.jobs(number, wanted, COARSE_PX)
+        own = _spread([int(job.tile.asked.sum()) for job in tiles], chosen.count(index))
+        jobs += [tiles[i] for i in sorted(set(own))]
+
+    def errors(job: Job) -> np.ndarray:
+        tile, found = job.tile, coarse.solved(job, 2.0 * roughness)
+        error = found.height - tile.of(truths[job.index])
+        photographs = tile.of(coarse.maps[job.index].agreeing) + 1.0
+        return np.stack([error, variance_of(tile, found), below_pixel(tile, found), photographs])[:, tile.asked]
+
+    return noise_share(*np.concatenate([np.empty((4, 0)), *pool.map(errors, jobs)], axis=1))
+
+
+def _spread(sizes: list[int], count: int) -> list[int]:
+    """Which of several parts hold places that are spread evenly over all of them, in order; large ones come often."""
+    ends = np.cumsum(sizes)
+    if not len(ends) or ends[-1] == 0:
+        return []
+    return np.searchsorted(ends, (np.arange(count) + 0.5) / count * ends[-1], side="right").tolist()

@@ -88,11 +88,15 @@ def _seen(places: np.ndarray, survey: Survey) -> TiePoints:
         pixels[:, number] = at = camera.project(places, survey.water)
         inside[:, number] = (at > 0.0).all(axis=1) & (at < (camera.width, camera.height)).all(axis=1)
     enough = np.flatnonzero(inside.sum(axis=1) >= 2)
-    views = [np.flatnonzero(inside[place]) for place in enough]
-    views = [some[np.linspace(0, len(some) - 1, min(len(some), _VIEWS)).round().astype(np.int64)] for some in views]
-    point = np.repeat(np.arange(len(enough)), [len(some) for some in views])
-    view = np.concatenate([np.empty(0, dtype=np.int64), *views])
-    return TiePoints(places[enough], point, view, pixels[enough[point], view])
+    chosen = [_some(np.flatnonzero(inside[place])) for place in enough]
+    point = np.repeat(np.arange(len(enough)), [len(some) for some in chosen])
+    seen_by = np.concatenate([np.empty(0, dtype=np.int64), *chosen])
+    return TiePoints(places[enough], point, seen_by, pixels[enough[point], seen_by])
+
+
+def _some(views: np.ndarray) -> np.ndarray:
+    """At most `_VIEWS` of these, spread over them."""
+    return views[np.linspace(0, len(views) - 1, min(len(views), _VIEWS)).round().astype(np.int64)]
 
 
 def _variance(survey: Survey, found: Adjustment | None, ties: TiePoints, gsd: float) -> np.ndarray:

@@ -1,8 +1,7 @@
 """Time, memory and disk space of a run, estimated before anything is computed.
 
-Rates are those of three surveys (quick and river at standard, wreck_water at draft quality) on two cores with AVX-512:
-31, 152 and 146 s, 1.1, 2.3 and 3.1 GB. The estimate meets memory within 6 %, and time within 22 %; it is rough
-elsewhere.
+Rates are those of three surveys (quick and river at standard, wreck_water at draft quality) on one core with AVX-512:
+38, 154 and 87 s, 0.8, 2.2 and 2.4 GB. The estimate meets them within 10 %; it is rough elsewhere, and on more cores.
 """
 
 from __future__ import annotations
@@ -23,15 +22,18 @@ from survey.plan.area import AREA_MARGIN_M, grown, local_area
 from survey.plan.block import camera_of
 from survey.plan.ground import ground_height
 from survey.plan.plan import Plan, image_scale
+from survey.plan.recipe import RECIPES
 
 # The first pass of the sweep tries as many heights as its bound holds.
 _FIRST_RUNGS = 25
 # Pixels times heights times neighbours of the sweep that one core compares in a second, by Dr.Jit on LLVM.
-_STEPS_PER_CORE_S = 18.5e6
+_STEPS_PER_CORE_S = 85e6
+# Of the solver: for any survey, and per pixel of a height map.
+_SOLVER_CORE_S, _SOLVER_BYTES = (9.0, 1.9e-6), (150e6, 17.0)
 _FIELD_CORE_S_PER_CELL = 2.3e-4
-# Imports, range of the bed, bed, report.
-_START_S = 11.0
-_BASE_BYTES = 950e6
+# Imports, check of the poses, bed, report.
+_START_S = 12.0
+_BASE_BYTES = 390e6
 # Per pixel: of every view its grey image twice in float32, and its colours, kept while there is room (a quarter of what
 # is free); of a view with a height map the arrays of sweep and bed.
 _BYTES_OF_VIEW, _BYTES_OF_MAP = 11, 26
@@ -119,7 +121,7 @@ def workload_of(survey: Survey, plan: Plan) -> Workload:
         num_cells = min(num_cells, (x1 - x0) * (y1 - y0) / plan.gsd_m**2)
     largest = max(view.lens.width * view.lens.height for view in survey.views)
     field = num_cells if plan.field == "slab" else 0.0
-    found = _workload(pixels, pixels[chosen], largest, num_cells, field, plan.device)
+    found = _workload(pixels, pixels[chosen], largest, num_cells, field, plan.device, plan.field == "solver")
     return replace(found, is_bound=True) if is_bound else found
 
 
@@ -130,7 +132,7 @@ def workload_of_images(sizes: Iterable[tuple[int, int]], *, quality: str, device
     pixels = np.array([width * height for width, height in sizes]) * scale**2
     num_cells = _OWN_GROUND * float(pixels.sum())
     largest = max(width * height for width, height in sizes)
-    found = _workload(pixels, pixels, largest, num_cells, 0.0, device)
+    found = _workload(pixels, pixels, largest, num_cells, 0.0, device, RECIPES[quality].field == "solver")
     disk = found.disk_bytes + int(_DISK_OF_SFM * len(sizes))
     return replace(found, seconds=None, disk_bytes=disk, is_bound=True)
 
@@ -173,20 +175,21 @@ def _disk_doubt(workload: Workload, run_folder: Path) -> str | None:
     )
 
 
-def _workload(pixels, of_maps, largest: int, num_cells: float, of_field: float, device: str) -> Workload:
-    """From pixels of every view, of those with a height map, and of the largest photograph; cells of bed and field."""
+def _workload(pixels, of_maps, largest: int, num_cells: float, of_field: float, device: str, solves: bool) -> Workload:
+    """From pixels of views, of height maps, and of the largest photograph; cells of bed and field."""
     num_cores = machine.num_cores()
     everything, mapped = float(np.sum(pixels)), float(np.sum(of_maps))
     steps = sum(p.scale**2 * (p.rungs or _FIRST_RUNGS) * p.neighbours for p in PASSES)
     core_s = steps * mapped / _STEPS_PER_CORE_S + _FIELD_CORE_S_PER_CELL * of_field
+    solver_s, solver_bytes = (once + each * mapped if solves else 0.0 for once, each in (_SOLVER_CORE_S, _SOLVER_BYTES))
     loading = _BYTES_OF_VIEW / 2 * everything + _BYTES_OF_DECODING * largest
     sweeping = _BYTES_OF_VIEW * everything + _BYTES_OF_MAP * mapped
     field = _BYTES_OF_FIELD * of_field + _BYTES_OF_RAYS * min(of_field, _RAYS_OF_CELLS)
-    memory = _BASE_BYTES + max(loading, sweeping + field)
+    memory = _BASE_BYTES + max(loading, sweeping + field + solver_bytes)
     return Workload(
         num_views=len(pixels),
         num_maps=len(of_maps),
-        seconds=_START_S + core_s / num_cores if device == "llvm" else None,
+        seconds=_START_S + (core_s + solver_s) / num_cores if device == "llvm" else None,
         num_cores=num_cores,
         memory_bytes=int(memory),
         disk_bytes=int(_DISK_AT_LEAST + _DISK_OF_MAP * mapped + _DISK_OF_CELL * num_cells),

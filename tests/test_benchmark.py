@@ -27,7 +27,7 @@ def errors(scale: float = 1.0, seed: int = 0, noise: float = 0.0) -> Errors:
     rough *= 1.0 + noise * np.random.default_rng(seed).standard_normal(100)
     blocks = {f"{i},0": [1000.0, 0.0, 1000.0 * float(s) ** 2] for i, s in enumerate(rough)}
     std = float(np.sqrt(np.mean(rough**2)))
-    return Errors(100_000, 0.0, std, 2.0 * std, {"0.05": 0.9, "0.1": 0.95, "0.2": 0.99}, 0.95, blocks)
+    return Errors(100_000, 0.0, std, 2.0 * std, {"0.05": 0.9, "0.1": 0.95, "0.2": 0.99}, 0.95, 0.0, 0.01, blocks)
 
 
 def record(method: str = "full", times: tuple[float, ...] = (10.0,), found: Errors | None = None) -> Record:

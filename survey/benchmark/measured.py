@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from evaluation import vertical_difference
+from evaluation import Coverage, slope_below, vertical_difference
+from evaluation.coverage import WALL_DEG
 from geo import Mesh
 from survey.benchmark.cases import Case
 from survey.benchmark.records import Errors
@@ -18,8 +20,7 @@ TOLERANCES_M = (0.05, 0.1, 0.2)
 _INNER = 0.9
 # Blocks along the longer side of the area: enough of them to resample, each many points wide.
 _BLOCKS = 16
-_SIGMAS = 1.96
-_STD = "std"
+_STD, _STD_COMMON = "std", "std_common"
 
 
 def errors_of(cloud: Path, case: Case) -> Errors:
@@ -38,6 +39,7 @@ def errors_of(cloud: Path, case: Case) -> Errors:
         f"{scores.tolerance_m:g}": scores.completeness if case.visible is None else scores.completeness_visible
         for scores in found.figures.tolerances
     }
+    stated = _stated(found)
     inner = np.abs(distances) <= np.nanquantile(np.abs(distances), _INNER)
     return Errors(
         n_points=whole.n_points,
@@ -45,22 +47,39 @@ def errors_of(cloud: Path, case: Case) -> Errors:
         std_m=whole.std_inner90_m,
         rms_m=whole.rms_m,
         completeness={tolerance: float(share) for tolerance, share in shares.items() if share is not None},
-        coverage=_coverage(found),
+        coverage=stated.coverage,
+        median_m=stated.median_m,
+        common_m=stated.common_m,
         blocks=_blocks(found.points[inner, :2], distances[inner], case),
     )
 
 
-def _coverage(found: Comparison) -> float | None:
-    """Share of vertical errors within 1.96 std."""
-    reference, std = found.inputs.reference, found.inputs.cloud.extra.get(_STD)
-    if std is None or not isinstance(reference, Mesh):
-        return None
+@dataclass(frozen=True)
+class _Stated:
+    """What the points say of their errors, against these: see `survey.benchmark.records.Errors`."""
+
+    coverage: float | None = None
+    median_m: float | None = None
+    common_m: float | None = None
+
+
+def _stated(found: Comparison) -> _Stated:
+    """Of points with a std, over a mesh, where that is no wall."""
+    reference, extra = found.inputs.reference, found.inputs.cloud.extra
+    if _STD not in extra or not isinstance(reference, Mesh):
+        return _Stated()
     paths = found.inputs.paths
     points = to_local(found.inputs.frame, found.points, paths.cloud)
     vertices = to_local(found.inputs.frame, reference.vertices, paths.reference)
     error = vertical_difference(points, vertices, reference.faces)
-    known = np.isfinite(error)
-    return float(np.mean(np.abs(error[known]) < _SIGMAS * std[found.inputs.inside][known]))
+    known = np.isfinite(error) & (slope_below(points, vertices, reference.faces) < WALL_DEG)
+    if not known.any():
+        return _Stated()
+    std = {name: extra[name][found.inputs.inside][known] for name in (_STD, _STD_COMMON) if name in extra}
+    error, median = error[known], float(np.median(error[known]))
+    common = std.get(_STD_COMMON)
+    covered = Coverage.of(error - median, std[_STD], np.isfinite(std[_STD]))
+    return _Stated(covered.share, median, None if common is None else float(np.nanmedian(common)))
 
 
 def _blocks(plan: np.ndarray, distances: np.ndarray, case: Case) -> dict[str, list[float]]:

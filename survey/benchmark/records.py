@@ -44,7 +44,10 @@ class Errors:
     completeness : dict
         Share of the points that cameras see, by tolerance in metres, e.g. "0.05".
     coverage : float or None
-        Share of vertical errors below 1.96 times the std that the points carry; None where they carry none.
+        Share of vertical errors, their median taken off, below 1.96 times the `std` that the points carry, where the
+        surface is no wall; None where they carry none.
+    median_m, common_m : [m] or None
+        That median, and the median of `std_common`, which it should lie within 2.6 of.
     blocks : dict of str to (n, sum, sum of squares)
         Signed distances of the inner 90 % by block of the plan [m, m2]: what another result of the same survey is
         compared with, block by block.
@@ -56,6 +59,8 @@ class Errors:
     rms_m: float
     completeness: dict[str, float]
     coverage: float | None
+    median_m: float | None = None
+    common_m: float | None = None
     blocks: dict[str, list[float]] = field(default_factory=dict, repr=False)
 
     @property

@@ -169,9 +169,7 @@ def _without_far(
     return kept
 
 
-def moved(
-    views: list[View], ties: TiePoints | None, move: Similarity
-) -> tuple[list[View], np.ndarray | None, TiePoints | None]:
+def moved(views: list[View], ties: TiePoints, move: Similarity) -> tuple[list[View], np.ndarray, TiePoints]:
     """Views, points and ties of a block that is taken elsewhere."""
     moved = [
         replace(
@@ -180,7 +178,5 @@ def moved(
         )
         for view in views
     ]
-    if ties is None:
-        return moved, None, None
     ties = replace(ties, start=move(ties.start))
     return moved, ties.start, ties

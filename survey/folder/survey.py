@@ -14,23 +14,18 @@ from refract import FlatWater
 from survey.control.points import Checkpoint, Control
 from survey.errors import FILE_NAME, SurveyError
 from survey.folder import place
+from survey.folder.block import Block, block_of_file, block_of_photographs
 from survey.folder.camera_faults import require_apart, require_focal_lengths
-from survey.folder.checked_control import checked_control, moved
 from survey.folder.config import SurveyConfig, WaterConfig
-from survey.folder.control import place_control
 from survey.folder.datum_mixups import exif_doubts, low_flight_doubts, place_of
-from survey.folder.file_poses import FilePoses, read_file_poses
 from survey.folder.found import Found, find_survey
 from survey.folder.level_observation import LevelObservation
 from survey.folder.mark_residuals import mark_doubts
-from survey.folder.masks import with_masks
-from survey.folder.pairing import require_image
 from survey.folder.plausible import doubts_of_places, require_true
-from survey.folder.pose_priors import PosePrior, priors_of_gps
+from survey.folder.pose_priors import PosePrior
 from survey.folder.reprojection import Reprojection
 from survey.folder.shutter import metres_per_px, shutter_doubts, with_motion
 from survey.folder.start_height import start_doubts
-from survey.folder.unposed import solve_views
 from survey.folder.velocities import Velocity, velocities_of
 from survey.folder.water_level import with_level_of_clicks
 from survey.photos.cameras import View
@@ -148,47 +143,18 @@ def load_survey(
     """
     found = find_survey(Path(folder)) if found is None else found
     assumptions, warnings = list(found.assumptions), list(found.warnings)
-    points: np.ndarray | None
-    ties: TiePoints | None = None
-    file: FilePoses | None = None
     if found.poses_path is None:
-        solved = solve_views(found, workspace, report)
-        frame, points = solved.frame, solved.ties.start
-        views = sorted(solved.views, key=lambda view: view.name)
-        ties = solved.ties.renumbered(np.array([views.index(view) for view in solved.views]))
-        assumptions += solved.assumptions
-        warnings += solved.warnings
+        block = block_of_photographs(found, workspace, report, assumptions, warnings)
     else:
-        file = read_file_poses(found, found.poses_path, assumptions, warnings)
-        found, frame, views, points = file.found, file.frame, file.views, file.points
-    views = sorted(views, key=lambda view: view.name)
-    views = with_masks(found, views, None if file is None else file.masks, assumptions, warnings)
-    priors: Mapping[str, PosePrior]
-    priors = priors_of_gps(found, frame, views) if file is None else file.priors
-    for view in views:
-        require_image(view, found.heads[view.name])
-    control, checkpoints = place_control(found.control, frame, [view.name for view in views], warnings)
-    if file is None and control is not None:
-        checked = checked_control(found, frame, views, control, priors, warnings)
-        control, priors = checked.control, checked.priors
-        if checked.move is not None:
-            views, points, ties = moved(views, ties, checked.move)
-    places = {view.name: view.camera.centre for view in views}
+        block = block_of_file(found, found.poses_path, assumptions, warnings)
+    found, frame = block.found, block.frame
+    places = {view.name: view.camera.centre for view in block.views}
     velocities = velocities_of(places, found.heads, found.config.cameras.speed_m_s)
-    views = with_motion(views, velocities, found.config.cameras, warnings)
-    config, is_level_known, levels = found.config, True, found.levels
-    if file is None:
-        config, clicked = with_level_of_clicks(found.folder, config, views, frame, assumptions, warnings)
-        levels += clicked
-    if config.water is not None and config.water.level_m is None:
-        config, is_level_known = place.with_level_of_points(config, frame, views, points, assumptions), False
-    config, water = place.water_in_local(config, frame, views, assumptions)
-    seen = file is not None and file.reprojection is not None
-    require_true(frame, views, water, config, found.heads, see_points=seen)
-    warnings += _doubts(replace(found, config=config), frame, views, water, control)
-    if found.poses_path is not None and found.poses_path.is_relative_to(found.folder):
-        poses_name = found.poses_path.relative_to(found.folder).as_posix()
-        config = replace(config, cameras=replace(config.cameras, poses=poses_name))
+    views = with_motion(block.views, velocities, found.config.cameras, warnings)
+    config, water, is_level_known, levels = _water(block, views, assumptions, warnings)
+    require_true(frame, views, water, config, found.heads, see_points=block.reprojection is not None)
+    warnings += _doubts(replace(found, config=config), frame, views, water, block.control)
+    config = _with_poses_name(config, found)
     return Survey(
         name=found.config.name or found.folder.resolve().name,
         folder=found.folder,
@@ -199,17 +165,41 @@ def load_survey(
         config=config,
         assumptions=tuple(assumptions),
         warnings=tuple(warnings),
-        points=points,
-        ties=ties,
+        points=block.points,
+        ties=block.ties,
         is_level_known=is_level_known,
-        tool=None if file is None else file.tool,
-        reprojection=None if file is None else file.reprojection,
-        priors=priors,
-        control=control,
-        checkpoints=checkpoints,
+        tool=block.tool,
+        reprojection=block.reprojection,
+        priors=block.priors,
+        control=block.control,
+        checkpoints=block.checkpoints,
         levels=levels,
         velocities=velocities,
     )
+
+
+def _water(
+    block: Block, views: list[View], assumptions: list[str], warnings: list[str]
+) -> tuple[SurveyConfig, FlatWater | None, bool, tuple[LevelObservation, ...]]:
+    """The settings with what is known of the water, the water, whether its level is known, and what was measured."""
+    found, frame = block.found, block.frame
+    config, is_level_known, levels = found.config, True, found.levels
+    if found.poses_path is None:
+        # A poses file has placed the clicks already.
+        config, clicked = with_level_of_clicks(found.folder, config, views, frame, assumptions, warnings)
+        levels += clicked
+    if config.water is not None and config.water.level_m is None:
+        config, is_level_known = place.with_level_of_points(config, frame, views, block.points, assumptions), False
+    config, water = place.water_in_local(config, frame, views, assumptions)
+    return config, water, is_level_known, levels
+
+
+def _with_poses_name(config: SurveyConfig, found: Found) -> SurveyConfig:
+    """The settings with the name of the poses file, where it lies in the folder."""
+    if found.poses_path is None or not found.poses_path.is_relative_to(found.folder):
+        return config
+    poses_name = found.poses_path.relative_to(found.folder).as_posix()
+    return replace(config, cameras=replace(config.cameras, poses=poses_name))
 
 
 def _doubts(

@@ -1,0 +1,109 @@
+"""The views of a survey in its local frame with all that is known of their places, whatever placed them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from geo.frames import LocalFrame
+from survey.control.points import Checkpoint, Control
+from survey.folder.checked_control import checked_control, moved
+from survey.folder.control import place_control
+from survey.folder.file_poses import read_file_poses
+from survey.folder.found import Found
+from survey.folder.masks import with_masks
+from survey.folder.pairing import require_image
+from survey.folder.pose_priors import PosePrior, priors_of_gps
+from survey.folder.reprojection import Reprojection
+from survey.folder.unposed import solve_views
+from survey.photos.cameras import View
+from survey.photos.tie_points import TiePoints
+
+
+@dataclass(frozen=True)
+class Block:
+    """Views that a poses file or structure from motion placed.
+
+    Attributes
+    ----------
+    found : Found
+        The contents of the survey folder, with the level that clicks give where a poses file places these.
+    frame : LocalFrame
+    views : list of View
+        Sorted by name, with their masks.
+    points, ties, tool, reprojection, priors, control, checkpoints
+        See `survey.folder.survey.Survey`.
+    """
+
+    found: Found
+    frame: LocalFrame
+    views: list[View]
+    points: np.ndarray | None
+    ties: TiePoints | None
+    tool: str | None
+    reprojection: Reprojection | None
+    priors: Mapping[str, PosePrior]
+    control: Control | None
+    checkpoints: tuple[Checkpoint, ...]
+
+
+def block_of_file(found: Found, path: Path, assumptions: list[str], warnings: list[str]) -> Block:
+    """The block of a poses file; its assumptions and warnings are added to the lists.
+
+    Raises
+    ------
+    SurveyError, GeoError
+        Where something is missing, damaged or contradictory.
+    """
+    file = read_file_poses(found, path, assumptions, warnings)
+    found, frame = file.found, file.frame
+    views = _with_images(found, file.views, file.masks, assumptions, warnings)
+    control, checkpoints = place_control(found.control, frame, [view.name for view in views], warnings)
+    return Block(
+        found, frame, views, file.points, None, file.tool, file.reprojection, file.priors, control, checkpoints
+    )
+
+
+def block_of_photographs(
+    found: Found,
+    workspace: Path | None,
+    report: Callable[[str], None] | None,
+    assumptions: list[str],
+    warnings: list[str],
+) -> Block:
+    """The block that structure from motion finds; its assumptions and warnings are added to the lists.
+
+    Raises
+    ------
+    SurveyError, GeoError
+        Where something is missing, damaged or contradictory, or the photographs do not make a block.
+    """
+    solved = solve_views(found, workspace, report)
+    frame, points = solved.frame, solved.ties.start
+    views = sorted(solved.views, key=lambda view: view.name)
+    ties = solved.ties.renumbered(np.array([views.index(view) for view in solved.views]))
+    assumptions += solved.assumptions
+    warnings += solved.warnings
+    views = _with_images(found, views, None, assumptions, warnings)
+    priors: Mapping[str, PosePrior] = priors_of_gps(found, frame, views)
+    control, checkpoints = place_control(found.control, frame, [view.name for view in views], warnings)
+    block = Block(found, frame, views, points, ties, None, None, priors, control, checkpoints)
+    if control is None:
+        return block
+    checked = checked_control(found, frame, views, control, priors, warnings)
+    if checked.move is not None:
+        views, points, ties = moved(views, ties, checked.move)
+    return replace(block, views=views, points=points, ties=ties, control=checked.control, priors=checked.priors)
+
+
+def _with_images(
+    found: Found, views: list[View], masks: Path | None, assumptions: list[str], warnings: list[str]
+) -> list[View]:
+    """The views by name with their masks, whose images are held against their lenses."""
+    views = with_masks(found, sorted(views, key=lambda view: view.name), masks, assumptions, warnings)
+    for view in views:
+        require_image(view, found.heads[view.name])
+    return views

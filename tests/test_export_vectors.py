@@ -22,6 +22,7 @@ from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions
 from survey.export.unseen import ONE_VIEW, TWO_VIEWS, unseen_of
 from survey.folder.survey import load_survey
+from survey.progress import Progress
 from survey.run.flight import save_flight
 
 TO_CRS = Transformer.from_crs("EPSG:4326", "EPSG:25832", always_xy=True)
@@ -206,6 +207,16 @@ def test_a_layer_without_features_is_a_whole_file(tmp_path, suffix):
     else:
         write_geojson(path, layer)
         assert json.loads(path.read_text(encoding="utf-8"))["features"] == []
+
+
+def test_a_layer_without_features_is_said_to_be_empty(tmp_path, capsys):
+    stored = plane_stored(tmp_path / "small")
+    deep = stored.bed.depth > 0.2
+    path = run_of(replace(stored, bed=stored.bed[deep], points_crs=stored.points_crs[deep]), tmp_path / "run")
+    with Progress(verbosity=0):
+        export(path, options=ExportOptions(resolution_m=0.2), shoreline=tmp_path / "s.geojson")
+    assert "s.geojson: nothing to show, the layer shoreline is empty" in capsys.readouterr().err
+    assert json.loads((tmp_path / "s.geojson").read_text(encoding="utf-8"))["features"] == []
 
 
 def test_a_dry_survey_has_contours_of_height_and_no_shoreline(tmp_path):

@@ -25,8 +25,11 @@ def _writer(make: Callable[[LoadedRun, ExportOptions], Layer]) -> Callable[[Path
 
     def write(path: Path, run: LoadedRun, options: ExportOptions) -> None:
         from geo.vectors import write_geojson, write_geopackage
+        from survey.progress import current
 
         layer = make(run, options)
+        if not layer.shapes:
+            current().note(f"{path}: nothing to show, the layer {layer.name} is empty")
         (write_geopackage if path.suffix.lower() == ".gpkg" else write_geojson)(path, layer)
 
     return write

@@ -79,7 +79,10 @@ def _stated(found: Comparison) -> _Stated:
     error, median = error[known], float(np.median(error[known]))
     common = std.get(_STD_COMMON)
     covered = Coverage.of(error - median, std[_STD], np.isfinite(std[_STD]))
-    return _Stated(covered.share, median, None if common is None else float(np.nanmedian(common)))
+    if common is None or not np.isfinite(common).any():
+        # A corrected cloud has none.
+        return _Stated(covered.share, median)
+    return _Stated(covered.share, median, float(np.nanmedian(common)))
 
 
 def _blocks(plan: np.ndarray, distances: np.ndarray, case: Case) -> dict[str, list[float]]:

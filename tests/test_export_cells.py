@@ -11,6 +11,7 @@ from scipy import ndimage
 from stored_run import GSD_M, run_of, stored_points
 
 from survey.errors import SurveyError
+from survey.export import gap_filling
 from survey.export import gridded as gridded_module
 from survey.export.cell_fit import fit_cells
 from survey.export.from_above import seen_from_above
@@ -134,12 +135,30 @@ def test_a_raster_does_not_depend_on_its_tiles(tmp_path, monkeypatch):
     run, options = made(plan, height, tmp_path)
     with run:
         whole = gridded(run, options)
-        monkeypatch.setattr(gridded_module, "_POINTS_PER_TILE", 1)
+        monkeypatch.setattr(gridded_module, "_POINTS_PER_TILE", 5000)
         tiled = gridded(run, ExportOptions(resolution_m=SIDE, fill_m=0.01))
         assert whole.cells.shape == (130, 130)
         np.testing.assert_array_equal(tiled.count, whole.count)
         np.testing.assert_array_equal(tiled.height, whole.height)
         np.testing.assert_array_equal(tiled.std, whole.std)
+
+
+def test_a_tile_of_large_cells_is_no_larger_than_its_points_ask_for(tmp_path, monkeypatch):
+    plan = np.random.default_rng(4).uniform(0.0, 13.0, (20_000, 2))
+    run, options = made(plan, 500.0 + 0.1 * plan[:, 0], tmp_path, resolution_m=1.0)
+    widths = []
+
+    def seen(plan, *rest):
+        widths.append(np.ptp(plan, axis=0).max())
+        return seen_from_above(plan, *rest)
+
+    with run:
+        whole = gridded(run, options)
+        monkeypatch.setattr(gridded_module, "_POINTS_PER_TILE", 2000)
+        monkeypatch.setattr(gridded_module, "seen_from_above", seen)
+        tiled = gridded(run, replace(options, fill_m=0.01))
+        np.testing.assert_array_equal(tiled.height, whole.height)
+    assert max(widths) < 6.0
 
 
 def test_what_all_heights_share_is_not_averaged_away(tmp_path):
@@ -182,6 +201,17 @@ def test_gaps_up_to_a_width_are_filled_marked_and_less_sure(tmp_path):
         error = raster.height[in_narrow] - (10.0 + 0.5 * at[..., 1][in_narrow])
         assert (np.abs(error) < 2.0 * raster.std[in_narrow]).all()
         assert raster.std[in_narrow].min() > 2.0 * np.median(raster.std[raster.known == 1])
+
+
+@pytest.mark.parametrize("width", [1, 2, 7])
+def test_a_gap_is_closed_where_no_square_fits_into_it(width):
+    known = np.random.default_rng(width).random((40, 53)) < 1.5 / (width + 1) ** 2
+    square = np.ones((width + 1, width + 1), dtype=bool)
+    around = np.pad(~known, width + 1, constant_values=True)
+    fits = ndimage.binary_opening(around, square)[width + 1 : -width - 1, width + 1 : -width - 1]
+    closed = gap_filling._closed(known, width)
+    np.testing.assert_array_equal(closed, ~fits)
+    assert (closed & ~known).any()
 
 
 def test_the_level_of_sloped_water_is_found_from_the_depths_to_a_tenth_of_a_millimetre():

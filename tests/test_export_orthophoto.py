@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,12 +23,13 @@ from geo.frames import LocalFrame
 from refract import FlatWater, fresnel_coefficients
 from survey.errors import SurveyError
 from survey.export.export import export
+from survey.export.exposure import common_exposure
 from survey.export.hidden import Tops
 from survey.export.mosaic import Mosaic
-from survey.export.photographs import Photographs
+from survey.export.photographs import Photographs, Pixels
 from survey.export.plan_cells import PlanCells, Window
 from survey.export.product import ExportOptions
-from survey.export.sight import Windows
+from survey.export.sight import Sight, Windows
 from survey.folder.config import dump_config
 from survey.folder.survey import Survey, load_survey
 from survey.run.folder import RunDir
@@ -169,6 +171,27 @@ def test_pixels_of_cells_are_those_of_the_exact_way_through_the_water():
         seen = np.isfinite(found[..., 0])
         worst = max(worst, float(np.abs(found - exact)[seen].max(initial=0.0)))
     assert 0.0 < worst < 0.05
+
+
+def test_exposures_are_compared_however_many_cells_one_window_has():
+    window, height = Window(0, 190, 0, 200), np.zeros((190, 200))
+    u, v = np.meshgrid(np.linspace(1.0, 99.0, 200), np.linspace(1.0, 99.0, 190))
+    sight = Sight(u, v, np.ones_like(u), np.zeros_like(u))
+    bed = SimpleNamespace(all=lambda: iter([(window, height)]), through=lambda _: iter([(window, height, sight)]))
+    hides_nothing = SimpleNamespace(unhidden=lambda sight, _: sight)
+    shown = [
+        SimpleNamespace(camera=None, pixels=lambda grey=grey: Pixels(np.full((100, 100, 3), grey, np.uint8), None))
+        for grey in (50, 200)
+    ]
+    factors = common_exposure(shown, [hides_nothing] * 2, bed, lambda: None)
+    np.testing.assert_allclose(factors, np.repeat([[2.0], [0.5]], 3, axis=1))
+
+
+@pytest.mark.parametrize("side_m", [-1.0, 0.0, float("nan")])
+def test_a_side_of_cells_that_is_none_is_refused(tmp_path, side_m):
+    run = run_of(stored_points(np.array([[E0, N0, LEVEL]]), CRS("EPSG:25832+5778")), tmp_path / "run")
+    with pytest.raises(SurveyError, match=r"--resolution is .*, expected the side of a cell in metres"):
+        export(run, options=ExportOptions(resolution_m=side_m), orthophoto=tmp_path / "o.tif")
 
 
 def test_what_stands_behind_something_is_hidden():

@@ -79,6 +79,8 @@ def test_contours_have_the_depth_of_the_plane_and_the_interval_that_was_asked_fo
     assert sum(entry["depth_m"] == 0.25 for entry in said) == 2
     with pytest.raises(SurveyError, match="--interval is -1, expected metres between contours"):
         export(path, options=replace(options, interval_m=-1.0), contours=tmp_path / "d.geojson")
+    with pytest.raises(SurveyError, match=r"--interval 1e-09 makes over 1000 contours.*; give a larger one"):
+        export(path, options=replace(options, interval_m=1e-9), contours=tmp_path / "d.geojson")
     export(path, options=ExportOptions(resolution_m=0.2), contours=tmp_path / "c.geojson")
     _, said = lines_of(tmp_path / "c.geojson", survey)
     assert 5 <= len({entry["depth_m"] for entry in said}) <= 20

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 # Shorter lines, in cells, are noise of single cells.
 SHORTEST = 8.0
 _ABOUT = 10
+# More are an interval by mistake.
+_MOST_LEVELS = 1000
 _ROUND = (1.0, 2.0, 5.0, 10.0)
 
 
@@ -30,7 +32,7 @@ def contours(run: LoadedRun, options: ExportOptions) -> Layer:
     Raises
     ------
     SurveyError
-        If the interval is none.
+        If the interval is none, or makes too many contours.
     GeoError
         If the CRS is unusable.
     """
@@ -40,6 +42,10 @@ def contours(run: LoadedRun, options: ExportOptions) -> Layer:
     values = grid.heights(whole) if is_dry else grid.depths(whole)
     step = _interval(values, options.interval_m)
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    if (high - low) / step > _MOST_LEVELS:
+        raise SurveyError(
+            f"--interval {step:g} makes over {_MOST_LEVELS} contours from {low:.2f} to {high:.2f} m; give a larger one"
+        )
     levels = [number * step for number in range(math.ceil(low / step), math.floor(high / step) + 1)]
     lines, depths = [], []
     for level in levels:

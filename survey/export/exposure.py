@@ -11,7 +11,7 @@ from survey.export.hidden import Tops
 from survey.export.photographs import Photograph
 from survey.export.sight import Windows
 
-# Cells that are compared, and rounds of medians.
+# Cells that are compared at most, about, and rounds of medians.
 _COMPARED, _ROUNDS = 20_000, 6
 
 
@@ -29,7 +29,8 @@ def common_exposure(
         Called after each photograph.
     """
     known = {window: np.flatnonzero(np.isfinite(height)) for window, height in bed.all()}
-    step = max(sum(len(at) for at in known.values()) // _COMPARED, 1)
+    # Rounded up: OpenCV looks up less than 32,768 places of a row at a time.
+    step = max(-(-sum(len(at) for at in known.values()) // _COMPARED), 1)
     compared = {window: at[::step] for window, at in known.items()}
     first = dict(zip(compared, np.cumsum([0, *map(len, compared.values())]).tolist(), strict=False))
     shown = np.full((len(photographs), sum(map(len, compared.values())), 3), np.nan, dtype=np.float32)

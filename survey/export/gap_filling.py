@@ -46,10 +46,11 @@ def fill_gaps(grid: Gridded, width_m: float) -> None:
 
 def _closed(known: np.ndarray, width: int) -> np.ndarray:
     """Known cells, and those in whose gap no square of more than ``width`` cells fits."""
-    square = np.ones((width + 1, width + 1), dtype=bool)
     # Beyond the raster nothing is known: the gap goes on there.
     gap = np.pad(~known, width + 1, constant_values=True)
-    return ~ndimage.binary_opening(gap, square)[width + 1 : -width - 1, width + 1 : -width - 1]
+    # Along one axis after the other, so that wide gaps cost no more than narrow ones.
+    opened = ndimage.grey_opening(gap.astype(np.uint8), size=width + 1, mode="constant", cval=0)
+    return (opened == 0)[width + 1 : -width - 1, width + 1 : -width - 1]
 
 
 def _interpolated(grid: Gridded, known: np.ndarray, around: Window, gaps: np.ndarray) -> np.ndarray:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 # Side of a cell where none is asked for [px]: some ten points in each.
 _DEFAULT_PX = 4.0
 _POINTS_PER_TILE = 2_000_000
-_LEAST_TILE, _LARGEST_TILE = 64, 2048
+_LARGEST_TILE = 2048
 _COLUMNS = ("points_crs", "std", "depth", "incidence", "std_common")
 
 
@@ -41,12 +41,13 @@ def gridded(run: LoadedRun, options: ExportOptions) -> Gridded:
     GeoError
         If the CRS is.
     """
-    _require_lengths(options)
+    require_lengths(options)
     key = ("gridded", options.crs, options.resolution_m, options.fill_m)
     return run.once(key, lambda: _gridded(run, options))
 
 
-def _require_lengths(options: ExportOptions) -> None:
+def require_lengths(options: ExportOptions) -> None:
+    """Raise SurveyError where the side of a cell or the width of gaps is unusable."""
     side, fill = options.resolution_m, options.fill_m
     if side is not None and not (math.isfinite(side) and side > 0.0):
         raise SurveyError(f"--resolution is {side:g}, expected the side of a cell in metres, e.g. 0.1")
@@ -86,10 +87,10 @@ def _fill_in(grid: Gridded, points: np.ndarray, std: np.ndarray, common: np.ndar
     """Fit the cells, tile by tile."""
     cells = grid.cells
     at = cells.place(points)
-    side = _tile_side(len(points), cells)
+    margin = margin_of(grid.pixel_m) / cells.side_m
+    side = _tile_side(len(points), cells, margin)
     tiles = np.floor(at / side).astype(np.int32)
     across = -(-cells.shape[1] // side)
-    margin = margin_of(grid.pixel_m) / cells.side_m
     number = tiles[:, 1] * across + tiles[:, 0]
     order = np.argsort(number, kind="stable")
     first = np.searchsorted(number[order], np.arange(across * -(-cells.shape[0] // side) + 1))
@@ -140,7 +141,7 @@ def _fit_tile(
     grid.incidence[place], grid.known[place] = mean(incidence), 1
 
 
-def _tile_side(num_points: int, cells: PlanCells) -> int:
-    """Cells along a tile of about `_POINTS_PER_TILE` points."""
+def _tile_side(num_points: int, cells: PlanCells, margin: float) -> int:
+    """Cells along a tile of about `_POINTS_PER_TILE` points; a neighbouring one holds at least the margin [cells]."""
     per_cell = num_points / (cells.shape[0] * cells.shape[1])
-    return int(np.clip(math.sqrt(_POINTS_PER_TILE / per_cell), _LEAST_TILE, _LARGEST_TILE))
+    return max(min(int(math.sqrt(_POINTS_PER_TILE / per_cell)), _LARGEST_TILE), math.ceil(margin))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,7 +50,7 @@ def _mesh(path: Path, run: LoadedRun, options: ExportOptions) -> Mesh:
     from survey.mesh.surface import bed_surface
 
     spacing = options.resolution_m
-    if spacing is not None and not spacing > 0.0:
+    if spacing is not None and not (math.isfinite(spacing) and spacing > 0.0):
         raise SurveyError(f"--resolution is {spacing:g}, expected the spacing of vertices in metres, e.g. 0.1")
     bed, frame = run.bed.bed, run.flight.frame
     mesh = bed_surface(

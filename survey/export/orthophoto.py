@@ -25,9 +25,11 @@ if TYPE_CHECKING:
 def _write_orthophoto(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     from geo.crs import horizontal_crs
     from geo.raster_writing import Band, RasterForm, write_cog
+    from survey.export.gridded import require_lengths
     from survey.export.plan_cells import round_side
     from survey.export.sight import WINDOW
 
+    require_lengths(options)
     side_m = options.resolution_m or round_side(run.place.gsd_m)
     mosaic = _mosaic(run, options, side_m)
     cells = mosaic.cells

@@ -107,7 +107,7 @@ def _write_hillshade(path: Path, run: LoadedRun, options: ExportOptions) -> None
         return hillshade(grid.heights(around), grid.cells.side_m)[window.within(around)][None]
 
     said = {"HILLSHADE": "light from the north-west at 45 degrees, heights not exaggerated; 1 to 255"}
-    form = raster_form(grid, Band("hillshade"), said=said, dtype="uint8", nodata=0)
+    form = raster_form(grid, Band("hillshade", "1 to 255"), said=said, dtype="uint8", nodata=0)
     write_cog(path, form, parts_of(grid, values))
 
 

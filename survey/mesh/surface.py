@@ -63,8 +63,8 @@ def bed_surface(
         vertices, faces = poisson_surface(points, spacing_m, path)
     if not len(faces):
         raise SurveyError(
-            f"{len(points):,} points make no surface at --resolution {spacing_m:g}: none of them lie close enough "
-            "together; give a larger one"
+            f"{len(points):,} points make no surface at --resolution {spacing_m:g}: none of them lie as "
+            "close together as that asks, yet apart; give a length near the spacing of the points"
         )
     if watertight:
         vertices, faces = solid_of(vertices, faces, spacing_m)

@@ -6,6 +6,7 @@
 #   make types    what the type checker finds (mypy)
 #   make format   let ruff mend what it can
 #   make bench    the benchmarks of minutes, on what they draw themselves: tables and figures of the documentation
+#   make stress   one thing after another made worse on a small drawn survey: where it degrades, and whether it says so
 #   make clean    remove the demo and what tools left; make distclean: the environment too
 # PYTHON=python3.12 chooses the interpreter; otherwise the first of 3.11 to 3.13 that is found.
 
@@ -28,7 +29,7 @@ ifneq ($(shell cat $(READY) 2>/dev/null),$(CURDIR))
 .PHONY: $(READY)
 endif
 
-.PHONY: help install demo test check types format bench clean distclean
+.PHONY: help install demo test check types format bench stress clean distclean
 
 help:
 	@sed -n '2,/^$$/s/^# \{0,1\}//p' Makefile
@@ -67,6 +68,9 @@ format: $(READY)
 
 bench: $(READY)
 	@for name in $(BENCHMARKS); do echo "benchmarks/bench_$$name.py"; $(BIN)/python "benchmarks/bench_$$name.py"; done
+
+stress: $(READY)
+	@$(BIN)/python benchmarks/stress.py
 
 clean:
 	rm -rf .demo build dist .pytest_cache .ruff_cache .mypy_cache .hypothesis

@@ -5,6 +5,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+# Before NumPy is loaded: threads of BLAS wait for each other longer than they compute on matrices as small as those of
+# tests, above all where other programs want the cores too.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import numpy as np
 import pytest
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -84,8 +85,19 @@ class DrawnRun:
 def drawn(folder: Path, **changes) -> DrawnRun:
     """Draw a small survey; `changes` are those to `SMALL`."""
     scene = DrawnScene(**(SMALL | changes))
-    draw_survey(folder, scene)
+    for name, content in _files_of(scene).items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
     return DrawnRun(scene, folder)
+
+
+@cache
+def _files_of(scene: DrawnScene) -> dict[Path, bytes]:
+    """The files of a drawn survey by their paths in its folder; a scene is drawn once for all tests."""
+    with TemporaryDirectory() as place:
+        folder = Path(place) / "survey"
+        draw_survey(folder, scene)
+        return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def processed(folder: Path, **changes) -> DrawnRun:

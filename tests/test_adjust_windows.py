@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from drawn_runs import SMALL, drawn
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
@@ -20,22 +21,20 @@ from survey.photos.tie_points import TiePoints
 from survey.simulate.drawn import DrawnScene, stage_drawing
 from survey.simulate.output.writing import write_survey
 
-SCENE = DrawnScene(
-    size_m=(3.2, 2.6), depth_m=1.2, num_views=10, image_px=(200, 150), focal_px=300.0, flying_m=7.0, noise=0.0
-)
+SCENE = DrawnScene(**SMALL)
 PINCUSHION = (0.15, 0.02, 1e-3, -1e-3)
 
 
-def drawn(folder: Path, distortion: tuple[float, ...] | None = None) -> Survey:
-    def stage():
-        scene = stage_drawing(SCENE)
-        if distortion is None:
-            return scene
-        (width, height), focal = SCENE.image_px, SCENE.focal_px
-        lens = Lens("OPENCV", (focal, focal, width / 2, height / 2, *distortion), width, height)
-        return replace(scene, lens=lens)
+def draw_distorted(folder: Path, distortion: tuple[float, ...]) -> None:
+    """Draw the scene through a lens with distortion."""
+    (width, height), focal = SCENE.image_px, SCENE.focal_px
+    lens = Lens("OPENCV", (focal, focal, width / 2, height / 2, *distortion), width, height)
+    settings = {**asdict(SCENE), "distortion": distortion}
+    write_survey(folder, settings, lambda: replace(stage_drawing(SCENE), lens=lens))
 
-    write_survey(folder, {**asdict(SCENE), "distortion": distortion}, stage)
+
+def loaded(folder: Path) -> Survey:
+    """The survey of a folder, with known heights and without bounds."""
     survey = load_survey(folder)
     area = replace(survey.config.area, heights=(SCENE.level_m - 2.0, SCENE.level_m + 0.3))
     return replace(survey, bounds=None, config=replace(survey.config, area=area))
@@ -55,8 +54,16 @@ def water_of(survey: Survey, ties) -> WaterEstimate:
 @pytest.fixture(scope="module")
 def pinhole(tmp_path_factory):
     """A survey without distortion and masks, and its estimate."""
-    survey = drawn(tmp_path_factory.mktemp("pinhole") / "survey")
+    survey = loaded(drawn(tmp_path_factory.mktemp("pinhole") / "survey").folder)
     return survey, water_of(survey, measured(survey))
+
+
+@pytest.fixture(scope="module")
+def pincushion(tmp_path_factory) -> Survey:
+    """The same through a lens with distortion."""
+    folder = tmp_path_factory.mktemp("pincushion") / "survey"
+    draw_distorted(folder, PINCUSHION)
+    return loaded(folder)
 
 
 def require_as_good(found, survey: Survey, pinhole) -> None:
@@ -72,8 +79,8 @@ def require_as_good(found, survey: Survey, pinhole) -> None:
     assert level.std < 1.5 * theirs.std
 
 
-def test_a_lens_with_distortion_ends_in_verdicts_as_good_as_those_of_a_pinhole(tmp_path, pinhole):
-    survey = drawn(tmp_path / "survey", PINCUSHION)
+def test_a_lens_with_distortion_ends_in_verdicts_as_good_as_those_of_a_pinhole(pincushion, pinhole):
+    survey = pincushion
     ties = measured(survey)
     require_as_good(water_of(survey, ties), survey, pinhole)
     # They are measured in the photograph as it was taken, where the lens bends by up to 1.7 px.
@@ -130,11 +137,10 @@ def test_windows_beside_a_mask_are_found_where_they_are_without_it_and_refused_w
     np.testing.assert_allclose(found[is_found], whole[is_found], atol=0.002)
 
 
-def test_a_photograph_without_a_window_is_no_hindrance(tmp_path, monkeypatch):
-    survey = drawn(tmp_path / "survey", PINCUSHION)
+def test_a_photograph_without_a_window_is_no_hindrance(pincushion, monkeypatch):
     ties = TiePoints(np.zeros((1, 3)), np.zeros(3, dtype=int), np.arange(3), np.full((3, 2), 90.0))
     monkeypatch.setattr("survey.adjust.windows.measure", lambda *_arguments: ties)
-    assert np.isfinite(measured(survey).pixel).all()
+    assert np.isfinite(measured(pincushion).pixel).all()
 
 
 def test_a_photograph_that_is_masked_whole_has_no_place_for_a_window():

@@ -11,10 +11,11 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from survey.benchmark.methods import METHODS
 from survey.benchmark.records import Record
 from survey.compare.canvas import canvas, save
-from survey.display.palette import INK, SERIES, SOFT
+from survey.display.palette import INK, RED, SERIES, SOFT
 
 # Numbers within each decade that stand at the axes.
 _TICKS = (1.0, 2.0, 5.0)
+_COLOURS = (*SERIES, RED, INK)
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "<", ">")
 
 
@@ -44,7 +45,7 @@ def draw_front(path: Path, records: Sequence[Record]) -> None:
     methods = [name for name in METHODS if any(record.method == name for record in known)]
     for record in known:
         assert record.errors is not None
-        colour = SERIES[methods.index(record.method) % len(SERIES)]
+        colour = _COLOURS[methods.index(record.method) % len(_COLOURS)]
         axes.plot(
             1000.0 * record.errors.error_m,
             wall_s(record),
@@ -58,7 +59,7 @@ def draw_front(path: Path, records: Sequence[Record]) -> None:
             fontsize=7, color=SOFT,
         )  # fmt: skip
     for number, name in enumerate(methods):
-        axes.plot([], [], "o", color=SERIES[number % len(SERIES)], label=METHODS[name].words)
+        axes.plot([], [], "o", color=_COLOURS[number % len(_COLOURS)], label=METHODS[name].words)
     for number, case in enumerate(cases):
         axes.plot([], [], _MARKERS[number % len(_MARKERS)], color=INK, markerfacecolor="none", label=case)
     axes.set(xscale="log", yscale="log")

@@ -77,9 +77,10 @@ def _stated(found: Comparison) -> _Stated:
         return _Stated()
     std = {name: extra[name][found.inputs.inside][known] for name in (_STD, _STD_COMMON) if name in extra}
     error, median = error[known], float(np.median(error[known]))
-    common = std.get(_STD_COMMON)
+    common = std.get(_STD_COMMON, np.empty(0))
+    common = common[np.isfinite(common)]
     covered = Coverage.of(error - median, std[_STD], np.isfinite(std[_STD]))
-    return _Stated(covered.share, median, None if common is None else float(np.nanmedian(common)))
+    return _Stated(covered.share, median, float(np.median(common)) if len(common) else None)
 
 
 def _blocks(plan: np.ndarray, distances: np.ndarray, case: Case) -> dict[str, list[float]]:

@@ -250,3 +250,31 @@ def test_a_resolution_that_makes_too_many_cells_or_none_is_refused(tmp_path):
 @pytest.mark.parametrize(("side", "expected"), [(0.083, 0.1), (0.1, 0.1), (0.106, 0.2), (0.21, 0.25), (3.0, 5.0)])
 def test_a_side_that_is_chosen_is_round(side, expected):
     assert round_side(side) == expected
+
+
+@pytest.mark.parametrize("share", [0.7, 0.5])
+def test_the_part_of_a_cell_without_points_makes_its_height_uncertain(share):
+    rng = np.random.default_rng(5)
+    num, side = 400, 1.0
+    plan = grid_of_points(side, 0.025) / side - 0.5
+    cell = np.repeat(np.arange(num), len(plan))
+    offset = np.tile(plan, (num, 1))
+    # Waves of every direction and of one to three metres.
+    turn, phase = rng.uniform(0.0, 2.0 * np.pi, (2, num))
+    length = rng.uniform(1.0, 3.0, num)
+    along = offset[:, 0] * np.cos(turn)[cell] + offset[:, 1] * np.sin(turn)[cell]
+    height = 0.15 * np.sin(2.0 * np.pi * along / length[cell] + phase[cell])
+    true = np.bincount(cell, height) / len(plan)
+    keep = offset[:, 0] < share - 0.5
+    noise = 0.002 * rng.standard_normal(keep.sum())
+    fits = fit_cells(cell[keep], offset[keep], height[keep] + noise, np.full(keep.sum(), 0.002), side=side, pixel=0.025)
+    covered = np.mean(np.abs(fits.height - true[fits.cell]) < 1.96 * fits.std)
+    assert covered > 0.85
+
+
+def test_a_cell_that_is_covered_by_less_than_a_third_has_no_height():
+    plan = grid_of_points(1.0, 0.025)
+    offset = np.concatenate([plan, plan[plan[:, 0] < 0.25]]) - 0.5
+    cell = np.repeat([0, 1], [len(plan), len(offset) - len(plan)])
+    fits = fit_cells(cell, offset, np.zeros(len(cell)), np.full(len(cell), 0.01), side=1.0, pixel=0.025)
+    assert fits.cell.tolist() == [0]

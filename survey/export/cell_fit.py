@@ -5,7 +5,9 @@ taken as relief of variance t², and a point's weight is 1 / (s² + t²): where 
 alike, as the mean over its area asks, and elsewhere a point that is badly known weighs little. Points that stand apart
 from the others of their cell weigh less (P. Huber 1964). The slope of a plane is held by a weak prior, so that a cell
 whose points lie on one side of it has a height, and a standard deviation that tells. Relief makes a mean uncertain only
-as far as points do not sample it all over the cell.
+as far as points do not sample it all over the cell. The part of a cell that has no points may lie off the plane by as
+much as the bed rises and scatters where it has some; a cell of which points cover less than a third has no
+height.
 """
 
 from __future__ import annotations
@@ -20,13 +22,16 @@ CORRELATED_PX = 15.0
 _SLOPE_STD = 1.0
 # Beyond so many standard deviations a point weighs less.
 _HUBER = 2.5
+# A cell is divided into squares, at most so many along a side; those with points are covered.
+_MOST_SQUARES = 4
+_LEAST_COVERED = 1.0 / 3.0
 _STEPS = 3
 _MAD_TO_STD = 1.4826
 
 
 @dataclass(frozen=True)
 class CellFits:
-    """Planes of M cells, those that have points, in the order of their numbers.
+    """Planes of M cells, those that points cover well enough, in the order of their numbers.
 
     Attributes
     ----------
@@ -60,6 +65,9 @@ def fit_cells(
     """
     order = np.argsort(cell, kind="stable")
     cell, offset, height = cell[order], offset[order], height[order].astype(np.float64)
+    covered = _covered(cell, offset)
+    enough = covered >= _LEAST_COVERED
+    cell, offset, height, covered, order = (each[enough] for each in (cell, offset, height, covered, order))
     variance = np.square(std[order].astype(np.float64))
     numbers, start, count = np.unique(cell, return_index=True, return_counts=True)
     row = np.repeat(np.arange(len(numbers)), count)
@@ -78,7 +86,20 @@ def fit_cells(
         damping = np.minimum(1.0, _HUBER / np.maximum(size, _HUBER))
     weight = damping / (variance + (unsampled * relief)[row])
     _, plane_variance = _planes(row, share * weight, offset, height, len(numbers), side)
-    return CellFits(numbers, base + plane[:, 0], np.sqrt(plane_variance), count)
+    # A plane that rises by d across a cell has a variance of d^2 / 12 in it.
+    uneven = relief + (plane[:, 1:] ** 2).sum(axis=1) / 12.0
+    bare = np.square(1.0 - covered[start]) * uneven
+    return CellFits(numbers, base + plane[:, 0], np.sqrt(plane_variance + bare), count)
+
+
+def _covered(cell: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """Share (N,) of the cell of each point that has points, by squares that hold four of them if they lie evenly."""
+    numbers, row, count = np.unique(cell, return_inverse=True, return_counts=True)
+    squares = np.clip(np.floor(0.5 * np.sqrt(count)), 1, _MOST_SQUARES).astype(np.int64)
+    place = np.minimum(np.floor((offset + 0.5) * squares[row, None]).astype(np.int64), squares[row, None] - 1)
+    taken = np.unique(row * _MOST_SQUARES**2 + place[:, 1] * _MOST_SQUARES + place[:, 0])
+    held = np.bincount(taken // _MOST_SQUARES**2, minlength=len(numbers))
+    return (held / squares**2)[row]
 
 
 def _independent(count: np.ndarray, side: float, pixel: float) -> np.ndarray:

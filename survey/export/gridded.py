@@ -128,10 +128,11 @@ def _fit_tile(
     offset = (at[own] - whole - 0.5) * np.array([1.0, -1.0])
     number = whole[:, 1] * cells.shape[1] + whole[:, 0]
     fits = fit_cells(number, offset, height[own], std[own], side=cells.side_m, pixel=grid.pixel_m)
-    inverse = np.searchsorted(fits.cell, number)
+    own[own] = np.isin(number, fits.cell)
+    inverse = np.searchsorted(fits.cell, number[np.isin(number, fits.cell)])
 
     def mean(values: np.ndarray) -> np.ndarray:
-        return np.bincount(inverse, values[own].astype(np.float64)) / fits.count
+        return np.bincount(inverse, values[own].astype(np.float64), len(fits.cell)) / fits.count
 
     # The place of a wall is an error of all points beside it.
     variance = fits.std**2 + mean(np.square(wall_std))

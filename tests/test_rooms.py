@@ -80,7 +80,7 @@ DISK_FILES = {
         "survey/benchmark": ("benchmark", "cases", "corrected", "records", "running"),
         "survey/commands": ("console", "streams"),
         "survey/compare": ("canvas", "comparison"),
-        "survey/control": ("metashape_xml", "reading"),
+        "survey/control": ("metashape_xml", "opensfm_json", "reading"),
         "survey/export": ("cameras", "clouds", "export", "gridded", "loaded", "photographs", "product", "written"),
         "survey/files": ("csv_table", "json_values", "lock", "outputs", "toml_table", "xml_tree"),
         "survey/folder": ("found", "infer", "inputs", "level_geojson", "masks"),

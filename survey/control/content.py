@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pyproj import CRS
@@ -52,12 +52,22 @@ class GivenMark:
         File and line, for messages.
     pixel : (x, y)
         The centre of the first pixel is 0.5, 0.5.
+    in_sides : bool
+        Whether `pixel` counts from the middle of the photograph in units of its longer side instead.
     """
 
     point: str
     image: str
     where: str
     pixel: tuple[float, float]
+    in_sides: bool = False
+
+    def in_pixels(self, size: tuple[int, int]) -> GivenMark:
+        """The mark in pixels of a photograph of (width, height) [px]."""
+        if not self.in_sides:
+            return self
+        x, y = (value * max(size) + 0.5 * side for value, side in zip(self.pixel, size, strict=True))
+        return replace(self, pixel=(x, y), in_sides=False)
 
 
 @dataclass(frozen=True)

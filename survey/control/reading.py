@@ -10,7 +10,7 @@ import numpy as np
 from pyproj import CRS
 
 from geo.crs import is_geographic
-from survey.control import gcp_list, metashape_xml, tables
+from survey.control import gcp_list, metashape_xml, opensfm_json, tables
 from survey.control.content import Content, GivenMark, GivenPoint
 from survey.control.horizontal import in_crs
 from survey.control.points import Mark
@@ -20,7 +20,7 @@ from survey.files.csv_table import text_lines
 from survey.photos.names import ImageNames
 
 # Asked in this order which of them a file is of; COORDINATES takes every .csv that MARKS does not.
-FORMATS = (metashape_xml.FORMAT, gcp_list.FORMAT, tables.MARKS, tables.COORDINATES)
+FORMATS = (metashape_xml.FORMAT, opensfm_json.FORMAT, gcp_list.FORMAT, tables.MARKS, tables.COORDINATES)
 # Two files may round the coordinates of one point differently.
 _SAME_M, _SAME_DEG = 1e-3, 1e-8
 # The least number of points that fix place, tilt and scale.
@@ -139,13 +139,14 @@ def _marks(
     marks: dict[tuple[str, str], GivenMark] = {}
     strangers: dict[str, GivenMark] = {}
     nameless: dict[str, GivenMark] = {}
-    for mark in given:
-        image = images.find(mark.image)
+    for said in given:
+        mark, image = said, images.find(said.image)
         if image is None:
             strangers.setdefault(mark.image, mark)
         elif mark.point not in points:
             nameless.setdefault(mark.point, mark)
         else:
+            mark = mark.in_pixels(sizes[image])
             _require_inside(mark, image, sizes[image])
             first = marks.setdefault((mark.point, image), mark)
             if first.pixel != mark.pixel:

@@ -32,6 +32,7 @@ from survey.export.product import ExportOptions
 from survey.export.sight import Sight, Windows
 from survey.folder.config import dump_config
 from survey.folder.survey import Survey, load_survey
+from survey.run.flight import save_flight
 from survey.run.folder import RunDir
 
 # A pixel covers this of the bed.
@@ -87,16 +88,17 @@ def painted_survey(folder: Path, *, exposures=EXPOSURES, coloured_water: bool = 
     return survey
 
 
-def run_over(survey: Survey, path: Path, *, name: str | None = None, **parts: str) -> Path:
+def run_over(survey: Survey, path: Path, **parts: str) -> Path:
     """A run with the points of the bed under the middle of the flight."""
     centre = np.mean([view.camera.centre[:2] for view in survey.views], axis=0)
     along = np.arange(-4.0, 4.0, 0.1)
     plan = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2) + centre
     points = survey.frame.crs_from_local(np.column_stack([plan, bed_height(survey, plan)]))
     level = float(survey.frame.crs_from_local(np.array([*centre, survey.water.point[2]]))[2])
-    stored = stored_points(points, survey.frame.crs, level_m=level, gsd_m=GSD_M, name=name or survey.name)
+    stored = stored_points(points, survey.frame.crs, level_m=level, gsd_m=GSD_M, name=survey.name)
     run = run_of(stored, path, **parts)
     RunDir(run).settings_path.write_text(dump_config(survey.config))
+    save_flight(run, survey)
     return run
 
 
@@ -139,15 +141,17 @@ def test_a_run_in_true_colour_gives_an_orthophoto_in_the_bed_s_own_colours(tmp_p
         assert raster.tags()["COLOURS"] == "of the bed without its water"
 
 
-def test_a_run_elsewhere_needs_its_survey_named_and_another_one_is_refused(tmp_path):
+def test_photographs_that_were_moved_are_found_by_the_folder_of_their_survey(tmp_path):
     survey = painted_survey(tmp_path / "s")
     run = run_over(survey, tmp_path / "run")
-    with pytest.raises(SurveyError, match=r"run does not lie in a survey; name the survey's folder with --survey DIR"):
-        export(run, orthophoto=tmp_path / "o.tif")
-    export(run, options=ExportOptions(survey=str(tmp_path / "s")), orthophoto=tmp_path / "o.tif")
-    other = run_over(survey, tmp_path / "other", name="another")
-    with pytest.raises(SurveyError, match=r'has the name "small" .*was not made from this survey'):
-        export(other, options=ExportOptions(survey=str(tmp_path / "s")), orthophoto=tmp_path / "p.tif")
+    export(run, orthophoto=tmp_path / "before.tif")
+    (tmp_path / "s").rename(tmp_path / "moved")
+    with pytest.raises(SurveyError, match=r"is not there any more; name the folder of the survey with --survey DIR"):
+        export(run, orthophoto=tmp_path / "after.tif")
+    export(run, options=ExportOptions(survey=str(tmp_path / "moved")), orthophoto=tmp_path / "after.tif")
+    np.testing.assert_array_equal(
+        picture(tmp_path / "before.tif", survey)[0], picture(tmp_path / "after.tif", survey)[0]
+    )
 
 
 def photographs(cameras, water) -> Photographs:

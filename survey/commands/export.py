@@ -39,7 +39,7 @@ def run(
         typer.Option("--no-bed", help="Into LAS, LAZ and COPC also what saw no bed: classes 45, and 41 over it."),
     ] = False,
     survey: Annotated[
-        str | None, typer.Option(metavar="DIR", help="Survey folder; default: the one that the run lies in.")
+        str | None, typer.Option(metavar="DIR", help="Survey folder, if it was moved since the run.")
     ] = None,
     verbose: Verbose = 0,
     quiet: Quiet = 0,

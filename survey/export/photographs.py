@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -10,11 +10,9 @@ import numpy as np
 
 from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera
-from survey.adjust.adjustment import JSON, read_adjustment
-from survey.adjust.refine import apply_adjustment
-from survey.errors import FILE_NAME, SurveyError
+from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
-from survey.folder.survey import View, load_survey
+from survey.photos.cameras import View
 from survey.photos.images import load_image, load_mask
 
 
@@ -89,28 +87,29 @@ class Photographs:
 
 
 def photographs_of(run: LoadedRun, folder: str | None) -> Photographs:
-    """The photographs of the survey in a folder, or of the one that the run lies in.
+    """The photographs as the run used them; those in another folder than then, if the survey's is named.
 
     Raises
     ------
     SurveyError
-        If there is no survey, or it is not the one that the run was made from.
+        If the run was made before runs kept their cameras, or a photograph is not there.
     """
-    place = run.folder.path.absolute().parent if folder is None else Path(folder)
-    if folder is None and not (place / FILE_NAME).is_file():
-        raise SurveyError(f"{run.folder.path} does not lie in a survey; name the survey's folder with --survey DIR")
-    survey = load_survey(place, workspace=run.folder.sfm_path)
-    if (run.folder.path / JSON).is_file():
-        found = read_adjustment(run.folder.path)
-        if len(found.centres) != len(survey.views):
-            raise _another(run, place, f"{len(survey.views)} photographs, not {len(found.centres)}")
-        survey = apply_adjustment(survey, found)
-    if not survey.frame.crs.equals(run.place.crs) or survey.name != run.place.name:
-        raise _another(run, place, f'the name "{survey.name}" and the CRS {survey.frame.crs.name}')
-    return Photographs(survey.frame, survey.views, survey.water)
+    flight = run.flight
+    views = flight.views
+    if folder is not None:
+        views = tuple(_elsewhere(view, Path(folder), run.config.images.dir) for view in views)
+    for view in views:
+        if not view.path.is_file():
+            raise SurveyError(
+                f"the photograph {view.path} is not there any more; name the folder of the survey with --survey DIR"
+            )
+    return Photographs(flight.frame, views, flight.water)
 
 
-def _another(run: LoadedRun, place: Path, said: str) -> SurveyError:
-    return SurveyError(
-        f"{place} has {said}: {run.folder.path} was not made from this survey; name its own with --survey DIR"
-    )
+def _elsewhere(view: View, folder: Path, images: str) -> View:
+    """A view whose survey folder lies elsewhere now."""
+    before = view.path.parents[len(Path(images, view.name).parts) - 1]
+    mask = view.mask_path
+    if mask is not None and mask.is_relative_to(before):
+        mask = folder / mask.relative_to(before)
+    return replace(view, path=folder / images / view.name, mask_path=mask)

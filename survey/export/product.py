@@ -36,7 +36,7 @@ class ExportOptions:
     no_bed : bool
         Add points where no bed was found, and of the water over them.
     survey : str or None
-        Folder of the survey; None for the one that the run lies in.
+        Folder of the survey, if it was moved since the run.
     """
 
     crs: str | None = None

@@ -12,12 +12,14 @@ import numpy as np
 from adjust_rows import Row, Truth
 from bench_surveys import compared
 
-from evaluation import height_at
-from geo import LocalFrame, parse_crs, read_cloud
+from evaluation import height_at, vertical_difference
+from geo import LocalFrame, parse_crs, read_cloud, read_reference
 from survey.compare.checkpoints import read_checkpoints
 
 # Of a normal distribution, within so many standard deviations.
 WITHIN_95 = 1.96
+# Points of a cloud that may belong to a rod.
+NEAR_M = 0.5
 
 
 def errors_of(row: Row, run: Path) -> dict:
@@ -25,18 +27,26 @@ def errors_of(row: Row, run: Path) -> dict:
     truth = row.truth
     record = compared(row.survey, run, truth.reference, truth.visible)
     if truth.checkpoints is not None:
-        record |= rod_errors(run / "cloud.las", truth.checkpoints)
+        record |= rod_errors(run / "cloud.las", truth.checkpoints, truth.reference)
     return record | parameter_errors(run, truth) | pose_errors(row.survey, run, truth)
 
 
-def rod_errors(cloud: Path, rods: Path) -> dict:
-    """Height of the cloud over rods that stood on the bed."""
-    table = read_checkpoints(rods)
-    off = height_at(read_cloud(cloud).points, table[:, :2]) - table[:, 2]
-    off = off[np.isfinite(off)]
-    if not len(off):
+def rod_errors(cloud: Path, rods: Path, reference: Path) -> dict:
+    """Height of the cloud over rods that stood on the bed, and that of the true bed at the points of the cloud."""
+    table, points, bed = read_checkpoints(rods), read_cloud(cloud).points, read_reference(reference)
+    off = height_at(points, table[:, :2]) - table[:, 2]
+    known = np.isfinite(off)
+    if not known.any():
         return {"rods": 0}
-    return {"rods": len(off), "rods_rms_m": math.sqrt(np.mean(off**2)), "rods_mean_m": float(np.mean(off))}
+    near = np.min([np.hypot(*(points[:, :2] - place).T) for place in table[known, :2]], axis=0) < NEAR_M
+    middle = bed.vertices.mean(axis=0)
+    true = points[near].copy()
+    true[:, 2] -= vertical_difference(true - middle, bed.vertices - middle, bed.faces)
+    true = true[np.isfinite(true[:, 2])]
+    least = height_at(true, table[:, :2]) - table[:, 2]
+    rms, floor = (math.sqrt(np.nanmean(each[known] ** 2)) for each in (off, least))
+    mean = float(np.mean(off[known]))
+    return {"rods": int(known.sum()), "rods_rms_m": rms, "rods_mean_m": mean, "rods_floor_rms_m": floor}
 
 
 def parameter_errors(run: Path, truth: Truth) -> dict:

@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
-needs_gdal = pytest.mark.skipif(shutil.which("gdalinfo") is None, reason="GDAL's programs are not installed")
+needs_gdal = pytest.mark.skipif(
+    shutil.which("gdalinfo") is None, reason="GDAL's programs are not installed (Debian: apt-get install gdal-bin)"
+)
 
 
 def gdalinfo(path: Path) -> dict:

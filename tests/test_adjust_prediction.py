@@ -8,11 +8,12 @@ import pytest
 
 from refract import FlatWater
 from survey.adjust.brown import distort
-from survey.adjust.prediction import linearise, predict, relief_sides
+from survey.adjust.prediction import predict, relief_sides
 from survey.adjust.sight import lines_of_sight, sights
-from survey.adjust.state import LENS, RELIEF, WATER, Layout, State, with_parameters
+from survey.adjust.state import RELIEF, WATER, Layout, State, with_parameters
 from survey.photos.tie_points import TiePoints
-from tests.drawn_block import draw_block, water_plane
+from tests.block_state import require_derivatives, state_of
+from tests.drawn_block import draw_block
 
 LEVEL = FlatWater((1.0, -2.0, 0.3), n_water=1.34)
 TILTED = FlatWater((1.0, -2.0, 0.3), n_water=1.335, slope_x=0.02, slope_y=-0.01)
@@ -87,20 +88,8 @@ def test_brown_is_that_of_opencv_with_the_derivatives_of_differences(rng):
 
 
 def drawn_state(seed: int) -> tuple[Layout, State, TiePoints]:
-    """The truth of a block with two lenses."""
-    block = draw_block(seed, num_points=30, num_views=8, dry_share=0.3, pixel_std=0.1)
-    lens = block.lens
-    parameters = np.array([lens.focal[0], lens["cx"], lens["cy"], lens["k1"], lens["k2"], 0.0, lens["p1"], lens["p2"]])
-    layout = Layout(np.arange(len(block.cameras)) % 2, np.ones(2))
-    state = State(
-        water_plane(block.water),
-        np.zeros(RELIEF),
-        np.tile(parameters, (2, 1)),
-        np.array([camera.centre for camera in block.cameras]),
-        np.array([camera.cam_from_local for camera in block.cameras]),
-        block.points,
-    )
-    return layout, state, TiePoints(block.points, block.point, block.view, block.pixel)
+    """The truth of a small block."""
+    return state_of(draw_block(seed, num_points=30, num_views=8, dry_share=0.3, pixel_std=0.1))
 
 
 def test_at_the_truth_predictions_miss_by_the_noise_alone():
@@ -112,20 +101,7 @@ def test_at_the_truth_predictions_miss_by_the_noise_alone():
 
 def test_derivatives_of_predictions_are_those_of_differences():
     layout, state, ties = drawn_state(2)
-    sides = relief_sides(state, ties)
-    linear = linearise(layout, state, ties, sides)
-    np.testing.assert_array_equal(linear.pixels, predict(layout, state, ties, sides))
-    still, dense = np.zeros((len(ties), 3)), linear.by_parameters.toarray()
-    # Steps that move pixels by some hundredths.
-    steps = np.full(len(layout), STEP)
-    steps[layout.first_lens : layout.first_pose] = np.tile([0.01, 0.01, 0.01, *np.full(LENS - 3, STEP)], 2)
-    for number in range(len(layout)):
-        step = np.zeros(len(layout))
-        step[number] = steps[number]
-        ahead, behind = (predict(layout, state.moved(layout, sign * step, still), ties, sides) for sign in (1.0, -1.0))
-        difference = (ahead - behind).ravel() / (2.0 * steps[number])
-        scale = max(np.abs(difference).max(), 1.0)
-        np.testing.assert_allclose(dense[:, number] / scale, difference / scale, atol=1e-6, err_msg=str(number))
+    linear, sides = require_derivatives(layout, state, ties), relief_sides(state, ties)
     for axis in range(3):
         step = STEP * np.eye(3)[[axis] * len(ties)]
         ahead, behind = (

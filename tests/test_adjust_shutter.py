@@ -12,12 +12,13 @@ from survey.adjust import verdicts
 from survey.adjust.adjustment import FREE, HELD, UNKNOWN, read_adjustment, write_adjustment
 from survey.adjust.common_error import common_error
 from survey.adjust.observed import rows_taken
-from survey.adjust.prediction import linearise, predict, relief_sides
+from survey.adjust.prediction import predict
 from survey.adjust.refine import adjust_survey, apply_adjustment
-from survey.adjust.state import LENS, RELIEF, Layout, State
+from survey.adjust.state import LENS, RELIEF
 from survey.photos.tie_points import TiePoints
+from tests.block_state import require_derivatives, state_of
 from tests.block_survey import pose_errors, rms, survey_of
-from tests.drawn_block import DrawnBlock, draw_block, water_plane
+from tests.drawn_block import DrawnBlock, draw_block
 
 READOUT = 0.03
 FLOWN = {"num_points": 300, "num_views": 16, "nadir_only": False, "dry_share": 0.3, "num_control": 6,
@@ -25,26 +26,8 @@ FLOWN = {"num_points": 300, "num_views": 16, "nadir_only": False, "dry_share": 0
 STEP = 1e-5
 
 
-def drawn_state(block: DrawnBlock, *, finds_readouts: bool = False) -> tuple[Layout, State, TiePoints]:
-    """The truth of a block with two lenses that are alike."""
-    lens = block.lens
-    parameters = np.array([lens.focal[0], lens["cx"], lens["cy"], lens["k1"], lens["k2"], 0.0, lens["p1"], lens["p2"]])
-    flow = block.velocities / (lens.height - 1)
-    layout = Layout(np.arange(len(block.cameras)) % 2, np.ones(2), flow, finds_readouts=finds_readouts)
-    state = State(
-        water_plane(block.water),
-        np.zeros(RELIEF),
-        np.tile(parameters, (2, 1)),
-        np.array([camera.centre for camera in block.cameras]),
-        np.array([camera.cam_from_local for camera in block.cameras]),
-        block.points,
-        np.full(2, block.readout),
-    )
-    return layout, state, TiePoints(block.points, block.point, block.view, block.pixel)
-
-
 def test_predictions_are_the_pixels_of_cameras_that_fly_on_while_they_are_read_out():
-    layout, state, ties = drawn_state(draw_block(2, **FLOWN | {"pixel_std": 1e-9}))
+    layout, state, ties = state_of(draw_block(2, **FLOWN | {"pixel_std": 1e-9}), rolls=True)
     sides = np.zeros((len(ties.view), RELIEF))
     np.testing.assert_allclose(predict(layout, state, ties, sides), ties.pixel, atol=1e-6)
     still = predict(replace(layout, flow=None), state, ties, sides)
@@ -54,21 +37,9 @@ def test_predictions_are_the_pixels_of_cameras_that_fly_on_while_they_are_read_o
 @pytest.mark.parametrize("finds_readouts", [False, True])
 def test_derivatives_with_a_rolling_shutter_are_those_of_differences(finds_readouts):
     block = draw_block(2, **FLOWN | {"num_points": 30, "num_views": 8})
-    layout, state, ties = drawn_state(block, finds_readouts=finds_readouts)
-    sides = relief_sides(state, ties)
-    linear = linearise(layout, state, ties, sides)
-    np.testing.assert_array_equal(linear.pixels, predict(layout, state, ties, sides))
-    still, dense = np.zeros((len(ties), 3)), linear.by_parameters.toarray()
-    assert dense.shape[1] == len(layout) == 4 + RELIEF + 2 * LENS + 2 * finds_readouts + 6 * 8
-    steps = np.full(len(layout), STEP)
-    steps[layout.first_lens : layout.first_readout] = np.tile([0.01, 0.01, 0.01, *np.full(LENS - 3, STEP)], 2)
-    for number in range(len(layout)):
-        step = np.zeros(len(layout))
-        step[number] = steps[number]
-        ahead, behind = (predict(layout, state.moved(layout, sign * step, still), ties, sides) for sign in (1.0, -1.0))
-        difference = (ahead - behind).ravel() / (2.0 * steps[number])
-        scale = max(np.abs(difference).max(), 1.0)
-        np.testing.assert_allclose(dense[:, number] / scale, difference / scale, atol=1e-6, err_msg=str(number))
+    layout, state, ties = state_of(block, rolls=True, finds_readouts=finds_readouts)
+    assert len(layout) == 4 + RELIEF + 2 * LENS + 2 * finds_readouts + 6 * 8
+    require_derivatives(layout, state, ties)
 
 
 def adjusted(block: DrawnBlock, shutter):

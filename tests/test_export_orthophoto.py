@@ -26,13 +26,13 @@ from survey.export.export import export
 from survey.export.exposure import common_exposure
 from survey.export.hidden import Tops
 from survey.export.mosaic import Mosaic
-from survey.export.photographs import Photographs, Pixels
+from survey.export.photographs import Pixels
 from survey.export.plan_cells import PlanCells, Window
 from survey.export.product import ExportOptions
 from survey.export.sight import Sight, Windows
 from survey.folder.config import dump_config
 from survey.folder.survey import Survey, load_survey
-from survey.run.flight import save_flight
+from survey.run.flight import Flight, save_flight
 from survey.run.folder import RunDir
 
 # A pixel covers this of the bed.
@@ -154,10 +154,10 @@ def test_photographs_that_were_moved_are_found_by_the_folder_of_their_survey(tmp
     )
 
 
-def photographs(cameras, water) -> Photographs:
-    """Without images: for what only asks where things are seen."""
+def flown(water) -> Flight:
+    """Without photographs: for what only asks where things are seen."""
     frame = LocalFrame(CRS("EPSG:25832+5778"), (E0, N0, LEVEL))
-    return Photographs(frame, tuple(cameras), water)
+    return Flight(frame, water, (), None)
 
 
 def test_pixels_of_cells_are_those_of_the_exact_way_through_the_water():
@@ -165,7 +165,7 @@ def test_pixels_of_cells_are_those_of_the_exact_way_through_the_water():
     water = FlatWater((0.0, 0.0, 0.0), n_water=1.34, slope_x=0.01, slope_y=-0.02)
     camera = look((9.0, -6.0, 20.0), (1.0, 0.5, -2.0), focal=900.0, size=(1200, 900), heading=0.7)
     cells = PlanCells(CRS("EPSG:25832+5778"), E0 - 6.0, N0 + 6.0, (0.02, 0.02), 0.02, (600, 600))
-    bed = photographs([camera], water)
+    bed = flown(water)
     heights = LEVEL - 1.0 - 2.5 * rng.random(cells.shape)
     worst = 0.0
     for window, height, sight in Windows(bed, cells, lambda w: heights[w.slices]).through(camera):
@@ -204,7 +204,7 @@ def test_what_stands_behind_something_is_hidden():
     window = Window(0, 60, 0, 120)
     x, y = np.moveaxis(cells.middles(window) - [E0, N0], -1, 0)
     heights = LEVEL + np.where((np.abs(x) < 1.0) & (np.abs(y) < 1.0), 2.0, 0.0)
-    bed = Windows(photographs([camera], None), cells, lambda w: heights[w.slices])
+    bed = Windows(flown(None), cells, lambda w: heights[w.slices])
     tops = Tops.of(camera, bed, cell_m=0.1, cell_px=300.0 * 0.1 / 11.3)
     ((_, height, sight),) = bed.through(camera)
     seen = np.isfinite(tops.unhidden(sight, height).u)

@@ -14,7 +14,7 @@ from survey.adjust.holding import not_observable
 from survey.adjust.observed import KINDS, MARK, Observed
 from survey.adjust.priors import Known, is_held
 from survey.adjust.rounds import Adjusted
-from survey.adjust.state import LENS_NAMES, READOUT_NAME, WATER, WATER_NAMES, State
+from survey.adjust.state import LENS_NAMES, READOUT_NAME, WATER, WATER_NAMES, Layout, State
 from survey.adjust.verdicts import (
     lens_verdicts,
     lost_verdict,
@@ -78,27 +78,7 @@ def result(
     poses = np.sqrt(np.diag(covariance)[layout.first_pose :]).reshape(-1, 6)
     # What a rough bed seems to rise by is no result.
     kept = np.r_[: len(WATER_NAMES), layout.first_lens : len(layout)]
-    names = (
-        *WATER_NAMES,
-        *(f"camera{i}.{name}" for i in range(len(known.lenses)) for name in LENS_NAMES),
-        *(f"camera{i}.{READOUT_NAME}" for i in range(layout.first_pose - layout.first_readout)),
-        *(f"{view.name}.{name}" for view in survey.views for name in _POSE_NAMES),
-    )
-    gps = known.std[layout.first_pose :].reshape(-1, 6)[:, :3]
-    gps = gps[np.isfinite(gps).all(axis=1)]
-    gps = np.median(gps, axis=0) if len(gps) else gps[:0, 0]
     counts = {name: int((used.kind == kind).sum()) for kind, name in enumerate(KINDS)}
-    blunders = [view.name for view, bad in zip(survey.views, done.blunders, strict=True) if bad]
-    warnings = control_warnings(survey.control, survey.views, used, state)
-    if blunders:
-        warnings.append(f"positions that the block contradicts are not used: {', '.join(blunders)}")
-    matches = np.bincount(used.ties.view, minlength=len(survey.views))
-    loose = [view.name for view, count in zip(survey.views, matches, strict=True) if count < _FEW_MATCHES]
-    if loose:
-        warnings.append(
-            f"with fewer than {_FEW_MATCHES} matches, poses stay about as they came: {', '.join(loose)}; leave these "
-            "photographs out"
-        )
     return Adjustment(
         parameters=parameters,
         water=water,
@@ -110,17 +90,17 @@ def result(
         position_std=poses[:, :3],
         rotation_std_deg=np.degrees(poses[:, 3:]),
         covariance=covariance[np.ix_(kept, kept)],
-        covariance_names=names,
+        covariance_names=_names_of(survey, layout),
         water_point=known.place_of_water,
         std_px={name: float(solution.std_px[kind]) for kind, name in enumerate(KINDS) if counts[name]},
         factor={name: float(done.factor[kind]) for kind, name in enumerate(KINDS) if counts[name]},
         num_observations={name: count for name, count in counts.items() if count},
         num_points=len(used.ties),
         num_left_out=total - len(used.kind),
-        gps_std_m=None if not len(gps) else (float(gps[0]), float(gps[1]), float(gps[2])),
+        gps_std_m=_gps_std(known),
         control=_control(survey, used, solution, state),
         notes=(),
-        warnings=tuple(warnings),
+        warnings=tuple(_warnings(survey, done)),
         residual_view=used.ties.view,
         residual_px=solution.residuals,
         residual_at_px=used.ties.pixel,
@@ -129,6 +109,43 @@ def result(
         readouts_s=tuple(state.readouts.tolist()) or None,
         flow=layout.flow,
     )
+
+
+def _names_of(survey: Survey, layout: Layout) -> tuple[str, ...]:
+    """Of the rows of the covariance."""
+    num_lenses, num_readouts = len(layout.aspect), layout.first_pose - layout.first_readout
+    return (
+        *WATER_NAMES,
+        *(f"camera{i}.{name}" for i in range(num_lenses) for name in LENS_NAMES),
+        *(f"camera{i}.{READOUT_NAME}" for i in range(num_readouts)),
+        *(f"{view.name}.{name}" for view in survey.views for name in _POSE_NAMES),
+    )
+
+
+def _gps_std(known: Known) -> tuple[float, float, float] | None:
+    """Median standard deviation of the positions along each axis [m]; None where none is known."""
+    std = known.std[known.layout.first_pose :].reshape(-1, 6)[:, :3]
+    std = std[np.isfinite(std).all(axis=1)]
+    if not len(std):
+        return None
+    east, north, up = np.median(std, axis=0).tolist()
+    return east, north, up
+
+
+def _warnings(survey: Survey, done: Adjusted) -> list[str]:
+    """About control, positions and photographs that the block contradicts or hardly holds."""
+    warnings = control_warnings(survey.control, survey.views, done.used, done.solution.state)
+    blunders = [view.name for view, bad in zip(survey.views, done.blunders, strict=True) if bad]
+    if blunders:
+        warnings.append(f"positions that the block contradicts are not used: {', '.join(blunders)}")
+    matches = np.bincount(done.used.ties.view, minlength=len(survey.views))
+    loose = [view.name for view, count in zip(survey.views, matches, strict=True) if count < _FEW_MATCHES]
+    if loose:
+        warnings.append(
+            f"with fewer than {_FEW_MATCHES} matches, poses stay about as they came: {', '.join(loose)}; leave these "
+            "photographs out"
+        )
+    return warnings
 
 
 def _judged(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from geo.errors import GeoError
-from survey.benchmark.cases import POSES, Case, case_of, drawn_case, drawn_names, variant
+from survey.benchmark.cases import GIVEN, POSES, Case, case_of, drawn_case, drawn_names, variant
 from survey.benchmark.corrected import write_corrected
 from survey.benchmark.front import draw_front
 from survey.benchmark.measured import errors_of
@@ -38,7 +38,7 @@ class Settings:
 
     methods: tuple[str, ...] = tuple(METHODS)
     qualities: tuple[str, ...] = ("draft", "standard", "fine")
-    poses: tuple[str, ...] = ("given",)
+    poses: tuple[str, ...] = (GIVEN,)
     devices: tuple[str, ...] = ("cpu",)
     repeats: int = 1
 

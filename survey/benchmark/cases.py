@@ -17,7 +17,7 @@ from survey.simulate.drawn import DrawnScene, draw_survey
 
 REFERENCE, VISIBLE, TRUTH = "reference.ply", "visible.ply", "truth"
 # Names of poses: as the survey has them, or found from its photographs and their GPS positions.
-POSES = GIVEN, IMAGES = ("given", "images")
+GIVEN, IMAGES = POSES = ("given", "images")
 # What --drawn all stands for.
 DEPTHS_M, PATTERNS, NUM_IMAGES = (0.5, 2.0, 3.5, 8.0), {"nadir": 1.0, "oblique": 0.6}, (20, 130, 520)
 # Photographs per square metre of the survey of the demo, which larger ones have too.

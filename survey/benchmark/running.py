@@ -90,7 +90,7 @@ def machine() -> dict[str, str]:
         "cores": str(num_cores()),
         "memory": f"{memory_bytes() / 1024**3:.1f} GiB",
         "gpu": _gpu(),
-        "system": platform.platform(),
+        "system": platform.system(),
         "python": platform.python_version(),
     }
 

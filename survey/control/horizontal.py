@@ -9,7 +9,7 @@ import numpy as np
 from pyproj import CRS, Transformer
 from pyproj.transformer import AreaOfInterest
 
-from geo.crs import has_height, horizontal_crs, vertical_crs
+from geo.crs import horizontal_crs, other_heights
 from survey.control.content import GivenPoint
 from survey.errors import ControlError
 
@@ -57,11 +57,8 @@ def swapped(point: GivenPoint, crs: CRS) -> GivenPoint | None:
 
 def _require_heights(source: CRS, crs: CRS, first: GivenPoint) -> None:
     """Raise where the CRS of a file says that its heights count from another datum than those of the survey."""
-    if not has_height(source):
-        return
-    theirs, ours = vertical_crs(source), vertical_crs(crs)
-    if theirs != ours and (theirs is None or ours is None or not theirs.equals(ours)):
-        names = [part.name if part is not None else "the ellipsoid" for part in (theirs, ours)]
+    names = other_heights(source, crs)
+    if names is not None:
         raise ControlError(
             f"{first.where}: the heights of control points are above {names[0]}, expected above {names[1]} as in "
             "survey.toml; convert them, and leave the vertical part out of the CRS of the file"

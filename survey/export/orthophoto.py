@@ -51,7 +51,7 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
     from survey.export.gridded import gridded
     from survey.export.hidden import Tops
     from survey.export.mosaic import Mosaic, log_weight
-    from survey.export.photographs import photographs_of
+    from survey.export.photographs import at_scale, flight_of
     from survey.export.sight import Windows
     from survey.progress import current
 
@@ -59,13 +59,13 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
     if side_m > grid.cells.side_m:
         # Heights need larger cells than colours do, but not larger ones than are asked for.
         grid = gridded(run, options)
-    survey = photographs_of(run, options.survey)
+    flight = flight_of(run, options.survey)
     scale = min(1.0, grid.pixel_m / side_m)
-    photographs = survey.at_scale(scale)
+    photographs = at_scale(flight, scale)
     cells = grid.cells.finer(side_m)
     mosaic, colour_of = Mosaic.empty(cells, run.scratch), _colour_of(run, grid, cells)
-    coarse = Windows(survey, grid.cells, grid.heights)
-    fine = Windows(survey, cells, lambda window: _heights(grid, cells, window))
+    coarse = Windows(flight, grid.cells, grid.heights)
+    fine = Windows(flight, cells, lambda window: _heights(grid, cells, window))
     with current().stage("Orthophoto", 2.0 * len(photographs)) as stage:
         cell_px = grid.cells.side_m / grid.pixel_m * scale
         tops = [Tops.of(p.camera, coarse, cell_m=grid.cells.side_m, cell_px=cell_px) for p in photographs]

@@ -8,12 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from geo.frames import LocalFrame
-from refract import FlatWater, PinholeCamera
+from refract import PinholeCamera
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
 from survey.photos.cameras import View
 from survey.photos.images import load_image, load_mask
+from survey.run.flight import Flight
 
 
 @dataclass(frozen=True)
@@ -65,29 +65,13 @@ class Pixels:
         return np.where(seen[..., None], colour, np.nan)
 
 
-@dataclass(frozen=True)
-class Photographs:
-    """What a run was made from.
-
-    Attributes
-    ----------
-    frame : LocalFrame
-    views : tuple of View
-        With the poses and lenses of the run's adjustment, where it had one.
-    water : FlatWater or None
-    """
-
-    frame: LocalFrame
-    views: tuple[View, ...]
-    water: FlatWater | None
-
-    def at_scale(self, scale: float) -> list[Photograph]:
-        """The photographs at a scale of at most 1."""
-        return [Photograph(v, v.camera if scale == 1.0 else v.camera.scaled(scale), scale) for v in self.views]
+def at_scale(flight: Flight, scale: float) -> list[Photograph]:
+    """The photographs of a flight at a scale of at most 1."""
+    return [Photograph(v, v.camera if scale == 1.0 else v.camera.scaled(scale), scale) for v in flight.views]
 
 
-def photographs_of(run: LoadedRun, folder: str | None) -> Photographs:
-    """The photographs as the run used them; those in another folder than then, if the survey's is named.
+def flight_of(run: LoadedRun, folder: str | None) -> Flight:
+    """The flight as the run used it, its photographs where they are now if the folder of the survey is named.
 
     Raises
     ------
@@ -103,7 +87,7 @@ def photographs_of(run: LoadedRun, folder: str | None) -> Photographs:
             raise SurveyError(
                 f"the photograph {view.path} is not there any more; name the folder of the survey with --survey DIR"
             )
-    return Photographs(flight.frame, views, flight.water)
+    return replace(flight, views=views)
 
 
 def _elsewhere(view: View, folder: Path, images: str) -> View:

@@ -14,8 +14,8 @@ import numpy as np
 from geo.crs import height_unit_m
 from geo.reproject import Reprojection
 from refract import FlatWater, PinholeCamera
-from survey.export.photographs import Photographs
 from survey.export.plan_cells import PlanCells, Window
+from survey.run.flight import Flight
 
 WINDOW = 512
 _STEP = 16
@@ -51,19 +51,19 @@ class Windows:
 
     Parameters
     ----------
-    photographs : Photographs
+    flight : Flight
     cells : PlanCells
     heights : callable
         Heights (rows, columns) [m] of a window, NaN where there is none. Asked again for each photograph that shows it.
     """
 
-    def __init__(self, photographs: Photographs, cells: PlanCells, heights: Callable[[Window], np.ndarray]):
-        self._water, self._heights = photographs.water, heights
+    def __init__(self, flight: Flight, cells: PlanCells, heights: Callable[[Window], np.ndarray]):
+        self._water, self._heights = flight.water, heights
         self._windows = []
         for window in cells.windows(WINDOW):
             height = heights(window)
             if np.isfinite(height).any():
-                self._windows.append(_Knots.of(photographs, cells, window, height))
+                self._windows.append(_Knots.of(flight, cells, window, height))
 
     def all(self) -> Iterator[tuple[Window, np.ndarray]]:
         """Each window with its heights."""
@@ -101,7 +101,7 @@ class _Knots:
     points: np.ndarray
 
     @staticmethod
-    def of(photographs: Photographs, cells: PlanCells, window: Window, height: np.ndarray) -> _Knots:
+    def of(flight: Flight, cells: PlanCells, window: Window, height: np.ndarray) -> _Knots:
         low, high = float(np.nanmin(height)), float(np.nanmax(height))
         middle, half = 0.5 * (low + high), max(0.5 * (high - low), 0.5 * _LEAST_RELIEF_M)
         rows, columns = (_knots(n) for n in window.shape)
@@ -110,7 +110,7 @@ class _Knots:
         levels = np.array([middle - half, middle, middle + half]) / height_unit_m(cells.crs)
         points = np.stack(np.meshgrid(levels, north, east, indexing="ij")[::-1], axis=-1)
         across, along = _between(rows, window.shape[0]), _between(columns, window.shape[1])
-        return _Knots(window, middle, half, across, along, _local(photographs, cells, points))
+        return _Knots(window, middle, half, across, along, _local(flight, cells, points))
 
     def seen_by(self, camera: PinholeCamera, water: FlatWater | None) -> np.ndarray | None:
         """What `Sight` has (4, 3, knots, knots), at the knots; None where the camera surely sees none of the cells."""
@@ -139,9 +139,9 @@ class _Knots:
         return middle + 0.5 * (above - below) * t + (0.5 * (above + below) - middle) * t**2
 
 
-def _local(photographs: Photographs, cells: PlanCells, points: np.ndarray) -> np.ndarray:
+def _local(flight: Flight, cells: PlanCells, points: np.ndarray) -> np.ndarray:
     """Points (..., 3) in the crs of cells as local ones."""
-    frame = photographs.frame
+    frame = flight.frame
     if not cells.crs.equals(frame.crs):
         points = Reprojection.between(cells.crs, frame.crs)(points.reshape(-1, 3)).reshape(points.shape)
     return frame.local_from_crs(points)

@@ -18,6 +18,7 @@ from geo.crs import (
     has_height,
     height_unit_m,
     horizontal_crs,
+    other_heights,
     prime_meridian_rad,
     vertical_crs,
 )
@@ -156,11 +157,8 @@ def _area(lon, lat) -> AreaOfInterest:
 
 def _require_heights(source: CRS, crs: CRS) -> None:
     """Raise where the CRS of a file says that its heights count from another datum than those of the survey."""
-    if not has_height(source):
-        return
-    theirs, ours = vertical_crs(source), vertical_crs(crs)
-    if theirs != ours and (theirs is None or ours is None or not theirs.equals(ours)):
-        names = [part.name if part is not None else "the ellipsoid" for part in (theirs, ours)]
+    names = other_heights(source, crs)
+    if names is not None:
         raise PosesError(
             f"the heights of the poses are above {names[0]}, expected above {names[1]} as crs in {FILE_NAME} says; "
             "change the vertical part of crs, or export the poses with heights of that datum"

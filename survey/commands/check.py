@@ -28,18 +28,22 @@ def run(
     deep: Annotated[
         bool, typer.Option("--deep", help="Also hold survey.toml against the photographs; takes minutes.")
     ] = False,
+    wind: Annotated[
+        float, typer.Option(min=0.0, max=20.0, metavar="M/S", help="Wind over the water, for the glitter of the sun.")
+    ] = 3.0,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:
     """Report what a survey has, what it lacks, and what process would do.
 
-    Also what the flight promises for a bed under still, clear water. No photograph is measured and nothing is written,
-    unless --deep asks for it: then poses, lens and water are adjusted to the photographs, and where these contradict
-    survey.toml it says so.
+    Also what the flight promises for a bed under still, clear water, and what light and motion take from it. Nothing is
+    written. With --deep poses, lens and water are adjusted to the photographs, and where these contradict survey.toml
+    it says so.
     """
     with command(verbose, quiet, survey) as results:
-        from survey.adjust.foreseen import foreseen_section
+        from survey.adjust.foreseen_text import foreseen_section
         from survey.plan.check import check_survey, require_processable
+        from survey.plan.check_light import light_section
         from survey.progress import current
 
         shortage = address_space_shortage()
@@ -48,6 +52,7 @@ def run(
         checked = require_processable(survey)
         for section in check_survey(survey, quality=quality.value, device=device.value, checked=checked):
             show(results, section)
+        show(results, light_section(checked, wind_m_s=wind))
         foreseen = None if checked.survey is None else foreseen_section(checked.survey)
         if foreseen is not None:
             show(results, foreseen)

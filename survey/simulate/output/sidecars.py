@@ -52,8 +52,10 @@ def survey_toml(scene: StagedScene) -> str:
             f"slope_east = {level.slope_east}",
             f"slope_north = {level.slope_north}",
             f"refractive_index = {level.refractive_index}",
-            "",
         ]
+        if scene.index_wavelength_nm is not None:
+            lines.append(f"index_wavelength_nm = {scene.index_wavelength_nm}    # of the light that the index is of")
+        lines.append("")
     bounds = ", ".join(f"{v:.3f}" for v in scene.bounds)
     lines += [
         "[area]",

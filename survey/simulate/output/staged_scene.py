@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from refract import PinholeCamera
 from refract.lens import Lens
 from refract.surfaces import WaterSurface
 from survey.simulate.render.direct import DirectRenderer
+from survey.simulate.render.sun_on_waves import SunOnWaves
 from survey.simulate.sensor import Eye, Sensor
 from survey.simulate.water import WaterLevel
 
@@ -42,6 +43,10 @@ class StagedScene:
         For XMP; None writes none.
     readout_s : [s]
         Of rolling shutters, for survey.toml; 0 where all rows are exposed at once.
+    suns : (cameras,) of SunOnWaves
+        Caustics and glint of each photograph that `renderer` takes; none where there are neither.
+    index_wavelength_nm : [nm] or None
+        Of the light that the index of `level` belongs to, for survey.toml; None for that of the photographs.
     """
 
     name: str
@@ -57,6 +62,8 @@ class StagedScene:
     eye: Eye | None = None
     velocities: np.ndarray | None = None
     readout_s: float = 0.0
+    suns: tuple[SunOnWaves, ...] = ()
+    index_wavelength_nm: float | None = None
 
     @property
     def water(self) -> WaterSurface | None:
@@ -71,5 +78,6 @@ class StagedScene:
 
     def photograph(self, index: int) -> np.ndarray:
         """Image (height, width, 3) uint8 of one camera."""
-        eye = self.eye or self.renderer.radiance_of_rays
+        renderer = replace(self.renderer, sun=self.suns[index]) if self.suns else self.renderer
+        eye = self.eye or renderer.radiance_of_rays
         return self.sensor.photograph(eye, self.cameras[index], self.lens, (self.seed, index))

@@ -23,6 +23,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--shore", action="store_true", help="with a bank that rises out of the water")
     parser.add_argument("--dry", action="store_true", help="the same bed without water")
     parser.add_argument("--rolling", action="store_true", help="flown at 5 m/s, with a shutter that rolls in 30 ms")
+    parser.add_argument("--rise", type=float, default=0.0, metavar="M", help="by how much the water rises meanwhile")
     parser.add_argument("--seed", type=int, default=1, help="another bed and flight (default: 1)")
     parser.add_argument("--again", action="store_true", help="draw even if the same survey lies there")
     given = parser.parse_args(arguments)
@@ -30,7 +31,10 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         with Progress() as progress:
             speed, readout = (_SPEED_M_S, _READOUT_S) if given.rolling else (0.0, 0.0)
-            scene = make(shore=given.shore, water=not given.dry, seed=given.seed, speed_m_s=speed, readout_s=readout)
+            scene = make(
+                shore=given.shore, water=not given.dry, seed=given.seed, speed_m_s=speed, readout_s=readout,
+                rise_m=given.rise,
+            )  # fmt: skip
             draw_survey(given.folder, scene, again=given.again, progress=progress)
     except (GeoError, SurveyError, OSError) as error:
         parser.error(str(error))

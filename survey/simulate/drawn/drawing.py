@@ -14,6 +14,9 @@ from survey.simulate.sensor import Sensor
 from survey.simulate.water import WaterLevel
 from survey.simulate.watercolour import WaterColour
 
+# From the first photograph to the last, where the water moves meanwhile [s].
+FLIGHT_S = 3600.0
+
 
 def stage_drawing(scene: DrawnScene) -> StagedScene:
     """Build the ground of a drawn scene; the origin of its frame lies on the water surface, in the middle."""
@@ -38,4 +41,5 @@ def stage_drawing(scene: DrawnScene) -> StagedScene:
         seed=scene.seed,
         velocities=scene.velocities() if scene.speed_m_s > 0.0 else None,
         readout_s=scene.readout_s,
+        duration_s=FLIGHT_S if scene.rise_m != 0.0 and scene.water else 0.0,
     )

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geo.frames import LocalFrame
-from refract import PinholeCamera
+from refract import FlatWater, PinholeCamera
 from refract.lens import Lens
 from refract.surfaces import WaterSurface
 from survey.simulate.render.direct import DirectRenderer
@@ -25,7 +25,8 @@ class StagedScene:
         As survey.toml has them.
     frame : LocalFrame
     cameras : tuple of PinholeCamera
-        Local, without the distortion of `lens`. Where their shutters roll (`PinholeCamera.motion`), `lens` has none.
+        Local, without the distortion of `lens`. Where their shutters roll (`PinholeCamera.motion`), `lens` has none;
+        where they have tides, the water is a plane.
     lens : Lens
         Of all photographs.
     level : WaterLevel or None
@@ -42,6 +43,8 @@ class StagedScene:
         For XMP; None writes none.
     readout_s : [s]
         Of rolling shutters, for survey.toml; 0 where all rows are exposed at once.
+    duration_s : [s]
+        From the first photograph to the last, for EXIF and a gauge; 0 writes neither.
     """
 
     name: str
@@ -57,6 +60,7 @@ class StagedScene:
     eye: Eye | None = None
     velocities: np.ndarray | None = None
     readout_s: float = 0.0
+    duration_s: float = 0.0
 
     @property
     def water(self) -> WaterSurface | None:
@@ -71,5 +75,15 @@ class StagedScene:
 
     def photograph(self, index: int) -> np.ndarray:
         """Image (height, width, 3) uint8 of one camera."""
-        eye = self.eye or self.renderer.radiance_of_rays
-        return self.sensor.photograph(eye, self.cameras[index], self.lens, (self.seed, index))
+        renderer, camera = self.at(index)
+        eye = self.eye or renderer.radiance_of_rays
+        return self.sensor.photograph(eye, camera, self.lens, (self.seed, index))
+
+    def at(self, index: int) -> tuple[DirectRenderer, PinholeCamera]:
+        """The renderer with the water as it stands when a photograph is taken, and the camera, without its tide."""
+        camera, water = self.cameras[index], self.renderer.water
+        if camera.tide == 0.0 or not isinstance(water, FlatWater):
+            return self.renderer, camera
+        x, y, z = water.point
+        own = replace(water, point=(x, y, z + camera.tide))
+        return replace(self.renderer, water=own), replace(camera, tide=0.0)

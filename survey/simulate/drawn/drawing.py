@@ -22,6 +22,8 @@ from survey.simulate.watercolour import WaterColour
 _STATED_NM = 589.3
 # Toward the sun where it glints: 72 degrees over the horizon, so that level views meet its mirror image too.
 _HIGH_SUN = (0.27, 0.18, 1.0)
+# From the first photograph to the last, where the water moves meanwhile [s].
+FLIGHT_S = 3600.0
 
 
 def stage_drawing(scene: DrawnScene) -> StagedScene:
@@ -52,6 +54,7 @@ def stage_drawing(scene: DrawnScene) -> StagedScene:
         readout_s=scene.readout_s,
         suns=_suns(scene, cameras, water, light),
         index_wavelength_nm=None if indices is None else _STATED_NM,
+        duration_s=FLIGHT_S if scene.rise_m != 0.0 and scene.water else 0.0,
     )
 
 

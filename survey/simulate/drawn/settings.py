@@ -18,6 +18,8 @@ _TILTS = (math.radians(10.0), math.radians(35.0))
 _FASTEST_M_S, _LONGEST_READOUT_S = 30.0, 0.25
 # Beyond these nothing of the bed is left.
 _MOST_GLINT, _MOST_CONTRAST = 0.6, 1.5
+# Of the greatest tides, within an hour.
+_MOST_RISE_M = 3.0
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,8 @@ class DrawnScene:
     temperature_c : [deg C] or None
         Of fresh water, whose index is then that of each channel (`refract.channel_indices`) in the photographs, that of
         green in the truth, and that of the sodium line, with its wavelength, in survey.toml; ``n_water`` is not used.
+    rise_m : [m]
+        By how much the water rises from the first photograph to the last, an hour later; `level_m` is its mean.
     shore, objects, water : bool
         A bank that rises out of the water in the north; a boat, an amphora, rocks; False for a dry bed.
 
@@ -91,6 +95,7 @@ class DrawnScene:
     glint_share: float = 0.0
     caustic_contrast: float = 0.0
     temperature_c: float | None = None
+    rise_m: float = 0.0
     shore: bool = False
     objects: bool = True
     water: bool = True
@@ -109,6 +114,8 @@ class DrawnScene:
                 f"glint_share is {self.glint_share:g} and caustic_contrast {self.caustic_contrast:g}, expected 0 to "
                 f"{_MOST_GLINT:g} and 0 to {_MOST_CONTRAST:g}"
             )
+        if not abs(self.rise_m) <= _MOST_RISE_M:
+            raise SurveyError(f"rise_m is {self.rise_m:g}, expected at most {_MOST_RISE_M:g} m up or down in an hour")
         if self.num_views < 3:
             raise SurveyError(f"a drawn survey of {self.num_views} views cannot be reconstructed; give at least 3")
         if not 0.0 <= self.nadir_share <= 1.0:
@@ -144,6 +151,9 @@ class DrawnScene:
         tilts = np.linspace(*_TILTS, self.num_views - nadir)
         azimuths = _GOLDEN_ANGLE * np.arange(len(tilts))
         cameras += [self._look_in(tilt, azimuth, rng) for tilt, azimuth in zip(tilts, azimuths, strict=True)]
+        if self.rise_m != 0.0 and self.water:
+            tides = self.rise_m * np.linspace(-0.5, 0.5, self.num_views)
+            cameras = [replace(camera, tide=tide) for camera, tide in zip(cameras, tides.tolist(), strict=True)]
         if self.speed_m_s == 0.0 or self.readout_s == 0.0:
             return cameras
         motions = self.velocities() * self.readout_s / (self.image_px[1] - 1)

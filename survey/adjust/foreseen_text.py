@@ -15,6 +15,7 @@ from survey.adjust.foreseen import (
     foresee,
     heights_by_depth,
 )
+from survey.adjust.priors import INDEX_STD, LEVEL_STD_M
 from survey.adjust.verdicts import MOST_STD_FOCAL, MOST_STD_INDEX, MOST_STD_LEVEL_M
 from survey.folder.survey import Survey
 from survey.plan.check import Section
@@ -38,7 +39,8 @@ def rows_of(found: Foreseen, by_depth: Sequence[HeightStds]) -> tuple[tuple[str,
     place = f"a rough bed {found.heights.depth_m:g} m under the water" if is_wet else "rough ground"
     assumed = (
         f"{place}, tie points good to {TIE_STD_PX:g} px, matches to {MATCH_STD_PX:g} px, poses and lens adjusted, "
-        "still and clear water without glitter"
+        f"level and index known to {LEVEL_STD_M:g} m and {INDEX_STD:g} where nothing is said, still and clear water "
+        "without glitter"
     )
     rows = [("overlap", _overlap_text(*found.views_of_place)), ("angles", _angles_text(found.angle_deg))]
     if is_wet:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from survey.commands.console import Results, command
 from survey.commands.memory import address_space_shortage, require_address_space
-from survey.commands.options import Quiet, SurveyFolder, Verbose
+from survey.commands.options import Quiet, Verbose
 from survey.plan.choices import Device, Quality
 
 if TYPE_CHECKING:
@@ -18,11 +19,17 @@ EXAMPLES = """
     bathynerf check my_survey
     bathynerf check my_survey --quality fine
     bathynerf check my_survey --deep
+    bathynerf check flight.toml --wind 5
 """
 
 
 def run(
-    survey: SurveyFolder,
+    survey: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SURVEY|PLAN", help="Folder with images and survey.toml, or the TOML of a planned flight."
+        ),
+    ],
     quality: Annotated[Quality, typer.Option(help="Plan for this quality.")] = Quality.standard,
     device: Annotated[Device, typer.Option(help="Plan for this device.")] = Device.auto,
     deep: Annotated[
@@ -34,13 +41,19 @@ def run(
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:
-    """Report what a survey has, what it lacks, and what process would do.
+    """Report what a survey has, what it lacks, and what process would do; or what a planned flight promises.
 
     Also what the flight promises for a bed under still, clear water, and what light and motion take from it. Nothing is
     written. With --deep poses, lens and water are adjusted to the photographs, and where these contradict survey.toml
     it says so.
+
+    Before the flight: a plan has place, camera, height, overlaps and oblique views, or a file of poses, and the time
+    (docs/check.md, examples/flight.toml).
     """
     with command(verbose, quiet, survey) as results:
+        if survey.suffix.lower() == ".toml":
+            _check_plan(results, survey, quality, device, wind, deep=deep)
+            return
         from survey.adjust.foreseen_text import foreseen_section
         from survey.plan.check import check_survey, require_processable
         from survey.plan.check_light import light_section
@@ -62,6 +75,16 @@ def run(
 
             for section in deep_check(survey, device=device.value):
                 show(results, section)
+
+
+def _check_plan(results: Results, path: Path, quality: Quality, device: Device, wind: float, *, deep: bool) -> None:
+    from survey.errors import SurveyError
+    from survey.simulate.staging.check_plan import check_plan
+
+    if deep:
+        raise SurveyError("--deep holds a survey against its photographs, and a plan has none; remove it")
+    for section in check_plan(path, quality=quality.value, device=device.value, wind_m_s=wind):
+        show(results, section)
 
 
 def show(results: Results, section: Section) -> None:

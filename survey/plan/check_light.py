@@ -71,19 +71,24 @@ def glitter_text(glitter: Glitter, highest_sun: float, wind_m_s: float, *, is_fl
         f"the sun's mirror image lies in {glitter.num_mirrored} of {glitter.num_views} photographs, and in a wind of "
         f"{wind_m_s:g} m/s glitter covers {share:.0f} % of one (median; at most {most:.0f} %)"
     )
-    lost = glitter.share[0]
-    if glitter.views is not None and glitter.free_views is not None:
+    if glitter.free_views is not None:
         low, median = glitter.free_views
         found += f"; a place is in {median:.0f} photographs free of it (median), the worst tenth in {low:.0f} or fewer"
-        lost = 1.0 - median / max(glitter.views[1], 1.0)
     limit = math.degrees(highest_sun)
     fly = (
         f"a sun lower than {limit:.0f} degrees leaves the steep photographs free of it"
         if limit >= 5.0
         else "with so wide a lens no sun is low enough: fly under clouds, or in less wind"
     )
-    verdict = by_limits(lost, LOST_GOOD, LOST_FAIR)
+    verdict = by_limits(lost_share(glitter), LOST_GOOD, LOST_FAIR)
     return judged(verdict, found, f"{fly}; masks ([images] masks) keep what has it out" if is_flown else fly)
+
+
+def lost_share(glitter: Glitter) -> float:
+    """Of the photographs of a place, the share that shows it in glitter; of a photograph, where no place is known."""
+    if glitter.views is None or glitter.free_views is None:
+        return glitter.share[0]
+    return 1.0 - glitter.free_views[1] / max(glitter.views[1], 1.0)
 
 
 def motion_text(speed: float | None, exposure: float | None, pixel: float | None, known: str = "") -> str:

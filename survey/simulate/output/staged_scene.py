@@ -42,6 +42,8 @@ class StagedScene:
         Light along rays; by default that of `renderer`.
     velocities : (cameras, 3) [m/s], local, or None
         For XMP; None writes none.
+    position_std_m : [m]
+        Of the positions in EXIF, in each direction.
     readout_s : [s]
         Of rolling shutters, for survey.toml; 0 where all rows are exposed at once.
     suns : (cameras,) of SunOnWaves
@@ -64,6 +66,7 @@ class StagedScene:
     seed: int
     eye: Eye | None = None
     velocities: np.ndarray | None = None
+    position_std_m: float = 0.02
     readout_s: float = 0.0
     suns: tuple[SunOnWaves, ...] = ()
     index_wavelength_nm: float | None = None

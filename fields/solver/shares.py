@@ -85,7 +85,6 @@ def halved_map(depth_map: DepthMap) -> DepthMap:
         depth_map.view,
         halved(depth_map.height),
         halved(depth_map.score),
-        halved(depth_map.curvature),
         (confirmed * halved(depth_map.agreeing)).astype(np.uint8),
         halved(depth_map.spread),
     )

@@ -12,6 +12,7 @@ from fields.solver.appearance import Appearance, Brightness, appearance_of, brig
 from fields.solver.sight import Sight
 from fields.solver.smoothness import Bends, bends_of, stiffness_of
 from fields.solver.tile import Tile
+from fields.sweep.greys import Greys
 
 ITERATIONS = 3
 # Gain and offset are estimated in the first steps.
@@ -56,7 +57,12 @@ class Solved:
 
 
 def solve(
-    tile: Tile, sight: Sight, images: Mapping[int, np.ndarray], start: np.ndarray, roughness: float, tolerance: float
+    tile: Tile,
+    sight: Sight,
+    images: Greys | Mapping[int, np.ndarray],
+    start: np.ndarray,
+    roughness: float,
+    tolerance: float,
 ) -> Solved:
     """Heights of a tile by least squares over all photographs that see it.
 

@@ -18,6 +18,7 @@ from fields.solver.sight import Sight, sight_of
 from fields.solver.solve import Solved, solve
 from fields.solver.tile import Tile, tiles_of
 from fields.sweep.block import Block
+from fields.sweep.greys import Greys
 from fields.sweep.sweep import DepthMap
 from refract import FlatWater, PinholeCamera
 
@@ -56,7 +57,7 @@ class Views:
     """
 
     cameras: dict[int, PinholeCamera]
-    images: dict[int, np.ndarray]
+    images: Greys | dict[int, np.ndarray]
     water: FlatWater | None
     device: Device
     maps: list[DepthMap]
@@ -71,8 +72,8 @@ class Views:
             block.agreement_tolerance(m.view, list(seen_by), float(np.median(m.height))) if seen_by else 0.0
             for m, seen_by in zip(maps, others, strict=True)
         ]
-        cameras, images = dict(enumerate(block.cameras)), dict(enumerate(block.images))
-        return Views(cameras, images, block.water, block.device, maps, others, tolerance)
+        cameras = dict(enumerate(block.cameras))
+        return Views(cameras, block.images, block.water, block.device, maps, others, tolerance)
 
     @cached_property
     def _by_view(self) -> dict[int, DepthMap]:

@@ -129,7 +129,7 @@ def points_of(
     depth = water.height(xyz[:, 0], xyz[:, 1]) - xyz[:, 2] if water else np.full(len(xyz), np.nan)
     agreeing = kept(depth_map.agreeing).astype(np.float32)
     # The spread is a population figure over agreeing + 1 heights; the sample figure does not flatter few views.
-    std = kept(depth_map.spread) * np.sqrt((agreeing + 1.0) / np.maximum(agreeing, 1.0))
+    std = kept(depth_map.spread).astype(np.float32) * np.sqrt((agreeing + 1.0) / np.maximum(agreeing, 1.0))
     return BedPoints(
         xyz,
         rgb[keep],

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+
 import cv2
 import numpy as np
 
 from fields.device import Device
 from fields.sweep import views
 from fields.sweep.arrays import release
+from fields.sweep.greys import Greys
 from fields.sweep.stack import ViewStack
 from refract import FlatWater, PinholeCamera
 
@@ -79,8 +82,8 @@ class Block(Overlap):
     device : Device
     cameras : list of PinholeCamera
         All of the images' size; smaller images are padded with NaN, as are masked pixels.
-    images : list of (height, width) float32
-        Grey levels about zero.
+    images : (height, width) float32 each
+        Grey levels about zero; read once and kept as `Greys`.
     water, height :
         As `Overlap`.
 
@@ -94,16 +97,16 @@ class Block(Overlap):
         self,
         device: Device,
         cameras: list[PinholeCamera],
-        images: list[np.ndarray],
+        images: Iterable[np.ndarray],
         water: FlatWater | None,
         height: float,
     ):
-        if len(cameras) < 2 or len(cameras) != len(images):
+        self.device, self.images = device, Greys(images)
+        if len(cameras) < 2 or len(cameras) != len(self.images):
             raise ValueError(
-                f"a block needs two views or more, each with an image; got {len(cameras)} and {len(images)}"
+                f"a block needs two views or more, each with an image; got {len(cameras)} and {len(self.images)}"
             )
         super().__init__(cameras, water, height)
-        self.device, self.images = device, images
         self._stacks: dict[float, ViewStack] = {}
 
     def stack(self, scale: float) -> ViewStack:
@@ -111,7 +114,7 @@ class Block(Overlap):
         if scale not in self._stacks:
             cameras = [c.scaled(scale) if scale != 1.0 else c for c in self.cameras]
             size = (cameras[0].width, cameras[0].height)
-            images = self.images
+            images: Sequence[np.ndarray] = self.images
             if scale != 1.0:
                 images = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in images]
             self._stacks[scale] = ViewStack.build(self.device, cameras, images, self.water)

@@ -65,20 +65,17 @@ class DepthMap:
     view : index of the view
     height : float32 [m]
         Over the water plane along its normal; of the path of each pixel.
-    score : float32
+    score : float16
         NCC of the better half of the neighbours, -1 to 1.
-    curvature : float32 [1/m^2]
-        Of the score over height; the larger, the better the height is known; 0 at an end of the ladder.
     agreeing : uint8
         Other views whose own height agrees.
-    spread : float32 [m]
+    spread : float16 [m]
         Standard deviation (population) of the heights that agree, the own one included.
     """
 
     view: int
     height: np.ndarray
     score: np.ndarray
-    curvature: np.ndarray
     agreeing: np.ndarray
     spread: np.ndarray
 
@@ -185,9 +182,9 @@ def _climbed(block: Block, p: Pass, climb: Climb, bound: tuple[float, float], be
         start = np.full((stack.height, stack.width), bound[0], dtype=np.float32)
     else:
         start = _enlarged(before.height, stack) - np.float32(step * (climb.rungs // 2))
-    height, score, curvature = climb_view(stack, view, climb.others, start, step, climb.rungs, p.radius)
+    height, score, _ = climb_view(stack, view, climb.others, start, step, climb.rungs, p.radius)
     nobody = np.zeros(height.shape, dtype=np.uint8)
-    return DepthMap(view, height, score, curvature, nobody, np.zeros_like(height))
+    return DepthMap(view, height, score.astype(np.float16), nobody, np.zeros(height.shape, dtype=np.float16))
 
 
 def _enlarged(height: np.ndarray, stack: ViewStack) -> np.ndarray:
@@ -213,5 +210,6 @@ def fuse(block: Block, maps: dict[int, DepthMap], scale: float, peers: dict[int,
             continue
         m = maps[view]
         tolerance = block.agreement_tolerance(view, peers[view], float(np.median(m.height)))
-        m.agreeing, height, m.spread = agreement(heights, index, [chosen.index(p) for p in peers[view]], tolerance)
+        m.agreeing, height, spread = agreement(heights, index, [chosen.index(p) for p in peers[view]], tolerance)
+        m.spread = spread.astype(np.float16)
         m.height = np.where(m.agreeing > 0, height, cv2.medianBlur(m.height, 5))

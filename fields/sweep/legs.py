@@ -69,24 +69,25 @@ def _place(camera, v, beyond: Beyond) -> tuple:
     return kernels.along(centre, tuple(beyond.motion(camera)), v - camera[15]) if beyond.moves else centre
 
 
-def seen_at(camera, point, n_water, beyond: Beyond) -> tuple:
+def seen_at(camera, point, n_water, beyond: Beyond, steps: int = CROSSING_STEPS) -> tuple:
     """Pixel position (u, v) [px] of a point in a camera, and whether inside its image.
 
-    ``n_water`` is None in a dry survey. Inside are positions between the outermost pixel centres.
+    ``n_water`` is None in a dry survey. Inside are positions between the outermost pixel centres. ``steps`` are those
+    of `refract.kernels.air_share`.
     """
     if beyond.tides:
         point = (point[0], point[1], point[2] - beyond.tide(camera))
-    u, v, depth = _seen_from(camera, tuple(camera[9:12]), point, n_water, beyond)
+    u, v, depth = _seen_from(camera, tuple(camera[9:12]), point, n_water, beyond, steps)
     for _ in range(ROLLING_STEPS if beyond.moves else 0):
-        u, v, depth = _seen_from(camera, _place(camera, v, beyond), point, n_water, beyond)
+        u, v, depth = _seen_from(camera, _place(camera, v, beyond), point, n_water, beyond, steps)
     inside = (u >= 0.5) & (v >= 0.5) & (u < camera[16] - 0.5) & (v < camera[17] - 0.5) & (depth > 0.0)
     return u, v, inside
 
 
-def _seen_from(camera, centre, point, n_water, beyond: Beyond) -> tuple:
+def _seen_from(camera, centre, point, n_water, beyond: Beyond, steps: int) -> tuple:
     """Pixel position (u, v) [px] at which a camera sees a point from a place, and the depth of the point in cam [m]."""
     if n_water is not None:
-        point, _ = kernels.crossing_of_point(centre, point, _POINT, _NORMAL, n_water, CROSSING_STEPS)
+        point, _ = kernels.crossing_of_point(centre, point, _POINT, _NORMAL, n_water, steps)
     d = kernels.minus(point, centre)
     x, y, depth = (kernels.dot(camera[first : first + 3], d) for first in (0, 3, 6))
     if not beyond.lenses:

@@ -22,7 +22,8 @@ class WaterConfig:
     level_at: tuple[float, float] | None = key(None, "[easting, northing]")
     slope_east: float = 0.0
     slope_north: float = 0.0
-    refractive_index: float | None = None
+    refractive_index: float | None = None  # of the light that is matched, unless the next key tells its wavelength
+    index_wavelength_nm: float | None = None  # 589.3 for an index from a handbook; docs/light.md
     temperature_c: float | None = None
     salinity_psu: float | None = None
     absorption_per_m: tuple[float, float, float] | None = key(
@@ -123,6 +124,17 @@ class WaterConfig:
         if by_water == ["salinity_psu"]:
             raise ConfigError(
                 "[water] has salinity_psu without temperature_c; give temperature_c too, or refractive_index"
+            )
+        wavelength = self.index_wavelength_nm
+        if wavelength is not None and self.refractive_index is None:
+            raise ConfigError(
+                "[water] has index_wavelength_nm without refractive_index, whose wavelength it tells; give both, or "
+                "temperature_c alone"
+            )
+        if wavelength is not None and not 400.0 <= wavelength <= 700.0:
+            raise ConfigError(
+                f"[water] index_wavelength_nm is {wavelength:g}, expected 400 to 700, the wavelengths of light; an "
+                "index from a handbook belongs to 589.3"
             )
 
     def _require_colour(self) -> None:

@@ -23,7 +23,6 @@ from survey.photos.cameras import CAM_FROM_OPK_CAM
 from survey.simulate.output.staged_scene import StagedScene
 
 _JPEG_QUALITY = 92
-_GPS_STD_M = 0.02
 # When the first photograph is taken, where that matters, and the readings of the water.
 _START = datetime(2024, 6, 1, 10, tzinfo=UTC)
 GAUGE = "gauge.csv"
@@ -58,8 +57,10 @@ def survey_toml(scene: StagedScene) -> str:
             f"slope_east = {level.slope_east}",
             f"slope_north = {level.slope_north}",
             f"refractive_index = {level.refractive_index}",
-            "",
         ]
+        if scene.index_wavelength_nm is not None:
+            lines.append(f"index_wavelength_nm = {scene.index_wavelength_nm}    # of the light that the index is of")
+        lines.append("")
     bounds = ", ".join(f"{v:.3f}" for v in scene.bounds)
     lines += [
         "[area]",
@@ -83,10 +84,11 @@ def cameras_csv(names: Sequence[str], cameras: Sequence[PinholeCamera], frame: L
 
 
 def exif_of_views(scene: StagedScene) -> list[Image.Exif]:
-    """EXIF of all images: positions as a good receiver knows them, heights in crs, and the focal length."""
+    """EXIF of all images: positions as the receiver knows them, heights in crs, and the focal length."""
     rng = np.random.default_rng([scene.seed, 5])
     centres = np.array([camera.centre for camera in scene.cameras])
-    e, n, heights = scene.frame.crs_from_local(centres + _GPS_STD_M * rng.standard_normal(centres.shape)).T
+    noise = scene.position_std_m * rng.standard_normal(centres.shape)
+    e, n, heights = scene.frame.crs_from_local(centres + noise).T
     lon, lat = Transformer.from_crs(horizontal_crs(scene.frame.crs), "EPSG:4326", always_xy=True).transform(e, n)
     film_mm = 36.0 * max(scene.lens.focal) / max(scene.lens.width, scene.lens.height)
     exifs = []

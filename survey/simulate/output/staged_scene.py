@@ -11,6 +11,7 @@ from refract import FlatWater, PinholeCamera
 from refract.lens import Lens
 from refract.surfaces import WaterSurface
 from survey.simulate.render.direct import DirectRenderer
+from survey.simulate.render.sun_on_waves import SunOnWaves
 from survey.simulate.sensor import Eye, Sensor
 from survey.simulate.water import WaterLevel
 
@@ -41,8 +42,14 @@ class StagedScene:
         Light along rays; by default that of `renderer`.
     velocities : (cameras, 3) [m/s], local, or None
         For XMP; None writes none.
+    position_std_m : [m]
+        Of the positions in EXIF, in each direction.
     readout_s : [s]
         Of rolling shutters, for survey.toml; 0 where all rows are exposed at once.
+    suns : (cameras,) of SunOnWaves
+        Caustics and glint of each photograph that `renderer` takes; none where there are neither.
+    index_wavelength_nm : [nm] or None
+        Of the light that the index of `level` belongs to, for survey.toml; None for that of the photographs.
     duration_s : [s]
         From the first photograph to the last, for EXIF and a gauge; 0 writes neither.
     """
@@ -59,7 +66,10 @@ class StagedScene:
     seed: int
     eye: Eye | None = None
     velocities: np.ndarray | None = None
+    position_std_m: float = 0.02
     readout_s: float = 0.0
+    suns: tuple[SunOnWaves, ...] = ()
+    index_wavelength_nm: float | None = None
     duration_s: float = 0.0
 
     @property
@@ -76,6 +86,8 @@ class StagedScene:
     def photograph(self, index: int) -> np.ndarray:
         """Image (height, width, 3) uint8 of one camera."""
         renderer, camera = self.at(index)
+        if self.suns:
+            renderer = replace(renderer, sun=self.suns[index])
         eye = self.eye or renderer.radiance_of_rays
         return self.sensor.photograph(eye, camera, self.lens, (self.seed, index))
 

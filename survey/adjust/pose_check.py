@@ -12,12 +12,14 @@ from dataclasses import replace
 import numpy as np
 
 from survey.adjust.bundle import Problem, solve
-from survey.adjust.observed import KINDS, WINDOW, observed, rows_taken
+from survey.adjust.far_poses import Search
+from survey.adjust.observed import KINDS, MATCH, WINDOW, observed, rows_taken
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import HELD, known_of, priors_for
 from survey.adjust.windows_of_survey import measure_windows
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
+from survey.photos.tie_points import TiePoints
 from survey.plan.plan import make_plan
 
 # So many photographs in the middle of the block are looked at; with fewer in all there is nothing to sample.
@@ -26,21 +28,32 @@ SAMPLE = 10
 _FEWEST = 10
 
 
-def pose_misfit(survey: Survey, *, device: str = "auto", advance: Callable[[float], None]) -> float | None:
+def pose_misfit(
+    survey: Survey, *, device: str = "auto", advance: Callable[[float], None], search: Search | None = None
+) -> float | None:
     """By how much photographs miss each other under the given poses, lens and water [px], per coordinate.
 
     The root mean square over photographs of the mean residual of their windows, less what the scatter of the windows
-    explains. None where too little matches to tell.
+    explains. Where no windows match, as under poses that are off by more than a few pixels, it is that of the
+    features of all photographs, found by ``search``. None where too little matches to tell.
     """
     sample = replace(survey, views=_middle(survey), ties=None)
-    known = known_of(sample, make_plan(sample).gsd_m)
+    found = _under_given(sample, WINDOW, lambda: measure_windows(sample, device=device, advance=advance))
+    if found is None and search is not None:
+        found = _under_given(replace(survey, ties=None), MATCH, lambda: search(survey).ties)
+    return found
+
+
+def _under_given(survey: Survey, kind: int, measure: Callable[[], TiePoints]) -> float | None:
+    """See `pose_misfit`, by tie points of a kind; None where there are none."""
     try:
-        windows = measure_windows(sample, device=device, advance=advance)
+        ties = measure()
     except SurveyError:
         return None
-    if not len(windows):
+    if not len(ties):
         return None
-    seen = observed([(WINDOW, windows)], None, sample, known)
+    known = known_of(survey, make_plan(survey).gsd_m)
+    seen = observed([(kind, ties)], None, survey, known)
     held = replace(known, std=np.full_like(known.std, HELD))
     state = replace(known.state, points=seen.ties.start)
     priors, sides = priors_for(held, seen.ties), relief_sides(state, seen.ties)

@@ -20,7 +20,9 @@ MISFIT = "misfit.json"
 def check_poses(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
     """Measure by how much photographs miss each other under the given poses."""
     with job.progress.stage("Poses", 1.0) as stage:
-        found = pose_check.pose_misfit(job.survey, device=job.plan.device_asked, advance=stage.advance)
+        found = pose_check.pose_misfit(
+            job.survey, device=job.plan.device_asked, advance=stage.advance, search=job.search
+        )
     write_json(folder / MISFIT, {"misfit_px": found})
 
 

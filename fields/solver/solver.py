@@ -122,14 +122,10 @@ def solve_maps(
     parts: list[list[_Solved]] = [[] for _ in maps]
     with ThreadPoolExecutor(_WORKERS) as pool:
         sample = _sample(small)
-        first = [
-            (job.tile, found)
-            for job, found in zip(sample, pool.map(lambda job: views.solved(job, START_GSD * gsd), sample), strict=True)
-        ]
+        first = [found for _, found in views.solved(sample, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
         roughness, noise = roughness_of(first, gsd, pool), _noise(first)
         shift = shift_of(first, roughness, pool)
-        found_tiles = pool.map(lambda job: _part(job, maps[job.index], views.solved(job, roughness)), jobs)
-        for job, found in zip(jobs, found_tiles, strict=True):
+        for job, found in views.solved(jobs, roughness, pool, lambda job, each: _part(job, maps[job.index], each)):
             parts[job.index].append(found)
             done += len(job.tile)
             progress(done / total)
@@ -192,13 +188,14 @@ def _share(views: Views, joined: list[_Solved], noise: float, roughness: float, 
         own = _spread([int(job.tile.asked.sum()) for job in tiles], chosen.count(index))
         jobs += [tiles[i] for i in sorted(set(own))]
 
-    def errors(job: Job) -> np.ndarray:
-        tile, found = job.tile, coarse.solved(job, 2.0 * roughness)
+    def errors(job: Job, found: Solved) -> np.ndarray:
+        tile = job.tile
         error = found.height - tile.of(truths[job.index])
         photographs = tile.of(coarse.maps[job.index].agreeing) + 1.0
         return np.stack([error, variance_of(tile, found), below_pixel(tile, found), photographs])[:, tile.asked]
 
-    return noise_share(*np.concatenate([np.empty((4, 0)), *pool.map(errors, jobs)], axis=1))
+    found = coarse.solved(jobs, 2.0 * roughness, pool, errors)
+    return noise_share(*np.concatenate([np.empty((4, 0)), *(each for _, each in found)], axis=1))
 
 
 def _spread(sizes: list[int], count: int) -> list[int]:

@@ -1,4 +1,4 @@
-"""The photographs and height maps of a survey, as tiles are solved with them, at full size or half of it."""
+"""The photographs and height maps of a survey, as tiles are solved with them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fields.solver.shares import as_noisy, halved, halved_camera, halved_map
 from fields.solver.sight import sight_of
 from fields.solver.solve import Solved, solve
 from fields.solver.tile import TILE_PX, Tile, tiles_of
@@ -73,17 +72,3 @@ class Views:
         by_view = {each.view: each for each in self.maps}
         sight = sight_of(job.tile, m.view, list(job.others), self.cameras, by_view, self.water, tolerance)
         return solve(job.tile, sight, self.images, job.tile.of(m.height), roughness, tolerance)
-
-    def halved(self, chosen: list[int], noise: float) -> Views:
-        """At half the size and as noisy [grey levels] as before: the chosen maps first, then those that they see."""
-        needed = {view for i in chosen for view in (self.maps[i].view, *self.others[i])}
-        rest = [i for i, m in enumerate(self.maps) if m.view in needed and i not in chosen]
-        kept, random = [*chosen, *rest], np.random.default_rng(0)
-        return Views(
-            {view: halved_camera(self.cameras[view]) for view in sorted(needed)},
-            {view: as_noisy(halved(self.images[view]), noise, random) for view in sorted(needed)},
-            self.water,
-            [halved_map(self.maps[i]) for i in kept],
-            [self.others[i] for i in kept],
-            [2.0 * self.tolerance[i] for i in kept],
-        )

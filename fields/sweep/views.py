@@ -20,7 +20,7 @@ STEEP_DEG = 25.0
 GRID_CELLS, MOST_CELLS = 48, 400
 CELLS_PER_VIEW = 8
 # A view is matched if it is needed for more than this share of what a view sees; docs/plan.md.
-LEAST_GAIN = 0.005
+LEAST_GAIN = 0.002
 # So many views see a place whatever that costs: two that confirm a third.
 CONFIRMING = 3
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from survey.adjust import pose_check
+from survey.errors import SurveyError
 from survey.files.json_values import write_json
 
 if TYPE_CHECKING:
@@ -19,8 +21,12 @@ MISFIT = "misfit.json"
 
 def check_poses(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
     """Measure by how much photographs miss each other under the given poses."""
-    with job.progress.stage("Poses", 1.0) as stage:
-        found = pose_check.pose_misfit(job.survey, device=job.plan.device_asked, advance=stage.advance)
+    found = None
+    # Poses that are wrong, or photographs without texture, leave nothing that matches: the sweep will say so.
+    with suppress(SurveyError):
+        bound, block = job.bound, job.block
+        with job.progress.stage("Poses", 1.0) as stage:
+            found = pose_check.pose_misfit(job.survey, job.plan, block, bound, stage.advance)
     write_json(folder / MISFIT, {"misfit_px": found})
 
 

@@ -115,7 +115,7 @@ def views_table(case: Case) -> dict[str, dict]:
     area = local_area(case.survey)
     choices = {f"{steep} times steeply, {q} from each quarter": (steep, q) for steep, q in TIMES_SEEN}
     picked = {name: case.block.cover(*times, area) for name, times in choices.items()}
-    picked[f"{ANY_VIEWS} times by any view"] = sorted(views._greedy(case.block.seen, [], ANY_VIEWS, 0.0))
+    picked[f"{ANY_VIEWS} times by any view"] = sorted(views._greedy(case.block.seen, [], ANY_VIEWS))
     rows = {}
     for name, chosen in picked.items():
         maps, seconds = case.maps(chosen=chosen)

@@ -60,7 +60,7 @@ def test_gains_that_are_kept_up_to_date_choose_as_gains_counted_anew(rng):
     for _ in range(20):
         seen = rng.random((rng.integers(3, 40), 200)) < rng.uniform(0.02, 0.5)
         start, times = list(range(rng.integers(0, 3))), int(rng.integers(1, 7))
-        assert views._greedy(seen, start, times, 0.0) == slow_greedy(seen, start, times)
+        assert views._greedy(seen, start, times) == slow_greedy(seen, start, times)
 
 
 def test_on_a_long_flight_a_view_still_sees_many_cells_and_its_neighbours():

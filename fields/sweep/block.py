@@ -120,6 +120,11 @@ class Block(Overlap):
             self._stacks[scale] = ViewStack.build(self.device, cameras, images, self.water)
         return self._stacks[scale]
 
+    def part(self, chosen: list[int]) -> Block:
+        """A block of some of the views alone."""
+        cameras, images = [self.cameras[view] for view in chosen], (self.images[view] for view in chosen)
+        return Block(self.device, cameras, images, self.water, self.height)
+
     def release(self, scale: float) -> None:
         """Forget the images at a scale."""
         self._stacks.pop(scale, None)

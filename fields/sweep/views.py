@@ -19,10 +19,6 @@ STEEP_DEG = 25.0
 # Cells of the ground grid along each axis, and across the narrow side of a view; a long flight needs more for these.
 GRID_CELLS, MOST_CELLS = 48, 400
 CELLS_PER_VIEW = 8
-# A view is matched if it is needed for more than this share of what a view sees; docs/plan.md.
-LEAST_GAIN = 0.005
-# So many views see a place whatever that costs: two that confirm a third.
-CONFIRMING = 3
 
 
 def ground_points(cameras: list[PinholeCamera], height: float) -> np.ndarray:
@@ -62,45 +58,34 @@ def coverage(cameras: list[PinholeCamera], water: FlatWater | None, height: floa
 
 
 def cover(
-    seen: np.ndarray,
-    cells: np.ndarray,
-    cameras: list[PinholeCamera],
-    times: int,
-    times_oblique: int,
-    least_gain: float = LEAST_GAIN,
+    seen: np.ndarray, cells: np.ndarray, cameras: list[PinholeCamera], times: int, times_oblique: int
 ) -> list[int]:
     """A small set of views that sees every cell from every side.
 
     A cell is to be seen ``times`` times by steep views, whose ground sampling distance is the finest and which agree
     best, and ``times_oblique`` times by oblique ones from each of four quarters, which look under what the steep ones
-    see from above; where there are too few, ``times`` times by any. Greedy in each class. A view needed for at most
-    ``least_gain`` of what a view sees, in the median, is left out where three others see each of these places.
+    see from above; where there are too few, ``times`` times by any. Greedy in each class.
     """
     steep, quarter = np.empty(seen.shape, dtype=bool), np.empty(seen.shape, dtype=np.int8)
     for view, camera in enumerate(cameras):
         ray = camera.centre - cells
         steep[view] = ray[:, 2] > np.cos(np.radians(STEEP_DEG)) * np.linalg.norm(ray, axis=1)
         quarter[view] = np.floor(np.arctan2(ray[:, 1], ray[:, 0]) / (0.5 * np.pi)).astype(int) % 4
-    least = least_gain * float(np.median(seen.sum(axis=1)))
-    chosen = _greedy(seen & steep, [], times, least)
+    chosen = _greedy(seen & steep, [], times)
     for side in range(4):
-        chosen = _greedy(seen & ~steep & (quarter == side), chosen, times_oblique, least)
-    chosen = _greedy(seen, chosen, times, least)
-    return sorted(_greedy(seen, chosen, min(times, CONFIRMING), 0.0))
+        chosen = _greedy(seen & ~steep & (quarter == side), chosen, times_oblique)
+    return sorted(_greedy(seen, chosen, times))
 
 
-def _greedy(seen: np.ndarray, chosen: list[int], times: int, least: float) -> list[int]:
-    """``chosen`` and the views still needed so that each cell is seen ``times`` times, or by all that see it.
-
-    Views that help ``least`` cells or fewer are left out.
-    """
+def _greedy(seen: np.ndarray, chosen: list[int], times: int) -> list[int]:
+    """``chosen`` and the views still needed so that each cell is seen ``times`` times, or by all that see it."""
     chosen = list(chosen)
     need = np.minimum(seen.sum(axis=0), times)
     have = seen[chosen].sum(axis=0)
     gain = (seen & (have < need)).sum(axis=1)
     while True:
         gain[chosen] = 0
-        if gain.max() <= least:
+        if gain.max() == 0:
             return chosen
         best = int(gain.argmax())
         chosen.append(best)

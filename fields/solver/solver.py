@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from fields.solver.roughness import START_GSD, roughness_of
 from fields.solver.shares import for_few, halved, noise_share
+from fields.solver.sightings import Sightings
 from fields.solver.solve import Solved, parallax_of
 from fields.solver.tile import Tile
 from fields.solver.uncertainty import below_pixel, shift_of, variance_of
@@ -65,11 +66,14 @@ class SolverFigures:
         Between photographs: `fields.solver.uncertainty.shift_of`.
     noise_share : float
         Of the variance by noise and prior: `fields.solver.shares.noise_share`.
+    sightings : Sightings or None
+        Of all points in all photographs; None where nothing was solved.
     """
 
     roughness_m: float
     shift_px: float
     noise_share: float
+    sightings: Sightings | None = field(default=None, compare=False)
 
     def __str__(self) -> str:
         return (
@@ -125,14 +129,20 @@ def solve_maps(
         first = [found for _, found in views.solved(sample, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
         roughness, noise = roughness_of(first, gsd, pool), _noise(first)
         shift = shift_of(first, roughness, pool)
-        for job, found in views.solved(jobs, roughness, pool, lambda job, each: _part(job, maps[job.index], each)):
+        sightings = Sightings.none(len(block.images))
+
+        def part(job: Job, each: Solved) -> tuple[_Solved, Sightings]:
+            return _part(job, maps[job.index], each), Sightings.of(each, len(block.images))
+
+        for job, (found, seen) in views.solved(jobs, roughness, pool, part):
             parts[job.index].append(found)
+            sightings += seen
             done += len(job.tile)
             progress(done / total)
         joined = [_joined(each) for each in parts]
         share = _share(views, joined, noise, roughness, gsd, pool)
     solved = [_with_std(m, each, share, shift) for m, each in zip(maps, joined, strict=True)]
-    return solved, SolverFigures(roughness, shift, share)
+    return solved, SolverFigures(roughness, shift, share, sightings)
 
 
 def _part(job: Job, m: DepthMap, found: Solved) -> _Solved:

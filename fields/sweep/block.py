@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from fields.device import Device
 from fields.sweep import views
 from fields.sweep.arrays import release
+from fields.sweep.holes import closed, shrunk
 from fields.sweep.stack import ViewStack
 from refract import FlatWater, PinholeCamera
 
@@ -78,11 +78,13 @@ class Block(Overlap):
     ----------
     device : Device
     cameras : list of PinholeCamera
-        All of the images' size; smaller images are padded with NaN, as are masked pixels.
+        All of the images' size; smaller images are padded with NaN, as are masked and saturated pixels.
     images : list of (height, width) float32
         Grey levels about zero.
     water, height :
         As `Overlap`.
+    saturated : tuple of float
+        Share of each photograph that is left out because it is white; empty where nobody has looked.
 
     Raises
     ------
@@ -97,13 +99,14 @@ class Block(Overlap):
         images: list[np.ndarray],
         water: FlatWater | None,
         height: float,
+        saturated: tuple[float, ...] = (),
     ):
         if len(cameras) < 2 or len(cameras) != len(images):
             raise ValueError(
                 f"a block needs two views or more, each with an image; got {len(cameras)} and {len(images)}"
             )
         super().__init__(cameras, water, height)
-        self.device, self.images = device, images
+        self.device, self.images, self.saturated = device, images, saturated
         self._stacks: dict[float, ViewStack] = {}
 
     def stack(self, scale: float) -> ViewStack:
@@ -111,10 +114,8 @@ class Block(Overlap):
         if scale not in self._stacks:
             cameras = [c.scaled(scale) if scale != 1.0 else c for c in self.cameras]
             size = (cameras[0].width, cameras[0].height)
-            images = self.images
-            if scale != 1.0:
-                images = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in images]
-            self._stacks[scale] = ViewStack.build(self.device, cameras, images, self.water)
+            images = self.images if scale == 1.0 else [shrunk(image, size) for image in self.images]
+            self._stacks[scale] = ViewStack.build(self.device, cameras, [closed(i) for i in images], self.water)
         return self._stacks[scale]
 
     def release(self, scale: float) -> None:

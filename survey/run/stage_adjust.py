@@ -24,7 +24,7 @@ def adjust_block(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
             job.survey, device=job.plan.device_asked, advance=stage.advance, free_water=job.calibrate_water
         )
     write_adjustment(folder, found)
-    write_cameras(folder, refine.apply_adjustment(job.survey, found))
+    write_cameras(folder, refine.apply_adjustment(job.survey, found), found)
 
 
 def use_adjustment(job: Job, folder: Path) -> None:

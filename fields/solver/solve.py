@@ -45,6 +45,8 @@ class Solved:
         As `Sight` has it.
     of_noise : (N,) [1/m^2]
         What the noise of the albedo's gradients, which counts as texture, adds to ``information``.
+    views : (K,) of int
+        The photographs, by their number.
     """
 
     height: np.ndarray
@@ -55,6 +57,7 @@ class Solved:
     slope: np.ndarray
     motion: np.ndarray
     of_noise: np.ndarray
+    views: tuple[int, ...] = ()
 
 
 def solve(
@@ -98,7 +101,7 @@ def solve(
         )
         height = height + np.clip(step, -tolerance, tolerance).astype(np.float32)
     of_noise = _gradient_noise(sight, brightness)
-    return Solved(height, information, stiffness, bends, brightness, slope, sight.motion, of_noise)
+    return Solved(height, information, stiffness, bends, brightness, slope, sight.motion, of_noise, tuple(sight.views))
 
 
 def _gradient_noise(sight: Sight, brightness: Brightness) -> np.ndarray:

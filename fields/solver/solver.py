@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from fields.solver.correlation import noise_share
 from fields.solver.roughness import START_GSD, roughness_of
 from fields.solver.shifts import Shifts, depth_of, shifts_of
+from fields.solver.sightings import Sightings
 from fields.solver.solve import Solved, parallax_of
 from fields.solver.uncertainty import PLACE_PX2, bends_below, for_few, rise_of, variance_of
 from fields.solver.views import Job, Views
@@ -60,11 +61,14 @@ class SolverFigures:
         Between photographs: `fields.solver.shifts.shifts_of`.
     noise_share : float
         Of the variance by noise and prior: `fields.solver.correlation.noise_share`.
+    sightings : Sightings or None
+        Of all points in all photographs; None where nothing was solved.
     """
 
     roughness_m: float
     shifts: Shifts
     noise_share: float
+    sightings: Sightings | None = field(default=None, compare=False)
 
     def __str__(self) -> str:
         return (
@@ -126,11 +130,17 @@ def solve_maps(
         first = [found for _, found in views.solved(sample, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
         roughness, share = roughness_of(first, gsd, pool), noise_share(first)
         shifts = shifts_of(first, share, block.water is not None)
-        for job, found in views.solved(jobs, roughness, pool, lambda job, each: _part(job, maps[job.index], each)):
+        sightings = Sightings.none(len(block.images))
+
+        def part(job: Job, each: Solved) -> tuple[_Solved, Sightings]:
+            return _part(job, maps[job.index], each), Sightings.of(each, len(block.images))
+
+        for job, (found, seen) in views.solved(jobs, roughness, pool, part):
             parts[job.index].append(found)
+            sightings += seen
             done += len(job.tile)
             progress(done / total)
-    figures = SolverFigures(roughness, shifts, share)
+    figures = SolverFigures(roughness, shifts, share, sightings)
     is_wet = block.water is not None
     return [_with_std(m, _joined(each), figures, is_wet) for m, each in zip(maps, parts, strict=True)], figures
 

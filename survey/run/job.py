@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from survey.adjust.far_poses import Search, find_anew
+from survey.errors import SurveyError
 from survey.photos.store import ImageStore
 from survey.plan.area import limits, local_area
 from survey.plan.block import load_block
@@ -54,8 +55,15 @@ class Job:
 
     def take(self, survey: Survey) -> None:
         """Go on with another survey of the same photographs: with other water."""
+        before = self._sight()
         self.survey, self.plan = survey, self._plan_of(survey)
-        self.__dict__.pop("block", None)
+        if self._sight() != before:
+            for name in ("block", "bound"):
+                self.__dict__.pop(name, None)
+
+    def _sight(self) -> list[str]:
+        """What decides the rays of the photographs, and where the bed is looked for."""
+        return [self.part(name) for name in ("cameras", "water", "size", "device", "heights")]
 
     @cached_property
     def photographs(self) -> ImageStore:
@@ -74,6 +82,22 @@ class Job:
         if self.workspace is None:
             return None
         return partial(find_anew, workspace=self.workspace, say=self.progress.note)
+
+    @cached_property
+    def bound(self) -> tuple[float, float]:
+        """Heights [m] over the water plane between which thumbnails find the bed; `fields.sweep.ranging.find_range`.
+
+        Raises
+        ------
+        SurveyError
+            If too little matches.
+        """
+        from fields.sweep.ranging import find_range
+
+        try:
+            return find_range(self.block, limits(self.survey))
+        except ValueError as error:
+            raise SurveyError(str(error)) from error
 
     def part(self, name: str) -> str:
         """The hash of a part of the job that stages depend on; the names are those in `survey.run.keys`."""

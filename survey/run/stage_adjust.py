@@ -28,7 +28,7 @@ def adjust_block(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
             search=job.search,
         )
     write_adjustment(folder, found)
-    write_cameras(folder, refine.apply_adjustment(job.survey, found))
+    write_cameras(folder, refine.apply_adjustment(job.survey, found), found)
 
 
 def use_adjustment(job: Job, folder: Path) -> None:

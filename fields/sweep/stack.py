@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 
 from fields.device import Device
 from fields.sweep.arrays import constant, floats
+from fields.sweep.greys import Greys
 from fields.sweep.quads import Quads
 from refract import FlatWater, PinholeCamera
 from refract.distortion import ROW as LENS_ROW
@@ -116,13 +118,13 @@ class ViewStack:
     Attributes
     ----------
     cameras : list of PinholeCamera, all of one size
-    images : list of (height, width) float32
+    images : (height, width) float32 each
     water : FlatWater or None
     """
 
     device: Device
     cameras: list[PinholeCamera]
-    images: list[np.ndarray]
+    images: Sequence[np.ndarray]
     water: FlatWater | None
 
     @staticmethod
@@ -135,13 +137,16 @@ class ViewStack:
             If a size differs.
         """
         size = (cameras[0].height, cameras[0].width)
-        for camera, image in zip(cameras, images, strict=True):
-            if image.shape != size or (camera.height, camera.width) != size:
+        if not isinstance(images, Greys):
+            images = [np.asarray(image, dtype=np.float32) for image in images]
+        shapes = map(images.shape, range(len(images))) if isinstance(images, Greys) else [i.shape for i in images]
+        for camera, shape in zip(cameras, shapes, strict=True):
+            if shape != size or (camera.height, camera.width) != size:
                 raise ValueError(
-                    f"a stack holds images of one size {size}, that of their cameras; got an image of {image.shape} "
+                    f"a stack holds images of one size {size}, that of their cameras; got an image of {shape} "
                     f"with a camera of {(camera.height, camera.width)}"
                 )
-        return ViewStack(device, list(cameras), [np.asarray(image, dtype=np.float32) for image in images], water)
+        return ViewStack(device, list(cameras), images, water)
 
     @property
     def height(self) -> int:
@@ -174,7 +179,7 @@ class ViewStack:
 
     @cached_property
     def pixels(self) -> list[Any]:
-        """Each image as a flat array (height * width) of the device, float32."""
+        """Each image as a flat array (height * width) of the device, float32: of height maps, which are compared."""
         return [floats(self.device, image) for image in self.images]
 
     @cached_property

@@ -7,18 +7,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fields.sweep.ranging import find_range
 from fields.sweep.sweep import sweep
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
-from survey.plan.area import limits, local_area, plane_name
+from survey.plan.area import local_area, plane_name
 from survey.progress import shares
 from survey.run.stored import save_depth_maps
 
 if TYPE_CHECKING:
     from survey.run.job import Job
 
-MAPS, BOUND = "maps.npz", "bound.json"
+MAPS, BOUND, SATURATED = "maps.npz", "bound.json", "saturated.json"
 
 
 def sweep_views(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
@@ -31,10 +30,7 @@ def sweep_views(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
     """
     survey, block = job.survey, job.block
     with job.progress.stage("Sweep", 1.0) as stage:
-        try:
-            low, high = find_range(block, limits(survey))
-        except ValueError as error:
-            raise SurveyError(str(error)) from error
+        low, high = job.bound
         block.look_at(0.5 * (low + high))
         chosen = block.cover(*job.plan.recipe.times_seen, local_area(survey))
         maps = sweep(block, chosen, (low, high), shares(stage))
@@ -43,6 +39,8 @@ def sweep_views(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
     job.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(survey)}")
     save_depth_maps(folder / MAPS, maps)
     write_json(folder / BOUND, {"low_m": low, "high_m": high})
+    names = [view.name for view in survey.views]
+    write_json(folder / SATURATED, dict(zip(names, block.saturated, strict=True)))
 
 
 def look_at_bed(job: Job, folder: Path) -> None:

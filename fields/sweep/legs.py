@@ -28,6 +28,8 @@ LEAST_FALL = 1e-3
 # Steps towards the row of a rolling shutter that takes a point. Each leaves a twentieth of the error, or less, of at
 # first some pixels.
 ROLLING_STEPS = 2
+# Numbers of a path under water that does not move.
+_LEGS = 6
 # The water plane in its own frame.
 _POINT, _NORMAL = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 
@@ -49,17 +51,20 @@ def legs_through(camera, u, v, n_water, beyond: Beyond) -> list:
     air = ray[0] / fall, ray[1] / fall
     bent = kernels.bend(ray, _NORMAL, 1.0, n_water)
     foot = (c - centre[2] * slope for c, slope in zip(centre[:2], air, strict=True))
-    return [*foot, *air, bent[0] / bent[2], bent[1] / bent[2]]
+    # As an array: legs are gathered pixel by pixel.
+    own = [beyond.tide(camera) + 0.0 * u] if beyond.tides else []
+    return [*foot, *air, bent[0] / bent[2], bent[1] / bent[2], *own]
 
 
 def point_at(legs, z) -> tuple:
     """The point of a path at height z [m]."""
     xp = kernels.namespace(z)
-    return *(legs[c] + z * xp.where(z > 0.0, legs[2 + c], legs[4 + c]) for c in range(2)), z
+    own = z if len(legs) == _LEGS else z - legs[_LEGS]
+    return *(legs[c] + own * xp.where(own > 0.0, legs[2 + c], legs[4 + c]) for c in range(2)), z
 
 
 def _place(camera, v, beyond: Beyond) -> tuple:
-    """Where a camera is [m] when it reads the row at v [px]."""
+    """Where a camera is [m], over its own water, when it reads the row at v [px]."""
     centre = tuple(camera[9:12])
     return kernels.along(centre, tuple(beyond.motion(camera)), v - camera[15]) if beyond.moves else centre
 
@@ -70,6 +75,8 @@ def seen_at(camera, point, n_water, beyond: Beyond, steps: int = CROSSING_STEPS)
     ``n_water`` is None in a dry survey. Inside are positions between the outermost pixel centres. ``steps`` are those
     of `refract.kernels.air_share`.
     """
+    if beyond.tides:
+        point = (point[0], point[1], point[2] - beyond.tide(camera))
     u, v, depth = _seen_from(camera, tuple(camera[9:12]), point, n_water, beyond, steps)
     for _ in range(ROLLING_STEPS if beyond.moves else 0):
         u, v, depth = _seen_from(camera, _place(camera, v, beyond), point, n_water, beyond, steps)

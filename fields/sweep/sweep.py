@@ -18,6 +18,7 @@ from fields.sweep.block import Block
 from fields.sweep.climbing import MATCHED_NCC, climb_view
 from fields.sweep.consistency import agreement
 from fields.sweep.stack import ViewStack
+from fields.sweep.steps import StepSearch, search_steps
 
 # Height maps that each is compared with where heights are fused.
 PEERS = 12
@@ -35,6 +36,7 @@ class Pass:
     step_px : parallax between two rungs [px at this scale]
     neighbours : number of views compared with
     fuse : after the pass, average each height with those of the views that agree
+    search : after the pass, how heights beyond its ladder are searched; None: not at all
     """
 
     scale: float
@@ -43,14 +45,16 @@ class Pass:
     step_px: float
     neighbours: int
     fuse: bool
+    search: StepSearch | None = None
 
 
 # Windows shrink as the relief becomes known: 5x5 finds the height, 3x3 about the relief resolves it. docs/sweep.md has
-# what other passes give.
+# what other passes give. Windows of the pass before hold heights from 5 px around; images without anything in common
+# reach the least scores by chance in one of forty pixels: the better half of eight neighbours on a ladder of forty.
 PASSES = (
     Pass(0.25, 2, None, 0.5, 8, False),
-    Pass(0.5, 2, 11, 0.4, 8, False),
-    Pass(1.0, 2, 9, 0.4, 8, True),
+    Pass(0.5, 2, 11, 0.4, 8, False, StepSearch(2, 0.5, 5, MATCHED_NCC)),
+    Pass(1.0, 2, 9, 0.4, 8, True, StepSearch(1, 0.75, 3, 0.68)),
     Pass(1.0, 2, 5, 0.25, 8, True),
     Pass(1.0, 1, 3, 0.25, 12, True),
 )
@@ -182,7 +186,11 @@ def _climbed(block: Block, p: Pass, climb: Climb, bound: tuple[float, float], be
         start = np.full((stack.height, stack.width), bound[0], dtype=np.float32)
     else:
         start = _enlarged(before.height, stack) - np.float32(step * (climb.rungs // 2))
-    height, score, _ = climb_view(stack, view, climb.others, start, step, climb.rungs, p.radius)
+    found = climb_view(stack, view, climb.others, start, step, climb.rungs, p.radius)
+    if p.search is not None:
+        reach = p.step_px * (climb.rungs // 2)
+        found = search_steps(stack, view, climb.others, found, p.step_px / step, reach, p.search)
+    height, score, _ = found
     nobody = np.zeros(height.shape, dtype=np.uint8)
     return DepthMap(view, height, score.astype(np.float16), nobody, np.zeros(height.shape, dtype=np.float16))
 

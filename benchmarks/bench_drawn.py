@@ -16,7 +16,8 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from drawn_front import draw, published, table
+from drawn_front import draw, lines_of
+from published import publish
 
 from survey.benchmark.benchmark import RESULTS, Settings, benchmark
 from survey.benchmark.records import Record, read_results, write_results
@@ -99,13 +100,12 @@ def main() -> None:
     for name in options.parts or PARTS:
         known = measured(PARTS[name], options.output, known)
     results = read_results(path)
-    lines = table(results.records)
-    print("\n".join(lines))  # noqa: T201
+    print("\n".join(lines_of(results)))  # noqa: T201
     draw(options.output / PICTURE.name, results.records)
     if options.publish:
         write_results(PUBLISHED, results)
         draw(PICTURE, results.records)
-        PAGE.write_text(published(PAGE.read_text(encoding="utf-8"), results, lines), encoding="utf-8")
+        publish(PAGE, "drawn", lines_of(results))
     if earlier is not None:
         print("\n".join(comparison(results, earlier)))  # noqa: T201
 

@@ -397,6 +397,14 @@ def test_a_limit_on_memory_below_what_any_survey_needs_is_refused(monkeypatch, a
     assert "limited to 1.5 GB (ulimit -v), expected at least 3 GB; raise the limit" in result.stderr
 
 
+def test_a_limit_on_data_that_kernels_would_crash_at_is_refused(monkeypatch):
+    endless = resource.RLIM_INFINITY
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: (3e8 if kind == resource.RLIMIT_DATA else endless, endless))
+    result = bathynerf("process", "s")
+    assert result.exit_code == 2
+    assert "limited to 0.3 GB (ulimit -d), expected at least 0.4 GB; raise the limit" in result.stderr
+
+
 def test_check_warns_of_the_limit_that_process_refuses(monkeypatch, tmp_path):
     monkeypatch.setattr(resource, "getrlimit", lambda _: (1_536_000_000, resource.RLIM_INFINITY))
     result = bathynerf("check", small_survey(tmp_path / "s"))

@@ -189,7 +189,7 @@ def test_report_json_keeps_its_names(report):
     }  # fmt: skip
     assert list(found) == [
         "verdict", "survey", "water", "plan", "cloud", "comparison", "iho_s44", "checkpoints", "adjustment",
-        "baselines", "timings_s", "versions", "settings", "assumptions", "warnings", "notes",
+        "baselines", "photographs", "timings_s", "versions", "settings", "assumptions", "warnings", "notes",
     ]  # fmt: skip
     assert list(found["verdict"]["gates"][0]) == ["name", "value", "limit", "unit", "passed", "sentence"]
     assert list(found["survey"]["crs"]) == ["name", "code", "unit", "height_unit"]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fields.solver.smoothness import stiffness_of
-from fields.solver.solve import FAINT, Solved, conjugate_gradients, normal_matrix, parallax_of
+from fields.solver.solve import FAINT, Solved, conjugate_gradients, normal_matrix
 from fields.solver.tile import Tile
 
 # The search starts at this share of the ground sampling distance and goes in steps of this factor, this far at most.
@@ -26,12 +26,10 @@ class Half:
     """What half of the photographs say about the heights of a tile, about those that all of them gave.
 
     The sum of their squared residuals, for changes d (N,) [m], is ``sum(information * d * d + 2 * pull * d)`` more.
-    ``parallax`` (N,) is that of `fields.solver.solve.parallax_of`.
     """
 
     information: np.ndarray
     pull: np.ndarray
-    parallax: np.ndarray
 
     def cost(self, change: np.ndarray) -> np.ndarray:
         """Increase (N,) of the squared residuals, in units of their variance."""
@@ -50,7 +48,7 @@ def halves_of(solved: Solved) -> tuple[Half, Half]:
         )
         information = np.einsum("kn,kn,kn->n", weight, slope, slope)
         pull = np.einsum("kn,kn,kn->n", weight, slope, residual)
-        found.append(Half(information, pull, parallax_of(weight, solved.motion[first::2])))
+        found.append(Half(information, pull))
     return found[0], found[1]
 
 

@@ -1,4 +1,4 @@
-"""The photographs and height maps of a survey, as tiles are solved with them, at full size or half of it."""
+"""The photographs and height maps of a survey, as tiles are solved with them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ import numpy as np
 
 from fields.device import Device
 from fields.solver.projection import Projection
-from fields.solver.shares import as_noisy, halved, halved_camera, halved_map
 from fields.solver.sight import Sight, sight_of
 from fields.solver.solve import Solved, solve
 from fields.solver.tile import Tile, tiles_of
@@ -114,18 +113,3 @@ class Views:
     def _sight(self, job: Job) -> Sight:
         view, tolerance = self.maps[job.index].view, self.tolerance[job.index]
         return sight_of(job.tile, view, job.others, self.cameras, self._by_view, self._projection, tolerance)
-
-    def halved(self, chosen: list[int], noise: float) -> Views:
-        """At half the size and as noisy [grey levels] as before: the chosen maps first, then those that they see."""
-        needed = {view for i in chosen for view in (self.maps[i].view, *self.others[i])}
-        rest = [i for i, m in enumerate(self.maps) if m.view in needed and i not in chosen]
-        kept, random = [*chosen, *rest], np.random.default_rng(0)
-        return Views(
-            {view: halved_camera(self.cameras[view]) for view in sorted(needed)},
-            {view: as_noisy(halved(self.images[view]), noise, random) for view in sorted(needed)},
-            self.water,
-            self.device,
-            [halved_map(self.maps[i]) for i in kept],
-            [self.others[i] for i in kept],
-            [2.0 * self.tolerance[i] for i in kept],
-        )

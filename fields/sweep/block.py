@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-import cv2
 import numpy as np
 
 from fields.device import Device
 from fields.sweep import views
 from fields.sweep.arrays import release
 from fields.sweep.greys import Greys
+from fields.sweep.holes import closed, shrunk
 from fields.sweep.stack import ViewStack
 from refract import FlatWater, PinholeCamera
 
@@ -81,11 +81,14 @@ class Block(Overlap):
     ----------
     device : Device
     cameras : list of PinholeCamera
-        All of the images' size; smaller images are padded with NaN, as are masked pixels.
+        All of the images' size; smaller images are padded with NaN, as are masked and saturated pixels.
     images : (height, width) float32 each
         Grey levels about zero; read once and kept as `Greys`.
     water, height :
         As `Overlap`.
+    saturated : tuple of float
+        Share of each photograph that is left out because it is white; empty where nobody has looked. Read after the
+        images, so that what gives these may fill it.
 
     Raises
     ------
@@ -100,6 +103,7 @@ class Block(Overlap):
         images: Iterable[np.ndarray],
         water: FlatWater | None,
         height: float,
+        saturated: Sequence[float] = (),
     ):
         self.device, self.images = device, Greys(images)
         if len(cameras) < 2 or len(cameras) != len(self.images):
@@ -107,6 +111,7 @@ class Block(Overlap):
                 f"a block needs two views or more, each with an image; got {len(cameras)} and {len(self.images)}"
             )
         super().__init__(cameras, water, height)
+        self.saturated = tuple(saturated)
         self._stacks: dict[float, ViewStack] = {}
 
     def stack(self, scale: float) -> ViewStack:
@@ -116,7 +121,9 @@ class Block(Overlap):
             size = (cameras[0].width, cameras[0].height)
             images: Sequence[np.ndarray] = self.images
             if scale != 1.0:
-                images = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in images]
+                images = [closed(shrunk(image, size)) for image in images]
+            elif not self.images.are_whole:
+                images = Greys(closed(image) for image in images)
             self._stacks[scale] = ViewStack.build(self.device, cameras, images, self.water)
         return self._stacks[scale]
 

@@ -34,6 +34,11 @@ class Greys(Sequence):
             raise IndexError(f"there are {len(self)} images, got number {view}")
         return self._read[view]
 
+    @property
+    def are_whole(self) -> bool:
+        """Whether no pixel is masked."""
+        return not any(each.is_masked for each in self._kept)
+
     def shape(self, view: int) -> tuple[int, ...]:
         """Height and width of an image."""
         return self._kept[view].levels.shape
@@ -45,11 +50,12 @@ class _Kept:
     def __init__(self, image: np.ndarray):
         levels = np.asarray(image, dtype=np.float32)
         masked = np.isnan(levels)
+        self.is_masked = bool(masked.any())
         self.levels: np.ndarray = levels
         self.masked: np.ndarray | None = None
-        known = np.where(masked, np.float32(0.0), levels) if masked.any() else levels
+        known = np.where(masked, np.float32(0.0), levels) if self.is_masked else levels
         if known.min() >= -128.0 and known.max() <= 127.0 and np.array_equal(small := known.astype(np.int8), known):
-            self.levels, self.masked = small, np.packbits(masked) if masked.any() else None
+            self.levels, self.masked = small, np.packbits(masked) if self.is_masked else None
 
     def whole(self) -> np.ndarray:
         """As it came."""

@@ -29,7 +29,7 @@ from survey.folder.survey import Survey
 
 _POSE_NAMES = ("x", "y", "z", "turn_x", "turn_y", "turn_z")
 # Three determine a pose; as many again tell whether they are right.
-_FEW_MATCHES = 6
+FEW_MATCHES = 6
 
 
 def lens_with(lens: Lens, parameters: np.ndarray) -> Lens:
@@ -140,10 +140,10 @@ def _warnings(survey: Survey, done: Adjusted) -> list[str]:
     if blunders:
         warnings.append(f"positions that the block contradicts are not used: {', '.join(blunders)}")
     matches = np.bincount(done.used.ties.view, minlength=len(survey.views))
-    loose = [view.name for view, count in zip(survey.views, matches, strict=True) if count < _FEW_MATCHES]
+    loose = [view.name for view, count in zip(survey.views, matches, strict=True) if count < FEW_MATCHES]
     if loose:
         warnings.append(
-            f"with fewer than {_FEW_MATCHES} matches, poses stay about as they came: {', '.join(loose)}; leave these "
+            f"with fewer than {FEW_MATCHES} matches, poses stay about as they came: {', '.join(loose)}; leave these "
             "photographs out"
         )
     return warnings

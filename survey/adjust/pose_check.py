@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from survey.adjust.bundle import Problem, solve
-from survey.adjust.observed import KINDS, WINDOW, observed, rows_taken
+from survey.adjust.observed import KINDS, MATCH, WINDOW, observed, rows_taken
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import HELD, known_of, priors_for
 from survey.adjust.windows_of_survey import windows_of_block
 from survey.folder.survey import Survey
+from survey.photos.tie_points import TiePoints
 from survey.plan.plan import Plan
 
 if TYPE_CHECKING:
@@ -47,14 +48,28 @@ def pose_misfit(
         In which the bed lies.
     advance : callable
         Called with the increment; increments sum to 1.
+
+    Raises
+    ------
+    SurveyError
+        If no windows match, as under poses that are off by more than a few pixels: `misfit_of_features` can tell.
     """
     chosen = _middle(survey)
     sample = replace(survey, views=tuple(survey.views[i] for i in chosen), ties=None)
-    known = known_of(sample, plan.gsd_m)
-    windows = windows_of_block(sample, plan, block.part(chosen), bound, advance)
-    if not len(windows):
+    return _under_given(sample, plan, WINDOW, windows_of_block(sample, plan, block.part(chosen), bound, advance))
+
+
+def misfit_of_features(survey: Survey, plan: Plan, features: TiePoints) -> float | None:
+    """`pose_misfit` by the features of all photographs, wherever they lie."""
+    return _under_given(replace(survey, ties=None), plan, MATCH, features)
+
+
+def _under_given(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> float | None:
+    """See `pose_misfit`, by tie points of a kind."""
+    if not len(ties):
         return None
-    seen = observed([(WINDOW, windows)], None, sample, known)
+    known = known_of(survey, plan.gsd_m)
+    seen = observed([(kind, ties)], None, survey, known)
     held = replace(known, std=np.full_like(known.std, HELD))
     state = replace(known.state, points=seen.ties.start)
     priors, sides = priors_for(held, seen.ties), relief_sides(state, seen.ties)

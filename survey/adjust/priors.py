@@ -161,9 +161,9 @@ def is_held(lens: Lens) -> bool:
 def _data_sheet(survey: Survey, lens: Lens) -> np.ndarray:
     """The lens before any photograph was taken with it."""
     given = parameters_of(lens)
-    if survey.ties is None or is_held(lens):
-        return given
     cameras = survey.config.cameras
+    if survey.ties is None or is_held(lens) or cameras.poses is not None:
+        return given
     focal = cameras.focal_px[0] if isinstance(cameras.focal_px, tuple) else cameras.focal_px
     middle = cameras.principal_point_px or (0.5 * lens.width, 0.5 * lens.height)
     names = MODELS[cameras.model][1] if cameras.model in BROWN else ()

@@ -1,6 +1,7 @@
 """Poses, lens and water of a survey together, from its photographs, positions, control and readings.
 
-matches of structure from motion (`Survey.ties`), where there are any -> a first adjustment, that takes the bend out
+matches of structure from motion (`Survey.ties`), where there are any -> a first adjustment, that takes the bend out;
+poses of a file that are too far off for windows get such matches first (`survey.adjust.far_poses`)
 windows matched to a fraction of a pixel on the adjusted block (`survey.adjust.windows`) -> the final adjustment
 """
 
@@ -15,6 +16,7 @@ from refract.lens import Lens
 from survey.adjust.adjustment import UNKNOWN, Adjustment
 from survey.adjust.assembling import lens_with, result
 from survey.adjust.contradiction import Contradiction, contradictions, released
+from survey.adjust.far_poses import Search, windows_or_search
 from survey.adjust.free_water import Lost, adjust_free, dry_or_within_bounds, within_bounds
 from survey.adjust.holding import adjusted_with
 from survey.adjust.observed import MATCH, WINDOW, Observed, observed
@@ -40,6 +42,7 @@ def adjust_survey(
     advance: Callable[[float], None] = lambda _share: None,
     use_windows: bool = True,
     free_water: bool = False,
+    search: Search | None = None,
 ) -> Adjustment:
     """Adjust a survey.
 
@@ -53,14 +56,39 @@ def adjust_survey(
         Measure windows too, not matches alone.
     free_water : bool
         Find the water as if nothing were known of it.
+    search : callable, optional
+        Finds poses of a file anew that are too far off for windows; without it they are refused.
 
     Raises
     ------
     SurveyError
         If the photographs do not match, or the adjustment does not converge.
     """
-    gsd = make_plan(survey).gsd_m
-    known = known_of(survey, gsd, free_water=free_water)
+    known = known_of(survey, make_plan(survey).gsd_m, free_water=free_water)
+    if survey.ties is not None or not use_windows:
+        return _adjusted(survey, known, None, device, advance, use_windows=use_windows, free_water=free_water)
+    windows = windows_or_search(
+        survey, lambda: measure_windows(survey, device=device, advance=lambda part: advance(0.9 * part)), search
+    )
+    if isinstance(windows, TiePoints):
+        return _adjusted(survey, known, windows, device, advance, free_water=free_water)
+    survey = replace(survey, ties=windows.ties)
+    known = windows.start(known_of(survey, make_plan(survey).gsd_m, free_water=free_water))
+    found = _adjusted(survey, known, None, device, lambda _share: None, free_water=free_water)
+    return replace(found, warnings=(windows.warning, *found.warnings))
+
+
+def _adjusted(
+    survey: Survey,
+    known: Known,
+    windows: TiePoints | None,
+    device: str,
+    advance: Callable[[float], None],
+    *,
+    use_windows: bool = True,
+    free_water: bool = False,
+) -> Adjustment:
+    """See `adjust_survey`; with the windows, where they were measured already."""
     sizes = [(view.lens.width, view.lens.height) for view in survey.views]
     marks_std = _MARKS_STD_PX if survey.control is None else survey.control.marks_std_px
     parts: list[tuple[int, TiePoints]] = []
@@ -78,9 +106,9 @@ def adjust_survey(
         done, lost = settle(known, observed(parts, survey.control, survey, known))
         advance(0.3)
     if use_windows:
-        moved = survey if done is None else _with_state(survey, known, done.solution.state)
-        share = 0.6 if done is not None else 0.9
-        windows = measure_windows(moved, device=device, advance=lambda part: advance(share * part))
+        if windows is None:
+            moved = survey if done is None else _with_state(survey, known, done.solution.state)
+            windows = measure_windows(moved, device=device, advance=lambda part: advance(0.6 * part))
         parts.append((WINDOW, _thinned(within_bounds(survey, windows) if free_water else windows, sizes)))
         start = known if done is None else _started(known, done)
         done, lost = settle(start, observed(parts, survey.control, survey, known))

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property
+from functools import cached_property, partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from survey.adjust.far_poses import Search, find_anew
 from survey.errors import SurveyError
 from survey.photos.store import ImageStore
 from survey.plan.area import limits, local_area
@@ -33,6 +35,8 @@ class Job:
     calibrate_water, true_colour : bool
         Whether the water is found as if nothing were known of it; whether points get the colour of the bed without
         its water.
+    workspace : Path or None
+        Where structure from motion keeps its files.
     """
 
     def __init__(
@@ -43,9 +47,10 @@ class Job:
         *,
         calibrate_water: bool = False,
         true_colour: bool = False,
+        workspace: Path | None = None,
     ):
         self.survey, self.plan, self.progress = survey, plan_of(survey), progress
-        self.calibrate_water, self.true_colour = calibrate_water, true_colour
+        self.calibrate_water, self.true_colour, self.workspace = calibrate_water, true_colour, workspace
         self._plan_of = plan_of
 
     def take(self, survey: Survey) -> None:
@@ -70,6 +75,13 @@ class Job:
         """The grey images with their cameras, loaded when the first stage needs them."""
         with self.progress.stage("Images", len(self.survey.views)) as stage:
             return load_block(self.survey, self.plan, stage.advance, self.photographs)
+
+    @property
+    def search(self) -> Search | None:
+        """Finds poses of a file anew; None without a workspace."""
+        if self.workspace is None:
+            return None
+        return partial(find_anew, workspace=self.workspace, say=self.progress.note)
 
     @cached_property
     def bound(self) -> tuple[float, float]:

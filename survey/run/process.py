@@ -105,7 +105,9 @@ def process(
         # Starts torch and Dr.Jit: only after everything that the user may have to mend was looked at.
         from survey.run.job import Job
 
-        job = Job(survey, plan_of, progress, calibrate_water=calibrate_water, true_colour=true_colour)
+        job = Job(
+            survey, plan_of, progress, calibrate_water=calibrate_water, true_colour=true_colour, workspace=run.sfm_path
+        )
         return _to_the_end(run, job, resume, truth)
 
 

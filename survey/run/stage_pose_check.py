@@ -22,11 +22,14 @@ MISFIT = "misfit.json"
 def check_poses(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
     """Measure by how much photographs miss each other under the given poses."""
     found = None
-    # Poses that are wrong, or photographs without texture, leave nothing that matches: the sweep will say so.
     with suppress(SurveyError):
         bound, block = job.bound, job.block
         with job.progress.stage("Poses", 1.0) as stage:
             found = pose_check.pose_misfit(job.survey, job.plan, block, bound, stage.advance)
+    # Photographs without texture leave nothing that matches either: the sweep will say so.
+    if found is None and job.search is not None:
+        with suppress(SurveyError):
+            found = pose_check.misfit_of_features(job.survey, job.plan, job.search(job.survey).ties)
     write_json(folder / MISFIT, {"misfit_px": found})
 
 

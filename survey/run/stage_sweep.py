@@ -17,7 +17,7 @@ from survey.run.stored import save_depth_maps
 if TYPE_CHECKING:
     from survey.run.job import Job
 
-MAPS, BOUND = "maps.npz", "bound.json"
+MAPS, BOUND, SATURATED = "maps.npz", "bound.json", "saturated.json"
 
 
 def sweep_views(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
@@ -39,6 +39,8 @@ def sweep_views(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
     job.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(survey)}")
     save_depth_maps(folder / MAPS, maps)
     write_json(folder / BOUND, {"low_m": low, "high_m": high})
+    names = [view.name for view in survey.views]
+    write_json(folder / SATURATED, dict(zip(names, block.saturated, strict=True)))
 
 
 def look_at_bed(job: Job, folder: Path) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from fields.sweep.sweep import sweep
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
-from survey.plan.area import local_area, plane_name
+from survey.plan.area import AREA_MARGIN_M, grown, local_area, plane_name
 from survey.progress import shares
 from survey.run.stored import save_depth_maps
 
@@ -32,8 +32,10 @@ def sweep_views(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
     with job.progress.stage("Sweep", 1.0) as stage:
         low, high = job.bound
         block.look_at(0.5 * (low + high))
-        chosen = block.cover(*job.plan.recipe.times_seen, local_area(survey))
-        maps = sweep(block, chosen, (low, high), shares(stage))
+        area = local_area(survey)
+        chosen = block.cover(*job.plan.recipe.times_seen, area)
+        wanted = None if area is None else grown(area, AREA_MARGIN_M)
+        maps = sweep(block, chosen, (low, high), shares(stage), area=wanted)
     if not maps:
         raise SurveyError("no two views overlap; check that the poses belong to the images")
     job.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(survey)}")

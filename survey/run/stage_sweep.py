@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from fields.sweep.sweep import sweep
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
-from survey.plan.area import AREA_MARGIN_M, grown, local_area, plane_name
+from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area, plane_name
 from survey.progress import shares
 from survey.run.stored import save_depth_maps
 
@@ -34,8 +34,10 @@ def sweep_views(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
         block.look_at(0.5 * (low + high))
         area = local_area(survey)
         chosen = block.cover(*job.plan.recipe.times_seen, area)
-        wanted = None if area is None else grown(area, AREA_MARGIN_M)
-        maps = sweep(block, chosen, (low, high), shares(stage), area=wanted)
+        skips = job.plan.skips
+        wanted = grown(area, AREA_MARGIN_M) if area is not None and skips.area else None
+        ladder = (low, high) if skips.heights else limits(survey)
+        maps = sweep(block, chosen, ladder, shares(stage), area=wanted)
     if not maps:
         raise SurveyError("no two views overlap; check that the poses belong to the images")
     job.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(survey)}")

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+import resource
 import shutil
 from pathlib import Path
 
 _CGROUP = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
 _MEMINFO = Path("/proc/meminfo")
+# Address space that libraries and kernels map and do not fill, on one core.
+_MAPPED_BYTES = 2.4e9
+_UNLIMITED = (resource.RLIM_INFINITY, -1)
 
 
 def memory_bytes() -> int:
@@ -31,6 +35,13 @@ def free_memory_bytes() -> int:
     except (OSError, ValueError):
         pass
     return memory_bytes()
+
+
+def allowed_memory_bytes() -> float:
+    """Memory that the limits of this process leave to its data (ulimit -d, ulimit -v); infinite without limits."""
+    data, space = (resource.getrlimit(kind)[0] for kind in (resource.RLIMIT_DATA, resource.RLIMIT_AS))
+    allowed = float("inf") if data in _UNLIMITED else float(data)
+    return allowed if space in _UNLIMITED else min(allowed, space - _MAPPED_BYTES)
 
 
 def num_cores() -> int:

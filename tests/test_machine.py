@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 
 from survey import machine
 
@@ -27,3 +28,13 @@ def test_where_the_system_does_not_tell_all_memory_counts_as_free(tmp_path, monk
 def test_room_on_the_disk_is_that_of_the_nearest_folder_that_exists(tmp_path):
     assert machine.free_disk_bytes(tmp_path / "a" / "b" / "c") > 0
     assert 1 <= machine.num_cores() <= os.cpu_count()
+
+
+def test_limits_of_the_process_leave_less_memory_than_they_say_where_they_count_what_is_only_mapped(monkeypatch):
+    limits = {resource.RLIMIT_DATA: resource.RLIM_INFINITY, resource.RLIMIT_AS: resource.RLIM_INFINITY}
+    monkeypatch.setattr(machine.resource, "getrlimit", lambda kind: (limits[kind], limits[kind]))
+    assert machine.allowed_memory_bytes() == float("inf")
+    limits[resource.RLIMIT_AS] = 4_000_000_000
+    assert 0.5e9 < machine.allowed_memory_bytes() < 4e9
+    limits[resource.RLIMIT_DATA] = 300_000_000
+    assert machine.allowed_memory_bytes() == 3e8

@@ -79,7 +79,7 @@ def survey(noise: float, slope: float, wrong_gsd: float = 0.6) -> tuple[Block, l
         wrong = ndimage.gaussian_filter(random.standard_normal(truth.shape), 2.0)
         height = (truth + wrong_gsd * GSD * wrong / wrong.std()).astype(np.float32)
         whole = np.ones(truth.shape)
-        maps.append(DepthMap(view, height, whole, whole, np.full(truth.shape, 5, np.uint8), 0.0 * height))
+        maps.append(DepthMap(view, height, whole, np.full(truth.shape, 5, np.uint8), 0.0 * height))
     return block, maps, bed.heights_seen(cameras[0])
 
 
@@ -270,7 +270,7 @@ def test_tiles_hold_every_wanted_pixel_once():
 
 def test_a_map_takes_solved_heights_and_keeps_the_others():
     level = np.zeros((4, 5), dtype=np.float32)
-    depth_map = DepthMap(0, level, level, level, level.astype(np.uint8), level)
+    depth_map = DepthMap(0, level, level, level.astype(np.uint8), level)
     refined, std = SolvedMap(np.array([7]), np.array([-1.5]), np.array([0.01])).over(depth_map)
     assert refined.height[1, 2] == -1.5
     assert np.count_nonzero(refined.height) == 1

@@ -13,6 +13,7 @@ from fields.solver.appearance import Appearance, Brightness, appearance_of, brig
 from fields.solver.sight import Sight
 from fields.solver.smoothness import Bends, bends_of, stiffness_of
 from fields.solver.tile import Tile
+from fields.sweep.greys import Greys
 
 ITERATIONS = 3
 # Gain and offset are estimated in the first steps.
@@ -44,6 +45,8 @@ class Solved:
         As `Sight` has it.
     of_noise : (N,) [1/m^2]
         What the noise of the albedo's gradients, which counts as texture, adds to ``information``.
+    views : (K,) of int
+        The photographs, by their number.
     """
 
     height: np.ndarray
@@ -54,10 +57,16 @@ class Solved:
     slope: np.ndarray
     motion: np.ndarray
     of_noise: np.ndarray
+    views: tuple[int, ...] = ()
 
 
 def solve(
-    tile: Tile, sight: Sight, images: Mapping[int, np.ndarray], start: np.ndarray, roughness: float, tolerance: float
+    tile: Tile,
+    sight: Sight,
+    images: Greys | Mapping[int, np.ndarray],
+    start: np.ndarray,
+    roughness: float,
+    tolerance: float,
 ) -> Solved:
     """Heights of a tile by least squares over all photographs that see it.
 
@@ -92,7 +101,7 @@ def solve(
         )
         height = height + np.clip(step, -tolerance, tolerance).astype(np.float32)
     of_noise = _gradient_noise(sight, brightness)
-    return Solved(height, information, stiffness, bends, brightness, slope, sight.motion, of_noise)
+    return Solved(height, information, stiffness, bends, brightness, slope, sight.motion, of_noise, tuple(sight.views))
 
 
 def _gradient_noise(sight: Sight, brightness: Brightness) -> np.ndarray:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from fields.solver.correlation import noise_share
 from fields.solver.roughness import START_GSD, roughness_of
 from fields.solver.shifts import Shifts, depth_of, shifts_of
+from fields.solver.sightings import Sightings
 from fields.solver.solve import Solved, parallax_of
 from fields.solver.uncertainty import PLACE_PX2, bends_below, rise_of, variance_of
 from fields.solver.views import Job, Views
@@ -61,11 +62,14 @@ class SolverFigures:
         Between photographs: `fields.solver.shifts.shifts_of`.
     noise_share : float
         Of the variance by noise and prior: `fields.solver.correlation.noise_share`.
+    sightings : Sightings or None
+        Of all points in all photographs; None where nothing was solved.
     """
 
     roughness_m: float
     shifts: Shifts
     noise_share: float
+    sightings: Sightings | None = field(default=None, compare=False)
 
     def __str__(self) -> str:
         return (
@@ -124,18 +128,20 @@ def solve_maps(
     parts: list[list[_Solved]] = [[] for _ in maps]
     with ThreadPoolExecutor(_WORKERS) as pool:
         sample = _sample(small)
-        first = [
-            (job.tile, found)
-            for job, found in zip(sample, pool.map(lambda job: views.solved(job, START_GSD * gsd), sample), strict=True)
-        ]
+        first = [found for _, found in views.solved(sample, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
         roughness, share = roughness_of(first, gsd, pool), noise_share(first)
         shifts = shifts_of(first, share, block.water is not None)
-        found_tiles = pool.map(lambda job: _part(job, maps[job.index], views.solved(job, roughness)), jobs)
-        for job, found in zip(jobs, found_tiles, strict=True):
+        sightings = Sightings.none(len(block.images))
+
+        def part(job: Job, each: Solved) -> tuple[_Solved, Sightings]:
+            return _part(job, maps[job.index], each), Sightings.of(each, len(block.images))
+
+        for job, (found, seen) in views.solved(jobs, roughness, pool, part):
             parts[job.index].append(found)
+            sightings += seen
             done += len(job.tile)
             progress(done / total)
-    figures = SolverFigures(roughness, shifts, share)
+    figures = SolverFigures(roughness, shifts, share, sightings)
     is_wet = block.water is not None
     return [_with_std(m, _joined(each), figures, is_wet) for m, each in zip(maps, parts, strict=True)], figures
 

@@ -88,7 +88,9 @@ def unique_pixels(block: Block, maps: list[DepthMap]) -> list[np.ndarray]:
     kept: dict[int, np.ndarray] = {}
     for place, index in enumerate(order):
         m = maps[index]
-        kept[index] = trusted(m) & (host(device, claimed[index]).reshape(shape) == 0)
+        # What is left out of the photograph has a height of its surroundings, but neither colour nor match.
+        seen = np.isfinite(block.images[m.view])
+        kept[index] = trusted(m) & seen & (host(device, claimed[index]).reshape(shape) == 0)
         if not kept[index].any():
             continue
         legs, own = images.paths_of(heights, index, np.flatnonzero(kept[index]))

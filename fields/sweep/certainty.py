@@ -20,7 +20,7 @@ def std_of(height: np.ndarray, agreeing: np.ndarray, spread: np.ndarray) -> np.n
     """
     views = agreeing.astype(np.float32) + 1.0
     # The spread is a population figure.
-    squares = _near(np.where(views > 1.0, views * spread**2, 0.0))
+    squares = _near(np.where(views > 1.0, views * spread.astype(np.float32) ** 2, 0.0))
     variance = squares / np.maximum(_near(views - 1.0), 1e-6)
     return np.sqrt(for_few(views) * (variance / views + _bends(height)))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -9,13 +10,15 @@ from typing import Any
 import numpy as np
 
 from fields.device import Device
+from fields.skips import SKIPS, Skips
 from fields.sweep.arrays import constant, floats
+from fields.sweep.greys import Greys
 from fields.sweep.quads import Quads
 from refract import FlatWater, PinholeCamera
+from refract.distortion import KINDS, kinds_of, row_of
 from refract.distortion import ROW as LENS_ROW
-from refract.distortion import kinds_of, row_of
 
-_PINHOLE_ROW, _MOTION_ROW = 18, 3
+_PINHOLE_ROW, _MOTION_ROW, _TIDE_ROW = 18, 3, 1
 
 
 @dataclass(frozen=True)
@@ -28,24 +31,38 @@ class Beyond:
         Kinds of distortion, see `refract.distortion`.
     moves : bool
         Whether any shutter rolls.
+    tides : bool
+        Whether any camera had another level of the water than the plane.
     """
 
     lenses: frozenset[str]
     moves: bool
+    tides: bool
 
     @staticmethod
-    def of(cameras: list[PinholeCamera]) -> Beyond:
-        """That of cameras."""
-        return Beyond(kinds_of(c.distortion for c in cameras), any(c.motion is not None for c in cameras))
+    def of(cameras: list[PinholeCamera], skips: Skips = SKIPS) -> Beyond:
+        """That of cameras, or all that there may be."""
+        if not skips.lens:
+            return Beyond(KINDS, True, True)
+        moves, tides = any(c.motion is not None for c in cameras), any(c.tide != 0.0 for c in cameras)
+        return Beyond(kinds_of(c.distortion for c in cameras), moves, tides)
 
     @property
     def row(self) -> int:
         """Length of a row of the table of these cameras."""
-        return _PINHOLE_ROW + (_MOTION_ROW if self.moves else 0) + (LENS_ROW if self.lenses else 0)
+        return self._tide_at + (_TIDE_ROW if self.tides else 0) + (LENS_ROW if self.lenses else 0)
+
+    @property
+    def _tide_at(self) -> int:
+        return _PINHOLE_ROW + (_MOTION_ROW if self.moves else 0)
 
     def motion(self, row):
         """The part of a row that says how far the camera flies from one row of the image to the next [m/px]."""
         return row[_PINHOLE_ROW : _PINHOLE_ROW + _MOTION_ROW]
+
+    def tide(self, row):
+        """The number of a row that says how high the camera's own water is over the plane, along its normal [m]."""
+        return row[self._tide_at]
 
     def lens(self, row):
         """The part of a row that is that of `refract.distortion`."""
@@ -78,18 +95,28 @@ class PlaneFrame:
         return PlaneFrame(up * (up @ np.asarray(water.point)), np.stack([east, np.cross(up, east), up]))
 
 
+def index_of(water: FlatWater | None, skips: Skips) -> float | None:
+    """Index of the water; None where rays are straight, and nothing need be bent."""
+    index = 1.0 if water is None else water.n_water
+    return None if index == 1.0 and skips.air else index
+
+
 def camera_table(cameras: list[PinholeCamera], beyond: Beyond, frame: PlaneFrame) -> np.ndarray:
     """Rotation (9), centre (3), fx, fy, cx, cy, width, height of each camera, and what it has beyond a pinhole.
 
-    (cameras, 18 and more) float64, in a frame.
+    (cameras, 18 and more) float64, in a frame. The height of a centre is over the camera's own water, where the water
+    moves: the frame is lower by the tide.
     """
     rows = []
     for c in cameras:
         rotation, centre = c.cam_from_local @ frame.from_local.T, frame.from_local @ (c.centre - frame.origin)
+        tide = c.tide * frame.from_local[2, 2]
+        centre[2] -= tide
         inner = (c.fx, c.fy, c.cx, c.cy, c.width, c.height)
         motion = (np.zeros(3) if c.motion is None else frame.from_local @ c.motion) if beyond.moves else ()
+        own = (tide,) if beyond.tides else ()
         lens = row_of(c.distortion) if beyond.lenses else ()
-        rows.append(np.concatenate([rotation.ravel(), centre, inner, motion, lens]))
+        rows.append(np.concatenate([rotation.ravel(), centre, inner, motion, own, lens]))
     return np.asarray(rows)
 
 
@@ -100,17 +127,19 @@ class ViewStack:
     Attributes
     ----------
     cameras : list of PinholeCamera, all of one size
-    images : list of (height, width) float32
+    images : (height, width) float32 each
     water : FlatWater or None
+    skips : Skips
     """
 
     device: Device
     cameras: list[PinholeCamera]
-    images: list[np.ndarray]
+    images: Sequence[np.ndarray]
     water: FlatWater | None
+    skips: Skips = SKIPS
 
     @staticmethod
-    def build(device: Device, cameras, images, water) -> ViewStack:
+    def build(device: Device, cameras, images, water, skips: Skips = SKIPS) -> ViewStack:
         """Stack images (height, width) float; all must have the size of their camera, and one size.
 
         Raises
@@ -119,13 +148,16 @@ class ViewStack:
             If a size differs.
         """
         size = (cameras[0].height, cameras[0].width)
-        for camera, image in zip(cameras, images, strict=True):
-            if image.shape != size or (camera.height, camera.width) != size:
+        if not isinstance(images, Greys):
+            images = [np.asarray(image, dtype=np.float32) for image in images]
+        shapes = map(images.shape, range(len(images))) if isinstance(images, Greys) else [i.shape for i in images]
+        for camera, shape in zip(cameras, shapes, strict=True):
+            if shape != size or (camera.height, camera.width) != size:
                 raise ValueError(
-                    f"a stack holds images of one size {size}, that of their cameras; got an image of {image.shape} "
+                    f"a stack holds images of one size {size}, that of their cameras; got an image of {shape} "
                     f"with a camera of {(camera.height, camera.width)}"
                 )
-        return ViewStack(device, list(cameras), [np.asarray(image, dtype=np.float32) for image in images], water)
+        return ViewStack(device, list(cameras), images, water, skips)
 
     @property
     def height(self) -> int:
@@ -137,13 +169,13 @@ class ViewStack:
 
     @property
     def n_water(self) -> float | None:
-        """Index of the water; None in a dry survey."""
-        return None if self.water is None else self.water.n_water
+        """Index of the water; None where rays are straight."""
+        return index_of(self.water, self.skips)
 
     @cached_property
     def beyond(self) -> Beyond:
         """What its cameras have beyond pinholes."""
-        return Beyond.of(self.cameras)
+        return Beyond.of(self.cameras, self.skips)
 
     @cached_property
     def frame(self) -> PlaneFrame:
@@ -158,7 +190,7 @@ class ViewStack:
 
     @cached_property
     def pixels(self) -> list[Any]:
-        """Each image as a flat array (height * width) of the device, float32."""
+        """Each image as a flat array (height * width) of the device, float32: of height maps, which are compared."""
         return [floats(self.device, image) for image in self.images]
 
     @cached_property

@@ -17,7 +17,9 @@ import numpy as np
 from fields.sweep.block import Block
 from fields.sweep.climbing import MATCHED_NCC, climb_view
 from fields.sweep.consistency import agreement
+from fields.sweep.over_area import Area, columns_over
 from fields.sweep.stack import ViewStack
+from fields.sweep.steps import StepSearch, search_steps
 
 # Height maps that each is compared with where heights are fused.
 PEERS = 12
@@ -35,6 +37,7 @@ class Pass:
     step_px : parallax between two rungs [px at this scale]
     neighbours : number of views compared with
     fuse : after the pass, average each height with those of the views that agree
+    search : after the pass, how heights beyond its ladder are searched; None: not at all
     """
 
     scale: float
@@ -43,14 +46,16 @@ class Pass:
     step_px: float
     neighbours: int
     fuse: bool
+    search: StepSearch | None = None
 
 
 # Windows shrink as the relief becomes known: 5x5 finds the height, 3x3 about the relief resolves it. docs/sweep.md has
-# what other passes give.
+# what other passes give. Windows of the pass before hold heights from 5 px around; images without anything in common
+# reach the least scores by chance in one of forty pixels: the better half of eight neighbours on a ladder of forty.
 PASSES = (
     Pass(0.25, 2, None, 0.5, 8, False),
-    Pass(0.5, 2, 11, 0.4, 8, False),
-    Pass(1.0, 2, 9, 0.4, 8, True),
+    Pass(0.5, 2, 11, 0.4, 8, False, StepSearch(2, 0.5, 5, MATCHED_NCC)),
+    Pass(1.0, 2, 9, 0.4, 8, True, StepSearch(1, 0.75, 3, 0.68)),
     Pass(1.0, 2, 5, 0.25, 8, True),
     Pass(1.0, 1, 3, 0.25, 12, True),
 )
@@ -65,20 +70,17 @@ class DepthMap:
     view : index of the view
     height : float32 [m]
         Over the water plane along its normal; of the path of each pixel.
-    score : float32
+    score : float16
         NCC of the better half of the neighbours, -1 to 1.
-    curvature : float32 [1/m^2]
-        Of the score over height; the larger, the better the height is known; 0 at an end of the ladder.
     agreeing : uint8
         Other views whose own height agrees.
-    spread : float32 [m]
+    spread : float16 [m]
         Standard deviation (population) of the heights that agree, the own one included.
     """
 
     view: int
     height: np.ndarray
     score: np.ndarray
-    curvature: np.ndarray
     agreeing: np.ndarray
     spread: np.ndarray
 
@@ -89,6 +91,7 @@ def sweep(
     bound: tuple[float, float],
     progress: Callable[[float], None],
     passes: tuple[Pass, ...] = PASSES,
+    area: Area | None = None,
 ) -> list[DepthMap]:
     """Sweep the chosen views, coarse to fine.
 
@@ -100,6 +103,10 @@ def sweep(
         The ladder of the first pass.
     progress : called with the share done, 0 to 1
         Number of samples (pixels x rungs x compared views) of all passes, which take nearly all of the time.
+
+    passes : tuple of Pass
+    area : (x0, y0, x1, y1) [m], local, optional
+        Where heights are wanted: other pixels get no height of their own.
 
     Returns
     -------
@@ -114,7 +121,7 @@ def sweep(
     maps: dict[int, DepthMap] = {}
     for number, p in enumerate(passes):
         for climb in climbs[number]:
-            maps[climb.view] = _climbed(block, p, climb, bound, maps.get(climb.view))
+            maps[climb.view] = _climbed(block, p, climb, bound, maps.get(climb.view), area)
             done += climb.samples
             progress(done / total)
         if fused[number]:
@@ -176,7 +183,9 @@ def _step(block: Block, p: Pass, view: int, others: list[int], height: float) ->
     return p.step_px / (p.scale * block.parallax(view, others, height))
 
 
-def _climbed(block: Block, p: Pass, climb: Climb, bound: tuple[float, float], before: DepthMap | None) -> DepthMap:
+def _climbed(
+    block: Block, p: Pass, climb: Climb, bound: tuple[float, float], before: DepthMap | None, area: Area | None
+) -> DepthMap:
     """One pass over one view: the ladder of the bound, or one about the heights of the pass before."""
     stack, view = block.stack(p.scale), climb.view
     middle = 0.5 * (bound[0] + bound[1]) if before is None else float(np.median(before.height))
@@ -185,9 +194,14 @@ def _climbed(block: Block, p: Pass, climb: Climb, bound: tuple[float, float], be
         start = np.full((stack.height, stack.width), bound[0], dtype=np.float32)
     else:
         start = _enlarged(before.height, stack) - np.float32(step * (climb.rungs // 2))
-    height, score, curvature = climb_view(stack, view, climb.others, start, step, climb.rungs, p.radius)
+    columns = None if area is None else columns_over(stack.cameras[view], block.water, area, bound, p.radius)
+    found = climb_view(stack, view, climb.others, start, step, climb.rungs, p.radius, columns)
+    if p.search is not None:
+        reach = p.step_px * (climb.rungs // 2)
+        found = search_steps(stack, view, climb.others, found, p.step_px / step, reach, p.search)
+    height, score, _ = found
     nobody = np.zeros(height.shape, dtype=np.uint8)
-    return DepthMap(view, height, score, curvature, nobody, np.zeros_like(height))
+    return DepthMap(view, height, score.astype(np.float16), nobody, np.zeros(height.shape, dtype=np.float16))
 
 
 def _enlarged(height: np.ndarray, stack: ViewStack) -> np.ndarray:
@@ -213,5 +227,6 @@ def fuse(block: Block, maps: dict[int, DepthMap], scale: float, peers: dict[int,
             continue
         m = maps[view]
         tolerance = block.agreement_tolerance(view, peers[view], float(np.median(m.height)))
-        m.agreeing, height, m.spread = agreement(heights, index, [chosen.index(p) for p in peers[view]], tolerance)
+        m.agreeing, height, spread = agreement(heights, index, [chosen.index(p) for p in peers[view]], tolerance)
+        m.spread = spread.astype(np.float16)
         m.height = np.where(m.agreeing > 0, height, cv2.medianBlur(m.height, 5))

@@ -45,7 +45,7 @@ def predict(
     rows : (N,) [px], optional
         Of the photographs as they were taken, for rolling shutters; default those of the tie points.
     """
-    line = lines_of_sight(_centres(layout, state, ties, rows), _seen(state, ties, sides), state.water)
+    line = lines_of_sight(*_ends(layout, state, ties, sides, rows), state.water)
     pixels, _ = _imaged(layout, state, ties, line)
     return pixels
 
@@ -54,7 +54,7 @@ def linearise(
     layout: Layout, state: State, ties: TiePoints, sides: np.ndarray, rows: np.ndarray | None = None
 ) -> Linear:
     """Predicted pixels with their derivatives; see `predict`."""
-    sight = sights(_centres(layout, state, ties, rows), _seen(state, ties, sides), state.water)
+    sight = sights(*_ends(layout, state, ties, sides, rows), state.water)
     pixels, imaged = _imaged(layout, state, ties, sight.line)
     rotations = state.rotations[ties.view]
     by_line = np.einsum("nai,nij->naj", imaged.by_cam, rotations)
@@ -64,12 +64,18 @@ def linearise(
     if layout.flow is not None:
         by_middle, by_readout = _by_shutter(layout, state, ties, rows, by_centre)
         by_lens[:, :, 2] += by_middle
+    by_water = by_line @ sight.by_water
+    # A tide raises the water of its photograph as a higher level does.
+    by_rate = (
+        by_water[:, :, :0] if layout.hours is None else by_water[:, :, :1] * layout.hours[ties.view][:, None, None]
+    )
     dense = np.concatenate(
         [
-            by_line @ sight.by_water,
+            by_water,
             by_point[:, :, 2, None] * sides[:, None, :],
             by_lens,
             by_readout,
+            by_rate,
             by_centre,
             -imaged.by_cam @ _cross(imaged.in_cam),
         ],
@@ -91,6 +97,19 @@ def relief_sides(state: State, ties: TiePoints) -> np.ndarray:
     leg = np.where((leg[:, 2] > 1e-9)[:, None], leg, centres - points)
     tangent = leg[:, :2] / leg[:, 2:]
     return np.column_stack([np.sum(tangent**2, axis=1), tangent])
+
+
+def _ends(
+    layout: Layout, state: State, ties: TiePoints, sides: np.ndarray, rows: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Cameras and points (N, 3) each, where they would be if the water had stayed and all else sunk by the tide."""
+    centres, points = _centres(layout, state, ties, rows), _seen(state, ties, sides)
+    tides = state.tides(layout)
+    if tides is None:
+        return centres, points
+    down = np.zeros_like(points)
+    down[:, 2] = tides[ties.view]
+    return centres - down, points - down
 
 
 def _centres(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray | None) -> np.ndarray:
@@ -160,13 +179,14 @@ def _cross(vectors: np.ndarray) -> np.ndarray:
 
 
 def _placed(layout: Layout, ties: TiePoints, dense: np.ndarray) -> csr_array:
-    """Derivatives (N, 2, 4 + 3 + 8 + 6), one more with readouts, at the columns of their parameters, (2 N, P)."""
+    """Derivatives (N, 2, 4 + 3 + 8 + 6), one more each with readouts and a rate, at their parameters, (2 N, P)."""
     count = len(ties.view)
     shared = np.tile(np.arange(WATER + RELIEF), (count, 1))
     number = layout.lens_of[ties.view][:, None]
     lens = layout.first_lens + LENS * number + np.arange(LENS)
     readout = layout.first_readout + number[:, : int(layout.finds_readouts)]
+    rate = np.tile(np.arange(layout.first_rate, layout.first_pose), (count, 1))
     pose = layout.first_pose + POSE * ties.view[:, None] + np.arange(POSE)
-    columns = np.repeat(np.concatenate([shared, lens, readout, pose], axis=1), 2, axis=0)
+    columns = np.repeat(np.concatenate([shared, lens, readout, rate, pose], axis=1), 2, axis=0)
     ends = np.arange(2 * count + 1) * columns.shape[1]
     return csr_array((dense.reshape(-1), columns.reshape(-1), ends), shape=(2 * count, len(layout)))

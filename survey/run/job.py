@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property
+from functools import cached_property, partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from survey.adjust.far_poses import Search, find_anew
+from survey.errors import SurveyError
 from survey.photos.store import ImageStore
 from survey.plan.area import limits, local_area
 from survey.plan.block import load_block
@@ -32,6 +35,8 @@ class Job:
     calibrate_water, true_colour : bool
         Whether the water is found as if nothing were known of it; whether points get the colour of the bed without
         its water.
+    workspace : Path or None
+        Where structure from motion keeps its files.
     """
 
     def __init__(
@@ -42,15 +47,23 @@ class Job:
         *,
         calibrate_water: bool = False,
         true_colour: bool = False,
+        workspace: Path | None = None,
     ):
         self.survey, self.plan, self.progress = survey, plan_of(survey), progress
-        self.calibrate_water, self.true_colour = calibrate_water, true_colour
+        self.calibrate_water, self.true_colour, self.workspace = calibrate_water, true_colour, workspace
         self._plan_of = plan_of
 
     def take(self, survey: Survey) -> None:
         """Go on with another survey of the same photographs: with other water."""
+        before = self._sight()
         self.survey, self.plan = survey, self._plan_of(survey)
-        self.__dict__.pop("block", None)
+        if self._sight() != before:
+            for name in ("block", "bound"):
+                self.__dict__.pop(name, None)
+
+    def _sight(self) -> list[str]:
+        """What decides the rays of the photographs, and where the bed is looked for."""
+        return [self.part(name) for name in ("cameras", "water", "size", "device", "heights")]
 
     @cached_property
     def photographs(self) -> ImageStore:
@@ -62,6 +75,29 @@ class Job:
         """The grey images with their cameras, loaded when the first stage needs them."""
         with self.progress.stage("Images", len(self.survey.views)) as stage:
             return load_block(self.survey, self.plan, stage.advance, self.photographs)
+
+    @property
+    def search(self) -> Search | None:
+        """Finds poses of a file anew; None without a workspace."""
+        if self.workspace is None:
+            return None
+        return partial(find_anew, workspace=self.workspace, say=self.progress.note)
+
+    @cached_property
+    def bound(self) -> tuple[float, float]:
+        """Heights [m] over the water plane between which thumbnails find the bed; `fields.sweep.ranging.find_range`.
+
+        Raises
+        ------
+        SurveyError
+            If too little matches.
+        """
+        from fields.sweep.ranging import find_range
+
+        try:
+            return find_range(self.block, limits(self.survey))
+        except ValueError as error:
+            raise SurveyError(str(error)) from error
 
     def part(self, name: str) -> str:
         """The hash of a part of the job that stages depend on; the names are those in `survey.run.keys`."""
@@ -85,13 +121,14 @@ class Job:
         parts = {
             "cameras": lambda: [(view.name, view.camera, view.lens) for view in survey.views],
             "water": lambda: survey.water,
-            "water_settings": lambda: _settings_of(survey),
+            "water_settings": lambda: (_settings_of(survey), survey.tide),
             "heights": lambda: limits(survey),
             "area": lambda: local_area(survey),
             "frame": lambda: survey.frame,
             "name": lambda: survey.name,
             "size": lambda: plan.image_scale,
             "gsd": lambda: plan.gsd_m,
+            "skips": lambda: plan.skips,
             "coverage": lambda: plan.recipe.times_seen,
             "rays": lambda: plan.recipe.rays_per_cell,
             "device": lambda: plan.device,
@@ -117,5 +154,6 @@ def _settings_of(survey: Survey) -> dict | None:
         "level_std_m",
         "slope_std",
         "index_std",
+        "level_rate_std_m_per_h",
     )
     return None if given is None else {name: getattr(given, name) for name in names}

@@ -11,8 +11,8 @@ from survey.run.stage_adjust import adjust_block, use_adjustment
 from survey.run.stage_bed import FILES, make_bed
 from survey.run.stage_field import train_field
 from survey.run.stage_pose_check import MISFIT, check_poses, use_misfit
-from survey.run.stage_solver import SOLVED, solve_heights
-from survey.run.stage_sweep import BOUND, MAPS, sweep_views
+from survey.run.stage_solver import SIGHTINGS, SOLVED, solve_heights
+from survey.run.stage_sweep import BOUND, MAPS, SATURATED, sweep_views
 from survey.run.stage_water_colour import estimate_colour, use_colour
 from survey.run.stored import FIELD_FILES
 from survey.run.water_colour import COLOUR_FILE, colour_is_known
@@ -43,7 +43,7 @@ def _is_refined(job: Job) -> bool:
 
 
 # What decides the rays of the photographs, and where the bed is searched.
-_VIEWS = ("photographs", "cameras", "water", "size", "device")
+_VIEWS = ("photographs", "cameras", "water", "size", "device", "skips")
 
 STAGES = (
     Stage(
@@ -68,7 +68,7 @@ STAGES = (
         name="sweep",
         needs=(),
         depends_on=(*_VIEWS, "heights", "area", "coverage"),
-        leaves=(MAPS, BOUND),
+        leaves=(MAPS, BOUND, SATURATED),
         compute=sweep_views,
     ),
     Stage(
@@ -84,7 +84,7 @@ STAGES = (
         name="solver",
         needs=("sweep",),
         depends_on=(*_VIEWS, "gsd"),
-        leaves=(SOLVED,),
+        leaves=(SOLVED, SIGHTINGS),
         compute=solve_heights,
         is_on=_is_solved,
     ),

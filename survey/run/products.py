@@ -11,10 +11,12 @@ from pathlib import Path
 from survey.adjust.adjustment import Adjustment, read_adjustment
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.compare.result import Comparison
-from survey.files.json_values import write_json
+from survey.files.json_values import read_json_object, write_json
 from survey.folder.config import dump_config
 from survey.folder.survey import Survey
+from survey.photos.texture import matched_light
 from survey.report import NUM_STEPS, ReportFacts, write_report
+from survey.report.photographs import PhotographFigures, doubts, photographs_of, summary
 from survey.report.verdict import Verdict
 from survey.run.cloud import write_bed_las
 from survey.run.flight import save_flight
@@ -22,7 +24,8 @@ from survey.run.folder import RunDir, seconds_of, versions, versions_of
 from survey.run.gate import verdict_of
 from survey.run.job import Job
 from survey.run.stage_adjust import FILES as ADJUSTMENT_FILES
-from survey.run.stage_sweep import MAPS
+from survey.run.stage_solver import SIGHTINGS
+from survey.run.stage_sweep import MAPS, SATURATED
 from survey.run.stored import load_bed, load_depth_maps
 from survey.run.truth import Truth
 
@@ -56,6 +59,11 @@ def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path]
     if comparison is not None:
         timings["comparison"] = time.monotonic() - start
     verdict = verdict_of(survey, stored.bed, plan.gsd_m)
+    photographs = _photographs(done)
+    for text in doubts(photographs):
+        job.progress.warn(text)
+    for text in summary(photographs):
+        job.progress.note(text)
     facts = ReportFacts(
         survey=survey,
         plan=plan,
@@ -70,12 +78,20 @@ def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path]
         verdict=verdict,
         adjustment=_adjustment(folder, done),
         std_common=stored.std_common,
+        photographs=photographs,
+        light=None if survey.water is None else matched_light(survey.views),
     )
     with job.progress.stage("Report", NUM_STEPS) as stage:
         figures = write_report(folder, facts, stage.advance)
     for text in figures.notes:
         job.progress.note(text)
     return verdict
+
+
+def _photographs(done: Mapping[str, Path]) -> tuple[PhotographFigures, ...]:
+    """What of each photograph was left out; what only the solver can tell, where it ran."""
+    sightings = read_json_object(done["solver"] / SIGHTINGS) if "solver" in done else {}
+    return photographs_of(read_json_object(done["sweep"] / SATURATED), sightings)
 
 
 def _adjustment(folder: Path, done: Mapping[str, Path]) -> Adjustment | None:

@@ -38,9 +38,9 @@ def rows_of(found: Foreseen, by_depth: Sequence[HeightStds]) -> tuple[tuple[str,
     is_wet = math.isfinite(found.level_std_m)
     place = f"a rough bed {found.heights.depth_m:g} m under the water" if is_wet else "rough ground"
     assumed = (
-        f"{place}, tie points good to {TIE_STD_PX:g} px, matches to {MATCH_STD_PX:g} px of what is worked on, poses and "
-        f"lens adjusted, level and index known to {LEVEL_STD_M:g} m and {INDEX_STD:g} where nothing is said, still and "
-        "clear water without glitter"
+        f"{place}, tie points good to {TIE_STD_PX:g} px, matches to {MATCH_STD_PX:g} px of what is worked on, "
+        f"poses and lens adjusted, level and index known to {LEVEL_STD_M:g} m and {INDEX_STD:g} where nothing is said, "
+        "still and clear water without glitter"
     )
     rows = [("overlap", _overlap_text(*found.views_of_place)), ("angles", _angles_text(found.angle_deg))]
     if is_wet:

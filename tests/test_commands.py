@@ -426,7 +426,7 @@ def test_ctrl_c_before_there_is_a_run_folder_promises_nothing(monkeypatch, tmp_p
     ("arguments", "words"),
     [
         (("check", "s", "--quality", "high"), "invalid value for '--quality': 'high' is not one of 'draft'"),
-        (("check",), "missing argument 'SURVEY'"),
+        (("check",), "missing argument 'SURVEY|PLAN'"),
         (("check", "s", "--colour"), "no such option: --colour"),
         (("chek",), "no such command 'chek'"),
     ],

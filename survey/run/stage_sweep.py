@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fields.sweep.free_space import without_contradicted
 from fields.sweep.sweep import sweep
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
@@ -38,8 +39,9 @@ def sweep_views(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
         wanted = grown(area, AREA_MARGIN_M) if area is not None and skips.area else None
         ladder = (low, high) if skips.heights else limits(survey)
         maps = sweep(block, chosen, ladder, shares(stage), area=wanted)
-    if not maps:
-        raise SurveyError("no two views overlap; check that the poses belong to the images")
+        if not maps:
+            raise SurveyError("no two views overlap; check that the poses belong to the images")
+        maps = without_contradicted(block, maps)
     job.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(survey)}")
     save_depth_maps(folder / MAPS, maps)
     write_json(folder / BOUND, {"low_m": low, "high_m": high})

@@ -7,30 +7,25 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from refract import FlatWater, PinholeCamera
+from fields.skips import NOTHING, SKIPS, Skips
+from refract import PinholeCamera
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.folder.tides import MOST_SHIFT_PX
 from survey.plan.choices import Device, Field, Poses
+from survey.plan.choices import Plan as Choice
 from survey.plan.ground import ground_height
 from survey.plan.heights import in_words
 from survey.plan.poses import pose_choice
 from survey.plan.recipe import RECIPES, Recipe
+from survey.plan.skipped import FULL, Decision, first_heights, lens_terms, pixels, refraction
 
 QUALITIES = tuple(RECIPES)
 DEVICES = tuple(each.value for each in Device)
 FIELDS = tuple(each.value for each in Field)
 POSES = tuple(each.value for each in Poses)
-
-
-@dataclass(frozen=True)
-class Decision:
-    """One line of the plan: subject, choice and reason."""
-
-    name: str
-    choice: str
-    reason: str
+PLANS = tuple(each.value for each in Choice)
 
 
 @dataclass(frozen=True)
@@ -57,6 +52,8 @@ class Plan:
     device_asked : "auto", "cpu" or "cuda"
     poses : ("refine", "fixed" or "check", reason)
         Whether poses, lens and water are adjusted first, or only if a sample of photographs contradicts the poses.
+    skips : Skips
+        What the scene does not need; all on, or all off with ``--plan full``.
     """
 
     quality: str
@@ -69,6 +66,7 @@ class Plan:
     field: str = "off"
     device_asked: str = "auto"
     poses: tuple[str, str] = ("fixed", "")
+    skips: Skips = SKIPS
 
     @property
     def recipe(self) -> Recipe:
@@ -88,6 +86,7 @@ def make_plan(
     field: str = "auto",
     poses: str = "auto",
     free_water: bool = False,
+    plan: str = "auto",
 ) -> Plan:
     """What the scene needs.
 
@@ -100,6 +99,8 @@ def make_plan(
     poses : "auto", "fixed" or "refine"
     free_water : bool
         Whether the water is to be found as if nothing were known of it.
+    plan : "auto" or "full"
+        Leave out what the scene does not need, or nothing.
 
     Raises
     ------
@@ -116,14 +117,22 @@ def make_plan(
     footprint = (float(height * sides[0]), float(height * sides[1]))
     refined = _field(quality, field)
     require_choice("poses", poses, POSES)
-    adjusted = Decision("poses", *pose_choice(survey, poses, free_water=free_water))
+    require_choice("plan", plan, PLANS)
+    skips = NOTHING if plan == Choice.full else SKIPS
+    decided = pose_choice(survey, poses, free_water=free_water)
+    if plan == Choice.full and decided[0] == "check":
+        decided = "refine", f"{FULL}: adjusted without asking first"
+    adjusted = Decision("poses", *decided)
     decisions = (
         adjusted,
-        _refraction(survey),
+        refraction(survey, skips),
+        lens_terms(survey, skips),
+        pixels(survey, skips),
         *_level(survey),
         refined,
         _image_decision(cameras[0], scale, quality),
         Decision("range of heights", *in_words(survey, height)),
+        first_heights(skips),
         chosen,
     )
     return Plan(
@@ -137,6 +146,7 @@ def make_plan(
         field=refined.choice,
         device_asked=device,
         poses=(adjusted.choice, adjusted.reason),
+        skips=skips,
     )
 
 
@@ -158,7 +168,7 @@ def require_choice(name: str, value: str, known: tuple[str, ...]) -> None:
         raise SurveyError(f"{name} is {value}, expected one of {', '.join(known)}")
 
 
-def require_choices(*, quality: str, device: str, field: str, poses: str) -> None:
+def require_choices(*, quality: str, device: str, field: str, poses: str, plan: str = "auto") -> None:
     """Look at the options of a run before anything is computed.
 
     Raises
@@ -170,6 +180,7 @@ def require_choices(*, quality: str, device: str, field: str, poses: str) -> Non
     require_choice("device", device, DEVICES)
     require_choice("field", field, FIELDS)
     require_choice("poses", poses, POSES)
+    require_choice("plan", plan, PLANS)
     if device == "cuda":
         device_decision(device)
 
@@ -193,19 +204,6 @@ def device_decision(device: str) -> Decision:
     return Decision("device", chosen.name, chosen.reason)
 
 
-def _refraction(survey: Survey) -> Decision:
-    if survey.water is None:
-        return Decision("refraction", "off", "a dry survey, without [water]")
-    water, given = survey.require_water()
-    if water.n_water == 1.0:
-        return Decision("refraction", "off", "the index of the water is 1, as if it were air")
-    slope = math.hypot(water.slope_x, water.slope_y)
-    tilt = f", sloped by {slope:.4f}" if slope > 1e-6 else ""
-    aside = sum(_sees_beside_water(view.camera, water) for view in survey.views)
-    horizon = f"; {aside} of {len(survey.views)} views look past the water to the horizon" if aside else ""
-    return Decision("refraction", "on", f"water of index {water.n_water:.4f} at {given.level_m:g} m{tilt}{horizon}")
-
-
 def _level(survey: Survey) -> tuple[Decision, ...]:
     """Whether each photograph has its own level; nothing where none is said to move."""
     tide = survey.tide
@@ -219,10 +217,6 @@ def _level(survey: Survey) -> tuple[Decision, ...]:
     if tide.matters:
         return (Decision("level", "per photograph", moves),)
     return (Decision("level", "one", f"{moves}: less than {MOST_SHIFT_PX:g}, which is lost in the noise of matching"),)
-
-
-def _sees_beside_water(camera: PinholeCamera, water: FlatWater) -> bool:
-    return bool((camera.directions(camera.outline()) @ np.array(water.up) >= 0.0).any())
 
 
 def _image_decision(camera: PinholeCamera, scale: float, quality: str) -> Decision:

@@ -128,6 +128,7 @@ class Job:
             "name": lambda: survey.name,
             "size": lambda: plan.image_scale,
             "gsd": lambda: plan.gsd_m,
+            "skips": lambda: plan.skips,
             "coverage": lambda: plan.recipe.times_seen,
             "rays": lambda: plan.recipe.rays_per_cell,
             "device": lambda: plan.device,

@@ -11,7 +11,7 @@ from fields.sweep.free_space import without_contradicted
 from fields.sweep.sweep import sweep
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
-from survey.plan.area import local_area, plane_name
+from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area, plane_name
 from survey.progress import shares
 from survey.run.stored import save_depth_maps
 
@@ -33,8 +33,12 @@ def sweep_views(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
     with job.progress.stage("Sweep", 1.0) as stage:
         low, high = job.bound
         block.look_at(0.5 * (low + high))
-        chosen = block.cover(*job.plan.recipe.times_seen, local_area(survey))
-        maps = sweep(block, chosen, (low, high), shares(stage))
+        area = local_area(survey)
+        chosen = block.cover(*job.plan.recipe.times_seen, area)
+        skips = job.plan.skips
+        wanted = grown(area, AREA_MARGIN_M) if area is not None and skips.area else None
+        ladder = (low, high) if skips.heights else limits(survey)
+        maps = sweep(block, chosen, ladder, shares(stage), area=wanted)
         if not maps:
             raise SurveyError("no two views overlap; check that the poses belong to the images")
         maps = without_contradicted(block, maps)

@@ -21,7 +21,8 @@ from survey.folder.survey import Survey
 from survey.plan.area import AREA_MARGIN_M, grown, local_area
 from survey.plan.block import camera_of
 from survey.plan.ground import ground_height
-from survey.plan.plan import Plan, image_scale
+from survey.plan.image_size import image_scale
+from survey.plan.plan import Plan
 from survey.plan.recipe import RECIPES
 
 # The first pass of the sweep tries as many heights as its bound holds.

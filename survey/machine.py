@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import os
 import shutil
+import time
 from pathlib import Path
 
 _CGROUP = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
 _MEMINFO = Path("/proc/meminfo")
+_STAT, _UPTIME = Path("/proc/self/stat"), Path("/proc/uptime")
+# Of the words of `_STAT` behind the name of the program: when the process started [ticks].
+_STARTED = 19
 
 
 def memory_bytes() -> int:
@@ -46,3 +50,13 @@ def free_disk_bytes(folder: Path) -> int:
     while not folder.exists():
         folder = folder.parent
     return shutil.disk_usage(folder).free
+
+
+def process_age_s() -> float:
+    """Seconds since this process started; of its processor time, which is less, if the system does not report this."""
+    try:
+        words = _STAT.read_text(encoding="ascii").rpartition(")")[2].split()
+        since_boot = float(_UPTIME.read_text(encoding="ascii").split()[0])
+        return max(since_boot - int(words[_STARTED]) / os.sysconf("SC_CLK_TCK"), 0.0)
+    except (OSError, ValueError, IndexError):
+        return time.process_time()

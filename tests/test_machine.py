@@ -27,3 +27,10 @@ def test_where_the_system_does_not_tell_all_memory_counts_as_free(tmp_path, monk
 def test_room_on_the_disk_is_that_of_the_nearest_folder_that_exists(tmp_path):
     assert machine.free_disk_bytes(tmp_path / "a" / "b" / "c") > 0
     assert 1 <= machine.num_cores() <= os.cpu_count()
+
+
+def test_the_age_of_the_process_rises_and_is_known_where_the_system_does_not_tell(tmp_path, monkeypatch):
+    first = machine.process_age_s()
+    assert 0.0 <= first <= machine.process_age_s()
+    monkeypatch.setattr(machine, "_STAT", tmp_path / "none")
+    assert machine.process_age_s() > 0.0

@@ -90,7 +90,12 @@ class _Solved:
 
 
 def solve_maps(
-    block: Block, maps: list[DepthMap], kept: list[np.ndarray], gsd: float, progress: Callable[[float], None]
+    block: Block,
+    maps: list[DepthMap],
+    kept: list[np.ndarray],
+    gsd: float,
+    progress: Callable[[float], None],
+    goes_on: Callable[[], bool] = lambda: True,
 ) -> tuple[list[SolvedMap], SolverFigures]:
     """Solve the kept pixels of all maps, about the heights of the sweep.
 
@@ -104,6 +109,8 @@ def solve_maps(
     gsd : [m]
         Ground sampling distance.
     progress : called with the share done, 0 to 1
+    goes_on : callable
+        Asked before each tile; tiles whose turn comes after it said no are left out.
 
     Returns
     -------
@@ -128,9 +135,11 @@ def solve_maps(
         ]
         roughness, noise = roughness_of(first, gsd, pool), _noise(first)
         shift = shift_of(first, roughness, pool)
-        found_tiles = pool.map(lambda job: _part(job, maps[job.index], views.solved(job, roughness)), jobs)
+        found_tiles = pool.map(
+            lambda job: _part(job, maps[job.index], views.solved(job, roughness)) if goes_on() else None, jobs
+        )
         for job, found in zip(jobs, found_tiles, strict=True):
-            parts[job.index].append(found)
+            parts[job.index] += [] if found is None else [found]
             done += len(job.tile)
             progress(done / total)
         joined = [_joined(each) for each in parts]

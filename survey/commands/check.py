@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from survey.commands.console import Results, command
 from survey.commands.memory import address_space_shortage, require_address_space
-from survey.commands.options import Quiet, SurveyFolder, Verbose
+from survey.commands.options import Quiet, SurveyFolder, TargetStd, TimeBudget, Verbose
 from survey.plan.choices import Device, Quality
 
 if TYPE_CHECKING:
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 EXAMPLES = """
     bathynerf check my_survey
     bathynerf check my_survey --quality fine
+    bathynerf check my_survey --target-std 0.02
     bathynerf check my_survey --deep
 """
 
@@ -25,6 +27,8 @@ def run(
     survey: SurveyFolder,
     quality: Annotated[Quality, typer.Option(help="Plan for this quality.")] = Quality.standard,
     device: Annotated[Device, typer.Option(help="Plan for this device.")] = Device.auto,
+    target_std: TargetStd = None,
+    time_budget: TimeBudget = None,
     deep: Annotated[
         bool, typer.Option("--deep", help="Also hold survey.toml against the photographs; takes minutes.")
     ] = False,
@@ -39,7 +43,9 @@ def run(
     """
     with command(verbose, quiet, survey) as results:
         from survey.adjust.foreseen import foreseen_section
-        from survey.plan.check import check_survey, require_processable
+        from survey.plan.aim import aim_of
+        from survey.plan.check import Section, check_survey, require_processable
+        from survey.plan.plan import make_plan
         from survey.progress import current
 
         shortage = address_space_shortage()
@@ -51,6 +57,11 @@ def run(
         foreseen = None if checked.survey is None else foreseen_section(checked.survey)
         if foreseen is not None:
             show(results, foreseen)
+        aim = aim_of(target_std, time_budget, quality=None, field="auto")
+        if aim is not None and checked.survey is not None:
+            from survey.run.beginning import rows_of
+
+            show(results, Section("Asked", rows_of(aim, checked.survey, partial(make_plan, device=device.value))))
         if deep:
             require_address_space()
             from survey.adjust.deep_check import deep_check

@@ -20,6 +20,8 @@ QUALITIES = tuple(RECIPES)
 DEVICES = tuple(each.value for each in Device)
 FIELDS = tuple(each.value for each in Field)
 POSES = tuple(each.value for each in Poses)
+# In place of a quality where `survey.plan.aim` makes the recipe.
+AIMED = "aimed"
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,8 @@ class Plan:
 
     Attributes
     ----------
-    quality : "draft", "standard" or "fine"
+    quality : "draft", "standard", "fine" or "aimed"
+        The last where a standard deviation or a time is asked for: see `survey.plan.aim`.
     device : "cuda", "llvm" or "torch"
         Where kernels run: Dr.Jit on CUDA, Dr.Jit on the CPU by LLVM, or torch on the CPU.
     image_scale : [-]
@@ -50,6 +53,8 @@ class Plan:
     footprint_m : (width, height) [m]
         What one image covers there, median.
     decisions : tuple of Decision
+    recipe : Recipe
+        The numbers of the quality, or of what an aim makes of it.
     field : "solver", "slab" or "off"
         What refines the heights of the sweep.
     device_asked : "auto", "cpu" or "cuda"
@@ -64,14 +69,10 @@ class Plan:
     height_m: float
     footprint_m: tuple[float, float]
     decisions: tuple[Decision, ...]
+    recipe: Recipe = RECIPES["standard"]
     field: str = "off"
     device_asked: str = "auto"
     poses: tuple[str, str] = ("fixed", "")
-
-    @property
-    def recipe(self) -> Recipe:
-        """The numbers of the quality."""
-        return RECIPES[self.quality]
 
     def as_dict(self) -> dict:
         """Plain numbers, texts and lists, to be saved with the run."""
@@ -86,6 +87,7 @@ def make_plan(
     field: str = "auto",
     poses: str = "auto",
     free_water: bool = False,
+    recipe: Recipe | None = None,
 ) -> Plan:
     """What the scene needs.
 
@@ -98,6 +100,8 @@ def make_plan(
     poses : "auto", "fixed" or "refine"
     free_water : bool
         Whether the water is to be found as if nothing were known of it.
+    recipe : Recipe, optional
+        Of a run with an aim, in place of that of the quality.
 
     Raises
     ------
@@ -105,43 +109,46 @@ def make_plan(
         If CUDA is asked for and there is none, or a word is not known.
     """
     require_choice("quality", quality, QUALITIES)
+    name = quality if recipe is None else AIMED
+    recipe = RECIPES[quality] if recipe is None else recipe
     chosen = device_decision(device)
     cameras = [view.camera for view in survey.views]
     height = _height(survey)
-    scale = min(image_scale(camera.width, camera.height, quality) for camera in cameras)
+    scale = min(image_scale(camera.width, camera.height, recipe.megapixels) for camera in cameras)
     gsd = float(np.median([_distance_along_axis(c, survey, height) / c.fx for c in cameras])) / scale
     sides = np.median([(camera.width / camera.fx, camera.height / camera.fy) for camera in cameras], axis=0)
     footprint = (float(height * sides[0]), float(height * sides[1]))
-    refined = _field(quality, field)
+    refined = _field(name, recipe, field)
     require_choice("poses", poses, POSES)
     adjusted = Decision("poses", *pose_choice(survey, poses, free_water=free_water))
     decisions = (
         adjusted,
         _refraction(survey),
         refined,
-        _image_decision(cameras[0], scale, quality),
+        _image_decision(cameras[0], scale, name, recipe),
         Decision("range of heights", *in_words(survey, height)),
         chosen,
     )
     return Plan(
-        quality,
+        name,
         chosen.choice,
         scale,
         gsd,
         height,
         footprint,
         decisions,
+        recipe,
         field=refined.choice,
         device_asked=device,
         poses=(adjusted.choice, adjusted.reason),
     )
 
 
-def _field(quality: str, field: str) -> Decision:
+def _field(quality: str, recipe: Recipe, field: str) -> Decision:
     require_choice("field", field, FIELDS)
     if field != "auto":
         return Decision("field", field, "set by --field")
-    chosen = RECIPES[quality].field
+    chosen = recipe.field
     reasons = {
         "off": f"{quality} uses the sweep's heights",
         "solver": "least squares over all photographs: less noise, and the standard deviation of each height",
@@ -207,17 +214,19 @@ def _sees_beside_water(camera: PinholeCamera, water: FlatWater) -> bool:
     return bool((camera.directions(camera.outline()) @ np.array(water.up) >= 0.0).any())
 
 
-def _image_decision(camera: PinholeCamera, scale: float, quality: str) -> Decision:
+def _image_decision(camera: PinholeCamera, scale: float, quality: str, recipe: Recipe) -> Decision:
     size = f"images of {camera.width} x {camera.height} px"
     if scale == 1.0:
         return Decision("image scale", "1", f"{size} are worked on whole")
-    limit = f"at most {RECIPES[quality].megapixels:g} Mpx for {quality} quality"
+    if quality == AIMED:
+        return Decision("image scale", f"{scale:g}", f"{size} are halved as far as the aim allows")
+    limit = f"at most {recipe.megapixels:g} Mpx for {quality} quality"
     return Decision("image scale", f"{scale:g}", f"{size} are halved until they have {limit}")
 
 
-def image_scale(width: int, height: int, quality: str) -> float:
-    """The scale [-], at most 1, at which an image of a size [px] is worked on."""
-    halvings = math.ceil(0.5 * math.log2(width * height / (1e6 * RECIPES[quality].megapixels)) - 1e-9)
+def image_scale(width: int, height: int, megapixels: float) -> float:
+    """The scale [-], at most 1, at which an image of a size [px] is worked on where the largest may have so many."""
+    halvings = math.ceil(0.5 * math.log2(width * height / (1e6 * megapixels)) - 1e-9)
     return 0.5 ** max(halvings, 0)
 
 

@@ -1,0 +1,125 @@
+"""How long the rounds of a run with an aim take: by rates as stated, then as measured in the rounds before.
+
+Stated rates are those of one core with AVX-512. The first round of a run is small and tells the machine's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fields.sweep.sweep import PASSES
+from survey import machine
+from survey.folder.survey import Survey
+from survey.plan.plan import Plan
+from survey.plan.workload import FIRST_RUNGS, STEPS_PER_CORE_S, amounts_of
+
+# Imports, and hashes of program and photographs.
+_START_S = 3.0
+# Check of the poses, of so many photographs of at most so many megapixels: once, and per megapixel.
+_CHECKED, _CHECKED_MPX, _CHECK_S = 10, 6.0, (6.0, 0.9)
+# Decoding a megapixel; the range of heights; the solver's learning, and its work on a point.
+_DECODING_S, _RANGE_S, _SOLVER_S, _POINT_S = 0.02, 3.0, 2.0, 45e-6
+# Bed, cloud and report: once, and per point.
+_TAIL_S = (4.0, 12e-6)
+# What a measurement may say at most: that a machine is so much faster than stated, or that the solver learned for all
+# but this share of its time.
+_FASTEST, _OF_POINTS = 0.5, 0.3
+# A pass is left out where an earlier round had images so fine (fields.sweep.sweep).
+_FINER = 1.2
+
+
+@dataclass(frozen=True)
+class Ground:
+    """How much there is of a survey at full size.
+
+    Attributes
+    ----------
+    photographs_mpx, map_px : float
+        Of all photographs [Mpx], and of the views that get a height map [px].
+    points : float
+        One for each ground sampling distance squared that two views see.
+    checks_poses : bool
+    """
+
+    photographs_mpx: float
+    map_px: float
+    points: float
+    checks_poses: bool
+
+    @staticmethod
+    def of(survey: Survey, plan: Plan) -> Ground:
+        """Of a survey whose poses are known; the plan says the scale that its own numbers are of."""
+        pixels, chosen, num_cells = amounts_of(survey, plan)
+        per_scale = plan.image_scale**-2
+        whole = sum(view.lens.width * view.lens.height for view in survey.views) / 1e6
+        mapped = float(np.sum(pixels[chosen]))
+        return Ground(whole, mapped * per_scale, num_cells * per_scale, plan.poses[0] == "check")
+
+
+def samples(ground: Ground, scale: float, before: float | None = None) -> float:
+    """Pixels x heights x neighbours of a sweep at a scale, from nothing or from the heights of a smaller one."""
+    steps = sum(
+        p.scale**2 * (p.rungs or FIRST_RUNGS) * p.neighbours
+        for p in PASSES
+        if before is None or p.scale * scale > _FINER * before
+    )
+    return steps * ground.map_px * scale**2
+
+
+@dataclass(frozen=True)
+class Pace:
+    """Rates on this machine.
+
+    Attributes
+    ----------
+    sample_s : float
+        Of the sweep [s].
+    images_s : float
+        Reading all photographs [s].
+    slow : float
+        How much longer the rest takes than on one core as stated.
+    point_s : float
+        Of the solver [s].
+    """
+
+    sample_s: float
+    images_s: float
+    slow: float
+    point_s: float
+
+    @staticmethod
+    def stated(ground: Ground) -> Pace:
+        """Before anything was measured."""
+        cores = machine.num_cores()
+        return Pace(1.0 / (STEPS_PER_CORE_S * cores), _DECODING_S * ground.photographs_mpx, 1.0, _POINT_S / cores)
+
+    def after_sweep(self, seconds: float, num_samples: float, images_s: float) -> Pace:
+        """With what the sweep of a round, and the reading of its photographs, took [s]."""
+        sample_s = seconds / num_samples
+        slow = max(self.slow * sample_s / self.sample_s, _FASTEST)
+        return Pace(sample_s, images_s, slow, self.point_s * slow / self.slow)
+
+    def after_solver(self, seconds: float, num_points: int) -> Pace:
+        """With what a solver of so many points took [s]."""
+        return replace(self, point_s=max(seconds - _SOLVER_S * self.slow, _OF_POINTS * seconds) / num_points)
+
+    def sweep_s(self, ground: Ground, scale: float, before: float | None = None) -> float:
+        """Of a round's sweep [s], its photographs read anew where the scale is another one."""
+        reading = 0.0 if before == scale else self.images_s
+        return reading + samples(ground, scale, before) * self.sample_s
+
+    def solver_s(self, ground: Ground, scale: float) -> float:
+        """Of a solver of all points [s]."""
+        return _SOLVER_S * self.slow + ground.points * scale**2 * self.point_s
+
+    def tail_s(self, ground: Ground, scale: float) -> float:
+        """From the last round to the end of the run [s]."""
+        return (_TAIL_S[0] + _TAIL_S[1] * ground.points * scale**2) * self.slow
+
+    def least_s(self, ground: Ground, scale: float) -> float:
+        """Of a whole run whose only round is a sweep at a scale [s]."""
+        checked = min(ground.photographs_mpx, _CHECKED * _CHECKED_MPX)
+        check = _CHECK_S[0] + _CHECK_S[1] * checked if ground.checks_poses else 0.0
+        return _START_S + check + _RANGE_S + self.sweep_s(ground, scale) + self.tail_s(ground, scale)

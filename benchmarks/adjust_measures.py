@@ -5,19 +5,22 @@ from __future__ import annotations
 import csv
 import json
 import math
+import tempfile
 import tomllib
 from pathlib import Path
 
 import numpy as np
 from adjust_rows import Row, Truth
-from bench_surveys import compared
 
 from evaluation import height_at, vertical_difference
 from geo import LocalFrame, parse_crs, read_cloud, read_reference
+from survey.benchmark.running import run_bathynerf
 from survey.compare.checkpoints import read_checkpoints
 
 # Of a normal distribution, within so many standard deviations.
 WITHIN_95 = 1.96
+FIGURES = ("n_points", "mean_inner90_m", "std_inner90_m")
+SHARES = ("accuracy_share", "completeness_visible")
 # Points of a cloud that may belong to a rod.
 NEAR_M = 0.5
 
@@ -29,6 +32,24 @@ def errors_of(row: Row, run: Path) -> dict:
     if truth.checkpoints is not None:
         record |= rod_errors(run / "cloud.las", truth.checkpoints, truth.reference)
     return record | parameter_errors(run, truth) | pose_errors(row.survey, run, truth)
+
+
+def compared(survey: Path, run: Path, reference: Path, visible: Path) -> dict:
+    """The errors of the cloud of a run within the bounds of its survey."""
+    bounds = [str(v) for v in tomllib.loads((survey / "survey.toml").read_text(encoding="utf-8"))["area"]["bounds"]]
+    record = {}
+    for tolerance in ("0.2", "0.05"):
+        out = run / f"compare_{tolerance}.json"
+        options = ["--visible", str(visible), "--tolerance", tolerance, "--bounds", *bounds, "--json", str(out), "-q"]
+        with tempfile.TemporaryDirectory() as home:
+            code, _, words = run_bathynerf(["compare", str(run / "cloud.las"), str(reference), *options], Path(home))
+        if code != 0:
+            raise SystemExit(words)
+        numbers = json.loads(out.read_text(encoding="utf-8"))
+        record |= {k: numbers[k] for k in FIGURES} | {f"{k}_{tolerance}": numbers[k] for k in SHARES}
+        for part in ("wet", "dry"):
+            record |= {f"{part}_{k}": numbers[part][k] for k in FIGURES} if numbers.get(part) else {}
+    return record
 
 
 def rod_errors(cloud: Path, rods: Path, reference: Path) -> dict:

@@ -39,7 +39,7 @@ def trained(case: Case, maps: list[DepthMap], rays_per_cell: float) -> dict:
     with patch.dict(RECIPES, {case.plan.quality: recipe}), current().stage("field", 1.0) as stage:
         field, figures = stage_field.trained(case.job, maps, shares(stage))
     spent = {"seconds": time.monotonic() - start, "processor_s": time.process_time() - used}
-    bed, moved = stage_bed.bed_points(case.job, maps, field, lambda done: None)
+    bed, _, moved = stage_bed.bed_points(case.job, maps, field, lambda done: None)
     return asdict(figures) | spent | case.figures(bed) | {"share_of_field": moved / len(bed)}
 
 

@@ -55,6 +55,9 @@ class PinholeCamera:
         How far the camera flies, without turning, from one row of a rolling shutter to the next: velocity times
         readout time over the rows from the first to the last. `centre` is its place at the row `cy`. None for a
         global shutter.
+    tide : [m]
+        How high the water stood, when the photograph was taken, over the `water` that `paths` and `project` are called
+        with. Points and heights are the same for all photographs, whatever their tide.
 
     Raises
     ------
@@ -73,6 +76,7 @@ class PinholeCamera:
     height: int
     distortion: Distortion | None = None
     motion: np.ndarray | None = None
+    tide: float = 0.0
 
     def __post_init__(self):
         centre = np.asarray(self.centre, dtype=np.float64)
@@ -90,6 +94,8 @@ class PinholeCamera:
             object.__setattr__(self, "motion", motion)
             if motion.shape != (3,) or not np.isfinite(motion).all():
                 raise ValueError(f"expected a finite motion (3,) in metres per row, got {self.motion}")
+        if not np.isfinite(self.tide):
+            raise ValueError(f"expected a finite tide, got {self.tide} m")
         if not (self.fx > 0.0 and self.fy > 0.0 and self.width >= 1 and self.height >= 1):
             raise ValueError(
                 f"expected positive focal lengths and at least one pixel, got fx {self.fx}, fy {self.fy}, "
@@ -160,7 +166,8 @@ class PinholeCamera:
 
     def paths(self, pixels, water: WaterSurface | None) -> BentPaths:
         """Bent paths of pixels (..., 2) [px]; see `refract.paths.trace`."""
-        return trace(self.centres(pixels), self.directions(pixels), water)
+        path = trace(self._over_own(self.centres(pixels)), self.directions(pixels), water)
+        return path if self.tide == 0.0 else path.raised(self.tide)
 
     def project(self, points, water: WaterSurface | None, *, steps: int = EXACT_STEPS) -> np.ndarray:
         """Pixels (..., 2) [px] at which points (..., 3) [m], local, appear through the water.
@@ -168,13 +175,19 @@ class PinholeCamera:
         NaN for points behind the camera, and beyond the reach of its lens; pixels outside the image are returned as
         they are. `steps` as in `refract.crossing_point`.
         """
-        points = np.asarray(points, dtype=np.float64)
+        points = self._over_own(np.asarray(points, dtype=np.float64))
         pixels = self._project_from(self.centre, points, water, steps)
         for _ in range(0 if self.motion is None else _ROLLING_STEPS):
             pixels = self._project_from(self.centres(pixels), points, water, steps)
         return pixels
 
+    def _over_own(self, places: np.ndarray) -> np.ndarray:
+        """Places (..., 3) where they would be if the water had stayed and all else sunk by the tide."""
+        return places if self.tide == 0.0 else places - (0.0, 0.0, self.tide)
+
     def _project_from(self, centre: np.ndarray, points: np.ndarray, water: WaterSurface | None, steps: int):
+        """As `project`, of points over the camera's own water, seen from a place in local."""
+        centre = self._over_own(centre)
         seen = (crossing_point(points, centre, water, steps=steps) - centre) @ self.cam_from_local.T
         z = np.where(seen[..., 2] > 0.0, seen[..., 2], np.nan)
         if self.distortion is not None:

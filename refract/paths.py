@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, final, overload
 
 from refract import kernels
@@ -35,6 +35,8 @@ class BentPaths:
         The ray enters the water if nothing dry stops it first.
     parallel : (...) bool
         The ray never meets the water because it runs along the surface.
+    tide : [m]
+        How high the surface that bent the rays stands over the one that heights count from.
     """
 
     origin: Any
@@ -44,6 +46,7 @@ class BentPaths:
     water_direction: Any
     wet: Any
     parallel: Any
+    tide: float = 0.0
 
     @property
     def regime(self):
@@ -58,6 +61,14 @@ class BentPaths:
     def counts(self) -> dict[str, int]:
         """How many rays there are of each `Regime`, by its name in lower case."""
         return counts(self.regime)
+
+    def raised(self, by: float) -> BentPaths:
+        """The same paths with all places ``by`` [m] higher, and heights that count from where they did.
+
+        Of numpy; where water, camera and bed were sunk to a level, this brings them back to where they are.
+        """
+        up = (0.0, 0.0, by)
+        return replace(self, origin=self.origin + up, crossing=self.crossing + up, tide=self.tide + by)
 
     def at(self, t):
         """Points (..., 3) [m] at path length ``t`` (...) [m] from the camera, air and water legs together.
@@ -97,8 +108,9 @@ class BentPaths:
         valid = ~xp.isnan(self.air_length)
         rays = tuple(kernels.chosen(valid, components(v), 0.0) for v in (self.origin, self.air_direction))
         point, up, n_water = water.plane(*rays)
+        point = point if self.tide == 0.0 else (*point[:2], point[2] + self.tide)
         origin, direction, point, up, (n_water,) = (kernels.double(v) for v in (*rays, point, up, (n_water,)))
-        points = kernels.at_height(origin, direction, xp.double(height), point, up, n_water)
+        points = kernels.at_height(origin, direction, xp.double(height) - self.tide * up[2], point, up, n_water)
         return stack(*kernels.chosen(valid, tuple(xp.like(p, self.air_length) for p in points), math.nan))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import shutil
 import time
 from pathlib import Path
@@ -12,6 +13,9 @@ _MEMINFO = Path("/proc/meminfo")
 _STAT, _UPTIME = Path("/proc/self/stat"), Path("/proc/uptime")
 # Of the words of `_STAT` behind the name of the program: when the process started [ticks].
 _STARTED = 19
+# Address space that libraries and kernels map and do not fill, on one core.
+_MAPPED_BYTES = 2.4e9
+_UNLIMITED = (resource.RLIM_INFINITY, -1)
 
 
 def memory_bytes() -> int:
@@ -35,6 +39,13 @@ def free_memory_bytes() -> int:
     except (OSError, ValueError):
         pass
     return memory_bytes()
+
+
+def allowed_memory_bytes() -> float:
+    """Memory that the limits of this process leave to its data (ulimit -d, ulimit -v); infinite without limits."""
+    data, space = (resource.getrlimit(kind)[0] for kind in (resource.RLIMIT_DATA, resource.RLIMIT_AS))
+    allowed = float("inf") if data in _UNLIMITED else float(data)
+    return allowed if space in _UNLIMITED else min(allowed, space - _MAPPED_BYTES)
 
 
 def num_cores() -> int:

@@ -28,6 +28,9 @@ level_at = [{E0}, {N0}]
 refractive_index = 1.333
 """
 
+# Tags that stand in the part of EXIF about the exposure begin with these.
+_OF_EXPOSURE = ("Focal", "Exposure", "DateTimeOriginal", "OffsetTimeOriginal")
+
 HEADER = "image,easting,northing,height,omega,phi,kappa"
 
 
@@ -44,7 +47,7 @@ def write_image(path: Path, *, size=SIZE, gps: tuple[float, float, float] | None
     tags = image.getexif()
     for name, value in exif.items():
         tag = ExifTags.Base[name]
-        (tags.get_ifd(ExifTags.IFD.Exif) if name.startswith("Focal") else tags)[tag] = value
+        (tags.get_ifd(ExifTags.IFD.Exif) if name.startswith(_OF_EXPOSURE) else tags)[tag] = value
     if gps is not None:
         lon, lat = Transformer.from_crs("EPSG:25832", "EPSG:4326", always_xy=True).transform(*gps[:2])
         position = tags.get_ifd(ExifTags.IFD.GPSInfo)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -109,6 +111,20 @@ def test_derivatives_of_predictions_are_those_of_differences():
             for sign in (1.0, -1.0)
         )
         np.testing.assert_allclose(linear.by_point[:, :, axis], (ahead - behind) / (2.0 * STEP), rtol=1e-5, atol=1e-3)
+
+
+def test_each_photograph_is_predicted_at_its_own_level(rng):
+    layout, state, ties = drawn_state(2)
+    tides = rng.uniform(-0.3, 0.3, len(state.centres))
+    moving, sides = replace(layout, tides=tides), relief_sides(state, ties)
+    require_derivatives(moving, state, ties)
+    found, still = predict(moving, state, ties, sides), predict(layout, state, ties, sides)
+    assert np.abs(found - still).max() > 0.5
+    x, y, z = state.water.point
+    for view, tide in enumerate(tides):
+        mine = ties.view == view
+        own = replace(state, water=replace(state.water, point=(x, y, z + tide)))
+        np.testing.assert_allclose(found[mine], predict(layout, own, ties, sides)[mine], rtol=0.0, atol=1e-8)
 
 
 def test_a_point_behind_its_camera_has_no_pixel():

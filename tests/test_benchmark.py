@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from geo import read_cloud
-from survey.benchmark.against import changes
+from survey.benchmark.against import changes, over_surveys, unpaired
 from survey.benchmark.benchmark import Settings, benchmark
 from survey.benchmark.cases import case_of, drawn_names, variant
 from survey.benchmark.front import draw_front, on_front
 from survey.benchmark.records import Cost, Errors, Record, Results, read_results, write_results
-from survey.benchmark.text import lines_of, table
+from survey.benchmark.text import comparison, lines_of, table
 from survey.errors import SurveyError
 from survey.simulate.drawn import DrawnScene, draw_survey
 
@@ -80,6 +80,40 @@ def test_a_lost_cloud_is_worse():
     lost = replace(record(), errors=None)
     assert verdicts(results(lost), results(record())) == {"has a cloud": "worse"}
     assert lines_of(changes(results(lost), results(record()))) == ["survey full standard given cpu: has a cloud worse"]
+
+
+def test_over_several_surveys_ratios_are_taken_together_and_times_of_one_repeat_are_judged():
+    then = results(*(replace(record(times=(t,)), case=f"s{t:g}") for t in (5.0, 10.0, 40.0, 80.0)))
+    now = replace(then, records=tuple(_faster(r, by) for r, by in zip(then.records, (2.0, 2.2, 1.9, 2.1), strict=True)))
+    found = {change.figure: change for change in over_surveys(changes(now, then))}
+    assert found["wall_s"].verdict == "better"
+    assert found["wall_s"].ratio == pytest.approx((2.0 * 2.2 * 1.9 * 2.1) ** -0.25)
+    assert found["wall_s"].key == ("4 surveys", "full", "standard", "given", "cpu")
+    assert found["error"].verdict == "as before"
+    mixed = replace(
+        then, records=tuple(_faster(r, by) for r, by in zip(then.records, (2.0, 0.5, 1.9, 0.6), strict=True))
+    )
+    assert {c.verdict for c in over_surveys(changes(mixed, then)) if c.figure == "wall_s"} == {"as before"}
+    elsewhere = replace(now, machine={"processor": "other"})
+    assert [change.figure for change in over_surveys(changes(elsewhere, then))] == ["error"]
+    assert over_surveys(changes(replace(now, records=now.records[:2]), then)) == []
+
+
+def _faster(slow: Record, by: float) -> Record:
+    return replace(
+        slow, costs=tuple(replace(c, wall_s=c.wall_s / by, processor_s=c.processor_s / by) for c in slow.costs)
+    )
+
+
+def test_records_that_only_one_result_has_are_named():
+    now, then = results(record(), record("sweep")), results(record(), record("slab"))
+    ours, theirs = unpaired(now, then)
+    assert [key[1] for key in ours + theirs] == ["sweep", "slab"]
+    lines = comparison(now, then)
+    assert lines[-2:] == [
+        "only in this result: 1 records, survey sweep standard given cpu",
+        "only in the earlier result: 1 records, survey slab standard given cpu",
+    ]
 
 
 def test_the_front_holds_what_nothing_beats_in_both_time_and_error(tmp_path):
@@ -148,6 +182,8 @@ def test_corrected_depths_are_better_than_straight_rays_and_cost_no_second_run(s
     assert max(error["times_index"], error["per_camera"]) < 0.25 * error["straight"]
     assert len({record.costs for record in found.records}) == 1
     assert json.loads((tmp_path / "results.json").read_text())["version"] == 1
+    again = benchmark([survey], tmp_path, settings=settings, known=found.records)
+    assert again.records == found.records
     corrected = read_cloud(tmp_path / "runs" / "small_straight_draft_given_cpu" / "times_index.las")
     assert len(corrected.points) > 1000
     assert (survey / "survey.toml").read_text() == before

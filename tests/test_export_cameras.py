@@ -45,8 +45,12 @@ def run(block, tmp_path):
         c, s = np.cos(0.35), np.sin(0.35)
         tilt = np.array([[1.0, 0, 0], [0, c, s], [0, -s, c]])
         views = [
-            replace(view, lens=lens, camera=lens.camera(view.camera.centre, tilt @ view.camera.cam_from_local))
-            for view in survey.views
+            replace(
+                view,
+                lens=lens,
+                camera=replace(lens.camera(view.camera.centre, tilt @ view.camera.cam_from_local), tide=0.1 * number),
+            )
+            for number, view in enumerate(survey.views)
         ]
         save_flight(path, replace(survey, views=tuple(views)))
         return path, views, stored
@@ -67,6 +71,7 @@ def test_a_flight_comes_back_as_it_was(run, block):
     assert (again.water, again.bounds, again.frame.origin) == (survey.water, survey.bounds, survey.frame.origin)
     for one, other in zip(again.views, views, strict=True):
         assert (one.name, one.lens, one.path) == (other.name, other.lens, other.path.absolute())
+        assert one.camera.tide == other.camera.tide
         np.testing.assert_array_equal(one.camera.centre, other.camera.centre)
         np.testing.assert_array_equal(one.camera.cam_from_local, other.camera.cam_from_local)
 

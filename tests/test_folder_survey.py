@@ -71,16 +71,19 @@ def test_what_is_not_given_of_the_water_is_said_to_be_assumed(tmp_path):
     assert any("refractive_index = 1.333, fresh water" in text for text in survey.assumptions)
     toml = replaced(("refractive_index = 1.333", "temperature_c = 20"))
     survey = load_survey(small_survey(tmp_path / "b", toml=toml))
-    assert survey.assumptions == ("salinity_psu = 0, fresh water",)
-    # Quan and Fry at 550 nm.
-    assert survey.water.n_water == pytest.approx(1.334338, abs=1e-6)
+    fresh, light = survey.assumptions
+    assert fresh == "salinity_psu = 0, fresh water"
+    # White noise is no texture: the mean of Quan and Fry at 610, 540 and 460 nm by the weights of luma.
+    assert survey.water.n_water == pytest.approx(1.334465, abs=1e-6)
+    assert light.startswith("refractive_index = 1.334465, of water of 20 degrees for light of 547 nm (red 30 %, green")
 
 
 def test_water_outside_the_range_of_the_fit_is_said_to_be_assumed_and_ice_is_refused(tmp_path):
     toml = replaced(("refractive_index = 1.333", "temperature_c = 33\nsalinity_psu = 40"))
     survey = load_survey(small_survey(tmp_path / "warm", toml=toml))
     (said,) = survey.assumptions
-    assert said.startswith("refractive_index = 1.340113, although temperature_c is 33, outside the range 0 to 30 of")
+    assert said.startswith("refractive_index = 1.340243, of water of 33 degrees for light")
+    assert "although temperature_c is 33, outside the range 0 to 30 of Quan and Fry (1995) and" in said
     assert "and salinity_psu is 40, outside the range 0 to 35 of Quan and Fry (1995)" in said
     toml = replaced(("refractive_index = 1.333", "temperature_c = -3\nsalinity_psu = 35"))
     with pytest.raises(ConfigError, match=r"survey\.toml: temperature_c is -3, but this water freezes at -1\.92"):

@@ -88,16 +88,17 @@ def write_gauge(folder, *rows):
 def test_a_gauge_is_interpolated_at_the_photographs(tmp_path):
     write_gauge(tmp_path, "2024-06-01T10:00:00Z,1.0", "2024-06-01T13:00:00+02:00,1.6")
     notes = []
-    config, readings = with_level(tmp_path, gauge_config(), heads_at(10, 20), CRS, notes)
+    config, readings, tide = with_level(tmp_path, gauge_config(), heads_at(10, 20), CRS, notes)
     assert [reading.level_m for reading in readings] == [1.0, 1.6]
     assert readings[1].time == datetime(2024, 6, 1, 11, tzinfo=UTC)
-    # A reading and the zero of the gauge are known to 1 cm each, and the two photographs are 0.1 m apart.
-    assert config.water.level_std_m == pytest.approx((2 * 0.01**2 + 0.05**2) ** 0.5)
+    # A reading and the zero of the gauge are known to 1 cm each.
+    assert config.water.level_std_m == pytest.approx(2**0.5 * 0.01)
     # A quarter of an hour into an hour that rises by 0.6 m.
     assert config.water.level_m == pytest.approx(1.15, abs=1e-9)
     assert config.water.gauge is None
+    assert tide.over == pytest.approx({"10.jpg": -0.05, "20.jpg": 0.05})
+    assert tide.hours == pytest.approx({"10.jpg": -1.0 / 12.0, "20.jpg": 1.0 / 12.0})
     assert "100 mm" in notes[0]
-    assert "cut the flight" in notes[0]
 
 
 def test_a_gauge_that_does_not_cover_the_flight_is_refused(tmp_path):
@@ -143,8 +144,8 @@ def test_two_sources_of_the_level_contradict_each_other():
 
 def test_a_survey_with_a_level_is_left_as_it_is(tmp_path):
     config = parse_config(TOML)
-    same, (level,) = with_level(tmp_path, config, {}, CRS, [])
-    assert same is config
+    same, (level,), tide = with_level(tmp_path, config, {}, CRS, [])
+    assert (same, tide) == (config, None)
     assert (level.level_m, level.std_m, level.place, level.source) == (LEVEL, 0.02, (E0, N0), "level_m")
 
 

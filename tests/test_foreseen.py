@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from survey.adjust.foreseen import foresee, foreseen_section
+from survey.adjust.foreseen import foresee
+from survey.adjust.foreseen_text import foreseen_section
 from survey.folder.survey import load_survey
 from survey.simulate.drawn import DrawnScene, draw_survey
 from tests.block_survey import survey_of
@@ -36,8 +37,8 @@ def test_better_water_gives_better_heights():
     )
     assert rough is not None
     assert fine is not None
-    assert fine.common_std_m < rough.common_std_m
-    assert fine.point_std_m == pytest.approx(rough.point_std_m)
+    assert fine.heights.of_all_m < rough.heights.of_all_m
+    assert fine.heights.of_point_m == pytest.approx(rough.heights.of_point_m)
 
 
 def test_heights_of_two_rays_are_as_their_triangle_says(tmp_path):
@@ -51,7 +52,7 @@ def test_heights_of_two_rays_are_as_their_triangle_says(tmp_path):
     distance = DrawnScene.tiny().flying_m + DrawnScene.tiny().depth_m
     pixel = 0.15 * distance / survey.views[0].camera.fx
     rough = pixel / (math.tan(math.radians(0.5 * found.angle_deg)) * math.sqrt(found.views_of_place[1] / 2.0))
-    assert 0.4 < found.point_std_m / rough < 2.5
+    assert 0.4 < found.heights.of_point_m / rough < 2.5
 
 
 def test_the_section_says_what_was_assumed_and_what_has_to_be_given():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 
 from survey import machine
 
@@ -34,3 +35,13 @@ def test_the_age_of_the_process_rises_and_is_known_where_the_system_does_not_tel
     assert 0.0 <= first <= machine.process_age_s()
     monkeypatch.setattr(machine, "_STAT", tmp_path / "none")
     assert machine.process_age_s() > 0.0
+
+
+def test_limits_of_the_process_leave_less_memory_than_they_say_where_they_count_what_is_only_mapped(monkeypatch):
+    limits = {resource.RLIMIT_DATA: resource.RLIM_INFINITY, resource.RLIMIT_AS: resource.RLIM_INFINITY}
+    monkeypatch.setattr(machine.resource, "getrlimit", lambda kind: (limits[kind], limits[kind]))
+    assert machine.allowed_memory_bytes() == float("inf")
+    limits[resource.RLIMIT_AS] = 4_000_000_000
+    assert 0.5e9 < machine.allowed_memory_bytes() < 4e9
+    limits[resource.RLIMIT_DATA] = 300_000_000
+    assert machine.allowed_memory_bytes() == 3e8

@@ -119,6 +119,24 @@ def test_a_rolling_shutter_takes_each_point_at_the_row_at_which_it_appears(rng, 
     np.testing.assert_allclose(2.0 * half.project(points, water), found, rtol=0.0, atol=1e-8)
 
 
+@pytest.mark.parametrize("motion", [None, np.array([9e-4, -5e-4, 2e-4])], ids=["global shutter", "rolling shutter"])
+def test_a_camera_with_a_tide_sees_the_same_points_through_water_as_much_higher(rng, motion):
+    water, tide = FlatWater((0.0, 0.0, 1.0), n_water=1.34, slope_x=0.03, slope_y=0.02), 0.4
+    own = replace(water, point=(0.0, 0.0, 1.0 + tide))
+    still = replace(oblique_camera(20.0, 70.0), motion=motion)
+    camera, points = replace(still, tide=tide), rng.uniform([-3.0, -8.0, -4.0], [9.0, 4.0, 3.0], (40, 3))
+    pixels = camera.project(points, water)
+    assert np.abs(pixels - still.project(points, water)).max() > 0.5
+    np.testing.assert_allclose(pixels, still.project(points, own), rtol=0.0, atol=1e-9)
+    found, expected = camera.paths(pixels, water), still.paths(pixels, own)
+    for name in ("origin", "crossing", "water_direction", "air_length"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=0.0, atol=1e-12)
+    # Heights count from the water that is given, for all photographs alike.
+    height = -water.depth(points)
+    np.testing.assert_allclose(found.at_height(height, water), points, rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(camera.project(points, None), still.project(points, None), rtol=0.0, atol=1e-9)
+
+
 @pytest.mark.parametrize("factor", [0.5, 0.25, 2.0, 0.3])
 def test_a_scaled_camera_sees_the_same_things_at_scaled_pixels(rng, factor):
     camera, water = oblique_camera(15.0, 200.0), FlatWater((0.0, 0.0, 1.0), n_water=1.333)
@@ -149,6 +167,7 @@ def test_scaling_rounds_down_but_not_past_a_whole_pixel():
         ({"cam_from_local": np.diag([1.0, 1.0, -1.0])}, "right-handed"),
         ({"cam_from_local": 1.01 * np.eye(3)}, "rotation"),
         ({"cam_from_local": np.full((3, 3), np.nan)}, "rotation"),
+        ({"tide": np.nan}, "tide"),
         ({"fx": 0.0}, r"fx 0\.0"),
         ({"fy": np.nan}, "fy nan"),
         ({"width": 0}, "0 x 384"),

@@ -178,7 +178,7 @@ def test_report_json_keeps_its_names(report):
         ],
         "water": [
             "level_m", "level_at", "level_from", "slope_east", "slope_north", "slope_from", "refractive_index",
-            "refractive_index_from",
+            "refractive_index_from", "light",
         ],
         "plan": ["quality", "device", "image_scale", "gsd_m", "height_m", "footprint_m", "decisions"],
         "cloud": [

@@ -355,7 +355,8 @@ def test_rays_of_chance_fill_pixels_and_time_evenly():
 
 def test_the_sun_stands_where_the_scene_file_says(tmp_path):
     text = SCENE + "[light]\nsun_elevation_deg = 30.0\nsun_azimuth_deg = 90.0\n"
-    light = light_of(read_scene(scene_file(tmp_path, text)).light)
+    plan = plan_scene(read_scene(scene_file(tmp_path, text)), tmp_path)
+    light = light_of(plan.settings.light, plan.frame)
     np.testing.assert_allclose(light.sun, [math.cos(math.radians(30.0)), 0.0, 0.5], atol=1e-12)
     assert light.on(np.array([0.0, 0.0, 1.0])) == pytest.approx(1.0)
 

@@ -262,6 +262,21 @@ def test_a_survey_drawn_with_a_rolling_shutter_is_loaded_with_the_motion_that_it
     np.testing.assert_allclose(depth.ravel(), -hits.points[:, 2], atol=2e-3)
 
 
+def test_a_survey_drawn_over_rising_water_is_loaded_with_the_levels_that_it_was_drawn_with(tmp_path):
+    rising = DrawnScene.tiny(rise_m=0.2)
+    draw_survey(tmp_path / "s", rising)
+    survey, scene = load_survey(tmp_path / "s"), stage_drawing(rising)
+    assert survey.config.water.level_m == pytest.approx(rising.level_m, abs=1e-9)
+    points = np.column_stack([np.linspace(-1.0, 1.0, 9), np.linspace(1.0, -1.0, 9), np.full(9, -1.1)])
+    for index, view in enumerate(survey.views):
+        # Times in EXIF are those of a flight of an hour, to a microsecond; readings of the gauge have 0.1 mm.
+        assert view.camera.tide == pytest.approx(0.2 * (index / 7.0 - 0.5), abs=1e-4)
+        renderer, camera = scene.at(index)
+        here = survey.frame.local_from_crs(scene.frame.crs_from_local(points))
+        apart = view.camera.project(here, survey.water) - camera.project(points, renderer.water)
+        assert np.abs(apart).max() < STORED_PX
+
+
 def test_deep_ground_is_bluer_and_all_ground_is_textured(drawing):
     camera = drawing.cameras[0]
     hits = drawing.renderer.trace(camera, camera.pixel_centres().reshape(-1, 2))

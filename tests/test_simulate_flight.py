@@ -155,7 +155,7 @@ def test_flights_deviate_by_chance_alike_for_the_same_seed():
 
 @pytest.mark.parametrize(
     ("changes", "named"),
-    [({"height_m": None}, "height_m, above the water, or gsd_m"), ({"gsd_m": 0.02}, "not both"),
+    [({"height_m": None}, "height_m, above the water, gsd_m"), ({"gsd_m": 0.02}, "not both"),
      ({"patterns": ("spiral",)}, "nadir, five, oblique, outer"), ({"forward_overlap": 0.99}, "share of the footprint"),
      ({"tilt_deg": 70.0}, "0 .straight down. to 60"), ({"height_m": -3.0}, "above zero"), ({"wobble": 0.5}, "0 to 0.1"),
      ({"height_m": None, "gsd_m": 1e-4}, "under the water"), ({"height_m": 0.5}, "photographs, expected 3 to")],

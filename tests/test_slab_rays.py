@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -30,7 +31,8 @@ def pixels_of(camera) -> np.ndarray:
 
 @pytest.mark.parametrize("water", WATERS.values(), ids=WATERS.keys())
 def test_rays_stand_where_bent_paths_stand(water, rng):
-    for camera in ring(3):
+    for camera, tide in zip(ring(3), (0.0, 0.3, -0.2, 0.0), strict=True):
+        camera = replace(camera, tide=tide)
         rays = rays_at(PlaneBed(water, -2.0), camera, 0.0, step=9)
         heights = rng.uniform(-3.0, 3.0, (len(rays), 5))
         path = camera.paths(pixels_of(camera), water)

@@ -93,6 +93,32 @@ def test_rolling_shutters_see_from_where_the_camera_is_at_each_row(device, rng, 
             np.testing.assert_allclose(project_all(stack, view, other, heights)[0], truth, atol=ROLLING_PX)
 
 
+# Of the water over the plane at each of four photographs [m].
+TIDES = {
+    "all move": (0.3, -0.2, 0.1, 0.2),
+    "one moves": (0.0, 0.3, 0.0, 0.0),
+    "rolling shutters": (0.3, -0.2, 0.1, 0.2),
+}
+
+
+@pytest.mark.parametrize("name", TIDES)
+@pytest.mark.parametrize("water", WATERS.values(), ids=WATERS.keys())
+def test_each_photograph_has_its_own_level_and_heights_are_those_of_all(device, rng, water, name):
+    motions = ROLLING["some shutters roll"][1] if "rolling" in name else (None,)
+    still = ring_through((None, BARREL), motions=motions)
+    cameras = [replace(camera, tide=tide) for camera, tide in zip(still, TIDES[name], strict=True)]
+    stack = PlaneBed(water, -2.0).stack(device, cameras)
+    heights = heights_everywhere(rng, stack)
+    for view in (0, 1):
+        path = cameras[view].paths(cameras[view].pixel_centres(), water)
+        points = path.at_height(heights.astype(np.float64), water)
+        for other, camera in enumerate(cameras):
+            truth = camera.project(points, water)
+            moved = np.abs(truth - replace(camera, tide=0.0).project(points, water)).max()
+            assert moved > 0.3 if water is TILTED and camera.tide != 0.0 else moved < ROLLING_PX
+            np.testing.assert_allclose(project_all(stack, view, other, heights)[0], truth, atol=ROLLING_PX)
+
+
 @pytest.mark.parametrize("lenses", LENSES.values(), ids=LENSES.keys())
 @pytest.mark.parametrize("water", WATERS.values(), ids=WATERS.keys())
 def test_legs_stand_where_the_paths_of_the_optics_stand(device, rng, water, lenses):

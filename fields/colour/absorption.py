@@ -116,9 +116,9 @@ def _sightings(
     column, row = np.floor(pixels[inside]).astype(np.int64).T
     pixel_m = np.linalg.norm(points[inside] - camera.centre, axis=1) / camera.fx
     same = np.abs(depth_map.height[row, column] - height) < SAME_HEIGHT_PX * pixel_m
-    inside, depth = inside[same], -height[same]
-    path = camera.paths(pixels[inside], water)
     up = np.array(water.up)
+    inside, depth = inside[same], camera.tide * up[2] - height[same]
+    path = camera.paths(pixels[inside], water)
     mirrored = fresnel_coefficients(-(path.air_direction @ up), n_from=1.0, n_to=water.n_water).reflectance[:, None]
     linear = (np.arange(256, dtype=np.float32) / 255.0) ** GAMMA
     at = pixels[inside].T[::-1] - 0.5

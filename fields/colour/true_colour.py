@@ -11,12 +11,15 @@ from fields.water_column import WaterColumn
 from refract import FlatWater, fresnel_coefficients
 
 
-def true_colours(bed: BedPoints, water: FlatWater, column: WaterColumn) -> tuple[np.ndarray, float]:
+def true_colours(
+    bed: BedPoints, water: FlatWater, column: WaterColumn, tide: np.ndarray | float = 0.0
+) -> tuple[np.ndarray, float]:
     """Colours (N, 3) uint8 of points as photographs would store them without water, and the share too bright for that.
 
-    Dry points keep theirs. Fully absorbed channels are black.
+    Dry points keep theirs. Fully absorbed channels are black. ``tide`` (N,) [m] is that of the photographs which the
+    colours come from.
     """
-    depth = np.where(bed.wet, bed.depth, 0.0)
+    depth = np.where(bed.wet, np.maximum(bed.depth + tide, 0.0), 0.0)
     dry = without_water(bed.rgb, depth, bed.incidence, water.n_water, column)
     stored = np.round(stored_colours(dry)).astype(np.uint8)
     too_bright = bed.wet & (dry > 1.0).any(axis=1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
@@ -19,7 +19,8 @@ MEETING_STEPS = 4
 class Rays:
     """Rays (N) through the slab, torch float32, local frame.
 
-    A path is at ``foot + z * slope`` at height z over the water plane, with one slope above and one below it.
+    A path is at ``foot + (z - tide) * slope`` at height z over the water plane, with one slope above and one below the
+    water of its photograph.
 
     Attributes
     ----------
@@ -30,6 +31,8 @@ class Rays:
         Photograph, 0 to 1, as stored (not linear).
     reflectance : (N,)
         Fresnel reflectance at the water; 0 for a dry survey.
+    tide : (N,) [m]
+        How high the water of the photograph is over the plane, along its normal.
     """
 
     foot: Tensor
@@ -38,28 +41,32 @@ class Rays:
     height: Tensor
     rgb: Tensor
     reflectance: Tensor
+    tide: Tensor
 
     def __len__(self) -> int:
         return len(self.height)
 
     def __getitem__(self, index) -> Rays:
-        return Rays(*(getattr(self, name)[index] for name in ("foot", "air", "wet", "height", "rgb", "reflectance")))
+        return Rays(*(getattr(self, field.name)[index] for field in fields(Rays)))
 
     @staticmethod
     def concatenate(parts: list[Rays]) -> Rays:
         """Rays of several views in one."""
-        names = ("foot", "air", "wet", "height", "rgb", "reflectance")
-        return Rays(*(torch.cat([getattr(p, name) for p in parts]) for name in names))
+        return Rays(*(torch.cat([getattr(p, field.name) for p in parts]) for field in fields(Rays)))
 
     def slope(self, z: Tensor) -> Tensor:
         """Change of position per metre of height (..., 3), for heights z (N, ...) [m]."""
         shape = (len(self),) + (1,) * (z.dim() - 1) + (3,)
-        return torch.where((z < 0.0)[..., None], self.wet.view(shape), self.air.view(shape))
+        return torch.where((self._own(z) < 0.0)[..., None], self.wet.view(shape), self.air.view(shape))
 
     def at(self, z: Tensor) -> Tensor:
         """Positions (N, ..., 3) [m] at heights z (N, ...) [m] over the water plane."""
         shape = (len(self),) + (1,) * (z.dim() - 1) + (3,)
-        return self.foot.view(shape) + z[..., None] * self.slope(z)
+        return self.foot.view(shape) + self._own(z)[..., None] * self.slope(z)
+
+    def _own(self, z: Tensor) -> Tensor:
+        """Heights z (N, ...) [m] over the water of the photographs."""
+        return z - self.tide.view((len(self),) + (1,) * (z.dim() - 1))
 
     def meet(self, slab: Slab) -> Tensor:
         """Heights (N,) [m] at which the rays meet the proxy, by fixed-point steps from `height`.
@@ -79,6 +86,7 @@ def rays_of(
     path = camera.paths(pixels, water)
     normal = np.array(water.up if water else (0.0, 0.0, 1.0))
     plane = np.array(water.point if water else (0.0, 0.0, 0.0))
+    plane[2] += camera.tide
     fall = path.air_direction @ normal
     centre = camera.centres(pixels)
     foot = centre - path.air_direction * (((centre - plane) @ normal) / fall)[:, None]
@@ -88,5 +96,6 @@ def rays_of(
     reflectance = np.zeros(len(pixels))
     if water is not None:
         reflectance = fresnel_coefficients(-fall, n_from=1.0, n_to=water.n_water).reflectance
-    columns = (foot, air, wet, height, rgb / 255.0, reflectance)
+    tide = np.full(len(pixels), camera.tide * normal[2])
+    columns = (foot, air, wet, height, rgb / 255.0, reflectance, tide)
     return Rays(*(torch.as_tensor(np.ascontiguousarray(c), dtype=torch.float32) for c in columns))

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
-from scipy import ndimage
+from scipy import sparse
 
 from fields.solver.tile import Tile
 
 # The offset of a photograph (veil, reflected sky, vignetting) varies over some such blocks.
 BLOCK_PX, BLOCKS = 8, 2.5
+_KERNEL = (21, 21)
 # A gain beyond these is no gain: the photograph shows something else.
 GAINS = (0.3, 3.0)
 # Fewer pixels do not tell a gain.
@@ -68,14 +70,14 @@ def appearance_of(tile: Tile, grey: np.ndarray) -> Appearance:
     """
     seen = np.isfinite(grey)
     values = np.where(seen, grey, np.float32(0.0))
-    gain, offset = np.ones(len(grey), dtype=np.float32), np.zeros_like(values)
+    gain, offset, blocks = np.ones(len(grey), dtype=np.float32), np.zeros_like(values), _Blocks(tile)
     for _ in range(2):
-        corrected = np.where(seen, (values - offset) / gain[:, None], 0.0)
-        mean = corrected.sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
+        corrected = np.where(seen, (values - offset) / gain[:, None], np.float32(0.0))
+        mean = corrected.sum(axis=0) / np.maximum(seen.sum(axis=0, dtype=np.float32), 1.0)
         for k, mask in enumerate(seen):
             if mask.sum() >= LEAST_PIXELS:
                 gain[k] = _gain(values[k][mask], mean[mask])
-            offset[k] = _smooth(tile, values[k] - gain[k] * mean, mask)
+            offset[k] = blocks.smooth(values[k] - gain[k] * mean, mask)
     return Appearance(gain / gain[0], offset - gain[:, None] / gain[0] * offset[0])
 
 
@@ -85,18 +87,37 @@ def _gain(values: np.ndarray, mean: np.ndarray) -> float:
     return float(np.clip(mean @ (values - values.mean()) / spread, *GAINS)) if spread > 0.0 else 1.0
 
 
-def _smooth(tile: Tile, values: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Local mean of values (N,) where ``mask`` holds, over some blocks."""
-    rows, columns = tile.places
-    shape = tuple(-(-size // BLOCK_PX) for size in tile.inside.shape)
-    block = (rows // BLOCK_PX) * shape[1] + columns // BLOCK_PX
-    total, count = (
-        ndimage.gaussian_filter(np.bincount(block, weights, shape[0] * shape[1]).reshape(shape), BLOCKS)
-        for weights in (np.where(mask, values, 0.0), mask.astype(np.float64))
-    )
-    mean = total / np.maximum(count, 1e-9)
-    at = [(index + 0.5) / BLOCK_PX - 0.5 for index in (rows, columns)]
-    return ndimage.map_coordinates(mean.astype(np.float32), at, order=1, mode="nearest")
+class _Blocks:
+    """Means of values of a tile over blocks of pixels, smoothed, and carried back to the pixels."""
+
+    def __init__(self, tile: Tile):
+        rows, columns = tile.places
+        self._shape = tuple(-(-size // BLOCK_PX) for size in tile.inside.shape)
+        self._block = (rows // BLOCK_PX) * self._shape[1] + columns // BLOCK_PX
+        places, shares = [], []
+        for index, size in zip((rows, columns), self._shape, strict=True):
+            at = np.clip((index + 0.5) / BLOCK_PX - 0.5, 0.0, size - 1.0)
+            first = np.minimum(at.astype(np.int32), max(size - 2, 0))
+            share = (at - first).astype(np.float32)
+            places.append((first, np.minimum(first + 1, size - 1)))
+            shares.append((1.0 - share, share))
+        four = [(i, j) for i in (0, 1) for j in (0, 1)]
+        index = np.stack([places[0][i] * self._shape[1] + places[1][j] for i, j in four], axis=-1)
+        share = np.stack([shares[0][i] * shares[1][j] for i, j in four], axis=-1)
+        ends = 4 * np.arange(len(rows) + 1)
+        self._between = sparse.csr_matrix((share.ravel(), index.ravel(), ends), shape=(len(rows), self._size))
+
+    @property
+    def _size(self) -> int:
+        return self._shape[0] * self._shape[1]
+
+    def smooth(self, values: np.ndarray, mask: np.ndarray) -> np.ndarray:
+        """Local mean (N,) of values (N,) where ``mask`` holds."""
+        weights = np.where(mask, values, np.float32(0.0)), mask
+        sums = np.stack([np.bincount(self._block, each, self._size) for each in weights], axis=-1)
+        smooth = cv2.GaussianBlur(sums.reshape(*self._shape, 2), _KERNEL, BLOCKS, borderType=cv2.BORDER_REFLECT)
+        mean = smooth[..., 0] / np.maximum(smooth[..., 1], 1e-9)
+        return self._between @ mean.astype(np.float32).ravel()
 
 
 def brightness_of(albedos: np.ndarray) -> Brightness:
@@ -106,11 +127,11 @@ def brightness_of(albedos: np.ndarray) -> Brightness:
     """
     seen = np.isfinite(albedos)
     values = np.where(seen, albedos, np.float32(0.0))
-    count = seen.sum(axis=0)
+    count = seen.sum(axis=0, dtype=np.float32)
     # The mean takes a share of the residual.
     rest = np.sqrt(np.maximum(1.0 - 1.0 / np.maximum(count, 2), 0.5)).astype(np.float32)
     weight = seen.astype(np.float32)
-    albedo = values.sum(axis=0) / np.maximum(count, 1)
+    albedo = values.sum(axis=0) / np.maximum(count, 1.0)
     for _ in range(2):
         residual = np.where(seen, values - albedo, np.float32(0.0))
         noise = np.array([_noise(r[mask] / rest[mask]) for r, mask in zip(residual, seen, strict=True)])

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
+from fields.solver.projection import Projection
 from fields.solver.tile import Tile
 from fields.sweep.sweep import DepthMap
-from refract import FlatWater, PinholeCamera
+from refract import PinholeCamera
 
-# The step of the differences across the image [px].
-_STEP_PX = 0.5
+# The step of the differences across the image [px]: positions in float32 are good to 3e-4 px.
+_STEP_PX = 1.0
 # Pixels about a position that a cubic lookup needs.
 _RIM_PX = 2.5
-# Of the search for the crossing; docs/optics.md.
-_STEPS = 2
 _LINE = 2048
 
 
@@ -67,10 +66,10 @@ def lookup(image: np.ndarray, x: np.ndarray, y: np.ndarray, way: int) -> np.ndar
 def sight_of(
     tile: Tile,
     view: int,
-    others: list[int],
+    others: Sequence[int],
     cameras: Mapping[int, PinholeCamera],
-    maps: dict[int, DepthMap],
-    water: FlatWater | None,
+    maps: Mapping[int, DepthMap],
+    projection: Projection,
     tolerance: float,
 ) -> Sight:
     """A tile of `view` in its own photograph and in those of ``others`` that show at least a tenth of it.
@@ -78,41 +77,42 @@ def sight_of(
     A point is hidden where the height map of the other photograph, confirmed by a third, is higher by more than
     ``tolerance`` [m].
     """
-    camera, pixels = cameras[view], tile.pixels
-    start = tile.of(maps[view].height).astype(np.float64)
-    path = camera.paths(pixels, water)
-    points, raised = path.at_height(start, water), path.at_height(start + tolerance, water)
-    beside = [camera.paths(pixels + step, water).at_height(start, water) for step in _STEP_PX * np.eye(2)]
-    kept = [view]
-    own = np.ascontiguousarray(pixels.T, dtype=np.float32)
-    position, rise, motion, seen = [own], [np.zeros_like(own)], [np.zeros_like(own)], [np.ones(len(tile), dtype=bool)]
+    pixels, start, count = tile.pixels, tile.of(maps[view].height), len(tile)
+    # Each point, raised, and those of positions beside it at its height.
+    beside = [pixels, pixels, *(pixels + step for step in _STEP_PX * np.eye(2))]
+    heights = np.concatenate([start, start + np.float32(tolerance), start, start])
+    points = projection.points(view, np.concatenate(beside), heights)
+    kept, own = [view], np.ascontiguousarray(pixels.T, dtype=np.float32)
+    position, rise, motion, seen = [own], [np.zeros_like(own)], [np.zeros_like(own)], [np.ones(count, dtype=bool)]
     for other in others:
-        seen_by = cameras[other]
-        at = seen_by.project(points, water, steps=_STEPS)
-        inside = (at > _RIM_PX).all(axis=1) & (at < (seen_by.width - _RIM_PX, seen_by.height - _RIM_PX)).all(axis=1)
+        all_at, all_inside = projection.seen(other, points)
+        at, raised, right, down = all_at.reshape(2, 4, count).swapaxes(0, 1)
+        size = np.array([[cameras[other].width], [cameras[other].height]]) - np.float32(_RIM_PX)
+        inside = all_inside[:count] & ((at > _RIM_PX) & (at < size)).all(axis=0)
         if inside.mean() < 0.1:
             continue
         if other in maps:
-            inside &= ~_hidden(maps[other], at, start + tolerance)
-        change = (seen_by.project(raised, water, steps=_STEPS) - at) / tolerance
-        right, down = ((seen_by.project(p, water, steps=_STEPS) - at) / _STEP_PX for p in beside)
-        size = right[:, 0] * down[:, 1] - right[:, 1] * down[:, 0]
-        back = np.stack([down[:, 1], -down[:, 0], -right[:, 1], right[:, 0]]) / np.where(size == 0.0, np.nan, size)
-        shift = np.stack(
-            [back[0] * change[:, 0] + back[1] * change[:, 1], back[2] * change[:, 0] + back[3] * change[:, 1]]
-        )
+            inside &= ~_hidden(maps[other], at, start + np.float32(tolerance))
+        change = (raised - at) / np.float32(tolerance)
+        shift = _through(right - at, down - at, change) * np.float32(_STEP_PX)
         kept.append(other)
-        position.append(at.T)
-        rise.append(change.T)
+        position.append(at)
+        rise.append(change)
         motion.append(shift)
         seen.append(inside & np.isfinite(shift).all(axis=0))
-    at_start, rises, motions = (np.asarray(part, dtype=np.float32) for part in (position, rise, motion))
-    return Sight(kept, at_start, rises, motions, np.asarray(seen))
+    return Sight(kept, np.stack(position), np.stack(rise), np.stack(motion), np.stack(seen))
+
+
+def _through(right: np.ndarray, down: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Steps (2, N) to the right and down that together make a change (2, N); NaN where the two are in line."""
+    size = right[0] * down[1] - right[1] * down[0]
+    size[size == 0.0] = np.nan
+    return np.stack([down[1] * change[0] - down[0] * change[1], right[0] * change[1] - right[1] * change[0]]) / size
 
 
 def _hidden(depth_map: DepthMap, at: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Where a height map at positions (N, 2) [px] is above heights (N,) [m] and confirmed."""
-    x, y = at.T
+    """Where a height map at positions (2, N) [px] is above heights (N,) [m] and confirmed."""
+    x, y = at
     there = lookup(depth_map.height, x, y, cv2.INTER_LINEAR)
     confirmed = lookup((depth_map.agreeing > 0).astype(np.float32), x, y, cv2.INTER_LINEAR)
     return (there > height) & (confirmed > 0.5)

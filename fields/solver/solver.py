@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import takewhile
 
 import numpy as np
 
@@ -129,17 +130,12 @@ def solve_maps(
     parts: list[list[_Solved]] = [[] for _ in maps]
     with ThreadPoolExecutor(_WORKERS) as pool:
         sample = _sample(small)
-        first = [
-            (job.tile, found)
-            for job, found in zip(sample, pool.map(lambda job: views.solved(job, START_GSD * gsd), sample), strict=True)
-        ]
+        first = [found for _, found in views.solved(sample, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
         roughness, noise = roughness_of(first, gsd, pool), _noise(first)
         shift = shift_of(first, roughness, pool)
-        found_tiles = pool.map(
-            lambda job: _part(job, maps[job.index], views.solved(job, roughness)) if goes_on() else None, jobs
-        )
-        for job, found in zip(jobs, found_tiles, strict=True):
-            parts[job.index] += [] if found is None else [found]
+        begun = takewhile(lambda _job: goes_on(), jobs)
+        for job, found in views.solved(begun, roughness, pool, lambda job, each: _part(job, maps[job.index], each)):
+            parts[job.index].append(found)
             done += len(job.tile)
             progress(done / total)
         joined = [_joined(each) for each in parts]
@@ -201,13 +197,14 @@ def _share(views: Views, joined: list[_Solved], noise: float, roughness: float, 
         own = _spread([int(job.tile.asked.sum()) for job in tiles], chosen.count(index))
         jobs += [tiles[i] for i in sorted(set(own))]
 
-    def errors(job: Job) -> np.ndarray:
-        tile, found = job.tile, coarse.solved(job, 2.0 * roughness)
+    def errors(job: Job, found: Solved) -> np.ndarray:
+        tile = job.tile
         error = found.height - tile.of(truths[job.index])
         photographs = tile.of(coarse.maps[job.index].agreeing) + 1.0
         return np.stack([error, variance_of(tile, found), below_pixel(tile, found), photographs])[:, tile.asked]
 
-    return noise_share(*np.concatenate([np.empty((4, 0)), *pool.map(errors, jobs)], axis=1))
+    found = coarse.solved(jobs, 2.0 * roughness, pool, errors)
+    return noise_share(*np.concatenate([np.empty((4, 0)), *(each for _, each in found)], axis=1))
 
 
 def _spread(sizes: list[int], count: int) -> list[int]:

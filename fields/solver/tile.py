@@ -9,8 +9,11 @@ from functools import cached_property
 import numpy as np
 from scipy import ndimage
 
-# Side of a tile, and how far its surroundings reach: several times the range over which heights are correlated.
-TILE_PX, HALO_PX = 192, 8
+# Most pixels of a tile's window, without its surroundings. Larger ones save no time and are less accurate: gain and
+# noise of a photograph are those of a tile.
+MOST_PX = 50_000
+# How far the surroundings of a tile reach: several times the range over which heights are correlated.
+HALO_PX = 8
 # Heights are solved this far around the pixels that are asked for, where other views confirm the sweep's height.
 AROUND_PX = 3
 
@@ -66,20 +69,48 @@ class Tile:
         return image[self.row : self.row + rows, self.column : self.column + columns]
 
 
-def tiles_of(wanted: np.ndarray, confirmed: np.ndarray, side: int = TILE_PX) -> Iterator[Tile]:
+def tiles_of(wanted: np.ndarray, confirmed: np.ndarray, side: int | None = None) -> Iterator[Tile]:
     """Tiles that hold every wanted pixel (height, width) bool once, with what is confirmed around them.
 
-    They are ``side`` pixels wide and high, without their surroundings.
+    They are squares of ``side`` pixels, without their surroundings; without it, parts that are close about what is
+    wanted, so that a map of which little is takes few.
     """
     solved = (ndimage.binary_dilation(wanted, iterations=AROUND_PX) & confirmed) | wanted
-    height, width = wanted.shape
+    for top, bottom, left, right in _halves(wanted) if side is None else _squares(wanted.shape, side):
+        core = np.s_[top:bottom, left:right]
+        if not wanted[core].any():
+            continue
+        row, column = max(top - HALO_PX, 0), max(left - HALO_PX, 0)
+        window = np.s_[row : bottom + HALO_PX, column : right + HALO_PX]
+        inside, asked = solved[window].copy(), np.zeros_like(solved[window])
+        asked[top - row : bottom - row, left - column : right - column] = wanted[core]
+        yield Tile(row, column, inside, asked[inside])
+
+
+def _squares(shape: tuple[int, ...], side: int) -> Iterator[tuple[int, int, int, int]]:
+    """Top, bottom, left and right of squares that cover an image."""
+    height, width = shape
     for top in range(0, height, side):
         for left in range(0, width, side):
-            core = np.s_[top : top + side, left : left + side]
-            if not wanted[core].any():
-                continue
-            row, column = max(top - HALO_PX, 0), max(left - HALO_PX, 0)
-            window = np.s_[row : top + side + HALO_PX, column : left + side + HALO_PX]
-            inside, asked = solved[window].copy(), np.zeros_like(solved[window])
-            asked[top - row : top - row + side, left - column : left - column + side] = wanted[core]
-            yield Tile(row, column, inside, asked[inside])
+            yield top, min(top + side, height), left, min(left + side, width)
+
+
+def _halves(wanted: np.ndarray) -> Iterator[tuple[int, int, int, int]]:
+    """Top, bottom, left and right of halves of halves of an image, each close about what is wanted in it."""
+    waiting = [(0, wanted.shape[0], 0, wanted.shape[1])]
+    while waiting:
+        top, bottom, left, right = waiting.pop()
+        here = wanted[top:bottom, left:right]
+        rows, columns = (np.flatnonzero(here.any(axis=axis)) for axis in (1, 0))
+        if not len(rows):
+            continue
+        top, bottom = top + int(rows[0]), top + int(rows[-1]) + 1
+        left, right = left + int(columns[0]), left + int(columns[-1]) + 1
+        if (bottom - top) * (right - left) <= MOST_PX:
+            yield top, bottom, left, right
+        elif bottom - top > right - left:
+            middle = (top + bottom) // 2
+            waiting += [(middle, bottom, left, right), (top, middle, left, right)]
+        else:
+            middle = (left + right) // 2
+            waiting += [(top, bottom, middle, right), (top, bottom, left, middle)]

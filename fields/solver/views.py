@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
+from fields.device import Device
+from fields.solver.projection import Projection
 from fields.solver.shares import as_noisy, halved, halved_camera, halved_map
-from fields.solver.sight import sight_of
+from fields.solver.sight import Sight, sight_of
 from fields.solver.solve import Solved, solve
-from fields.solver.tile import TILE_PX, Tile, tiles_of
+from fields.solver.tile import Tile, tiles_of
 from fields.sweep.block import Block
 from fields.sweep.sweep import DepthMap
 from refract import FlatWater, PinholeCamera
 
+Used = TypeVar("Used")
+
 # Photographs that a tile is compared with.
 MOST_VIEWS = 20
+# Tiles that are being solved, or wait for it, while others are seen.
+AHEAD = 6
 
 
 @dataclass(frozen=True)
@@ -35,6 +46,8 @@ class Views:
     ----------
     cameras, images : of all views, by their number
     water : FlatWater or None
+    device : Device
+        Of the projections.
     maps : list of DepthMap
     others : list of tuple of int
         Views that each map is compared with.
@@ -45,6 +58,7 @@ class Views:
     cameras: dict[int, PinholeCamera]
     images: dict[int, np.ndarray]
     water: FlatWater | None
+    device: Device
     maps: list[DepthMap]
     others: list[tuple[int, ...]]
     tolerance: list[float]
@@ -58,21 +72,47 @@ class Views:
             for m, seen_by in zip(maps, others, strict=True)
         ]
         cameras, images = dict(enumerate(block.cameras)), dict(enumerate(block.images))
-        return Views(cameras, images, block.water, maps, others, tolerance)
+        return Views(cameras, images, block.water, block.device, maps, others, tolerance)
 
-    def jobs(self, index: int, wanted: np.ndarray, side: int = TILE_PX) -> list[Job]:
+    @cached_property
+    def _by_view(self) -> dict[int, DepthMap]:
+        return {each.view: each for each in self.maps}
+
+    @cached_property
+    def _projection(self) -> Projection:
+        return Projection(self.device, self.cameras, self.water)
+
+    def jobs(self, index: int, wanted: np.ndarray, side: int | None = None) -> list[Job]:
         """Tiles of a map that hold all wanted pixels (height, width) bool; none where no other view overlaps."""
         if not self.others[index]:
             return []
         tiles = tiles_of(wanted, self.maps[index].agreeing > 0, side)
         return [Job(index, tile, self.others[index]) for tile in tiles]
 
-    def solved(self, job: Job, roughness: float) -> Solved:
-        """Solve a tile about the heights of its map."""
-        m, tolerance = self.maps[job.index], self.tolerance[job.index]
-        by_view = {each.view: each for each in self.maps}
-        sight = sight_of(job.tile, m.view, list(job.others), self.cameras, by_view, self.water, tolerance)
-        return solve(job.tile, sight, self.images, job.tile.of(m.height), roughness, tolerance)
+    def solved(
+        self, jobs: Iterable[Job], roughness: float, pool: Executor, use: Callable[[Job, Solved], Used]
+    ) -> Iterator[tuple[Job, Used]]:
+        """Solve tiles about the heights of their maps, several at a time; what ``use`` makes of each, in order.
+
+        The kernels that see tiles in other photographs run on this thread, a few tiles ahead.
+        """
+
+        def one(job: Job, sight: Sight) -> Used:
+            start = job.tile.of(self.maps[job.index].height)
+            return use(job, solve(job.tile, sight, self.images, start, roughness, self.tolerance[job.index]))
+
+        waiting: deque[tuple[Job, Future[Used]]] = deque()
+        for job in jobs:
+            waiting.append((job, pool.submit(one, job, self._sight(job))))
+            if len(waiting) > AHEAD:
+                first, found = waiting.popleft()
+                yield first, found.result()
+        for job, found in waiting:
+            yield job, found.result()
+
+    def _sight(self, job: Job) -> Sight:
+        view, tolerance = self.maps[job.index].view, self.tolerance[job.index]
+        return sight_of(job.tile, view, job.others, self.cameras, self._by_view, self._projection, tolerance)
 
     def halved(self, chosen: list[int], noise: float) -> Views:
         """At half the size and as noisy [grey levels] as before: the chosen maps first, then those that they see."""
@@ -83,6 +123,7 @@ class Views:
             {view: halved_camera(self.cameras[view]) for view in sorted(needed)},
             {view: as_noisy(halved(self.images[view]), noise, random) for view in sorted(needed)},
             self.water,
+            self.device,
             [halved_map(self.maps[i]) for i in kept],
             [self.others[i] for i in kept],
             [2.0 * self.tolerance[i] for i in kept],

@@ -28,6 +28,8 @@ LEAST_FALL = 1e-3
 # Steps towards the row of a rolling shutter that takes a point. Each leaves a twentieth of the error, or less, of at
 # first some pixels.
 ROLLING_STEPS = 2
+# Numbers of a path under water that does not move.
+_LEGS = 6
 # The water plane in its own frame.
 _POINT, _NORMAL = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 
@@ -49,37 +51,43 @@ def legs_through(camera, u, v, n_water, beyond: Beyond) -> list:
     air = ray[0] / fall, ray[1] / fall
     bent = kernels.bend(ray, _NORMAL, 1.0, n_water)
     foot = (c - centre[2] * slope for c, slope in zip(centre[:2], air, strict=True))
-    return [*foot, *air, bent[0] / bent[2], bent[1] / bent[2]]
+    # As an array: legs are gathered pixel by pixel.
+    own = [beyond.tide(camera) + 0.0 * u] if beyond.tides else []
+    return [*foot, *air, bent[0] / bent[2], bent[1] / bent[2], *own]
 
 
 def point_at(legs, z) -> tuple:
     """The point of a path at height z [m]."""
     xp = kernels.namespace(z)
-    return *(legs[c] + z * xp.where(z > 0.0, legs[2 + c], legs[4 + c]) for c in range(2)), z
+    own = z if len(legs) == _LEGS else z - legs[_LEGS]
+    return *(legs[c] + own * xp.where(own > 0.0, legs[2 + c], legs[4 + c]) for c in range(2)), z
 
 
 def _place(camera, v, beyond: Beyond) -> tuple:
-    """Where a camera is [m] when it reads the row at v [px]."""
+    """Where a camera is [m], over its own water, when it reads the row at v [px]."""
     centre = tuple(camera[9:12])
     return kernels.along(centre, tuple(beyond.motion(camera)), v - camera[15]) if beyond.moves else centre
 
 
-def seen_at(camera, point, n_water, beyond: Beyond) -> tuple:
+def seen_at(camera, point, n_water, beyond: Beyond, steps: int = CROSSING_STEPS) -> tuple:
     """Pixel position (u, v) [px] of a point in a camera, and whether inside its image.
 
-    ``n_water`` is None in a dry survey. Inside are positions between the outermost pixel centres.
+    ``n_water`` is None in a dry survey. Inside are positions between the outermost pixel centres. ``steps`` are those
+    of `refract.kernels.air_share`.
     """
-    u, v, depth = _seen_from(camera, tuple(camera[9:12]), point, n_water, beyond)
+    if beyond.tides:
+        point = (point[0], point[1], point[2] - beyond.tide(camera))
+    u, v, depth = _seen_from(camera, tuple(camera[9:12]), point, n_water, beyond, steps)
     for _ in range(ROLLING_STEPS if beyond.moves else 0):
-        u, v, depth = _seen_from(camera, _place(camera, v, beyond), point, n_water, beyond)
+        u, v, depth = _seen_from(camera, _place(camera, v, beyond), point, n_water, beyond, steps)
     inside = (u >= 0.5) & (v >= 0.5) & (u < camera[16] - 0.5) & (v < camera[17] - 0.5) & (depth > 0.0)
     return u, v, inside
 
 
-def _seen_from(camera, centre, point, n_water, beyond: Beyond) -> tuple:
+def _seen_from(camera, centre, point, n_water, beyond: Beyond, steps: int) -> tuple:
     """Pixel position (u, v) [px] at which a camera sees a point from a place, and the depth of the point in cam [m]."""
     if n_water is not None:
-        point, _ = kernels.crossing_of_point(centre, point, _POINT, _NORMAL, n_water, CROSSING_STEPS)
+        point, _ = kernels.crossing_of_point(centre, point, _POINT, _NORMAL, n_water, steps)
     d = kernels.minus(point, centre)
     x, y, depth = (kernels.dot(camera[first : first + 3], d) for first in (0, 3, 6))
     if not beyond.lenses:

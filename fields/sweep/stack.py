@@ -15,7 +15,7 @@ from refract import FlatWater, PinholeCamera
 from refract.distortion import ROW as LENS_ROW
 from refract.distortion import kinds_of, row_of
 
-_PINHOLE_ROW, _MOTION_ROW = 18, 3
+_PINHOLE_ROW, _MOTION_ROW, _TIDE_ROW = 18, 3, 1
 
 
 @dataclass(frozen=True)
@@ -28,24 +28,36 @@ class Beyond:
         Kinds of distortion, see `refract.distortion`.
     moves : bool
         Whether any shutter rolls.
+    tides : bool
+        Whether any camera had another level of the water than the plane.
     """
 
     lenses: frozenset[str]
     moves: bool
+    tides: bool
 
     @staticmethod
     def of(cameras: list[PinholeCamera]) -> Beyond:
         """That of cameras."""
-        return Beyond(kinds_of(c.distortion for c in cameras), any(c.motion is not None for c in cameras))
+        moves, tides = any(c.motion is not None for c in cameras), any(c.tide != 0.0 for c in cameras)
+        return Beyond(kinds_of(c.distortion for c in cameras), moves, tides)
 
     @property
     def row(self) -> int:
         """Length of a row of the table of these cameras."""
-        return _PINHOLE_ROW + (_MOTION_ROW if self.moves else 0) + (LENS_ROW if self.lenses else 0)
+        return self._tide_at + (_TIDE_ROW if self.tides else 0) + (LENS_ROW if self.lenses else 0)
+
+    @property
+    def _tide_at(self) -> int:
+        return _PINHOLE_ROW + (_MOTION_ROW if self.moves else 0)
 
     def motion(self, row):
         """The part of a row that says how far the camera flies from one row of the image to the next [m/px]."""
         return row[_PINHOLE_ROW : _PINHOLE_ROW + _MOTION_ROW]
+
+    def tide(self, row):
+        """The number of a row that says how high the camera's own water is over the plane, along its normal [m]."""
+        return row[self._tide_at]
 
     def lens(self, row):
         """The part of a row that is that of `refract.distortion`."""
@@ -81,15 +93,19 @@ class PlaneFrame:
 def camera_table(cameras: list[PinholeCamera], beyond: Beyond, frame: PlaneFrame) -> np.ndarray:
     """Rotation (9), centre (3), fx, fy, cx, cy, width, height of each camera, and what it has beyond a pinhole.
 
-    (cameras, 18 and more) float64, in a frame.
+    (cameras, 18 and more) float64, in a frame. The height of a centre is over the camera's own water, where the water
+    moves: the frame is lower by the tide.
     """
     rows = []
     for c in cameras:
         rotation, centre = c.cam_from_local @ frame.from_local.T, frame.from_local @ (c.centre - frame.origin)
+        tide = c.tide * frame.from_local[2, 2]
+        centre[2] -= tide
         inner = (c.fx, c.fy, c.cx, c.cy, c.width, c.height)
         motion = (np.zeros(3) if c.motion is None else frame.from_local @ c.motion) if beyond.moves else ()
+        own = (tide,) if beyond.tides else ()
         lens = row_of(c.distortion) if beyond.lenses else ()
-        rows.append(np.concatenate([rotation.ravel(), centre, inner, motion, lens]))
+        rows.append(np.concatenate([rotation.ravel(), centre, inner, motion, own, lens]))
     return np.asarray(rows)
 
 

@@ -113,6 +113,7 @@ class Adjustment:
     readouts_s : tuple of float, or None
         Of the shutter behind each lens, from the first to the last row [s]; None where no shutter rolls.
     flow : (V, 3) [m/(s px)], local, or None
+    tides : (V,) [m], or None
         See `survey.adjust.state.Layout`.
     """
 
@@ -144,6 +145,7 @@ class Adjustment:
     points: np.ndarray
     readouts_s: tuple[float, ...] | None = None
     flow: np.ndarray | None = None
+    tides: np.ndarray | None = None
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name."""
@@ -154,14 +156,15 @@ class Adjustment:
         """That of `covariance`, but for the rises of a rough bed, which it leaves out."""
         aspect = np.array([lens.focal[1] / lens.focal[0] for lens in self.lenses])
         names = {f"camera0.{READOUT_NAME}"}
-        return Layout(self.lens_of, aspect, self.flow, finds_readouts=not names.isdisjoint(self.covariance_names))
+        finds_readouts = not names.isdisjoint(self.covariance_names)
+        return Layout(self.lens_of, aspect, self.flow, finds_readouts=finds_readouts, tides=self.tides)
 
 
-# Attributes that are arrays, in adjustment.npz, some of them only where shutters roll; all others are in
+# Attributes that are arrays, in adjustment.npz, some of them only where shutters roll or water moves; all others are in
 # adjustment.json.
 _ARRAYS = (
     "lens_of", "centres", "rotations", "position_std", "rotation_std_deg", "covariance", "residual_view",
-    "residual_px", "residual_at_px", "residual_point", "points", "flow",
+    "residual_px", "residual_at_px", "residual_point", "points", "flow", "tides",
 )  # fmt: skip
 
 

@@ -108,6 +108,7 @@ def result(
         points=state.points,
         readouts_s=tuple(state.readouts.tolist()) or None,
         flow=layout.flow,
+        tides=layout.tides,
     )
 
 

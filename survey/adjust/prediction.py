@@ -45,7 +45,7 @@ def predict(
     rows : (N,) [px], optional
         Of the photographs as they were taken, for rolling shutters; default those of the tie points.
     """
-    line = lines_of_sight(_centres(layout, state, ties, rows), _seen(state, ties, sides), state.water)
+    line = lines_of_sight(*_ends(layout, state, ties, sides, rows), state.water)
     pixels, _ = _imaged(layout, state, ties, line)
     return pixels
 
@@ -54,7 +54,7 @@ def linearise(
     layout: Layout, state: State, ties: TiePoints, sides: np.ndarray, rows: np.ndarray | None = None
 ) -> Linear:
     """Predicted pixels with their derivatives; see `predict`."""
-    sight = sights(_centres(layout, state, ties, rows), _seen(state, ties, sides), state.water)
+    sight = sights(*_ends(layout, state, ties, sides, rows), state.water)
     pixels, imaged = _imaged(layout, state, ties, sight.line)
     rotations = state.rotations[ties.view]
     by_line = np.einsum("nai,nij->naj", imaged.by_cam, rotations)
@@ -91,6 +91,18 @@ def relief_sides(state: State, ties: TiePoints) -> np.ndarray:
     leg = np.where((leg[:, 2] > 1e-9)[:, None], leg, centres - points)
     tangent = leg[:, :2] / leg[:, 2:]
     return np.column_stack([np.sum(tangent**2, axis=1), tangent])
+
+
+def _ends(
+    layout: Layout, state: State, ties: TiePoints, sides: np.ndarray, rows: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Cameras and points (N, 3) each, where they would be if the water had stayed and all else sunk by the tide."""
+    centres, points = _centres(layout, state, ties, rows), _seen(state, ties, sides)
+    if layout.tides is None:
+        return centres, points
+    down = np.zeros_like(points)
+    down[:, 2] = layout.tides[ties.view]
+    return centres - down, points - down
 
 
 def _centres(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray | None) -> np.ndarray:

@@ -89,11 +89,13 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
     lenses = tuple(dict.fromkeys(view.lens for view in views))
     lens_of = np.array([lenses.index(view.lens) for view in views])
     flow, readout_std = _flow(survey), survey.config.cameras.rolling_shutter_std_s
+    tides = np.array([view.camera.tide for view in views])
     layout = Layout(
         lens_of,
         np.array([lens.focal[1] / lens.focal[0] for lens in lenses]),
         flow,
         finds_readouts=flow is not None and readout_std is not None,
+        tides=tides if tides.any() else None,
     )
     readouts = np.full(0 if flow is None else len(lenses), survey.config.cameras.rolling_shutter_s, dtype=np.float64)
     centres = np.array([view.camera.centre for view in views])

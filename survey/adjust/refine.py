@@ -152,7 +152,7 @@ def _views(
     views = []
     for number, view in enumerate(survey.views):
         lens = lenses[layout.lens_of[number]]
-        camera = lens.camera(centres[number], rotations[number])
+        camera = replace(lens.camera(centres[number], rotations[number]), tide=view.camera.tide)
         if layout.flow is not None and layout.flow[number].any():
             camera = replace(camera, motion=layout.flow[number] * readouts[layout.lens_of[number]])
         views.append(replace(view, camera=camera, lens=lens))

@@ -43,12 +43,15 @@ class Layout:
         shutter rolls.
     finds_readouts : bool
         Whether the readouts of rolling shutters are parameters.
+    tides : (V,) [m] or None
+        Of the cameras (`PinholeCamera.tide`); None where one level holds for all.
     """
 
     lens_of: np.ndarray
     aspect: np.ndarray
     flow: np.ndarray | None = None
     finds_readouts: bool = False
+    tides: np.ndarray | None = None
 
     @property
     def first_lens(self) -> int:

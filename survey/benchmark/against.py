@@ -1,7 +1,8 @@
 """Two results of the benchmark: what became better or worse beyond noise.
 
 Errors are paired block by block of the plan: both clouds come from the same photographs and share most of their
-noise, which leaves the ratio. Times are compared where both were measured on the same machine and often enough.
+noise, which leaves the ratio. Times are compared where both were measured on the same machine and often enough. Over
+several surveys the ratios of each method are taken together, which judges times that were measured once, too.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import t as student
 
 from survey.benchmark.records import Errors, Record, Results
 
@@ -16,6 +18,9 @@ _DRAWS, _SEED = 2000, 20_261_122
 _LEVEL = (2.5, 97.5)
 # Fewer repeats than this do not show how a time varies; fewer blocks not how an error does.
 MIN_REPEATS, MIN_BLOCKS = 3, 10
+# Fewer surveys than this are not taken together.
+MIN_SURVEYS = 3
+ANOTHER_MACHINE = "another machine"
 BETTER, WORSE, SAME, UNKNOWN = "better", "worse", "as before", "not judged"
 
 
@@ -56,6 +61,32 @@ def changes(now: Results, then: Results) -> list[Change]:
     return found
 
 
+def over_surveys(found: list[Change]) -> list[Change]:
+    """The changes of each method and figure over all surveys: the geometric mean of their ratios.
+
+    The interval is Student's, of the logarithms: surveys count as drawn from all that could be.
+    """
+    groups: dict[tuple[tuple[str, ...], str], list[Change]] = {}
+    for change in found:
+        if np.isfinite(change.ratio) and change.why != ANOTHER_MACHINE:
+            groups.setdefault((change.key[1:], change.figure), []).append(change)
+    return [_together(key, figure, group) for (key, figure), group in groups.items() if len(group) >= MIN_SURVEYS]
+
+
+def _together(key: tuple[str, ...], figure: str, group: list[Change]) -> Change:
+    logs = np.log([change.ratio for change in group])
+    half = student.ppf(0.5 * (1.0 + 0.01 * (_LEVEL[1] - _LEVEL[0])), len(logs) - 1) * logs.std(ddof=1)
+    middle, half = float(logs.mean()), float(half) / len(logs) ** 0.5
+    interval = (float(np.exp(middle - half)), float(np.exp(middle + half)))
+    return Change((f"{len(group)} surveys", *key), figure, float(np.exp(middle)), interval, _verdict(*interval))
+
+
+def unpaired(now: Results, then: Results) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
+    """Keys of the records that only the one has, and of those that only the other has."""
+    ours, theirs = ({record.key for record in results.records} for results in (now, then))
+    return sorted(ours - theirs), sorted(theirs - ours)
+
+
 def _of_record(now: Record, then: Record, same_machine: bool) -> list[Change]:
     if now.errors is None or then.errors is None:
         if (now.errors is None) == (then.errors is None):
@@ -88,7 +119,7 @@ def _rms(sums: np.ndarray) -> np.ndarray:
 def _time(key: tuple[str, ...], figure: str, now: np.ndarray, then: np.ndarray, same_machine: bool) -> Change:
     ratio = float(np.median(now) / np.median(then))
     if not same_machine:
-        return Change(key, figure, ratio, None, UNKNOWN, "another machine")
+        return Change(key, figure, ratio, None, UNKNOWN, ANOTHER_MACHINE)
     if min(len(now), len(then)) < MIN_REPEATS:
         return Change(key, figure, ratio, None, UNKNOWN, f"expected --repeats {MIN_REPEATS} or more in both")
     rng = np.random.default_rng(_SEED)
@@ -98,5 +129,8 @@ def _time(key: tuple[str, ...], figure: str, now: np.ndarray, then: np.ndarray, 
 
 def _judged(key: tuple[str, ...], figure: str, ratio: float, ratios: np.ndarray) -> Change:
     low, high = (float(v) for v in np.percentile(ratios, _LEVEL))
-    verdict = BETTER if high < 1.0 else WORSE if low > 1.0 else SAME
-    return Change(key, figure, ratio, (low, high), verdict)
+    return Change(key, figure, ratio, (low, high), _verdict(low, high))
+
+
+def _verdict(low: float, high: float) -> str:
+    return BETTER if high < 1.0 else WORSE if low > 1.0 else SAME

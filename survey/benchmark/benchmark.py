@@ -69,9 +69,19 @@ class _Job:
         kind = first.field if first.is_refracted else "straight"
         return "_".join((self.case.name, kind, self.quality, self.poses, self.device))
 
+    @property
+    def keys(self) -> set[tuple[str, ...]]:
+        """Of its records."""
+        return {(self.case.name, method.name, self.quality, self.poses, self.device) for method in self.methods}
+
 
 def benchmark(
-    surveys: Sequence[Path], folder: Path, *, drawn: Sequence[str] = (), settings: Settings | None = None
+    surveys: Sequence[Path],
+    folder: Path,
+    *,
+    drawn: Sequence[str] = (),
+    settings: Settings | None = None,
+    known: Sequence[Record] = (),
 ) -> Results:
     """Measure run time against error.
 
@@ -83,6 +93,8 @@ def benchmark(
         For drawn surveys, run folders, results.json and front.png, which are written anew after every process.
     drawn : names DEPTH,PATTERN,IMAGES or "all", see `survey.benchmark.cases.drawn_names`
     settings : Settings, optional
+    known : of Record
+        Of an earlier call with this code: they are kept, and their processes do not run again.
 
     Raises
     ------
@@ -101,9 +113,9 @@ def benchmark(
         raise SurveyError(f"two surveys are named {min(doubled)}; rename the folder of one of them")
     folder.mkdir(parents=True, exist_ok=True)
     cases += [drawn_case(name, folder) for name in names]
-    jobs = [job for case in cases for job in _jobs(case, settings)]
-    results = Results(machine(), versions(), commit(), ())
-    found: dict[tuple[str, ...], Record] = {}
+    found: dict[tuple[str, ...], Record] = {record.key: record for record in known}
+    jobs = [job for case in cases for job in _jobs(case, settings) if not job.keys <= found.keys()]
+    results = Results(machine(), versions(), commit(), tuple(known))
     with current().stage("Benchmark", len(jobs) * settings.repeats) as stage:
         # Round after round, so that what slows the machine for a while slows all methods.
         for _ in range(settings.repeats):

@@ -92,4 +92,5 @@ def _blocks(plan: np.ndarray, distances: np.ndarray, case: Case) -> dict[str, li
     sums = [
         np.bincount(number.ravel(), weights=values) for values in (np.ones_like(distances), distances, distances**2)
     ]
-    return {f"{x},{y}": [float(v) for v in row] for (x, y), row in zip(cells, np.transpose(sums), strict=True)}
+    # Six digits: far less than an interval of their ratios has.
+    return {f"{x},{y}": [float(f"{v:.6g}") for v in row] for (x, y), row in zip(cells, np.transpose(sums), strict=True)}

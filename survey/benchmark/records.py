@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from geo import write_whole
 from survey.errors import SurveyError
-from survey.files.json_values import write_json
+from survey.files.json_values import plain
 
 # Of the file's layout; another one is not read.
 VERSION = 1
@@ -121,8 +122,12 @@ class Results:
 
 
 def write_results(path: Path, results: Results) -> None:
-    """Write the results as JSON, whole or not at all."""
-    write_json(path, {"version": VERSION} | asdict(results))
+    """Write the results as JSON, a line for each record, whole or not at all."""
+    table = {"version": VERSION} | plain(replace(results, records=()))
+    head = json.dumps(table, ensure_ascii=False).removesuffix("[]}")
+    lines = ",\n".join(json.dumps(plain(record), ensure_ascii=False) for record in results.records)
+    with write_whole(path) as stream:
+        stream.write(f"{head}[\n{lines}\n]}}\n".encode())
 
 
 def read_results(path: Path) -> Results:

@@ -23,8 +23,15 @@ _ROOT = Path(survey.__file__).resolve().parent.parent
 _LOOK_S = 0.1
 
 
-def run_bathynerf(arguments: list[str], home: Path) -> tuple[int, Cost, str]:
+def run_bathynerf(arguments: list[str], home: Path, *, under: tuple[str, ...] = ()) -> tuple[int, Cost, str]:
     """Run the command line in a process of its own, with its compiled kernels in `home`.
+
+    Parameters
+    ----------
+    arguments : list of str
+    home : Path
+    under : tuple of str
+        A command that runs the command after it, e.g. ("timeout", "60").
 
     Returns
     -------
@@ -34,7 +41,9 @@ def run_bathynerf(arguments: list[str], home: Path) -> tuple[int, Cost, str]:
     log = home / "stderr.txt"
     start, before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
     with log.open("wb") as errors:
-        process = subprocess.Popen([*_BATHYNERF, *arguments], env=environment, stdout=subprocess.DEVNULL, stderr=errors)
+        process = subprocess.Popen(
+            [*under, *_BATHYNERF, *arguments], env=environment, stdout=subprocess.DEVNULL, stderr=errors
+        )
         peak = _Peak(process.pid)
         try:
             code = process.wait()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from survey.benchmark.against import Change
+from survey.benchmark.against import Change, changes, over_surveys, unpaired
 from survey.benchmark.front import on_front, wall_s
 from survey.benchmark.methods import METHODS
 from survey.benchmark.records import Record, Results
@@ -12,6 +12,9 @@ from survey.display.quantities import length
 
 _HEAD = ("survey", "method", "quality", "poses", "time", "processor", "memory", "mean", "std", "complete 0.2, 0.05 m",
          "std covers", "")  # fmt: skip
+
+# Records that are named where others cannot be paired.
+_MOST_NAMED = 3
 
 
 def table(results: Results) -> list[str]:
@@ -34,6 +37,17 @@ def _row(record: Record, is_front: bool) -> tuple[str, ...]:
     covers = "-" if errors.coverage is None else f"{100.0 * errors.coverage:.1f} %"
     marks = ("*" if is_front else "") + (" quality gate failed" if record.exit_code else "")
     return (*name, *costs, length(errors.mean_m), length(errors.std_m), f"{shares} %", covers, marks.strip())
+
+
+def comparison(now: Results, then: Results) -> list[str]:
+    """What became better or worse: over all surveys, then of each, then what could not be compared."""
+    found = changes(now, then)
+    lines = lines_of(over_surveys(found)) + lines_of(found)
+    for keys, where in zip(unpaired(now, then), ("this", "the earlier"), strict=True):
+        if keys:
+            named = "; ".join(" ".join(key) for key in keys[:_MOST_NAMED])
+            lines.append(f"only in {where} result: {len(keys)} records, {named}{'; ...' * (len(keys) > _MOST_NAMED)}")
+    return lines
 
 
 def lines_of(changes: list[Change]) -> list[str]:

@@ -45,11 +45,10 @@ def run(
 ) -> None:
     """Measure run time against error, of the whole chain and of what it has to beat."""
     with command(verbose, quiet, output) as results:
-        from survey.benchmark.against import changes
         from survey.benchmark.benchmark import FRONT, RESULTS, Settings, benchmark, present_devices
         from survey.benchmark.methods import METHODS
         from survey.benchmark.records import read_results
-        from survey.benchmark.text import lines_of, table
+        from survey.benchmark.text import comparison, table
 
         # Read before hours are spent.
         earlier = None if against is None else read_results(against)
@@ -61,7 +60,7 @@ def run(
             repeats=repeats,
         )
         found = benchmark(surveys or [], output, drawn=drawn or [], settings=settings)
-        for line in table(found) + ([] if earlier is None else ["", *lines_of(changes(found, earlier))]):
+        for line in table(found) + ([] if earlier is None else ["", *comparison(found, earlier)]):
             results.line(line)
         results.line(output / RESULTS)
         results.line(output / FRONT)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from survey.commands.console import Results, command
 from survey.commands.memory import address_space_shortage, require_address_space
-from survey.commands.options import Quiet, SurveyFolder, TargetStd, TimeBudget, Verbose
+from survey.commands.options import Quiet, TargetStd, TimeBudget, Verbose
 from survey.plan.choices import Device, Quality
 
 if TYPE_CHECKING:
@@ -20,11 +21,17 @@ EXAMPLES = """
     bathynerf check my_survey --quality fine
     bathynerf check my_survey --target-std 0.02
     bathynerf check my_survey --deep
+    bathynerf check flight.toml --wind 5
 """
 
 
 def run(
-    survey: SurveyFolder,
+    survey: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SURVEY|PLAN", help="Folder with images and survey.toml, or the TOML of a planned flight."
+        ),
+    ],
     quality: Annotated[Quality, typer.Option(help="Plan for this quality.")] = Quality.standard,
     device: Annotated[Device, typer.Option(help="Plan for this device.")] = Device.auto,
     target_std: TargetStd = None,
@@ -32,19 +39,29 @@ def run(
     deep: Annotated[
         bool, typer.Option("--deep", help="Also hold survey.toml against the photographs; takes minutes.")
     ] = False,
+    wind: Annotated[
+        float, typer.Option(min=0.0, max=20.0, metavar="M/S", help="Wind over the water, for the glitter of the sun.")
+    ] = 3.0,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:
-    """Report what a survey has, what it lacks, and what process would do.
+    """Report what a survey has, what it lacks, and what process would do; or what a planned flight promises.
 
-    Also what the flight promises for a bed under still, clear water. No photograph is measured and nothing is written,
-    unless --deep asks for it: then poses, lens and water are adjusted to the photographs, and where these contradict
-    survey.toml it says so.
+    Also what the flight promises for a bed under still, clear water, and what light and motion take from it. Nothing is
+    written. With --deep poses, lens and water are adjusted to the photographs, and where these contradict survey.toml
+    it says so.
+
+    Before the flight: a plan has place, camera, height, overlaps and oblique views, or a file of poses, and the time
+    (docs/check.md, examples/flight.toml).
     """
     with command(verbose, quiet, survey) as results:
-        from survey.adjust.foreseen import foreseen_section
+        if survey.suffix.lower() == ".toml":
+            _check_plan(results, survey, quality, device, wind, deep=deep)
+            return
+        from survey.adjust.foreseen_text import foreseen_section
         from survey.plan.aim import aim_of
         from survey.plan.check import Section, check_survey, require_processable
+        from survey.plan.check_light import light_section
         from survey.plan.plan import make_plan
         from survey.progress import current
 
@@ -54,6 +71,7 @@ def run(
         checked = require_processable(survey)
         for section in check_survey(survey, quality=quality.value, device=device.value, checked=checked):
             show(results, section)
+        show(results, light_section(checked, wind_m_s=wind))
         foreseen = None if checked.survey is None else foreseen_section(checked.survey)
         if foreseen is not None:
             show(results, foreseen)
@@ -68,6 +86,16 @@ def run(
 
             for section in deep_check(survey, device=device.value):
                 show(results, section)
+
+
+def _check_plan(results: Results, path: Path, quality: Quality, device: Device, wind: float, *, deep: bool) -> None:
+    from survey.errors import SurveyError
+    from survey.simulate.staging.check_plan import check_plan
+
+    if deep:
+        raise SurveyError("--deep holds a survey against its photographs, and a plan has none; remove it")
+    for section in check_plan(path, quality=quality.value, device=device.value, wind_m_s=wind):
+        show(results, section)
 
 
 def show(results: Results, section: Section) -> None:

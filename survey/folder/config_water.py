@@ -9,7 +9,9 @@ from survey.files.toml_table import key
 from survey.folder.config_std import require_std
 
 MOST_LEVEL_STD_M = 10.0
-_ANY_LEVEL = ("level_m", "shoreline", "gnss_points", "gauge", "clicks")
+# Filling locks and the largest tidal bores rise faster, and nobody flies there for the bed.
+MOST_RATE_M_PER_H = 10.0
+_ANY_LEVEL = ("level_m", "shoreline", "gnss_points", "gauge", "image_levels", "clicks")
 
 
 @dataclass(frozen=True)
@@ -20,7 +22,8 @@ class WaterConfig:
     level_at: tuple[float, float] | None = key(None, "[easting, northing]")
     slope_east: float = 0.0
     slope_north: float = 0.0
-    refractive_index: float | None = None
+    refractive_index: float | None = None  # of the light that is matched, unless the next key tells its wavelength
+    index_wavelength_nm: float | None = None  # 589.3 for an index from a handbook; docs/light.md
     temperature_c: float | None = None
     salinity_psu: float | None = None
     absorption_per_m: tuple[float, float, float] | None = key(
@@ -32,6 +35,9 @@ class WaterConfig:
     shoreline: str | None = None  # CSV of points, easting, northing, height, or GeoJSON, where water meets land
     gnss_points: str | None = None  # the same, of points anywhere on the surface
     gauge: str | None = None  # CSV of time, level
+    image_levels: str | None = None  # CSV of image, level
+    level_rate_m_per_h: float | None = None  # how fast the level rises, which then holds at level_time
+    level_time: str | None = key(None, "a time with its zone, e.g. 2024-06-01T10:30:00Z")
     clicks: str | None = None  # CSV of image, x, y, name: places of the waterline in two photographs or more
     level_std_m: float | None = None  # standard deviations, for the adjustment
     index_std: float | None = None
@@ -44,6 +50,7 @@ class WaterConfig:
         require_std("[water] index_std", self.index_std, 0.1, "", "temperature and salinity give the index to 0.0005")
         require_std("[water] slope_std", self.slope_std, 0.2, "metres per metre", "a river slopes by 0.001 to 0.01")
         self._require_one_level()
+        self._require_one_tide()
         self._require_one_index()
         self._require_colour()
 
@@ -81,9 +88,9 @@ class WaterConfig:
         if all(getattr(self, name) is None for name in _ANY_LEVEL):
             raise ConfigError(
                 "level_m is missing from [water]. Give the height of the water surface in the survey's vertical "
-                "datum, e.g. level_m = 12.34, or a file as shoreline, gnss_points, gauge or clicks, or remove [water] "
-                "for a dry survey; only a survey without poses, with GPS positions in its photographs, can leave it to "
-                "the adjustment"
+                "datum, e.g. level_m = 12.34, or a file as shoreline, gnss_points, gauge, image_levels or clicks, or "
+                "remove [water] for a dry survey; only a survey without poses, with GPS positions in its photographs, "
+                "can leave it to the adjustment"
             )
 
     def _require_one_level(self) -> None:
@@ -91,6 +98,21 @@ class WaterConfig:
         if len(levels) > 1:
             raise ConfigError(
                 f"[water] has {' and '.join(levels)}, each of which gives the height of the water; keep one"
+            )
+
+    def _require_one_tide(self) -> None:
+        rate = self.level_rate_m_per_h
+        if rate is None and self.level_time is not None:
+            raise ConfigError("[water] level_time is given without level_rate_m_per_h, which it is for; give both")
+        if rate is not None and abs(rate) > MOST_RATE_M_PER_H:
+            raise ConfigError(
+                f"[water] level_rate_m_per_h is {rate:g}, expected metres per hour, at most {MOST_RATE_M_PER_H:g} up "
+                "or down; tides have up to 3"
+            )
+        moving = [name for name in ("gauge", "image_levels") if getattr(self, name) is not None]
+        if rate is not None and moving:
+            raise ConfigError(
+                f"[water] has level_rate_m_per_h and {moving[0]}, which tells how the level moves; keep one"
             )
 
     def _require_one_index(self) -> None:
@@ -102,6 +124,17 @@ class WaterConfig:
         if by_water == ["salinity_psu"]:
             raise ConfigError(
                 "[water] has salinity_psu without temperature_c; give temperature_c too, or refractive_index"
+            )
+        wavelength = self.index_wavelength_nm
+        if wavelength is not None and self.refractive_index is None:
+            raise ConfigError(
+                "[water] has index_wavelength_nm without refractive_index, whose wavelength it tells; give both, or "
+                "temperature_c alone"
+            )
+        if wavelength is not None and not 400.0 <= wavelength <= 700.0:
+            raise ConfigError(
+                f"[water] index_wavelength_nm is {wavelength:g}, expected 400 to 700, the wavelengths of light; an "
+                "index from a handbook belongs to 589.3"
             )
 
     def _require_colour(self) -> None:

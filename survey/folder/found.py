@@ -15,6 +15,7 @@ from survey.folder.config import SurveyConfig, read_config
 from survey.folder.control import FoundControl, find_control
 from survey.folder.head_doubts import head_doubts
 from survey.folder.level_observation import LevelObservation
+from survey.folder.tides import Tide
 from survey.folder.water_level import with_level
 from survey.photos.exif import Exif, read_exif
 from survey.photos.formats import find_poses, find_unread
@@ -48,6 +49,8 @@ class Found:
         Control and check points in crs; None where survey.toml names none.
     levels : tuple of LevelObservation
         What was measured of the water level; clicks in photographs are not among them before the poses are known.
+    tide : Tide or None
+        How the level moved; None where nothing is said of it.
     """
 
     folder: Path
@@ -60,6 +63,7 @@ class Found:
     warnings: tuple[str, ...]
     control: FoundControl | None = None
     levels: tuple[LevelObservation, ...] = ()
+    tide: Tide | None = None
 
 
 def find_survey(folder: Path) -> Found:
@@ -86,7 +90,7 @@ def find_survey(folder: Path) -> Found:
         raise ConfigError(f"{toml}: crs is missing; {infer.crs_advice(heads)}")
     use_grids(folder / GRIDS_FOLDER)
     crs = parse_crs(config.crs, where=f"crs in {toml}" if toml.is_file() else "the inferred crs")
-    config, levels = with_level(folder, config, heads, crs, assumptions)
+    config, levels, tide = with_level(folder, config, heads, crs, assumptions)
     if poses_path is not None and config.water is not None:
         config.water.require_level()
     warnings = head_doubts(heads)
@@ -104,7 +108,7 @@ def find_survey(folder: Path) -> Found:
         control = find_control(folder, config.control, crs, heads, assumptions, warnings)
         config = replace(config, control=control.config)
     said = tuple(assumptions), tuple(warnings)
-    return Found(folder, config, crs, images, heads, poses_path, *said, control, levels)
+    return Found(folder, config, crs, images, heads, poses_path, *said, control, levels, tide)
 
 
 def _poses_path(folder: Path, config: SurveyConfig, assumptions: list[str]) -> Path | None:

@@ -3,6 +3,7 @@
 survey.toml              level_m, level_std_m
 shoreline, gnss_points   CSV with easting, northing, height in crs (and std), or GeoJSON
 gauge                    CSV with time, level (and std)
+image_levels             CSV with image, level (and std): `survey.folder.tides`
 clicks                   CSV with image, x, y, name: `survey.folder.level_clicks`
 """
 
@@ -22,10 +23,10 @@ from survey.folder.level_geojson import points_of_geojson
 
 # Of one measurement whose file does not say how sure it is [m]: of GNSS with corrections on the surface, and where
 # water meets land, which waves move; of a reading.
-STD_M = {"shoreline": 0.03, "gnss_points": 0.02, "gauge": 0.01}
+STD_M = {"shoreline": 0.03, "gnss_points": 0.02, "gauge": 0.01, "image_levels": 0.01}
 # What all measurements of a source share, so that more of them do not help [m]: the height of the base and the antenna;
-# that water wets the land above its level; the zero of the gauge.
-COMMON_STD_M = {"shoreline": 0.02, "gnss_points": 0.015, "gauge": 0.01, "clicks": 0.0}
+# that water wets the land above its level; the zero of the gauge, from which levels of photographs count as well.
+COMMON_STD_M = {"shoreline": 0.02, "gnss_points": 0.015, "gauge": 0.01, "image_levels": 0.01, "clicks": 0.0}
 _GEOJSON = (".geojson", ".json")
 _MOST_STD_M = 10.0
 
@@ -70,7 +71,7 @@ def points_of_surface(path: Path, source: str, crs: CRS, notes: list[str]) -> tu
     rows = read_table(path, ("easting", "northing", "height"), optional=("std",), error=ConfigError)
     places = [(row.number("easting"), row.number("northing")) for row in rows]
     return tuple(
-        LevelObservation(row.number("height") * unit, _std(row, source), place, None, source)
+        LevelObservation(row.number("height") * unit, std_of(row, source), place, None, source)
         for row, place in zip(rows, places, strict=True)
     )
 
@@ -84,14 +85,18 @@ def readings_of_gauge(path: Path) -> tuple[LevelObservation, ...]:
         If the file is missing or damaged, a time has no time zone, or times do not rise.
     """
     rows = read_table(path, ("time", "level"), optional=("std",), error=ConfigError)
-    found = tuple(LevelObservation(row.number("level"), _std(row, "gauge"), None, _time(row), "gauge") for row in rows)
-    times = [reading.time for reading in found if reading.time is not None]
+    times = [moment_of(row.text("time"), row.where) for row in rows]
+    found = tuple(
+        LevelObservation(row.number("level"), std_of(row, "gauge"), None, time, "gauge")
+        for row, time in zip(rows, times, strict=True)
+    )
     if len(times) < 2 or any(later <= earlier for earlier, later in pairwise(times)):
         raise ConfigError(f"{path} has {len(times)} readings, expected two or more with rising times; sort them")
     return found
 
 
-def _std(row: Row, source: str) -> float:
+def std_of(row: Row, source: str) -> float:
+    """The standard deviation [m] of a row of a table, by default that of its source; ConfigError where it is none."""
     std = row.number("std", default=STD_M[source])
     if not 0.0 < std <= _MOST_STD_M:
         raise ConfigError(
@@ -100,12 +105,12 @@ def _std(row: Row, source: str) -> float:
     return std
 
 
-def _time(row: Row) -> datetime:
-    text = row.text("time")
+def moment_of(text: str, where: str) -> datetime:
+    """A time in UTC from a text at a place of a file; ConfigError where it is none, or has no time zone."""
     try:
         moment = datetime.fromisoformat(text)
         if moment.tzinfo is not None:
             return moment.astimezone(UTC)
     except (ValueError, OverflowError) as error:
-        raise ConfigError(f"{row.where}: {text[:40]!r} is not a time, expected e.g. 2024-06-01T10:30:00Z") from error
-    raise ConfigError(f"{row.where}: {text} has no time zone; write Z for UTC or e.g. +02:00 after it")
+        raise ConfigError(f"{where}: {text[:40]!r} is not a time, expected e.g. 2024-06-01T10:30:00Z") from error
+    raise ConfigError(f"{where}: {text} has no time zone; write Z for UTC or e.g. +02:00 after it")

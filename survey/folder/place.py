@@ -18,6 +18,7 @@ from survey.folder.posed import cams_from_local, points_in_crs
 from survey.folder.water import refractive_index
 from survey.photos.cameras import View
 from survey.photos.poses import Pose, PoseFile, PoseFrame
+from survey.photos.texture import matched_light
 
 # Where the search for an unknown level starts: over this quantile of the heights of the points, by this share of the
 # flying height, which few waters are deeper than.
@@ -122,8 +123,8 @@ def water_in_local(
     if given.level_at is None:
         middle = frame.crs_from_local(np.mean([view.camera.centre for view in views], axis=0))
         given = replace(given, level_at=(float(middle[0]), float(middle[1])))
-    index = refractive_index(given, assumptions)
-    given = replace(given, refractive_index=index, temperature_c=None, salinity_psu=None)
+    index = refractive_index(given, lambda: matched_light(views), assumptions)
+    given = replace(given, refractive_index=index, index_wavelength_nm=None, temperature_c=None, salinity_psu=None)
     water = water_plane(frame, given)
     return replace(config, water=given), water
 

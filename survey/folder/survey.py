@@ -26,6 +26,7 @@ from survey.folder.pose_priors import PosePrior
 from survey.folder.reprojection import Reprojection
 from survey.folder.shutter import metres_per_px, shutter_doubts, with_motion
 from survey.folder.start_height import start_doubts
+from survey.folder.tides import Tide, with_tides
 from survey.folder.velocities import Velocity, velocities_of
 from survey.folder.water_level import with_level_of_clicks
 from survey.photos.cameras import View
@@ -80,6 +81,9 @@ class Survey:
         What was measured of the water level, of which `config` has the mean and its standard deviation.
     velocities : dict of name to Velocity
         Of the views of which anything tells it.
+    tide : Tide or None
+        How the level moved from photograph to photograph, which cameras have where it matters (`PinholeCamera.tide`);
+        None where nothing is said of it.
     """
 
     name: str
@@ -103,6 +107,7 @@ class Survey:
     checkpoints: tuple[Checkpoint, ...] = field(default=(), compare=False, repr=False)
     levels: tuple[LevelObservation, ...] = field(default=(), compare=False, repr=False)
     velocities: Mapping[str, Velocity] = field(default_factory=dict, compare=False, repr=False)
+    tide: Tide | None = field(default=None, compare=False, repr=False)
 
     def require_water(self) -> tuple[FlatWater, WaterConfig]:
         """The water plane and its settings, with level, place and index.
@@ -152,6 +157,7 @@ def load_survey(
     velocities = velocities_of(places, found.heads, found.config.cameras.speed_m_s)
     views = with_motion(block.views, velocities, found.config.cameras, warnings)
     config, water, is_level_known, levels = _water(block, views, assumptions, warnings)
+    views, tide = with_tides(views, found.tide, water)
     require_true(frame, views, water, config, found.heads, see_points=block.reprojection is not None)
     warnings += _doubts(replace(found, config=config), frame, views, water, block.control)
     config = _with_poses_name(config, found)
@@ -175,6 +181,7 @@ def load_survey(
         checkpoints=block.checkpoints,
         levels=levels,
         velocities=velocities,
+        tide=tide,
     )
 
 

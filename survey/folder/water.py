@@ -1,40 +1,68 @@
-"""The refractive index of a survey, with the assumptions behind it."""
+"""The refractive index of a survey: that of the light whose texture is matched, with the assumptions behind it.
+
+An index belongs to a wavelength (docs/light.md). The index that the program works with belongs to the light that is
+matched, a mixture of the channels of the photographs. ``refractive_index`` in survey.toml is that one, unless
+``index_wavelength_nm`` says to which wavelength it belongs: then, as from temperature and salinity, the index is that
+of the shares which red, green and blue have in the texture of the photographs.
+"""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 
-from refract import water_index
+from refract.dispersion import converted_index
 from survey.errors import FILE_NAME, ConfigError
 from survey.folder.config import WaterConfig
-
-# Green light, where the three channels of a camera have their middle; blue bends 0.3 % more, red 0.2 % less.
-WAVELENGTH_NM = 550.0
+from survey.photos.texture import MatchedLight
 
 FRESH_WATER = 1.333
 
 
-def refractive_index(given: WaterConfig, assumptions: list[str]) -> float:
-    """Index of the water relative to air: as given, or of its temperature and salinity in green light.
+def refractive_index(given: WaterConfig, light: Callable[[], MatchedLight], assumptions: list[str]) -> float:
+    """Index of the water relative to air, for the light that is matched.
+
+    Parameters
+    ----------
+    given : WaterConfig
+    light : callable
+        Measures the light in the photographs; called only where the index depends on it.
+    assumptions : list of str
+        Takes what is assumed.
 
     Raises
     ------
     ConfigError
         Where temperature or salinity are outside the range of liquid water.
+    ImageError
+        Where photographs cannot be read.
     """
-    if given.refractive_index is not None:
-        return given.refractive_index
-    if given.temperature_c is None:
+    if given.temperature_c is not None:
+        return _of_water(given, given.temperature_c, light(), assumptions)
+    if given.refractive_index is None:
         assumptions.append(f"refractive_index = {FRESH_WATER}, fresh water; sea water has 1.340 (0.7 % more depth)")
         return FRESH_WATER
+    if given.index_wavelength_nm is None:
+        return given.refractive_index
+    matched = light()
+    index = round(converted_index(given.refractive_index, given.index_wavelength_nm, matched.shares), 6)
+    at = f"{given.refractive_index:g} at {given.index_wavelength_nm:g} nm"
+    assumptions.append(f"refractive_index = {index}, {at} for {matched}")
+    return index
+
+
+def _of_water(given: WaterConfig, temperature_c: float, light: MatchedLight, assumptions: list[str]) -> float:
+    """The index of water by its temperature and salinity."""
     if given.salinity_psu is None:
         assumptions.append("salinity_psu = 0, fresh water")
     with warnings.catch_warnings(record=True) as doubts:
         warnings.simplefilter("always")
         try:
-            index = round(float(water_index(WAVELENGTH_NM, given.temperature_c, given.salinity_psu or 0.0)), 6)
+            index = round(light.index(temperature_c, given.salinity_psu or 0.0), 6)
         except ValueError as error:
             raise ConfigError(f"[water] in {FILE_NAME}: {error}; or give refractive_index instead") from error
+    said = f"refractive_index = {index}, of water of {temperature_c:g} degrees for {light}"
     if doubts:
-        assumptions.append(f"refractive_index = {index}, although {' and '.join(str(d.message) for d in doubts)}")
+        said += f", although {' and '.join(dict.fromkeys(str(doubt.message) for doubt in doubts))}"
+    assumptions.append(said)
     return index

@@ -1,11 +1,13 @@
-"""The water level from measurements on site: points of the water surface, a gauge, or clicks in photographs.
+"""The water level from measurements on site: points of the surface, a gauge, a table, or clicks in photographs.
 
     shoreline, gnss_points   CSV with easting, northing, height in crs, or GeoJSON: a plane is fitted
     gauge                    CSV with time, level: interpolated at the time of each photograph
+    image_levels             CSV with image, level
     clicks                   CSV with image, x, y, name: places of the waterline where rays meet
 
 Each is converted to level_m, its standard deviation (and slopes) of [water] when the survey is read; clicks when its
-poses are known. `survey.folder.level_observation` has the measurements themselves.
+poses are known. `survey.folder.level_observation` has the measurements themselves, `survey.folder.tides` how the level
+moved from photograph to photograph.
 """
 
 from __future__ import annotations
@@ -13,7 +15,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from pyproj import CRS
 
 from geo.crs import is_geographic
 from geo.frames import LocalFrame
-from survey.errors import FILE_NAME, ConfigError
+from survey.errors import ConfigError
 from survey.folder.config import SurveyConfig
 from survey.folder.config_water import MOST_LEVEL_STD_M, WaterConfig
 from survey.folder.level_clicks import levels_of_clicks
@@ -31,10 +32,11 @@ from survey.folder.level_observation import (
     points_of_surface,
     readings_of_gauge,
 )
+from survey.folder.tides import Tide, tide_of_gauge, tide_of_levels, tide_of_rate
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 
-SOURCES = ("shoreline", "gnss_points", "gauge", "clicks")
+SOURCES = ("shoreline", "gnss_points", "gauge", "image_levels", "clicks")
 _POINTS = ("shoreline", "gnss_points")
 # A level in survey.toml without level_std_m is that of a staff.
 STAFF_STD_M = 0.02
@@ -52,8 +54,6 @@ _LEAST_FOR_SLOPES = 6
 _FEW = 6
 _LEAST_STD_M = 1e-3
 _IN_WORDS = {1: "one", 3: "three"}
-# Water that rises by more than this during a flight [m] no longer has one level.
-MOST_RISE_M = 0.005
 
 
 @dataclass(frozen=True)
@@ -82,8 +82,8 @@ class SurfaceFit:
 
 def with_level(
     folder: Path, config: SurveyConfig, heads: Mapping[str, Exif], crs: CRS, notes: list[str]
-) -> tuple[SurveyConfig, tuple[LevelObservation, ...]]:
-    """Settings with the water level read from the file that [water] names, and what was measured.
+) -> tuple[SurveyConfig, tuple[LevelObservation, ...], Tide | None]:
+    """Settings with the water level read from the file that [water] names, what was measured, and how it moved.
 
     Clicks are left for `with_level_of_clicks`. Sentences are added to the notes.
 
@@ -94,18 +94,25 @@ def with_level(
     """
     water = config.water
     if water is None:
-        return config, ()
+        return config, (), None
+    tide = None if water.level_rate_m_per_h is None else tide_of_rate(water, heads)
     if water.level_m is not None:
         std = STAFF_STD_M if water.level_std_m is None else water.level_std_m
-        return config, (LevelObservation(water.level_m, std, water.level_at, None, "level_m"),)
+        return config, (LevelObservation(water.level_m, std, water.level_at, None, "level_m"),), tide
     if water.gauge is not None:
         readings = readings_of_gauge(folder / water.gauge)
-        return replace(config, water=_at_flight(water, folder / water.gauge, readings, heads, notes)), readings
+        level, tide, count = tide_of_gauge(folder / water.gauge, readings, heads)
+        note = f"mean at {count} of {len(heads)} images, over which it changes by {1000.0 * tide.moves_m:.0f} mm"
+        return replace(config, water=_of_tide(water, level, readings, note, notes)), readings, tide
+    if water.image_levels is not None:
+        level, tide, found = tide_of_levels(folder / water.image_levels, heads)
+        note = f"mean of {len(found)} images, over which it changes by {1000.0 * tide.moves_m:.0f} mm"
+        return replace(config, water=_of_tide(water, level, found, note, notes)), found, tide
     name = next((source for source in _POINTS if getattr(water, source) is not None), None)
     if name is None:
-        return config, ()
+        return config, (), tide
     points = points_of_surface(folder / getattr(water, name), name, crs, notes)
-    return replace(config, water=_of_points(water, points, crs, notes)), points
+    return replace(config, water=_of_points(water, points, crs, notes)), points, tide
 
 
 def with_level_of_clicks(
@@ -224,41 +231,15 @@ def _robust(design: np.ndarray, heights: np.ndarray, stds: np.ndarray) -> tuple[
     return values, np.linalg.inv(normal) * std**2 * len(heights) / spare
 
 
-def _at_flight(
-    water: WaterConfig,
-    path: Path,
-    readings: Sequence[LevelObservation],
-    heads: Mapping[str, Exif],
-    notes: list[str],
+def _of_tide(
+    water: WaterConfig, level: float, found: Sequence[LevelObservation], note: str, notes: list[str]
 ) -> WaterConfig:
-    """The water with the mean level over the photographs; a sentence on its spread is added to the notes.
+    """The water with the mean level over the photographs; a sentence on it is added to the notes.
 
-    Its standard deviation has that of a reading, the zero of the gauge, and the change during the flight.
+    Its standard deviation has that of a reading, and the zero from which all of them count.
     """
-    times = np.array([reading.time.timestamp() for reading in readings if reading.time is not None])
-    levels = np.array([reading.level_m for reading in readings])
-    taken = {name: head.taken for name, head in heads.items() if head.taken is not None}
-    if not taken:
-        raise ConfigError(
-            f"no image has its time of exposure in UTC (EXIF GPS time, or DateTimeOriginal with OffsetTimeOriginal), "
-            f"so no level can be interpolated from {path}; give level_m in {FILE_NAME}"
-        )
-    moments = np.array([moment.timestamp() for moment in taken.values()])
-    if moments.min() < times[0] or moments.max() > times[-1]:
-        raise ConfigError(
-            f"{path} runs from {_shown(times[0])} to {_shown(times[-1])}, but images were taken from "
-            f"{_shown(moments.min())} to {_shown(moments.max())}; add the readings around the flight"
-        )
-    at_images = np.interp(moments, times, levels)
-    rise = float(np.ptp(at_images))
-    note = f"mean at {len(moments)} of {len(heads)} images, over which it changes by {1000.0 * rise:.0f} mm"
-    if rise > MOST_RISE_M:
-        note += f"; more than {1000.0 * MOST_RISE_M:.0f} mm shift the bed: cut the flight into parts of equal level"
-    level, reading = float(at_images.mean()), float(np.median([each.std_m for each in readings]))
-    std = math.sqrt(reading**2 + COMMON_STD_M["gauge"] ** 2 + float(at_images.var()))
-    notes.append(f"level_m = {level:.3f} +- {std:.3f} from [water] gauge: {note}")
-    return replace(water, level_m=level, level_std_m=water.level_std_m or min(std, MOST_LEVEL_STD_M), gauge=None)
-
-
-def _shown(timestamp: float) -> str:
-    return (datetime(1970, 1, 1) + timedelta(seconds=float(timestamp))).strftime("%Y-%m-%d %H:%M:%S UTC")
+    source = found[0].source
+    std = math.hypot(float(np.median([each.std_m for each in found])), COMMON_STD_M[source])
+    notes.append(f"level_m = {level:.3f} +- {std:.3f} from [water] {source}: {note}")
+    level_std = water.level_std_m or min(std, MOST_LEVEL_STD_M)
+    return replace(water, level_m=level, level_std_m=level_std, gauge=None, image_levels=None)

@@ -22,6 +22,8 @@ from survey.photos.xmp import Motion, Rtk, height_datum, motion_of, number, rtk_
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", *HEIC_SUFFIXES)
 
 _LONGEST_XMP, _LONGEST_WORDS = 1_000_000, 60
+# Longer ones stand in files whose camera writes a filler.
+_LONGEST_EXPOSURE_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,8 @@ class Exif:
         Whether a TIFF has more images than the first one, which is used.
     clock : datetime or None
         By the camera's own clock, to the fraction of a second that it has: for the time between photographs.
+    exposure_s : float or None
+        How long the shutter was open [s].
     """
 
     size_px: tuple[int, int]
@@ -77,6 +81,7 @@ class Exif:
     bits: int = 8
     has_pages: bool = False
     clock: datetime | None = None
+    exposure_s: float | None = None
 
 
 def read_exif(path: Path) -> Exif:
@@ -116,6 +121,7 @@ def read_exif(path: Path) -> Exif:
         bits=bits,
         has_pages=has_pages,
         clock=_clock(details),
+        exposure_s=_exposure(details),
     )
 
 
@@ -167,6 +173,11 @@ def _clock(details: dict) -> datetime | None:
         return datetime.strptime(text, "%Y:%m:%d %H:%M:%S") + timedelta(seconds=fraction)
     except ValueError:
         return None
+
+
+def _exposure(details: dict) -> float | None:
+    seconds = number(details.get(ExifTags.Base.ExposureTime))
+    return seconds if 0.0 < seconds < _LONGEST_EXPOSURE_S else None
 
 
 def _degrees(parts, reference, negative: str) -> float:

@@ -16,6 +16,8 @@ from survey.photos.pixels import read_grey, read_opaque, read_rgb
 
 # White of 16 bits in white of 8 bits.
 _STEPS = 257.0
+# Weights of red, green and blue in the grey that is matched: luma, as JPEG has it.
+LUMA = (0.299, 0.587, 0.114)
 _LOSSY = (".jpg", ".jpeg")
 
 

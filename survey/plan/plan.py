@@ -8,8 +8,10 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from refract import FlatWater, PinholeCamera
+from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
+from survey.folder.tides import MOST_SHIFT_PX
 from survey.plan.choices import Device, Field, Poses
 from survey.plan.ground import ground_height
 from survey.plan.heights import in_words
@@ -124,6 +126,7 @@ def make_plan(
     decisions = (
         adjusted,
         _refraction(survey),
+        *_level(survey),
         refined,
         _image_decision(cameras[0], scale, name, recipe),
         Decision("range of heights", *in_words(survey, height)),
@@ -208,6 +211,17 @@ def _refraction(survey: Survey) -> Decision:
     aside = sum(_sees_beside_water(view.camera, water) for view in survey.views)
     horizon = f"; {aside} of {len(survey.views)} views look past the water to the horizon" if aside else ""
     return Decision("refraction", "on", f"water of index {water.n_water:.4f} at {given.level_m:g} m{tilt}{horizon}")
+
+
+def _level(survey: Survey) -> tuple[Decision, ...]:
+    """Whether each photograph has its own level; nothing where none is said to move."""
+    tide = survey.tide
+    if tide is None:
+        return ()
+    moves = f"{tide.source}, moves by {length(tide.moves_m)} over the flight, images by up to {tide.shift_px:.2g} px"
+    if tide.matters:
+        return (Decision("level", "per photograph", moves),)
+    return (Decision("level", "one", f"{moves}: less than {MOST_SHIFT_PX:g}, which is lost in the noise of matching"),)
 
 
 def _sees_beside_water(camera: PinholeCamera, water: FlatWater) -> bool:

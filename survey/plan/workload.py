@@ -155,9 +155,10 @@ def require_room(workload: Workload, run_folder: Path) -> list[str]:
     Raises
     ------
     SurveyError
-        If the disk of the run folder has too little space; files of an earlier run there count as free.
+        If the disk of the run folder has too little space, where files of an earlier run count as free, or the
+        process may take too little memory: kernels that get none end it without a message.
     """
-    words = _disk_doubt(workload, run_folder)
+    words = _disk_doubt(workload, run_folder) or _limit_doubt(workload)
     if words is not None and not workload.is_bound:
         raise SurveyError(words)
     return room_doubts(workload, run_folder)
@@ -166,7 +167,7 @@ def require_room(workload: Workload, run_folder: Path) -> list[str]:
 def room_doubts(workload: Workload, run_folder: Path) -> list[str]:
     """Warnings where the disk of the run folder or the free memory will not suffice."""
     disk = _disk_doubt(workload, run_folder)
-    warnings = [] if disk is None else [disk]
+    warnings = [text for text in (disk, _limit_doubt(workload)) if text is not None]
     free = machine.free_memory_bytes()
     if workload.memory_bytes > free:
         warnings.append(
@@ -184,6 +185,16 @@ def _disk_doubt(workload: Workload, run_folder: Path) -> str | None:
     return (
         f"the run needs {workload.most}{_size(workload.disk_bytes)} in {run_folder}, and {_size(free)} are free "
         "there; free some, name a run folder elsewhere with -o, or use a lower --quality"
+    )
+
+
+def _limit_doubt(workload: Workload) -> str | None:
+    allowed = machine.allowed_memory_bytes()
+    if workload.memory_bytes <= allowed:
+        return None
+    return (
+        f"the run needs {workload.most}{_size(workload.memory_bytes)} of memory, and limits of this process leave "
+        f"{_size(max(allowed, 0.0))} (ulimit -d, ulimit -v); raise them, use a lower --quality, or give [area] bounds"
     )
 
 

@@ -69,8 +69,8 @@ def _rays(survey: Survey, water: FlatWater, places: np.ndarray) -> tuple[np.ndar
     """Centres and directions in air (K, V, 3) of the views, and which of them have each place in their frame."""
     centres, directions, is_seen = [], [], []
     for view in survey.views:
-        camera = view.camera
-        towards = crossing_point(places, camera.centre, water) - camera.centre
+        camera, down = view.camera, np.array([0.0, 0.0, -view.camera.tide])
+        towards = crossing_point(places + down, camera.centre + down, water) - (camera.centre + down)
         pixels = camera.project(places, water)
         inside = (pixels >= 0.0) & (pixels <= [camera.width, camera.height])  # False for NaN
         centres.append(np.broadcast_to(camera.centre, places.shape))

@@ -2,22 +2,41 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from pyproj import CRS
 
 from geo.crs import crs_code
-from survey.adjust.adjustment import FREE, Adjustment
+from refract import water_index
+from refract.dispersion import USUAL_SALINITY_PSU, USUAL_TEMPERATURE_C
+from survey.adjust.adjustment import FREE
 from survey.display.plan_grid import PlanGrid
 from survey.files.json_values import plain
 from survey.folder.shutter import shutter_text
 from survey.folder.survey import Survey
 from survey.photos.images import list_images
+from survey.photos.texture import MatchedLight
 from survey.report.adjustment_figures import adjustment_of
 from survey.report.baselines import baselines_of
 from survey.report.checkpoints import checkpoints_of
 from survey.report.facts import ReportFacts
-from survey.report.figures import CloudFigures, CrsFigures, Extent, ReportFigures, Spread, SurveyFigures, WaterFigures
+from survey.report.figures import (
+    CloudFigures,
+    CrsFigures,
+    Extent,
+    LightFigures,
+    ReportFigures,
+    Spread,
+    SurveyFigures,
+    WaterFigures,
+)
 
+if TYPE_CHECKING:
+    from fields.sweep.bed import BedPoints
+
+# Of the index that handbooks state.
+_SODIUM_NM = 589.3
 # Density is that of the ground that has points, found in cells of this many ground sampling distances.
 _COVERED_CELL_GSD = 5.0
 _UNITS = {"metre": "m", "degree": "°"}
@@ -32,7 +51,7 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
     return ReportFigures(
         verdict=facts.verdict,
         survey=_survey(survey),
-        water=_water(survey, facts.adjustment),
+        water=_water(facts),
         plan=facts.plan,
         cloud=_cloud(facts),
         comparison=None if facts.comparison is None else facts.comparison.figures,
@@ -71,7 +90,8 @@ def _crs(crs: CRS) -> CrsFigures:
     return CrsFigures(crs.name, crs_code(crs), units[0], units[-1])
 
 
-def _water(survey: Survey, adjustment: Adjustment | None) -> WaterFigures | None:
+def _water(facts: ReportFacts) -> WaterFigures | None:
+    survey, adjustment = facts.survey, facts.adjustment
     if survey.water is None:
         return None
     found = set() if adjustment is None else {row.name for row in adjustment.parameters if row.status == FREE}
@@ -91,7 +111,18 @@ def _water(survey: Survey, adjustment: Adjustment | None) -> WaterFigures | None
         slope_from=source({"slope_east", "slope_north"}, "survey.toml; level if not given"),
         refractive_index=float(water.n_water),
         refractive_index_from=source({"refractive_index"}, f"assumed: {assumed[0]}" if assumed else "survey.toml"),
+        light=None if facts.light is None else _light(facts.light, float(water.n_water), facts.bed),
     )
+
+
+def _light(light: MatchedLight, n_water: float, bed: BedPoints) -> LightFigures:
+    """The light that is matched; straight down, the depth is the apparent one times the index."""
+    over = light.index(USUAL_TEMPERATURE_C, USUAL_SALINITY_PSU) - float(
+        water_index(_SODIUM_NM, USUAL_TEMPERATURE_C, USUAL_SALINITY_PSU)
+    )
+    depth = float(np.median(bed.depth[bed.wet])) if bed.wet.any() else None
+    moved = None if depth is None else depth * over / n_water
+    return LightFigures(*light.shares, light.is_measured, light.wavelength_nm, over, moved)
 
 
 def _cloud(facts: ReportFacts) -> CloudFigures:

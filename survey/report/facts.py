@@ -9,6 +9,7 @@ import numpy as np
 
 from survey.adjust.adjustment import Adjustment
 from survey.folder.survey import Survey
+from survey.photos.texture import MatchedLight
 from survey.plan.plan import Plan
 from survey.report.verdict import Verdict
 
@@ -50,6 +51,8 @@ class ReportFacts:
         None where poses and water were used as they came.
     std_common : (N,) [m] or None
         Of the heights of the points, by water, lens and poses.
+    light : MatchedLight or None
+        To which the index of the water belongs; None in a dry survey.
     """
 
     survey: Survey
@@ -66,6 +69,7 @@ class ReportFacts:
     verdict: Verdict | None = None
     adjustment: Adjustment | None = None
     std_common: np.ndarray | None = None
+    light: MatchedLight | None = None
 
 
 def distances_of(facts: ReportFacts) -> np.ndarray | None:

@@ -63,6 +63,33 @@ class SurveyFigures:
 
 
 @dataclass(frozen=True)
+class LightFigures:
+    """The light whose texture is matched, to which the index of the water belongs.
+
+    Attributes
+    ----------
+    red, green, blue : [-]
+        Shares of the channels; they add up to 1.
+    is_measured : bool
+        In the photographs; else they are the weights of luma.
+    wavelength_nm : [nm]
+        At which water has the index of this mixture.
+    over_sodium : [-]
+        The index here less that of the sodium line, 589.3 nm, which handbooks state.
+    over_sodium_m : [m] or None
+        What that moves at the median depth; None without wet points.
+    """
+
+    red: float
+    green: float
+    blue: float
+    is_measured: bool
+    wavelength_nm: float
+    over_sodium: float
+    over_sodium_m: float | None
+
+
+@dataclass(frozen=True)
 class WaterFigures:
     """The water plane, and where its values come from.
 
@@ -74,6 +101,8 @@ class WaterFigures:
         Rise per metre along the axes of the grid.
     refractive_index : [-]
     level_from, slope_from, refractive_index_from : str
+    light : LightFigures or None
+        None where the photographs were not looked at.
     """
 
     level_m: float
@@ -84,6 +113,7 @@ class WaterFigures:
     slope_from: str
     refractive_index: float
     refractive_index_from: str
+    light: LightFigures | None
 
 
 @dataclass(frozen=True)

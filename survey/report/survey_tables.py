@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 
-from survey.display.quantities import LengthUnit, count, length, metres, number, with_unit
+from survey.display.quantities import LengthUnit, count, length, metres, number, share, with_unit
 from survey.plan.plan import Decision, Plan
 from survey.report.blocks import Block, Rows, Table
-from survey.report.figures import CloudFigures, CrsFigures, Extent, SurveyFigures, WaterFigures
+from survey.report.figures import CloudFigures, CrsFigures, Extent, LightFigures, SurveyFigures, WaterFigures
 
 # Digits of coordinates by their unit: to the centimetre in metres, to about as much in degrees.
 _DECIMALS = {"m": 2, "°": 7}
@@ -82,7 +82,19 @@ def survey(taken: SurveyFigures, water: WaterFigures | None, plan: Plan) -> list
         ("slope of the water", f"{slope} ({water.slope_from})"),
         ("refractive index", f"{water.refractive_index:.4f} ({water.refractive_index_from})"),
     ]
+    if water.light is not None:
+        rows.append(("light that is matched", _light(water.light)))
     return [Rows(rows)]
+
+
+def _light(light: LightFigures) -> str:
+    """To which light the index belongs, and what another convention would move."""
+    shares = ", ".join(
+        f"{name} {share(value)}" for name, value in (("red", light.red), ("green", light.green), ("blue", light.blue))
+    )
+    said = f"{light.wavelength_nm:.0f} nm: {shares} {'of the texture' if light.is_measured else 'by luma'}"
+    moved = "" if light.over_sodium_m is None else f", or {length(light.over_sodium_m)} at the median depth"
+    return f"{said}; the index belongs to it. At 589 nm, as in handbooks, it is {light.over_sodium:.4f} less{moved}"
 
 
 def decisions(taken: tuple[Decision, ...]) -> list[Block]:

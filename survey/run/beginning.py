@@ -70,7 +70,7 @@ def outlook(aim: Aim, survey: Survey, plan_of: Callable[..., Plan]) -> Outlook:
     scales = tuple(plan_of(survey, recipe=recipe).image_scale for recipe in rungs)
     ground = Ground.of(survey, plan_of(survey, recipe=rungs[-1]))
     foreseen, at = foresee(survey), make_plan(survey).image_scale
-    std = tuple(math.nan if foreseen is None else foreseen.point_std_m * at / scale for scale in scales)
+    std = tuple(math.nan if foreseen is None else foreseen.heights.of_point_m * at / scale for scale in scales)
     first = 0
     if aim.std_m is not None:
         # Only heights of the solver have a standard deviation that can be relied on.
@@ -103,7 +103,7 @@ def doubts(aim: Aim, found: Outlook) -> list[str]:
 def _common_std(survey: Survey, plan: Plan, foreseen: Foreseen | None) -> float:
     """What water, lens and poses leave [m], median over a level bed as `foresee` assumes it; NaN where not known."""
     if foreseen is None or plan.poses[0] == "refine":
-        return math.nan if foreseen is None else foreseen.common_std_m
+        return math.nan if foreseen is None else foreseen.heights.of_all_m
     height = -DEPTH_M if survey.water is not None else ground_height([view.camera for view in survey.views])
     overlap = Overlap([view.camera for view in survey.views], survey.water, height)
     places = overlap.cells[overlap.seen.sum(axis=0) >= _SEEN_BY]

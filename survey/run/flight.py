@@ -72,6 +72,7 @@ def _said(view: View) -> dict:
         "centre": camera.centre,
         "cam_from_local": camera.cam_from_local,
         "motion_m_per_row": camera.motion,
+        "tide_m": camera.tide,
     }
 
 
@@ -108,6 +109,7 @@ def load_flight(run: Path) -> Flight:
 def _view(said: dict) -> View:
     lens = Lens(said["model"], tuple(said["params"]), *said["size_px"])
     camera = lens.camera(np.array(said["centre"]), np.array(said["cam_from_local"]))
+    camera = replace(camera, tide=said.get("tide_m", 0.0))
     motion = said["motion_m_per_row"]
     if motion is not None:
         camera = replace(camera, motion=np.array(motion))

@@ -14,6 +14,7 @@ from survey.compare.result import Comparison
 from survey.files.json_values import write_json
 from survey.folder.config import dump_config
 from survey.folder.survey import Survey
+from survey.photos.texture import matched_light
 from survey.plan.aim import Aim
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.verdict import Verdict
@@ -74,6 +75,7 @@ def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path]
         verdict=verdict,
         adjustment=_adjustment(folder, done),
         std_common=stored.std_common,
+        light=None if survey.water is None else matched_light(survey.views),
     )
     with job.progress.stage("Report", NUM_STEPS) as stage:
         figures = write_report(folder, facts, stage.advance)

@@ -47,7 +47,7 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     solved = load_solved_maps(needs["solver"] / SOLVED) if "solver" in needs else None
     look_at_bed(job, needs["sweep"])
     with job.progress.stage("Bed", len(maps)) as stage:
-        bed, moved = bed_points(job, maps, field, stage.advance, solved)
+        bed, tide, moved = bed_points(job, maps, field, stage.advance, solved)
     if field is not None:
         job.progress.detail(f"{moved:,} of {len(bed):,} points have the field's height")
     if len(bed) == 0:
@@ -61,7 +61,7 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         from fields.water_column import WaterColumn
 
         water, _ = survey.require_water()
-        rgb, too_bright = true_colours(bed, water, WaterColumn(*colour_of(survey)))
+        rgb, too_bright = true_colours(bed, water, WaterColumn(*colour_of(survey)), tide)
         bed = replace(bed, rgb=rgb)
         job.progress.detail(f"{100 * too_bright:.1f} % of the points are brighter than white without the water")
     found = read_adjustment(needs["adjust"]) if "adjust" in needs else None
@@ -84,13 +84,13 @@ def bed_points(
     field: TensorField | None,
     advance: Callable[[float], None],
     solved: list[SolvedMap] | None = None,
-) -> tuple[BedPoints, int]:
+) -> tuple[BedPoints, np.ndarray, int]:
     """Every piece of the bed once, coloured from the photograph that shows it steepest.
 
-    Returns the points and how many of them took their height from the field.
+    Returns the points, the tides (N,) [m] of their photographs, and how many took their height from the field.
     """
     survey, plan, block = job.survey, job.plan, job.block
-    parts, moved = [], 0
+    parts, tides, moved = [], [], 0
     for number, (depth_map, keep) in enumerate(zip(maps, unique_pixels(block, maps), strict=True)):
         view = survey.views[depth_map.view]
         camera = camera_of(view, plan)
@@ -110,12 +110,15 @@ def bed_points(
             points = replace(points, std=np.where(np.isnan(std), points.std, std))
         least = np.float32(_least_std(block, depth_map))
         parts.append(replace(points, std=np.maximum(points.std, least)))
+        tides.append(np.full(len(points), camera.tide))
         advance(1.0)
-    bed = BedPoints.concatenate(parts)
+    bed, tide = BedPoints.concatenate(parts), np.concatenate(tides)
     area = local_area(survey)
     if area is not None:
-        bed = bed[within(bed.xyz, grown(area, AREA_MARGIN_M))]
-    return bed[has_company(bed.xyz, plan.gsd_m)], moved
+        inside = within(bed.xyz, grown(area, AREA_MARGIN_M))
+        bed, tide = bed[inside], tide[inside]
+    kept = has_company(bed.xyz, plan.gsd_m)
+    return bed[kept], tide[kept], moved
 
 
 def _least_std(block: Block, depth_map: DepthMap) -> float:

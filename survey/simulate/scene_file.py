@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 
 from survey.errors import ConfigError
-from survey.files.toml_table import parse_toml, read_toml, require_one_of, require_positive
+from survey.files.toml_table import key, parse_toml, read_toml, require_one_of, require_positive
 from survey.simulate.flight.settings import FlightSettings
 
 BEDS = ("drawn", "plane", "mesh", "cloud")
@@ -122,17 +123,40 @@ class LightSettings:
 
     sky: str = "clear"
     sun_share: float = 0.4  # of the light on level ground
-    sun_elevation_deg: float = 57.0
-    sun_azimuth_deg: float = 56.0  # clockwise from north
+    time: str | None = key(None, 'a time with its zone, e.g. "2026-07-14T09:30+02:00"')  # instead of the next two
+    sun_elevation_deg: float | None = None  # default: 57
+    sun_azimuth_deg: float | None = None  # clockwise from north; default: 56
     sun_diameter_deg: float = 0.53
 
     def __post_init__(self):
         require_one_of("light.sky", self.sky, ("clear", "overcast"))
         if not 0.0 <= self.sun_share < 1.0:
             raise ConfigError(f"light.sun_share is {self.sun_share:g}, expected 0 (no sun) to below 1")
-        if not 5.0 <= self.sun_elevation_deg <= 90.0:
+        if self.sun_elevation_deg is not None and not 5.0 <= self.sun_elevation_deg <= 90.0:
             raise ConfigError(f"light.sun_elevation_deg is {self.sun_elevation_deg:g}, expected 5 to 90")
         require_positive("light", sun_diameter_deg=self.sun_diameter_deg)
+        if self.time is not None and (self.sun_elevation_deg is not None or self.sun_azimuth_deg is not None):
+            raise ConfigError("light.time gives the place of the sun; remove sun_elevation_deg and sun_azimuth_deg")
+        _ = self.known_time
+
+    @property
+    def known_time(self) -> datetime | None:
+        """`time`, with its zone; None where it is not given.
+
+        Raises
+        ------
+        ConfigError
+            If it is no time with a zone.
+        """
+        try:
+            known = None if self.time is None else datetime.fromisoformat(self.time)
+        except ValueError:
+            known = datetime.min
+        if known is not None and known.tzinfo is None:
+            raise ConfigError(
+                f'light.time is "{self.time}", expected a time with its zone, e.g. "2026-07-14T09:30+02:00"'
+            )
+        return known
 
 
 @dataclass(frozen=True)
@@ -180,6 +204,12 @@ class SensorSettings:
     exposure: float = 1.0
     exposure_drift: float = 0.0  # step of the logarithm from image to image
     blur_m: float = 0.0  # flown while the shutter is open
+    shutter_s: float | None = None  # open for so long, at flight.speed_m_s: instead of blur_m
+
+    def __post_init__(self):
+        require_positive("sensor", shutter_s=self.shutter_s)
+        if self.shutter_s is not None and self.blur_m != 0.0:
+            raise ConfigError("sensor.shutter_s and sensor.blur_m say the same; keep one")
 
 
 @dataclass(frozen=True)
@@ -223,6 +253,17 @@ class SceneSettings:
     light: LightSettings = field(default_factory=LightSettings)
     sensor: SensorSettings = field(default_factory=SensorSettings)
     render: RenderSettings = field(default_factory=RenderSettings)
+
+    def __post_init__(self):
+        if self.sensor.shutter_s is not None and self.flight.speed_m_s is None:
+            raise ConfigError("sensor.shutter_s is given without flight.speed_m_s; give both, or sensor.blur_m")
+
+    @property
+    def blur_m(self) -> float:
+        """How far the drone flies while the shutter is open [m]."""
+        if self.sensor.shutter_s is None or self.flight.speed_m_s is None:
+            return self.sensor.blur_m
+        return self.flight.speed_m_s * self.sensor.shutter_s
 
 
 def read_scene(path: Path) -> SceneSettings:

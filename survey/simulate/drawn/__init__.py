@@ -1,6 +1,7 @@
 """A small survey with known truth, drawn without further input: for the demo and the tests.
 
-python -m survey.simulate.drawn FOLDER [--tiny] [--shore] [--dry] [--rolling]
+python -m survey.simulate.drawn FOLDER [--tiny] [--shore] [--dry] [--rolling] [--rise M]
+    [--glint SHARE] [--caustics CONTRAST] [--temperature DEG_C]
 """
 
 from __future__ import annotations

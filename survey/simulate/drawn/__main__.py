@@ -23,6 +23,10 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--shore", action="store_true", help="with a bank that rises out of the water")
     parser.add_argument("--dry", action="store_true", help="the same bed without water")
     parser.add_argument("--rolling", action="store_true", help="flown at 5 m/s, with a shutter that rolls in 30 ms")
+    parser.add_argument("--glint", type=float, default=0.0, metavar="SHARE", help="of all pixels, saturated by the sun")
+    parser.add_argument("--caustics", type=float, default=0.0, metavar="CONTRAST", help="of sunlight on the bed")
+    parser.add_argument("--temperature", type=float, metavar="DEG_C", help="water that bends blue more than red")
+    parser.add_argument("--rise", type=float, default=0.0, metavar="M", help="by how much the water rises meanwhile")
     parser.add_argument("--seed", type=int, default=1, help="another bed and flight (default: 1)")
     parser.add_argument("--again", action="store_true", help="draw even if the same survey lies there")
     given = parser.parse_args(arguments)
@@ -30,7 +34,17 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         with Progress() as progress:
             speed, readout = (_SPEED_M_S, _READOUT_S) if given.rolling else (0.0, 0.0)
-            scene = make(shore=given.shore, water=not given.dry, seed=given.seed, speed_m_s=speed, readout_s=readout)
+            scene = make(
+                shore=given.shore,
+                water=not given.dry,
+                seed=given.seed,
+                speed_m_s=speed,
+                readout_s=readout,
+                glint_share=given.glint,
+                caustic_contrast=given.caustics,
+                temperature_c=given.temperature,
+                rise_m=given.rise,
+            )
             draw_survey(given.folder, scene, again=given.again, progress=progress)
     except (GeoError, SurveyError, OSError) as error:
         parser.error(str(error))

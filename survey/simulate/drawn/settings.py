@@ -16,6 +16,10 @@ _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 _TILTS = (math.radians(10.0), math.radians(35.0))
 # Of drones, and of their slowest sensors.
 _FASTEST_M_S, _LONGEST_READOUT_S = 30.0, 0.25
+# Beyond these nothing of the bed is left.
+_MOST_GLINT, _MOST_CONTRAST = 0.6, 1.5
+# Of the greatest tides, within an hour.
+_MOST_RISE_M = 3.0
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,15 @@ class DrawnScene:
     speed_m_s, readout_s : [m/s], [s]
         How fast the camera flies at each photograph, each time in another level direction, and how long its rolling
         shutter takes from the first to the last row; 0 for a global shutter.
+    glint_share : [-]
+        Of the pixels of all photographs: where the sun on the waves saturates them.
+    caustic_contrast : [-]
+        Standard deviation over mean of the light that waves focus on the bed, of each photograph other ones.
+    temperature_c : [deg C] or None
+        Of fresh water, whose index is then that of each channel (`refract.channel_indices`) in the photographs, that of
+        green in the truth, and that of the sodium line, with its wavelength, in survey.toml; ``n_water`` is not used.
+    rise_m : [m]
+        By how much the water rises from the first photograph to the last, an hour later; `level_m` is its mean.
     shore, objects, water : bool
         A bank that rises out of the water in the north; a boat, an amphora, rocks; False for a dry bed.
 
@@ -79,6 +92,10 @@ class DrawnScene:
     texel_m: float = 0.01
     speed_m_s: float = 0.0
     readout_s: float = 0.0
+    glint_share: float = 0.0
+    caustic_contrast: float = 0.0
+    temperature_c: float | None = None
+    rise_m: float = 0.0
     shore: bool = False
     objects: bool = True
     water: bool = True
@@ -92,6 +109,13 @@ class DrawnScene:
                 f"speed_m_s is {self.speed_m_s:g} and readout_s {self.readout_s:g}, expected at most {_FASTEST_M_S:g} "
                 f"m/s and {_LONGEST_READOUT_S:g} s, and neither below zero"
             )
+        if not (0.0 <= self.glint_share <= _MOST_GLINT and 0.0 <= self.caustic_contrast <= _MOST_CONTRAST):
+            raise SurveyError(
+                f"glint_share is {self.glint_share:g} and caustic_contrast {self.caustic_contrast:g}, expected 0 to "
+                f"{_MOST_GLINT:g} and 0 to {_MOST_CONTRAST:g}"
+            )
+        if not abs(self.rise_m) <= _MOST_RISE_M:
+            raise SurveyError(f"rise_m is {self.rise_m:g}, expected at most {_MOST_RISE_M:g} m up or down in an hour")
         if self.num_views < 3:
             raise SurveyError(f"a drawn survey of {self.num_views} views cannot be reconstructed; give at least 3")
         if not 0.0 <= self.nadir_share <= 1.0:
@@ -127,6 +151,9 @@ class DrawnScene:
         tilts = np.linspace(*_TILTS, self.num_views - nadir)
         azimuths = _GOLDEN_ANGLE * np.arange(len(tilts))
         cameras += [self._look_in(tilt, azimuth, rng) for tilt, azimuth in zip(tilts, azimuths, strict=True)]
+        if self.rise_m != 0.0 and self.water:
+            tides = self.rise_m * np.linspace(-0.5, 0.5, self.num_views)
+            cameras = [replace(camera, tide=tide) for camera, tide in zip(cameras, tides.tolist(), strict=True)]
         if self.speed_m_s == 0.0 or self.readout_s == 0.0:
             return cameras
         motions = self.velocities() * self.readout_s / (self.image_px[1] - 1)

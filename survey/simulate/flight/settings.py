@@ -11,10 +11,16 @@ PATTERNS = ("nadir", "five", "oblique", "outer")
 
 @dataclass(frozen=True)
 class FlightSettings:
-    """A block of photographs over an area; either `height_m` or `gsd_m` is given.
+    """A block of photographs over an area; one of `poses`, `height_m` and `gsd_m` is given.
 
     Attributes
     ----------
+    poses : str or None
+        File of planned poses, as those of a survey; patterns and what they take are then not used.
+    speed_m_s : [m/s] or None
+        Of the drone while it photographs.
+    position_std_m : [m]
+        Of the positions of its receiver, in each direction: 0.02 with corrections, 3 without.
     height_m : [m]
         Of the cameras above the water, or above the origin where there is none.
     gsd_m : [m]
@@ -38,6 +44,9 @@ class FlightSettings:
         What a real flight deviates from the plan, as a share of the height for places and in radians for angles.
     """
 
+    poses: str | None = None
+    speed_m_s: float | None = None
+    position_std_m: float = 0.02
     height_m: float | None = None
     gsd_m: float | None = None
     patterns: tuple[str, ...] = ("nadir", "oblique")
@@ -51,9 +60,12 @@ class FlightSettings:
     wobble: float = 0.01
 
     def __post_init__(self):
-        if (self.height_m is None) == (self.gsd_m is None):
-            raise ConfigError("flight: give height_m, above the water, or gsd_m, on the bed, and not both")
-        for name, value in (("height_m", self.height_m), ("gsd_m", self.gsd_m), ("ring_views", self.ring_views)):
+        if sum(value is not None for value in (self.poses, self.height_m, self.gsd_m)) != 1:
+            raise ConfigError(
+                "flight: give one of height_m, above the water, gsd_m, on the bed, and poses, a file; not both"
+            )
+        for name in ("height_m", "gsd_m", "ring_views", "speed_m_s", "position_std_m"):
+            value = getattr(self, name)
             if value is not None and value <= 0:
                 raise ConfigError(f"flight.{name} is {value:g}, expected a number above zero")
         unknown = [word for word in self.patterns if word not in PATTERNS]

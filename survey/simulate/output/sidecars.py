@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,9 @@ from survey.photos.cameras import CAM_FROM_OPK_CAM
 from survey.simulate.output.staged_scene import StagedScene
 
 _JPEG_QUALITY = 92
-_GPS_STD_M = 0.02
+# When the first photograph is taken, where that matters, and the readings of the water.
+_START = datetime(2024, 6, 1, 10, tzinfo=UTC)
+GAUGE = "gauge.csv"
 
 
 def survey_toml(scene: StagedScene) -> str:
@@ -47,13 +50,17 @@ def survey_toml(scene: StagedScene) -> str:
     if level is not None:
         lines += [
             "[water]",
-            f"level_m = {level.level_m}    # height of the water surface, at the point below",
+            f"level_m = {level.level_m}    # height of the water surface, at the point below"
+            if scene.duration_s == 0.0
+            else f'gauge = "{GAUGE}"    # heights of the water surface, at the point below',
             f"level_at = [{level.level_at[0]}, {level.level_at[1]}]    # easting, northing",
             f"slope_east = {level.slope_east}",
             f"slope_north = {level.slope_north}",
             f"refractive_index = {level.refractive_index}",
-            "",
         ]
+        if scene.index_wavelength_nm is not None:
+            lines.append(f"index_wavelength_nm = {scene.index_wavelength_nm}    # of the light that the index is of")
+        lines.append("")
     bounds = ", ".join(f"{v:.3f}" for v in scene.bounds)
     lines += [
         "[area]",
@@ -77,20 +84,31 @@ def cameras_csv(names: Sequence[str], cameras: Sequence[PinholeCamera], frame: L
 
 
 def exif_of_views(scene: StagedScene) -> list[Image.Exif]:
-    """EXIF of all images: positions as a good receiver knows them, heights in crs, and the focal length."""
+    """EXIF of all images: positions as the receiver knows them, heights in crs, and the focal length."""
     rng = np.random.default_rng([scene.seed, 5])
     centres = np.array([camera.centre for camera in scene.cameras])
-    e, n, heights = scene.frame.crs_from_local(centres + _GPS_STD_M * rng.standard_normal(centres.shape)).T
+    noise = scene.position_std_m * rng.standard_normal(centres.shape)
+    e, n, heights = scene.frame.crs_from_local(centres + noise).T
     lon, lat = Transformer.from_crs(horizontal_crs(scene.frame.crs), "EPSG:4326", always_xy=True).transform(e, n)
     film_mm = 36.0 * max(scene.lens.focal) / max(scene.lens.width, scene.lens.height)
     exifs = []
-    for values in zip(lon, lat, heights, strict=True):
+    seconds = np.linspace(0.0, scene.duration_s, len(scene.cameras)).tolist()
+    for after, *values in zip(seconds, lon, lat, heights, strict=True):
         exif = Image.Exif()
         exif[ExifTags.Base.Make], exif[ExifTags.Base.Model] = "Simulated", f"{film_mm:.1f} mm"
         exif[ExifTags.IFD.Exif] = {ExifTags.Base.FocalLengthIn35mmFilm: round(film_mm)}
-        exif[ExifTags.IFD.GPSInfo] = gps_exif(*(float(v) for v in values))
+        lines = gps_exif(*(float(v) for v in values))
+        exif[ExifTags.IFD.GPSInfo] = lines | (_moment(after) if scene.duration_s > 0.0 else {})
         exifs.append(exif)
     return exifs
+
+
+def gauge_csv(scene: StagedScene) -> str:
+    """Readings of a gauge from the first photograph to the last, between which the water rises evenly."""
+    assert scene.level is not None
+    ends = ((0.0, scene.cameras[0].tide), (scene.duration_s, scene.cameras[-1].tide))
+    rows = [f"{(_START + timedelta(seconds=s)).isoformat()},{scene.level.level_m + tide:.4f}" for s, tide in ends]
+    return "\n".join(["time,level", *rows, ""])
 
 
 def xmp_of_views(scene: StagedScene) -> list[str]:
@@ -124,6 +142,17 @@ def gps_exif(lon: float, lat: float, height: float) -> dict:
         tag.GPSAltitudeRef: b"\x00" if height >= 0.0 else b"\x01",
         tag.GPSAltitude: IFDRational(round(abs(height) * 1000.0), 1000),
     }
+
+
+def _moment(after_s: float) -> dict:
+    """The time of the GPS part of EXIF, so many seconds after the first photograph."""
+    time = _START + timedelta(seconds=after_s)
+    clock = (
+        IFDRational(time.hour, 1),
+        IFDRational(time.minute, 1),
+        IFDRational(1_000_000 * time.second + time.microsecond, 1_000_000),
+    )
+    return {ExifTags.GPS.GPSDateStamp: time.strftime("%Y:%m:%d"), ExifTags.GPS.GPSTimeStamp: clock}
 
 
 def write_image(path: Path, image: np.ndarray, exif: Image.Exif, xmp: str = "") -> None:

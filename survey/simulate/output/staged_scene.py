@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geo.frames import LocalFrame
-from refract import PinholeCamera
+from refract import FlatWater, PinholeCamera
 from refract.lens import Lens
 from refract.surfaces import WaterSurface
 from survey.simulate.render.direct import DirectRenderer
+from survey.simulate.render.sun_on_waves import SunOnWaves
 from survey.simulate.sensor import Eye, Sensor
 from survey.simulate.water import WaterLevel
 
@@ -25,7 +26,8 @@ class StagedScene:
         As survey.toml has them.
     frame : LocalFrame
     cameras : tuple of PinholeCamera
-        Local, without the distortion of `lens`. Where their shutters roll (`PinholeCamera.motion`), `lens` has none.
+        Local, without the distortion of `lens`. Where their shutters roll (`PinholeCamera.motion`), `lens` has none;
+        where they have tides, the water is a plane.
     lens : Lens
         Of all photographs.
     level : WaterLevel or None
@@ -40,8 +42,16 @@ class StagedScene:
         Light along rays; by default that of `renderer`.
     velocities : (cameras, 3) [m/s], local, or None
         For XMP; None writes none.
+    position_std_m : [m]
+        Of the positions in EXIF, in each direction.
     readout_s : [s]
         Of rolling shutters, for survey.toml; 0 where all rows are exposed at once.
+    suns : (cameras,) of SunOnWaves
+        Caustics and glint of each photograph that `renderer` takes; none where there are neither.
+    index_wavelength_nm : [nm] or None
+        Of the light that the index of `level` belongs to, for survey.toml; None for that of the photographs.
+    duration_s : [s]
+        From the first photograph to the last, for EXIF and a gauge; 0 writes neither.
     """
 
     name: str
@@ -56,7 +66,11 @@ class StagedScene:
     seed: int
     eye: Eye | None = None
     velocities: np.ndarray | None = None
+    position_std_m: float = 0.02
     readout_s: float = 0.0
+    suns: tuple[SunOnWaves, ...] = ()
+    index_wavelength_nm: float | None = None
+    duration_s: float = 0.0
 
     @property
     def water(self) -> WaterSurface | None:
@@ -71,5 +85,17 @@ class StagedScene:
 
     def photograph(self, index: int) -> np.ndarray:
         """Image (height, width, 3) uint8 of one camera."""
-        eye = self.eye or self.renderer.radiance_of_rays
-        return self.sensor.photograph(eye, self.cameras[index], self.lens, (self.seed, index))
+        renderer, camera = self.at(index)
+        if self.suns:
+            renderer = replace(renderer, sun=self.suns[index])
+        eye = self.eye or renderer.radiance_of_rays
+        return self.sensor.photograph(eye, camera, self.lens, (self.seed, index))
+
+    def at(self, index: int) -> tuple[DirectRenderer, PinholeCamera]:
+        """The renderer with the water as it stands when a photograph is taken, and the camera, without its tide."""
+        camera, water = self.cameras[index], self.renderer.water
+        if camera.tide == 0.0 or not isinstance(water, FlatWater):
+            return self.renderer, camera
+        x, y, z = water.point
+        own = replace(water, point=(x, y, z + camera.tide))
+        return replace(self.renderer, water=own), replace(camera, tide=0.0)

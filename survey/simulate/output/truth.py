@@ -16,6 +16,8 @@ _POINTS_PER_M2 = 1000
 # A point is seen if the ray through its pixel ends this close to it [m]: far above the error of projection
 # (1e-9 m, more along faces that are seen edge on), far below the distance to anything in front of it.
 _SAME_POINT_M = 1e-4
+# Rays flatter than this fall [-] count as seeing any distance.
+_LEAST_FALL = 0.05
 
 
 def ground_mesh(ground: Ground, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -56,8 +58,10 @@ def seen_by(renderer: DirectRenderer, camera: PinholeCamera, lens: Lens, points:
 
     `refract` only proposes the pixel; the ray that the renderer sends through it has to end at the point.
     """
-    pixels = camera.project(points, renderer.water)
-    near = np.flatnonzero(np.isfinite(pixels).all(axis=1))
+    near = np.flatnonzero(_in_reach(camera, lens, points))
+    pixels = np.full((len(points), 2), np.nan)
+    pixels[near] = camera.project(points[near], renderer.water)
+    near = near[np.isfinite(pixels[near]).all(axis=1)]
     on_image = distorted(lens, pixels[near])
     near = near[((on_image > 0.0) & (on_image < (lens.width, lens.height))).all(axis=1)]
     ends = renderer.trace(camera, pixels[near]).points
@@ -65,6 +69,24 @@ def seen_by(renderer: DirectRenderer, camera: PinholeCamera, lens: Lens, points:
     # A ray that meets nothing ends at NaN, which is near nothing.
     seen[near] = np.linalg.norm(ends - points[near], axis=1) < _SAME_POINT_M
     return seen
+
+
+def _in_reach(camera: PinholeCamera, lens: Lens, points: np.ndarray) -> np.ndarray:
+    """Whether points (N, 3) lie in the rectangle that a camera can see of, from above: (N,) bool.
+
+    Straight rays down to the lowest point reach further than those that water bends; a margin covers waves.
+    """
+    plane, _ = normalised(lens)
+    (u0, v0), (u1, v1) = plane.min(axis=0), plane.max(axis=0)
+    rays = np.array([(u, v, 1.0) for u in (u0, u1) for v in (v0, v1)]) @ camera.cam_from_local
+    fall = -rays[:, 2] / np.linalg.norm(rays, axis=1)
+    if not len(points) or fall.min() < _LEAST_FALL:
+        return np.ones(len(points), dtype=bool)
+    t = (camera.centre[2] - points[:, 2].min()) / -rays[:, 2]
+    ends = np.concatenate([camera.centre[None, :2], camera.centre[:2] + t[:, None] * rays[:, :2]])
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    margin = 0.1 * (high - low) + 0.5
+    return ((points[:, :2] >= low - margin) & (points[:, :2] <= high + margin)).all(axis=1)
 
 
 def depth_map(renderer: DirectRenderer, camera: PinholeCamera, lens: Lens) -> tuple[np.ndarray, np.ndarray]:

@@ -20,7 +20,15 @@ from PIL import Image
 from geo import write_whole
 from survey.errors import SurveyError
 from survey.progress import Progress, Step
-from survey.simulate.output.sidecars import cameras_csv, exif_of_views, survey_toml, write_image, xmp_of_views
+from survey.simulate.output.sidecars import (
+    GAUGE,
+    cameras_csv,
+    exif_of_views,
+    gauge_csv,
+    survey_toml,
+    write_image,
+    xmp_of_views,
+)
 from survey.simulate.output.staged_scene import StagedScene
 from survey.simulate.output.truth import depth_map, ground_mesh, points_on, seen_by, write_ply
 
@@ -46,8 +54,8 @@ def write_survey(
     folder : Path
         Becomes a survey folder with ``truth/reference.ply`` (the true surface in the bounds, crs, double
         precision), ``truth/visible.ply`` (points of it that at least three cameras see), ``truth/depth/`` (TIFF
-        [m], below the water, of the middle of each pixel, NaN for none) and ``truth/wet/`` (PNG, white where the
-        pixel looks into water). If the same survey exists, nothing is done; another simulated survey is
+        [m], below the water of that photograph, of the middle of each pixel, NaN for none) and ``truth/wet/`` (PNG,
+        white where the pixel looks into water). If the same survey exists, nothing is done; another simulated survey is
         replaced, and other files, such as a run folder, are kept.
     settings : dict
         All inputs of the scene, as values for JSON.
@@ -116,6 +124,8 @@ def _write(folder: Path, scene: StagedScene, progress: Progress) -> None:
         (folder / name).mkdir(parents=True, exist_ok=True)
     (folder / "survey.toml").write_text(survey_toml(scene), encoding="utf-8")
     (folder / "cameras.csv").write_text(cameras_csv(scene.names, scene.cameras, scene.frame), encoding="utf-8")
+    if scene.duration_s > 0.0:
+        (folder / GAUGE).write_text(gauge_csv(scene), encoding="utf-8")
     # Positions first: PROJ's transformations are not for several threads.
     exifs, xmps = exif_of_views(scene), xmp_of_views(scene)
 
@@ -147,11 +157,11 @@ def _write_truth(folder: Path, scene: StagedScene, pool: ThreadPoolExecutor, ste
     points, points_crs = points[inside(points_crs)], points_crs[inside(points_crs)]
 
     def look(index: int) -> np.ndarray:
-        camera, stem = scene.cameras[index], Path(scene.names[index]).stem
-        depth, wet = depth_map(scene.renderer, camera, scene.lens)
+        (renderer, camera), stem = scene.at(index), Path(scene.names[index]).stem
+        depth, wet = depth_map(renderer, camera, scene.lens)
         _write_picture(folder / "depth" / f"{stem}.tif", Image.fromarray(depth), compression="tiff_deflate")
         _write_picture(folder / "wet" / f"{stem}.png", Image.fromarray(wet))
-        return seen_by(scene.renderer, camera, scene.lens, points)
+        return seen_by(renderer, camera, scene.lens, points)
 
     num_views = np.zeros(len(points), dtype=int)
     for seen in pool.map(look, range(len(scene.cameras))):

@@ -6,13 +6,14 @@ optics there. Other surfaces are crossed by `refract`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from refract import FlatWater, PinholeCamera, trace
 from refract.surfaces import WaterSurface
 from survey.simulate.ground.ground import Ground
+from survey.simulate.render.sun_on_waves import SunOnWaves
 from survey.simulate.watercolour import WaterColour
 
 # Rays at a time, so that they and derived arrays stay in the cache.
@@ -51,11 +52,17 @@ class DirectRenderer:
     ground : Ground
     water : WaterSurface or None
     colour : WaterColour
+    indices : (3,) [-] or None
+        Of the water for red, green and blue; None where all have that of ``water``, which is also that of the truth.
+    sun : SunOnWaves or None
+        Caustics and glint of one photograph; ``water`` is the plane that its waves run on.
     """
 
     ground: Ground
     water: WaterSurface | None
     colour: WaterColour
+    indices: tuple[float, float, float] | None = None
+    sun: SunOnWaves | None = None
 
     def trace(self, camera: PinholeCamera, pixels: np.ndarray) -> Hits:
         """What pixels (N, 2) [px] of a camera see."""
@@ -85,7 +92,11 @@ class DirectRenderer:
         """Linear radiance (N, 3) along rays; see `trace_rays`. Deterministic: `seed` is not used."""
         parts = range(0, len(direction), _RAYS_AT_A_TIME)
         ends = [slice(k, k + _RAYS_AT_A_TIME) for k in parts]
-        return np.concatenate([self._radiance(origin[part], direction[part]) for part in ends])
+        if self.indices is None or not isinstance(self.water, FlatWater):
+            return np.concatenate([self._radiance(origin[part], direction[part]) for part in ends])
+        bent = [replace(self, water=replace(self.water, n_water=n), indices=None) for n in self.indices]
+        channels = [each.radiance_of_rays(origin, direction)[:, channel] for channel, each in enumerate(bent)]
+        return np.stack(channels, axis=-1)
 
     def _radiance(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
         hits = self.trace_rays(origin, direction)
@@ -93,10 +104,16 @@ class DirectRenderer:
         if self.water is None:
             return dry
         depth = np.where(np.isfinite(hits.in_water), np.maximum(depth_below(self.water, hits.points), 0.0), 0.0)
-        seen = self.colour.through(dry, depth, hits.in_water)
+        wet = hits.in_water > 0.0
+        lit = dry
+        if self.sun is not None:
+            lit = dry * np.where(wet, self.sun.on_bed(np.nan_to_num(hits.points), depth), 1.0)[:, None]
+        seen = self.colour.through(lit, depth, hits.in_water)
         mirrored = _fresnel(hits.incidence, self.water.n_water)[:, None]
-        wet = (hits.in_water > 0.0)[:, None]
-        return np.where(wet, (1.0 - mirrored) * seen + mirrored * self.colour.sky, dry)
+        surface = mirrored * self.colour.sky
+        if self.sun is not None:
+            surface = surface + self.sun.reflected(origin, direction)[:, None]
+        return np.where(wet[:, None], (1.0 - mirrored) * seen + surface, dry)
 
 
 def _cross(water: WaterSurface, origin: np.ndarray, direction: np.ndarray):

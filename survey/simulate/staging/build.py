@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from geo.frames import LocalFrame
 from refract.surfaces import WaterSurface
+from survey.errors import ConfigError
 from survey.simulate.drawn.ground import build_ground
 from survey.simulate.drawn.settings import DrawnScene
 from survey.simulate.ground.bed import plane
@@ -23,7 +25,7 @@ from survey.simulate.render.direct import DirectRenderer
 from survey.simulate.render.mitsuba_scene import load_mitsuba, solid_scene, water_scene
 from survey.simulate.scene_file import LightSettings
 from survey.simulate.sensor import Sensor
-from survey.simulate.staging.planning import Plan
+from survey.simulate.staging.planning import Plan, sun_of
 from survey.simulate.water import measured, with_waves
 from survey.simulate.watercolour import WaterColour
 
@@ -37,7 +39,7 @@ _DIRECT_SAMPLES = 4
 def stage_scene(plan: Plan) -> StagedScene:
     """Build the planned scene, ready to be photographed."""
     settings = plan.settings
-    light = light_of(settings.light)
+    light = light_of(settings.light, plan.frame)
     ground = _ground(plan, light)
     direct = settings.render.mode == "direct"
     colour = WaterColour()
@@ -62,10 +64,11 @@ def stage_scene(plan: Plan) -> StagedScene:
             photons_at_white=sensor.photons_at_white,
             exposure=sensor.exposure,
             drift=sensor.exposure_drift,
-            blur_m=sensor.blur_m,
+            blur_m=settings.blur_m,
         ),
         bounds=(e - 0.5 * wide, n - 0.5 * deep, e + 0.5 * wide, n + 0.5 * deep),
         seed=settings.seed,
+        position_std_m=settings.flight.position_std_m,
         eye=None if direct else _path_tracer(plan, renderer, light),
     )
 
@@ -98,11 +101,19 @@ def _path_tracer(plan: Plan, renderer: DirectRenderer, light: Light) -> PathTrac
     )
 
 
-def light_of(light: LightSettings) -> Light:
-    """The light of [light]."""
-    elevation, azimuth = math.radians(light.sun_elevation_deg), math.radians(light.sun_azimuth_deg)
-    level = math.cos(elevation)
-    to_sun = (level * math.sin(azimuth), level * math.cos(azimuth), math.sin(elevation))
+def light_of(light: LightSettings, frame: LocalFrame) -> Light:
+    """The light of [light] at the origin of a frame.
+
+    Raises
+    ------
+    ConfigError
+        If the sun is below the horizon at the time that is given.
+    """
+    sun = sun_of(light, frame)
+    if sun.elevation <= 0.0:
+        raise ConfigError(f"light.time is {light.time}, when the sun is below the horizon here; give a time by day")
+    east, north, up = sun.direction.tolist()
+    to_sun = (east, north, up)
     return Light(to_sun, light.sun_share, math.radians(0.5 * light.sun_diameter_deg), light.sky == "overcast")
 
 

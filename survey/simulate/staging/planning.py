@@ -4,24 +4,32 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import math
 from pathlib import Path
 
 import numpy as np
 
 from geo.crs import parse_crs
 from geo.frames import LocalFrame
+from geo.sun import Sun, sun_at
 from refract import FlatWater, PinholeCamera
 from refract.lens import MODELS, Lens, LensError, coefficients_of
-from survey.errors import ConfigError, SurveyError
+from survey.errors import ConfigError, PosesError, SurveyError
+from survey.folder.datum_mixups import place_of
+from survey.folder.posed import cams_from_local, points_in_crs
+from survey.photos.formats import read_poses
+from survey.photos.poses import PoseFrame
 from survey.simulate.flight import plan_flight
 from survey.simulate.flight.patterns import Site
 from survey.simulate.ground.bed import bed_from_file
 from survey.simulate.ground.triangles import TriangleMesh
-from survey.simulate.scene_file import CameraSettings, SceneSettings
+from survey.simulate.scene_file import CameraSettings, LightSettings, SceneSettings
 from survey.simulate.water import WaterLevel
 
 # A mesh, and colours (V, 3) uint8 of its vertices if it has any.
 Bed = tuple[TriangleMesh, np.ndarray | None]
+# Height and azimuth of the sun where nothing is given.
+_USUAL_SUN_DEG = 57.0, 56.0
 # Along each side of the area, where the depth of a bed is taken.
 _PROBES = 15
 
@@ -75,13 +83,16 @@ def plan_scene(settings: SceneSettings, folder: Path) -> Plan:
     surface = level.plane(frame) if level else None
     bed = bed_from_file(folder / settings.bed.file, settings.bed, frame) if settings.bed.file else None
     site = Site(settings.area.size_m, _depth(settings, surface, bed), surface)
-    cameras = plan_flight(settings.flight, lens, site, settings.seed)
+    if settings.flight.poses is None:
+        cameras = plan_flight(settings.flight, lens, site, settings.seed)
+    else:
+        cameras = _cameras_of(folder / settings.flight.poses, lens, frame)
     return Plan(settings, folder, frame, level, lens, site, bed, cameras)
 
 
 def files_of(settings: SceneSettings) -> list[str]:
     """The files that a scene file names."""
-    files = [settings.bed.file, settings.texture.file, *(o.file for o in settings.objects)]
+    files = [settings.flight.poses, settings.bed.file, settings.texture.file, *(o.file for o in settings.objects)]
     if settings.water is not None:
         files.append(settings.water.heights)
     return [name for name in files if name]
@@ -96,6 +107,38 @@ def marks_of(settings: SceneSettings, folder: Path) -> dict:
             raise SurveyError(f"{path} is named in the scene file but does not exist; correct the path")
         hashes[name] = hashlib.sha256(path.read_bytes()).hexdigest()
     return dataclasses.asdict(settings) | {"files": hashes}
+
+
+def sun_of(light: LightSettings, frame: LocalFrame) -> Sun:
+    """The sun of [light], seen from the origin of a frame."""
+    time = light.known_time
+    if time is not None:
+        return sun_at(time, *place_of(frame.crs, np.array(frame.origin)))
+    elevation = _USUAL_SUN_DEG[0] if light.sun_elevation_deg is None else light.sun_elevation_deg
+    azimuth = _USUAL_SUN_DEG[1] if light.sun_azimuth_deg is None else light.sun_azimuth_deg
+    return Sun(math.radians(azimuth), math.radians(elevation))
+
+
+def _cameras_of(path: Path, lens: Lens, frame: LocalFrame) -> list[PinholeCamera]:
+    """Cameras at the poses of a file, in its order.
+
+    Raises
+    ------
+    PosesError, GeoError
+        If the file, or a place in it, cannot be read.
+    """
+    if not path.is_file():
+        raise ConfigError(f"flight.poses names {path}, which does not exist; correct the path")
+    file = read_poses(path)
+    centres = np.array([pose.centre for pose in file.poses])
+    if file.frame is PoseFrame.LOCAL:
+        rotations = np.array([pose.cam_from_world for pose in file.poses])
+    else:
+        in_crs = points_in_crs(file, centres, frame.crs, "crs")
+        centres, rotations = frame.local_from_crs(in_crs), cams_from_local(file, file.poses, in_crs, frame)
+    if not np.isfinite(centres).all():
+        raise PosesError(f"{path} has positions that are not on the map of {frame.crs.name}; correct them, or crs")
+    return [lens.pinhole(centre, rotation) for centre, rotation in zip(centres, rotations, strict=True)]
 
 
 def lens_of(camera: CameraSettings) -> Lens:

@@ -1,0 +1,196 @@
+"""A level of the water for each photograph: by a gauge, by a table of levels, or by a rate.
+
+    gauge                 CSV with time, level: interpolated at the time of each photograph
+    image_levels          CSV with image, level (and std)
+    level_rate_m_per_h    beside any other level, which is that of the mean time of the photographs, or of level_time
+
+Each photograph has its level over that of `[water] level_m`; `PinholeCamera.tide` takes it from there. Heights of the
+bed, and depths, count from level_m for all photographs alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+
+from refract import FlatWater
+from survey.errors import FILE_NAME, ConfigError
+from survey.files.csv_table import read_table
+from survey.folder.config_water import WaterConfig
+from survey.folder.level_observation import LevelObservation, moment_of, std_of
+from survey.folder.shutter import metres_per_px
+from survey.photos.cameras import View
+from survey.photos.exif import Exif
+from survey.photos.names import ImageNames
+
+# The level of a photograph without a time is the mean of the others, if these differ by no more than this [m]: it moves
+# the bed by less than 2 mm.
+_MOST_UNKNOWN_M = 0.005
+# Levels that move images by less than this count as one: as for errors of poses (`survey.plan.poses`), more would be
+# seen in the noise of matching, and less not.
+MOST_SHIFT_PX = 0.1
+# Rays nearer to the horizon tell nothing of the bed.
+_GRAZING_DEG = 70.0
+
+
+@dataclass(frozen=True)
+class Tide:
+    """How the level moved while photographs were taken.
+
+    Attributes
+    ----------
+    source : str
+        The key of [water] that tells it.
+    over : name to float
+        Level at each photograph [m] over `[water] level_m`.
+    hours : name to float
+        Time of each photograph [h] after that at which `level_m` holds; empty where times play no part.
+    shift_px : float
+        By how much the largest of `over` moves what a view of the survey shows; 0 before views are known.
+    """
+
+    source: str
+    over: Mapping[str, float]
+    hours: Mapping[str, float]
+    shift_px: float = 0.0
+
+    @property
+    def moves_m(self) -> float:
+        """From the lowest level to the highest."""
+        return float(np.ptp(list(self.over.values()))) if self.over else 0.0
+
+    @property
+    def matters(self) -> bool:
+        """Whether photographs have levels of their own, or one will do."""
+        return self.shift_px > MOST_SHIFT_PX
+
+
+def tide_of_gauge(
+    path: Path, readings: Sequence[LevelObservation], heads: Mapping[str, Exif]
+) -> tuple[float, Tide, int]:
+    """The mean level of the photographs, their tide, and how many of them have a time.
+
+    Raises
+    ------
+    ConfigError
+        If the readings do not cover the flight, or too few photographs have a time.
+    """
+    times = np.array([reading.time.timestamp() for reading in readings if reading.time is not None])
+    levels = np.array([reading.level_m for reading in readings])
+    taken = _times(heads, f"no level can be interpolated from {path}; give level_m in {FILE_NAME}")
+    moments = np.array(list(taken.values()))
+    if moments.min() < times[0] or moments.max() > times[-1]:
+        raise ConfigError(
+            f"{path} runs from {_shown(times[0])} to {_shown(times[-1])}, but images were taken from "
+            f"{_shown(moments.min())} to {_shown(moments.max())}; add the readings around the flight"
+        )
+    at_images = np.interp(moments, times, levels)
+    mean = float(at_images.mean())
+    over = dict(zip(taken, (at_images - mean).tolist(), strict=True))
+    return mean, Tide("gauge", _completed(over, heads), _hours(taken, float(moments.mean()))), len(taken)
+
+
+def tide_of_levels(path: Path, heads: Mapping[str, Exif]) -> tuple[float, Tide, tuple[LevelObservation, ...]]:
+    """The mean level of the photographs, their tide, and the levels of a table.
+
+    Raises
+    ------
+    ConfigError
+        If the table is missing or damaged, or has no level for a photograph, or two.
+    """
+    names = ImageNames(heads)
+    found: dict[str, LevelObservation] = {}
+    for row in read_table(path, ("image", "level"), optional=("std",), error=ConfigError):
+        # Photographs that are not there were left out.
+        name = names.find(row.text("image"))
+        if name in found:
+            raise ConfigError(f"{row.where}: {name} has a level already; keep one")
+        if name is not None:
+            std = std_of(row, "image_levels")
+            found[name] = LevelObservation(row.number("level"), std, None, heads[name].taken, "image_levels")
+    without = [name for name in heads if name not in found]
+    if without:
+        raise ConfigError(
+            f"{path} has no level for {len(without)} of {len(heads)} images (first: {without[0]}); expected "
+            "image,level with a row for each"
+        )
+    mean = float(np.mean([each.level_m for each in found.values()]))
+    over = {name: found[name].level_m - mean for name in heads}
+    return mean, Tide("image_levels", over, {}), tuple(found.values())
+
+
+def tide_of_rate(water: WaterConfig, heads: Mapping[str, Exif]) -> Tide:
+    """The tide by ``level_rate_m_per_h``.
+
+    Raises
+    ------
+    ConfigError
+        If too few photographs have a time.
+    """
+    rate = water.level_rate_m_per_h or 0.0
+    taken = _times(heads, f"level_rate_m_per_h tells no levels; give levels of images in {FILE_NAME}")
+    start = float(np.mean(list(taken.values())))
+    if water.level_time is not None:
+        start = moment_of(water.level_time, "[water] level_time").timestamp()
+    hours = _hours(taken, start)
+    return Tide("level_rate_m_per_h", _completed({n: rate * h for n, h in hours.items()}, heads), hours)
+
+
+def with_tides(views: Sequence[View], tide: Tide | None, water: FlatWater | None) -> tuple[list[View], Tide | None]:
+    """The views with the levels of their photographs, where these move what they show by more than `MOST_SHIFT_PX`."""
+    if tide is None or water is None:
+        return list(views), None
+    own = {view.name: tide.over[view.name] for view in views}
+    shifts = [abs(own[view.name]) * _shift_per_m(view, water) for view in views]
+    tide = replace(tide, over=own, shift_px=max(shifts) / (metres_per_px(views, water) or np.inf))
+    if not tide.matters:
+        return list(views), tide
+    return [replace(view, camera=replace(view.camera, tide=own[view.name])) for view in views], tide
+
+
+def _shift_per_m(view: View, water: FlatWater) -> float:
+    """How far along the bed the most oblique ray of a view moves per metre of level [-].
+
+    A ray that enters the water a metre earlier runs that metre at its slope in water instead of that in air:
+    ``tan a - tan b`` with ``sin a = n sin b``.
+    """
+    rays = view.camera.directions(view.camera.outline())
+    cosine = np.clip(-(rays @ np.array(water.up)), np.cos(np.radians(_GRAZING_DEG)), 1.0)
+    sine = np.sqrt(1.0 - np.nanmin(cosine) ** 2)
+    in_water = sine / water.n_water
+    return float(sine / np.sqrt(1.0 - sine**2) - in_water / np.sqrt(1.0 - in_water**2))
+
+
+def _times(heads: Mapping[str, Exif], lack: str) -> dict[str, float]:
+    """Moments [s] of the photographs that have one; ConfigError where none has."""
+    taken = {name: head.taken.timestamp() for name, head in heads.items() if head.taken is not None}
+    if not taken:
+        raise ConfigError(
+            "no image has its time of exposure in UTC (EXIF GPS time, or DateTimeOriginal with OffsetTimeOriginal), so "
+            + lack
+        )
+    return taken
+
+
+def _hours(taken: Mapping[str, float], start: float) -> dict[str, float]:
+    return {name: (moment - start) / 3600.0 for name, moment in taken.items()}
+
+
+def _completed(over: Mapping[str, float], heads: Mapping[str, Exif]) -> dict[str, float]:
+    """Levels [m] of all photographs; those without a time have the mean, where that is good enough."""
+    without, moves = [name for name in heads if name not in over], float(np.ptp(list(over.values())))
+    if without and moves > _MOST_UNKNOWN_M:
+        raise ConfigError(
+            f"{len(without)} of {len(heads)} images have no time of exposure in EXIF (first: {without[0]}), while the "
+            f"level moves by {1000.0 * moves:.0f} mm over the others; leave them out, or give [water] image_levels, "
+            "a table of image,level"
+        )
+    return dict(over) | dict.fromkeys(without, float(np.mean(list(over.values()))))
+
+
+def _shown(timestamp: float) -> str:
+    return (datetime(1970, 1, 1) + timedelta(seconds=float(timestamp))).strftime("%Y-%m-%d %H:%M:%S UTC")

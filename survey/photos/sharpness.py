@@ -1,0 +1,71 @@
+"""How sharp photographs are against each other, by their finest detail over their coarser one.
+
+A scene has detail of its own, so that no number says by itself that a photograph is blurred; of photographs of one bed
+by one camera, one whose ratio is lower than that of the others is. Motion takes detail along its direction alone, so
+that each of four directions counts by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from survey.photos.pixels import read_grey
+
+# Standard deviations of the Gaussians that leave fine and coarse detail, and half the way of their differences [px].
+_FINE, _COARSE = (0.7, 1), (2.8, 4)
+_DIRECTIONS = ((1, 0), (0, 1), (1, 1), (1, -1))
+# Squares of an image; the half with more coarse detail counts.
+_SQUARE_PX = 64
+# Of the middle of an image, so much is looked at [px].
+_MOST_PX = 2048
+_FEWEST_PX = 16
+# Of one grey level squared, so that squares without any detail have a ratio.
+_LEAST = 1e-3
+
+
+def detail(path: Path) -> np.ndarray:
+    """Ratios (4,) of fine to coarse detail along rows, columns and both diagonals; the higher, the sharper.
+
+    Raises
+    ------
+    ImageError
+        Where the image cannot be decoded.
+    """
+    return detail_of(read_grey(path))
+
+
+def detail_of(grey: np.ndarray) -> np.ndarray:
+    """See `detail`; of an image (height, width) of grey levels, 0 to 255; NaN for less than 16 pixels a side."""
+    if min(grey.shape) < _FEWEST_PX:
+        return np.full(len(_DIRECTIONS), np.nan)
+    top, left = (max(side - _MOST_PX, 0) // 2 for side in grey.shape)
+    grey = grey[top : top + _MOST_PX, left : left + _MOST_PX].astype(np.float32)
+    levels = [(cv2.GaussianBlur(grey, (0, 0), sigma), way) for sigma, way in (_FINE, _COARSE)]
+    found = []
+    for dx, dy in _DIRECTIONS:
+        fine, coarse = (_energies(level, dx * way, dy * way) for level, way in levels)
+        textured = coarse >= np.median(coarse)
+        found.append(np.median(np.sqrt(fine[textured] / np.maximum(coarse[textured], _LEAST))))
+    return np.array(found)
+
+
+def relative(details: Sequence[np.ndarray]) -> np.ndarray:
+    """How sharp each image (N,) is, of `detail`: its worst direction over the median of all images."""
+    every = np.array(details)
+    return (every / np.median(every, axis=0)).min(axis=1)
+
+
+def _energies(grey: np.ndarray, dx: int, dy: int) -> np.ndarray:
+    """Mean squares, by squares of the image, of differences between pixels 2 (dx, dy) apart."""
+    rim, (height, width) = _COARSE[1], grey.shape
+    ahead = grey[rim + dy : height - rim + dy, rim + dx : width - rim + dx]
+    behind = grey[rim - dy : height - rim - dy, rim - dx : width - rim - dx]
+    squared = (ahead - behind) ** 2
+    side = min(_SQUARE_PX, *squared.shape)
+    rows, columns = (length // side for length in squared.shape)
+    parts = squared[: rows * side, : columns * side].reshape(rows, side, columns, side)
+    return parts.mean(axis=(1, 3)).ravel()

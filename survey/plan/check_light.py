@@ -1,0 +1,262 @@
+"""Rows of `check` about light and motion: the sun and its glitter, blur by motion, and sharpness."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+
+from geo.crs import height_unit_m
+from geo.sun import Sun, sun_at
+from refract import PinholeCamera
+from survey.folder.datum_mixups import above_start_of, place_of
+from survey.folder.found import Found
+from survey.folder.survey import Survey
+from survey.folder.velocities import velocities_of
+from survey.photos.cameras import level_from_yaw_pitch_roll
+from survey.photos.exif import Exif
+from survey.photos.sharpness import detail, relative
+from survey.plan.check import Checked, Section
+from survey.plan.glitter import USUAL_WIND_M_S, Glitter, GlitterOfFlight
+from survey.plan.places import in_the_middle
+from survey.plan.plan import make_plan
+from survey.plan.verdict import Verdict, by_limits, judged
+
+# Of the photographs of a place, lost to glitter: up to these shares it is good, or fair. Where no places are known, of
+# a photograph.
+LOST_GOOD, LOST_FAIR = 0.15, 0.4
+# Motion while the shutter is open [px]: matches are good to a sixth of a pixel, and lose that first.
+BLUR_GOOD_PX, BLUR_FAIR_PX = 0.5, 1.0
+# Against the other photographs: natural ones differ by 0.8, and motion by four pixels leaves less than this.
+LEAST_SHARP = 0.75
+# At most so many photographs are decoded, evenly through the flight [Mpx].
+_MOST_MPX = 150.0
+# Blurred photographs are named up to this number.
+_MOST_NAMED = 6
+_WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
+_DEG_PER_HOUR, _EARTH_RADIUS_M = 15.0, 6.371e6
+
+
+def light_section(checked: Checked, *, wind_m_s: float = USUAL_WIND_M_S) -> Section:
+    """What the heads of photographs say of the light, and some photographs of their sharpness.
+
+    Raises
+    ------
+    SurveyError
+        Where a photograph cannot be decoded.
+    """
+    found, survey = checked.found, checked.survey
+    rows = [*_sun_rows(found, survey, wind_m_s), ("motion", motion_text(*_motion(found, survey)))]
+    return Section("Light and sharpness", (*rows, ("sharpness", sharpness_text(found))))
+
+
+def sun_text(suns: list[Sun], when: str) -> str:
+    """Where the sun stands, in words; of several the middle one, and how high all stood."""
+    heights = [math.degrees(sun.elevation) for sun in suns]
+    middle = suns[len(suns) // 2]
+    toward = _WINDS[round(8.0 * middle.azimuth / (2.0 * math.pi)) % 8]
+    spread = f" ({min(heights):.0f} to {max(heights):.0f})" if max(heights) - min(heights) >= 1.0 else ""
+    return (
+        f"{math.degrees(middle.elevation):.0f} degrees high{spread} in the {toward} (azimuth "
+        f"{math.degrees(middle.azimuth):.0f}), {when}"
+    )
+
+
+def glitter_text(glitter: Glitter, highest_sun: float, wind_m_s: float, *, is_flown: bool) -> str:
+    """The verdict on the glitter of the sun; `highest_sun` [rad] see `GlitterOfFlight.highest_sun`."""
+    share, most = (100.0 * value for value in glitter.share)
+    found = (
+        f"the sun's mirror image lies in {glitter.num_mirrored} of {glitter.num_views} photographs, and in a wind of "
+        f"{wind_m_s:g} m/s glitter covers {share:.0f} % of one (median; at most {most:.0f} %)"
+    )
+    if glitter.free_views is not None:
+        low, median = glitter.free_views
+        found += f"; a place is in {median:.0f} photographs free of it (median), the worst tenth in {low:.0f} or fewer"
+    limit = math.degrees(highest_sun)
+    fly = (
+        f"a sun lower than {limit:.0f} degrees leaves the steep photographs free of it"
+        if limit >= 5.0
+        else "with so wide a lens no sun is low enough: fly under clouds, or in less wind"
+    )
+    verdict = by_limits(lost_share(glitter), LOST_GOOD, LOST_FAIR)
+    return judged(verdict, found, f"{fly}; masks ([images] masks) keep what has it out" if is_flown else fly)
+
+
+def lost_share(glitter: Glitter) -> float:
+    """Of the photographs of a place, the share that shows it in glitter; of a photograph, where no place is known."""
+    if glitter.views is None or glitter.free_views is None:
+        return glitter.share[0]
+    return 1.0 - glitter.free_views[1] / max(glitter.views[1], 1.0)
+
+
+def motion_text(speed: float | None, exposure: float | None, pixel: float | None, known: str = "") -> str:
+    """The verdict on blur by motion.
+
+    Parameters
+    ----------
+    speed : [m/s] or None
+        Of the photograph that moves most; None where nothing tells it, as for the others.
+    exposure : [s] or None
+    pixel : [m] or None
+        What a pixel covers on the ground.
+    known : str
+        Of how many photographs this is known, in words.
+    """
+    if speed is None or exposure is None or pixel is None:
+        missing = "the speed" if speed is None else "the exposure time" if exposure is None else "the flying height"
+        return f"unknown: nothing tells {missing}"
+    blur = speed * exposure / pixel
+    said = f"blurs by {blur:.2f} px at most ({speed:.1f} m/s, open for {1000.0 * exposure:.2g} ms{known})"
+    if blur <= BLUR_GOOD_PX:
+        return judged(Verdict.good, said, "")
+    slower, shorter = BLUR_GOOD_PX * pixel / exposure, BLUR_GOOD_PX * pixel / speed
+    advice = f"fly at {slower:.1f} m/s or slower, or open the shutter for {1000.0 * shorter:.2g} ms or less"
+    return judged(by_limits(blur, BLUR_GOOD_PX, BLUR_FAIR_PX), said, advice)
+
+
+def sharpness_text(found: Found) -> str:
+    """The verdict on photographs that are blurred against the others."""
+    names = _some(found)
+    sharp = relative([detail(found.images[name]) for name in names])
+    if not np.isfinite(sharp).all():
+        return "unknown: the photographs are too small to tell"
+    of = f"of {len(names)} photographs" + ("" if len(names) == len(found.images) else f" (of {len(found.images)})")
+    if sharp.min() >= LEAST_SHARP:
+        return judged(Verdict.good, f"none {of} is blurred against the others (the worst has {sharp.min():.2f})", "")
+    order = [int(number) for number in np.argsort(sharp, kind="stable") if sharp[number] < LEAST_SHARP]
+    worst = ", ".join(f"{names[number]} ({sharp[number]:.2f})" for number in order[:_MOST_NAMED])
+    more = f" and {len(order) - _MOST_NAMED} more" if len(order) > _MOST_NAMED else ""
+    return judged(
+        Verdict.fair if len(order) <= 0.1 * len(names) else Verdict.poor,
+        f"{len(order)} {of} have less than {LEAST_SHARP:g} of the usual detail in some direction: {worst}{more}",
+        "look at them, and take those that are blurred out of the image folder",
+    )
+
+
+def _some(found: Found) -> list[str]:
+    """Names of photographs, evenly through the flight, that are decoded in a few seconds."""
+    names = sorted(found.images)
+    mpx = np.median([head.size_px[0] * head.size_px[1] for head in found.heads.values()]) / 1e6
+    number = int(np.clip(_MOST_MPX / mpx, 3, len(names)))
+    return [names[place] for place in np.unique(np.linspace(0, len(names) - 1, number).round().astype(int))]
+
+
+def _motion(found: Found, survey: Survey | None) -> tuple[float | None, float | None, float | None, str]:
+    """Speed, exposure and pixel of the photograph that moves most, and of how many photographs they are known."""
+    velocities = survey.velocities if survey is not None else velocities_of(_gps_places(found), found.heads, None)
+    speeds = {name: velocity.speed for name, velocity in velocities.items()}
+    exposures = {name: head.exposure_s for name, head in found.heads.items() if head.exposure_s is not None}
+    both = sorted(speeds.keys() & exposures.keys(), key=lambda name: speeds[name] * exposures[name])
+    pixel = make_plan(survey).gsd_m if survey is not None else _pixel_of_heads(found)
+    if not both:
+        return max(speeds.values(), default=None), max(exposures.values(), default=None), pixel, ""
+    known = "" if len(both) == len(found.images) else f"; known of {len(both)} of {len(found.images)}"
+    return speeds[both[-1]], exposures[both[-1]], pixel, known
+
+
+def _gps_places(found: Found) -> dict[str, np.ndarray]:
+    """Places (3,) [m] of the photographs that have a GPS position, east, north and up of one of them."""
+    known = {name: head.lat_lon_height for name, head in found.heads.items() if head.lat_lon_height is not None}
+    if not known:
+        return {}
+    lat0, lon0, height0 = next(iter(known.values()))
+    per_degree = math.radians(_EARTH_RADIUS_M)
+    across = per_degree * math.cos(math.radians(lat0))
+    return {
+        name: np.array([across * (lon - lon0), per_degree * (lat - lat0), np.nan_to_num(height - height0)])
+        for name, (lat, lon, height) in known.items()
+    }
+
+
+def _pixel_of_heads(found: Found) -> float | None:
+    """The ground under a pixel [m] by the heads of photographs: the median of heights over focal lengths."""
+    focal, height = _focal_px(found), _height_m(found)
+    return None if focal is None or height is None else height / focal
+
+
+def _focal_px(found: Found) -> float | None:
+    given = found.config.cameras.focal_px
+    if given is not None:
+        return given[0] if isinstance(given, tuple) else given
+    focals = [head.focal_px for head in found.heads.values() if head.focal_px is not None]
+    return float(np.median(focals)) if focals else None
+
+
+def _height_m(found: Found) -> float | None:
+    """Of the cameras over the water, by their positions and its level, else over the take-off point."""
+    water = found.config.water
+    heights = [head.lat_lon_height[2] for head in found.heads.values() if head.lat_lon_height is not None]
+    if water is not None and water.level_m is not None and heights:
+        height = float(np.nanmedian(heights)) - water.level_m / height_unit_m(found.crs)
+        if height > 0.0:
+            return height
+    return above_start_of(found.heads)
+
+
+def _sun_rows(found: Found, survey: Survey | None, wind_m_s: float) -> list[tuple[str, str]]:
+    """The sun, and its glitter where there is water."""
+    place = _place(found, survey)
+    if place is None:
+        return [("sun", "unknown: no photograph has a position")]
+    names = sorted(found.heads)
+    if survey is not None:
+        survey = in_the_middle(survey)
+        names = [view.name for view in survey.views]
+    times, assumed = times_of({name: found.heads[name] for name in names}, place[1])
+    if times is None:
+        return [("sun", "unknown: EXIF has no times")]
+    suns = [sun_at(time, *place) for time in times]
+    later = sun_at(times[len(times) // 2] - timedelta(hours=1), *place)
+    summer = f"summer time, the sun was {math.degrees(later.elevation):.0f} degrees high"
+    doubt = f"; {assumed}: if it was {summer}" if assumed else ""
+    first, last = min(times), max(times)
+    rows = [("sun", sun_text(suns, f"{first:%Y-%m-%d %H:%M} to {last:%H:%M} UTC{doubt}"))]
+    flight = _flight(found, survey)
+    if flight is None:
+        return rows
+    if max(sun.elevation for sun in suns) <= 0.0:
+        return [*rows, ("glitter", "unknown: the sun is below the horizon by these times; set the clock of the camera")]
+    glitter = flight.under(np.array([sun.direction for sun in suns]), wind_m_s)
+    return [*rows, ("glitter", glitter_text(glitter, flight.highest_sun(wind_m_s), wind_m_s, is_flown=True))]
+
+
+def times_of(heads: Mapping[str, Exif], longitude_deg: float) -> tuple[list[datetime] | None, str]:
+    """When photographs were taken, in UTC, and what was assumed for it; None where the heads do not tell it of all."""
+    taken = [head.taken for head in heads.values() if head.taken is not None]
+    if len(taken) == len(heads):
+        return taken, ""
+    clocks = [head.clock for head in heads.values() if head.clock is not None]
+    if len(clocks) < len(heads):
+        return None, ""
+    zone = round(longitude_deg / _DEG_PER_HOUR)
+    assumed = f"EXIF has no time zone, and UTC{zone:+d} by the longitude is assumed"
+    return [clock.replace(tzinfo=UTC) - timedelta(hours=zone) for clock in clocks], assumed
+
+
+def _place(found: Found, survey: Survey | None) -> tuple[float, float] | None:
+    """Latitude and longitude [deg] of the survey."""
+    if survey is not None:
+        return place_of(survey.frame.crs, np.array(survey.frame.origin))
+    places = [head.lat_lon_height[:2] for head in found.heads.values() if head.lat_lon_height is not None]
+    return tuple(np.median(places, axis=0).tolist()) if places else None
+
+
+def _flight(found: Found, survey: Survey | None) -> GlitterOfFlight | None:
+    """The rays of the photographs; those of their gimbals where no poses are known, else straight down."""
+    if survey is not None:
+        return GlitterOfFlight.of(survey) if survey.water is not None else None
+    focal = _focal_px(found)
+    if found.config.water is None or focal is None:
+        return None
+    cameras = []
+    for name in sorted(found.heads):
+        head = found.heads[name]
+        yaw, pitch, roll = np.radians(head.motion.gimbal_deg or (0.0, -90.0, 0.0))
+        cam_from_level = level_from_yaw_pitch_roll(yaw, pitch + 0.5 * math.pi, roll).T
+        width, height = head.size_px
+        cameras.append(
+            PinholeCamera(np.zeros(3), cam_from_level, focal, focal, 0.5 * width, 0.5 * height, width, height)
+        )
+    return GlitterOfFlight(cameras, np.array([0.0, 0.0, 1.0]))

@@ -1,0 +1,149 @@
+"""Glitter of the sun on the water: which photographs have it, and which places of the bed are seen free of it.
+
+Facets of the water mirror the sun wherever they lean halfway between the direction to the sun and that to the camera.
+C. Cox and W. Munk (Journal of the Optical Society of America 44, 1954, 838-850) measured how they lean: a slope s has
+the density ``exp(-s^2 / v) / (pi v)`` with ``v = 0.003 + 0.00512 W``, W the wind [m/s] 12.5 m above the sea. Glitter is
+taken to reach to where they are a tenth as frequent as level ones. On rivers and ponds, where the wind has no way to
+raise waves, it is narrower.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from refract import FlatWater, PinholeCamera
+from survey.folder.survey import Survey
+from survey.plan.places import Places, places_of
+
+# A light breeze, in which most surveys of clear shallow water are flown [m/s].
+USUAL_WIND_M_S = 3.0
+# Glitter ends where facets are so much rarer than level ones.
+_RAREST = 0.1
+# Under the water, where nothing tells the depth [m].
+_DEPTH_M = 2.0
+_MOST_PLACES = 400
+# Of the longer side of a frame.
+_STEPS = 24
+
+
+@dataclass(frozen=True)
+class Glitter:
+    """What the sun's glitter does to a flight.
+
+    Attributes
+    ----------
+    num_views : int
+    num_mirrored : int
+        Photographs whose frame has the mirror image of the sun on level water.
+    share : (median, largest)
+        Share of a photograph within the glitter.
+    views, free_views : (low, median) or None
+        Photographs that a place is in, and those of them that show it free of glitter: of the lowest tenth of the
+        places, and the median. None where too few views overlap to tell.
+    """
+
+    num_views: int
+    num_mirrored: int
+    share: tuple[float, float]
+    views: tuple[float, float] | None
+    free_views: tuple[float, float] | None
+
+
+def slope_variance(wind_m_s: float) -> float:
+    """Mean square slope [-] of the sea in a wind (Cox and Munk 1954)."""
+    return 0.003 + 0.00512 * wind_m_s
+
+
+def widest_lean(wind_m_s: float) -> float:
+    """How far facets lean [rad] at the edge of the glitter."""
+    return math.atan(math.sqrt(-math.log(_RAREST) * slope_variance(wind_m_s)))
+
+
+def glitters(directions: np.ndarray, sun: np.ndarray, up: np.ndarray, wind_m_s: float) -> np.ndarray:
+    """Whether unit rays (..., 3) from a camera end in the glitter of a sun in direction (3,); `up` is the water's."""
+    facet = sun - directions
+    with np.errstate(invalid="ignore"):
+        lean = (facet @ up) / np.linalg.norm(facet, axis=-1)
+    return (lean >= math.cos(widest_lean(wind_m_s))) & (directions @ up < 0.0) & (sun @ up > 0.0)
+
+
+class GlitterOfFlight:
+    """The rays of a flight, to ask for the glitter of any sun.
+
+    Parameters
+    ----------
+    cameras : list of PinholeCamera
+    up : (3,)
+        Normal of the water, local.
+    places : Places, optional
+        Of the bed.
+    water : FlatWater, optional
+        Over these places.
+    """
+
+    def __init__(
+        self, cameras: list[PinholeCamera], up: np.ndarray, places: Places | None = None, water: FlatWater | None = None
+    ):
+        self._cameras, self._up = cameras, up
+        self._frames = [camera.directions(_pixels(camera)) for camera in cameras]
+        places = None if places is None else places.some(_MOST_PLACES)
+        self._seen = None if places is None else places.seen
+        self._rays = [] if places is None else [c.directions(c.project(places.cells, water)) for c in cameras]
+
+    @classmethod
+    def of(cls, survey: Survey) -> GlitterOfFlight:
+        """That of a survey with water, for a bed two metres deep."""
+        water, _ = survey.require_water()
+        cameras = [view.camera for view in survey.views]
+        return cls(cameras, np.array(water.up), places_of(survey, _DEPTH_M), water)
+
+    def under(self, suns: np.ndarray, wind_m_s: float) -> Glitter:
+        """Under the suns (V, 3) of the photographs, or one (3,) for all: unit directions, local."""
+        suns, up = np.broadcast_to(suns, (len(self._cameras), 3)), self._up
+        pairs = list(zip(self._frames, suns, strict=True))
+        shares = [float(glitters(rays, sun, up, wind_m_s).mean()) for rays, sun in pairs]
+        mirrors = suns - 2.0 * (suns @ up)[:, None] * up
+        num_mirrored = sum(
+            bool(sun @ up > 0.0) and _in_frame(camera, mirror)
+            for camera, sun, mirror in zip(self._cameras, suns, mirrors, strict=True)
+        )
+        every = free = None
+        if self._seen is not None:
+            glittering = np.array(
+                [glitters(rays, sun, up, wind_m_s) for rays, sun in zip(self._rays, suns, strict=True)]
+            )
+            every, free = _low_and_median(self._seen), _low_and_median(self._seen & ~glittering)
+        return Glitter(len(shares), num_mirrored, (float(np.median(shares)), max(shares)), every, free)
+
+    def highest_sun(self, wind_m_s: float) -> float:
+        """How high the sun may stand [rad] for the steep views to be free of glitter; below 0 where none suffices."""
+        widest = max(float(np.arccos(np.clip(-(rays @ self._up), -1.0, 1.0)).max()) for rays in self._steep())
+        # The ray that glitters leans by twice the lean of its facet.
+        return 0.5 * math.pi - widest - 2.0 * widest_lean(wind_m_s)
+
+    def _steep(self) -> list[np.ndarray]:
+        """The frames of the half of the views that look down most."""
+        down = np.array([float(camera.cam_from_local[2] @ self._up) for camera in self._cameras])
+        order = np.argsort(down, kind="stable")[: max(len(down) // 2, 1)]
+        return [self._frames[number] for number in order]
+
+
+def _pixels(camera: PinholeCamera) -> np.ndarray:
+    """Pixels (N, 2) all over a frame, in the middles of squares."""
+    side = max(camera.width, camera.height) / _STEPS
+    u, v = np.meshgrid(np.arange(0.5 * side, camera.width, side), np.arange(0.5 * side, camera.height, side))
+    return np.stack([u.ravel(), v.ravel()], axis=-1)
+
+
+def _low_and_median(seen: np.ndarray) -> tuple[float, float]:
+    counts = seen.sum(axis=0)
+    return float(np.quantile(counts, 0.1)), float(np.median(counts))
+
+
+def _in_frame(camera: PinholeCamera, direction: np.ndarray) -> bool:
+    with np.errstate(invalid="ignore"):
+        u, v = camera.project(camera.centre + direction, None)
+    return bool(0.0 < u < camera.width and 0.0 < v < camera.height)

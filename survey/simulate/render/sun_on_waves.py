@@ -1,0 +1,200 @@
+"""What the sun does at the waves of one photograph: a moving net of light on the bed (caustics), and glint.
+
+The waves are a tile of a random surface that repeats, with slopes of equal variance in each octave of wavelengths.
+Rays of view are not bent by them, so that the ground truth is that of still water. Symbols: ``n`` index, ``d`` depth,
+``s`` slopes, ``E`` irradiance of the sun on a surface that faces it.
+
+Caustics: a ray of the sun that enters where the surface slopes by ``s`` ends ``(1 - 1 / n) d s`` beside its place
+under still water. Rays through all of the tile are counted on a grid at several depths, blurred by the disc of the sun;
+between these depths the pattern is interpolated. It multiplies the light of the bed.
+
+Glint: below a pixel of the tile lie ripples, Gaussian slopes of standard deviation ``r`` about ``s``. With ``h``
+halfway between the ways to the camera and to the sun, and ``p`` the density of ripples whose normal is ``h``, the
+radiance is ``R E p / (4 cos(view) cos(h)^4)``, R by Fresnel (Cox and Munk, Journal of the Optical Society of America
+44(11), 838-850, 1954).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from refract import FlatWater, PinholeCamera
+from refract.fresnel import fresnel_coefficients
+from survey.errors import SurveyError
+from survey.simulate.light import Light
+
+# Of the tile: cells along a side, and their size [m].
+_CELLS, _CELL_M = 256, 0.03
+# Shortest and longest waves [m], and ripples against them. Standard deviation of slopes along each axis, after Cox and
+# Munk: that of a wind of 3 m/s, and what it grows by per share of glint: to a wind of 10 m/s for 0.3.
+_WAVES_M, _RIPPLES = (0.12, 1.6), 0.5
+_SLOPE_STD, _SLOPE_PER_SHARE = 0.09, 0.25
+# Depths of the caustics, and rays for each cell along an axis.
+_LAYERS, _RAYS = 12, 3
+# Light on the bed is at least this share of its mean: the sky shines everywhere.
+_LEAST_LIGHT = 0.1
+# Rays of a photograph that tell how much of it glints, along each axis; the sun is not brighter than this.
+_PROBES, _BRIGHTEST = (40, 30), 1000.0
+
+
+@dataclass(frozen=True)
+class SunOnWaves:
+    """The sun at the waves of one photograph.
+
+    Attributes
+    ----------
+    plane : FlatWater
+        The mean surface.
+    light : Light
+    slopes : (2, cells, cells) [-]
+        Rise of the surface along local x and y; the tile begins at the origin of local.
+    ripples : [-]
+        Standard deviation of slopes below a pixel of the tile.
+    net : (layers, cells, cells) [-]
+        Light on level ground over its mean, at depths from 0 to ``deepest_m``; empty without caustics.
+    deepest_m : [m]
+    glint : [-]
+        Brightness of the reflected sun as a multiple of the formula's; 0 for none.
+    """
+
+    plane: FlatWater
+    light: Light
+    slopes: np.ndarray
+    ripples: float
+    net: np.ndarray
+    deepest_m: float
+    glint: float
+
+    def on_bed(self, points: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        """Light (N,) on points (N, 3) [m], local, at depths (N,) [m], over what still water lets pass."""
+        if not len(self.net):
+            return np.ones(len(points))
+        sun = self.light.sun[:2] / self.plane.n_water
+        way = depth[:, None] * sun / np.sqrt(1.0 - sun @ sun)
+        layer = np.clip(depth / self.deepest_m, 0.0, 1.0) * (len(self.net) - 1)
+        below = np.minimum(layer.astype(int), len(self.net) - 2)
+        at = _cells(points[:, :2] + way)
+        # Whole layers take turns: the tile repeats along its own axes alone.
+        gain = np.ones(len(points))
+        for number in np.unique(below):
+            here = below == number
+            low, high = (_on_tile(self.net[number + k], at[:, here]) for k in (0, 1))
+            gain[here] = low + (layer[here] - number) * (high - low)
+        return gain
+
+    def reflected(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """Radiance (N,) of the sun that the surface mirrors into rays, given by origins and unit directions (N, 3)."""
+        return self.glint * self._mirrored(origin, direction) if self.glint > 0.0 else np.zeros(len(direction))
+
+    def _mirrored(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        up = np.array(self.plane.up)
+        falling = np.maximum(-direction @ up, 1e-3)
+        crossing = origin + (((origin - self.plane.point) @ up) / falling)[:, None] * direction
+        half = self.light.sun - direction
+        half /= np.linalg.norm(half, axis=1, keepdims=True)
+        at = _cells(crossing[:, :2])
+        missing = np.stack([-half[:, k] / half[:, 2] - _on_tile(self.slopes[k], at) for k in (0, 1)])
+        density = np.exp(-0.5 * np.sum(missing**2, axis=0) / self.ripples**2) / (2.0 * np.pi * self.ripples**2)
+        cosine = np.clip(-np.einsum("ij,ij->i", direction, half), 0.0, 1.0)
+        mirrored = fresnel_coefficients(cosine, n_from=1.0, n_to=self.plane.n_water).reflectance
+        return mirrored * self.light.sun_irradiance * density / (4.0 * falling * half[:, 2] ** 4)
+
+
+def suns_of(
+    cameras: Sequence[PinholeCamera],
+    plane: FlatWater,
+    light: Light,
+    *,
+    seed: int,
+    depth_m: float,
+    glint_share: float,
+    contrast: float,
+    exposure: float = 1.0,
+) -> tuple[SunOnWaves, ...]:
+    """The sun at other waves for each photograph.
+
+    Parameters
+    ----------
+    depth_m : [m]
+        Mean depth of the bed.
+    glint_share : [-]
+        Of the pixels of all photographs together: where the mirrored sun alone saturates. Its brightness against the
+        bed is chosen so, as an exposure does.
+    contrast : [-]
+        Standard deviation over mean of the light on the bed at ``depth_m``; other depths follow.
+    exposure : [-]
+        Stored grey, linear, per radiance.
+
+    Raises
+    ------
+    SurveyError
+        If the sun stands where too few waves mirror it into the photographs.
+    """
+    found, slope_std = [], _SLOPE_STD + _SLOPE_PER_SHARE * glint_share
+    for index in range(len(cameras)):
+        slopes = slope_std * _tile(np.random.default_rng([seed, 31, index]))
+        net = _net(slopes, plane.n_water, 2.0 * depth_m, depth_m, contrast) if contrast > 0.0 else slopes[:0]
+        found.append(SunOnWaves(plane, light, slopes, _RIPPLES * slope_std, net, 2.0 * depth_m, 0.0))
+    if glint_share <= 0.0:
+        return tuple(found)
+    seen = np.concatenate([_probed(sun, camera) for sun, camera in zip(found, cameras, strict=True)])
+    bright = float(np.quantile(seen, 1.0 - glint_share)) * exposure
+    if bright * _BRIGHTEST < 1.0:
+        raise SurveyError(
+            f"glint_share is {glint_share:g}, but the waves do not mirror the sun into so many pixels of this flight; "
+            "give a smaller share, or more tilted views"
+        )
+    return tuple(replace(sun, glint=1.0 / bright) for sun in found)
+
+
+def _probed(sun: SunOnWaves, camera: PinholeCamera) -> np.ndarray:
+    across, down = _PROBES
+    u, v = np.linspace(0.5, camera.width - 0.5, across), np.linspace(0.5, camera.height - 0.5, down)
+    pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    return sun._mirrored(camera.centres(pixels) + np.zeros((len(pixels), 3)), camera.directions(pixels))
+
+
+def _tile(rng: np.random.Generator) -> np.ndarray:
+    """Slopes (2, cells, cells), of unit variance, of a random surface that repeats; waves run mostly one way."""
+    number = 2.0 * np.pi * np.fft.fftfreq(_CELLS, _CELL_M)
+    kx, ky = np.meshgrid(number, number)
+    k = np.hypot(kx, ky)
+    inside = (k > 2.0 * np.pi / _WAVES_M[1]) & (k < 2.0 * np.pi / _WAVES_M[0])
+    toward = rng.uniform(0.0, 2.0 * np.pi)
+    along = np.cos(np.arctan2(ky, kx) - toward)
+    # The variance of slopes in an octave, k^2 h^2 k dk, is the same for all.
+    height = np.where(inside, (0.2 + along**2) / np.where(inside, k, 1.0) ** 2, 0.0)
+    waves = height * np.fft.fft2(rng.standard_normal((_CELLS, _CELLS)))
+    slopes = np.stack([np.fft.ifft2(1j * each * waves).real for each in (kx, ky)])
+    return slopes / np.sqrt(np.mean(slopes**2))
+
+
+def _net(slopes: np.ndarray, n: float, deepest_m: float, depth_m: float, contrast: float) -> np.ndarray:
+    """Light (layers, cells, cells) over its mean, at depths from 0 to the deepest."""
+    depths = np.append(np.linspace(0.0, deepest_m, _LAYERS), depth_m)
+    at = (np.arange(_CELLS * _RAYS) + 0.5) / _RAYS - 0.5
+    rows, columns = np.meshgrid(at, at, indexing="ij")
+    sx, sy = (map_coordinates(each, [rows, columns], order=1, mode="grid-wrap") for each in slopes)
+    found = []
+    for depth in depths:
+        shift = (1.0 - 1.0 / n) * depth / _CELL_M
+        landed = [np.round(place - shift * slope).astype(int) % _CELLS for place, slope in ((rows, sy), (columns, sx))]
+        count = np.bincount((landed[0] * _CELLS + landed[1]).ravel(), minlength=_CELLS**2).reshape(_CELLS, _CELLS)
+        disc = max(0.5 * 0.0093 / n * depth / _CELL_M, 0.5)
+        found.append(gaussian_filter(count / _RAYS**2, disc, mode="wrap"))
+    net = np.array(found)
+    scale = contrast / net[-1].std()
+    return np.maximum(1.0 + scale * (net[:-1] - 1.0), _LEAST_LIGHT).astype(np.float32)
+
+
+def _cells(places: np.ndarray) -> np.ndarray:
+    """Row and column (2, N) on the tile of places (N, 2) [m], local."""
+    return places.T[::-1] / _CELL_M
+
+
+def _on_tile(tile: np.ndarray, at: np.ndarray) -> np.ndarray:
+    return map_coordinates(tile, at, order=1, mode="grid-wrap")

@@ -1,0 +1,187 @@
+"""`bathynerf check` before the flight: what a planned flight promises for the bed of a scene file."""
+
+from __future__ import annotations
+
+import math
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+
+from geo.sun import sun_at
+from survey.adjust.foreseen import DEPTH_M
+from survey.adjust.foreseen_text import foreseen_section
+from survey.display.quantities import length
+from survey.errors import FILE_NAME, SurveyError
+from survey.folder.config import AreaConfig, SurveyConfig, WaterConfig
+from survey.folder.datum_mixups import place_of
+from survey.folder.pose_priors import PosePrior
+from survey.folder.survey import Survey
+from survey.photos.cameras import View
+from survey.photos.tie_points import TiePoints
+from survey.plan.check import Section
+from survey.plan.check_light import LOST_GOOD, glitter_text, lost_share, motion_text, sun_text
+from survey.plan.glitter import GlitterOfFlight
+from survey.plan.places import in_the_middle
+from survey.plan.plan import make_plan
+from survey.plan.verdict import Verdict, by_limits, judged
+from survey.plan.workload import room_doubts, workload_of
+from survey.simulate.flight.coverage import coverage
+from survey.simulate.scene_file import read_scene
+from survey.simulate.staging.planning import Plan, plan_scene
+
+# Of the area, seen by fewer than three photographs: good, and fair.
+_UNSEEN = 0.0, 0.05
+_LOOKS_DOWN_DEG = 7.0
+# Hours of a day are asked in such steps, while the sun is high enough to light the bed.
+_STEP_MIN, _LOWEST_SUN_DEG = 15, 15.0
+_NO_TIME = 'unknown: give [light] time, e.g. time = "2026-07-14T09:30+02:00"'
+
+
+def check_plan(path: Path, *, quality: str, device: str, wind_m_s: float) -> list[Section]:
+    """What a flight promises before it is flown; nothing is written.
+
+    Parameters
+    ----------
+    path : Path
+        Scene file (docs/simulation.md), of which place, water, depth, camera, flight, light and shutter count.
+    quality, device : str
+        Of the run that is estimated.
+    wind_m_s : [m/s]
+        For the glitter of the sun.
+
+    Raises
+    ------
+    SurveyError, GeoError
+        If it is no plan of a flight.
+    """
+    if path.name == FILE_NAME:
+        raise SurveyError(f"{path} has the settings of a survey, expected its folder; give {path.resolve().parent}")
+    plan = plan_scene(read_scene(path), path.parent)
+    survey = survey_of(plan)
+    foreseen = foreseen_section(survey, depth_m=plan.site.depth_m if plan.site.depth_m > 0.0 else DEPTH_M)
+    sections = [
+        Section("Flight", tuple(_flight_rows(plan, survey))),
+        Section("Light and motion", tuple(_light_rows(plan, survey, wind_m_s))),
+        Section("Processing", tuple(_processing_rows(survey, quality, device))),
+    ]
+    return sections if foreseen is None else [*sections[:1], foreseen, *sections[1:]]
+
+
+def survey_of(plan: Plan) -> Survey:
+    """A planned flight as the survey that it would be, without photographs: GPS, the lens of a data sheet, no ties."""
+    settings, frame = plan.settings, plan.frame
+    water = None
+    if plan.level is not None:
+        level = plan.level
+        water = WaterConfig(
+            level_m=level.level_m,
+            level_at=level.level_at,
+            slope_east=level.slope_east,
+            slope_north=level.slope_north,
+            refractive_index=level.refractive_index,
+        )
+    half = 0.5 * np.array(settings.area.size_m)
+    corners = frame.crs_from_local([[x, y, 0.0] for x in (-half[0], half[0]) for y in (-half[1], half[1])])
+    (e0, n0), (e1, n1) = corners[:, :2].min(axis=0).tolist(), corners[:, :2].max(axis=0).tolist()
+    bounds = (e0, n0, e1, n1)
+    none, std = np.empty(0, dtype=np.int64), np.full(3, settings.flight.position_std_m)
+    names = [f"{number:04d}.jpg" for number in range(len(plan.cameras))]
+    return Survey(
+        name=settings.name,
+        folder=plan.folder,
+        frame=frame,
+        views=tuple(
+            View(name, Path(name), camera, plan.lens) for name, camera in zip(names, plan.cameras, strict=True)
+        ),
+        water=plan.site.water,
+        bounds=bounds,
+        config=SurveyConfig(name=settings.name, crs=settings.crs, water=water, area=AreaConfig(bounds=bounds)),
+        assumptions=(),
+        warnings=(),
+        ties=TiePoints(np.empty((0, 3)), none, none, np.empty((0, 2))),
+        priors={
+            name: PosePrior(camera.centre, std, None, "the plan")
+            for name, camera in zip(names, plan.cameras, strict=True)
+        },
+    )
+
+
+def _flight_rows(plan: Plan, survey: Survey) -> list[tuple[str, str]]:
+    lens, site, cameras = plan.lens, plan.site, plan.cameras
+    centres = np.array([camera.centre for camera in cameras])
+    height = float(np.median(centres[:, 2])) - site.level
+    tilted = [math.degrees(math.acos(min(-float(camera.cam_from_local[2, 2]), 1.0))) for camera in cameras]
+    down = sum(tilt <= _LOOKS_DOWN_DEG for tilt in tilted)
+    way = float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum())
+    speed = plan.settings.flight.speed_m_s
+    duration = "" if speed is None else f", {way / speed / 60.0:.0f} minutes at {speed:g} m/s without the turns"
+    over = "the water" if site.water is not None else "the ground"
+    wide, deep = plan.settings.area.size_m
+    unseen = float((coverage(cameras, site).num_views < 3).mean())
+    return [
+        ("area", f"{wide:g} x {deep:g} m, the bed {site.depth_m:g} m deep, in {survey.frame.crs.name}"),
+        ("camera", f"{lens.model}, {lens.width} x {lens.height} px, focal length {lens.focal[0]:.1f} px"),
+        ("photographs", f"{len(cameras)} from {height:.1f} m over {over}: {down} look down, {len(cameras) - down} are "
+                        f"tilted by up to {max(tilted):.0f} degrees"),
+        ("pixels", f"{length((height + site.apparent_depth) / lens.focal[0])} on the bed, straight below"),
+        ("positions", f"good to {plan.settings.flight.position_std_m:g} m ([flight] position_std_m), the lens by its "
+                      "data sheet"),
+        ("way", f"{way:.0f} m in the order of the photographs{duration}"),
+        ("coverage", judged(by_limits(unseen, *_UNSEEN), f"{100.0 * (1.0 - unseen):.0f} % of the area is in three "
+                            "photographs or more", "give more overlap, or let the strips begin outside the area")),
+    ]  # fmt: skip
+
+
+def _light_rows(plan: Plan, survey: Survey, wind_m_s: float) -> list[tuple[str, str]]:
+    time = plan.settings.light.known_time
+    rows = [("sun", _NO_TIME)]
+    if time is not None:
+        place = place_of(survey.frame.crs, np.array(survey.frame.origin))
+        sun = sun_at(time, *place)
+        if sun.elevation <= 0.0:
+            raise SurveyError(f"light.time is {plan.settings.light.time}, when the sun is below the horizon here")
+        rows = [("sun", sun_text([sun], f"{time:%Y-%m-%d %H:%M %Z}"))]
+        if survey.water is not None:
+            flight = GlitterOfFlight.of(in_the_middle(survey))
+            found = flight.under(sun.direction, wind_m_s)
+            rows += [
+                ("glitter", glitter_text(found, flight.highest_sun(wind_m_s), wind_m_s, is_flown=False)),
+                ("hours", _hours_text(flight, time, place, wind_m_s)),
+            ]
+    settings = plan.settings
+    pixel = make_plan(survey, quality="fine").gsd_m
+    return [*rows, ("motion", motion_text(settings.flight.speed_m_s, settings.sensor.shutter_s, pixel))]
+
+
+def _hours_text(flight: GlitterOfFlight, time: datetime, place: tuple[float, float], wind_m_s: float) -> str:
+    """When on that day the sun lights the bed and glitters little, by the clock of the time that was given."""
+    day = time.replace(hour=0, minute=0, second=0, microsecond=0)
+    lost: dict[datetime, float] = {}
+    for minute in range(0, 24 * 60, _STEP_MIN):
+        at = day + timedelta(minutes=minute)
+        sun = sun_at(at, *place)
+        if sun.elevation >= math.radians(_LOWEST_SUN_DEG):
+            lost[at] = lost_share(flight.under(sun.direction, wind_m_s))
+    if not lost:
+        return f"the sun stays lower than {_LOWEST_SUN_DEG:g} degrees that day: little light reaches the bed"
+    good = [at for at, share in lost.items() if share <= LOST_GOOD]
+    if not good:
+        best = min(lost, key=lambda at: lost[at])
+        return f"no hour of that day is good; the least glitter is at {best:%H:%M}"
+    spans: list[list[datetime]] = []
+    for at in good:
+        if spans and at - spans[-1][1] == timedelta(minutes=_STEP_MIN):
+            spans[-1][1] = at
+        else:
+            spans.append([at, at])
+    said = " and ".join(f"{first:%H:%M} to {last:%H:%M}" for first, last in spans)
+    return f"{said} are good that day: the sun is {_LOWEST_SUN_DEG:g} degrees high or more, and glitters little"
+
+
+def _processing_rows(survey: Survey, quality: str, device: str) -> list[tuple[str, str]]:
+    plan = make_plan(survey, quality=quality, device=device)
+    rows = [(d.name, f"{d.choice}: {d.reason}") for d in plan.decisions if d.name in ("field", "image scale", "device")]
+    workload = workload_of(survey, plan)
+    doubts = room_doubts(workload, survey.folder)
+    return [*rows, ("workload", judged(Verdict.poor if doubts else Verdict.good, str(workload), "; ".join(doubts)))]

@@ -1,0 +1,68 @@
+"""The benchmark of drawn surveys: its table, its picture, its place in the page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from survey.benchmark.cases import drawn_names
+from survey.benchmark.methods import METHODS
+from survey.benchmark.records import Cost, Errors, Record, Results, read_results
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import bench_drawn
+    import drawn_front
+
+    return SimpleNamespace(drawn=bench_drawn, front=drawn_front)
+
+
+def _record(method: str, quality: str, processor_s: float, error_m: float, case: str = "drawn_2_oblique_20") -> Record:
+    shares = {"0.05": 0.9, "0.1": 0.95, "0.2": 0.99}
+    errors = Errors(1000, 0.0, error_m, 2.0 * error_m, shares, 0.95, 0.001, 0.002)
+    return Record(case, method, quality, "given", "cpu", 0, (Cost(1.5 * processor_s, processor_s, 10**9),), errors)
+
+
+def test_the_surveys_of_all_parts_can_be_drawn(bench):
+    words = [word for part in bench.drawn.PARTS.values() for word in part.drawn]
+    assert drawn_names(words) == words
+    assert {word.split(",")[0] for word in words} == set(bench.front.MARKERS)
+    assert set(bench.front.COLOURS) == set(METHODS)
+
+
+def test_the_page_gets_the_table_between_its_marks_and_keeps_the_rest(bench, tmp_path):
+    records = (
+        _record("full", "draft", 20.0, 0.005),
+        _record("full", "standard", 40.0, 0.004),
+        _record("straight", "draft", 30.0, 0.4),
+        _record("full", "draft", 60.0, 0.01, "drawn_8_nadir_130"),
+    )
+    lines = bench.front.table(records)
+    assert len(lines) == 2 + len(records)
+    assert len({line.count("|") for line in lines}) == 1
+    assert [line.endswith("| * |") for line in lines[2:]] == [True, True, False, True]
+    # The stds of a cloud over straight rays are those of its apparent depths: they say nothing of its errors.
+    assert "95 %" in lines[2]
+    assert "95 %" not in lines[4]
+    machine = {"processor": "any", "cores": "2", "memory": "8 GiB"}
+    page = f"before\n{bench.front.BEGIN}\nold table\n{bench.front.END}\nafter\n"
+    new = bench.front.published(page, Results(machine, {}, "abc", records), lines)
+    assert "old table" not in new
+    assert new.startswith("before\n")
+    assert new.endswith(f"{bench.front.END}\nafter\n")
+    assert lines[2] in new
+    bench.front.draw(tmp_path / "front.png", records)
+    assert (tmp_path / "front.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_page_has_the_marks_and_the_published_results_can_be_read(bench):
+    page = bench.drawn.PAGE.read_text(encoding="utf-8")
+    assert page.index(bench.front.BEGIN) < page.index(bench.front.END)
+    if bench.drawn.PUBLISHED.is_file():
+        assert read_results(bench.drawn.PUBLISHED).records

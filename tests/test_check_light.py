@@ -1,0 +1,145 @@
+"""What `check` says of sun, glitter, motion and sharpness, against closed forms and images that were blurred."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import cv2
+import numpy as np
+import pytest
+from small_survey import TOML, camera_lines, said, small_survey, write_image
+
+from refract import PinholeCamera
+from survey.photos.exif import read_exif
+from survey.photos.sharpness import detail_of, relative
+from survey.plan.check import require_processable
+from survey.plan.check_light import LEAST_SHARP, glitter_text, light_section, motion_text, times_of
+from survey.plan.glitter import GlitterOfFlight, glitters, slope_variance, widest_lean
+
+UP = np.array([0.0, 0.0, 1.0])
+DOWN = np.diag([1.0, -1.0, -1.0])
+
+
+def nadir(width: int = 1200, height: int = 1200, focal: float = 600.0) -> PinholeCamera:
+    return PinholeCamera([0.0, 0.0, 30.0], DOWN, focal, focal, 0.5 * width, 0.5 * height, width, height)
+
+
+def sun(elevation_deg: float, azimuth_deg: float = 0.0) -> np.ndarray:
+    level = math.cos(math.radians(elevation_deg))
+    azimuth = math.radians(azimuth_deg)
+    return np.array([level * math.sin(azimuth), level * math.cos(azimuth), math.sin(math.radians(elevation_deg))])
+
+
+def test_slopes_are_those_that_cox_and_munk_measured():
+    # Their table: 10 m/s have a mean square slope of 0.054.
+    assert slope_variance(10.0) == pytest.approx(0.054, abs=5e-4)
+    lean = widest_lean(5.0)
+    assert math.exp(-(math.tan(lean) ** 2) / slope_variance(5.0)) == pytest.approx(0.1)
+
+
+def test_glitter_of_a_sun_overhead_is_a_disc_about_the_nadir_twice_as_wide_as_facets_lean():
+    found = GlitterOfFlight([nadir()], UP).under(sun(90.0), 2.0)
+    assert found.num_mirrored == 1
+    # The disc has the radius f tan(2 lean) in the frame; the frame is looked at in squares of 50 pixels.
+    radius = 600.0 * math.tan(2.0 * widest_lean(2.0))
+    assert found.share[0] == pytest.approx(math.pi * radius**2 / 1200.0**2, rel=0.1)
+    assert found.views is None
+
+
+def test_the_mirror_image_leaves_the_frame_of_a_low_sun():
+    flight = GlitterOfFlight([nadir()], UP)
+    # The frame reaches 45 degrees off nadir at the middle of its sides: a sun lower than 45 degrees leaves it.
+    assert flight.under(sun(46.0), 0.0).num_mirrored == 1
+    assert flight.under(sun(44.0), 0.0).num_mirrored == 0
+    assert flight.under(sun(-10.0), 8.0).share == (0.0, 0.0)
+    highest = math.degrees(flight.highest_sun(3.0))
+    assert flight.under(sun(highest - 1.0, 45.0), 3.0).share[1] == 0.0
+    assert flight.under(sun(highest + 5.0, 45.0), 3.0).share[1] > 0.0
+
+
+def test_only_rays_that_go_down_glitter():
+    rays = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+    assert glitters(rays, sun(90.0), UP, 3.0).tolist() == [True, False]
+
+
+def test_the_advice_on_glitter_says_how_high_the_sun_may_stand():
+    flight = GlitterOfFlight([nadir(800, 600, 1000.0)], UP)
+    text = glitter_text(flight.under(sun(85.0), 3.0), flight.highest_sun(3.0), 3.0, is_flown=True)
+    assert text.startswith("poor: the sun's mirror image lies in 1 of 1 photographs")
+    assert "a sun lower than" in text
+    low = glitter_text(flight.under(sun(20.0), 3.0), flight.highest_sun(3.0), 3.0, is_flown=True)
+    assert low.startswith("good: ")
+    assert "lower than" not in low
+
+
+def test_motion_is_speed_times_exposure_over_the_pixel():
+    assert motion_text(4.0, 0.002, 0.02).startswith("good: blurs by 0.40 px at most")
+    poor = motion_text(10.0, 0.004, 0.02)
+    assert poor.startswith("poor: blurs by 2.00 px")
+    # Half a pixel: 0.01 m in 4 ms, or at 10 m/s in 1 ms.
+    assert poor.endswith("fly at 2.5 m/s or slower, or open the shutter for 1 ms or less")
+    assert motion_text(None, 0.004, 0.02) == "unknown: nothing tells the speed"
+
+
+def textured(seed: int) -> np.ndarray:
+    """Grey levels of a bed with detail of all sizes."""
+    rng = np.random.default_rng(seed)
+    grey = sum(
+        sigma * cv2.GaussianBlur(rng.standard_normal((300, 400)), (0, 0), sigma) for sigma in (0.8, 1.6, 3.2, 6.4)
+    )
+    return np.clip(128.0 + 40.0 * grey / grey.std() + rng.normal(0.0, 1.0, grey.shape), 0.0, 255.0)
+
+
+@pytest.mark.parametrize("kernel", [np.full((1, 5), 0.2), np.full((5, 1), 0.2), np.eye(5) / 5.0, np.full((5, 5), 0.04)])
+def test_an_image_that_moved_or_lost_its_focus_is_less_sharp_than_its_neighbours(kernel):
+    images = [textured(seed) for seed in range(6)]
+    images[3] = cv2.filter2D(images[3], -1, kernel)
+    found = relative([detail_of(image) for image in images])
+    assert int(np.argmin(found)) == 3
+    assert found[3] < LEAST_SHARP
+    assert (np.delete(found, 3) > LEAST_SHARP).all()
+
+
+def test_times_without_a_zone_are_those_of_the_longitude(tmp_path):
+    clock = {"DateTimeOriginal": "2026:06:21 12:00:00"}
+    write_image(tmp_path / "a.jpg", **clock, OffsetTimeOriginal="+02:00")
+    write_image(tmp_path / "b.jpg", **clock, ExposureTime=0.002)
+    told, bare = (read_exif(tmp_path / name) for name in ("a.jpg", "b.jpg"))
+    assert times_of({"a": told}, 10.0) == ([datetime(2026, 6, 21, 10, tzinfo=UTC)], "")
+    times, assumed = times_of({"b": bare}, -92.0)
+    assert times == [datetime(2026, 6, 21, 18, tzinfo=UTC)]
+    assert "UTC-6 by the longitude" in assumed
+    assert times_of({"a": told, "c": replace(bare, clock=None)}, 10.0) == (None, "")
+
+
+@pytest.mark.parametrize("posed", [True, False])
+def test_the_heads_of_photographs_tell_sun_glitter_and_motion(tmp_path, posed):
+    folder = small_survey(tmp_path / "s", num=6, gps=True)
+    for number, line in enumerate(camera_lines(6)):
+        name, e, n, h, *_ = line.split(",")
+        write_image(
+            folder / "images" / name,
+            gps=(float(e), float(n) + 4.0 * (number == 0 and not posed), float(h)),
+            DateTimeOriginal=f"2026:06:21 13:00:{number:02d}",
+            OffsetTimeOriginal="+02:00",
+            ExposureTime=0.01,
+        )
+    if not posed:
+        (folder / "cameras.csv").unlink()
+        (folder / "survey.toml").write_text(TOML.replace('poses = "cameras.csv"', ""))
+    rows = said([light_section(require_processable(folder), wind_m_s=3.0)], "Light and sharpness")
+    # 46.9 north, 10.2 east, at the solstice 19 minutes before noon.
+    assert rows["sun"].startswith("66 degrees high in the south (azimuth 1")
+    assert "2026-06-21 11:00 to 11:00 UTC" in rows["sun"]
+    assert "in 0 of 6 photographs" in rows["glitter"]
+    # 3.6 m in a second, 10 ms, 20 cm.
+    assert rows["motion"].startswith("good: blurs by 0.18 px at most (3.6 m/s, open for 10 ms")
+    assert rows["sharpness"].startswith("good: ")
+
+
+def test_a_survey_without_times_says_so(tmp_path):
+    rows = said([light_section(require_processable(small_survey(tmp_path / "s")))], "Light and sharpness")
+    assert rows["sun"] == "unknown: EXIF has no times"
+    assert "glitter" not in rows

@@ -8,7 +8,11 @@ import shutil
 import time
 from pathlib import Path
 
+import numpy as np
+
 _CGROUP = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
+# Work that one idle core with AVX-512 does in so long [s]; done so often that the turns of other programs average out.
+_PROBE_SIZE, _PROBE_S, _PROBES = 1_000_000, 7e-4, 300
 _MEMINFO = Path("/proc/meminfo")
 _STAT, _UPTIME = Path("/proc/self/stat"), Path("/proc/uptime")
 # Of the words of `_STAT` behind the name of the program: when the process started [ticks].
@@ -71,3 +75,14 @@ def process_age_s() -> float:
         return max(since_boot - int(words[_STARTED]) / os.sysconf("SC_CLK_TCK"), 0.0)
     except (OSError, ValueError, IndexError):
         return time.process_time()
+
+
+def slowness() -> float:
+    """How many times as long work takes now as on the idle core that rates were measured on; takes 0.2 s there."""
+    values = np.linspace(0.0, 1.0, _PROBE_SIZE, dtype=np.float32)
+    np.exp(values)
+    start = time.monotonic()
+    for _ in range(_PROBES):
+        np.exp(values)
+        np.sqrt(values)
+    return (time.monotonic() - start) / (_PROBES * _PROBE_S)

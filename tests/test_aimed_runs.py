@@ -10,6 +10,7 @@ import pytest
 from drawn_runs import GSD, DrawnRun, drawn, inner90
 
 from geo import read_cloud
+from survey import machine
 from survey.errors import SurveyError
 from survey.progress import Progress
 from survey.run import process as process_module
@@ -100,7 +101,8 @@ class Hand:
 
 @pytest.fixture
 def clock(monkeypatch):
-    """Lets runs have a clock of a test's own."""
+    """Lets runs have a clock of a test's own, on a machine that is as fast as the rates say."""
+    monkeypatch.setattr(machine, "slowness", lambda: 1.0)
 
     def use(step: float) -> None:
         hand = Hand(step)

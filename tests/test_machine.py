@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 import resource
+from types import SimpleNamespace
+
+import pytest
 
 from survey import machine
 
@@ -45,3 +48,9 @@ def test_limits_of_the_process_leave_less_memory_than_they_say_where_they_count_
     assert 0.5e9 < machine.allowed_memory_bytes() < 4e9
     limits[resource.RLIMIT_DATA] = 300_000_000
     assert machine.allowed_memory_bytes() == 3e8
+
+
+def test_a_machine_with_twice_the_work_is_twice_as_slow(monkeypatch):
+    seconds = iter([0.0, 1.0, 5.0, 7.0])
+    monkeypatch.setattr(machine, "time", SimpleNamespace(monotonic=lambda: next(seconds)))
+    assert machine.slowness() == pytest.approx(0.5 * machine.slowness())

@@ -90,10 +90,10 @@ class Pace:
     point_s: float
 
     @staticmethod
-    def stated(ground: Ground) -> Pace:
-        """Before anything was measured."""
-        cores = machine.num_cores()
-        return Pace(1.0 / (STEPS_PER_CORE_S * cores), _DECODING_S * ground.photographs_mpx, 1.0, _POINT_S / cores)
+    def stated(ground: Ground, slow: float = 1.0) -> Pace:
+        """Before a round was measured, on a machine that takes ``slow`` times as long as the rates say."""
+        per_core = slow / machine.num_cores()
+        return Pace(per_core / STEPS_PER_CORE_S, slow * _DECODING_S * ground.photographs_mpx, slow, _POINT_S * per_core)
 
     def after_sweep(self, seconds: float, num_samples: float, images_s: float) -> Pace:
         """With what the sweep of a round, and the reading of its photographs, took [s]."""
@@ -122,4 +122,5 @@ class Pace:
         """Of a whole run whose only round is a sweep at a scale [s]."""
         checked = min(ground.photographs_mpx, _CHECKED * _CHECKED_MPX)
         check = _CHECK_S[0] + _CHECK_S[1] * checked if ground.checks_poses else 0.0
-        return _START_S + check + _RANGE_S + self.sweep_s(ground, scale) + self.tail_s(ground, scale)
+        before = (_START_S + check + _RANGE_S) * self.slow
+        return before + self.sweep_s(ground, scale) + self.tail_s(ground, scale)

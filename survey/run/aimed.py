@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, field
 
 from survey.plan.aim import SHARE, Aim
-from survey.plan.pace import Ground, Pace
+from survey.plan.pace import Ground, Pace, samples
 from survey.plan.plan import Decision
 from survey.plan.recipe import Recipe
 from survey.run.cell_std import CellStd
@@ -70,6 +70,21 @@ class Aimed:
     def solves(self, rung: int) -> bool:
         """Whether a rung has the solver."""
         return self.ladder[rung].field == "solver"
+
+    def samples(self, scale: float, before: float | None) -> float:
+        """Pixels x heights x neighbours of a sweep at a scale that goes on from a smaller one, or from nothing."""
+        return samples(self.ground, scale, before)
+
+    def end_round(self, following: int | None, why: str) -> Decision:
+        """Take a decision on the next round; in words, for the plan."""
+        done = "with the solver" if self.solves(self.rung) else "sweep alone"
+        then = "the last" if following is None else f"then image scale {self.scales[following]:g}"
+        name, choice = f"round {len(self.decisions) + 1}", f"image scale {self.scale:g}, {done}; {then}"
+        self.decisions.append(Decision(name, choice, why))
+        self.following = following
+        if following is not None:
+            self.rung = following
+        return self.decisions[-1]
 
     @property
     def tail_s(self) -> float:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fields.sweep.block import Overlap
+from survey import machine
 from survey.adjust.foreseen import DEPTH_M, Foreseen, foresee
 from survey.adjust.std_common import std_common
 from survey.display.quantities import length
@@ -45,8 +46,8 @@ class Outlook:
         Of water, lens and poses.
     first : int
         Rung of the first round.
-    least_s : float
-        The shortest run, by stated rates.
+    pace : Pace
+        By stated rates and how busy the machine is.
     """
 
     ladder: tuple[Recipe, ...]
@@ -55,7 +56,7 @@ class Outlook:
     point_std_m: tuple[float, ...]
     common_std_m: float
     first: int
-    least_s: float
+    pace: Pace
 
 
 def outlook(aim: Aim, survey: Survey, plan_of: Callable[..., Plan]) -> Outlook:
@@ -76,9 +77,10 @@ def outlook(aim: Aim, survey: Survey, plan_of: Callable[..., Plan]) -> Outlook:
         # Only heights of the solver have a standard deviation that can be relied on.
         solving = [rung for rung, recipe in enumerate(rungs) if recipe.field == "solver"]
         first = next((rung for rung in solving if not std[rung] > aim.std_m), solving[-1])
-    least_s = Pace.stated(ground).least_s(ground, scales[0])
+    # Another machine may be faster than the one of the rates: what it has to spare is kept for what follows.
+    pace = Pace.stated(ground, max(machine.slowness(), 1.0))
     common = _common_std(survey, plan_of(survey, recipe=rungs[-1]), foreseen)
-    return Outlook(rungs, scales, ground, std, common, first, least_s)
+    return Outlook(rungs, scales, ground, std, common, first, pace)
 
 
 def doubts(aim: Aim, found: Outlook) -> list[str]:
@@ -113,7 +115,7 @@ def _common_std(survey: Survey, plan: Plan, foreseen: Foreseen | None) -> float:
 
 def shortest_s(found: Outlook) -> float:
     """The shortest time that is accepted [s]."""
-    return _UNKNOWN_PACE * found.least_s
+    return _UNKNOWN_PACE * found.pace.least_s(found.ground, found.scales[0])
 
 
 def require_time(seconds: float, found: Outlook) -> None:
@@ -126,8 +128,8 @@ def require_time(seconds: float, found: Outlook) -> None:
     shortest = math.ceil(shortest_s(found))
     if seconds < shortest:
         raise SurveyError(
-            f"--time-budget {seconds:g} is too short: this survey takes at least about {shortest} s on this machine; "
-            "give more, or a smaller [area]"
+            f"--time-budget {seconds:g} is too short: this survey takes at least about {shortest} s on this machine, "
+            "as busy as it is; give more, or a smaller [area]"
         )
 
 
@@ -159,7 +161,7 @@ def begin_aimed(
             require_time(aim.seconds, found)
         elif clock.left_s < shortest_s(found):
             progress.warn(f"{clock.left_s:.0f} s are left of --time-budget {aim.seconds:g}: the shortest run follows")
-    state = Aimed(aim, found.ladder, found.scales, found.ground, clock, 0, Pace.stated(found.ground))
+    state = Aimed(aim, found.ladder, found.scales, found.ground, clock, 0, found.pace)
     # A first round that would leave little of the time is none: the shortest comes first then.
     state.rung = found.first if clock is None or 2.0 * state.round_s(found.first) < clock.left_s else 0
     return state
@@ -175,14 +177,13 @@ def rows_of(aim: Aim, survey: Survey, plan_of: Callable[..., Plan]) -> tuple[tup
     """
     found = outlook(aim, survey, plan_of)
     rows = [("asked", str(aim))]
-    pace = Pace.stated(found.ground)
     is_timed = plan_of(survey, recipe=found.ladder[0]).device == "llvm"
     for rung, (recipe, scale) in enumerate(zip(found.ladder, found.scales, strict=True)):
         if recipe.field != "solver":
             continue
         std = found.point_std_m[rung]
         heights = f"std of points {length(std)} at best (median)" if math.isfinite(std) else "too few views overlap"
-        seconds = pace.least_s(found.ground, scale) + pace.solver_s(found.ground, scale)
+        seconds = found.pace.least_s(found.ground, scale) + found.pace.solver_s(found.ground, scale)
         rows.append((f"image scale {scale:g}", heights + (f", about {seconds:.0f} s" if is_timed else "")))
     rows += [("", text) for text in doubts(aim, found)]
     if aim.seconds is not None and is_timed:

@@ -16,7 +16,6 @@ import numpy as np
 from survey.files.json_values import write_json
 from survey.plan.area import AREA_MARGIN_M, grown, local_area, within
 from survey.plan.block import camera_of
-from survey.plan.plan import Decision
 from survey.run.cell_std import CellStd, std_cells
 from survey.run.folder import seconds_of
 from survey.run.stage_solver import SOLVED
@@ -57,15 +56,8 @@ def use_reached(job: Job, folder: Path) -> None:
         return
     found = json.loads((folder / REACHED).read_text(encoding="utf-8"))
     _take_pace(aimed, found)
-    following = found["following"]
-    name, done = f"round {len(aimed.decisions) + 1}", "with the solver" if aimed.solves(aimed.rung) else "sweep alone"
-    then = "the last" if following is None else f"then image scale {aimed.scales[following]:g}"
-    decision = Decision(name, f"image scale {aimed.scale:g}, {done}; {then}", found["why"])
+    decision = aimed.end_round(found["following"], found["why"])
     job.progress.note(f"plan: {decision.name}: {decision.choice} ({decision.reason})")
-    aimed.decisions.append(decision)
-    aimed.following = following
-    if following is not None:
-        aimed.rung = following
     job.plan_again()
 
 

@@ -17,7 +17,6 @@ from survey.errors import SurveyError
 from survey.files.json_values import write_json
 from survey.plan.area import limits, local_area, plane_name
 from survey.plan.block import camera_of
-from survey.plan.pace import samples
 from survey.progress import shares
 from survey.run.clock import OutOfTimeError
 from survey.run.stored import load_arrays, load_depth_maps, save_depth_maps
@@ -121,7 +120,7 @@ def _save(
     save_depth_maps(folder / MAPS, maps)
     scale = job.plan.image_scale if scale is None else scale
     share = len(swept) / len(maps)
-    num_samples = 0.0 if job.aimed is None else share * samples(job.aimed.ground, scale, before)
+    num_samples = 0.0 if job.aimed is None else share * job.aimed.samples(scale, before)
     told = {"views": swept, "image_scale": scale, "seconds": seconds, "images_s": images_s, "samples": num_samples}
     write_json(folder / SWEPT, told)
 

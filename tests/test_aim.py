@@ -114,15 +114,16 @@ def test_a_target_in_a_time_goes_as_far_as_both_allow():
 
 
 def test_going_on_costs_only_the_passes_that_are_finer():
-    whole, later = samples(GROUND, 1.0), samples(GROUND, 1.0, before=0.5)
+    whole, later = samples(GROUND, 1.0, lowest=0.25), samples(GROUND, 1.0, lowest=0.25, before=0.5)
     assert 0.5 * whole < later < whole
-    # The rounds in between cost a few percent.
-    assert samples(GROUND, 0.5) + later < 1.1 * whole
+    # A round at a quarter, where the whole bound is searched at once, costs a quarter beside.
+    assert samples(GROUND, 0.25, lowest=0.25) + samples(GROUND, 1.0, lowest=0.25, before=0.25) < 1.3 * whole
 
 
 def test_a_slow_machine_shows_in_the_first_round():
     slow = PACE.after_sweep(3.0 * PACE.sample_s * 1e6, 1e6, 2.0)
-    assert slow.sweep_s(GROUND, 1.0, 0.5) == pytest.approx(2.0 + 3.0 * samples(GROUND, 1.0, 0.5) * PACE.sample_s)
+    compared = samples(GROUND, 1.0, lowest=0.25, before=0.5)
+    assert slow.sweep_s(GROUND, 1.0, lowest=0.25, before=0.5) == pytest.approx(2.0 + 3.0 * compared * PACE.sample_s)
     assert slow.tail_s(GROUND, 1.0) == pytest.approx(3.0 * PACE.tail_s(GROUND, 1.0))
     assert slow.solver_s(GROUND, 1.0) == pytest.approx(3.0 * PACE.solver_s(GROUND, 1.0))
     assert PACE.after_solver(2.0 + 50.0, 1_000_000).solver_s(GROUND, 1.0) == pytest.approx(52.0)

@@ -8,7 +8,8 @@ from plane_survey import SIZE, TILTED, PlaneBed, ring
 
 from fields.sweep.bed import trusted
 from fields.sweep.block import Block
-from fields.sweep.sweep import DepthMap, Pass, enlarged_map, sweep
+from fields.sweep.sweep import PASSES as USUAL
+from fields.sweep.sweep import DepthMap, Pass, enlarged_map, passes_from, sweep
 
 BED = PlaneBed(TILTED, -2.0, slope=0.1)
 PASSES = (
@@ -84,3 +85,13 @@ def test_a_map_enlarged_by_two_has_the_heights_between_its_pixels():
     np.testing.assert_allclose(large.height[4, 2:-2], 2.0 * (np.arange(2, 14) / 2 - 0.25) + 1.75, atol=1e-5)
     np.testing.assert_array_equal(large.agreeing[::2, ::2], agreeing)
     assert enlarged_map(large, (16, 12)) is large
+
+
+def test_small_images_are_searched_at_more_of_their_size():
+    assert passes_from(0.25) == passes_from(0.125) == USUAL
+    for share in (0.5, 1.0):
+        first, *rest = passes_from(share)
+        assert first.rungs is None
+        assert first.scale == share
+        assert all(p.rungs is not None for p in rest)
+        assert rest[-1] == USUAL[-1]

@@ -58,6 +58,18 @@ PASSES = (
 )
 
 
+def passes_from(share: float) -> tuple[Pass, ...]:
+    """The passes with the whole bound searched at a share of the size, 1, 0.5 or (as `PASSES`) at most 0.25.
+
+    Images of few pixels have to be searched at more than a quarter of their size (docs/targets.md).
+    """
+    if share > PASSES[1].scale:
+        return (replace(PASSES[2], rungs=None, step_px=PASSES[0].step_px, fuse=True), *PASSES[3:])
+    if share > PASSES[0].scale:
+        return (replace(PASSES[1], rungs=None, step_px=PASSES[0].step_px), *PASSES[2:])
+    return PASSES
+
+
 @dataclass
 class DepthMap:
     """What the sweep knows of one view: arrays (height, width), local frame.

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fields.sweep.sweep import PASSES
+from fields.sweep.sweep import PASSES, passes_from
 from survey import machine
 from survey.folder.survey import Survey
 from survey.plan.plan import Plan
@@ -58,13 +58,17 @@ class Ground:
         return Ground(whole, mapped * per_scale, num_cells * per_scale, plan.poses[0] == "check")
 
 
-def samples(ground: Ground, scale: float, before: float | None = None) -> float:
-    """Pixels x heights x neighbours of a sweep at a scale, from nothing or from the heights of a smaller one."""
-    steps = sum(
-        p.scale**2 * (p.rungs or FIRST_RUNGS) * p.neighbours
-        for p in PASSES
-        if before is None or p.scale * scale > _FINER * before
-    )
+def samples(ground: Ground, scale: float, *, lowest: float, before: float | None = None) -> float:
+    """Pixels x heights x neighbours of a sweep at a scale.
+
+    From the heights of a smaller scale, ``before``; or from nothing, with the whole bound searched at the ``lowest``.
+    """
+    if before is not None:
+        passes = [p for p in PASSES if p.scale * scale > _FINER * before]
+    else:
+        passes = list(passes_from(lowest / scale))
+    # The finer the first search, the more heights it tries.
+    steps = sum(p.scale**2 * (p.rungs or FIRST_RUNGS * p.scale / PASSES[0].scale) * p.neighbours for p in passes)
     return steps * ground.map_px * scale**2
 
 
@@ -105,10 +109,9 @@ class Pace:
         """With what a solver of so many points took [s]."""
         return replace(self, point_s=max(seconds - _SOLVER_S * self.slow, _OF_POINTS * seconds) / num_points)
 
-    def sweep_s(self, ground: Ground, scale: float, before: float | None = None) -> float:
-        """Of a round's sweep [s], its photographs read anew where the scale is another one."""
-        reading = 0.0 if before == scale else self.images_s
-        return reading + samples(ground, scale, before) * self.sample_s
+    def sweep_s(self, ground: Ground, scale: float, *, lowest: float, before: float | None = None) -> float:
+        """Of a round's sweep and of reading its photographs [s]; see `samples`."""
+        return self.images_s + samples(ground, scale, lowest=lowest, before=before) * self.sample_s
 
     def solver_s(self, ground: Ground, scale: float) -> float:
         """Of a solver of all points [s]."""
@@ -118,9 +121,9 @@ class Pace:
         """From the last round to the end of the run [s]."""
         return (_TAIL_S[0] + _TAIL_S[1] * ground.points * scale**2) * self.slow
 
-    def least_s(self, ground: Ground, scale: float) -> float:
-        """Of a whole run whose only round is a sweep at a scale [s]."""
+    def least_s(self, ground: Ground, scale: float, *, lowest: float) -> float:
+        """Of a whole run whose only round is a sweep at a scale [s]; see `samples`."""
         checked = min(ground.photographs_mpx, _CHECKED * _CHECKED_MPX)
         check = _CHECK_S[0] + _CHECK_S[1] * checked if ground.checks_poses else 0.0
         before = (_START_S + check + _RANGE_S) * self.slow
-        return before + self.sweep_s(ground, scale) + self.tail_s(ground, scale)
+        return before + self.sweep_s(ground, scale, lowest=lowest) + self.tail_s(ground, scale)

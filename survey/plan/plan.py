@@ -152,6 +152,8 @@ def _field(quality: str, recipe: Recipe, field: str) -> Decision:
     if field != "auto":
         return Decision("field", field, "set by --field")
     chosen = recipe.field
+    if quality == AIMED:
+        return Decision("field", chosen, "as far as the aim needs and allows; later rounds may change it")
     reasons = {
         "off": f"{quality} uses the sweep's heights",
         "solver": "least squares over all photographs: less noise, and the standard deviation of each height",

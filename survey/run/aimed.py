@@ -73,7 +73,12 @@ class Aimed:
 
     def samples(self, scale: float, before: float | None) -> float:
         """Pixels x heights x neighbours of a sweep at a scale that goes on from a smaller one, or from nothing."""
-        return samples(self.ground, scale, before)
+        return samples(self.ground, scale, lowest=self.scales[0], before=before)
+
+    @property
+    def first_search(self) -> float:
+        """At which share of the size of the present round the whole bound is searched, if the round is the first."""
+        return self.scales[0] / self.scale
 
     def end_round(self, following: int | None, why: str) -> Decision:
         """Take a decision on the next round; in words, for the plan."""
@@ -95,7 +100,11 @@ class Aimed:
         """Of a next round on a rung, with all that follows it [s]."""
         scale = self.scales[rung]
         solver = self.pace.solver_s(self.ground, scale) if self.solves(rung) else 0.0
-        sweep = 0.0 if scale == self.scale else self.pace.sweep_s(self.ground, scale, self.scale)
+        sweep = (
+            0.0
+            if scale == self.scale
+            else self.pace.sweep_s(self.ground, scale, lowest=self.scales[0], before=self.scale)
+        )
         return (sweep + solver) * (1.0 + _SLACK) + self.pace.tail_s(self.ground, scale)
 
     def fits(self, rung: int) -> bool:

@@ -115,7 +115,7 @@ def _common_std(survey: Survey, plan: Plan, foreseen: Foreseen | None) -> float:
 
 def shortest_s(found: Outlook) -> float:
     """The shortest time that is accepted [s]."""
-    return _UNKNOWN_PACE * found.pace.least_s(found.ground, found.scales[0])
+    return _UNKNOWN_PACE * found.pace.least_s(found.ground, found.scales[0], lowest=found.scales[0])
 
 
 def require_time(seconds: float, found: Outlook) -> None:
@@ -183,7 +183,9 @@ def rows_of(aim: Aim, survey: Survey, plan_of: Callable[..., Plan]) -> tuple[tup
             continue
         std = found.point_std_m[rung]
         heights = f"std of points {length(std)} at best (median)" if math.isfinite(std) else "too few views overlap"
-        seconds = found.pace.least_s(found.ground, scale) + found.pace.solver_s(found.ground, scale)
+        seconds = found.pace.least_s(found.ground, scale, lowest=found.scales[0]) + found.pace.solver_s(
+            found.ground, scale
+        )
         rows.append((f"image scale {scale:g}", heights + (f", about {seconds:.0f} s" if is_timed else "")))
     rows += [("", text) for text in doubts(aim, found)]
     if aim.seconds is not None and is_timed:

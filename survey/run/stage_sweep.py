@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fields.sweep.ranging import find_range
-from fields.sweep.sweep import sweep
+from fields.sweep.sweep import PASSES, passes_from, sweep
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
 from survey.plan.area import limits, local_area, plane_name
@@ -54,7 +54,8 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         block.look_at(0.5 * (low + high))
         chosen = block.cover(*job.plan.recipe.times_seen, local_area(survey))
         start = time.monotonic()
-        maps = sweep(block, chosen, (low, high), shares(stage))
+        passes = PASSES if job.aimed is None else passes_from(job.aimed.first_search)
+        maps = sweep(block, chosen, (low, high), shares(stage), passes)
     if not maps:
         raise SurveyError("no two views overlap; check that the poses belong to the images")
     job.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(survey)}")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ from survey.run.aimed import Aimed
 from survey.run.cell_std import DEPTH, FEW, NOISE, CellStd, std_cells
 from survey.run.clock import Clock, OutOfTimeError
 
-GROUND = Ground(photographs_mpx=10.0, map_px=10e6, points=1e6, checks_poses=False)
+GROUND = Ground(photographs_mpx=10.0, map_px=10e6, points=1e6, poses="fixed", num_views=10)
 # A machine on which all rates are easy to count with.
 PACE = Pace(sample_s=1e-8, images_s=1.0, slow=1.0, point_s=1e-5)
 LADDER = ladder([(1024, 768)])
@@ -118,6 +120,17 @@ def test_going_on_costs_only_the_passes_that_are_finer():
     assert 0.5 * whole < later < whole
     # A round at a quarter, where the whole bound is searched at once, costs a quarter beside.
     assert samples(GROUND, 0.25, lowest=0.25) + samples(GROUND, 1.0, lowest=0.25, before=0.25) < 1.3 * whole
+
+
+def test_poses_that_are_checked_or_adjusted_take_time_first():
+    least = {
+        poses: PACE.least_s(replace(GROUND, poses=poses), 0.25, lowest=0.25) for poses in ("fixed", "check", "refine")
+    }
+    assert least["fixed"] < least["check"] < least["refine"]
+    # Only some photographs are checked, however many there are.
+    many = replace(GROUND, photographs_mpx=1000.0, num_views=1000)
+    checked, fixed = (PACE.least_s(replace(many, poses=p), 0.25, lowest=0.25) for p in ("check", "fixed"))
+    assert checked - fixed == pytest.approx(least["check"] - least["fixed"])
 
 
 def test_a_slow_machine_shows_in_the_first_round():

@@ -17,8 +17,10 @@ from survey.plan.workload import FIRST_RUNGS, STEPS_PER_CORE_S, amounts_of
 
 # Imports, and hashes of program and photographs.
 _START_S = 3.0
-# Check of the poses, of so many photographs of at most so many megapixels: once, and per megapixel.
-_CHECKED, _CHECKED_MPX, _CHECK_S = 10, 6.0, (6.0, 0.9)
+# Check of the poses of so many photographs, and adjustment of all, at no more than so many megapixels each: once, and
+# per megapixel.
+_CHECKED, _MOST_MPX = 10, 6.0
+_CHECK_S, _ADJUST_S = (6.0, 0.9), (2.0, 2.0)
 # Decoding a megapixel; the range of heights; the solver's learning, and its work on a point.
 _DECODING_S, _RANGE_S, _SOLVER_S, _POINT_S = 0.02, 3.0, 2.0, 45e-6
 # Bed, cloud and report: once, and per point.
@@ -40,13 +42,16 @@ class Ground:
         Of all photographs [Mpx], and of the views that get a height map [px].
     points : float
         One for each ground sampling distance squared that two views see.
-    checks_poses : bool
+    poses : "check", "refine" or "fixed"
+        What is done with them first.
+    num_views : int
     """
 
     photographs_mpx: float
     map_px: float
     points: float
-    checks_poses: bool
+    poses: str
+    num_views: int
 
     @staticmethod
     def of(survey: Survey, plan: Plan) -> Ground:
@@ -55,7 +60,7 @@ class Ground:
         per_scale = plan.image_scale**-2
         whole = sum(view.lens.width * view.lens.height for view in survey.views) / 1e6
         mapped = float(np.sum(pixels[chosen]))
-        return Ground(whole, mapped * per_scale, num_cells * per_scale, plan.poses[0] == "check")
+        return Ground(whole, mapped * per_scale, num_cells * per_scale, plan.poses[0], len(survey.views))
 
 
 def samples(ground: Ground, scale: float, *, lowest: float, before: float | None = None) -> float:
@@ -123,7 +128,14 @@ class Pace:
 
     def least_s(self, ground: Ground, scale: float, *, lowest: float) -> float:
         """Of a whole run whose only round is a sweep at a scale [s]; see `samples`."""
-        checked = min(ground.photographs_mpx, _CHECKED * _CHECKED_MPX)
-        check = _CHECK_S[0] + _CHECK_S[1] * checked if ground.checks_poses else 0.0
-        before = (_START_S + check + _RANGE_S) * self.slow
+        before = (_START_S + _poses_s(ground) + _RANGE_S) * self.slow
         return before + self.sweep_s(ground, scale, lowest=lowest) + self.tail_s(ground, scale)
+
+
+def _poses_s(ground: Ground) -> float:
+    """Of the check or the adjustment of the poses on the core of the rates [s]."""
+    adjusted = min(ground.photographs_mpx, ground.num_views * _MOST_MPX)
+    if ground.poses == "check":
+        checked = adjusted * min(_CHECKED / ground.num_views, 1.0)
+        return _CHECK_S[0] + _CHECK_S[1] * checked
+    return _ADJUST_S[0] + _ADJUST_S[1] * adjusted if ground.poses == "refine" else 0.0

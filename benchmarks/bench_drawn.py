@@ -12,11 +12,13 @@ into docs/img/.
 from __future__ import annotations
 
 import argparse
+import itertools
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from drawn_front import draw, published, table
+from drawn_front import draw, lines_of
+from published import publish
 
 from survey.benchmark.benchmark import RESULTS, Settings, benchmark
 from survey.benchmark.records import Record, read_results, write_results
@@ -31,26 +33,30 @@ STRAIGHT = ("straight", "times_index", "per_camera")
 
 @dataclass(frozen=True)
 class Part:
-    """Surveys of the same size, and what is measured on each."""
+    """Surveys of the same size, and what is measured on each, one after another."""
 
     drawn: tuple[str, ...]
-    settings: Settings
+    settings: tuple[Settings, ...]
 
 
 PARTS = {
     "20": Part(
         tuple(f"{depth},{pattern},20" for depth in ("0.5", "2", "3.5", "8") for pattern in ("nadir", "oblique")),
-        Settings(methods=("full", "sweep", *STRAIGHT), qualities=("draft", "standard")),
+        # In draft the whole chain is the sweep alone.
+        (
+            Settings(methods=("full", *STRAIGHT), qualities=("draft",)),
+            Settings(methods=("full", "sweep", *STRAIGHT), qualities=("standard",)),
+        ),
     ),
     "images": Part(
         ("2,oblique,20", "3.5,oblique,20"),
-        Settings(methods=("full", *STRAIGHT), qualities=("standard",), poses=("images",)),
+        (Settings(methods=("full", *STRAIGHT), qualities=("standard",), poses=("images",)),),
     ),
     "130": Part(
         ("2,oblique,130", "8,nadir,130", "0.5,nadir,130", "3.5,oblique,130"),
-        Settings(methods=("full", *STRAIGHT), qualities=("draft",)),
+        (Settings(methods=("full", *STRAIGHT), qualities=("draft",)),),
     ),
-    "520": Part(("2,oblique,520", "3.5,nadir,520"), Settings(methods=("full",), qualities=("draft",))),
+    "520": Part(("2,oblique,520", "3.5,nadir,520"), (Settings(methods=("full",), qualities=("draft",)),)),
 }
 
 
@@ -59,20 +65,20 @@ def measured(part: Part, folder: Path, known: list[Record]) -> list[Record]:
     for word in part.drawn:
         name = f"drawn_{word.replace(',', '_')}"
         before = {record.key for record in known}
-        wanted = {
-            (name, method, quality, poses, device)
-            for method in part.settings.methods
-            for quality in part.settings.qualities
-            for poses in part.settings.poses
-            for device in part.settings.devices
-        }
-        if wanted <= before:
+        left = [settings for settings in part.settings if not _keys(name, settings) <= before]
+        if not left:
             continue
-        known = list(benchmark([], folder, drawn=[word], settings=part.settings, known=known).records)
+        for settings in left:
+            known = list(benchmark([], folder, drawn=[word], settings=settings, known=known).records)
         for place in folder.glob(f"{name}*"):
             shutil.rmtree(place)
         shutil.rmtree(folder / "runs")
     return known
+
+
+def _keys(case: str, settings: Settings) -> set[tuple[str, ...]]:
+    each = (settings.methods, settings.qualities, settings.poses, settings.devices)
+    return {(case, *names) for names in itertools.product(*each)}
 
 
 def main() -> None:
@@ -99,13 +105,12 @@ def main() -> None:
     for name in options.parts or PARTS:
         known = measured(PARTS[name], options.output, known)
     results = read_results(path)
-    lines = table(results.records)
-    print("\n".join(lines))  # noqa: T201
+    print("\n".join(lines_of(results)))  # noqa: T201
     draw(options.output / PICTURE.name, results.records)
     if options.publish:
         write_results(PUBLISHED, results)
         draw(PICTURE, results.records)
-        PAGE.write_text(published(PAGE.read_text(encoding="utf-8"), results, lines), encoding="utf-8")
+        publish(PAGE, "drawn", lines_of(results))
     if earlier is not None:
         print("\n".join(comparison(results, earlier)))  # noqa: T201
 

@@ -18,8 +18,6 @@ COLOURS = dict(zip(METHODS, (*SERIES, RED, SOFT), strict=True))
 # By depth, and by the number of photographs.
 MARKERS = {"0.5": "o", "2": "s", "3.5": "^", "8": "D"}
 SIZES = {"20": 5, "130": 8, "520": 11}
-# Between these lines of the page the table and its machine are written.
-BEGIN, END = "<!-- drawn: begin -->", "<!-- drawn: end -->"
 
 
 def parts_of(record: Record) -> tuple[str, str, str]:
@@ -116,10 +114,8 @@ def _row(record: Record, is_front: bool) -> str:
     )
 
 
-def published(page: str, results: Results, lines: list[str]) -> str:
-    """The page with another table between `BEGIN` and `END`."""
-    head, _, rest = page.partition(BEGIN)
-    _, _, tail = rest.partition(END)
+def lines_of(results: Results) -> list[str]:
+    """What stands in docs/benchmark.md: where it was measured, and the table."""
     m = results.machine
-    where = f"{m['processor']}, {m['cores']} core(s), {m['memory']}, commit {results.commit}."
-    return "\n".join([f"{head}{BEGIN}", "", where, "", *lines, "", f"{END}{tail}"])
+    cores = "one core" if m["cores"] == "1" else f"{m['cores']} cores"
+    return [f"{m['processor']}, {cores}, {m['memory']}, commit {results.commit}.", "", *table(results.records)]

@@ -1,14 +1,14 @@
 """Where does it degrade, how, and do its standard deviations say so? One thing after another is made worse.
 
-    python benchmarks/stress.py [FACTOR ...] [-o FOLDER] [--quality Q] [--list]
+    python benchmarks/stress.py [FACTOR ...] [-o FOLDER] [--quality Q] [--publish]
 
 Every factor of stress_factors.py is stepped from harmless to hopeless, everything else as in the small drawn survey
 `BASE`; each step is a run of the command line. A run may refuse, in one sentence, or say by its exit code that its
 cloud failed the quality gate. What it may not do is to lie: of the vertical errors less their median 90 to 99 % lie
 within 1.96 `std`, and the median itself within 2.6 of the median `std_common`. Faults of the machine (memory, disk,
 kill) may stop a run, but the run that follows must end with the same bytes as if nothing had been. Writes stress.json
-and stress.png into the folder, and prints the table of docs/stress.md. Steps that stress.json of the folder has are
-not run again; exit code 1 says that something lied.
+and stress.png into the folder, and prints the table of docs/stress.md, into which --publish writes it. Steps that
+stress.json of the folder has are not run again; exit code 1 says that something lied.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import tempfile
 from dataclasses import asdict, replace
 from pathlib import Path
 
+from published import publish
 from stress_factors import FACTORS, prepared
 from stress_faults import resumed
 from stress_outcome import BAD_INPUT, Outcome, draw, row_of, table
@@ -31,6 +32,7 @@ from survey.benchmark.records import Cost, Errors
 from survey.benchmark.running import run_bathynerf
 
 RESULTS, PICTURE = "stress.json", "stress.png"
+DOCS = Path(__file__).resolve().parent.parent / "docs"
 
 
 class Campaign:
@@ -55,7 +57,7 @@ class Campaign:
         code, cost, words = run_bathynerf(["process", str(survey), "-o", str(run), *self._options], self._home)
         errors = self._errors(run, survey)
         shutil.rmtree(survey)
-        return Outcome(name, value, code, cost.processor_s, errors, "" if errors else words)
+        return Outcome(name, value, code, cost.processor_s, errors, "" if errors else self._without_folder(words))
 
     def _under_fault(self, name: str, value: float) -> Outcome:
         fault, survey = FACTORS[name].fault, self._folder / "undisturbed"
@@ -73,8 +75,11 @@ class Campaign:
         found = resumed(fault, value, survey, place, self._whole, self._home, self._options)
         errors = self._errors(found.run, survey)
         shutil.rmtree(place)
-        words = found.words if found.exit_code == BAD_INPUT else ""
+        words = self._without_folder(found.words) if found.exit_code == BAD_INPUT else ""
         return Outcome(name, value, found.exit_code, found.cost.processor_s, errors, words, found.verdict)
+
+    def _without_folder(self, words: str) -> str:
+        return words.replace(f"{self._folder}/", "")
 
     @staticmethod
     def _errors(run: Path, survey: Path) -> Errors | None:
@@ -97,6 +102,7 @@ def main() -> None:
     parser.add_argument("factors", nargs="*", metavar="FACTOR", help=f"default: all of {' '.join(FACTORS)}")
     parser.add_argument("-o", "--output", type=Path)
     parser.add_argument("--quality", default="standard")
+    parser.add_argument("--publish", action="store_true", help="into docs")
     options = parser.parse_args()
     unknown = [name for name in options.factors if name not in FACTORS]
     if unknown:
@@ -113,6 +119,9 @@ def main() -> None:
             (folder / RESULTS).write_text(json.dumps(records, indent=1) + "\n", encoding="utf-8")
             draw(folder / PICTURE, ordered)
     print(f"\n{table(ordered)}\n\n{folder / RESULTS}")  # noqa: T201
+    if options.publish:
+        publish(DOCS / "stress.md", "stress", table(ordered).split("\n"))
+        draw(DOCS / "img" / PICTURE, ordered)
     sys.exit(1 if any(o.is_lie for o in ordered) else 0)
 
 

@@ -44,7 +44,7 @@ def plane_depth_map(survey: Survey, view: int, *, shape: tuple[int, int] = (48, 
     agreeing = np.full(shape, 3, dtype=np.uint8)
     agreeing[: shape[0] // 2, : shape[1] // 2] = 0
     ones = np.ones(shape, dtype=np.float32)
-    return DepthMap(view, height, ones, ones, agreeing, 0.01 * ones)
+    return DepthMap(view, height, ones, agreeing, 0.01 * ones)
 
 
 def write_plane_mesh(path: Path, survey: Survey, *, raised_m: float, half_m: float = 8.0) -> Path:

@@ -19,8 +19,9 @@ def bench(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "benchmarks")
     import bench_drawn
     import drawn_front
+    import published
 
-    return SimpleNamespace(drawn=bench_drawn, front=drawn_front)
+    return SimpleNamespace(drawn=bench_drawn, front=drawn_front, published=published)
 
 
 def _record(method: str, quality: str, processor_s: float, error_m: float, case: str = "drawn_2_oblique_20") -> Record:
@@ -51,18 +52,23 @@ def test_the_page_gets_the_table_between_its_marks_and_keeps_the_rest(bench, tmp
     assert "95 %" in lines[2]
     assert "95 %" not in lines[4]
     machine = {"processor": "any", "cores": "2", "memory": "8 GiB"}
-    page = f"before\n{bench.front.BEGIN}\nold table\n{bench.front.END}\nafter\n"
-    new = bench.front.published(page, Results(machine, {}, "abc", records), lines)
+    (begin, end), page = bench.published.marks("drawn"), tmp_path / "page.md"
+    page.write_text(f"before\n{begin}\nold table\n{end}\nafter\n")
+    bench.published.publish(page, "drawn", bench.front.lines_of(Results(machine, {}, "abc", records)))
+    new = page.read_text()
     assert "old table" not in new
     assert new.startswith("before\n")
-    assert new.endswith(f"{bench.front.END}\nafter\n")
+    assert new.endswith(f"{end}\nafter\n")
     assert lines[2] in new
+    with pytest.raises(SystemExit, match="has no lines"):
+        bench.published.publish(page, "other", [])
     bench.front.draw(tmp_path / "front.png", records)
     assert (tmp_path / "front.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_page_has_the_marks_and_the_published_results_can_be_read(bench):
-    page = bench.drawn.PAGE.read_text(encoding="utf-8")
-    assert page.index(bench.front.BEGIN) < page.index(bench.front.END)
+def test_the_pages_have_the_marks_and_the_published_results_can_be_read(bench):
+    for page, name in ((bench.drawn.PAGE, "drawn"), (ROOT / "docs" / "stress.md", "stress")):
+        text, (begin, end) = page.read_text(encoding="utf-8"), bench.published.marks(name)
+        assert text.index(begin) < text.index(end)
     if bench.drawn.PUBLISHED.is_file():
         assert read_results(bench.drawn.PUBLISHED).records

@@ -243,6 +243,7 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
         "device": "cpu",
         "field": "slab",
         "poses": "auto",
+        "plan": "auto",
         "resume": False,
         "calibrate_water": True,
         "true_colour": True,
@@ -254,7 +255,7 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
     del calls[1][1]["time_gone_s"]
     aim = {"quality": None, "target_std_m": None, "time_budget_s": None}
     defaults = {"device": "auto", "field": "auto", "resume": True, "calibrate_water": False}
-    others = {"poses": "auto", "true_colour": False, "reference": None, "visible": None}
+    others = {"poses": "auto", "plan": "auto", "true_colour": False, "reference": None, "visible": None}
     assert calls[1] == ((Path("s"), None), {**aim, **defaults, **others}, 0)
 
 
@@ -403,6 +404,14 @@ def test_a_limit_on_memory_below_what_any_survey_needs_is_refused(monkeypatch, a
     assert "limited to 1.5 GB (ulimit -v), expected at least 3 GB; raise the limit" in result.stderr
 
 
+def test_a_limit_on_data_that_kernels_would_crash_at_is_refused(monkeypatch):
+    endless = resource.RLIM_INFINITY
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: (3e8 if kind == resource.RLIMIT_DATA else endless, endless))
+    result = bathynerf("process", "s")
+    assert result.exit_code == 2
+    assert "limited to 0.3 GB (ulimit -d), expected at least 0.4 GB; raise the limit" in result.stderr
+
+
 def test_check_warns_of_the_limit_that_process_refuses(monkeypatch, tmp_path):
     monkeypatch.setattr(resource, "getrlimit", lambda _: (1_536_000_000, resource.RLIM_INFINITY))
     result = bathynerf("check", small_survey(tmp_path / "s"))
@@ -423,7 +432,7 @@ def test_ctrl_c_before_there_is_a_run_folder_promises_nothing(monkeypatch, tmp_p
     ("arguments", "words"),
     [
         (("check", "s", "--quality", "high"), "invalid value for '--quality': 'high' is not one of 'draft'"),
-        (("check",), "missing argument 'SURVEY'"),
+        (("check",), "missing argument 'SURVEY|PLAN'"),
         (("check", "s", "--colour"), "no such option: --colour"),
         (("chek",), "no such command 'chek'"),
     ],

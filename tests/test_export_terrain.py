@@ -102,6 +102,22 @@ def test_it_is_a_cloud_optimised_geotiff_that_other_readers_read(dem, stored):
     assert [part.to_epsg() for part in found.sub_crs_list] == [part.to_epsg() for part in stored.crs.sub_crs_list]
 
 
+def test_the_cells_of_an_overview_are_cells_of_the_raster(tmp_path, stored):
+    run = run_of(stored, tmp_path / "run")
+    (path,) = export(run, options=ExportOptions(resolution_m=0.025, fill_m=0.05), dem=tmp_path / "fine.tif")
+    with rasterio.open(path) as raster:
+        whole, step = raster.read(), raster.overviews(1)[0]
+    with rasterio.open(path, overview_level=0) as raster:
+        few = raster.read()
+    assert set(np.unique(few[5])) <= {0.0, 1.0, 2.0}
+    assert step == 2
+    rows, columns = (2 * np.arange(length) for length in few.shape[1:])
+    # Which of the four cells it is, is GDAL's choice: all bands have the same one.
+    options = [whole[:, rows.clip(0, whole.shape[1] - 2) + i][:, :, columns.clip(0, whole.shape[2] - 2) + j]
+               for i in (0, 1) for j in (0, 1)]  # fmt: skip
+    assert np.any([(few == option).all(axis=0) for option in options], axis=0).all()
+
+
 @needs_gdal
 def test_gdal_finds_the_crs_and_the_place(dem, stored):
     found = gdalinfo(dem)

@@ -20,7 +20,8 @@ from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, length
 from survey.folder.survey import load_survey
-from survey.plan.plan import Decision, Plan
+from survey.plan.plan import Plan
+from survey.plan.skipped import Decision
 from survey.report import NUM_STEPS, ReportFacts, profile, write_report
 from survey.report.collect import figures_of
 from survey.report.cut import choose_cut
@@ -189,7 +190,7 @@ def test_report_json_keeps_its_names(report):
     }  # fmt: skip
     assert list(found) == [
         "verdict", "survey", "water", "plan", "cloud", "comparison", "iho_s44", "checkpoints", "adjustment",
-        "baselines", "timings_s", "versions", "settings", "assumptions", "warnings", "notes",
+        "baselines", "photographs", "timings_s", "versions", "settings", "assumptions", "warnings", "notes",
     ]  # fmt: skip
     assert list(found["verdict"]["gates"][0]) == ["name", "value", "limit", "unit", "passed", "sentence"]
     assert list(found["survey"]["crs"]) == ["name", "code", "unit", "height_unit"]

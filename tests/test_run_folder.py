@@ -395,15 +395,15 @@ def test_parts_without_a_fixed_form_are_refused(part):
 
 def test_depth_maps_come_back_as_they_were_whatever_their_sizes(tmp_path, rng):
     def depth_map(view: int, *size: int) -> DepthMap:
-        height, score, curvature, spread = rng.normal(size=(4, *size)).astype(np.float32)
-        return DepthMap(view, height, score, curvature, rng.integers(0, 9, size).astype(np.uint8), spread)
+        height, score, spread = rng.normal(size=(3, *size)).astype(np.float32)
+        return DepthMap(view, height, score, rng.integers(0, 9, size).astype(np.uint8), spread)
 
     maps = [depth_map(7, 4, 6), depth_map(3, 3, 5)]
     save_depth_maps(tmp_path / "maps.npz", maps)
     again = load_depth_maps(tmp_path / "maps.npz")
     assert [m.view for m in again] == [7, 3]
     for old, new in zip(maps, again, strict=True):
-        for name in ("height", "score", "curvature", "agreeing", "spread"):
+        for name in ("height", "score", "agreeing", "spread"):
             assert getattr(old, name).dtype == getattr(new, name).dtype
             np.testing.assert_array_equal(getattr(old, name), getattr(new, name))
 

@@ -48,8 +48,7 @@ def test_rays_are_drawn_from_trusted_pixels_inside_the_image_evenly_over_the_vie
         agreeing = np.zeros((rows + 8, columns + 4), dtype=np.uint8)  # padded to a larger image
         agreeing[number * rows // 4 :] = 3
         padded = {
-            name: np.pad(getattr(m, name), ((0, 8), (0, 4)), mode="edge")
-            for name in ("height", "score", "curvature", "spread")
+            name: np.pad(getattr(m, name), ((0, 8), (0, 4)), mode="edge") for name in ("height", "score", "spread")
         }
         maps.append(replace(m, agreeing=agreeing, **padded))
         image = np.zeros((rows, columns, 3), dtype=np.uint8)

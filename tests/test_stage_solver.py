@@ -14,7 +14,7 @@ SMALL, LARGE = (6, 8), (12, 16)
 def flat_map(shape: tuple[int, int], height: float) -> DepthMap:
     """A map of one height, confirmed by three."""
     grey = np.full(shape, height, dtype=np.float32)
-    return DepthMap(0, grey, grey, grey, np.full(shape, 3, dtype=np.uint8), grey)
+    return DepthMap(0, grey, grey, np.full(shape, 3, dtype=np.uint8), grey)
 
 
 def test_solved_pixels_keep_height_and_std_at_twice_the_size():

@@ -17,8 +17,8 @@ HEIGHT = -2.0
 def level_map(view: int, height: float = HEIGHT, agreeing: int = 3) -> DepthMap:
     """A map of one height over the water plane, confirmed by `agreeing` views."""
     shape = SIZE[::-1]
-    full = [np.full(shape, value, np.float32) for value in (height, 0.9, 100.0, 0.01)]
-    return DepthMap(view, *full[:3], np.full(shape, agreeing, np.uint8), full[3])
+    full = [np.full(shape, value, np.float32) for value in (height, 0.9, 0.01)]
+    return DepthMap(view, *full[:2], np.full(shape, agreeing, np.uint8), full[2])
 
 
 def seen_from(block: Block, m: DepthMap, other: int) -> np.ndarray:
@@ -145,9 +145,7 @@ def test_a_dry_survey_has_no_depth_and_counts_heights_from_local_zero(half_kept)
 
 def test_a_padded_map_gives_the_points_of_the_image_in_it(half_kept):
     camera, m, keep, rgb = half_kept
-    padded = DepthMap(
-        1, *(np.pad(a, ((0, 8), (0, 16))) for a in (m.height, m.score, m.curvature, m.agreeing, m.spread))
-    )
+    padded = DepthMap(1, *(np.pad(a, ((0, 8), (0, 16))) for a in (m.height, m.score, m.agreeing, m.spread)))
     found, expected = points_of(camera, TILTED, padded, keep, rgb), points_of(camera, TILTED, m, keep, rgb)
     np.testing.assert_array_equal(found.xyz, expected.xyz)
     np.testing.assert_array_equal(found.std, expected.std)

@@ -79,7 +79,7 @@ def test_a_map_enlarged_by_two_has_the_heights_between_its_pixels():
     rows, columns = np.mgrid[0:6, 0:8].astype(np.float32)
     plane = (2.0 * columns + rows).astype(np.float32)
     agreeing = np.arange(48, dtype=np.uint8).reshape(6, 8)
-    large = enlarged_map(DepthMap(3, plane, plane, plane, agreeing, plane), (16, 12))
+    large = enlarged_map(DepthMap(3, plane, plane, agreeing, plane), (16, 12))
     assert large.view == 3
     # Centres of the pixels of half the size lie a quarter of the large pixel before and behind.
     np.testing.assert_allclose(large.height[4, 2:-2], 2.0 * (np.arange(2, 14) / 2 - 0.25) + 1.75, atol=1e-5)

@@ -21,6 +21,8 @@ LEAST_PIXELS = 100
 LEAST_NOISE = 0.3
 # Residuals beyond this many times the noise lose their weight.
 OUTLIER = 3.0
+# Of its weight, what is left of a sighting that counts as outlying: at `OUTLIER` times the noise.
+_LOST = 0.5
 # A median over this many pixels is good enough, of each photograph.
 _SAMPLE = 10_000
 
@@ -56,6 +58,11 @@ class Brightness:
     residual: np.ndarray
     weight: np.ndarray
     noise: np.ndarray
+
+    @property
+    def outlying(self) -> np.ndarray:
+        """Which photographs show a pixel as no other does, (K, N) bool: most of their weight there is lost."""
+        return (self.weight > 0.0) & (self.weight * self.noise[:, None] ** 2 < _LOST)
 
     def less_mean(self, values: np.ndarray) -> np.ndarray:
         """Values (K, N) less their weighted mean over the photographs: what the albedo cannot explain."""

@@ -6,10 +6,9 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import trim_mean
 
 from fields.solver.smoothness import stiffness_of
-from fields.solver.solve import FAINT, Solved, conjugate_gradients, normal_matrix, parallax_of
+from fields.solver.solve import FAINT, Solved, conjugate_gradients, normal_matrix
 from fields.solver.tile import Tile
 
 # The search starts at this share of the ground sampling distance and goes in steps of this factor, this far at most.
@@ -27,12 +26,10 @@ class Half:
     """What half of the photographs say about the heights of a tile, about those that all of them gave.
 
     The sum of their squared residuals, for changes d (N,) [m], is ``sum(information * d * d + 2 * pull * d)`` more.
-    ``parallax`` (N,) is that of `fields.solver.solve.parallax_of`.
     """
 
     information: np.ndarray
     pull: np.ndarray
-    parallax: np.ndarray
 
     def cost(self, change: np.ndarray) -> np.ndarray:
         """Increase (N,) of the squared residuals, in units of their variance."""
@@ -51,7 +48,7 @@ def halves_of(solved: Solved) -> tuple[Half, Half]:
         )
         information = np.einsum("kn,kn,kn->n", weight, slope, slope)
         pull = np.einsum("kn,kn,kn->n", weight, slope, residual)
-        found.append(Half(information, pull, parallax_of(weight, solved.motion[first::2])))
+        found.append(Half(information, pull))
     return found[0], found[1]
 
 
@@ -92,15 +89,21 @@ def roughness_of(samples: list[tuple[Tile, Solved]], gsd: float, pool: Executor)
 
     best = 0
     for way in (1, -1):
-        while abs(best + way) <= MOST_STEPS and trim_mean(cost(best + way) - cost(best), TRIM) < 0.0:
+        while abs(best + way) <= MOST_STEPS and _trimmed_mean(cost(best + way) - cost(best)) < 0.0:
             best += way
     found = best
     while best > -MOST_STEPS:
         difference = cost(best - 1) - cost(found)
-        if trim_mean(difference, TRIM) > _error(difference):
+        if _trimmed_mean(difference) > _error(difference):
             break
         best -= 1
     return float(START_GSD * gsd * FACTOR**best)
+
+
+def _trimmed_mean(values: np.ndarray) -> float:
+    """Mean of values without the largest and the smallest; scipy.stats has it, and takes half a second to import."""
+    out = int(TRIM * len(values))
+    return float(np.sort(values)[out : len(values) - out].mean())
 
 
 def _error(values: np.ndarray) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 
 from fields.solver.projection import Projection
 from fields.solver.tile import Tile
+from fields.sweep.greys import Greys
 from fields.sweep.sweep import DepthMap
 from refract import PinholeCamera
 
@@ -43,7 +44,7 @@ class Sight:
     motion: np.ndarray
     seen: np.ndarray
 
-    def sample(self, images: Mapping[int, np.ndarray], change: np.ndarray) -> np.ndarray:
+    def sample(self, images: Greys | Mapping[int, np.ndarray], change: np.ndarray) -> np.ndarray:
         """Grey values (K, N) at start height plus change (N,) [m]; NaN where not seen."""
         values = np.empty(self.seen.shape, dtype=np.float32)
         for value, view, at, rise in zip(values, self.views, self.position, self.rise, strict=True):

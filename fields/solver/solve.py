@@ -7,11 +7,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy import ndimage
 
 from fields.solver.appearance import Appearance, Brightness, appearance_of, brightness_of
 from fields.solver.sight import Sight
 from fields.solver.smoothness import Bends, bends_of, stiffness_of
 from fields.solver.tile import Tile
+from fields.sweep.greys import Greys
 
 ITERATIONS = 3
 # Gain and offset are estimated in the first steps.
@@ -43,6 +45,8 @@ class Solved:
         As `Sight` has it.
     of_noise : (N,) [1/m^2]
         What the noise of the albedo's gradients, which counts as texture, adds to ``information``.
+    views : (K,) of int
+        The photographs, by their number.
     """
 
     height: np.ndarray
@@ -53,10 +57,16 @@ class Solved:
     slope: np.ndarray
     motion: np.ndarray
     of_noise: np.ndarray
+    views: tuple[int, ...] = ()
 
 
 def solve(
-    tile: Tile, sight: Sight, images: Mapping[int, np.ndarray], start: np.ndarray, roughness: float, tolerance: float
+    tile: Tile,
+    sight: Sight,
+    images: Greys | Mapping[int, np.ndarray],
+    start: np.ndarray,
+    roughness: float,
+    tolerance: float,
 ) -> Solved:
     """Heights of a tile by least squares over all photographs that see it.
 
@@ -91,7 +101,7 @@ def solve(
         )
         height = height + np.clip(step, -tolerance, tolerance).astype(np.float32)
     of_noise = _gradient_noise(sight, brightness)
-    return Solved(height, information, stiffness, bends, brightness, slope, sight.motion, of_noise)
+    return Solved(height, information, stiffness, bends, brightness, slope, sight.motion, of_noise, tuple(sight.views))
 
 
 def _gradient_noise(sight: Sight, brightness: Brightness) -> np.ndarray:
@@ -111,24 +121,37 @@ def _slopes(tile: Tile, sight: Sight, image: np.ndarray, brightness: Brightness)
     Gradients are those of the albedo, the mean of all photographs: those of single photographs are noisy, and their
     noise would count as texture.
     """
-    albedo = tile.window(image).astype(np.float32)
-    albedo[tile.inside] = brightness.albedo
-    across, down = (tile_filter(albedo, kernel)[tile.inside] for kernel in (_DERIVATIVE, _DERIVATIVE.T))
+    across, down = _gradients(tile, tile.window(image).astype(np.float32), brightness.albedo)
     slope = sight.motion[:, 0] * across + sight.motion[:, 1] * down
     return brightness.less_mean(np.where(np.isfinite(slope), slope, np.float32(0.0)))
+
+
+def gradients_of(tile: Tile, albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Gradients across and down (N,) each [grey/px] of an albedo (N,); beyond the tile it goes on as at its rim."""
+    nearest = ndimage.distance_transform_edt(~tile.inside, return_distances=False, return_indices=True)
+    image = np.zeros(tile.inside.shape, dtype=np.float32)
+    image[tile.inside] = albedo
+    return _gradients(tile, image[tuple(nearest)], albedo)
+
+
+def _gradients(tile: Tile, image: np.ndarray, albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of an image of the window, in which the tile has an albedo (N,)."""
+    image[tile.inside] = albedo
+    across, down = (tile_filter(image, kernel)[tile.inside] for kernel in (_DERIVATIVE, _DERIVATIVE.T))
+    return across, down
 
 
 def parallax_of(weight: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """How firmly photographs hold a height by where they show it, (N,) [px^2/m^2].
 
-    A shift of each photograph by one pixel, at random, changes the height by one over its root. ``weight`` (K, N) is 0
-    where not seen, ``motion`` (K, 2, N) [px/m] as `Sight` has it.
+    Random shifts of the photographs with a standard deviation of one pixel along each axis give the height one of one
+    over its root. ``weight`` (K, N) is 0 where not seen, ``motion`` (K, 2, N) [px/m] as `Sight` has it.
     """
     seen = (weight > 0.0)[:, None]
     count = np.maximum(seen.sum(axis=0), 1)
     there = np.where(seen, motion, np.float32(0.0))
     about = np.where(seen, motion - there.sum(axis=0) / count, np.float32(0.0))
-    return np.maximum(0.5 * np.einsum("kan,kan->n", about, about), 1e-6)
+    return np.maximum(np.einsum("kan,kan->n", about, about), 1e-6)
 
 
 def tile_filter(image: np.ndarray, kernel: np.ndarray) -> np.ndarray:

@@ -1,27 +1,19 @@
-"""How sure a height is: the normal matrix, what moves between photographs, and the relief below the pixel."""
+"""How sure a height is, by the normal matrix and by the relief below the pixel."""
 
 from __future__ import annotations
 
-from concurrent.futures import Executor
 from functools import cache
 
 import numpy as np
 from scipy import ndimage
 
-from fields.solver.roughness import halves_of, heights_of
-from fields.solver.smoothness import stiffness_of
-from fields.solver.solve import FAINT, Solved, conjugate_gradients, normal_matrix
+from fields.solver.solve import FAINT, Solved
 from fields.solver.tile import Tile
 
 # Information and stiffness are alike over about the range in which heights are correlated [px].
 _ALIKE_PX = 1.5
-# A point lies anywhere in its pixel: its place along each axis has this standard deviation [px].
-_PLACE_PX = 1.0 / np.sqrt(12.0)
-# A half of the photographs that has less than this share of the information of all does not speak for itself.
-_OWN_SHARE, _LEAST_PIXELS = 0.2, 1000
-# Shifts are read where so large a share of the differences is smaller: they vary from place to place, and the larger
-# ones decide what a standard deviation has to cover. Of a normal variable as many are within 1.645.
-_SHARE, _WITHIN = 0.9, 1.645
+# A point lies anywhere in its pixel: the variance of its place along each axis [px^2].
+PLACE_PX2 = 1.0 / 12.0
 # Information is at least this share of what it seems to be.
 _LEAST_TRUE = 0.1
 _FREQUENCIES, _RATIOS = 256, np.logspace(-4.0, 9.0, 66)
@@ -51,52 +43,29 @@ def variance_of(tile: Tile, solved: Solved) -> np.ndarray:
     return (once + (seeming / information - 1.0) * twice) / information
 
 
-def below_pixel(tile: Tile, solved: Solved) -> np.ndarray:
-    """Variance (N,) [m^2] of the bed within a pixel: how it bends there, and its slope over the width of a pixel."""
+def bends_below(solved: Solved) -> np.ndarray:
+    """Variance (N,) [m^2] of the bed within a pixel by how it bends there."""
     touching = solved.bends.squared.copy()
     touching.data = np.ones_like(touching.data)
     bend = solved.bends.of_heights @ solved.height
-    bends = (touching @ (bend * bend)) / np.maximum(np.diff(touching.indptr), 1)
+    return (touching @ (bend * bend)) / np.maximum(np.diff(touching.indptr), 1)
+
+
+def rise_of(tile: Tile, height: np.ndarray) -> np.ndarray:
+    """Rise (N,) [m/px] of heights (N,) [m] over the pixels next to each."""
     highest, lowest = np.full((2, *tile.inside.shape), [[[-np.inf]], [[np.inf]]], dtype=np.float32)
-    highest[tile.inside] = lowest[tile.inside] = solved.height
-    span = ndimage.maximum_filter(highest, 3)[tile.inside] - ndimage.minimum_filter(lowest, 3)[tile.inside]
-    return bends + (_PLACE_PX * 0.5 * span) ** 2
+    highest[tile.inside] = lowest[tile.inside] = height
+    return 0.5 * (ndimage.maximum_filter(highest, 3)[tile.inside] - ndimage.minimum_filter(lowest, 3)[tile.inside])
 
 
-def shift_of(samples: list[tuple[Tile, Solved]], roughness: float, pool: Executor) -> float:
-    """By how many pixels the photographs are shifted against each other beyond what their noise explains.
+def for_few(views: np.ndarray) -> np.ndarray:
+    """Factor (N,) on the variance of heights on which so many photographs agree.
 
-    Each half of the photographs gives heights of its own. Their differences are compared with those that noise as
-    large as the residuals, independent from pixel to pixel and from photograph to photograph, would give; waves, errors
-    of the poses and a noise that neighbours share make them larger. Zero where too few pixels are seen by both halves.
+    What is particular to a place (a reflection, an edge that hides it) is known from those photographs alone: Student's
+    law of one degree of freedom more than there are photographs.
     """
-    found = list(pool.map(lambda each: _differences(each[0], each[1], roughness), samples))
-    seen, of_noise, per_pixel = (np.concatenate(column) for column in zip(*found, strict=True))
-    if len(seen) < _LEAST_PIXELS:
-        return 0.0
-    large, of_noise_large = (np.quantile(np.abs(each), _SHARE) for each in (seen, of_noise))
-    beyond = (large**2 - of_noise_large**2) / _WITHIN**2
-    return float(np.sqrt(max(beyond, 0.0) / np.median(per_pixel)))
-
-
-def _differences(tile: Tile, solved: Solved, roughness: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Between the heights of both halves of the photographs: as found, and as drawn from the noise [m].
-
-    Third, their variance for shifts of one pixel [m^2]. Pixels of which one half knows next to nothing are left out: it
-    would repeat what both say together.
-    """
-    random, found, drawn, halves = np.random.default_rng(0), [], [], halves_of(solved)
-    known = [_nearby(tile, half.information) > _OWN_SHARE * _nearby(tile, solved.information) for half in halves]
-    for half in halves:
-        height = heights_of(solved, half, roughness)
-        stiffness = stiffness_of(solved.bends.of_heights @ height, roughness)
-        noise = np.sqrt(half.information) * random.standard_normal(len(tile)).astype(np.float32)
-        diagonal = half.information + solved.bends.squared @ stiffness + FAINT
-        found.append(height)
-        drawn.append(conjugate_gradients(normal_matrix(half.information, solved.bends, stiffness), noise, diagonal))
-    use = tile.asked & known[0] & known[1]
-    per_pixel = 1.0 / halves[0].parallax + 1.0 / halves[1].parallax
-    return (found[0] - found[1])[use], (drawn[0] - drawn[1])[use], per_pixel[use]
+    count = np.maximum(views.astype(np.float32), 2.0)
+    return (count + 1.0) / (count - 1.0)
 
 
 def _nearby(tile: Tile, values: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The photographs and height maps of a survey, as tiles are solved with them, at full size or half of it."""
+"""The photographs and height maps of a survey, as tiles are solved with them."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import numpy as np
 
 from fields.device import Device
 from fields.solver.projection import Projection
-from fields.solver.shares import as_noisy, halved, halved_camera, halved_map
 from fields.solver.sight import Sight, sight_of
 from fields.solver.solve import Solved, solve
 from fields.solver.tile import Tile, tiles_of
 from fields.sweep.block import Block
+from fields.sweep.greys import Greys
 from fields.sweep.sweep import DepthMap
 from refract import FlatWater, PinholeCamera
 
@@ -56,7 +56,7 @@ class Views:
     """
 
     cameras: dict[int, PinholeCamera]
-    images: dict[int, np.ndarray]
+    images: Greys | dict[int, np.ndarray]
     water: FlatWater | None
     device: Device
     maps: list[DepthMap]
@@ -71,8 +71,8 @@ class Views:
             block.agreement_tolerance(m.view, list(seen_by), float(np.median(m.height))) if seen_by else 0.0
             for m, seen_by in zip(maps, others, strict=True)
         ]
-        cameras, images = dict(enumerate(block.cameras)), dict(enumerate(block.images))
-        return Views(cameras, images, block.water, block.device, maps, others, tolerance)
+        cameras = dict(enumerate(block.cameras))
+        return Views(cameras, block.images, block.water, block.device, maps, others, tolerance)
 
     @cached_property
     def _by_view(self) -> dict[int, DepthMap]:
@@ -113,18 +113,3 @@ class Views:
     def _sight(self, job: Job) -> Sight:
         view, tolerance = self.maps[job.index].view, self.tolerance[job.index]
         return sight_of(job.tile, view, job.others, self.cameras, self._by_view, self._projection, tolerance)
-
-    def halved(self, chosen: list[int], noise: float) -> Views:
-        """At half the size and as noisy [grey levels] as before: the chosen maps first, then those that they see."""
-        needed = {view for i in chosen for view in (self.maps[i].view, *self.others[i])}
-        rest = [i for i, m in enumerate(self.maps) if m.view in needed and i not in chosen]
-        kept, random = [*chosen, *rest], np.random.default_rng(0)
-        return Views(
-            {view: halved_camera(self.cameras[view]) for view in sorted(needed)},
-            {view: as_noisy(halved(self.images[view]), noise, random) for view in sorted(needed)},
-            self.water,
-            self.device,
-            [halved_map(self.maps[i]) for i in kept],
-            [self.others[i] for i in kept],
-            [2.0 * self.tolerance[i] for i in kept],
-        )

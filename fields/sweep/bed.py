@@ -87,7 +87,9 @@ def unique_pixels(block: Block, maps: list[DepthMap]) -> list[np.ndarray]:
     kept: dict[int, np.ndarray] = {}
     for place, index in enumerate(order):
         m = maps[index]
-        kept[index] = trusted(m) & (host(device, claimed[index]).reshape(shape) == 0)
+        # What is left out of the photograph has a height of its surroundings, but neither colour nor match.
+        seen = np.isfinite(block.images[m.view])
+        kept[index] = trusted(m) & seen & (host(device, claimed[index]).reshape(shape) == 0)
         if not kept[index].any():
             continue
         legs, own = images.paths_of(heights, index, np.flatnonzero(kept[index]))
@@ -129,7 +131,7 @@ def points_of(
     depth = water.height(xyz[:, 0], xyz[:, 1]) - xyz[:, 2] if water else np.full(len(xyz), np.nan)
     agreeing = kept(depth_map.agreeing).astype(np.float32)
     # The spread is a population figure over agreeing + 1 heights; the sample figure does not flatter few views.
-    std = kept(depth_map.spread) * np.sqrt((agreeing + 1.0) / np.maximum(agreeing, 1.0))
+    std = kept(depth_map.spread).astype(np.float32) * np.sqrt((agreeing + 1.0) / np.maximum(agreeing, 1.0))
     return BedPoints(
         xyz,
         rgb[keep],

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-import cv2
+from collections.abc import Iterable, Sequence
+
 import numpy as np
 
 from fields.device import Device
+from fields.skips import SKIPS, Skips
 from fields.sweep import views
 from fields.sweep.arrays import release
+from fields.sweep.greys import Greys
+from fields.sweep.holes import closed, shrunk
 from fields.sweep.stack import ViewStack
 from refract import FlatWater, PinholeCamera
 
@@ -78,11 +82,15 @@ class Block(Overlap):
     ----------
     device : Device
     cameras : list of PinholeCamera
-        All of the images' size; smaller images are padded with NaN, as are masked pixels.
-    images : list of (height, width) float32
-        Grey levels about zero.
+        All of the images' size; smaller images are padded with NaN, as are masked and saturated pixels.
+    images : (height, width) float32 each
+        Grey levels about zero; read once and kept as `Greys`.
     water, height :
         As `Overlap`.
+    saturated : tuple of float
+        Share of each photograph that is left out because it is white; empty where nobody has looked. Read after the
+        images, so that what gives these may fill it.
+    skips : Skips
 
     Raises
     ------
@@ -94,16 +102,19 @@ class Block(Overlap):
         self,
         device: Device,
         cameras: list[PinholeCamera],
-        images: list[np.ndarray],
+        images: Iterable[np.ndarray],
         water: FlatWater | None,
         height: float,
+        saturated: Sequence[float] = (),
+        skips: Skips = SKIPS,
     ):
-        if len(cameras) < 2 or len(cameras) != len(images):
+        self.device, self.images, self.skips = device, Greys(images), skips
+        if len(cameras) < 2 or len(cameras) != len(self.images):
             raise ValueError(
-                f"a block needs two views or more, each with an image; got {len(cameras)} and {len(images)}"
+                f"a block needs two views or more, each with an image; got {len(cameras)} and {len(self.images)}"
             )
         super().__init__(cameras, water, height)
-        self.device, self.images = device, images
+        self.saturated = tuple(saturated)
         self._stacks: dict[float, ViewStack] = {}
 
     def stack(self, scale: float) -> ViewStack:
@@ -111,11 +122,18 @@ class Block(Overlap):
         if scale not in self._stacks:
             cameras = [c.scaled(scale) if scale != 1.0 else c for c in self.cameras]
             size = (cameras[0].width, cameras[0].height)
-            images = self.images
+            images: Sequence[np.ndarray] = self.images
             if scale != 1.0:
-                images = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in images]
-            self._stacks[scale] = ViewStack.build(self.device, cameras, images, self.water)
+                images = [closed(shrunk(image, size)) for image in images]
+            elif not self.images.are_whole:
+                images = Greys(closed(image) for image in images)
+            self._stacks[scale] = ViewStack.build(self.device, cameras, images, self.water, self.skips)
         return self._stacks[scale]
+
+    def part(self, chosen: list[int]) -> Block:
+        """A block of some of the views alone."""
+        cameras, images = [self.cameras[view] for view in chosen], (self.images[view] for view in chosen)
+        return Block(self.device, cameras, images, self.water, self.height, skips=self.skips)
 
     def release(self, scale: float) -> None:
         """Forget the images at a scale."""

@@ -9,6 +9,7 @@ four or sixteen pixels of a photograph lose nothing either.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,9 +17,12 @@ import numpy as np
 
 from fields.device import Device
 from fields.sweep.arrays import words
+from fields.sweep.recent import Recent
 
 # The first level of a word of 16 bits a level where any of its four pixels is masked.
 MASKED = 2**16 - 1
+# Packed images that are kept on a processor, in bytes, or so many: a view's neighbours and those of the next.
+KEPT_BYTES, FEWEST_KEPT = 256_000_000, 20
 # Levels that span less are taken to span so much.
 LEAST_SPAN = 1e-3
 
@@ -29,31 +33,31 @@ class Quads:
 
     Attributes
     ----------
-    values : list of (height * width) words of the device
+    values : (height * width) words of the device, by the number of the image; the last few are kept
     bits : of a level in a word, 8 or 16
     low, step : of the levels, ``low + step * whole``
     """
 
-    values: list[Any]
+    values: Recent[int, Any]
     bits: int
     low: float
     step: float
 
     @staticmethod
-    def build(device: Device, images: list[np.ndarray]) -> Quads:
-        """Pack images (height, width) float32 of one size; NaN is masked."""
-        least, most = (_over_all(images, extreme) for extreme in (np.fmin, np.fmax))
-        bits = 8 if most - least < 2**8 and all(np.array_equal(np.rint(i), i) for i in images) else 16
+    def build(device: Device, images: Sequence[np.ndarray]) -> Quads:
+        """Pack images (height, width) float32 of one size, each when it is needed; NaN is masked."""
+        least, most, are_whole = np.inf, -np.inf, True
+        for image in images:
+            if not np.isnan(image).all():
+                least, most = min(least, float(np.nanmin(image))), max(most, float(np.nanmax(image)))
+            are_whole = are_whole and np.array_equal(np.rint(image), image)
+        least, most = (0.0, 0.0) if most < least else (least, most)
+        bits = 8 if most - least < 2**8 and are_whole else 16
         step = 1.0 if bits == 8 else 2.0 ** np.ceil(np.log2(max(most - least, LEAST_SPAN) / (MASKED - 2)))
         low = step * np.floor(least / step)
-        values = [words(device, _packed(image, low, step, bits)) for image in images]
+        kept = len(images) if device.name == "cuda" else max(KEPT_BYTES // (images[0].size * bits // 2), FEWEST_KEPT)
+        values: Recent[int, Any] = Recent(lambda view: words(device, _packed(images[view], low, step, bits)), kept)
         return Quads(values, bits, float(low), float(step))
-
-
-def _over_all(images: list[np.ndarray], extreme: np.ufunc) -> float:
-    """The least or the greatest level that is not NaN, 0 where all are."""
-    found = float(extreme.reduce([extreme.reduce(image, axis=None) for image in images]))
-    return 0.0 if np.isnan(found) else found
 
 
 def _packed(image: np.ndarray, low: float, step: float, bits: int) -> np.ndarray:

@@ -17,7 +17,9 @@ import numpy as np
 from fields.sweep.block import Block
 from fields.sweep.climbing import MATCHED_NCC, climb_view
 from fields.sweep.consistency import agreement
+from fields.sweep.over_area import Area, columns_over
 from fields.sweep.stack import ViewStack
+from fields.sweep.steps import StepSearch, search_steps
 
 # Height maps that each is compared with where heights are fused.
 PEERS = 12
@@ -37,6 +39,7 @@ class Pass:
     step_px : parallax between two rungs [px at this scale]
     neighbours : number of views compared with
     fuse : after the pass, average each height with those of the views that agree
+    search : after the pass, how heights beyond its ladder are searched; None: not at all
     """
 
     scale: float
@@ -45,14 +48,16 @@ class Pass:
     step_px: float
     neighbours: int
     fuse: bool
+    search: StepSearch | None = None
 
 
 # Windows shrink as the relief becomes known: 5x5 finds the height, 3x3 about the relief resolves it. docs/sweep.md has
-# what other passes give.
+# what other passes give. Windows of the pass before hold heights from 5 px around; images without anything in common
+# reach the least scores by chance in one of forty pixels: the better half of eight neighbours on a ladder of forty.
 PASSES = (
     Pass(0.25, 2, None, 0.5, 8, False),
-    Pass(0.5, 2, 11, 0.4, 8, False),
-    Pass(1.0, 2, 9, 0.4, 8, True),
+    Pass(0.5, 2, 11, 0.4, 8, False, StepSearch(2, 0.5, 5, MATCHED_NCC)),
+    Pass(1.0, 2, 9, 0.4, 8, True, StepSearch(1, 0.75, 3, 0.68)),
     Pass(1.0, 2, 5, 0.25, 8, True),
     Pass(1.0, 1, 3, 0.25, 12, True),
 )
@@ -64,9 +69,9 @@ def passes_from(share: float) -> tuple[Pass, ...]:
     Images of few pixels have to be searched at more than a quarter of their size (docs/targets.md).
     """
     if share > PASSES[1].scale:
-        return (replace(PASSES[2], rungs=None, step_px=PASSES[0].step_px, fuse=True), *PASSES[3:])
+        return (replace(PASSES[2], rungs=None, step_px=PASSES[0].step_px, search=None), *PASSES[3:])
     if share > PASSES[0].scale:
-        return (replace(PASSES[1], rungs=None, step_px=PASSES[0].step_px), *PASSES[2:])
+        return (replace(PASSES[1], rungs=None, step_px=PASSES[0].step_px, search=None), *PASSES[2:])
     return PASSES
 
 
@@ -79,20 +84,17 @@ class DepthMap:
     view : index of the view
     height : float32 [m]
         Over the water plane along its normal; of the path of each pixel.
-    score : float32
+    score : float16
         NCC of the better half of the neighbours, -1 to 1.
-    curvature : float32 [1/m^2]
-        Of the score over height; the larger, the better the height is known; 0 at an end of the ladder.
     agreeing : uint8
         Other views whose own height agrees.
-    spread : float32 [m]
+    spread : float16 [m]
         Standard deviation (population) of the heights that agree, the own one included.
     """
 
     view: int
     height: np.ndarray
     score: np.ndarray
-    curvature: np.ndarray
     agreeing: np.ndarray
     spread: np.ndarray
 
@@ -103,6 +105,7 @@ def sweep(
     bound: tuple[float, float],
     progress: Callable[[float], None],
     passes: tuple[Pass, ...] = PASSES,
+    area: Area | None = None,
     *,
     before: Mapping[int, DepthMap] | None = None,
     again: Collection[int] = (),
@@ -117,6 +120,9 @@ def sweep(
         The ladder of the first pass.
     progress : called with the share done, 0 to 1
         Number of samples (pixels x rungs x compared views) of all passes, which take nearly all of the time.
+    passes : tuple of Pass
+    area : (x0, y0, x1, y1) [m], local, optional
+        Where heights are wanted: other pixels get no height of their own.
     before : mapping of view to DepthMap, optional
         Of an earlier sweep of the same bound, at a smaller scale or the same. Views that have one keep its heights and
         confirm those of the others.
@@ -145,7 +151,7 @@ def sweep(
     total, done = sum(fused) + sum(climb.samples for each in climbs for climb in each), 0
     for number, p in enumerate(passes):
         for climb in climbs[number]:
-            maps[climb.view] = _climbed(block, p, climb, bound, maps.get(climb.view))
+            maps[climb.view] = _climbed(block, p, climb, bound, maps.get(climb.view), area)
             done += climb.samples
             progress(done / total)
         if fused[number]:
@@ -213,7 +219,9 @@ def _step(block: Block, p: Pass, view: int, others: list[int], height: float) ->
     return p.step_px / (p.scale * block.parallax(view, others, height))
 
 
-def _climbed(block: Block, p: Pass, climb: Climb, bound: tuple[float, float], before: DepthMap | None) -> DepthMap:
+def _climbed(
+    block: Block, p: Pass, climb: Climb, bound: tuple[float, float], before: DepthMap | None, area: Area | None
+) -> DepthMap:
     """One pass over one view: the ladder of the bound, or one about the heights of the pass before."""
     stack, view = block.stack(p.scale), climb.view
     middle = 0.5 * (bound[0] + bound[1]) if before is None else float(np.median(before.height))
@@ -222,9 +230,14 @@ def _climbed(block: Block, p: Pass, climb: Climb, bound: tuple[float, float], be
         start = np.full((stack.height, stack.width), bound[0], dtype=np.float32)
     else:
         start = _enlarged(before.height, stack) - np.float32(step * (climb.rungs // 2))
-    height, score, curvature = climb_view(stack, view, climb.others, start, step, climb.rungs, p.radius)
+    columns = None if area is None else columns_over(stack.cameras[view], block.water, area, bound, p.radius)
+    found = climb_view(stack, view, climb.others, start, step, climb.rungs, p.radius, columns)
+    if p.search is not None:
+        reach = p.step_px * (climb.rungs // 2)
+        found = search_steps(stack, view, climb.others, found, p.step_px / step, reach, p.search)
+    height, score, _ = found
     nobody = np.zeros(height.shape, dtype=np.uint8)
-    return DepthMap(view, height, score, curvature, nobody, np.zeros_like(height))
+    return DepthMap(view, height, score.astype(np.float16), nobody, np.zeros(height.shape, dtype=np.float16))
 
 
 def _enlarged(height: np.ndarray, stack: ViewStack) -> np.ndarray:
@@ -244,7 +257,7 @@ def fuse(block: Block, maps: dict[int, DepthMap], scale: float, peers: Mapping[i
     found = _agreement(block, maps, scale, peers)
     for view, (agreeing, height, spread) in found.items():
         m = maps[view]
-        m.agreeing, m.spread = agreeing, spread
+        m.agreeing, m.spread = agreeing, spread.astype(np.float16)
         m.height = np.where(agreeing > 0, height, cv2.medianBlur(m.height, 5))
 
 
@@ -276,8 +289,9 @@ def enlarged_map(m: DepthMap, size: tuple[int, int]) -> DepthMap:
     """A map at another size (width, height), not smaller."""
     if m.height.shape == size[::-1]:
         return m
-    height, score, curvature, spread = (
-        cv2.resize(each, size, interpolation=cv2.INTER_LINEAR) for each in (m.height, m.score, m.curvature, m.spread)
+    height, score, spread = (
+        cv2.resize(each.astype(np.float32), size, interpolation=cv2.INTER_LINEAR).astype(each.dtype)
+        for each in (m.height, m.score, m.spread)
     )
     agreeing = cv2.resize(m.agreeing, size, interpolation=cv2.INTER_NEAREST)
-    return DepthMap(m.view, height, score, curvature, agreeing, spread)
+    return DepthMap(m.view, height, score, agreeing, spread)

@@ -31,13 +31,23 @@ def pixels_of(stack: ViewStack, view: int, first_row: int, rows: int):
 
 
 def legs_of(stack: ViewStack, view: int, first_row: int, rows: int):
-    """Legs (see `fields.sweep.legs`) of a strip of pixels of `view`: six floats of P = rows * width."""
+    """Legs (see `fields.sweep.legs`) of a strip of pixels of `view`: six floats of P = rows * width, or more."""
+    UInt = stack.device.module.UInt
+    first = dr.opaque(UInt, first_row * stack.width)
+    return _legs_through(stack, view, dr.arange(UInt, rows * stack.width) + first)
+
+
+def legs_at(stack: ViewStack, view: int, pixels: np.ndarray):
+    """Legs of chosen pixels (flat indices) of a view."""
+    return _legs_through(stack, view, indices(stack.device, pixels))
+
+
+def _legs_through(stack: ViewStack, view: int, index):
     Float, UInt = stack.device.module.Float, stack.device.module.UInt
     width = dr.opaque(UInt, stack.width)
-    index = dr.arange(UInt, rows * stack.width)
     line = index // width
     u = Float(index - line * width) + 0.5
-    v = Float(line + dr.opaque(UInt, first_row)) + 0.5
+    v = Float(line) + 0.5
     cameras = [stack.cameras[view]]
     beyond = Beyond.of(cameras)
     camera = [constant(stack.device, c) for c in camera_table(cameras, beyond, stack.frame)[0]]
@@ -127,12 +137,30 @@ def compare(stack: ViewStack, view: int, peers: list[int], tolerance: float):
     return count, total, square
 
 
+def looked_through(stack: ViewStack, view: int, peers: list[int], tolerance: float):
+    """How many peers (P) see, through the point of each pixel of height map `view`, something that lies lower.
+
+    All four of the peer's pixels about the point are lower by more than `tolerance` [m]; NaN sees nothing.
+    """
+    Float, UInt, size = stack.device.module.Float, stack.device.module.UInt, stack.width * stack.height
+    legs = legs_of(stack, view, 0, stack.height)
+    own = pixels_of(stack, view, 0, stack.height)
+    count, least, width = dr.zeros(Float, size), own - dr.opaque(Float, tolerance), dr.opaque(UInt, stack.width)
+    for peer in peers:
+        u, v, lower = project_at(stack, legs, own, peer)
+        corner, _, _ = _corner(stack, u, v, lower)
+        for offset in (0, 1, width, width + 1):
+            lower &= dr.gather(Float, stack.pixels[peer], corner + offset, lower) < least
+        count += dr.select(lower, 1.0, 0.0)
+    dr.eval(count)
+    return count
+
+
 def paths_of(stack: ViewStack, view: int, pixels: np.ndarray):
     """Legs (as `legs_of`) of chosen pixels (flat indices) of a view, and their heights in a stack of height maps."""
-    chosen = indices(stack.device, pixels)
-    legs = [dr.gather(type(row), row, chosen) for row in legs_of(stack, view, 0, stack.height)]
+    legs = legs_at(stack, view, pixels)
     own = floats(stack.device, stack.images[view].ravel()[pixels])
-    dr.eval(legs, own)
+    dr.eval(own)
     return legs, own
 
 

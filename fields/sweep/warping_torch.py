@@ -27,15 +27,23 @@ def pixels_of(stack: ViewStack, view: int, first_row: int, rows: int) -> Tensor:
 
 
 def legs_of(stack: ViewStack, view: int, first_row: int, rows: int) -> list[Tensor]:
-    """Legs (see `fields.sweep.legs`) of a strip of pixels of `view`: six tensors of P = rows * width."""
-    place = stack.device.place
-    row = torch.arange(rows, dtype=torch.float32, device=place) + (first_row + 0.5)
-    column = torch.arange(stack.width, dtype=torch.float32, device=place) + 0.5
-    v, u = torch.meshgrid(row, column, indexing="ij")
+    """Legs (see `fields.sweep.legs`) of a strip of pixels of `view`: six tensors of P = rows * width, or more."""
+    first = first_row * stack.width
+    return _legs_through(stack, view, torch.arange(first, first + rows * stack.width, device=stack.device.place))
+
+
+def legs_at(stack: ViewStack, view: int, pixels: np.ndarray) -> list[Tensor]:
+    """Legs of chosen pixels (flat indices) of a view."""
+    return _legs_through(stack, view, indices(stack.device, pixels))
+
+
+def _legs_through(stack: ViewStack, view: int, index: Tensor) -> list[Tensor]:
+    line = index // stack.width
+    u, v = (index - line * stack.width).float() + 0.5, line.float() + 0.5
     cameras = [stack.cameras[view]]
     beyond = Beyond.of(cameras)
     camera = camera_table(cameras, beyond, stack.frame)[0].tolist()
-    return legs_through(camera, u.reshape(-1), v.reshape(-1), stack.n_water or 1.0, beyond)
+    return legs_through(camera, u, v, stack.n_water or 1.0, beyond)
 
 
 def project_at(stack: ViewStack, legs, z: Tensor, view: int):
@@ -101,11 +109,23 @@ def compare(stack: ViewStack, view: int, peers: list[int], tolerance: float) -> 
     return count, total, square
 
 
+def looked_through(stack: ViewStack, view: int, peers: list[int], tolerance: float) -> Tensor:
+    """How many peers (P) see, through the point of each pixel, something that lies lower; see the twin."""
+    legs, own = legs_of(stack, view, 0, stack.height), pixels_of(stack, view, 0, stack.height)
+    count, least = torch.zeros_like(own), own - tolerance
+    for peer in peers:
+        u, v, lower = project_at(stack, legs, own, peer)
+        corner = _corner(stack, u, v, lower)[0]
+        for offset in (0, 1, stack.width, stack.width + 1):
+            lower = lower & (stack.pixels[peer][corner + offset] < least)
+        count += lower
+    return count
+
+
 def paths_of(stack: ViewStack, view: int, pixels: np.ndarray) -> tuple[list[Tensor], Tensor]:
     """Legs of chosen pixels (flat indices) of a view, and their heights in a stack of height maps."""
-    chosen = indices(stack.device, pixels)
-    legs = [row[chosen] for row in legs_of(stack, view, 0, stack.height)]
-    return legs, pixels_of(stack, view, 0, stack.height)[chosen]
+    own = pixels_of(stack, view, 0, stack.height)[indices(stack.device, pixels)]
+    return legs_at(stack, view, pixels), own
 
 
 def claim(stack: ViewStack, legs, own: Tensor, later: int, tolerance: float, claimed: Tensor) -> None:

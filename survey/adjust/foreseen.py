@@ -25,7 +25,7 @@ from survey.plan.plan import make_plan
 
 # What is assumed [px] of the windows of an adjustment and of the pixels of the cloud, in clear and still water: on
 # drawn surveys level and index are then found up to twice as well as foreseen (docs/adjustment.md).
-TIE_STD_PX, MATCH_STD_PX = 0.1, 0.15
+TIE_STD_PX, MATCH_STD_PX = 0.1, 0.2
 # Under the water, where nothing tells the depth [m].
 DEPTH_M = 2.0
 # By how much of its depth the bed goes up and down about it.

@@ -107,14 +107,19 @@ def _marks(control: Control, survey: Survey) -> TiePoints:
 
 def rows_taken(ties: TiePoints, lenses: Sequence[Lens], lens_of: np.ndarray) -> np.ndarray:
     """Rows (N,) [px] of photographs as they were taken, of tie points in pixels that the adjustment predicts."""
-    rows = ties.pixel[:, 1].copy()
+    return pixels_taken(ties, lenses, lens_of)[:, 1]
+
+
+def pixels_taken(ties: TiePoints, lenses: Sequence[Lens], lens_of: np.ndarray) -> np.ndarray:
+    """Pixels (N, 2) of photographs as they were taken, of tie points in pixels that the adjustment predicts."""
+    pixels = ties.pixel.copy()
     for number, lens in enumerate(lenses):
         mine = lens_of[ties.view] == number
         if is_affine(lens) and mine.any():
-            rows[mine] = affine_from_brown(lens, ties.pixel[mine])[:, 1]
+            pixels[mine] = affine_from_brown(lens, ties.pixel[mine])
         elif is_held(lens) and mine.any():
-            rows[mine] = distorted(lens, ties.pixel[mine])[:, 1]
-    return rows
+            pixels[mine] = distorted(lens, ties.pixel[mine])
+    return pixels
 
 
 def _straightened(ties: TiePoints, known: Known) -> np.ndarray:

@@ -8,17 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from survey.adjust.bundle import Problem, solve
-from survey.adjust.observed import KINDS, WINDOW, observed, rows_taken
+from survey.adjust.observed import KINDS, MATCH, WINDOW, observed, rows_taken
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import HELD, known_of, priors_for
-from survey.adjust.windows_of_survey import measure_windows
-from survey.errors import SurveyError
+from survey.adjust.windows_of_survey import windows_of_block
 from survey.folder.survey import Survey
-from survey.plan.plan import make_plan
+from survey.photos.tie_points import TiePoints
+from survey.plan.plan import Plan
+
+if TYPE_CHECKING:
+    from fields.sweep.block import Block
 
 # So many photographs in the middle of the block are looked at; with fewer in all there is nothing to sample.
 SAMPLE = 10
@@ -26,21 +30,46 @@ SAMPLE = 10
 _FEWEST = 10
 
 
-def pose_misfit(survey: Survey, *, device: str = "auto", advance: Callable[[float], None]) -> float | None:
+def pose_misfit(
+    survey: Survey, plan: Plan, block: Block, bound: tuple[float, float], advance: Callable[[float], None]
+) -> float | None:
     """By how much photographs miss each other under the given poses, lens and water [px], per coordinate.
 
     The root mean square over photographs of the mean residual of their windows, less what the scatter of the windows
     explains. None where too little matches to tell.
+
+    Parameters
+    ----------
+    survey : Survey
+    plan : Plan
+    block : Block
+        The photographs of the survey, at the scale of the plan.
+    bound : (low, high) [m] over the water plane
+        In which the bed lies.
+    advance : callable
+        Called with the increment; increments sum to 1.
+
+    Raises
+    ------
+    SurveyError
+        If no windows match, as under poses that are off by more than a few pixels: `misfit_of_features` can tell.
     """
-    sample = replace(survey, views=_middle(survey), ties=None)
-    known = known_of(sample, make_plan(sample).gsd_m)
-    try:
-        windows = measure_windows(sample, device=device, advance=advance)
-    except SurveyError:
+    chosen = _middle(survey)
+    sample = replace(survey, views=tuple(survey.views[i] for i in chosen), ties=None)
+    return _under_given(sample, plan, WINDOW, windows_of_block(sample, plan, block.part(chosen), bound, advance))
+
+
+def misfit_of_features(survey: Survey, plan: Plan, features: TiePoints) -> float | None:
+    """`pose_misfit` by the features of all photographs, wherever they lie."""
+    return _under_given(replace(survey, ties=None), plan, MATCH, features)
+
+
+def _under_given(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> float | None:
+    """See `pose_misfit`, by tie points of a kind."""
+    if not len(ties):
         return None
-    if not len(windows):
-        return None
-    seen = observed([(WINDOW, windows)], None, sample, known)
+    known = known_of(survey, plan.gsd_m)
+    seen = observed([(kind, ties)], None, survey, known)
     held = replace(known, std=np.full_like(known.std, HELD))
     state = replace(known.state, points=seen.ties.start)
     priors, sides = priors_for(held, seen.ties), relief_sides(state, seen.ties)
@@ -63,8 +92,8 @@ def misfit(residuals: np.ndarray, view: np.ndarray) -> float | None:
     return float(np.sqrt(max(float(np.mean(squares)), 0.0))) if squares else None
 
 
-def _middle(survey: Survey) -> tuple:
-    """The views nearest to the middle of the block, in their order."""
+def _middle(survey: Survey) -> list[int]:
+    """Numbers of the views nearest to the middle of the block, rising."""
     centres = np.array([view.camera.centre[:2] for view in survey.views])
     away = np.linalg.norm(centres - np.median(centres, axis=0), axis=1)
-    return tuple(survey.views[i] for i in np.sort(np.argsort(away, kind="stable")[:SAMPLE]))
+    return np.sort(np.argsort(away, kind="stable")[:SAMPLE]).tolist()

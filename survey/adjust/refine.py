@@ -1,6 +1,7 @@
 """Poses, lens and water of a survey together, from its photographs, positions, control and readings.
 
-matches of structure from motion (`Survey.ties`), where there are any -> a first adjustment, that takes the bend out
+matches of structure from motion (`Survey.ties`), where there are any -> a first adjustment, that takes the bend out;
+poses of a file that are too far off for windows get such matches first (`survey.adjust.far_poses`)
 windows matched to a fraction of a pixel on the adjusted block (`survey.adjust.windows`) -> the final adjustment
 """
 
@@ -15,6 +16,7 @@ from refract.lens import Lens
 from survey.adjust.adjustment import UNKNOWN, Adjustment
 from survey.adjust.assembling import lens_with, result
 from survey.adjust.contradiction import Contradiction, contradictions, released
+from survey.adjust.far_poses import Search, windows_or_search
 from survey.adjust.free_water import Lost, adjust_free, dry_or_within_bounds, within_bounds
 from survey.adjust.holding import adjusted_with
 from survey.adjust.observed import MATCH, WINDOW, Observed, observed
@@ -27,6 +29,7 @@ from survey.adjust.windows_of_survey import measure_windows
 from survey.errors import SurveyError
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey, View
+from survey.folder.tides import with_shift
 from survey.photos.tie_points import TiePoints
 from survey.plan.plan import make_plan
 
@@ -40,6 +43,7 @@ def adjust_survey(
     advance: Callable[[float], None] = lambda _share: None,
     use_windows: bool = True,
     free_water: bool = False,
+    search: Search | None = None,
 ) -> Adjustment:
     """Adjust a survey.
 
@@ -53,14 +57,39 @@ def adjust_survey(
         Measure windows too, not matches alone.
     free_water : bool
         Find the water as if nothing were known of it.
+    search : callable, optional
+        Finds poses of a file anew that are too far off for windows; without it they are refused.
 
     Raises
     ------
     SurveyError
         If the photographs do not match, or the adjustment does not converge.
     """
-    gsd = make_plan(survey).gsd_m
-    known = known_of(survey, gsd, free_water=free_water)
+    known = known_of(survey, make_plan(survey).gsd_m, free_water=free_water)
+    if survey.ties is not None or not use_windows:
+        return _adjusted(survey, known, None, device, advance, use_windows=use_windows, free_water=free_water)
+    windows = windows_or_search(
+        survey, lambda: measure_windows(survey, device=device, advance=lambda part: advance(0.9 * part)), search
+    )
+    if isinstance(windows, TiePoints):
+        return _adjusted(survey, known, windows, device, advance, free_water=free_water)
+    survey = replace(survey, ties=windows.ties)
+    known = windows.start(known_of(survey, make_plan(survey).gsd_m, free_water=free_water))
+    found = _adjusted(survey, known, None, device, lambda _share: None, free_water=free_water)
+    return replace(found, warnings=(windows.warning, *found.warnings))
+
+
+def _adjusted(
+    survey: Survey,
+    known: Known,
+    windows: TiePoints | None,
+    device: str,
+    advance: Callable[[float], None],
+    *,
+    use_windows: bool = True,
+    free_water: bool = False,
+) -> Adjustment:
+    """See `adjust_survey`; with the windows, where they were measured already."""
     sizes = [(view.lens.width, view.lens.height) for view in survey.views]
     marks_std = _MARKS_STD_PX if survey.control is None else survey.control.marks_std_px
     parts: list[tuple[int, TiePoints]] = []
@@ -78,9 +107,9 @@ def adjust_survey(
         done, lost = settle(known, observed(parts, survey.control, survey, known))
         advance(0.3)
     if use_windows:
-        moved = survey if done is None else _with_state(survey, known, done.solution.state)
-        share = 0.6 if done is not None else 0.9
-        windows = measure_windows(moved, device=device, advance=lambda part: advance(share * part))
+        if windows is None:
+            moved = survey if done is None else _with_state(survey, known, done.solution.state)
+            windows = measure_windows(moved, device=device, advance=lambda part: advance(0.6 * part))
         parts.append((WINDOW, _thinned(within_bounds(survey, windows) if free_water else windows, sizes)))
         start = known if done is None else _started(known, done)
         done, lost = settle(start, observed(parts, survey.control, survey, known))
@@ -120,8 +149,11 @@ def _thinned(ties: TiePoints, sizes: list[tuple[int, int]]) -> TiePoints:
 
 def apply_adjustment(survey: Survey, found: Adjustment) -> Survey:
     """The survey with the poses, lenses and water that an adjustment found."""
-    views = _views(survey, found.lenses, found.layout, found.centres, found.rotations, found.readouts_s)
+    views = _views(survey, found.lenses, found.layout, found.centres, found.rotations, found.readouts_s, found.tides)
     survey = replace(survey, views=views, points=found.points, ties=None, is_adjusted=True)
+    if found.hours is not None and survey.tide is not None and found.water is not None:
+        over = {view.name: view.camera.tide for view in views}
+        survey = replace(survey, tide=with_shift(replace(survey.tide, over=over), views, survey.require_water()[0]))
     if found.layout.finds_readouts and found.readouts_s is not None and len(found.readouts_s) == 1:
         readout = max(found.readouts_s[0], 0.0)
         cameras = replace(survey.config.cameras, rolling_shutter_s=readout, rolling_shutter_std_s=None)
@@ -141,18 +173,27 @@ def _started(known: Known, done: Adjusted) -> Known:
 
 def _with_state(survey: Survey, known: Known, state: State) -> Survey:
     lenses = [lens_with(lens, state.lenses[i]) for i, lens in enumerate(known.lenses)]
-    views = _views(survey, lenses, known.layout, state.centres, state.rotations, state.readouts)
+    views = _views(
+        survey, lenses, known.layout, state.centres, state.rotations, state.readouts, state.tides(known.layout)
+    )
     return replace(survey, views=views, water=state.water, points=state.points, is_adjusted=True)
 
 
 def _views(
-    survey: Survey, lenses: Sequence[Lens], layout: Layout, centres: np.ndarray, rotations: np.ndarray, readouts
+    survey: Survey,
+    lenses: Sequence[Lens],
+    layout: Layout,
+    centres: np.ndarray,
+    rotations: np.ndarray,
+    readouts,
+    tides: np.ndarray | None,
 ) -> tuple[View, ...]:
-    """The views with other lenses, poses, and readouts of their shutters (L,) [s]."""
+    """The views with other lenses, poses, readouts of their shutters (L,) [s], and tides (V,) [m]."""
     views = []
     for number, view in enumerate(survey.views):
         lens = lenses[layout.lens_of[number]]
-        camera = replace(lens.camera(centres[number], rotations[number]), tide=view.camera.tide)
+        tide = 0.0 if tides is None else float(tides[number])
+        camera = replace(lens.camera(centres[number], rotations[number]), tide=tide)
         if layout.flow is not None and layout.flow[number].any():
             camera = replace(camera, motion=layout.flow[number] * readouts[layout.lens_of[number]])
         views.append(replace(view, camera=camera, lens=lens))

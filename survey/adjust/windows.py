@@ -15,7 +15,6 @@ import numpy as np
 
 from fields.sweep.bed import trusted
 from fields.sweep.block import Block
-from fields.sweep.ranging import find_range
 from fields.sweep.sweep import PASSES, DepthMap, sweep
 from refract import FlatWater, PinholeCamera
 from survey.adjust.matching import RADIUS, match, prepared, window
@@ -53,17 +52,15 @@ class _Windows:
     others: list[int]
 
 
-def measure(
-    block: Block, limits: tuple[float, float], area: Area | None, advance: Callable[[float], None]
-) -> TiePoints:
+def measure(block: Block, bound: tuple[float, float], area: Area | None, advance: Callable[[float], None]) -> TiePoints:
     """Tie points of a block; none where no window matches in three photographs.
 
     Parameters
     ----------
     block : Block
         Its water is only the start.
-    limits : (low, high) [m] over the water plane
-        Range of heights searched for the bed.
+    bound : (low, high) [m] over the water plane
+        Range of heights searched for the bed; `fields.sweep.ranging.find_range` gives it.
     area : (x0, y0, x1, y1) [m], local, or None
         Where windows are chosen, to one pixel of the sweep.
     advance : callable
@@ -72,13 +69,7 @@ def measure(
     Returns
     -------
     TiePoints, in the pixels of the block's images
-
-    Raises
-    ------
-    ValueError
-        If too few pixels match.
     """
-    bound = find_range(block, limits)
     block.look_at(0.5 * (bound[0] + bound[1]))
     shares = [0.0]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,7 +13,10 @@ from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
 from survey.plan.area import limits, local_area
 from survey.plan.block import camera_of, load_block
-from survey.plan.plan import make_plan
+from survey.plan.plan import Plan, make_plan
+
+if TYPE_CHECKING:
+    from fields.sweep.block import Block
 
 
 def measure_windows(survey: Survey, *, device: str = "auto", advance: Callable[[float], None]) -> TiePoints:
@@ -24,14 +28,24 @@ def measure_windows(survey: Survey, *, device: str = "auto", advance: Callable[[
         If the photographs do not match.
     """
     # Starts Dr.Jit, which the adjustment does not need.
-    from survey.adjust.windows import measure
+    from fields.sweep.ranging import find_range
 
     plan = make_plan(survey, device=device)
     block = load_block(survey, plan, lambda _amount: None)
     try:
-        ties = measure(block, limits(survey), local_area(survey), advance)
+        bound = find_range(block, limits(survey))
     except ValueError as error:
         raise SurveyError(str(error)) from error
+    return windows_of_block(survey, plan, block, bound, advance)
+
+
+def windows_of_block(
+    survey: Survey, plan: Plan, block: Block, bound: tuple[float, float], advance: Callable[[float], None]
+) -> TiePoints:
+    """The same of a survey whose photographs are loaded, and of which the range of heights is known."""
+    from survey.adjust.windows import measure
+
+    ties = measure(block, bound, local_area(survey), advance)
     full = [(view.camera, camera_of(view, plan)) for view in survey.views]
     enlarge = np.array([(camera.fx / used.fx, camera.fy / used.fy) for camera, used in full])
     return replace(ties, pixel=ties.pixel * enlarge[ties.view])

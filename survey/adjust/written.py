@@ -9,30 +9,63 @@ import numpy as np
 
 from geo.crs import is_geographic
 from geo.files import write_whole
+from survey.adjust.adjustment import Adjustment
+from survey.adjust.observed import pixels_taken
 from survey.folder.shutter import rows_between
 from survey.folder.survey import Survey, View
 from survey.photos.cameras import CAM_FROM_OPK_CAM
 from survey.photos.colmap_text import FILES, model_texts
+from survey.photos.tie_points import TiePoints
 
 # Decimals of coordinates in metres and in degrees: to a tenth of a micrometre, so that nothing is lost.
 _DECIMALS_M, _DECIMALS_DEG = 7, 12
+# Reciprocal condition below which rays are parallel.
+_PARALLEL = 1e-9
+_HEAD = "# tie points where straight rays meet: those under water lie deeper\n"
 CAMERAS = "cameras.csv"
 MODEL = tuple(f"sparse/{name}" for name in FILES)
 
 
-def write_cameras(folder: Path, survey: Survey) -> None:
+def write_cameras(folder: Path, survey: Survey, found: Adjustment | None = None) -> None:
     """Write cameras.csv (positions in crs; omega, phi, kappa) and a COLMAP model (topocentric) into a folder.
+
+    The points of the model are those of the adjustment, if it is there, with their tracks, but where straight rays from
+    the adjusted cameras meet: programs that read the model know no others, and would find the true places of points
+    under water several pixels off. The true ones are in adjustment.npz.
 
     The model says in its first lines how survey.toml gives it back. Where shutters roll, cameras.csv has further
     columns, how far each camera flew from the first row to the last [m], true east, north and up.
     """
     (folder / "sparse").mkdir(exist_ok=True)
-    points = "# the points of the adjustment are in adjustment.npz\n"
-    model = model_texts(survey.views, head=_given_back(survey), points=points)
+    ties = None if found is None else _straight_ties(survey, found)
+    model = model_texts(survey.views, head=_given_back(survey), points=_HEAD, ties=ties)
     texts = {CAMERAS: _opk(survey)} | {f"sparse/{name}": text for name, text in model.items()}
     for name, text in texts.items():
         with write_whole(folder / name) as stream:
             stream.write(text.encode())
+
+
+def _straight_ties(survey: Survey, found: Adjustment) -> TiePoints:
+    """The points of an adjustment, and what it measured of them, with the places where straight rays meet."""
+    order = np.argsort(found.residual_point, kind="stable")
+    point, view = found.residual_point[order].astype(np.int64), found.residual_view[order].astype(np.int64)
+    ties = TiePoints(found.points, point, view, found.residual_at_px[order])
+    pixel = pixels_taken(ties, found.lenses, found.lens_of)
+    centres, rays = np.empty((len(point), 3)), np.empty((len(point), 3))
+    for number, each in enumerate(survey.views):
+        mine = view == number
+        centres[mine], rays[mine] = each.camera.centres(pixel[mine]), each.camera.directions(pixel[mine])
+    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    # From where the point truly is, so that distant centres cost no digits.
+    away = centres - found.points[point]
+    normal, right = np.zeros((len(found.points), 3, 3)), np.zeros((len(found.points), 3))
+    np.add.at(normal, point, across)
+    np.add.at(right, point, np.einsum("nij,nj->ni", across, away))
+    eigenvalues = np.linalg.eigvalsh(normal)
+    sound = eigenvalues[:, 0] > _PARALLEL * eigenvalues[:, 2]
+    places = found.points.copy()
+    places[sound] += np.linalg.solve(normal[sound], right[sound][..., None])[..., 0]
+    return TiePoints(places, point, view, pixel).only(sound[point] & np.isfinite(places[point]).all(axis=1))
 
 
 def _given_back(survey: Survey) -> str:

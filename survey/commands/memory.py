@@ -1,4 +1,4 @@
-"""Refuses an address-space limit (ulimit -v) too small for Dr.Jit, which would crash without a message."""
+"""Refuses limits of memory (ulimit -v, ulimit -d) too small for Dr.Jit, which would crash without a message."""
 
 from __future__ import annotations
 
@@ -9,17 +9,24 @@ from survey.errors import SurveyError
 # Address space of the smallest survey in draft quality on four cores: 3.0 GB suffice; with 2.8 GB Dr.Jit ends the
 # process by a segmentation fault or an abort.
 _LEAST_BYTES = 3.0e9
+# Data of the smallest survey; with 0.3 GB the same happens, with 0.2 GB already to an import.
+_LEAST_DATA_BYTES = 0.4e9
+_LIMITS = (
+    (resource.RLIMIT_AS, "address space", "ulimit -v", _LEAST_BYTES),
+    (resource.RLIMIT_DATA, "memory", "ulimit -d", _LEAST_DATA_BYTES),
+)
 
 
 def address_space_shortage() -> str | None:
-    """The message if the address space of this process is limited to less than the kernels need; else None."""
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if limit in (resource.RLIM_INFINITY, -1) or limit >= _LEAST_BYTES:
-        return None
-    return (
-        f"the address space of this process is limited to {limit / 1e9:.1f} GB (ulimit -v), expected at least "
-        f"{_LEAST_BYTES / 1e9:.0f} GB; raise the limit"
-    )
+    """The message if this process is limited to less address space or data than the kernels need; else None."""
+    for kind, words, command, least in _LIMITS:
+        limit = resource.getrlimit(kind)[0]
+        if limit not in (resource.RLIM_INFINITY, -1) and limit < least:
+            return (
+                f"the {words} of this process is limited to {limit / 1e9:.1f} GB ({command}), expected at least "
+                f"{least / 1e9:.1g} GB; raise the limit"
+            )
+    return None
 
 
 def require_address_space() -> None:

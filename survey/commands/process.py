@@ -12,7 +12,7 @@ from survey.commands.memory import require_address_space
 from survey.commands.options import KEPT, DeviceOption, Quiet, SurveyFolder, TargetStd, TimeBudget, Verbose
 from survey.machine import process_age_s
 from survey.names import RUN_FOLDER
-from survey.plan.choices import Device, Field, Poses, Quality
+from survey.plan.choices import Device, Field, Plan, Poses, Quality
 
 EXAMPLES = """
     bathynerf process my_survey
@@ -38,6 +38,7 @@ def run(
     poses: Annotated[
         Poses, typer.Option(help="Adjust poses, lens and water together, or take the poses as they are.")
     ] = Poses.auto,
+    plan: Annotated[Plan, typer.Option(help="Leave out what the scene does not need, or nothing.")] = Plan.auto,
     resume: Annotated[bool, typer.Option(help="Reuse finished stages of an earlier run.")] = True,
     calibrate_water: Annotated[
         bool, typer.Option("--calibrate-water", help="First estimate the water from the photographs.")
@@ -68,6 +69,7 @@ def run(
             device=device.value,
             field=field.value,
             poses=poses.value,
+            plan=plan.value,
             resume=resume,
             calibrate_water=calibrate_water,
             true_colour=true_colour,

@@ -75,7 +75,9 @@ def _write_dem(path: Path, run: LoadedRun, options: ExportOptions) -> None:
         Band("origin of the height: 1 points, 2 filled, 0 none", "code"),
     )
     said = {"FILLED_GAPS_M": f"{options.fill_m:g}", "UNCERTAINTY": _UNCERTAINTY}
-    write_cog(path, raster_form(grid, *bands, said=said), parts_of(grid, values))
+    # A cell of an overview is one of the raster, whose height, uncertainty, points and origin belong together: a mean
+    # of codes or of uncertainties would mean nothing.
+    write_cog(path, raster_form(grid, *bands, said=said, resampling="NEAREST"), parts_of(grid, values))
 
 
 def _write_slope(path: Path, run: LoadedRun, options: ExportOptions) -> None:

@@ -8,8 +8,8 @@ from survey import machine
 from survey.photos.cameras import View
 from survey.photos.images import eight_bits, grey_levels, load_pixels
 
-# Of the memory that is free when a store is made.
-_SHARE_OF_FREE = 0.25
+# Of the memory that is free when a store is made, and at most: decoding once more costs 15 ms a megapixel.
+_SHARE_OF_FREE, _MOST_BYTES = 0.25, 200_000_000
 
 
 class ImageStore:
@@ -21,11 +21,13 @@ class ImageStore:
     Parameters
     ----------
     budget_bytes : int, optional
-        Memory for kept images; default a quarter of the free memory.
+        Memory for kept images; default a quarter of the free memory, at most 200 MB.
     """
 
     def __init__(self, budget_bytes: int | None = None):
-        self._left = int(_SHARE_OF_FREE * machine.free_memory_bytes()) if budget_bytes is None else budget_bytes
+        if budget_bytes is None:
+            budget_bytes = min(int(_SHARE_OF_FREE * machine.free_memory_bytes()), _MOST_BYTES)
+        self._left = budget_bytes
         self._images: dict[tuple, np.ndarray] = {}
 
     def load(self, view: View, *, scale: float = 1.0) -> np.ndarray:

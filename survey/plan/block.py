@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,7 @@ from fields.sweep.block import Block
 from refract import PinholeCamera
 from survey.errors import SurveyError
 from survey.photos.images import load_mask
+from survey.photos.saturation import saturated
 from survey.photos.store import ImageStore
 from survey.plan.ground import ground_height
 
@@ -24,25 +25,30 @@ if TYPE_CHECKING:
 def load_block(survey: Survey, plan: Plan, advance: Callable[[float], None], store: ImageStore | None = None) -> Block:
     """Grey images and cameras at the plan's scale, as a block for `fields`.
 
-    Images come through the store, where there is one, so that later stages need not decode them again.
-    Images of several sizes are padded to the largest; padding and masked pixels are NaN, which matches nothing.
+    Images come through the store, where there is one, so that later stages need not decode them again. Those of several
+    sizes are padded to the largest; padding, masked and saturated pixels are NaN, which matches nothing.
     """
     cameras = [camera_of(view, plan) for view in survey.views]
     width, height = max(c.width for c in cameras), max(c.height for c in cameras)
-    images = []
-    store = ImageStore(0) if store is None else store
-    for view in survey.views:
-        grey = store.grey(view, scale=plan.image_scale) - 128.0
-        mask = load_mask(view, scale=plan.image_scale)
-        if mask is not None:
-            grey[~mask] = np.nan
-        rows, columns = height - grey.shape[0], width - grey.shape[1]
-        images.append(np.pad(grey, ((0, rows), (0, columns)), constant_values=np.nan))
-        advance(1.0)
+    kept, whites = ImageStore(0) if store is None else store, []
+
+    def images() -> Iterator[np.ndarray]:
+        for view in survey.views:
+            grey = kept.grey(view, scale=plan.image_scale)
+            white = saturated(grey)
+            whites.append(float(white.mean()))
+            grey = np.where(white, np.float32(np.nan), grey - np.float32(128.0))
+            mask = load_mask(view, scale=plan.image_scale)
+            if mask is not None:
+                grey[~mask] = np.nan
+            rows, columns = height - grey.shape[0], width - grey.shape[1]
+            yield np.pad(grey, ((0, rows), (0, columns)), constant_values=np.nan) if rows or columns else grey
+            advance(1.0)
+
     cameras = [replace(c, width=width, height=height) for c in cameras]
     bed = 0.0 if survey.water is not None else ground_height([view.camera for view in survey.views])
     try:
-        return Block(backend(plan), cameras, images, survey.water, bed)
+        return Block(backend(plan), cameras, images(), survey.water, bed, whites, plan.skips)
     except ValueError as error:
         raise SurveyError(str(error)) from error
 

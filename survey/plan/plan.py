@@ -7,16 +7,19 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from refract import FlatWater, PinholeCamera
+from fields.skips import NOTHING, SKIPS, Skips
+from refract import PinholeCamera
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.folder.tides import MOST_SHIFT_PX
 from survey.plan.choices import Device, Field, Poses
+from survey.plan.choices import Plan as Choice
 from survey.plan.ground import ground_height
 from survey.plan.heights import in_words
 from survey.plan.poses import pose_choice
 from survey.plan.recipe import RECIPES, Recipe
+from survey.plan.skipped import FULL, Decision, first_heights, lens_terms, pixels, refraction
 
 QUALITIES = tuple(RECIPES)
 DEVICES = tuple(each.value for each in Device)
@@ -24,15 +27,7 @@ FIELDS = tuple(each.value for each in Field)
 POSES = tuple(each.value for each in Poses)
 # In place of a quality where `survey.plan.aim` makes the recipe.
 AIMED = "aimed"
-
-
-@dataclass(frozen=True)
-class Decision:
-    """One line of the plan: subject, choice and reason."""
-
-    name: str
-    choice: str
-    reason: str
+PLANS = tuple(each.value for each in Choice)
 
 
 @dataclass(frozen=True)
@@ -62,6 +57,8 @@ class Plan:
     device_asked : "auto", "cpu" or "cuda"
     poses : ("refine", "fixed" or "check", reason)
         Whether poses, lens and water are adjusted first, or only if a sample of photographs contradicts the poses.
+    skips : Skips
+        What the scene does not need; all on, or all off with ``--plan full``.
     """
 
     quality: str
@@ -75,6 +72,7 @@ class Plan:
     field: str = "off"
     device_asked: str = "auto"
     poses: tuple[str, str] = ("fixed", "")
+    skips: Skips = SKIPS
 
     def as_dict(self) -> dict:
         """Plain numbers, texts and lists, to be saved with the run."""
@@ -90,6 +88,7 @@ def make_plan(
     poses: str = "auto",
     free_water: bool = False,
     recipe: Recipe | None = None,
+    plan: str = "auto",
 ) -> Plan:
     """What the scene needs.
 
@@ -104,6 +103,8 @@ def make_plan(
         Whether the water is to be found as if nothing were known of it.
     recipe : Recipe, optional
         Of a run with an aim, in place of that of the quality.
+    plan : "auto" or "full"
+        Leave out what the scene does not need, or nothing.
 
     Raises
     ------
@@ -122,14 +123,22 @@ def make_plan(
     footprint = (float(height * sides[0]), float(height * sides[1]))
     refined = _field(name, recipe, field)
     require_choice("poses", poses, POSES)
-    adjusted = Decision("poses", *pose_choice(survey, poses, free_water=free_water))
+    require_choice("plan", plan, PLANS)
+    skips = NOTHING if plan == Choice.full else SKIPS
+    decided = pose_choice(survey, poses, free_water=free_water)
+    if plan == Choice.full and decided[0] == "check":
+        decided = "refine", f"{FULL}: adjusted without asking first"
+    adjusted = Decision("poses", *decided)
     decisions = (
         adjusted,
-        _refraction(survey),
+        refraction(survey, skips),
+        lens_terms(survey, skips),
+        pixels(survey, skips),
         *_level(survey),
         refined,
         _image_decision(cameras[0], scale, name, recipe),
         Decision("range of heights", *in_words(survey, height)),
+        first_heights(skips),
         chosen,
     )
     return Plan(
@@ -144,6 +153,7 @@ def make_plan(
         field=refined.choice,
         device_asked=device,
         poses=(adjusted.choice, adjusted.reason),
+        skips=skips,
     )
 
 
@@ -167,7 +177,7 @@ def require_choice(name: str, value: str, known: tuple[str, ...]) -> None:
         raise SurveyError(f"{name} is {value}, expected one of {', '.join(known)}")
 
 
-def require_choices(*, quality: str, device: str, field: str, poses: str) -> None:
+def require_choices(*, quality: str, device: str, field: str, poses: str, plan: str = "auto") -> None:
     """Look at the options of a run before anything is computed.
 
     Raises
@@ -179,6 +189,7 @@ def require_choices(*, quality: str, device: str, field: str, poses: str) -> Non
     require_choice("device", device, DEVICES)
     require_choice("field", field, FIELDS)
     require_choice("poses", poses, POSES)
+    require_choice("plan", plan, PLANS)
     if device == "cuda":
         device_decision(device)
 
@@ -202,40 +213,28 @@ def device_decision(device: str) -> Decision:
     return Decision("device", chosen.name, chosen.reason)
 
 
-def _refraction(survey: Survey) -> Decision:
-    if survey.water is None:
-        return Decision("refraction", "off", "a dry survey, without [water]")
-    water, given = survey.require_water()
-    if water.n_water == 1.0:
-        return Decision("refraction", "off", "the index of the water is 1, as if it were air")
-    slope = math.hypot(water.slope_x, water.slope_y)
-    tilt = f", sloped by {slope:.4f}" if slope > 1e-6 else ""
-    aside = sum(_sees_beside_water(view.camera, water) for view in survey.views)
-    horizon = f"; {aside} of {len(survey.views)} views look past the water to the horizon" if aside else ""
-    return Decision("refraction", "on", f"water of index {water.n_water:.4f} at {given.level_m:g} m{tilt}{horizon}")
-
-
 def _level(survey: Survey) -> tuple[Decision, ...]:
     """Whether each photograph has its own level; nothing where none is said to move."""
     tide = survey.tide
     if tide is None:
         return ()
+    water = survey.config.water
+    if water is not None and water.level_rate_std_m_per_h is not None and not survey.is_adjusted:
+        known = f"{water.level_rate_m_per_h:g} +- {water.level_rate_std_m_per_h:g} m/h"
+        return (Decision("level", "per photograph", f"its rate, known to {known}, is found with the poses"),)
     moves = f"{tide.source}, moves by {length(tide.moves_m)} over the flight, images by up to {tide.shift_px:.2g} px"
     if tide.matters:
         return (Decision("level", "per photograph", moves),)
     return (Decision("level", "one", f"{moves}: less than {MOST_SHIFT_PX:g}, which is lost in the noise of matching"),)
 
 
-def _sees_beside_water(camera: PinholeCamera, water: FlatWater) -> bool:
-    return bool((camera.directions(camera.outline()) @ np.array(water.up) >= 0.0).any())
-
-
 def _image_decision(camera: PinholeCamera, scale: float, quality: str, recipe: Recipe) -> Decision:
     size = f"images of {camera.width} x {camera.height} px"
+    if quality == AIMED:
+        reason = f"of {size}; each round has its own, and poses are looked at with that of standard"
+        return Decision("image scale", f"{scale:g}", reason)
     if scale == 1.0:
         return Decision("image scale", "1", f"{size} are worked on whole")
-    if quality == AIMED:
-        return Decision("image scale", f"{scale:g}", f"{size} are halved as far as the aim allows")
     limit = f"at most {recipe.megapixels:g} Mpx for {quality} quality"
     return Decision("image scale", f"{scale:g}", f"{size} are halved until they have {limit}")
 

@@ -31,6 +31,7 @@ from survey.report.figures import (
     SurveyFigures,
     WaterFigures,
 )
+from survey.report.photographs import doubts
 
 if TYPE_CHECKING:
     from fields.sweep.bed import BedPoints
@@ -60,10 +61,11 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
         versions=facts.versions,
         settings=plain(facts.settings),
         assumptions=tuple(survey.assumptions),
-        warnings=(*failed, *survey.warnings),
+        warnings=(*failed, *doubts(facts.photographs), *survey.warnings),
         notes=(*facts.notes, *told),
         checkpoints=checkpoints_of(survey, facts.bed.xyz, facts.plan.gsd_m),
         adjustment=adjustment,
+        photographs=facts.photographs,
     )
 
 

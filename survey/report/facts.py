@@ -11,6 +11,7 @@ from survey.adjust.adjustment import Adjustment
 from survey.folder.survey import Survey
 from survey.photos.texture import MatchedLight
 from survey.plan.plan import Plan
+from survey.report.photographs import PhotographFigures
 from survey.report.verdict import Verdict
 
 if TYPE_CHECKING:
@@ -53,6 +54,8 @@ class ReportFacts:
         Of the heights of the points, by water, lens and poses.
     light : MatchedLight or None
         To which the index of the water belongs; None in a dry survey.
+    photographs : tuple of PhotographFigures
+        What of each was left out; none where nobody has looked.
     """
 
     survey: Survey
@@ -70,6 +73,7 @@ class ReportFacts:
     adjustment: Adjustment | None = None
     std_common: np.ndarray | None = None
     light: MatchedLight | None = None
+    photographs: tuple[PhotographFigures, ...] = ()
 
 
 def distances_of(facts: ReportFacts) -> np.ndarray | None:

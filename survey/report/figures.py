@@ -8,6 +8,7 @@ from survey.compare.figures import Figures
 from survey.plan.plan import Plan
 from survey.report.adjustment_figures import AdjustmentFigures
 from survey.report.checkpoints import CheckpointFigures
+from survey.report.photographs import PhotographFigures
 from survey.report.verdict import Verdict
 
 
@@ -245,6 +246,8 @@ class ReportFigures:
         None without check points.
     adjustment : AdjustmentFigures or None
         None where poses and water were used as they came.
+    photographs : tuple of PhotographFigures
+        What of each was left out of matching.
     """
 
     verdict: Verdict | None
@@ -262,6 +265,7 @@ class ReportFigures:
     notes: tuple[str, ...]
     checkpoints: CheckpointFigures | None = None
     adjustment: AdjustmentFigures | None = None
+    photographs: tuple[PhotographFigures, ...] = ()
 
     @property
     def total_s(self) -> float:

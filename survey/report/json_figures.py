@@ -26,6 +26,7 @@ def json_of(figures: ReportFigures) -> dict:
         "checkpoints": figures.checkpoints,
         "adjustment": None if figures.adjustment is None else _adjustment(figures.adjustment),
         "baselines": figures.baselines,
+        "photographs": figures.photographs,
         "timings_s": {**figures.timings_s, "total": figures.total_s},
         "versions": figures.versions,
         "settings": figures.settings,

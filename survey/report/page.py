@@ -8,7 +8,7 @@ from functools import cache
 import jinja2
 
 from survey.display import palette
-from survey.report import adjustment_tables, reference_tables, survey_tables
+from survey.report import adjustment_tables, photographs, reference_tables, survey_tables
 from survey.report.blocks import Block, Rows, Section, Sentences
 from survey.report.figures import ReportFigures
 from survey.report.headline import cards, headline
@@ -77,6 +77,7 @@ def _sections(figures: ReportFigures) -> list[Section]:
         Section("What refraction would cost if ignored", reference_tables.baselines(figures.baselines)),
         Section("The cloud", survey_tables.cloud(figures.cloud, survey.crs)),
         Section("Survey and water", survey_tables.survey(survey, figures.water, figures.plan)),
+        Section("What the photographs show beside the bed", photographs.table(figures.photographs)),
         Section("What was done, and why", survey_tables.decisions(figures.plan.decisions)),
         Section("Assumptions", _listed(figures.assumptions)),
         Section("Warnings", _listed(figures.warnings)),

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from survey.plan.aim import SHARE, Aim
 from survey.plan.pace import Ground, Pace, samples
 from survey.plan.plan import Decision
-from survey.plan.recipe import Recipe
+from survey.plan.recipe import RECIPES, Recipe
 from survey.run.cell_std import CellStd
 from survey.run.clock import Clock
 
@@ -41,6 +41,8 @@ class Aimed:
     rung : int
         Where on the ladder the present round is.
     pace : Pace
+    has_begun : bool
+        Whether the first round has: poses are looked at before, with images as standard has them.
     decisions : list of Decision
         One for each round that is over.
     following : int or None
@@ -54,13 +56,14 @@ class Aimed:
     clock: Clock | None
     rung: int
     pace: Pace
+    has_begun: bool = False
     decisions: list[Decision] = field(default_factory=list)
     following: int | None = None
 
     @property
     def recipe(self) -> Recipe:
-        """Of the present round."""
-        return self.ladder[self.rung]
+        """Of the present round, or before the first."""
+        return self.ladder[self.rung] if self.has_begun else RECIPES["standard"]
 
     @property
     def scale(self) -> float:

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from survey.adjust.far_poses import Search, find_anew
+from survey.errors import SurveyError
 from survey.photos.store import ImageStore
 from survey.plan.area import limits, local_area
 from survey.plan.block import load_block
@@ -36,6 +39,8 @@ class Job:
         its water.
     aimed : Aimed or None
         Where the run has an aim in place of a quality: `survey.run.aimed`.
+    workspace : Path or None
+        Where structure from motion keeps its files.
     """
 
     def __init__(
@@ -47,24 +52,35 @@ class Job:
         calibrate_water: bool = False,
         true_colour: bool = False,
         aimed: Aimed | None = None,
+        workspace: Path | None = None,
     ):
         self.survey, self.progress, self.aimed = survey, progress, aimed
-        self.calibrate_water, self.true_colour = calibrate_water, true_colour
+        self.calibrate_water, self.true_colour, self.workspace = calibrate_water, true_colour, workspace
         self._plan_of = plan_of
         self.plan = self._planned()
 
     def take(self, survey: Survey) -> None:
         """Go on with another survey of the same photographs: with other water."""
+        before = self._sight()
         self.survey = survey
         self.plan = self._planned()
-        self.__dict__.pop("block", None)
+        if self._sight() != before:
+            self._forget()
+
+    def _forget(self) -> None:
+        for name in ("block", "bound"):
+            self.__dict__.pop(name, None)
+
+    def _sight(self) -> list[str]:
+        """What decides the rays of the photographs, and where the bed is looked for."""
+        return [self.part(name) for name in ("cameras", "water", "size", "device", "heights")]
 
     def plan_again(self) -> None:
         """Plan by what the aim has come to."""
         scale = self.plan.image_scale
         self.plan = self._planned()
         if self.plan.image_scale != scale:
-            self.__dict__.pop("block", None)
+            self._forget()
 
     def _planned(self) -> Plan:
         if self.aimed is None:
@@ -82,6 +98,29 @@ class Job:
         """The grey images with their cameras, loaded when the first stage needs them."""
         with self.progress.stage("Images", len(self.survey.views)) as stage:
             return load_block(self.survey, self.plan, stage.advance, self.photographs)
+
+    @property
+    def search(self) -> Search | None:
+        """Finds poses of a file anew; None without a workspace."""
+        if self.workspace is None:
+            return None
+        return partial(find_anew, workspace=self.workspace, say=self.progress.note)
+
+    @cached_property
+    def bound(self) -> tuple[float, float]:
+        """Heights [m] over the water plane between which thumbnails find the bed; `fields.sweep.ranging.find_range`.
+
+        Raises
+        ------
+        SurveyError
+            If too little matches.
+        """
+        from fields.sweep.ranging import find_range
+
+        try:
+            return find_range(self.block, limits(self.survey))
+        except ValueError as error:
+            raise SurveyError(str(error)) from error
 
     def part(self, name: str) -> str:
         """The hash of a part of the job that stages depend on; the names are those in `survey.run.keys`."""
@@ -105,13 +144,14 @@ class Job:
         parts = {
             "cameras": lambda: [(view.name, view.camera, view.lens) for view in survey.views],
             "water": lambda: survey.water,
-            "water_settings": lambda: _settings_of(survey),
+            "water_settings": lambda: (_settings_of(survey), survey.tide),
             "heights": lambda: limits(survey),
             "area": lambda: local_area(survey),
             "frame": lambda: survey.frame,
             "name": lambda: survey.name,
             "size": lambda: plan.image_scale,
             "gsd": lambda: plan.gsd_m,
+            "skips": lambda: plan.skips,
             "coverage": lambda: plan.recipe.times_seen,
             "rays": lambda: plan.recipe.rays_per_cell,
             "device": lambda: plan.device,
@@ -138,5 +178,6 @@ def _settings_of(survey: Survey) -> dict | None:
         "level_std_m",
         "slope_std",
         "index_std",
+        "level_rate_std_m_per_h",
     )
     return None if given is None else {name: getattr(given, name) for name in names}

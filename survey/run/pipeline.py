@@ -12,7 +12,7 @@ from survey.run.stage_bed import FILES, make_bed
 from survey.run.stage_field import train_field
 from survey.run.stage_pose_check import MISFIT, check_poses, use_misfit
 from survey.run.stage_reached import REACHED, look_at_reached, use_reached
-from survey.run.stage_solver import SOLVED, solve_heights
+from survey.run.stage_solver import SIGHTINGS, SOLVED, solve_heights
 from survey.run.stage_sweep import (
     BOUND,
     CELLS,
@@ -20,6 +20,7 @@ from survey.run.stage_sweep import (
     EARLIER_SOLVER,
     EARLIER_SWEEP,
     MAPS,
+    SATURATED,
     SWEPT,
     sweep_views,
     use_sweep,
@@ -57,9 +58,9 @@ def _is_refined(job: Job) -> bool:
     return _is_solved(job) or _has_slab(job)
 
 
-# What decides the rays of the photographs, and the size at which they are worked on.
+# What decides the rays of the photographs, and the size and the pixels that are worked on.
 _RAYS = ("photographs", "cameras", "water", "device")
-_VIEWS = (*_RAYS, "size")
+_VIEWS = (*_RAYS, "size", "skips")
 # The stage that ends a round of a run with an aim.
 LOOK = "reached"
 
@@ -67,7 +68,7 @@ STAGES = (
     Stage(
         name="pose_check",
         needs=(),
-        depends_on=(*_RAYS, "frame", "area", "heights"),
+        depends_on=(*_VIEWS, "frame", "area", "heights"),
         leaves=(MISFIT,),
         compute=check_poses,
         is_on=_checks_poses,
@@ -76,7 +77,7 @@ STAGES = (
     Stage(
         name="adjust",
         needs=(),
-        depends_on=(*_RAYS, "frame", "water_settings", "area", "heights", "ties", "priors", "control", "freed"),
+        depends_on=(*_VIEWS, "frame", "water_settings", "area", "heights", "ties", "priors", "control", "freed"),
         leaves=ADJUSTMENT_FILES,
         compute=adjust_block,
         is_on=_adjusts,
@@ -86,7 +87,7 @@ STAGES = (
         name="sweep",
         needs=(EARLIER_SWEEP, EARLIER_LOOK),
         depends_on=(*_VIEWS, "heights", "area", "coverage", "aim"),
-        leaves=(MAPS, BOUND, SWEPT),
+        leaves=(MAPS, BOUND, SATURATED, SWEPT),
         compute=sweep_views,
         apply=use_sweep,
     ),
@@ -94,7 +95,7 @@ STAGES = (
         name="solver",
         needs=("sweep", EARLIER_SWEEP, EARLIER_SOLVER),
         depends_on=(*_VIEWS, "gsd", "aim"),
-        leaves=(SOLVED,),
+        leaves=(SOLVED, SIGHTINGS),
         compute=solve_heights,
         is_on=_is_solved,
     ),

@@ -46,6 +46,7 @@ def process(
     time_budget_s: float | None = None,
     time_gone_s: float = 0.0,
     poses: str = "auto",
+    plan: str = "auto",
     calibrate_water: bool = False,
     true_colour: bool = False,
     reference: str | Path | None = None,
@@ -72,6 +73,8 @@ def process(
         How much of that is gone already, with the start of the program.
     poses : "auto", "fixed" or "refine"
         Whether poses and lens are adjusted together with the water; "auto" leaves it to the plan.
+    plan : "auto" or "full"
+        Leave out what the scene does not need, or nothing: what that costs, docs/plan.md has.
     resume : bool
         Use what an earlier run in this folder finished, where nothing that it depends on has changed.
     calibrate_water : bool
@@ -99,7 +102,7 @@ def process(
     aim = aim_of(target_std_m, time_budget_s, quality=quality, field=field)
     clock = None if aim is None or aim.seconds is None else Clock(aim.seconds, time_gone_s)
     quality = quality or "standard"
-    require_choices(quality=quality, device=device, field=field, poses=poses)
+    require_choices(quality=quality, device=device, field=field, poses=poses, plan=plan)
     checked = require_processable(survey_folder)
     if checked.found.config.water is None and (true_colour or calibrate_water):
         option = "--true-colour takes the water away" if true_colour else "--calibrate-water estimates the water"
@@ -110,24 +113,32 @@ def process(
             survey_folder, found=checked.found, workspace=run.sfm_path, report=progress.note
         )
         plan_of = partial(
-            make_plan, quality=quality, device=device, field=field, poses=poses, free_water=calibrate_water
+            make_plan, quality=quality, device=device, field=field, poses=poses, free_water=calibrate_water, plan=plan
         )
         aimed = (
             None
             if aim is None
             else begin_aimed(aim, survey, plan_of, clock, progress, refuses=checked.survey is not None)
         )
-        plan = plan_of(survey) if aimed is None else plan_of(survey, recipe=aimed.recipe)
-        _announce(progress, survey, plan)
+        made = plan_of(survey) if aimed is None else plan_of(survey, recipe=aimed.recipe)
+        _announce(progress, survey, made)
         # An aim may come to need all that its ladder has.
-        workload = workload_of(survey, plan if aimed is None else plan_of(survey, recipe=aimed.ladder[-1]))
+        workload = workload_of(survey, made if aimed is None else plan_of(survey, recipe=aimed.ladder[-1]))
         progress.note(f"workload: {'' if aimed is None else 'at the top of the ladder, '}{workload}")
         for text in require_room(workload, run_folder):
             progress.warn(text)
         # Starts torch and Dr.Jit: only after everything that the user may have to mend was looked at.
         from survey.run.job import Job
 
-        job = Job(survey, plan_of, progress, calibrate_water=calibrate_water, true_colour=true_colour, aimed=aimed)
+        job = Job(
+            survey,
+            plan_of,
+            progress,
+            calibrate_water=calibrate_water,
+            true_colour=true_colour,
+            aimed=aimed,
+            workspace=run.sfm_path,
+        )
         return _to_the_end(run, job, resume, truth)
 
 

@@ -11,12 +11,13 @@ from pathlib import Path
 from survey.adjust.adjustment import Adjustment, read_adjustment
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.compare.result import Comparison
-from survey.files.json_values import write_json
+from survey.files.json_values import read_json_object, write_json
 from survey.folder.config import dump_config
 from survey.folder.survey import Survey
 from survey.photos.texture import matched_light
 from survey.plan.aim import Aim
 from survey.report import NUM_STEPS, ReportFacts, write_report
+from survey.report.photographs import PhotographFigures, doubts, photographs_of, summary
 from survey.report.verdict import Verdict
 from survey.run.cloud import write_bed_las
 from survey.run.flight import save_flight
@@ -24,7 +25,8 @@ from survey.run.folder import RunDir, seconds_of, versions, versions_of
 from survey.run.gate import asked_gate, verdict_of
 from survey.run.job import Job
 from survey.run.stage_adjust import FILES as ADJUSTMENT_FILES
-from survey.run.stage_sweep import MAPS
+from survey.run.stage_solver import SIGHTINGS
+from survey.run.stage_sweep import MAPS, SATURATED
 from survey.run.stored import load_bed, load_depth_maps
 from survey.run.truth import Truth
 
@@ -61,6 +63,11 @@ def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path]
     aim = None if job.aimed is None else job.aimed.aim
     if aim is not None and aim.std_m is not None:
         verdict = Verdict((*verdict.gates, asked_gate(stored, aim.std_m)))
+    photographs = _photographs(done)
+    for text in doubts(photographs):
+        job.progress.warn(text)
+    for text in summary(photographs):
+        job.progress.note(text)
     facts = ReportFacts(
         survey=survey,
         plan=plan,
@@ -75,6 +82,7 @@ def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path]
         verdict=verdict,
         adjustment=_adjustment(folder, done),
         std_common=stored.std_common,
+        photographs=photographs,
         light=None if survey.water is None else matched_light(survey.views),
     )
     with job.progress.stage("Report", NUM_STEPS) as stage:
@@ -86,6 +94,12 @@ def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path]
 
 def _asked(aim: Aim | None) -> dict[str, float | None]:
     return {} if aim is None else {"target_std_m": aim.std_m, "time_budget_s": aim.seconds}
+
+
+def _photographs(done: Mapping[str, Path]) -> tuple[PhotographFigures, ...]:
+    """What of each photograph was left out; what only the solver can tell, where it ran."""
+    sightings = read_json_object(done["solver"] / SIGHTINGS) if "solver" in done else {}
+    return photographs_of(read_json_object(done["sweep"] / SATURATED), sightings)
 
 
 def _adjustment(folder: Path, done: Mapping[str, Path]) -> Adjustment | None:

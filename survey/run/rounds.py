@@ -24,6 +24,8 @@ def run_stages(job: Job, run: RunDir, *, resume: bool, compares_sweep: bool) -> 
     stages: Sequence[Stage] = [*STAGES, BED_OF_SWEEP] if compares_sweep else STAGES
     of_round = [stage for stage in stages if stage.name in _EARLIER]
     for stage in stages:
+        if stage.name == "sweep":
+            _begin(job)
         if stage.is_on(job):
             done[stage.name] = run_stage(stage, job, run, done, resume=resume)
         number = 1
@@ -34,6 +36,13 @@ def run_stages(job: Job, run: RunDir, *, resume: bool, compares_sweep: bool) -> 
                     done[again.name] = run_stage(again, job, run, done, resume=resume, explains=False)
             number += 1
     return done
+
+
+def _begin(job: Job) -> None:
+    """Let the first round have its own recipe."""
+    if job.aimed is not None:
+        job.aimed.has_begun = True
+        job.plan_again()
 
 
 def _set_aside(done: dict[str, Path], number: int) -> None:

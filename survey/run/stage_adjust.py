@@ -21,10 +21,14 @@ def adjust_block(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
     """Adjust the survey."""
     with job.progress.stage("Adjustment", 1.0) as stage:
         found = refine.adjust_survey(
-            job.survey, device=job.plan.device_asked, advance=stage.advance, free_water=job.calibrate_water
+            job.survey,
+            device=job.plan.device_asked,
+            advance=stage.advance,
+            free_water=job.calibrate_water,
+            search=job.search,
         )
     write_adjustment(folder, found)
-    write_cameras(folder, refine.apply_adjustment(job.survey, found))
+    write_cameras(folder, refine.apply_adjustment(job.survey, found), found)
 
 
 def use_adjustment(job: Job, folder: Path) -> None:

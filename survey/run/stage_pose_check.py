@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from survey.adjust import pose_check
+from survey.errors import SurveyError
 from survey.files.json_values import write_json
 
 if TYPE_CHECKING:
@@ -19,8 +21,15 @@ MISFIT = "misfit.json"
 
 def check_poses(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
     """Measure by how much photographs miss each other under the given poses."""
-    with job.progress.stage("Poses", 1.0) as stage:
-        found = pose_check.pose_misfit(job.survey, device=job.plan.device_asked, advance=stage.advance)
+    found = None
+    with suppress(SurveyError):
+        bound, block = job.bound, job.block
+        with job.progress.stage("Poses", 1.0) as stage:
+            found = pose_check.pose_misfit(job.survey, job.plan, block, bound, stage.advance)
+    # Photographs without texture leave nothing that matches either: the sweep will say so.
+    if found is None and job.search is not None:
+        with suppress(SurveyError):
+            found = pose_check.misfit_of_features(job.survey, job.plan, job.search(job.survey).ties)
     write_json(folder / MISFIT, {"misfit_px": found})
 
 

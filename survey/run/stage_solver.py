@@ -11,15 +11,17 @@ import numpy as np
 from fields.solver.solver import SolvedMap, solve_maps
 from fields.sweep.bed import unique_pixels
 from fields.sweep.sweep import enlarged_map
+from survey.files.json_values import write_json
 from survey.progress import shares
 from survey.run.stage_sweep import EARLIER_SOLVER, EARLIER_SWEEP, MAPS, look_at_bed, views_swept
 from survey.run.stored import load_depth_maps, load_solved_maps, save_solved_maps
 
 if TYPE_CHECKING:
+    from fields.solver.sightings import Sightings
     from fields.sweep.sweep import DepthMap
     from survey.run.job import Job
 
-SOLVED = "solved.npz"
+SOLVED, SIGHTINGS = "solved.npz", "sightings.json"
 # With less than this share of the time that it should take left, a solver would finish too few tiles to be worth it.
 _LEAST_TIME = 0.3
 
@@ -29,7 +31,7 @@ def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     maps = load_depth_maps(needs["sweep"] / MAPS)
     if not _has_time(job):
         job.progress.note("solver: left out, there is no time for it")
-        save_solved_maps(folder / SOLVED, [_nothing() for _ in maps])
+        _save(job, folder, [_nothing() for _ in maps], None)
         return
     look_at_bed(job, needs["sweep"])
     kept = unique_pixels(job.block, maps)
@@ -41,7 +43,14 @@ def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         )
     job.progress.note(f"solver: {figures}")
     both = [new if old is None else old for new, old in zip(solved, carried, strict=True)]
-    save_solved_maps(folder / SOLVED, both)
+    _save(job, folder, both, figures.sightings)
+
+
+def _save(job: Job, folder: Path, solved: list[SolvedMap], found: Sightings | None) -> None:
+    save_solved_maps(folder / SOLVED, solved)
+    names = [view.name for view in job.survey.views]
+    seen, outlying = ([0] * len(names),) * 2 if found is None else (found.seen.tolist(), found.outlying.tolist())
+    write_json(folder / SIGHTINGS, {name: pair for name, *pair in zip(names, seen, outlying, strict=True)})
 
 
 def _nothing() -> SolvedMap:

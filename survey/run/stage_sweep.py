@@ -11,22 +11,23 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fields.sweep.ranging import find_range
+from fields.sweep.free_space import without_contradicted
 from fields.sweep.sweep import PASSES, passes_from, sweep
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
-from survey.plan.area import limits, local_area, plane_name
+from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area, plane_name
 from survey.plan.block import camera_of
 from survey.progress import shares
 from survey.run.clock import OutOfTimeError
 from survey.run.stored import load_arrays, load_depth_maps, save_depth_maps
 
 if TYPE_CHECKING:
+    from fields.sweep.over_area import Area
     from fields.sweep.sweep import DepthMap
     from survey.run.aimed import Aimed
     from survey.run.job import Job
 
-MAPS, BOUND, SWEPT = "maps.npz", "bound.json", "swept.json"
+MAPS, BOUND, SATURATED, SWEPT = "maps.npz", "bound.json", "saturated.json", "swept.json"
 # Of the round before, for the stages of the next; and where its look left the cells that need work.
 EARLIER_SWEEP, EARLIER_SOLVER, EARLIER_LOOK, CELLS = "earlier sweep", "earlier solver", "earlier look", "cells.npz"
 # A view goes on where more than this share of the ground that it sees needs work.
@@ -47,17 +48,16 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     survey, start = job.survey, time.monotonic()
     block, images_s = job.block, time.monotonic() - start
     with job.progress.stage("Sweep", 1.0) as stage:
-        try:
-            low, high = find_range(block, limits(survey))
-        except ValueError as error:
-            raise SurveyError(str(error)) from error
+        low, high = job.bound
         block.look_at(0.5 * (low + high))
         chosen = block.cover(*job.plan.recipe.times_seen, local_area(survey))
-        start = time.monotonic()
+        ladder = (low, high) if job.plan.skips.heights else limits(survey)
         passes = PASSES if job.aimed is None else passes_from(job.aimed.first_search)
-        maps = sweep(block, chosen, (low, high), shares(stage), passes)
-    if not maps:
-        raise SurveyError("no two views overlap; check that the poses belong to the images")
+        start = time.monotonic()
+        maps = sweep(block, chosen, ladder, shares(stage), passes, _wanted(job))
+        if not maps:
+            raise SurveyError("no two views overlap; check that the poses belong to the images")
+        maps = without_contradicted(block, maps)
     job.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(survey)}")
     write_json(folder / BOUND, {"low_m": low, "high_m": high})
     _save(job, folder, maps, [m.view for m in maps], time.monotonic() - start, images_s, None)
@@ -88,7 +88,10 @@ def _go_on(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
                     aimed.clock.keep(aimed.tail_s)
 
             views, limits_m = [m.view for m in before], (bound["low_m"], bound["high_m"])
-            maps = sweep(block, views, limits_m, advance, before={m.view: m for m in before}, again=again)
+            maps = sweep(
+                block, views, limits_m, advance, area=_wanted(job), before={m.view: m for m in before}, again=again
+            )
+            maps = without_contradicted(block, maps)
     except OutOfTimeError:
         job.progress.note("sweep: no time is left for this round; the heights of the one before are kept")
         _save(job, folder, before, [], 0.0, images_s, earlier_scale, scale=earlier_scale)
@@ -124,6 +127,14 @@ def _save(
     num_samples = 0.0 if job.aimed is None else share * job.aimed.samples(scale, before)
     told = {"views": swept, "image_scale": scale, "seconds": seconds, "images_s": images_s, "samples": num_samples}
     write_json(folder / SWEPT, told)
+    names = [view.name for view in job.survey.views]
+    write_json(folder / SATURATED, dict(zip(names, job.block.saturated, strict=True)))
+
+
+def _wanted(job: Job) -> Area | None:
+    """Where heights are wanted; None where everywhere."""
+    area = local_area(job.survey)
+    return grown(area, AREA_MARGIN_M) if area is not None and job.plan.skips.area else None
 
 
 def _swept(folder: Path) -> dict:

@@ -27,7 +27,7 @@ from survey.code_hash import code_hash
 from survey.errors import ImageError, SurveyError
 from survey.files.json_values import read_json_object, write_json
 from survey.files.lock import locked
-from survey.photos.exif import read_exif
+from survey.photos.exif import Exif, read_exif
 from survey.photos.tie_points import TiePoints
 from survey.sfm import block as sfm_block
 from survey.sfm.gps import gps_positions, positions_in_crs
@@ -37,7 +37,7 @@ from survey.sfm.settings import one_focal, require_size
 from survey.sfm.solve import Free, aliases, sensors_of, solve
 from survey.stage_key import stage_key
 
-__all__ = ["SfmResult", "SfmView", "image_names", "seconds_of_solve", "solve_poses"]
+__all__ = ["FreeViews", "SfmResult", "SfmView", "block_of", "image_names", "seconds_of_solve", "solve_poses"]
 
 _RECORD, _MODEL, _WORK = "solved.json", "model", ".work.part"
 # Features and matches of an image take about 2 MB in the database.
@@ -150,8 +150,73 @@ def solve_poses(
         frame, place = control.frame, partial(place_by_control, control=control)
     positions = positions_in_crs(heads, frame.crs, gps_height, [])
     local = {name: frame.local_from_crs(position) for name, position in positions.items()}
-    code = code_hash("survey.sfm.solve")
-    key = stage_key("sfm", code, focal_px, list(images), list(images.values()))
+    free = _solved(images, heads, local, focal_px, workspace, say)
+    alias_of = aliases(images)
+    sensors = sensors_of(heads, alias_of, focal_px)
+    return _result(place(free, alias_of=alias_of, sensors=sensors, say=say), positions, alias_of)
+
+
+@dataclass(frozen=True)
+class FreeViews:
+    """Photographs that structure from motion placed, in a frame of their own.
+
+    Attributes
+    ----------
+    poses : dict of name to (centre (3,), rotation (3, 3) from that frame to cam)
+        In order of names.
+    ties : TiePoints
+        Views are numbered as in `poses`.
+    """
+
+    poses: dict[str, tuple[np.ndarray, np.ndarray]]
+    ties: TiePoints
+
+
+def block_of(
+    images: Mapping[str, Path],
+    positions: Mapping[str, np.ndarray],
+    focal_px: float | None,
+    workspace: Path,
+    say: Callable[[str], None],
+) -> FreeViews:
+    """Poses and points of photographs, not placed anywhere.
+
+    Parameters
+    ----------
+    images : mapping of name to Path
+        In order of names.
+    positions : mapping of name to (3,) [m]
+        Of the cameras, about, in any one frame; they select the pairs to match.
+    focal_px : float or None
+        To start from; None for the one in EXIF.
+    workspace : Path
+        As for `solve_poses`.
+    say : callable
+        Called with a sentence on the progress.
+
+    Raises
+    ------
+    SurveyError
+        Where overlap or room on the disk do not suffice.
+    """
+    heads = {name: read_exif(path) for name, path in images.items()}
+    block = _solved(images, heads, positions, focal_px, workspace, say).block
+    by_alias = sfm_block.poses_of(block)
+    alias_of = {name: alias for name, alias in aliases(images).items() if alias in by_alias}
+    poses = {name: by_alias[alias] for name, alias in alias_of.items()}
+    return FreeViews(poses, sfm_block.tracks_of(block, list(alias_of.values())))
+
+
+def _solved(
+    images: Mapping[str, Path],
+    heads: Mapping[str, Exif],
+    local: Mapping[str, np.ndarray],
+    focal_px: float | None,
+    workspace: Path,
+    say: Callable[[str], None],
+) -> Free:
+    """The block of photographs in a frame of its own: the one in the workspace, or solved now and stored there."""
+    key = stage_key("sfm", code_hash("survey.sfm.solve"), focal_px, list(images), list(images.values()))
     busy = f"another process (number {{pid}}) looks for poses in {workspace}; wait until it ends, or stop it"
     with disk_refusals(workspace), locked(_made(workspace), busy=busy):
         free = _stored(workspace, key)
@@ -164,9 +229,7 @@ def solve_poses(
                 start = time.monotonic()
                 free = solve(images, heads, local, focal_px, work, say)
                 _store(workspace, key, work, free, time.monotonic() - start)
-    alias_of = aliases(images)
-    sensors = sensors_of(heads, alias_of, focal_px)
-    return _result(place(free, alias_of=alias_of, sensors=sensors, say=say), positions, alias_of)
+    return free
 
 
 def image_names(paths: Sequence[Path]) -> dict[str, Path]:

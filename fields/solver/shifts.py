@@ -1,0 +1,102 @@
+"""By how much photographs are shifted against each other: waves, and errors of the poses.
+
+A height that fits all photographs takes up a part of such a shift and is moved by it. What it leaves, a shift of the
+residuals of a photograph along the gradient of the albedo, alike over many pixels, tells how large the shifts are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+from scipy.optimize import nnls
+
+from fields.solver.solve import Solved, gradients_of
+from fields.solver.tile import Tile
+
+# Shifts are alike in a bell of this standard deviation: shorter than waves, and wide enough that noise averages out.
+ALIKE_PX = 4.0
+# Larger ones are no shifts, and gradients that are so nearly along one line tell nothing across it.
+_LARGEST_PX, _LEAST_ACROSS = 2.0, 1e-3
+# Of the bell about a pixel, the share that a photograph has to see; and how many photographs tell more than a height.
+_SEEN, _LEAST_VIEWS = 0.5, 3
+# Fewer pixels of a tile tell nothing.
+_LEAST_PIXELS = 200
+
+
+@dataclass(frozen=True)
+class Shifts:
+    """Standard deviation of the shifts of photographs along each axis of the image.
+
+    Attributes
+    ----------
+    anywhere_px : float
+        That of poses.
+    by_depth_px_m : float [px/m]
+        That of waves, which grows with the depth of the water.
+    """
+
+    anywhere_px: float
+    by_depth_px_m: float
+
+    def variance(self, depth: np.ndarray) -> np.ndarray:
+        """Variance (N,) [px^2] of the shifts of what lies at depths (N,) [m], 0 where it is dry."""
+        return self.anywhere_px**2 + (self.by_depth_px_m * depth) ** 2
+
+
+def depth_of(height: np.ndarray, is_wet: bool) -> np.ndarray:
+    """Depth (N,) [m] of heights (N,) over the water plane; 0 in a survey that has no water."""
+    return np.maximum(-height, 0.0) if is_wet else np.zeros_like(height)
+
+
+def shifts_of(samples: list[tuple[Tile, Solved]], noise_share: float, is_wet: bool) -> Shifts:
+    """The shifts of a survey, from solved tiles; none where fewer than three photographs see too many of them.
+
+    ``noise_share`` is that of `fields.solver.correlation.noise_share`: noise seems to be a shift too, and is taken off.
+    """
+    found = [_in_tile(tile, solved, noise_share) for tile, solved in samples]
+    known = [
+        (np.mean(square), np.mean(depth_of(solved.height[use], is_wet) ** 2))
+        for (square, use), (_, solved) in zip(found, samples, strict=True)
+        if use.sum() >= _LEAST_PIXELS
+    ]
+    if not known:
+        return Shifts(0.0, 0.0)
+    squares, depths = np.array(known).T
+    (anywhere, by_depth), _ = nnls(np.stack([np.ones_like(depths), depths], axis=-1), squares)
+    return Shifts(float(np.sqrt(anywhere)), float(np.sqrt(by_depth)))
+
+
+def _in_tile(tile: Tile, solved: Solved, noise_share: float) -> tuple[np.ndarray, np.ndarray]:
+    """Variance [px^2] of the shifts along an axis, for those pixels (N,) bool that tell it."""
+    brightness = solved.brightness
+    across, down = gradients_of(tile, brightness.albedo)
+    area = 4.0 * np.pi * ALIKE_PX**2
+    square, of_noise, count = np.zeros((3, len(tile)))
+    for weight, residual in zip(brightness.weight, brightness.residual, strict=True):
+        xx, xy, yy, x, y, seen = (
+            _about(tile, part)
+            for part in (
+                weight * across * across, weight * across * down, weight * down * down,
+                weight * across * residual, weight * down * residual, (weight > 0.0).astype(np.float32),
+            )
+        )  # fmt: skip
+        size, both = xx * yy - xy * xy, xx + yy
+        use = (size > _LEAST_ACROSS * both * both) & (seen > _SEEN)
+        size = np.where(use, size, 1.0)
+        shift = np.hypot(yy * x - xy * y, xx * y - xy * x) / size
+        use &= shift < _LARGEST_PX
+        square += np.where(use, shift * shift, 0.0)
+        of_noise += np.where(use, noise_share * both / size / area, 0.0)
+        count += use
+    use = count >= _LEAST_VIEWS
+    # Of two shifts for each photograph the albedo takes up two and the height one.
+    return (square / np.maximum(2.0 * count - 3.0, 1.0) - of_noise / (2.0 * np.maximum(count, 1.0)))[use], use
+
+
+def _about(tile: Tile, values: np.ndarray) -> np.ndarray:
+    """Values (N,) averaged about each pixel; 0 where there are none."""
+    image = np.zeros(tile.inside.shape, dtype=np.float32)
+    image[tile.inside] = values
+    return ndimage.gaussian_filter(image, ALIKE_PX, truncate=2.5)[tile.inside]

@@ -1,0 +1,139 @@
+"""Where poses of a file are too far off for windows: matches of structure from motion, which nothing limits.
+
+Windows are matched within a few pixels of where the poses expect them. Poses that are off by more leave most
+photographs without any. Features are matched wherever they lie; the block that they make is turned, scaled and shifted
+to where the poses say that it is, and the adjustment starts from there. What is known of the poses stays what the file
+and survey.toml say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from geo.similarity import Similarity
+from survey.adjust.assembling import FEW_MATCHES
+from survey.adjust.priors import Known
+from survey.errors import SurveyError
+from survey.folder.survey import Survey
+from survey.photos.tie_points import TiePoints
+
+# With more than this share of the photographs without windows, poses are taken to be out of their reach: of drawn
+# surveys whose poses are within it, hardly one has any (docs/adjustment.md).
+_MOST_LOST = 0.1
+
+
+@dataclass(frozen=True)
+class FoundAnew:
+    """A block by structure from motion where the poses of its views say that it lies.
+
+    Attributes
+    ----------
+    ties : TiePoints
+    centres, rotations : (V, 3) [m], local; (V, 3, 3) cam from local
+        Of views that it does not have, as they came.
+    warning : str
+        Why it was sought.
+    """
+
+    ties: TiePoints
+    centres: np.ndarray
+    rotations: np.ndarray
+    warning: str = ""
+
+    def start(self, known: Known) -> Known:
+        """What is known, with these poses to start from."""
+        return replace(known, state=replace(known.state, centres=self.centres, rotations=self.rotations))
+
+
+# Finds the poses of a survey anew.
+Search = Callable[[Survey], FoundAnew]
+
+
+def windows_or_search(survey: Survey, measure: Callable[[], TiePoints], search: Search | None) -> TiePoints | FoundAnew:
+    """The windows of a survey with poses of a file, or its block found anew where these are out of their reach.
+
+    Without a search they are what they are.
+
+    Raises
+    ------
+    SurveyError
+        If photographs do not match, or half of them have no windows, and structure from motion finds no poses either.
+    """
+    if search is None:
+        return measure()
+    number, windows = len(survey.views), None
+    try:
+        windows = measure()
+        lost = without_windows(windows, number)
+        said = f"under the given poses windows match in {number - lost} of {number} photographs"
+    except SurveyError as error:
+        lost, said = number, f"under the given poses {error}"
+    if windows is not None and lost <= _MOST_LOST * number:
+        return windows
+    try:
+        found = search(survey)
+    except SurveyError as error:
+        if windows is not None and 2 * lost < number:
+            return windows
+        raise SurveyError(
+            f"{said}, and the photographs alone do not tell better ones: {error}; correct the poses, or keep them as "
+            "they are with --poses fixed"
+        ) from error
+    warning = (
+        f"{said}, as where they are off by more than a few pixels: structure from motion has found them anew, and the "
+        "given ones place the block"
+    )
+    return replace(found, warning=warning)
+
+
+def without_windows(windows: TiePoints, num_views: int) -> int:
+    """How many views have too few windows to turn them."""
+    return int((np.bincount(windows.view, minlength=num_views) < FEW_MATCHES).sum())
+
+
+def find_anew(survey: Survey, workspace: Path, say: Callable[[str], None]) -> FoundAnew:
+    """The block of a survey by structure from motion, brought to its poses.
+
+    Raises
+    ------
+    SurveyError
+        If it places fewer than half of the views: the poses of the others would remain unchecked.
+    """
+    # Slow to import, and rarely needed.
+    from survey.sfm.poses import block_of
+
+    views = survey.views
+    focals = {view.lens.focal[0] for view in views}
+    images = {view.name: view.path for view in views}
+    given = np.array([view.camera.centre for view in views])
+    focal = focals.pop() if len(focals) == 1 else None
+    found = block_of(images, dict(zip(images, given, strict=True)), focal, workspace, say)
+    numbers = np.array([number for number, view in enumerate(views) if view.name in found.poses])
+    if 2 * len(numbers) < len(views):
+        raise SurveyError(f"structure from motion placed {len(numbers)} of {len(views)} photographs")
+    centres, rotations = (np.array([found.poses[views[number].name][part] for number in numbers]) for part in range(2))
+    turned = np.array([views[number].camera.cam_from_local for number in numbers])
+    onto = _onto(centres, rotations, given[numbers], turned)
+    all_centres, all_rotations = given.copy(), np.array([view.camera.cam_from_local for view in views])
+    all_centres[numbers], all_rotations[numbers] = onto(centres), rotations @ onto.rotation.T
+    ties = found.ties.renumbered(numbers)
+    return FoundAnew(replace(ties, start=onto(ties.start)), all_centres, all_rotations)
+
+
+def _onto(centres: np.ndarray, rotations: np.ndarray, given: np.ndarray, turned: np.ndarray) -> Similarity:
+    """The similarity that takes poses (V, 3), (V, 3, 3) to given ones.
+
+    It is turned by the mean of what turns each view, which a single strip determines too; single wrong positions do not
+    count, as scale and shift are medians.
+    """
+    turn = Rotation.from_matrix(turned.transpose(0, 2, 1) @ rotations).mean().as_matrix()
+    first, second = np.triu_indices(len(centres), 1)
+    ours, theirs = (np.linalg.norm(places[first] - places[second], axis=1) for places in (centres, given))
+    scale = float(np.sum(theirs) / np.sum(ours))
+    shift = np.median(given - scale * centres @ turn.T, axis=0)
+    return Similarity(scale, turn, shift)

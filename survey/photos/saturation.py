@@ -1,0 +1,18 @@
+"""Pixels of a photograph that are brighter than it can tell: glint of the sun, and whatever else is white."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+# White, 255, less what noise and JPEG take off it [grey levels].
+_WHITE = 250.0
+# Around white the mirrored sun is fainter, and hides the bed as well [px].
+_RIM_PX = 1
+
+
+def saturated(grey: np.ndarray) -> np.ndarray:
+    """Which pixels of an image (height, width) of 0 to 255 are white, or beside white, (height, width) bool."""
+    white = (grey >= _WHITE).astype(np.uint8)
+    side = 2 * _RIM_PX + 1
+    return cv2.dilate(white, np.ones((side, side), np.uint8)).astype(bool) if white.any() else white.astype(bool)

@@ -1,0 +1,78 @@
+"""White pixels of photographs: left out, small holes closed for windows, counted and named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from fields.solver.appearance import brightness_of
+from fields.sweep.holes import closed, shrunk
+from survey.photos.saturation import saturated
+from survey.report.photographs import doubts, photographs_of, summary, table
+
+
+def _image(rng) -> np.ndarray:
+    return np.rint(40.0 * gaussian_filter(rng.standard_normal((60, 80)), 2.0) / 0.14).astype(np.float32)
+
+
+def test_an_image_without_holes_stays_as_it_is(rng):
+    image = _image(rng)
+    assert closed(image) is image
+
+
+def test_a_small_hole_takes_whole_levels_of_its_surroundings_and_a_large_one_stays(rng):
+    image = _image(rng)
+    holed = image.copy()
+    holed[10:12, 20:22] = np.nan
+    holed[30:50, 30:50] = np.nan
+    found = closed(holed)
+    around = image[8:14, 18:24]
+    assert np.all((found[10:12, 20:22] >= around.min()) & (found[10:12, 20:22] <= around.max()))
+    assert np.array_equal(found[10:12, 20:22], np.rint(found[10:12, 20:22]))
+    assert np.isnan(found[32:48, 32:48]).all()
+    known = np.isfinite(holed)
+    np.testing.assert_array_equal(found[known], image[known])
+
+
+def test_a_straight_edge_of_what_is_left_out_stays_where_it_is(rng):
+    image = _image(rng)
+    image[:, 50:] = np.nan
+    assert np.array_equal(np.isnan(closed(image)), np.isnan(image))
+
+
+def test_a_smaller_image_is_the_mean_of_what_is_known():
+    image = np.full((8, 8), 10.0, dtype=np.float32)
+    image[0, 0] = np.nan
+    image[4:8, 4:7] = np.nan
+    small = shrunk(image, (2, 2))
+    np.testing.assert_allclose(small[0], 10.0)
+    assert np.isnan(small[1, 1])
+
+
+def test_white_and_what_is_beside_it_is_saturated():
+    grey = np.full((9, 9), 240.0, dtype=np.float32)
+    assert not saturated(grey).any()
+    grey[4, 4] = 255.0
+    assert np.argwhere(saturated(grey)).min(axis=0).tolist() == [3, 3]
+    assert saturated(grey).sum() == 9
+
+
+def test_each_photograph_has_its_shares_and_those_that_are_mostly_white_are_named():
+    found = photographs_of({"a.jpg": 0.0, "b.jpg": 0.61, "c.jpg": 0.03}, {"a.jpg": [200, 20], "c.jpg": [0, 0]})
+    assert [each.outlying for each in found] == [0.1, None, None]
+    (warning,) = doubts(found)
+    assert warning.startswith("1 photograph of which more than 50% is saturated")
+    assert warning.endswith("b.jpg")
+    assert "21.3" in summary(found)[0]
+    _, notable = table(found)
+    assert [row[0] for row in notable.rows] == ["b.jpg", "c.jpg"]
+    assert table(()) == summary(()) == doubts(()) == []
+
+
+def test_what_one_photograph_alone_shows_is_outlying(rng):
+    grey = (100.0 + rng.normal(0.0, 2.0, (8, 4000))).astype(np.float32)
+    grey[3, :1000] += 60.0
+    outlying = brightness_of(grey).outlying
+    assert outlying[3, :1000].mean() > 0.99
+    assert outlying[:, 1000:].mean() == pytest.approx(0.0, abs=0.01)

@@ -1,0 +1,105 @@
+"""Steps of the bed: what is searched, where, and what the search finds beside a wall."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from plane_survey import PlaneBed, ring, texture
+
+from fields.sweep.backends import warping
+from fields.sweep.stack import ViewStack
+from fields.sweep.steps import StepSearch, search_steps
+from refract import FlatWater
+
+WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.34)
+LOW, HIGH = -2.0, -1.6
+SEARCH = StepSearch(radius=1, step_px=0.5, around_px=5, least_score=0.6)
+# Too high pixels beside the edge, and the pixels at it whose windows hold both sides.
+FAT_PX, EDGE_PX = 4, 3
+REACH_PX = 2.0
+
+
+@dataclass(frozen=True)
+class Terrace:
+    """A bed with a step of 0.4 m, high in the west; its wall is painted as the ground that it stands on."""
+
+    def true_height(self, camera) -> np.ndarray:
+        path = camera.paths(camera.pixel_centres(), WATER)
+        return np.where(path.at_height(HIGH, WATER)[..., 0] < 0.0, HIGH, LOW).astype(np.float32)
+
+    def photograph(self, camera) -> np.ndarray:
+        path, height = camera.paths(camera.pixel_centres(), WATER), self.true_height(camera)
+        points = path.at_height(height, WATER)
+        ground = texture(points[..., 0], points[..., 1], seed=4)
+        return np.where(height == HIGH, texture(points[..., 0], points[..., 1]), ground).astype(np.float32)
+
+
+def searched(device, height, truth, *, score=0.9, search=SEARCH):
+    """What the search makes of a height map of the middle view."""
+    cameras = ring(8)
+    stack = ViewStack.build(device, cameras, [Terrace().photograph(c) for c in cameras], WATER)
+    found = (height, np.full_like(truth, score), np.full_like(truth, 5.0))
+    parallax = PlaneBed(WATER, LOW).block(device, cameras).parallax(0, list(range(1, 9)), LOW)
+    return found, search_steps(stack, 0, list(range(1, 9)), found, parallax, REACH_PX, search)
+
+
+@pytest.fixture
+def fattened() -> tuple[np.ndarray, np.ndarray]:
+    """True heights of the middle view, and the same with the high side some pixels too wide."""
+    truth = Terrace().true_height(ring(8)[0])
+    edge = int((truth[0] == HIGH).sum())
+    height = truth.copy()
+    height[:, edge : edge + FAT_PX] = HIGH
+    return truth, height
+
+
+def test_ground_that_took_the_height_of_the_wall_beside_it_is_found(device, fattened):
+    truth, height = fattened
+    edge = int((truth[0] == HIGH).sum())
+    _, (found, score, curvature) = searched(device, height, truth)
+    beside = np.s_[4:-4, edge + EDGE_PX : edge + FAT_PX + 5]
+    assert (np.abs(height - truth)[beside] > 0.3).mean() > 0.1
+    assert (np.abs(found - truth)[beside] < 0.02).mean() > 0.97
+    assert (score[beside] > 0.9).mean() > 0.9
+    assert np.abs(found - truth).mean() < 0.5 * np.abs(height - truth).mean()
+    assert (curvature[beside] != 5.0).any()
+
+
+def test_pixels_without_a_step_around_keep_their_heights(device, fattened):
+    truth, height = fattened
+    edge = int((truth[0] == HIGH).sum())
+    before, after = searched(device, height, truth)
+    far = np.ones(truth.shape, dtype=bool)
+    far[:, edge - SEARCH.around_px - 2 : edge + FAT_PX + SEARCH.around_px + 2] = False
+    for old, new in zip(before, after, strict=True):
+        np.testing.assert_array_equal(old[far], new[far])
+
+
+def test_a_view_that_scores_too_low_for_the_windows_is_left_as_it_is(device, fattened):
+    truth, height = fattened
+    before, after = searched(device, height, truth, score=0.5)
+    assert all(old is new for old, new in zip(before, after, strict=True))
+
+
+def test_a_level_bed_is_not_searched(device, fattened, monkeypatch):
+    monkeypatch.setattr(warping(device), "warp", None)
+    truth, _ = fattened
+    level = np.full_like(truth, LOW)
+    before, after = searched(device, level, truth)
+    assert all(old is new for old, new in zip(before, after, strict=True))
+
+
+def test_tiles_in_several_batches_give_what_one_batch_gives(device, fattened, monkeypatch):
+    truth, height = fattened
+    _, whole = searched(device, height, truth)
+    monkeypatch.setattr(warping(device), "STRIP_SAMPLES", 8 * 10 * 10 * 25 * 3)
+    _, parts = searched(device, height, truth)
+    np.testing.assert_allclose(whole[0], parts[0], atol=1e-5)
+
+
+def test_an_image_smaller_than_a_tile_is_left_as_it_is(device, fattened):
+    truth, height = fattened
+    before, after = searched(device, height[:6], truth[:6])
+    assert all(old is new for old, new in zip(before, after, strict=True))

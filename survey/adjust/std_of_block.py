@@ -7,13 +7,17 @@ mean of e_z over the bed, which lifts all heights alike, is left to `survey.adju
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from scipy import ndimage
 
 from survey.adjust.adjustment import Adjustment
 from survey.adjust.common_error import place_moves
 from survey.adjust.std_common import interpolated, places_of, seen_places
-from survey.folder.survey import Survey
+
+if TYPE_CHECKING:
+    from survey.folder.survey import Survey
 
 # The slope of the bed is that over cells of so many ground sampling distances: single heights are noisy.
 _CELL_GSD = 2.0

@@ -66,7 +66,7 @@ def run(
         for section in check_survey(survey, quality=quality.value, device=device.value, checked=checked):
             show(results, section)
         show(results, light_section(checked, wind_m_s=wind))
-        foreseen = None if checked.survey is None else foreseen_section(checked.survey)
+        foreseen = None if checked.survey is None else foreseen_section(checked.survey, quality=quality.value)
         if foreseen is not None:
             show(results, foreseen)
         if deep:

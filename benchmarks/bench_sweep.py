@@ -1,6 +1,6 @@
 """What do windows, rungs, views and the rules of trust of the sweep bring? One choice changed at a time.
 
-    python benchmarks/bench_sweep.py [SURVEY ...] [--quality Q] [--tables passes views trust once] [-o FOLDER]
+    python benchmarks/bench_sweep.py [SURVEY ...] [--quality Q] [--tables passes steps views trust once] [-o FOLDER]
 
 A SURVEY is a folder with known truth (reference.ply and visible.ply in it, or in truth/); without any, that of
 `make demo` is drawn. Accuracy is that of `bathynerf compare` inside the bounds, nothing aligned: mean and standard
@@ -25,6 +25,7 @@ import numpy as np
 from fields.sweep import bed as bed_module
 from fields.sweep import views
 from fields.sweep.bed import BedPoints, trusted
+from fields.sweep.free_space import without_contradicted
 from fields.sweep.ranging import find_range
 from fields.sweep.sweep import PASSES, DepthMap, Pass, sweep
 from survey.compare.comparison import CompareOptions, compare_surfaces
@@ -62,6 +63,9 @@ TRUST = {
     "two agree, or one and NCC above 0.8 (kept)": (2, 0.8),
     "one agrees": (1, 0.8),
 }
+CONTRADICTED = "kept, and heights that other views look through"
+# Scales at which heights are searched between those around a pixel.
+SEARCHED: dict[str, tuple[float, ...]] = {"nowhere": (), "half size": (0.5,), "half and full size (kept)": (0.5, 1.0)}
 
 
 class Case:
@@ -76,10 +80,14 @@ class Case:
         self.block.look_at(0.5 * (self.bound[0] + self.bound[1]))
         self.chosen = self.block.cover(*RECIPES[quality].times_seen, local_area(self.survey))
 
-    def maps(self, passes: tuple[Pass, ...] = PASSES, chosen: list[int] | None = None) -> tuple[list[DepthMap], float]:
-        """Height maps, and the seconds that they took."""
+    def maps(
+        self, passes: tuple[Pass, ...] = PASSES, chosen: list[int] | None = None, *, checked: bool = True
+    ) -> tuple[list[DepthMap], float]:
+        """Height maps, without heights that other views contradict if ``checked``, and the seconds that they took."""
         start = time.monotonic()
         maps = sweep(self.block, self.chosen if chosen is None else chosen, self.bound, lambda done: None, passes)
+        if checked:
+            maps = without_contradicted(self.block, maps)
         return maps, time.monotonic() - start
 
     def points(self, maps: list[DepthMap]) -> BedPoints:
@@ -130,6 +138,17 @@ def trust_table(case: Case) -> dict[str, dict]:
     for name, (enough, ncc) in TRUST.items():
         with patch.multiple(bed_module, CONFIRMED_TWICE=enough, TRUSTED_NCC=ncc):
             rows[name] = case.figures(case.points(maps))
+    rows[CONTRADICTED] = case.figures(case.points(case.maps(checked=False)[0]))
+    return rows
+
+
+def steps_table(case: Case) -> dict[str, dict]:
+    """Where heights are searched between those around a pixel."""
+    rows = {}
+    for name, searched in SEARCHED.items():
+        passes = tuple(p if p.scale in searched else replace(p, search=None) for p in PASSES)
+        maps, seconds = case.maps(passes)
+        rows[name] = case.figures(case.points(maps)) | {"seconds": seconds}
     return rows
 
 
@@ -155,7 +174,7 @@ def in_cubes(bed: BedPoints, size: float) -> BedPoints:
     return replace(bed[first], xyz=np.stack(sums, axis=-1) / count[:, None])
 
 
-TABLES = {"passes": passes_table, "views": views_table, "trust": trust_table, "once": once_table}
+TABLES = {"passes": passes_table, "steps": steps_table, "views": views_table, "trust": trust_table, "once": once_table}
 
 
 def markdown(title: str, rows: dict[str, dict]) -> str:

@@ -14,9 +14,10 @@ from fields.solver.roughness import START_GSD, roughness_of
 from fields.solver.shifts import Shifts, depth_of, shifts_of
 from fields.solver.sightings import Sightings
 from fields.solver.solve import Solved, parallax_of
-from fields.solver.uncertainty import PLACE_PX2, bends_below, for_few, rise_of, variance_of
+from fields.solver.uncertainty import PLACE_PX2, bends_below, rise_of, variance_of
 from fields.solver.views import Job, Views
 from fields.sweep.block import Block
+from fields.sweep.certainty import for_few
 from fields.sweep.sweep import DepthMap
 
 # What a survey is like is learned from so many tiles of this side, spread over those that are nearly as full as the

@@ -17,6 +17,7 @@ import numpy as np
 from fields.sweep.block import Block
 from fields.sweep.climbing import MATCHED_NCC, climb_view
 from fields.sweep.consistency import agreement
+from fields.sweep.over_area import Area, columns_over
 from fields.sweep.stack import ViewStack
 from fields.sweep.steps import StepSearch, search_steps
 
@@ -90,6 +91,7 @@ def sweep(
     bound: tuple[float, float],
     progress: Callable[[float], None],
     passes: tuple[Pass, ...] = PASSES,
+    area: Area | None = None,
 ) -> list[DepthMap]:
     """Sweep the chosen views, coarse to fine.
 
@@ -101,6 +103,9 @@ def sweep(
         The ladder of the first pass.
     progress : called with the share done, 0 to 1
         Number of samples (pixels x rungs x compared views) of all passes, which take nearly all of the time.
+    passes : tuple of Pass
+    area : (x0, y0, x1, y1) [m], local, optional
+        Where heights are wanted: other pixels get no height of their own.
 
     Returns
     -------
@@ -114,11 +119,14 @@ def sweep(
     total, done = sum(fused) + sum(climb.samples for each in climbs for climb in each), 0
     maps: dict[int, DepthMap] = {}
     for number, p in enumerate(passes):
+        # Of a pass before, nothing but heights is needed, each once.
+        heights, maps = {view: m.height for view, m in maps.items()}, {}
         for climb in climbs[number]:
-            maps[climb.view] = _climbed(block, p, climb, bound, maps.get(climb.view))
+            maps[climb.view] = _climbed(block, p, climb, bound, heights.pop(climb.view, None), area)
             done += climb.samples
             progress(done / total)
         if fused[number]:
+            block.release(p.scale)
             fuse(block, maps, p.scale, peers)
             done += fused[number]
             progress(done / total)
@@ -177,16 +185,19 @@ def _step(block: Block, p: Pass, view: int, others: list[int], height: float) ->
     return p.step_px / (p.scale * block.parallax(view, others, height))
 
 
-def _climbed(block: Block, p: Pass, climb: Climb, bound: tuple[float, float], before: DepthMap | None) -> DepthMap:
+def _climbed(
+    block: Block, p: Pass, climb: Climb, bound: tuple[float, float], before: np.ndarray | None, area: Area | None
+) -> DepthMap:
     """One pass over one view: the ladder of the bound, or one about the heights of the pass before."""
     stack, view = block.stack(p.scale), climb.view
-    middle = 0.5 * (bound[0] + bound[1]) if before is None else float(np.median(before.height))
+    middle = 0.5 * (bound[0] + bound[1]) if before is None else float(np.median(before))
     step = _step(block, p, view, climb.others, middle)
     if before is None:
         start = np.full((stack.height, stack.width), bound[0], dtype=np.float32)
     else:
-        start = _enlarged(before.height, stack) - np.float32(step * (climb.rungs // 2))
-    found = climb_view(stack, view, climb.others, start, step, climb.rungs, p.radius)
+        start = _enlarged(before, stack) - np.float32(step * (climb.rungs // 2))
+    columns = None if area is None else columns_over(stack.cameras[view], block.water, area, bound, p.radius)
+    found = climb_view(stack, view, climb.others, start, step, climb.rungs, p.radius, columns)
     if p.search is not None:
         reach = p.step_px * (climb.rungs // 2)
         found = search_steps(stack, view, climb.others, found, p.step_px / step, reach, p.search)
@@ -210,7 +221,7 @@ def fuse(block: Block, maps: dict[int, DepthMap], scale: float, peers: dict[int,
     pixel that matched nothing confirms nothing either.
     """
     chosen = sorted(maps)
-    cameras = [block.stack(scale).cameras[v] for v in chosen]
+    cameras = [block.cameras[v].scaled(scale) if scale != 1.0 else block.cameras[v] for v in chosen]
     matched = [np.where(maps[v].score > MATCHED_NCC, maps[v].height, np.float32(np.nan)) for v in chosen]
     heights = ViewStack.build(block.device, cameras, matched, block.water)
     for index, view in enumerate(chosen):

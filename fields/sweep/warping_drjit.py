@@ -137,6 +137,25 @@ def compare(stack: ViewStack, view: int, peers: list[int], tolerance: float):
     return count, total, square
 
 
+def looked_through(stack: ViewStack, view: int, peers: list[int], tolerance: float):
+    """How many peers (P) see, through the point of each pixel of height map `view`, something that lies lower.
+
+    All four of the peer's pixels about the point are lower by more than `tolerance` [m]; NaN sees nothing.
+    """
+    Float, UInt, size = stack.device.module.Float, stack.device.module.UInt, stack.width * stack.height
+    legs = legs_of(stack, view, 0, stack.height)
+    own = pixels_of(stack, view, 0, stack.height)
+    count, least, width = dr.zeros(Float, size), own - dr.opaque(Float, tolerance), dr.opaque(UInt, stack.width)
+    for peer in peers:
+        u, v, lower = project_at(stack, legs, own, peer)
+        corner, _, _ = _corner(stack, u, v, lower)
+        for offset in (0, 1, width, width + 1):
+            lower &= dr.gather(Float, stack.pixels[peer], corner + offset, lower) < least
+        count += dr.select(lower, 1.0, 0.0)
+    dr.eval(count)
+    return count
+
+
 def paths_of(stack: ViewStack, view: int, pixels: np.ndarray):
     """Legs (as `legs_of`) of chosen pixels (flat indices) of a view, and their heights in a stack of height maps."""
     legs = legs_at(stack, view, pixels)

@@ -109,6 +109,19 @@ def compare(stack: ViewStack, view: int, peers: list[int], tolerance: float) -> 
     return count, total, square
 
 
+def looked_through(stack: ViewStack, view: int, peers: list[int], tolerance: float) -> Tensor:
+    """How many peers (P) see, through the point of each pixel, something that lies lower; see the twin."""
+    legs, own = legs_of(stack, view, 0, stack.height), pixels_of(stack, view, 0, stack.height)
+    count, least = torch.zeros_like(own), own - tolerance
+    for peer in peers:
+        u, v, lower = project_at(stack, legs, own, peer)
+        corner = _corner(stack, u, v, lower)[0]
+        for offset in (0, 1, stack.width, stack.width + 1):
+            lower = lower & (stack.pixels[peer][corner + offset] < least)
+        count += lower
+    return count
+
+
 def paths_of(stack: ViewStack, view: int, pixels: np.ndarray) -> tuple[list[Tensor], Tensor]:
     """Legs of chosen pixels (flat indices) of a view, and their heights in a stack of height maps."""
     own = pixels_of(stack, view, 0, stack.height)[indices(stack.device, pixels)]

@@ -11,7 +11,7 @@ from survey.commands.console import command
 from survey.commands.memory import require_address_space
 from survey.commands.options import KEPT, DeviceOption, Quiet, SurveyFolder, Verbose
 from survey.names import RUN_FOLDER
-from survey.plan.choices import Device, Field, Poses, Quality
+from survey.plan.choices import Device, Field, Plan, Poses, Quality
 
 EXAMPLES = """
     bathynerf process my_survey
@@ -31,6 +31,11 @@ def run(
     poses: Annotated[
         Poses, typer.Option(help="Adjust poses, lens and water together, or take the poses as they are.")
     ] = Poses.auto,
+    plan: Annotated[Plan, typer.Option(help="Leave out what the scene does not need, or nothing.")] = Plan.auto,
+    image_scale: Annotated[
+        float | None,
+        typer.Option(metavar="SCALE", help="Work on images at 1, 0.5, 0.25, ...; default: by size and quality."),
+    ] = None,
     resume: Annotated[bool, typer.Option(help="Reuse finished stages of an earlier run.")] = True,
     calibrate_water: Annotated[
         bool, typer.Option("--calibrate-water", help="First estimate the water from the photographs.")
@@ -58,6 +63,8 @@ def run(
             device=device.value,
             field=field.value,
             poses=poses.value,
+            plan=plan.value,
+            image_scale=image_scale,
             resume=resume,
             calibrate_water=calibrate_water,
             true_colour=true_colour,

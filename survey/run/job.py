@@ -121,13 +121,14 @@ class Job:
         parts = {
             "cameras": lambda: [(view.name, view.camera, view.lens) for view in survey.views],
             "water": lambda: survey.water,
-            "water_settings": lambda: _settings_of(survey),
+            "water_settings": lambda: (_settings_of(survey), survey.tide),
             "heights": lambda: limits(survey),
             "area": lambda: local_area(survey),
             "frame": lambda: survey.frame,
             "name": lambda: survey.name,
             "size": lambda: plan.image_scale,
             "gsd": lambda: plan.gsd_m,
+            "skips": lambda: plan.skips,
             "coverage": lambda: plan.recipe.times_seen,
             "rays": lambda: plan.recipe.rays_per_cell,
             "device": lambda: plan.device,
@@ -153,5 +154,6 @@ def _settings_of(survey: Survey) -> dict | None:
         "level_std_m",
         "slope_std",
         "index_std",
+        "level_rate_std_m_per_h",
     )
     return None if given is None else {name: getattr(given, name) for name in names}

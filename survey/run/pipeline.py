@@ -43,7 +43,7 @@ def _is_refined(job: Job) -> bool:
 
 
 # What decides the rays of the photographs, and where the bed is searched.
-_VIEWS = ("photographs", "cameras", "water", "size", "device")
+_VIEWS = ("photographs", "cameras", "water", "size", "device", "skips")
 
 STAGES = (
     Stage(

@@ -40,6 +40,8 @@ def process(
     resume: bool = True,
     field: str = "auto",
     poses: str = "auto",
+    plan: str = "auto",
+    image_scale: float | None = None,
     calibrate_water: bool = False,
     true_colour: bool = False,
     reference: str | Path | None = None,
@@ -59,6 +61,10 @@ def process(
         which `render` needs, or nothing; "auto" leaves it to the plan.
     poses : "auto", "fixed" or "refine"
         Whether poses and lens are adjusted together with the water; "auto" leaves it to the plan.
+    plan : "auto" or "full"
+        Leave out what the scene does not need, or nothing: what that costs, docs/plan.md has.
+    image_scale : float, optional
+        At which photographs are worked on: 1, a half, a quarter, ...; default by their size and the quality.
     resume : bool
         Use what an earlier run in this folder finished, where nothing that it depends on has changed.
     calibrate_water : bool
@@ -83,7 +89,7 @@ def process(
     run_folder = survey_folder / RUN_FOLDER if run_folder is None else Path(run_folder)
     truth = Truth(*(None if path is None else Path(path) for path in (reference, visible)))
     _require_inputs(survey_folder, run_folder, truth)
-    require_choices(quality=quality, device=device, field=field, poses=poses)
+    require_choices(quality=quality, device=device, field=field, poses=poses, plan=plan, scale=image_scale)
     checked = require_processable(survey_folder)
     if checked.found.config.water is None and (true_colour or calibrate_water):
         option = "--true-colour takes the water away" if true_colour else "--calibrate-water estimates the water"
@@ -94,11 +100,18 @@ def process(
             survey_folder, found=checked.found, workspace=run.sfm_path, report=progress.note
         )
         plan_of = partial(
-            make_plan, quality=quality, device=device, field=field, poses=poses, free_water=calibrate_water
+            make_plan,
+            quality=quality,
+            device=device,
+            field=field,
+            poses=poses,
+            free_water=calibrate_water,
+            plan=plan,
+            scale=image_scale,
         )
-        plan = plan_of(survey)
-        _announce(progress, survey, plan)
-        workload = workload_of(survey, plan)
+        made = plan_of(survey)
+        _announce(progress, survey, made)
+        workload = workload_of(survey, made)
         progress.note(f"workload: {workload}")
         for text in require_room(workload, run_folder):
             progress.warn(text)

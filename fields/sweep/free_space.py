@@ -1,0 +1,44 @@
+"""Is the way to a point free? Heights through which other views see the bed are not trusted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from fields.sweep.arrays import host
+from fields.sweep.backends import warping
+from fields.sweep.bed import trusted
+from fields.sweep.block import Block
+from fields.sweep.stack import ViewStack
+from fields.sweep.sweep import PEERS, DepthMap
+
+
+def without_contradicted(block: Block, maps: list[DepthMap]) -> list[DepthMap]:
+    """Maps in which heights count as confirmed by no view if at least as many look through them as confirm them.
+
+    A view looks through a point where its own trusted heights, in all four pixels about the point, are lower by more
+    than what counts as agreement. Beside an edge views from one side may err alike; those from the other side see what
+    lies behind.
+
+    Parameters
+    ----------
+    block : Block
+    maps : list of DepthMap
+        Of `fields.sweep.sweep.sweep`.
+    """
+    chosen = [m.view for m in maps]
+    heights = [np.where(trusted(m), m.height, np.float32(np.nan)) for m in maps]
+    stack = ViewStack.build(block.device, [block.cameras[view] for view in chosen], heights, block.water)
+    found = []
+    for index, m in enumerate(maps):
+        peers = block.neighbours(m.view, PEERS, among=chosen)
+        if not peers:
+            found.append(m)
+            continue
+        tolerance = block.agreement_tolerance(m.view, peers, float(np.median(m.height)))
+        through = warping(block.device).looked_through(stack, index, [chosen.index(peer) for peer in peers], tolerance)
+        against = host(block.device, through).reshape(m.height.shape)
+        contradicted = (against > 0.0) & (against >= m.agreeing)
+        found.append(replace(m, agreeing=np.where(contradicted, 0, m.agreeing).astype(np.uint8)))
+    return found

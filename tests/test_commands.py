@@ -240,6 +240,7 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
         "field": "slab",
         "poses": "auto",
         "plan": "auto",
+        "image_scale": None,
         "resume": False,
         "calibrate_water": True,
         "true_colour": True,
@@ -249,7 +250,14 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
     assert calls == [((Path("s"), Path("run")), expected, 1)]
     bathynerf("process", "s")
     defaults = {"quality": "standard", "device": "auto", "field": "auto", "resume": True, "calibrate_water": False}
-    others = {"poses": "auto", "plan": "auto", "true_colour": False, "reference": None, "visible": None}
+    others = {
+        "poses": "auto",
+        "plan": "auto",
+        "image_scale": None,
+        "true_colour": False,
+        "reference": None,
+        "visible": None,
+    }
     assert calls[1] == ((Path("s"), None), {**defaults, **others}, 0)
 
 

@@ -232,10 +232,14 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
     result = bathynerf(
         "process", "s", "-o", "run", "--quality", "draft", "--device", "cpu", "--no-resume", "--field", "slab",
         "--calibrate-water", "--true-colour", "--reference", "r.ply", "--visible", "v.ply", "-v",
+        "--target-std", "0.02", "--time-budget", "300",
     )  # fmt: skip
     assert result.exit_code == 3
+    assert calls[0][1].pop("time_gone_s") > 0.0
     expected = {
         "quality": "draft",
+        "target_std_m": 0.02,
+        "time_budget_s": 300.0,
         "device": "cpu",
         "field": "slab",
         "poses": "auto",
@@ -249,7 +253,9 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
     }
     assert calls == [((Path("s"), Path("run")), expected, 1)]
     bathynerf("process", "s")
-    defaults = {"quality": "standard", "device": "auto", "field": "auto", "resume": True, "calibrate_water": False}
+    del calls[1][1]["time_gone_s"]
+    aim = {"quality": None, "target_std_m": None, "time_budget_s": None}
+    defaults = {"device": "auto", "field": "auto", "resume": True, "calibrate_water": False}
     others = {
         "poses": "auto",
         "plan": "auto",
@@ -258,7 +264,7 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
         "reference": None,
         "visible": None,
     }
-    assert calls[1] == ((Path("s"), None), {**defaults, **others}, 0)
+    assert calls[1] == ((Path("s"), None), {**aim, **defaults, **others}, 0)
 
 
 def test_export_needs_something_to_write_and_prints_what_it_wrote(monkeypatch):

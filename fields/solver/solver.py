@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 
 import numpy as np
 
@@ -94,7 +95,12 @@ class _Solved:
 
 
 def solve_maps(
-    block: Block, maps: list[DepthMap], kept: list[np.ndarray], gsd: float, progress: Callable[[float], None]
+    block: Block,
+    maps: list[DepthMap],
+    kept: list[np.ndarray],
+    gsd: float,
+    progress: Callable[[float], None],
+    goes_on: Callable[[], bool] = lambda: True,
 ) -> tuple[list[SolvedMap], SolverFigures]:
     """Solve the kept pixels of all maps, about the heights of the sweep.
 
@@ -108,6 +114,8 @@ def solve_maps(
     gsd : [m]
         Ground sampling distance.
     progress : called with the share done, 0 to 1
+    goes_on : callable
+        Asked before each tile; tiles whose turn comes after it said no are left out.
 
     Returns
     -------
@@ -134,7 +142,8 @@ def solve_maps(
         def part(job: Job, each: Solved) -> tuple[_Solved, Sightings]:
             return _part(job, maps[job.index], each), Sightings.of(each, len(block.images))
 
-        for job, (found, seen) in views.solved(jobs, roughness, pool, part):
+        begun = takewhile(lambda _job: goes_on(), jobs)
+        for job, (found, seen) in views.solved(begun, roughness, pool, part):
             parts[job.index].append(found)
             sightings += seen
             done += len(job.tile)

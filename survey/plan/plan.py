@@ -18,7 +18,7 @@ from survey.plan.ground import ground_height
 from survey.plan.heights import in_words
 from survey.plan.image_size import image_decision, image_scale, require_scale
 from survey.plan.poses import pose_choice
-from survey.plan.recipe import RECIPES, Recipe
+from survey.plan.recipe import AIMED, RECIPES, Recipe
 from survey.plan.skipped import FULL, Decision, first_heights, lens_terms, pixels, refraction
 
 QUALITIES = tuple(RECIPES)
@@ -34,7 +34,8 @@ class Plan:
 
     Attributes
     ----------
-    quality : "draft", "standard" or "fine"
+    quality : "draft", "standard", "fine" or "aimed"
+        The last where a standard deviation or a time is asked for: see `survey.plan.aim`.
     device : "cuda", "llvm" or "torch"
         Where kernels run: Dr.Jit on CUDA, Dr.Jit on the CPU by LLVM, or torch on the CPU.
     image_scale : [-]
@@ -47,6 +48,8 @@ class Plan:
     footprint_m : (width, height) [m]
         What one image covers there, median.
     decisions : tuple of Decision
+    recipe : Recipe
+        The numbers of the quality, or of what an aim makes of it.
     field : "solver", "slab" or "off"
         What refines the heights of the sweep.
     device_asked : "auto", "cpu" or "cuda"
@@ -63,15 +66,11 @@ class Plan:
     height_m: float
     footprint_m: tuple[float, float]
     decisions: tuple[Decision, ...]
+    recipe: Recipe = RECIPES["standard"]
     field: str = "off"
     device_asked: str = "auto"
     poses: tuple[str, str] = ("fixed", "")
     skips: Skips = SKIPS
-
-    @property
-    def recipe(self) -> Recipe:
-        """The numbers of the quality."""
-        return RECIPES[self.quality]
 
     def as_dict(self) -> dict:
         """Plain numbers, texts and lists, to be saved with the run."""
@@ -86,6 +85,7 @@ def make_plan(
     field: str = "auto",
     poses: str = "auto",
     free_water: bool = False,
+    recipe: Recipe | None = None,
     plan: str = "auto",
     scale: float | None = None,
 ) -> Plan:
@@ -100,6 +100,8 @@ def make_plan(
     poses : "auto", "fixed" or "refine"
     free_water : bool
         Whether the water is to be found as if nothing were known of it.
+    recipe : Recipe, optional
+        Of a run with an aim, in place of that of the quality.
     plan : "auto" or "full"
         Leave out what the scene does not need, or nothing.
     scale : [-], optional
@@ -111,16 +113,19 @@ def make_plan(
         If CUDA is asked for and there is none, or a word is not known.
     """
     require_choice("quality", quality, QUALITIES)
+    name = quality if recipe is None else AIMED
+    recipe = RECIPES[quality] if recipe is None else recipe
     chosen = device_decision(device)
     cameras = [view.camera for view in survey.views]
     height = _height(survey)
     asked = scale is not None
-    scale = min(image_scale(camera.width, camera.height, quality) for camera in cameras) if scale is None else scale
+    if scale is None:
+        scale = min(image_scale(camera.width, camera.height, recipe.megapixels) for camera in cameras)
     require_scale(scale)
     gsd = float(np.median([_distance_along_axis(c, survey, height) / c.fx for c in cameras])) / scale
     sides = np.median([(camera.width / camera.fx, camera.height / camera.fy) for camera in cameras], axis=0)
     footprint = (float(height * sides[0]), float(height * sides[1]))
-    refined = _field(quality, field)
+    refined = _field(name, recipe, field)
     require_choice("poses", poses, POSES)
     require_choice("plan", plan, PLANS)
     skips = NOTHING if plan == Choice.full else SKIPS
@@ -135,19 +140,20 @@ def make_plan(
         pixels(survey, skips),
         *_level(survey),
         refined,
-        image_decision(cameras[0], scale, quality, asked=asked),
+        image_decision(cameras[0], scale, name, recipe, asked=asked),
         Decision("range of heights", *in_words(survey, height)),
         first_heights(skips),
         chosen,
     )
     return Plan(
-        quality,
+        name,
         chosen.choice,
         scale,
         gsd,
         height,
         footprint,
         decisions,
+        recipe,
         field=refined.choice,
         device_asked=device,
         poses=(adjusted.choice, adjusted.reason),
@@ -155,11 +161,13 @@ def make_plan(
     )
 
 
-def _field(quality: str, field: str) -> Decision:
+def _field(quality: str, recipe: Recipe, field: str) -> Decision:
     require_choice("field", field, FIELDS)
     if field != "auto":
         return Decision("field", field, "set by --field")
-    chosen = RECIPES[quality].field
+    chosen = recipe.field
+    if quality == AIMED:
+        return Decision("field", chosen, "as far as the aim needs and allows; later rounds may change it")
     reasons = {
         "off": f"{quality} uses the sweep's heights",
         "solver": "least squares over all photographs: less noise, and the standard deviation of each height",

@@ -27,7 +27,7 @@ from survey.run.clock import Clock
 # Places that so many views see count for what all have in common.
 _SEEN_BY = 3
 # What the stated rates of another machine may be wrong by.
-_UNKNOWN_PACE = 1.3
+_UNKNOWN_PACE = 1.2
 
 
 @dataclass(frozen=True)

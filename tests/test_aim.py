@@ -51,6 +51,7 @@ def cells(std: list[float], *, num_views: float = 8.0, depth: list[float] | None
         ({"seconds": float("nan")}, "--time-budget is nan"),
         ({"std_m": 0.01, "quality": "fine"}, "--quality fine is a fixed recipe"),
         ({"std_m": 0.01, "field": "slab"}, "--field slab and an aim"),
+        ({"std_m": 0.01, "scale": 0.5}, "--image-scale 0.5 and an aim"),
     ],
 )
 def test_an_aim_that_cannot_be_is_refused(options, words):

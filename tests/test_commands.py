@@ -244,6 +244,7 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
         "field": "slab",
         "poses": "auto",
         "plan": "auto",
+        "image_scale": None,
         "resume": False,
         "calibrate_water": True,
         "true_colour": True,
@@ -255,7 +256,14 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
     del calls[1][1]["time_gone_s"]
     aim = {"quality": None, "target_std_m": None, "time_budget_s": None}
     defaults = {"device": "auto", "field": "auto", "resume": True, "calibrate_water": False}
-    others = {"poses": "auto", "plan": "auto", "true_colour": False, "reference": None, "visible": None}
+    others = {
+        "poses": "auto",
+        "plan": "auto",
+        "image_scale": None,
+        "true_colour": False,
+        "reference": None,
+        "visible": None,
+    }
     assert calls[1] == ((Path("s"), None), {**aim, **defaults, **others}, 0)
 
 

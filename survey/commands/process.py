@@ -39,6 +39,10 @@ def run(
         Poses, typer.Option(help="Adjust poses, lens and water together, or take the poses as they are.")
     ] = Poses.auto,
     plan: Annotated[Plan, typer.Option(help="Leave out what the scene does not need, or nothing.")] = Plan.auto,
+    image_scale: Annotated[
+        float | None,
+        typer.Option(metavar="SCALE", help="Work on images at 1, 0.5, 0.25, ...; default: by size and quality."),
+    ] = None,
     resume: Annotated[bool, typer.Option(help="Reuse finished stages of an earlier run.")] = True,
     calibrate_water: Annotated[
         bool, typer.Option("--calibrate-water", help="First estimate the water from the photographs.")
@@ -70,6 +74,7 @@ def run(
             field=field.value,
             poses=poses.value,
             plan=plan.value,
+            image_scale=image_scale,
             resume=resume,
             calibrate_water=calibrate_water,
             true_colour=true_colour,

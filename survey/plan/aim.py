@@ -46,13 +46,15 @@ class Aim:
         return " in ".join(parts)
 
 
-def aim_of(std_m: float | None, seconds: float | None, *, quality: str | None, field: str) -> Aim | None:
+def aim_of(
+    std_m: float | None, seconds: float | None, *, quality: str | None, field: str, scale: float | None = None
+) -> Aim | None:
     """The aim of the options of a run; None where neither is given.
 
     Raises
     ------
     SurveyError
-        If one is no positive number, or the quality or the field is set too.
+        If one is no positive number, or the quality, the field or the image scale is set too.
     """
     if std_m is None and seconds is None:
         return None
@@ -66,6 +68,10 @@ def aim_of(std_m: float | None, seconds: float | None, *, quality: str | None, f
     if field != "auto":
         raise SurveyError(
             f"--field {field} and an aim (--target-std, --time-budget), which decides on the solver; leave one out"
+        )
+    if scale is not None:
+        raise SurveyError(
+            f"--image-scale {scale:g} and an aim (--target-std, --time-budget), which chooses it; leave one out"
         )
     return Aim(std_m, seconds)
 

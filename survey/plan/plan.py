@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -17,16 +16,15 @@ from survey.plan.choices import Device, Field, Poses
 from survey.plan.choices import Plan as Choice
 from survey.plan.ground import ground_height
 from survey.plan.heights import in_words
+from survey.plan.image_size import image_decision, image_scale, require_scale
 from survey.plan.poses import pose_choice
-from survey.plan.recipe import RECIPES, Recipe
+from survey.plan.recipe import AIMED, RECIPES, Recipe
 from survey.plan.skipped import FULL, Decision, first_heights, lens_terms, pixels, refraction
 
 QUALITIES = tuple(RECIPES)
 DEVICES = tuple(each.value for each in Device)
 FIELDS = tuple(each.value for each in Field)
 POSES = tuple(each.value for each in Poses)
-# In place of a quality where `survey.plan.aim` makes the recipe.
-AIMED = "aimed"
 PLANS = tuple(each.value for each in Choice)
 
 
@@ -89,6 +87,7 @@ def make_plan(
     free_water: bool = False,
     recipe: Recipe | None = None,
     plan: str = "auto",
+    scale: float | None = None,
 ) -> Plan:
     """What the scene needs.
 
@@ -105,6 +104,8 @@ def make_plan(
         Of a run with an aim, in place of that of the quality.
     plan : "auto" or "full"
         Leave out what the scene does not need, or nothing.
+    scale : [-], optional
+        At which images are worked on: 1, a half, a quarter, ...; default by their size and the quality.
 
     Raises
     ------
@@ -117,7 +118,10 @@ def make_plan(
     chosen = device_decision(device)
     cameras = [view.camera for view in survey.views]
     height = _height(survey)
-    scale = min(image_scale(camera.width, camera.height, recipe.megapixels) for camera in cameras)
+    asked = scale is not None
+    if scale is None:
+        scale = min(image_scale(camera.width, camera.height, recipe.megapixels) for camera in cameras)
+    require_scale(scale)
     gsd = float(np.median([_distance_along_axis(c, survey, height) / c.fx for c in cameras])) / scale
     sides = np.median([(camera.width / camera.fx, camera.height / camera.fy) for camera in cameras], axis=0)
     footprint = (float(height * sides[0]), float(height * sides[1]))
@@ -136,7 +140,7 @@ def make_plan(
         pixels(survey, skips),
         *_level(survey),
         refined,
-        _image_decision(cameras[0], scale, name, recipe),
+        image_decision(cameras[0], scale, name, recipe, asked=asked),
         Decision("range of heights", *in_words(survey, height)),
         first_heights(skips),
         chosen,
@@ -177,7 +181,9 @@ def require_choice(name: str, value: str, known: tuple[str, ...]) -> None:
         raise SurveyError(f"{name} is {value}, expected one of {', '.join(known)}")
 
 
-def require_choices(*, quality: str, device: str, field: str, poses: str, plan: str = "auto") -> None:
+def require_choices(
+    *, quality: str, device: str, field: str, poses: str, plan: str = "auto", scale: float | None = None
+) -> None:
     """Look at the options of a run before anything is computed.
 
     Raises
@@ -190,6 +196,8 @@ def require_choices(*, quality: str, device: str, field: str, poses: str, plan: 
     require_choice("field", field, FIELDS)
     require_choice("poses", poses, POSES)
     require_choice("plan", plan, PLANS)
+    if scale is not None:
+        require_scale(scale)
     if device == "cuda":
         device_decision(device)
 
@@ -226,23 +234,6 @@ def _level(survey: Survey) -> tuple[Decision, ...]:
     if tide.matters:
         return (Decision("level", "per photograph", moves),)
     return (Decision("level", "one", f"{moves}: less than {MOST_SHIFT_PX:g}, which is lost in the noise of matching"),)
-
-
-def _image_decision(camera: PinholeCamera, scale: float, quality: str, recipe: Recipe) -> Decision:
-    size = f"images of {camera.width} x {camera.height} px"
-    if quality == AIMED:
-        reason = f"of {size}; each round has its own, and poses are looked at with that of standard"
-        return Decision("image scale", f"{scale:g}", reason)
-    if scale == 1.0:
-        return Decision("image scale", "1", f"{size} are worked on whole")
-    limit = f"at most {recipe.megapixels:g} Mpx for {quality} quality"
-    return Decision("image scale", f"{scale:g}", f"{size} are halved until they have {limit}")
-
-
-def image_scale(width: int, height: int, megapixels: float) -> float:
-    """The scale [-], at most 1, at which an image of a size [px] is worked on where the largest may have so many."""
-    halvings = math.ceil(0.5 * math.log2(width * height / (1e6 * megapixels)) - 1e-9)
-    return 0.5 ** max(halvings, 0)
 
 
 def _height(survey: Survey) -> float:

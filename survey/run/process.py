@@ -47,6 +47,7 @@ def process(
     time_gone_s: float = 0.0,
     poses: str = "auto",
     plan: str = "auto",
+    image_scale: float | None = None,
     calibrate_water: bool = False,
     true_colour: bool = False,
     reference: str | Path | None = None,
@@ -75,6 +76,8 @@ def process(
         Whether poses and lens are adjusted together with the water; "auto" leaves it to the plan.
     plan : "auto" or "full"
         Leave out what the scene does not need, or nothing: what that costs, docs/plan.md has.
+    image_scale : float, optional
+        At which photographs are worked on: 1, a half, a quarter, ...; default by their size and the quality.
     resume : bool
         Use what an earlier run in this folder finished, where nothing that it depends on has changed.
     calibrate_water : bool
@@ -99,10 +102,10 @@ def process(
     run_folder = survey_folder / RUN_FOLDER if run_folder is None else Path(run_folder)
     truth = Truth(*(None if path is None else Path(path) for path in (reference, visible)))
     _require_inputs(survey_folder, run_folder, truth)
-    aim = aim_of(target_std_m, time_budget_s, quality=quality, field=field)
+    aim = aim_of(target_std_m, time_budget_s, quality=quality, field=field, scale=image_scale)
     clock = None if aim is None or aim.seconds is None else Clock(aim.seconds, time_gone_s)
     quality = quality or "standard"
-    require_choices(quality=quality, device=device, field=field, poses=poses, plan=plan)
+    require_choices(quality=quality, device=device, field=field, poses=poses, plan=plan, scale=image_scale)
     checked = require_processable(survey_folder)
     if checked.found.config.water is None and (true_colour or calibrate_water):
         option = "--true-colour takes the water away" if true_colour else "--calibrate-water estimates the water"
@@ -113,7 +116,14 @@ def process(
             survey_folder, found=checked.found, workspace=run.sfm_path, report=progress.note
         )
         plan_of = partial(
-            make_plan, quality=quality, device=device, field=field, poses=poses, free_water=calibrate_water, plan=plan
+            make_plan,
+            quality=quality,
+            device=device,
+            field=field,
+            poses=poses,
+            free_water=calibrate_water,
+            plan=plan,
+            scale=image_scale,
         )
         aimed = (
             None

@@ -16,15 +16,15 @@ from survey.plan.plan import Plan
 from survey.plan.workload import FIRST_RUNGS, STEPS_PER_CORE_S, amounts_of
 
 # Imports, and hashes of program and photographs.
-_START_S = 3.0
+_START_S = 2.5
 # Check of the poses of so many photographs, and adjustment of all, at no more than so many megapixels each: once, and
 # per megapixel.
 _CHECKED, _MOST_MPX = 10, 6.0
-_CHECK_S, _ADJUST_S = (6.0, 0.9), (2.0, 2.0)
+_CHECK_S, _ADJUST_S = (4.0, 0.9), (2.0, 2.0)
 # Decoding a megapixel; the range of heights; the solver's learning, and its work on a point.
-_DECODING_S, _RANGE_S, _SOLVER_S, _POINT_S = 0.02, 3.0, 2.0, 45e-6
+_DECODING_S, _RANGE_S, _SOLVER_S, _POINT_S = 0.02, 2.0, 2.0, 45e-6
 # Bed, cloud and report: once, and per point.
-_TAIL_S = (4.0, 12e-6)
+_TAIL_S = (3.0, 12e-6)
 # What a measurement may say at most: that a machine is so much faster than stated, or that the solver learned for all
 # but this share of its time.
 _FASTEST, _OF_POINTS = 0.5, 0.3

@@ -27,7 +27,7 @@ from survey.run.clock import Clock
 # Places that so many views see count for what all have in common.
 _SEEN_BY = 3
 # What the stated rates of another machine may be wrong by.
-_UNKNOWN_PACE = 1.3
+_UNKNOWN_PACE = 1.2
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def doubts(aim: Aim, found: Outlook) -> list[str]:
     asked, told = f"asked is a standard deviation of {length(aim.std_m)}", []
     if found.point_std_m[-1] > aim.std_m:
         told.append(
-            f"{asked}, but photographs of this size and overlap promise {length(found.point_std_m[-1])} at best; fly "
+            f"{asked}, but photographs of this size and overlap promise about {length(found.point_std_m[-1])}; fly "
             "lower or with more overlap"
         )
     if found.common_std_m > aim.std_m:
@@ -182,7 +182,7 @@ def rows_of(aim: Aim, survey: Survey, plan_of: Callable[..., Plan]) -> tuple[tup
         if recipe.field != "solver":
             continue
         std = found.point_std_m[rung]
-        heights = f"std of points {length(std)} at best (median)" if math.isfinite(std) else "too few views overlap"
+        heights = f"std of points about {length(std)} (median)" if math.isfinite(std) else "too few views overlap"
         seconds = found.pace.least_s(found.ground, scale, lowest=found.scales[0]) + found.pace.solver_s(
             found.ground, scale
         )

@@ -56,8 +56,8 @@ class Pass:
 # reach the least scores by chance in one of forty pixels: the better half of eight neighbours on a ladder of forty.
 PASSES = (
     Pass(0.25, 2, None, 0.5, 8, False),
-    Pass(0.5, 2, 11, 0.4, 8, False, StepSearch(2, 0.5, 5, MATCHED_NCC)),
-    Pass(1.0, 2, 9, 0.4, 8, True, StepSearch(1, 0.75, 3, 0.68)),
+    Pass(0.5, 2, 11, 0.4, 8, False, StepSearch(2, 0.5, 16, 2.0, 5, MATCHED_NCC)),
+    Pass(1.0, 2, 7, 0.4, 8, True, StepSearch(1, 0.75, 8, 1.6, 3, 0.68, walls=True)),
     Pass(1.0, 2, 5, 0.25, 8, True),
     Pass(1.0, 1, 3, 0.25, 12, True),
 )
@@ -236,8 +236,7 @@ def _climbed(
     columns = None if area is None else columns_over(stack.cameras[view], block.water, area, bound, p.radius)
     found = climb_view(stack, view, climb.others, start, step, climb.rungs, p.radius, columns)
     if p.search is not None:
-        reach = p.step_px * (climb.rungs // 2)
-        found = search_steps(stack, view, climb.others, found, p.step_px / step, reach, p.search)
+        found = search_steps(stack, view, climb.others, found, p.step_px / step, p.search)
     height, score, _ = found
     nobody = np.zeros(height.shape, dtype=np.uint8)
     return DepthMap(view, height, score.astype(np.float16), nobody, np.zeros(height.shape, dtype=np.float16))

@@ -70,7 +70,7 @@ class Resumed:
     words : str
         Its last line.
     run : Path
-        The run folder, complete.
+        The run folder, complete; that of the undisturbed run where this one was refused before it began.
     cost : Cost
         Of the run under the fault.
     is_same : bool
@@ -124,6 +124,9 @@ def resumed(fault: Fault, value: float, survey: Path, place: Path, whole: tuple[
     if kept.is_dir():
         place.rmdir()
         kept.rename(place)
+    if code != 0 and not (run / "stages").is_dir():
+        # Refused before it began: there is nothing that could have been lost.
+        return Resumed(code, words, whole[0], cost, is_same=True)
     if code != 0:
         run_bathynerf(command, home)
     return Resumed(code, words, run, cost, _digests(run) == _digests(whole[0]))

@@ -108,8 +108,10 @@ def write_cloud(
     las.classification[:] = classes
     # 257 maps 0..255 onto the whole of 0..65535.
     las.red, las.green, las.blue = np.asarray(rgb, dtype=np.uint16).T * np.uint16(257)
-    for name, values in stored.items():
-        las[name] = values
+    for name in list(stored):
+        las[name] = stored.pop(name)
+    # The records have it all: an octree may need the room.
+    del common, extra
     _write(las, path)
 
 

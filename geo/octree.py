@@ -18,6 +18,7 @@ _LEAF = 30_000
 # Levels of the finest cells: three numbers of 21 bits fill 63.
 _MOST_BITS = 21
 _SEED = 0
+_MOST_UINT32 = 2**32
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Octree:
         Lowest corner of the cube, in steps: the lowest coordinates.
     side : int
         Of the cube, in steps: the largest extent.
-    order : (N,) int64
+    order : (N,) uint32, or int64 where there are more than those count
         The points, node after node.
     keys : (M, 4) int32
         Level, x, y, z of the nodes; a node comes after its parent.
@@ -72,7 +73,7 @@ def build_octree(columns: Sequence[np.ndarray], per_unit: Sequence[int] = (1, 1,
         cell <<= axis
         code |= cell
     del cell
-    rest = np.argsort(code, kind="stable")
+    rest = np.argsort(code, kind="stable").astype(np.uint32 if len(code) <= _MOST_UINT32 else np.int64)
     code.sort()
     rng = np.random.default_rng(_SEED)
     order, keys, counts = [], [], []

@@ -28,6 +28,7 @@ BROWN, RATIONAL, FISHEYE, AFFINE = "brown", "rational", "fisheye", "affine"
 _COUNTS = {BROWN: 5, RATIONAL: 8, FISHEYE: 4, AFFINE: 7}
 _COEFFICIENTS = 8
 ROW = _COEFFICIENTS + 2
+KINDS = frozenset(_COUNTS)
 
 # No lens is followed farther from its axis than this, 83 degrees; a fisheye's angle ends at 89 degrees.
 _FARTHEST, _WIDEST = 8.0, math.radians(89.0)

@@ -127,6 +127,17 @@ def test_each_photograph_is_predicted_at_its_own_level(rng):
         np.testing.assert_allclose(found[mine], predict(layout, own, ties, sides)[mine], rtol=0.0, atol=1e-8)
 
 
+def test_a_rate_of_the_level_raises_the_water_of_each_photograph_by_its_time(rng):
+    layout, state, ties = drawn_state(2)
+    hours, sides = rng.uniform(-0.5, 0.5, len(state.centres)), relief_sides(state, ties)
+    moving = replace(layout, hours=hours, tides=rng.uniform(-0.1, 0.1, len(hours)))
+    assert len(moving) == len(layout) + 1
+    risen = replace(state, rate=0.4)
+    require_derivatives(moving, risen, ties)
+    by_tides = replace(layout, tides=moving.tides + 0.4 * hours)
+    np.testing.assert_allclose(predict(moving, risen, ties, sides), predict(by_tides, state, ties, sides), atol=1e-9)
+
+
 def test_a_point_behind_its_camera_has_no_pixel():
     layout, state, ties = drawn_state(2)
     points = state.points.copy()

@@ -14,11 +14,16 @@ from survey.run.process import process
 
 
 @pytest.fixture(scope="module")
-def covered(tmp_path_factory):
-    """A noisy survey with a bank: coverage by class, and the std of all points."""
-    run = drawn(tmp_path_factory.mktemp("coverage"), noise=4.0, shore=True, seed=7)
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("coverage")
+
+
+@pytest.fixture(scope="module", params=["off", "solver"])
+def covered(request, folder):
+    """A noisy survey with a bank, by the sweep alone and solved: coverage by class, and the std of all points."""
+    run = drawn(folder, noise=4.0, shore=True, seed=7)
     with Progress(verbosity=-1):
-        assert process(run.folder, field="solver", poses="fixed") == 0
+        assert process(run.folder, field=request.param, poses="fixed") == 0
     cloud, frame = read_cloud(run.run.cloud_path), run.survey.frame
     points, vertices = frame.local_from_crs(cloud.points), frame.local_from_crs(run.reference.vertices)
     error = vertical_difference(points, vertices, run.reference.faces)

@@ -77,6 +77,8 @@ def test_a_rate_counts_from_the_mean_time_or_from_that_of_the_level(tmp_path):
     [
         ("level_m = 2.0\nlevel_rate_m_per_h = 30.0", "at most 10 up or down"),
         ('gauge = "g.csv"\nlevel_rate_m_per_h = 0.3', "level_rate_m_per_h and gauge"),
+        ("level_m = 2.0\nlevel_rate_std_m_per_h = 0.3", "without level_rate_m_per_h"),
+        ("level_m = 2.0\nlevel_rate_m_per_h = 0.0\nlevel_rate_std_m_per_h = 0.0", "standard deviation above 0"),
         ('level_m = 2.0\nlevel_time = "2024-06-01T10:00:00Z"', "without level_rate_m_per_h"),
         ('level_m = 2.0\nlevel_rate_m_per_h = 0.3\nlevel_time = "2024-06-01T10:00:00"', "no time zone"),
     ],
@@ -92,6 +94,8 @@ def test_photographs_without_a_time_have_the_mean_level_only_where_it_hardly_mov
     assert tide_of(tmp_path, slow, heads)[1].over == pytest.approx({"a.jpg": -0.002, "b.jpg": 0.002, "x.jpg": 0.0})
     with pytest.raises(ConfigError, match=r"1 of 3 images have no time of exposure in EXIF \(first: x.jpg\).*40 mm"):
         tide_of(tmp_path, fast, heads)
+    with pytest.raises(ConfigError, match=r"1 of 3 images have no time of exposure.*finds the rate"):
+        tide_of(tmp_path, slow + "\nlevel_rate_std_m_per_h = 0.3", heads)
 
 
 @pytest.mark.parametrize("share", [0.9, 1.1])
@@ -117,4 +121,10 @@ def test_the_plan_says_whether_photographs_have_levels_of_their_own(tmp_path):
     assert said(check_survey(tmp_path / "moving"), "Plan")["level"].startswith("per photograph: gauge, moves by 120")
     gauge.write_text("time,level\n2024-06-01T10:00:00Z,584.199\n2024-06-01T11:00:00Z,584.201\n")
     assert said(check_survey(tmp_path / "moving"), "Plan")["level"].startswith("one: gauge, moves by 2.0")
+    toml = tmp_path / "moving" / "survey.toml"
+    free = "level_m = 584.2\nlevel_rate_m_per_h = 0.0\nlevel_rate_std_m_per_h = 0.3"
+    toml.write_text(toml.read_text(encoding="utf-8").replace('gauge = "gauge.csv"', free), encoding="utf-8")
+    plan = said(check_survey(tmp_path / "moving"), "Plan")
+    assert plan["level"] == "per photograph: its rate, known to 0 +- 0.3 m/h, is found with the poses"
+    assert plan["poses"].startswith("refine: level_rate_std_m_per_h says")
     assert "level" not in said(check_survey(small_survey(tmp_path / "still")), "Plan")

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from survey.adjust.foreseen import foresee
+from survey.adjust.foreseen import MATCH_STD_PX, foresee
 from survey.adjust.foreseen_text import foreseen_section
 from survey.folder.survey import load_survey
 from survey.simulate.drawn import DrawnScene, draw_survey
@@ -50,7 +50,7 @@ def test_heights_of_two_rays_are_as_their_triangle_says(tmp_path):
     # With V rays spread by the angle a about the vertical the height is good to the pixel over tan(a / 2) sqrt(V):
     # within a factor of two, as rays lie in all directions.
     distance = DrawnScene.tiny().flying_m + DrawnScene.tiny().depth_m
-    pixel = 0.15 * distance / survey.views[0].camera.fx
+    pixel = MATCH_STD_PX * distance / survey.views[0].camera.fx
     rough = pixel / (math.tan(math.radians(0.5 * found.angle_deg)) * math.sqrt(found.views_of_place[1] / 2.0))
     assert 0.4 < found.heights.of_point_m / rough < 2.5
 

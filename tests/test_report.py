@@ -20,7 +20,8 @@ from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit, length
 from survey.folder.survey import load_survey
-from survey.plan.plan import Decision, Plan
+from survey.plan.plan import Plan
+from survey.plan.skipped import Decision
 from survey.report import NUM_STEPS, ReportFacts, profile, write_report
 from survey.report.collect import figures_of
 from survey.report.cut import choose_cut

@@ -19,7 +19,7 @@ from fields.solver.smoothness import bends_of, stiffness_of
 from fields.solver.solve import Solved, conjugate_gradients, gradients_of, normal_matrix
 from fields.solver.solver import SolvedMap, SolverFigures, solve_maps
 from fields.solver.tile import Tile, tiles_of
-from fields.solver.uncertainty import for_few, variance_of
+from fields.solver.uncertainty import variance_of
 from fields.sweep.block import Block
 from fields.sweep.sweep import DepthMap
 from refract import FlatWater, PinholeCamera
@@ -257,12 +257,6 @@ def test_texture_that_is_noise_is_no_information():
     result, tile = synthetic(1.0 / 0.02**2, 0.03), plain_tile(40)
     half = replace(result, of_noise=0.5 * result.information)
     assert 1.5 < np.median(variance_of(tile, half) / variance_of(tile, result)) < 4.0
-
-
-def test_fewer_photographs_leave_a_larger_variance():
-    factor = for_few(np.array([2, 3, 8, 40]))
-    assert (np.diff(factor) < 0.0).all()
-    assert 1.0 < factor[-1] < 1.1
 
 
 def test_tiles_hold_every_wanted_pixel_once():

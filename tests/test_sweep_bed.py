@@ -127,14 +127,6 @@ def test_points_appear_at_the_pixels_they_were_taken_from(half_kept):
     np.testing.assert_allclose(np.cos(points.incidence), -(rays @ TILTED.up), atol=1e-6)
 
 
-def test_the_standard_deviation_is_that_of_a_sample(half_kept):
-    camera, m, keep, rgb = half_kept
-    heights = np.array([-2.0, -2.02, -1.97])
-    m.agreeing[:], m.spread[:] = 2, np.std(heights)
-    points = points_of(camera, TILTED, m, keep, rgb)
-    np.testing.assert_allclose(points.std, np.std(heights, ddof=1), rtol=1e-6)
-
-
 def test_a_dry_survey_has_no_depth_and_counts_heights_from_local_zero(half_kept):
     camera, m, keep, rgb = half_kept
     points = points_of(camera, None, m, keep, rgb)

@@ -73,18 +73,21 @@ class Brightness:
 def appearance_of(tile: Tile, grey: np.ndarray) -> Appearance:
     """Gain and smooth offset of each photograph against the mean of all, from grey values (K, N), NaN where not seen.
 
+    First of all that is seen, then without what one photograph alone shows: glint makes it brighter, and is no gain.
     The tile's own photograph, the first, stays as it is.
     """
     seen = np.isfinite(grey)
     values = np.where(seen, grey, np.float32(0.0))
     gain, offset, blocks = np.ones(len(grey), dtype=np.float32), np.zeros_like(values), _Blocks(tile)
-    for _ in range(2):
-        corrected = np.where(seen, (values - offset) / gain[:, None], np.float32(0.0))
-        mean = corrected.sum(axis=0) / np.maximum(seen.sum(axis=0, dtype=np.float32), 1.0)
-        for k, mask in enumerate(seen):
+    mean, alike = values.sum(axis=0) / np.maximum(seen.sum(axis=0, dtype=np.float32), 1.0), seen
+    for last in (False, True):
+        for k, mask in enumerate(alike):
             if mask.sum() >= LEAST_PIXELS:
                 gain[k] = _gain(values[k][mask], mean[mask])
             offset[k] = blocks.smooth(values[k] - gain[k] * mean, mask)
+        if not last:
+            found = brightness_of((grey - offset) / gain[:, None])
+            mean, alike = found.albedo, seen & ~found.outlying
     return Appearance(gain / gain[0], offset - gain[:, None] / gain[0] * offset[0])
 
 

@@ -58,16 +58,6 @@ def rise_of(tile: Tile, height: np.ndarray) -> np.ndarray:
     return 0.5 * (ndimage.maximum_filter(highest, 3)[tile.inside] - ndimage.minimum_filter(lowest, 3)[tile.inside])
 
 
-def for_few(views: np.ndarray) -> np.ndarray:
-    """Factor (N,) on the variance of heights on which so many photographs agree.
-
-    What is particular to a place (a reflection, an edge that hides it) is known from those photographs alone: Student's
-    law of one degree of freedom more than there are photographs.
-    """
-    count = np.maximum(views.astype(np.float32), 2.0)
-    return (count + 1.0) / (count - 1.0)
-
-
 def _nearby(tile: Tile, values: np.ndarray) -> np.ndarray:
     """Mean of values (N,) around each pixel of the tile."""
     total, weight = (_spread(tile, part) for part in (values, np.ones(len(tile))))

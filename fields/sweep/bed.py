@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from fields.sweep.arrays import host, indices
 from fields.sweep.backends import warping
 from fields.sweep.block import Block
+from fields.sweep.certainty import std_of
 from fields.sweep.stack import ViewStack
 from fields.sweep.sweep import DepthMap
 from refract import FlatWater, PinholeCamera
@@ -24,7 +25,7 @@ class BedPoints:
     xyz : (N, 3) float64 [m]
     rgb : (N, 3) uint8
     std : (N,) float32 [m]
-        Standard deviation of the height over the views that agree.
+        Standard deviation of the height.
     num_views : (N,) uint8
         Views that see the point at this height, the one it was taken from included.
     depth : (N,) float32 [m]
@@ -121,17 +122,14 @@ def points_of(
     """
     pixels = camera.pixel_centres()[keep]
     path = camera.paths(pixels, water)
-
-    def kept(array):
-        return array[: camera.height, : camera.width][keep]
-
-    height = kept(depth_map.height).astype(np.float64)
+    height, agreeing, spread = (
+        array[: camera.height, : camera.width] for array in (depth_map.height, depth_map.agreeing, depth_map.spread)
+    )
+    std = std_of(height, agreeing, spread)[keep]
+    height, agreeing = height[keep].astype(np.float64), agreeing[keep]
     xyz = path.at_height(height, water)
     normal = np.array(water.up if water else (0.0, 0.0, 1.0))
     depth = water.height(xyz[:, 0], xyz[:, 1]) - xyz[:, 2] if water else np.full(len(xyz), np.nan)
-    agreeing = kept(depth_map.agreeing).astype(np.float32)
-    # The spread is a population figure over agreeing + 1 heights; the sample figure does not flatter few views.
-    std = kept(depth_map.spread).astype(np.float32) * np.sqrt((agreeing + 1.0) / np.maximum(agreeing, 1.0))
     return BedPoints(
         xyz,
         rgb[keep],

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from fields.device import Device
+from fields.skips import SKIPS, Skips
 from fields.sweep import views
 from fields.sweep.arrays import release
 from fields.sweep.greys import Greys
@@ -89,6 +90,7 @@ class Block(Overlap):
     saturated : tuple of float
         Share of each photograph that is left out because it is white; empty where nobody has looked. Read after the
         images, so that what gives these may fill it.
+    skips : Skips
 
     Raises
     ------
@@ -104,8 +106,9 @@ class Block(Overlap):
         water: FlatWater | None,
         height: float,
         saturated: Sequence[float] = (),
+        skips: Skips = SKIPS,
     ):
-        self.device, self.images = device, Greys(images)
+        self.device, self.images, self.skips = device, Greys(images), skips
         if len(cameras) < 2 or len(cameras) != len(self.images):
             raise ValueError(
                 f"a block needs two views or more, each with an image; got {len(cameras)} and {len(self.images)}"
@@ -124,13 +127,13 @@ class Block(Overlap):
                 images = [closed(shrunk(image, size)) for image in images]
             elif not self.images.are_whole:
                 images = Greys(closed(image) for image in images)
-            self._stacks[scale] = ViewStack.build(self.device, cameras, images, self.water)
+            self._stacks[scale] = ViewStack.build(self.device, cameras, images, self.water, self.skips)
         return self._stacks[scale]
 
     def part(self, chosen: list[int]) -> Block:
         """A block of some of the views alone."""
         cameras, images = [self.cameras[view] for view in chosen], (self.images[view] for view in chosen)
-        return Block(self.device, cameras, images, self.water, self.height)
+        return Block(self.device, cameras, images, self.water, self.height, skips=self.skips)
 
     def release(self, scale: float) -> None:
         """Forget the images at a scale."""

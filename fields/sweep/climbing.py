@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import ModuleType
+
 import cv2
 import numpy as np
 
@@ -21,6 +23,7 @@ def climb_view(
     step: float,
     rungs: int,
     radius: int,
+    columns: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Best height of each pixel of a view on a ladder that begins at ``start``.
 
@@ -33,6 +36,9 @@ def climb_view(
     step : [m]
     radius : [px]
         Of the NCC window.
+    columns : (height, 2) int, optional
+        First column, and the one after the last, in which each row is wanted; equal ones where none is. The others are
+        as if no window were complete.
 
     Returns
     -------
@@ -45,19 +51,35 @@ def climb_view(
     width, height = stack.width, stack.height
     rows = max(4 * radius + 4, min(height, images.STRIP_SAMPLES // (len(others) * rungs * width)))
     found = [np.array(start, dtype=np.float32), *(np.full((height, width), v, np.float32) for v in (-1.0, 0.0))]
-    inner = slice(radius, width - radius)
-    for first in range(radius, height - radius if width > 2 * radius else 0, rows):
-        last = min(first + rows, height - radius)
-        top, bottom = first - radius, last + radius
-        legs = images.legs_of(stack, view, top, bottom - top)
-        begin = floats(device, start[top:bottom])
-        grey = images.pixels_of(stack, view, top, bottom - top)
+    columns = np.tile([0, width], (height, 1)) if columns is None else columns
+    wanted = np.flatnonzero(columns[:, 1] > columns[:, 0])
+    wanted = wanted[(wanted >= radius) & (wanted < height - radius)] if width > 2 * radius else wanted[:0]
+    for first in range(wanted[0], wanted[-1] + 1, rows) if len(wanted) else ():
+        last = min(first + rows, wanted[-1] + 1)
+        here = columns[wanted[(wanted >= first) & (wanted < last)]]
+        # At least one window wide, where none of these rows is wanted too.
+        left = min(max(int(here[:, 0].min(initial=width)) - radius, 0), width - 2 * radius - 1)
+        right = max(min(int(here[:, 1].max(initial=0)) + radius, width), left + 2 * radius + 1)
+        strip = np.s_[first - radius : last + radius, left:right]
+        legs = _legs(images, stack, view, strip)
+        begin = floats(device, start[strip])
+        grey = floats(device, stack.images[view][strip])
         values = images.warp(stack, legs, begin, others, step, rungs)
-        mean = scores.best_half(device, scores.ncc(device, grey, values, width, radius))
+        mean = scores.best_half(device, scores.ncc(device, grey, values, right - left, radius))
         for target, result in zip(found, scores.climb(device, mean, begin, step, rungs), strict=True):
             # The results begin with the first whole window: `radius` pixels into the first row of the target.
-            target[first:last, inner] = np.pad(host(device, result), radius).reshape(-1, width)[:, inner]
+            image = np.pad(host(device, result), radius).reshape(-1, right - left)
+            target[first:last, left + radius : right - radius] = image[:, radius : right - left - radius]
     return _filled(found[0], found[1] > MATCHED_NCC), found[1], found[2]
+
+
+def _legs(images: ModuleType, stack: ViewStack, view: int, strip: tuple[slice, slice]):
+    """Legs of a strip of pixels: of whole rows, or of a part of their columns."""
+    rows, columns = strip
+    if columns.stop - columns.start == stack.width:
+        return images.legs_of(stack, view, rows.start, rows.stop - rows.start)
+    index = np.arange(rows.start, rows.stop)[:, None] * stack.width + np.arange(columns.start, columns.stop)
+    return images.legs_at(stack, view, index.ravel())
 
 
 def _filled(height: np.ndarray, known: np.ndarray) -> np.ndarray:

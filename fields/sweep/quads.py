@@ -22,7 +22,7 @@ from fields.sweep.recent import Recent
 # The first level of a word of 16 bits a level where any of its four pixels is masked.
 MASKED = 2**16 - 1
 # Packed images that are kept on a processor, in bytes, or so many: a view's neighbours and those of the next.
-KEPT_BYTES, FEWEST_KEPT = 256_000_000, 20
+KEPT_BYTES, FEWEST_KEPT = 200_000_000, 20
 # Levels that span less are taken to span so much.
 LEAST_SPAN = 1e-3
 

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from fields.device import Device
+from fields.skips import SKIPS, Skips
 from fields.sweep.arrays import constant, floats
 from fields.sweep.greys import Greys
 from fields.sweep.quads import Quads
 from refract import FlatWater, PinholeCamera
+from refract.distortion import KINDS, kinds_of, row_of
 from refract.distortion import ROW as LENS_ROW
-from refract.distortion import kinds_of, row_of
 
 _PINHOLE_ROW, _MOTION_ROW, _TIDE_ROW = 18, 3, 1
 
@@ -39,8 +40,10 @@ class Beyond:
     tides: bool
 
     @staticmethod
-    def of(cameras: list[PinholeCamera]) -> Beyond:
-        """That of cameras."""
+    def of(cameras: list[PinholeCamera], skips: Skips = SKIPS) -> Beyond:
+        """That of cameras, or all that there may be."""
+        if not skips.lens:
+            return Beyond(KINDS, True, True)
         moves, tides = any(c.motion is not None for c in cameras), any(c.tide != 0.0 for c in cameras)
         return Beyond(kinds_of(c.distortion for c in cameras), moves, tides)
 
@@ -92,6 +95,12 @@ class PlaneFrame:
         return PlaneFrame(up * (up @ np.asarray(water.point)), np.stack([east, np.cross(up, east), up]))
 
 
+def index_of(water: FlatWater | None, skips: Skips) -> float | None:
+    """Index of the water; None where rays are straight, and nothing need be bent."""
+    index = 1.0 if water is None else water.n_water
+    return None if index == 1.0 and skips.air else index
+
+
 def camera_table(cameras: list[PinholeCamera], beyond: Beyond, frame: PlaneFrame) -> np.ndarray:
     """Rotation (9), centre (3), fx, fy, cx, cy, width, height of each camera, and what it has beyond a pinhole.
 
@@ -120,15 +129,17 @@ class ViewStack:
     cameras : list of PinholeCamera, all of one size
     images : (height, width) float32 each
     water : FlatWater or None
+    skips : Skips
     """
 
     device: Device
     cameras: list[PinholeCamera]
     images: Sequence[np.ndarray]
     water: FlatWater | None
+    skips: Skips = SKIPS
 
     @staticmethod
-    def build(device: Device, cameras, images, water) -> ViewStack:
+    def build(device: Device, cameras, images, water, skips: Skips = SKIPS) -> ViewStack:
         """Stack images (height, width) float; all must have the size of their camera, and one size.
 
         Raises
@@ -146,7 +157,7 @@ class ViewStack:
                     f"a stack holds images of one size {size}, that of their cameras; got an image of {shape} "
                     f"with a camera of {(camera.height, camera.width)}"
                 )
-        return ViewStack(device, list(cameras), images, water)
+        return ViewStack(device, list(cameras), images, water, skips)
 
     @property
     def height(self) -> int:
@@ -158,13 +169,13 @@ class ViewStack:
 
     @property
     def n_water(self) -> float | None:
-        """Index of the water; None in a dry survey."""
-        return None if self.water is None else self.water.n_water
+        """Index of the water; None where rays are straight."""
+        return index_of(self.water, self.skips)
 
     @cached_property
     def beyond(self) -> Beyond:
         """What its cameras have beyond pinholes."""
-        return Beyond.of(self.cameras)
+        return Beyond.of(self.cameras, self.skips)
 
     @cached_property
     def frame(self) -> PlaneFrame:

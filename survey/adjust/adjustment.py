@@ -26,7 +26,7 @@ class Parameter:
     ----------
     name : str
         "level_m", "slope_east", "slope_north", "refractive_index", or of the first lens "camera0.f" to "camera0.p2",
-        and "camera0.readout_s" where the readout of its shutter was to be found.
+        "camera0.readout_s" where the readout of its shutter was to be found, and "level_rate_m_per_h" where that was.
     value, std : float
         Level in m in crs at ``level_at``; slopes along the grid axes; the index relative to air; focal length and
         principal point in px, the first pixel's centre at 0.5, 0.5.
@@ -114,6 +114,8 @@ class Adjustment:
         Of the shutter behind each lens, from the first to the last row [s]; None where no shutter rolls.
     flow : (V, 3) [m/(s px)], local, or None
     tides : (V,) [m], or None
+        Of the cameras, as they were found.
+    hours : (V,) [h], or None
         See `survey.adjust.state.Layout`.
     """
 
@@ -146,6 +148,7 @@ class Adjustment:
     readouts_s: tuple[float, ...] | None = None
     flow: np.ndarray | None = None
     tides: np.ndarray | None = None
+    hours: np.ndarray | None = None
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name."""
@@ -157,14 +160,16 @@ class Adjustment:
         aspect = np.array([lens.focal[1] / lens.focal[0] for lens in self.lenses])
         names = {f"camera0.{READOUT_NAME}"}
         finds_readouts = not names.isdisjoint(self.covariance_names)
-        return Layout(self.lens_of, aspect, self.flow, finds_readouts=finds_readouts, tides=self.tides)
+        return Layout(
+            self.lens_of, aspect, self.flow, finds_readouts=finds_readouts, tides=self.tides, hours=self.hours
+        )
 
 
 # Attributes that are arrays, in adjustment.npz, some of them only where shutters roll or water moves; all others are in
 # adjustment.json.
 _ARRAYS = (
     "lens_of", "centres", "rotations", "position_std", "rotation_std_deg", "covariance", "residual_view",
-    "residual_px", "residual_at_px", "residual_point", "points", "flow", "tides",
+    "residual_px", "residual_at_px", "residual_point", "points", "flow", "tides", "hours",
 )  # fmt: skip
 
 

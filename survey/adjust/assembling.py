@@ -14,10 +14,11 @@ from survey.adjust.holding import not_observable
 from survey.adjust.observed import KINDS, MARK, Observed
 from survey.adjust.priors import Known, is_held
 from survey.adjust.rounds import Adjusted
-from survey.adjust.state import LENS_NAMES, READOUT_NAME, WATER, WATER_NAMES, Layout, State
+from survey.adjust.state import LENS_NAMES, RATE_NAME, READOUT_NAME, WATER, WATER_NAMES, Layout, State
 from survey.adjust.verdicts import (
     lens_verdicts,
     lost_verdict,
+    rate_verdict,
     readout_limits,
     readout_verdict,
     water_limits,
@@ -108,17 +109,19 @@ def result(
         points=state.points,
         readouts_s=tuple(state.readouts.tolist()) or None,
         flow=layout.flow,
-        tides=layout.tides,
+        tides=state.tides(layout),
+        hours=layout.hours,
     )
 
 
 def _names_of(survey: Survey, layout: Layout) -> tuple[str, ...]:
     """Of the rows of the covariance."""
-    num_lenses, num_readouts = len(layout.aspect), layout.first_pose - layout.first_readout
+    num_lenses, num_readouts = len(layout.aspect), layout.first_rate - layout.first_readout
     return (
         *WATER_NAMES,
         *(f"camera{i}.{name}" for i in range(num_lenses) for name in LENS_NAMES),
         *(f"camera{i}.{READOUT_NAME}" for i in range(num_readouts)),
+        *(RATE_NAME for _ in range(layout.first_pose - layout.first_rate)),
         *(f"{view.name}.{name}" for view in survey.views for name in _POSE_NAMES),
     )
 
@@ -165,9 +168,18 @@ def _judged(
             at = known.layout.lens(number)
             std = np.sqrt(variance[at])
             parameters += lens_verdicts(number, state.lenses[number], std, known.mean.lenses[number], known.std[at])
+    if known.layout.hours is not None:
+        parameters.append(_rate(survey, known, state, float(np.sqrt(variance[known.layout.first_rate]))))
     if known.layout.finds_readouts:
         parameters += _readouts(known, state, np.sqrt(variance))
     return tuple(parameters), water
+
+
+def _rate(survey: Survey, known: Known, state: State, std: float) -> Parameter:
+    """How fast the level rises, with its verdict."""
+    hours, given = known.layout.hours, survey.require_water()[1].level_rate_m_per_h or 0.0
+    assert hours is not None
+    return rate_verdict(given + state.rate, std, given, float(known.std[known.layout.first_rate]), hours)
 
 
 def _readouts(known: Known, state: State, std: np.ndarray) -> list[Parameter]:

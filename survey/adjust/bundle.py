@@ -64,8 +64,9 @@ class Priors:
         poses = np.concatenate([state.centres - self.state.centres, turns], axis=1)
         water = state.water_parameters() - self.state.water_parameters()
         lenses = (state.lenses - self.state.lenses).ravel()
-        readouts = (state.readouts - self.state.readouts)[: layout.first_pose - layout.first_readout]
-        return np.concatenate([water, state.relief - self.state.relief, lenses, readouts, poses.ravel()])
+        readouts = (state.readouts - self.state.readouts)[: layout.first_rate - layout.first_readout]
+        rate = np.full(layout.first_pose - layout.first_rate, state.rate - self.state.rate)
+        return np.concatenate([water, state.relief - self.state.relief, lenses, readouts, rate, poses.ravel()])
 
 
 @dataclass(frozen=True)

@@ -74,6 +74,11 @@ def common_error(found: Adjustment, water: FlatWater | None) -> CommonError | No
 
 def height_moves(found: Adjustment, water: FlatWater | None, ties: TiePoints) -> np.ndarray:
     """Derivative (K, P) of the heights of places by the parameters of `Adjustment.covariance`."""
+    return place_moves(found, water, ties)[:, 2]
+
+
+def place_moves(found: Adjustment, water: FlatWater | None, ties: TiePoints) -> np.ndarray:
+    """Derivative (K, 3, P) of places, local, by the parameters of `Adjustment.covariance`."""
     layout = found.layout
     if water is not None:
         x, y = found.water_point
@@ -85,18 +90,18 @@ def height_moves(found: Adjustment, water: FlatWater | None, ties: TiePoints) ->
 
 
 def moves_of(layout: Layout, state: State, ties: TiePoints, rows: np.ndarray) -> np.ndarray:
-    """Derivative (K, P) of the heights of places, those of the state, by water, lenses and poses.
+    """Derivative (K, 3, P) of places, those of the state, by water, lenses and poses.
 
     ``rows`` (N,) as `survey.adjust.observed.rows_taken` gives them.
     """
     linear = linearise(layout, state, ties, np.zeros((len(ties.view), RELIEF)), rows)
     kept = np.r_[:WATER, layout.first_lens : len(layout)]
     by_parameters = linear.by_parameters.toarray()[:, kept].reshape(len(ties.view), 2, len(kept))
-    moves = np.empty((len(ties), len(kept)))
+    moves = np.empty((len(ties), 3, len(kept)))
     for number in range(len(ties)):
         mine = ties.point == number
         by_point = linear.by_point[mine].reshape(-1, 3)
-        moves[number] = -(np.linalg.pinv(by_point) @ by_parameters[mine].reshape(len(by_point), -1))[2]
+        moves[number] = -(np.linalg.pinv(by_point) @ by_parameters[mine].reshape(len(by_point), -1))
     return moves
 
 

@@ -21,11 +21,11 @@ from survey.adjust.thinning import CELLS, PER_CELL
 from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
 from survey.plan.places import in_the_middle, places_of
-from survey.plan.plan import make_plan
+from survey.plan.plan import Plan, make_plan
 
 # What is assumed [px] of the windows of an adjustment and of the pixels of the cloud, in clear and still water: on
 # drawn surveys level and index are then found up to twice as well as foreseen (docs/adjustment.md).
-TIE_STD_PX, MATCH_STD_PX = 0.1, 0.15
+TIE_STD_PX, MATCH_STD_PX = 0.1, 0.2
 # Under the water, where nothing tells the depth [m].
 DEPTH_M = 2.0
 # By how much of its depth the bed goes up and down about it.
@@ -78,7 +78,7 @@ class Foreseen:
     heights: HeightStds
 
 
-def foresee(survey: Survey, *, depth_m: float = DEPTH_M) -> Foreseen | None:
+def foresee(survey: Survey, *, depth_m: float = DEPTH_M, quality: str = "standard") -> Foreseen | None:
     """What the poses of a survey promise for a level bed; None where too few views overlap.
 
     Parameters
@@ -87,41 +87,41 @@ def foresee(survey: Survey, *, depth_m: float = DEPTH_M) -> Foreseen | None:
         Of a large one, the views in its middle count.
     depth_m : [m]
         Of the bed under the water.
+    quality : str
+        Of the run: photographs that it halves are matched to larger pixels.
     """
     survey = in_the_middle(survey)
     ties = _ties(survey, depth_m)
     if ties is None:
         return None
-    gsd = make_plan(survey).gsd_m
-    free, given = (_covariance(survey, gsd, ties, free=free) for free in (True, False))
+    plan = make_plan(survey, quality=quality)
+    free, given = (_covariance(survey, plan.gsd_m, ties, free=free) for free in (True, False))
     at_level, at_index, at_focal = 0, WATER - 1, WATER + RELIEF
     std = np.sqrt(np.diag(free.covariance))
     is_wet = survey.water is not None
     focal = survey.views[0].camera.fx
     views = np.bincount(ties.point)
-    heights = _heights(given)
     return Foreseen(
         views_of_place=(float(np.quantile(views, 0.1)), float(np.median(views))),
         angle_deg=float(np.median(_angles(survey, ties))),
         level_std_m=float(std[at_level]) if is_wet else math.nan,
         index_std=float(std[at_index]) if is_wet else math.nan,
         focal_std=float(std[at_focal]) / focal,
-        heights=_stds_of_heights(heights, depth_m),
+        heights=_stds_of_heights(given, plan, depth_m),
     )
 
 
-def heights_by_depth(survey: Survey, depth_m: float = DEPTH_M) -> list[HeightStds]:
+def heights_by_depth(survey: Survey, depth_m: float = DEPTH_M, *, quality: str = "standard") -> list[HeightStds]:
     """How well heights would be known at several depths about one; none for a dry survey."""
     if survey.water is None:
         return []
     survey = in_the_middle(survey)
-    flying = make_plan(survey).height_m
-    gsd = make_plan(survey).gsd_m
+    plan = make_plan(survey, quality=quality)
     found = []
     for depth in (depth_m * share for share in DEPTH_SHARES):
-        ties = _ties(survey, depth) if depth <= _DEEPEST_SHARE * flying else None
+        ties = _ties(survey, depth) if depth <= _DEEPEST_SHARE * plan.height_m else None
         if ties is not None:
-            found.append(_stds_of_heights(_heights(_covariance(survey, gsd, ties, free=False)), depth))
+            found.append(_stds_of_heights(_covariance(survey, plan.gsd_m, ties, free=False), plan, depth))
     return found
 
 
@@ -190,8 +190,9 @@ def _heights(found: _Adjusted) -> _Heights:
     return _Heights(of_point, common)
 
 
-def _stds_of_heights(heights: _Heights, depth_m: float) -> HeightStds:
-    of_point = float(np.median(heights.of_point)) * MATCH_STD_PX / TIE_STD_PX
+def _stds_of_heights(found: _Adjusted, plan: Plan, depth_m: float) -> HeightStds:
+    heights = _heights(found)
+    of_point = float(np.median(heights.of_point)) * MATCH_STD_PX / plan.image_scale / TIE_STD_PX
     return HeightStds(depth_m, of_point, float(np.median(heights.common)))
 
 

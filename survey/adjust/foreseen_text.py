@@ -25,12 +25,12 @@ from survey.plan.verdict import Verdict, by_limits, judged
 OVERLAP, ANGLES_DEG = (5.0, 3.0), (30.0, 15.0)
 
 
-def foreseen_section(survey: Survey, *, depth_m: float = DEPTH_M) -> Section | None:
+def foreseen_section(survey: Survey, *, depth_m: float = DEPTH_M, quality: str = "standard") -> Section | None:
     """What is foreseen, for `check`; None where too few views overlap."""
-    found = foresee(survey, depth_m=depth_m)
+    found = foresee(survey, depth_m=depth_m, quality=quality)
     if found is None:
         return None
-    return Section("Foreseen from the poses", rows_of(found, heights_by_depth(survey, depth_m)))
+    return Section("Foreseen from the poses", rows_of(found, heights_by_depth(survey, depth_m, quality=quality)))
 
 
 def rows_of(found: Foreseen, by_depth: Sequence[HeightStds]) -> tuple[tuple[str, str], ...]:
@@ -38,9 +38,9 @@ def rows_of(found: Foreseen, by_depth: Sequence[HeightStds]) -> tuple[tuple[str,
     is_wet = math.isfinite(found.level_std_m)
     place = f"a rough bed {found.heights.depth_m:g} m under the water" if is_wet else "rough ground"
     assumed = (
-        f"{place}, tie points good to {TIE_STD_PX:g} px, matches to {MATCH_STD_PX:g} px, poses and lens adjusted, "
-        f"level and index known to {LEVEL_STD_M:g} m and {INDEX_STD:g} where nothing is said, still and clear water "
-        "without glitter"
+        f"{place}, tie points good to {TIE_STD_PX:g} px, matches to {MATCH_STD_PX:g} px of what is worked on, "
+        f"poses and lens adjusted, level and index known to {LEVEL_STD_M:g} m and {INDEX_STD:g} where nothing is said, "
+        "still and clear water without glitter"
     )
     rows = [("overlap", _overlap_text(*found.views_of_place)), ("angles", _angles_text(found.angle_deg))]
     if is_wet:

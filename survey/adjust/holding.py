@@ -16,7 +16,7 @@ import numpy as np
 from survey.adjust.adjustment import UNKNOWN, Parameter
 from survey.adjust.priors import HELD, Known
 from survey.adjust.rounds import Adjusted, adjust
-from survey.adjust.state import LENS_NAMES, READOUT_NAME, Layout
+from survey.adjust.state import LENS_NAMES, RATE_NAME, READOUT_NAME, Layout
 from survey.adjust.water_settings import WATER_PARAMETERS
 
 
@@ -32,6 +32,8 @@ def not_observable(parameters: Sequence[Parameter], layout: Layout) -> np.ndarra
 def _place(name: str, layout: Layout) -> int:
     if name in WATER_PARAMETERS:
         return WATER_PARAMETERS.index(name)
+    if name == RATE_NAME:
+        return layout.first_rate
     camera, parameter = name.split(".")
     number = int(camera.removeprefix("camera"))
     if parameter == READOUT_NAME:
@@ -82,6 +84,7 @@ def _step(done: Adjusted, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     back = np.zeros(len(layout))
     back[: len(water)], back[layout.first_lens : layout.first_readout] = water, lenses
     if layout.finds_readouts:
-        back[layout.first_readout : layout.first_pose] = done.known.mean.readouts - state.readouts
+        back[layout.first_readout : layout.first_rate] = done.known.mean.readouts - state.readouts
+    back[layout.first_rate : layout.first_pose] = done.known.mean.rate - state.rate
     step = covariance[:, held] @ np.linalg.solve(covariance[np.ix_(held, held)], back[held])
     return step, done.solution.system.point_steps(step)

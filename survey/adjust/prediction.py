@@ -64,12 +64,18 @@ def linearise(
     if layout.flow is not None:
         by_middle, by_readout = _by_shutter(layout, state, ties, rows, by_centre)
         by_lens[:, :, 2] += by_middle
+    by_water = by_line @ sight.by_water
+    # A tide raises the water of its photograph as a higher level does.
+    by_rate = (
+        by_water[:, :, :0] if layout.hours is None else by_water[:, :, :1] * layout.hours[ties.view][:, None, None]
+    )
     dense = np.concatenate(
         [
-            by_line @ sight.by_water,
+            by_water,
             by_point[:, :, 2, None] * sides[:, None, :],
             by_lens,
             by_readout,
+            by_rate,
             by_centre,
             -imaged.by_cam @ _cross(imaged.in_cam),
         ],
@@ -98,10 +104,11 @@ def _ends(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Cameras and points (N, 3) each, where they would be if the water had stayed and all else sunk by the tide."""
     centres, points = _centres(layout, state, ties, rows), _seen(state, ties, sides)
-    if layout.tides is None:
+    tides = state.tides(layout)
+    if tides is None:
         return centres, points
     down = np.zeros_like(points)
-    down[:, 2] = layout.tides[ties.view]
+    down[:, 2] = tides[ties.view]
     return centres - down, points - down
 
 
@@ -172,13 +179,14 @@ def _cross(vectors: np.ndarray) -> np.ndarray:
 
 
 def _placed(layout: Layout, ties: TiePoints, dense: np.ndarray) -> csr_array:
-    """Derivatives (N, 2, 4 + 3 + 8 + 6), one more with readouts, at the columns of their parameters, (2 N, P)."""
+    """Derivatives (N, 2, 4 + 3 + 8 + 6), one more each with readouts and a rate, at their parameters, (2 N, P)."""
     count = len(ties.view)
     shared = np.tile(np.arange(WATER + RELIEF), (count, 1))
     number = layout.lens_of[ties.view][:, None]
     lens = layout.first_lens + LENS * number + np.arange(LENS)
     readout = layout.first_readout + number[:, : int(layout.finds_readouts)]
+    rate = np.tile(np.arange(layout.first_rate, layout.first_pose), (count, 1))
     pose = layout.first_pose + POSE * ties.view[:, None] + np.arange(POSE)
-    columns = np.repeat(np.concatenate([shared, lens, readout, pose], axis=1), 2, axis=0)
+    columns = np.repeat(np.concatenate([shared, lens, readout, rate, pose], axis=1), 2, axis=0)
     ends = np.arange(2 * count + 1) * columns.shape[1]
     return csr_array((dense.reshape(-1), columns.reshape(-1), ends), shape=(2 * count, len(layout)))

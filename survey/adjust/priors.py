@@ -96,6 +96,7 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
         flow,
         finds_readouts=flow is not None and readout_std is not None,
         tides=tides if tides.any() else None,
+        hours=_hours(survey),
     )
     readouts = np.full(0 if flow is None else len(lenses), survey.config.cameras.rolling_shutter_s, dtype=np.float64)
     centres = np.array([view.camera.centre for view in views])
@@ -112,7 +113,8 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
             _water_std(survey, free=free_water),
             np.full(RELIEF, _RELIEF_GSD * gsd),
             *(_lens_std(lens) * (_CALIBRATED if exact else 1.0) for lens in lenses),
-            np.full(layout.first_pose - layout.first_readout, readout_std, dtype=np.float64),
+            np.full(layout.first_rate - layout.first_readout, readout_std, dtype=np.float64),
+            np.full(layout.first_pose - layout.first_rate, _rate_std(survey), dtype=np.float64),
             np.concatenate([position_std, _rotation_std(survey, exact=exact)], axis=1).ravel(),
         ]
     )
@@ -135,6 +137,17 @@ def _flow(survey: Survey) -> np.ndarray | None:
         if view.name in survey.velocities:
             flow[number] = survey.velocities[view.name].local / rows_between(view.lens.height)
     return flow if flow.any() else None
+
+
+def _rate_std(survey: Survey) -> float | None:
+    return None if survey.config.water is None else survey.config.water.level_rate_std_m_per_h
+
+
+def _hours(survey: Survey) -> np.ndarray | None:
+    """See `Layout.hours`."""
+    if survey.water is None or survey.tide is None or _rate_std(survey) is None:
+        return None
+    return np.array([survey.tide.hours[view.name] for view in survey.views])
 
 
 def _under_cameras(survey: Survey, centres: np.ndarray):

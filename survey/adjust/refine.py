@@ -29,6 +29,7 @@ from survey.adjust.windows_of_survey import measure_windows
 from survey.errors import SurveyError
 from survey.folder.place import water_plane
 from survey.folder.survey import Survey, View
+from survey.folder.tides import with_shift
 from survey.photos.tie_points import TiePoints
 from survey.plan.plan import make_plan
 
@@ -148,8 +149,11 @@ def _thinned(ties: TiePoints, sizes: list[tuple[int, int]]) -> TiePoints:
 
 def apply_adjustment(survey: Survey, found: Adjustment) -> Survey:
     """The survey with the poses, lenses and water that an adjustment found."""
-    views = _views(survey, found.lenses, found.layout, found.centres, found.rotations, found.readouts_s)
+    views = _views(survey, found.lenses, found.layout, found.centres, found.rotations, found.readouts_s, found.tides)
     survey = replace(survey, views=views, points=found.points, ties=None, is_adjusted=True)
+    if found.hours is not None and survey.tide is not None and found.water is not None:
+        over = {view.name: view.camera.tide for view in views}
+        survey = replace(survey, tide=with_shift(replace(survey.tide, over=over), views, survey.require_water()[0]))
     if found.layout.finds_readouts and found.readouts_s is not None and len(found.readouts_s) == 1:
         readout = max(found.readouts_s[0], 0.0)
         cameras = replace(survey.config.cameras, rolling_shutter_s=readout, rolling_shutter_std_s=None)
@@ -169,18 +173,27 @@ def _started(known: Known, done: Adjusted) -> Known:
 
 def _with_state(survey: Survey, known: Known, state: State) -> Survey:
     lenses = [lens_with(lens, state.lenses[i]) for i, lens in enumerate(known.lenses)]
-    views = _views(survey, lenses, known.layout, state.centres, state.rotations, state.readouts)
+    views = _views(
+        survey, lenses, known.layout, state.centres, state.rotations, state.readouts, state.tides(known.layout)
+    )
     return replace(survey, views=views, water=state.water, points=state.points, is_adjusted=True)
 
 
 def _views(
-    survey: Survey, lenses: Sequence[Lens], layout: Layout, centres: np.ndarray, rotations: np.ndarray, readouts
+    survey: Survey,
+    lenses: Sequence[Lens],
+    layout: Layout,
+    centres: np.ndarray,
+    rotations: np.ndarray,
+    readouts,
+    tides: np.ndarray | None,
 ) -> tuple[View, ...]:
-    """The views with other lenses, poses, and readouts of their shutters (L,) [s]."""
+    """The views with other lenses, poses, readouts of their shutters (L,) [s], and tides (V,) [m]."""
     views = []
     for number, view in enumerate(survey.views):
         lens = lenses[layout.lens_of[number]]
-        camera = replace(lens.camera(centres[number], rotations[number]), tide=view.camera.tide)
+        tide = 0.0 if tides is None else float(tides[number])
+        camera = replace(lens.camera(centres[number], rotations[number]), tide=tide)
         if layout.flow is not None and layout.flow[number].any():
             camera = replace(camera, motion=layout.flow[number] * readouts[layout.lens_of[number]])
         views.append(replace(view, camera=camera, lens=lens))

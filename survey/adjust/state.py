@@ -1,12 +1,13 @@
 """What an adjustment finds: water, lenses, poses and points, and how a vector of steps changes them.
 
-The vector of parameters is [water (4) | relief (3) | lenses (8 each) | readouts | poses (6 each)]; points have three
-each besides.
+The vector of parameters is [water (4) | relief (3) | lenses (8 each) | readouts | rate | poses (6 each)]; points have
+three each besides.
 
     water     height of the plane at its reference point [m], slopes along local x and y, index
     relief    by how much a rough bed seems to rise with the direction of view, see `relief_sides` [m]
     lens      `LENS_NAMES`; the ratio of both focal lengths is held
     readouts  seconds from the first to the last row, of each lens, where they are to be found; else none
+    rate      by how much faster the water rises than was given [m/h], where that is to be found; else none
     pose      centre [m] along the axes of local, turn [rad] about the axes of cam
 """
 
@@ -23,6 +24,7 @@ from survey.adjust.brown import COEFFICIENTS
 WATER_NAMES = ("height_m", "slope_x", "slope_y", "refractive_index")
 LENS_NAMES = ("f", "cx", "cy", *COEFFICIENTS)
 READOUT_NAME = "readout_s"
+RATE_NAME = "level_rate_m_per_h"
 WATER, RELIEF, LENS, POSE = 4, 3, 8, 6
 # An index outside these is no water; a step never leaves them.
 _INDEX_RANGE = (1.0, 2.0)
@@ -44,7 +46,9 @@ class Layout:
     finds_readouts : bool
         Whether the readouts of rolling shutters are parameters.
     tides : (V,) [m] or None
-        Of the cameras (`PinholeCamera.tide`); None where one level holds for all.
+        Of the cameras (`PinholeCamera.tide`), as given; None where one level holds for all.
+    hours : (V,) [h] or None
+        Times of the photographs after that at which the level holds, where the rate of the level is a parameter.
     """
 
     lens_of: np.ndarray
@@ -52,6 +56,7 @@ class Layout:
     flow: np.ndarray | None = None
     finds_readouts: bool = False
     tides: np.ndarray | None = None
+    hours: np.ndarray | None = None
 
     @property
     def first_lens(self) -> int:
@@ -62,8 +67,12 @@ class Layout:
         return self.first_lens + LENS * len(self.aspect)
 
     @property
-    def first_pose(self) -> int:
+    def first_rate(self) -> int:
         return self.first_readout + (len(self.aspect) if self.finds_readouts else 0)
+
+    @property
+    def first_pose(self) -> int:
+        return self.first_rate + (self.hours is not None)
 
     def __len__(self) -> int:
         return self.first_pose + POSE * len(self.lens_of)
@@ -90,6 +99,8 @@ class State:
     points : (M, 3) [m], local
     readouts : (L,) [s]
         From the first to the last row; empty where no shutter rolls.
+    rate : [m/h]
+        By how much faster the water rises than `Layout.tides` have it.
     """
 
     water: FlatWater | None
@@ -99,12 +110,19 @@ class State:
     rotations: np.ndarray
     points: np.ndarray
     readouts: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    rate: float = 0.0
 
     def water_parameters(self) -> np.ndarray:
         """The water as parameters (4,); zeros for a dry survey."""
         if self.water is None:
             return np.zeros(WATER)
         return np.array([self.water.point[2], self.water.slope_x, self.water.slope_y, self.water.n_water])
+
+    def tides(self, layout: Layout) -> np.ndarray | None:
+        """Of the cameras (V,) [m]; None where one level holds for all."""
+        if layout.hours is None:
+            return layout.tides
+        return self.rate * layout.hours + (0.0 if layout.tides is None else layout.tides)
 
     def moved(self, layout: Layout, step: np.ndarray, points: np.ndarray) -> State:
         """The state after steps of the parameters (P,) and of the points (M, 3)."""
@@ -117,9 +135,10 @@ class State:
             centres=self.centres + poses[:, :3],
             rotations=turns @ self.rotations,
             points=self.points + points,
-            readouts=self.readouts + step[layout.first_readout : layout.first_pose]
+            readouts=self.readouts + step[layout.first_readout : layout.first_rate]
             if layout.finds_readouts
             else self.readouts,
+            rate=self.rate + float(step[layout.first_rate : layout.first_pose].sum()),
         )
 
 

@@ -59,15 +59,15 @@ def std_common(xyz: np.ndarray, wet: np.ndarray, survey: Survey, found: Adjustme
     """
     std = np.full(len(xyz), np.nan, dtype=np.float32)
     for kind in (wet, ~wet):
-        places = _places(xyz[kind])
-        ties = _seen(places, survey)
+        places = places_of(xyz[kind])
+        ties = seen_places(places, survey)
         if len(ties):
             variance = _variance(survey, found, ties, gsd)
-            std[kind] = np.sqrt(_interpolated(ties.start[:, :2], variance, xyz[kind, :2]))
+            std[kind] = np.sqrt(interpolated(ties.start[:, :2], variance, xyz[kind, :2]))
     return np.maximum(std, np.float32(_LEAST_M))
 
 
-def _places(xyz: np.ndarray) -> np.ndarray:
+def places_of(xyz: np.ndarray) -> np.ndarray:
     """Points (K, 3) of a cloud spread over its plan: of each square the one nearest to its middle."""
     if len(xyz) == 0:
         return xyz
@@ -79,7 +79,7 @@ def _places(xyz: np.ndarray) -> np.ndarray:
     return xyz[np.sort(order[first])]
 
 
-def _seen(places: np.ndarray, survey: Survey) -> TiePoints:
+def seen_places(places: np.ndarray, survey: Survey) -> TiePoints:
     """Places that two views see, each with some of its views; what hides them is not asked."""
     inside = np.zeros((len(places), len(survey.views)), dtype=bool)
     pixels = np.zeros((*inside.shape, 2))
@@ -109,13 +109,14 @@ def _variance(survey: Survey, found: Adjustment | None, ties: TiePoints, gsd: fl
     # Structure from motion and poses without any word on them have no standard deviation of their own.
     std = np.where(np.isfinite(std), std, EXACT_STD_M)
     rows = ties.pixel[:, 1]
-    moves = moves_of(known.layout, replace(known.state, points=ties.start), ties, rows)
+    moves = moves_of(known.layout, replace(known.state, points=ties.start), ties, rows)[:, 2]
     return (moves**2) @ std**2
 
 
-def _interpolated(at: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Values (K,) at places (K, 2) as they are at places (N, 2): means, weighted by the inverse square distance."""
+def interpolated(at: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Values (K, ...) at places (K, 2) as at places (N, 2) they are: means, weighted by the inverse square distance."""
     count = min(_NEAREST, len(at))
     distance, index = cKDTree(at).query(wanted, k=list(range(1, count + 1)), workers=-1)
     weight = 1.0 / (distance**2 + 1e-6)
-    return (weight * values[index]).sum(axis=1) / weight.sum(axis=1)
+    weight = (weight / weight.sum(axis=1, keepdims=True)).reshape(*weight.shape, *(1,) * (values.ndim - 1))
+    return (weight * values[index]).sum(axis=1)

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from survey.adjust.adjustment import FREE, HELD, UNKNOWN, Parameter
-from survey.adjust.state import LENS_NAMES, READOUT_NAME, Layout, State
+from survey.adjust.state import LENS_NAMES, RATE_NAME, READOUT_NAME, Layout, State
 from survey.adjust.water_settings import WATER_PARAMETERS
 from survey.folder.config import WaterConfig
 from survey.folder.shutter import rows_between
@@ -99,6 +99,14 @@ def lens_verdicts(
         full = f"camera{number}.{name}"
         found.append(judge(full, float(values[i]), float(std[i]), float(given[i]), float(given_std[i]), limit, unit))
     return found
+
+
+def rate_verdict(value: float, std: float, given: float, given_std: float, hours: np.ndarray) -> Parameter:
+    """Verdict on the rate of the level [m/h]; of no use if it leaves levels of photographs (V,) [h] as uncertain as one
+    that is of none.
+    """
+    limit = MOST_STD_LEVEL_M / max(float(np.abs(hours).max()), 1e-9)
+    return judge(RATE_NAME, value, std, given, given_std, limit, " m/h")
 
 
 def readout_limits(state: State, layout: Layout, heights: Sequence[int]) -> np.ndarray:

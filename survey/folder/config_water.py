@@ -37,6 +37,7 @@ class WaterConfig:
     gauge: str | None = None  # CSV of time, level
     image_levels: str | None = None  # CSV of image, level
     level_rate_m_per_h: float | None = None  # how fast the level rises, which then holds at level_time
+    level_rate_std_m_per_h: float | None = None  # its standard deviation; then the adjustment finds it
     level_time: str | None = key(None, "a time with its zone, e.g. 2024-06-01T10:30:00Z")
     clicks: str | None = None  # CSV of image, x, y, name: places of the waterline in two photographs or more
     level_std_m: float | None = None  # standard deviations, for the adjustment
@@ -104,6 +105,15 @@ class WaterConfig:
         rate = self.level_rate_m_per_h
         if rate is None and self.level_time is not None:
             raise ConfigError("[water] level_time is given without level_rate_m_per_h, which it is for; give both")
+        require_std(
+            "[water] level_rate_std_m_per_h", self.level_rate_std_m_per_h, MOST_RATE_M_PER_H, "metres per hour",
+            "0.3 if the tide is nearly unknown",
+        )  # fmt: skip
+        if rate is None and self.level_rate_std_m_per_h is not None:
+            raise ConfigError(
+                "[water] level_rate_std_m_per_h is given without level_rate_m_per_h, which it is for; give both, 0 if "
+                "nothing is known"
+            )
         if rate is not None and abs(rate) > MOST_RATE_M_PER_H:
             raise ConfigError(
                 f"[water] level_rate_m_per_h is {rate:g}, expected metres per hour, at most {MOST_RATE_M_PER_H:g} up "

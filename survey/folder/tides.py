@@ -137,6 +137,11 @@ def tide_of_rate(water: WaterConfig, heads: Mapping[str, Exif]) -> Tide:
     if water.level_time is not None:
         start = moment_of(water.level_time, "[water] level_time").timestamp()
     hours = _hours(taken, start)
+    if water.level_rate_std_m_per_h is not None and len(hours) < len(heads):
+        raise ConfigError(
+            f"{len(heads) - len(hours)} of {len(heads)} images have no time of exposure in EXIF, and "
+            "level_rate_std_m_per_h finds the rate of the level from all of them; leave them out, or remove it"
+        )
     return Tide("level_rate_m_per_h", _completed({n: rate * h for n, h in hours.items()}, heads), hours)
 
 
@@ -144,12 +149,16 @@ def with_tides(views: Sequence[View], tide: Tide | None, water: FlatWater | None
     """The views with the levels of their photographs, where these move what they show by more than `MOST_SHIFT_PX`."""
     if tide is None or water is None:
         return list(views), None
-    own = {view.name: tide.over[view.name] for view in views}
-    shifts = [abs(own[view.name]) * _shift_per_m(view, water) for view in views]
-    tide = replace(tide, over=own, shift_px=max(shifts) / (metres_per_px(views, water) or np.inf))
+    tide = with_shift(replace(tide, over={view.name: tide.over[view.name] for view in views}), views, water)
     if not tide.matters:
         return list(views), tide
-    return [replace(view, camera=replace(view.camera, tide=own[view.name])) for view in views], tide
+    return [replace(view, camera=replace(view.camera, tide=tide.over[view.name])) for view in views], tide
+
+
+def with_shift(tide: Tide, views: Sequence[View], water: FlatWater) -> Tide:
+    """The tide of views with what it does to their photographs."""
+    shifts = [abs(tide.over[view.name]) * _shift_per_m(view, water) for view in views]
+    return replace(tide, shift_px=max(shifts) / (metres_per_px(views, water) or np.inf))
 
 
 def _shift_per_m(view: View, water: FlatWater) -> float:

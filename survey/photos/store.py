@@ -9,7 +9,7 @@ from survey.photos.cameras import View
 from survey.photos.images import eight_bits, grey_levels, load_pixels
 
 # Of the memory that is free when a store is made, and at most: decoding once more costs 15 ms a megapixel.
-_SHARE_OF_FREE, _MOST_BYTES = 0.25, 200_000_000
+_SHARE_OF_FREE, _MOST_BYTES = 0.25, 100_000_000
 
 
 class ImageStore:
@@ -21,7 +21,7 @@ class ImageStore:
     Parameters
     ----------
     budget_bytes : int, optional
-        Memory for kept images; default a quarter of the free memory, at most 200 MB.
+        Memory for kept images; default a quarter of the free memory, at most 100 MB.
     """
 
     def __init__(self, budget_bytes: int | None = None):

@@ -48,7 +48,7 @@ def load_block(survey: Survey, plan: Plan, advance: Callable[[float], None], sto
     cameras = [replace(c, width=width, height=height) for c in cameras]
     bed = 0.0 if survey.water is not None else ground_height([view.camera for view in survey.views])
     try:
-        return Block(backend(plan), cameras, images(), survey.water, bed, whites)
+        return Block(backend(plan), cameras, images(), survey.water, bed, whites, plan.skips)
     except ValueError as error:
         raise SurveyError(str(error)) from error
 

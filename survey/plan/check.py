@@ -18,7 +18,8 @@ from survey.folder.unposed import placing_control, require_solvable
 from survey.names import RUN_FOLDER
 from survey.plan.bounds import require_seen
 from survey.plan.check_inputs import control_rows, mark_rows, water_stds
-from survey.plan.plan import Decision, Plan, device_decision, make_plan
+from survey.plan.plan import Plan, device_decision, make_plan
+from survey.plan.skipped import Decision
 from survey.plan.workload import Workload, room_doubts, workload_of, workload_of_images
 
 

@@ -2,35 +2,30 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from refract import FlatWater, PinholeCamera
+from fields.skips import NOTHING, SKIPS, Skips
+from refract import PinholeCamera
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.folder.tides import MOST_SHIFT_PX
 from survey.plan.choices import Device, Field, Poses
+from survey.plan.choices import Plan as Choice
 from survey.plan.ground import ground_height
 from survey.plan.heights import in_words
+from survey.plan.image_size import image_decision, image_scale, require_scale
 from survey.plan.poses import pose_choice
-from survey.plan.recipe import RECIPES, Recipe
+from survey.plan.recipe import AIMED, RECIPES, Recipe
+from survey.plan.skipped import FULL, Decision, first_heights, lens_terms, pixels, refraction
 
 QUALITIES = tuple(RECIPES)
 DEVICES = tuple(each.value for each in Device)
 FIELDS = tuple(each.value for each in Field)
 POSES = tuple(each.value for each in Poses)
-
-
-@dataclass(frozen=True)
-class Decision:
-    """One line of the plan: subject, choice and reason."""
-
-    name: str
-    choice: str
-    reason: str
+PLANS = tuple(each.value for each in Choice)
 
 
 @dataclass(frozen=True)
@@ -39,7 +34,8 @@ class Plan:
 
     Attributes
     ----------
-    quality : "draft", "standard" or "fine"
+    quality : "draft", "standard", "fine" or "aimed"
+        The last where a standard deviation or a time is asked for: see `survey.plan.aim`.
     device : "cuda", "llvm" or "torch"
         Where kernels run: Dr.Jit on CUDA, Dr.Jit on the CPU by LLVM, or torch on the CPU.
     image_scale : [-]
@@ -52,11 +48,15 @@ class Plan:
     footprint_m : (width, height) [m]
         What one image covers there, median.
     decisions : tuple of Decision
+    recipe : Recipe
+        The numbers of the quality, or of what an aim makes of it.
     field : "solver", "slab" or "off"
         What refines the heights of the sweep.
     device_asked : "auto", "cpu" or "cuda"
     poses : ("refine", "fixed" or "check", reason)
         Whether poses, lens and water are adjusted first, or only if a sample of photographs contradicts the poses.
+    skips : Skips
+        What the scene does not need; all on, or all off with ``--plan full``.
     """
 
     quality: str
@@ -66,14 +66,11 @@ class Plan:
     height_m: float
     footprint_m: tuple[float, float]
     decisions: tuple[Decision, ...]
+    recipe: Recipe = RECIPES["standard"]
     field: str = "off"
     device_asked: str = "auto"
     poses: tuple[str, str] = ("fixed", "")
-
-    @property
-    def recipe(self) -> Recipe:
-        """The numbers of the quality."""
-        return RECIPES[self.quality]
+    skips: Skips = SKIPS
 
     def as_dict(self) -> dict:
         """Plain numbers, texts and lists, to be saved with the run."""
@@ -88,6 +85,9 @@ def make_plan(
     field: str = "auto",
     poses: str = "auto",
     free_water: bool = False,
+    recipe: Recipe | None = None,
+    plan: str = "auto",
+    scale: float | None = None,
 ) -> Plan:
     """What the scene needs.
 
@@ -100,6 +100,12 @@ def make_plan(
     poses : "auto", "fixed" or "refine"
     free_water : bool
         Whether the water is to be found as if nothing were known of it.
+    recipe : Recipe, optional
+        Of a run with an aim, in place of that of the quality.
+    plan : "auto" or "full"
+        Leave out what the scene does not need, or nothing.
+    scale : [-], optional
+        At which images are worked on: 1, a half, a quarter, ...; default by their size and the quality.
 
     Raises
     ------
@@ -107,44 +113,61 @@ def make_plan(
         If CUDA is asked for and there is none, or a word is not known.
     """
     require_choice("quality", quality, QUALITIES)
+    name = quality if recipe is None else AIMED
+    recipe = RECIPES[quality] if recipe is None else recipe
     chosen = device_decision(device)
     cameras = [view.camera for view in survey.views]
     height = _height(survey)
-    scale = min(image_scale(camera.width, camera.height, quality) for camera in cameras)
+    asked = scale is not None
+    if scale is None:
+        scale = min(image_scale(camera.width, camera.height, recipe.megapixels) for camera in cameras)
+    require_scale(scale)
     gsd = float(np.median([_distance_along_axis(c, survey, height) / c.fx for c in cameras])) / scale
     sides = np.median([(camera.width / camera.fx, camera.height / camera.fy) for camera in cameras], axis=0)
     footprint = (float(height * sides[0]), float(height * sides[1]))
-    refined = _field(quality, field)
+    refined = _field(name, recipe, field)
     require_choice("poses", poses, POSES)
-    adjusted = Decision("poses", *pose_choice(survey, poses, free_water=free_water))
+    require_choice("plan", plan, PLANS)
+    skips = NOTHING if plan == Choice.full else SKIPS
+    decided = pose_choice(survey, poses, free_water=free_water)
+    if plan == Choice.full and decided[0] == "check":
+        decided = "refine", f"{FULL}: adjusted without asking first"
+    adjusted = Decision("poses", *decided)
     decisions = (
         adjusted,
-        _refraction(survey),
+        refraction(survey, skips),
+        lens_terms(survey, skips),
+        pixels(survey, skips),
         *_level(survey),
         refined,
-        _image_decision(cameras[0], scale, quality),
+        image_decision(cameras[0], scale, name, recipe, asked=asked),
         Decision("range of heights", *in_words(survey, height)),
+        first_heights(skips),
         chosen,
     )
     return Plan(
-        quality,
+        name,
         chosen.choice,
         scale,
         gsd,
         height,
         footprint,
         decisions,
+        recipe,
         field=refined.choice,
         device_asked=device,
         poses=(adjusted.choice, adjusted.reason),
+        skips=skips,
     )
 
 
-def _field(quality: str, field: str) -> Decision:
+def _field(quality: str, recipe: Recipe, field: str) -> Decision:
     require_choice("field", field, FIELDS)
     if field != "auto":
         return Decision("field", field, "set by --field")
-    chosen = RECIPES[quality].field
+    chosen = recipe.field
+    if quality == AIMED:
+        return Decision("field", chosen, "as far as the aim needs and allows; later rounds may change it")
     reasons = {
         "off": f"{quality} uses the sweep's heights",
         "solver": "least squares over all photographs: less noise, and the standard deviation of each height",
@@ -158,7 +181,9 @@ def require_choice(name: str, value: str, known: tuple[str, ...]) -> None:
         raise SurveyError(f"{name} is {value}, expected one of {', '.join(known)}")
 
 
-def require_choices(*, quality: str, device: str, field: str, poses: str) -> None:
+def require_choices(
+    *, quality: str, device: str, field: str, poses: str, plan: str = "auto", scale: float | None = None
+) -> None:
     """Look at the options of a run before anything is computed.
 
     Raises
@@ -170,6 +195,9 @@ def require_choices(*, quality: str, device: str, field: str, poses: str) -> Non
     require_choice("device", device, DEVICES)
     require_choice("field", field, FIELDS)
     require_choice("poses", poses, POSES)
+    require_choice("plan", plan, PLANS)
+    if scale is not None:
+        require_scale(scale)
     if device == "cuda":
         device_decision(device)
 
@@ -193,46 +221,19 @@ def device_decision(device: str) -> Decision:
     return Decision("device", chosen.name, chosen.reason)
 
 
-def _refraction(survey: Survey) -> Decision:
-    if survey.water is None:
-        return Decision("refraction", "off", "a dry survey, without [water]")
-    water, given = survey.require_water()
-    if water.n_water == 1.0:
-        return Decision("refraction", "off", "the index of the water is 1, as if it were air")
-    slope = math.hypot(water.slope_x, water.slope_y)
-    tilt = f", sloped by {slope:.4f}" if slope > 1e-6 else ""
-    aside = sum(_sees_beside_water(view.camera, water) for view in survey.views)
-    horizon = f"; {aside} of {len(survey.views)} views look past the water to the horizon" if aside else ""
-    return Decision("refraction", "on", f"water of index {water.n_water:.4f} at {given.level_m:g} m{tilt}{horizon}")
-
-
 def _level(survey: Survey) -> tuple[Decision, ...]:
     """Whether each photograph has its own level; nothing where none is said to move."""
     tide = survey.tide
     if tide is None:
         return ()
+    water = survey.config.water
+    if water is not None and water.level_rate_std_m_per_h is not None and not survey.is_adjusted:
+        known = f"{water.level_rate_m_per_h:g} +- {water.level_rate_std_m_per_h:g} m/h"
+        return (Decision("level", "per photograph", f"its rate, known to {known}, is found with the poses"),)
     moves = f"{tide.source}, moves by {length(tide.moves_m)} over the flight, images by up to {tide.shift_px:.2g} px"
     if tide.matters:
         return (Decision("level", "per photograph", moves),)
     return (Decision("level", "one", f"{moves}: less than {MOST_SHIFT_PX:g}, which is lost in the noise of matching"),)
-
-
-def _sees_beside_water(camera: PinholeCamera, water: FlatWater) -> bool:
-    return bool((camera.directions(camera.outline()) @ np.array(water.up) >= 0.0).any())
-
-
-def _image_decision(camera: PinholeCamera, scale: float, quality: str) -> Decision:
-    size = f"images of {camera.width} x {camera.height} px"
-    if scale == 1.0:
-        return Decision("image scale", "1", f"{size} are worked on whole")
-    limit = f"at most {RECIPES[quality].megapixels:g} Mpx for {quality} quality"
-    return Decision("image scale", f"{scale:g}", f"{size} are halved until they have {limit}")
-
-
-def image_scale(width: int, height: int, quality: str) -> float:
-    """The scale [-], at most 1, at which an image of a size [px] is worked on."""
-    halvings = math.ceil(0.5 * math.log2(width * height / (1e6 * RECIPES[quality].megapixels)) - 1e-9)
-    return 0.5 ** max(halvings, 0)
 
 
 def _height(survey: Survey) -> float:

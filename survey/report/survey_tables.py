@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 
 from survey.display.quantities import LengthUnit, count, length, metres, number, share, with_unit
-from survey.plan.plan import Decision, Plan
+from survey.plan.plan import Plan
+from survey.plan.skipped import Decision
 from survey.report.blocks import Block, Rows, Table
 from survey.report.figures import CloudFigures, CrsFigures, Extent, LightFigures, SurveyFigures, WaterFigures
 

@@ -13,6 +13,7 @@ from fields.sweep.bed import BedPoints, has_company, points_of, unique_pixels
 from fields.sweep.sweep import PEERS
 from survey.adjust.adjustment import read_adjustment
 from survey.adjust.std_common import BASIS_ADJUSTED, BASIS_STATED, std_common
+from survey.adjust.std_of_block import std_of_block
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.plan.area import AREA_MARGIN_M, grown, local_area, within
@@ -66,6 +67,10 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         job.progress.detail(f"{100 * too_bright:.1f} % of the points are brighter than white without the water")
     found = read_adjustment(needs["adjust"]) if "adjust" in needs else None
     common = std_common(bed.xyz, bed.wet, survey, found, job.plan.gsd_m)
+    if found is not None and survey.config.cameras.poses is not None:
+        of_block = std_of_block(bed.xyz, survey, found, job.plan.gsd_m)
+        bed = replace(bed, std=np.hypot(bed.std, of_block))
+        job.progress.note(f"std: {length(float(np.median(of_block)))} (median) of it by what tilts or shifts the block")
     basis = BASIS_STATED if found is None else BASIS_ADJUSTED
     job.progress.note(f"std_common: {length(float(np.nanmedian(common)))} (median), by {basis}")
     points_crs = survey.frame.crs_from_local(bed.xyz)

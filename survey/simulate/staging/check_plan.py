@@ -59,7 +59,7 @@ def check_plan(path: Path, *, quality: str, device: str, wind_m_s: float) -> lis
         raise SurveyError(f"{path} has the settings of a survey, expected its folder; give {path.resolve().parent}")
     plan = plan_scene(read_scene(path), path.parent)
     survey = survey_of(plan)
-    foreseen = foreseen_section(survey, depth_m=plan.site.depth_m if plan.site.depth_m > 0.0 else DEPTH_M)
+    foreseen = foreseen_section(survey, depth_m=plan.site.depth_m or DEPTH_M, quality=quality)
     sections = [
         Section("Flight", tuple(_flight_rows(plan, survey))),
         Section("Light and motion", tuple(_light_rows(plan, survey, wind_m_s))),

@@ -1,0 +1,30 @@
+"""What is left out of the sweep and the solver where a scene does not need it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Skips:
+    """Each is on unless all is asked for; docs/plan.md has what each saves, and what it costs in error.
+
+    Attributes
+    ----------
+    air : bool
+        No refraction where there is no water, or its index is one.
+    lens : bool
+        No terms of distortion, of a rolling shutter and of a tide that no camera has.
+    area : bool
+        No heights of pixels that cannot see the area.
+    heights : bool
+        No heights beyond those that thumbnails find.
+    """
+
+    air: bool = True
+    lens: bool = True
+    area: bool = True
+    heights: bool = True
+
+
+SKIPS, NOTHING = Skips(), Skips(air=False, lens=False, area=False, heights=False)

@@ -1,0 +1,72 @@
+"""Lines of the plan about what a scene does not need; docs/plan.md has what each saves, and what it costs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fields.skips import Skips
+from refract import FlatWater, PinholeCamera
+from refract.distortion import kinds_of
+from survey.folder.survey import Survey
+
+FULL = "--plan full"
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One line of the plan: subject, choice and reason."""
+
+    name: str
+    choice: str
+    reason: str
+
+
+def refraction(survey: Survey, skips: Skips) -> Decision:
+    """Whether rays are bent."""
+    straight = survey.water is None or survey.water.n_water == 1.0
+    if straight and not skips.air:
+        return Decision("refraction", "on", f"{FULL}: bent by an index of 1")
+    if survey.water is None:
+        return Decision("refraction", "off", "a dry survey, without [water]")
+    water, given = survey.require_water()
+    if straight:
+        return Decision("refraction", "off", "the index of the water is 1, as if it were air")
+    slope = math.hypot(water.slope_x, water.slope_y)
+    tilt = f", sloped by {slope:.4f}" if slope > 1e-6 else ""
+    aside = sum(_sees_beside_water(view.camera, water) for view in survey.views)
+    horizon = f"; {aside} of {len(survey.views)} views look past the water to the horizon" if aside else ""
+    return Decision("refraction", "on", f"water of index {water.n_water:.4f} at {given.level_m:g} m{tilt}{horizon}")
+
+
+def _sees_beside_water(camera: PinholeCamera, water: FlatWater) -> bool:
+    return bool((camera.directions(camera.outline()) @ np.array(water.up) >= 0.0).any())
+
+
+def lens_terms(survey: Survey, skips: Skips) -> Decision:
+    """Which terms kernels have beside those of a pinhole."""
+    if not skips.lens:
+        return Decision("terms of the lens", "all", f"{FULL}: every model of distortion, and a rolling shutter")
+    cameras = [view.camera for view in survey.views]
+    found = sorted(kinds_of(camera.distortion for camera in cameras))
+    found += ["rolling shutter"] * any(camera.motion is not None for camera in cameras)
+    reason = "no camera has others" if found else "no camera has distortion or a rolling shutter"
+    return Decision("terms of the lens", ", ".join(found) if found else "none", reason)
+
+
+def pixels(survey: Survey, skips: Skips) -> Decision:
+    """Which pixels get a height."""
+    if not skips.area:
+        return Decision("pixels", "all", f"{FULL}: also those that cannot see the area")
+    if survey.bounds is None:
+        return Decision("pixels", "all", "there are no [area] bounds")
+    return Decision("pixels", "those that may see the area", "the cloud has no points beyond [area] bounds")
+
+
+def first_heights(skips: Skips) -> Decision:
+    """Which heights the first pass tries."""
+    if not skips.heights:
+        return Decision("first heights", "the whole range", f"{FULL}: not only where thumbnails find the bed")
+    return Decision("first heights", "those of thumbnails", "a sweep of eight small photographs finds where the bed is")

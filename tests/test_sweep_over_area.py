@@ -1,0 +1,48 @@
+"""Pixels that may see the area: all that do are among them, and heights are searched in no others."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from plane_survey import TILTED, PlaneBed, ring
+
+from fields.sweep.climbing import climb_view
+from fields.sweep.over_area import columns_over
+
+AREA, BOUND = (-0.35, -0.25, 0.2, 0.3), (-2.3, -1.9)
+BED = PlaneBed(TILTED, -2.0)
+
+
+@pytest.mark.parametrize("water", [TILTED, None], ids=["wet", "dry"])
+def test_columns_hold_every_pixel_that_sees_the_area_within_the_bound_and_not_all_others(water):
+    for camera in ring(6):
+        columns = columns_over(camera, water, AREA, BOUND, 1)
+        path, across = camera.paths(camera.pixel_centres(), water), np.arange(camera.width)
+        sees = np.zeros((camera.height, camera.width), dtype=bool)
+        for height in np.linspace(*BOUND, 9):
+            x, y, _ = np.moveaxis(path.at_height(height, water), -1, 0)
+            sees |= (x > AREA[0]) & (x < AREA[2]) & (y > AREA[1]) & (y < AREA[3])
+        inside = (across >= columns[:, :1]) & (across < columns[:, 1:])
+        assert sees.any()
+        assert inside[sees].all()
+        assert inside.mean() < sees.mean() + 0.5
+
+
+def test_an_area_beside_the_image_needs_no_pixel():
+    columns = columns_over(ring(6)[0], TILTED, (50.0, 50.0, 51.0, 51.0), BOUND, 2)
+    assert (columns[:, 0] == columns[:, 1]).all()
+
+
+def test_wanted_columns_have_the_heights_of_a_whole_image_and_the_others_none(device):
+    cameras, step, rungs, radius = ring(6), 0.04, 9, 2
+    stack = BED.stack(device, cameras)
+    start = (BED.true_height(cameras[0]) - step * (rungs // 2)).astype(np.float32)
+    columns = np.tile([0, 0], (stack.height, 1))
+    columns[20:50] = 31, 64
+    part, whole = (
+        climb_view(stack, 0, [1, 2, 3, 4, 5, 6], start, step, rungs, radius, each) for each in (columns, None)
+    )
+    for found, expected in zip(part, whole, strict=True):
+        np.testing.assert_allclose(found[20:50, 31:64], expected[20:50, 31:64], rtol=1e-4, atol=1e-4)
+    assert (part[1][:18] == -1.0).all()
+    assert (part[1][:, 70:] == -1.0).all()

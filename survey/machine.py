@@ -5,10 +5,18 @@ from __future__ import annotations
 import os
 import resource
 import shutil
+import time
 from pathlib import Path
 
+import numpy as np
+
 _CGROUP = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
+# Work that one idle core with AVX-512 does in so long [s]; done so often that the turns of other programs average out.
+_PROBE_SIZE, _PROBE_S, _PROBES = 1_000_000, 7e-4, 300
 _MEMINFO = Path("/proc/meminfo")
+_STAT, _UPTIME = Path("/proc/self/stat"), Path("/proc/uptime")
+# Of the words of `_STAT` behind the name of the program: when the process started [ticks].
+_STARTED = 19
 # Address space that libraries and kernels map and do not fill, on one core.
 _MAPPED_BYTES = 2.4e9
 _UNLIMITED = (resource.RLIM_INFINITY, -1)
@@ -57,3 +65,24 @@ def free_disk_bytes(folder: Path) -> int:
     while not folder.exists():
         folder = folder.parent
     return shutil.disk_usage(folder).free
+
+
+def process_age_s() -> float:
+    """Seconds since this process started; of its processor time, which is less, if the system does not report this."""
+    try:
+        words = _STAT.read_text(encoding="ascii").rpartition(")")[2].split()
+        since_boot = float(_UPTIME.read_text(encoding="ascii").split()[0])
+        return max(since_boot - int(words[_STARTED]) / os.sysconf("SC_CLK_TCK"), 0.0)
+    except (OSError, ValueError, IndexError):
+        return time.process_time()
+
+
+def slowness() -> float:
+    """How many times as long work takes now as on the idle core that rates were measured on; takes 0.2 s there."""
+    values = np.linspace(0.0, 1.0, _PROBE_SIZE, dtype=np.float32)
+    np.exp(values)
+    start = time.monotonic()
+    for _ in range(_PROBES):
+        np.exp(values)
+        np.sqrt(values)
+    return (time.monotonic() - start) / (_PROBES * _PROBE_S)

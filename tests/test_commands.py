@@ -232,14 +232,19 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
     result = bathynerf(
         "process", "s", "-o", "run", "--quality", "draft", "--device", "cpu", "--no-resume", "--field", "slab",
         "--calibrate-water", "--true-colour", "--reference", "r.ply", "--visible", "v.ply", "-v",
+        "--target-std", "0.02", "--time-budget", "300",
     )  # fmt: skip
     assert result.exit_code == 3
+    assert calls[0][1].pop("time_gone_s") > 0.0
     expected = {
         "quality": "draft",
+        "target_std_m": 0.02,
+        "time_budget_s": 300.0,
         "device": "cpu",
         "field": "slab",
         "poses": "auto",
         "plan": "auto",
+        "image_scale": None,
         "resume": False,
         "calibrate_water": True,
         "true_colour": True,
@@ -248,9 +253,18 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
     }
     assert calls == [((Path("s"), Path("run")), expected, 1)]
     bathynerf("process", "s")
-    defaults = {"quality": "standard", "device": "auto", "field": "auto", "resume": True, "calibrate_water": False}
-    others = {"poses": "auto", "plan": "auto", "true_colour": False, "reference": None, "visible": None}
-    assert calls[1] == ((Path("s"), None), {**defaults, **others}, 0)
+    del calls[1][1]["time_gone_s"]
+    aim = {"quality": None, "target_std_m": None, "time_budget_s": None}
+    defaults = {"device": "auto", "field": "auto", "resume": True, "calibrate_water": False}
+    others = {
+        "poses": "auto",
+        "plan": "auto",
+        "image_scale": None,
+        "true_colour": False,
+        "reference": None,
+        "visible": None,
+    }
+    assert calls[1] == ((Path("s"), None), {**aim, **defaults, **others}, 0)
 
 
 def test_export_needs_something_to_write_and_prints_what_it_wrote(monkeypatch):

@@ -14,6 +14,7 @@ from survey.errors import SurveyError
 from survey.export import gap_filling
 from survey.export import gridded as gridded_module
 from survey.export.cell_fit import fit_cells
+from survey.export.correlated import LEAST_PX2, correlated_px2
 from survey.export.from_above import seen_from_above
 from survey.export.gridded import gridded
 from survey.export.loaded import LoadedRun
@@ -51,7 +52,9 @@ def test_the_cells_of_a_plane_have_its_heights_wherever_their_points_lie():
     cell, offset = in_cells(plan)
     keep = np.random.default_rng(1).random(len(plan)) < 0.35 - 0.3 * offset[:, 0]
     height = 2000.0 + 0.8 * plan[:, 0] - 0.5 * plan[:, 1]
-    fits = fit_cells(cell[keep], offset[keep], height[keep], np.full(keep.sum(), 1e-5), side=SIDE, pixel=GSD_M)
+    fits = fit_cells(
+        cell[keep], offset[keep], height[keep], np.full(keep.sum(), 1e-5), side=SIDE, pixel=GSD_M, correlated=LEAST_PX2
+    )
     middle = SIDE * (np.stack([fits.cell % 40, fits.cell // 40], axis=1) + 0.5)
     enough = fits.count >= 5
     assert enough.sum() > 1000
@@ -62,7 +65,7 @@ def test_a_cell_whose_points_lie_on_one_side_is_less_sure():
     offset = np.array([[-0.4, 0.0], [-0.35, 0.1], [-0.4, -0.1], [-0.3, 0.0]])
     whole = np.array([[-0.4, 0.3], [0.4, -0.3], [-0.3, -0.3], [0.3, 0.3]])
     cell, height, std = np.repeat([0, 1], 4), np.zeros(8), np.full(8, 0.005)
-    fits = fit_cells(cell, np.concatenate([offset, whole]), height, std, side=SIDE, pixel=GSD_M)
+    fits = fit_cells(cell, np.concatenate([offset, whole]), height, std, side=SIDE, pixel=GSD_M, correlated=LEAST_PX2)
     # Slopes of 45 degrees either way move the middle, a third of a side off, by a third of it.
     assert fits.std[0] > 4 * fits.std[1]
     assert 0.5 * 0.36 * SIDE < fits.std[0] < 0.36 * SIDE
@@ -72,9 +75,9 @@ def test_a_point_that_stands_apart_hardly_moves_its_cell():
     rng = np.random.default_rng(2)
     offset, height = rng.uniform(-0.5, 0.5, (25, 2)), 0.005 * rng.standard_normal(25)
     cell, std = np.zeros(25, dtype=int), np.full(25, 0.01)
-    before = fit_cells(cell, offset, height, std, side=SIDE, pixel=GSD_M)
+    before = fit_cells(cell, offset, height, std, side=SIDE, pixel=GSD_M, correlated=LEAST_PX2)
     height[7] += 1.0
-    after = fit_cells(cell, offset, height, std, side=SIDE, pixel=GSD_M)
+    after = fit_cells(cell, offset, height, std, side=SIDE, pixel=GSD_M, correlated=LEAST_PX2)
     # A mean would move by 4 cm.
     assert abs(after.height[0] - before.height[0]) < 0.002
 
@@ -91,11 +94,29 @@ def test_the_standard_deviation_of_cells_is_that_of_their_errors_where_neighbour
     across = int(num * GSD_M / side)
     whole = np.minimum(np.floor(plan / side).astype(int), across - 1)
     fits = fit_cells(whole[:, 1] * across + whole[:, 0], plan / side - whole - 0.5, error.ravel(),
-                     np.full(num**2, 0.01), side=side, pixel=GSD_M)  # fmt: skip
+                     np.full(num**2, 0.01), side=side, pixel=GSD_M, correlated=LEAST_PX2)  # fmt: skip
     covered = np.mean(np.abs(fits.height) < 1.96 * fits.std)
     assert 0.88 < covered <= 1.0
     ratio = np.sqrt(np.mean(fits.height**2)) / fits.std.mean()
     assert 0.5 < ratio < 1.25
+
+
+@pytest.mark.parametrize(
+    ("radius_px", "relief_m", "low", "high"), [(1.7, 0.0, 25.0, 45.0), (0.3, 0.0, LEAST_PX2, LEAST_PX2),
+                                               (1.7, 0.03, LEAST_PX2, LEAST_PX2)],
+)  # fmt: skip
+def test_the_area_over_which_errors_are_alike_is_that_of_smooth_beds_and_the_least_of_rough_ones(
+    radius_px, relief_m, low, high
+):
+    num, rng = 200, np.random.default_rng(5)
+    # An effective area of 4 pi r^2: 36 and 1 px^2.
+    error = ndimage.gaussian_filter(rng.standard_normal((num, num)), radius_px, mode="wrap")
+    height = 0.01 * error / error.std() + relief_m * rng.standard_normal((num, num))
+    rows, columns = np.mgrid[0:num, 0:num]
+    plan = GSD_M * (np.stack([columns, rows], axis=-1).reshape(-1, 2) + 0.5)
+    # A bed that rises and bends, as beds do.
+    height = height.ravel() + 0.2 * plan[:, 0] + 0.05 * plan[:, 1] ** 2
+    assert low <= correlated_px2(plan, height, np.full(num**2, 0.01), GSD_M) <= high
 
 
 def test_the_bed_under_a_deck_is_not_seen_from_above_and_that_beside_it_is():
@@ -267,7 +288,15 @@ def test_the_part_of_a_cell_without_points_makes_its_height_uncertain(share):
     true = np.bincount(cell, height) / len(plan)
     keep = offset[:, 0] < share - 0.5
     noise = 0.002 * rng.standard_normal(keep.sum())
-    fits = fit_cells(cell[keep], offset[keep], height[keep] + noise, np.full(keep.sum(), 0.002), side=side, pixel=0.025)
+    fits = fit_cells(
+        cell[keep],
+        offset[keep],
+        height[keep] + noise,
+        np.full(keep.sum(), 0.002),
+        side=side,
+        pixel=0.025,
+        correlated=LEAST_PX2,
+    )
     covered = np.mean(np.abs(fits.height - true[fits.cell]) < 1.96 * fits.std)
     # 95 % of normal errors, and waves have others; without the bare part of the variance it is 39 and 45 %.
     assert covered > 0.85
@@ -277,5 +306,7 @@ def test_a_cell_that_is_covered_by_less_than_a_third_has_no_height():
     plan = grid_of_points(1.0, 0.025)
     offset = np.concatenate([plan, plan[plan[:, 0] < 0.25]]) - 0.5
     cell = np.repeat([0, 1], [len(plan), len(offset) - len(plan)])
-    fits = fit_cells(cell, offset, np.zeros(len(cell)), np.full(len(cell), 0.01), side=1.0, pixel=0.025)
+    fits = fit_cells(
+        cell, offset, np.zeros(len(cell)), np.full(len(cell), 0.01), side=1.0, pixel=0.025, correlated=LEAST_PX2
+    )
     assert fits.cell.tolist() == [0]

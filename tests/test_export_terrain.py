@@ -81,7 +81,7 @@ def test_a_dem_has_heights_uncertainty_points_and_depths(stored, dem):
     np.testing.assert_array_equal(origin, count > 0)
     np.testing.assert_array_equal(height.mask, count.data == 0)
     assert (common.compressed() == 0.0).all()
-    # Points 10 cm apart, seen by pixels of 2 cm, err alone: 25 of them count as 1 + 25 / 15.
+    # Of points 10 cm apart, seen by pixels of 2 cm, none is near another: 25 of them count as 1 + 25 / 15.
     whole = count.data == 25
     assert whole.sum() > 500
     assert 0.5 * 0.005 < std[whole].min() < std[whole].max() < 0.015

@@ -44,7 +44,8 @@ def test_a_straight_edge_of_what_is_left_out_stays_where_it_is(rng):
 def test_a_smaller_image_is_the_mean_of_what_is_known():
     image = np.full((8, 8), 10.0, dtype=np.float32)
     image[0, 0] = np.nan
-    image[4:8, 4:7] = np.nan
+    image[4:8, 4:8] = np.nan
+    image[4, 4] = 10.0
     small = shrunk(image, (2, 2))
     np.testing.assert_allclose(small[0], 10.0)
     assert np.isnan(small[1, 1])
@@ -62,7 +63,7 @@ def test_each_photograph_has_its_shares_and_those_that_are_mostly_white_are_name
     found = photographs_of({"a.jpg": 0.0, "b.jpg": 0.61, "c.jpg": 0.03}, {"a.jpg": [200, 20], "c.jpg": [0, 0]})
     assert [each.outlying for each in found] == [0.1, None, None]
     (warning,) = doubts(found)
-    assert warning.startswith("1 photograph of which more than 50% is saturated")
+    assert warning.startswith("1 photograph more than half white by glint of the sun or exposure")
     assert warning.endswith("b.jpg")
     assert "21.3" in summary(found)[0]
     _, notable = table(found)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 import resource
+from types import SimpleNamespace
+
+import pytest
 
 from survey import machine
 
@@ -30,6 +33,13 @@ def test_room_on_the_disk_is_that_of_the_nearest_folder_that_exists(tmp_path):
     assert 1 <= machine.num_cores() <= os.cpu_count()
 
 
+def test_the_age_of_the_process_rises_and_is_known_where_the_system_does_not_tell(tmp_path, monkeypatch):
+    first = machine.process_age_s()
+    assert 0.0 <= first <= machine.process_age_s()
+    monkeypatch.setattr(machine, "_STAT", tmp_path / "none")
+    assert machine.process_age_s() > 0.0
+
+
 def test_limits_of_the_process_leave_less_memory_than_they_say_where_they_count_what_is_only_mapped(monkeypatch):
     limits = {resource.RLIMIT_DATA: resource.RLIM_INFINITY, resource.RLIMIT_AS: resource.RLIM_INFINITY}
     monkeypatch.setattr(machine.resource, "getrlimit", lambda kind: (limits[kind], limits[kind]))
@@ -38,3 +48,9 @@ def test_limits_of_the_process_leave_less_memory_than_they_say_where_they_count_
     assert 0.5e9 < machine.allowed_memory_bytes() < 4e9
     limits[resource.RLIMIT_DATA] = 300_000_000
     assert machine.allowed_memory_bytes() == 3e8
+
+
+def test_a_machine_with_twice_the_work_is_twice_as_slow(monkeypatch):
+    seconds = iter([0.0, 1.0, 5.0, 7.0])
+    monkeypatch.setattr(machine, "time", SimpleNamespace(monotonic=lambda: next(seconds)))
+    assert machine.slowness() == pytest.approx(0.5 * machine.slowness())

@@ -84,6 +84,16 @@ def test_what_a_mask_leaves_out_does_not_count(tmp_path, rng):
     assert matched_light(masked).shares == pytest.approx((0.0, 1.0, 0.0), abs=0.05)
 
 
+def test_glint_is_no_texture(tmp_path, rng):
+    survey = load_survey(small_survey(tmp_path / "s"))
+    green = 128.0 + 60.0 * gaussian_filter(rng.standard_normal((48, 64)), 4.0) / 0.07
+    pixels = np.stack([np.full_like(green, 128.0), np.clip(green, 0.0, 240.0), np.full_like(green, 128.0)], axis=-1)
+    pixels[10:22, 10:30] = 255.0
+    for view in survey.views:
+        Image.fromarray(np.clip(pixels, 0.0, 255.0).astype(np.uint8)).save(view.path, quality=95, subsampling=0)
+    assert matched_light(survey.views).shares == pytest.approx((0.0, 1.0, 0.0), abs=0.05)
+
+
 def test_survey_toml_says_to_which_wavelength_its_index_belongs_and_the_settings_keep_what_took_effect(tmp_path):
     toml = replaced(("refractive_index = 1.333", "refractive_index = 1.333\nindex_wavelength_nm = 589.3"))
     survey = load_survey(small_survey(tmp_path / "s", toml=toml))

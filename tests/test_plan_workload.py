@@ -32,19 +32,18 @@ def warnings_of(sections) -> list[str]:
 @pytest.mark.parametrize(
     ("name", "quality", "seconds", "memory_gb", "num_maps"),
     [
-        ("quick", "standard", 38.1, 0.78, 21),
-        ("river", "standard", 154.5, 2.21, 42),
-        ("wreck_water", "draft", 86.5, 2.39, 43),
+        ("quick", "standard", 34.8, 0.75, 21),
+        ("wreck_water", "draft", 107.9, 1.41, 43),
     ],
 )
-def test_three_surveys_are_estimated_as_they_were_measured(
+def test_two_surveys_are_estimated_as_they_were_measured(
     data_dir, monkeypatch, name, quality, seconds, memory_gb, num_maps
 ):
     monkeypatch.setattr(machine, "num_cores", lambda: 1)
     survey = load_survey(data_dir / name)
     plan = replace(make_plan(survey, quality=quality, device="cpu"), device="llvm")
     workload = workload_of(survey, plan)
-    # The rates come from these surveys; the worst of the six figures is 5 % off.
+    # The rates come from these surveys; the worst of the four figures is 12 % off.
     assert workload.seconds == pytest.approx(seconds, rel=0.15)
     assert workload.memory_bytes / GIGA == pytest.approx(memory_gb, rel=0.15)
     assert workload.num_maps == num_maps

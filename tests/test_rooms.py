@@ -107,6 +107,7 @@ DISK_FILES = {
             "result",
             "stage",
             "stage_pose_check",
+            "stage_reached",
             "stage_sweep",
             "stored",
             "stored_field",

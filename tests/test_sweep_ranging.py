@@ -7,7 +7,7 @@ import pytest
 from plane_survey import TILTED, PlaneBed, ring
 
 from fields.sweep.block import Block
-from fields.sweep.ranging import find_range
+from fields.sweep.ranging import beyond_chance, find_range
 from refract import FlatWater
 
 LIMITS = (-4.0, 0.0)
@@ -51,3 +51,20 @@ def test_images_without_texture_have_no_range(device):
     grey = [np.full((c.height, c.width), 12.0, np.float32) for c in cameras]
     with pytest.raises(ValueError, match="only 0 thumbnail pixels match"):
         find_range(Block(device, cameras, grey, None, -2.0), LIMITS)
+
+
+def test_matches_by_chance_do_not_widen_the_range(rng):
+    limits = (-25.0, 14.0)
+    bed, chance = rng.normal(-3.0, 0.4, 1500), rng.uniform(*limits, 60)
+    found = beyond_chance(np.concatenate([bed, chance]), limits)
+    assert np.quantile(found, 0.005) > -6.0
+    assert np.quantile(found, 0.995) < 0.0
+    assert np.isin(found, bed).sum() > 0.99 * len(bed)
+
+
+def test_a_bed_at_all_heights_and_a_few_of_a_mast_are_no_chance(rng):
+    limits = (-10.0, 2.0)
+    slope = rng.uniform(*limits, 5000)
+    assert len(beyond_chance(slope, limits)) == len(slope)
+    mast = np.concatenate([rng.normal(-4.0, 0.3, 5000), np.linspace(-4.0, 0.0, 60)])
+    assert len(beyond_chance(mast, limits)) == len(mast)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import pytest
-from plane_survey import PlaneBed, ring, texture
+from plane_survey import PlaneBed, look, ring, texture
 
 from fields.sweep.backends import warping
 from fields.sweep.stack import ViewStack
@@ -15,10 +16,9 @@ from refract import FlatWater
 
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.34)
 LOW, HIGH = -2.0, -1.6
-SEARCH = StepSearch(radius=1, step_px=0.5, around_px=5, least_score=0.6)
+SEARCH = StepSearch(radius=1, step_px=0.5, tile_px=8, reach_px=2.0, around_px=5, least_score=0.6)
 # Too high pixels beside the edge, and the pixels at it whose windows hold both sides.
 FAT_PX, EDGE_PX = 4, 3
-REACH_PX = 2.0
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def searched(device, height, truth, *, score=0.9, search=SEARCH):
     stack = ViewStack.build(device, cameras, [Terrace().photograph(c) for c in cameras], WATER)
     found = (height, np.full_like(truth, score), np.full_like(truth, 5.0))
     parallax = PlaneBed(WATER, LOW).block(device, cameras).parallax(0, list(range(1, 9)), LOW)
-    return found, search_steps(stack, 0, list(range(1, 9)), found, parallax, REACH_PX, search)
+    return found, search_steps(stack, 0, list(range(1, 9)), found, parallax, search)
 
 
 @pytest.fixture
@@ -103,3 +103,42 @@ def test_an_image_smaller_than_a_tile_is_left_as_it_is(device, fattened):
     truth, height = fattened
     before, after = searched(device, height[:6], truth[:6])
     assert all(old is new for old, new in zip(before, after, strict=True))
+
+
+class Wall:
+    """A wall of 2 m across the view, its foot at `south` [m] north of the origin, painted along its length and height.
+
+    The ground before it is low; nothing is over it.
+    """
+
+    south = 0.1
+
+    def seen(self, camera):
+        """Height of the wall at each pixel centre, and whether it is under water and over the ground, and its paint."""
+        path = camera.paths(camera.pixel_centres(), WATER)
+        upper, lower = path.at_height(-0.5, WATER), path.at_height(LOW, WATER)
+        share = (self.south - upper[..., 1]) / (lower[..., 1] - upper[..., 1])
+        point = upper + share[..., None] * (lower - upper)
+        on_wall = (share > 0.0) & (share < 1.0)
+        paint = texture(point[..., 0], point[..., 2])
+        ground = texture(lower[..., 0], lower[..., 1], seed=4)
+        return np.where(on_wall, point[..., 2], LOW).astype(np.float32), np.where(on_wall, paint, ground), on_wall
+
+
+def test_a_wall_is_found_better_by_upright_windows_than_by_level_ones(device):
+    wall = Wall()
+    cameras = [look((x, -6.0, 5.0), (0.0, 0.0, -1.2)) for x in (0.0, -1.5, -0.8, 0.8, 1.5)]
+    truth, _, on_wall = wall.seen(cameras[0])
+    images = [wall.seen(camera)[1].astype(np.float32) for camera in cameras]
+    stack = ViewStack.build(device, cameras, images, WATER)
+    rough = cv2.blur(truth, (9, 9))
+    found = (rough, np.full_like(truth, 0.9), np.zeros_like(truth))
+    parallax = PlaneBed(WATER, -1.2).block(device, cameras).parallax(0, [1, 2, 3, 4], -1.2)
+    search = replace(SEARCH, around_px=12)
+    errors = []
+    for walls in (False, True):
+        height, _, _ = search_steps(stack, 0, [1, 2, 3, 4], found, parallax, replace(search, walls=walls))
+        errors.append(np.abs(height - truth)[10:-10, 10:-10][on_wall[10:-10, 10:-10]])
+    assert len(errors[0]) > 300
+    level, upright = (np.mean(error < 0.02) for error in errors)
+    assert upright > level + 0.05

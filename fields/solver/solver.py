@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from fields.solver.shifts import Shifts, depth_of, shifts_of
 from fields.solver.sightings import Sightings
 from fields.solver.solve import Solved, parallax_of
 from fields.solver.uncertainty import PLACE_PX2, bends_below, rise_of, variance_of
-from fields.solver.views import Job, Views
+from fields.solver.views import WORKERS, Job, Views
 from fields.sweep.block import Block
 from fields.sweep.certainty import for_few
 from fields.sweep.sweep import DepthMap
@@ -23,7 +23,6 @@ from fields.sweep.sweep import DepthMap
 # What a survey is like is learned from so many tiles of this side, spread over those that are nearly as full as the
 # fullest.
 SAMPLES, SAMPLE_PX, NEARLY = 6, 112, 0.7
-_WORKERS = min(os.cpu_count() or 1, 4)
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,12 @@ class _Solved:
 
 
 def solve_maps(
-    block: Block, maps: list[DepthMap], kept: list[np.ndarray], gsd: float, progress: Callable[[float], None]
+    block: Block,
+    maps: list[DepthMap],
+    kept: list[np.ndarray],
+    gsd: float,
+    progress: Callable[[float], None],
+    goes_on: Callable[[], bool] = lambda: True,
 ) -> tuple[list[SolvedMap], SolverFigures]:
     """Solve the kept pixels of all maps, about the heights of the sweep.
 
@@ -110,6 +114,8 @@ def solve_maps(
     gsd : [m]
         Ground sampling distance.
     progress : called with the share done, 0 to 1
+    goes_on : callable
+        Asked before each tile; tiles whose turn comes after it said no are left out.
 
     Returns
     -------
@@ -126,7 +132,7 @@ def solve_maps(
     small = [job for index, wanted in enumerate(kept) for job in views.jobs(index, wanted, SAMPLE_PX)]
     total, done = sum(len(job.tile) for job in jobs), 0
     parts: list[list[_Solved]] = [[] for _ in maps]
-    with ThreadPoolExecutor(_WORKERS) as pool:
+    with ThreadPoolExecutor(WORKERS) as pool:
         sample = _sample(small)
         first = [found for _, found in views.solved(sample, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
         roughness, share = roughness_of(first, gsd, pool), noise_share(first)
@@ -136,7 +142,8 @@ def solve_maps(
         def part(job: Job, each: Solved) -> tuple[_Solved, Sightings]:
             return _part(job, maps[job.index], each), Sightings.of(each, len(block.images))
 
-        for job, (found, seen) in views.solved(jobs, roughness, pool, part):
+        begun = takewhile(lambda _job: goes_on(), jobs)
+        for job, (found, seen) in views.solved(begun, roughness, pool, part):
             parts[job.index].append(found)
             sightings += seen
             done += len(job.tile)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future
@@ -25,8 +26,10 @@ Used = TypeVar("Used")
 
 # Photographs that a tile is compared with.
 MOST_VIEWS = 20
-# Tiles that are being solved, or wait for it, while others are seen.
-AHEAD = 6
+# Tiles that are solved at a time, one on each core that there may be, and those that wait for it too.
+_CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+WORKERS = min(_CORES, 4)
+AHEAD = WORKERS + 1
 
 
 @dataclass(frozen=True)

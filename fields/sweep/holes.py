@@ -10,8 +10,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-# Surroundings [px], and the least share of them that has to be known.
-_AROUND_PX, _KNOWN = 5, 0.5
+# Surroundings [px], and the least share of them that has to be known; and that of the area of a smaller pixel, whose
+# mean a few of many pixels tell as well.
+_AROUND_PX, _KNOWN, _KNOWN_OF_AREA = 5, 0.5, 0.2
 # Standard deviation of the weights of the mean [px].
 _REACH_PX = 1.5
 
@@ -32,7 +33,7 @@ def closed(image: np.ndarray) -> np.ndarray:
 
 
 def shrunk(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """An image made smaller, to a size (width, height): means of what is known of each area, NaN of less than half."""
+    """An image made smaller, to a size (width, height): means of what is known of each area, NaN of hardly any."""
     known = np.isfinite(image)
     if known.all():
         return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
@@ -40,4 +41,4 @@ def shrunk(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         cv2.resize(each.astype(np.float32), size, interpolation=cv2.INTER_AREA)
         for each in (np.where(known, image, np.float32(0.0)), known)
     )
-    return np.where(share >= _KNOWN, value / np.maximum(share, 1e-6), np.float32(np.nan))
+    return np.where(share >= _KNOWN_OF_AREA, value / np.maximum(share, 1e-6), np.float32(np.nan))

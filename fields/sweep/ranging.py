@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from scipy import ndimage
 
 from fields.sweep.block import Block
 from fields.sweep.climbing import climb_view
@@ -15,6 +16,10 @@ WINDOW_RADIUS = 3
 # A thumbnail pixel counts where half of its neighbours correlate this well and the best height is not an end rung.
 CONFIDENT_NCC = 0.7
 MIN_PIXELS = 200
+# Matches by chance lie anywhere between the limits. Of so many parts of them, those with less than this share of what
+# all have in the mean hold chance alone; what has more than that, by so many standard deviations, holds bed, and so
+# does what goes on from there without a gap, such as a mast.
+_PARTS, _CHANCE, _SIGMAS = 60, 0.25, 4.0
 
 
 def find_range(block: Block, limits: tuple[float, float]) -> tuple[float, float]:
@@ -28,8 +33,8 @@ def find_range(block: Block, limits: tuple[float, float]) -> tuple[float, float]
     Returns
     -------
     (low, high) [m]
-        The 0.5 and 99.5 % quantiles of the heights that match well and continue around, widened by a quarter of
-        their distance and one rung.
+        The 0.5 and 99.5 % quantiles of the heights that match well and continue around, without those that are no
+        more frequent than chance, widened by a quarter of their distance and one rung.
 
     Raises
     ------
@@ -61,6 +66,16 @@ def find_range(block: Block, limits: tuple[float, float]) -> tuple[float, float]
             f"{limits[1]:.1f} m over the water; check that poses, water level and images belong together and that "
             "the bed shows texture"
         )
-    low, high = np.quantile(found, [0.005, 0.995])
+    low, high = np.quantile(beyond_chance(found, limits), [0.005, 0.995])
     margin = 0.25 * (high - low) + max(steps)
     return max(float(low - margin), limits[0]), min(float(high + margin), limits[1])
+
+
+def beyond_chance(found: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
+    """Heights (N,) [m] without those in parts of the range that lie apart and have no more than chance gives."""
+    count, edges = np.histogram(found, bins=_PARTS, range=limits)
+    chance = count[count < _CHANCE * count.mean()]
+    rate = float(chance.mean()) if len(chance) else 0.0
+    groups, _ = ndimage.label(count > 0)
+    bed = np.isin(groups, np.unique(groups[count > rate + _SIGMAS * np.sqrt(rate)]))
+    return found[bed[np.clip(np.searchsorted(edges, found, side="right") - 1, 0, _PARTS - 1)]]

@@ -8,8 +8,8 @@ known.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -23,6 +23,8 @@ from fields.sweep.steps import StepSearch, search_steps
 
 # Height maps that each is compared with where heights are fused.
 PEERS = 12
+# A pass is finer than a map with so many times its pixels along a side: sizes of halved images are rounded.
+_FINER = 1.2
 
 
 @dataclass(frozen=True)
@@ -54,11 +56,23 @@ class Pass:
 # reach the least scores by chance in one of forty pixels: the better half of eight neighbours on a ladder of forty.
 PASSES = (
     Pass(0.25, 2, None, 0.5, 8, False),
-    Pass(0.5, 2, 11, 0.4, 8, False, StepSearch(2, 0.5, 5, MATCHED_NCC)),
-    Pass(1.0, 2, 9, 0.4, 8, True, StepSearch(1, 0.75, 3, 0.68)),
+    Pass(0.5, 2, 11, 0.4, 8, False, StepSearch(2, 0.5, 16, 2.0, 5, MATCHED_NCC)),
+    Pass(1.0, 2, 7, 0.4, 8, True, StepSearch(1, 0.75, 8, 1.6, 3, 0.68, walls=True)),
     Pass(1.0, 2, 5, 0.25, 8, True),
     Pass(1.0, 1, 3, 0.25, 12, True),
 )
+
+
+def passes_from(share: float) -> tuple[Pass, ...]:
+    """The passes with the whole bound searched at a share of the size, 1, 0.5 or (as `PASSES`) at most 0.25.
+
+    Images of few pixels have to be searched at more than a quarter of their size (docs/targets.md).
+    """
+    if share > PASSES[1].scale:
+        return (replace(PASSES[2], rungs=None, step_px=PASSES[0].step_px, search=None), *PASSES[3:])
+    if share > PASSES[0].scale:
+        return (replace(PASSES[1], rungs=None, step_px=PASSES[0].step_px, search=None), *PASSES[2:])
+    return PASSES
 
 
 @dataclass
@@ -92,6 +106,9 @@ def sweep(
     progress: Callable[[float], None],
     passes: tuple[Pass, ...] = PASSES,
     area: Area | None = None,
+    *,
+    before: Mapping[int, DepthMap] | None = None,
+    again: Collection[int] = (),
 ) -> list[DepthMap]:
     """Sweep the chosen views, coarse to fine.
 
@@ -106,33 +123,53 @@ def sweep(
     passes : tuple of Pass
     area : (x0, y0, x1, y1) [m], local, optional
         Where heights are wanted: other pixels get no height of their own.
+    before : mapping of view to DepthMap, optional
+        Of an earlier sweep of the same bound, at a smaller scale or the same. Views that have one keep its heights and
+        confirm those of the others.
+    again : views of ``before``
+        That go on from there, with the passes finer than it.
 
     Returns
     -------
     list of DepthMap at the scale of the last pass, in the order of `chosen`
         Views that overlap with no other are left out.
     """
-    climbs = [climbs_of(block, chosen, p, bound if number == 0 else None) for number, p in enumerate(passes)]
-    views = sorted(climb.view for climb in climbs[0])
+    before = {view: m for view, m in (before or {}).items() if view in chosen}
+    size = (block.cameras[0].width, block.cameras[0].height)
+    maps = {view: m if view in again else enlarged_map(m, size) for view, m in before.items()}
+    climbs = [
+        climbs_of(block, [v for v in chosen if _climbs(size, p, before.get(v), v in again)], p, None if n else bound)
+        for n, p in enumerate(passes)
+    ]
+    views = sorted({climb.view for each in climbs for climb in each} | set(before))
     peers = {view: block.neighbours(view, PEERS, among=views) for view in views}
-    fused = [_pixels(block, p) * sum(map(len, peers.values())) if p.fuse else 0 for p in passes]
+    climbing = [{climb.view for climb in each} for each in climbs]
+    fused = [
+        _pixels(block, p) * sum(len(peers[v]) for v in mine) if p.fuse else 0
+        for p, mine in zip(passes, climbing, strict=True)
+    ]
     total, done = sum(fused) + sum(climb.samples for each in climbs for climb in each), 0
-    maps: dict[int, DepthMap] = {}
     for number, p in enumerate(passes):
         # Of a pass before, nothing but heights is needed, each once.
-        heights, maps = {view: m.height for view, m in maps.items()}, {}
+        heights = {view: maps.pop(view).height for view in climbing[number] & maps.keys()}
         for climb in climbs[number]:
             maps[climb.view] = _climbed(block, p, climb, bound, heights.pop(climb.view, None), area)
             done += climb.samples
             progress(done / total)
         if fused[number]:
             block.release(p.scale)
-            fuse(block, maps, p.scale, peers)
+            fuse(block, maps, p.scale, {view: peers[view] for view in climbing[number]})
             done += fused[number]
             progress(done / total)
         if number + 1 == len(passes) or passes[number + 1].scale != p.scale:
             block.release(p.scale)
+    confirm(block, maps, {view: peers[view] for view in set(maps) - climbing[-1]})
     return [maps[view] for view in chosen if view in maps]
+
+
+def _climbs(size: tuple[int, int], p: Pass, before: DepthMap | None, again: bool) -> bool:
+    """Whether a view takes part in a pass: one that has a map only if it goes on, in passes finer than the map."""
+    return before is None or (again and p.scale * size[0] > _FINER * before.height.shape[1])
 
 
 @dataclass(frozen=True)
@@ -199,8 +236,7 @@ def _climbed(
     columns = None if area is None else columns_over(stack.cameras[view], block.water, area, bound, p.radius)
     found = climb_view(stack, view, climb.others, start, step, climb.rungs, p.radius, columns)
     if p.search is not None:
-        reach = p.step_px * (climb.rungs // 2)
-        found = search_steps(stack, view, climb.others, found, p.step_px / step, reach, p.search)
+        found = search_steps(stack, view, climb.others, found, p.step_px / step, p.search)
     height, score, _ = found
     nobody = np.zeros(height.shape, dtype=np.uint8)
     return DepthMap(view, height, score.astype(np.float16), nobody, np.zeros(height.shape, dtype=np.float16))
@@ -214,21 +250,50 @@ def _enlarged(height: np.ndarray, stack: ViewStack) -> np.ndarray:
     return cv2.medianBlur(height, 5)
 
 
-def fuse(block: Block, maps: dict[int, DepthMap], scale: float, peers: dict[int, list[int]]) -> None:
+def fuse(block: Block, maps: dict[int, DepthMap], scale: float, peers: Mapping[int, list[int]]) -> None:
     """Replace the heights by the mean over the peers that agree, and note how many do and how closely.
 
     A pixel that no other view confirms takes the median of its surroundings: a better start for the next pass. A
-    pixel that matched nothing confirms nothing either.
+    pixel that matched nothing confirms nothing either. Maps without peers keep what they have.
     """
+    found = _agreement(block, maps, scale, peers)
+    for view, (agreeing, height, spread) in found.items():
+        m = maps[view]
+        m.agreeing, m.spread = agreeing, spread.astype(np.float16)
+        m.height = np.where(agreeing > 0, height, cv2.medianBlur(m.height, 5))
+
+
+def _agreement(
+    block: Block, maps: dict[int, DepthMap], scale: float, peers: Mapping[int, list[int]]
+) -> dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """What `fields.sweep.consistency.agreement` says of each map that has peers."""
     chosen = sorted(maps)
     cameras = [block.cameras[v].scaled(scale) if scale != 1.0 else block.cameras[v] for v in chosen]
     matched = [np.where(maps[v].score > MATCHED_NCC, maps[v].height, np.float32(np.nan)) for v in chosen]
     heights = ViewStack.build(block.device, cameras, matched, block.water)
+    found = {}
     for index, view in enumerate(chosen):
-        if not peers[view]:
-            continue
-        m = maps[view]
-        tolerance = block.agreement_tolerance(view, peers[view], float(np.median(m.height)))
-        m.agreeing, height, spread = agreement(heights, index, [chosen.index(p) for p in peers[view]], tolerance)
-        m.spread = spread.astype(np.float16)
-        m.height = np.where(m.agreeing > 0, height, cv2.medianBlur(m.height, 5))
+        others = peers.get(view)
+        if others:
+            tolerance = block.agreement_tolerance(view, others, float(np.median(maps[view].height)))
+            found[view] = agreement(heights, index, [chosen.index(p) for p in others], tolerance)
+    return found
+
+
+def confirm(block: Block, maps: dict[int, DepthMap], peers: Mapping[int, list[int]]) -> None:
+    """Let heights that stay as they are be confirmed by the others at full size, where these say more than before."""
+    if peers:
+        for view, (agreeing, _, _) in _agreement(block, maps, 1.0, peers).items():
+            maps[view] = replace(maps[view], agreeing=np.maximum(maps[view].agreeing, agreeing))
+
+
+def enlarged_map(m: DepthMap, size: tuple[int, int]) -> DepthMap:
+    """A map at another size (width, height), not smaller."""
+    if m.height.shape == size[::-1]:
+        return m
+    height, score, spread = (
+        cv2.resize(each.astype(np.float32), size, interpolation=cv2.INTER_LINEAR).astype(each.dtype)
+        for each in (m.height, m.score, m.spread)
+    )
+    agreeing = cv2.resize(m.agreeing, size, interpolation=cv2.INTER_NEAREST)
+    return DepthMap(m.view, height, score, agreeing, spread)

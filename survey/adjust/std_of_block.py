@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from survey.folder.survey import Survey
 
 # The slope of the bed is that over cells of so many ground sampling distances: single heights are noisy.
-_CELL_GSD = 4.0
+_CELL_GSD = 2.0
 # Points whose variances along both axes multiply to less than this, in cells, lie in a row.
 _LEAST_SPREAD = 1e-3
 # Points at a time: 300 bytes each.

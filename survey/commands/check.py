@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,7 +10,7 @@ import typer
 
 from survey.commands.console import Results, command
 from survey.commands.memory import address_space_shortage, require_address_space
-from survey.commands.options import Quiet, Verbose
+from survey.commands.options import Quiet, TargetStd, TimeBudget, Verbose
 from survey.plan.choices import Device, Quality
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 EXAMPLES = """
     bathynerf check my_survey
     bathynerf check my_survey --quality fine
+    bathynerf check my_survey --target-std 0.02
     bathynerf check my_survey --deep
     bathynerf check flight.toml --wind 5
 """
@@ -32,6 +34,8 @@ def run(
     ],
     quality: Annotated[Quality, typer.Option(help="Plan for this quality.")] = Quality.standard,
     device: Annotated[Device, typer.Option(help="Plan for this device.")] = Device.auto,
+    target_std: TargetStd = None,
+    time_budget: TimeBudget = None,
     deep: Annotated[
         bool, typer.Option("--deep", help="Also hold survey.toml against the photographs; takes minutes.")
     ] = False,
@@ -55,8 +59,10 @@ def run(
             _check_plan(results, survey, quality, device, wind, deep=deep)
             return
         from survey.adjust.foreseen_text import foreseen_section
-        from survey.plan.check import check_survey, require_processable
+        from survey.plan.aim import aim_of
+        from survey.plan.check import Section, check_survey, require_processable
         from survey.plan.check_light import light_section
+        from survey.plan.plan import make_plan
         from survey.progress import current
 
         shortage = address_space_shortage()
@@ -69,6 +75,11 @@ def run(
         foreseen = None if checked.survey is None else foreseen_section(checked.survey, quality=quality.value)
         if foreseen is not None:
             show(results, foreseen)
+        aim = aim_of(target_std, time_budget, quality=None, field="auto")
+        if aim is not None and checked.survey is not None:
+            from survey.run.beginning import rows_of
+
+            show(results, Section("Asked", rows_of(aim, checked.survey, partial(make_plan, device=device.value))))
         if deep:
             require_address_space()
             from survey.adjust.deep_check import deep_check

@@ -15,6 +15,11 @@ KEPT = "finished work is kept, and the same command resumes from there"
 SurveyFolder = Annotated[Path, typer.Argument(metavar="SURVEY", help="Folder with images and survey.toml.")]
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder written by process.")]
 DeviceOption = Annotated[Device, typer.Option(help="Where to compute.")]
+TargetStd = Annotated[
+    float | None,
+    typer.Option(metavar="METRES", help="Standard deviation wanted on 95 % of the ground: the least work for it."),
+]
+TimeBudget = Annotated[float | None, typer.Option(metavar="SECONDS", help="What the run may take: the best that fits.")]
 Verbose = Annotated[
     int, typer.Option("-v", "--verbose", count=True, show_default=False, help="More details, and tracebacks.")
 ]

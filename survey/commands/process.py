@@ -9,13 +9,16 @@ import typer
 
 from survey.commands.console import command
 from survey.commands.memory import require_address_space
-from survey.commands.options import KEPT, DeviceOption, Quiet, SurveyFolder, Verbose
+from survey.commands.options import KEPT, DeviceOption, Quiet, SurveyFolder, TargetStd, TimeBudget, Verbose
+from survey.machine import process_age_s
 from survey.names import RUN_FOLDER
 from survey.plan.choices import Device, Field, Plan, Poses, Quality
 
 EXAMPLES = """
     bathynerf process my_survey
     bathynerf process my_survey -o draft --quality draft
+    bathynerf process my_survey --target-std 0.02
+    bathynerf process my_survey --time-budget 300
     bathynerf process my_survey --reference lidar.las
 """
 
@@ -25,13 +28,21 @@ def run(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="RUN", help=f"Run folder; default: SURVEY/{RUN_FOLDER}.")
     ] = None,
-    quality: Annotated[Quality, typer.Option(help="Trades run time for detail.")] = Quality.standard,
+    quality: Annotated[
+        Quality | None, typer.Option(help="Trades run time for detail; default: standard.", show_default=False)
+    ] = None,
+    target_std: TargetStd = None,
+    time_budget: TimeBudget = None,
     device: DeviceOption = Device.auto,
     field: Annotated[Field, typer.Option(help="What refines the heights; render needs slab.")] = Field.auto,
     poses: Annotated[
         Poses, typer.Option(help="Adjust poses, lens and water together, or take the poses as they are.")
     ] = Poses.auto,
     plan: Annotated[Plan, typer.Option(help="Leave out what the scene does not need, or nothing.")] = Plan.auto,
+    image_scale: Annotated[
+        float | None,
+        typer.Option(metavar="SCALE", help="Work on images at 1, 0.5, 0.25, ...; default: by size and quality."),
+    ] = None,
     resume: Annotated[bool, typer.Option(help="Reuse finished stages of an earlier run.")] = True,
     calibrate_water: Annotated[
         bool, typer.Option("--calibrate-water", help="First estimate the water from the photographs.")
@@ -55,11 +66,15 @@ def run(
         code = process(
             survey,
             output,
-            quality=quality.value,
+            quality=None if quality is None else quality.value,
+            target_std_m=target_std,
+            time_budget_s=time_budget,
+            time_gone_s=process_age_s(),
             device=device.value,
             field=field.value,
             poses=poses.value,
             plan=plan.value,
+            image_scale=image_scale,
             resume=resume,
             calibrate_water=calibrate_water,
             true_colour=true_colour,

@@ -16,8 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Errors of neighbouring points are alike: so many points [px²] say as much as one. Over ten drawn surveys 6 to 20.
-CORRELATED_PX = 15.0
 # What is known beforehand of a slope: 45 degrees either way.
 _SLOPE_STD = 1.0
 # Beyond so many standard deviations a point weighs less.
@@ -49,8 +47,9 @@ class CellFits:
 
 
 def fit_cells(
-    cell: np.ndarray, offset: np.ndarray, height: np.ndarray, std: np.ndarray, *, side: float, pixel: float
-) -> CellFits:
+    cell: np.ndarray, offset: np.ndarray, height: np.ndarray, std: np.ndarray,
+    *, side: float, pixel: float, correlated: float,
+) -> CellFits:  # fmt: skip
     """Fit a plane to the points of each cell.
 
     Parameters
@@ -62,6 +61,8 @@ def fit_cells(
     height, std : (N,) [m]
     side, pixel : [m]
         Of a cell, and what a pixel of the photographs covers.
+    correlated : [px²]
+        Area over which points say as much as one, see `survey.export.correlated`.
     """
     order = np.argsort(cell, kind="stable")
     cell, offset, height = cell[order], offset[order], height[order].astype(np.float64)
@@ -73,7 +74,7 @@ def fit_cells(
     row = np.repeat(np.arange(len(numbers)), count)
     base = _medians(height, row, start, count)
     height = height - base[row]
-    share = _independent(count, side, pixel)[row] / count[row]
+    share = _independent(count, side, pixel, correlated)[row] / count[row]
     unsampled = 1.0 - np.minimum(count * (pixel / side) ** 2, 1.0)
     relief, damping = np.zeros(len(numbers)), np.ones(len(height))
     for _ in range(_STEPS):
@@ -102,10 +103,10 @@ def _covered(cell: np.ndarray, offset: np.ndarray) -> np.ndarray:
     return (held / squares**2)[row]
 
 
-def _independent(count: np.ndarray, side: float, pixel: float) -> np.ndarray:
+def _independent(count: np.ndarray, side: float, pixel: float, correlated: float) -> np.ndarray:
     """As how many independent points those of a cell count: by the area that they cover, at most that of the cell."""
     covered = np.minimum((side / pixel) ** 2, count.astype(np.float64))
-    return np.minimum(1.0 + covered / CORRELATED_PX, count)
+    return np.minimum(1.0 + covered / correlated, count)
 
 
 def _medians(values: np.ndarray, row: np.ndarray, start: np.ndarray, count: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ from geo.crs import height_unit_m
 from survey.errors import SurveyError
 from survey.export.bed_cells import Gridded
 from survey.export.cell_fit import fit_cells
+from survey.export.correlated import correlated_px2
 from survey.export.from_above import margin_of, seen_from_above
 from survey.export.gap_filling import fill_gaps
 from survey.export.plan_cells import PlanCells, round_side
@@ -92,6 +93,7 @@ def _fill_in(grid: Gridded, points: np.ndarray, std: np.ndarray, common: np.ndar
     tiles = np.floor(at / side).astype(np.int32)
     across = -(-cells.shape[1] // side)
     number = tiles[:, 1] * across + tiles[:, 0]
+    correlated = correlated_px2(at * cells.side_m, points[:, 2], std, grid.pixel_m)
     order = np.argsort(number, kind="stable")
     first = np.searchsorted(number[order], np.arange(across * -(-cells.shape[0] // side) + 1))
     for tile in np.unique(number):
@@ -104,14 +106,15 @@ def _fill_in(grid: Gridded, points: np.ndarray, std: np.ndarray, common: np.ndar
         rows = np.concatenate(near)
         low = np.array([column, row]) * side
         rows = rows[((at[rows] >= low - margin) & (at[rows] < low + side + margin)).all(axis=1)]
-        _fit_tile(grid, low, side, rows, at[rows], points[rows, 2], std[rows], common[rows], incidence[rows])
+        of_tile = (at[rows], points[rows, 2], std[rows], common[rows], incidence[rows])
+        _fit_tile(grid, low, side, correlated, *of_tile)
 
 
 def _fit_tile(
     grid: Gridded,
     low: np.ndarray,
     side: int,
-    rows: np.ndarray,
+    correlated: float,
     at: np.ndarray,
     height: np.ndarray,
     std: np.ndarray,
@@ -127,7 +130,9 @@ def _fit_tile(
     whole = np.minimum(np.floor(at[own]).astype(np.int64), np.array(cells.shape[::-1]) - 1)
     offset = (at[own] - whole - 0.5) * np.array([1.0, -1.0])
     number = whole[:, 1] * cells.shape[1] + whole[:, 0]
-    fits = fit_cells(number, offset, height[own], std[own], side=cells.side_m, pixel=grid.pixel_m)
+    fits = fit_cells(
+        number, offset, height[own], std[own], side=cells.side_m, pixel=grid.pixel_m, correlated=correlated
+    )
     own[own] = np.isin(number, fits.cell)
     inverse = np.searchsorted(fits.cell, number[np.isin(number, fits.cell)])
 

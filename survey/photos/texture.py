@@ -16,7 +16,8 @@ import numpy as np
 
 from refract.dispersion import mixed_index, mixed_wavelength
 from survey.photos.cameras import View
-from survey.photos.images import LUMA, load_mask, load_pixels
+from survey.photos.images import LUMA, grey_levels, load_mask, load_pixels
+from survey.photos.saturation import saturated
 
 # Photographs are made smaller so: single pixels of a JPEG have no colours of their own.
 _SMALLER = 4
@@ -94,13 +95,17 @@ def texture_of(pixels: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def _smaller(view: View) -> np.ndarray:
-    """A photograph in grey levels, of a quarter of its width and height, NaN where it is masked."""
+    """A photograph in grey levels, of a quarter of its width and height, NaN where it is masked or white.
+
+    Glint has the colour of the sun, and would count as texture of all channels.
+    """
     pixels = load_pixels(view)
     size = (max(pixels.shape[1] // _SMALLER, 1), max(pixels.shape[0] // _SMALLER, 1))
     white = 255.0 if pixels.dtype == np.uint8 else 65535.0
     small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).astype(np.float32) * np.float32(255.0 / white)
-    mask = load_mask(view)
-    if mask is not None:
-        share = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    used, mask = ~saturated(grey_levels(pixels)), load_mask(view)
+    used = used if mask is None else used & mask
+    if not used.all():
+        share = cv2.resize(used.astype(np.float32), size, interpolation=cv2.INTER_AREA)
         small[share < 1.0 - 1e-4] = np.nan
     return small

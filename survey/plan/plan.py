@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -17,8 +16,9 @@ from survey.plan.choices import Device, Field, Poses
 from survey.plan.choices import Plan as Choice
 from survey.plan.ground import ground_height
 from survey.plan.heights import in_words
+from survey.plan.image_size import image_decision, image_scale, require_scale
 from survey.plan.poses import pose_choice
-from survey.plan.recipe import RECIPES, Recipe
+from survey.plan.recipe import AIMED, RECIPES, Recipe
 from survey.plan.skipped import FULL, Decision, first_heights, lens_terms, pixels, refraction
 
 QUALITIES = tuple(RECIPES)
@@ -34,7 +34,8 @@ class Plan:
 
     Attributes
     ----------
-    quality : "draft", "standard" or "fine"
+    quality : "draft", "standard", "fine" or "aimed"
+        The last where a standard deviation or a time is asked for: see `survey.plan.aim`.
     device : "cuda", "llvm" or "torch"
         Where kernels run: Dr.Jit on CUDA, Dr.Jit on the CPU by LLVM, or torch on the CPU.
     image_scale : [-]
@@ -47,6 +48,8 @@ class Plan:
     footprint_m : (width, height) [m]
         What one image covers there, median.
     decisions : tuple of Decision
+    recipe : Recipe
+        The numbers of the quality, or of what an aim makes of it.
     field : "solver", "slab" or "off"
         What refines the heights of the sweep.
     device_asked : "auto", "cpu" or "cuda"
@@ -63,15 +66,11 @@ class Plan:
     height_m: float
     footprint_m: tuple[float, float]
     decisions: tuple[Decision, ...]
+    recipe: Recipe = RECIPES["standard"]
     field: str = "off"
     device_asked: str = "auto"
     poses: tuple[str, str] = ("fixed", "")
     skips: Skips = SKIPS
-
-    @property
-    def recipe(self) -> Recipe:
-        """The numbers of the quality."""
-        return RECIPES[self.quality]
 
     def as_dict(self) -> dict:
         """Plain numbers, texts and lists, to be saved with the run."""
@@ -86,7 +85,9 @@ def make_plan(
     field: str = "auto",
     poses: str = "auto",
     free_water: bool = False,
+    recipe: Recipe | None = None,
     plan: str = "auto",
+    scale: float | None = None,
 ) -> Plan:
     """What the scene needs.
 
@@ -99,8 +100,12 @@ def make_plan(
     poses : "auto", "fixed" or "refine"
     free_water : bool
         Whether the water is to be found as if nothing were known of it.
+    recipe : Recipe, optional
+        Of a run with an aim, in place of that of the quality.
     plan : "auto" or "full"
         Leave out what the scene does not need, or nothing.
+    scale : [-], optional
+        At which images are worked on: 1, a half, a quarter, ...; default by their size and the quality.
 
     Raises
     ------
@@ -108,14 +113,19 @@ def make_plan(
         If CUDA is asked for and there is none, or a word is not known.
     """
     require_choice("quality", quality, QUALITIES)
+    name = quality if recipe is None else AIMED
+    recipe = RECIPES[quality] if recipe is None else recipe
     chosen = device_decision(device)
     cameras = [view.camera for view in survey.views]
     height = _height(survey)
-    scale = min(image_scale(camera.width, camera.height, quality) for camera in cameras)
+    asked = scale is not None
+    if scale is None:
+        scale = min(image_scale(camera.width, camera.height, recipe.megapixels) for camera in cameras)
+    require_scale(scale)
     gsd = float(np.median([_distance_along_axis(c, survey, height) / c.fx for c in cameras])) / scale
     sides = np.median([(camera.width / camera.fx, camera.height / camera.fy) for camera in cameras], axis=0)
     footprint = (float(height * sides[0]), float(height * sides[1]))
-    refined = _field(quality, field)
+    refined = _field(name, recipe, field)
     require_choice("poses", poses, POSES)
     require_choice("plan", plan, PLANS)
     skips = NOTHING if plan == Choice.full else SKIPS
@@ -130,19 +140,20 @@ def make_plan(
         pixels(survey, skips),
         *_level(survey),
         refined,
-        _image_decision(cameras[0], scale, quality),
+        image_decision(cameras[0], scale, name, recipe, asked=asked),
         Decision("range of heights", *in_words(survey, height)),
         first_heights(skips),
         chosen,
     )
     return Plan(
-        quality,
+        name,
         chosen.choice,
         scale,
         gsd,
         height,
         footprint,
         decisions,
+        recipe,
         field=refined.choice,
         device_asked=device,
         poses=(adjusted.choice, adjusted.reason),
@@ -150,11 +161,13 @@ def make_plan(
     )
 
 
-def _field(quality: str, field: str) -> Decision:
+def _field(quality: str, recipe: Recipe, field: str) -> Decision:
     require_choice("field", field, FIELDS)
     if field != "auto":
         return Decision("field", field, "set by --field")
-    chosen = RECIPES[quality].field
+    chosen = recipe.field
+    if quality == AIMED:
+        return Decision("field", chosen, "as far as the aim needs and allows; later rounds may change it")
     reasons = {
         "off": f"{quality} uses the sweep's heights",
         "solver": "least squares over all photographs: less noise, and the standard deviation of each height",
@@ -168,7 +181,9 @@ def require_choice(name: str, value: str, known: tuple[str, ...]) -> None:
         raise SurveyError(f"{name} is {value}, expected one of {', '.join(known)}")
 
 
-def require_choices(*, quality: str, device: str, field: str, poses: str, plan: str = "auto") -> None:
+def require_choices(
+    *, quality: str, device: str, field: str, poses: str, plan: str = "auto", scale: float | None = None
+) -> None:
     """Look at the options of a run before anything is computed.
 
     Raises
@@ -181,6 +196,8 @@ def require_choices(*, quality: str, device: str, field: str, poses: str, plan: 
     require_choice("field", field, FIELDS)
     require_choice("poses", poses, POSES)
     require_choice("plan", plan, PLANS)
+    if scale is not None:
+        require_scale(scale)
     if device == "cuda":
         device_decision(device)
 
@@ -217,20 +234,6 @@ def _level(survey: Survey) -> tuple[Decision, ...]:
     if tide.matters:
         return (Decision("level", "per photograph", moves),)
     return (Decision("level", "one", f"{moves}: less than {MOST_SHIFT_PX:g}, which is lost in the noise of matching"),)
-
-
-def _image_decision(camera: PinholeCamera, scale: float, quality: str) -> Decision:
-    size = f"images of {camera.width} x {camera.height} px"
-    if scale == 1.0:
-        return Decision("image scale", "1", f"{size} are worked on whole")
-    limit = f"at most {RECIPES[quality].megapixels:g} Mpx for {quality} quality"
-    return Decision("image scale", f"{scale:g}", f"{size} are halved until they have {limit}")
-
-
-def image_scale(width: int, height: int, quality: str) -> float:
-    """The scale [-], at most 1, at which an image of a size [px] is worked on."""
-    halvings = math.ceil(0.5 * math.log2(width * height / (1e6 * RECIPES[quality].megapixels)) - 1e-9)
-    return 0.5 ** max(halvings, 0)
 
 
 def _height(survey: Survey) -> float:

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from survey.plan.choices import Quality
 
+# In place of a quality where `survey.plan.aim` makes the recipe.
+AIMED = "aimed"
+
 
 @dataclass(frozen=True)
 class Recipe:

@@ -1,7 +1,7 @@
 """Time, memory and disk space of a run, estimated before anything is computed.
 
-Rates are those of three surveys (quick and river at standard, wreck_water at draft quality) on one core with AVX-512:
-38, 154 and 87 s, 0.8, 2.2 and 2.4 GB. The estimate meets them within 10 %; it is rough elsewhere, and on more cores.
+Rates are those of two surveys (quick at standard, wreck_water at draft quality) on a part of one core with AVX-512: 35
+and 108 s, 0.75 and 1.41 GB. The estimate meets them within 15 %; it is rough elsewhere, and on more cores.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from fields.sweep.block import Overlap
+from fields.sweep.quads import KEPT_BYTES
 from fields.sweep.sweep import PASSES
 from survey import machine
 from survey.errors import SurveyError
@@ -21,22 +22,25 @@ from survey.folder.survey import Survey
 from survey.plan.area import AREA_MARGIN_M, grown, local_area
 from survey.plan.block import camera_of
 from survey.plan.ground import ground_height
-from survey.plan.plan import Plan, image_scale
+from survey.plan.image_size import image_scale
+from survey.plan.plan import Plan
 from survey.plan.recipe import RECIPES
 
 # The first pass of the sweep tries as many heights as its bound holds.
-_FIRST_RUNGS = 25
-# Pixels times heights times neighbours of the sweep that one core compares in a second, by Dr.Jit on LLVM.
-_STEPS_PER_CORE_S = 85e6
+FIRST_RUNGS = 25
+# Pixels times heights times neighbours of the sweep that one core compares in a second, by Dr.Jit on LLVM, with the
+# search beside steps.
+STEPS_PER_CORE_S = 72e6
 # Of the solver: for any survey, and per pixel of a height map.
-_SOLVER_CORE_S, _SOLVER_BYTES = (9.0, 1.9e-6), (150e6, 17.0)
+_SOLVER_CORE_S, _SOLVER_BYTES = (6.5, 0.8e-6), (150e6, 17.0)
 _FIELD_CORE_S_PER_CELL = 2.3e-4
 # Imports, check of the poses, bed, report.
 _START_S = 12.0
-_BASE_BYTES = 390e6
-# Per pixel: of every view its grey image twice in float32, and its colours, kept while there is room (a quarter of what
-# is free); of a view with a height map the arrays of sweep and bed.
-_BYTES_OF_VIEW, _BYTES_OF_MAP = 11, 26
+_BASE_BYTES = 420e6
+# Per pixel: of every view its grey image; of a view with a height map the arrays of sweep and bed.
+_BYTES_OF_VIEW, _BYTES_OF_MAP = 1, 17
+# Per pixel of a view, for those that were used last: in float32, and packed. Of its colours, and these at most.
+_BYTES_OF_READ, _MOST_READ, _BYTES_OF_COLOURS, _MOST_COLOURS = 4, 24, 3, 100e6
 # Per pixel of a whole photograph while it is decoded.
 _BYTES_OF_DECODING = 14
 # Per cell of one ground sampling distance: factors, their gradients and moments; rays drawn at once, of so many cells.
@@ -102,12 +106,27 @@ def workload_of(survey: Survey, plan: Plan) -> Workload:
     SurveyError
         If no view looks down.
     """
+    pixels, chosen, num_cells = amounts_of(survey, plan)
+    largest = max(view.lens.width * view.lens.height for view in survey.views)
+    field = num_cells if plan.field == "slab" else 0.0
+    found = _workload(pixels, pixels[chosen], largest, num_cells, field, plan.device, plan.field == "solver")
+    return replace(found, is_bound=True) if len(pixels) > _MOST_VIEWS else found
+
+
+def amounts_of(survey: Survey, plan: Plan) -> tuple[np.ndarray, list[int], float]:
+    """Pixels of each view, the views that get a height map, and cells of one ground sampling distance, at most.
+
+    Raises
+    ------
+    SurveyError
+        If no view looks down.
+    """
     cameras = [camera_of(view, plan) for view in survey.views]
     pixels = np.array([camera.width * camera.height for camera in cameras])
     chosen = list(range(len(cameras)))
     area = local_area(survey)
-    num_cells, is_bound = _OWN_GROUND * float(pixels.sum()), len(cameras) > _MOST_VIEWS
-    if not is_bound:
+    num_cells = _OWN_GROUND * float(pixels.sum())
+    if len(cameras) <= _MOST_VIEWS:
         bed = 0.0 if survey.water is not None else ground_height([view.camera for view in survey.views])
         try:
             overlap = Overlap(cameras, survey.water, bed)
@@ -119,16 +138,13 @@ def workload_of(survey: Survey, plan: Plan) -> Workload:
     if area is not None:
         x0, y0, x1, y1 = grown(area, AREA_MARGIN_M)
         num_cells = min(num_cells, (x1 - x0) * (y1 - y0) / plan.gsd_m**2)
-    largest = max(view.lens.width * view.lens.height for view in survey.views)
-    field = num_cells if plan.field == "slab" else 0.0
-    found = _workload(pixels, pixels[chosen], largest, num_cells, field, plan.device, plan.field == "solver")
-    return replace(found, is_bound=True) if is_bound else found
+    return pixels, chosen, num_cells
 
 
 def workload_of_images(sizes: Iterable[tuple[int, int]], *, quality: str, device: str) -> Workload:
     """An upper bound for images (width, height) without poses; structure from motion adds to it."""
     sizes = list(sizes)
-    scale = min(image_scale(width, height, quality) for width, height in sizes)
+    scale = min(image_scale(width, height, RECIPES[quality].megapixels) for width, height in sizes)
     pixels = np.array([width * height for width, height in sizes]) * scale**2
     num_cells = _OWN_GROUND * float(pixels.sum())
     largest = max(width * height for width, height in sizes)
@@ -190,11 +206,14 @@ def _workload(pixels, of_maps, largest: int, num_cells: float, of_field: float, 
     """From pixels of views, of height maps, and of the largest photograph; cells of bed and field."""
     num_cores = machine.num_cores()
     everything, mapped = float(np.sum(pixels)), float(np.sum(of_maps))
-    steps = sum(p.scale**2 * (p.rungs or _FIRST_RUNGS) * p.neighbours for p in PASSES)
-    core_s = steps * mapped / _STEPS_PER_CORE_S + _FIELD_CORE_S_PER_CELL * of_field
+    steps = sum(p.scale**2 * (p.rungs or FIRST_RUNGS) * p.neighbours for p in PASSES)
+    core_s = steps * mapped / STEPS_PER_CORE_S + _FIELD_CORE_S_PER_CELL * of_field
     solver_s, solver_bytes = (once + each * mapped if solves else 0.0 for once, each in (_SOLVER_CORE_S, _SOLVER_BYTES))
-    loading = _BYTES_OF_VIEW / 2 * everything + _BYTES_OF_DECODING * largest
-    sweeping = _BYTES_OF_VIEW * everything + _BYTES_OF_MAP * mapped
+    views = _BYTES_OF_VIEW * everything + min(_BYTES_OF_COLOURS * everything, _MOST_COLOURS)
+    read = _BYTES_OF_READ * float(np.sum(np.sort(pixels)[-_MOST_READ:]))
+    packed = min(_BYTES_OF_READ * everything, max(read, KEPT_BYTES))
+    loading = views + _BYTES_OF_DECODING * largest
+    sweeping = views + read + packed + _BYTES_OF_MAP * mapped
     field = _BYTES_OF_FIELD * of_field + _BYTES_OF_RAYS * min(of_field, _RAYS_OF_CELLS)
     memory = _BASE_BYTES + max(loading, sweeping + field + solver_bytes)
     return Workload(

@@ -46,10 +46,11 @@ def photographs_of(saturated: Mapping[str, float], sightings: Mapping[str, list[
 
 
 def doubts(photographs: tuple[PhotographFigures, ...]) -> list[str]:
-    """A warning that names the photographs that show hardly more than the sun."""
+    """A warning that names the photographs that show little of the bed."""
     white = [each.name for each in photographs if each.saturated > _MOSTLY_WHITE]
-    what = f"of which more than {_MOSTLY_WHITE:.0%} is saturated by glint or exposure; better left out"
-    return named(white, "photograph", what)
+    return named(
+        white, "photograph", "more than half white by glint of the sun or exposure, with little of the bed left"
+    )
 
 
 def summary(photographs: tuple[PhotographFigures, ...]) -> list[str]:

@@ -12,13 +12,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from survey.display.quantities import NO_BREAK, length, share
+from survey.plan.aim import SHARE
 from survey.plan.area import local_area
 from survey.report.verdict import Gate, Verdict
+from survey.run.cell_std import std_cells
 from survey.run.seen_cells import SeenCells, cells_seen
 
 if TYPE_CHECKING:
     from fields.sweep.bed import BedPoints
     from survey.folder.survey import Survey
+    from survey.run.stored import StoredBed
 
 MIN_COVERED_SHARE = 0.5
 MAX_STD_GSD = 1.5
@@ -28,6 +31,19 @@ MIN_VIEWS = 2
 def verdict_of(survey: Survey, bed: BedPoints, gsd_m: float) -> Verdict:
     """What the gates say of points of the bed (local frame) at a ground sampling distance [m]."""
     return Verdict((_completeness(survey, bed, gsd_m), _precision(bed, gsd_m)))
+
+
+def asked_gate(stored: StoredBed, std_m: float) -> Gate:
+    """Whether the standard deviation [m] that was asked for is reached, and if not, what limits it."""
+    bed = stored.bed
+    cells = std_cells(bed.xyz, bed.std, bed.num_views, bed.depth, stored.gsd_m)
+    reached = cells.reached(std_m)
+    sentence = f"{cells.in_words(std_m)}; required: {share(SHARE)} within what was asked"
+    if reached < SHARE:
+        sentence += f"; the rest is limited by {cells.limit(std_m)}"
+    if stored.std_common is not None and np.isfinite(stored.std_common).any():
+        sentence += f"; std_common, {length(float(np.nanmedian(stored.std_common)))} (median), comes on top"
+    return Gate("ground within the std asked for", 100.0 * reached, 100.0 * SHARE, "%", reached >= SHARE, sentence)
 
 
 def _completeness(survey: Survey, bed: BedPoints, gsd_m: float) -> Gate:

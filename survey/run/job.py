@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from survey.folder.survey import Survey
     from survey.plan.plan import Plan
     from survey.progress import Progress
+    from survey.run.aimed import Aimed
 
 
 class Job:
@@ -35,6 +37,8 @@ class Job:
     calibrate_water, true_colour : bool
         Whether the water is found as if nothing were known of it; whether points get the colour of the bed without
         its water.
+    aimed : Aimed or None
+        Where the run has an aim in place of a quality: `survey.run.aimed`.
     workspace : Path or None
         Where structure from motion keeps its files.
     """
@@ -42,28 +46,47 @@ class Job:
     def __init__(
         self,
         survey: Survey,
-        plan_of: Callable[[Survey], Plan],
+        plan_of: Callable[..., Plan],
         progress: Progress,
         *,
         calibrate_water: bool = False,
         true_colour: bool = False,
+        aimed: Aimed | None = None,
         workspace: Path | None = None,
     ):
-        self.survey, self.plan, self.progress = survey, plan_of(survey), progress
+        self.survey, self.progress, self.aimed = survey, progress, aimed
         self.calibrate_water, self.true_colour, self.workspace = calibrate_water, true_colour, workspace
         self._plan_of = plan_of
+        self.plan = self._planned()
 
     def take(self, survey: Survey) -> None:
         """Go on with another survey of the same photographs: with other water."""
         before = self._sight()
-        self.survey, self.plan = survey, self._plan_of(survey)
+        self.survey = survey
+        self.plan = self._planned()
         if self._sight() != before:
-            for name in ("block", "bound"):
-                self.__dict__.pop(name, None)
+            self._forget()
+
+    def _forget(self) -> None:
+        for name in ("block", "bound"):
+            self.__dict__.pop(name, None)
 
     def _sight(self) -> list[str]:
         """What decides the rays of the photographs, and where the bed is looked for."""
         return [self.part(name) for name in ("cameras", "water", "size", "device", "heights")]
+
+    def plan_again(self) -> None:
+        """Plan by what the aim has come to."""
+        scale = self.plan.image_scale
+        self.plan = self._planned()
+        if self.plan.image_scale != scale:
+            self._forget()
+
+    def _planned(self) -> Plan:
+        if self.aimed is None:
+            return self._plan_of(self.survey)
+        plan = self._plan_of(self.survey, recipe=self.aimed.recipe)
+        return replace(plan, decisions=(*plan.decisions, *self.aimed.decisions))
 
     @cached_property
     def photographs(self) -> ImageStore:
@@ -138,6 +161,7 @@ class Job:
             "freed": lambda: self.calibrate_water,
             "water_colour": lambda: colour_of(survey),
             "true_colour": lambda: colour_of(survey) if self.true_colour else None,
+            "aim": lambda: None if self.aimed is None else self.aimed.aim,
         }
         return parts[name]()
 

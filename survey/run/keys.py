@@ -30,6 +30,7 @@ _WORDS = {
     "device": "the device",
     "water_colour": "the colour of the water",
     "true_colour": "--true-colour",
+    "aim": "--target-std or --time-budget",
     "code": "the program",
 }
 

@@ -11,8 +11,20 @@ from survey.run.stage_adjust import adjust_block, use_adjustment
 from survey.run.stage_bed import FILES, make_bed
 from survey.run.stage_field import train_field
 from survey.run.stage_pose_check import MISFIT, check_poses, use_misfit
+from survey.run.stage_reached import REACHED, look_at_reached, use_reached
 from survey.run.stage_solver import SIGHTINGS, SOLVED, solve_heights
-from survey.run.stage_sweep import BOUND, MAPS, SATURATED, sweep_views
+from survey.run.stage_sweep import (
+    BOUND,
+    CELLS,
+    EARLIER_LOOK,
+    EARLIER_SOLVER,
+    EARLIER_SWEEP,
+    MAPS,
+    SATURATED,
+    SWEPT,
+    sweep_views,
+    use_sweep,
+)
 from survey.run.stage_water_colour import estimate_colour, use_colour
 from survey.run.stored import FIELD_FILES
 from survey.run.water_colour import COLOUR_FILE, colour_is_known
@@ -34,6 +46,10 @@ def _is_solved(job: Job) -> bool:
     return job.plan.field == "solver"
 
 
+def _is_aimed(job: Job) -> bool:
+    return job.aimed is not None
+
+
 def _has_slab(job: Job) -> bool:
     return job.plan.field == "slab"
 
@@ -42,8 +58,11 @@ def _is_refined(job: Job) -> bool:
     return _is_solved(job) or _has_slab(job)
 
 
-# What decides the rays of the photographs, and where the bed is searched.
-_VIEWS = ("photographs", "cameras", "water", "size", "device", "skips")
+# What decides the rays of the photographs, and the size and the pixels that are worked on.
+_RAYS = ("photographs", "cameras", "water", "device")
+_VIEWS = (*_RAYS, "size", "skips")
+# The stage that ends a round of a run with an aim.
+LOOK = "reached"
 
 STAGES = (
     Stage(
@@ -66,10 +85,28 @@ STAGES = (
     ),
     Stage(
         name="sweep",
-        needs=(),
-        depends_on=(*_VIEWS, "heights", "area", "coverage"),
-        leaves=(MAPS, BOUND, SATURATED),
+        needs=(EARLIER_SWEEP, EARLIER_LOOK),
+        depends_on=(*_VIEWS, "heights", "area", "coverage", "aim"),
+        leaves=(MAPS, BOUND, SATURATED, SWEPT),
         compute=sweep_views,
+        apply=use_sweep,
+    ),
+    Stage(
+        name="solver",
+        needs=("sweep", EARLIER_SWEEP, EARLIER_SOLVER),
+        depends_on=(*_VIEWS, "gsd", "aim"),
+        leaves=(SOLVED, SIGHTINGS),
+        compute=solve_heights,
+        is_on=_is_solved,
+    ),
+    Stage(
+        name=LOOK,
+        needs=("sweep", "solver"),
+        depends_on=(*_RAYS, "area", "aim"),
+        leaves=(REACHED, CELLS),
+        compute=look_at_reached,
+        is_on=_is_aimed,
+        apply=use_reached,
     ),
     Stage(
         name="water_colour",
@@ -79,14 +116,6 @@ STAGES = (
         compute=estimate_colour,
         is_on=_needs_colour,
         apply=use_colour,
-    ),
-    Stage(
-        name="solver",
-        needs=("sweep",),
-        depends_on=(*_VIEWS, "gsd"),
-        leaves=(SOLVED, SIGHTINGS),
-        compute=solve_heights,
-        is_on=_is_solved,
     ),
     Stage(
         name="field",

@@ -18,10 +18,13 @@ from survey.files.outputs import ReadFiles, require_folder
 from survey.folder.inputs import survey_inputs
 from survey.folder.survey import Survey, load_survey
 from survey.names import RUN_FOLDER
+from survey.plan.aim import aim_of
 from survey.plan.check import require_processable
 from survey.plan.plan import Plan, make_plan, require_choices
 from survey.plan.workload import require_room, workload_of
 from survey.progress import Progress, opened
+from survey.run.beginning import begin_aimed
+from survey.run.clock import Clock
 from survey.run.folder import RunDir
 from survey.run.truth import Truth
 
@@ -35,12 +38,16 @@ def process(
     survey_folder: str | Path,
     run_folder: str | Path | None = None,
     *,
-    quality: str = "standard",
+    quality: str | None = None,
     device: str = "auto",
     resume: bool = True,
     field: str = "auto",
+    target_std_m: float | None = None,
+    time_budget_s: float | None = None,
+    time_gone_s: float = 0.0,
     poses: str = "auto",
     plan: str = "auto",
+    image_scale: float | None = None,
     calibrate_water: bool = False,
     true_colour: bool = False,
     reference: str | Path | None = None,
@@ -53,15 +60,24 @@ def process(
     survey_folder : str or Path
     run_folder : str or Path, optional
         Default ``survey_folder/bathynerf``.
-    quality : "draft", "standard" or "fine"
+    quality : "draft", "standard" or "fine", optional
+        Default "standard", unless an aim is set by one of the next two.
     device : "auto", "cpu" or "cuda"
     field : "auto", "solver", "slab" or "off"
         What refines the heights of the sweep: least squares over all photographs, a tensor field trained in a slab,
         which `render` needs, or nothing; "auto" leaves it to the plan.
+    target_std_m : [m], optional
+        Standard deviation that is wanted on 95 % of the ground: as little work as reaches it.
+    time_budget_s : [s], optional
+        What the whole run may take, but for the comparison with a reference: the best that fits.
+    time_gone_s : [s]
+        How much of that is gone already, with the start of the program.
     poses : "auto", "fixed" or "refine"
         Whether poses and lens are adjusted together with the water; "auto" leaves it to the plan.
     plan : "auto" or "full"
         Leave out what the scene does not need, or nothing: what that costs, docs/plan.md has.
+    image_scale : float, optional
+        At which photographs are worked on: 1, a half, a quarter, ...; default by their size and the quality.
     resume : bool
         Use what an earlier run in this folder finished, where nothing that it depends on has changed.
     calibrate_water : bool
@@ -86,7 +102,10 @@ def process(
     run_folder = survey_folder / RUN_FOLDER if run_folder is None else Path(run_folder)
     truth = Truth(*(None if path is None else Path(path) for path in (reference, visible)))
     _require_inputs(survey_folder, run_folder, truth)
-    require_choices(quality=quality, device=device, field=field, poses=poses, plan=plan)
+    aim = aim_of(target_std_m, time_budget_s, quality=quality, field=field, scale=image_scale)
+    clock = None if aim is None or aim.seconds is None else Clock(aim.seconds, time_gone_s)
+    quality = quality or "standard"
+    require_choices(quality=quality, device=device, field=field, poses=poses, plan=plan, scale=image_scale)
     checked = require_processable(survey_folder)
     if checked.found.config.water is None and (true_colour or calibrate_water):
         option = "--true-colour takes the water away" if true_colour else "--calibrate-water estimates the water"
@@ -97,19 +116,38 @@ def process(
             survey_folder, found=checked.found, workspace=run.sfm_path, report=progress.note
         )
         plan_of = partial(
-            make_plan, quality=quality, device=device, field=field, poses=poses, free_water=calibrate_water, plan=plan
+            make_plan,
+            quality=quality,
+            device=device,
+            field=field,
+            poses=poses,
+            free_water=calibrate_water,
+            plan=plan,
+            scale=image_scale,
         )
-        made = plan_of(survey)
+        aimed = (
+            None
+            if aim is None
+            else begin_aimed(aim, survey, plan_of, clock, progress, refuses=checked.survey is not None)
+        )
+        made = plan_of(survey) if aimed is None else plan_of(survey, recipe=aimed.recipe)
         _announce(progress, survey, made)
-        workload = workload_of(survey, made)
-        progress.note(f"workload: {workload}")
+        # An aim may come to need all that its ladder has.
+        workload = workload_of(survey, made if aimed is None else plan_of(survey, recipe=aimed.ladder[-1]))
+        progress.note(f"workload: {'' if aimed is None else 'at the top of the ladder, '}{workload}")
         for text in require_room(workload, run_folder):
             progress.warn(text)
         # Starts torch and Dr.Jit: only after everything that the user may have to mend was looked at.
         from survey.run.job import Job
 
         job = Job(
-            survey, plan_of, progress, calibrate_water=calibrate_water, true_colour=true_colour, workspace=run.sfm_path
+            survey,
+            plan_of,
+            progress,
+            calibrate_water=calibrate_water,
+            true_colour=true_colour,
+            aimed=aimed,
+            workspace=run.sfm_path,
         )
         return _to_the_end(run, job, resume, truth)
 
@@ -134,16 +172,11 @@ def _announce(progress: Progress, survey: Survey, plan: Plan) -> None:
 
 def _to_the_end(run: RunDir, job: Job, resume: bool, truth: Truth) -> int:
     """Stages, result and verdict; the exit code."""
-    from survey.run.pipeline import BED_OF_SWEEP, STAGES
     from survey.run.products import write_products
-    from survey.run.stage import run_stage
+    from survey.run.rounds import run_stages
 
     result = run.open_result(job.plan.quality)
-    stages = [*STAGES, BED_OF_SWEEP] if truth.reference is not None else STAGES
-    done: dict[str, Path] = {}
-    for stage in stages:
-        if stage.is_on(job):
-            done[stage.name] = run_stage(stage, job, run, done, resume=resume)
+    done = run_stages(job, run, resume=resume, compares_sweep=truth.reference is not None)
     verdict = write_products(result, run, job, done, truth)
     run.publish(result, quality=job.plan.quality, stages=done)
     job.progress.detail(f"report: {run.report_html_path}")

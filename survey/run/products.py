@@ -15,13 +15,14 @@ from survey.files.json_values import read_json_object, write_json
 from survey.folder.config import dump_config
 from survey.folder.survey import Survey
 from survey.photos.texture import matched_light
+from survey.plan.aim import Aim
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.photographs import PhotographFigures, doubts, photographs_of, summary
 from survey.report.verdict import Verdict
 from survey.run.cloud import write_bed_las
 from survey.run.flight import save_flight
 from survey.run.folder import RunDir, seconds_of, versions, versions_of
-from survey.run.gate import verdict_of
+from survey.run.gate import asked_gate, verdict_of
 from survey.run.job import Job
 from survey.run.stage_adjust import FILES as ADJUSTMENT_FILES
 from survey.run.stage_solver import SIGHTINGS
@@ -59,6 +60,9 @@ def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path]
     if comparison is not None:
         timings["comparison"] = time.monotonic() - start
     verdict = verdict_of(survey, stored.bed, plan.gsd_m)
+    aim = None if job.aimed is None else job.aimed.aim
+    if aim is not None and aim.std_m is not None:
+        verdict = Verdict((*verdict.gates, asked_gate(stored, aim.std_m)))
     photographs = _photographs(done)
     for text in doubts(photographs):
         job.progress.warn(text)
@@ -67,7 +71,7 @@ def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path]
     facts = ReportFacts(
         survey=survey,
         plan=plan,
-        settings={**asdict(survey.config), "quality": plan.quality, "device": plan.device},
+        settings={**asdict(survey.config), "quality": plan.quality, "device": plan.device, **_asked(aim)},
         timings=timings,
         bed=stored.bed,
         points_crs=stored.points_crs,
@@ -86,6 +90,10 @@ def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path]
     for text in figures.notes:
         job.progress.note(text)
     return verdict
+
+
+def _asked(aim: Aim | None) -> dict[str, float | None]:
+    return {} if aim is None else {"target_std_m": aim.std_m, "time_budget_s": aim.seconds}
 
 
 def _photographs(done: Mapping[str, Path]) -> tuple[PhotographFigures, ...]:

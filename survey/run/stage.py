@@ -58,15 +58,20 @@ class Stage:
         return Key(parts | {"code": code_hash(self.compute.__module__, *LOADING)})
 
 
-def run_stage(stage: Stage, job: Job, run: RunDir, done: Mapping[str, Path], *, resume: bool) -> Path:
-    """The folder of a stage: the one in the run where it is still right, else computed now."""
+def run_stage(
+    stage: Stage, job: Job, run: RunDir, done: Mapping[str, Path], *, resume: bool, explains: bool = True
+) -> Path:
+    """The folder of a stage: the one in the run where it is still right, else computed now.
+
+    ``explains`` says why it is computed again where the run has results of it.
+    """
     key = stage.key(job, done)
     folder = run.finished_stage(stage.name, key, stage.leaves) if resume else None
     if folder is not None:
         job.progress.note(f"{stage.name}: used again, nothing that it depends on has changed")
     else:
         why = run.why_again(stage.name, key) if resume else "--no-resume"
-        if why is not None:
+        if explains and why is not None:
             job.progress.note(f"{stage.name}: computed again: {why}")
         temp = run.open_stage(stage.name)
         stage.compute(job, temp, {name: done[name] for name in stage.needs if name in done})

@@ -6,27 +6,93 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fields.solver.solver import solve_maps
+import numpy as np
+
+from fields.solver.solver import SolvedMap, solve_maps
 from fields.sweep.bed import unique_pixels
+from fields.sweep.sweep import enlarged_map
 from survey.files.json_values import write_json
 from survey.progress import shares
-from survey.run.stage_sweep import MAPS, look_at_bed
-from survey.run.stored import load_depth_maps, save_solved_maps
+from survey.run.stage_sweep import EARLIER_SOLVER, EARLIER_SWEEP, MAPS, look_at_bed, views_swept
+from survey.run.stored import load_depth_maps, load_solved_maps, save_solved_maps
 
 if TYPE_CHECKING:
+    from fields.solver.sightings import Sightings
+    from fields.sweep.sweep import DepthMap
     from survey.run.job import Job
 
 SOLVED, SIGHTINGS = "solved.npz", "sightings.json"
+# With less than this share of the time that it should take left, a solver would finish too few tiles to be worth it.
+_LEAST_TIME = 0.3
 
 
 def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Solve the pixels of the height maps that become points."""
     maps = load_depth_maps(needs["sweep"] / MAPS)
+    if not _has_time(job):
+        job.progress.note("solver: left out, there is no time for it")
+        _save(job, folder, [_nothing() for _ in maps], None)
+        return
     look_at_bed(job, needs["sweep"])
+    kept = unique_pixels(job.block, maps)
+    carried = _carried(maps, kept, needs)
+    wanted = [keep if each is None else np.zeros_like(keep) for keep, each in zip(kept, carried, strict=True)]
     with job.progress.stage("Solver", 1.0) as stage:
-        solved, figures = solve_maps(job.block, maps, unique_pixels(job.block, maps), job.plan.gsd_m, shares(stage))
+        solved, figures = solve_maps(
+            job.block, maps, wanted, job.plan.gsd_m, shares(stage), goes_on=lambda: _goes_on(job)
+        )
     job.progress.note(f"solver: {figures}")
+    both = [new if old is None else old for new, old in zip(solved, carried, strict=True)]
+    _save(job, folder, both, figures.sightings)
+
+
+def _save(job: Job, folder: Path, solved: list[SolvedMap], found: Sightings | None) -> None:
     save_solved_maps(folder / SOLVED, solved)
-    found, names = figures.sightings, [view.name for view in job.survey.views]
+    names = [view.name for view in job.survey.views]
     seen, outlying = ([0] * len(names),) * 2 if found is None else (found.seen.tolist(), found.outlying.tolist())
     write_json(folder / SIGHTINGS, {name: pair for name, *pair in zip(names, seen, outlying, strict=True)})
+
+
+def _nothing() -> SolvedMap:
+    empty = np.empty(0, dtype=np.float32)
+    return SolvedMap(np.empty(0, dtype=np.int64), empty, empty)
+
+
+def _has_time(job: Job) -> bool:
+    """Whether the time of a run that has one allows for a good part of the solver."""
+    aimed = job.aimed
+    if aimed is None or aimed.clock is None:
+        return True
+    foreseen = aimed.pace.solver_s(aimed.ground, aimed.scale)
+    return aimed.clock.left_s - aimed.tail_s > _LEAST_TIME * foreseen
+
+
+def _goes_on(job: Job) -> bool:
+    aimed = job.aimed
+    return aimed is None or aimed.clock is None or aimed.clock.left_s > aimed.tail_s
+
+
+def _carried(maps: list[DepthMap], kept: list[np.ndarray], needs: Mapping[str, Path]) -> list[SolvedMap | None]:
+    """Of each map that a later round left as it was, what the round before solved, at the size of this one."""
+    if EARLIER_SOLVER not in needs or EARLIER_SWEEP not in needs:
+        return [None for _ in maps]
+    swept = views_swept(needs["sweep"])
+    before = {m.view: m for m in load_depth_maps(needs[EARLIER_SWEEP] / MAPS)}
+    solved = dict(zip(before, load_solved_maps(needs[EARLIER_SOLVER] / SOLVED), strict=True))
+    return [
+        None if m.view in swept else _enlarged(before[m.view], solved[m.view], m, keep)
+        for m, keep in zip(maps, kept, strict=True)
+    ]
+
+
+def _enlarged(before: DepthMap, solved: SolvedMap, now: DepthMap, keep: np.ndarray) -> SolvedMap:
+    """What was solved of a smaller map as pixels of a larger one; heights that were not solved stay the sweep's."""
+    with_heights, std = solved.over(before)
+    # Each pixel has the std of the one that it is a part of.
+    rows, columns = (
+        (np.arange(size) * small) // size for size, small in zip(now.height.shape, before.height.shape, strict=True)
+    )
+    std = std[rows[:, None], columns]
+    height = enlarged_map(with_heights, now.height.shape[::-1]).height
+    pixels = np.flatnonzero(keep & np.isfinite(std))
+    return SolvedMap(pixels, height.flat[pixels], std.flat[pixels])

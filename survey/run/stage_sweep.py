@@ -1,52 +1,168 @@
-"""The stage of the sweep: the bound of the bed, and a height map of each view that is needed to cover it."""
+"""The stage of the sweep: the bound of the bed, and a height map of each view that is needed to cover it.
+
+In a run with an aim a later round goes on from the heights of the one before, in the views that need it.
+"""
 
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fields.sweep.free_space import without_contradicted
-from fields.sweep.sweep import sweep
+from fields.sweep.sweep import PASSES, passes_from, sweep
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
 from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area, plane_name
+from survey.plan.block import camera_of
 from survey.progress import shares
-from survey.run.stored import save_depth_maps
+from survey.run.clock import OutOfTimeError
+from survey.run.stored import load_arrays, load_depth_maps, save_depth_maps
 
 if TYPE_CHECKING:
+    from fields.sweep.over_area import Area
+    from fields.sweep.sweep import DepthMap
+    from survey.run.aimed import Aimed
     from survey.run.job import Job
 
-MAPS, BOUND, SATURATED = "maps.npz", "bound.json", "saturated.json"
+MAPS, BOUND, SATURATED, SWEPT = "maps.npz", "bound.json", "saturated.json", "swept.json"
+# Of the round before, for the stages of the next; and where its look left the cells that need work.
+EARLIER_SWEEP, EARLIER_SOLVER, EARLIER_LOOK, CELLS = "earlier sweep", "earlier solver", "earlier look", "cells.npz"
+# A view goes on where more than this share of the ground that it sees needs work.
+_LEAST_SHARE = 0.05
 
 
-def sweep_views(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
-    """Sweep the views that cover the bed.
+def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+    """Sweep the views that cover the bed, or go on with an earlier round of it.
 
     Raises
     ------
     SurveyError
         If the images do not match, or no two views overlap.
     """
-    survey, block = job.survey, job.block
+    if EARLIER_SWEEP in needs:
+        _go_on(job, folder, needs)
+        return
+    survey, start = job.survey, time.monotonic()
+    block, images_s = job.block, time.monotonic() - start
     with job.progress.stage("Sweep", 1.0) as stage:
         low, high = job.bound
         block.look_at(0.5 * (low + high))
-        area = local_area(survey)
-        chosen = block.cover(*job.plan.recipe.times_seen, area)
-        skips = job.plan.skips
-        wanted = grown(area, AREA_MARGIN_M) if area is not None and skips.area else None
-        ladder = (low, high) if skips.heights else limits(survey)
-        maps = sweep(block, chosen, ladder, shares(stage), area=wanted)
+        chosen = block.cover(*job.plan.recipe.times_seen, local_area(survey))
+        ladder = (low, high) if job.plan.skips.heights else limits(survey)
+        passes = PASSES if job.aimed is None else passes_from(job.aimed.first_search)
+        start = time.monotonic()
+        maps = sweep(block, chosen, ladder, shares(stage), passes, _wanted(job))
         if not maps:
             raise SurveyError("no two views overlap; check that the poses belong to the images")
         maps = without_contradicted(block, maps)
     job.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(survey)}")
-    save_depth_maps(folder / MAPS, maps)
     write_json(folder / BOUND, {"low_m": low, "high_m": high})
-    names = [view.name for view in survey.views]
-    write_json(folder / SATURATED, dict(zip(names, block.saturated, strict=True)))
+    _save(job, folder, maps, [m.view for m in maps], time.monotonic() - start, images_s, None)
+
+
+def _go_on(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+    """The heights of the round before at the size of this one; its views go on where they have to."""
+    bound = json.loads((needs[EARLIER_SWEEP] / BOUND).read_text(encoding="utf-8"))
+    write_json(folder / BOUND, bound)
+    before = load_depth_maps(needs[EARLIER_SWEEP] / MAPS)
+    earlier_scale = _swept(needs[EARLIER_SWEEP])["image_scale"]
+    if earlier_scale == job.plan.image_scale:
+        _save(job, folder, before, [m.view for m in before], 0.0, 0.0, earlier_scale)
+        return
+    start = time.monotonic()
+    block, images_s = job.block, time.monotonic() - start
+    look_at_bed(job, folder)
+    again = _to_sweep_again(job, before, needs)
+    job.progress.note(f"sweep: {len(again)} of {len(before)} views go on at image scale {job.plan.image_scale:g}")
+    start, aimed = time.monotonic(), job.aimed
+    try:
+        with job.progress.stage("Sweep", 1.0) as stage:
+            report = shares(stage)
+
+            def advance(share: float) -> None:
+                report(share)
+                if aimed is not None and aimed.clock is not None:
+                    aimed.clock.keep(aimed.tail_s)
+
+            views, limits_m = [m.view for m in before], (bound["low_m"], bound["high_m"])
+            maps = sweep(
+                block, views, limits_m, advance, area=_wanted(job), before={m.view: m for m in before}, again=again
+            )
+            maps = without_contradicted(block, maps)
+    except OutOfTimeError:
+        job.progress.note("sweep: no time is left for this round; the heights of the one before are kept")
+        _save(job, folder, before, [], 0.0, images_s, earlier_scale, scale=earlier_scale)
+        return
+    _save(job, folder, maps, again, time.monotonic() - start, images_s, earlier_scale)
+
+
+def _to_sweep_again(job: Job, before: list[DepthMap], needs: Mapping[str, Path]) -> list[int]:
+    """Views that see much ground that needs work; all where no standard deviation is asked for."""
+    views = [m.view for m in before]
+    cells = needs[EARLIER_LOOK] / CELLS
+    if job.aimed is None or job.aimed.aim.std_m is None:
+        return views
+    found = load_arrays(cells)
+    needed = []
+    for view in views:
+        camera = camera_of(job.survey.views[view], job.plan)
+        pixel = camera.project(found["xyz"], job.survey.water)
+        seen = ((pixel > 0.0) & (pixel < (camera.width, camera.height))).all(axis=1)
+        if seen.any() and found["above"][seen].mean() > _LEAST_SHARE:
+            needed.append(view)
+    return needed
+
+
+def _save(
+    job: Job, folder: Path, maps: list[DepthMap], swept: list[int], seconds: float, images_s: float,
+    before: float | None, *, scale: float | None = None,
+) -> None:  # fmt: skip
+    """The maps, and what they took; ``scale`` is that of the maps where it is not the plan's."""
+    save_depth_maps(folder / MAPS, maps)
+    scale = job.plan.image_scale if scale is None else scale
+    share = len(swept) / len(maps)
+    num_samples = 0.0 if job.aimed is None else share * job.aimed.samples(scale, before)
+    told = {"views": swept, "image_scale": scale, "seconds": seconds, "images_s": images_s, "samples": num_samples}
+    write_json(folder / SWEPT, told)
+    names = [view.name for view in job.survey.views]
+    write_json(folder / SATURATED, dict(zip(names, job.block.saturated, strict=True)))
+
+
+def _wanted(job: Job) -> Area | None:
+    """Where heights are wanted; None where everywhere."""
+    area = local_area(job.survey)
+    return grown(area, AREA_MARGIN_M) if area is not None and job.plan.skips.area else None
+
+
+def _swept(folder: Path) -> dict:
+    return json.loads((folder / SWEPT).read_text(encoding="utf-8"))
+
+
+def views_swept(folder: Path) -> set[int]:
+    """Views whose heights the sweep in a folder of its stage has found; the others kept those of a round before."""
+    return set(_swept(folder)["views"])
+
+
+def use_sweep(job: Job, folder: Path) -> None:
+    """Let the run know the scale of the maps, which is that before where the time was over, and what they took."""
+    if job.aimed is None:
+        return
+    found = _swept(folder)
+    _take_pace(job.aimed, found)
+    if found["image_scale"] != job.plan.image_scale:
+        job.aimed.rung = next(
+            rung for rung, scale in enumerate(job.aimed.scales)
+            if scale == found["image_scale"] and job.aimed.solves(rung) == (job.plan.field == "solver")
+        )  # fmt: skip
+        job.plan_again()
+
+
+def _take_pace(aimed: Aimed, found: dict) -> None:
+    if found["seconds"] > 0.0 and found["samples"] > 0.0:
+        aimed.pace = aimed.pace.after_sweep(found["seconds"], found["samples"], found["images_s"])
 
 
 def look_at_bed(job: Job, folder: Path) -> None:

@@ -1,0 +1,111 @@
+"""Tiles of an image in which pixels climb a ladder of their own: level, or along a wall."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+# Rungs of a ladder are a multiple of this and one: other numbers would need other kernels.
+RUNGS_OF = 8
+
+
+@dataclass(frozen=True)
+class Tiles:
+    """Tiles of an image that hold the wanted pixels, by rising number of rungs; N of them.
+
+    Attributes
+    ----------
+    wanted : (height, width) bool
+    size, radius : side of a tile without its halo, and width of the halo [px]
+    place : (N, 2) int
+        Row and column among all tiles of the image.
+    start : (N,) float [m]
+        First rung in the middle of the tile.
+    slope : (N, 2) float [m/px]
+        By which the rungs rise from row to row and from column to column.
+    rungs : (N,) int
+    """
+
+    wanted: np.ndarray
+    size: int
+    radius: int
+    place: np.ndarray
+    start: np.ndarray
+    slope: np.ndarray
+    rungs: np.ndarray
+
+    @staticmethod
+    def of(
+        wanted: np.ndarray,
+        low: np.ndarray,
+        high: np.ndarray,
+        step: float,
+        size: int,
+        radius: int,
+        slope: np.ndarray | None = None,
+    ) -> Tiles:
+        """With ladders from below the lowest to above the highest height [m] of their wanted pixels.
+
+        ``slope`` (rows, columns, 2) [m/px] is that of each tile; those where it is NaN are left out.
+        """
+        least, most = extent(wanted, low, high, size)
+        slope = np.zeros((*least.shape, 2)) if slope is None else slope
+        place = np.argwhere(np.isfinite(least) & np.isfinite(slope).all(axis=-1))
+        least, most, slope = (each[tuple(place.T)] for each in (least, most, slope))
+        margin = step + 0.5 * size * np.abs(slope).sum(axis=-1)
+        rungs = np.ceil((most - least + 2.0 * margin) / step).astype(int) + 1
+        rungs = RUNGS_OF * -(-(rungs - 1) // RUNGS_OF) + 1
+        order = np.argsort(rungs, kind="stable")
+        return Tiles(wanted, size, radius, place[order], (least - margin)[order], slope[order], rungs[order])
+
+    @property
+    def side(self) -> int:
+        """Side of a tile with its halo [px]."""
+        return self.size + 2 * self.radius
+
+    def batches(self, most: int) -> Iterator[tuple[slice, int]]:
+        """Runs of tiles with the number of rungs that all of them climb, of at most so many pixels times rungs."""
+        first = 0
+        while first < len(self.rungs):
+            samples = self.side**2 * np.arange(1, len(self.rungs) - first + 1) * self.rungs[first:]
+            count = max(int(np.searchsorted(samples, most, side="right")), 1)
+            yield slice(first, first + count), int(self.rungs[first + count - 1])
+            first += count
+
+    def pixels(self, part: slice) -> np.ndarray:
+        """Flat indices (n, side, side) of the pixels of tiles with their halo, moved into the image at its edges."""
+        most = np.array(self.wanted.shape) - self.side
+        corner = np.clip(self.size * self.place[part] - self.radius, 0, most)
+        rows, columns = (corner[:, axis, None] + np.arange(self.side) for axis in (0, 1))
+        return rows[:, :, None] * self.wanted.shape[1] + columns[:, None, :]
+
+    def starts(self, part: slice, pixels: np.ndarray) -> np.ndarray:
+        """First rungs (n, side, side) float32 [m] of the pixels of tiles."""
+        at = np.stack(np.divmod(pixels, self.wanted.shape[1]), axis=-1) + 0.5
+        away = at - self.size * (self.place[part, None, None] + 0.5)
+        return (self.start[part, None, None] + (away * self.slope[part, None, None]).sum(axis=-1)).astype(np.float32)
+
+    def own(self, part: slice, pixels: np.ndarray) -> np.ndarray:
+        """Which pixels (n, side, side) are wanted, in their own tile, and have a whole window in it."""
+        rows, columns = np.divmod(pixels, self.wanted.shape[1])
+        row, column = self.place[part, 0, None, None], self.place[part, 1, None, None]
+        own = self.wanted.ravel()[pixels] & (rows // self.size == row) & (columns // self.size == column)
+        inner = np.zeros(pixels.shape[1:], dtype=bool)
+        inner[self.radius : -self.radius, self.radius : -self.radius] = True
+        return own & inner
+
+
+def in_tiles(image: np.ndarray, size: int, beyond: float) -> np.ndarray:
+    """An image cut into tiles (rows, size, columns, size), continued by a value."""
+    down, right = (-length % size for length in image.shape)
+    image = np.pad(image, ((0, down), (0, right)), constant_values=beyond)
+    return image.reshape(image.shape[0] // size, size, -1, size)
+
+
+def extent(wanted: np.ndarray, low: np.ndarray, high: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Least of the low and most of the high values of the wanted pixels of each tile, (rows, columns); inf without."""
+    least = in_tiles(np.where(wanted, low, np.inf), size, np.inf).min(axis=(1, 3))
+    most = in_tiles(np.where(wanted, high, -np.inf), size, -np.inf).max(axis=(1, 3))
+    return least, most

@@ -1,0 +1,38 @@
+"""The size at which images are worked on: halved until they have as many pixels as the quality wants, or as asked."""
+
+from __future__ import annotations
+
+import math
+
+from refract import PinholeCamera
+from survey.errors import SurveyError
+from survey.plan.recipe import AIMED, Recipe
+from survey.plan.skipped import Decision
+
+SCALES = (1.0, 0.5, 0.25, 0.125, 0.0625)
+
+
+def require_scale(scale: float) -> None:
+    """Raise SurveyError where a scale [-] is not 1, a half, a quarter, and so on to a sixteenth."""
+    if scale not in SCALES:
+        raise SurveyError(f"image scale is {scale:g}, expected one of {', '.join(f'{each:g}' for each in SCALES)}")
+
+
+def image_decision(camera: PinholeCamera, scale: float, quality: str, recipe: Recipe, *, asked: bool) -> Decision:
+    """The line of the plan."""
+    size = f"images of {camera.width} x {camera.height} px"
+    if asked:
+        return Decision("image scale", f"{scale:g}", f"set by --image-scale, for {size}")
+    if quality == AIMED:
+        reason = f"of {size}; each round has its own, and poses are looked at with that of standard"
+        return Decision("image scale", f"{scale:g}", reason)
+    if scale == 1.0:
+        return Decision("image scale", "1", f"{size} are worked on whole")
+    limit = f"at most {recipe.megapixels:g} Mpx for {quality} quality"
+    return Decision("image scale", f"{scale:g}", f"{size} are halved until they have {limit}")
+
+
+def image_scale(width: int, height: int, megapixels: float) -> float:
+    """The scale [-], at most 1, at which an image of a size [px] is worked on where the largest may have so many."""
+    halvings = math.ceil(0.5 * math.log2(width * height / (1e6 * megapixels)) - 1e-9)
+    return 0.5 ** max(halvings, 0)

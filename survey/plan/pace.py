@@ -1,0 +1,141 @@
+"""How long the rounds of a run with an aim take: by rates as stated, then as measured in the rounds before.
+
+Stated rates are those of one core with AVX-512. The first round of a run is small and tells the machine's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fields.sweep.sweep import PASSES, passes_from
+from survey import machine
+from survey.folder.survey import Survey
+from survey.plan.plan import Plan
+from survey.plan.workload import FIRST_RUNGS, STEPS_PER_CORE_S, amounts_of
+
+# Imports, and hashes of program and photographs.
+_START_S = 2.5
+# Check of the poses of so many photographs, and adjustment of all, at no more than so many megapixels each: once, and
+# per megapixel.
+_CHECKED, _MOST_MPX = 10, 6.0
+_CHECK_S, _ADJUST_S = (4.0, 0.9), (2.0, 2.0)
+# Decoding a megapixel; the range of heights; the solver's learning, and its work on a point.
+_DECODING_S, _RANGE_S, _SOLVER_S, _POINT_S = 0.02, 2.0, 2.0, 45e-6
+# Bed, cloud and report: once, and per point.
+_TAIL_S = (3.0, 12e-6)
+# What a measurement may say at most: that a machine is so much faster than stated, or that the solver learned for all
+# but this share of its time.
+_FASTEST, _OF_POINTS = 0.5, 0.3
+# A pass is left out where an earlier round had images so fine (fields.sweep.sweep).
+_FINER = 1.2
+
+
+@dataclass(frozen=True)
+class Ground:
+    """How much there is of a survey at full size.
+
+    Attributes
+    ----------
+    photographs_mpx, map_px : float
+        Of all photographs [Mpx], and of the views that get a height map [px].
+    points : float
+        One for each ground sampling distance squared that two views see.
+    poses : "check", "refine" or "fixed"
+        What is done with them first.
+    num_views : int
+    """
+
+    photographs_mpx: float
+    map_px: float
+    points: float
+    poses: str
+    num_views: int
+
+    @staticmethod
+    def of(survey: Survey, plan: Plan) -> Ground:
+        """Of a survey whose poses are known; the plan says the scale that its own numbers are of."""
+        pixels, chosen, num_cells = amounts_of(survey, plan)
+        per_scale = plan.image_scale**-2
+        whole = sum(view.lens.width * view.lens.height for view in survey.views) / 1e6
+        mapped = float(np.sum(pixels[chosen]))
+        return Ground(whole, mapped * per_scale, num_cells * per_scale, plan.poses[0], len(survey.views))
+
+
+def samples(ground: Ground, scale: float, *, lowest: float, before: float | None = None) -> float:
+    """Pixels x heights x neighbours of a sweep at a scale.
+
+    From the heights of a smaller scale, ``before``; or from nothing, with the whole bound searched at the ``lowest``.
+    """
+    if before is not None:
+        passes = [p for p in PASSES if p.scale * scale > _FINER * before]
+    else:
+        passes = list(passes_from(lowest / scale))
+    # The finer the first search, the more heights it tries.
+    steps = sum(p.scale**2 * (p.rungs or FIRST_RUNGS * p.scale / PASSES[0].scale) * p.neighbours for p in passes)
+    return steps * ground.map_px * scale**2
+
+
+@dataclass(frozen=True)
+class Pace:
+    """Rates on this machine.
+
+    Attributes
+    ----------
+    sample_s : float
+        Of the sweep [s].
+    images_s : float
+        Reading all photographs [s].
+    slow : float
+        How much longer the rest takes than on one core as stated.
+    point_s : float
+        Of the solver [s].
+    """
+
+    sample_s: float
+    images_s: float
+    slow: float
+    point_s: float
+
+    @staticmethod
+    def stated(ground: Ground, slow: float = 1.0) -> Pace:
+        """Before a round was measured, on a machine that takes ``slow`` times as long as the rates say."""
+        per_core = slow / machine.num_cores()
+        return Pace(per_core / STEPS_PER_CORE_S, slow * _DECODING_S * ground.photographs_mpx, slow, _POINT_S * per_core)
+
+    def after_sweep(self, seconds: float, num_samples: float, images_s: float) -> Pace:
+        """With what the sweep of a round, and the reading of its photographs, took [s]."""
+        sample_s = seconds / num_samples
+        slow = max(self.slow * sample_s / self.sample_s, _FASTEST)
+        return Pace(sample_s, images_s, slow, self.point_s * slow / self.slow)
+
+    def after_solver(self, seconds: float, num_points: int) -> Pace:
+        """With what a solver of so many points took [s]."""
+        return replace(self, point_s=max(seconds - _SOLVER_S * self.slow, _OF_POINTS * seconds) / num_points)
+
+    def sweep_s(self, ground: Ground, scale: float, *, lowest: float, before: float | None = None) -> float:
+        """Of a round's sweep and of reading its photographs [s]; see `samples`."""
+        return self.images_s + samples(ground, scale, lowest=lowest, before=before) * self.sample_s
+
+    def solver_s(self, ground: Ground, scale: float) -> float:
+        """Of a solver of all points [s]."""
+        return _SOLVER_S * self.slow + ground.points * scale**2 * self.point_s
+
+    def tail_s(self, ground: Ground, scale: float) -> float:
+        """From the last round to the end of the run [s]."""
+        return (_TAIL_S[0] + _TAIL_S[1] * ground.points * scale**2) * self.slow
+
+    def least_s(self, ground: Ground, scale: float, *, lowest: float) -> float:
+        """Of a whole run whose only round is a sweep at a scale [s]; see `samples`."""
+        before = (_START_S + _poses_s(ground) + _RANGE_S) * self.slow
+        return before + self.sweep_s(ground, scale, lowest=lowest) + self.tail_s(ground, scale)
+
+
+def _poses_s(ground: Ground) -> float:
+    """Of the check or the adjustment of the poses on the core of the rates [s]."""
+    adjusted = min(ground.photographs_mpx, ground.num_views * _MOST_MPX)
+    if ground.poses == "check":
+        checked = adjusted * min(_CHECKED / ground.num_views, 1.0)
+        return _CHECK_S[0] + _CHECK_S[1] * checked
+    return _ADJUST_S[0] + _ADJUST_S[1] * adjusted if ground.poses == "refine" else 0.0

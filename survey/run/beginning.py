@@ -1,0 +1,194 @@
+"""How a run with an aim begins: the first recipe, and what can be said before anything is computed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from fields.sweep.block import Overlap
+from survey import machine
+from survey.adjust.foreseen import DEPTH_M, Foreseen, foresee
+from survey.adjust.std_common import std_common
+from survey.display.quantities import length
+from survey.errors import SurveyError
+from survey.folder.survey import Survey
+from survey.plan.aim import Aim, ladder
+from survey.plan.ground import ground_height
+from survey.plan.pace import Ground, Pace
+from survey.plan.plan import Plan, make_plan
+from survey.plan.recipe import Recipe
+from survey.progress import Progress
+from survey.run.aimed import Aimed
+from survey.run.clock import Clock
+
+# Places that so many views see count for what all have in common.
+_SEEN_BY = 3
+# What the stated rates of another machine may be wrong by.
+_UNKNOWN_PACE = 1.2
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What is known of an aim before anything is computed.
+
+    Attributes
+    ----------
+    ladder : tuple of Recipe
+    scales : tuple of float
+        Of the images, for each recipe of the ladder.
+    ground : Ground
+    point_std_m : tuple of float [m]
+        Foreseen by matching alone for each recipe, median over the places; NaN where too few views overlap.
+    common_std_m : float [m]
+        Of water, lens and poses.
+    first : int
+        Rung of the first round.
+    pace : Pace
+        By stated rates and how busy the machine is.
+    """
+
+    ladder: tuple[Recipe, ...]
+    scales: tuple[float, ...]
+    ground: Ground
+    point_std_m: tuple[float, ...]
+    common_std_m: float
+    first: int
+    pace: Pace
+
+
+def outlook(aim: Aim, survey: Survey, plan_of: Callable[..., Plan]) -> Outlook:
+    """Look at what an aim needs of a survey whose poses are known.
+
+    Raises
+    ------
+    SurveyError
+        If no view looks down.
+    """
+    rungs = ladder([(view.lens.width, view.lens.height) for view in survey.views])
+    scales = tuple(plan_of(survey, recipe=recipe).image_scale for recipe in rungs)
+    ground = Ground.of(survey, plan_of(survey, recipe=rungs[-1]))
+    foreseen, at = foresee(survey), make_plan(survey).image_scale
+    std = tuple(math.nan if foreseen is None else foreseen.heights.of_point_m * at / scale for scale in scales)
+    first = 0
+    if aim.std_m is not None:
+        # Only heights of the solver have a standard deviation that can be relied on.
+        solving = [rung for rung, recipe in enumerate(rungs) if recipe.field == "solver"]
+        first = next((rung for rung in solving if not std[rung] > aim.std_m), solving[-1])
+    # Another machine may be faster than the one of the rates: what it has to spare is kept for what follows.
+    pace = Pace.stated(ground, max(machine.slowness(), 1.0))
+    common = _common_std(survey, plan_of(survey, recipe=rungs[-1]), foreseen)
+    return Outlook(rungs, scales, ground, std, common, first, pace)
+
+
+def doubts(aim: Aim, found: Outlook) -> list[str]:
+    """What speaks against reaching a standard deviation, as sentences."""
+    if aim.std_m is None:
+        return []
+    asked, told = f"asked is a standard deviation of {length(aim.std_m)}", []
+    if found.point_std_m[-1] > aim.std_m:
+        told.append(
+            f"{asked}, but photographs of this size and overlap promise about {length(found.point_std_m[-1])}; fly "
+            "lower or with more overlap"
+        )
+    if found.common_std_m > aim.std_m:
+        told.append(
+            f"{asked} for the points themselves; water, lens and poses add about {length(found.common_std_m)} that all "
+            "have in common, which no work on the photographs takes away: state what is known better ([water] "
+            "level_std_m, index_std; position_std_m), or give control points"
+        )
+    return told
+
+
+def _common_std(survey: Survey, plan: Plan, foreseen: Foreseen | None) -> float:
+    """What water, lens and poses leave [m], median over a level bed as `foresee` assumes it; NaN where not known."""
+    if foreseen is None or plan.poses[0] == "refine":
+        return math.nan if foreseen is None else foreseen.heights.of_all_m
+    height = -DEPTH_M if survey.water is not None else ground_height([view.camera for view in survey.views])
+    overlap = Overlap([view.camera for view in survey.views], survey.water, height)
+    places = overlap.cells[overlap.seen.sum(axis=0) >= _SEEN_BY]
+    wet = np.full(len(places), survey.water is not None)
+    return float(np.nanmedian(std_common(places, wet, survey, None, plan.gsd_m))) if len(places) else math.nan
+
+
+def shortest_s(found: Outlook) -> float:
+    """The shortest time that is accepted [s]."""
+    return _UNKNOWN_PACE * found.pace.least_s(found.ground, found.scales[0], lowest=found.scales[0])
+
+
+def require_time(seconds: float, found: Outlook) -> None:
+    """Raise where a time [s] is asked for in which no cloud can be made.
+
+    Raises
+    ------
+    SurveyError
+    """
+    shortest = math.ceil(shortest_s(found))
+    if seconds < shortest:
+        raise SurveyError(
+            f"--time-budget {seconds:g} is too short: this survey takes at least about {shortest} s on this machine, "
+            "as busy as it is; give more, or a smaller [area]"
+        )
+
+
+def begin_aimed(
+    aim: Aim, survey: Survey, plan_of: Callable[..., Plan], clock: Clock | None, progress: Progress, *, refuses: bool
+) -> Aimed:
+    """The state of a run with an aim before its first round.
+
+    Parameters
+    ----------
+    aim, survey, plan_of, clock, progress :
+        As the run has them.
+    refuses : bool
+        Whether a time that is too short is refused, as it is before anything was computed; otherwise the run is the
+        shortest that there is, and says so.
+
+    Raises
+    ------
+    SurveyError
+        If the time is too short.
+    """
+    found = outlook(aim, survey, plan_of)
+    progress.note(f"asked: {aim}")
+    for text in doubts(aim, found):
+        progress.warn(text)
+    # No rates are known of other devices: their first round tells.
+    if clock is not None and aim.seconds is not None and plan_of(survey, recipe=found.ladder[0]).device == "llvm":
+        if refuses:
+            require_time(aim.seconds, found)
+        elif clock.left_s < shortest_s(found):
+            progress.warn(f"{clock.left_s:.0f} s are left of --time-budget {aim.seconds:g}: the shortest run follows")
+    state = Aimed(aim, found.ladder, found.scales, found.ground, clock, 0, found.pace)
+    # A first round that would leave little of the time is none: the shortest comes first then.
+    state.rung = found.first if clock is None or 2.0 * state.round_s(found.first) < clock.left_s else 0
+    return state
+
+
+def rows_of(aim: Aim, survey: Survey, plan_of: Callable[..., Plan]) -> tuple[tuple[str, str], ...]:
+    """What an aim promises and costs, as labelled sentences for `check`.
+
+    Raises
+    ------
+    SurveyError
+        If no view looks down.
+    """
+    found = outlook(aim, survey, plan_of)
+    rows = [("asked", str(aim))]
+    is_timed = plan_of(survey, recipe=found.ladder[0]).device == "llvm"
+    for rung, (recipe, scale) in enumerate(zip(found.ladder, found.scales, strict=True)):
+        if recipe.field != "solver":
+            continue
+        std = found.point_std_m[rung]
+        heights = f"std of points about {length(std)} (median)" if math.isfinite(std) else "too few views overlap"
+        seconds = found.pace.least_s(found.ground, scale, lowest=found.scales[0]) + found.pace.solver_s(
+            found.ground, scale
+        )
+        rows.append((f"image scale {scale:g}", heights + (f", about {seconds:.0f} s" if is_timed else "")))
+    rows += [("", text) for text in doubts(aim, found)]
+    if aim.seconds is not None and is_timed:
+        enough = "enough" if aim.seconds >= shortest_s(found) else "more than is asked: process refuses"
+        rows.append(("shortest run", f"about {math.ceil(shortest_s(found))} s, {enough}"))
+    return tuple(rows)

@@ -1,0 +1,54 @@
+"""The stages of a run one after the other; with an aim, sweep, solver and a look at them round after round."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from survey.run.folder import RunDir
+from survey.run.job import Job
+from survey.run.pipeline import BED_OF_SWEEP, LOOK, STAGES
+from survey.run.stage import Stage, run_stage
+from survey.run.stage_sweep import EARLIER_LOOK, EARLIER_SOLVER, EARLIER_SWEEP
+
+# Of a round, and the names under which the next one finds them.
+_EARLIER = {"sweep": EARLIER_SWEEP, "solver": EARLIER_SOLVER, LOOK: EARLIER_LOOK}
+
+
+def run_stages(job: Job, run: RunDir, *, resume: bool, compares_sweep: bool) -> dict[str, Path]:
+    """Run what the job has of the pipeline; the folders of the stages by name.
+
+    ``compares_sweep`` adds the cloud that the sweep alone would give.
+    """
+    done: dict[str, Path] = {}
+    stages: Sequence[Stage] = [*STAGES, BED_OF_SWEEP] if compares_sweep else STAGES
+    of_round = [stage for stage in stages if stage.name in _EARLIER]
+    for stage in stages:
+        if stage.name == "sweep":
+            _begin(job)
+        if stage.is_on(job):
+            done[stage.name] = run_stage(stage, job, run, done, resume=resume)
+        number = 1
+        while stage.name == LOOK and job.aimed is not None and job.aimed.following is not None:
+            _set_aside(done, number)
+            for again in of_round:
+                if again.is_on(job):
+                    done[again.name] = run_stage(again, job, run, done, resume=resume, explains=False)
+            number += 1
+    return done
+
+
+def _begin(job: Job) -> None:
+    """Let the first round have its own recipe."""
+    if job.aimed is not None:
+        job.aimed.has_begun = True
+        job.plan_again()
+
+
+def _set_aside(done: dict[str, Path], number: int) -> None:
+    """Let the next round find what the stages of this one left, and the record of the run keep all rounds."""
+    for name, earlier in _EARLIER.items():
+        if earlier in done:
+            done[f"{name} of round {number - 1}"] = done.pop(earlier)
+        if name in done:
+            done[earlier] = done.pop(name)

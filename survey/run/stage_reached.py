@@ -1,0 +1,84 @@
+"""The stage that looks at what a round has reached, and decides on the next one.
+
+Its decision depends on the clock where a time is asked for; it is kept in the run, so that the same command comes to
+the same result.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from survey.files.json_values import write_json
+from survey.plan.area import AREA_MARGIN_M, grown, local_area, within
+from survey.plan.block import camera_of
+from survey.run.cell_std import CellStd, std_cells
+from survey.run.folder import seconds_of
+from survey.run.stage_solver import SOLVED
+from survey.run.stage_sweep import CELLS, MAPS
+from survey.run.stored import load_depth_maps, load_solved_maps, save_arrays
+
+if TYPE_CHECKING:
+    from survey.run.aimed import Aimed
+    from survey.run.job import Job
+
+REACHED = "reached.json"
+# Every so manieth solved pixel tells enough of the cells.
+_EVERY = 5
+
+
+def look_at_reached(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
+    """Write what was reached and what comes next."""
+    aimed = job.aimed
+    if aimed is None:
+        raise ValueError("a run without an aim has nothing to look at")
+    solved = load_solved_maps(needs["solver"] / SOLVED) if "solver" in needs else []
+    num_solved = sum(len(each.pixels) for each in solved)
+    told: dict = {"solver_s": seconds_of(needs["solver"]) if num_solved else None, "solved": num_solved}
+    _take_pace(aimed, told)
+    cells = _cells(job, needs) if num_solved and aimed.aim.std_m is not None else None
+    if cells is None:
+        save_arrays(folder / CELLS, xyz=np.empty((0, 3)), above=np.empty(0, dtype=bool))
+    else:
+        save_arrays(folder / CELLS, xyz=cells.xyz, above=cells.std > aimed.aim.std_m)
+    following, why = aimed.next_rung(cells)
+    write_json(folder / REACHED, told | {"rung": aimed.rung, "following": following, "why": why})
+
+
+def use_reached(job: Job, folder: Path) -> None:
+    """Give the job the recipe of the next round, or let this have been the last."""
+    aimed = job.aimed
+    if aimed is None:
+        return
+    found = json.loads((folder / REACHED).read_text(encoding="utf-8"))
+    _take_pace(aimed, found)
+    decision = aimed.end_round(found["following"], found["why"])
+    job.progress.note(f"plan: {decision.name}: {decision.choice} ({decision.reason})")
+    job.plan_again()
+
+
+def _take_pace(aimed: Aimed, found: dict) -> None:
+    if found["solver_s"] is not None:
+        aimed.pace = aimed.pace.after_solver(found["solver_s"], found["solved"])
+
+
+def _cells(job: Job, needs: Mapping[str, Path]) -> CellStd:
+    """Of the solved pixels inside the area."""
+    survey, plan, parts = job.survey, job.plan, []
+    maps, solved = load_depth_maps(needs["sweep"] / MAPS), load_solved_maps(needs["solver"] / SOLVED)
+    for m, each in zip(maps, solved, strict=True):
+        pixels, height, std = (column[::_EVERY] for column in (each.pixels, each.height, each.std))
+        rows, columns = np.divmod(pixels, m.height.shape[1])
+        path = camera_of(survey.views[m.view], plan).paths(np.column_stack([columns + 0.5, rows + 0.5]), survey.water)
+        xyz = path.at_height(height.astype(np.float64), survey.water)
+        depth = np.full(len(xyz), np.nan) if survey.water is None else -height
+        parts.append((xyz, std, m.agreeing.flat[pixels] + 1.0, depth))
+    xyz, std, num_views, depth = (np.concatenate(column) for column in zip(*parts, strict=True))
+    area = local_area(survey)
+    if area is not None:
+        std = np.where(within(xyz, grown(area, AREA_MARGIN_M)), std, np.nan)
+    return std_cells(xyz, std, num_views, depth, plan.gsd_m)

@@ -1,0 +1,63 @@
+"""Grey images in little memory come back as they were, and what is made anew is the same."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fields.sweep.greys import Greys
+from fields.sweep.quads import Quads
+from fields.sweep.recent import Recent
+
+
+def levels(rng, *, masked: bool, fractions: bool) -> np.ndarray:
+    image = rng.integers(-128, 128, (7, 9)).astype(np.float32)
+    image += 0.25 if fractions else 0.0
+    if masked:
+        image[2:4, 3] = np.nan
+    return image
+
+
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("fractions", [False, True])
+def test_images_come_back_as_they_were(rng, masked, fractions):
+    images = [levels(rng, masked=masked, fractions=fractions) for _ in range(30)]
+    greys = Greys(iter(images))
+    assert len(greys) == 30
+    for found, image in zip(greys, images, strict=True):
+        assert found.dtype == np.float32
+        np.testing.assert_array_equal(found, image)
+    np.testing.assert_array_equal(greys[0], images[0])  # read again after more than are kept
+    assert greys.are_whole is not masked
+
+
+def test_whole_levels_take_a_byte_each(rng):
+    greys = Greys([levels(rng, masked=True, fractions=False)])
+    assert greys._kept[0].levels.nbytes == 7 * 9
+
+
+def test_an_image_that_is_read_cannot_be_written_to(rng):
+    with pytest.raises(ValueError, match="read-only"):
+        Greys([levels(rng, masked=False, fractions=False)])[0][0, 0] = 1.0
+
+
+def test_the_values_read_last_are_kept_and_the_others_made_again():
+    made = []
+
+    def make(key: int) -> int:
+        made.append(key)
+        return 10 * key
+
+    recent = Recent(make, 2)
+    assert [recent[key] for key in (1, 2, 1, 3, 1, 2)] == [10, 20, 10, 30, 10, 20]
+    assert made == [1, 2, 3, 2]
+
+
+def test_packed_images_are_the_same_when_they_are_made_again(device, rng, monkeypatch):
+    monkeypatch.setattr("fields.sweep.quads.KEPT_BYTES", 0)
+    monkeypatch.setattr("fields.sweep.quads.FEWEST_KEPT", 1)
+    images = [levels(rng, masked=False, fractions=False) for _ in range(3)]
+    quads = Quads.build(device, images)
+    first = np.asarray(quads.values[0])
+    assert not np.array_equal(first, np.asarray(quads.values[1]))
+    np.testing.assert_array_equal(np.asarray(quads.values[0]), first)

@@ -60,6 +60,10 @@ def draw(path: Path, records: Sequence[Record]) -> None:
     axes.plot([], [], "o", color=INK, markerfacecolor="none", label="draft")
     axes.plot([], [], "o", color=INK, label="standard")
     axes.set(xscale="log", yscale="log")
+    # At least a decade, so that small differences look small.
+    low, high = axes.get_ylim()
+    if high < 10.0 * low:
+        axes.set_ylim(low / 3.0, 3.0 * high)
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.set_major_formatter("{x:g}")

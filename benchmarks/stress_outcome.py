@@ -13,12 +13,12 @@ from stress_factors import FACTORS
 
 from survey.benchmark.records import Errors
 from survey.compare.canvas import save
-from survey.display.palette import BLUE, INK, RED, SOFT
+from survey.display.palette import BLUE, DOUBTFUL, INK, RED, SOFT
 
 # Shares of errors that count as 95 %, and standard deviations that a median may be off by.
 LEAST, MOST, MOST_SIGMAS = 0.90, 0.99, 2.6
 BAD_INPUT, GATE_FAILED = 2, 3
-TRUE, REFUSED = "true", "refused"
+TRUE, REFUSED, TOO_LARGE = "true", "refused", "std too large"
 COLUMNS = 5
 
 
@@ -73,7 +73,7 @@ class Outcome:
             return "std_common too small"
         if self.errors.coverage < LEAST:
             return "std too small"
-        return "std too large" if self.errors.coverage > MOST else TRUE
+        return TOO_LARGE if self.errors.coverage > MOST else TRUE
 
     @property
     def is_lie(self) -> bool:
@@ -83,7 +83,7 @@ class Outcome:
         """
         if self.ending:
             return not any(words in self.ending for words in ("same bytes", "not measured"))
-        return self.verdict not in (TRUE, REFUSED, "std too large") and self.exit_code != GATE_FAILED
+        return self.verdict not in (TRUE, REFUSED, TOO_LARGE) and self.exit_code != GATE_FAILED
 
 
 def row_of(outcome: Outcome) -> str:
@@ -135,7 +135,8 @@ def _panel(panel: Axes, steps: list[Outcome]) -> None:
         if o.errors is None or o.errors.coverage is None:
             text, colour = o.verdict, INK if o.verdict == REFUSED else RED
         else:
-            text, colour = f"{100.0 * o.errors.coverage:.0f} %", RED if o.is_lie else INK
+            text = f"{100.0 * o.errors.coverage:.0f} %"
+            colour = RED if o.is_lie else DOUBTFUL if o.verdict == TOO_LARGE else INK
         if o.exit_code == GATE_FAILED:
             text, colour = f"{text}, gate", SOFT
         panel.annotate(text, (x, 1.0), xycoords=("data", "axes fraction"), textcoords="offset points", xytext=(0, 3),

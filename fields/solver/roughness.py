@@ -67,6 +67,8 @@ def roughness_of(samples: list[tuple[Tile, Solved]], gsd: float, pool: Executor)
     """The scale [m] of the bed's bends with which each half of the photographs predicts the other best.
 
     Of those that are worse by less than one standard error the smoothest is taken, as is usual in cross-validation.
+    Where that is the best itself, it is the least of a parabola through the best and its neighbours, so that the scale
+    does not jump by a step where two of them are as good.
 
     Parameters
     ----------
@@ -97,7 +99,15 @@ def roughness_of(samples: list[tuple[Tile, Solved]], gsd: float, pool: Executor)
         if _trimmed_mean(difference) > _error(difference):
             break
         best -= 1
-    return float(START_GSD * gsd * FACTOR**best)
+    between = 0.0
+    if best == found and abs(found) < MOST_STEPS:
+        between = _vertex(*(_trimmed_mean(cost(found + way) - cost(found)) for way in (-1, 1)))
+    return float(START_GSD * gsd * FACTOR ** (best + between))
+
+
+def _vertex(below: float, above: float) -> float:
+    """Where, in steps from the best, a parabola is least that is zero there and so high a step below and above it."""
+    return 0.5 * (below - above) / (below + above) if below + above > 0.0 else 0.0
 
 
 def _trimmed_mean(values: np.ndarray) -> float:

@@ -14,15 +14,15 @@ FLOWN = {"speed_m_s": 5.0, "readout_s": 0.035}
 BIAS_M, STD_M = GSD / 20.0, 0.25 * GSD
 
 
-def processed(run: DrawnRun) -> DrawnRun:
+def processed(run: DrawnRun, *codes: int) -> DrawnRun:
     with Progress(verbosity=-1):
-        assert process(run.folder, field="off", poses="fixed") == 0
+        assert process(run.folder, field="off", poses="fixed") in codes
     return run
 
 
 @pytest.fixture(scope="module")
 def known(tmp_path_factory):
-    return processed(drawn(tmp_path_factory.mktemp("known") / "survey", **FLOWN))
+    return processed(drawn(tmp_path_factory.mktemp("known") / "survey", **FLOWN), 0)
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,8 @@ def ignored(tmp_path_factory):
     toml = run.folder / "survey.toml"
     lines = toml.read_text(encoding="utf-8").splitlines()
     toml.write_text("\n".join(line for line in lines if not line.startswith("rolling_shutter_s")), encoding="utf-8")
-    return processed(run)
+    # Views that disagree by the shutter may have a standard deviation that fails the gate.
+    return processed(run, 0, 3)
 
 
 def test_with_the_key_the_bed_is_found_as_with_a_global_shutter(known):

@@ -32,8 +32,8 @@ def warnings_of(sections) -> list[str]:
 @pytest.mark.parametrize(
     ("name", "quality", "seconds", "memory_gb", "num_maps"),
     [
-        ("quick", "standard", 34.8, 0.75, 21),
-        ("wreck_water", "draft", 107.9, 1.41, 43),
+        ("quick", "standard", 35.7, 0.75, 21),
+        ("wreck_water", "draft", 119.1, 1.41, 43),
     ],
 )
 def test_two_surveys_are_estimated_as_they_were_measured(

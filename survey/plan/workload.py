@@ -30,7 +30,7 @@ from survey.plan.recipe import RECIPES
 FIRST_RUNGS = 25
 # Pixels times heights times neighbours of the sweep that one core compares in a second, by Dr.Jit on LLVM, with the
 # search beside steps.
-STEPS_PER_CORE_S = 72e6
+STEPS_PER_CORE_S = 58e6
 # Of the solver: for any survey, and per pixel of a height map.
 _SOLVER_CORE_S, _SOLVER_BYTES = (6.5, 0.8e-6), (150e6, 17.0)
 _FIELD_CORE_S_PER_CELL = 2.3e-4

@@ -42,6 +42,8 @@ def _median_error(folder: Path) -> float:
     return float(np.nanmedian(vertical_difference(points, vertices, mesh.faces)))
 
 
+# The mixture of colours is tested in tests/test_matched_light.py.
+@pytest.mark.slow
 def test_the_bed_is_where_it_is_with_the_wavelength_of_the_index_and_too_high_without(places):
     told, untold = places
     with_it, without = _median_error(told), _median_error(untold)

@@ -8,6 +8,7 @@ settings and plan are the result of a run and take the place of an earlier one t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,6 +24,7 @@ from survey.plan.check import require_processable
 from survey.plan.plan import Plan, make_plan, require_choices
 from survey.plan.workload import require_room, workload_of
 from survey.progress import Progress, opened
+from survey.run.aimed import Aimed
 from survey.run.beginning import begin_aimed
 from survey.run.clock import Clock
 from survey.run.folder import RunDir
@@ -125,18 +127,10 @@ def process(
             plan=plan,
             scale=image_scale,
         )
-        aimed = (
-            None
-            if aim is None
-            else begin_aimed(aim, survey, plan_of, clock, progress, refuses=checked.survey is not None)
-        )
-        made = plan_of(survey) if aimed is None else plan_of(survey, recipe=aimed.recipe)
-        _announce(progress, survey, made)
-        # An aim may come to need all that its ladder has.
-        workload = workload_of(survey, made if aimed is None else plan_of(survey, recipe=aimed.ladder[-1]))
-        progress.note(f"workload: {'' if aimed is None else 'at the top of the ladder, '}{workload}")
-        for text in require_room(workload, run_folder):
-            progress.warn(text)
+        aimed = None
+        if aim is not None:
+            aimed = begin_aimed(aim, survey, plan_of, clock, progress, refuses=checked.survey is not None)
+        _announce(progress, survey, plan_of, aimed, run_folder)
         # Starts torch and Dr.Jit: only after everything that the user may have to mend was looked at.
         from survey.run.job import Job
 
@@ -160,7 +154,11 @@ def _require_inputs(survey_folder: Path, run_folder: Path, truth: Truth) -> None
     require_folder("-o", run_folder, survey_inputs(survey_folder) + ReadFiles.of(truth.reference, truth.visible))
 
 
-def _announce(progress: Progress, survey: Survey, plan: Plan) -> None:
+def _announce(
+    progress: Progress, survey: Survey, plan_of: Callable[..., Plan], aimed: Aimed | None, run_folder: Path
+) -> None:
+    """Say what is going to be done and what it takes; raise where the machine cannot."""
+    plan = plan_of(survey) if aimed is None else plan_of(survey, recipe=aimed.recipe)
     progress.note(f"{survey.name}: {len(survey.views)} views, a pixel covers {length(plan.gsd_m)} of the ground")
     for text in survey.assumptions:
         progress.note(f"assumed: {text}")
@@ -168,6 +166,11 @@ def _announce(progress: Progress, survey: Survey, plan: Plan) -> None:
         progress.warn(text)
     for decision in plan.decisions:
         progress.note(f"plan: {decision.name}: {decision.choice} ({decision.reason})")
+    # An aim may come to need all that its ladder has.
+    workload = workload_of(survey, plan if aimed is None else plan_of(survey, recipe=aimed.ladder[-1]))
+    progress.note(f"workload: {'' if aimed is None else 'at the top of the ladder, '}{workload}")
+    for text in require_room(workload, run_folder):
+        progress.warn(text)
 
 
 def _to_the_end(run: RunDir, job: Job, resume: bool, truth: Truth) -> int:

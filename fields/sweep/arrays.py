@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import os
 from typing import Any
 
 import numpy as np
@@ -58,8 +60,8 @@ def host(device: Device, array) -> np.ndarray:
     return array.numpy() if device.module is not None else array.reshape(-1).cpu().numpy()
 
 
-def release(device: Device) -> None:
-    """Return unused memory to the system."""
+def forget(device: Device) -> None:
+    """Return unused memory of the device: it keeps what was used, by size, for arrays of the same size."""
     if device.module is not None:
         import drjit
 
@@ -68,3 +70,11 @@ def release(device: Device) -> None:
         import torch
 
         torch.cuda.empty_cache()
+
+
+def release(device: Device) -> None:
+    """Return unused memory to the system: that of the device, and what the C library holds, where it is glibc."""
+    forget(device)
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
+    if trim is not None:
+        trim(0)

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
+from fields.sweep.arrays import forget
 from fields.sweep.backends import warping
 from fields.sweep.block import Block
 from fields.sweep.certainty import std_of
@@ -120,6 +121,7 @@ def unique_pixels(block: Block, maps: Sequence[DepthMap]) -> Masks:
         for later in order[place + 1 :]:
             if ground[index].meets(ground[later]):
                 claimed.add(later, warping(block.device).claim(heights, legs, own, later, tolerance))
+        forget(block.device)
     return kept
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from fields.device import Device
 from fields.skips import SKIPS, Skips
-from fields.sweep.arrays import constant, floats
+from fields.sweep.arrays import constant, gathered
 from fields.sweep.greys import Greys
 from fields.sweep.quads import Quads
 from refract import FlatWater, PinholeCamera
@@ -191,7 +191,7 @@ class ViewStack:
     @cached_property
     def pixels(self) -> list[Any]:
         """Each image as a flat array (height * width) of the device, float32: of height maps, which are compared."""
-        return [floats(self.device, image) for image in self.images]
+        return [gathered(self.device, image) for image in self.images]
 
     @cached_property
     def quads(self) -> Quads:

@@ -19,14 +19,8 @@ def floats(device: Device, array: np.ndarray) -> Any:
     afterwards.
     """
     flat = np.ascontiguousarray(array, dtype=np.float32).ravel()
-    return gathered(device, flat if device.module is None else _aligned(flat))
-
-
-def gathered(device: Device, array: np.ndarray) -> Any:
-    """As `floats`, never copied on the CPU: for arrays that kernels read by their indices alone."""
-    flat = np.ascontiguousarray(array, dtype=np.float32).ravel()
     if device.module is not None:
-        return device.module.Float(flat)
+        return device.module.Float(_aligned(flat))
     import torch
 
     return torch.tensor(flat, device=device.place)

@@ -56,7 +56,8 @@ def pose_misfit(
     """
     chosen = _middle(survey)
     sample = replace(survey, views=tuple(survey.views[i] for i in chosen), ties=None)
-    return _under_given(sample, plan, WINDOW, windows_of_block(sample, plan, block.part(chosen), bound, advance))
+    windows = windows_of_block(sample, plan, block.part(chosen), bound, advance, sparse=True)
+    return _under_given(sample, plan, WINDOW, windows)
 
 
 def misfit_of_features(survey: Survey, plan: Plan, features: TiePoints) -> float | None:

@@ -49,9 +49,10 @@ def edit(copy):
 
     def replace(name: str, old: str, new: str) -> None:
         path = copy / name
-        before[path] = path.read_text(encoding="utf-8")
-        assert old in before[path], f"{name} has no {old!r}"
-        path.write_text(before[path].replace(old, new), encoding="utf-8")
+        text = path.read_text(encoding="utf-8")
+        before.setdefault(path, text)
+        assert old in text, f"{name} has no {old!r}"
+        path.write_text(text.replace(old, new), encoding="utf-8")
 
     yield replace
     for path, text in before.items():
@@ -68,8 +69,8 @@ def edit(copy):
         ("refract/kernels.py", *A_LINE, (SWEEP, BED)),
         *((f"fields/sweep/{name}.py", *A_LINE, (SWEEP, BED)) for name in KERNELS),
         ("survey/photos/store.py", *A_LINE, (SWEEP, BED)),
-        # Comments, docstrings and layout decide nothing.
-        ("fields/sweep/sweep.py", "PEERS = 12", "PEERS = (\n    12  # views\n)", ()),
+        # Comments, docstrings and empty lines decide nothing.
+        ("fields/sweep/sweep.py", "PEERS = 12", "# Some views.\n\nPEERS = 12  # views", ()),
         ("fields/sweep/sweep.py", '"""Refractive plane sweep', '"""The plane sweep', ()),
         # Nor does code that a stage never reaches: other fields, reports, the reading of folders.
         ("fields/volume/sdf.py", *A_LINE, ()),
@@ -83,6 +84,13 @@ def test_a_stage_depends_on_the_code_that_it_calls_and_on_no_other(copy, first, 
     after = hashes_in(copy)
     found = {module for module in first if first[module] != after[module]}
     assert found == set(changed)
+
+
+def test_a_string_that_looks_like_a_comment_counts(copy, edit):
+    edit("fields/sweep/sweep.py", "PEERS = 12", 'PEERS = 12\nTEXT = "# one"')
+    one = hashes_in(copy)
+    edit("fields/sweep/sweep.py", "# one", "# two")
+    assert hashes_in(copy)[SWEEP] != one[SWEEP]
 
 
 def test_a_name_that_is_no_module_of_the_project_is_refused():

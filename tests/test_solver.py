@@ -21,7 +21,7 @@ from fields.solver.solver import SolvedMap, SolverFigures, solve_maps
 from fields.solver.tile import Tile, tiles_of
 from fields.solver.uncertainty import variance_of
 from fields.sweep.block import Block
-from fields.sweep.sweep import DepthMap
+from fields.sweep.maps import DepthMap
 from refract import FlatWater, PinholeCamera
 
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.33)

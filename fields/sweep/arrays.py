@@ -8,15 +8,19 @@ import numpy as np
 
 from fields.device import Device
 
+# Kernels of Dr.Jit load whole vectors, and one is compiled for each choice of arrays that begin at such an address.
+_ALIGNED_BYTES = 64
+
 
 def floats(device: Device, array: np.ndarray) -> Any:
     """An array of any shape as one flat array of float32.
 
-    Dr.Jit on the CPU reads a contiguous array of float32 where it lies: it must not be written to afterwards.
+    Dr.Jit on the CPU reads a contiguous array of float32 where it lies, if that is aligned: it must not be written to
+    afterwards.
     """
     flat = np.ascontiguousarray(array, dtype=np.float32).ravel()
     if device.module is not None:
-        return device.module.Float(flat)
+        return device.module.Float(_aligned(flat))
     import torch
 
     return torch.tensor(flat, device=device.place)
@@ -25,10 +29,21 @@ def floats(device: Device, array: np.ndarray) -> Any:
 def indices(device: Device, array) -> Any:
     """Whole numbers from zero as one flat array, copied: 32 bits without sign in Dr.Jit, int64 in torch."""
     if device.module is not None:
-        return device.module.UInt(np.ascontiguousarray(array, dtype=np.uint32).ravel())
+        return device.module.UInt(_aligned(np.ascontiguousarray(array, dtype=np.uint32).ravel()))
     import torch
 
     return torch.tensor(np.asarray(array, dtype=np.int64), device=device.place).reshape(-1)
+
+
+def _aligned(flat: np.ndarray) -> np.ndarray:
+    """A flat array, or a copy of it that begins where vectors do."""
+    if flat.ctypes.data % _ALIGNED_BYTES == 0:
+        return flat
+    room = np.empty(flat.nbytes + _ALIGNED_BYTES, dtype=np.uint8)
+    first = -room.ctypes.data % _ALIGNED_BYTES
+    copy = room[first : first + flat.nbytes].view(flat.dtype)
+    copy[:] = flat
+    return copy
 
 
 def words(device: Device, array: np.ndarray) -> Any:

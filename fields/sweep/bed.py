@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fields.sweep.arrays import host, indices
 from fields.sweep.backends import warping
 from fields.sweep.block import Block
 from fields.sweep.certainty import std_of
+from fields.sweep.footprint import Footprint
+from fields.sweep.lazy import Lazy
+from fields.sweep.maps import DepthMap
+from fields.sweep.masks import Masks
 from fields.sweep.stack import ViewStack
-from fields.sweep.sweep import DepthMap
 from refract import FlatWater, PinholeCamera
 
 
@@ -67,7 +70,7 @@ def trusted(depth_map: DepthMap) -> np.ndarray:
     return (depth_map.agreeing >= CONFIRMED_TWICE) | once
 
 
-def unique_pixels(block: Block, maps: list[DepthMap]) -> list[np.ndarray]:
+def unique_pixels(block: Block, maps: Sequence[DepthMap]) -> Masks:
     """Which pixels of each map to keep so that every piece of the bed is taken once.
 
     Views take turns, the steepest first: their ground sampling distance is the finest. A pixel that is kept claims, in
@@ -76,29 +79,30 @@ def unique_pixels(block: Block, maps: list[DepthMap]) -> list[np.ndarray]:
 
     Returns
     -------
-    list of (height, width) bool, in the order of `maps`
+    Masks (height, width), in the order of `maps`
     """
-    cameras = [block.cameras[m.view] for m in maps]
+    found = [(m.view, (float(m.height.min()), float(m.height.max()))) for m in maps]
+    chosen = [view for view, _ in found]
+    cameras = [block.cameras[view] for view in chosen]
+    ground = [Footprint.of(camera, block.water, extent) for camera, (_, extent) in zip(cameras, found, strict=True)]
     order = sorted(range(len(maps)), key=lambda i: cameras[i].cam_from_local[2][2])
-    chosen = [m.view for m in maps]
-    device, images = block.device, warping(block.device)
-    heights = ViewStack.build(device, cameras, [m.height for m in maps], block.water)
-    shape = (heights.height, heights.width)
-    claimed = [indices(device, np.zeros(shape)) for _ in maps]
-    kept: dict[int, np.ndarray] = {}
+    shape = (cameras[0].height, cameras[0].width) if cameras else (0, 0)
+    kept, claimed = Masks([shape] * len(chosen)), Masks([shape] * len(chosen))
+    images = Lazy(lambda index: maps[index].height, len(chosen), shape, 1)
+    heights = ViewStack.build(block.device, cameras, images, block.water)
     for place, index in enumerate(order):
         m = maps[index]
         # What is left out of the photograph has a height of its surroundings, but neither colour nor match.
-        seen = np.isfinite(block.images[m.view])
-        kept[index] = trusted(m) & seen & (host(device, claimed[index]).reshape(shape) == 0)
-        if not kept[index].any():
+        kept[index] = keep = trusted(m) & np.isfinite(block.images[m.view]) & ~claimed[index]
+        if not keep.any():
             continue
-        legs, own = images.paths_of(heights, index, np.flatnonzero(kept[index]))
+        legs, own = warping(block.device).paths_of(heights, index, np.flatnonzero(keep))
         others = block.neighbours(m.view, 8, among=chosen)
         tolerance = block.agreement_tolerance(m.view, others, float(np.median(m.height))) if others else 0.0
         for later in order[place + 1 :]:
-            images.claim(heights, legs, own, later, tolerance, claimed[later])
-    return [kept[i] for i in range(len(maps))]
+            if ground[index].meets(ground[later]):
+                claimed.add(later, warping(block.device).claim(heights, legs, own, later, tolerance))
+    return kept
 
 
 def has_company(xyz: np.ndarray, gsd: float) -> np.ndarray:

@@ -77,7 +77,8 @@ def check_of_windows(
     """
     chosen = _middle(survey)
     sample = replace(survey, views=tuple(survey.views[i] for i in chosen), ties=None)
-    return check_of_ties(sample, plan, WINDOW, windows_of_block(sample, plan, block.part(chosen), bound, advance))
+    windows = windows_of_block(sample, plan, block.part(chosen), bound, advance, sparse=True)
+    return check_of_ties(sample, plan, WINDOW, windows)
 
 
 def check_of_features(survey: Survey, plan: Plan, features: TiePoints) -> PoseCheck:

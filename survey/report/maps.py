@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,12 +25,12 @@ from survey.report.raster import without_pinholes
 from survey.report.shading import Picture, shaded_bed
 
 if TYPE_CHECKING:
-    from fields.sweep.sweep import DepthMap
+    from fields.sweep.maps import DepthMap
 
 _DEPTH_LABEL = "true depth below the water [m]"
 
 
-def representative(depth_maps: list[DepthMap]) -> int:
+def representative(depth_maps: Sequence[DepthMap]) -> int:
     """Which depth map to show: the one with the most pixels that another view confirms."""
     return int(np.argmax([np.count_nonzero(m.agreeing) for m in depth_maps]))
 
@@ -100,7 +101,7 @@ def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     return Picture(path, title, "Standard deviation of the height over the views that agree.")
 
 
-def draw_view(path: Path, facts: ReportFacts, depth_maps: list[DepthMap]) -> Picture:
+def draw_view(path: Path, facts: ReportFacts, depth_maps: Sequence[DepthMap]) -> Picture:
     """One photograph beside its depth map, of those that there are."""
     depth_map = depth_maps[representative(depth_maps)]
     view = facts.survey.views[depth_map.view]

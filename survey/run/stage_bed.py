@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,14 +20,15 @@ from survey.plan.area import AREA_MARGIN_M, grown, local_area, within
 from survey.plan.block import backend, camera_of
 from survey.run.stage_solver import SOLVED
 from survey.run.stage_sweep import MAPS, look_at_bed
-from survey.run.stored import BED_FILE, SURVEY_FILE, StoredBed, load_depth_maps, load_solved_maps, save_bed
+from survey.run.stored import BED_FILE, SURVEY_FILE, StoredBed, load_solved_maps, save_bed
+from survey.run.stored_maps import StoredMaps
 from survey.run.water_colour import colour_of
 
 if TYPE_CHECKING:
     from fields.slab.tensor_field import TensorField
     from fields.solver.solver import SolvedMap
     from fields.sweep.block import Block
-    from fields.sweep.sweep import DepthMap
+    from fields.sweep.maps import DepthMap
     from survey.run.job import Job
 
 FILES = (BED_FILE, SURVEY_FILE)
@@ -43,7 +44,7 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         If no two views confirm a point.
     """
     survey = job.survey
-    maps = load_depth_maps(needs["sweep"] / MAPS)
+    maps = StoredMaps(needs["sweep"] / MAPS)
     field = _field_of(job, needs["field"]) if "field" in needs else None
     solved = load_solved_maps(needs["solver"] / SOLVED) if "solver" in needs else None
     look_at_bed(job, needs["sweep"])
@@ -85,7 +86,7 @@ def _field_of(job: Job, folder: Path) -> TensorField:
 
 def bed_points(
     job: Job,
-    maps: list[DepthMap],
+    maps: Sequence[DepthMap],
     field: TensorField | None,
     advance: Callable[[float], None],
     solved: list[SolvedMap] | None = None,

@@ -20,7 +20,8 @@ from survey.run.cell_std import CellStd, std_cells
 from survey.run.folder import seconds_of
 from survey.run.stage_solver import SOLVED
 from survey.run.stage_sweep import CELLS, MAPS
-from survey.run.stored import load_depth_maps, load_solved_maps, save_arrays
+from survey.run.stored import load_solved_maps, save_arrays
+from survey.run.stored_maps import StoredMaps
 
 if TYPE_CHECKING:
     from survey.run.aimed import Aimed
@@ -69,7 +70,7 @@ def _take_pace(aimed: Aimed, found: dict) -> None:
 def _cells(job: Job, needs: Mapping[str, Path]) -> CellStd:
     """Of the solved pixels inside the area."""
     survey, plan, parts = job.survey, job.plan, []
-    maps, solved = load_depth_maps(needs["sweep"] / MAPS), load_solved_maps(needs["solver"] / SOLVED)
+    maps, solved = StoredMaps(needs["sweep"] / MAPS), load_solved_maps(needs["solver"] / SOLVED)
     for m, each in zip(maps, solved, strict=True):
         pixels, height, std = (column[::_EVERY] for column in (each.pixels, each.height, each.std))
         rows, columns = np.divmod(pixels, m.height.shape[1])

@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 import json
 import zipfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pyproj import CRS
@@ -18,7 +19,6 @@ from survey.errors import SurveyError
 if TYPE_CHECKING:
     from fields.solver.solver import SolvedMap
     from fields.sweep.bed import BedPoints
-    from fields.sweep.sweep import DepthMap
 
 BED_FILE, SURVEY_FILE = "bed.npz", "survey.json"
 # Of the stage of the field; `survey.run.stored_field` reads and writes them.
@@ -69,9 +69,15 @@ def save_arrays(path: str | Path, **arrays: np.ndarray) -> None:
     UnwritableFile
         If the system refuses; see `geo.write_whole`.
     """
-    named: dict[str, Any] = dict(arrays)  # to a type checker, one could be called allow_pickle, which is no array
-    with write_whole(path) as stream:
-        np.savez(stream, **named)
+    write_arrays(path, arrays.items())
+
+
+def write_arrays(path: str | Path, arrays: Iterable[tuple[str, np.ndarray]]) -> None:
+    """As `save_arrays`, of names with their arrays one after the other: they need not be in memory together."""
+    with write_whole(path) as stream, zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
+        for name, array in arrays:
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
 
 
 def load_arrays(path: str | Path, names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
@@ -86,9 +92,12 @@ def load_arrays(path: str | Path, names: tuple[str, ...] | None = None) -> dict[
         with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             return {name: stored[name] for name in stored.files if names is None or name in names}
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        raise SurveyError(
-            f"{path} cannot be read ({error}); delete its folder and give `bathynerf process` again"
-        ) from error
+        raise unreadable(path, error) from error
+
+
+def unreadable(path: str | Path, why: Exception | str) -> SurveyError:
+    """The error for a file that an earlier stage left."""
+    return SurveyError(f"{path} cannot be read ({why}); delete its folder and give `bathynerf process` again")
 
 
 def save_bed(folder: str | Path, stored: StoredBed) -> None:
@@ -153,28 +162,6 @@ def load_bed_columns(folder: str | Path, *names: str) -> dict[str, np.ndarray]:
         If the file is missing or damaged.
     """
     return load_arrays(Path(folder) / BED_FILE, names)
-
-
-def save_depth_maps(path: str | Path, maps: list[DepthMap]) -> None:
-    """Write depth maps, of any sizes, into one .npz file."""
-    save_arrays(path, views=np.array([m.view for m in maps], dtype=np.int64), **_numbered(maps))
-
-
-def load_depth_maps(path: str | Path) -> list[DepthMap]:
-    """The depth maps of a file of `save_depth_maps`, in their order.
-
-    Raises
-    ------
-    SurveyError
-        If the file is missing or damaged.
-    """
-    from fields.sweep.sweep import DepthMap
-
-    arrays = load_arrays(path)
-    return [
-        DepthMap(int(view), **_of_number(path, arrays, DepthMap, number))
-        for number, view in enumerate(arrays.get("views", ()))
-    ]
 
 
 def save_solved_maps(path: str | Path, maps: list[SolvedMap]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import os
 from typing import Any
 
 import numpy as np
@@ -19,14 +21,8 @@ def floats(device: Device, array: np.ndarray) -> Any:
     afterwards.
     """
     flat = np.ascontiguousarray(array, dtype=np.float32).ravel()
-    return gathered(device, flat if device.module is None else _aligned(flat))
-
-
-def gathered(device: Device, array: np.ndarray) -> Any:
-    """As `floats`, never copied on the CPU: for arrays that kernels read by their indices alone."""
-    flat = np.ascontiguousarray(array, dtype=np.float32).ravel()
     if device.module is not None:
-        return device.module.Float(flat)
+        return device.module.Float(_aligned(flat))
     import torch
 
     return torch.tensor(flat, device=device.place)
@@ -92,8 +88,8 @@ def host(device: Device, array) -> np.ndarray:
     return array.numpy() if device.module is not None else array.reshape(-1).cpu().numpy()
 
 
-def release(device: Device) -> None:
-    """Return unused memory to the system."""
+def forget(device: Device) -> None:
+    """Return unused memory of the device: it keeps what was used, by size, for arrays of the same size."""
     if device.module is not None:
         import drjit
 
@@ -102,3 +98,11 @@ def release(device: Device) -> None:
         import torch
 
         torch.cuda.empty_cache()
+
+
+def release(device: Device) -> None:
+    """Return unused memory to the system: that of the device, and what the C library holds, where it is glibc."""
+    forget(device)
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
+    if trim is not None:
+        trim(0)

@@ -88,13 +88,22 @@ def _parsed(file: Path) -> tuple[str, tuple[str, ...]]:
 @lru_cache(maxsize=1024)
 def _parse(file: Path, _modified: int, _size: int) -> tuple[str, tuple[str, ...]]:
     """Hash of a file's code, and the modules of the project that it imports."""
-    text = _PROSE.sub(lambda part: part["kept"] or ("\n" if part["end"] else ""), file.read_text(encoding="utf-8"))
-    text = _TYPES_ONLY.sub("", text)
+    code = without_prose(file.read_text(encoding="utf-8"))
+    return hashlib.sha256(code.encode()).hexdigest(), tuple(sorted(modules_imported(code)))
+
+
+def without_prose(text: str) -> str:
+    """Source text without docstrings, comments, empty lines and what only type checkers read."""
+    return _TYPES_ONLY.sub("", _PROSE.sub(lambda part: part["kept"] or ("\n" if part["end"] else ""), text))
+
+
+def modules_imported(code: str) -> set[str]:
+    """The modules of the project that code (`without_prose`) imports, by their dotted names."""
     imported = set()
-    for package, taken, modules in _IMPORT.findall(text):
+    for package, taken, modules in _IMPORT.findall(code):
         names = [name.split(" as ")[0].strip() for name in (taken or modules).strip("()").split(",")]
         if package:
             # `from package import module` reaches the module, `from module import name` the module itself.
             names = [f"{package}.{name}" if name and _find(f"{package}.{name}") else package for name in names]
-        imported |= {name for name in names if name.partition(".")[0] in _ROOMS and _find(name)}
-    return hashlib.sha256(text.encode()).hexdigest(), tuple(sorted(imported))
+        imported |= {name for name in names if _find(name)}
+    return imported

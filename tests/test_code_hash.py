@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import shutil
 import subprocess
 import sys
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from survey.code_hash import code_hash
+from survey.code_hash import code_hash, modules_imported, without_prose
 
 ROOT = Path(__file__).resolve().parent.parent
 SWEEP, BED = "survey.run.stage_sweep", "survey.run.stage_bed"
@@ -84,6 +85,39 @@ def test_a_stage_depends_on_the_code_that_it_calls_and_on_no_other(copy, first, 
     after = hashes_in(copy)
     found = {module for module in first if first[module] != after[module]}
     assert found == set(changed)
+
+
+@pytest.mark.parametrize("room", ["refract", "geo", "evaluation", "fields", "survey"])
+def test_the_imports_of_each_file_are_those_of_its_syntax_tree(room):
+    for file in (ROOT / room).rglob("*.py"):
+        code = without_prose(file.read_text(encoding="utf-8"))
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        assert modules_imported(code) == imports_in(for_running(tree)), file
+
+
+def for_running(tree: ast.Module) -> ast.Module:
+    """A module without the imports at its head that only type checkers follow."""
+    body = [node for node in tree.body if not (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")]
+    return ast.Module(body, [])
+
+
+def imports_in(tree: ast.Module) -> set[str]:
+    """Modules of the project."""
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names if is_module(alias.name)}
+        elif isinstance(node, ast.ImportFrom):
+            of_package = {f"{node.module}.{alias.name}" for alias in node.names}
+            modules = {name if is_module(name) else str(node.module) for name in of_package}
+            found |= {name for name in modules if is_module(name)}
+    return found
+
+
+def is_module(name: str) -> bool:
+    place = ROOT.joinpath(*name.split("."))
+    is_ours = name.split(".")[0] in ("refract", "geo", "evaluation", "fields", "survey")
+    return is_ours and (place.with_suffix(".py").is_file() or (place / "__init__.py").is_file())
 
 
 def test_a_string_that_looks_like_a_comment_counts(copy, edit):

@@ -19,6 +19,8 @@ _STEP_PX = 1.0
 # Pixels about a position that a cubic lookup needs.
 _RIM_PX = 2.5
 _LINE = 2048
+# How far from the border a position has to be so that no pixel beyond it counts.
+_RIMS = {cv2.INTER_LINEAR: 0.5, cv2.INTER_CUBIC: 1.5}
 
 
 @dataclass(frozen=True)
@@ -84,11 +86,14 @@ def window_of(x: np.ndarray, y: np.ndarray) -> tuple[slice, slice]:
 def lookup(image: np.ndarray, x: np.ndarray, y: np.ndarray, way: int) -> np.ndarray:
     """Values (N,) of an image at positions (N,) [px], interpolated as OpenCV's flag ``way`` says; NaN outside."""
     lines = -(-len(x) // _LINE)
-    at = np.full((2, lines * _LINE), -9.0, dtype=np.float32)
+    at = np.zeros((2, lines * _LINE), dtype=np.float32)
     at[0, : len(x)], at[1, : len(x)] = x - 0.5, y - 0.5
     across, down = at.reshape(2, lines, _LINE)
-    values = cv2.remap(image, across, down, way, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
-    return values.ravel()[: len(x)]
+    # Not NaN as the value of the border: OpenCV 5 gives it to eight positions in a row if one of them is outside.
+    values = cv2.remap(image, across, down, way, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0).ravel()[: len(x)]
+    rim = _RIMS[way]
+    inside = (x >= rim) & (x <= image.shape[1] - rim) & (y >= rim) & (y <= image.shape[0] - rim)
+    return np.where(inside, values, np.float32(np.nan))
 
 
 def sight_of(

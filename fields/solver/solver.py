@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, MutableMapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import groupby, islice, takewhile
@@ -19,7 +19,7 @@ from fields.solver.uncertainty import PLACE_PX2, bends_below, rise_of, variance_
 from fields.solver.views import WORKERS, Job, Views
 from fields.sweep.block import Block
 from fields.sweep.certainty import for_few
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import DepthMap, InOrder
 
 # What a survey is like is learned from so many tiles of this side, spread over those that are nearly as full as the
 # fullest.
@@ -108,7 +108,8 @@ def solve_maps(
     gsd: float,
     progress: Callable[[float], None],
     goes_on: Callable[[], bool] = lambda: True,
-) -> tuple[list[SolvedMap], SolverFigures]:
+    keep: Callable[[], MutableMapping[int, SolvedMap]] = dict,
+) -> tuple[InOrder, SolverFigures]:
     """Solve the kept pixels of all maps, about the heights of the sweep.
 
     Parameters
@@ -123,22 +124,27 @@ def solve_maps(
     progress : called with the share done, 0 to 1
     goes_on : callable
         Asked before each tile; tiles whose turn comes after it said no are left out.
+    keep : callable
+        Makes the place in which what is solved is kept; default in memory.
 
     Returns
     -------
-    list of SolvedMap, in the order of `maps`
+    InOrder of SolvedMap, in the order of `maps`
     figures : SolverFigures
         NaN where nothing is kept.
     """
     views = Views.of(block, maps)
     filled = [asked_in_squares(wanted, SAMPLE_PX) if views.others[index] else [] for index, wanted in enumerate(kept)]
     total, done = sum(map(sum, filled)), 0
-    solved = [SolvedMap.empty() for _ in filled]
+    solved = keep()
+    for index in range(len(filled)):
+        solved[index] = SolvedMap.empty()
+    found = InOrder(solved, list(range(len(filled))))
     if not total:
-        return solved, SolverFigures(np.nan, Shifts(np.nan, np.nan), np.nan)
+        return found, SolverFigures(np.nan, Shifts(np.nan, np.nan), np.nan)
     with ThreadPoolExecutor(WORKERS) as pool:
         sample = _sample(views, kept, filled)
-        first = [found for _, found in views.solved(sample, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
+        first = [each for _, each in views.solved(sample, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
         roughness, share = roughness_of(first, gsd, pool), noise_share(first)
         shifts = shifts_of(first, share, block.water is not None)
         figures, is_wet = SolverFigures(roughness, shifts, share), block.water is not None
@@ -149,15 +155,15 @@ def solve_maps(
 
         jobs = (job for index, wanted in enumerate(kept) for job in views.jobs(index, wanted))
         begun = takewhile(lambda _job: goes_on(), jobs)
-        for index, each in groupby(views.solved(begun, roughness, pool, part), lambda found: found[0].index):
+        for index, each in groupby(views.solved(begun, roughness, pool, part), lambda pair: pair[0].index):
             parts = []
-            for job, (found, seen) in each:
-                parts.append(found)
+            for job, (piece, seen) in each:
+                parts.append(piece)
                 sightings += seen
                 done += int(np.count_nonzero(job.tile.asked))
                 progress(done / total)
             solved[index] = _with_std(maps[index], _joined(parts), figures, is_wet)
-    return solved, replace(figures, sightings=sightings)
+    return found, replace(figures, sightings=sightings)
 
 
 def _part(job: Job, width: int, found: Solved) -> _Solved:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import os
 from typing import Any
 
 import numpy as np
@@ -68,13 +70,26 @@ def constant(device: Device, value: float) -> Any:
     return torch.tensor(float(value), device=device.place)
 
 
+def rung_and_pixel(device: Device, count: int, strip: int) -> tuple[Any, Any]:
+    """The numbers 0 to ``count`` divided by ``strip``, and what is left, in Dr.Jit.
+
+    By a product: processors have no division of vectors of whole numbers.
+    """
+    import drjit
+
+    module = device.module
+    index = drjit.arange(module.UInt, count)
+    rung = module.UInt((module.Float64(index) + 0.5) * drjit.opaque(module.Float64, 1.0 / strip))
+    return rung, index - rung * drjit.opaque(module.UInt, strip)
+
+
 def host(device: Device, array) -> np.ndarray:
     """An array of the device as numpy, flat."""
     return array.numpy() if device.module is not None else array.reshape(-1).cpu().numpy()
 
 
-def release(device: Device) -> None:
-    """Return unused memory to the system."""
+def forget(device: Device) -> None:
+    """Return unused memory of the device: it keeps what was used, by size, for arrays of the same size."""
     if device.module is not None:
         import drjit
 
@@ -83,3 +98,11 @@ def release(device: Device) -> None:
         import torch
 
         torch.cuda.empty_cache()
+
+
+def release(device: Device) -> None:
+    """Return unused memory to the system: that of the device, and what the C library holds, where it is glibc."""
+    forget(device)
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
+    if trim is not None:
+        trim(0)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, MutableMapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -43,14 +44,14 @@ Keep = Callable[[], Maps]
 
 
 class InOrder(Sequence):
-    """Maps in the order of some views, each read when it is asked for.
+    """Maps in the order of some views, or of some numbers, each read when it is asked for.
 
     Attributes
     ----------
     views : list of int
     """
 
-    def __init__(self, maps: Maps, views: list[int]):
+    def __init__(self, maps: MutableMapping[int, Any], views: list[int]):
         self._maps, self.views = maps, views
 
     def __len__(self) -> int:

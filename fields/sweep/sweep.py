@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from fields.sweep.arrays import forget
 from fields.sweep.block import Block
 from fields.sweep.climbing import MATCHED_NCC, climb_view
 from fields.sweep.consistency import agreement
@@ -136,6 +137,8 @@ def sweep(
         for climb in climbs[number]:
             height = maps[climb.view].height if climb.view in maps else None
             maps[climb.view] = _climbed(block, p, climb, bound, height, area)
+            # Ladders of many lengths leave memory of many sizes.
+            forget(block.device)
             done += climb.samples
             progress(done / total)
         if fused[number]:

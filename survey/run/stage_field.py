@@ -6,17 +6,17 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fields.sweep.maps import DepthMap
 from survey.plan.area import AREA_MARGIN_M, grown, local_area
 from survey.plan.block import backend
 from survey.progress import shares
 from survey.run.sources import sources_of
 from survey.run.stage_sweep import MAPS
-from survey.run.stored_maps import StoredMaps
+from survey.run.stored_maps import Stored
 
 if TYPE_CHECKING:
     from fields.slab.tensor_field import TensorField
     from fields.slab.train import FieldFigures
-    from fields.sweep.maps import DepthMap
     from survey.run.job import Job
 
 
@@ -25,7 +25,7 @@ def train_field(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     # Imported where it is needed, as below: it takes torch, whose import takes seconds.
     from survey.run.stored_field import save_field, save_place
 
-    maps = StoredMaps(needs["sweep"] / MAPS)
+    maps = Stored(needs["sweep"] / MAPS, DepthMap)
     with job.progress.stage("Field", 1.0) as stage:
         field, figures = trained(job, maps, shares(stage))
     job.progress.note(f"field: {figures.psnr_db:.1f} dB after {figures.rays:,} rays")

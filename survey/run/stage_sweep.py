@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fields.sweep.free_space import without_contradicted
+from fields.sweep.maps import DepthMap
 from fields.sweep.sweep import PASSES, passes_from, sweep
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
@@ -20,11 +21,11 @@ from survey.plan.block import camera_of
 from survey.progress import shares
 from survey.run.clock import OutOfTimeError
 from survey.run.stored import load_arrays
-from survey.run.stored_maps import StoredMaps, maps_on_disk, save_depth_maps
+from survey.run.stored_maps import ByView, Stored, kept_on_disk, save_maps
 
 if TYPE_CHECKING:
     from fields.sweep.block import Block
-    from fields.sweep.maps import DepthMap, InOrder, Keep
+    from fields.sweep.maps import InOrder, Keep
     from fields.sweep.over_area import Area
     from survey.run.aimed import Aimed
     from survey.run.job import Job
@@ -33,7 +34,7 @@ MAPS, BOUND, SATURATED, SWEPT = "maps.npz", "bound.json", "saturated.json", "swe
 # Of the round before, for the stages of the next; and where its look left the cells that need work.
 EARLIER_SWEEP, EARLIER_SOLVER, EARLIER_LOOK, CELLS = "earlier sweep", "earlier solver", "earlier look", "cells.npz"
 # In the folder of the stage, while it lasts: maps that are worked on.
-_SCRATCH = "scratch"
+SCRATCH = "scratch"
 # A view goes on where more than this share of the ground that it sees needs work.
 _LEAST_SHARE = 0.05
 
@@ -58,7 +59,7 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         ladder = (low, high) if job.plan.skips.heights else limits(survey)
         passes = PASSES if job.aimed is None else passes_from(job.aimed.first_search)
         start = time.monotonic()
-        with maps_on_disk(folder / _SCRATCH) as keep:
+        with kept_on_disk(folder / SCRATCH, DepthMap) as keep:
             maps = sweep(block, chosen, ladder, shares(stage), passes, _wanted(job), keep=keep)
             if not maps:
                 raise SurveyError("no two views overlap; check that the poses belong to the images")
@@ -79,7 +80,7 @@ def _go_on(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """The heights of the round before at the size of this one; its views go on where they have to."""
     bound = json.loads((needs[EARLIER_SWEEP] / BOUND).read_text(encoding="utf-8"))
     write_json(folder / BOUND, bound)
-    before = StoredMaps(needs[EARLIER_SWEEP] / MAPS)
+    before = Stored(needs[EARLIER_SWEEP] / MAPS, DepthMap)
     earlier_scale = _swept(needs[EARLIER_SWEEP])["image_scale"]
     if earlier_scale == job.plan.image_scale:
         _save(job, folder, before, before.views, 0.0, 0.0, earlier_scale)
@@ -91,7 +92,7 @@ def _go_on(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     job.progress.note(f"sweep: {len(again)} of {len(before)} views go on at image scale {job.plan.image_scale:g}")
     start, aimed = time.monotonic(), job.aimed
     try:
-        with job.progress.stage("Sweep", 1.0) as stage, maps_on_disk(folder / _SCRATCH) as keep:
+        with job.progress.stage("Sweep", 1.0) as stage, kept_on_disk(folder / SCRATCH, DepthMap) as keep:
             report = shares(stage)
 
             def advance(share: float) -> None:
@@ -101,7 +102,7 @@ def _go_on(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 
             ladder = (bound["low_m"], bound["high_m"])
             maps = sweep(
-                block, before.views, ladder, advance, area=_wanted(job), before=before.by_view, again=again, keep=keep
+                block, before.views, ladder, advance, area=_wanted(job), before=ByView(before), again=again, keep=keep
             )
             swept = _finished(block, maps, keep)
             _save(job, folder, swept, again, time.monotonic() - start, images_s, earlier_scale)
@@ -131,7 +132,7 @@ def _save(
     before: float | None, *, scale: float | None = None,
 ) -> None:  # fmt: skip
     """The maps, and what they took; ``scale`` is that of the maps where it is not the plan's."""
-    save_depth_maps(folder / MAPS, maps)
+    save_maps(folder / MAPS, DepthMap, maps)
     scale = job.plan.image_scale if scale is None else scale
     share = len(swept) / len(maps)
     num_samples = 0.0 if job.aimed is None else share * job.aimed.samples(scale, before)

@@ -17,7 +17,6 @@ from geo.files import write_whole
 from survey.errors import SurveyError
 
 if TYPE_CHECKING:
-    from fields.solver.solver import SolvedMap
     from fields.sweep.bed import BedPoints
 
 BED_FILE, SURVEY_FILE = "bed.npz", "survey.json"
@@ -162,44 +161,3 @@ def load_bed_columns(folder: str | Path, *names: str) -> dict[str, np.ndarray]:
         If the file is missing or damaged.
     """
     return load_arrays(Path(folder) / BED_FILE, names)
-
-
-def save_solved_maps(path: str | Path, maps: list[SolvedMap]) -> None:
-    """Write the solved pixels of the height maps into one .npz file."""
-    save_arrays(path, **_numbered(maps))
-
-
-def load_solved_maps(path: str | Path) -> list[SolvedMap]:
-    """The solved maps of a file of `save_solved_maps`, in their order.
-
-    Raises
-    ------
-    SurveyError
-        If the file is missing or damaged.
-    """
-    from fields.solver.solver import SolvedMap
-
-    arrays = load_arrays(path)
-    count = len(arrays) // len(dataclasses.fields(SolvedMap))
-    return [SolvedMap(**_of_number(path, arrays, SolvedMap, number)) for number in range(count)]
-
-
-def _numbered(maps: list) -> dict[str, np.ndarray]:
-    """The arrays of several dataclasses of one kind, by name and number."""
-    return {
-        f"{item.name}_{number}": getattr(each, item.name)
-        for number, each in enumerate(maps)
-        for item in dataclasses.fields(each)
-        if item.name != "view"
-    }
-
-
-def _of_number(path: str | Path, arrays: dict[str, np.ndarray], kind: type, number: int) -> dict[str, np.ndarray]:
-    """The arrays of one of the dataclasses that `_numbered` took apart."""
-    names = [item.name for item in dataclasses.fields(kind) if item.name != "view"]
-    try:
-        return {name: arrays[f"{name}_{number}"] for name in names}
-    except KeyError as error:
-        raise SurveyError(
-            f"{path} lacks the array {error}; delete its folder and give `bathynerf process` again"
-        ) from error

@@ -1,4 +1,4 @@
-"""Height maps on the disk: while they are worked on one file each, and afterwards all in one file, read one by one."""
+"""Height maps, and what was solved of them, on the disk: a file each while they are worked on, then all in one file."""
 
 from __future__ import annotations
 
@@ -7,99 +7,102 @@ import os
 import shutil
 import struct
 import zipfile
-from collections.abc import Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping, Sequence
 from contextlib import contextmanager
-from functools import cached_property
+from itertools import count
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 
-from fields.sweep.maps import DepthMap, Keep
+from fields.sweep.maps import DepthMap
 from geo.files import disk_refusals
 from survey.run.stored import load_arrays, unreadable, write_arrays
 
 # In the header of a file in a zip archive: the lengths of name and extra field, which follow it.
 _LENGTHS_AT = 26
-_FIELDS = tuple(item.name for item in dataclasses.fields(DepthMap) if item.name != "view")
+
+Kind = TypeVar("Kind")
 
 
-class MapsOnDisk(MutableMapping[int, DepthMap]):
-    """Maps by view, in a folder of their own; each is read from there whenever it is asked for.
+class OnDisk(MutableMapping[int, Kind]):
+    """Maps of one kind by number, in a folder of their own; each is read from there whenever it is asked for.
 
     Parameters
     ----------
     folder : Path
         Made here, and empty.
+    kind : type of the maps, DepthMap or SolvedMap
     """
 
-    def __init__(self, folder: Path):
-        self._folder = folder
-        self._views: set[int] = set()
+    def __init__(self, folder: Path, kind: type[Kind]):
+        self._folder, self._kind = folder, kind
+        self._numbers: set[int] = set()
         with disk_refusals(folder):
             folder.mkdir()
 
-    def __getitem__(self, view: int) -> DepthMap:
-        if view not in self._views:
-            raise KeyError(view)
-        with disk_refusals(self._path(view)), self._path(view).open("rb") as stream:
-            return DepthMap(view, **{name: np.load(stream) for name in _FIELDS})
+    def __getitem__(self, number: int) -> Kind:
+        if number not in self._numbers:
+            raise KeyError(number)
+        with disk_refusals(self._path(number)), self._path(number).open("rb") as stream:
+            return _made(self._kind, number, lambda _name: np.load(stream))
 
-    def __setitem__(self, view: int, m: DepthMap) -> None:
-        with disk_refusals(self._path(view)), self._path(view).open("wb") as stream:
-            for name in _FIELDS:
-                np.save(stream, getattr(m, name))
-        self._views.add(view)
+    def __setitem__(self, number: int, each: Kind) -> None:
+        with disk_refusals(self._path(number)), self._path(number).open("wb") as stream:
+            for name in _names(self._kind):
+                np.save(stream, getattr(each, name))
+        self._numbers.add(number)
 
-    def __delitem__(self, view: int) -> None:
-        self._views.remove(view)
-        with disk_refusals(self._path(view)):
-            self._path(view).unlink()
+    def __delitem__(self, number: int) -> None:
+        self._numbers.remove(number)
+        with disk_refusals(self._path(number)):
+            self._path(number).unlink()
 
     def __iter__(self) -> Iterator[int]:
-        return iter(sorted(self._views))
+        return iter(sorted(self._numbers))
 
     def __len__(self) -> int:
-        return len(self._views)
+        return len(self._numbers)
 
-    def __contains__(self, view: object) -> bool:
-        return view in self._views
+    def __contains__(self, number: object) -> bool:
+        return number in self._numbers
 
-    def _path(self, view: int) -> Path:
-        return self._folder / f"{view}.npy"
+    def _path(self, number: int) -> Path:
+        return self._folder / f"{number}.npy"
 
 
 @contextmanager
-def maps_on_disk(folder: Path) -> Iterator[Keep]:
+def kept_on_disk(folder: Path, kind: type[Kind]) -> Iterator[Callable[[], OnDisk[Kind]]]:
     """Places for maps in a folder, which is made, and removed in the end."""
-    number = iter(range(1_000_000))
+    number = count()
     with disk_refusals(folder):
         folder.mkdir()
     try:
-        yield lambda: MapsOnDisk(folder / str(next(number)))
+        yield lambda: OnDisk(folder / str(next(number)), kind)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def save_depth_maps(path: str | Path, maps: Sequence[DepthMap]) -> None:
-    """Write depth maps, of any sizes, into one .npz file, one after the other."""
+def save_maps(path: str | Path, kind: type[Kind], maps: Iterable[Kind]) -> None:
+    """Write depth maps or solved maps, of any sizes, into one .npz file, one after the other."""
     views = []
 
     def named() -> Iterator[tuple[str, np.ndarray]]:
-        for number, m in enumerate(maps):
-            views.append(m.view)
-            yield from ((f"{name}_{number}", getattr(m, name)) for name in _FIELDS)
+        for number, each in enumerate(maps):
+            views.append(each.view if isinstance(each, DepthMap) else number)
+            yield from ((f"{name}_{number}", getattr(each, name)) for name in _names(kind))
         yield "views", np.array(views, dtype=np.int64)
 
     write_arrays(path, named())
 
 
-class StoredMaps(Sequence):
-    """The depth maps of a file of `save_depth_maps`, in their order; each is read when it is asked for.
+class Stored(Sequence[Kind]):
+    """The maps of a file of `save_maps`, in their order; each is read when it is asked for.
 
     Attributes
     ----------
     views : list of int
+        Of depth maps; of others their numbers.
 
     Raises
     ------
@@ -107,13 +110,13 @@ class StoredMaps(Sequence):
         If the file is missing or damaged, or was changed since.
     """
 
-    def __init__(self, path: str | Path):
-        self._path = Path(path)
+    def __init__(self, path: str | Path, kind: type[Kind]):
+        self._path, self._kind = Path(path), kind
         self.views = [int(view) for view in load_arrays(self._path, ("views",)).get("views", ())]
         with zipfile.ZipFile(self._path) as archive:
             self._start = {each.filename: each.header_offset for each in archive.infolist()}
         for number in range(len(self.views)):
-            for name in _FIELDS:
+            for name in _names(kind):
                 if f"{name}_{number}.npy" not in self._start:
                     raise unreadable(self._path, f"it lacks the array {name}_{number}")
 
@@ -125,14 +128,9 @@ class StoredMaps(Sequence):
         view = self.views[number]
         try:
             with self._path.open("rb") as stream:
-                return DepthMap(view, **{name: _read(stream, self._start[f"{name}_{number}.npy"]) for name in _FIELDS})
+                return _made(self._kind, view, lambda name: _read(stream, self._start[f"{name}_{number}.npy"]))
         except (OSError, ValueError, EOFError) as error:
             raise unreadable(self._path, error) from error
-
-    @cached_property
-    def by_view(self) -> ByView:
-        """The same maps by their views."""
-        return ByView(self)
 
 
 def _read(stream: BinaryIO, start: int) -> np.ndarray:
@@ -142,13 +140,24 @@ def _read(stream: BinaryIO, start: int) -> np.ndarray:
     return np.load(stream, allow_pickle=False)
 
 
-class ByView(Mapping[int, DepthMap]):
+def _names(kind: type) -> list[str]:
+    return [item.name for item in dataclasses.fields(kind) if item.name != "view"]
+
+
+def _made(kind: type[Kind], view: int, array: Callable[[str], np.ndarray]) -> Kind:
+    """A map of arrays by their names."""
+    arrays: dict[str, Any] = {name: array(name) for name in _names(kind)}
+    return kind(**({"view": view} if kind is DepthMap else {}), **arrays)
+
+
+class ByView(Mapping[int, Kind]):
     """Stored maps by their views."""
 
-    def __init__(self, maps: StoredMaps):
-        self._maps, self._number = maps, {view: number for number, view in enumerate(maps.views)}
+    def __init__(self, maps: Stored[Kind], views: list[int] | None = None):
+        self._maps, views = maps, maps.views if views is None else views
+        self._number = {view: number for number, view in enumerate(views)}
 
-    def __getitem__(self, view: int) -> DepthMap:
+    def __getitem__(self, view: int) -> Kind:
         return self._maps[self._number[view]]
 
     def __iter__(self) -> Iterator[int]:

@@ -30,8 +30,10 @@ from survey.plan.poses import MOST_MISFIT_PX
 if TYPE_CHECKING:
     from fields.sweep.block import Block
 
-# So many photographs in the middle of the block are looked at; with fewer in all there is nothing to sample.
+# So many photographs of the middle of the block are looked at; with fewer in all there is nothing to sample.
 SAMPLE = 10
+# Of the angle to the plumb line: level views look farther than any place that others see.
+_LEAST_COSINE = 0.5
 # Fewest windows of a photograph whose mean counts.
 _FEWEST = 10
 
@@ -75,7 +77,7 @@ def check_of_windows(
     SurveyError
         If no windows match, as under poses that are off by more than a few pixels: `check_of_features` can tell.
     """
-    chosen = _middle(survey)
+    chosen = _of_middle(survey, plan.height_m)
     sample = replace(survey, views=tuple(survey.views[i] for i in chosen), ties=None)
     windows = windows_of_block(sample, plan, block.part(chosen), bound, advance, sparse=True)
     return check_of_ties(sample, plan, WINDOW, windows)
@@ -133,8 +135,13 @@ def misfit(residuals: np.ndarray, view: np.ndarray) -> float | None:
     return float(np.sqrt(max(float(np.mean(squares)), 0.0))) if squares else None
 
 
-def _middle(survey: Survey) -> list[int]:
-    """Numbers of the views nearest to the middle of the block, rising."""
+def _of_middle(survey: Survey, height: float) -> list[int]:
+    """Numbers of the views that look at the middle of the block, rising; ``height`` [m] is that of the cameras.
+
+    Those that stand there look straight down, and tell little of the water.
+    """
     centres = np.array([view.camera.centre[:2] for view in survey.views])
-    away = np.linalg.norm(centres - np.median(centres, axis=0), axis=1)
+    ahead = np.array([view.camera.cam_from_local[2] for view in survey.views])
+    seen = centres + height * ahead[:, :2] / np.maximum(-ahead[:, 2:], _LEAST_COSINE)
+    away = np.linalg.norm(seen - np.median(seen, axis=0), axis=1)
     return np.sort(np.argsort(away, kind="stable")[:SAMPLE]).tolist()

@@ -53,7 +53,7 @@ demo: $(READY)
 	@echo "Report:  $(CURDIR)/$(RUN)/report.html"
 
 test: check types
-	@$(BIN)/python -m pytest
+	@$(BIN)/python -m pytest --numprocesses=auto --maxprocesses=4 --dist=loadfile
 
 check: $(READY)
 	@$(BIN)/python -m ruff check .

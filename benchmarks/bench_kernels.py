@@ -35,7 +35,7 @@ from survey.progress import current
 from survey.run.job import Job
 
 FUNCTIONS = {
-    "paths of pixels": (warping_drjit, ("legs_of", "pixels_of")),
+    "paths of pixels": (warping_drjit, ("legs_of",)),
     "warp": (warping_drjit, ("warp",)),
     "scores": (scoring_drjit, ("ncc", "best_half")),
     "best of the ladder": (scoring_drjit, ("climb",)),
@@ -98,7 +98,7 @@ def kernel_table(block: Block, bound: tuple[float, float], machine: Limits) -> s
     others, rungs = block.neighbours(view, p.neighbours), p.rungs or 0
     rows = min(stack.height, warping_drjit.STRIP_SAMPLES // (len(others) * rungs * stack.width))
     start = floats(device, np.full((rows, stack.width), 0.5 * (bound[0] + bound[1]), np.float32))
-    legs, grey = (f(stack, view, 0, rows) for f in (warping_drjit.legs_of, warping_drjit.pixels_of))
+    legs, grey = warping_drjit.legs_of(stack, view, 0, rows), floats(stack.device, stack.images[view][:rows])
     warp = partial(warping_drjit.warp, stack, legs, start, others, 0.05, rungs)
     values = warp()
     samples = len(others) * rungs * rows * stack.width

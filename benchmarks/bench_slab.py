@@ -23,7 +23,7 @@ from unittest.mock import patch
 
 from bench_sweep import Case
 
-from fields.sweep.sweep import DepthMap
+from fields.sweep.maps import DepthMap
 from survey.plan.recipe import RECIPES
 from survey.progress import current, shares
 from survey.run import stage_bed, stage_field

@@ -6,6 +6,7 @@ Sources: ASPRS LAS 1.4 R16 and its topo-bathy profile (classes 40 and up).
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from geo import copc
 from geo.crs import is_geographic, wkt1
 from geo.errors import EmptyCloud, GeoError, UnreadableFile, UnwritableFile
 from geo.files import existing_file, write_whole
-from geo.las_extra import add_extra_bytes, extra_of
+from geo.las_extra import add_extra_bytes, extra_of, stored_extra
 from geo.las_header import crs_of_header, length_fault
 from geo.shapes import Cloud
 
@@ -28,6 +29,8 @@ CLASS_GROUND = 2
 CLASS_BATHYMETRIC = 40
 SCALE_LENGTH = 0.001
 SCALE_ANGLE = 1e-8
+# Points that are made into records at a time, of 60 bytes and more each.
+_PORTION = 500_000
 _SUFFIXES = (".las", ".laz")
 
 # laspy logs damage as well; the user sees the error raised below, which names the file.
@@ -98,21 +101,23 @@ def write_cloud(
     _require_sound(points, {"rgb": rgb, "is_wet": classes} | extra)
 
     header = _header(points, crs, path)
-    stored = add_extra_bytes(header, extra)
-    las = laspy.LasData(header)
-    las.points = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
-    las.x, las.y, las.z = points.T
-    las.return_number[:] = 1
-    las.number_of_returns[:] = 1
-    las.synthetic[:] = 1
-    las.classification[:] = classes
-    # 257 maps 0..255 onto the whole of 0..65535.
-    las.red, las.green, las.blue = np.asarray(rgb, dtype=np.uint16).T * np.uint16(257)
-    for name in list(stored):
-        las[name] = stored.pop(name)
-    # The records have it all: an octree may need the room.
-    del common, extra
-    _write(las, path)
+    add_extra_bytes(header, extra)
+
+    def records(part: slice) -> laspy.LasData:
+        las = laspy.LasData(header)
+        las.points = laspy.ScaleAwarePointRecord.zeros(len(points[part]), header=header)
+        las.x, las.y, las.z = points[part].T
+        las.return_number[:] = 1
+        las.number_of_returns[:] = 1
+        las.synthetic[:] = 1
+        las.classification[:] = classes[part]
+        # 257 maps 0..255 onto the whole of 0..65535.
+        las.red, las.green, las.blue = np.asarray(rgb[part], dtype=np.uint16).T * np.uint16(257)
+        for name, values in stored_extra(extra, part).items():
+            las[name] = values
+        return las
+
+    _write(records, len(points), header, path)
 
 
 def classes_of(is_wet: np.ndarray) -> np.ndarray:
@@ -120,16 +125,18 @@ def classes_of(is_wet: np.ndarray) -> np.ndarray:
     return np.where(np.asarray(is_wet, dtype=bool), CLASS_BATHYMETRIC, CLASS_GROUND).astype(np.uint8)
 
 
-def _write(las: laspy.LasData, path: Path) -> None:
+def _write(records: Callable[[slice], laspy.LasData], count: int, header: laspy.LasHeader, path: Path) -> None:
+    """Write records, made a portion at a time, except into an octree, which holds all of them."""
     compress = path.suffix.lower() == ".laz"
     with write_whole(path) as stream:
         try:
             if path.name.lower().endswith(copc.SUFFIX):
-                copc.write_copc(las, stream)
+                copc.write_copc(records(slice(None)), stream)
                 return
-            writer = laspy.open(stream, mode="w", header=las.header, do_compress=compress, closefd=False)
+            writer = laspy.open(stream, mode="w", header=header, do_compress=compress, closefd=False)
             with writer:
-                writer.write_points(las.points)
+                for first in range(0, max(count, 1), _PORTION):
+                    writer.write_points(records(slice(first, first + _PORTION)).points)
         except LazrsError as error:
             # The LAZ encoder hides the system's error.
             raise UnwritableFile(

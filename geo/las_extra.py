@@ -22,24 +22,30 @@ _HAS_NO_DATA, _HAS_RANGE = 1, 2 | 4
 _DESCRIPTOR = "<2xBB32s4x8s16x8s16x8s16x48x32s"
 
 
-def add_extra_bytes(header: laspy.LasHeader, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Declare `EXTRA_BYTES` in a header; returns the values (N,) as they are to be stored, by name.
+def add_extra_bytes(header: laspy.LasHeader, values: dict[str, np.ndarray]) -> None:
+    """Declare `EXTRA_BYTES` in a header, for values (N,) by name.
 
     Notes
     -----
     laspy 2.7 derives the minimum and maximum in the descriptors from the first point alone, so they are made
     here and stored as a plain record, which laspy does not change.
     """
-    stored, descriptors = {}, []
+    descriptors = []
     for name, dtype, description in EXTRA_BYTES:
         raw = np.asarray(values[name])
-        known = np.isfinite(raw)
-        stored[name] = np.where(known, raw, NO_DATA).astype(dtype)
         header.add_extra_dim(laspy.ExtraBytesParams(name, dtype, description))
-        descriptors.append(_descriptor(name, dtype, description, stored[name][known]))
+        descriptors.append(_descriptor(name, dtype, description, raw[np.isfinite(raw)].astype(dtype)))
     header.vlrs.extract("ExtraBytesVlr")
     header.vlrs.append(laspy.VLR("LASF_Spec", 4, "Extra Bytes Record", b"".join(descriptors)))
-    return stored
+
+
+def stored_extra(values: dict[str, np.ndarray], part: slice) -> dict[str, np.ndarray]:
+    """A part of values (N,), by name, as they are to be stored."""
+    found = {}
+    for name, dtype, _ in EXTRA_BYTES:
+        raw = np.asarray(values[name][part])
+        found[name] = np.where(np.isfinite(raw), raw, NO_DATA).astype(dtype)
+    return found
 
 
 def _descriptor(name: str, dtype: np.dtype, description: str, known: np.ndarray) -> bytes:

@@ -1,18 +1,26 @@
 """A short text for the code that a computation calls: while it is the same, so is what the computation gives.
 
-Comments, docstrings and layout do not count; a file counts only where the computation reaches it by imports, at the
-head of files or inside functions. Imports that only type checkers follow do not count.
+Comments, docstrings and empty lines do not count; a file counts only where the computation reaches it by imports, at
+the head of files or inside functions. Imports that only type checkers follow do not count. The code is read by regular
+expressions: the syntax trees of all files take more than a second.
 """
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import importlib.util
+import re
 from functools import cache, lru_cache
 from pathlib import Path
 
 _ROOMS = ("refract", "geo", "evaluation", "fields", "survey")
+# What is left out (docstrings; comments and empty lines at the end of a line), and strings, which are kept: what looks
+# like a comment in them is none.
+_LONG, _SHORT = r'"""(?:[^"\\]|\\.|"(?!""))*+"""', r'"(?:[^"\\\n]|\\.)*+"|\'(?:[^\'\\\n]|\\.)*+\''
+_ENDS = r" *+(?:#[^\n]*)?\n"
+_PROSE = re.compile(rf"(?:\A|(?<=:\n)) *{_LONG}|(?P<kept>{_LONG}|{_SHORT})|(?P<end>(?:{_ENDS})+)", re.DOTALL)
+_TYPES_ONLY = re.compile(r"^if TYPE_CHECKING:\n(?:(?: +[^\n]*)?\n)+", re.MULTILINE)
+_IMPORT = re.compile(r"^ *(?:from ([\w.]+) import (\([^)]*\)|[^\n(]*)|import ([^\n]+))", re.MULTILINE)
 
 
 def code_hash(*modules: str) -> str:
@@ -80,28 +88,22 @@ def _parsed(file: Path) -> tuple[str, tuple[str, ...]]:
 @lru_cache(maxsize=1024)
 def _parse(file: Path, _modified: int, _size: int) -> tuple[str, tuple[str, ...]]:
     """Hash of a file's code, and the modules of the project that it imports."""
-    tree = _WithoutProse().visit(ast.parse(file.read_bytes(), filename=str(file)))
-    imported = []
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            imported += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module is not None:
-            names = [f"{node.module}.{alias.name}" for alias in node.names]
+    code = without_prose(file.read_text(encoding="utf-8"))
+    return hashlib.sha256(code.encode()).hexdigest(), tuple(sorted(modules_imported(code)))
+
+
+def without_prose(text: str) -> str:
+    """Source text without docstrings, comments, empty lines and what only type checkers read."""
+    return _TYPES_ONLY.sub("", _PROSE.sub(lambda part: part["kept"] or ("\n" if part["end"] else ""), text))
+
+
+def modules_imported(code: str) -> set[str]:
+    """The modules of the project that code (`without_prose`) imports, by their dotted names."""
+    imported = set()
+    for package, taken, modules in _IMPORT.findall(code):
+        names = [name.split(" as ")[0].strip() for name in (taken or modules).strip("()").split(",")]
+        if package:
             # `from package import module` reaches the module, `from module import name` the module itself.
-            imported += [name if _find(name) else node.module for name in names]
-    code = hashlib.sha256(ast.dump(tree, annotate_fields=False).encode()).hexdigest()
-    return code, tuple(sorted({name for name in imported if _find(name)}))
-
-
-class _WithoutProse(ast.NodeTransformer):
-    """Takes docstrings, and what only type checkers read, out of a syntax tree."""
-
-    def visit_If(self, node: ast.If) -> ast.AST:
-        if isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
-            return ast.copy_location(ast.Pass(), node)
-        return self.generic_visit(node)
-
-    def visit_Expr(self, node: ast.Expr) -> ast.AST:
-        if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
-            return ast.copy_location(ast.Pass(), node)
-        return node
+            names = [f"{package}.{name}" if name and _find(f"{package}.{name}") else package for name in names]
+        imported |= {name for name in names if _find(name)}
+    return imported

@@ -8,6 +8,9 @@ from pathlib import Path
 # Before NumPy is loaded: threads of BLAS wait for each other longer than they compute on matrices as small as those of
 # tests, above all where other programs want the cores too.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# `make test` has a process for each core.
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import pytest

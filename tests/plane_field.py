@@ -11,8 +11,8 @@ from fields.gamma import GAMMA
 from fields.slab.rays import Rays, rays_of
 from fields.slab.slab import Slab
 from fields.slab.tensor_field import FieldSettings, TensorField
+from fields.sweep.maps import DepthMap
 from fields.sweep.sources import Sources
-from fields.sweep.sweep import DepthMap
 from fields.water_column import WaterColumn
 from refract import PinholeCamera
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from fields.sweep.bed import BedPoints
-from fields.sweep.sweep import DepthMap
+from fields.sweep.maps import DepthMap
 from survey.folder.survey import Survey
 
 SPACING_M = 0.1

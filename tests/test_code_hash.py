@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import shutil
 import subprocess
 import sys
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from survey.code_hash import code_hash
+from survey.code_hash import code_hash, modules_imported, without_prose
 
 ROOT = Path(__file__).resolve().parent.parent
 SWEEP, BED = "survey.run.stage_sweep", "survey.run.stage_bed"
@@ -49,9 +50,10 @@ def edit(copy):
 
     def replace(name: str, old: str, new: str) -> None:
         path = copy / name
-        before[path] = path.read_text(encoding="utf-8")
-        assert old in before[path], f"{name} has no {old!r}"
-        path.write_text(before[path].replace(old, new), encoding="utf-8")
+        text = path.read_text(encoding="utf-8")
+        before.setdefault(path, text)
+        assert old in text, f"{name} has no {old!r}"
+        path.write_text(text.replace(old, new), encoding="utf-8")
 
     yield replace
     for path, text in before.items():
@@ -68,8 +70,8 @@ def edit(copy):
         ("refract/kernels.py", *A_LINE, (SWEEP, BED)),
         *((f"fields/sweep/{name}.py", *A_LINE, (SWEEP, BED)) for name in KERNELS),
         ("survey/photos/store.py", *A_LINE, (SWEEP, BED)),
-        # Comments, docstrings and layout decide nothing.
-        ("fields/sweep/sweep.py", "PEERS = 12", "PEERS = (\n    12  # views\n)", ()),
+        # Comments, docstrings and empty lines decide nothing.
+        ("fields/sweep/sweep.py", "PEERS = 12", "# Some views.\n\nPEERS = 12  # views", ()),
         ("fields/sweep/sweep.py", '"""Refractive plane sweep', '"""The plane sweep', ()),
         # Nor does code that a stage never reaches: other fields, reports, the reading of folders.
         ("fields/volume/sdf.py", *A_LINE, ()),
@@ -83,6 +85,46 @@ def test_a_stage_depends_on_the_code_that_it_calls_and_on_no_other(copy, first, 
     after = hashes_in(copy)
     found = {module for module in first if first[module] != after[module]}
     assert found == set(changed)
+
+
+@pytest.mark.parametrize("room", ["refract", "geo", "evaluation", "fields", "survey"])
+def test_the_imports_of_each_file_are_those_of_its_syntax_tree(room):
+    for file in (ROOT / room).rglob("*.py"):
+        code = without_prose(file.read_text(encoding="utf-8"))
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        assert modules_imported(code) == imports_in(for_running(tree)), file
+
+
+def for_running(tree: ast.Module) -> ast.Module:
+    """A module without the imports at its head that only type checkers follow."""
+    body = [node for node in tree.body if not (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")]
+    return ast.Module(body, [])
+
+
+def imports_in(tree: ast.Module) -> set[str]:
+    """Modules of the project."""
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names if is_module(alias.name)}
+        elif isinstance(node, ast.ImportFrom):
+            of_package = {f"{node.module}.{alias.name}" for alias in node.names}
+            modules = {name if is_module(name) else str(node.module) for name in of_package}
+            found |= {name for name in modules if is_module(name)}
+    return found
+
+
+def is_module(name: str) -> bool:
+    place = ROOT.joinpath(*name.split("."))
+    is_ours = name.split(".")[0] in ("refract", "geo", "evaluation", "fields", "survey")
+    return is_ours and (place.with_suffix(".py").is_file() or (place / "__init__.py").is_file())
+
+
+def test_a_string_that_looks_like_a_comment_counts(copy, edit):
+    edit("fields/sweep/sweep.py", "PEERS = 12", 'PEERS = 12\nTEXT = "# one"')
+    one = hashes_in(copy)
+    edit("fields/sweep/sweep.py", "# one", "# two")
+    assert hashes_in(copy)[SWEEP] != one[SWEEP]
 
 
 def test_a_name_that_is_no_module_of_the_project_is_refused():

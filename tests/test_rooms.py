@@ -111,6 +111,7 @@ DISK_FILES = {
             "stage_sweep",
             "stored",
             "stored_field",
+            "stored_maps",
             "water_colour",
         ),
         "survey/sfm": ("block", "poses", "solve"),

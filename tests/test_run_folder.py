@@ -15,12 +15,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fields.sweep.sweep import DepthMap
+from fields.sweep.maps import DepthMap
 from geo.errors import GeoError, UnwritableFile
 from survey.errors import SurveyError
 from survey.run.folder import RunDir, seconds_of, versions
 from survey.run.keys import Key
-from survey.run.stored import load_arrays, load_depth_maps, save_arrays, save_depth_maps
+from survey.run.stored import load_arrays, save_arrays
+from survey.run.stored_maps import Stored, save_maps
 from survey.stage_key import stage_key
 
 A, B = Key({"water": "1", "code": "x"}), Key({"water": "2", "code": "x"})
@@ -399,8 +400,8 @@ def test_depth_maps_come_back_as_they_were_whatever_their_sizes(tmp_path, rng):
         return DepthMap(view, height, score, rng.integers(0, 9, size).astype(np.uint8), spread)
 
     maps = [depth_map(7, 4, 6), depth_map(3, 3, 5)]
-    save_depth_maps(tmp_path / "maps.npz", maps)
-    again = load_depth_maps(tmp_path / "maps.npz")
+    save_maps(tmp_path / "maps.npz", DepthMap, maps)
+    again = Stored(tmp_path / "maps.npz", DepthMap)
     assert [m.view for m in again] == [7, 3]
     for old, new in zip(maps, again, strict=True):
         for name in ("height", "score", "agreeing", "spread"):
@@ -410,8 +411,8 @@ def test_depth_maps_come_back_as_they_were_whatever_their_sizes(tmp_path, rng):
 
 def test_depth_maps_that_lack_an_array_are_named_with_the_mend(tmp_path):
     save_arrays(tmp_path / "maps.npz", views=np.array([0]), height_0=np.zeros((2, 2)))
-    with pytest.raises(SurveyError, match=r"maps\.npz lacks the array 'score_0'; delete.*process"):
-        load_depth_maps(tmp_path / "maps.npz")
+    with pytest.raises(SurveyError, match=r"maps\.npz cannot be read .*lacks the array score_0.*delete.*process"):
+        Stored(tmp_path / "maps.npz", DepthMap)
 
 
 @pytest.mark.parametrize("spoil", ["missing", "cut", "text"])

@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
 
+import cv2
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -15,13 +16,14 @@ from fields.solver.appearance import appearance_of, brightness_of
 from fields.solver.correlation import noise_share
 from fields.solver.roughness import roughness_of
 from fields.solver.shifts import shifts_of
+from fields.solver.sight import lookup, window_of
 from fields.solver.smoothness import bends_of, stiffness_of
 from fields.solver.solve import Solved, conjugate_gradients, gradients_of, normal_matrix
 from fields.solver.solver import SolvedMap, SolverFigures, solve_maps
 from fields.solver.tile import Tile, tiles_of
 from fields.solver.uncertainty import variance_of
 from fields.sweep.block import Block
-from fields.sweep.sweep import DepthMap
+from fields.sweep.maps import DepthMap
 from refract import FlatWater, PinholeCamera
 
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.33)
@@ -282,3 +284,21 @@ def test_nothing_kept_is_nothing_solved():
     found, figures = solve_maps(block, maps, [np.zeros((SIZE, SIZE), dtype=bool)] * 9, GSD, lambda share: None)
     assert [len(each.pixels) for each in found] == [0] * 9
     assert np.isnan(figures.noise_share)
+
+
+def test_a_position_outside_an_image_takes_no_value_from_those_beside_it(rng):
+    image = rng.normal(size=(40, 60)).astype(np.float32)
+    x, y = (rng.uniform(3.0, size - 3.0, 101).astype(np.float32) for size in (60, 40))
+    x[[20, 50]] = -50.0, np.nan
+    for way in (cv2.INTER_CUBIC, cv2.INTER_LINEAR):
+        np.testing.assert_array_equal(np.flatnonzero(np.isnan(lookup(image, x, y, way))), [20, 50])
+
+
+def test_a_lookup_in_the_part_of_an_image_that_it_needs_gives_the_same_bits(rng):
+    image = rng.normal(size=(300, 400)).astype(np.float32)
+    x, y = (rng.uniform(100.0, 150.0, 999).astype(np.float32) for _ in range(2))
+    rows, columns = window_of(x, y)
+    assert image[rows, columns].size < 0.1 * image.size
+    for way in (cv2.INTER_CUBIC, cv2.INTER_LINEAR):
+        part = lookup(image[rows, columns], x - columns.start, y - rows.start, way)
+        np.testing.assert_array_equal(part, lookup(image, x, y, way))

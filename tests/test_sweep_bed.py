@@ -8,7 +8,7 @@ from plane_survey import SIZE, TILTED, PlaneBed, ring
 
 from fields.sweep.bed import BedPoints, has_company, points_of, trusted, unique_pixels
 from fields.sweep.block import Block
-from fields.sweep.sweep import DepthMap
+from fields.sweep.maps import DepthMap
 from refract import FlatWater
 
 HEIGHT = -2.0

@@ -11,7 +11,7 @@ from plane_survey import TILTED, PlaneBed, ring
 from fields.sweep.bed import trusted
 from fields.sweep.block import Block
 from fields.sweep.free_space import without_contradicted
-from fields.sweep.sweep import DepthMap
+from fields.sweep.maps import DepthMap
 from refract import FlatWater
 
 BED = PlaneBed(TILTED, -2.0)
@@ -45,7 +45,7 @@ def test_a_height_that_more_views_look_through_than_confirm_is_confirmed_by_none
     beside = np.ones(maps[0].height.shape, dtype=bool)
     beside[PATCH] = False
     assert (found[0].agreeing[beside] == 4).all()
-    assert all((m.agreeing == 4).all() for m in found[1:])
+    assert all((m.agreeing == 4).all() for m in list(found)[1:])
     assert not trusted(found[0])[PATCH].any()
 
 
@@ -73,7 +73,7 @@ def test_what_hangs_under_the_bed_is_hidden_and_not_looked_through(device):
     found = without_contradicted(block_of(device, cameras), maps)
     assert (found[0].agreeing[PATCH] == 2).all()
     # The other views' bed on the rays of these pixels is looked through by one view, and confirmed by four.
-    assert all((m.agreeing == 4).all() for m in found[1:])
+    assert all((m.agreeing == 4).all() for m in list(found)[1:])
 
 
 def test_views_that_overlap_with_no_other_keep_their_maps(device):

@@ -8,8 +8,9 @@ from plane_survey import SIZE, TILTED, PlaneBed, ring
 
 from fields.sweep.bed import trusted
 from fields.sweep.block import Block
+from fields.sweep.maps import DepthMap
 from fields.sweep.sweep import PASSES as USUAL
-from fields.sweep.sweep import DepthMap, Pass, enlarged_map, passes_from, sweep
+from fields.sweep.sweep import Pass, enlarged_map, passes_from, sweep
 
 BED = PlaneBed(TILTED, -2.0, slope=0.1)
 PASSES = (

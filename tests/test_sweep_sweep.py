@@ -14,7 +14,8 @@ from fields.sweep import windows
 from fields.sweep.bed import trusted, unique_pixels
 from fields.sweep.block import Block
 from fields.sweep.climbing import climb_view
-from fields.sweep.sweep import PASSES, DepthMap, Pass, sweep
+from fields.sweep.maps import DepthMap
+from fields.sweep.sweep import PASSES, Pass, sweep
 from refract import FlatWater
 from refract.distortion import BROWN, Distortion
 from survey.simulate.drawn import DrawnScene, stage_drawing

@@ -284,12 +284,6 @@ def test_the_neighbours_warped_at_the_true_height_show_the_reference(device, bed
     assert np.abs(found[:, 0] - reference)[seen & np.isfinite(found[:, 0])].mean() > 5.0 * error.mean()
 
 
-def test_strips_of_an_image_are_its_rows(device, rng):
-    image = rng.normal(size=(12, 16)).astype(np.float32)
-    stack = two_images(device, image)
-    np.testing.assert_array_equal(host(device, warping(device).pixels_of(stack, 1, 3, 5)), image[3:8].ravel())
-
-
 def test_a_stack_refuses_images_of_another_size_than_their_camera(device):
     cameras = ring(1)
     right, wrong = np.zeros((72, 96), np.float32), np.zeros((96, 72), np.float32)

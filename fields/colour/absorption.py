@@ -17,8 +17,8 @@ from scipy.optimize import minimize_scalar
 
 from fields.gamma import GAMMA
 from fields.sweep.bed import trusted
+from fields.sweep.maps import DepthMap
 from fields.sweep.sources import Sources
-from fields.sweep.sweep import DepthMap
 from fields.water_column import WaterColumn
 from refract import FlatWater, PinholeCamera, fresnel_coefficients
 

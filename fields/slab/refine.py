@@ -6,7 +6,7 @@ import numpy as np
 
 from fields.slab.from_sweep import slab_rays
 from fields.slab.tensor_field import TensorField
-from fields.sweep.sweep import DepthMap
+from fields.sweep.maps import DepthMap
 from fields.threads import half_the_threads
 from refract import FlatWater, PinholeCamera
 

@@ -11,7 +11,7 @@ import numpy as np
 from fields.solver.projection import Projection
 from fields.solver.tile import Tile
 from fields.sweep.greys import Greys
-from fields.sweep.sweep import DepthMap
+from fields.sweep.maps import DepthMap
 from refract import PinholeCamera
 
 # The step of the differences across the image [px]: positions in float32 are good to 3e-4 px.
@@ -19,6 +19,21 @@ _STEP_PX = 1.0
 # Pixels about a position that a cubic lookup needs.
 _RIM_PX = 2.5
 _LINE = 2048
+# How far from the border a position has to be so that no pixel beyond it counts.
+_RIMS = {cv2.INTER_LINEAR: 0.5, cv2.INTER_CUBIC: 1.5}
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A height map as others see it: its heights (height, width) float32 [m], and which of them any view confirms."""
+
+    height: np.ndarray
+    confirmed: np.ndarray
+
+    @staticmethod
+    def of(m: DepthMap) -> Surface:
+        """That of a map."""
+        return Surface(m.height, m.agreeing > 0)
 
 
 @dataclass(frozen=True)
@@ -46,22 +61,39 @@ class Sight:
 
     def sample(self, images: Greys | Mapping[int, np.ndarray], change: np.ndarray) -> np.ndarray:
         """Grey values (K, N) at start height plus change (N,) [m]; NaN where not seen."""
-        values = np.empty(self.seen.shape, dtype=np.float32)
-        for value, view, at, rise in zip(values, self.views, self.position, self.rise, strict=True):
-            x, y = at + rise * change
-            value[:] = lookup(images[view], x, y, cv2.INTER_CUBIC)
-        values[~self.seen] = np.nan
+        values = np.full(self.seen.shape, np.nan, dtype=np.float32)
+        for value, view, at, rise, seen in zip(values, self.views, self.position, self.rise, self.seen, strict=True):
+            x, y = (at + rise * change)[:, seen]
+            if len(x):
+                rows, columns = window_of(x, y)
+                image = images.window(view, rows, columns) if isinstance(images, Greys) else images[view][rows, columns]
+                value[seen] = lookup(image, x - columns.start, y - rows.start, cv2.INTER_CUBIC)
         return values
+
+
+def window_of(x: np.ndarray, y: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns of an image that lookups at positions (N,) [px] need: large photographs are read in parts.
+
+    It begins at whole pixels, so that a lookup gives the same number to the last bit.
+    """
+    rows, columns = (
+        slice(max(int(np.floor(np.nanmin(each) - _RIM_PX)), 0), max(int(np.ceil(np.nanmax(each) + _RIM_PX)), 0) + 1)
+        for each in (y, x)
+    )
+    return rows, columns
 
 
 def lookup(image: np.ndarray, x: np.ndarray, y: np.ndarray, way: int) -> np.ndarray:
     """Values (N,) of an image at positions (N,) [px], interpolated as OpenCV's flag ``way`` says; NaN outside."""
     lines = -(-len(x) // _LINE)
-    at = np.full((2, lines * _LINE), -9.0, dtype=np.float32)
+    at = np.zeros((2, lines * _LINE), dtype=np.float32)
     at[0, : len(x)], at[1, : len(x)] = x - 0.5, y - 0.5
     across, down = at.reshape(2, lines, _LINE)
-    values = cv2.remap(image, across, down, way, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
-    return values.ravel()[: len(x)]
+    # Not NaN as the value of the border: OpenCV 5 gives it to eight positions in a row if one of them is outside.
+    values = cv2.remap(image, across, down, way, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0).ravel()[: len(x)]
+    rim = _RIMS[way]
+    inside = (x >= rim) & (x <= image.shape[1] - rim) & (y >= rim) & (y <= image.shape[0] - rim)
+    return np.where(inside, values, np.float32(np.nan))
 
 
 def sight_of(
@@ -69,7 +101,7 @@ def sight_of(
     view: int,
     others: Sequence[int],
     cameras: Mapping[int, PinholeCamera],
-    maps: Mapping[int, DepthMap],
+    maps: Mapping[int, Surface],
     projection: Projection,
     tolerance: float,
 ) -> Sight:
@@ -93,7 +125,7 @@ def sight_of(
         if inside.mean() < 0.1:
             continue
         if other in maps:
-            inside &= ~_hidden(maps[other], at, start + np.float32(tolerance))
+            inside[inside] = ~_hidden(maps[other], at[:, inside], start[inside] + np.float32(tolerance))
         change = (raised - at) / np.float32(tolerance)
         shift = _through(right - at, down - at, change) * np.float32(_STEP_PX)
         kept.append(other)
@@ -111,9 +143,11 @@ def _through(right: np.ndarray, down: np.ndarray, change: np.ndarray) -> np.ndar
     return np.stack([down[1] * change[0] - down[0] * change[1], right[0] * change[1] - right[1] * change[0]]) / size
 
 
-def _hidden(depth_map: DepthMap, at: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Where a height map at positions (2, N) [px] is above heights (N,) [m] and confirmed."""
+def _hidden(surface: Surface, at: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """Where a surface at positions (2, N) [px] is above heights (N,) [m] and confirmed."""
     x, y = at
-    there = lookup(depth_map.height, x, y, cv2.INTER_LINEAR)
-    confirmed = lookup((depth_map.agreeing > 0).astype(np.float32), x, y, cv2.INTER_LINEAR)
+    rows, columns = window_of(x, y)
+    x, y = x - columns.start, y - rows.start
+    there = lookup(surface.height[rows, columns], x, y, cv2.INTER_LINEAR)
+    confirmed = lookup(surface.confirmed[rows, columns].astype(np.float32), x, y, cv2.INTER_LINEAR)
     return (there > height) & (confirmed > 0.5)

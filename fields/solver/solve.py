@@ -90,7 +90,7 @@ def solve(
         if appearance is None or iteration < APPEARANCE_ITERATIONS:
             appearance = appearance_of(tile, grey)
         brightness = brightness_of(appearance.albedo(grey))
-        slope = _slopes(tile, sight, images[sight.views[0]], brightness)
+        slope = _slopes(tile, sight, tile.window_of(images, sight.views[0]), brightness)
         information = np.einsum("kn,kn,kn->n", brightness.weight, slope, slope)
         pull = np.einsum("kn,kn,kn->n", brightness.weight, slope, brightness.residual)
         stiffness = stiffness_of(bends.of_heights @ height, roughness)
@@ -116,12 +116,12 @@ def _gradient_noise(sight: Sight, brightness: Brightness) -> np.ndarray:
 
 
 def _slopes(tile: Tile, sight: Sight, image: np.ndarray, brightness: Brightness) -> np.ndarray:
-    """How the residuals change with the height, (K, N) [grey/m].
+    """How the residuals change with the height, (K, N) [grey/m]; ``image`` is the window of the tile's photograph.
 
     Gradients are those of the albedo, the mean of all photographs: those of single photographs are noisy, and their
     noise would count as texture.
     """
-    across, down = _gradients(tile, tile.window(image).astype(np.float32), brightness.albedo)
+    across, down = _gradients(tile, image.astype(np.float32), brightness.albedo)
     slope = sight.motion[:, 0] * across + sight.motion[:, 1] * down
     return brightness.less_mean(np.where(np.isfinite(slope), slope, np.float32(0.0)))
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, MutableMapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from itertools import takewhile
+from itertools import groupby, islice, takewhile
 
 import numpy as np
 
@@ -14,11 +14,12 @@ from fields.solver.roughness import START_GSD, roughness_of
 from fields.solver.shifts import Shifts, depth_of, shifts_of
 from fields.solver.sightings import Sightings
 from fields.solver.solve import Solved, parallax_of
+from fields.solver.tile import asked_in_squares
 from fields.solver.uncertainty import PLACE_PX2, bends_below, rise_of, variance_of
 from fields.solver.views import WORKERS, Job, Views
 from fields.sweep.block import Block
 from fields.sweep.certainty import for_few
-from fields.sweep.sweep import DepthMap
+from fields.sweep.maps import DepthMap, InOrder
 
 # What a survey is like is learned from so many tiles of this side, spread over those that are nearly as full as the
 # fullest.
@@ -41,6 +42,12 @@ class SolvedMap:
     pixels: np.ndarray
     height: np.ndarray
     std: np.ndarray
+
+    @staticmethod
+    def empty() -> SolvedMap:
+        """That of a map of which nothing was solved."""
+        nothing = np.empty(0, dtype=np.float32)
+        return SolvedMap(np.empty(0, dtype=np.int64), nothing, nothing)
 
     def over(self, depth_map: DepthMap) -> tuple[DepthMap, np.ndarray]:
         """The map with the solved heights, and their std (height, width) [m]; NaN where nothing was solved."""
@@ -96,77 +103,80 @@ class _Solved:
 
 def solve_maps(
     block: Block,
-    maps: list[DepthMap],
-    kept: list[np.ndarray],
+    maps: Sequence[DepthMap],
+    kept: Sequence[np.ndarray],
     gsd: float,
     progress: Callable[[float], None],
     goes_on: Callable[[], bool] = lambda: True,
-) -> tuple[list[SolvedMap], SolverFigures]:
+    keep: Callable[[], MutableMapping[int, SolvedMap]] = dict,
+) -> tuple[InOrder, SolverFigures]:
     """Solve the kept pixels of all maps, about the heights of the sweep.
 
     Parameters
     ----------
     block : Block
         At the scale of the maps.
-    maps : list of DepthMap
-    kept : list of (height, width) bool
+    maps : sequence of DepthMap
+    kept : sequence of (height, width) bool
         As `fields.sweep.bed.unique_pixels` gives.
     gsd : [m]
         Ground sampling distance.
     progress : called with the share done, 0 to 1
     goes_on : callable
         Asked before each tile; tiles whose turn comes after it said no are left out.
+    keep : callable
+        Makes the place in which what is solved is kept; default in memory.
 
     Returns
     -------
-    list of SolvedMap, in the order of `maps`
+    InOrder of SolvedMap, in the order of `maps`
     figures : SolverFigures
         NaN where nothing is kept.
     """
     views = Views.of(block, maps)
-    jobs = [job for index, wanted in enumerate(kept) for job in views.jobs(index, wanted)]
-    if not jobs:
-        empty = np.empty(0, dtype=np.float32)
-        nothing = SolvedMap(np.empty(0, dtype=np.int64), empty, empty)
-        return [nothing for _ in maps], SolverFigures(np.nan, Shifts(np.nan, np.nan), np.nan)
-    small = [job for index, wanted in enumerate(kept) for job in views.jobs(index, wanted, SAMPLE_PX)]
-    total, done = sum(len(job.tile) for job in jobs), 0
-    parts: list[list[_Solved]] = [[] for _ in maps]
+    filled = [asked_in_squares(wanted, SAMPLE_PX) if views.others[index] else [] for index, wanted in enumerate(kept)]
+    total, done = sum(map(sum, filled)), 0
+    solved = keep()
+    for index in range(len(filled)):
+        solved[index] = SolvedMap.empty()
+    found = InOrder(solved, list(range(len(filled))))
+    if not total:
+        return found, SolverFigures(np.nan, Shifts(np.nan, np.nan), np.nan)
     with ThreadPoolExecutor(WORKERS) as pool:
-        sample = _sample(small)
-        first = [found for _, found in views.solved(sample, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
+        sample = _sample(views, kept, filled)
+        first = [each for _, each in views.solved(sample, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
         roughness, share = roughness_of(first, gsd, pool), noise_share(first)
         shifts = shifts_of(first, share, block.water is not None)
+        figures, is_wet = SolverFigures(roughness, shifts, share), block.water is not None
         sightings = Sightings.none(len(block.images))
 
         def part(job: Job, each: Solved) -> tuple[_Solved, Sightings]:
-            return _part(job, maps[job.index], each), Sightings.of(each, len(block.images))
+            return _part(job, block.cameras[0].width, each), Sightings.of(each, len(block.images))
 
+        jobs = (job for index, wanted in enumerate(kept) for job in views.jobs(index, wanted))
         begun = takewhile(lambda _job: goes_on(), jobs)
-        for job, (found, seen) in views.solved(begun, roughness, pool, part):
-            parts[job.index].append(found)
-            sightings += seen
-            done += len(job.tile)
-            progress(done / total)
-    figures = SolverFigures(roughness, shifts, share, sightings)
-    is_wet = block.water is not None
-    return [_with_std(m, _joined(each), figures, is_wet) for m, each in zip(maps, parts, strict=True)], figures
+        for index, each in groupby(views.solved(begun, roughness, pool, part), lambda pair: pair[0].index):
+            parts = []
+            for job, (piece, seen) in each:
+                parts.append(piece)
+                sightings += seen
+                done += int(np.count_nonzero(job.tile.asked))
+                progress(done / total)
+            solved[index] = _with_std(maps[index], _joined(parts), figures, is_wet)
+    return found, replace(figures, sightings=sightings)
 
 
-def _part(job: Job, m: DepthMap, found: Solved) -> _Solved:
-    """The asked pixels of a tile."""
+def _part(job: Job, width: int, found: Solved) -> _Solved:
+    """The asked pixels of a tile, of a map of a width."""
     tile = job.tile
     rows, columns = tile.places
-    pixels = (rows + tile.row) * m.height.shape[1] + columns + tile.column
+    pixels = (rows + tile.row) * width + columns + tile.column
     of_shift = 1.0 / parallax_of(found.brightness.weight, found.motion)
     values = (found.height, variance_of(tile, found), bends_below(found), of_shift, rise_of(tile, found.height))
     return _Solved(pixels[tile.asked], *(each[tile.asked].astype(np.float32) for each in values))
 
 
 def _joined(parts: list[_Solved]) -> _Solved:
-    if not parts:
-        empty = np.empty(0, dtype=np.float32)
-        return _Solved(np.empty(0, dtype=np.int64), empty, empty, empty, empty, empty)
     names = ("pixels", "height", "noise", "bends", "shift", "rise")
     pixels, *others = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
     order = np.argsort(pixels)
@@ -182,8 +192,13 @@ def _with_std(m: DepthMap, found: _Solved, figures: SolverFigures, is_wet: bool)
     return SolvedMap(found.pixels, found.height, np.sqrt(variance).astype(np.float32))
 
 
-def _sample(jobs: list[Job], count: int = SAMPLES) -> list[Job]:
-    """Some of the fullest tiles, spread evenly over the maps."""
-    filled = np.array([int(job.tile.asked.sum()) for job in jobs])
-    full = np.flatnonzero(filled >= NEARLY * filled.max())
-    return [jobs[i] for i in full[np.unique(np.linspace(0, len(full) - 1, count).astype(int))]]
+def _sample(views: Views, kept: Sequence[np.ndarray], filled: list[list[int]]) -> list[Job]:
+    """Some of the fullest tiles, spread evenly over the maps; ``filled`` has what is asked for in all tiles of each."""
+    of_map = np.repeat(np.arange(len(filled)), [len(each) for each in filled])
+    place, asked = (np.concatenate(each) for each in ([np.arange(len(each)) for each in filled], filled))
+    full = np.flatnonzero(asked >= NEARLY * asked.max())
+    chosen = full[np.unique(np.linspace(0, len(full) - 1, SAMPLES).astype(int))]
+    return [
+        next(islice(views.jobs(index, kept[index], SAMPLE_PX), int(place[i]), None))
+        for i, index in zip(chosen, of_map[chosen].tolist(), strict=True)
+    ]

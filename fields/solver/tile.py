@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy import ndimage
+
+from fields.sweep.greys import Greys
 
 # Most pixels of a tile's window, without its surroundings. Larger ones save no time and are less accurate: gain and
 # noise of a photograph are those of a tile.
@@ -65,8 +67,16 @@ class Tile:
 
     def window(self, image: np.ndarray) -> np.ndarray:
         """The part of an image in which the tile lies."""
+        return image[self._window]
+
+    def window_of(self, images: Greys | Mapping[int, np.ndarray], view: int) -> np.ndarray:
+        """The part of the image of a view in which the tile lies."""
+        return images.window(view, *self._window) if isinstance(images, Greys) else self.window(images[view])
+
+    @property
+    def _window(self) -> tuple[slice, slice]:
         rows, columns = self.inside.shape
-        return image[self.row : self.row + rows, self.column : self.column + columns]
+        return slice(self.row, self.row + rows), slice(self.column, self.column + columns)
 
 
 def tiles_of(wanted: np.ndarray, confirmed: np.ndarray, side: int | None = None) -> Iterator[Tile]:
@@ -85,6 +95,15 @@ def tiles_of(wanted: np.ndarray, confirmed: np.ndarray, side: int | None = None)
         inside, asked = solved[window].copy(), np.zeros_like(solved[window])
         asked[top - row : bottom - row, left - column : right - column] = wanted[core]
         yield Tile(row, column, inside, asked[inside])
+
+
+def asked_in_squares(wanted: np.ndarray, side: int) -> list[int]:
+    """How many pixels are asked for in each of the tiles that `tiles_of` makes with a side."""
+    counts = (
+        int(np.count_nonzero(wanted[top:bottom, left:right]))
+        for top, bottom, left, right in _squares(wanted.shape, side)
+    )
+    return [count for count in counts if count]
 
 
 def _squares(shape: tuple[int, ...], side: int) -> Iterator[tuple[int, int, int, int]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,18 +14,22 @@ import numpy as np
 
 from fields.device import Device
 from fields.solver.projection import Projection
-from fields.solver.sight import Sight, sight_of
+from fields.solver.sight import Sight, Surface, sight_of
 from fields.solver.solve import Solved, solve
 from fields.solver.tile import Tile, tiles_of
 from fields.sweep.block import Block
 from fields.sweep.greys import Greys
-from fields.sweep.sweep import DepthMap
+from fields.sweep.lazy import most_kept
+from fields.sweep.maps import DepthMap
+from fields.sweep.recent import Recent
 from refract import FlatWater, PinholeCamera
 
 Used = TypeVar("Used")
 
 # Photographs that a tile is compared with.
 MOST_VIEWS = 20
+# Surfaces that are kept, in bytes of so many a pixel.
+_KEPT_BYTES, _SURFACE_BYTES = 200_000_000, 5
 # Tiles that are solved at a time, one on each core that there may be, and those that wait for it too.
 _CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 WORKERS = min(_CORES, 4)
@@ -41,6 +45,28 @@ class Job:
     others: tuple[int, ...]
 
 
+class Surfaces(Mapping[int, Surface]):
+    """Those of maps by their views; the last few are kept, so that each is read from its map a few times only."""
+
+    def __init__(self, maps: Sequence[DepthMap], views: list[int]):
+        self._number = {view: number for number, view in enumerate(views)}
+        size = maps[0].height.size if len(maps) else 0
+        most = most_kept(_SURFACE_BYTES * size, _KEPT_BYTES, MOST_VIEWS + 1)
+        self._kept: Recent[int, Surface] = Recent(lambda view: Surface.of(maps[self._number[view]]), most)
+
+    def __getitem__(self, view: int) -> Surface:
+        return self._kept[view]
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._number)
+
+    def __len__(self) -> int:
+        return len(self._number)
+
+    def __contains__(self, view: object) -> bool:
+        return view in self._number
+
+
 @dataclass(frozen=True)
 class Views:
     """What tiles are solved with.
@@ -51,7 +77,9 @@ class Views:
     water : FlatWater or None
     device : Device
         Of the projections.
-    maps : list of DepthMap
+    maps : sequence of DepthMap
+    views : list of int
+        Those of the maps.
     others : list of tuple of int
         Views that each map is compared with.
     tolerance : list of float [m]
@@ -62,35 +90,37 @@ class Views:
     images: Greys | dict[int, np.ndarray]
     water: FlatWater | None
     device: Device
-    maps: list[DepthMap]
+    maps: Sequence[DepthMap]
+    views: list[int]
     others: list[tuple[int, ...]]
     tolerance: list[float]
 
     @staticmethod
-    def of(block: Block, maps: list[DepthMap]) -> Views:
+    def of(block: Block, maps: Sequence[DepthMap]) -> Views:
         """Of a block at the scale of its maps."""
-        others = [tuple(block.neighbours(m.view, MOST_VIEWS)) for m in maps]
-        tolerance = [
-            block.agreement_tolerance(m.view, list(seen_by), float(np.median(m.height))) if seen_by else 0.0
-            for m, seen_by in zip(maps, others, strict=True)
-        ]
+        views, others, tolerance = [], [], []
+        for m in maps:
+            seen_by = block.neighbours(m.view, MOST_VIEWS)
+            views.append(m.view)
+            others.append(tuple(seen_by))
+            height = float(np.median(m.height))
+            tolerance.append(block.agreement_tolerance(m.view, seen_by, height) if seen_by else 0.0)
         cameras = dict(enumerate(block.cameras))
-        return Views(cameras, block.images, block.water, block.device, maps, others, tolerance)
+        return Views(cameras, block.images, block.water, block.device, maps, views, others, tolerance)
 
     @cached_property
-    def _by_view(self) -> dict[int, DepthMap]:
-        return {each.view: each for each in self.maps}
+    def _surfaces(self) -> Surfaces:
+        return Surfaces(self.maps, self.views)
 
     @cached_property
     def _projection(self) -> Projection:
         return Projection(self.device, self.cameras, self.water)
 
-    def jobs(self, index: int, wanted: np.ndarray, side: int | None = None) -> list[Job]:
+    def jobs(self, index: int, wanted: np.ndarray, side: int | None = None) -> Iterator[Job]:
         """Tiles of a map that hold all wanted pixels (height, width) bool; none where no other view overlaps."""
-        if not self.others[index]:
-            return []
-        tiles = tiles_of(wanted, self.maps[index].agreeing > 0, side)
-        return [Job(index, tile, self.others[index]) for tile in tiles]
+        if self.others[index] and wanted.any():
+            for tile in tiles_of(wanted, self.maps[index].agreeing > 0, side):
+                yield Job(index, tile, self.others[index])
 
     def solved(
         self, jobs: Iterable[Job], roughness: float, pool: Executor, use: Callable[[Job, Solved], Used]
@@ -100,13 +130,13 @@ class Views:
         The kernels that see tiles in other photographs run on this thread, a few tiles ahead.
         """
 
-        def one(job: Job, sight: Sight) -> Used:
-            start = job.tile.of(self.maps[job.index].height)
+        def one(job: Job, sight: Sight, start: np.ndarray) -> Used:
             return use(job, solve(job.tile, sight, self.images, start, roughness, self.tolerance[job.index]))
 
         waiting: deque[tuple[Job, Future[Used]]] = deque()
         for job in jobs:
-            waiting.append((job, pool.submit(one, job, self._sight(job))))
+            start = job.tile.of(self._surfaces[self.views[job.index]].height)
+            waiting.append((job, pool.submit(one, job, self._sight(job), start)))
             if len(waiting) > AHEAD:
                 first, found = waiting.popleft()
                 yield first, found.result()
@@ -114,5 +144,5 @@ class Views:
             yield job, found.result()
 
     def _sight(self, job: Job) -> Sight:
-        view, tolerance = self.maps[job.index].view, self.tolerance[job.index]
-        return sight_of(job.tile, view, job.others, self.cameras, self._by_view, self._projection, tolerance)
+        view, tolerance = self.views[job.index], self.tolerance[job.index]
+        return sight_of(job.tile, view, job.others, self.cameras, self._surfaces, self._projection, tolerance)

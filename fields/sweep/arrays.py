@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import ctypes
+import os
 from typing import Any
 
 import numpy as np
 
 from fields.device import Device
 
+# Kernels of Dr.Jit load whole vectors, and one is compiled for each choice of arrays that begin at such an address.
+_ALIGNED_BYTES = 64
+
 
 def floats(device: Device, array: np.ndarray) -> Any:
     """An array of any shape as one flat array of float32.
 
-    Dr.Jit on the CPU reads a contiguous array of float32 where it lies: it must not be written to afterwards.
+    Dr.Jit on the CPU reads a contiguous array of float32 where it lies, if that is aligned: it must not be written to
+    afterwards.
     """
     flat = np.ascontiguousarray(array, dtype=np.float32).ravel()
     if device.module is not None:
-        return device.module.Float(flat)
+        return device.module.Float(_aligned(flat))
     import torch
 
     return torch.tensor(flat, device=device.place)
@@ -25,10 +31,21 @@ def floats(device: Device, array: np.ndarray) -> Any:
 def indices(device: Device, array) -> Any:
     """Whole numbers from zero as one flat array, copied: 32 bits without sign in Dr.Jit, int64 in torch."""
     if device.module is not None:
-        return device.module.UInt(np.ascontiguousarray(array, dtype=np.uint32).ravel())
+        return device.module.UInt(_aligned(np.ascontiguousarray(array, dtype=np.uint32).ravel()))
     import torch
 
     return torch.tensor(np.asarray(array, dtype=np.int64), device=device.place).reshape(-1)
+
+
+def _aligned(flat: np.ndarray) -> np.ndarray:
+    """A flat array, or a copy of it that begins where vectors do."""
+    if flat.ctypes.data % _ALIGNED_BYTES == 0:
+        return flat
+    room = np.empty(flat.nbytes + _ALIGNED_BYTES, dtype=np.uint8)
+    first = -room.ctypes.data % _ALIGNED_BYTES
+    copy = room[first : first + flat.nbytes].view(flat.dtype)
+    copy[:] = flat
+    return copy
 
 
 def words(device: Device, array: np.ndarray) -> Any:
@@ -58,8 +75,8 @@ def host(device: Device, array) -> np.ndarray:
     return array.numpy() if device.module is not None else array.reshape(-1).cpu().numpy()
 
 
-def release(device: Device) -> None:
-    """Return unused memory to the system."""
+def forget(device: Device) -> None:
+    """Return unused memory of the device: it keeps what was used, by size, for arrays of the same size."""
     if device.module is not None:
         import drjit
 
@@ -68,3 +85,11 @@ def release(device: Device) -> None:
         import torch
 
         torch.cuda.empty_cache()
+
+
+def release(device: Device) -> None:
+    """Return unused memory to the system: that of the device, and what the C library holds, where it is glibc."""
+    forget(device)
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
+    if trim is not None:
+        trim(0)

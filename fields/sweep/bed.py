@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fields.sweep.arrays import host, indices
+from fields.sweep.arrays import forget
 from fields.sweep.backends import warping
 from fields.sweep.block import Block
 from fields.sweep.certainty import std_of
+from fields.sweep.footprint import Footprint
+from fields.sweep.lazy import Lazy
+from fields.sweep.maps import DepthMap
+from fields.sweep.masks import Masks
 from fields.sweep.stack import ViewStack
-from fields.sweep.sweep import DepthMap
 from refract import FlatWater, PinholeCamera
 
 
@@ -50,6 +55,19 @@ class BedPoints:
         return BedPoints(*(getattr(self, f.name)[keep] for f in fields(self)))
 
     @staticmethod
+    def gathered(parts: list[BedPoints], keep: Callable[[np.ndarray], np.ndarray]) -> tuple[BedPoints, np.ndarray]:
+        """Points of several views in one, those that ``keep`` says by their places (N, 3), and what it said (N,) bool.
+
+        The parts are taken out of their list, column by column, so that no more than one is there twice.
+        """
+        columns = {f.name: [getattr(p, f.name) for p in parts] for f in fields(BedPoints)}
+        parts.clear()
+        xyz = np.concatenate(columns.pop("xyz"))
+        kept = keep(xyz)
+        xyz = xyz[kept]
+        return BedPoints(xyz, *(np.concatenate(columns.pop(name))[kept] for name in list(columns))), kept
+
+    @staticmethod
     def concatenate(parts: list[BedPoints]) -> BedPoints:
         """Points of several views in one."""
         return BedPoints(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(BedPoints)))
@@ -59,6 +77,10 @@ class BedPoints:
 CONFIRMED_TWICE = 2
 TRUSTED_NCC = 0.8
 COMPANY, COMPANY_GSD = 4, 4.0
+# Pixels whose paths are worked out together, of 300 bytes each.
+_POINTS_AT_ONCE = 500_000
+# Points that are looked at together, in a slab of the ground: their search takes 80 bytes each.
+COMPANY_AT_ONCE, _A_LITTLE_MORE = 500_000, 1.001
 
 
 def trusted(depth_map: DepthMap) -> np.ndarray:
@@ -67,7 +89,7 @@ def trusted(depth_map: DepthMap) -> np.ndarray:
     return (depth_map.agreeing >= CONFIRMED_TWICE) | once
 
 
-def unique_pixels(block: Block, maps: list[DepthMap]) -> list[np.ndarray]:
+def unique_pixels(block: Block, maps: Sequence[DepthMap]) -> Masks:
     """Which pixels of each map to keep so that every piece of the bed is taken once.
 
     Views take turns, the steepest first: their ground sampling distance is the finest. A pixel that is kept claims, in
@@ -76,29 +98,31 @@ def unique_pixels(block: Block, maps: list[DepthMap]) -> list[np.ndarray]:
 
     Returns
     -------
-    list of (height, width) bool, in the order of `maps`
+    Masks (height, width), in the order of `maps`
     """
-    cameras = [block.cameras[m.view] for m in maps]
+    found = [(m.view, (float(m.height.min()), float(m.height.max()))) for m in maps]
+    chosen = [view for view, _ in found]
+    cameras = [block.cameras[view] for view in chosen]
+    ground = [Footprint.of(camera, block.water, extent) for camera, (_, extent) in zip(cameras, found, strict=True)]
     order = sorted(range(len(maps)), key=lambda i: cameras[i].cam_from_local[2][2])
-    chosen = [m.view for m in maps]
-    device, images = block.device, warping(block.device)
-    heights = ViewStack.build(device, cameras, [m.height for m in maps], block.water)
-    shape = (heights.height, heights.width)
-    claimed = [indices(device, np.zeros(shape)) for _ in maps]
-    kept: dict[int, np.ndarray] = {}
+    shape = (cameras[0].height, cameras[0].width) if cameras else (0, 0)
+    kept, claimed = Masks([shape] * len(chosen)), Masks([shape] * len(chosen))
+    images = Lazy(lambda index: maps[index].height, len(chosen), shape, 1)
+    heights = ViewStack.build(block.device, cameras, images, block.water)
     for place, index in enumerate(order):
         m = maps[index]
         # What is left out of the photograph has a height of its surroundings, but neither colour nor match.
-        seen = np.isfinite(block.images[m.view])
-        kept[index] = trusted(m) & seen & (host(device, claimed[index]).reshape(shape) == 0)
-        if not kept[index].any():
+        kept[index] = keep = trusted(m) & np.isfinite(block.images[m.view]) & ~claimed[index]
+        if not keep.any():
             continue
-        legs, own = images.paths_of(heights, index, np.flatnonzero(kept[index]))
+        legs, own = warping(block.device).paths_of(heights, index, np.flatnonzero(keep))
         others = block.neighbours(m.view, 8, among=chosen)
         tolerance = block.agreement_tolerance(m.view, others, float(np.median(m.height))) if others else 0.0
         for later in order[place + 1 :]:
-            images.claim(heights, legs, own, later, tolerance, claimed[later])
-    return [kept[i] for i in range(len(maps))]
+            if ground[index].meets(ground[later]):
+                claimed.add(later, warping(block.device).claim(heights, legs, own, later, tolerance))
+        forget(block.device)
+    return kept
 
 
 def has_company(xyz: np.ndarray, gsd: float) -> np.ndarray:
@@ -107,10 +131,19 @@ def has_company(xyz: np.ndarray, gsd: float) -> np.ndarray:
     A surface sampled once per GSD (ground sampling distance [m]) has 50 there, one that only very oblique views show
     about 6; a chance agreement of views has no neighbours.
     """
+    found, x, reach = np.zeros(len(xyz), dtype=bool), xyz[:, 0], COMPANY_GSD * gsd
     if len(xyz) <= COMPANY:
-        return np.zeros(len(xyz), dtype=bool)
-    distance, _ = cKDTree(xyz).query(xyz, k=[COMPANY + 1], distance_upper_bound=COMPANY_GSD * gsd, workers=-1)
-    return np.isfinite(distance[:, 0])
+        return found
+    # Of every hundredth point, to know where as many lie on either side.
+    edges = np.quantile(x[::100], np.linspace(0.0, 1.0, -(-len(xyz) // COMPANY_AT_ONCE) + 1))
+    for low, high in pairwise([-np.inf, *edges[1:-1], np.inf]):
+        mine = np.flatnonzero((x >= low) & (x < high))
+        if not len(mine):
+            continue
+        near = xyz[(x >= low - _A_LITTLE_MORE * reach) & (x < high + _A_LITTLE_MORE * reach)]
+        distance, _ = cKDTree(near).query(xyz[mine], k=[COMPANY + 1], distance_upper_bound=reach, workers=-1)
+        found[mine] = np.isfinite(distance[:, 0])
+    return found
 
 
 def points_of(
@@ -120,22 +153,28 @@ def points_of(
 
     The map may be larger than the camera's image (padded at its right and bottom).
     """
-    pixels = camera.pixel_centres()[keep]
-    path = camera.paths(pixels, water)
     height, agreeing, spread = (
         array[: camera.height, : camera.width] for array in (depth_map.height, depth_map.agreeing, depth_map.spread)
     )
-    std = std_of(height, agreeing, spread)[keep]
-    height, agreeing = height[keep].astype(np.float64), agreeing[keep]
-    xyz = path.at_height(height, water)
-    normal = np.array(water.up if water else (0.0, 0.0, 1.0))
-    depth = water.height(xyz[:, 0], xyz[:, 1]) - xyz[:, 2] if water else np.full(len(xyz), np.nan)
-    return BedPoints(
-        xyz,
-        rgb[keep],
-        std.astype(np.float32),
-        (agreeing + 1).astype(np.uint8),
-        depth.astype(np.float32),
-        np.arccos(np.clip(-(path.air_direction @ normal), -1.0, 1.0)).astype(np.float32),
-        np.zeros(len(xyz), dtype=bool) if water is None else height < 0.0,
-    )
+    std = std_of(height, agreeing, spread)
+    parts = []
+    for first in range(0, camera.height, rows := max(_POINTS_AT_ONCE // camera.width, 1)):
+        part = np.s_[first : first + rows]
+        row, column = np.nonzero(keep[part])
+        path = camera.paths(np.column_stack([column + 0.5, row + (first + 0.5)]), water)
+        here = height[part][row, column].astype(np.float64)
+        xyz = path.at_height(here, water)
+        normal = np.array(water.up if water else (0.0, 0.0, 1.0))
+        depth = water.height(xyz[:, 0], xyz[:, 1]) - xyz[:, 2] if water else np.full(len(xyz), np.nan)
+        parts.append(
+            BedPoints(
+                xyz,
+                rgb[part][row, column],
+                std[part][row, column].astype(np.float32),
+                (agreeing[part][row, column] + 1).astype(np.uint8),
+                depth.astype(np.float32),
+                np.arccos(np.clip(-(path.air_direction @ normal), -1.0, 1.0)).astype(np.float32),
+                np.zeros(len(xyz), dtype=bool) if water is None else here < 0.0,
+            )
+        )
+    return BedPoints.concatenate(parts)

@@ -12,6 +12,7 @@ from fields.sweep import views
 from fields.sweep.arrays import release
 from fields.sweep.greys import Greys
 from fields.sweep.holes import closed, shrunk
+from fields.sweep.lazy import Lazy
 from fields.sweep.stack import ViewStack
 from refract import FlatWater, PinholeCamera
 
@@ -124,9 +125,9 @@ class Block(Overlap):
             size = (cameras[0].width, cameras[0].height)
             images: Sequence[np.ndarray] = self.images
             if scale != 1.0:
-                images = [closed(shrunk(image, size)) for image in images]
+                images = Lazy(lambda view: closed(shrunk(self.images[view], size)), len(cameras), size[::-1])
             elif not self.images.are_whole:
-                images = Greys(closed(image) for image in images)
+                images = Lazy(lambda view: closed(self.images[view]), len(cameras), size[::-1])
             self._stacks[scale] = ViewStack.build(self.device, cameras, images, self.water, self.skips)
         return self._stacks[scale]
 

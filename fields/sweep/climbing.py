@@ -13,6 +13,8 @@ from fields.sweep.stack import ViewStack
 
 # A score below this is meaningless: no window was complete (-1), or the windows have no texture (0, but for rounding).
 MATCHED_NCC = 0.05
+# Floats of the widest vectors.
+_VECTOR = 16
 
 
 def climb_view(
@@ -57,9 +59,10 @@ def climb_view(
     for first in range(wanted[0], wanted[-1] + 1, rows) if len(wanted) else ():
         last = min(first + rows, wanted[-1] + 1)
         here = columns[wanted[(wanted >= first) & (wanted < last)]]
-        # At least one window wide, where none of these rows is wanted too.
-        left = min(max(int(here[:, 0].min(initial=width)) - radius, 0), width - 2 * radius - 1)
-        right = max(min(int(here[:, 1].max(initial=0)) + radius, width), left + 2 * radius + 1)
+        if not len(here):
+            continue
+        left, right = _span(int(here[:, 0].min()), int(here[:, 1].max()), width, radius)
+        inner = np.s_[max(int(here[:, 0].min()), radius) : min(int(here[:, 1].max()), width - radius)]
         strip = np.s_[first - radius : last + radius, left:right]
         legs = _legs(images, stack, view, strip)
         begin = floats(device, start[strip])
@@ -69,8 +72,21 @@ def climb_view(
         for target, result in zip(found, scores.climb(device, mean, begin, step, rungs), strict=True):
             # The results begin with the first whole window: `radius` pixels into the first row of the target.
             image = np.pad(host(device, result), radius).reshape(-1, right - left)
-            target[first:last, left + radius : right - radius] = image[:, radius : right - left - radius]
+            target[first:last, inner] = image[:, inner.start - left : inner.stop - left]
     return _filled(found[0], found[1] > MATCHED_NCC), found[1], found[2]
+
+
+def _span(first: int, last: int, width: int, radius: int) -> tuple[int, int]:
+    """Columns of an image that a strip takes for wanted ones: with a halo, and whole vectors where there is room.
+
+    Which rows of a window begin a vector in memory is a part of the kernel: other widths would need other kernels.
+    """
+    left = max(first - radius, 0)
+    # At least one window wide, where no column is wanted too.
+    right = max(min(last + radius, width), left + 2 * radius + 1)
+    right = left + _VECTOR * -(-(right - left) // _VECTOR)
+    left = max(left - max(right - width, 0), 0)
+    return left, min(right, width)
 
 
 def _legs(images: ModuleType, stack: ViewStack, view: int, strip: tuple[slice, slice]):

@@ -34,7 +34,7 @@ def agreement(
     """
     device, images = heights.device, warping(heights.device)
     shape = (heights.height, heights.width)
-    own = host(device, images.pixels_of(heights, view, 0, heights.height)).reshape(shape)
+    own = host(device, heights.pixels[view]).reshape(shape)
     sums = images.compare(heights, view, peers, tolerance)
     count, total, square = (host(device, s).reshape(shape) for s in sums)
     mean = total / (count + 1.0)

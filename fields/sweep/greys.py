@@ -2,46 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
-from fields.sweep.recent import Recent
-
-# Images kept as float32: a view and those that it is compared with.
-_READ = 24
+from fields.sweep.lazy import Lazy
 
 
-class Greys(Sequence):
+class Greys(Lazy):
     """Images (height, width) float32, NaN where masked, not to be written to.
 
     Parameters
     ----------
     images : arrays (height, width)
-        Read once, so that a generator need not hold all of them.
+        Of one size; read once, so that a generator need not hold all of them.
     """
 
     def __init__(self, images: Iterable[np.ndarray]):
         self._kept = [_Kept(image) for image in images]
-        self._read: Recent[int, np.ndarray] = Recent(lambda view: self._kept[view].whole(), _READ)
+        shapes = {each.levels.shape for each in self._kept}
+        if len(shapes) > 1:
+            raise ValueError(f"expected images of one size, got {sorted(shapes)}")
+        super().__init__(lambda view: self._kept[view].whole(), len(self._kept), next(iter(shapes), (0, 0)))
 
-    def __len__(self) -> int:
-        return len(self._kept)
-
-    def __getitem__(self, view):
-        """The image of a view."""
-        if not 0 <= view < len(self):
-            raise IndexError(f"there are {len(self)} images, got number {view}")
-        return self._read[view]
+    def window(self, view: int, rows: slice, columns: slice) -> np.ndarray:
+        """A part of an image, without the rest of it."""
+        return self._kept[view].window(rows, columns)
 
     @property
     def are_whole(self) -> bool:
         """Whether no pixel is masked."""
         return not any(each.is_masked for each in self._kept)
-
-    def shape(self, view: int) -> tuple[int, ...]:
-        """Height and width of an image."""
-        return self._kept[view].levels.shape
 
 
 class _Kept:
@@ -55,12 +46,18 @@ class _Kept:
         self.masked: np.ndarray | None = None
         known = np.where(masked, np.float32(0.0), levels) if self.is_masked else levels
         if known.min() >= -128.0 and known.max() <= 127.0 and np.array_equal(small := known.astype(np.int8), known):
-            self.levels, self.masked = small, np.packbits(masked) if self.is_masked else None
+            self.levels, self.masked = small, np.packbits(masked, axis=1) if self.is_masked else None
 
     def whole(self) -> np.ndarray:
         """As it came."""
-        image = self.levels.astype(np.float32)
-        if self.masked is not None:
-            image[np.unpackbits(self.masked, count=image.size).reshape(image.shape).view(bool)] = np.nan
+        image = self.window(slice(None), slice(None))
         image.flags.writeable = False
+        return image
+
+    def window(self, rows: slice, columns: slice) -> np.ndarray:
+        """A part of it."""
+        image = self.levels[rows, columns].astype(np.float32)
+        if self.masked is not None:
+            bits = np.unpackbits(self.masked[rows], axis=1, count=self.levels.shape[1])
+            image[bits[:, columns].view(bool)] = np.nan
         return image

@@ -17,6 +17,7 @@ import numpy as np
 
 from fields.device import Device
 from fields.sweep.arrays import words
+from fields.sweep.lazy import most_kept
 from fields.sweep.recent import Recent
 
 # The first level of a word of 16 bits a level where any of its four pixels is masked.
@@ -55,7 +56,8 @@ class Quads:
         bits = 8 if most - least < 2**8 and are_whole else 16
         step = 1.0 if bits == 8 else 2.0 ** np.ceil(np.log2(max(most - least, LEAST_SPAN) / (MASKED - 2)))
         low = step * np.floor(least / step)
-        kept = len(images) if device.name == "cuda" else max(KEPT_BYTES // (images[0].size * bits // 2), FEWEST_KEPT)
+        size = images[0].size * bits // 2
+        kept = len(images) if device.name == "cuda" else most_kept(size, KEPT_BYTES, FEWEST_KEPT)
         values: Recent[int, Any] = Recent(lambda view: words(device, _packed(images[view], low, step, bits)), kept)
         return Quads(values, bits, float(low), float(step))
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from fields.sweep.bed import trusted
-from fields.sweep.sweep import DepthMap
+from fields.sweep.maps import DepthMap
 from refract import FlatWater, PinholeCamera
 
 
@@ -19,7 +20,7 @@ class Sources:
     Attributes
     ----------
     cameras : list of PinholeCamera
-    maps : list of DepthMap
+    maps : sequence of DepthMap
     images : list of (height, width, 3) uint8
     water : FlatWater or None
     absorption, veil : (3,) floats, optional
@@ -27,7 +28,7 @@ class Sources:
     """
 
     cameras: list[PinholeCamera]
-    maps: list[DepthMap]
+    maps: Sequence[DepthMap]
     images: list[np.ndarray]
     water: FlatWater | None
     absorption: tuple[float, ...] | None = None

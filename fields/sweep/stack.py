@@ -12,8 +12,9 @@ import numpy as np
 from fields.device import Device
 from fields.skips import SKIPS, Skips
 from fields.sweep.arrays import constant, floats
-from fields.sweep.greys import Greys
-from fields.sweep.quads import Quads
+from fields.sweep.lazy import Lazy, most_kept
+from fields.sweep.quads import FEWEST_KEPT, KEPT_BYTES, Quads
+from fields.sweep.recent import Recent
 from refract import FlatWater, PinholeCamera
 from refract.distortion import KINDS, kinds_of, row_of
 from refract.distortion import ROW as LENS_ROW
@@ -148,9 +149,9 @@ class ViewStack:
             If a size differs.
         """
         size = (cameras[0].height, cameras[0].width)
-        if not isinstance(images, Greys):
+        if not isinstance(images, Lazy):
             images = [np.asarray(image, dtype=np.float32) for image in images]
-        shapes = map(images.shape, range(len(images))) if isinstance(images, Greys) else [i.shape for i in images]
+        shapes = [images.shape] * len(images) if isinstance(images, Lazy) else [i.shape for i in images]
         for camera, shape in zip(cameras, shapes, strict=True):
             if shape != size or (camera.height, camera.width) != size:
                 raise ValueError(
@@ -189,9 +190,10 @@ class ViewStack:
         return [[constant(self.device, c) for c in row] for row in table]
 
     @cached_property
-    def pixels(self) -> list[Any]:
-        """Each image as a flat array (height * width) of the device, float32: of height maps, which are compared."""
-        return [floats(self.device, image) for image in self.images]
+    def pixels(self) -> Recent[int, Any]:
+        """Images as flat arrays (height * width) of the device, float32: of height maps, which are compared."""
+        most = most_kept(4 * self.height * self.width, KEPT_BYTES, FEWEST_KEPT)
+        return Recent(lambda view: floats(self.device, self.images[view]), most)
 
     @cached_property
     def quads(self) -> Quads:

@@ -8,15 +8,18 @@ known.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
+from fields.sweep.arrays import forget
 from fields.sweep.block import Block
 from fields.sweep.climbing import MATCHED_NCC, climb_view
 from fields.sweep.consistency import agreement
+from fields.sweep.lazy import Lazy
+from fields.sweep.maps import DepthMap, InOrder, Keep, Maps
 from fields.sweep.over_area import Area, columns_over
 from fields.sweep.stack import ViewStack
 from fields.sweep.steps import StepSearch, search_steps
@@ -83,30 +86,6 @@ def passes_from(share: float) -> tuple[Pass, ...]:
     return PASSES
 
 
-@dataclass
-class DepthMap:
-    """What the sweep knows of one view: arrays (height, width), local frame.
-
-    Attributes
-    ----------
-    view : index of the view
-    height : float32 [m]
-        Over the water plane along its normal; of the path of each pixel.
-    score : float16
-        NCC of the better half of the neighbours, -1 to 1.
-    agreeing : uint8
-        Other views whose own height agrees.
-    spread : float16 [m]
-        Standard deviation (population) of the heights that agree, the own one included.
-    """
-
-    view: int
-    height: np.ndarray
-    score: np.ndarray
-    agreeing: np.ndarray
-    spread: np.ndarray
-
-
 def sweep(
     block: Block,
     chosen: list[int],
@@ -117,7 +96,8 @@ def sweep(
     *,
     before: Mapping[int, DepthMap] | None = None,
     again: Collection[int] = (),
-) -> list[DepthMap]:
+    keep: Keep = dict,
+) -> InOrder:
     """Sweep the chosen views, coarse to fine.
 
     Parameters
@@ -136,20 +116,24 @@ def sweep(
         confirm those of the others.
     again : views of ``before``
         That go on from there, with the passes finer than it.
+    keep : callable
+        Makes the places in which maps are kept meanwhile; default in memory.
 
     Returns
     -------
-    list of DepthMap at the scale of the last pass, in the order of `chosen`
+    InOrder of DepthMap at the scale of the last pass, in the order of `chosen`
         Views that overlap with no other are left out.
     """
-    before = {view: m for view, m in (before or {}).items() if view in chosen}
     size = (block.cameras[0].width, block.cameras[0].height)
-    maps = {view: m if view in again else enlarged_map(m, size) for view, m in before.items()}
+    maps, widths = keep(), dict[int, int]()
+    for view, m in (before or {}).items():
+        if view in chosen:
+            maps[view], widths[view] = m if view in again else enlarged_map(m, size), m.height.shape[1]
     climbs = [
-        climbs_of(block, [v for v in chosen if _climbs(size, p, before.get(v), v in again)], p, None if n else bound)
+        climbs_of(block, [v for v in chosen if _climbs(size, p, widths.get(v), v in again)], p, None if n else bound)
         for n, p in enumerate(passes)
     ]
-    views = sorted({climb.view for each in climbs for climb in each} | set(before))
+    views = sorted({climb.view for each in climbs for climb in each} | set(widths))
     peers = {view: block.neighbours(view, PEERS, among=views) for view in views}
     climbing = [{climb.view for climb in each} for each in climbs]
     fused = [
@@ -160,27 +144,27 @@ def sweep(
     # By how much the windows of each view are wider than its pass has them [px].
     wider = dict.fromkeys(views, 0)
     for number, p in enumerate(passes):
-        # Of a pass before, nothing but heights is needed, each once.
-        heights = {view: maps.pop(view).height for view in climbing[number] & maps.keys()}
         for climb in climbs[number]:
-            start = heights.pop(climb.view, None)
-            maps[climb.view], wider[climb.view] = _climbed(block, p, climb, bound, start, area, wider[climb.view])
+            height = maps[climb.view].height if climb.view in maps else None
+            maps[climb.view], wider[climb.view] = _climbed(block, p, climb, bound, height, area, wider[climb.view])
+            # Ladders of many lengths leave memory of many sizes.
+            forget(block.device)
             done += climb.samples
             progress(done / total)
         if fused[number]:
             block.release(p.scale)
-            fuse(block, maps, p.scale, {view: peers[view] for view in climbing[number]})
+            maps = fuse(block, maps, p.scale, {view: peers[view] for view in climbing[number]}, keep)
             done += fused[number]
             progress(done / total)
         if number + 1 == len(passes) or passes[number + 1].scale != p.scale:
             block.release(p.scale)
     confirm(block, maps, {view: peers[view] for view in set(maps) - climbing[-1]})
-    return [maps[view] for view in chosen if view in maps]
+    return InOrder(maps, [view for view in chosen if view in maps])
 
 
-def _climbs(size: tuple[int, int], p: Pass, before: DepthMap | None, again: bool) -> bool:
-    """Whether a view takes part in a pass: one that has a map only if it goes on, in passes finer than the map."""
-    return before is None or (again and p.scale * size[0] > _FINER * before.height.shape[1])
+def _climbs(size: tuple[int, int], p: Pass, width: int | None, again: bool) -> bool:
+    """Whether a view takes part in a pass: one that has a map of some width only if it goes on, in finer passes."""
+    return width is None or (again and p.scale * size[0] > _FINER * width)
 
 
 @dataclass(frozen=True)
@@ -281,41 +265,48 @@ def _enlarged(height: np.ndarray, stack: ViewStack) -> np.ndarray:
     return cv2.medianBlur(height, 5)
 
 
-def fuse(block: Block, maps: dict[int, DepthMap], scale: float, peers: Mapping[int, list[int]]) -> None:
-    """Replace the heights by the mean over the peers that agree, and note how many do and how closely.
+def fuse(block: Block, maps: Maps, scale: float, peers: Mapping[int, list[int]], keep: Keep = dict) -> Maps:
+    """Maps with the mean over the peers that agree as heights, and how many do and how closely; the others are cleared.
 
     A pixel that no other view confirms takes the median of its surroundings: a better start for the next pass. A
     pixel that matched nothing confirms nothing either. Maps without peers keep what they have.
     """
-    found = _agreement(block, maps, scale, peers)
-    for view, (agreeing, height, spread) in found.items():
-        m = maps[view]
-        m.agreeing, m.spread = agreeing, spread.astype(np.float16)
-        m.height = np.where(agreeing > 0, height, cv2.medianBlur(m.height, 5))
+    fused = keep()
+    for m, (agreeing, height, spread) in _agreement(block, maps, scale, peers):
+        height = np.where(agreeing > 0, height, cv2.medianBlur(m.height, 5))
+        fused[m.view] = DepthMap(m.view, height, m.score, agreeing, spread.astype(np.float16))
+    for view in set(maps) - set(fused):
+        fused[view] = maps[view]
+    maps.clear()
+    return fused
 
 
 def _agreement(
-    block: Block, maps: dict[int, DepthMap], scale: float, peers: Mapping[int, list[int]]
-) -> dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """What `fields.sweep.consistency.agreement` says of each map that has peers."""
+    block: Block, maps: Maps, scale: float, peers: Mapping[int, list[int]]
+) -> Iterator[tuple[DepthMap, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+    """Each map that has peers, and what `fields.sweep.consistency.agreement` says of it."""
     chosen = sorted(maps)
     cameras = [block.cameras[v].scaled(scale) if scale != 1.0 else block.cameras[v] for v in chosen]
-    matched = [np.where(maps[v].score > MATCHED_NCC, maps[v].height, np.float32(np.nan)) for v in chosen]
-    heights = ViewStack.build(block.device, cameras, matched, block.water)
-    found = {}
+
+    def matched(number: int) -> np.ndarray:
+        m = maps[chosen[number]]
+        return np.where(m.score > MATCHED_NCC, m.height, np.float32(np.nan))
+
+    images = Lazy(matched, len(chosen), (cameras[0].height, cameras[0].width), 1)
+    heights = ViewStack.build(block.device, cameras, images, block.water)
     for index, view in enumerate(chosen):
         others = peers.get(view)
         if others:
-            tolerance = block.agreement_tolerance(view, others, float(np.median(maps[view].height)))
-            found[view] = agreement(heights, index, [chosen.index(p) for p in others], tolerance)
-    return found
+            m = maps[view]
+            tolerance = block.agreement_tolerance(view, others, float(np.median(m.height)))
+            yield m, agreement(heights, index, [chosen.index(p) for p in others], tolerance)
 
 
-def confirm(block: Block, maps: dict[int, DepthMap], peers: Mapping[int, list[int]]) -> None:
+def confirm(block: Block, maps: Maps, peers: Mapping[int, list[int]]) -> None:
     """Let heights that stay as they are be confirmed by the others at full size, where these say more than before."""
     if peers:
-        for view, (agreeing, _, _) in _agreement(block, maps, 1.0, peers).items():
-            maps[view] = replace(maps[view], agreeing=np.maximum(maps[view].agreeing, agreeing))
+        for m, (agreeing, _, _) in _agreement(block, maps, 1.0, peers):
+            maps[m.view] = replace(m, agreeing=np.maximum(m.agreeing, agreeing))
 
 
 def enlarged_map(m: DepthMap, size: tuple[int, int]) -> DepthMap:

@@ -16,18 +16,15 @@ from __future__ import annotations
 import drjit as dr
 import numpy as np
 
-from fields.sweep.arrays import constant, floats, indices
+from fields.sweep.arrays import constant, indices
 from fields.sweep.legs import legs_through, point_at, seen_at
 from fields.sweep.quads import MASKED
 from fields.sweep.stack import Beyond, ViewStack, camera_table
 
+# Views that one kernel projects into: more take as long in several kernels, which compile faster and serve any number.
+VIEWS_PER_KERNEL = 4
 # Samples (neighbours x rungs x pixels) of one launch: 32 MB in all. A launch costs as much as 300,000 of them.
 STRIP_SAMPLES = 8_000_000
-
-
-def pixels_of(stack: ViewStack, view: int, first_row: int, rows: int):
-    """A strip of rows of the image of `view`: P = rows * width values."""
-    return floats(stack.device, stack.images[view][first_row : first_row + rows])
 
 
 def legs_of(stack: ViewStack, view: int, first_row: int, rows: int):
@@ -107,11 +104,17 @@ def warp(stack: ViewStack, legs, start, neighbours: list[int], step: float, rung
     points = point_at([dr.gather(Float, row, pixel) for row in legs], z)
     dr.eval(points)
     values = []
-    for view in neighbours:
-        seen = seen_at(stack.numbers[view], points, stack.n_water, stack.beyond)
-        values.append(look_up(stack, view, *seen))
-    dr.eval(values)
+    for group in _groups(neighbours):
+        seen = [seen_at(stack.numbers[view], points, stack.n_water, stack.beyond) for view in group]
+        found = [look_up(stack, view, *each) for view, each in zip(group, seen, strict=True)]
+        dr.eval(found)
+        values += found
     return values
+
+
+def _groups(views: list[int]) -> list[list[int]]:
+    """Views in groups of `VIEWS_PER_KERNEL`; the last may have fewer."""
+    return [views[first : first + VIEWS_PER_KERNEL] for first in range(0, len(views), VIEWS_PER_KERNEL)]
 
 
 def compare(stack: ViewStack, view: int, peers: list[int], tolerance: float):
@@ -124,16 +127,17 @@ def compare(stack: ViewStack, view: int, peers: list[int], tolerance: float):
     """
     Float, size = stack.device.module.Float, stack.width * stack.height
     legs = legs_of(stack, view, 0, stack.height)
-    own = pixels_of(stack, view, 0, stack.height)
-    count, total, square = dr.zeros(Float, size), dr.zeros(Float, size), dr.zeros(Float, size)
-    for peer in peers:
-        difference = sample(stack, peer, *project_at(stack, legs, own, peer)) - own
-        near = dr.abs(difference) < dr.opaque(Float, tolerance)
-        difference = dr.select(near, difference, 0.0)
-        count += dr.select(near, 1.0, 0.0)
-        total += difference
-        square += difference * difference
-    dr.eval(count, total, square)
+    own = stack.pixels[view]
+    count, total, square = (dr.opaque(Float, 0.0, size) for _ in range(3))
+    for group in _groups(peers):
+        for peer in group:
+            difference = sample(stack, peer, *project_at(stack, legs, own, peer)) - own
+            near = dr.abs(difference) < dr.opaque(Float, tolerance)
+            difference = dr.select(near, difference, 0.0)
+            count += dr.select(near, 1.0, 0.0)
+            total += difference
+            square += difference * difference
+        dr.eval(count, total, square)
     return count, total, square
 
 
@@ -144,37 +148,39 @@ def looked_through(stack: ViewStack, view: int, peers: list[int], tolerance: flo
     """
     Float, UInt, size = stack.device.module.Float, stack.device.module.UInt, stack.width * stack.height
     legs = legs_of(stack, view, 0, stack.height)
-    own = pixels_of(stack, view, 0, stack.height)
-    count, least, width = dr.zeros(Float, size), own - dr.opaque(Float, tolerance), dr.opaque(UInt, stack.width)
-    for peer in peers:
-        u, v, lower = project_at(stack, legs, own, peer)
-        corner, _, _ = _corner(stack, u, v, lower)
-        for offset in (0, 1, width, width + 1):
-            lower &= dr.gather(Float, stack.pixels[peer], corner + offset, lower) < least
-        count += dr.select(lower, 1.0, 0.0)
-    dr.eval(count)
+    own = stack.pixels[view]
+    count, least, width = dr.opaque(Float, 0.0, size), own - dr.opaque(Float, tolerance), dr.opaque(UInt, stack.width)
+    for group in _groups(peers):
+        for peer in group:
+            u, v, lower = project_at(stack, legs, own, peer)
+            corner, _, _ = _corner(stack, u, v, lower)
+            for offset in (0, 1, width, width + 1):
+                lower &= dr.gather(Float, stack.pixels[peer], corner + offset, lower) < least
+            count += dr.select(lower, 1.0, 0.0)
+        dr.eval(count)
     return count
 
 
 def paths_of(stack: ViewStack, view: int, pixels: np.ndarray):
     """Legs (as `legs_of`) of chosen pixels (flat indices) of a view, and their heights in a stack of height maps."""
     legs = legs_at(stack, view, pixels)
-    own = floats(stack.device, stack.images[view].ravel()[pixels])
+    own = dr.gather(stack.device.module.Float, stack.pixels[view], indices(stack.device, pixels))
     dr.eval(own)
     return legs, own
 
 
-def claim(stack: ViewStack, legs, own, later: int, tolerance: float, claimed) -> None:
-    """Set to 1, in `claimed` (P), the pixels of height map `later` that show the bed of paths at their own heights.
+def claim(stack: ViewStack, legs, own, later: int, tolerance: float) -> np.ndarray:
+    """The pixels (P) bool of height map `later` that show the bed of paths at their own heights.
 
     These are the four pixels about the projection of each path, where their height is within `tolerance` [m].
     """
-    Float, UInt = stack.device.module.Float, stack.device.module.UInt
+    Float, UInt, Byte = stack.device.module.Float, stack.device.module.UInt, stack.device.module.UInt8
+    claimed = dr.zeros(Byte, stack.width * stack.height)
     u, v, inside = project_at(stack, legs, own, later)
     corner, _, _ = _corner(stack, u, v, inside)
     width = dr.opaque(UInt, stack.width)
     for offset in (0, 1, width, width + 1):
         there = dr.gather(Float, stack.pixels[later], corner + offset, inside)
         same = inside & (dr.abs(there - own) < dr.opaque(Float, tolerance))
-        dr.scatter(claimed, UInt(1), corner + offset, same)
-    dr.eval(claimed)
+        dr.scatter(claimed, Byte(1), corner + offset, same)
+    return claimed.numpy().view(bool)

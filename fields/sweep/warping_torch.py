@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fields.sweep.arrays import floats, indices
+from fields.sweep.arrays import indices
 from fields.sweep.legs import legs_through, point_at, seen_at
 from fields.sweep.quads import MASKED
 from fields.sweep.stack import Beyond, ViewStack, camera_table
@@ -19,11 +19,6 @@ from fields.sweep.stack import Beyond, ViewStack, camera_table
 STRIP_SAMPLES = 8_000_000
 # Samples that one operation takes on: 1 MB an array.
 PORTION = 250_000
-
-
-def pixels_of(stack: ViewStack, view: int, first_row: int, rows: int) -> Tensor:
-    """A strip of rows of the image of `view`: P = rows * width values."""
-    return floats(stack.device, stack.images[view][first_row : first_row + rows])
 
 
 def legs_of(stack: ViewStack, view: int, first_row: int, rows: int) -> list[Tensor]:
@@ -97,7 +92,7 @@ def warp(stack: ViewStack, legs, start: Tensor, neighbours: list[int], step: flo
 
 def compare(stack: ViewStack, view: int, peers: list[int], tolerance: float) -> tuple[Tensor, Tensor, Tensor]:
     """Count, sum and sum of squares (P) of the differences below `tolerance`; see the twin."""
-    legs, own = legs_of(stack, view, 0, stack.height), pixels_of(stack, view, 0, stack.height)
+    legs, own = legs_of(stack, view, 0, stack.height), stack.pixels[view]
     count, total, square = torch.zeros_like(own), torch.zeros_like(own), torch.zeros_like(own)
     for peer in peers:
         difference = sample(stack, peer, *project_at(stack, legs, own, peer)) - own
@@ -111,7 +106,7 @@ def compare(stack: ViewStack, view: int, peers: list[int], tolerance: float) -> 
 
 def looked_through(stack: ViewStack, view: int, peers: list[int], tolerance: float) -> Tensor:
     """How many peers (P) see, through the point of each pixel, something that lies lower; see the twin."""
-    legs, own = legs_of(stack, view, 0, stack.height), pixels_of(stack, view, 0, stack.height)
+    legs, own = legs_of(stack, view, 0, stack.height), stack.pixels[view]
     count, least = torch.zeros_like(own), own - tolerance
     for peer in peers:
         u, v, lower = project_at(stack, legs, own, peer)
@@ -124,15 +119,17 @@ def looked_through(stack: ViewStack, view: int, peers: list[int], tolerance: flo
 
 def paths_of(stack: ViewStack, view: int, pixels: np.ndarray) -> tuple[list[Tensor], Tensor]:
     """Legs of chosen pixels (flat indices) of a view, and their heights in a stack of height maps."""
-    own = pixels_of(stack, view, 0, stack.height)[indices(stack.device, pixels)]
+    own = stack.pixels[view][indices(stack.device, pixels)]
     return legs_at(stack, view, pixels), own
 
 
-def claim(stack: ViewStack, legs, own: Tensor, later: int, tolerance: float, claimed: Tensor) -> None:
-    """Set to 1, in `claimed` (P), the pixels of height map `later` that show the bed of paths at their own heights."""
+def claim(stack: ViewStack, legs, own: Tensor, later: int, tolerance: float) -> np.ndarray:
+    """The pixels (P) bool of height map `later` that show the bed of paths at their own heights."""
     u, v, inside = project_at(stack, legs, own, later)
     corner = _corner(stack, u, v, inside)[0][inside]
-    own, heights = own[inside], pixels_of(stack, later, 0, stack.height)
+    own, heights = own[inside], stack.pixels[later]
+    claimed = torch.zeros(len(heights), dtype=torch.bool, device=heights.device)
     for offset in (0, 1, stack.width, stack.width + 1):
         same = (heights[corner + offset] - own).abs() < tolerance
-        claimed[corner[same] + offset] = 1
+        claimed[corner[same] + offset] = True
+    return claimed.cpu().numpy()

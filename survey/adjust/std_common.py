@@ -28,6 +28,8 @@ _SQUARES = 14
 _VIEWS = 12
 # Places that a point is interpolated from.
 _NEAREST = 4
+# Points at a time: 200 bytes each.
+_PORTION = 200_000
 # What is left when nothing else is: no height is exact.
 _LEAST_M = 1e-5
 
@@ -116,7 +118,11 @@ def _variance(survey: Survey, found: Adjustment | None, ties: TiePoints, gsd: fl
 def interpolated(at: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Values (K, ...) at places (K, 2) as at places (N, 2) they are: means, weighted by the inverse square distance."""
     count = min(_NEAREST, len(at))
-    distance, index = cKDTree(at).query(wanted, k=list(range(1, count + 1)), workers=-1)
-    weight = 1.0 / (distance**2 + 1e-6)
-    weight = (weight / weight.sum(axis=1, keepdims=True)).reshape(*weight.shape, *(1,) * (values.ndim - 1))
-    return (weight * values[index]).sum(axis=1)
+    tree, found = cKDTree(at), np.empty((len(wanted), *values.shape[1:]))
+    for first in range(0, len(wanted), _PORTION):
+        part = slice(first, first + _PORTION)
+        distance, index = tree.query(wanted[part], k=list(range(1, count + 1)), workers=-1)
+        weight = 1.0 / (distance**2 + 1e-6)
+        weight = (weight / weight.sum(axis=1, keepdims=True)).reshape(*weight.shape, *(1,) * (values.ndim - 1))
+        found[part] = (weight * values[index]).sum(axis=1)
+    return found

@@ -15,17 +15,15 @@ import numpy as np
 
 from fields.sweep.bed import trusted
 from fields.sweep.block import Block
-from fields.sweep.sweep import PASSES, DepthMap, sweep
+from fields.sweep.maps import DepthMap
+from fields.sweep.sweep import PASSES, sweep
 from refract import FlatWater, PinholeCamera
 from survey.adjust.matching import RADIUS, match, prepared, window
 from survey.photos.tie_points import TiePoints
 from survey.plan.area import within
 
-# The coarse sweep: approximate heights of the bed.
-_SWEPT = (PASSES[0], replace(PASSES[1], fuse=True))
-# Windows in one photograph are at least this far apart [px], so that each sees a separate piece of bed.
-_APART_PX = 20
-_MOST_PER_VIEW = 250
+# The coarse sweep: approximate heights of the bed. Beside steps, where there are no windows, nothing more is searched.
+_SWEPT = (PASSES[0], replace(PASSES[1], fuse=True, search=None))
 # How often every place is seen by the photographs from which windows are taken: from above, and from each quarter.
 _TIMES_SEEN = (2, 1)
 # Most photographs in which a window is searched for, and the angles between directions of view: windows at wider angles
@@ -37,6 +35,26 @@ _NARROWEST_DEG = 3.0
 _RELIEF_PX = 2.0
 
 Area = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Density:
+    """How many windows are taken of a photograph.
+
+    Attributes
+    ----------
+    most : int
+        The best textured ones.
+    apart_px : int
+        Least distance between them, so that each sees a separate piece of bed.
+    """
+
+    most: int
+    apart_px: int
+
+
+# For an adjustment, and for the means over photographs.
+DENSE, SPARSE = Density(250, 20), Density(100, 30)
 
 
 @dataclass(frozen=True)
@@ -52,7 +70,13 @@ class _Windows:
     others: list[int]
 
 
-def measure(block: Block, bound: tuple[float, float], area: Area | None, advance: Callable[[float], None]) -> TiePoints:
+def measure(
+    block: Block,
+    bound: tuple[float, float],
+    area: Area | None,
+    advance: Callable[[float], None],
+    density: Density = DENSE,
+) -> TiePoints:
     """Tie points of a block; none where no window matches in three photographs.
 
     Parameters
@@ -65,6 +89,7 @@ def measure(block: Block, bound: tuple[float, float], area: Area | None, advance
         Where windows are chosen, to one pixel of the sweep.
     advance : callable
         Called with the increment; increments sum to 1.
+    density : Density
 
     Returns
     -------
@@ -78,7 +103,7 @@ def measure(block: Block, bound: tuple[float, float], area: Area | None, advance
         shares.append(share)
 
     maps = sweep(block, block.cover(*_TIMES_SEEN, area), bound, halfway, _SWEPT)
-    windows = [w for w in (_windows_of(block, depth_map, area) for depth_map in maps) if len(w.corners)]
+    windows = [w for w in (_windows_of(block, depth_map, area, density) for depth_map in maps) if len(w.corners)]
     parts: list[list[tuple[np.ndarray, int, np.ndarray]]] = [
         [(np.arange(len(w.corners)), w.view, w.corners)] for w in windows
     ]
@@ -96,10 +121,10 @@ def measure(block: Block, bound: tuple[float, float], area: Area | None, advance
     return _joined(windows, parts)
 
 
-def _windows_of(block: Block, depth_map: DepthMap, area: Area | None) -> _Windows:
+def _windows_of(block: Block, depth_map: DepthMap, area: Area | None, density: Density) -> _Windows:
     view, water = depth_map.view, block.water
     camera, image = block.cameras[view], block.images[view]
-    corners, height = _corners(image, camera, depth_map, _able(block, depth_map, area))
+    corners, height = _corners(image, camera, depth_map, _able(block, depth_map, area), density)
     points = camera.paths(corners, water).at_height(height, water)
     templates, slopes = _templates(image, corners)
     others = _others(block, view, points) if len(points) else []
@@ -120,7 +145,7 @@ def _able(block: Block, depth_map: DepthMap, area: Area | None) -> np.ndarray:
     return able
 
 
-def _corners(image: np.ndarray, camera: PinholeCamera, depth_map: DepthMap, able: np.ndarray):
+def _corners(image: np.ndarray, camera: PinholeCamera, depth_map: DepthMap, able: np.ndarray, density: Density):
     """Textured pixel centres (K, 2) of a view at the able pixels of its depth map, and heights (K,)."""
     size = (camera.width, camera.height)
     mask = cv2.resize(able.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
@@ -130,7 +155,7 @@ def _corners(image: np.ndarray, camera: PinholeCamera, depth_map: DepthMap, able
     known = cv2.erode(np.isfinite(image).astype(np.uint8), np.ones((2 * edge + 1, 2 * edge + 1), np.uint8))
     mask[known == 0] = 0
     grey = np.nan_to_num(image)
-    found = cv2.goodFeaturesToTrack(grey, _MOST_PER_VIEW, 0.02, _APART_PX, mask=mask, blockSize=2 * RADIUS + 1)
+    found = cv2.goodFeaturesToTrack(grey, density.most, 0.02, density.apart_px, mask=mask, blockSize=2 * RADIUS + 1)
     corners = np.zeros((0, 2)) if found is None else found[:, 0].astype(np.float64)
     full = cv2.resize(depth_map.height, size, interpolation=cv2.INTER_LINEAR)
     columns, lines = corners.T.astype(int)

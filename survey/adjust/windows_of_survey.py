@@ -40,12 +40,21 @@ def measure_windows(survey: Survey, *, device: str = "auto", advance: Callable[[
 
 
 def windows_of_block(
-    survey: Survey, plan: Plan, block: Block, bound: tuple[float, float], advance: Callable[[float], None]
+    survey: Survey,
+    plan: Plan,
+    block: Block,
+    bound: tuple[float, float],
+    advance: Callable[[float], None],
+    *,
+    sparse: bool = False,
 ) -> TiePoints:
-    """The same of a survey whose photographs are loaded, and of which the range of heights is known."""
-    from survey.adjust.windows import measure
+    """The same of a survey whose photographs are loaded, and of which the range of heights is known.
 
-    ties = measure(block, bound, local_area(survey), advance)
+    ``sparse`` takes fewer windows: as many as means over photographs need.
+    """
+    from survey.adjust.windows import DENSE, SPARSE, measure
+
+    ties = measure(block, bound, local_area(survey), advance, SPARSE if sparse else DENSE)
     full = [(view.camera, camera_of(view, plan)) for view in survey.views]
     enlarge = np.array([(camera.fx / used.fx, camera.fy / used.fy) for camera, used in full])
     return replace(ties, pixel=ties.pixel * enlarge[ties.view])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,7 @@ from survey.report.verdict import Verdict
 
 if TYPE_CHECKING:
     from fields.sweep.bed import BedPoints
-    from fields.sweep.sweep import DepthMap
+    from fields.sweep.maps import DepthMap
     from survey.compare.result import Comparison
 
 
@@ -36,7 +37,7 @@ class ReportFacts:
         Local frame, N points.
     points_crs : (N, 3) float64
         The same points, in crs.
-    depth_maps : list of DepthMap or None
+    depth_maps : sequence of DepthMap or None
         One of them is shown beside its photograph, see `survey.report.maps.representative`.
     comparison : Comparison or None
         Of the cloud of these points with a reference, from `survey.compare.comparison.compare_surfaces`.
@@ -64,7 +65,7 @@ class ReportFacts:
     timings: dict[str, float]
     bed: BedPoints
     points_crs: np.ndarray
-    depth_maps: list[DepthMap] | None = None
+    depth_maps: Sequence[DepthMap] | None = None
     comparison: Comparison | None = None
     sweep_comparison: Comparison | None = None
     notes: tuple[str, ...] = ()

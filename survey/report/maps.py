@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,12 +25,14 @@ from survey.report.raster import without_pinholes
 from survey.report.shading import Picture, shaded_bed
 
 if TYPE_CHECKING:
-    from fields.sweep.sweep import DepthMap
+    from fields.sweep.maps import DepthMap
 
+# Of a height map, along its longer side, at most.
+_PIXELS = 2000
 _DEPTH_LABEL = "true depth below the water [m]"
 
 
-def representative(depth_maps: list[DepthMap]) -> int:
+def representative(depth_maps: Sequence[DepthMap]) -> int:
     """Which depth map to show: the one with the most pixels that another view confirms."""
     return int(np.argmax([np.count_nonzero(m.agreeing) for m in depth_maps]))
 
@@ -100,14 +103,17 @@ def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     return Picture(path, title, "Standard deviation of the height over the views that agree.")
 
 
-def draw_view(path: Path, facts: ReportFacts, depth_maps: list[DepthMap]) -> Picture:
+def draw_view(path: Path, facts: ReportFacts, depth_maps: Sequence[DepthMap]) -> Picture:
     """One photograph beside its depth map, of those that there are."""
     depth_map = depth_maps[representative(depth_maps)]
     view = facts.survey.views[depth_map.view]
-    rows, columns = depth_map.height.shape
+    share_confirmed = float((depth_map.agreeing > 0).mean())
+    # Of a large map every so manieth pixel: matplotlib takes some 100 bytes for each.
+    every = -(-max(depth_map.height.shape) // _PIXELS)
+    thin = np.s_[::every, ::every]
+    rows, columns = depth_map.height[thin].shape
     scale_of_map = columns / view.camera.width
-    is_confirmed = depth_map.agreeing > 0
-    height = np.where(is_confirmed, depth_map.height, np.nan).astype(np.float64)
+    height = np.where(depth_map.agreeing[thin] > 0, depth_map.height[thin], np.nan).astype(np.float64)
     depth = None if facts.survey.water is None else np.where(height < 0.0, -height, np.nan)
     image, scale = shaded_bed(depth, height, facts.plan.gsd_m * facts.plan.image_scale / scale_of_map)
 
@@ -126,7 +132,7 @@ def draw_view(path: Path, facts: ReportFacts, depth_maps: list[DepthMap]) -> Pic
     label = "height over the local origin [m]" if depth is None else _DEPTH_LABEL
     _bar(right, scale, label, is_depth=depth is not None)
     save(figure, path)
-    words = f"Another view confirms {is_confirmed.mean():.0%} of the pixels; the others are left grey."
+    words = f"Another view confirms {share_confirmed:.0%} of the pixels; the others are left grey."
     return Picture(path, "A photograph and its depth map", words)
 
 

@@ -9,6 +9,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fields.sweep.arrays import release
 from survey.adjust.far_poses import Search, find_anew
 from survey.errors import SurveyError
 from survey.photos.store import ImageStore
@@ -99,6 +100,11 @@ class Job:
         with self.progress.stage("Images", len(self.survey.views)) as stage:
             return load_block(self.survey, self.plan, stage.advance, self.photographs)
 
+    def give_back(self) -> None:
+        """Return memory that the last stage no longer uses to the system, so that the next one's comes not on top."""
+        if "block" in self.__dict__:
+            release(self.block.device)
+
     @property
     def search(self) -> Search | None:
         """Finds poses of a file anew; None without a workspace."""
@@ -156,7 +162,7 @@ class Job:
             "rays": lambda: plan.recipe.rays_per_cell,
             "device": lambda: plan.device,
             "ties": lambda: survey.ties,
-            "priors": lambda: (dict(survey.priors), survey.config.cameras),
+            "priors": lambda: (dict(survey.priors), survey.config.cameras, survey.water_doubt),
             "control": lambda: survey.control,
             "freed": lambda: self.calibrate_water,
             "water_colour": lambda: colour_of(survey),

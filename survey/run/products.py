@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 
+from fields.sweep.maps import DepthMap
 from survey.adjust.adjustment import Adjustment, read_adjustment
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.compare.result import Comparison
@@ -27,7 +28,8 @@ from survey.run.job import Job
 from survey.run.stage_adjust import FILES as ADJUSTMENT_FILES
 from survey.run.stage_solver import SIGHTINGS
 from survey.run.stage_sweep import MAPS, SATURATED
-from survey.run.stored import load_bed, load_depth_maps
+from survey.run.stored import load_bed
+from survey.run.stored_maps import Stored
 from survey.run.truth import Truth
 
 # At which the report asks how complete the cloud is: that of the study which this work follows, and a finer one.
@@ -75,7 +77,7 @@ def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path]
         timings=timings,
         bed=stored.bed,
         points_crs=stored.points_crs,
-        depth_maps=load_depth_maps(done["sweep"] / MAPS),
+        depth_maps=Stored(done["sweep"] / MAPS, DepthMap),
         comparison=comparison,
         sweep_comparison=of_sweep,
         versions=_versions(done),

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from fields.sweep.sources import Sources
 from survey.plan.block import camera_of
 
 if TYPE_CHECKING:
-    from fields.sweep.sweep import DepthMap
+    from fields.sweep.maps import DepthMap
     from survey.run.job import Job
 
 
-def sources_of(job: Job, maps: list[DepthMap]) -> Sources:
+def sources_of(job: Job, maps: Sequence[DepthMap]) -> Sources:
     """Cameras, maps and colour images at the plan's scale, in the order of the maps."""
     survey, plan = job.survey, job.plan
     given = survey.config.water

@@ -79,6 +79,7 @@ def run_stage(
         if missing:
             raise RuntimeError(f"the stage {stage.name} left no {', '.join(missing)}")
         folder = run.finish_stage(stage.name, key, temp)
+        job.give_back()
     if stage.apply is not None:
         stage.apply(job, folder)
     return folder

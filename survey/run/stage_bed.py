@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fields.solver.solver import SolvedMap
 from fields.sweep.bed import BedPoints, has_company, points_of, unique_pixels
+from fields.sweep.maps import DepthMap
 from fields.sweep.sweep import PEERS
 from survey.adjust.adjustment import read_adjustment
 from survey.adjust.std_common import BASIS_ADJUSTED, BASIS_STATED, std_common
@@ -20,18 +22,19 @@ from survey.plan.area import AREA_MARGIN_M, grown, local_area, within
 from survey.plan.block import backend, camera_of
 from survey.run.stage_solver import SOLVED
 from survey.run.stage_sweep import MAPS, look_at_bed
-from survey.run.stored import BED_FILE, SURVEY_FILE, StoredBed, load_depth_maps, load_solved_maps, save_bed
+from survey.run.stored import BED_FILE, SURVEY_FILE, StoredBed, save_bed
+from survey.run.stored_maps import Stored
 from survey.run.water_colour import colour_of
 
 if TYPE_CHECKING:
     from fields.slab.tensor_field import TensorField
-    from fields.solver.solver import SolvedMap
     from fields.sweep.block import Block
-    from fields.sweep.sweep import DepthMap
     from survey.run.job import Job
 
 FILES = (BED_FILE, SURVEY_FILE)
 LEAST_STD_PX = 0.01
+# Points whose coordinates are worked out at a time, of 200 bytes each.
+_PORTION = 200_000
 
 
 def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
@@ -43,9 +46,9 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         If no two views confirm a point.
     """
     survey = job.survey
-    maps = load_depth_maps(needs["sweep"] / MAPS)
+    maps = Stored(needs["sweep"] / MAPS, DepthMap)
     field = _field_of(job, needs["field"]) if "field" in needs else None
-    solved = load_solved_maps(needs["solver"] / SOLVED) if "solver" in needs else None
+    solved = Stored(needs["solver"] / SOLVED, SolvedMap) if "solver" in needs else None
     look_at_bed(job, needs["sweep"])
     with job.progress.stage("Bed", len(maps)) as stage:
         bed, tide, moved = bed_points(job, maps, field, stage.advance, solved)
@@ -73,7 +76,9 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         job.progress.note(f"std: {length(float(np.median(of_block)))} (median) of it by what tilts or shifts the block")
     basis = BASIS_STATED if found is None else BASIS_ADJUSTED
     job.progress.note(f"std_common: {length(float(np.nanmedian(common)))} (median), by {basis}")
-    points_crs = survey.frame.crs_from_local(bed.xyz)
+    points_crs = np.empty_like(bed.xyz)
+    for first in range(0, len(bed), _PORTION):
+        points_crs[first : first + _PORTION] = survey.frame.crs_from_local(bed.xyz[first : first + _PORTION])
     save_bed(folder, StoredBed(bed, points_crs, survey.frame.crs, survey.name, job.plan.gsd_m, common))
 
 
@@ -85,17 +90,17 @@ def _field_of(job: Job, folder: Path) -> TensorField:
 
 def bed_points(
     job: Job,
-    maps: list[DepthMap],
+    maps: Sequence[DepthMap],
     field: TensorField | None,
     advance: Callable[[float], None],
-    solved: list[SolvedMap] | None = None,
+    solved: Sequence[SolvedMap] | None = None,
 ) -> tuple[BedPoints, np.ndarray, int]:
     """Every piece of the bed once, coloured from the photograph that shows it steepest.
 
     Returns the points, the tides (N,) [m] of their photographs, and how many took their height from the field.
     """
     survey, plan, block = job.survey, job.plan, job.block
-    parts, tides, moved = [], [], 0
+    parts, sources, tides, moved, area = [], [], [], 0, local_area(survey)
     for number, (depth_map, keep) in enumerate(zip(maps, unique_pixels(block, maps), strict=True)):
         view = survey.views[depth_map.view]
         camera = camera_of(view, plan)
@@ -114,16 +119,15 @@ def bed_points(
             std = std[: camera.height, : camera.width][keep]
             points = replace(points, std=np.where(np.isnan(std), points.std, std))
         least = np.float32(_least_std(block, depth_map))
-        parts.append(replace(points, std=np.maximum(points.std, least)))
-        tides.append(np.full(len(points), camera.tide))
+        points = replace(points, std=np.maximum(points.std, least))
+        if area is not None:
+            points = points[within(points.xyz, grown(area, AREA_MARGIN_M))]
+        parts.append(points)
+        sources.append(np.full(len(points), number, dtype=np.int32))
+        tides.append(camera.tide)
         advance(1.0)
-    bed, tide = BedPoints.concatenate(parts), np.concatenate(tides)
-    area = local_area(survey)
-    if area is not None:
-        inside = within(bed.xyz, grown(area, AREA_MARGIN_M))
-        bed, tide = bed[inside], tide[inside]
-    kept = has_company(bed.xyz, plan.gsd_m)
-    return bed[kept], tide[kept], moved
+    bed, kept = BedPoints.gathered(parts, lambda xyz: has_company(xyz, plan.gsd_m))
+    return bed, np.array(tides)[np.concatenate(sources)[kept]], moved
 
 
 def _least_std(block: Block, depth_map: DepthMap) -> float:

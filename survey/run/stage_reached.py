@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fields.solver.solver import SolvedMap
+from fields.sweep.maps import DepthMap
 from survey.files.json_values import write_json
 from survey.plan.area import AREA_MARGIN_M, grown, local_area, within
 from survey.plan.block import camera_of
@@ -20,7 +22,8 @@ from survey.run.cell_std import CellStd, std_cells
 from survey.run.folder import seconds_of
 from survey.run.stage_solver import SOLVED
 from survey.run.stage_sweep import CELLS, MAPS
-from survey.run.stored import load_depth_maps, load_solved_maps, save_arrays
+from survey.run.stored import save_arrays
+from survey.run.stored_maps import Stored
 
 if TYPE_CHECKING:
     from survey.run.aimed import Aimed
@@ -36,7 +39,7 @@ def look_at_reached(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     aimed = job.aimed
     if aimed is None:
         raise ValueError("a run without an aim has nothing to look at")
-    solved = load_solved_maps(needs["solver"] / SOLVED) if "solver" in needs else []
+    solved = Stored(needs["solver"] / SOLVED, SolvedMap) if "solver" in needs else []
     num_solved = sum(len(each.pixels) for each in solved)
     told: dict = {"solver_s": seconds_of(needs["solver"]) if num_solved else None, "solved": num_solved}
     _take_pace(aimed, told)
@@ -69,7 +72,7 @@ def _take_pace(aimed: Aimed, found: dict) -> None:
 def _cells(job: Job, needs: Mapping[str, Path]) -> CellStd:
     """Of the solved pixels inside the area."""
     survey, plan, parts = job.survey, job.plan, []
-    maps, solved = load_depth_maps(needs["sweep"] / MAPS), load_solved_maps(needs["solver"] / SOLVED)
+    maps, solved = Stored(needs["sweep"] / MAPS, DepthMap), Stored(needs["solver"] / SOLVED, SolvedMap)
     for m, each in zip(maps, solved, strict=True):
         pixels, height, std = (column[::_EVERY] for column in (each.pixels, each.height, each.std))
         rows, columns = np.divmod(pixels, m.height.shape[1])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,15 +10,16 @@ import numpy as np
 
 from fields.solver.solver import SolvedMap, solve_maps
 from fields.sweep.bed import unique_pixels
+from fields.sweep.maps import DepthMap
 from fields.sweep.sweep import enlarged_map
 from survey.files.json_values import write_json
 from survey.progress import shares
-from survey.run.stage_sweep import EARLIER_SOLVER, EARLIER_SWEEP, MAPS, look_at_bed, views_swept
-from survey.run.stored import load_depth_maps, load_solved_maps, save_solved_maps
+from survey.run.stage_sweep import EARLIER_SOLVER, EARLIER_SWEEP, MAPS, SCRATCH, look_at_bed, views_swept
+from survey.run.stored_maps import ByView, Stored, kept_on_disk, save_maps
 
 if TYPE_CHECKING:
     from fields.solver.sightings import Sightings
-    from fields.sweep.sweep import DepthMap
+    from fields.sweep.masks import Masks
     from survey.run.job import Job
 
 SOLVED, SIGHTINGS = "solved.npz", "sightings.json"
@@ -28,34 +29,31 @@ _LEAST_TIME = 0.3
 
 def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Solve the pixels of the height maps that become points."""
-    maps = load_depth_maps(needs["sweep"] / MAPS)
+    maps = Stored(needs["sweep"] / MAPS, DepthMap)
     if not _has_time(job):
         job.progress.note("solver: left out, there is no time for it")
-        _save(job, folder, [_nothing() for _ in maps], None)
+        _save(job, folder, [SolvedMap.empty() for _ in maps], None)
         return
     look_at_bed(job, needs["sweep"])
     kept = unique_pixels(job.block, maps)
     carried = _carried(maps, kept, needs)
-    wanted = [keep if each is None else np.zeros_like(keep) for keep, each in zip(kept, carried, strict=True)]
-    with job.progress.stage("Solver", 1.0) as stage:
+    for number, each in enumerate(carried):
+        if each is not None:
+            kept[number] = np.zeros_like(kept[number])
+    with job.progress.stage("Solver", 1.0) as stage, kept_on_disk(folder / SCRATCH, SolvedMap) as keep:
         solved, figures = solve_maps(
-            job.block, maps, wanted, job.plan.gsd_m, shares(stage), goes_on=lambda: _goes_on(job)
+            job.block, maps, kept, job.plan.gsd_m, shares(stage), goes_on=lambda: _goes_on(job), keep=keep
         )
+        both = (new if old is None else old for new, old in zip(solved, carried, strict=True))
+        _save(job, folder, both, figures.sightings)
     job.progress.note(f"solver: {figures}")
-    both = [new if old is None else old for new, old in zip(solved, carried, strict=True)]
-    _save(job, folder, both, figures.sightings)
 
 
-def _save(job: Job, folder: Path, solved: list[SolvedMap], found: Sightings | None) -> None:
-    save_solved_maps(folder / SOLVED, solved)
+def _save(job: Job, folder: Path, solved: Iterable[SolvedMap], found: Sightings | None) -> None:
+    save_maps(folder / SOLVED, SolvedMap, solved)
     names = [view.name for view in job.survey.views]
     seen, outlying = ([0] * len(names),) * 2 if found is None else (found.seen.tolist(), found.outlying.tolist())
     write_json(folder / SIGHTINGS, {name: pair for name, *pair in zip(names, seen, outlying, strict=True)})
-
-
-def _nothing() -> SolvedMap:
-    empty = np.empty(0, dtype=np.float32)
-    return SolvedMap(np.empty(0, dtype=np.int64), empty, empty)
 
 
 def _has_time(job: Job) -> bool:
@@ -72,13 +70,14 @@ def _goes_on(job: Job) -> bool:
     return aimed is None or aimed.clock is None or aimed.clock.left_s > aimed.tail_s
 
 
-def _carried(maps: list[DepthMap], kept: list[np.ndarray], needs: Mapping[str, Path]) -> list[SolvedMap | None]:
+def _carried(maps: Sequence[DepthMap], kept: Masks, needs: Mapping[str, Path]) -> list[SolvedMap | None]:
     """Of each map that a later round left as it was, what the round before solved, at the size of this one."""
     if EARLIER_SOLVER not in needs or EARLIER_SWEEP not in needs:
         return [None for _ in maps]
     swept = views_swept(needs["sweep"])
-    before = {m.view: m for m in load_depth_maps(needs[EARLIER_SWEEP] / MAPS)}
-    solved = dict(zip(before, load_solved_maps(needs[EARLIER_SOLVER] / SOLVED), strict=True))
+    of_sweep = Stored(needs[EARLIER_SWEEP] / MAPS, DepthMap)
+    before = ByView(of_sweep)
+    solved = ByView(Stored(needs[EARLIER_SOLVER] / SOLVED, SolvedMap), of_sweep.views)
     return [
         None if m.view in swept else _enlarged(before[m.view], solved[m.view], m, keep)
         for m, keep in zip(maps, kept, strict=True)

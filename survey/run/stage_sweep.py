@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fields.sweep.free_space import without_contradicted
+from fields.sweep.maps import DepthMap
 from fields.sweep.sweep import PASSES, passes_from, sweep
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
@@ -19,17 +20,21 @@ from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area, plane_nam
 from survey.plan.block import camera_of
 from survey.progress import shares
 from survey.run.clock import OutOfTimeError
-from survey.run.stored import load_arrays, load_depth_maps, save_depth_maps
+from survey.run.stored import load_arrays
+from survey.run.stored_maps import ByView, Stored, kept_on_disk, save_maps
 
 if TYPE_CHECKING:
+    from fields.sweep.block import Block
+    from fields.sweep.maps import InOrder, Keep
     from fields.sweep.over_area import Area
-    from fields.sweep.sweep import DepthMap
     from survey.run.aimed import Aimed
     from survey.run.job import Job
 
 MAPS, BOUND, SATURATED, SWEPT = "maps.npz", "bound.json", "saturated.json", "swept.json"
 # Of the round before, for the stages of the next; and where its look left the cells that need work.
 EARLIER_SWEEP, EARLIER_SOLVER, EARLIER_LOOK, CELLS = "earlier sweep", "earlier solver", "earlier look", "cells.npz"
+# In the folder of the stage, while it lasts: maps that are worked on.
+SCRATCH = "scratch"
 # A view goes on where more than this share of the ground that it sees needs work.
 _LEAST_SHARE = 0.05
 
@@ -54,32 +59,40 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         ladder = (low, high) if job.plan.skips.heights else limits(survey)
         passes = PASSES if job.aimed is None else passes_from(job.aimed.first_search)
         start = time.monotonic()
-        maps = sweep(block, chosen, ladder, shares(stage), passes, _wanted(job))
-        if not maps:
-            raise SurveyError("no two views overlap; check that the poses belong to the images")
-        maps = without_contradicted(block, maps)
+        with kept_on_disk(folder / SCRATCH, DepthMap) as keep:
+            maps = sweep(block, chosen, ladder, shares(stage), passes, _wanted(job), keep=keep)
+            if not maps:
+                raise SurveyError("no two views overlap; check that the poses belong to the images")
+            swept = _finished(block, maps, keep)
+            _save(job, folder, swept, swept.views, time.monotonic() - start, images_s, None)
     job.progress.note(f"bound: bed between {low:.2f} and {high:.2f} m over the {plane_name(survey)}")
     write_json(folder / BOUND, {"low_m": low, "high_m": high})
-    _save(job, folder, maps, [m.view for m in maps], time.monotonic() - start, images_s, None)
+
+
+def _finished(block: Block, maps: InOrder, keep: Keep) -> InOrder:
+    """Maps of a sweep without heights that other views contradict."""
+    found = without_contradicted(block, maps, keep)
+    maps.clear()
+    return found
 
 
 def _go_on(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """The heights of the round before at the size of this one; its views go on where they have to."""
     bound = json.loads((needs[EARLIER_SWEEP] / BOUND).read_text(encoding="utf-8"))
     write_json(folder / BOUND, bound)
-    before = load_depth_maps(needs[EARLIER_SWEEP] / MAPS)
+    before = Stored(needs[EARLIER_SWEEP] / MAPS, DepthMap)
     earlier_scale = _swept(needs[EARLIER_SWEEP])["image_scale"]
     if earlier_scale == job.plan.image_scale:
-        _save(job, folder, before, [m.view for m in before], 0.0, 0.0, earlier_scale)
+        _save(job, folder, before, before.views, 0.0, 0.0, earlier_scale)
         return
     start = time.monotonic()
     block, images_s = job.block, time.monotonic() - start
     look_at_bed(job, folder)
-    again = _to_sweep_again(job, before, needs)
+    again = _to_sweep_again(job, before.views, needs)
     job.progress.note(f"sweep: {len(again)} of {len(before)} views go on at image scale {job.plan.image_scale:g}")
     start, aimed = time.monotonic(), job.aimed
     try:
-        with job.progress.stage("Sweep", 1.0) as stage:
+        with job.progress.stage("Sweep", 1.0) as stage, kept_on_disk(folder / SCRATCH, DepthMap) as keep:
             report = shares(stage)
 
             def advance(share: float) -> None:
@@ -87,21 +100,19 @@ def _go_on(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
                 if aimed is not None and aimed.clock is not None:
                     aimed.clock.keep(aimed.tail_s)
 
-            views, limits_m = [m.view for m in before], (bound["low_m"], bound["high_m"])
+            ladder = (bound["low_m"], bound["high_m"])
             maps = sweep(
-                block, views, limits_m, advance, area=_wanted(job), before={m.view: m for m in before}, again=again
+                block, before.views, ladder, advance, area=_wanted(job), before=ByView(before), again=again, keep=keep
             )
-            maps = without_contradicted(block, maps)
+            swept = _finished(block, maps, keep)
+            _save(job, folder, swept, again, time.monotonic() - start, images_s, earlier_scale)
     except OutOfTimeError:
         job.progress.note("sweep: no time is left for this round; the heights of the one before are kept")
         _save(job, folder, before, [], 0.0, images_s, earlier_scale, scale=earlier_scale)
-        return
-    _save(job, folder, maps, again, time.monotonic() - start, images_s, earlier_scale)
 
 
-def _to_sweep_again(job: Job, before: list[DepthMap], needs: Mapping[str, Path]) -> list[int]:
+def _to_sweep_again(job: Job, views: list[int], needs: Mapping[str, Path]) -> list[int]:
     """Views that see much ground that needs work; all where no standard deviation is asked for."""
-    views = [m.view for m in before]
     cells = needs[EARLIER_LOOK] / CELLS
     if job.aimed is None or job.aimed.aim.std_m is None:
         return views
@@ -117,11 +128,11 @@ def _to_sweep_again(job: Job, before: list[DepthMap], needs: Mapping[str, Path])
 
 
 def _save(
-    job: Job, folder: Path, maps: list[DepthMap], swept: list[int], seconds: float, images_s: float,
+    job: Job, folder: Path, maps: Sequence[DepthMap], swept: list[int], seconds: float, images_s: float,
     before: float | None, *, scale: float | None = None,
 ) -> None:  # fmt: skip
     """The maps, and what they took; ``scale`` is that of the maps where it is not the plan's."""
-    save_depth_maps(folder / MAPS, maps)
+    save_maps(folder / MAPS, DepthMap, maps)
     scale = job.plan.image_scale if scale is None else scale
     share = len(swept) / len(maps)
     num_samples = 0.0 if job.aimed is None else share * job.aimed.samples(scale, before)

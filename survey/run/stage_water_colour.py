@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fields.sweep.maps import DepthMap
 from survey.run.sources import sources_of
 from survey.run.stage_sweep import MAPS
-from survey.run.stored import load_depth_maps
+from survey.run.stored_maps import Stored
 from survey.run.water_colour import save_colour, with_colour
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 def estimate_colour(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     """Estimate what the water absorbs, from the photographs that have a height map."""
-    maps = load_depth_maps(needs["sweep"] / MAPS)
+    maps = Stored(needs["sweep"] / MAPS, DepthMap)
     with job.progress.stage("Water colour"):
         save_colour(folder, sources_of(job, maps))
 

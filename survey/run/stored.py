@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 import json
 import zipfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pyproj import CRS
@@ -16,9 +17,7 @@ from geo.files import write_whole
 from survey.errors import SurveyError
 
 if TYPE_CHECKING:
-    from fields.solver.solver import SolvedMap
     from fields.sweep.bed import BedPoints
-    from fields.sweep.sweep import DepthMap
 
 BED_FILE, SURVEY_FILE = "bed.npz", "survey.json"
 # Of the stage of the field; `survey.run.stored_field` reads and writes them.
@@ -69,9 +68,15 @@ def save_arrays(path: str | Path, **arrays: np.ndarray) -> None:
     UnwritableFile
         If the system refuses; see `geo.write_whole`.
     """
-    named: dict[str, Any] = dict(arrays)  # to a type checker, one could be called allow_pickle, which is no array
-    with write_whole(path) as stream:
-        np.savez(stream, **named)
+    write_arrays(path, arrays.items())
+
+
+def write_arrays(path: str | Path, arrays: Iterable[tuple[str, np.ndarray]]) -> None:
+    """As `save_arrays`, of names with their arrays one after the other: they need not be in memory together."""
+    with write_whole(path) as stream, zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
+        for name, array in arrays:
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
 
 
 def load_arrays(path: str | Path, names: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
@@ -86,9 +91,12 @@ def load_arrays(path: str | Path, names: tuple[str, ...] | None = None) -> dict[
         with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             return {name: stored[name] for name in stored.files if names is None or name in names}
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        raise SurveyError(
-            f"{path} cannot be read ({error}); delete its folder and give `bathynerf process` again"
-        ) from error
+        raise unreadable(path, error) from error
+
+
+def unreadable(path: str | Path, why: Exception | str) -> SurveyError:
+    """The error for a file that an earlier stage left."""
+    return SurveyError(f"{path} cannot be read ({why}); delete its folder and give `bathynerf process` again")
 
 
 def save_bed(folder: str | Path, stored: StoredBed) -> None:
@@ -153,66 +161,3 @@ def load_bed_columns(folder: str | Path, *names: str) -> dict[str, np.ndarray]:
         If the file is missing or damaged.
     """
     return load_arrays(Path(folder) / BED_FILE, names)
-
-
-def save_depth_maps(path: str | Path, maps: list[DepthMap]) -> None:
-    """Write depth maps, of any sizes, into one .npz file."""
-    save_arrays(path, views=np.array([m.view for m in maps], dtype=np.int64), **_numbered(maps))
-
-
-def load_depth_maps(path: str | Path) -> list[DepthMap]:
-    """The depth maps of a file of `save_depth_maps`, in their order.
-
-    Raises
-    ------
-    SurveyError
-        If the file is missing or damaged.
-    """
-    from fields.sweep.sweep import DepthMap
-
-    arrays = load_arrays(path)
-    return [
-        DepthMap(int(view), **_of_number(path, arrays, DepthMap, number))
-        for number, view in enumerate(arrays.get("views", ()))
-    ]
-
-
-def save_solved_maps(path: str | Path, maps: list[SolvedMap]) -> None:
-    """Write the solved pixels of the height maps into one .npz file."""
-    save_arrays(path, **_numbered(maps))
-
-
-def load_solved_maps(path: str | Path) -> list[SolvedMap]:
-    """The solved maps of a file of `save_solved_maps`, in their order.
-
-    Raises
-    ------
-    SurveyError
-        If the file is missing or damaged.
-    """
-    from fields.solver.solver import SolvedMap
-
-    arrays = load_arrays(path)
-    count = len(arrays) // len(dataclasses.fields(SolvedMap))
-    return [SolvedMap(**_of_number(path, arrays, SolvedMap, number)) for number in range(count)]
-
-
-def _numbered(maps: list) -> dict[str, np.ndarray]:
-    """The arrays of several dataclasses of one kind, by name and number."""
-    return {
-        f"{item.name}_{number}": getattr(each, item.name)
-        for number, each in enumerate(maps)
-        for item in dataclasses.fields(each)
-        if item.name != "view"
-    }
-
-
-def _of_number(path: str | Path, arrays: dict[str, np.ndarray], kind: type, number: int) -> dict[str, np.ndarray]:
-    """The arrays of one of the dataclasses that `_numbered` took apart."""
-    names = [item.name for item in dataclasses.fields(kind) if item.name != "view"]
-    try:
-        return {name: arrays[f"{name}_{number}"] for name in names}
-    except KeyError as error:
-        raise SurveyError(
-            f"{path} lacks the array {error}; delete its folder and give `bathynerf process` again"
-        ) from error

@@ -1,0 +1,67 @@
+"""Height maps of many views: where they are kept while they are worked on, and in which order they are wanted.
+
+Maps in memory take 9 bytes a pixel, so that those of a large survey do not fit. Whoever calls may give a place on the
+disk to keep them in; only those that are worked on are read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, MutableMapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+@dataclass
+class DepthMap:
+    """What the sweep knows of one view: arrays (height, width), local frame.
+
+    Attributes
+    ----------
+    view : index of the view
+    height : float32 [m]
+        Over the water plane along its normal; of the path of each pixel.
+    score : float16
+        NCC of the better half of the neighbours, -1 to 1.
+    agreeing : uint8
+        Other views whose own height agrees.
+    spread : float16 [m]
+        Standard deviation (population) of the heights that agree, the own one included.
+    """
+
+    view: int
+    height: np.ndarray
+    score: np.ndarray
+    agreeing: np.ndarray
+    spread: np.ndarray
+
+
+# Maps by view; a dict, or one that keeps its values on the disk. A map that was changed has to be stored again.
+Maps = MutableMapping[int, DepthMap]
+# Makes an empty place for maps.
+Keep = Callable[[], Maps]
+
+
+class InOrder(Sequence):
+    """Maps in the order of some views, or of some numbers, each read when it is asked for.
+
+    Attributes
+    ----------
+    views : list of int
+    """
+
+    def __init__(self, maps: MutableMapping[int, Any], views: list[int]):
+        self._maps, self.views = maps, views
+
+    def __len__(self) -> int:
+        return len(self.views)
+
+    def __getitem__(self, number):
+        """The map of the view at a place in the order."""
+        return self._maps[self.views[number]]
+
+    def clear(self) -> None:
+        """Give the room of the maps back."""
+        self.views = []
+        self._maps.clear()

@@ -1,0 +1,170 @@
+"""Height maps, and what was solved of them, on the disk: a file each while they are worked on, then all in one file."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import shutil
+import struct
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping, Sequence
+from contextlib import contextmanager
+from itertools import count
+from pathlib import Path
+from typing import Any, BinaryIO, TypeVar
+
+import numpy as np
+
+from fields.sweep.maps import DepthMap
+from geo.files import disk_refusals
+from survey.run.stored import load_arrays, unreadable, write_arrays
+
+# In the header of a file in a zip archive: the lengths of name and extra field, which follow it.
+_LENGTHS_AT = 26
+
+Kind = TypeVar("Kind")
+
+
+class OnDisk(MutableMapping[int, Kind]):
+    """Maps of one kind by number, in a folder of their own; each is read from there whenever it is asked for.
+
+    Parameters
+    ----------
+    folder : Path
+        Made here, and empty.
+    kind : type of the maps, DepthMap or SolvedMap
+    """
+
+    def __init__(self, folder: Path, kind: type[Kind]):
+        self._folder, self._kind = folder, kind
+        self._numbers: set[int] = set()
+        with disk_refusals(folder):
+            folder.mkdir()
+
+    def __getitem__(self, number: int) -> Kind:
+        if number not in self._numbers:
+            raise KeyError(number)
+        with disk_refusals(self._path(number)), self._path(number).open("rb") as stream:
+            return _made(self._kind, number, lambda _name: np.load(stream))
+
+    def __setitem__(self, number: int, each: Kind) -> None:
+        with disk_refusals(self._path(number)), self._path(number).open("wb") as stream:
+            for name in _names(self._kind):
+                np.save(stream, getattr(each, name))
+        self._numbers.add(number)
+
+    def __delitem__(self, number: int) -> None:
+        self._numbers.remove(number)
+        with disk_refusals(self._path(number)):
+            self._path(number).unlink()
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(sorted(self._numbers))
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    def __contains__(self, number: object) -> bool:
+        return number in self._numbers
+
+    def _path(self, number: int) -> Path:
+        return self._folder / f"{number}.npy"
+
+
+@contextmanager
+def kept_on_disk(folder: Path, kind: type[Kind]) -> Iterator[Callable[[], OnDisk[Kind]]]:
+    """Places for maps in a folder, which is made, and removed in the end."""
+    number = count()
+    with disk_refusals(folder):
+        folder.mkdir()
+    try:
+        yield lambda: OnDisk(folder / str(next(number)), kind)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def save_maps(path: str | Path, kind: type[Kind], maps: Iterable[Kind]) -> None:
+    """Write depth maps or solved maps, of any sizes, into one .npz file, one after the other."""
+    views = []
+
+    def named() -> Iterator[tuple[str, np.ndarray]]:
+        for number, each in enumerate(maps):
+            views.append(each.view if isinstance(each, DepthMap) else number)
+            yield from ((f"{name}_{number}", getattr(each, name)) for name in _names(kind))
+        yield "views", np.array(views, dtype=np.int64)
+
+    write_arrays(path, named())
+
+
+class Stored(Sequence[Kind]):
+    """The maps of a file of `save_maps`, in their order; each is read when it is asked for.
+
+    Attributes
+    ----------
+    views : list of int
+        Of depth maps; of others their numbers.
+
+    Raises
+    ------
+    SurveyError
+        If the file is missing or damaged, or was changed since.
+    """
+
+    def __init__(self, path: str | Path, kind: type[Kind]):
+        self._path, self._kind = Path(path), kind
+        self.views = [int(view) for view in load_arrays(self._path, ("views",)).get("views", ())]
+        with zipfile.ZipFile(self._path) as archive:
+            self._start = {each.filename: each.header_offset for each in archive.infolist()}
+        for number in range(len(self.views)):
+            for name in _names(kind):
+                if f"{name}_{number}.npy" not in self._start:
+                    raise unreadable(self._path, f"it lacks the array {name}_{number}")
+
+    def __len__(self) -> int:
+        return len(self.views)
+
+    def __getitem__(self, number):
+        """The map at a place in the order."""
+        view = self.views[number]
+        try:
+            with self._path.open("rb") as stream:
+                return _made(self._kind, view, lambda name: _read(stream, self._start[f"{name}_{number}.npy"]))
+        except (OSError, ValueError, EOFError) as error:
+            raise unreadable(self._path, error) from error
+
+
+def _read(stream: BinaryIO, start: int) -> np.ndarray:
+    """An array of a zip file that does not compress, whose local header begins there: in one go, not by parts."""
+    stream.seek(start + _LENGTHS_AT)
+    stream.seek(sum(struct.unpack("<HH", stream.read(4))), os.SEEK_CUR)
+    return np.load(stream, allow_pickle=False)
+
+
+def _names(kind: type) -> list[str]:
+    return [item.name for item in dataclasses.fields(kind) if item.name != "view"]
+
+
+def _made(kind: type[Kind], view: int, array: Callable[[str], np.ndarray]) -> Kind:
+    """A map of arrays by their names."""
+    arrays: dict[str, Any] = {name: array(name) for name in _names(kind)}
+    return kind(**({"view": view} if kind is DepthMap else {}), **arrays)
+
+
+class ByView(Mapping[int, Kind]):
+    """Stored maps by their views."""
+
+    def __init__(self, maps: Stored[Kind], views: list[int] | None = None):
+        self._maps, views = maps, maps.views if views is None else views
+        self._number = {view: number for number, view in enumerate(views)}
+
+    def __getitem__(self, view: int) -> Kind:
+        return self._maps[self._number[view]]
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._number)
+
+    def __len__(self) -> int:
+        return len(self._number)
+
+    def __contains__(self, view: object) -> bool:
+        return view in self._number

@@ -1,0 +1,67 @@
+"""What the sweep keeps of many images in little memory: masks, images made when they are read, maps in an order."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from plane_survey import TILTED, ring
+
+from fields.sweep.footprint import Footprint
+from fields.sweep.greys import Greys
+from fields.sweep.lazy import Lazy
+from fields.sweep.masks import Masks
+
+
+def test_masks_come_back_as_they_were_and_take_more(rng):
+    first, second = rng.random((2, 5, 7)) < 0.5
+    masks = Masks([(5, 7), (5, 7)])
+    assert not masks[0].any()
+    masks[1] = first
+    masks.add(1, second.ravel())
+    np.testing.assert_array_equal(masks[1], first | second)
+    assert not masks[0].any()
+    assert len(list(masks)) == 2
+
+
+def test_images_are_made_once_while_they_are_kept():
+    made = []
+
+    def make(number: int) -> np.ndarray:
+        made.append(number)
+        return np.full((2, 3), number, dtype=np.float32)
+
+    images = Lazy(make, 3, (2, 3), 2)
+    assert [images[n][0, 0] for n in (0, 1, 0, 2, 0, 1)] == [0, 1, 0, 2, 0, 1]
+    assert made == [0, 1, 2, 1]
+    with pytest.raises(IndexError, match="3 images, got number 3"):
+        images[3]
+
+
+@pytest.mark.parametrize("step", [1.0, 0.3])
+def test_a_part_of_a_grey_image_is_what_the_whole_has_there(rng, step):
+    image = step * rng.integers(-100, 100, (9, 21)).astype(np.float32)
+    image[rng.random(image.shape) < 0.3] = np.nan
+    greys, part = Greys([image, image]), np.s_[2:7, 3:14]
+    np.testing.assert_array_equal(greys.window(1, *part), image[part])
+    np.testing.assert_array_equal(greys[1], image)
+
+
+def test_greys_of_several_sizes_are_refused():
+    with pytest.raises(ValueError, match="of one size"):
+        Greys([np.zeros((2, 3)), np.zeros((3, 2))])
+
+
+@pytest.mark.parametrize("water", [TILTED, None], ids=["wet", "dry"])
+def test_a_footprint_holds_all_that_a_view_shows_between_two_heights(water, rng):
+    for camera in ring(3):
+        foot = Footprint.of(camera, water, (-3.0, 0.5))
+        pixels = rng.uniform((0.0, 0.0), (camera.width, camera.height), (500, 2))
+        points = camera.paths(pixels, water).at_height(rng.uniform(-3.0, 0.5, 500), water)
+        assert ((points[:, :2] >= foot.low) & (points[:, :2] <= foot.high)).all()
+
+
+def test_footprints_that_have_no_ground_in_common_do_not_meet():
+    here = Footprint(np.zeros(2), np.ones(2))
+    assert here.meets(Footprint(np.full(2, 0.5), np.full(2, 2.0)))
+    assert not here.meets(Footprint(np.array([0.0, 1.5]), np.array([1.0, 2.0])))
+    assert here.meets(Footprint(np.full(2, -np.inf), np.full(2, np.inf)))

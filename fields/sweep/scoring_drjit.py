@@ -17,6 +17,7 @@ import math
 import drjit as dr
 
 from fields.device import Device
+from fields.sweep.arrays import rung_and_pixel
 
 # A window flatter than this (grey levels squared, at 8 bits) holds noise, not texture; it lowers NCC there.
 NOISE_VARIANCE = 1.0
@@ -40,9 +41,9 @@ def ncc(device: Device, reference, values: list, width: int, radius: int) -> lis
     wrap around a row's end, or leave the strip, are wrong: the caller discards the halo (`radius` pixels at every
     edge).
     """
-    Float, UInt = device.module.Float, device.module.UInt
+    Float = device.module.Float
     total = dr.width(values[0])
-    greys = dr.gather(Float, reference, dr.arange(UInt, total) % dr.opaque(UInt, dr.width(reference)))
+    greys = dr.gather(Float, reference, rung_and_pixel(device, total, dr.width(reference))[1])
     dr.eval(greys)
     side = 2 * radius + 1
     offsets = [row * width + column for row in range(side) for column in range(side)]

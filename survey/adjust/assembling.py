@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -51,6 +51,7 @@ def result(
     total: int,
     *,
     lost: dict[str, Lost] | None = None,
+    contradicted: Sequence[int] = (),
     hold: Callable[[np.ndarray], Adjusted] | None = None,
 ) -> Adjustment:
     """What was found.
@@ -63,13 +64,15 @@ def result(
         Observations before any was left out.
     lost : dict of name to Lost, optional
         Of water of which nothing was known: what is not observable, and why.
+    contradicted : sequence of int, optional
+        Parameters of the water that the block contradicts: however uncertain, what was found is used.
     hold : callable, optional
         Adjusts again with the parameters (P,) bool held that are not observable.
     """
     layout, first = done.known.layout, done.solution.covariance
     held = np.zeros(len(layout), dtype=bool)
     while True:
-        parameters, water = _judged(survey, done, first, held, lost)
+        parameters, water = _judged(survey, done, first, held, lost, contradicted)
         also = held | not_observable(parameters, layout)
         if hold is None or (also == held).all():
             break
@@ -153,14 +156,19 @@ def _warnings(survey: Survey, done: Adjusted) -> list[str]:
 
 
 def _judged(
-    survey: Survey, done: Adjusted, first: np.ndarray, held: np.ndarray, lost: dict[str, Lost] | None
+    survey: Survey,
+    done: Adjusted,
+    first: np.ndarray,
+    held: np.ndarray,
+    lost: dict[str, Lost] | None,
+    contradicted: Sequence[int],
 ) -> tuple[tuple[Parameter, ...], WaterConfig | None]:
     """Parameters of water and lenses with their verdicts, and the water; ``first`` tells of those that are held."""
     known, state, covariance = done.known, done.solution.state, done.solution.covariance
     parameters: list[Parameter] = []
     water: WaterConfig | None = None
     if survey.water is not None:
-        verdicts, water = _water(survey, known, state, (covariance, first), held[:WATER], lost)
+        verdicts, water = _water(survey, known, state, (covariance, first), held[:WATER], lost, contradicted)
         parameters += verdicts
     variance = np.where(held, np.diag(first), np.diag(covariance))
     for number, lens in enumerate(known.lenses):
@@ -205,6 +213,7 @@ def _water(
     covariances: tuple[np.ndarray, np.ndarray],
     held: np.ndarray,
     lost: dict[str, Lost] | None,
+    contradicted: Sequence[int],
 ) -> tuple[list[Parameter], WaterConfig]:
     """Level, slopes and index as survey.toml counts them, with verdicts; the second covariance tells of the held."""
     _, given = survey.require_water()
@@ -214,7 +223,9 @@ def _water(
     given_std = np.sqrt(np.diag(by_local @ np.diag(known.std[:WATER] ** 2) @ by_local.T))
     if lost is not None:
         given_std = np.full(WATER, np.inf)
-    found = water_verdicts(values, np.where(held, held_std, std), given, given_std, water_limits(state.points))
+    limits = water_limits(state.points)
+    limits[list(contradicted)] = np.inf
+    found = water_verdicts(values, np.where(held, held_std, std), given, given_std, limits)
     for i, row in enumerate(found):
         if lost and row.name in lost:
             found[i] = lost_verdict(row.name, lost[row.name].std, row.given, lost[row.name].reason)

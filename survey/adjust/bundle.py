@@ -182,19 +182,24 @@ def _solved(problem: Problem, start: State, inflation: np.ndarray | None) -> Sol
     state, system = _descend(problem, start, std_px, inflation)
     for _ in range(_MOST_ROUNDS):
         # Each parameter takes one coordinate, less the share that its prior determines.
-        taken = float(np.sum(1.0 - np.diag(_inverse(system.normal)) / problem.priors.std**2))
+        taken = float(np.sum(1.0 - np.diag(inverse(system.normal)) / problem.priors.std**2))
         before, std_px = std_px, std_of_kinds(problem, problem.residuals(state), taken)
         if (np.abs(std_px / before - 1.0) < _STEADY).all():
             break
         state, system = _descend(problem, state, std_px, inflation)
     residuals = problem.residuals(state)
     weights = _weights(problem, residuals, std_px) / inflation
-    return Solution(state, _inverse(system.normal), residuals, weights, std_px, system)
+    return Solution(state, inverse(system.normal), residuals, weights, std_px, system)
 
 
 def covariance_at(problem: Problem, state: State, std_px: np.ndarray) -> np.ndarray:
     """Covariance (P, P) of the parameters at a state, for standard deviations (kinds,) [px] of the observations."""
-    return _inverse(_system(problem, state, std_px, np.ones(len(problem.kind))).normal)
+    return inverse(system_at(problem, state, std_px).normal)
+
+
+def system_at(problem: Problem, state: State, std_px: np.ndarray) -> System:
+    """The normal equations at a state, for standard deviations (kinds,) [px] of the observations."""
+    return _system(problem, state, std_px, np.ones(len(problem.kind)))
 
 
 def std_of_kinds(problem: Problem, residuals: np.ndarray, taken: float) -> np.ndarray:
@@ -259,7 +264,8 @@ def _descend(problem: Problem, state: State, std_px, inflation) -> tuple[State, 
     )
 
 
-def _inverse(normal: np.ndarray) -> np.ndarray:
+def inverse(normal: np.ndarray) -> np.ndarray:
+    """Inverse (P, P) of a normal matrix whose parameters have different units."""
     matrix, scale = _scaled(normal)
     return cho_solve(cho_factor(matrix), np.eye(len(matrix))) * np.outer(scale, scale)
 

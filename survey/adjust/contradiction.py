@@ -11,7 +11,7 @@ from survey.adjust.rounds import Adjusted
 from survey.adjust.state import WATER
 
 # Beyond this many standard deviations of their difference the two cannot both be true.
-_MOST = 3.0
+MOST = 3.0
 # With less of its own than this share of the knowledge beforehand, a block cannot contradict it.
 _LEAST_OWN = 0.02
 
@@ -35,15 +35,18 @@ class Contradiction:
     given_std: float
 
 
-def contradictions(done: Adjusted) -> list[Contradiction]:
-    """Level, slopes and index that the block contradicts, the level first.
+def worst_contradiction(done: Adjusted) -> Contradiction | None:
+    """Of level, slopes and index the one that the block contradicts by the most standard deviations, if any.
+
+    One that is wrong draws the others with it, so that only the worst is surely wrong: it is released, and the block
+    asked again.
 
     Notes
     -----
     Of a value of standard deviation s from a prior of standard deviation p, the block alone has told
     ``1 / s^2 - 1 / p^2``, and its own value follows from the weighted mean.
     """
-    found = []
+    worst, most = None, MOST
     moved = done.solution.state.water_parameters() - done.known.mean.water_parameters()
     for number in range(WATER):
         prior = float(done.known.std[number])
@@ -53,14 +56,14 @@ def contradictions(done: Adjusted) -> list[Contradiction]:
             continue
         difference = float(moved[number]) / (both * own)
         std = own**-0.5
-        if abs(difference) > _MOST * np.hypot(std, prior):
-            found.append(Contradiction(number, difference, std, prior))
-    return found
+        sigmas = abs(difference) / np.hypot(std, prior)
+        if sigmas > most:
+            worst, most = Contradiction(number, difference, std, prior), sigmas
+    return worst
 
 
-def released(known: Known, found: list[Contradiction]) -> Known:
-    """What is known, with the contradicted values as uncertain as they proved to be."""
+def released(known: Known, found: Contradiction) -> Known:
+    """What is known, with the contradicted value as uncertain as it proved to be."""
     std = known.std.copy()
-    for each in found:
-        std[each.number] = max(abs(each.difference), each.given_std)
+    std[found.number] = max(abs(found.difference), found.given_std)
     return replace(known, std=std)

@@ -1,25 +1,31 @@
 """Whether photographs contradict poses that are given as exact: a sample of windows, with nothing adjusted but points.
 
 Poses, lens and water that are exact leave residuals with no mean over a photograph. Errors of a pose move all that its
-photograph shows in one direction; what points can follow of them does no harm to the bed.
+photograph shows in one direction; what points can follow of them does no harm to the bed. Points follow a
+wrong level, and the bed with them: it is asked for apart (`survey.adjust.water_check`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from survey.adjust.bundle import Problem, solve
+from survey.adjust.bundle import NotConvergedError, Problem, solve
 from survey.adjust.observed import KINDS, MATCH, WINDOW, observed, rows_taken
 from survey.adjust.prediction import relief_sides
-from survey.adjust.priors import HELD, known_of, priors_for
+from survey.adjust.priors import FREE_WATER, HELD, known_of, priors_for
+from survey.adjust.state import State
+from survey.adjust.water_check import told_of_water, water_doubt
 from survey.adjust.windows_of_survey import windows_of_block
 from survey.folder.survey import Survey
+from survey.folder.water_doubt import WaterDoubt
 from survey.photos.tie_points import TiePoints
 from survey.plan.plan import Plan
+from survey.plan.poses import MOST_MISFIT_PX
 
 if TYPE_CHECKING:
     from fields.sweep.block import Block
@@ -30,13 +36,28 @@ SAMPLE = 10
 _FEWEST = 10
 
 
-def pose_misfit(
-    survey: Survey, plan: Plan, block: Block, bound: tuple[float, float], advance: Callable[[float], None]
-) -> float | None:
-    """By how much photographs miss each other under the given poses, lens and water [px], per coordinate.
+@dataclass(frozen=True)
+class PoseCheck:
+    """What photographs say of poses, lens and water that are given.
 
-    The root mean square over photographs of the mean residual of their windows, less what the scatter of the windows
-    explains. None where too little matches to tell.
+    Attributes
+    ----------
+    misfit_px : [px] or None
+        By how much they miss each other, per coordinate: the root mean square over photographs of the mean residual of
+        their windows, less what the scatter of the windows explains. None where too little matches to tell.
+    doubt : WaterDoubt or None
+        What the photographs contradict of the water, where their misfit bears out the poses: that under the level which
+        fits best, since far from the true one photographs taken aslant miss each other, too.
+    """
+
+    misfit_px: float | None
+    doubt: WaterDoubt | None = None
+
+
+def check_of_windows(
+    survey: Survey, plan: Plan, block: Block, bound: tuple[float, float], advance: Callable[[float], None]
+) -> PoseCheck:
+    """The check by windows of a sample of photographs.
 
     Parameters
     ----------
@@ -52,23 +73,23 @@ def pose_misfit(
     Raises
     ------
     SurveyError
-        If no windows match, as under poses that are off by more than a few pixels: `misfit_of_features` can tell.
+        If no windows match, as under poses that are off by more than a few pixels: `check_of_features` can tell.
     """
     chosen = _middle(survey)
     sample = replace(survey, views=tuple(survey.views[i] for i in chosen), ties=None)
     windows = windows_of_block(sample, plan, block.part(chosen), bound, advance, sparse=True)
-    return _under_given(sample, plan, WINDOW, windows)
+    return check_of_ties(sample, plan, WINDOW, windows)
 
 
-def misfit_of_features(survey: Survey, plan: Plan, features: TiePoints) -> float | None:
-    """`pose_misfit` by the features of all photographs, wherever they lie."""
-    return _under_given(replace(survey, ties=None), plan, MATCH, features)
+def check_of_features(survey: Survey, plan: Plan, features: TiePoints) -> PoseCheck:
+    """The check by the features of all photographs, wherever they lie."""
+    return check_of_ties(replace(survey, ties=None), plan, MATCH, features)
 
 
-def _under_given(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> float | None:
-    """See `pose_misfit`, by tie points of a kind."""
+def check_of_ties(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> PoseCheck:
+    """The check by tie points of a kind: `MATCH` or `WINDOW`."""
     if not len(ties):
-        return None
+        return PoseCheck(None)
     known = known_of(survey, plan.gsd_m)
     seen = observed([(kind, ties)], None, survey, known)
     held = replace(known, std=np.full_like(known.std, HELD))
@@ -76,11 +97,30 @@ def _under_given(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> floa
     priors, sides = priors_for(held, seen.ties), relief_sides(state, seen.ties)
     rows = rows_taken(seen.ties, known.lenses, known.layout.lens_of)
     problem = Problem(known.layout, seen.ties, seen.kind, priors, np.full(len(KINDS), np.nan), sides, rows)
-    return misfit(solve(problem, state).residuals, seen.ties.view)
+    solution = solve(problem, state)
+    found = misfit(solution.residuals, seen.ties.view)
+    of_poses = found
+    if found is not None and found > MOST_MISFIT_PX and kind == WINDOW:
+        of_poses = _under_best_level(problem, solution.state)
+    if of_poses is None or of_poses > MOST_MISFIT_PX:
+        # Errors of poses look like those of the water; all is adjusted together then.
+        return PoseCheck(found)
+    told = told_of_water(survey, problem, solution.state, of_poses, plan.gsd_m)
+    return PoseCheck(found, water_doubt(survey, told))
+
+
+def _under_best_level(problem: Problem, state: State) -> float | None:
+    """The misfit of the given poses under the level that fits best; None where there is none."""
+    std = problem.priors.std.copy()
+    std[0] = FREE_WATER[0]
+    with suppress(NotConvergedError):
+        free = solve(replace(problem, priors=replace(problem.priors, std=std)), state)
+        return misfit(free.residuals, problem.ties.view)
+    return None
 
 
 def misfit(residuals: np.ndarray, view: np.ndarray) -> float | None:
-    """See `pose_misfit`: of residuals (N, 2) [px] of observations in photographs (N,)."""
+    """See `PoseCheck`: of residuals (N, 2) [px] of observations in photographs (N,)."""
     squares = []
     for number in np.unique(view):
         mine = residuals[(view == number) & np.isfinite(residuals).all(axis=1)]

@@ -83,7 +83,7 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
         Ground sampling distance.
     free_water : bool
         Know nothing of the water beforehand. Poses without a stated standard deviation, and their lens, then count as
-        those of an adjusted block.
+        those of an adjusted block; so they do where photographs bear them out and contradict the water.
     """
     views = survey.views
     lenses = tuple(dict.fromkeys(view.lens for view in views))
@@ -105,7 +105,7 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
     sheet = np.array([_data_sheet(survey, lens) for lens in lenses])
     none = np.zeros((0, 3))
     state = State(_under_cameras(survey, centres), np.zeros(RELIEF), start, centres, rotations, none, readouts)
-    exact = free_water and survey.ties is None
+    exact = (free_water or survey.water_doubt is not None) and survey.ties is None
     positions, position_std, unknown = _positions(survey, centres, exact=exact)
     mean = replace(state, lenses=sheet, centres=positions)
     std = np.concatenate(

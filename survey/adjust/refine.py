@@ -15,7 +15,7 @@ import numpy as np
 from refract.lens import Lens
 from survey.adjust.adjustment import UNKNOWN, Adjustment
 from survey.adjust.assembling import lens_with, result
-from survey.adjust.contradiction import Contradiction, contradictions, released
+from survey.adjust.contradiction import Contradiction, released, worst_contradiction
 from survey.adjust.far_poses import Search, windows_or_search
 from survey.adjust.free_water import Lost, adjust_free, dry_or_within_bounds, within_bounds
 from survey.adjust.holding import adjusted_with
@@ -115,21 +115,41 @@ def _adjusted(
         done, lost = settle(start, observed(parts, survey.control, survey, known))
         advance(0.1)
     assert done is not None
-    against = [] if free_water else contradictions(done)
-    if against:
-        start = released(_started(done.known, done), against)
+    against: list[Contradiction] = []
+    while not free_water and len(against) < WATER:
+        each = (_doubted(survey) if not against else None) or worst_contradiction(done)
+        if each is None:
+            break
+        against.append(each)
+        start = released(_started(done.known, done), each)
         done = adjust(start, observed(parts, survey.control, survey, known), sizes, marks_std)
     total = sum(len(ties.view) for _, ties in parts) + (0 if survey.control is None else len(survey.control.marks))
     if free_water:
         found = result(survey, done, total, lost=lost)
     else:
-        found = result(survey, done, total, hold=lambda held: adjusted_with(done, held, known.std, sizes, marks_std))
+        numbers = [each.number for each in against]
+        found = result(
+            survey,
+            done,
+            total,
+            contradicted=numbers,
+            hold=lambda held: adjusted_with(done, held, known.std, sizes, marks_std),
+        )
     if not survey.is_level_known and found.parameter("level_m").status == UNKNOWN:
         raise SurveyError(
             f"the level of the water is not given, and the photographs do not tell it: "
             f"{found.parameter('level_m').verdict}; give [water] level_m"
         )
     return replace(found, warnings=found.warnings + tuple(_against(found, each) for each in against))
+
+
+def _doubted(survey: Survey) -> Contradiction | None:
+    """What a sample contradicted under the given poses; once poses are free, the block may tell it less surely."""
+    doubt = survey.water_doubt
+    if doubt is None:
+        return None
+    number = WATER_PARAMETERS.index(doubt.name)
+    return Contradiction(number, doubt.found - doubt.given, doubt.std, doubt.given_std)
 
 
 def _against(found: Adjustment, each: Contradiction) -> str:

@@ -28,6 +28,7 @@ from survey.folder.shutter import metres_per_px, shutter_doubts, with_motion
 from survey.folder.start_height import start_doubts
 from survey.folder.tides import Tide, with_tides
 from survey.folder.velocities import Velocity, velocities_of
+from survey.folder.water_doubt import WaterDoubt
 from survey.folder.water_level import with_level_of_clicks
 from survey.photos.cameras import View
 from survey.photos.images import load_image, load_mask
@@ -69,6 +70,8 @@ class Survey:
     pose_misfit_px : float or None
         By how much photographs miss each other under the given poses [px]; below 0 where too little matches to tell,
         None where nobody has looked.
+    water_doubt : WaterDoubt or None
+        Where a sample of photographs contradicts what is given of the water, under poses that they bear out.
     is_level_known : bool
         Whether survey.toml tells the level of the water; else that of `water` is a guess.
     priors : dict of name to PosePrior
@@ -102,6 +105,7 @@ class Survey:
     tool: str | None = None
     reprojection: Reprojection | None = None
     pose_misfit_px: float | None = None
+    water_doubt: WaterDoubt | None = None
     priors: Mapping[str, PosePrior] = field(default_factory=dict, compare=False, repr=False)
     control: Control | None = field(default=None, compare=False, repr=False)
     checkpoints: tuple[Checkpoint, ...] = field(default=(), compare=False, repr=False)

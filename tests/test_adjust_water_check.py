@@ -1,0 +1,126 @@
+"""A level or an index that is wrong and not stated, under poses that photographs bear out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from survey.adjust import pose_check
+from survey.adjust.observed import WINDOW
+from survey.adjust.water_check import water_doubt
+from survey.folder.survey import Survey
+from survey.folder.water_doubt import WaterDoubt
+from survey.photos.tie_points import TiePoints
+from survey.plan.plan import make_plan
+from survey.plan.poses import pose_choice
+from tests.block_survey import survey_of, with_water
+from tests.drawn_block import DrawnBlock, draw_block
+
+# As good as windows are [px].
+NOISE_PX = 0.05
+
+
+def block_and_survey(seed: int, **changes) -> tuple[DrawnBlock, Survey]:
+    """A random block, and its survey with exact poses, lens and water, as a poses file gives them: without a std."""
+    settings = {
+        "num_views": 12,
+        "nadir_only": False,
+        "dry_share": 0.0,
+        "num_control": 0,
+        "pixel_std": NOISE_PX,
+        "depth": 3.0,
+        "height": 25.0,
+    }
+    block = draw_block(seed, num_points=250, **(settings | changes))
+    survey = survey_of(block)
+    views = tuple(
+        replace(view, lens=block.lens, camera=block.lens.camera(true.centre, true.cam_from_local))
+        for view, true in zip(survey.views, block.cameras, strict=True)
+    )
+    survey = replace(survey, views=views, priors={}, ties=None, points=None, control=None)
+    level, east, north, index = block.water.tolist()
+    exact = {"level_m": survey.frame.origin[2] + level, "slope_east": east, "slope_north": north}
+    return block, with_water(survey, **exact, refractive_index=index, level_std_m=None, slope_std=None, index_std=None)
+
+
+def checked(block: DrawnBlock, survey: Survey) -> pose_check.PoseCheck:
+    """What the exact places of the block, with their noise, say of the survey."""
+    ties = TiePoints(block.start, block.point, block.view, block.pixel)
+    return pose_check.check_of_ties(survey, make_plan(survey), WINDOW, ties)
+
+
+def off(survey: Survey, *, level: float = 0.0, index: float = 0.0) -> Survey:
+    """The survey with wrong water."""
+    water = survey.config.water
+    return with_water(survey, level_m=water.level_m + level, refractive_index=water.refractive_index + index)
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """All that the check is told of the water, in the order in which it asked."""
+    heard = []
+
+    def listen(survey, each):
+        heard.append(each)
+        return water_doubt(survey, each)
+
+    monkeypatch.setattr(pose_check, "water_doubt", listen)
+    return heard
+
+
+def test_water_as_given_is_not_contradicted_and_lies_within_what_is_said(told):
+    for seed in range(12):
+        block, survey = block_and_survey(seed)
+        assert checked(block, survey).doubt is None
+    scaled = np.array([[each.difference / each.std for each in both] for both in told])
+    assert scaled.shape == (12, 2)
+    # Of 24 normal deviates the root mean square is one within 15 % (one sigma); three of these. Wider is honest, too.
+    assert 0.3 < np.sqrt(np.mean(scaled**2)) < 1.45
+
+
+@pytest.mark.parametrize(("seed", "error"), [(3, 0.5), (3, -0.5), (9, 0.5)])
+def test_a_level_that_is_half_a_metre_off_is_contradicted_with_both_numbers(seed, error):
+    block, survey = block_and_survey(seed)
+    found = checked(block, off(survey, level=error))
+    true = survey.config.water.level_m
+    assert (found.doubt.name, found.doubt.given) == ("level_m", true + error)
+    assert found.doubt.found == pytest.approx(true, abs=0.2)
+    assert f"{true + error:.3f} +- 0.02 m" in str(found.doubt)
+
+
+def test_an_index_that_is_wrong_is_contradicted_too():
+    block, survey = block_and_survey(3)
+    assert checked(block, off(survey, index=0.1)).doubt is not None
+
+
+def test_a_level_that_is_as_far_off_as_stated_is_no_contradiction():
+    block, survey = block_and_survey(3)
+    assert checked(block, with_water(off(survey, level=0.5), level_std_m=0.5)).doubt is None
+
+
+def test_nothing_is_said_of_water_under_poses_that_are_contradicted():
+    block, survey = block_and_survey(3)
+    rng = np.random.default_rng(5)
+    views = tuple(
+        replace(view, camera=replace(view.camera, centre=view.camera.centre + rng.normal(0.0, 0.1, 3)))
+        for view in survey.views
+    )
+    found = checked(block, off(replace(survey, views=views), level=0.5))
+    assert found.misfit_px > 0.1
+    assert found.doubt is None
+
+
+def test_dry_ground_says_nothing_of_water(told):
+    block, survey = block_and_survey(3)
+    assert checked(block, off(survey, level=-100.0)).doubt is None
+    assert not any(told)
+
+
+def test_contradicted_water_is_adjusted():
+    _, survey = block_and_survey(3)
+    doubt = WaterDoubt("level_m", 100.5, 0.02, 100.0, 0.03)
+    choice, reason = pose_choice(replace(survey, pose_misfit_px=0.01, water_doubt=doubt), "auto", free_water=False)
+    assert choice == "refine"
+    assert "level_m is given as 100.500 +- 0.02 m, and a sample of photographs says 100.000 +- 0.03 m" in reason

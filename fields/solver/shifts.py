@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
-from scipy.optimize import nnls
 
 from fields.solver.solve import Solved, gradients_of
 from fields.solver.tile import Tile
@@ -64,6 +63,9 @@ def shifts_of(samples: list[tuple[Tile, Solved]], noise_share: float, is_wet: bo
     ]
     if not known:
         return Shifts(0.0, 0.0)
+    # Loading it takes a fifth of a second, which runs without a solver need not spend.
+    from scipy.optimize import nnls
+
     squares, depths = np.array(known).T
     (anywhere, by_depth), _ = nnls(np.stack([np.ones_like(depths), depths], axis=-1), squares)
     return Shifts(float(np.sqrt(anywhere)), float(np.sqrt(by_depth)))

@@ -29,10 +29,12 @@ from survey.folder.survey import Survey
 # What is asked: of the water, and of each lens.
 _LEVEL, _INDEX = 0, WATER - 1
 _OF_LENS = tuple(LENS_NAMES.index(name) for name in ("f", "k1"))
+# A focal length counts as wrong only beyond this share of it: small errors of poses look like one (docs/adjustment.md).
+_FOCAL_SHARE = 0.001
 # A rough bed looks as if the index were off by about so much (docs/adjustment.md).
 _ROUGH_INDEX = 0.01
 # Errors of poses [px]: a multiple of the misfit, as points follow a part of them; and the least.
-_OF_MISFIT, _LEAST_PX = 1.5, 0.01
+_OF_MISFIT, _LEAST_PX = 2.0, 0.01
 
 
 def doubt_of(survey: Survey, told: list[Contradiction]) -> Doubt | None:
@@ -72,12 +74,15 @@ def told_of_given(survey: Survey, problem: Problem, state: State, misfit_px: flo
     std[known.layout.first_pose :] = _pose_std(known.layout, state, misfit_px, gsd)
     asked = _asked(known, state)
     given = {number: float(std[number]) for number in asked}
+    focals = known.layout.first_lens + np.arange(len(known.lenses)) * len(LENS_NAMES)
+    least = dict(zip(focals.tolist(), _FOCAL_SHARE * state.lenses[:, 0], strict=True))
     std[asked] = np.inf
     problem = replace(problem, priors=replace(priors_for(known, problem.ties), state=state, std=std))
     std_px = std_of_kinds(problem, problem.residuals(state), 0.0)
     system = system_at(problem, state, std_px)
     sizes = [(view.lens.width, view.lens.height) for view in survey.views]
     told = [_told(problem, state, system, std_px, given, number, sizes) for number in asked]
+    told = [replace(each, given_std=max(each.given_std, least.get(each.number, 0.0))) for each in told]
     return [each for each in told if each.number != _INDEX or each.std <= np.hypot(MOST_STD_INDEX, _ROUGH_INDEX)]
 
 

@@ -52,7 +52,8 @@ def depth_of(height: np.ndarray, is_wet: bool) -> np.ndarray:
 def shifts_of(samples: list[tuple[Tile, Solved]], noise_share: float, is_wet: bool) -> Shifts:
     """The shifts of a survey, from solved tiles; none where fewer than three photographs see too many of them.
 
-    ``noise_share`` is that of `fields.solver.correlation.noise_share`: noise seems to be a shift too, and is taken off.
+    ``noise_share`` is that of heights in `fields.solver.correlation.NoiseShares`: noise seems to be a shift too, and is
+    taken off.
     """
     found = [_in_tile(tile, solved, noise_share) for tile, solved in samples]
     known = [

@@ -147,8 +147,9 @@ def sweep(
         for climb in climbs[number]:
             height = maps[climb.view].height if climb.view in maps else None
             maps[climb.view], wider[climb.view] = _climbed(block, p, climb, bound, height, area, wider[climb.view])
-            # Ladders of many lengths leave memory of many sizes.
-            forget(block.device)
+            if p.search is not None:
+                # Ladders of many lengths leave memory of many sizes. To ask for it again takes time: others keep it.
+                forget(block.device)
             done += climb.samples
             progress(done / total)
         if fused[number]:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 from plane_survey import TILTED, ring
 
+from fields.sweep.arrays import host
 from fields.sweep.footprint import Footprint
 from fields.sweep.greys import Greys
 from fields.sweep.lazy import Lazy
 from fields.sweep.masks import Masks
+from fields.sweep.stack import ViewStack
 
 
 def test_masks_come_back_as_they_were_and_take_more(rng):
@@ -65,3 +70,17 @@ def test_footprints_that_have_no_ground_in_common_do_not_meet():
     assert here.meets(Footprint(np.full(2, 0.5), np.full(2, 2.0)))
     assert not here.meets(Footprint(np.array([0.0, 1.5]), np.array([1.0, 2.0])))
     assert here.meets(Footprint(np.full(2, -np.inf), np.full(2, np.inf)))
+
+
+def test_a_stack_that_is_no_longer_used_gives_its_images_back_at_once(device):
+    cameras = ring(2)
+    shape = (cameras[0].height, cameras[0].width)
+    stack = ViewStack.build(device, cameras, Lazy(lambda _number: np.zeros(shape, np.float32), 3, shape), None)
+    assert len(host(device, stack.pixels[1])) == shape[0] * shape[1]
+    gone = weakref.ref(stack)
+    gc.disable()
+    try:
+        del stack
+        assert gone() is None
+    finally:
+        gc.enable()

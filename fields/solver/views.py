@@ -49,10 +49,10 @@ class Surfaces(Mapping[int, Surface]):
     """Those of maps by their views; the last few are kept, so that each is read from its map a few times only."""
 
     def __init__(self, maps: Sequence[DepthMap], views: list[int]):
-        self._number = {view: number for number, view in enumerate(views)}
+        self._number = numbers = {view: number for number, view in enumerate(views)}
         size = maps[0].height.size if len(maps) else 0
         most = most_kept(_SURFACE_BYTES * size, _KEPT_BYTES, MOST_VIEWS + 1)
-        self._kept: Recent[int, Surface] = Recent(lambda view: Surface.of(maps[self._number[view]]), most)
+        self._kept: Recent[int, Surface] = Recent(lambda view: Surface.of(maps[numbers[view]]), most)
 
     def __getitem__(self, view: int) -> Surface:
         return self._kept[view]

@@ -70,6 +70,19 @@ def constant(device: Device, value: float) -> Any:
     return torch.tensor(float(value), device=device.place)
 
 
+def rung_and_pixel(device: Device, count: int, strip: int) -> tuple[Any, Any]:
+    """The numbers 0 to ``count`` divided by ``strip``, and what is left, in Dr.Jit.
+
+    By a product: processors have no division of vectors of whole numbers.
+    """
+    import drjit
+
+    module = device.module
+    index = drjit.arange(module.UInt, count)
+    rung = module.UInt((module.Float64(index) + 0.5) * drjit.opaque(module.Float64, 1.0 / strip))
+    return rung, index - rung * drjit.opaque(module.UInt, strip)
+
+
 def host(device: Device, array) -> np.ndarray:
     """An array of the device as numpy, flat."""
     return array.numpy() if device.module is not None else array.reshape(-1).cpu().numpy()

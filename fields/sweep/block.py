@@ -123,11 +123,12 @@ class Block(Overlap):
         if scale not in self._stacks:
             cameras = [c.scaled(scale) if scale != 1.0 else c for c in self.cameras]
             size = (cameras[0].width, cameras[0].height)
-            images: Sequence[np.ndarray] = self.images
+            whole = self.images
+            images: Sequence[np.ndarray] = whole
             if scale != 1.0:
-                images = Lazy(lambda view: closed(shrunk(self.images[view], size)), len(cameras), size[::-1])
+                images = Lazy(lambda view: closed(shrunk(whole[view], size)), len(cameras), size[::-1])
             elif not self.images.are_whole:
-                images = Lazy(lambda view: closed(self.images[view]), len(cameras), size[::-1])
+                images = Lazy(lambda view: closed(whole[view]), len(cameras), size[::-1])
             self._stacks[scale] = ViewStack.build(self.device, cameras, images, self.water, self.skips)
         return self._stacks[scale]
 

@@ -19,11 +19,11 @@ class Greys(Lazy):
     """
 
     def __init__(self, images: Iterable[np.ndarray]):
-        self._kept = [_Kept(image) for image in images]
+        self._kept = kept = [_Kept(image) for image in images]
         shapes = {each.levels.shape for each in self._kept}
         if len(shapes) > 1:
             raise ValueError(f"expected images of one size, got {sorted(shapes)}")
-        super().__init__(lambda view: self._kept[view].whole(), len(self._kept), next(iter(shapes), (0, 0)))
+        super().__init__(lambda view: kept[view].whole(), len(self._kept), next(iter(shapes), (0, 0)))
 
     def window(self, view: int, rows: slice, columns: slice) -> np.ndarray:
         """A part of an image, without the rest of it."""

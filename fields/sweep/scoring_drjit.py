@@ -18,6 +18,7 @@ from typing import Any
 import drjit as dr
 
 from fields.device import Device
+from fields.sweep.arrays import rung_and_pixel
 
 # A window flatter than this (grey levels squared, at 8 bits) holds noise, not texture; it lowers NCC there.
 NOISE_VARIANCE = 1.0
@@ -42,9 +43,9 @@ def ncc(device: Device, reference, values: list, width: int, radius: int, least_
     edge). With ``least_known`` below 1 the pixels that both have are compared, where these are such a share of the
     window.
     """
-    Float, UInt = device.module.Float, device.module.UInt
+    Float = device.module.Float
     total = dr.width(values[0])
-    greys = dr.gather(Float, reference, dr.arange(UInt, total) % dr.opaque(UInt, dr.width(reference)))
+    greys = dr.gather(Float, reference, rung_and_pixel(device, total, dr.width(reference))[1])
     dr.eval(greys)
     side = 2 * radius + 1
     offsets = [row * width + column for row in range(side) for column in range(side)]

@@ -193,7 +193,9 @@ class ViewStack:
     def pixels(self) -> Recent[int, Any]:
         """Images as flat arrays (height * width) of the device, float32: of height maps, which are compared."""
         most = most_kept(4 * self.height * self.width, KEPT_BYTES, FEWEST_KEPT)
-        return Recent(lambda view: floats(self.device, self.images[view]), most)
+        # Without the stack itself: in a circle with it they would stay until the next search for circles.
+        device, images = self.device, self.images
+        return Recent(lambda view: floats(device, images[view]), most)
 
     @cached_property
     def quads(self) -> Quads:

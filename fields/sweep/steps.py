@@ -20,6 +20,8 @@ from fields.sweep.stack import ViewStack
 from fields.sweep.tiles import Tiles, extent
 from fields.sweep.walls import wall_slopes
 
+# A run of tiles costs, beside its samples, as much as so many.
+_LAUNCH_SAMPLES = 600_000
 # Height [m], score and curvature [1/m^2] of each pixel, as `fields.sweep.climbing.climb_view` gives them.
 Found = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -96,7 +98,7 @@ def _climbed(
     device = stack.device
     images, scores = warping(device), scoring(device)
     better = [np.array(each) for each in found]
-    for part, rungs in tiles.batches(images.STRIP_SAMPLES // len(others)):
+    for part, rungs in tiles.batches(images.STRIP_SAMPLES // len(others), _LAUNCH_SAMPLES // len(others)):
         pixels = tiles.pixels(part)
         legs = images.legs_at(stack, view, pixels.ravel())
         start = floats(device, tiles.starts(part, pixels))

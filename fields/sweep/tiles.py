@@ -65,14 +65,21 @@ class Tiles:
         """Side of a tile with its halo [px]."""
         return self.size + 2 * self.radius
 
-    def batches(self, most: int) -> Iterator[tuple[slice, int]]:
-        """Runs of tiles with the number of rungs that all of them climb, of at most so many pixels times rungs."""
-        first = 0
+    def batches(self, most: int, launch: int) -> Iterator[tuple[slice, int]]:
+        """Runs of tiles with the number of rungs that all of them climb, of at most so many pixels times rungs.
+
+        A run ends where the next tile would let those before climb more rungs than another launch is worth, in pixels
+        times rungs.
+        """
+        first, pixels = 0, self.side**2
         while first < len(self.rungs):
-            samples = self.side**2 * np.arange(1, len(self.rungs) - first + 1) * self.rungs[first:]
-            count = max(int(np.searchsorted(samples, most, side="right")), 1)
-            yield slice(first, first + count), int(self.rungs[first + count - 1])
-            first += count
+            rungs, count = self.rungs[first:], np.arange(1, len(self.rungs) - first + 1)
+            fits = pixels * count * rungs <= most
+            cheap = np.append(True, pixels * count[:-1] * np.diff(rungs) <= launch)
+            ends = np.flatnonzero(~(fits & cheap))
+            run = max(int(ends[0]) if len(ends) else len(rungs), 1)
+            yield slice(first, first + run), int(rungs[run - 1])
+            first += run
 
     def pixels(self, part: slice) -> np.ndarray:
         """Flat indices (n, side, side) of the pixels of tiles with their halo, moved into the image at its edges."""

@@ -16,14 +16,14 @@ from __future__ import annotations
 import drjit as dr
 import numpy as np
 
-from fields.sweep.arrays import constant, indices
+from fields.sweep.arrays import constant, indices, rung_and_pixel
 from fields.sweep.legs import legs_through, point_at, seen_at
 from fields.sweep.quads import MASKED
 from fields.sweep.stack import Beyond, ViewStack, camera_table
 
 # Views that one kernel projects into: more take as long in several kernels, which compile faster and serve any number.
 VIEWS_PER_KERNEL = 4
-# Samples (neighbours x rungs x pixels) of one launch: 32 MB in all. A launch costs as much as 300,000 of them.
+# Samples (neighbours x rungs x pixels) of one launch: 32 MB in all.
 STRIP_SAMPLES = 8_000_000
 
 
@@ -96,10 +96,8 @@ def look_up(stack: ViewStack, view: int, u, v, inside):
 
 def warp(stack: ViewStack, legs, start, neighbours: list[int], step: float, rungs: int) -> list:
     """Neighbour intensities W: for each neighbour a Dr.Jit float of J * P; NaN outside its image."""
-    Float, UInt = stack.device.module.Float, stack.device.module.UInt
-    index, strip = dr.arange(UInt, dr.width(start) * rungs), dr.opaque(UInt, dr.width(start))
-    rung = index // strip
-    pixel = index - rung * strip
+    Float = stack.device.module.Float
+    rung, pixel = rung_and_pixel(stack.device, dr.width(start) * rungs, dr.width(start))
     z = dr.gather(Float, start, pixel) + Float(rung) * constant(stack.device, step)
     points = point_at([dr.gather(Float, row, pixel) for row in legs], z)
     dr.eval(points)

@@ -27,10 +27,10 @@ def slow_ncc(reference: np.ndarray, image: np.ndarray, radius: int) -> np.ndarra
     return result
 
 
-def ncc_of(device, reference: np.ndarray, images: np.ndarray, radius: int) -> np.ndarray:
+def ncc_of(device, reference: np.ndarray, images: np.ndarray, radius: int, least_known: float = 1.0) -> np.ndarray:
     """NCC of images (rungs, height, width); `NOWHERE` before the first whole window and after the last."""
     flat = floats(device, reference), [floats(device, images)]
-    (score,) = scoring(device).ncc(device, *flat, reference.shape[1], radius)
+    (score,) = scoring(device).ncc(device, *flat, reference.shape[1], radius, least_known)
     lost = radius * (reference.shape[1] + 1)
     return np.pad(host(device, score), lost, constant_values=NOWHERE).reshape(images.shape)
 
@@ -48,6 +48,25 @@ def test_ncc_agrees_with_a_slow_twin_where_windows_are_whole(device, rng, radius
     assert (slow[2][inner[1:]] == NOWHERE).any()
     np.testing.assert_allclose(found[inner], slow[inner], atol=SCORE)
     np.testing.assert_array_equal(found[inner] == NOWHERE, slow[inner] == NOWHERE)
+
+
+def test_windows_of_which_enough_is_known_are_compared_over_what_both_have(device, rng):
+    reference, image = rng.normal(0.0, 40.0, (2, 14, 17)).astype(np.float32)
+    image += reference
+    for each in (reference, image):
+        each[rng.random(each.shape) < 0.25] = np.nan
+    found, compared = ncc_of(device, reference, image[None], 2, 0.5)[0], 0
+    for row in range(2, 12):
+        for column in range(2, 15):
+            window = np.s_[row - 2 : row + 3, column - 2 : column + 3]
+            known = np.isfinite(reference[window]) & np.isfinite(image[window])
+            if known.sum() < 12.5:
+                assert found[row, column] == NOWHERE
+                continue
+            i, w = (each[window][known].astype(np.float64) for each in (reference, image))
+            assert abs(found[row, column] - np.corrcoef(i, w)[0, 1]) < 3 * SCORE
+            compared += 1
+    assert 0 < compared < 130
 
 
 def test_ncc_does_not_see_gain_and_offset_and_marks_windows_with_masked_pixels(device, rng):

@@ -171,9 +171,9 @@ def test_only_the_first_pass_goes_without_its_own_number_of_rungs(device):
 def test_progress_is_the_share_of_the_samples_compared(device, monkeypatch):
     counted, shares = [], []
 
-    def counting(stack, view, others, start, step, rungs, radius, columns):
+    def counting(stack, view, others, start, step, rungs, radius, columns, least_known):
         counted.append(start.size * rungs * len(others))
-        return climb_view(stack, view, others, start, step, rungs, radius, columns)
+        return climb_view(stack, view, others, start, step, rungs, radius, columns, least_known)
 
     monkeypatch.setattr(windows, "climb_view", counting)
     sweep(BEDS["dry"].block(device, ring(4)), [3, 0, 2], (-4.5, -0.5), shares.append, SMALL[:2])

@@ -56,12 +56,12 @@ def test_light_that_differs_in_each_photograph_gets_wider_windows_and_these_find
     assert (wide < STEP).mean() > (narrow < STEP).mean() + 0.2
 
 
-def test_windows_that_would_hold_a_missing_pixel_each_stay_narrow(device, rng):
+def test_windows_between_many_missing_pixels_stay_narrow(device, rng):
     images = lit(rng, 0.4)
     hole = (np.arange(72)[:, None] % 13 < 5) & (np.arange(96) % 13 < 5)
     images = [np.where(hole, np.float32(np.nan), image) for image in images]
     (_, radius), _ = climbed(device, images, climb_widely_enough)
-    assert radius <= 3
+    assert radius == 2
 
 
 @pytest.mark.parametrize("rungs", [3, 40, 400])

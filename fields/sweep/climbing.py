@@ -26,6 +26,7 @@ def climb_view(
     rungs: int,
     radius: int,
     columns: np.ndarray | None = None,
+    least_known: float = 1.0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Best height of each pixel of a view on a ladder that begins at ``start``.
 
@@ -41,6 +42,8 @@ def climb_view(
     columns : (height, 2) int, optional
         First column, and the one after the last, in which each row is wanted; equal ones where none is. The others are
         as if no window were complete.
+    least_known : [-]
+        Windows of which such a share is not masked count as complete.
 
     Returns
     -------
@@ -68,7 +71,7 @@ def climb_view(
         begin = floats(device, start[strip])
         grey = floats(device, stack.images[view][strip])
         values = images.warp(stack, legs, begin, others, step, rungs)
-        mean = scores.best_half(device, scores.ncc(device, grey, values, right - left, radius))
+        mean = scores.best_half(device, scores.ncc(device, grey, values, right - left, radius, least_known))
         for target, result in zip(found, scores.climb(device, mean, begin, step, rungs), strict=True):
             # The results begin with the first whole window: `radius` pixels into the first row of the target.
             image = np.pad(host(device, result), radius).reshape(-1, right - left)

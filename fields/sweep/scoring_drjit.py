@@ -13,6 +13,7 @@ Callers get these functions from `fields.sweep.backends.scoring`; `fields.sweep.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import drjit as dr
 
@@ -33,13 +34,14 @@ def _shifted(device: Device, array, first: int, count: int):
     return dr.gather(type(array), array, dr.arange(UInt, count) + dr.opaque(UInt, first))
 
 
-def ncc(device: Device, reference, values: list, width: int, radius: int) -> list:
+def ncc(device: Device, reference, values: list, width: int, radius: int, least_known: float = 1.0) -> list:
     """NCC of W (K arrays of J * P) with the reference strip (P) over square windows; -1 where a window is incomplete.
 
     The windows run over the flattened strips, and the first and last M = radius * (width + 1) of them, which would
     begin before it or end after it, are left out: K arrays of J * P - 2 M, traced and not computed yet. Windows that
     wrap around a row's end, or leave the strip, are wrong: the caller discards the halo (`radius` pixels at every
-    edge).
+    edge). With ``least_known`` below 1 the pixels that both have are compared, where these are such a share of the
+    window.
     """
     Float = device.module.Float
     total = dr.width(values[0])
@@ -49,6 +51,8 @@ def ncc(device: Device, reference, values: list, width: int, radius: int) -> lis
     offsets = [row * width + column for row in range(side) for column in range(side)]
     count, scale = total - offsets[-1], 1.0 / side**2
     reference, *windows = ([_shifted(device, array, o, count) for o in offsets] for array in (greys, *values))
+    if least_known < 1.0:
+        return [_ncc_of_known(window, reference, least_known * side**2) for window in windows]
     m_i, v_i, _ = _moments(reference, reference, scale)
     v_i = dr.maximum(v_i, NOISE_VARIANCE)
     scores = []
@@ -58,6 +62,21 @@ def ncc(device: Device, reference, values: list, width: int, radius: int) -> lis
         # An incomplete window is NaN; a complete one stays above -1, the mark of an incomplete one.
         scores.append(dr.select(dr.isnan(score), -1.0, dr.maximum(score, -0.999)))
     return scores
+
+
+def _ncc_of_known(window: list, reference: list, least: float):
+    """NCC of windows over the pixels that both have; -1 where these are fewer than ``least``."""
+    count: Any = 0.0
+    sums: list[Any] = [0.0] * 5
+    for w, i in zip(window, reference, strict=True):
+        known = ~(dr.isnan(w) | dr.isnan(i))
+        w, i = dr.select(known, w, 0.0), dr.select(known, i, 0.0)
+        count += dr.select(known, 1.0, 0.0)
+        sums = [total + part for total, part in zip(sums, (w, i, w * w, i * i, w * i), strict=True)]
+    m_w, m_i, v_w, v_i, product = (each / dr.maximum(count, 1.0) for each in sums)
+    v_w, v_i = (dr.maximum(v - m * m, NOISE_VARIANCE) for v, m in ((v_w, m_w), (v_i, m_i)))
+    score = (product - m_w * m_i) * dr.rsqrt(v_w * v_i)
+    return dr.select(count < least, -1.0, dr.maximum(score, -0.999))
 
 
 def _moments(window: list, others: list, scale: float):

@@ -28,7 +28,9 @@ def _window_means(images: Tensor, radius: int) -> Tensor:
     return images * (1.0 / (2 * radius + 1) ** 2)
 
 
-def ncc(device: Device, reference: Tensor, values: list[Tensor], width: int, radius: int) -> list[Tensor]:
+def ncc(
+    device: Device, reference: Tensor, values: list[Tensor], width: int, radius: int, least_known: float = 1.0
+) -> list[Tensor]:
     """NCC of W (K tensors of J * P) with the reference strip (P) over square windows; see the twin.
 
     Windows that leave the strip, or its first and last columns, are incomplete.
@@ -42,6 +44,9 @@ def ncc(device: Device, reference: Tensor, values: list[Tensor], width: int, rad
         score = torch.full_like(images, -1.0)
         inner = score[:, radius : grey.shape[0] - radius, radius : width - radius]
         for part, target in zip(images.split(per_call), inner.split(per_call), strict=True):
+            if least_known < 1.0:
+                target.copy_(_ncc_of_known(part, grey, radius, least_known))
+                continue
             mean = _window_means(part, radius)
             variance = (_window_means(part * part, radius) - mean * mean).clamp(min=NOISE_VARIANCE)
             found = (_window_means(part * grey, radius) - mean * m_i) * torch.rsqrt(variance * v_i)
@@ -49,6 +54,19 @@ def ncc(device: Device, reference: Tensor, values: list[Tensor], width: int, rad
             target.copy_(torch.where(found.isnan(), -1.0, found.clamp(min=-0.999)))
         scores.append(score.reshape(-1)[lost : score.numel() - lost])
     return scores
+
+
+def _ncc_of_known(images: Tensor, grey: Tensor, radius: int, least: float) -> Tensor:
+    """NCC of windows over the pixels that both have; -1 where these are a smaller share than ``least``."""
+    known = ~(images.isnan() | grey.isnan())
+    w, i = (torch.where(known, each, 0.0) for each in (images, grey))
+    share = _window_means(known.float(), radius)
+    parts = (_window_means(each, radius) / share.clamp(min=1e-6) for each in (w, i, w * w, i * i, w * i))
+    m_w, m_i, v_w, v_i, product = parts
+    v_w, v_i = ((v - m * m).clamp(min=NOISE_VARIANCE) for v, m in ((v_w, m_w), (v_i, m_i)))
+    score = ((product - m_w * m_i) * torch.rsqrt(v_w * v_i)).clamp(min=-0.999)
+    # A part of a pixel, for what the mean is rounded by.
+    return torch.where(share < least - 1e-4, -1.0, score)
 
 
 def best_half(device: Device, scores: list[Tensor]) -> Tensor:

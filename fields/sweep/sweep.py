@@ -23,7 +23,7 @@ from fields.sweep.maps import DepthMap, InOrder, Keep, Maps
 from fields.sweep.over_area import Area, columns_over
 from fields.sweep.stack import ViewStack
 from fields.sweep.steps import StepSearch, search_steps
-from fields.sweep.windows import climb_widely_enough
+from fields.sweep.windows import LEAST_KNOWN, climb_widely_enough
 
 # Height maps that each is compared with where heights are fused.
 PEERS = 12
@@ -245,14 +245,18 @@ def _climbed(
 
     climbed = stack, view, climb.others, start, step, climb.rungs
     radius = p.radius + wider
+    least_known = 1.0 if block.images.are_whole else LEAST_KNOWN
     if p.refines:
-        found = climb_view(*climbed, radius, columns(radius))
+        found = climb_view(*climbed, radius, columns(radius), least_known)
     else:
-        found, radius = climb_widely_enough(*climbed, radius, columns)
+        found, radius = climb_widely_enough(*climbed, radius, columns, least_known)
     # The search has windows of its own, narrower than those that were too narrow here.
     if p.search is not None and radius == p.radius:
         found = search_steps(stack, view, climb.others, found, p.step_px / step, p.search)
     height, score, _ = found
+    if p.scale == 1.0 and least_known < 1.0:
+        # What is left out of the photograph shows nothing, however much around it is known.
+        score = np.where(np.isnan(block.images[view]), np.float32(-1.0), score)
     nobody = np.zeros(height.shape, dtype=np.uint8)
     spread = np.zeros(height.shape, dtype=np.float16)
     return DepthMap(view, height, score.astype(np.float16), nobody, spread), radius - p.radius

@@ -17,13 +17,14 @@ from fields.sweep.stack import ViewStack
 # The score of the right height is to be so many standard deviations above the best that chance gives among all that are
 # tried, in half of the pixels of a view.
 _ABOVE_CHANCE = 2.0
+# Of photographs with masked or white pixels, windows of which such a share is seen by both are compared.
+LEAST_KNOWN = 0.5
 # Radii [px]: others would need other kernels, and wider windows flatten more relief than they find.
 RADII = (1, 2, 3, 4, 6, 8)
 # Of the shorter side of an image: beyond it the rim without whole windows is a large part of the image.
 _MOST_OF_SIDE = 0.25
-# Of the windows within the image that were whole, at least this share has to be with wider ones: between sparkles of
-# the sun only narrow windows are.
-_STILL_WHOLE = 0.75
+# Images of which less is known keep their windows: between sparkles wider ones hold less of the bed.
+_WHOLE = 0.9
 
 
 def climb_widely_enough(
@@ -35,18 +36,21 @@ def climb_widely_enough(
     rungs: int,
     radius: int,
     columns: Callable[[int], np.ndarray | None] = lambda radius: None,
+    least_known: float = 1.0,
 ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], int]:
     """What `fields.sweep.climbing.climb_view` finds with windows of a radius [px] or as wide as needed, and the radius.
 
     ``columns`` says which are wanted for a radius.
     """
-    found = climb_view(stack, view, others, start, step, rungs, radius, columns(radius))
+
+    def climbed(radius: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return climb_view(stack, view, others, start, step, rungs, radius, columns(radius), least_known)
+
+    found = climbed(radius)
+    if np.isfinite(stack.images[view]).mean() < _WHOLE:
+        return found, radius
     while (wider := radius_for(found[1], radius, rungs)) != radius:
-        instead = climb_view(stack, view, others, start, step, rungs, wider, columns(wider))
-        inner = np.s_[wider:-wider, wider:-wider]
-        if np.mean(instead[1][inner] > -1.0) < _STILL_WHOLE * np.mean(found[1][inner] > -1.0):
-            break
-        found, radius = instead, wider
+        found, radius = climbed(wider), wider
     return found, radius
 
 

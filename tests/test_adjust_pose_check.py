@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from small_survey import replaced, small_survey
 
-from survey.adjust.pose_check import misfit
+from refract import PinholeCamera
+from survey.adjust.pose_check import SAMPLE, _of_middle, misfit
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
 from survey.plan.poses import MOST_MISFIT_PX, pose_choice
@@ -64,3 +65,21 @@ def test_a_level_that_nobody_gave_cannot_be_kept(tmp_path):
     survey = replace(load_survey(small_survey(tmp_path / "s")), is_level_known=False)
     with pytest.raises(SurveyError, match="give level_m, or leave out --poses fixed"):
         pose_choice(survey, "fixed", free_water=False)
+
+
+def test_photographs_that_look_at_the_middle_are_asked_wherever_they_stand(tmp_path):
+    survey = load_survey(small_survey(tmp_path / "s"))
+    toward = np.linspace(0.0, 2.0 * np.pi, SAMPLE, endpoint=False)
+    around = 20.0 * np.column_stack([np.cos(toward), np.sin(toward), np.ones(SAMPLE)])
+    beside = np.array([[x, 0.0, 20.0] for x in (-7.0, -6.0, 6.0, 7.0)])
+    cameras = [(at, -at) for at in around] + [(at, np.array([0.0, 0.0, -1.0])) for at in beside]
+    views = tuple(replace(survey.views[0], camera=_looking(survey.views[0].camera, *each)) for each in cameras)
+    assert _of_middle(replace(survey, views=views), 20.0) == list(range(SAMPLE))
+
+
+def _looking(camera: PinholeCamera, centre: np.ndarray, ahead: np.ndarray) -> PinholeCamera:
+    """The camera at another place, looking ahead."""
+    ahead = ahead / np.linalg.norm(ahead)
+    right = np.cross(ahead, [0.3, 1.0, 0.0])
+    right = right / np.linalg.norm(right)
+    return replace(camera, centre=centre, cam_from_local=np.stack([right, np.cross(ahead, right), ahead]))

@@ -10,18 +10,16 @@ import cv2
 import numpy as np
 import pytest
 from scipy import ndimage
+from solved_tiles import plain_tile
 
 from fields.device import choose_device
 from fields.solver.appearance import appearance_of, brightness_of
-from fields.solver.correlation import noise_share
 from fields.solver.roughness import roughness_of
-from fields.solver.shifts import shifts_of
 from fields.solver.sight import lookup, window_of
 from fields.solver.smoothness import bends_of, stiffness_of
-from fields.solver.solve import Solved, conjugate_gradients, gradients_of, normal_matrix
+from fields.solver.solve import Solved
 from fields.solver.solver import SolvedMap, SolverFigures, solve_maps
 from fields.solver.tile import Tile, tiles_of
-from fields.solver.uncertainty import variance_of
 from fields.sweep.block import Block
 from fields.sweep.maps import DepthMap
 from refract import FlatWater, PinholeCamera
@@ -121,10 +119,6 @@ def test_more_noise_gives_larger_standard_deviations():
     assert noisy > 1.2 * quiet
 
 
-def plain_tile(size: int) -> Tile:
-    return Tile(0, 0, np.ones((size, size), dtype=bool), np.ones(size * size, dtype=bool))
-
-
 def test_planes_have_no_bends_however_steep():
     tile = plain_tile(9)
     rows, columns = tile.places
@@ -162,27 +156,6 @@ def test_the_noise_of_each_photograph_is_measured_and_outliers_lose_their_weight
     np.testing.assert_allclose(found.less_mean(np.ones_like(values)), 0.0, atol=1e-5)
 
 
-def synthetic(information: float, roughness: float) -> Solved:
-    """A tile with the same information everywhere and level heights."""
-    tile = plain_tile(40)
-    bends, zero = bends_of(tile), np.zeros(len(tile), dtype=np.float32)
-    stiffness = stiffness_of(bends.of_heights @ zero, roughness)
-    brightness = brightness_of(np.zeros((2, len(tile)), dtype=np.float32))
-    slope, motion = np.zeros((2, len(tile))), np.zeros((2, 2, len(tile)))
-    return Solved(zero, zero + np.float32(information), stiffness, bends, brightness, slope, motion, zero)
-
-
-@pytest.mark.parametrize("roughness", [0.003, 0.03])
-def test_the_closed_form_is_the_diagonal_of_the_inverse(roughness):
-    result, tile = synthetic(1.0 / 0.02**2, roughness), plain_tile(40)
-    matrix = normal_matrix(result.information, result.bends, result.stiffness)
-    diagonal = result.information + result.bends.squared @ result.stiffness
-    unit = np.zeros(len(tile), dtype=np.float32)
-    unit[20 * 40 + 20] = 1.0
-    exact = conjugate_gradients(matrix, unit, diagonal)[20 * 40 + 20]
-    assert variance_of(tile, result)[20 * 40 + 20] == pytest.approx(exact, rel=0.05)
-
-
 def drawn(roughness: float, views: int = 12) -> tuple[Tile, Solved]:
     """A tile whose photographs say, with noise, heights that bend as much as asked for, about level ones."""
     random, tile = np.random.default_rng(4), plain_tile(96)
@@ -198,67 +171,13 @@ def drawn(roughness: float, views: int = 12) -> tuple[Tile, Solved]:
     zero = np.zeros(len(tile), dtype=np.float32)
     motion = 10.0 * random.standard_normal((views, 2, 1)).astype(np.float32) * np.ones((1, 1, len(tile)), np.float32)
     stiffness = stiffness_of(bends.of_heights @ zero, 0.01)
-    return tile, Solved(zero, information, stiffness, bends, brightness, slope, motion, zero)
+    return tile, Solved(zero, information, stiffness, bends, brightness, slope, motion, 1.0)
 
 
 def test_a_rougher_bed_is_learned_to_be_rougher():
     with ThreadPoolExecutor(1) as pool:
         smooth, rough = (roughness_of([drawn(bend)], 0.02, pool) for bend in (0.0005, 0.02))
     assert smooth < 0.4 * rough
-
-
-def residuals(noise: np.ndarray, depth: float = 2.0, shift_px: float = 0.0) -> tuple[Tile, Solved]:
-    """A textured tile whose photographs have this noise (K, 96, 96) and are shifted in waves, each in its own way."""
-    random, tile, views = np.random.default_rng(8), plain_tile(96), len(noise)
-    albedo = 40.0 * ndimage.gaussian_filter(random.standard_normal((96, 96)), 1.5).ravel().astype(np.float32)
-    gradients = gradients_of(tile, 10.0 * albedo)
-    phase = random.uniform(0.0, 2.0 * np.pi, (views, 2, 1)) + 0.08 * tile.places[0]
-    shift = np.sqrt(2.0) * shift_px * np.sin(phase)
-    grey = 10.0 * albedo + noise.reshape(views, -1) + shift[:, 0] * gradients[0] + shift[:, 1] * gradients[1]
-    brightness = brightness_of(grey.astype(np.float32))
-    motion = 10.0 * random.standard_normal((views, 2, 1)).astype(np.float32) * np.ones((1, 1, len(tile)), np.float32)
-    slope = brightness.less_mean(np.einsum("kan,an->kn", motion, np.array(gradients)).astype(np.float32))
-    information = np.einsum("kn,kn,kn->n", brightness.weight, slope, slope)
-    zero, bends = np.zeros(len(tile), dtype=np.float32), bends_of(tile)
-    stiffness = stiffness_of(bends.of_heights @ zero, 0.01)
-    return tile, Solved(zero - np.float32(depth), information, stiffness, bends, brightness, slope, motion, zero)
-
-
-def white(views: int, seed: int = 1) -> np.ndarray:
-    return 3.0 * np.random.default_rng(seed).standard_normal((views, 96, 96))
-
-
-def test_noise_of_its_own_in_each_pixel_counts_once_and_noise_that_neighbours_share_more():
-    shared = ndimage.gaussian_filter(white(8), (0.0, 0.8, 0.8))
-    assert noise_share([residuals(white(8))]) == pytest.approx(1.0, abs=0.15)
-    # The sum of the correlations of this bell is 8 where texture does not change; it does.
-    assert 2.5 < noise_share([residuals(shared / shared.std())]) < 8.0
-
-
-def test_two_photographs_tell_neither_noise_that_is_shared_nor_shifts():
-    sample = [residuals(white(2), shift_px=0.3)]
-    assert noise_share(sample) == 1.0
-    assert shifts_of(sample, 1.0, is_wet=True).variance(np.array([2.0])) == 0.0
-
-
-def test_shifts_of_photographs_are_measured_beyond_their_noise():
-    still, moved = (shifts_of([residuals(white(8), shift_px=shift)], 1.0, is_wet=False) for shift in (0.0, 0.3))
-    assert still.anywhere_px < 0.03
-    assert moved.anywhere_px == pytest.approx(0.3, rel=0.25)
-
-
-def test_shifts_that_grow_with_the_depth_are_those_of_waves():
-    sample = [residuals(white(8), depth, 0.1 * depth) for depth in (0.0, 1.0, 3.0)]
-    found = shifts_of(sample, 1.0, is_wet=True)
-    assert found.by_depth_px_m == pytest.approx(0.1, rel=0.25)
-    assert found.anywhere_px < 0.05
-    assert (np.diff(found.variance(np.array([0.0, 1.0, 2.0]))) > 0.0).all()
-
-
-def test_texture_that_is_noise_is_no_information():
-    result, tile = synthetic(1.0 / 0.02**2, 0.03), plain_tile(40)
-    half = replace(result, of_noise=0.5 * result.information)
-    assert 1.5 < np.median(variance_of(tile, half) / variance_of(tile, result)) < 4.0
 
 
 def test_tiles_hold_every_wanted_pixel_once():
@@ -283,7 +202,7 @@ def test_nothing_kept_is_nothing_solved():
     block, maps, _ = survey(4.0, 0.2)
     found, figures = solve_maps(block, maps, [np.zeros((SIZE, SIZE), dtype=bool)] * 9, GSD, lambda share: None)
     assert [len(each.pixels) for each in found] == [0] * 9
-    assert np.isnan(figures.noise_share)
+    assert np.isnan(figures.noise.heights)
 
 
 def test_a_position_outside_an_image_takes_no_value_from_those_beside_it(rng):

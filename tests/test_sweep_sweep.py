@@ -10,7 +10,7 @@ import pytest
 from plane_survey import FOCAL, SIZE, TILTED, PlaneBed, look, ring
 
 from fields.device import choose_device
-from fields.sweep import sweep as sweeping
+from fields.sweep import windows
 from fields.sweep.bed import trusted, unique_pixels
 from fields.sweep.block import Block
 from fields.sweep.climbing import climb_view
@@ -175,7 +175,7 @@ def test_progress_is_the_share_of_the_samples_compared(device, monkeypatch):
         counted.append(start.size * rungs * len(others))
         return climb_view(stack, view, others, start, step, rungs, radius, columns)
 
-    monkeypatch.setattr(sweeping, "climb_view", counting)
+    monkeypatch.setattr(windows, "climb_view", counting)
     sweep(BEDS["dry"].block(device, ring(4)), [3, 0, 2], (-4.5, -0.5), shares.append, SMALL[:2])
     fusing = SIZE[0] * SIZE[1] * 3 * 2  # three views, each compared with the other two
     assert counted[0] > 2 * counted[3]  # the ladder of a wide bound is the longest part of the work

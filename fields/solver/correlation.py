@@ -1,51 +1,111 @@
-"""What the variance by noise is worth: noise that neighbouring pixels share moves a height more than independent noise.
+"""What noise does to heights: contrasts between photographs, solved as if they were what the height changes.
 
-Blurred, compressed or demosaiced photographs have such noise, and photographs that are interpolated have less of it
-than their pixels. The normal matrix counts each pixel for itself. Contrasts between the photographs of a survey, in
-which neither albedo nor height takes part, show how much more or less the sum over neighbouring pixels varies.
+The normal matrix counts the noise of each pixel for itself. In blurred, compressed or demosaiced photographs
+neighbouring pixels share it, and photographs that are interpolated have less of it than their pixels. Contrasts between
+the photographs of a survey, in which neither albedo nor height takes part, have the noise alone: solved like residuals,
+they give heights that would be zero without it.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
-from scipy.fft import irfft2, rfft2
 
-from fields.solver.solve import Solved
+from fields.solver.shifts import Shifts, depth_of
+from fields.solver.smoothness import stiffness_of
+from fields.solver.solve import CG_RESIDUAL, Solved, parallax_of
 from fields.solver.tile import Tile
+from fields.solver.uncertainty import ONE_STD, change_of, expected_of, smoothed
 
-# Noise is shared over so many pixels; what is alike from there to the second distance is a shift of photographs
-# against each other, which `fields.solver.shifts` measures.
-NEAR_PX, FAR_PX = 3.2, 9.0
 # Contrasts larger than this many times their standard deviation come from something else than noise.
 _LARGEST = 6.0
 # Fewer pixels tell nothing.
 _LEAST_PIXELS = 2000
-_CONTRASTS = 2
-# Of the information: a pixel whose contrast has less does not speak; nor is any noise so much smaller than it seems.
+# Of the information: a pixel whose contrast has less does not speak.
 _LEAST_SHARE = 0.05
+# A response beyond these is that of something else than texture.
+_RESPONSES = (0.3, 1.5)
+# Of normally distributed values, so many lie within so many standard deviations.
+_MOST, _WITHIN = 0.95, 1.96
+# No noise is so much smaller than it seems.
+_LEAST_NOISE = 0.05
 
 
-def noise_share(samples: list[tuple[Tile, Solved]]) -> float:
-    """Factor on the variance by noise and prior; one where fewer than three photographs see too many of the samples.
+@dataclass(frozen=True)
+class NoiseShares:
+    """What noise is worth, in units of independent noise of the pixels.
 
-    It is the sum of the autocovariance of contrasts over a neighbourhood, in units of the variance that the weights of
-    single pixels give them. For the smoothness that suits the noise the whole variance of a height grows with it, since
-    what is lost by smoothing does too.
+    Attributes
+    ----------
+    response : float
+        How much of the information the residuals answer with.
+    heights, changes : float
+        Of the variance of heights by noise, and of what smoothing them once more changes.
     """
-    reach = int(FAR_PX)
-    products, pairs = np.zeros((2, 2 * reach + 1, 2 * reach + 1))
-    for tile, solved in samples:
-        for number in range(_CONTRASTS):
-            contrast, known = _contrast(solved, np.random.default_rng(number))
-            products = products + _correlation(tile, contrast)
-            pairs = pairs + _correlation(tile, known.astype(np.float32))
-    lag = np.arange(-reach, reach + 1)
-    distance = np.hypot(lag, lag[:, None])
-    if pairs.max() < _LEAST_PIXELS * _CONTRASTS:
-        return 1.0
-    covariance = products / np.maximum(pairs, 1.0)
-    far = covariance[(distance > 2.0 * NEAR_PX) & (distance <= FAR_PX)].mean()
-    return float(max((covariance - far)[distance <= NEAR_PX].sum(), _LEAST_SHARE))
+
+    response: float
+    heights: float
+    changes: float
+
+
+def response_of(samples: list[tuple[Tile, Solved]]) -> float:
+    """How much of their information the residuals of solved tiles answer with; one where nothing tells it."""
+    found = np.array([solved.response for _, solved in samples])
+    known = found[np.isfinite(found)]
+    return float(np.clip(np.median(known), *_RESPONSES)) if len(known) else 1.0
+
+
+@dataclass(frozen=True)
+class Phantoms:
+    """Heights that contrasts give, of all samples together, and what is expected of them; N pixels, [m^2].
+
+    Attributes
+    ----------
+    square, expected : (N,)
+        Of the heights; expected for independent noise.
+    changed, expected_change : (N,)
+        Of what smoothing them once more changes.
+    shift : (N,)
+        Of a height, by a shift of each photograph by one pixel.
+    height : (N,) [m]
+        Of the bed.
+    """
+
+    square: np.ndarray
+    expected: np.ndarray
+    changed: np.ndarray
+    expected_change: np.ndarray
+    shift: np.ndarray
+    height: np.ndarray
+
+
+def phantoms_of(samples: list[tuple[Tile, Solved]], roughness: float, response: float) -> Phantoms:
+    """Solve a contrast of each sample with the stiffness that a roughness [m] gives it."""
+    parts: list[list[np.ndarray]] = []
+    for tile, each in samples:
+        solved = replace(each, stiffness=stiffness_of(each.bends.of_heights @ each.height, roughness))
+        contrast, known = _contrast(solved, np.random.default_rng(0))
+        phantom = smoothed(solved, np.sqrt(solved.information) * contrast, response, CG_RESIDUAL)
+        change, expected = change_of(solved, phantom, response), expected_of(tile, solved, response)
+        use = known & tile.asked
+        of_shift = 1.0 / parallax_of(solved.brightness.weight, solved.motion)
+        values = phantom**2, expected.noise, change**2, expected.changed_noise, of_shift, solved.height
+        parts.append([value[use] for value in values])
+    return Phantoms(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+
+def noise_shares(phantoms: Phantoms, response: float, shifts: Shifts, is_wet: bool) -> NoiseShares:
+    """What noise is worth, as `_MOST` of the phantoms say; one where fewer than three photographs see too many of them.
+
+    Photographs that are shifted move the phantoms like the heights; that is no noise.
+    """
+    if len(phantoms.square) < _LEAST_PIXELS:
+        return NoiseShares(response, 1.0, 1.0)
+    by_shift = shifts.variance(depth_of(phantoms.height, is_wet)) * phantoms.shift
+    heights = np.quantile((phantoms.square / _WITHIN**2 - by_shift) / phantoms.expected, _MOST)
+    changes = np.quantile(phantoms.changed / phantoms.expected_change, ONE_STD)
+    return NoiseShares(response, max(float(heights), _LEAST_NOISE), max(float(changes), _LEAST_NOISE))
 
 
 def _contrast(solved: Solved, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -64,13 +124,3 @@ def _contrast(solved: Solved, random: np.random.Generator) -> tuple[np.ndarray, 
     value = np.einsum("kn,kn,kn->n", weight, factor, solved.brightness.residual)
     value = np.where(known, value / np.sqrt(np.where(known, variance, 1.0)), 0.0)
     return np.clip(value, -_LARGEST, _LARGEST), known
-
-
-def _correlation(tile: Tile, values: np.ndarray) -> np.ndarray:
-    """Sums of products of values (N,) with those of pixels up to `FAR_PX` away, across and down, as a square image."""
-    reach = int(FAR_PX)
-    image = np.zeros([size + reach for size in tile.inside.shape])
-    image[: tile.inside.shape[0], : tile.inside.shape[1]][tile.inside] = values
-    products = irfft2(np.abs(rfft2(image)) ** 2, image.shape)
-    lag = np.arange(-reach, reach + 1)
-    return products[np.ix_(lag, lag)]

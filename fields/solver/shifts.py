@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
-from scipy.optimize import nnls
 
 from fields.solver.solve import Solved, gradients_of
 from fields.solver.tile import Tile
@@ -53,7 +52,8 @@ def depth_of(height: np.ndarray, is_wet: bool) -> np.ndarray:
 def shifts_of(samples: list[tuple[Tile, Solved]], noise_share: float, is_wet: bool) -> Shifts:
     """The shifts of a survey, from solved tiles; none where fewer than three photographs see too many of them.
 
-    ``noise_share`` is that of `fields.solver.correlation.noise_share`: noise seems to be a shift too, and is taken off.
+    ``noise_share`` is that of heights in `fields.solver.correlation.NoiseShares`: noise seems to be a shift too, and is
+    taken off.
     """
     found = [_in_tile(tile, solved, noise_share) for tile, solved in samples]
     known = [
@@ -63,6 +63,9 @@ def shifts_of(samples: list[tuple[Tile, Solved]], noise_share: float, is_wet: bo
     ]
     if not known:
         return Shifts(0.0, 0.0)
+    # Loading it takes a fifth of a second, which runs without a solver need not spend.
+    from scipy.optimize import nnls
+
     squares, depths = np.array(known).T
     (anywhere, by_depth), _ = nnls(np.stack([np.ones_like(depths), depths], axis=-1), squares)
     return Shifts(float(np.sqrt(anywhere)), float(np.sqrt(by_depth)))

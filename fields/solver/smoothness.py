@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -27,6 +28,18 @@ class Bends:
     of_heights: sparse.csr_matrix
     transposed: sparse.csr_matrix
     squared: sparse.csr_matrix
+
+    @cached_property
+    def _touching(self) -> sparse.csr_matrix:
+        """Which bends (N, M) each height takes part in, with equal shares of one."""
+        touching = self.squared.copy()
+        counts = np.diff(touching.indptr)
+        touching.data = np.repeat(1.0 / np.maximum(counts, 1), counts).astype(np.float32)
+        return touching
+
+    def mean_about(self, values: np.ndarray) -> np.ndarray:
+        """Mean (N,) of values (M,) over the bends that each height takes part in; 0 where there are none."""
+        return self._touching @ values
 
     def pull(self, stiffness: np.ndarray, heights: np.ndarray) -> np.ndarray:
         """Gradient (N,) of half the sum of stiffness (M,) times squared bends."""

@@ -22,6 +22,8 @@ APPEARANCE_ITERATIONS = 2
 CG_STEPS, CG_RESIDUAL = 300, 3e-3
 # Weight of the start where neither images nor neighbours say anything [1/m^2].
 FAINT = np.float32(1e-2)
+# Steps beyond so many times their median lead from one feature of the texture to another.
+_LARGE_STEP = 2.0
 # Derivative of fourth order: exact for the wavelengths that a cubic lookup keeps.
 _DERIVATIVE = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]], dtype=np.float32) / 12.0
 
@@ -43,8 +45,9 @@ class Solved:
         Change of each residual with the height.
     motion : (K, 2, N) [px/m]
         As `Sight` has it.
-    of_noise : (N,) [1/m^2]
-        What the noise of the albedo's gradients, which counts as texture, adds to ``information``.
+    response : float
+        How much of ``information`` the residuals answered to a change of the heights with: less than one where robust
+        weights drop what a change adds, more where the albedo is sharper than its gradients. NaN of no change.
     views : (K,) of int
         The photographs, by their number.
     """
@@ -56,7 +59,7 @@ class Solved:
     brightness: Brightness
     slope: np.ndarray
     motion: np.ndarray
-    of_noise: np.ndarray
+    response: float
     views: tuple[int, ...] = ()
 
 
@@ -85,6 +88,7 @@ def solve(
     """
     bends, height = bends_of(tile), start.astype(np.float32)
     appearance: Appearance | None = None
+    response, before = np.nan, None
     for iteration in range(ITERATIONS):
         grey = sight.sample(images, height - start)
         if appearance is None or iteration < APPEARANCE_ITERATIONS:
@@ -93,26 +97,25 @@ def solve(
         slope = _slopes(tile, sight, tile.window_of(images, sight.views[0]), brightness)
         information = np.einsum("kn,kn,kn->n", brightness.weight, slope, slope)
         pull = np.einsum("kn,kn,kn->n", brightness.weight, slope, brightness.residual)
+        if before is not None:
+            response = response_to(*before, pull)
         stiffness = stiffness_of(bends.of_heights @ height, roughness)
         step = conjugate_gradients(
             normal_matrix(information, bends, stiffness),
             -pull - bends.pull(stiffness, height),
             information + bends.squared @ stiffness + FAINT,
         )
-        height = height + np.clip(step, -tolerance, tolerance).astype(np.float32)
-    of_noise = _gradient_noise(sight, brightness)
-    return Solved(height, information, stiffness, bends, brightness, slope, sight.motion, of_noise, tuple(sight.views))
+        step = np.clip(step, -tolerance, tolerance).astype(np.float32)
+        height, before = height + step, (information, pull, step)
+    return Solved(height, information, stiffness, bends, brightness, slope, sight.motion, response, tuple(sight.views))
 
 
-def _gradient_noise(sight: Sight, brightness: Brightness) -> np.ndarray:
-    """Information (N,) [1/m^2] that gradients of a level albedo would seem to have, by its noise alone."""
-    weight = brightness.weight
-    found = np.zeros(weight.shape[1], dtype=np.float32)
-    for axis in (0, 1):
-        motion = sight.motion[:, axis]
-        motion = brightness.less_mean(np.where(np.isfinite(motion), motion, np.float32(0.0)))
-        found += np.einsum("kn,kn,kn->n", weight, motion, motion)
-    return found * (_DERIVATIVE**2).sum() / np.maximum(weight.sum(axis=0), 1e-12)
+def response_to(information: np.ndarray, pull: np.ndarray, step: np.ndarray, pull_then: np.ndarray) -> float:
+    """What a step (N,) [m] changed of the pull (N,), in units of what the information (N,) lets expect."""
+    size = np.abs(step)
+    known = (information > 0.0) & (size < _LARGE_STEP * np.median(size))
+    expected = float((information * step * step)[known].sum())
+    return float((step * (pull_then - pull))[known].sum()) / expected if expected > 0.0 else np.nan
 
 
 def _slopes(tile: Tile, sight: Sight, image: np.ndarray, brightness: Brightness) -> np.ndarray:
@@ -166,13 +169,13 @@ def normal_matrix(information: np.ndarray, bends: Bends, stiffness: np.ndarray) 
 
 
 def conjugate_gradients(
-    matrix: Callable[[np.ndarray], np.ndarray], right: np.ndarray, diagonal: np.ndarray
+    matrix: Callable[[np.ndarray], np.ndarray], right: np.ndarray, diagonal: np.ndarray, residual: float = CG_RESIDUAL
 ) -> np.ndarray:
     """Solution (N,) of ``matrix(x) = right``, with ``diagonal`` (N,) as preconditioner."""
     solution, rest = np.zeros_like(right), right.copy()
     towards = rest / diagonal
     way, size = towards, float(rest @ towards)
-    enough = CG_RESIDUAL**2 * size
+    enough = residual**2 * size
     for _ in range(CG_STEPS):
         if size <= enough:
             break

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, MutableMapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import groupby, islice, takewhile
 
 import numpy as np
 
-from fields.solver.correlation import noise_share
+from fields.solver.correlation import NoiseShares, noise_shares, phantoms_of, response_of
 from fields.solver.roughness import START_GSD, roughness_of
 from fields.solver.shifts import Shifts, depth_of, shifts_of
 from fields.solver.sightings import Sightings
 from fields.solver.solve import Solved, parallax_of
-from fields.solver.tile import asked_in_squares
-from fields.solver.uncertainty import PLACE_PX2, bends_below, rise_of, variance_of
+from fields.solver.tile import Tile, asked_in_squares
+from fields.solver.uncertainty import bends_below, change_of, expected_of, relief_of, rise_of
 from fields.solver.views import WORKERS, Job, Views
 from fields.sweep.block import Block
 from fields.sweep.certainty import for_few
@@ -66,22 +66,22 @@ class SolverFigures:
         Of the bed, from pixel to pixel: `fields.solver.roughness.roughness_of`.
     shifts : Shifts
         Between photographs: `fields.solver.shifts.shifts_of`.
-    noise_share : float
-        Of the variance by noise and prior: `fields.solver.correlation.noise_share`.
+    noise : NoiseShares
+        What noise is worth: `fields.solver.correlation.noise_shares`.
     sightings : Sightings or None
         Of all points in all photographs; None where nothing was solved.
     """
 
     roughness_m: float
     shifts: Shifts
-    noise_share: float
+    noise: NoiseShares
     sightings: Sightings | None = field(default=None, compare=False)
 
     def __str__(self) -> str:
         return (
             f"the bed bends by {1e3 * self.roughness_m:.1f} mm from pixel to pixel; photographs are shifted against "
             f"each other by {self.shifts.anywhere_px:.2f} px and {self.shifts.by_depth_px_m:.2f} px for each metre of "
-            f"water; the variance by noise counts {self.noise_share:.2f} times"
+            f"water; the variance by noise counts {self.noise.heights:.2f} times"
         )
 
 
@@ -89,14 +89,14 @@ class SolverFigures:
 class _Solved:
     """Pixels of a map, their heights, and what their variance consists of.
 
-    The variance by noise and by bends [m^2], that of a shift of each photograph by one pixel, and the rise of the bed
-    from pixel to pixel [m].
+    The variance by noise and by relief that is smoothed away or below the pixel [m^2], that of a shift of each
+    photograph by one pixel, and the rise of the bed from pixel to pixel [m].
     """
 
     pixels: np.ndarray
     height: np.ndarray
     noise: np.ndarray
-    bends: np.ndarray
+    relief: np.ndarray
     shift: np.ndarray
     rise: np.ndarray
 
@@ -141,21 +141,20 @@ def solve_maps(
         solved[index] = SolvedMap.empty()
     found = InOrder(solved, list(range(len(filled))))
     if not total:
-        return found, SolverFigures(np.nan, Shifts(np.nan, np.nan), np.nan)
+        return found, SolverFigures(np.nan, Shifts(np.nan, np.nan), NoiseShares(np.nan, np.nan, np.nan))
     with ThreadPoolExecutor(WORKERS) as pool:
         sample = _sample(views, kept, filled)
         first = [each for _, each in views.solved(sample, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
-        roughness, share = roughness_of(first, gsd, pool), noise_share(first)
-        shifts = shifts_of(first, share, block.water is not None)
-        figures, is_wet = SolverFigures(roughness, shifts, share), block.water is not None
+        is_wet = block.water is not None
+        figures = _learned(first, gsd, pool, is_wet)
         sightings = Sightings.none(len(block.images))
 
         def part(job: Job, each: Solved) -> tuple[_Solved, Sightings]:
-            return _part(job, block.cameras[0].width, each), Sightings.of(each, len(block.images))
+            return _part(job, block.cameras[0].width, each, figures.noise), Sightings.of(each, len(block.images))
 
         jobs = (job for index, wanted in enumerate(kept) for job in views.jobs(index, wanted))
         begun = takewhile(lambda _job: goes_on(), jobs)
-        for index, each in groupby(views.solved(begun, roughness, pool, part), lambda pair: pair[0].index):
+        for index, each in groupby(views.solved(begun, figures.roughness_m, pool, part), lambda pair: pair[0].index):
             parts = []
             for job, (piece, seen) in each:
                 parts.append(piece)
@@ -166,18 +165,31 @@ def solve_maps(
     return found, replace(figures, sightings=sightings)
 
 
-def _part(job: Job, width: int, found: Solved) -> _Solved:
+def _learned(samples: list[tuple[Tile, Solved]], gsd: float, pool: Executor, is_wet: bool) -> SolverFigures:
+    """What solved samples tell of the survey."""
+    roughness, response = roughness_of(samples, gsd, pool), response_of(samples)
+    phantoms = phantoms_of(samples, roughness, response)
+    # Noise looks like shifts, and shifts like noise: first all is noise, then what shifts leave.
+    all_noise = noise_shares(phantoms, response, Shifts(0.0, 0.0), is_wet)
+    shifts = shifts_of(samples, all_noise.heights, is_wet)
+    return SolverFigures(roughness, shifts, noise_shares(phantoms, response, shifts, is_wet))
+
+
+def _part(job: Job, width: int, found: Solved, noise: NoiseShares) -> _Solved:
     """The asked pixels of a tile, of a map of a width."""
     tile = job.tile
     rows, columns = tile.places
     pixels = (rows + tile.row) * width + columns + tile.column
     of_shift = 1.0 / parallax_of(found.brightness.weight, found.motion)
-    values = (found.height, variance_of(tile, found), bends_below(found), of_shift, rise_of(tile, found.height))
+    expected = expected_of(tile, found, noise.response)
+    change = change_of(found, found.height, noise.response)
+    relief = relief_of(tile, change, expected, noise.heights, noise.changes) + bends_below(found)
+    values = (found.height, noise.heights * expected.noise, relief, of_shift, rise_of(tile, found.height))
     return _Solved(pixels[tile.asked], *(each[tile.asked].astype(np.float32) for each in values))
 
 
 def _joined(parts: list[_Solved]) -> _Solved:
-    names = ("pixels", "height", "noise", "bends", "shift", "rise")
+    names = ("pixels", "height", "noise", "relief", "shift", "rise")
     pixels, *others = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
     order = np.argsort(pixels)
     return _Solved(pixels[order], *(each[order] for each in others))
@@ -187,8 +199,7 @@ def _with_std(m: DepthMap, found: _Solved, figures: SolverFigures, is_wet: bool)
     photographs = m.agreeing.flat[found.pixels] + np.float32(1.0)
     # What shifts the photographs shifts the bed in the map that shows it, too.
     shift = figures.shifts.variance(depth_of(found.height, is_wet))
-    in_place = figures.noise_share * found.noise + found.bends + (PLACE_PX2 + shift) * found.rise**2
-    variance = for_few(photographs) * in_place + shift * found.shift
+    variance = for_few(photographs) * found.noise + found.relief + shift * (found.shift + found.rise**2)
     return SolvedMap(found.pixels, found.height, np.sqrt(variance).astype(np.float32))
 
 

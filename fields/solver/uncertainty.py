@@ -1,54 +1,111 @@
-"""How sure a height is, by the normal matrix and by the relief below the pixel."""
+"""How sure a height is: what noise does to it, and what the prior takes from the bed there."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 
+import cv2
 import numpy as np
 from scipy import ndimage
 
-from fields.solver.solve import FAINT, Solved
+from fields.solver.solve import FAINT, Solved, conjugate_gradients, normal_matrix
 from fields.solver.tile import Tile
 
 # Information and stiffness are alike over about the range in which heights are correlated [px].
 _ALIKE_PX = 1.5
-# A point lies anywhere in its pixel: the variance of its place along each axis [px^2].
-PLACE_PX2 = 1.0 / 12.0
-# Information is at least this share of what it seems to be.
-_LEAST_TRUE = 0.1
+# How much relief the prior takes from the bed is alike in a bell of this standard deviation [px].
+_NEAR_PX = 4.0
+# Bells end at so many standard deviations.
+_TRUNCATED = 3.0
+# What the tile as a whole says of its relief counts as much as so many independent values of the bell.
+_WHOLE = 2.0
+# Of a normal distribution, the share within one standard deviation; large values of some do not move the rest.
+ONE_STD = 0.6827
+# Changes are wanted to a few hundredths: conjugate gradients, relative to the start.
+_CHANGE_RESIDUAL = 0.01
 _FREQUENCIES, _RATIOS = 256, np.logspace(-4.0, 9.0, 66)
 
 
-def variance_of(tile: Tile, solved: Solved) -> np.ndarray:
-    """Variance (N,) [m^2] by noise and prior: the diagonal of the inverse of the normal matrix, as if it were the same
-    all around each pixel.
+@dataclass(frozen=True)
+class Expected:
+    """Variances (N,) [m^2] that noise and relief should have, for independent noise and the relief of the prior.
 
-    There it has a closed form: with information H and stiffness q, each wave of the heights has the variance
-    ``1 / (H + q S)``, with S the square of the symbol of Laplace's operator, and the variance of a height is the mean
-    over all waves. The inverse itself would need a solve for each pixel; on drawn surveys its diagonal differs by 2 %
-    in the median, by a quarter from pixel to pixel.
-
-    Noise of the gradients moves the heights as texture does but tells nothing of them: of the sum of squares H' only
-    H is information, and a wave has ``(H' + q S) / (H + q S)^2``.
+    Attributes
+    ----------
+    noise : (N,)
+        Of a height, by noise.
+    relief : (N,)
+        Of a height, by relief that the prior takes from the bed.
+    changed_noise, changed_relief : (N,)
+        Of what smoothing a height once more changes.
+    independent : (N,)
+        How many independent values of that the bell about a pixel has.
     """
-    bends = solved.bends.squared.copy()
-    bends.data = np.ones_like(bends.data)
-    touching = np.maximum(np.diff(bends.indptr), 1)
+
+    noise: np.ndarray
+    relief: np.ndarray
+    changed_noise: np.ndarray
+    changed_relief: np.ndarray
+    independent: np.ndarray
+
+
+def expected_of(tile: Tile, solved: Solved, response: float) -> Expected:
+    """What is expected of the heights of a tile, as if the normal matrix were the same all around each pixel.
+
+    Then each wave of the heights is solved on its own. With information H, of which the residuals answer with
+    ``A = response * H``, and stiffness q, a wave of the bed is multiplied by ``A / (A + q S)``, with S the square of
+    the symbol of Laplace's operator, and noise gives it the variance ``H / (A + q S)^2``. What it lacks of the bed has
+    ``(q S)^2 P / (A + q S)^2``, where the bed has the power P; the prior says ``1 / (q S)``. Smoothed once more, it
+    changes by ``q S / (A + q S)`` of itself. The variance of a height is the mean over all waves.
+    """
     # Compliances add up, as those of springs in a row: one loose bend frees a height.
-    compliance = _nearby(tile, (bends @ (1.0 / solved.stiffness)) / touching)
-    seeming = _nearby(tile, solved.information) + FAINT
-    information = np.maximum(seeming - _nearby(tile, solved.of_noise), _LEAST_TRUE * seeming)
-    ratio = np.log(1.0 / (np.maximum(compliance, 1e-12) * information))
-    once, twice = (np.exp(np.interp(ratio, np.log(_RATIOS), shares)) for shares in _shares())
-    return (once + (seeming / information - 1.0) * twice) / information
+    compliance = _near(tile, solved.bends.mean_about(1.0 / solved.stiffness), _ALIKE_PX)
+    answer = response * _near(tile, solved.information, _ALIKE_PX) + FAINT
+    ratio = np.log(1.0 / (np.maximum(compliance, 1e-12) * answer))
+    noise, relief, changed_noise, changed_relief, alike = (
+        np.exp(np.interp(ratio, np.log(_RATIOS), share)) for share in _shares()
+    )
+    of_noise = 1.0 / (response * answer)
+    return Expected(
+        noise * of_noise, relief / answer, changed_noise * of_noise, changed_relief / answer,
+        4.0 * np.pi * _NEAR_PX**2 / alike,
+    )  # fmt: skip
+
+
+def smoothed(solved: Solved, right: np.ndarray, response: float, residual: float) -> np.ndarray:
+    """Heights (N,) of a right side (N,) of the normal equations, whose information is what the residuals answer to."""
+    answer = np.float32(response) * solved.information
+    matrix = normal_matrix(answer, solved.bends, solved.stiffness)
+    diagonal = answer + solved.bends.squared @ solved.stiffness + FAINT
+    return conjugate_gradients(matrix, right.astype(np.float32), diagonal, residual)
+
+
+def change_of(solved: Solved, heights: np.ndarray, response: float) -> np.ndarray:
+    """How much heights (N,) [m] change where they are smoothed once more, (N,) [m]."""
+    return smoothed(solved, solved.bends.pull(solved.stiffness, heights), response, _CHANGE_RESIDUAL)
+
+
+def relief_of(tile: Tile, change: np.ndarray, expected: Expected, noise: float, changed_noise: float) -> np.ndarray:
+    """Variance (N,) [m^2] of heights by relief that the prior takes from the bed.
+
+    What smoothing once more changes is relief where it is more than noise (``noise`` and ``changed_noise`` are the
+    shares of `fields.solver.correlation.NoiseShares`). About a pixel that is known from a few independent values only:
+    they count together with what the whole tile says.
+    """
+    square, by_noise = change * change, changed_noise * expected.changed_noise
+    by_relief = noise * expected.changed_relief
+    # The relief with which that share of the tile lies within one standard deviation.
+    whole = max(float(np.quantile(((square - by_noise) / by_relief)[tile.asked], ONE_STD)), 0.0)
+    number = expected.independent
+    here = (number * _near(tile, square, _NEAR_PX) + _WHOLE * (by_noise + whole * by_relief)) / (number + _WHOLE)
+    return np.maximum(here - by_noise, 0.0) * expected.relief / expected.changed_relief
 
 
 def bends_below(solved: Solved) -> np.ndarray:
     """Variance (N,) [m^2] of the bed within a pixel by how it bends there."""
-    touching = solved.bends.squared.copy()
-    touching.data = np.ones_like(touching.data)
     bend = solved.bends.of_heights @ solved.height
-    return (touching @ (bend * bend)) / np.maximum(np.diff(touching.indptr), 1)
+    return solved.bends.mean_about(bend * bend)
 
 
 def rise_of(tile: Tile, height: np.ndarray) -> np.ndarray:
@@ -58,23 +115,32 @@ def rise_of(tile: Tile, height: np.ndarray) -> np.ndarray:
     return 0.5 * (ndimage.maximum_filter(highest, 3)[tile.inside] - ndimage.minimum_filter(lowest, 3)[tile.inside])
 
 
-def _nearby(tile: Tile, values: np.ndarray) -> np.ndarray:
+def _near(tile: Tile, values: np.ndarray, alike_px: float) -> np.ndarray:
     """Mean of values (N,) around each pixel of the tile."""
-    total, weight = (_spread(tile, part) for part in (values, np.ones(len(tile))))
+    total, weight = (_spread(tile, part, alike_px) for part in (values, np.ones(len(tile))))
     return total / np.maximum(weight, 1e-9)
 
 
-def _spread(tile: Tile, values: np.ndarray) -> np.ndarray:
-    image = np.zeros(tile.inside.shape)
+def _spread(tile: Tile, values: np.ndarray, alike_px: float) -> np.ndarray:
+    image = np.zeros(tile.inside.shape, dtype=np.float32)
     image[tile.inside] = values
-    return ndimage.gaussian_filter(image, _ALIKE_PX)[tile.inside]
+    side = 2 * round(_TRUNCATED * alike_px) + 1
+    return cv2.GaussianBlur(image, (side, side), alike_px, borderType=cv2.BORDER_REFLECT)[tile.inside]
 
 
 @cache
-def _shares() -> tuple[list[float], list[float]]:
-    """Logarithms of the mean over all waves of ``1 / (1 + ratio S)``, and of its square, for `_RATIOS`."""
+def _shares() -> tuple[np.ndarray, ...]:
+    """Logarithms of means over all waves, for `_RATIOS` of stiffness to answer: of the noise of a height, of its
+    relief, of both in what smoothing once more changes, and of how many pixels share a value of that."""
     angle = 2.0 * np.pi * np.fft.fftfreq(_FREQUENCIES)
     along = 2.0 - 2.0 * np.cos(angle)
     symbol = (along[:, None] + along) ** 2
-    once, twice = ([np.log(((1.0 / (1.0 + r * symbol)) ** power).mean()) for r in _RATIOS] for power in (1, 2))
-    return once, twice
+    rows = []
+    for ratio in _RATIOS:
+        stiff = ratio * symbol
+        kept = 1.0 / (1.0 + stiff)
+        noise, relief = kept**2, stiff * kept**2
+        changed = (stiff * kept) ** 2 * noise
+        changed_relief, alike = relief * kept**2, (changed**2).mean() / changed.mean() ** 2
+        rows.append([noise.mean(), relief.mean(), changed.mean(), changed_relief.mean(), alike])
+    return tuple(np.log(rows).T)

@@ -7,13 +7,14 @@ import numpy as np
 from scipy import ndimage
 
 from fields.sweep.block import Block
-from fields.sweep.climbing import climb_view
+from fields.sweep.windows import climb_widely_enough
 
 THUMBNAIL_PX = 128
 NUM_VIEWS = 8
 NUM_NEIGHBOURS = 8
 WINDOW_RADIUS = 3
-# A thumbnail pixel counts where half of its neighbours correlate this well and the best height is not an end rung.
+# A thumbnail pixel counts where half of its neighbours correlate this well in such windows, in wider ones as much less
+# as chance does, and the best height is not an end rung.
 CONFIDENT_NCC = 0.7
 MIN_PIXELS = 200
 # Matches by chance lie anywhere between the limits. Of so many parts of them, those with less than this share of what
@@ -45,7 +46,7 @@ def find_range(block: Block, limits: tuple[float, float]) -> tuple[float, float]
     stack = block.stack(scale)
     chosen = block.cover(1, 0)
     chosen = [chosen[i] for i in np.unique(np.linspace(0, len(chosen) - 1, NUM_VIEWS).astype(int))]
-    heights, steps = [np.empty(0)], [0.0]
+    heights, steps, radius = [np.empty(0)], [0.0], WINDOW_RADIUS
     for view in chosen:
         others = block.neighbours(view, NUM_NEIGHBOURS)
         if not others:
@@ -53,10 +54,11 @@ def find_range(block: Block, limits: tuple[float, float]) -> tuple[float, float]
         step = 0.5 / (scale * block.parallax(view, others, 0.5 * (limits[0] + limits[1])))
         rungs = int(np.ceil((limits[1] - limits[0]) / step)) + 1
         start = np.full((stack.height, stack.width), limits[0], dtype=np.float32)
-        z, score, curvature = climb_view(stack, view, others, start, step, rungs, WINDOW_RADIUS)
+        (z, score, curvature), radius = climb_widely_enough(stack, view, others, start, step, rungs, radius)
+        confident = CONFIDENT_NCC * (2 * WINDOW_RADIUS + 1) / (2 * radius + 1)
         # A chance match is isolated; the bed continues in the pixels around.
         supported = np.abs(z - cv2.medianBlur(z, 5)) < step
-        heights.append(z[(score > CONFIDENT_NCC) & (curvature > 0.0) & supported])
+        heights.append(z[(score > confident) & (curvature > 0.0) & supported])
         steps.append(step)
     block.release(scale)
     found = np.concatenate(heights)

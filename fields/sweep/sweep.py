@@ -23,11 +23,14 @@ from fields.sweep.maps import DepthMap, InOrder, Keep, Maps
 from fields.sweep.over_area import Area, columns_over
 from fields.sweep.stack import ViewStack
 from fields.sweep.steps import StepSearch, search_steps
+from fields.sweep.windows import climb_widely_enough
 
 # Height maps that each is compared with where heights are fused.
 PEERS = 12
 # A pass is finer than a map with so many times its pixels along a side: sizes of halved images are rounded.
 _FINER = 1.2
+# Rungs of a pass that searches nothing.
+REFINING = 3
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,11 @@ class Pass:
     neighbours: int
     fuse: bool
     search: StepSearch | None = None
+
+    @property
+    def refines(self) -> bool:
+        """Whether it tries no more than the heights beside the one that is known: windows of any size tell these."""
+        return self.rungs is not None and self.rungs <= REFINING
 
 
 # Windows shrink as the relief becomes known: 5x5 finds the height, 3x3 about the relief resolves it. docs/sweep.md has
@@ -133,10 +141,12 @@ def sweep(
         for p, mine in zip(passes, climbing, strict=True)
     ]
     total, done = sum(fused) + sum(climb.samples for each in climbs for climb in each), 0
+    # By how much the windows of each view are wider than its pass has them [px].
+    wider = dict.fromkeys(views, 0)
     for number, p in enumerate(passes):
         for climb in climbs[number]:
             height = maps[climb.view].height if climb.view in maps else None
-            maps[climb.view] = _climbed(block, p, climb, bound, height, area)
+            maps[climb.view], wider[climb.view] = _climbed(block, p, climb, bound, height, area, wider[climb.view])
             # Ladders of many lengths leave memory of many sizes.
             forget(block.device)
             done += climb.samples
@@ -208,9 +218,19 @@ def _step(block: Block, p: Pass, view: int, others: list[int], height: float) ->
 
 
 def _climbed(
-    block: Block, p: Pass, climb: Climb, bound: tuple[float, float], before: np.ndarray | None, area: Area | None
-) -> DepthMap:
-    """One pass over one view: the ladder of the bound, or one about the heights of the pass before."""
+    block: Block,
+    p: Pass,
+    climb: Climb,
+    bound: tuple[float, float],
+    before: np.ndarray | None,
+    area: Area | None,
+    wider: int,
+) -> tuple[DepthMap, int]:
+    """One pass over one view: the ladder of the bound, or one about the heights of the pass before.
+
+    Windows are by so many pixels ``wider`` than those of the pass, or more where this pass finds that they have to be,
+    which is given back.
+    """
     stack, view = block.stack(p.scale), climb.view
     middle = 0.5 * (bound[0] + bound[1]) if before is None else float(np.median(before))
     step = _step(block, p, view, climb.others, middle)
@@ -218,13 +238,23 @@ def _climbed(
         start = np.full((stack.height, stack.width), bound[0], dtype=np.float32)
     else:
         start = _enlarged(before, stack) - np.float32(step * (climb.rungs // 2))
-    columns = None if area is None else columns_over(stack.cameras[view], block.water, area, bound, p.radius)
-    found = climb_view(stack, view, climb.others, start, step, climb.rungs, p.radius, columns)
-    if p.search is not None:
+
+    def columns(radius: int) -> np.ndarray | None:
+        return None if area is None else columns_over(stack.cameras[view], block.water, area, bound, radius)
+
+    climbed = stack, view, climb.others, start, step, climb.rungs
+    radius = p.radius + wider
+    if p.refines:
+        found = climb_view(*climbed, radius, columns(radius))
+    else:
+        found, radius = climb_widely_enough(*climbed, radius, columns)
+    # The search has windows of its own, narrower than those that were too narrow here.
+    if p.search is not None and radius == p.radius:
         found = search_steps(stack, view, climb.others, found, p.step_px / step, p.search)
     height, score, _ = found
     nobody = np.zeros(height.shape, dtype=np.uint8)
-    return DepthMap(view, height, score.astype(np.float16), nobody, np.zeros(height.shape, dtype=np.float16))
+    spread = np.zeros(height.shape, dtype=np.float16)
+    return DepthMap(view, height, score.astype(np.float16), nobody, spread), radius - p.radius
 
 
 def _enlarged(height: np.ndarray, stack: ViewStack) -> np.ndarray:

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 from survey.adjust.adjustment import Adjustment
+from survey.adjust.pose_check import PoseCheck, check_of_windows
 from survey.adjust.refine import adjust_survey
+from survey.adjust.windows_of_survey import loaded
+from survey.errors import SurveyError
 from survey.folder.survey import load_survey
 from survey.plan.check import Section
+from survey.plan.plan import make_plan
 from survey.progress import current
 
 
@@ -23,12 +29,24 @@ def deep_check(folder: Path, *, device: str = "auto") -> list[Section]:
     """
     progress = current()
     survey = load_survey(folder, report=progress.note)
+    plan, checked = make_plan(survey, device=device), PoseCheck(None)
+    if plan.poses[0] == "check":
+        with progress.stage("Poses", 1.0) as stage, suppress(SurveyError):
+            checked = check_of_windows(survey, plan, *loaded(survey, plan), stage.advance)
+        survey = replace(survey, doubt=checked.doubt)
     with progress.stage("Adjustment", 1.0) as stage:
         found = adjust_survey(survey, device=device, advance=stage.advance)
-    sections = [Section("photographs", _rows(found))]
+    sections = [Section("photographs", (*_rows_of_check(checked), *_rows(found)))]
     if found.warnings:
         sections.append(Section("contradicted by the photographs", tuple(("", text) for text in found.warnings)))
     return sections
+
+
+def _rows_of_check(checked: PoseCheck) -> tuple[tuple[str, str], ...]:
+    if checked.misfit_px is None:
+        return ()
+    said = f"photographs miss each other by {checked.misfit_px:.2f} px under the given poses"
+    return (("poses", said if checked.doubt is None else f"{said}, and {checked.doubt}"),)
 
 
 def _rows(found: Adjustment) -> tuple[tuple[str, str], ...]:

@@ -2,7 +2,7 @@
 
 Poses, lens and water that are exact leave residuals with no mean over a photograph. Errors of a pose move all that its
 photograph shows in one direction; what points can follow of them does no harm to the bed. Points follow a
-wrong level, and the bed with them: it is asked for apart (`survey.adjust.water_check`).
+wrong level, and the bed with them: it is asked for apart (`survey.adjust.given_check`).
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from survey.adjust.bundle import NotConvergedError, Problem, solve
+from survey.adjust.given_check import doubt_of, told_of_given
 from survey.adjust.observed import KINDS, MATCH, WINDOW, observed, rows_taken
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import FREE_WATER, HELD, known_of, priors_for
 from survey.adjust.state import State
-from survey.adjust.water_check import told_of_water, water_doubt
 from survey.adjust.windows_of_survey import windows_of_block
+from survey.folder.doubt import Doubt
 from survey.folder.survey import Survey
-from survey.folder.water_doubt import WaterDoubt
 from survey.photos.tie_points import TiePoints
 from survey.plan.plan import Plan
 from survey.plan.poses import MOST_MISFIT_PX
@@ -30,8 +30,10 @@ from survey.plan.poses import MOST_MISFIT_PX
 if TYPE_CHECKING:
     from fields.sweep.block import Block
 
-# So many photographs in the middle of the block are looked at; with fewer in all there is nothing to sample.
+# So many photographs of the middle of the block are looked at; with fewer in all there is nothing to sample.
 SAMPLE = 10
+# Of the angle to the plumb line: level views look farther than any place that others see.
+_LEAST_COSINE = 0.5
 # Fewest windows of a photograph whose mean counts.
 _FEWEST = 10
 
@@ -45,13 +47,13 @@ class PoseCheck:
     misfit_px : [px] or None
         By how much they miss each other, per coordinate: the root mean square over photographs of the mean residual of
         their windows, less what the scatter of the windows explains. None where too little matches to tell.
-    doubt : WaterDoubt or None
+    doubt : Doubt or None
         What the photographs contradict of the water, where their misfit bears out the poses: that under the level which
         fits best, since far from the true one photographs taken aslant miss each other, too.
     """
 
     misfit_px: float | None
-    doubt: WaterDoubt | None = None
+    doubt: Doubt | None = None
 
 
 def check_of_windows(
@@ -75,7 +77,7 @@ def check_of_windows(
     SurveyError
         If no windows match, as under poses that are off by more than a few pixels: `check_of_features` can tell.
     """
-    chosen = _middle(survey)
+    chosen = _of_middle(survey, plan.height_m)
     sample = replace(survey, views=tuple(survey.views[i] for i in chosen), ties=None)
     windows = windows_of_block(sample, plan, block.part(chosen), bound, advance, sparse=True)
     return check_of_ties(sample, plan, WINDOW, windows)
@@ -105,8 +107,8 @@ def check_of_ties(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> Pos
     if of_poses is None or of_poses > MOST_MISFIT_PX:
         # Errors of poses look like those of the water; all is adjusted together then.
         return PoseCheck(found)
-    told = told_of_water(survey, problem, solution.state, of_poses, plan.gsd_m)
-    return PoseCheck(found, water_doubt(survey, told))
+    told = told_of_given(survey, problem, solution.state, of_poses, plan.gsd_m)
+    return PoseCheck(found, doubt_of(survey, told))
 
 
 def _under_best_level(problem: Problem, state: State) -> float | None:
@@ -133,8 +135,13 @@ def misfit(residuals: np.ndarray, view: np.ndarray) -> float | None:
     return float(np.sqrt(max(float(np.mean(squares)), 0.0))) if squares else None
 
 
-def _middle(survey: Survey) -> list[int]:
-    """Numbers of the views nearest to the middle of the block, rising."""
+def _of_middle(survey: Survey, height: float) -> list[int]:
+    """Numbers of the views that look at the middle of the block, rising; ``height`` [m] is that of the cameras.
+
+    Those that stand there look straight down, and tell little of the water.
+    """
     centres = np.array([view.camera.centre[:2] for view in survey.views])
-    away = np.linalg.norm(centres - np.median(centres, axis=0), axis=1)
+    ahead = np.array([view.camera.cam_from_local[2] for view in survey.views])
+    seen = centres + height * ahead[:, :2] / np.maximum(-ahead[:, 2:], _LEAST_COSINE)
+    away = np.linalg.norm(seen - np.median(seen, axis=0), axis=1)
     return np.sort(np.argsort(away, kind="stable")[:SAMPLE]).tolist()

@@ -83,7 +83,8 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
         Ground sampling distance.
     free_water : bool
         Know nothing of the water beforehand. Poses without a stated standard deviation, and their lens, then count as
-        those of an adjusted block; so they do where photographs bear them out and contradict the water.
+        those of an adjusted block; so they do where photographs bear them out and contradict the water, or the lens,
+        which then counts as that of a data sheet.
     """
     views = survey.views
     lenses = tuple(dict.fromkeys(view.lens for view in views))
@@ -105,14 +106,15 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
     sheet = np.array([_data_sheet(survey, lens) for lens in lenses])
     none = np.zeros((0, 3))
     state = State(_under_cameras(survey, centres), np.zeros(RELIEF), start, centres, rotations, none, readouts)
-    exact = (free_water or survey.water_doubt is not None) and survey.ties is None
+    exact = (free_water or survey.doubt is not None) and survey.ties is None
+    calibrated = exact and not (survey.doubt is not None and survey.doubt.is_of_lens)
     positions, position_std, unknown = _positions(survey, centres, exact=exact)
     mean = replace(state, lenses=sheet, centres=positions)
     std = np.concatenate(
         [
             _water_std(survey, free=free_water),
             np.full(RELIEF, _RELIEF_GSD * gsd),
-            *(_lens_std(lens) * (_CALIBRATED if exact else 1.0) for lens in lenses),
+            *(_lens_std(lens) * (_CALIBRATED if calibrated else 1.0) for lens in lenses),
             np.full(layout.first_rate - layout.first_readout, readout_std, dtype=np.float64),
             np.full(layout.first_pose - layout.first_rate, _rate_std(survey), dtype=np.float64),
             np.concatenate([position_std, _rotation_std(survey, exact=exact)], axis=1).ravel(),

@@ -140,13 +140,16 @@ def _adjusted(
             f"the level of the water is not given, and the photographs do not tell it: "
             f"{found.parameter('level_m').verdict}; give [water] level_m"
         )
-    return replace(found, warnings=found.warnings + tuple(_against(found, each) for each in against))
+    warnings = [_against(found, each) for each in against]
+    if survey.doubt is not None and survey.doubt.is_of_lens:
+        warnings.append(f"{survey.doubt}: the lens is found anew, under the poses that were given with it; correct it")
+    return replace(found, warnings=(*found.warnings, *warnings))
 
 
 def _doubted(survey: Survey) -> Contradiction | None:
     """What a sample contradicted under the given poses; once poses are free, the block may tell it less surely."""
-    doubt = survey.water_doubt
-    if doubt is None:
+    doubt = survey.doubt
+    if doubt is None or doubt.is_of_lens:
         return None
     number = WATER_PARAMETERS.index(doubt.name)
     return Contradiction(number, doubt.found - doubt.given, doubt.std, doubt.given_std)

@@ -27,16 +27,26 @@ def measure_windows(survey: Survey, *, device: str = "auto", advance: Callable[[
     SurveyError
         If the photographs do not match.
     """
+    plan = make_plan(survey, device=device)
+    return windows_of_block(survey, plan, *loaded(survey, plan), advance)
+
+
+def loaded(survey: Survey, plan: Plan) -> tuple[Block, tuple[float, float]]:
+    """The photographs of a survey, and the range of heights over the water plane [m] in which its bed lies.
+
+    Raises
+    ------
+    SurveyError
+        If the photographs do not match.
+    """
     # Starts Dr.Jit, which the adjustment does not need.
     from fields.sweep.ranging import find_range
 
-    plan = make_plan(survey, device=device)
     block = load_block(survey, plan, lambda _amount: None)
     try:
-        bound = find_range(block, limits(survey))
+        return block, find_range(block, limits(survey))
     except ValueError as error:
         raise SurveyError(str(error)) from error
-    return windows_of_block(survey, plan, block, bound, advance)
 
 
 def windows_of_block(

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 Extent = tuple[float, float, float, float]
 
-_DPI = 170
+_DPI, _COMPRESSION = 170, 3
 # Width and height of the largest map [inch]: small, so that its words can still be read at half the width of a page.
 _MAP_IN = (4.8, 5.4)
 # Margins left, right, below and above: for ticks and labels, a bar of colours, a title of two lines.
@@ -175,6 +175,7 @@ def figure_of(axes: Axes) -> Figure:
 def save(figure: Figure, path: Path) -> None:
     """Write a PNG, whole or not at all; raises UnwritableFile."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DPI)
+    # A tenth larger than by default, in two thirds of the time.
+    figure.savefig(buffer, format="png", dpi=_DPI, pil_kwargs={"compress_level": _COMPRESSION})
     with write_whole(path) as stream:
         stream.write(buffer.getvalue())

@@ -18,6 +18,7 @@ from survey.folder.block import Block, block_of_file, block_of_photographs
 from survey.folder.camera_faults import require_apart, require_focal_lengths
 from survey.folder.config import SurveyConfig, WaterConfig
 from survey.folder.datum_mixups import exif_doubts, low_flight_doubts, place_of
+from survey.folder.doubt import Doubt
 from survey.folder.found import Found, find_survey
 from survey.folder.level_observation import LevelObservation
 from survey.folder.mark_residuals import mark_doubts
@@ -28,7 +29,6 @@ from survey.folder.shutter import metres_per_px, shutter_doubts, with_motion
 from survey.folder.start_height import start_doubts
 from survey.folder.tides import Tide, with_tides
 from survey.folder.velocities import Velocity, velocities_of
-from survey.folder.water_doubt import WaterDoubt
 from survey.folder.water_level import with_level_of_clicks
 from survey.photos.cameras import View
 from survey.photos.images import load_image, load_mask
@@ -70,8 +70,8 @@ class Survey:
     pose_misfit_px : float or None
         By how much photographs miss each other under the given poses [px]; below 0 where too little matches to tell,
         None where nobody has looked.
-    water_doubt : WaterDoubt or None
-        Where a sample of photographs contradicts what is given of the water, under poses that they bear out.
+    doubt : Doubt or None
+        Where a sample of photographs contradicts what is given of water or lens, under poses that they bear out.
     is_level_known : bool
         Whether survey.toml tells the level of the water; else that of `water` is a guess.
     priors : dict of name to PosePrior
@@ -105,7 +105,7 @@ class Survey:
     tool: str | None = None
     reprojection: Reprojection | None = None
     pose_misfit_px: float | None = None
-    water_doubt: WaterDoubt | None = None
+    doubt: Doubt | None = None
     priors: Mapping[str, PosePrior] = field(default_factory=dict, compare=False, repr=False)
     control: Control | None = field(default=None, compare=False, repr=False)
     checkpoints: tuple[Checkpoint, ...] = field(default=(), compare=False, repr=False)

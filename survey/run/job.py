@@ -162,7 +162,7 @@ class Job:
             "rays": lambda: plan.recipe.rays_per_cell,
             "device": lambda: plan.device,
             "ties": lambda: survey.ties,
-            "priors": lambda: (dict(survey.priors), survey.config.cameras, survey.water_doubt),
+            "priors": lambda: (dict(survey.priors), survey.config.cameras, survey.doubt),
             "control": lambda: survey.control,
             "freed": lambda: self.calibrate_water,
             "water_colour": lambda: colour_of(survey),

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from fields.sweep.maps import DepthMap
 from survey.adjust.adjustment import Adjustment, read_adjustment
-from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.compare.result import Comparison
 from survey.files.json_values import read_json_object, write_json
 from survey.folder.config import dump_config
@@ -143,6 +142,9 @@ def _comparisons(
     """The cloud against the reference, and the cloud that the sweep alone would give; None where there is none."""
     if truth.reference is None:
         return None, None
+    # Loads what compares images too; most runs have nothing to compare with.
+    from survey.compare.comparison import CompareOptions, compare_surfaces
+
     options = CompareOptions(tolerances_m=TOLERANCES_M, visible=truth.visible, bounds=survey.bounds)
     found = compare_surfaces(folder / "cloud.las", truth.reference, options)
     # The final path, not that of the folder in which the result is written.

@@ -13,7 +13,7 @@ from survey.adjust import pose_check
 from survey.adjust.pose_check import PoseCheck
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
-from survey.folder.water_doubt import WaterDoubt
+from survey.folder.doubt import Doubt
 
 if TYPE_CHECKING:
     from survey.run.job import Job
@@ -39,7 +39,7 @@ def use_misfit(job: Job, folder: Path) -> None:
     """Let the plan decide by what was found."""
     found = json.loads((folder / MISFIT).read_text(encoding="utf-8"))
     misfit, doubt = found["misfit_px"], found["doubt"]
-    doubt = None if doubt is None else WaterDoubt(**doubt)
-    job.take(replace(job.survey, pose_misfit_px=-1.0 if misfit is None else misfit, water_doubt=doubt))
+    doubt = None if doubt is None else Doubt(**doubt)
+    job.take(replace(job.survey, pose_misfit_px=-1.0 if misfit is None else misfit, doubt=doubt))
     choice, reason = job.plan.poses
     job.progress.note(f"plan: poses: {choice} ({reason})")

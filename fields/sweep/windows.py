@@ -1,0 +1,64 @@
+"""How wide windows have to be: by what photographs have in common, against what chance gives.
+
+Windows that have nothing in common score with a standard deviation of one over their side; windows that show the same
+place score the share that its texture has of the variance, whatever their size. So noise, and light that moves from
+photograph to photograph, ask for wider windows, and quiet images for none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from fields.sweep.climbing import climb_view
+from fields.sweep.stack import ViewStack
+
+# The score of the right height is to be so many standard deviations above the best that chance gives among all that are
+# tried, in half of the pixels of a view.
+_ABOVE_CHANCE = 2.0
+# Radii [px]: others would need other kernels, and wider windows flatten more relief than they find.
+RADII = (1, 2, 3, 4, 6, 8)
+# Of the shorter side of an image: beyond it the rim without whole windows is a large part of the image.
+_MOST_OF_SIDE = 0.25
+# Of the windows within the image that were whole, at least this share has to be with wider ones: between sparkles of
+# the sun only narrow windows are.
+_STILL_WHOLE = 0.75
+
+
+def climb_widely_enough(
+    stack: ViewStack,
+    view: int,
+    others: list[int],
+    start: np.ndarray,
+    step: float,
+    rungs: int,
+    radius: int,
+    columns: Callable[[int], np.ndarray | None] = lambda radius: None,
+) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], int]:
+    """What `fields.sweep.climbing.climb_view` finds with windows of a radius [px] or as wide as needed, and the radius.
+
+    ``columns`` says which are wanted for a radius.
+    """
+    found = climb_view(stack, view, others, start, step, rungs, radius, columns(radius))
+    while (wider := radius_for(found[1], radius, rungs)) != radius:
+        instead = climb_view(stack, view, others, start, step, rungs, wider, columns(wider))
+        inner = np.s_[wider:-wider, wider:-wider]
+        if np.mean(instead[1][inner] > -1.0) < _STILL_WHOLE * np.mean(found[1][inner] > -1.0):
+            break
+        found, radius = instead, wider
+    return found, radius
+
+
+def radius_for(score: np.ndarray, radius: int, rungs: int) -> int:
+    """Radius [px] that windows need of which those of a radius scored so, (height, width); the same if that is enough.
+
+    Among wrong heights the best scores high too, the more the narrower the window: the radius that this gives may not
+    be enough yet.
+    """
+    matched = score[score > -1.0]
+    if not len(matched):
+        return radius
+    side = (_ABOVE_CHANCE + np.sqrt(2.0 * np.log(rungs))) / max(float(np.median(matched)), 1e-3)
+    fitting = [each for each in RADII if 2 * each + 1 <= _MOST_OF_SIDE * min(score.shape)] or [radius]
+    return max(radius, next((each for each in fitting if each >= round(0.5 * (side - 1.0))), fitting[-1]))

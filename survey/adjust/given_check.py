@@ -1,0 +1,132 @@
+"""Whether photographs contradict the water or the lens that is given, under poses that they bear out.
+
+Points follow a wrong level, and photographs agree under it as well as under the true one, to some thousandths of a
+pixel in the mean. What is left in the residuals of windows that many photographs show tells it all the same. One step
+of the adjustment is taken from what is given, in which points and one parameter are free: level, index, focal length or
+radial distortion. The others are as good as stated, or as those of an adjusted block; poses are as good as photographs
+bear them out. Where the given value is true the step is small, so that the test does not hang on how far the equations
+are linear. The one that is contradicted the most is the one that is wrong: errors of the others leave other residuals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from survey.adjust.bundle import Problem, System, inverse, std_of_kinds, system_at
+from survey.adjust.clusters import inflation
+from survey.adjust.contradiction import MOST, Contradiction
+from survey.adjust.free_water import FEWEST_WET
+from survey.adjust.priors import Known, is_held, known_of, priors_for
+from survey.adjust.state import LENS_NAMES, WATER, Layout, State
+from survey.adjust.verdicts import MOST_STD_INDEX
+from survey.adjust.water_settings import WATER_PARAMETERS
+from survey.folder.doubt import Doubt
+from survey.folder.survey import Survey
+
+# What is asked: of the water, and of each lens.
+_LEVEL, _INDEX = 0, WATER - 1
+_OF_LENS = tuple(LENS_NAMES.index(name) for name in ("f", "k1"))
+# A rough bed looks as if the index were off by about so much (docs/adjustment.md).
+_ROUGH_INDEX = 0.01
+# Errors of poses [px]: a multiple of the misfit, as points follow a part of them; and the least.
+_OF_MISFIT, _LEAST_PX = 1.5, 0.01
+
+
+def doubt_of(survey: Survey, told: list[Contradiction]) -> Doubt | None:
+    """The parameter that photographs contradict the most, if any; ``told`` as `told_of_given` has it."""
+    worst, most = None, MOST
+    for each in told:
+        sigmas = abs(each.difference) / np.hypot(each.std, each.given_std)
+        if sigmas > most:
+            worst, most = each, sigmas
+    if worst is None:
+        return None
+    name, given = _name_and_value(survey, worst.number)
+    return Doubt(name, given, worst.given_std, given + worst.difference, worst.std)
+
+
+def told_of_given(survey: Survey, problem: Problem, state: State, misfit_px: float, gsd: float) -> list[Contradiction]:
+    """What photographs say of level, index and lenses, whether they contradict it or not.
+
+    Without what they do not tell: of water that little lies under, of an index that is of no use.
+
+    Parameters
+    ----------
+    survey : Survey
+        Of the photographs that were measured.
+    problem : Problem
+        Of their windows, with everything held but points.
+    state : State
+        Its solution.
+    misfit_px : [px]
+        See `survey.adjust.pose_check.misfit`.
+    gsd : [m]
+        Ground sampling distance.
+    """
+    known = known_of(survey, gsd, free_water=True)
+    std = known.std.copy()
+    std[:WATER] = known_of(survey, gsd).std[:WATER]
+    std[known.layout.first_pose :] = _pose_std(known.layout, state, misfit_px, gsd)
+    asked = _asked(known, state)
+    given = {number: float(std[number]) for number in asked}
+    std[asked] = np.inf
+    problem = replace(problem, priors=replace(priors_for(known, problem.ties), state=state, std=std))
+    std_px = std_of_kinds(problem, problem.residuals(state), 0.0)
+    system = system_at(problem, state, std_px)
+    sizes = [(view.lens.width, view.lens.height) for view in survey.views]
+    told = [_told(problem, state, system, std_px, given, number, sizes) for number in asked]
+    return [each for each in told if each.number != _INDEX or each.std <= np.hypot(MOST_STD_INDEX, _ROUGH_INDEX)]
+
+
+def _asked(known: Known, state: State) -> list[int]:
+    """Numbers of the parameters that photographs are asked for."""
+    is_wet = state.water is not None and int((state.water.depth(state.points) > 0.0).sum()) >= FEWEST_WET
+    starts = [known.layout.lens(number).start for number, lens in enumerate(known.lenses) if not is_held(lens)]
+    return [*((_LEVEL, _INDEX) if is_wet else ()), *(start + each for start in starts for each in _OF_LENS)]
+
+
+def _told(
+    problem: Problem,
+    state: State,
+    system: System,
+    std_px: np.ndarray,
+    given: Mapping[int, float],
+    number: int,
+    sizes: list[tuple[int, int]],
+) -> Contradiction:
+    """What a step says of one parameter, all others being known as given."""
+    std = problem.priors.std.copy()
+    others = [each for each in given if each != number]
+    std[others] = [given[each] for each in others]
+    strength = np.zeros(len(std))
+    strength[others] = std[others] ** -2.0
+    covariance = inverse(system.normal + np.diag(strength))
+    step = covariance @ system.right
+    # The scatter is that about what was found: a wrong level is no noise.
+    left = problem.residuals(state.moved(problem.layout, step, system.point_steps(step)))
+    taken = float(np.sum(1.0 - np.diag(covariance) / std**2))
+    after = std_of_kinds(problem, left, taken)
+    shared = inflation(problem.ties, left, after, problem.kind, sizes)
+    factor = float(np.max(shared * (after / std_px)[problem.kind] ** 2))
+    variance = factor * float(covariance[number, number]) + (_ROUGH_INDEX**2 if number == _INDEX else 0.0)
+    return Contradiction(number, float(step[number]), float(np.sqrt(variance)), given[number])
+
+
+def _pose_std(layout: Layout, state: State, misfit_px: float, gsd: float) -> np.ndarray:
+    """Standard deviations (6 V,) of poses: errors that move what photographs show by about as much as they miss."""
+    error_px = max(_OF_MISFIT * misfit_px, _LEAST_PX)
+    turn = error_px / state.lenses[layout.lens_of, 0]
+    return np.column_stack([np.full((len(turn), 3), error_px * gsd), *[turn] * 3]).ravel()
+
+
+def _name_and_value(survey: Survey, number: int) -> tuple[str, float]:
+    """Of a parameter, as the survey gives it."""
+    if number < WATER:
+        name = WATER_PARAMETERS[number]
+        return name, float(getattr(survey.require_water()[1], name))
+    known = known_of(survey, 1.0)
+    lens, parameter = divmod(number - known.layout.first_lens, len(LENS_NAMES))
+    return f"camera{lens}.{LENS_NAMES[parameter]}", float(known.state.lenses[lens, parameter])

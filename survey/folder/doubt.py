@@ -1,0 +1,39 @@
+"""What photographs say of a number that counts as known, where they contradict it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A parameter of water or lens that photographs contradict under poses that they bear out.
+
+    Attributes
+    ----------
+    name : str
+        "level_m", "refractive_index", or of a lens as "camera0.f".
+    given, given_std : float
+        As survey.toml and the poses file say, or the defaults.
+    found, std : float
+        By a sample of photographs.
+    """
+
+    name: str
+    given: float
+    given_std: float
+    found: float
+    std: float
+
+    @property
+    def is_of_lens(self) -> bool:
+        """Whether it is the lens that is wrong, not the water."""
+        return self.name.startswith("camera")
+
+    def __str__(self) -> str:
+        """Both numbers in words."""
+        unit, digits = {"level_m": (" m", 3), "f": (" px", 2)}.get(self.name.split(".")[-1], ("", 4))
+        return (
+            f"{self.name} is given as {self.given:.{digits}f} +- {self.given_std:.2g}{unit}, and a sample of "
+            f"photographs says {self.found:.{digits}f} +- {self.std:.2g}{unit}"
+        )

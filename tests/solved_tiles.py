@@ -1,0 +1,48 @@
+"""Tiles of the solver whose information, stiffness and noise are known."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+
+from fields.solver.appearance import brightness_of
+from fields.solver.smoothness import bends_of, stiffness_of
+from fields.solver.solve import Solved, gradients_of
+from fields.solver.tile import Tile
+
+
+def plain_tile(size: int) -> Tile:
+    """A square tile, all of which is asked for."""
+    return Tile(0, 0, np.ones((size, size), dtype=bool), np.ones(size * size, dtype=bool))
+
+
+def level(information: float, roughness: float, size: int = 40) -> tuple[Tile, Solved]:
+    """A tile with the same information everywhere and level heights."""
+    tile = plain_tile(size)
+    bends, zero = bends_of(tile), np.zeros(len(tile), dtype=np.float32)
+    stiffness = stiffness_of(bends.of_heights @ zero, roughness)
+    brightness = brightness_of(np.zeros((2, len(tile)), dtype=np.float32))
+    slope, motion = np.zeros((2, len(tile))), np.zeros((2, 2, len(tile)))
+    return tile, Solved(zero, zero + np.float32(information), stiffness, bends, brightness, slope, motion, 1.0)
+
+
+def residuals(noise: np.ndarray, depth: float = 2.0, shift_px: float = 0.0) -> tuple[Tile, Solved]:
+    """A textured tile whose photographs have this noise (K, 96, 96) and are shifted in waves, each in its own way."""
+    random, tile, views = np.random.default_rng(8), plain_tile(96), len(noise)
+    albedo = 40.0 * ndimage.gaussian_filter(random.standard_normal((96, 96)), 1.5).ravel().astype(np.float32)
+    gradients = gradients_of(tile, 10.0 * albedo)
+    phase = random.uniform(0.0, 2.0 * np.pi, (views, 2, 1)) + 0.08 * tile.places[0]
+    shift = np.sqrt(2.0) * shift_px * np.sin(phase)
+    grey = 10.0 * albedo + noise.reshape(views, -1) + shift[:, 0] * gradients[0] + shift[:, 1] * gradients[1]
+    brightness = brightness_of(grey.astype(np.float32))
+    motion = 10.0 * random.standard_normal((views, 2, 1)).astype(np.float32) * np.ones((1, 1, len(tile)), np.float32)
+    slope = brightness.less_mean(np.einsum("kan,an->kn", motion, np.array(gradients)).astype(np.float32))
+    information = np.einsum("kn,kn,kn->n", brightness.weight, slope, slope)
+    zero, bends = np.zeros(len(tile), dtype=np.float32), bends_of(tile)
+    stiffness = stiffness_of(bends.of_heights @ zero, 0.01)
+    return tile, Solved(zero - np.float32(depth), information, stiffness, bends, brightness, slope, motion, 1.0)
+
+
+def white(views: int, seed: int = 1) -> np.ndarray:
+    """Noise (views, 96, 96) of three grey levels that is each pixel's own."""
+    return 3.0 * np.random.default_rng(seed).standard_normal((views, 96, 96))

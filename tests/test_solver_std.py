@@ -1,0 +1,135 @@
+"""The standard deviation of solved heights, part by part: noise, relief that is smoothed away, shifts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from solved_tiles import level, plain_tile, residuals, white
+
+from fields.solver.correlation import NoiseShares, noise_shares, phantoms_of, response_of
+from fields.solver.shifts import Shifts, shifts_of
+from fields.solver.solve import CG_RESIDUAL, Solved, conjugate_gradients, normal_matrix, response_to
+from fields.solver.tile import Tile
+from fields.solver.uncertainty import Expected, change_of, expected_of, relief_of, smoothed
+
+INFORMATION, ROUGHNESS, RESPONSE = 1.0 / 0.02**2, 0.01, 0.8
+STILL = Shifts(0.0, 0.0)
+
+
+@pytest.mark.parametrize("roughness", [0.003, 0.03])
+def test_noise_and_relief_of_the_prior_are_the_diagonal_of_the_inverse(roughness):
+    tile, result = level(INFORMATION, roughness)
+    matrix = normal_matrix(result.information, result.bends, result.stiffness)
+    diagonal = result.information + result.bends.squared @ result.stiffness
+    unit = np.zeros(len(tile), dtype=np.float32)
+    unit[20 * 40 + 20] = 1.0
+    exact = conjugate_gradients(matrix, unit, diagonal)[20 * 40 + 20]
+    found = expected_of(tile, result, 1.0)
+    assert (found.noise + found.relief)[20 * 40 + 20] == pytest.approx(exact, rel=0.05)
+
+
+def heights(result: Solved, relief: np.ndarray, seed: int = 3) -> np.ndarray:
+    """What the solver makes of a bed (N,) [m] seen with independent noise, to which residuals answer in part."""
+    noise = np.random.default_rng(seed).standard_normal(len(relief))
+    answer = RESPONSE * result.information
+    return smoothed(result, answer * relief + np.sqrt(result.information) * noise, RESPONSE, CG_RESIDUAL)
+
+
+def test_noise_moves_heights_and_their_changes_as_expected():
+    tile, result = level(INFORMATION, ROUGHNESS, 120)
+    expected = expected_of(tile, result, RESPONSE)
+    found = heights(result, np.zeros(len(tile)))
+    assert np.mean(found**2) == pytest.approx(np.mean(expected.noise), rel=0.15)
+    assert np.mean(change_of(result, found, RESPONSE) ** 2) == pytest.approx(np.mean(expected.changed_noise), rel=0.15)
+
+
+def bed_of_the_prior(result: Solved, size: int) -> np.ndarray:
+    """A bed (size * size,) [m] that bends as the prior says."""
+    along = 2.0 - 2.0 * np.cos(2.0 * np.pi * np.fft.fftfreq(size))
+    symbol = along[:, None] + along
+    symbol[0, 0] = np.inf
+    spectrum = np.fft.fft2(np.random.default_rng(6).standard_normal((size, size))) / symbol
+    return np.fft.ifft2(spectrum).real.ravel() / np.sqrt(result.stiffness[0])
+
+
+def relief(tile: Tile, result: Solved, bed: np.ndarray) -> tuple[np.ndarray, Expected]:
+    expected = expected_of(tile, result, RESPONSE)
+    change = change_of(result, heights(result, bed), RESPONSE)
+    return relief_of(tile, change, expected, 1.0, 1.0), expected
+
+
+@pytest.mark.parametrize("times", [0.0, 1.0, 3.0])
+def test_relief_that_is_smoothed_away_is_known_without_the_bed(times):
+    size = 120
+    tile, result = level(INFORMATION, ROUGHNESS, size)
+    bed = times * bed_of_the_prior(result, size)
+    lost = smoothed(result, RESPONSE * result.information * bed, RESPONSE, CG_RESIDUAL) - bed
+    found, expected = relief(tile, result, bed)
+    inner = np.abs(np.array(tile.places) - size // 2).max(axis=0) < size // 2 - 8
+    # A bed without relief cannot be told from one with little of it.
+    assert np.mean(found[inner]) == pytest.approx(np.mean(lost[inner] ** 2), rel=0.3, abs=0.2 * expected.relief.mean())
+
+
+def test_relief_is_where_it_is():
+    size = 120
+    tile, result = level(INFORMATION, ROUGHNESS, size)
+    rough = tile.places[1] > size // 2
+    found, _ = relief(tile, result, 3.0 * bed_of_the_prior(result, size) * rough)
+    beyond = np.abs(tile.places[1] - size // 2) > 12
+    assert np.median(found[rough & beyond]) > 10.0 * np.median(found[~rough & beyond])
+
+
+def test_noise_of_its_own_in_each_pixel_counts_once_and_noise_that_neighbours_share_more():
+    shared = ndimage.gaussian_filter(white(8), (0.0, 0.8, 0.8))
+    alone, more = (
+        noise_shares(phantoms_of([residuals(noise)], ROUGHNESS, 1.0), 1.0, STILL, is_wet=True)
+        for noise in (white(8), shared / shared.std())
+    )
+    assert alone.heights == pytest.approx(1.0, abs=0.25)
+    assert alone.changes == pytest.approx(1.0, abs=0.25)
+    # Over long waves the signs of the texture take a part of it back.
+    assert more.heights > 1.25 * alone.heights
+
+
+def test_shifts_are_no_noise():
+    phantoms = phantoms_of([residuals(white(8), shift_px=0.3)], ROUGHNESS, 1.0)
+    all_noise, rest = (noise_shares(phantoms, 1.0, Shifts(px, 0.0), is_wet=True).heights for px in (0.0, 0.3))
+    assert rest < 0.7 * all_noise
+
+
+def test_two_photographs_tell_neither_noise_that_is_shared_nor_shifts():
+    sample = [residuals(white(2), shift_px=0.3)]
+    assert noise_shares(phantoms_of(sample, ROUGHNESS, 0.9), 0.9, STILL, is_wet=True) == NoiseShares(0.9, 1.0, 1.0)
+    assert shifts_of(sample, 1.0, is_wet=True).variance(np.array([2.0])) == 0.0
+
+
+def test_shifts_of_photographs_are_measured_beyond_their_noise():
+    still, moved = (shifts_of([residuals(white(8), shift_px=shift)], 1.0, is_wet=False) for shift in (0.0, 0.3))
+    assert still.anywhere_px < 0.03
+    assert moved.anywhere_px == pytest.approx(0.3, rel=0.25)
+
+
+def test_shifts_that_grow_with_the_depth_are_those_of_waves():
+    sample = [residuals(white(8), depth, 0.1 * depth) for depth in (0.0, 1.0, 3.0)]
+    found = shifts_of(sample, 1.0, is_wet=True)
+    assert found.by_depth_px_m == pytest.approx(0.1, rel=0.25)
+    assert found.anywhere_px < 0.05
+    assert (np.diff(found.variance(np.array([0.0, 1.0, 2.0]))) > 0.0).all()
+
+
+def test_the_response_is_that_to_small_steps():
+    step = np.array([0.01, -0.01, 0.01, 1.0])
+    information = np.array([1.0, 2.0, 3.0, 4.0])
+    change = np.array([0.8, 0.8, 0.8, 0.0]) * information * step
+    assert response_to(information, np.ones(4), step, np.ones(4) + change) == pytest.approx(0.8)
+    assert np.isnan(response_to(information, np.ones(4), np.zeros(4), np.ones(4)))
+
+
+def test_the_response_of_a_survey_is_that_of_most_samples():
+    _, result = level(INFORMATION, ROUGHNESS)
+    samples = [(plain_tile(40), replace(result, response=value)) for value in (0.8, 0.9, 7.0, np.nan)]
+    assert response_of(samples) == pytest.approx(0.9)
+    assert response_of(samples[3:]) == 1.0

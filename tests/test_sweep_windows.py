@@ -1,0 +1,81 @@
+"""How wide windows are: as before on quiet images, wider where each photograph has light or noise of its own."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import plane_survey
+import pytest
+from plane_survey import TILTED, PlaneBed, ring
+
+from fields.sweep.climbing import climb_view
+from fields.sweep.windows import RADII, climb_widely_enough, radius_for
+
+BED, OTHERS, STEP, RUNGS = PlaneBed(TILTED, -2.0), [1, 2, 3, 4, 5, 6], 0.04, 41
+
+
+@pytest.fixture(autouse=True)
+def fine_texture(monkeypatch):
+    """Waves of 3 to 10 px: windows hold as many independent values as pixels, nearly."""
+    monkeypatch.setattr(plane_survey, "SHORTEST", 0.04)
+    monkeypatch.setattr(plane_survey, "LONGEST", 0.15)
+
+
+def climbed(device, images, climb):
+    """What a climb with windows of 5 px finds about the bed, and the errors of its heights [m]."""
+    cameras = ring(6)
+    truth = BED.true_height(cameras[0]).astype(np.float32)
+    start = np.full_like(truth, truth.mean() - 0.5 * STEP * (RUNGS - 1))
+    stack = BED.block(device, cameras, images).stack(1.0)
+    found = climb(stack, 0, OTHERS, start, STEP, RUNGS, 2)
+    heights = found[0][0] if isinstance(found[0], tuple) else found[0]
+    return found, np.abs(heights - truth)[8:-8, 8:-8]
+
+
+def lit(rng, contrast: float) -> list[np.ndarray]:
+    """The photographs, the light on each of which has a pattern of its own."""
+    found = []
+    for camera in ring(6):
+        pattern = cv2.GaussianBlur(rng.normal(size=(camera.height, camera.width)), (0, 0), 0.7)
+        found.append((128.0 + BED.photograph(camera)) * np.exp(contrast * pattern / pattern.std()) - 128.0)
+    return [image.astype(np.float32) for image in found]
+
+
+def test_quiet_images_keep_their_windows(device):
+    (found, radius), _ = climbed(device, None, climb_widely_enough)
+    assert radius == 2
+    for each, narrow in zip(found, climbed(device, None, climb_view)[0], strict=True):
+        np.testing.assert_array_equal(each, narrow)
+
+
+def test_light_that_differs_in_each_photograph_gets_wider_windows_and_these_find_the_bed(device, rng):
+    images = lit(rng, 0.4)
+    (_, radius), wide = climbed(device, images, climb_widely_enough)
+    _, narrow = climbed(device, images, climb_view)
+    assert radius >= 4
+    assert (wide < STEP).mean() > (narrow < STEP).mean() + 0.2
+
+
+def test_windows_that_would_hold_a_missing_pixel_each_stay_narrow(device, rng):
+    images = lit(rng, 0.4)
+    hole = (np.arange(72)[:, None] % 13 < 5) & (np.arange(96) % 13 < 5)
+    images = [np.where(hole, np.float32(np.nan), image) for image in images]
+    (_, radius), _ = climbed(device, images, climb_widely_enough)
+    assert radius <= 3
+
+
+@pytest.mark.parametrize("rungs", [3, 40, 400])
+def test_lower_scores_and_longer_ladders_ask_for_wider_windows(rungs):
+    radii = [radius_for(np.full((300, 400), score), 2, rungs) for score in (0.95, 0.7, 0.5, 0.3, 0.1)]
+    longer = [radius_for(np.full((300, 400), score), 2, 10 * rungs) for score in (0.95, 0.7, 0.5, 0.3, 0.1)]
+    assert radii == sorted(radii)
+    assert (radii[0], radii[-1]) == (2, RADII[-1])
+    assert all(a <= b for a, b in zip(radii, longer, strict=True))
+
+
+def test_windows_stay_a_small_part_of_the_image_and_unmatched_pixels_say_nothing():
+    assert radius_for(np.full((24, 32), 0.1), 2, 40) == 2
+    half = np.full((300, 400), 0.95)
+    half[:, 100:] = -1.0
+    assert radius_for(half, 2, 40) == 2
+    assert radius_for(np.full((300, 400), -1.0), 2, 40) == 2

@@ -30,23 +30,27 @@ def warnings_of(sections) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("name", "quality", "seconds", "memory_gb", "num_maps"),
-    [
-        ("quick", "standard", 35.7, 0.75, 21),
-        ("wreck_water", "draft", 119.1, 1.41, 43),
-    ],
+    ("name", "quality", "seconds", "num_maps"), [("quick", "standard", 35.7, 21), ("wreck_water", "draft", 119.1, 43)]
 )
-def test_two_surveys_are_estimated_as_they_were_measured(
-    data_dir, monkeypatch, name, quality, seconds, memory_gb, num_maps
+def test_the_time_of_two_surveys_is_estimated_as_it_was_measured(
+    data_dir, monkeypatch, name, quality, seconds, num_maps
 ):
     monkeypatch.setattr(machine, "num_cores", lambda: 1)
     survey = load_survey(data_dir / name)
     plan = replace(make_plan(survey, quality=quality, device="cpu"), device="llvm")
     workload = workload_of(survey, plan)
-    # The rates come from these surveys; the worst of the four figures is 12 % off.
+    # The rates come from these surveys.
     assert workload.seconds == pytest.approx(seconds, rel=0.15)
-    assert workload.memory_bytes / GIGA == pytest.approx(memory_gb, rel=0.15)
     assert workload.num_maps == num_maps
+
+
+@pytest.mark.parametrize(
+    ("name", "quality", "memory_gb"), [("quick", "draft", 0.48), ("wreck_water", "standard", 1.22)]
+)
+def test_the_memory_of_two_surveys_is_estimated_as_it_was_measured(data_dir, name, quality, memory_gb):
+    survey = load_survey(data_dir / name)
+    plan = replace(make_plan(survey, quality=quality, device="cpu"), device="llvm")
+    assert workload_of(survey, plan).memory_bytes / GIGA == pytest.approx(memory_gb, rel=0.2)
 
 
 def test_the_field_and_ground_without_bounds_take_more(tmp_path):

@@ -15,13 +15,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fields.solver.solver import SolvedMap
 from fields.sweep.maps import DepthMap
 from geo.errors import GeoError, UnwritableFile
 from survey.errors import SurveyError
 from survey.run.folder import RunDir, seconds_of, versions
 from survey.run.keys import Key
 from survey.run.stored import load_arrays, save_arrays
-from survey.run.stored_maps import Stored, save_maps
+from survey.run.stored_maps import Stored, kept_on_disk, save_maps
 from survey.stage_key import stage_key
 
 A, B = Key({"water": "1", "code": "x"}), Key({"water": "2", "code": "x"})
@@ -407,6 +408,19 @@ def test_depth_maps_come_back_as_they_were_whatever_their_sizes(tmp_path, rng):
         for name in ("height", "score", "agreeing", "spread"):
             assert getattr(old, name).dtype == getattr(new, name).dtype
             np.testing.assert_array_equal(getattr(old, name), getattr(new, name))
+
+
+def test_maps_that_are_worked_on_lie_in_a_folder_while_they_are(tmp_path, rng):
+    solved = SolvedMap(np.arange(3), *rng.normal(size=(2, 3)).astype(np.float32))
+    with kept_on_disk(tmp_path / "scratch", SolvedMap) as keep:
+        first, second = keep(), keep()
+        first[4] = solved
+        np.testing.assert_array_equal(first[4].height, solved.height)
+        assert (list(first), 4 in first, 4 in second, len(second)) == ([4], True, False, 0)
+        first.clear()
+        with pytest.raises(KeyError):
+            first[4]
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_depth_maps_that_lack_an_array_are_named_with_the_mend(tmp_path):

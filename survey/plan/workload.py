@@ -1,7 +1,8 @@
 """Time, memory and disk space of a run, estimated before anything is computed.
 
-Rates are those of two surveys (quick at standard, wreck_water at draft quality) on a part of one core with AVX-512: 35
-and 108 s, 0.75 and 1.41 GB. The estimate meets them within 15 %; it is rough elsewhere, and on more cores.
+Rates of time are those of two surveys (quick at standard, wreck_water at draft quality) on a part of one core with
+AVX-512: 35 and 108 s, which the estimate meets within 15 %; it is rough elsewhere, and on more cores. Memory is that of
+the arrays which docs/performance.md names; measured were 0.5 GB (quick) to 3.4 GB (20 megapixels).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from fields.sweep.block import Overlap
-from fields.sweep.quads import KEPT_BYTES
+from fields.sweep.quads import FEWEST_KEPT, KEPT_BYTES
 from fields.sweep.sweep import PASSES
 from survey import machine
 from survey.errors import SurveyError
@@ -32,21 +33,27 @@ FIRST_RUNGS = 25
 # search beside steps.
 STEPS_PER_CORE_S = 58e6
 # Of the solver: for any survey, and per pixel of a height map.
-_SOLVER_CORE_S, _SOLVER_BYTES = (6.5, 0.8e-6), (150e6, 17.0)
+_SOLVER_CORE_S = (6.5, 0.8e-6)
 _FIELD_CORE_S_PER_CELL = 2.3e-4
 # Imports, check of the poses, bed, report.
 _START_S = 12.0
-_BASE_BYTES = 420e6
-# Per pixel: of every view its grey image; of a view with a height map the arrays of sweep and bed.
-_BYTES_OF_VIEW, _BYTES_OF_MAP = 1, 17
-# Per pixel of a view, for those that were used last: in float32, and packed. Of its colours, and these at most.
-_BYTES_OF_READ, _MOST_READ, _BYTES_OF_COLOURS, _MOST_COLOURS = 4, 24, 3, 100e6
-# Per pixel of a whole photograph while it is decoded.
-_BYTES_OF_DECODING = 14
+# In it the samples of the ladders, of which there are as many at a time whatever the survey.
+_BASE_BYTES = 430e6
+# Per pixel of every view, its grey image; of its colours, and these at most; whole photographs while they are decoded.
+_BYTES_OF_VIEW, _BYTES_OF_COLOURS, _MOST_COLOURS, _BYTES_OF_DECODING = 1, 3, 100e6, 14
+# Images in float32 that were read last, and packed ones or height maps that are compared: per pixel, at most in all
+# but not fewer than so many images.
+_READ, _COMPARED, _SURFACES = (4, 100e6, 2), (4, KEPT_BYTES, FEWEST_KEPT), (5, 200e6, 21)
+# Arrays of the one view that is worked on, per pixel; tiles that are solved at a time.
+_BYTES_OF_WORK, _BYTES_OF_TILES = 80, 150e6
+# Per pixel of all height maps: which become points, and which are taken.
+_BYTES_OF_MASKS = 0.25
+# Per point of the bed, while all of them are gathered, and while the report is written.
+_BYTES_OF_POINT = 130
 # Per cell of one ground sampling distance: factors, their gradients and moments; rays drawn at once, of so many cells.
 _BYTES_OF_FIELD, _BYTES_OF_RAYS, _RAYS_OF_CELLS = 400, 1000, 500_000
 # On the disk, per pixel of a height map and per cell of the bed; pictures, report and log; structure from motion.
-_DISK_OF_MAP, _DISK_OF_CELL, _DISK_AT_LEAST, _DISK_OF_SFM = 17, 120, 30e6, 4e6
+_DISK_OF_MAP, _DISK_OF_CELL, _DISK_AT_LEAST, _DISK_OF_SFM = 18, 140, 30e6, 4e6
 # With more views than this, choosing those that cover the bed takes too long here: all count, as a bound.
 _MOST_VIEWS = 2000
 # Without poses: cells of the bed per pixel; with the usual overlap a place is seen ten times or more.
@@ -205,17 +212,11 @@ def _limit_doubt(workload: Workload) -> str | None:
 def _workload(pixels, of_maps, largest: int, num_cells: float, of_field: float, device: str, solves: bool) -> Workload:
     """From pixels of views, of height maps, and of the largest photograph; cells of bed and field."""
     num_cores = machine.num_cores()
-    everything, mapped = float(np.sum(pixels)), float(np.sum(of_maps))
+    mapped = float(np.sum(of_maps))
     steps = sum(p.scale**2 * (p.rungs or FIRST_RUNGS) * p.neighbours for p in PASSES)
     core_s = steps * mapped / STEPS_PER_CORE_S + _FIELD_CORE_S_PER_CELL * of_field
-    solver_s, solver_bytes = (once + each * mapped if solves else 0.0 for once, each in (_SOLVER_CORE_S, _SOLVER_BYTES))
-    views = _BYTES_OF_VIEW * everything + min(_BYTES_OF_COLOURS * everything, _MOST_COLOURS)
-    read = _BYTES_OF_READ * float(np.sum(np.sort(pixels)[-_MOST_READ:]))
-    packed = min(_BYTES_OF_READ * everything, max(read, KEPT_BYTES))
-    loading = views + _BYTES_OF_DECODING * largest
-    sweeping = views + read + packed + _BYTES_OF_MAP * mapped
-    field = _BYTES_OF_FIELD * of_field + _BYTES_OF_RAYS * min(of_field, _RAYS_OF_CELLS)
-    memory = _BASE_BYTES + max(loading, sweeping + field + solver_bytes)
+    solver_s = _SOLVER_CORE_S[0] + _SOLVER_CORE_S[1] * mapped if solves else 0.0
+    memory = _memory(pixels, of_maps, largest, num_cells, of_field, solves)
     return Workload(
         num_views=len(pixels),
         num_maps=len(of_maps),
@@ -224,6 +225,25 @@ def _workload(pixels, of_maps, largest: int, num_cells: float, of_field: float, 
         memory_bytes=int(memory),
         disk_bytes=int(_DISK_AT_LEAST + _DISK_OF_MAP * mapped + _DISK_OF_CELL * num_cells),
     )
+
+
+def _memory(pixels, of_maps, largest: int, num_cells: float, of_field: float, solves: bool) -> float:
+    """At the peak, in the stage that takes the most; what they read is held by all of them."""
+    everything, masks = float(np.sum(pixels)), _BYTES_OF_MASKS * float(np.sum(of_maps))
+    held = _BYTES_OF_VIEW * everything + min(_BYTES_OF_COLOURS * everything, _MOST_COLOURS)
+    # As they are, and smaller or with small holes closed.
+    read = 2.0 * _kept(pixels, _READ)
+    sweep = read + _kept(pixels, _COMPARED) + _BYTES_OF_WORK * float(np.max(pixels))
+    field = _BYTES_OF_FIELD * of_field + _BYTES_OF_RAYS * min(of_field, _RAYS_OF_CELLS)
+    solver = _kept(of_maps, _SURFACES) + _BYTES_OF_TILES + masks if solves else 0.0
+    bed = read + masks + _BYTES_OF_POINT * num_cells
+    return _BASE_BYTES + held + max(_BYTES_OF_DECODING * largest, sweep + field, solver, bed)
+
+
+def _kept(pixels, of_what: tuple[float, float, int]) -> float:
+    """Bytes of images of so many pixels each of which the last few are kept; see `fields.sweep.lazy.most_kept`."""
+    each, budget, fewest = of_what
+    return each * min(float(np.sum(pixels)), max(budget / each, fewest * float(np.max(pixels))))
 
 
 def _cell_area(cells: np.ndarray) -> float:

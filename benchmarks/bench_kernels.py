@@ -24,9 +24,11 @@ import numpy as np
 from kernel_limits import Limits, measure_limits, shares
 
 from fields.sweep import ranging, scoring_drjit, warping_drjit
-from fields.sweep import sweep as passes
 from fields.sweep.arrays import floats
 from fields.sweep.block import Block, Overlap
+from fields.sweep.climbs import climbs_of
+from fields.sweep.passes import PASSES
+from fields.sweep.sweep import sweep
 from survey.folder.survey import load_survey
 from survey.plan.area import limits, local_area
 from survey.plan.plan import make_plan
@@ -43,7 +45,7 @@ FUNCTIONS = {
     "parallax": (Overlap, ("parallax",)),
 }
 # Kernels: the pass of the sweep that they are taken from.
-KERNEL_PASS = passes.PASSES[2]
+KERNEL_PASS = PASSES[2]
 
 
 def timed(spent: Counter, name: str, function: Callable) -> Callable:
@@ -73,11 +75,11 @@ def clocks(spent: Counter) -> Iterator[None]:
 def stage_table(block: Block, chosen: list[int], bound: tuple[float, float], heights: tuple[float, float]) -> str:
     """Markdown of the seconds of the search for the range of heights, and of the sweep."""
     lines = ["| | samples | processor time | a sample |", "|---|---|---|---|"]
-    climbs = [passes.climbs_of(block, chosen, p, bound if k == 0 else None) for k, p in enumerate(passes.PASSES)]
+    climbs = [climbs_of(block, chosen, p, bound if k == 0 else None) for k, p in enumerate(PASSES)]
     samples = sum(climb.samples for each in climbs for climb in each)
     for name, run, number in (
         ("range of heights", partial(ranging.find_range, block, heights), None),
-        ("sweep", partial(passes.sweep, block, chosen, bound, lambda done: None), samples),
+        ("sweep", partial(sweep, block, chosen, bound, lambda done: None), samples),
     ):
         spent: Counter = Counter()
         start = time.process_time()

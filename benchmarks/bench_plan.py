@@ -29,7 +29,8 @@ from fields.skips import SKIPS
 from fields.solver import solve
 from fields.solver.appearance import Appearance
 from fields.sweep import views
-from fields.sweep.sweep import PASSES, sweep
+from fields.sweep.passes import PASSES
+from fields.sweep.sweep import sweep
 from survey.folder.survey import load_survey
 from survey.plan import plan as planning
 from survey.run import process as running

@@ -27,8 +27,9 @@ from fields.sweep import views
 from fields.sweep.bed import BedPoints, trusted
 from fields.sweep.free_space import without_contradicted
 from fields.sweep.maps import DepthMap
+from fields.sweep.passes import PASSES, Pass
 from fields.sweep.ranging import find_range
-from fields.sweep.sweep import PASSES, Pass, sweep
+from fields.sweep.sweep import sweep
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.folder.survey import load_survey
 from survey.plan.area import limits, local_area

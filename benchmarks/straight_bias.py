@@ -10,7 +10,7 @@ from study_protocol import away_from_objects
 
 from evaluation.baselines import apparent_points
 from fields.sweep import views
-from fields.sweep.sweep import PASSES
+from fields.sweep.passes import PASSES
 from refract import FlatWater, PinholeCamera
 from survey.folder.survey import Survey
 

@@ -17,7 +17,8 @@ from pyproj import CRS
 from typer.testing import CliRunner
 
 from evaluation import vertical_difference
-from fields.sweep.sweep import PASSES, sweep
+from fields.sweep.passes import PASSES
+from fields.sweep.sweep import sweep
 from geo import read_cloud, read_reference
 from refract import FlatWater
 from survey.commands.verbs import app

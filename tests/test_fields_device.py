@@ -20,7 +20,8 @@ import sys
 sys.modules["drjit"] = None
 from fields.sweep.bed import trusted, unique_pixels
 from fields.device import choose_device
-from fields.sweep.sweep import Pass, sweep
+from fields.sweep.passes import Pass
+from fields.sweep.sweep import sweep
 from plane_survey import TILTED, PlaneBed, ring
 
 device = choose_device("torch")

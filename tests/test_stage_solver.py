@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fields.solver.solver import SolvedMap
-from fields.sweep.maps import DepthMap
-from fields.sweep.sweep import enlarged_map
+from fields.sweep.maps import DepthMap, enlarged_map
 from survey.run.stage_solver import _enlarged
 
 SMALL, LARGE = (6, 8), (12, 16)

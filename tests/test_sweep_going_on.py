@@ -8,9 +8,10 @@ from plane_survey import SIZE, TILTED, PlaneBed, ring
 
 from fields.sweep.bed import trusted
 from fields.sweep.block import Block
-from fields.sweep.maps import DepthMap
-from fields.sweep.sweep import PASSES as USUAL
-from fields.sweep.sweep import Pass, enlarged_map, passes_from, sweep
+from fields.sweep.maps import DepthMap, enlarged_map
+from fields.sweep.passes import PASSES as USUAL
+from fields.sweep.passes import Pass, passes_from
+from fields.sweep.sweep import sweep
 
 BED = PlaneBed(TILTED, -2.0, slope=0.1)
 PASSES = (

@@ -15,7 +15,8 @@ from fields.sweep.bed import trusted, unique_pixels
 from fields.sweep.block import Block
 from fields.sweep.climbing import climb_view
 from fields.sweep.maps import DepthMap
-from fields.sweep.sweep import PASSES, Pass, sweep
+from fields.sweep.passes import PASSES, Pass
+from fields.sweep.sweep import sweep
 from refract import FlatWater
 from refract.distortion import BROWN, Distortion
 from survey.simulate.drawn import DrawnScene, stage_drawing

@@ -10,6 +10,7 @@ from collections.abc import Callable, MutableMapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 
 
@@ -65,3 +66,15 @@ class InOrder(Sequence):
         """Give the room of the maps back."""
         self.views = []
         self._maps.clear()
+
+
+def enlarged_map(m: DepthMap, size: tuple[int, int]) -> DepthMap:
+    """A map at another size (width, height), not smaller."""
+    if m.height.shape == size[::-1]:
+        return m
+    height, score, spread = (
+        cv2.resize(each.astype(np.float32), size, interpolation=cv2.INTER_LINEAR).astype(each.dtype)
+        for each in (m.height, m.score, m.spread)
+    )
+    agreeing = cv2.resize(m.agreeing, size, interpolation=cv2.INTER_NEAREST)
+    return DepthMap(m.view, height, score, agreeing, spread)

@@ -16,7 +16,8 @@ import numpy as np
 from fields.sweep.bed import trusted
 from fields.sweep.block import Block
 from fields.sweep.maps import DepthMap
-from fields.sweep.sweep import PASSES, sweep
+from fields.sweep.passes import PASSES
+from fields.sweep.sweep import sweep
 from refract import FlatWater, PinholeCamera
 from survey.adjust.matching import RADIUS, match, prepared, window
 from survey.photos.tie_points import TiePoints

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fields.sweep.sweep import PASSES, passes_from
+from fields.sweep.passes import PASSES, passes_from
 from survey import machine
 from survey.folder.survey import Survey
 from survey.plan.plan import Plan

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from fields.sweep.block import Overlap
+from fields.sweep.passes import PASSES
 from fields.sweep.quads import FEWEST_KEPT, KEPT_BYTES
-from fields.sweep.sweep import PASSES
 from survey import machine
 from survey.errors import SurveyError
 from survey.folder.survey import Survey

@@ -10,8 +10,7 @@ import numpy as np
 
 from fields.solver.solver import SolvedMap, solve_maps
 from fields.sweep.bed import unique_pixels
-from fields.sweep.maps import DepthMap
-from fields.sweep.sweep import enlarged_map
+from fields.sweep.maps import DepthMap, enlarged_map
 from survey.files.json_values import write_json
 from survey.progress import shares
 from survey.run.stage_sweep import EARLIER_SOLVER, EARLIER_SWEEP, MAPS, SCRATCH, look_at_bed, views_swept

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 from fields.sweep.free_space import without_contradicted
 from fields.sweep.maps import DepthMap
-from fields.sweep.sweep import PASSES, passes_from, sweep
+from fields.sweep.passes import PASSES, passes_from
+from fields.sweep.sweep import sweep
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
 from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area, plane_name

@@ -1,0 +1,119 @@
+"""One pass over one view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from fields.sweep.block import Block
+from fields.sweep.climbing import climb_view
+from fields.sweep.maps import DepthMap
+from fields.sweep.over_area import Area, columns_over
+from fields.sweep.passes import Pass
+from fields.sweep.stack import ViewStack
+from fields.sweep.steps import search_steps
+from fields.sweep.windows import LEAST_KNOWN, climb_widely_enough
+
+
+@dataclass(frozen=True)
+class Climb:
+    """What one pass does for one view.
+
+    Attributes
+    ----------
+    view : index of the view
+    others : indices of the views that it is compared with
+    rungs : number of heights tried
+    samples : pixels x rungs x others
+    """
+
+    view: int
+    others: list[int]
+    rungs: int
+    samples: int
+
+
+def climbs_of(block: Block, chosen: list[int], p: Pass, bound: tuple[float, float] | None) -> list[Climb]:
+    """What a pass does for each of the chosen views; those that overlap with no other are left out.
+
+    The ladder reaches over the bound (low, high) [m], or has the rungs of the pass where that is None.
+    """
+    found = []
+    for view in chosen:
+        others = block.neighbours(view, p.neighbours)
+        if not others:
+            continue
+        if bound is not None:
+            step = _step(block, p, view, others, 0.5 * (bound[0] + bound[1]))
+            rungs = int(np.ceil((bound[1] - bound[0]) / step)) + 1
+        elif p.rungs is not None:
+            rungs = p.rungs
+        else:
+            raise ValueError("a pass after the first expects its own number of rungs, got None")
+        found.append(Climb(view, others, rungs, pixels_of(block, p) * rungs * len(others)))
+    return found
+
+
+def pixels_of(block: Block, p: Pass) -> int:
+    """Number of pixels of an image at the scale of a pass."""
+    camera = block.cameras[0].scaled(p.scale)
+    return camera.width * camera.height
+
+
+def _step(block: Block, p: Pass, view: int, others: list[int], height: float) -> float:
+    """Distance [m] between two rungs of a pass about a height [m]."""
+    return p.step_px / (p.scale * block.parallax(view, others, height))
+
+
+def climbed(
+    block: Block,
+    p: Pass,
+    climb: Climb,
+    bound: tuple[float, float],
+    before: np.ndarray | None,
+    area: Area | None,
+    wider: int,
+) -> tuple[DepthMap, int]:
+    """One pass over one view: the ladder of the bound, or one about the heights of the pass before.
+
+    Windows are by so many pixels ``wider`` than those of the pass, or more where this pass finds that they have to be,
+    which is given back.
+    """
+    stack, view = block.stack(p.scale), climb.view
+    middle = 0.5 * (bound[0] + bound[1]) if before is None else float(np.median(before))
+    step = _step(block, p, view, climb.others, middle)
+    if before is None:
+        start = np.full((stack.height, stack.width), bound[0], dtype=np.float32)
+    else:
+        start = _enlarged(before, stack) - np.float32(step * (climb.rungs // 2))
+
+    def columns(radius: int) -> np.ndarray | None:
+        return None if area is None else columns_over(stack.cameras[view], block.water, area, bound, radius)
+
+    ladder = stack, view, climb.others, start, step, climb.rungs
+    radius = p.radius + wider
+    least_known = 1.0 if block.images.are_whole else LEAST_KNOWN
+    if p.refines:
+        found = climb_view(*ladder, radius, columns(radius), least_known)
+    else:
+        found, radius = climb_widely_enough(*ladder, radius, columns, least_known)
+    # The search has windows of its own, narrower than those that were too narrow here.
+    if p.search is not None and radius == p.radius:
+        found = search_steps(stack, view, climb.others, found, p.step_px / step, p.search)
+    height, score, _ = found
+    if p.scale == 1.0 and least_known < 1.0:
+        # What is left out of the photograph shows nothing, however much around it is known.
+        score = np.where(np.isnan(block.images[view]), np.float32(-1.0), score)
+    nobody = np.zeros(height.shape, dtype=np.uint8)
+    spread = np.zeros(height.shape, dtype=np.float16)
+    return DepthMap(view, height, score.astype(np.float16), nobody, spread), radius - p.radius
+
+
+def _enlarged(height: np.ndarray, stack: ViewStack) -> np.ndarray:
+    """Heights of a coarser pass at the size of the stack, without the single wrong ones."""
+    if height.shape == (stack.height, stack.width):
+        return height
+    height = cv2.resize(height, (stack.width, stack.height), interpolation=cv2.INTER_LINEAR)
+    return cv2.medianBlur(height, 5)

@@ -1,0 +1,60 @@
+"""Height maps of a block, each with what the others say of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from fields.sweep.block import Block
+from fields.sweep.climbing import MATCHED_NCC
+from fields.sweep.consistency import agreement
+from fields.sweep.lazy import Lazy
+from fields.sweep.maps import DepthMap, Keep, Maps
+from fields.sweep.stack import ViewStack
+
+
+def fuse(block: Block, maps: Maps, scale: float, peers: Mapping[int, list[int]], keep: Keep = dict) -> Maps:
+    """Maps with the mean over the peers that agree as heights, and how many do and how closely; the others are cleared.
+
+    A pixel that no other view confirms takes the median of its surroundings: a better start for the next pass. A
+    pixel that matched nothing confirms nothing either. Maps without peers keep what they have.
+    """
+    fused = keep()
+    for m, (agreeing, height, spread) in _agreement(block, maps, scale, peers):
+        height = np.where(agreeing > 0, height, cv2.medianBlur(m.height, 5))
+        fused[m.view] = DepthMap(m.view, height, m.score, agreeing, spread.astype(np.float16))
+    for view in set(maps) - set(fused):
+        fused[view] = maps[view]
+    maps.clear()
+    return fused
+
+
+def _agreement(
+    block: Block, maps: Maps, scale: float, peers: Mapping[int, list[int]]
+) -> Iterator[tuple[DepthMap, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+    """Each map that has peers, and what `fields.sweep.consistency.agreement` says of it."""
+    chosen = sorted(maps)
+    cameras = [block.cameras[v].scaled(scale) if scale != 1.0 else block.cameras[v] for v in chosen]
+
+    def matched(number: int) -> np.ndarray:
+        m = maps[chosen[number]]
+        return np.where(m.score > MATCHED_NCC, m.height, np.float32(np.nan))
+
+    images = Lazy(matched, len(chosen), (cameras[0].height, cameras[0].width), 1)
+    heights = ViewStack.build(block.device, cameras, images, block.water)
+    for index, view in enumerate(chosen):
+        others = peers.get(view)
+        if others:
+            m = maps[view]
+            tolerance = block.agreement_tolerance(view, others, float(np.median(m.height)))
+            yield m, agreement(heights, index, [chosen.index(p) for p in others], tolerance)
+
+
+def confirm(block: Block, maps: Maps, peers: Mapping[int, list[int]]) -> None:
+    """Let heights that stay as they are be confirmed by the others at full size, where these say more than before."""
+    if peers:
+        for m, (agreeing, _, _) in _agreement(block, maps, 1.0, peers):
+            maps[m.view] = replace(m, agreeing=np.maximum(m.agreeing, agreeing))

@@ -160,6 +160,9 @@ def _measure(job: _Job, folder: Path, found: dict[tuple[str, ...], Record]) -> l
     )
     run = folder / "runs" / job.name
     options = ["--quality", job.quality, "--field", first.field, "--device", job.device, "--no-resume"]
+    if job.poses == GIVEN and not first.is_refracted:
+        # Without the water photographs contradict true poses and lenses, and would have them adjusted to straight rays.
+        options += ["--poses", "fixed"]
     # Dr.Jit keeps its compiled kernels in the home folder: a new one is a cold start.
     with tempfile.TemporaryDirectory() as home:
         code, cost, words = run_bathynerf(["process", str(survey), "-o", str(run), *options], Path(home))

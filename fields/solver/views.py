@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,7 +20,7 @@ from fields.solver.tile import Tile, tiles_of
 from fields.sweep.block import Block
 from fields.sweep.greys import Greys
 from fields.sweep.lazy import most_kept
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import ByView, DepthMap
 from fields.sweep.recent import Recent
 from refract import FlatWater, PinholeCamera
 
@@ -45,26 +45,11 @@ class Job:
     others: tuple[int, ...]
 
 
-class Surfaces(Mapping[int, Surface]):
+def surfaces_of(maps: Sequence[DepthMap], views: list[int]) -> ByView[Surface]:
     """Those of maps by their views; the last few are kept, so that each is read from its map a few times only."""
-
-    def __init__(self, maps: Sequence[DepthMap], views: list[int]):
-        self._number = numbers = {view: number for number, view in enumerate(views)}
-        size = maps[0].height.size if len(maps) else 0
-        most = most_kept(_SURFACE_BYTES * size, _KEPT_BYTES, MOST_VIEWS + 1)
-        self._kept: Recent[int, Surface] = Recent(lambda view: Surface.of(maps[numbers[view]]), most)
-
-    def __getitem__(self, view: int) -> Surface:
-        return self._kept[view]
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(self._number)
-
-    def __len__(self) -> int:
-        return len(self._number)
-
-    def __contains__(self, view: object) -> bool:
-        return view in self._number
+    size = maps[0].height.size if len(maps) else 0
+    most = most_kept(_SURFACE_BYTES * size, _KEPT_BYTES, MOST_VIEWS + 1)
+    return ByView(Recent(lambda number: Surface.of(maps[number]), most), views)
 
 
 @dataclass(frozen=True)
@@ -109,8 +94,8 @@ class Views:
         return Views(cameras, block.images, block.water, block.device, maps, views, others, tolerance)
 
     @cached_property
-    def _surfaces(self) -> Surfaces:
-        return Surfaces(self.maps, self.views)
+    def _surfaces(self) -> ByView[Surface]:
+        return surfaces_of(self.maps, self.views)
 
     @cached_property
     def _projection(self) -> Projection:

@@ -6,12 +6,16 @@ disk to keep them in; only those that are worked on are read.
 
 from __future__ import annotations
 
-from collections.abc import Callable, MutableMapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
+
+from fields.sweep.recent import Recent
+
+Kind = TypeVar("Kind")
 
 
 @dataclass
@@ -66,6 +70,26 @@ class InOrder(Sequence):
         """Give the room of the maps back."""
         self.views = []
         self._maps.clear()
+
+
+class ByView(Mapping[int, Kind]):
+    """Maps, or what is known of them, by their views instead of by their order."""
+
+    def __init__(self, maps: Sequence[Kind] | Recent[int, Kind], views: list[int]):
+        self._maps = maps
+        self._number = {view: number for number, view in enumerate(views)}
+
+    def __getitem__(self, view: int) -> Kind:
+        return self._maps[self._number[view]]
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._number)
+
+    def __len__(self) -> int:
+        return len(self._number)
+
+    def __contains__(self, view: object) -> bool:
+        return view in self._number
 
 
 def enlarged_map(m: DepthMap, size: tuple[int, int]) -> DepthMap:

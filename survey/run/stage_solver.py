@@ -10,11 +10,11 @@ import numpy as np
 
 from fields.solver.solver import SolvedMap, solve_maps
 from fields.sweep.bed import unique_pixels
-from fields.sweep.maps import DepthMap, enlarged_map
+from fields.sweep.maps import ByView, DepthMap, enlarged_map
 from survey.files.json_values import write_json
 from survey.progress import shares
 from survey.run.stage_sweep import EARLIER_SOLVER, EARLIER_SWEEP, MAPS, SCRATCH, look_at_bed, views_swept
-from survey.run.stored_maps import ByView, Stored, kept_on_disk, save_maps
+from survey.run.stored_maps import Stored, kept_on_disk, save_maps
 
 if TYPE_CHECKING:
     from fields.solver.sightings import Sightings
@@ -75,7 +75,7 @@ def _carried(maps: Sequence[DepthMap], kept: Masks, needs: Mapping[str, Path]) -
         return [None for _ in maps]
     swept = views_swept(needs["sweep"])
     of_sweep = Stored(needs[EARLIER_SWEEP] / MAPS, DepthMap)
-    before = ByView(of_sweep)
+    before = ByView(of_sweep, of_sweep.views)
     solved = ByView(Stored(needs[EARLIER_SOLVER] / SOLVED, SolvedMap), of_sweep.views)
     return [
         None if m.view in swept else _enlarged(before[m.view], solved[m.view], m, keep)

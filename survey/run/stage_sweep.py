@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fields.sweep.free_space import without_contradicted
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import ByView, DepthMap
 from fields.sweep.passes import PASSES, passes_from
 from fields.sweep.sweep import sweep
 from survey.errors import SurveyError
@@ -22,7 +22,7 @@ from survey.plan.block import camera_of
 from survey.progress import shares
 from survey.run.clock import OutOfTimeError
 from survey.run.stored import load_arrays
-from survey.run.stored_maps import ByView, Stored, kept_on_disk, save_maps
+from survey.run.stored_maps import Stored, kept_on_disk, save_maps
 
 if TYPE_CHECKING:
     from fields.sweep.block import Block
@@ -103,7 +103,14 @@ def _go_on(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
 
             ladder = (bound["low_m"], bound["high_m"])
             maps = sweep(
-                block, before.views, ladder, advance, area=_wanted(job), before=ByView(before), again=again, keep=keep
+                block,
+                before.views,
+                ladder,
+                advance,
+                area=_wanted(job),
+                before=ByView(before, before.views),
+                again=again,
+                keep=keep,
             )
             swept = _finished(block, maps, keep)
             _save(job, folder, swept, again, time.monotonic() - start, images_s, earlier_scale)

@@ -7,7 +7,7 @@ import os
 import shutil
 import struct
 import zipfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, MutableMapping, Sequence
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
@@ -148,23 +148,3 @@ def _made(kind: type[Kind], view: int, array: Callable[[str], np.ndarray]) -> Ki
     """A map of arrays by their names."""
     arrays: dict[str, Any] = {name: array(name) for name in _names(kind)}
     return kind(**({"view": view} if kind is DepthMap else {}), **arrays)
-
-
-class ByView(Mapping[int, Kind]):
-    """Stored maps by their views."""
-
-    def __init__(self, maps: Stored[Kind], views: list[int] | None = None):
-        self._maps, views = maps, maps.views if views is None else views
-        self._number = {view: number for number, view in enumerate(views)}
-
-    def __getitem__(self, view: int) -> Kind:
-        return self._maps[self._number[view]]
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(self._number)
-
-    def __len__(self) -> int:
-        return len(self._number)
-
-    def __contains__(self, view: object) -> bool:
-        return view in self._number

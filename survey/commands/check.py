@@ -66,11 +66,11 @@ def run(
         shortage = address_space_shortage()
         if shortage is not None:
             current().warn(shortage)
-        checked = require_processable(survey)
+        checked, chosen = require_processable(survey), Choices(quality=quality.value, device=device.value)
         for section in check_survey(survey, quality=quality.value, device=device.value, checked=checked):
             show(results, section)
         show(results, light_section(checked, wind_m_s=wind))
-        foreseen = None if checked.survey is None else foreseen_section(checked.survey, quality=quality.value)
+        foreseen = None if checked.survey is None else foreseen_section(checked.survey, chosen=chosen)
         if foreseen is not None:
             show(results, foreseen)
         aim = aim_of(target_std, time_budget, quality=None, field="auto")

@@ -5,27 +5,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
-from fields.sweep.block import Overlap
 from survey import machine
-from survey.adjust.foreseen import DEPTH_M, Foreseen, foresee
-from survey.adjust.std_common import std_common
+from survey.adjust.foreseen import foresee
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.plan.aim import Aim, ladder
 from survey.plan.choices import Choices
-from survey.plan.ground import ground_height
 from survey.plan.pace import Ground, Pace
-from survey.plan.plan import Plan, make_plan
+from survey.plan.plan import make_plan
 from survey.plan.recipe import Recipe
 from survey.progress import Progress
 from survey.run.aimed import Aimed
 from survey.run.clock import Clock
 
-# Places that so many views see count for what all have in common.
-_SEEN_BY = 3
 # What the stated rates of another machine may be wrong by.
 _UNKNOWN_PACE = 1.2
 
@@ -70,7 +63,7 @@ def outlook(aim: Aim, survey: Survey, chosen: Choices) -> Outlook:
     rungs = ladder([(view.lens.width, view.lens.height) for view in survey.views])
     scales = tuple(make_plan(survey, chosen, recipe=recipe).image_scale for recipe in rungs)
     ground = Ground.of(survey, make_plan(survey, chosen, recipe=rungs[-1]))
-    foreseen, at = foresee(survey), make_plan(survey).image_scale
+    foreseen, at = foresee(survey, chosen=chosen), make_plan(survey, chosen).image_scale
     std = tuple(math.nan if foreseen is None else foreseen.heights.of_point_m * at / scale for scale in scales)
     first = 0
     if aim.std_m is not None:
@@ -79,7 +72,7 @@ def outlook(aim: Aim, survey: Survey, chosen: Choices) -> Outlook:
         first = next((rung for rung in solving if not std[rung] > aim.std_m), solving[-1])
     # Another machine may be faster than the one of the rates: what it has to spare is kept for what follows.
     pace = Pace.stated(ground, max(machine.slowness(), 1.0))
-    common = _common_std(survey, make_plan(survey, chosen, recipe=rungs[-1]), foreseen)
+    common = math.nan if foreseen is None else foreseen.heights.of_all_m
     return Outlook(rungs, scales, ground, std, common, first, pace)
 
 
@@ -100,17 +93,6 @@ def doubts(aim: Aim, found: Outlook) -> list[str]:
             "level_std_m, index_std; position_std_m), or give control points"
         )
     return told
-
-
-def _common_std(survey: Survey, plan: Plan, foreseen: Foreseen | None) -> float:
-    """What water, lens and poses leave [m], median over a level bed as `foresee` assumes it; NaN where not known."""
-    if foreseen is None or plan.poses[0] == "refine":
-        return math.nan if foreseen is None else foreseen.heights.of_all_m
-    height = -DEPTH_M if survey.water is not None else ground_height([view.camera for view in survey.views])
-    overlap = Overlap([view.camera for view in survey.views], survey.water, height)
-    places = overlap.cells[overlap.seen.sum(axis=0) >= _SEEN_BY]
-    wet = np.full(len(places), survey.water is not None)
-    return float(np.nanmedian(std_common(places, wet, survey, None, plan.gsd_m))) if len(places) else math.nan
 
 
 def shortest_s(found: Outlook) -> float:

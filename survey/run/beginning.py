@@ -12,9 +12,10 @@ from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.plan.aim import Aim, ladder
 from survey.plan.choices import Choices
-from survey.plan.pace import Ground, Pace
+from survey.plan.pace import ANY_RUN_S, Ground, Pace
 from survey.plan.plan import make_plan
 from survey.plan.recipe import Recipe
+from survey.plan.workload import busy_in_words
 from survey.progress import Progress
 from survey.run.aimed import Aimed
 from survey.run.clock import Clock
@@ -52,8 +53,16 @@ class Outlook:
     pace: Pace
 
 
-def outlook(aim: Aim, survey: Survey, chosen: Choices) -> Outlook:
-    """Look at what an aim needs of a survey whose poses are known.
+def busy() -> float:
+    """How many times as long as on idle cores of the stated rates work takes now.
+
+    At least 1: another machine may be faster than the one of the rates, which is kept for what follows.
+    """
+    return max(machine.slowness(), 1.0)
+
+
+def outlook(aim: Aim, survey: Survey, chosen: Choices, slowness: float) -> Outlook:
+    """Look at what an aim needs of a survey whose poses are known, with ``slowness`` as `busy` says.
 
     Raises
     ------
@@ -70,8 +79,7 @@ def outlook(aim: Aim, survey: Survey, chosen: Choices) -> Outlook:
         # Only heights of the solver have a standard deviation that can be relied on.
         solving = [rung for rung, recipe in enumerate(rungs) if recipe.field == "solver"]
         first = next((rung for rung in solving if not std[rung] > aim.std_m), solving[-1])
-    # Another machine may be faster than the one of the rates: what it has to spare is kept for what follows.
-    pace = Pace.stated(ground, max(machine.slowness(), 1.0))
+    pace = Pace.stated(ground, slowness)
     common = math.nan if foreseen is None else foreseen.heights.of_all_m
     return Outlook(rungs, scales, ground, std, common, first, pace)
 
@@ -98,6 +106,20 @@ def doubts(aim: Aim, found: Outlook) -> list[str]:
 def shortest_s(found: Outlook) -> float:
     """The shortest time that is accepted [s]."""
     return _UNKNOWN_PACE * found.pace.least_s(found.ground, found.scales[0], lowest=found.scales[0])
+
+
+def require_some_time(aim: Aim | None) -> None:
+    """Raise where a time is asked for in which no survey can be processed; nothing is read for that.
+
+    Raises
+    ------
+    SurveyError
+    """
+    if aim is not None and aim.seconds is not None and aim.seconds < ANY_RUN_S:
+        raise SurveyError(
+            f"--time-budget {aim.seconds:g} is too short: any run takes {ANY_RUN_S:g} s and more; give more, "
+            "bathynerf check --time-budget says how much"
+        )
 
 
 def require_time(seconds: float, found: Outlook) -> None:
@@ -133,7 +155,7 @@ def begin_aimed(
     SurveyError
         If the time is too short.
     """
-    found = outlook(aim, survey, chosen)
+    found = outlook(aim, survey, chosen, busy())
     progress.note(f"asked: {aim}")
     for text in doubts(aim, found):
         progress.warn(text)
@@ -153,15 +175,15 @@ def begin_aimed(
     return state
 
 
-def rows_of(aim: Aim, survey: Survey, chosen: Choices) -> tuple[tuple[str, str], ...]:
-    """What an aim promises and costs, as labelled sentences for `check`.
+def rows_of(aim: Aim, survey: Survey, chosen: Choices, slowness: float) -> tuple[tuple[str, str], ...]:
+    """What an aim promises and costs, as labelled sentences for `check`; ``slowness`` as `busy` says.
 
     Raises
     ------
     SurveyError
         If no view looks down.
     """
-    found = outlook(aim, survey, chosen)
+    found = outlook(aim, survey, chosen, slowness)
     rows = [("asked", str(aim))]
     is_timed = make_plan(survey, chosen, recipe=found.ladder[0]).device == "llvm"
     for rung, (recipe, scale) in enumerate(zip(found.ladder, found.scales, strict=True)):
@@ -176,5 +198,8 @@ def rows_of(aim: Aim, survey: Survey, chosen: Choices) -> tuple[tuple[str, str],
     rows += [("", text) for text in doubts(aim, found)]
     if aim.seconds is not None and is_timed:
         enough = "enough" if aim.seconds >= shortest_s(found) else "more than is asked: process refuses"
-        rows.append(("shortest run", f"about {math.ceil(shortest_s(found))} s, {enough}"))
+        shortest = f"about {math.ceil(shortest_s(found))} s, a reserve of {100 * (_UNKNOWN_PACE - 1):.0f} % included"
+        rows.append(("shortest run", f"{shortest}; {enough}"))
+    if is_timed:
+        rows.append(("times", f"on cores {busy_in_words(slowness)}"))
     return tuple(rows)

@@ -13,7 +13,7 @@ from geo import read_cloud
 from survey.benchmark.against import changes, over_surveys, unpaired
 from survey.benchmark.benchmark import Settings, benchmark
 from survey.benchmark.cases import case_of, drawn_names, variant
-from survey.benchmark.front import draw_front, on_front
+from survey.benchmark.front import draw_front, legend_of, on_front
 from survey.benchmark.records import Cost, Errors, Record, Results, read_results, write_results
 from survey.benchmark.text import comparison, lines_of, table
 from survey.errors import SurveyError
@@ -125,6 +125,21 @@ def test_the_front_holds_what_nothing_beats_in_both_time_and_error(tmp_path):
     assert (tmp_path / "front.png").read_bytes().startswith(b"\x89PNG")
     lines = table(results(*found))
     assert [line.endswith("*") for line in lines[1:]] == [True, True, False]
+
+
+def test_coverage_is_printed_only_where_a_std_is_that_of_the_height():
+    ours, straight = (line for line in table(results(record("full"), record("straight")))[1:])
+    assert "95.0 %" in ours
+    assert "95.0 %" not in straight
+
+
+def test_the_legend_says_what_filled_and_hollow_marks_mean():
+    entries = legend_of(["full"], ["quick"])
+    assert [label for label, *_ in entries[:2]] == ["whole chain", "quick"]
+    assert {label.partition(":")[0]: is_filled for label, *_, is_filled in entries[2:]} == {
+        "filled": True,
+        "hollow": False,
+    }
 
 
 def test_names_of_drawn_surveys_are_checked_before_anything_is_drawn():

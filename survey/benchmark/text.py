@@ -34,7 +34,9 @@ def _row(record: Record, is_front: bool) -> tuple[str, ...]:
     if errors is None:
         return (*name, *costs, "-", "-", "-", "-", record.words[:80])
     shares = ", ".join(f"{100.0 * errors.completeness[key]:.1f}" for key in ("0.2", "0.05"))
-    covers = "-" if errors.coverage is None else f"{100.0 * errors.coverage:.1f} %"
+    # Standard deviations of clouds over straight rays are those of apparent depths.
+    known = errors.coverage if METHODS[record.method].is_refracted else None
+    covers = "-" if known is None else f"{100.0 * known:.1f} %"
     marks = ("*" if is_front else "") + (" quality gate failed" if record.exit_code else "")
     return (*name, *costs, length(errors.mean_m), length(errors.std_m), f"{shares} %", covers, marks.strip())
 

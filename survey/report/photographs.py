@@ -60,7 +60,9 @@ def summary(photographs: tuple[PhotographFigures, ...]) -> list[str]:
     white = float(np.mean([each.saturated for each in photographs]))
     known = [each.outlying for each in photographs if each.outlying is not None]
     unlike = (
-        f", and {share(float(np.mean(known)))} of the points in a photograph look unlike in all others" if known else ""
+        f"; {share(float(np.mean(known)))} of the points in a photograph look unlike in all others and count less there"
+        if known
+        else ""
     )
     return [f"left out as white: {share(white)} of the pixels{unlike}"]
 

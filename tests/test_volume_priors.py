@@ -18,7 +18,6 @@ from fields.volume.sampling import Cells, Samples
 from refract import PinholeCamera
 
 CAMERA = looking_down(size=8)
-TILTED = PinholeCamera(np.zeros(3), np.array([[0.8, 0, -0.6], [0, 1, 0], [0.6, 0, 0.8]]), 9.0, 9.0, 3.0, 4.0, 6, 8)
 
 
 def stopped_at(s: torch.Tensor, opacity: float = 1.0) -> Rendered:

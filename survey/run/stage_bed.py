@@ -59,7 +59,7 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
             "no point of the bed was confirmed by two views; check that poses, water level and images belong "
             "together (bathynerf check) and that the views overlap"
         )
-    if job.true_colour:
+    if job.chosen.true_colour:
         # Imported where it is needed: it takes torch, whose import takes seconds.
         from fields.colour.true_colour import true_colours
         from fields.water_column import WaterColumn

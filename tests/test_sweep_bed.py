@@ -143,6 +143,16 @@ def test_a_padded_map_gives_the_points_of_the_image_in_it(half_kept):
     np.testing.assert_array_equal(found.std, expected.std)
 
 
+def test_points_have_the_std_of_the_solver_where_it_has_one(half_kept):
+    camera, m, keep, rgb = half_kept
+    of_map = points_of(camera, TILTED, m, keep, rgb).std
+    solved = np.full(m.height.shape, 0.25, dtype=np.float32)
+    np.testing.assert_array_equal(points_of(camera, TILTED, m, keep, rgb, solved).std, 0.25)
+    solved[:, ::2] = np.nan
+    found = points_of(camera, TILTED, m, keep, rgb, solved).std
+    np.testing.assert_array_equal(found, np.where(np.isnan(solved)[keep], of_map, 0.25))
+
+
 def test_points_of_several_views_join_and_can_be_chosen_from(half_kept):
     camera, m, keep, rgb = half_kept
     one = points_of(camera, FlatWater((0.0, 0.0, 0.0), n_water=1.0), m, keep, rgb)

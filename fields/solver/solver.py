@@ -17,6 +17,7 @@ from fields.solver.solve import Solved, parallax_of
 from fields.solver.tile import Tile, asked_in_squares
 from fields.solver.uncertainty import bends_below, change_of, expected_of, relief_of, rise_of
 from fields.solver.views import WORKERS, Job, Views
+from fields.sweep.arrays import beside_workers
 from fields.sweep.block import Block
 from fields.sweep.certainty import for_few
 from fields.sweep.maps import DepthMap, InOrder
@@ -142,7 +143,7 @@ def solve_maps(
     found = InOrder(solved, list(range(len(filled))))
     if not total:
         return found, SolverFigures(np.nan, Shifts(np.nan, np.nan), NoiseShares(np.nan, np.nan, np.nan))
-    with ThreadPoolExecutor(WORKERS) as pool:
+    with ThreadPoolExecutor(WORKERS) as pool, beside_workers(block.device, WORKERS):
         sample = _sample(views, kept, filled)
         first = [each for _, each in views.solved(sample, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
         is_wet = block.water is not None

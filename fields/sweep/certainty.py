@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
-from scipy import ndimage
 
 # Heights of single pixels disagree as those about them do.
 _ALIKE_PX = 2.0
 # Bends are those of averaged heights, over the width of the last windows [px].
 _AVERAGED_PX, _WIDTH_PX = 1.0, 2
+# Bells end at so many standard deviations.
+_TRUNCATED = 4.0
+# Filters of OpenCV take a tenth of the time of those of scipy.
+_ONE = np.ones(1, dtype=np.float32)
 
 
 def std_of(height: np.ndarray, agreeing: np.ndarray, spread: np.ndarray) -> np.ndarray:
@@ -36,16 +40,24 @@ def for_few(views: np.ndarray) -> np.ndarray:
 
 
 def _near(values: np.ndarray) -> np.ndarray:
-    return ndimage.gaussian_filter(values.astype(np.float32), _ALIKE_PX)
+    return _blurred(values.astype(np.float32), _ALIKE_PX)
 
 
 def _bends(height: np.ndarray) -> np.ndarray:
     """Mean square of the second differences of heights across and down, [m^2]."""
-    smooth = ndimage.gaussian_filter(height, _AVERAGED_PX)
+    smooth = _blurred(height, _AVERAGED_PX)
     kernel = np.zeros(2 * _WIDTH_PX + 1, dtype=np.float32)
     kernel[[0, _WIDTH_PX, -1]] = 1.0, -2.0, 1.0
-    square = sum(ndimage.correlate1d(smooth, kernel, axis=axis) ** 2 for axis in (0, 1))
+    across, down = (_filtered(smooth, *each) for each in ((kernel, _ONE), (_ONE, kernel)))
     # Not by running sums: what they leave beside a large bend may be below zero.
-    for axis in (0, 1):
-        square = ndimage.correlate1d(square, np.full(3, 1.0 / 3.0), axis=axis)
-    return 0.5 * square
+    mean = np.full(3, 1.0 / 3.0, dtype=np.float32)
+    return 0.5 * _filtered(across * across + down * down, mean, mean)
+
+
+def _blurred(image: np.ndarray, std_px: float) -> np.ndarray:
+    side = 2 * round(_TRUNCATED * std_px) + 1
+    return cv2.GaussianBlur(image, (side, side), std_px, borderType=cv2.BORDER_REFLECT)
+
+
+def _filtered(image: np.ndarray, across: np.ndarray, down: np.ndarray) -> np.ndarray:
+    return cv2.sepFilter2D(image, -1, across, down, borderType=cv2.BORDER_REFLECT)

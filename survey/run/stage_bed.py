@@ -51,7 +51,8 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     solved = Stored(needs["solver"] / SOLVED, SolvedMap) if "solver" in needs else None
     look_at_bed(job, needs["sweep"])
     with job.progress.stage("Bed", len(maps)) as stage:
-        bed, tide, moved = bed_points(job, maps, field, stage.advance, solved)
+        kept = job.once(needs["sweep"], lambda: unique_pixels(job.block, maps))
+        bed, tide, moved = bed_points(job, maps, field, stage.advance, solved, kept)
     if field is not None:
         job.progress.detail(f"{moved:,} of {len(bed):,} points have the field's height")
     if len(bed) == 0:
@@ -94,14 +95,18 @@ def bed_points(
     field: TensorField | None,
     advance: Callable[[float], None],
     solved: Sequence[SolvedMap] | None = None,
+    kept: Sequence[np.ndarray] | None = None,
 ) -> tuple[BedPoints, np.ndarray, int]:
     """Every piece of the bed once, coloured from the photograph that shows it steepest.
+
+    ``kept`` is what `fields.sweep.bed.unique_pixels` finds, where it is known.
 
     Returns the points, the tides (N,) [m] of their photographs, and how many took their height from the field.
     """
     survey, plan, block = job.survey, job.plan, job.block
     parts, sources, tides, moved, area = [], [], [], 0, local_area(survey)
-    for number, (depth_map, keep) in enumerate(zip(maps, unique_pixels(block, maps), strict=True)):
+    masks: Sequence[np.ndarray] = unique_pixels(block, maps) if kept is None else kept
+    for number, (depth_map, keep) in enumerate(zip(maps, masks, strict=True)):
         view = survey.views[depth_map.view]
         camera = camera_of(view, plan)
         rgb = job.photographs.load(view, scale=plan.image_scale)
@@ -111,13 +116,8 @@ def bed_points(
 
             height, taken = refine(field, camera, depth_map, rgb, survey.water, keep)
             depth_map, moved = replace(depth_map, height=height), moved + taken
-        if solved is None:
-            points = points_of(camera, survey.water, depth_map, keep, rgb)
-        else:
-            refined, std = solved[number].over(depth_map)
-            points = points_of(camera, survey.water, refined, keep, rgb)
-            std = std[: camera.height, : camera.width][keep]
-            points = replace(points, std=np.where(np.isnan(std), points.std, std))
+        final, std = (depth_map, None) if solved is None else solved[number].over(depth_map)
+        points = points_of(camera, survey.water, final, keep, rgb, std)
         least = np.float32(_least_std(block, depth_map))
         points = replace(points, std=np.maximum(points.std, least))
         if area is not None:

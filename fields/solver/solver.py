@@ -111,7 +111,7 @@ def solve_maps(
     goes_on: Callable[[], bool] = lambda: True,
     keep: Callable[[], MutableMapping[int, SolvedMap]] = dict,
 ) -> tuple[InOrder, SolverFigures]:
-    """Solve the kept pixels of all maps, about the heights of the sweep.
+    """Solve the kept pixels of all maps, about the heights of the sweep, where `Views.solvable` lets it.
 
     Parameters
     ----------
@@ -135,6 +135,7 @@ def solve_maps(
         NaN where nothing is kept.
     """
     views = Views.of(block, maps)
+    kept = views.solvable(kept)
     filled = [asked_in_squares(wanted, SAMPLE_PX) if views.others[index] else [] for index, wanted in enumerate(kept)]
     total, done = sum(map(sum, filled)), 0
     solved = keep()

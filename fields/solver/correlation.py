@@ -116,8 +116,8 @@ def phantoms_of(samples: list[tuple[Tile, Solved]], roughness: float, response: 
 def noise_shares(phantoms: Phantoms, response: float, shifts: Shifts, is_wet: bool) -> NoiseShares:
     """What noise is worth, as `_MOST` of the phantoms say; one where fewer than three photographs see too many of them.
 
-    Photographs that are shifted move the phantoms like the heights; that is no noise. Nor have heights more noise than the
-    residuals along them show, where contrasts of the photographs hold more than noise.
+    Photographs that are shifted move the phantoms like the heights; that is no noise. Nor have heights more noise than
+    the residuals along them show, where contrasts of the photographs hold more than noise.
     """
     if len(phantoms.square) < _LEAST_PIXELS:
         return NoiseShares(response, 1.0, 1.0, 1.0)

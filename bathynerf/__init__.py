@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from survey.export.product import ExportOptions
     from survey.folder.survey import Survey, load_survey
     from survey.photos.cameras import View
+    from survey.plan.choices import Choices
     from survey.plan.plan import Plan, make_plan
     from survey.progress import Progress
     from survey.run.process import process
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
+    "Choices",
     "Cloud",
     "CompareOptions",
     "Distortion",
@@ -103,6 +105,7 @@ _MODULES = {
     "survey.export.product": ("ExportOptions",),
     "survey.folder.survey": ("Survey", "load_survey"),
     "survey.photos.cameras": ("View",),
+    "survey.plan.choices": ("Choices",),
     "survey.plan.plan": ("Plan", "make_plan"),
     "survey.progress": ("Progress",),
     "survey.run.process": ("process",),

@@ -31,7 +31,7 @@ from fields.sweep.passes import PASSES
 from fields.sweep.sweep import sweep
 from survey.folder.survey import load_survey
 from survey.plan.area import limits, local_area
-from survey.plan.plan import make_plan
+from survey.plan.choices import Choices
 from survey.plan.recipe import RECIPES
 from survey.progress import current
 from survey.run.job import Job
@@ -129,7 +129,7 @@ def main() -> None:
     parser.add_argument("survey", type=Path)
     parser.add_argument("--quality", default="draft", choices=list(RECIPES))
     options = parser.parse_args()
-    job = Job(load_survey(options.survey), partial(make_plan, quality=options.quality, device="cpu"), current())
+    job = Job(load_survey(options.survey), Choices(quality=options.quality, device="cpu"), current())
     heights, block = limits(job.survey), job.block
     bound = ranging.find_range(block, heights)
     block.look_at(0.5 * (bound[0] + bound[1]))

@@ -16,7 +16,6 @@ import sys
 import tempfile
 import time
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from unittest.mock import patch
 
@@ -33,7 +32,7 @@ from fields.sweep.sweep import sweep
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.folder.survey import load_survey
 from survey.plan.area import limits, local_area
-from survey.plan.plan import make_plan
+from survey.plan.choices import Choices
 from survey.plan.recipe import RECIPES
 from survey.progress import current
 from survey.run import stage_bed
@@ -77,7 +76,7 @@ class Case:
     def __init__(self, folder: Path, quality: str):
         truth = folder / "truth" if (folder / "truth").is_dir() else folder
         self.reference, self.visible = truth / "reference.ply", truth / "visible.ply"
-        self.job = Job(load_survey(folder), partial(make_plan, quality=quality), current())
+        self.job = Job(load_survey(folder), Choices(quality=quality), current())
         self.survey, self.plan, self.block = self.job.survey, self.job.plan, self.job.block
         self.bound = find_range(self.block, limits(self.survey))
         self.block.look_at(0.5 * (self.bound[0] + self.bound[1]))

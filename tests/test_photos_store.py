@@ -11,6 +11,7 @@ from survey.photos import images
 from survey.photos.images import load_image
 from survey.photos.store import ImageStore
 from survey.plan.block import load_block
+from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
 
 BYTES = 64 * 48 * 3
@@ -36,7 +37,7 @@ def decoded(monkeypatch) -> list[str]:
 
 
 def test_stages_that_share_a_store_decode_each_photograph_once(survey, decoded):
-    plan, store = make_plan(survey, device="cpu"), ImageStore(100 * BYTES)
+    plan, store = make_plan(survey, Choices(device="cpu")), ImageStore(100 * BYTES)
     load_block(survey, plan, lambda _share: None, store)
     for _stage in range(3):
         for view in survey.views:
@@ -45,7 +46,7 @@ def test_stages_that_share_a_store_decode_each_photograph_once(survey, decoded):
 
 
 def test_a_block_is_the_same_with_a_store_and_without(survey):
-    plan = make_plan(survey, device="cpu")
+    plan = make_plan(survey, Choices(device="cpu"))
     blocks = [load_block(survey, plan, lambda _share: None, store) for store in (None, ImageStore(2 * BYTES))]
     for without, with_store in zip(*(block.images for block in blocks), strict=True):
         np.testing.assert_array_equal(without, with_store)

@@ -32,7 +32,7 @@ from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.photos.formats import read_poses
 from survey.photos.poses import PoseFrame
 from survey.plan.check import check_survey, require_processable
-from survey.plan.choices import Quality
+from survey.plan.choices import Choices, Quality
 from survey.plan.plan import ground_height, make_plan
 from survey.plan.recipe import RECIPES
 
@@ -302,7 +302,7 @@ def test_images_are_halved_until_they_fit_the_quality(tmp_path, quality, size, s
         (folder / "images" / name).write_bytes(first.read_bytes())
     toml = replaced(("[64, 48]", str(list(size))), ("principal_point_px = [32.0, 24.0]\n", ""), ("100.0", f"{size[0]}"))
     (folder / "survey.toml").write_text(toml)
-    plan = make_plan(load_survey(folder), quality=quality)
+    plan = make_plan(load_survey(folder), Choices(quality=quality))
     assert plan.image_scale == scale
     # 20 m over the water at a focal length of one width, and larger pixels of smaller images.
     assert plan.gsd_m == pytest.approx(20.0 / size[0] / scale)
@@ -335,9 +335,9 @@ def test_the_ground_of_a_dry_survey_is_where_oblique_axes_meet_or_where_neighbou
 def test_an_unknown_quality_or_device_is_refused_with_the_known_ones(tmp_path):
     survey = load_survey(small_survey(tmp_path / "s"))
     with pytest.raises(SurveyError, match="quality is best, expected one of draft, standard, fine"):
-        make_plan(survey, quality="best")
+        make_plan(survey, Choices(quality="best"))
     with pytest.raises(SurveyError, match="device is tpu, expected one of auto, cpu, cuda"):
-        make_plan(survey, device="tpu")
+        make_plan(survey, Choices(device="tpu"))
 
 
 def test_the_plan_is_saved_as_plain_numbers_and_texts(tmp_path):

@@ -15,6 +15,7 @@ from survey.folder.config import parse_config
 from survey.folder.survey import load_survey
 from survey.photos.tie_points import TiePoints
 from survey.plan.area import limits
+from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
 from survey.sfm.poses import SfmResult, SfmView
 
@@ -47,7 +48,7 @@ def test_points_to_one_side_lie_above_their_sagittal_and_within_their_tangential
     water = water_of(TRUTH)
     apparent = np.median(water.depth(survey.points))
     assert 1.335 * apparent < 4.5
-    assert "no lower than" in make_plan(survey, device="cpu").decisions[-3].reason
+    assert "no lower than" in make_plan(survey, Choices(device="cpu")).decisions[-3].reason
     assert limits(survey)[0] < -5.3
 
 
@@ -55,7 +56,7 @@ def test_the_plan_warns_of_a_deeper_bed_where_few_points_are_under_water(tmp_pat
     survey = with_straight_points(tmp_path, nadir(), rng)
     raised = replace(survey, points=survey.points + np.array([0.0, 0.0, 4.0]))
     for found, is_warned in ((survey, False), (raised, True)):
-        decision = next(d for d in make_plan(found, device="cpu").decisions if d.name == "range of heights")
+        decision = next(d for d in make_plan(found, Choices(device="cpu")).decisions if d.name == "range of heights")
         assert ("give [area] heights if its bed may lie deeper" in decision.reason) == is_warned
 
 
@@ -90,7 +91,7 @@ def test_heights_in_the_settings_are_taken_as_they_are(tmp_path):
     survey = load_survey(small_survey(tmp_path / "s", toml=toml))
     # Level water lies under its tangential plane by a hundredth of a millimetre at 10 m.
     assert limits(survey) == pytest.approx((-4.0, 1.5), abs=1e-3)
-    decision = next(d for d in make_plan(survey, device="cpu").decisions if d.name == "range of heights")
+    decision = next(d for d in make_plan(survey, Choices(device="cpu")).decisions if d.name == "range of heights")
     assert decision.choice == "-4.0 to 1.5 m over the water"
     assert "[area] heights" in decision.reason
 
@@ -120,7 +121,7 @@ def test_heights_above_the_cameras_are_refused_with_a_mend(tmp_path):
 
 def test_without_points_and_heights_the_plan_says_what_would_narrow_the_range(tmp_path):
     survey = load_survey(small_survey(tmp_path / "s"))
-    decision = next(d for d in make_plan(survey, device="cpu").decisions if d.name == "range of heights")
+    decision = next(d for d in make_plan(survey, Choices(device="cpu")).decisions if d.name == "range of heights")
     assert "[area] heights" in decision.reason
     assert survey.points is None
 

@@ -13,6 +13,7 @@ from fields.sweep.stack import ViewStack
 from refract import FlatWater
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
+from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
 
 BEDS = {
@@ -45,21 +46,21 @@ def test_rays_stay_straight_in_water_of_index_one_unless_all_is_asked_for(device
 
 def test_the_plan_says_what_is_left_out_and_that_nothing_is_if_all_is_asked_for(tmp_path):
     survey = load_survey(small_survey(tmp_path / "s"))
-    usual, full = (make_plan(survey, device="cpu", plan=word) for word in ("auto", "full"))
+    usual, full = (make_plan(survey, Choices(device="cpu", plan=word)) for word in ("auto", "full"))
     assert (usual.skips, full.skips) == (SKIPS, NOTHING)
     lines = [{d.name: d.choice for d in plan.decisions} for plan in (usual, full)]
     assert (lines[0]["terms of the lens"], lines[1]["terms of the lens"]) == ("none", "all")
     assert lines[1]["pixels"] == "all"
     assert lines[1]["first heights"] == "the whole range"
     with pytest.raises(SurveyError, match="plan is most, expected one of auto, full"):
-        make_plan(survey, device="cpu", plan="most")
+        make_plan(survey, Choices(device="cpu", plan="most"))
 
 
 def test_images_are_worked_on_at_the_scale_that_is_asked_for_if_it_is_halvings(tmp_path):
     survey = load_survey(small_survey(tmp_path / "s"))
-    whole, half = (make_plan(survey, device="cpu", scale=scale) for scale in (None, 0.5))
+    whole, half = (make_plan(survey, Choices(device="cpu", image_scale=scale)) for scale in (None, 0.5))
     assert (whole.image_scale, half.image_scale) == (1.0, 0.5)
     assert half.gsd_m == pytest.approx(2.0 * whole.gsd_m)
     assert "set by --image-scale" in next(d.reason for d in half.decisions if d.name == "image scale")
     with pytest.raises(SurveyError, match=r"image scale is 0.3, expected one of 1, 0.5, 0.25"):
-        make_plan(survey, device="cpu", scale=0.3)
+        make_plan(survey, Choices(device="cpu", image_scale=0.3))

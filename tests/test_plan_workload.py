@@ -13,6 +13,7 @@ from survey.errors import SurveyError
 from survey.folder.survey import load_survey
 from survey.plan import workload as workload_module
 from survey.plan.check import check_survey
+from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
 from survey.plan.workload import Workload, require_room, workload_of, workload_of_images
 
@@ -37,7 +38,7 @@ def test_the_time_of_two_surveys_is_estimated_as_it_was_measured(
 ):
     monkeypatch.setattr(machine, "num_cores", lambda: 1)
     survey = load_survey(data_dir / name)
-    plan = replace(make_plan(survey, quality=quality, device="cpu"), device="llvm")
+    plan = replace(make_plan(survey, Choices(quality=quality, device="cpu")), device="llvm")
     workload = workload_of(survey, plan)
     # The rates come from these surveys.
     assert workload.seconds == pytest.approx(seconds, rel=0.15)
@@ -49,14 +50,14 @@ def test_the_time_of_two_surveys_is_estimated_as_it_was_measured(
 )
 def test_the_memory_of_two_surveys_is_estimated_as_it_was_measured(data_dir, name, quality, memory_gb):
     survey = load_survey(data_dir / name)
-    plan = replace(make_plan(survey, quality=quality, device="cpu"), device="llvm")
+    plan = replace(make_plan(survey, Choices(quality=quality, device="cpu")), device="llvm")
     assert workload_of(survey, plan).memory_bytes / GIGA == pytest.approx(memory_gb, rel=0.15)
 
 
 def test_the_field_and_ground_without_bounds_take_more(tmp_path):
     bounds = f"[area]\nbounds = [{E0 - 1}, {N0 - 1}, {E0 + 1}, {N0 + 1}]\n"
     inside, everywhere = (load_survey(small_survey(tmp_path / t[:1], toml=TOML + t)) for t in (bounds, "# all\n"))
-    plans = [replace(make_plan(inside, device="cpu", field=field), device="llvm") for field in ("off", "slab")]
+    plans = [replace(make_plan(inside, Choices(device="cpu", field=field)), device="llvm") for field in ("off", "slab")]
     without, with_field = (workload_of(inside, plan) for plan in plans)
     assert with_field.seconds > without.seconds
     assert with_field.memory_bytes > without.memory_bytes
@@ -65,7 +66,7 @@ def test_the_field_and_ground_without_bounds_take_more(tmp_path):
 
 def test_the_time_is_not_guessed_for_devices_that_were_not_measured(tmp_path):
     survey = load_survey(small_survey(tmp_path / "s"))
-    workload = workload_of(survey, replace(make_plan(survey, device="cpu"), device="torch"))
+    workload = workload_of(survey, replace(make_plan(survey, Choices(device="cpu")), device="torch"))
     assert workload.seconds is None
     assert str(workload).endswith("no time was measured on such a device")
 
@@ -113,7 +114,7 @@ def test_a_limit_of_the_process_below_what_the_run_needs_is_refused_before_kerne
 
 def test_more_views_than_can_be_chosen_from_make_it_a_bound(tmp_path, monkeypatch):
     survey = load_survey(small_survey(tmp_path / "s"))
-    plan = replace(make_plan(survey, device="cpu"), device="llvm")
+    plan = replace(make_plan(survey, Choices(device="cpu")), device="llvm")
     chosen = workload_of(survey, plan)
     monkeypatch.setattr(workload_module, "_MOST_VIEWS", 3)
     bound = workload_of(survey, plan)

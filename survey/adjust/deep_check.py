@@ -13,6 +13,7 @@ from survey.adjust.windows_of_survey import loaded
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
 from survey.plan.check import Section
+from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
 from survey.progress import current
 
@@ -29,7 +30,7 @@ def deep_check(folder: Path, *, device: str = "auto") -> list[Section]:
     """
     progress = current()
     survey = load_survey(folder, report=progress.note)
-    plan, checked = make_plan(survey, device=device), PoseCheck(None)
+    plan, checked = make_plan(survey, Choices(device=device)), PoseCheck(None)
     if plan.poses[0] == "check":
         with progress.stage("Poses", 1.0) as stage, suppress(SurveyError):
             checked = check_of_windows(survey, plan, *loaded(survey, plan), stage.advance)

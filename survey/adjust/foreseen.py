@@ -20,6 +20,7 @@ from survey.adjust.state import RELIEF, WATER
 from survey.adjust.thinning import CELLS, PER_CELL
 from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
+from survey.plan.choices import Choices
 from survey.plan.places import in_the_middle, places_of
 from survey.plan.plan import Plan, make_plan
 
@@ -94,7 +95,7 @@ def foresee(survey: Survey, *, depth_m: float = DEPTH_M, quality: str = "standar
     ties = _ties(survey, depth_m)
     if ties is None:
         return None
-    plan = make_plan(survey, quality=quality)
+    plan = make_plan(survey, Choices(quality=quality))
     free, given = (_covariance(survey, plan.gsd_m, ties, free=free) for free in (True, False))
     at_level, at_index, at_focal = 0, WATER - 1, WATER + RELIEF
     std = np.sqrt(np.diag(free.covariance))
@@ -116,7 +117,7 @@ def heights_by_depth(survey: Survey, depth_m: float = DEPTH_M, *, quality: str =
     if survey.water is None:
         return []
     survey = in_the_middle(survey)
-    plan = make_plan(survey, quality=quality)
+    plan = make_plan(survey, Choices(quality=quality))
     found = []
     for depth in (depth_m * share for share in DEPTH_SHARES):
         ties = _ties(survey, depth) if depth <= _DEEPEST_SHARE * plan.height_m else None

@@ -13,6 +13,7 @@ from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
 from survey.plan.area import limits, local_area
 from survey.plan.block import camera_of, load_block
+from survey.plan.choices import Choices
 from survey.plan.plan import Plan, make_plan
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ def measure_windows(survey: Survey, *, device: str = "auto", advance: Callable[[
     SurveyError
         If the photographs do not match.
     """
-    plan = make_plan(survey, device=device)
+    plan = make_plan(survey, Choices(device=device))
     return windows_of_block(survey, plan, *loaded(survey, plan), advance)
 
 

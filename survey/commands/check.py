@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,7 +10,7 @@ import typer
 from survey.commands.console import Results, command
 from survey.commands.memory import address_space_shortage, require_address_space
 from survey.commands.options import Quiet, TargetStd, TimeBudget, Verbose
-from survey.plan.choices import Device, Quality
+from survey.plan.choices import Choices, Device, Quality
 
 if TYPE_CHECKING:
     from survey.plan.check import Section
@@ -62,7 +61,6 @@ def run(
         from survey.plan.aim import aim_of
         from survey.plan.check import Section, check_survey, require_processable
         from survey.plan.check_light import light_section
-        from survey.plan.plan import make_plan
         from survey.progress import current
 
         shortage = address_space_shortage()
@@ -79,7 +77,7 @@ def run(
         if aim is not None and checked.survey is not None:
             from survey.run.beginning import rows_of
 
-            show(results, Section("Asked", rows_of(aim, checked.survey, partial(make_plan, device=device.value))))
+            show(results, Section("Asked", rows_of(aim, checked.survey, Choices(device=device.value))))
         if deep:
             require_address_space()
             from survey.adjust.deep_check import deep_check

@@ -18,6 +18,7 @@ from survey.folder.unposed import placing_control, require_solvable
 from survey.names import RUN_FOLDER
 from survey.plan.bounds import require_seen
 from survey.plan.check_inputs import control_rows, mark_rows, water_stds
+from survey.plan.choices import Choices
 from survey.plan.plan import Plan, device_decision, make_plan
 from survey.plan.skipped import Decision
 from survey.plan.workload import Workload, room_doubts, workload_of, workload_of_images
@@ -85,7 +86,7 @@ def check_survey(
     if checked.survey is None:
         return _without_poses(checked, quality, device)
     survey = checked.survey
-    plan = make_plan(survey, quality=quality, device=device)
+    plan = make_plan(survey, Choices(quality=quality, device=device))
     rows = _rows_of_survey(checked.found, survey, plan)
     workload: Workload | str
     try:

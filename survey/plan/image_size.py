@@ -5,17 +5,8 @@ from __future__ import annotations
 import math
 
 from refract import PinholeCamera
-from survey.errors import SurveyError
 from survey.plan.recipe import AIMED, Recipe
 from survey.plan.skipped import Decision
-
-SCALES = (1.0, 0.5, 0.25, 0.125, 0.0625)
-
-
-def require_scale(scale: float) -> None:
-    """Raise SurveyError where a scale [-] is not 1, a half, a quarter, and so on to a sixteenth."""
-    if scale not in SCALES:
-        raise SurveyError(f"image scale is {scale:g}, expected one of {', '.join(f'{each:g}' for each in SCALES)}")
 
 
 def image_decision(camera: PinholeCamera, scale: float, quality: str, recipe: Recipe, *, asked: bool) -> Decision:

@@ -12,20 +12,14 @@ from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.folder.tides import MOST_SHIFT_PX
-from survey.plan.choices import Device, Field, Poses
-from survey.plan.choices import Plan as Choice
+from survey.plan import choices
+from survey.plan.choices import USUAL, Choices
 from survey.plan.ground import ground_height
 from survey.plan.heights import in_words
-from survey.plan.image_size import image_decision, image_scale, require_scale
+from survey.plan.image_size import image_decision, image_scale
 from survey.plan.poses import pose_choice
 from survey.plan.recipe import AIMED, RECIPES, Recipe
 from survey.plan.skipped import FULL, Decision, first_heights, lens_terms, pixels, refraction
-
-QUALITIES = tuple(RECIPES)
-DEVICES = tuple(each.value for each in Device)
-FIELDS = tuple(each.value for each in Field)
-POSES = tuple(each.value for each in Poses)
-PLANS = tuple(each.value for each in Choice)
 
 
 @dataclass(frozen=True)
@@ -77,92 +71,68 @@ class Plan:
         return asdict(self)
 
 
-def make_plan(
-    survey: Survey,
-    *,
-    quality: str = "standard",
-    device: str = "auto",
-    field: str = "auto",
-    poses: str = "auto",
-    free_water: bool = False,
-    recipe: Recipe | None = None,
-    plan: str = "auto",
-    scale: float | None = None,
-) -> Plan:
+def make_plan(survey: Survey, chosen: Choices = USUAL, *, recipe: Recipe | None = None) -> Plan:
     """What the scene needs.
 
     Parameters
     ----------
     survey : Survey
-    quality : "draft", "standard" or "fine"
-    device : "auto", "cpu" or "cuda"
-    field : "auto", "solver", "slab" or "off"
-    poses : "auto", "fixed" or "refine"
-    free_water : bool
-        Whether the water is to be found as if nothing were known of it.
+    chosen : Choices
     recipe : Recipe, optional
         Of a run with an aim, in place of that of the quality.
-    plan : "auto" or "full"
-        Leave out what the scene does not need, or nothing.
-    scale : [-], optional
-        At which images are worked on: 1, a half, a quarter, ...; default by their size and the quality.
 
     Raises
     ------
     SurveyError
-        If CUDA is asked for and there is none, or a word is not known.
+        If CUDA is asked for and there is none.
     """
-    require_choice("quality", quality, QUALITIES)
-    name = quality if recipe is None else AIMED
-    recipe = RECIPES[quality] if recipe is None else recipe
-    chosen = device_decision(device)
+    quality = chosen.quality if recipe is None else AIMED
+    recipe = RECIPES[chosen.quality] if recipe is None else recipe
+    device = device_decision(chosen.device)
     cameras = [view.camera for view in survey.views]
-    height = _height(survey)
-    asked = scale is not None
+    height, scale = _height(survey), chosen.image_scale
     if scale is None:
         scale = min(image_scale(camera.width, camera.height, recipe.megapixels) for camera in cameras)
-    require_scale(scale)
     gsd = float(np.median([_distance_along_axis(c, survey, height) / c.fx for c in cameras])) / scale
     sides = np.median([(camera.width / camera.fx, camera.height / camera.fy) for camera in cameras], axis=0)
-    footprint = (float(height * sides[0]), float(height * sides[1]))
-    refined = _field(name, recipe, field)
-    require_choice("poses", poses, POSES)
-    require_choice("plan", plan, PLANS)
-    skips = NOTHING if plan == Choice.full else SKIPS
-    decided = pose_choice(survey, poses, free_water=free_water)
-    if plan == Choice.full and decided[0] == "check":
-        decided = "refine", f"{FULL}: adjusted without asking first"
-    adjusted = Decision("poses", *decided)
+    poses, field = _poses(survey, chosen), _field(quality, recipe, chosen.field)
+    skips = NOTHING if chosen.plan == choices.Plan.full else SKIPS
     decisions = (
-        adjusted,
+        poses,
         refraction(survey, skips),
         lens_terms(survey, skips),
         pixels(survey, skips),
         *_level(survey),
-        refined,
-        image_decision(cameras[0], scale, name, recipe, asked=asked),
+        field,
+        image_decision(cameras[0], scale, quality, recipe, asked=chosen.image_scale is not None),
         Decision("range of heights", *in_words(survey, height)),
         first_heights(skips),
-        chosen,
+        device,
     )
     return Plan(
-        name,
-        chosen.choice,
+        quality,
+        device.choice,
         scale,
         gsd,
         height,
-        footprint,
+        (float(height * sides[0]), float(height * sides[1])),
         decisions,
         recipe,
-        field=refined.choice,
-        device_asked=device,
-        poses=(adjusted.choice, adjusted.reason),
+        field=field.choice,
+        device_asked=chosen.device,
+        poses=(poses.choice, poses.reason),
         skips=skips,
     )
 
 
+def _poses(survey: Survey, chosen: Choices) -> Decision:
+    choice, reason = pose_choice(survey, chosen.poses, free_water=chosen.calibrate_water)
+    if chosen.plan == choices.Plan.full and choice == "check":
+        return Decision("poses", "refine", f"{FULL}: adjusted without asking first")
+    return Decision("poses", choice, reason)
+
+
 def _field(quality: str, recipe: Recipe, field: str) -> Decision:
-    require_choice("field", field, FIELDS)
     if field != "auto":
         return Decision("field", field, "set by --field")
     chosen = recipe.field
@@ -173,33 +143,6 @@ def _field(quality: str, recipe: Recipe, field: str) -> Decision:
         "solver": "least squares over all photographs: less noise, and the standard deviation of each height",
     }
     return Decision("field", chosen, reasons[chosen])
-
-
-def require_choice(name: str, value: str, known: tuple[str, ...]) -> None:
-    """Raise SurveyError where a word is not one of the known ones."""
-    if value not in known:
-        raise SurveyError(f"{name} is {value}, expected one of {', '.join(known)}")
-
-
-def require_choices(
-    *, quality: str, device: str, field: str, poses: str, plan: str = "auto", scale: float | None = None
-) -> None:
-    """Look at the options of a run before anything is computed.
-
-    Raises
-    ------
-    SurveyError
-        If a word is not known, or CUDA is asked for and there is none.
-    """
-    require_choice("quality", quality, QUALITIES)
-    require_choice("device", device, DEVICES)
-    require_choice("field", field, FIELDS)
-    require_choice("poses", poses, POSES)
-    require_choice("plan", plan, PLANS)
-    if scale is not None:
-        require_scale(scale)
-    if device == "cuda":
-        device_decision(device)
 
 
 def device_decision(device: str) -> Decision:
@@ -213,7 +156,6 @@ def device_decision(device: str) -> Decision:
     # Starts Dr.Jit, which not every user of this module needs.
     from fields.device import choose_device
 
-    require_choice("device", device, DEVICES)
     try:
         chosen = choose_device(device)
     except ValueError as error:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +15,7 @@ from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.plan.aim import Aim, ladder
+from survey.plan.choices import Choices
 from survey.plan.ground import ground_height
 from survey.plan.pace import Ground, Pace
 from survey.plan.plan import Plan, make_plan
@@ -59,7 +59,7 @@ class Outlook:
     pace: Pace
 
 
-def outlook(aim: Aim, survey: Survey, plan_of: Callable[..., Plan]) -> Outlook:
+def outlook(aim: Aim, survey: Survey, chosen: Choices) -> Outlook:
     """Look at what an aim needs of a survey whose poses are known.
 
     Raises
@@ -68,8 +68,8 @@ def outlook(aim: Aim, survey: Survey, plan_of: Callable[..., Plan]) -> Outlook:
         If no view looks down.
     """
     rungs = ladder([(view.lens.width, view.lens.height) for view in survey.views])
-    scales = tuple(plan_of(survey, recipe=recipe).image_scale for recipe in rungs)
-    ground = Ground.of(survey, plan_of(survey, recipe=rungs[-1]))
+    scales = tuple(make_plan(survey, chosen, recipe=recipe).image_scale for recipe in rungs)
+    ground = Ground.of(survey, make_plan(survey, chosen, recipe=rungs[-1]))
     foreseen, at = foresee(survey), make_plan(survey).image_scale
     std = tuple(math.nan if foreseen is None else foreseen.heights.of_point_m * at / scale for scale in scales)
     first = 0
@@ -79,7 +79,7 @@ def outlook(aim: Aim, survey: Survey, plan_of: Callable[..., Plan]) -> Outlook:
         first = next((rung for rung in solving if not std[rung] > aim.std_m), solving[-1])
     # Another machine may be faster than the one of the rates: what it has to spare is kept for what follows.
     pace = Pace.stated(ground, max(machine.slowness(), 1.0))
-    common = _common_std(survey, plan_of(survey, recipe=rungs[-1]), foreseen)
+    common = _common_std(survey, make_plan(survey, chosen, recipe=rungs[-1]), foreseen)
     return Outlook(rungs, scales, ground, std, common, first, pace)
 
 
@@ -134,13 +134,13 @@ def require_time(seconds: float, found: Outlook) -> None:
 
 
 def begin_aimed(
-    aim: Aim, survey: Survey, plan_of: Callable[..., Plan], clock: Clock | None, progress: Progress, *, refuses: bool
+    aim: Aim, survey: Survey, chosen: Choices, clock: Clock | None, progress: Progress, *, refuses: bool
 ) -> Aimed:
     """The state of a run with an aim before its first round.
 
     Parameters
     ----------
-    aim, survey, plan_of, clock, progress :
+    aim, survey, chosen, clock, progress :
         As the run has them.
     refuses : bool
         Whether a time that is too short is refused, as it is before anything was computed; otherwise the run is the
@@ -151,12 +151,16 @@ def begin_aimed(
     SurveyError
         If the time is too short.
     """
-    found = outlook(aim, survey, plan_of)
+    found = outlook(aim, survey, chosen)
     progress.note(f"asked: {aim}")
     for text in doubts(aim, found):
         progress.warn(text)
     # No rates are known of other devices: their first round tells.
-    if clock is not None and aim.seconds is not None and plan_of(survey, recipe=found.ladder[0]).device == "llvm":
+    if (
+        clock is not None
+        and aim.seconds is not None
+        and make_plan(survey, chosen, recipe=found.ladder[0]).device == "llvm"
+    ):
         if refuses:
             require_time(aim.seconds, found)
         elif clock.left_s < shortest_s(found):
@@ -167,7 +171,7 @@ def begin_aimed(
     return state
 
 
-def rows_of(aim: Aim, survey: Survey, plan_of: Callable[..., Plan]) -> tuple[tuple[str, str], ...]:
+def rows_of(aim: Aim, survey: Survey, chosen: Choices) -> tuple[tuple[str, str], ...]:
     """What an aim promises and costs, as labelled sentences for `check`.
 
     Raises
@@ -175,9 +179,9 @@ def rows_of(aim: Aim, survey: Survey, plan_of: Callable[..., Plan]) -> tuple[tup
     SurveyError
         If no view looks down.
     """
-    found = outlook(aim, survey, plan_of)
+    found = outlook(aim, survey, chosen)
     rows = [("asked", str(aim))]
-    is_timed = plan_of(survey, recipe=found.ladder[0]).device == "llvm"
+    is_timed = make_plan(survey, chosen, recipe=found.ladder[0]).device == "llvm"
     for rung, (recipe, scale) in enumerate(zip(found.ladder, found.scales, strict=True)):
         if recipe.field != "solver":
             continue

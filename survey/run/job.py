@@ -15,12 +15,15 @@ from survey.errors import SurveyError
 from survey.photos.store import ImageStore
 from survey.plan.area import limits, local_area
 from survey.plan.block import load_block
+from survey.plan.plan import make_plan
 from survey.run.water_colour import colour_of
 from survey.stage_key import stage_key
 
 if TYPE_CHECKING:
     from fields.sweep.block import Block
+    from fields.sweep.masks import Masks
     from survey.folder.survey import Survey
+    from survey.plan.choices import Choices
     from survey.plan.plan import Plan
     from survey.progress import Progress
     from survey.run.aimed import Aimed
@@ -33,11 +36,9 @@ class Job:
     ----------
     survey : Survey
         With the water, and its colour, that earlier stages found.
+    chosen : Choices
     plan : Plan
     progress : Progress
-    calibrate_water, true_colour : bool
-        Whether the water is found as if nothing were known of it; whether points get the colour of the bed without
-        its water.
     aimed : Aimed or None
         Where the run has an aim in place of a quality: `survey.run.aimed`.
     workspace : Path or None
@@ -47,17 +48,15 @@ class Job:
     def __init__(
         self,
         survey: Survey,
-        plan_of: Callable[..., Plan],
+        chosen: Choices,
         progress: Progress,
         *,
-        calibrate_water: bool = False,
-        true_colour: bool = False,
         aimed: Aimed | None = None,
         workspace: Path | None = None,
     ):
-        self.survey, self.progress, self.aimed = survey, progress, aimed
-        self.calibrate_water, self.true_colour, self.workspace = calibrate_water, true_colour, workspace
-        self._plan_of = plan_of
+        self.survey, self.chosen, self.progress = survey, chosen, progress
+        self.aimed, self.workspace = aimed, workspace
+        self._found: dict[Path, Masks] = {}
         self.plan = self._planned()
 
     def take(self, survey: Survey) -> None:
@@ -85,8 +84,8 @@ class Job:
 
     def _planned(self) -> Plan:
         if self.aimed is None:
-            return self._plan_of(self.survey)
-        plan = self._plan_of(self.survey, recipe=self.aimed.recipe)
+            return make_plan(self.survey, self.chosen)
+        plan = make_plan(self.survey, self.chosen, recipe=self.aimed.recipe)
         return replace(plan, decisions=(*plan.decisions, *self.aimed.decisions))
 
     @cached_property
@@ -128,6 +127,15 @@ class Job:
         except ValueError as error:
             raise SurveyError(str(error)) from error
 
+    def once(self, folder: Path, find: Callable[[], Masks]) -> Masks:
+        """Which pixels become points of the maps in the folder of a sweep: found once for the stages that ask.
+
+        The name of the folder ends in the hash of all that they depend on.
+        """
+        if folder not in self._found:
+            self._found = {folder: find()}
+        return self._found[folder]
+
     def part(self, name: str) -> str:
         """The hash of a part of the job that stages depend on; the names are those in `survey.run.keys`."""
         return self._photographs if name == "photographs" else stage_key(self._part(name))
@@ -164,9 +172,9 @@ class Job:
             "ties": lambda: survey.ties,
             "priors": lambda: (dict(survey.priors), survey.config.cameras, survey.doubt),
             "control": lambda: survey.control,
-            "freed": lambda: self.calibrate_water,
+            "freed": lambda: self.chosen.calibrate_water,
             "water_colour": lambda: colour_of(survey),
-            "true_colour": lambda: colour_of(survey) if self.true_colour else None,
+            "true_colour": lambda: colour_of(survey) if self.chosen.true_colour else None,
             "aim": lambda: None if self.aimed is None else self.aimed.aim,
         }
         return parts[name]()

@@ -39,7 +39,7 @@ def _checks_poses(job: Job) -> bool:
 
 
 def _needs_colour(job: Job) -> bool:
-    return job.true_colour and not colour_is_known(job.survey)
+    return job.chosen.true_colour and not colour_is_known(job.survey)
 
 
 def _is_solved(job: Job) -> bool:

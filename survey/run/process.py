@@ -8,8 +8,6 @@ settings and plan are the result of a run and take the place of an earlier one t
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,8 +18,9 @@ from survey.folder.inputs import survey_inputs
 from survey.folder.survey import Survey, load_survey
 from survey.names import RUN_FOLDER
 from survey.plan.aim import aim_of
-from survey.plan.check import require_processable
-from survey.plan.plan import Plan, make_plan, require_choices
+from survey.plan.check import Checked, require_processable
+from survey.plan.choices import USUAL, Choices, Device
+from survey.plan.plan import device_decision, make_plan
 from survey.plan.workload import require_room, workload_of
 from survey.progress import Progress, opened
 from survey.run.aimed import Aimed
@@ -106,43 +105,30 @@ def process(
     _require_inputs(survey_folder, run_folder, truth)
     aim = aim_of(target_std_m, time_budget_s, quality=quality, field=field, scale=image_scale)
     clock = None if aim is None or aim.seconds is None else Clock(aim.seconds, time_gone_s)
-    quality = quality or "standard"
-    require_choices(quality=quality, device=device, field=field, poses=poses, plan=plan, scale=image_scale)
-    checked = require_processable(survey_folder)
-    if checked.found.config.water is None and (true_colour or calibrate_water):
-        option = "--true-colour takes the water away" if true_colour else "--calibrate-water estimates the water"
-        raise SurveyError(f"{option}, but the survey has none; leave the option out, or give [water]")
+    chosen = Choices(
+        quality=quality or USUAL.quality,
+        device=device,
+        field=field,
+        poses=poses,
+        plan=plan,
+        image_scale=image_scale,
+        calibrate_water=calibrate_water,
+        true_colour=true_colour,
+    )
+    checked = _require_possible(survey_folder, chosen)
     with opened() as progress, RunDir(run_folder) as run:
         progress.log_to(run.log_path)
         survey = checked.survey or load_survey(
             survey_folder, found=checked.found, workspace=run.sfm_path, report=progress.note
         )
-        plan_of = partial(
-            make_plan,
-            quality=quality,
-            device=device,
-            field=field,
-            poses=poses,
-            free_water=calibrate_water,
-            plan=plan,
-            scale=image_scale,
-        )
         aimed = None
         if aim is not None:
-            aimed = begin_aimed(aim, survey, plan_of, clock, progress, refuses=checked.survey is not None)
-        _announce(progress, survey, plan_of, aimed, run_folder)
+            aimed = begin_aimed(aim, survey, chosen, clock, progress, refuses=checked.survey is not None)
+        _announce(progress, survey, chosen, aimed, run_folder)
         # Starts torch and Dr.Jit: only after everything that the user may have to mend was looked at.
         from survey.run.job import Job
 
-        job = Job(
-            survey,
-            plan_of,
-            progress,
-            calibrate_water=calibrate_water,
-            true_colour=true_colour,
-            aimed=aimed,
-            workspace=run.sfm_path,
-        )
+        job = Job(survey, chosen, progress, aimed=aimed, workspace=run.sfm_path)
         return _to_the_end(run, job, resume, truth)
 
 
@@ -154,11 +140,20 @@ def _require_inputs(survey_folder: Path, run_folder: Path, truth: Truth) -> None
     require_folder("-o", run_folder, survey_inputs(survey_folder) + ReadFiles.of(truth.reference, truth.visible))
 
 
-def _announce(
-    progress: Progress, survey: Survey, plan_of: Callable[..., Plan], aimed: Aimed | None, run_folder: Path
-) -> None:
+def _require_possible(survey_folder: Path, chosen: Choices) -> Checked:
+    """What the survey folder holds; raise where it cannot be processed, or not in the way that was chosen."""
+    if chosen.device == Device.cuda:
+        device_decision(chosen.device)
+    checked = require_processable(survey_folder)
+    if checked.found.config.water is None and (chosen.true_colour or chosen.calibrate_water):
+        option = "--true-colour takes the water away" if chosen.true_colour else "--calibrate-water estimates the water"
+        raise SurveyError(f"{option}, but the survey has none; leave the option out, or give [water]")
+    return checked
+
+
+def _announce(progress: Progress, survey: Survey, chosen: Choices, aimed: Aimed | None, run_folder: Path) -> None:
     """Say what is going to be done and what it takes; raise where the machine cannot."""
-    plan = plan_of(survey) if aimed is None else plan_of(survey, recipe=aimed.recipe)
+    plan = make_plan(survey, chosen, recipe=None if aimed is None else aimed.recipe)
     progress.note(f"{survey.name}: {len(survey.views)} views, a pixel covers {length(plan.gsd_m)} of the ground")
     for text in survey.assumptions:
         progress.note(f"assumed: {text}")
@@ -167,7 +162,7 @@ def _announce(
     for decision in plan.decisions:
         progress.note(f"plan: {decision.name}: {decision.choice} ({decision.reason})")
     # An aim may come to need all that its ladder has.
-    workload = workload_of(survey, plan if aimed is None else plan_of(survey, recipe=aimed.ladder[-1]))
+    workload = workload_of(survey, plan if aimed is None else make_plan(survey, chosen, recipe=aimed.ladder[-1]))
     progress.note(f"workload: {'' if aimed is None else 'at the top of the ladder, '}{workload}")
     for text in require_room(workload, run_folder):
         progress.warn(text)

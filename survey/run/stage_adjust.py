@@ -24,7 +24,7 @@ def adjust_block(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
             job.survey,
             device=job.plan.device_asked,
             advance=stage.advance,
-            free_water=job.calibrate_water,
+            free_water=job.chosen.calibrate_water,
             search=job.search,
         )
     write_adjustment(folder, found)

@@ -21,6 +21,7 @@ from survey.photos.cameras import View
 from survey.photos.tie_points import TiePoints
 from survey.plan.check import Section
 from survey.plan.check_light import LOST_GOOD, glitter_text, lost_share, motion_text, sun_text
+from survey.plan.choices import Choices
 from survey.plan.glitter import GlitterOfFlight
 from survey.plan.places import in_the_middle
 from survey.plan.plan import make_plan
@@ -150,7 +151,7 @@ def _light_rows(plan: Plan, survey: Survey, wind_m_s: float) -> list[tuple[str, 
                 ("hours", _hours_text(flight, time, place, wind_m_s)),
             ]
     settings = plan.settings
-    pixel = make_plan(survey, quality="fine").gsd_m
+    pixel = make_plan(survey, Choices(quality="fine")).gsd_m
     return [*rows, ("motion", motion_text(settings.flight.speed_m_s, settings.sensor.shutter_s, pixel))]
 
 
@@ -180,7 +181,7 @@ def _hours_text(flight: GlitterOfFlight, time: datetime, place: tuple[float, flo
 
 
 def _processing_rows(survey: Survey, quality: str, device: str) -> list[tuple[str, str]]:
-    plan = make_plan(survey, quality=quality, device=device)
+    plan = make_plan(survey, Choices(quality=quality, device=device))
     rows = [(d.name, f"{d.choice}: {d.reason}") for d in plan.decisions if d.name in ("field", "image scale", "device")]
     workload = workload_of(survey, plan)
     doubts = room_doubts(workload, survey.folder)

@@ -120,6 +120,18 @@ def test_more_noise_gives_larger_standard_deviations():
     assert noisy > 1.2 * quiet
 
 
+def test_pixels_that_look_along_a_wall_keep_the_heights_of_the_sweep():
+    block, maps, _ = survey(0.3, 0.0)
+    height = maps[0].height.copy()
+    height[:, SIZE // 2 :] += 20.0 * GSD
+    maps = [replace(maps[0], height=height), *maps[1:]]
+    kept = [middle() if m.view == 0 else np.zeros((SIZE, SIZE), dtype=bool) for m in maps]
+    found, _ = solve_maps(block, maps, kept, GSD, lambda share: None)
+    columns = np.arange(14, SIZE - 14)
+    beside = (columns == SIZE // 2 - 1) | (columns == SIZE // 2)
+    np.testing.assert_array_equal(np.unique(found[0].pixels % SIZE), columns[~beside])
+
+
 def test_planes_have_no_bends_however_steep():
     tile = plain_tile(9)
     rows, columns = tile.places

@@ -111,7 +111,7 @@ def solve_maps(
     goes_on: Callable[[], bool] = lambda: True,
     keep: Callable[[], MutableMapping[int, SolvedMap]] = dict,
 ) -> tuple[InOrder, SolverFigures]:
-    """Solve the kept pixels of all maps, about the heights of the sweep.
+    """Solve the kept pixels of all maps, about the heights of the sweep, where `Views.solvable` lets it.
 
     Parameters
     ----------
@@ -135,6 +135,7 @@ def solve_maps(
         NaN where nothing is kept.
     """
     views = Views.of(block, maps)
+    kept = views.solvable(kept)
     filled = [asked_in_squares(wanted, SAMPLE_PX) if views.others[index] else [] for index, wanted in enumerate(kept)]
     total, done = sum(map(sum, filled)), 0
     solved = keep()
@@ -142,7 +143,7 @@ def solve_maps(
         solved[index] = SolvedMap.empty()
     found = InOrder(solved, list(range(len(filled))))
     if not total:
-        return found, SolverFigures(np.nan, Shifts(np.nan, np.nan), NoiseShares(np.nan, np.nan, np.nan))
+        return found, SolverFigures(np.nan, Shifts(np.nan, np.nan), NoiseShares(*4 * (np.nan,)))
     with ThreadPoolExecutor(WORKERS) as pool, beside_workers(block.device, WORKERS):
         sample = _sample(views, kept, filled)
         first = [each for _, each in views.solved(sample, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
@@ -184,7 +185,8 @@ def _part(job: Job, width: int, found: Solved, noise: NoiseShares) -> _Solved:
     of_shift = 1.0 / parallax_of(found.brightness.weight, found.motion)
     expected = expected_of(tile, found, noise.response)
     change = change_of(found, found.height, noise.response)
-    relief = relief_of(tile, change, expected, noise.heights, noise.changes) + bends_below(found)
+    relief = relief_of(tile, change, expected, noise.heights, noise.changes)
+    relief += bends_below(found, expected, noise.heights, noise.unfollowed)
     values = (found.height, noise.heights * expected.noise, relief, of_shift, rise_of(tile, found.height))
     return _Solved(pixels[tile.asked], *(each[tile.asked].astype(np.float32) for each in values))
 

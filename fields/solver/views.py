@@ -21,7 +21,9 @@ from fields.sweep.block import Block
 from fields.sweep.greys import Greys
 from fields.sweep.lazy import most_kept
 from fields.sweep.maps import ByView, DepthMap
+from fields.sweep.masks import Masks
 from fields.sweep.recent import Recent
+from fields.sweep.slopes import is_steep
 from refract import FlatWater, PinholeCamera
 
 Used = TypeVar("Used")
@@ -92,6 +94,17 @@ class Views:
             tolerance.append(block.agreement_tolerance(m.view, seen_by, height) if seen_by else 0.0)
         cameras = dict(enumerate(block.cameras))
         return Views(cameras, block.images, block.water, block.device, maps, views, others, tolerance)
+
+    def solvable(self, kept: Sequence[np.ndarray]) -> Masks:
+        """The kept pixels (height, width) bool of each map, without those that look along a wall or over an edge.
+
+        There a pixel shows so long a piece of the bed that the other photographs do not look like it, and the prior
+        alone would move its height; that of the sweep, whose windows stood upright, is nearer to the wall.
+        """
+        found = Masks([mask.shape for mask in kept])
+        for index, (m, mask) in enumerate(zip(self.maps, kept, strict=True)):
+            found[index] = mask & ~is_steep(m.height, self.tolerance[index])
+        return found
 
     @cached_property
     def _surfaces(self) -> ByView[Surface]:

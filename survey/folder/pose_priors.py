@@ -23,6 +23,8 @@ _RTK_FIXED = 50
 _WELL_KNOWN_M = 0.1
 # Positions before the adjustment of another program, with the accuracy that its file gives them.
 BY_FILE = "GPS in the poses file"
+# Poses of a file that come without a word on how good they are.
+BY_POSES = "poses file"
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +42,7 @@ class PosePrior:
         structure from motion, or its accuracy is not known.
     source : str
         Of the standard deviation, "survey.toml", "XMP RTK", "XMP accuracy" or `BY_FILE`; without one, of the position:
-        "GPS EXIF", "poses file", or "none".
+        "GPS EXIF", `BY_POSES`, or "none".
     """
 
     position: np.ndarray | None
@@ -59,7 +61,7 @@ def priors_of_poses(
     """
     position_std = None if cameras.position_std_m is None else np.array(per_axis(cameras.position_std_m))
     rotation_std = None if cameras.rotation_std_deg is None else np.array(per_axis(cameras.rotation_std_deg))
-    source = "poses file" if position_std is None else "survey.toml"
+    source = BY_POSES if position_std is None else "survey.toml"
     priors = {view.name: PosePrior(view.camera.centre, position_std, rotation_std, source) for view in views}
     if position_std is None:
         for name, (position, std) in (given or {}).items():

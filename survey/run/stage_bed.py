@@ -11,6 +11,7 @@ import numpy as np
 
 from fields.solver.solver import SolvedMap
 from fields.sweep.bed import BedPoints, has_company, points_of, unique_pixels
+from fields.sweep.block import AGREEMENT_PX
 from fields.sweep.maps import DepthMap
 from fields.sweep.sweep import PEERS
 from survey.adjust.adjustment import read_adjustment
@@ -112,26 +113,27 @@ def bed_points(
         camera = camera_of(view, plan)
         rgb = job.photographs.load(view, scale=plan.image_scale)
         keep = keep[: camera.height, : camera.width]
+        parallax = _parallax(block, depth_map)
+        tolerance = AGREEMENT_PX / parallax
         if field is not None:
             from fields.slab.refine import refine
 
             height, taken = refine(field, camera, depth_map, rgb, survey.water, keep)
             depth_map, moved = replace(depth_map, height=height), moved + taken
         final, std = (depth_map, None) if solved is None else solved[number].over(depth_map)
-        points = points_of(camera, survey.water, final, keep, rgb, std)
-        least = np.float32(_least_std(block, depth_map))
-        points = replace(points, std=np.maximum(points.std, least))
+        points = points_of(camera, survey.water, final, keep, rgb, tolerance, std)
+        # Heights that agree by chance to the last bit lie anywhere in a hundredth of a pixel of parallax.
+        points = replace(points, std=np.maximum(points.std, np.float32(LEAST_STD_PX / parallax)))
         if area is not None:
             points = points[within(points.xyz, grown(area, AREA_MARGIN_M))]
         parts.append(points)
         sources.append(np.full(len(points), number, dtype=np.int32))
         tides.append(camera.tide)
         advance(1.0)
-    bed, stays = BedPoints.gathered(parts, lambda xyz: has_company(xyz, plan.gsd_m))
-    return bed, np.array(tides)[np.concatenate(sources)[stays]], moved
+    bed, accompanied = BedPoints.gathered(parts, lambda xyz: has_company(xyz, plan.gsd_m))
+    return bed, np.array(tides)[np.concatenate(sources)[accompanied]], moved
 
 
-def _least_std(block: Block, depth_map: DepthMap) -> float:
-    """Of heights that agree by chance to the last bit [m]: they lie anywhere in a hundredth of a pixel of parallax."""
-    others = block.neighbours(depth_map.view, PEERS)
-    return LEAST_STD_PX / block.parallax(depth_map.view, others, float(np.median(depth_map.height)))
+def _parallax(block: Block, depth_map: DepthMap) -> float:
+    """Of the bed of a map in the views that confirm its heights [px/m]."""
+    return block.parallax(depth_map.view, block.neighbours(depth_map.view, PEERS), float(np.median(depth_map.height)))

@@ -101,7 +101,7 @@ def bed_points(
     """
     survey, plan, block = job.survey, job.plan, job.block
     parts, sources, tides, moved, area = [], [], [], 0, local_area(survey)
-    for number, (depth_map, keep) in enumerate(zip(maps, unique_pixels(block, maps), strict=True)):
+    for number, (depth_map, keep) in enumerate(zip(maps, unique_pixels(block, maps, plan.gsd_m), strict=True)):
         view = survey.views[depth_map.view]
         camera = camera_of(view, plan)
         rgb = job.photographs.load(view, scale=plan.image_scale)

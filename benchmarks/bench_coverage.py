@@ -26,8 +26,8 @@ from geo.las_extra import extra_of
 LEAST = 100
 
 
-def measure(run: Path, reference: Path, bounds: list[float] | None, field: bool) -> str:
-    """The row of one run."""
+def cells_of(run: Path, reference: Path, bounds: list[float] | None, field: bool) -> list[str]:
+    """The cells of the row of one run, behind its name."""
     cloud = run / "cloud.las" if run.is_dir() else run
     las, mesh = laspy.read(cloud), read_reference(reference)
     extra, middle = extra_of(las), mesh.vertices.mean(axis=0)
@@ -45,13 +45,12 @@ def measure(run: Path, reference: Path, bounds: list[float] | None, field: bool)
     known = np.isfinite(error) & (slope < WALL_DEG) & np.isfinite(std)
     error, median = error[known], float(np.median(error[known]))
     found = coverage_by_class(error - median * field, std[known], views[known], slope[known], wet[known])
-    cells = [_percent(each, digits=int(name == "all")) for name, each in found.items()]
-    least = f"{1e3 * np.nanmin(std):.2g} mm"
-    row = f"| {run.name} | {cells[0]} | {' '.join(cells[1:6])} | {' | '.join(cells[6:])} | {least} |"
+    shares = [_percent(each, digits=int(name == "all")) for name, each in found.items()]
+    cells = [shares[0], " ".join(shares[1:6]), *shares[6:], f"{1e3 * np.nanmin(std):.2g} mm"]
     if field:
         of_common = float(np.nanmedian(common))
-        row += f" {1e3 * median:.1f} mm | {1e3 * of_common:.1f} mm | {abs(median) / of_common:.1f} |"
-    return row
+        cells += [f"{1e3 * median:.1f} mm", f"{1e3 * of_common:.1f} mm", f"{abs(median) / of_common:.1f}"]
+    return cells
 
 
 def _bounds_of(run: Path) -> list[float] | None:
@@ -75,7 +74,8 @@ def main() -> None:
     if len(options.pairs) % 2:
         parser.error("give a REFERENCE with each RUN")
     for run, reference in zip(options.pairs[::2], options.pairs[1::2], strict=True):
-        print(measure(run, reference, options.bounds, options.field), flush=True)  # noqa: T201
+        cells = cells_of(run, reference, options.bounds, options.field)
+        print(f"| {' | '.join([run.name, *cells])} |", flush=True)  # noqa: T201
 
 
 if __name__ == "__main__":

@@ -14,9 +14,9 @@ import numpy as np
 
 from fields.device import Device
 from fields.solver.projection import Projection
-from fields.solver.sight import Sight, Surface, sight_of
+from fields.solver.sight import Sight, Surface, sights_of
 from fields.solver.solve import Solved, solve
-from fields.solver.tile import Tile, tiles_of
+from fields.solver.tile import MOST_PX, Tile, tiles_of
 from fields.sweep.block import Block
 from fields.sweep.greys import Greys
 from fields.sweep.lazy import most_kept
@@ -32,10 +32,10 @@ Used = TypeVar("Used")
 MOST_VIEWS = 20
 # Surfaces that are kept, in bytes of so many a pixel.
 _KEPT_BYTES, _SURFACE_BYTES = 200_000_000, 5
-# Tiles that are solved at a time, one on each core that there may be, and those that wait for it too.
+# Tiles that are solved at a time, one on each core that there may be, and pixels of those that wait for it too.
 _CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 WORKERS = min(_CORES, 4)
-AHEAD = WORKERS + 1
+AHEAD_PX = 2 * MOST_PX
 
 
 @dataclass(frozen=True)
@@ -132,15 +132,33 @@ class Views:
             return use(job, solve(job.tile, sight, self.images, start, roughness, self.tolerance[job.index]))
 
         waiting: deque[tuple[Job, Future[Used]]] = deque()
-        for job in jobs:
-            start = job.tile.of(self._surfaces[self.views[job.index]].height)
-            waiting.append((job, pool.submit(one, job, self._sight(job), start)))
-            if len(waiting) > AHEAD:
+        pixels = 0
+        for batch in _batches(jobs):
+            for job, sight in zip(batch, self._sights(batch), strict=True):
+                start = job.tile.of(self._surfaces[self.views[job.index]].height)
+                waiting.append((job, pool.submit(one, job, sight, start)))
+                pixels += len(job.tile)
+            while pixels > AHEAD_PX:
                 first, found = waiting.popleft()
+                pixels -= len(first.tile)
                 yield first, found.result()
         for job, found in waiting:
             yield job, found.result()
 
-    def _sight(self, job: Job) -> Sight:
-        view, tolerance = self.views[job.index], self.tolerance[job.index]
-        return sight_of(job.tile, view, job.others, self.cameras, self._surfaces, self._projection, tolerance)
+    def _sights(self, batch: list[Job]) -> list[Sight]:
+        """Of tiles of one map."""
+        index = batch[0].index
+        view, tolerance, tiles = self.views[index], self.tolerance[index], [job.tile for job in batch]
+        return sights_of(tiles, view, batch[0].others, self.cameras, self._surfaces, self._projection, tolerance)
+
+
+def _batches(jobs: Iterable[Job]) -> Iterator[list[Job]]:
+    """Jobs of one map each, of `MOST_PX` pixels together at most, except where one has more."""
+    batch: list[Job] = []
+    for job in jobs:
+        if batch and (job.index != batch[0].index or sum(len(each.tile) for each in (*batch, job)) > MOST_PX):
+            yield batch
+            batch = []
+        batch.append(job)
+    if batch:
+        yield batch

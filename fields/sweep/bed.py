@@ -154,16 +154,28 @@ def has_company(xyz: np.ndarray, gsd: float) -> np.ndarray:
 
 
 def points_of(
-    camera: PinholeCamera, water: FlatWater | None, depth_map: DepthMap, keep: np.ndarray, rgb: np.ndarray
+    camera: PinholeCamera,
+    water: FlatWater | None,
+    depth_map: DepthMap,
+    keep: np.ndarray,
+    rgb: np.ndarray,
+    tolerance: float,
+    solved_std: np.ndarray | None = None,
 ) -> BedPoints:
     """The kept pixels (height, width) bool of one view as points, in float64 from the ray to the point.
 
-    The map may be larger than the camera's image (padded at its right and bottom).
+    ``tolerance`` [m] is that of views that agree, ``solved_std`` (height, width) [m] the standard deviation where it is
+    known, and NaN elsewhere. The map may be larger than the camera's image (padded at its right and bottom).
     """
     height, agreeing, spread = (
         array[: camera.height, : camera.width] for array in (depth_map.height, depth_map.agreeing, depth_map.spread)
     )
-    std = std_of(height, agreeing, spread)
+    if solved_std is None:
+        std = std_of(height, agreeing, spread, tolerance)
+    else:
+        std = solved_std[: camera.height, : camera.width]
+        if np.isnan(std[keep]).any():
+            std = np.where(np.isnan(std), std_of(height, agreeing, spread, tolerance), std)
     parts = []
     for first in range(0, camera.height, rows := max(_POINTS_AT_ONCE // camera.width, 1)):
         part = np.s_[first : first + rows]

@@ -8,7 +8,9 @@ settings and plan are the result of a run and take the place of an earlier one t
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING
 
 from survey.display.quantities import length
@@ -173,13 +175,21 @@ def _announce(progress: Progress, survey: Survey, chosen: Choices, aimed: Aimed 
         progress.warn(text)
 
 
+def _import_products() -> None:
+    with suppress(Exception):
+        import survey.run.products  # noqa: F401
+
+
 def _to_the_end(run: RunDir, job: Job, resume: bool, truth: Truth) -> int:
     """Stages, result and verdict; the exit code."""
-    from survey.run.products import write_products
     from survey.run.rounds import run_stages
 
+    # The report takes half a second to import, beside the kernels of the first stages; if it fails, it does so below.
+    Thread(target=_import_products, daemon=True).start()
     result = run.open_result(job.plan.quality)
     done = run_stages(job, run, resume=resume, compares_sweep=truth.reference is not None)
+    from survey.run.products import write_products
+
     verdict = write_products(result, run, job, done, truth)
     run.publish(result, quality=job.plan.quality, stages=done)
     job.progress.detail(f"report: {run.report_html_path}")

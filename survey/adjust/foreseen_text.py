@@ -18,6 +18,7 @@ from survey.adjust.foreseen import (
 from survey.adjust.priors import EXACT_STD_DEG, EXACT_STD_M, INDEX_STD, LEVEL_STD_M
 from survey.adjust.verdicts import MOST_STD_FOCAL, MOST_STD_INDEX, MOST_STD_LEVEL_M
 from survey.folder.survey import Survey
+from survey.folder.water import ASSUMED_INDEX_STD
 from survey.plan.check import Section
 from survey.plan.choices import USUAL, Choices
 from survey.plan.verdict import Verdict, by_limits, judged
@@ -46,8 +47,8 @@ def rows_of(found: Foreseen, by_depth: Sequence[HeightStds]) -> tuple[tuple[str,
     assumed = (
         f"{place}, tie points good to {TIE_STD_PX:g} px, matches to {MATCH_STD_PX:g} px of what is worked on, "
         f"{_ADJUSTED if found.is_adjusted else _KEPT}, level and index known to {LEVEL_STD_M:g} m and {INDEX_STD:g} "
-        "where nothing is said, "
-        "still and clear water without glitter"
+        f"where nothing is said, an index that is not given to {ASSUMED_INDEX_STD:g}, still and clear water "
+        "without glitter"
     )
     rows = [("overlap", _overlap_text(*found.views_of_place)), ("angles", _angles_text(found.angle_deg))]
     if is_wet:

@@ -106,8 +106,9 @@ def bed_points(
     """
     survey, plan, block = job.survey, job.plan, job.block
     parts, sources, tides, moved, area = [], [], [], 0, local_area(survey)
-    masks: Sequence[np.ndarray] = unique_pixels(block, maps, plan.gsd_m) if kept is None else kept
-    for number, (depth_map, keep) in enumerate(zip(maps, masks, strict=True)):
+    if kept is None:
+        kept = unique_pixels(block, maps, plan.gsd_m)
+    for number, (depth_map, keep) in enumerate(zip(maps, kept, strict=True)):
         view = survey.views[depth_map.view]
         camera = camera_of(view, plan)
         rgb = job.photographs.load(view, scale=plan.image_scale)

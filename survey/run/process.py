@@ -26,7 +26,7 @@ from survey.plan.plan import device_decision, make_plan
 from survey.plan.workload import require_room, workload_of
 from survey.progress import Progress, opened
 from survey.run.aimed import Aimed
-from survey.run.beginning import begin_aimed
+from survey.run.beginning import begin_aimed, require_some_time
 from survey.run.clock import Clock
 from survey.run.folder import RunDir
 from survey.run.truth import Truth
@@ -106,6 +106,7 @@ def process(
     truth = Truth(*(None if path is None else Path(path) for path in (reference, visible)))
     _require_inputs(survey_folder, run_folder, truth)
     aim = aim_of(target_std_m, time_budget_s, quality=quality, field=field, scale=image_scale)
+    require_some_time(aim)
     clock = None if aim is None or aim.seconds is None else Clock(aim.seconds, time_gone_s)
     chosen = Choices(
         quality=quality or USUAL.quality,
@@ -164,7 +165,11 @@ def _announce(progress: Progress, survey: Survey, chosen: Choices, aimed: Aimed 
     for decision in plan.decisions:
         progress.note(f"plan: {decision.name}: {decision.choice} ({decision.reason})")
     # An aim may come to need all that its ladder has.
-    workload = workload_of(survey, plan if aimed is None else make_plan(survey, chosen, recipe=aimed.ladder[-1]))
+    workload = (
+        workload_of(survey, plan)
+        if aimed is None
+        else workload_of(survey, make_plan(survey, chosen, recipe=aimed.ladder[-1])).on_busy(aimed.pace.slow)
+    )
     progress.note(f"workload: {'' if aimed is None else 'at the top of the ladder, '}{workload}")
     for text in require_room(workload, run_folder):
         progress.warn(text)

@@ -23,7 +23,8 @@ def _is_array(x) -> bool:
 # Beside the functions: `fma(a, b, c)` is a b + c, in one instruction where there is one; `double` and `like` change
 # the precision of arrays, to float64 and to that of the second argument, and leave plain numbers alone; `fixed` is
 # the value without its derivatives, and `tracked` is whether any may have some, in reverse or forward mode; `eps` is
-# the spacing of numbers near one; `same` is the value of a mask that is the same everywhere, None if that is not so
+# the spacing of numbers near one; `orders` is how many steps attach derivatives to a root (`refract._implicit`);
+# `same` is the value of a mask that is the same everywhere, None if that is not so
 # or cannot be told without waiting for it.
 _NUMPY = SimpleNamespace(
     name="numpy", sqrt=np.sqrt, sin=np.sin, cos=np.cos, atan=np.arctan, exp=np.exp, isnan=np.isnan,
@@ -32,6 +33,7 @@ _NUMPY = SimpleNamespace(
     double=lambda x: x.astype(np.float64, copy=False) if _is_array(x) else x,
     like=lambda x, other: np.asarray(x, dtype=other.dtype) if _is_array(other) else x,
     eps=lambda x: 2.0**-52,
+    orders=1,
     fixed=lambda x: x,
     tracked=lambda *arrays: False,
     same=lambda mask: _same(mask),
@@ -72,6 +74,8 @@ def namespace(*arrays) -> SimpleNamespace:
     # What torch compiles comes from torch, and it cannot look into Dr.Jit.
     drjit = None if _is_compiling() else sys.modules.get("drjit")
     for array in arrays:
+        if type(array) is np.ndarray or type(array) is float:
+            continue
         if torch is not None and torch.is_tensor(array):
             return _library("torch").NAMESPACE
         if drjit is not None and drjit.is_array_v(array):

@@ -16,6 +16,7 @@ NAMESPACE = SimpleNamespace(
     double=lambda x: dr.float64_array_t(type(x))(x) if dr.is_array_v(x) else x,
     like=lambda x, other: type(other)(x),
     eps=lambda x: 2.0 * dr.epsilon(x),
+    orders=1,
     same=lambda mask: None,
     fixed=dr.detach, tracked=lambda *arrays: any(dr.is_array_v(x) and dr.grad_enabled(x) for x in arrays),
 )  # fmt: skip

@@ -64,6 +64,7 @@ NAMESPACE = SimpleNamespace(
     double=if_tensor(torch.Tensor.double),
     like=if_tensor(lambda x, other: x.to(other.dtype)),
     eps=lambda x: torch.finfo(x.dtype).eps,
+    orders=2,
     fixed=if_tensor(torch.Tensor.detach), tracked=tracked, same=same,
 )  # fmt: skip
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from refract import kernels
 from refract._array import namespace, transformed
+from refract._implicit import along_ray, newton_step, over_surface
 from refract.fermat import together
 
 # A step below this part of the length of the ray, or of the distance between camera and point, has arrived.
@@ -20,8 +21,6 @@ _SETTLED = 1e-12
 _MOST_STEPS = 30
 # Second derivatives are differences of normals over this part of that distance.
 _APART = 1e-6
-# A ray that falls less than this per metre against the surface where it meets it gets no gradient.
-_GRAZING = 1e-9
 _PLANE_STEPS = 4
 
 
@@ -87,10 +86,7 @@ class AnySurface(ABC):
             if _all(arrived):
                 break
         meets = arrived & (t >= 0.0)
-        t = xp.where(meets, t, 0.0)
-        over, rate = step(t, origin, direction)
-        firm = meets & (rate < -_GRAZING)
-        t = t - xp.where(firm, over, 0.0) / xp.fixed(xp.where(firm, rate, -1.0))
+        t = along_ray(lambda t: step(t, origin, direction), xp.where(meets, t, 0.0), meets)
         return xp.like(xp.where(meets, xp.maximum(t, 0.0), math.nan), like)
 
     def crossing(self, camera, point, steps: int):
@@ -106,8 +102,8 @@ class AnySurface(ABC):
         found = bent & arrived
         x, y = (xp.where(found, a, p) for a, p in zip((x, y), point[:2], strict=True))
         above, below = self._harmless(camera, point, found)
-        step_x, step_y = self._step(above, below, x, y)
-        x, y = x + xp.where(found, step_x, 0.0), y + xp.where(found, step_y, 0.0)
+        matrix = self._matrix(above, below, x, y)
+        x, y = over_surface(lambda x, y: self._pull(above, below, x, y), matrix, x, y, found)
         at = x, y, self.height(x, y)
         seen = tuple(xp.where(found, a, xp.where(bent, math.nan, p)) for a, p in zip(at, point, strict=True))
         return seen, depth, xp.where(found | ~bent, 1, -1)
@@ -135,10 +131,9 @@ class AnySurface(ABC):
             gx, gy = gx + (dx + zx * dz) * per_metre, gy + (dy + zy * dz) * per_metre
         return gx, gy
 
-    def _step(self, camera, point, x, y):
-        """Newton's step; the matrix, from differences of the gradient, carries no derivatives."""
+    def _matrix(self, camera, point, x, y):
+        """Derivatives of `_pull` by x and by y, from differences; they carry none themselves."""
         xp = namespace(x)
-        gx, gy = self._pull(camera, point, x, y)
         camera, point = (tuple(map(xp.fixed, end)) for end in (camera, point))
         way = kernels.minus(camera, point)
         apart = _APART * xp.sqrt(kernels.dot(way, way))
@@ -146,9 +141,7 @@ class AnySurface(ABC):
         for ax, ay in ((apart, 0.0), (0.0, apart)):
             ahead, behind = (self._pull(camera, point, x + sign * ax, y + sign * ay) for sign in (1.0, -1.0))
             rows.append(tuple(xp.fixed(p - q) / (2.0 * apart) for p, q in zip(ahead, behind, strict=True)))
-        (hxx, hxy), (hyx, hyy) = rows
-        determinant = hxx * hyy - hxy * hyx
-        return (hyx * gy - hyy * gx) / determinant, (hxy * gx - hxx * gy) / determinant
+        return rows
 
     def _located(self, camera, point, depth):
         """Where Newton's steps lead from the crossing of a level plane, and whether they arrive."""
@@ -161,7 +154,8 @@ class AnySurface(ABC):
         chord = xp.sqrt(kernels.dot(way, way))
         arrived = chord < 0.0
         for _ in range(_MOST_STEPS):
-            step_x, step_y = (xp.fixed(v) for v in self._step(camera, point, x, y))
+            pull, matrix = self._pull(camera, point, x, y), self._matrix(camera, point, x, y)
+            step_x, step_y = map(xp.fixed, newton_step(pull, matrix))
             length = xp.sqrt(step_x * step_x + step_y * step_y)
             arrived = length <= _SETTLED * chord
             back = xp.where(length > depth, depth / xp.where(length > 0.0, length, 1.0), 1.0)

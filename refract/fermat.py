@@ -23,6 +23,7 @@ from refract import kernels
 from refract._array import namespace, transformed
 from refract._branches import every_path
 from refract._disc import Bounds, Disc, hypot, search_disc
+from refract._implicit import newton_step, over_surface
 from refract._numbers import read
 from refract.surfaces import WaterSurface
 
@@ -83,20 +84,14 @@ def path_slope(surface, camera, point, x, y):
     return (gx, gy), (hxx, hxy, hyy)
 
 
-def _step(gradient, hessian):
-    """Newton's step for gradient (x, y) and Hessian (xx, xy, yy)."""
-    (gx, gy), (hxx, hxy, hyy) = gradient, hessian
-    determinant = hxx * hyy - hxy * hxy
-    return (hxy * gy - hyy * gx) / determinant, (hxy * gx - hxx * gy) / determinant
-
-
 def newton(surface, camera, point, disc):
     """Newton's steps from the middle of the disc, kept inside; returns x, y and True where they have settled."""
     xp = namespace(*camera, *point)
     chord = hypot(xp, hypot(xp, camera[0] - point[0], camera[1] - point[1]), camera[2] - point[2])
     x, y, settled = disc.x, disc.y, chord < 0.0
     for _ in range(_MOST_STEPS):
-        step_x, step_y = _step(*path_slope(surface, camera, point, x, y))
+        gradient, (hxx, hxy, hyy) = path_slope(surface, camera, point, x, y)
+        step_x, step_y = newton_step(gradient, ((hxx, hxy), (hxy, hyy)))
         settled = hypot(xp, step_x, step_y) <= _SETTLED * chord
         out_x, out_y = x + step_x - disc.x, y + step_y - disc.y
         out = hypot(xp, out_x, out_y)
@@ -188,8 +183,9 @@ def crossing(surface: Relief, camera, point):
 
     Notes
     -----
-    Torch tensors are solved by numpy. They and Dr.Jit arrays get their gradients from one Newton step at the root
-    (the implicit function theorem); on a caustic, where the derivative is infinite, they get none.
+    Torch tensors are solved by numpy. They and Dr.Jit arrays get their derivatives from Newton's steps at the root
+    (the implicit function theorem): torch the first two, Dr.Jit the first; on a caustic, where the derivative is
+    infinite, they get none.
     """
     camera, point = together(camera, point)
     xp = namespace(*point)
@@ -215,12 +211,15 @@ def crossing(surface: Relief, camera, point):
 
 
 def _attached(xp, surface, camera, point, x, y, found):
-    """The crossing x, y with gradients with respect to everything: one Newton step with a fixed Hessian."""
+    """The crossing x, y with derivatives with respect to everything."""
     camera, point = _harmless(xp, surface, camera, point, found)
     x, y = (xp.where(found, c, a) for c, a in zip((x, y), _anchor(xp, surface, x)[:2], strict=True))
-    gradient, hessian = path_slope(surface, camera, point, x, y)
-    hxx, hxy, hyy = (xp.fixed(h) for h in hessian)
+    _, (hxx, hxy, hyy) = path_slope(surface, camera, point, x, y)
     firm = xp.abs(hxx * hyy - hxy * hxy) > _FIRM * (hxx * hxx + 2.0 * hxy * hxy + hyy * hyy)
     whole = zip((hxx, hxy, hyy), (1.0, 0.0, 1.0), strict=True)
-    step_x, step_y = _step(gradient, tuple(xp.where(firm, h, one) for h, one in whole))
-    return x + xp.where(firm, step_x, 0.0), y + xp.where(firm, step_y, 0.0)
+    hxx, hxy, hyy = (xp.where(firm, h, one) for h, one in whole)
+
+    def pull(x, y):
+        return path_slope(surface, camera, point, x, y)[0]
+
+    return over_surface(pull, ((hxx, hxy), (hxy, hyy)), x, y, firm)

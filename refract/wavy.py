@@ -11,6 +11,7 @@ import numpy as np
 from refract import fermat, kernels
 from refract._array import namespace
 from refract._disc import Bounds
+from refract._implicit import along_ray
 from refract._numbers import hold, moved, number, plain, read, require_index
 
 # Steps along a ray to its first meeting with the waves: 4 to 8 for most; at 89.9 deg to the vertical over waves of
@@ -22,8 +23,6 @@ _ROUND = 4
 _TINY = 4 * float(np.finfo(np.float64).eps)
 # A leg has arrived if this part of its length remains: roots are accurate to about 1e-14 of it, near tangency 1e-8.
 _ARRIVED = 1e-7
-# A ray that falls less than this per metre against the water where it meets it gets no gradient.
-_GRAZING = 1e-9
 
 
 @final
@@ -167,12 +166,8 @@ class WavyWater:
         else:
             start, way = (tuple(map(xp.fixed, v)) for v in (origin, direction))
             t = self.detached()._first_meeting(start, way, side=1.0)
-        # One more Newton step at the root: it carries the gradient, and moves the value by a rounding only.
         meets = t >= 0.0
-        t = xp.where(meets, t, 0.0)
-        clearance, rate = self._clearance(origin, direction, t)
-        firm = meets & (rate < -_GRAZING)
-        t = t - xp.where(firm, clearance, 0.0) / xp.fixed(xp.where(firm, rate, -1.0))
+        t = along_ray(lambda t: self._clearance(origin, direction, t), xp.where(meets, t, 0.0), meets)
         return xp.like(xp.where(meets, xp.maximum(t, 0.0), math.nan), like)
 
     def _clearance(self, origin, direction, t):

@@ -28,6 +28,7 @@ from survey.report.cut import choose_cut
 from survey.report.figures import Spread
 from survey.report.headline import headline
 from survey.report.json_figures import json_of
+from survey.report.maps import draw_std
 from survey.report.page import render_page
 from survey.report.profile import _medians, draw_profile, has_profile, two_digits
 from survey.report.raster import hillshade, without_pinholes
@@ -115,6 +116,16 @@ def test_the_figures_of_a_plane_are_those_of_its_geometry(report):
     assert cloud.std_m.p95 == pytest.approx(0.0145, abs=1e-6)
     assert cloud.views_per_point == Spread(2.0, 4.0, pytest.approx(4.0), 6.0, 6.0)
     assert cloud.incidence_deg.max == pytest.approx(np.degrees(0.5), abs=1e-5)
+
+
+@pytest.mark.parametrize(("field", "words"), [("solver", "the normal matrix"), ("off", "the views that agree")])
+def test_the_picture_of_the_std_says_where_it_comes_from(survey, tmp_path, field, words):
+    bed = plane_bed(survey, num=20)
+    facts = replace(_facts(survey, bed), plan=replace(PLAN, field=field))
+    low, high = bed.xyz[:, :2].min(axis=0), bed.xyz[:, :2].max(axis=0)
+    picture = draw_std(tmp_path / "std.png", facts, PlanGrid.within(bed.xyz, low, high, 1.0))
+    assert picture.title == "Standard deviation of the height"
+    assert words in picture.caption
 
 
 def test_survey_and_water_say_where_they_come_from(report):

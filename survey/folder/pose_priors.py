@@ -5,16 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from geo.frames import LocalFrame
 from survey.folder.config import CamerasConfig
 from survey.folder.config_std import per_axis
-from survey.folder.found import Found
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.sfm.gps import positions_in_crs
+
+if TYPE_CHECKING:
+    from survey.folder.found import Found
 
 # What DJI calls a position whose carrier phases are resolved; its standard deviations are those of the receiver.
 _RTK_FIXED = 50

@@ -52,7 +52,7 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     solved = Stored(needs["solver"] / SOLVED, SolvedMap) if "solver" in needs else None
     look_at_bed(job, needs["sweep"])
     with job.progress.stage("Bed", len(maps)) as stage:
-        kept = job.once(needs["sweep"], lambda: unique_pixels(job.block, maps))
+        kept = job.once(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m))
         bed, tide, moved = bed_points(job, maps, field, stage.advance, solved, kept)
     if field is not None:
         job.progress.detail(f"{moved:,} of {len(bed):,} points have the field's height")
@@ -106,8 +106,9 @@ def bed_points(
     """
     survey, plan, block = job.survey, job.plan, job.block
     parts, sources, tides, moved, area = [], [], [], 0, local_area(survey)
-    masks: Sequence[np.ndarray] = unique_pixels(block, maps) if kept is None else kept
-    for number, (depth_map, keep) in enumerate(zip(maps, masks, strict=True)):
+    if kept is None:
+        kept = unique_pixels(block, maps, plan.gsd_m)
+    for number, (depth_map, keep) in enumerate(zip(maps, kept, strict=True)):
         view = survey.views[depth_map.view]
         camera = camera_of(view, plan)
         rgb = job.photographs.load(view, scale=plan.image_scale)

@@ -1,0 +1,43 @@
+"""Derivatives of roots that were found without them: Newton's steps at the root, by a slope that carries none.
+
+Each step leaves the part ``1 - slope_there / slope`` of the error, which vanishes at the root: it makes one more order
+of derivatives exact (the implicit function theorem is the first), and moves the value by a rounding only. torch gets
+two orders, Dr.Jit, which has no higher ones, the first.
+"""
+
+from __future__ import annotations
+
+from refract._array import namespace
+
+# A ray that falls less than this per metre against the surface where it meets it gets no gradient.
+_GRAZING = 1e-9
+
+
+def along_ray(clearance, t, meets):
+    """Distances t with derivatives, where rays meet a surface: ``clearance(t)`` is height over it and rate along it."""
+    xp = namespace(t)
+    over, rate = clearance(t)
+    firm = meets & (rate < -_GRAZING)
+    slope = xp.fixed(xp.where(firm, rate, -1.0))
+    for order in range(xp.orders):
+        if order > 0:
+            over, _ = clearance(t)
+        t = t - xp.where(firm, over, 0.0) / slope
+    return t
+
+
+def over_surface(pull, matrix, x, y, firm):
+    """Crossings x, y with derivatives, where firm: ``pull(x, y)`` vanishes, with derivatives ``matrix`` by x and y."""
+    xp = namespace(x)
+    rows = tuple(tuple(xp.fixed(entry) for entry in row) for row in matrix)
+    for _ in range(xp.orders):
+        step_x, step_y = newton_step(pull(x, y), rows)
+        x, y = x + xp.where(firm, step_x, 0.0), y + xp.where(firm, step_y, 0.0)
+    return x, y
+
+
+def newton_step(pull, rows):
+    """The step to where the pull (x, y) vanishes, from its derivatives by x and by y."""
+    (px, py), ((xx, xy), (yx, yy)) = pull, rows
+    determinant = xx * yy - xy * yx
+    return (yx * py - yy * px) / determinant, (xy * px - xx * py) / determinant

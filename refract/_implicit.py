@@ -29,7 +29,10 @@ def along_ray(clearance, t, meets):
 def over_surface(pull, matrix, x, y, firm):
     """Crossings x, y with derivatives, where firm: ``pull(x, y)`` vanishes, with derivatives ``matrix`` by x and y."""
     xp = namespace(x)
-    rows = tuple(tuple(xp.fixed(entry) for entry in row) for row in matrix)
+    rows = tuple(
+        tuple(xp.fixed(xp.where(firm, entry, unit)) for entry, unit in zip(row, units, strict=True))
+        for row, units in zip(matrix, ((1.0, 0.0), (0.0, 1.0)), strict=True)
+    )
     for _ in range(xp.orders):
         step_x, step_y = newton_step(pull(x, y), rows)
         x, y = x + xp.where(firm, step_x, 0.0), y + xp.where(firm, step_y, 0.0)

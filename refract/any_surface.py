@@ -103,7 +103,7 @@ class AnySurface(ABC):
         x, y = (xp.where(found, a, p) for a, p in zip((x, y), point[:2], strict=True))
         above, below = self._harmless(camera, point, found)
         matrix = self._matrix(above, below, x, y)
-        x, y = over_surface(lambda x, y: self._pull(above, below, x, y), matrix, x, y, found)
+        x, y = over_surface(lambda x, y: self._pull(above, below, x, y, found), matrix, x, y, found)
         at = x, y, self.height(x, y)
         seen = tuple(xp.where(found, a, xp.where(bent, math.nan, p)) for a, p in zip(at, point, strict=True))
         return seen, depth, xp.where(found | ~bent, 1, -1)
@@ -120,10 +120,12 @@ class AnySurface(ABC):
         nx, ny, nz = self.normal(x, y)
         return -nx / nz, -ny / nz
 
-    def _pull(self, camera, point, x, y):
-        """Gradient of the optical length as the crossing moves over the surface."""
+    def _pull(self, camera, point, x, y, keep=None):
+        """Gradient of the optical length as the crossing moves over the surface, which is level where not to keep."""
         xp = namespace(x)
         z, (zx, zy) = self.height(x, y), self._slopes(x, y)
+        if keep is not None:
+            z, zx, zy = kernels.chosen(keep, (z, zx, zy), (point[2] + 1.0, 0.0, 0.0))
         gx = gy = 0.0
         for end, weight in ((camera, 1.0), (point, self.n_water)):
             dx, dy, dz = x - end[0], y - end[1], z - end[2]

@@ -82,12 +82,12 @@ class BicubicWater(AnySurface):
             _cell((at - start) / self.spacing, nodes)
             for at, start, nodes in zip((x, y), self.corner, (columns, rows), strict=True)
         )
-        padded = self._padded(x)
+        padded, whole = _filled(self._padded(x))
         total = 0.0
         for j, weight_y in enumerate(along_y(v)):
             line = sum(weight * padded[row + j, column + i] for i, weight in enumerate(along_x(u)))
             total = total + weight_y * line
-        return namespace(x).where(in_x & in_y, total, math.nan)
+        return namespace(x).where(in_x & in_y & whole[row, column], total, math.nan)
 
     def _padded(self, like):
         """The heights with one more node all around, on the parabola through the last three."""
@@ -96,6 +96,15 @@ class BicubicWater(AnySurface):
             first, last = 3.0 * (z[:1] - z[1:2]) + z[2:3], 3.0 * (z[-1:] - z[-2:-1]) + z[-3:-2]
             z = _concatenated(first, z, last).swapaxes(0, 1)
         return z
+
+
+def _filled(z):
+    """Nodes with zeros for those that are missing, and which cells have all of their four by four nodes."""
+    xp = namespace(z)
+    missing = xp.isnan(z)
+    rows, columns = (size - 3 for size in z.shape)
+    hole = sum(1.0 * missing[j : j + rows, i : i + columns] for j in range(4) for i in range(4))
+    return xp.where(missing, 0.0, z), hole < 1
 
 
 def _concatenated(*parts):

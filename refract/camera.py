@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import final
+from typing import final, overload
 
 import numpy as np
 
 from refract.distortion import Distortion
+from refract.layers import LayeredPath, ParallelLayers
 from refract.paths import BentPaths, trace
-from refract.projection import EXACT_STEPS, crossing_point
+from refract.projection import EXACT_STEPS, crossing_point, project
 from refract.surfaces import WaterSurface
 
 # Poses in files carry six to nine digits; a matrix with a larger deviation is a mistake, not a rotation.
@@ -164,12 +165,18 @@ class PinholeCamera:
         rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ self.cam_from_local
         return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
-    def paths(self, pixels, water: WaterSurface | None) -> BentPaths:
+    @overload
+    def paths(self, pixels, water: WaterSurface | None) -> BentPaths: ...
+
+    @overload
+    def paths(self, pixels, water: ParallelLayers) -> LayeredPath: ...
+
+    def paths(self, pixels, water):
         """Bent paths of pixels (..., 2) [px]; see `refract.paths.trace`."""
         path = trace(self._over_own(self.centres(pixels)), self.directions(pixels), water)
         return path if self.tide == 0.0 else path.raised(self.tide)
 
-    def project(self, points, water: WaterSurface | None, *, steps: int = EXACT_STEPS) -> np.ndarray:
+    def project(self, points, water: WaterSurface | ParallelLayers | None, *, steps: int = EXACT_STEPS) -> np.ndarray:
         """Pixels (..., 2) [px] at which points (..., 3) [m], local, appear through the water.
 
         NaN for points behind the camera, and beyond the reach of its lens; pixels outside the image are returned as
@@ -185,10 +192,14 @@ class PinholeCamera:
         """Places (..., 3) where they would be if the water had stayed and all else sunk by the tide."""
         return places if self.tide == 0.0 else places - (0.0, 0.0, self.tide)
 
-    def _project_from(self, centre: np.ndarray, points: np.ndarray, water: WaterSurface | None, steps: int):
+    def _project_from(self, centre: np.ndarray, points: np.ndarray, water, steps: int) -> np.ndarray:
         """As `project`, of points over the camera's own water, seen from a place in local."""
         centre = self._over_own(centre)
-        seen = (crossing_point(points, centre, water, steps=steps) - centre) @ self.cam_from_local.T
+        if isinstance(water, ParallelLayers):
+            way = project(points, centre, water).direction
+        else:
+            way = crossing_point(points, centre, water, steps=steps) - centre
+        seen = way @ self.cam_from_local.T
         z = np.where(seen[..., 2] > 0.0, seen[..., 2], np.nan)
         if self.distortion is not None:
             x, y = self.distortion.distorted(seen[..., 0] / z, seen[..., 1] / z)

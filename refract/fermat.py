@@ -216,8 +216,6 @@ def _attached(xp, surface, camera, point, x, y, found):
     x, y = (xp.where(found, c, a) for c, a in zip((x, y), _anchor(xp, surface, x)[:2], strict=True))
     _, (hxx, hxy, hyy) = path_slope(surface, camera, point, x, y)
     firm = xp.abs(hxx * hyy - hxy * hxy) > _FIRM * (hxx * hxx + 2.0 * hxy * hxy + hyy * hyy)
-    whole = zip((hxx, hxy, hyy), (1.0, 0.0, 1.0), strict=True)
-    hxx, hxy, hyy = (xp.where(firm, h, one) for h, one in whole)
 
     def pull(x, y):
         return path_slope(surface, camera, point, x, y)[0]

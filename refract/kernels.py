@@ -26,6 +26,10 @@ CONTACT = 1e-15
 # roundings of float32 take a tenth of it.
 UNIT = 5e-6
 
+# Coordinates farther out than this [m], a tenth of a light year, count as no number: products of squares of them are
+# still a float32, so that no derivative overflows.
+REACH = 1e15
+
 # The smallest positive denominator in a fraction of lengths [m]: 1e-30 times 1e8 is still a float32.
 _NOTHING = 1e-30
 
@@ -105,19 +109,18 @@ def is_unit(direction):
     return namespace(*direction).abs(dot(direction, direction) - 1.0) < 2.0 * UNIT
 
 
-def is_finite(*triples):
-    """Where all components are finite."""
-    total = sum(sum(triple) for triple in triples)
-    return namespace(total).abs(total) < math.inf
+def in_reach(*triples):
+    """Where no component is NaN, or beyond `REACH`."""
+    return sum(dot(triple, triple) for triple in triples) < REACH * REACH
 
 
 def cleaned(*triples):
-    """Where all components are finite, and the triples with zeros elsewhere.
+    """Where all components are `in_reach`, and the triples with zeros elsewhere.
 
     Through zeros a ray that is not a number leaves the gradients of the others alone; numpy has none, and keeps its
     numbers. The caller puts the NaN back into the results.
     """
-    valid = is_finite(*triples)
+    valid = in_reach(*triples)
     xp = namespace(valid)
     return valid, triples if xp.name == "numpy" else tuple(chosen(valid, triple, 0.0) for triple in triples)
 

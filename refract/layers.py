@@ -8,13 +8,13 @@ whole path: here x, the tangent of the angle to the normal in the layer of least
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, final
 
 import numpy as np
 
 from refract import kernels
-from refract._array import common, components, namespace, root, stack
+from refract._array import common, components, namespace, quiet, root, stack
 from refract._numbers import hold, least, moved, number
 from refract.regimes import Regime, counts
 
@@ -31,19 +31,59 @@ class LayeredPath:
 
     Attributes
     ----------
+    origin : (..., 3) [m]
+        Camera centre.
     crossings : tuple of (..., 3) [m]
         Where the ray passes each interface, from the camera's side; NaN from where it is turned back.
-    direction : (..., 3) unit
-        In the last layer; NaN where the ray never gets there.
+    directions : tuple of (..., 3) unit
+        In each medium; NaN where the ray never gets there.
+    lengths : tuple of (...) [m]
+        In each medium but the last; infinite where the ray never reaches its end.
     regime : (...) int
         `Regime` of each ray: bent; straight where it leads away from the first interface, parallel along it; reflected
-        at any of them; invalid where a number is not finite, the direction not of length one, or the origin not in the
-        first medium.
+        at any of them; invalid where a number is NaN or beyond 1e15 m, the direction not of length one, or the origin
+        not in the first medium.
     """
 
+    origin: Any
     crossings: tuple[Any, ...]
-    direction: Any
+    directions: tuple[Any, ...]
+    lengths: tuple[Any, ...]
     regime: Any
+
+    @property
+    def direction(self):
+        """Direction (..., 3), unit, in the last medium; NaN where the ray never gets there."""
+        return self.directions[-1]
+
+    @quiet
+    def at(self, t):
+        """Points (..., 3) [m] at path length ``t`` (...) [m] from the camera through all media.
+
+        NaN behind the interface that turns a ray back.
+
+        Raises
+        ------
+        ValueError
+            If the shape of `t` does not broadcast against that of the rays.
+        """
+        t, _ = common(t=t, rays=self.lengths[0])
+        xp, begin = namespace(t), 0.0
+        valid, (origin, ray) = kernels.cleaned(components(self.origin), components(self.directions[0]))
+        points = kernels.along(origin, ray, t)
+        for crossing, direction, length in zip(self.crossings, self.directions[1:], self.lengths, strict=True):
+            begin = begin + length
+            start, ray, past = components(crossing), components(direction), t > begin
+            passes = past & ~xp.isnan(ray[0])
+            start, ray = (kernels.chosen(passes, v, 0.0) for v in (start, ray))
+            here = kernels.along(start, ray, xp.where(passes, t - begin, 0.0))
+            points = kernels.chosen(past, kernels.chosen(passes, here, math.nan), points)
+        return stack(*kernels.chosen(valid, points, math.nan))
+
+    def raised(self, by: float) -> LayeredPath:
+        """The same paths with all places ``by`` [m] higher: see `refract.paths.BentPaths.raised`."""
+        up = (0.0, 0.0, by)
+        return replace(self, origin=self.origin + up, crossings=tuple(c + up for c in self.crossings))
 
     def counts(self) -> dict[str, int]:
         """How many rays there are of each `Regime`, by its name in lower case."""
@@ -134,11 +174,12 @@ class ParallelLayers:
         origin, direction = common(origin=origin, direction=direction)
         at, ray = components(origin), components(direction)
         xp = namespace(*at)
-        valid = kernels.is_unit(ray) & kernels.is_finite(at)
+        valid = kernels.is_unit(ray) & kernels.in_reach(at)
         at, ray = kernels.chosen(valid, at, 0.0), kernels.chosen(valid, ray, 0.0)
         way = kernels.over_plane(at, self.point, self.normal)
         valid = valid & (way >= 0.0)
-        going, crossings = valid, []
+        going, crossings, lengths = valid, [], []
+        directions = [stack(*kernels.chosen(valid, ray, math.nan))]
         regime = xp.where(kernels.dot(ray, self.normal) > 0.0, int(Regime.STRAIGHT), int(Regime.BENT))
         for place, (n_from, n_to) in enumerate(zip(self.indices, self.indices[1:], strict=False)):
             falling = -kernels.dot(ray, self.normal)
@@ -146,15 +187,18 @@ class ParallelLayers:
                 regime = xp.where(xp.abs(falling) <= kernels.GRAZING, int(Regime.PARALLEL), regime)
             going = going & (falling > kernels.GRAZING)
             # Rays that go no farther get harmless numbers: their gradients are zero.
-            at = kernels.along(at, ray, xp.where(going, way / xp.where(going, falling, 1.0), 0.0))
+            length = way / xp.where(going, falling, 1.0)
+            at = kernels.along(at, ray, xp.where(going, length, 0.0))
+            lengths.append(xp.where(going, length, math.inf))
             crossings.append(stack(*kernels.chosen(going, at, math.nan)))
             bent = kernels.bend(ray, self.normal, n_from, n_to)
             passes = going & ~xp.isnan(bent[0])
             regime = xp.where(going & ~passes, int(Regime.REFLECTED), regime)
             going, ray = passes, kernels.chosen(passes, bent, ray)
+            directions.append(stack(*kernels.chosen(going, ray, math.nan)))
             way = self.thicknesses[place] if place < len(self.thicknesses) else 0.0
-        direction = stack(*kernels.chosen(going, ray, math.nan))
-        return LayeredPath(tuple(crossings), direction, xp.where(valid, regime, int(Regime.INVALID)))
+        regime = xp.where(valid, regime, int(Regime.INVALID))
+        return LayeredPath(origin, tuple(crossings), tuple(directions), tuple(lengths), regime)
 
     def project(self, points, camera):
         """Directions (..., 3), unit, in which a camera in the first medium sees points in the last one.
@@ -188,7 +232,7 @@ class ParallelLayers:
         Triples of arrays [m]; the legs are zero where `project` is NaN.
         """
         xp = namespace(*point)
-        valid = kernels.is_finite(camera, point)
+        valid = kernels.in_reach(camera, point)
         camera, point = kernels.chosen(valid, camera, 0.0), kernels.chosen(valid, point, 0.0)
         H = kernels.over_plane(camera, self.point, self.normal)
         rest = -kernels.over_plane(point, self.point, self.normal) - sum(self.thicknesses)

@@ -11,7 +11,7 @@ from refract._array import common, components, namespace, quiet, spread, stack
 from refract._numbers import in_library
 from refract.layers import LayeredPath, ParallelLayers
 from refract.regimes import Regime, counts
-from refract.surfaces import FlatWater, WaterSurface, derivable, height_over
+from refract.surfaces import FlatWater, WaterSurface, derivable, height_over, require_surface
 
 
 @final
@@ -70,6 +70,7 @@ class BentPaths:
         up = (0.0, 0.0, by)
         return replace(self, origin=self.origin + up, crossing=self.crossing + up, tide=self.tide + by)
 
+    @quiet
     def at(self, t):
         """Points (..., 3) [m] at path length ``t`` (...) [m] from the camera, air and water legs together.
 
@@ -145,13 +146,16 @@ def trace(origin, direction, surface):
     ------
     ValueError
         If the last axis of `origin` or `direction` is not 3, or their shapes do not broadcast.
+    TypeError
+        If the surface is none.
     """
+    require_surface(surface)
     if isinstance(surface, ParallelLayers):
         return surface.trace(origin, direction)
     origin, direction = common(origin=origin, direction=direction)
     given = components(origin), components(direction)
     (o, d), xp = given, namespace(*given[0])
-    valid = kernels.is_unit(d) & kernels.is_finite(o)
+    valid = kernels.is_unit(d) & kernels.in_reach(o)
     if derivable(surface, *o, *d):
         # Through zeros, a ray that is not a number leaves the gradients of the others alone.
         o, d = kernels.chosen(valid, o, 0.0), kernels.chosen(valid, d, 0.0)
@@ -166,7 +170,10 @@ def trace(origin, direction, surface):
         reach = kernels.selector(meets)(t, 0.0)
         at = kernels.along(o, d, reach)
         normal, n_water = surface.normal(at[0], at[1]), in_library(surface.n_water, o[0])
-        bent = kernels.chosen(meets, kernels.bend(d, normal, 1.0, n_water), straight)
+        # Where a ray does not meet the surface there may be none: a level one has harmless derivatives.
+        zero = reach * 0.0
+        facing = normal if isinstance(surface, FlatWater) else kernels.chosen(meets, normal, (zero, zero, zero + 1.0))
+        bent = kernels.chosen(meets, kernels.bend(d, facing, 1.0, n_water), straight)
         parallel = valid & ~wet & (xp.abs(kernels.dot(d, normal)) <= kernels.GRAZING)
     crossing = kernels.chosen(wet, at, math.nan)
     air_length = kernels.selector(valid)(kernels.selector(wet)(reach, math.inf), math.nan)

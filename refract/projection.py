@@ -10,7 +10,7 @@ from refract import kernels
 from refract._array import common, components, namespace, quiet, spread, stack
 from refract.layers import ParallelLayers
 from refract.regimes import Regime, counts
-from refract.surfaces import FlatWater, WaterSurface, derivable, height_over
+from refract.surfaces import FlatWater, WaterSurface, derivable, height_over, require_surface
 
 # More than any surface needs for the last bits of float64; a plane takes four at most (docs/optics.md).
 EXACT_STEPS = 16
@@ -49,7 +49,7 @@ class Projection:
     wet: Any
     solutions: Any
     under_water: Any
-    # Where all is finite; the point; the legs to the crossing and on to the point; of the first, what `_measured` says.
+    # Where all is in reach; the point; the legs to the crossing and on to the point; `_measured` of the first.
     _valid: Any = field(repr=False)
     _point: tuple[Any, Any, Any] = field(repr=False)
     _legs: tuple = field(repr=False)
@@ -132,14 +132,17 @@ def project(points, camera, surface: WaterSurface | ParallelLayers | None, *, st
     -------
     Projection
         Rays to points above the water or beside it, from a camera on or below it, and without water are straight. A
-        point that is NaN, or lies in the camera, has a direction of NaN. A single bad ray never raises; `counts`
-        reports it.
+        point that is NaN, farther out than 1e15 m, or in the camera, has a direction of NaN. A single bad ray never
+        raises; `counts` reports it.
 
     Raises
     ------
     ValueError
         If the last axis of `points` or `camera` is not 3, or their shapes do not broadcast.
+    TypeError
+        If the surface is none.
     """
+    require_surface(surface)
     points, camera = common(points=points, camera=camera)
     point, centre = components(points), components(camera)
     valid, point, centre = _ends(point, centre, surface)
@@ -159,8 +162,8 @@ def project(points, camera, surface: WaterSurface | ParallelLayers | None, *, st
 
 
 def _ends(point, centre, surface):
-    """Where both ends are finite, and the ends: zeros elsewhere, if others' gradients or the surface need them."""
-    valid = kernels.is_finite(point, centre)
+    """Where both ends are in reach, and the ends: zeros elsewhere, if others' gradients or the surface need them."""
+    valid = kernels.in_reach(point, centre)
     if derivable(surface, *point, *centre):
         point, centre = kernels.chosen(valid, point, 0.0), kernels.chosen(valid, centre, 0.0)
     return valid, point, centre
@@ -184,16 +187,21 @@ def _legs(point, centre, surface, steps: int) -> tuple:
     seen, xp = kernels.double(seen), namespace(*p)
     # Where the surface has no height there is no water.
     depth = xp.where(xp.isnan(depth), 0.0, depth)
-    return (kernels.minus(seen, c), kernels.minus(p, seen)), depth, solutions, below
+    found = ~xp.isnan(seen[0])
+    legs = tuple(kernels.chosen(found, leg, math.nan) for leg in (kernels.minus(seen, c), kernels.minus(p, seen)))
+    return legs, depth, solutions, below
 
 
 @quiet
-def crossing_point(points, camera, surface: WaterSurface | None, *, steps: int = EXACT_STEPS):
+def crossing_point(points, camera, surface: WaterSurface | ParallelLayers | None, *, steps: int = EXACT_STEPS):
     """Point of the water surface (..., 3) [m], local, through which the camera sees a point of the bed.
 
-    The point itself where the ray to it is straight; better than 1e-9 m in float64. Arguments and errors as for
-    `project`, of which this is the crossing and costs less.
+    The point itself where the ray to it is straight; better than 1e-9 m in float64. Of layers, the point of the last
+    interface. Arguments and errors as for `project`, of which this is the crossing and costs less.
     """
+    require_surface(surface)
+    if isinstance(surface, ParallelLayers):
+        return project(points, camera, surface, steps=steps).crossing
     points, camera = common(points=points, camera=camera)
     valid, point, centre = _ends(components(points), components(camera), surface)
     crossing = point if surface is None else surface.crossing(centre, point, steps)[0]

@@ -27,7 +27,7 @@ class Regime(IntEnum):
     UNSEEN = 6
     """No path leads from the point to the camera: NaN."""
     INVALID = 7
-    """A coordinate is NaN or infinite, or camera and point coincide: NaN."""
+    """A coordinate is NaN or beyond 1e15 m (`kernels.REACH`), or camera and point coincide: NaN."""
 
 
 def counts(regime) -> dict[str, int]:

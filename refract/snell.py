@@ -35,7 +35,8 @@ def bend(ray, normal, *, n_from, n_to):
     Raises
     ------
     ValueError
-        If the last axis of `ray` or `normal` is not 3, their shapes do not broadcast, or an index is not positive.
+        If the last axis of `ray` or `normal` is not 3, their shapes do not broadcast, or an index is not
+        positive and finite.
 
     Examples
     --------
@@ -54,8 +55,8 @@ def bend(ray, normal, *, n_from, n_to):
 
 
 def _require_positive(n_from, n_to) -> None:
-    if not hold(lambda n: n > 0.0, n_from, n_to):
-        raise ValueError(f"expected refractive indices above zero, got n_from {n_from} and n_to {n_to}")
+    if not hold(lambda n: (n > 0.0) & (n < math.inf), n_from, n_to):
+        raise ValueError(f"expected finite refractive indices above zero, got n_from {n_from} and n_to {n_to}")
 
 
 @quiet

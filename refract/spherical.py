@@ -114,10 +114,12 @@ class SphericalWater:
         return xp.where(inside, z, z * 0.0 + float("nan"))
 
     def normal(self, x, y) -> tuple[Any, Any, Any]:
-        """Unit normal of the surface at x, y, pointing up into the air."""
+        """Unit normal of the surface at x, y, pointing up into the air; NaN beyond the radius."""
         xp = namespace(x, y)
         nx, ny = (x - self.point[0]) / self.radius, (y - self.point[1]) / self.radius
-        return nx, ny, xp.sqrt(1.0 - nx * nx - ny * ny)
+        left = 1.0 - nx * nx - ny * ny
+        inside = left > 0.0
+        return tuple(xp.where(inside, c, math.nan) for c in (nx, ny, xp.sqrt(xp.where(inside, left, 1.0))))
 
     def bounds(self, x, y, radius) -> Bounds:
         """Bounds over a disc: the slope and curvature of its farthest rim; infinite where it leaves the surface."""

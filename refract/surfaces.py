@@ -55,6 +55,15 @@ class WaterSurface(Protocol):
         """
 
 
+def require_surface(surface) -> None:
+    """TypeError unless `trace` and `project` can take this surface."""
+    if surface is not None and not any(hasattr(surface, name) for name in ("intersect", "legs")):
+        raise TypeError(
+            "expected FlatWater, another WaterSurface, ParallelLayers or None, got "
+            f"{type(surface).__name__}; of a TidalWater take the water of one time, water.at(time)"
+        )
+
+
 def height_over(surface: WaterSurface, position):
     """Signed height of a position over a surface: along the normal of a plane, vertical over any other."""
     if not isinstance(surface, FlatWater):

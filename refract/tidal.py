@@ -7,6 +7,7 @@ from typing import Any, final
 
 import numpy as np
 
+from refract._numbers import moved
 from refract.surfaces import FlatWater
 
 
@@ -40,9 +41,9 @@ class TidalWater:
     levels: Any
     _: KW_ONLY
     point: tuple[float, float] = (0.0, 0.0)
-    n_water: float = 1.333
-    slope_x: float = 0.0
-    slope_y: float = 0.0
+    n_water: Any = 1.333
+    slope_x: Any = 0.0
+    slope_y: Any = 0.0
 
     def __post_init__(self):
         times, levels = np.asarray(self.times), np.asarray(self.levels, dtype=np.float64)
@@ -62,6 +63,10 @@ class TidalWater:
         if falls.size:
             raise ValueError(f"expected rising times, got {times[falls[0]]} before {times[falls[0] + 1]}; sort them")
         self.at(times[0])  # FlatWater checks the other numbers
+
+    def to(self, *place, **options) -> TidalWater:
+        """The same series with its tensors moved, by the arguments of `torch.Tensor.to`."""
+        return moved(self, place, options)
 
     def at(self, time) -> FlatWater:
         """The flat water at one time, or at each of several, of the same kind as the times of the readings.

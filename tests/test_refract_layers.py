@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from refract import crossing_point
+from refract import PinholeCamera, crossing_point, project, trace
 from refract.layers import ParallelLayers
 from refract.surfaces import FlatWater
 
@@ -135,6 +135,50 @@ def test_drjit_agrees_with_numpy(rng):
     np.testing.assert_allclose(np.asarray(twin.direction).T, path.direction, atol=1e-15)
     seen = PORT.project(Array3f64(bed.T), Array3f64(0.0))
     assert angle_between(np.asarray(seen).T, ray).max() < RAY_RAD
+
+
+def test_points_along_a_path_through_layers_are_where_its_legs_lead(rng):
+    ray, origin = fan(rng, 50, 60.0), np.zeros(3)
+    path = PORT.trace(origin, ray)
+    air, glass = path.lengths
+    np.testing.assert_allclose(path.at(air), path.crossings[0], atol=1e-15)
+    np.testing.assert_allclose(path.at(air + glass), path.crossings[1], atol=1e-15)
+    np.testing.assert_allclose(path.at(air + glass + 2.0), path.crossings[1] + 2.0 * path.direction, atol=1e-14)
+    np.testing.assert_allclose(path.at(0.5 * air), 0.5 * path.crossings[0], atol=1e-15)
+    seen = project(path.at(air + glass + 2.0), origin, PORT)
+    np.testing.assert_allclose(seen.water_length, 2.0, rtol=1e-12)
+    np.testing.assert_allclose(path.raised(0.7).at(1.0) - path.at(1.0), np.tile([0.0, 0.0, 0.7], (50, 1)), atol=1e-15)
+
+
+def test_points_along_rays_that_do_not_pass_all_layers():
+    out = ParallelLayers((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.34, 1.5, 1.0), (0.01,))
+    rays = torch.tensor([[0.8, 0.0, -0.6], [0.6, 0.0, 0.8], [0.0, 2.0, 0.0]], dtype=torch.float64)
+    origin = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64, requires_grad=True)
+    path = trace(origin, rays, out)
+    reflected, straight, invalid = path.at(1.0 / 0.6 + 1.0)
+    assert torch.isnan(torch.cat([reflected, invalid])).all()
+    assert straight.tolist() == pytest.approx([0.6 * (1.0 / 0.6 + 1.0), 0.0, 1.0 + 0.8 * (1.0 / 0.6 + 1.0)])
+    (gradient,) = torch.autograd.grad(straight.sum() + path.at(1.0)[0].sum(), origin)
+    assert gradient.tolist() == [2.0, 2.0, 2.0]
+
+
+def test_one_interface_of_layers_is_a_plane_to_every_function(rng):
+    layers, flat = (
+        ParallelLayers((0.0, 0.0, 0.2), (0.0, 0.0, 1.0), (1.0, 1.34)),
+        FlatWater((0.0, 0.0, 0.2), n_water=1.34),
+    )
+    points, centre = rng.uniform([-20, -20, -9], [20, 20, -2], (30, 3)), np.array([1.0, 2.0, 30.0])
+    camera = PinholeCamera(centre, np.diag([1.0, -1.0, -1.0]), 800.0, 800.0, 320.0, 240.0, 640, 480, tide=0.1)
+    np.testing.assert_allclose(crossing_point(points, centre, layers), crossing_point(points, centre, flat), atol=1e-12)
+    np.testing.assert_allclose(camera.project(points, layers), camera.project(points, flat), atol=1e-9)
+    pixels = camera.project(points, flat)
+    np.testing.assert_allclose(camera.paths(pixels, layers).at(36.0), camera.paths(pixels, flat).at(36.0), atol=1e-12)
+
+
+def test_a_camera_behind_a_port_projects_to_the_pixel_of_the_ray(rng):
+    camera = PinholeCamera(np.zeros(3), np.eye(3), 800.0, 800.0, 320.0, 240.0, 640, 480)
+    pixels = rng.uniform([0.0, 0.0], [640.0, 480.0], (20, 2))
+    np.testing.assert_allclose(camera.project(camera.paths(pixels, PORT).at(2.5), PORT), pixels, atol=1e-9)
 
 
 def test_wrong_stacks_are_named():

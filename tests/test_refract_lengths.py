@@ -42,9 +42,9 @@ def test_bend_refuses_rays_and_normals_whose_length_is_not_one():
     np.testing.assert_array_equal(codes, [Regime.BENT, Regime.INVALID, Regime.INVALID])
 
 
-@pytest.mark.parametrize(("n_from", "n_to"), [(1.0, 0.0), (0.0, 1.0), (1.0, -1.3), (math.nan, 1.0)])
-def test_indices_that_are_not_positive_are_named(n_from, n_to):
-    with pytest.raises(ValueError, match="above zero"):
+@pytest.mark.parametrize(("n_from", "n_to"), [(1.0, 0.0), (0.0, 1.0), (1.0, -1.3), (math.nan, 1.0), (1.0, math.inf)])
+def test_indices_that_are_not_positive_and_finite_are_named(n_from, n_to):
+    with pytest.raises(ValueError, match="finite refractive indices above zero"):
         bend(RAY, np.array([0.0, 0.0, 1.0]), n_from=n_from, n_to=n_to)
 
 

@@ -6,7 +6,9 @@ import math
 
 import numpy as np
 import pytest
+import torch
 
+from refract import crossing_point, project, trace
 from refract.surfaces import FlatWater
 from refract.tidal import TidalWater
 
@@ -61,3 +63,15 @@ def test_wrong_series_are_named():
             TidalWater(times, levels)
     with pytest.raises(ValueError, match="index of water"):
         TidalWater([0.0, 1.0], [1.0, 1.0], n_water=3.0)
+
+
+@pytest.mark.parametrize("function", [trace, project, crossing_point])
+def test_a_series_is_no_surface_and_the_error_says_what_is(function):
+    water = TidalWater([0.0, 600.0], [1.0, 1.4])
+    with pytest.raises(TypeError, match=r"got TidalWater.*water\.at\(time\)"):
+        function(np.array([0.0, 0.0, 30.0]), np.array([0.0, 0.0, -1.0]), water)
+
+
+def test_tensors_of_a_series_move_together():
+    water = TidalWater([0.0, 600.0], [1.0, 1.4], n_water=torch.tensor(1.34)).to(torch.float64)
+    assert water.n_water.dtype == water.at(300.0).n_water.dtype == torch.float64

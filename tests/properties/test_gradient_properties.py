@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from refract import FlatWater, ParallelLayers, project, trace
+from refract import BicubicWater, FlatWater, HeightFieldWater, ParallelLayers, SphericalWater, WavyWater, project, trace
 
 # The same examples every time; no deadline, because the first example pays for imports.
 always = settings(max_examples=100, deadline=None, derandomize=True)
-# Coordinates [m] of any size that a scene may have, and what is no number; the squares of larger ones overflow.
+# Coordinates [m] of every magnitude that a float32 has, and what is no number.
+POWER = st.builds(
+    lambda sign, power: float(np.float32(sign * 10.0**power)), st.sampled_from([-1, 1]), st.floats(-5, 38.5)
+)
 COORDINATE = st.one_of(
-    st.floats(-1e9, 1e9, width=32), st.sampled_from([0.0, float("nan"), float("inf"), -float("inf"), 1e-40, -1e-20])
+    st.floats(-1e3, 1e3, width=32), POWER, st.sampled_from([0.0, np.nan, np.inf, -np.inf, 1e-40, -1e-20, 1e15, -3e38])
 )
 TRIPLE = st.tuples(COORDINATE, COORDINATE, COORDINATE)
 HEIGHT = st.floats(0.0, 1e4, width=32)
@@ -65,3 +69,52 @@ def test_no_point_behind_layers_makes_a_shared_gradient_nan(point):
     told = seen.direction, seen.air_length, seen.water_length, port.project(points, camera)
     for gradient in shared_gradients(told, (camera, glass)):
         assert torch.isfinite(gradient).all()
+
+
+NODES = np.linspace(-20.0, 20.0, 6)
+RELIEF = 0.05 * np.sin(NODES) * np.cos(NODES[:, None])
+RELIEF[5, 5] = np.nan
+
+
+def every_water(level, n):
+    """One of each kind, with the level and the index that they share."""
+    z = level + torch.tensor(RELIEF, dtype=level.dtype)
+    return {
+        "plane": FlatWater((0.0, 0.0, level), n_water=n, slope_x=0.01),
+        "layers": ParallelLayers((0.0, 0.0, level), (0.1, 0.0, 1.0), (1.0, 1.5, n), (0.01,)),
+        "sphere": SphericalWater((0.0, 0.0, level), n_water=n),
+        "waves": WavyWater((0.0, 0.0, level), (0.02, 0.01), ((1.5, 0.3), (-0.6, 2.2)), n_water=n),
+        "cubic pieces": BicubicWater((-20.0, -20.0), 8.0, z, n_water=n),
+        "triangles": HeightFieldWater.from_raster(NODES, NODES, z, n_water=n),
+    }
+
+
+KINDS = ("plane", "layers", "sphere", "waves", "cubic pieces", "triangles")
+few = settings(max_examples=30, deadline=None, derandomize=True)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("kind", KINDS)
+@few
+@given(far=TRIPLE)
+def test_no_point_camera_or_origin_makes_a_gradient_shared_over_any_water_nan(kind, dtype, far):
+    camera, level, n = (torch.tensor(v, dtype=dtype, requires_grad=True) for v in ([1.0, 2.0, 30.0], 0.0, 1.333))
+    water, place = every_water(level, n)[kind], torch.tensor(far, dtype=dtype)
+    points = torch.stack([torch.tensor([4.0, 1.0, -3.0], dtype=dtype), place])
+    told = []
+    for end, eye in ((points, camera), (points[:1], torch.stack([camera, place]))):
+        seen = project(end, eye, water)
+        told += [seen.direction, seen.crossing, seen.air_length, seen.water_length, seen.depth]
+    rays = torch.tensor([[0.6, 0.0, -0.8], [0.0, 0.6, 0.8], [0.0, -0.6, -0.8]], dtype=dtype)
+    path = trace(torch.stack([camera, camera, place]), rays, water)
+    crossings = path.crossings if kind == "layers" else (path.crossing, path.air_length, path.water_direction)
+    gradients = shared_gradients((*told, *crossings), (camera, level, n))
+    assert all(torch.isfinite(gradient).all() for gradient in gradients)
+    assert all(gradient.abs().sum() > 0.0 for gradient in gradients)
+
+
+@pytest.mark.parametrize("water", [None, FlatWater((0.0, 0.0, 0.0))])
+def test_what_is_out_of_reach_is_counted_as_no_number(water):
+    far = np.array([[4.0, 1.0, -3.0], [9e14, 0.0, -3.0], [1.1e15, 0.0, -3.0], [0.0, -1e200, -3.0]])
+    assert project(far, np.array([1.0, 2.0, 30.0]), water).counts()["invalid"] == 2
+    assert trace(-far, np.array([0.6, 0.0, -0.8]), water).counts()["invalid"] == 2

@@ -160,7 +160,7 @@ def once_table(case: Case) -> dict[str, dict]:
     rows = {"a kept pixel claims those of later views (kept)": case.figures(case.points(maps))}
     with patch.object(stage_bed, "has_company", lambda xyz, gsd: np.ones(len(xyz), dtype=bool)):
         rows["the same, with isolated points"] = case.figures(case.points(maps))
-    with patch.object(stage_bed, "unique_pixels", lambda block, found: [trusted(m) for m in found]):
+    with patch.object(stage_bed, "unique_pixels", lambda block, found, gsd: [trusted(m) for m in found]):
         everything = case.points(maps)
     rows["nothing left out"] = case.figures(everything)
     rows["mean of the points in cubes of one GSD"] = case.figures(in_cubes(everything, case.plan.gsd_m))

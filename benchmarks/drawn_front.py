@@ -51,14 +51,9 @@ def draw(path: Path, records: Sequence[Record]) -> None:
             _error_mm(record), processor_s(record), MARKERS.get(depth, "v"), color=colour, ms=SIZES.get(number, 7),
             markerfacecolor="none" if record.quality == "draft" else colour, mew=1.0, alpha=0.9,
         )  # fmt: skip
-    for name in [name for name in METHODS if any(record.method == name for record in known)]:
-        axes.plot([], [], "o", color=COLOURS[name], label=METHODS[name].words)
-    for depth, marker in MARKERS.items():
-        axes.plot([], [], marker, color=INK, markerfacecolor="none", ms=6, label=f"{depth} m deep")
-    for number, size in SIZES.items():
-        axes.plot([], [], "o", color=INK, markerfacecolor="none", ms=size, label=f"{number} photographs")
-    axes.plot([], [], "o", color=INK, markerfacecolor="none", label="draft")
-    axes.plot([], [], "o", color=INK, label="standard")
+    for label, marker, colour, size, is_filled in legend_of(known):
+        face = colour if is_filled else "none"
+        axes.plot([], [], marker, color=colour, markerfacecolor=face, ms=size, label=label)
     axes.set(xscale="log", yscale="log")
     # At least a decade, so that small differences look small.
     low, high = axes.get_ylim()
@@ -73,6 +68,20 @@ def draw(path: Path, records: Sequence[Record]) -> None:
     axes.grid(True, lw=0.3, color=SOFT, alpha=0.5)
     axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     save(figure, path)
+
+
+def legend_of(records: Sequence[Record]) -> list[tuple[str, str, str, int, bool]]:
+    """What marks mean, of what there is: words, marker, colour, size, and whether it is filled."""
+    parts = [parts_of(record) for record in records]
+    depths, numbers = {depth for depth, _, _ in parts}, {number for _, _, number in parts}
+    methods = {record.method for record in records}
+    return [
+        *((METHODS[name].words, "o", COLOURS[name], 6, True) for name in METHODS if name in methods),
+        *((f"{depth} m deep", marker, INK, 6, False) for depth, marker in MARKERS.items() if depth in depths),
+        *((f"{number} photographs", "o", INK, size, False) for number, size in SIZES.items() if number in numbers),
+        ("hollow: draft", "o", INK, 6, False),
+        ("filled: standard", "o", INK, 6, True),
+    ]
 
 
 def _is_standard_of(other: Record, record: Record) -> bool:

@@ -38,16 +38,16 @@ def _find_llvm() -> str | None:
     if "DRJIT_LIBLLVM_PATH" in os.environ:
         return os.environ["DRJIT_LIBLLVM_PATH"]
     for version in _LLVM_VERSIONS:
-        name = ctypes.util.find_library(f"LLVM-{version}")
-        hits: list[str | Path] = [name] if name else []
-        hits += sorted(Path("/usr/lib").glob(f"*-linux-gnu/libLLVM*{version}*.so*"))
+        hits = sorted(Path("/usr/lib").glob(f"*-linux-gnu/libLLVM*{version}*.so*"))
         hits += sorted(Path("/usr/lib").glob(f"llvm-{version}/lib/libLLVM*.so*"))
-        if hits:
-            return str(hits[0])
+        # Asks ldconfig and a compiler, which takes a third of a second.
+        found = str(hits[0]) if hits else ctypes.util.find_library(f"LLVM-{version}")
+        if found:
+            return found
     if sys.platform == "darwin":
         roots = (Path("/opt/homebrew/opt"), Path("/usr/local/opt"))
-        found = [path for root in roots for path in root.glob("llvm*/lib/libLLVM.dylib")]
-        return str(found[0]) if found else None
+        dylibs = [path for root in roots for path in root.glob("llvm*/lib/libLLVM.dylib")]
+        return str(dylibs[0]) if dylibs else None
     return None
 
 

@@ -74,6 +74,8 @@ def namespace(*arrays) -> SimpleNamespace:
     # What torch compiles comes from torch, and it cannot look into Dr.Jit.
     drjit = None if _is_compiling() else sys.modules.get("drjit")
     for array in arrays:
+        if type(array) is np.ndarray or type(array) is float:
+            continue
         if torch is not None and torch.is_tensor(array):
             return _library("torch").NAMESPACE
         if drjit is not None and drjit.is_array_v(array):

@@ -146,6 +146,9 @@ def normalised(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
 
 def undistorted(lens: Lens, pixels: np.ndarray) -> np.ndarray:
     """Where pixels (N, 2) of a distorted photograph look, at depth 1 in cam (N, 2)."""
+    # OpenCV has no answer to no points.
+    if len(pixels) == 0:
+        return np.empty((0, 2))
     fx, fy = lens.focal
     distortion = lens.distortion
     if is_affine(lens) and distortion is not None:
@@ -161,7 +164,7 @@ def undistorted(lens: Lens, pixels: np.ndarray) -> np.ndarray:
 
 def distorted(lens: Lens, pixels: np.ndarray) -> np.ndarray:
     """Pixels (N, 2) of the photograph at which those (N, 2) of the pinhole camera appear; undoes `undistorted`."""
-    if not lens.is_distorted:
+    if not lens.is_distorted or len(pixels) == 0:
         return pixels
     (fx, fy), (cx, cy) = lens.focal, (lens["cx"], lens["cy"])
     plane = np.ascontiguousarray((pixels - (cx, cy)) / (fx, fy))

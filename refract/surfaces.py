@@ -14,7 +14,7 @@ import numpy as np
 
 from refract import kernels
 from refract._array import namespace, root
-from refract._numbers import hold, in_library, moved, number, plain, require_index
+from refract._numbers import hold, in_library, moved, number, require_index
 from refract.kernels import GRAZING
 
 # Of `kernels.air_share`, for the last bits over all heights, depths and distances (docs/optics.md).
@@ -224,7 +224,3 @@ class FlatWater:
         plane_point, up, n_water = self.plane(camera, point)
         ends = tuple(kernels.double(v) for v in (camera, point, plane_point, up, (n_water,)))
         return kernel(*ends[:4], *ends[4], min(steps, enough), like=point[0] if single else None)
-
-    def as_array(self) -> np.ndarray:
-        """Point, normal and index as (7,) float64, the form that compiled kernels take."""
-        return np.array([plain(v) for v in (*self.point, *self.up, self.n_water)], dtype=np.float64)

@@ -26,16 +26,23 @@ def level(information: float, roughness: float, size: int = 40) -> tuple[Tile, S
     return tile, Solved(zero, zero + np.float32(information), stiffness, bends, brightness, slope, motion, 1.0)
 
 
-def residuals(noise: np.ndarray, depth: float = 2.0, shift_px: float = 0.0) -> tuple[Tile, Solved]:
-    """A textured tile whose photographs have this noise (K, 96, 96) and are shifted in waves, each in its own way."""
+def residuals(
+    noise: np.ndarray, depth: float = 2.0, shift_px: float = 0.0, relief: np.ndarray | None = None
+) -> tuple[Tile, Solved]:
+    """A textured tile whose photographs have this noise (K, 96, 96) and are shifted in waves, each in its own way.
+
+    Its heights are level, whatever relief (96, 96) [m] the photographs show.
+    """
     random, tile, views = np.random.default_rng(8), plain_tile(96), len(noise)
     albedo = 40.0 * ndimage.gaussian_filter(random.standard_normal((96, 96)), 1.5).ravel().astype(np.float32)
     gradients = gradients_of(tile, 10.0 * albedo)
     phase = random.uniform(0.0, 2.0 * np.pi, (views, 2, 1)) + 0.08 * tile.places[0]
     shift = np.sqrt(2.0) * shift_px * np.sin(phase)
     grey = 10.0 * albedo + noise.reshape(views, -1) + shift[:, 0] * gradients[0] + shift[:, 1] * gradients[1]
-    brightness = brightness_of(grey.astype(np.float32))
     motion = 10.0 * random.standard_normal((views, 2, 1)).astype(np.float32) * np.ones((1, 1, len(tile)), np.float32)
+    if relief is not None:
+        grey = grey - np.einsum("kan,an->kn", motion, np.array(gradients)) * relief.ravel()
+    brightness = brightness_of(grey.astype(np.float32))
     slope = brightness.less_mean(np.einsum("kan,an->kn", motion, np.array(gradients)).astype(np.float32))
     information = np.einsum("kn,kn,kn->n", brightness.weight, slope, slope)
     zero, bends = np.zeros(len(tile), dtype=np.float32), bends_of(tile)

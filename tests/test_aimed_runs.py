@@ -148,7 +148,9 @@ def test_a_round_that_runs_out_of_time_leaves_what_was_there_before(tmp_path, cl
 
 def test_a_time_that_is_too_short_is_refused_with_the_shortest(tmp_path):
     run = drawn(tmp_path / "survey", **FINER)
-    with pytest.raises(SurveyError, match=r"--time-budget 1 is too short: this survey takes at least about \d+ s"):
+    with pytest.raises(SurveyError, match=r"--time-budget 7 is too short: this survey takes at least about \d+ s"):
+        process(run.folder, time_budget_s=7.0)
+    with pytest.raises(SurveyError, match=r"--time-budget 1 is too short: any run takes 5\.5 s and more"):
         process(run.folder, time_budget_s=1.0)
     with pytest.raises(SurveyError, match="leave one out"):
         process(run.folder, time_budget_s=1000.0, quality="draft")

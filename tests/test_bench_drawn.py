@@ -66,6 +66,11 @@ def test_the_page_gets_the_table_between_its_marks_and_keeps_the_rest(bench, tmp
     assert (tmp_path / "front.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_the_legend_has_what_was_measured_alone(bench):
+    labels = [label for label, *_ in bench.front.legend_of([_record("full", "draft", 20.0, 0.005)])]
+    assert labels == ["whole chain", "2 m deep", "20 photographs", "hollow: draft", "filled: standard"]
+
+
 def test_the_pages_have_the_marks_and_the_published_results_can_be_read(bench):
     for page, name in ((bench.drawn.PAGE, "drawn"), (ROOT / "docs" / "stress.md", "stress")):
         text, (begin, end) = page.read_text(encoding="utf-8"), bench.published.marks(name)

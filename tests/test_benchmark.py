@@ -13,7 +13,7 @@ from geo import read_cloud
 from survey.benchmark.against import changes, over_surveys, unpaired
 from survey.benchmark.benchmark import Settings, benchmark
 from survey.benchmark.cases import case_of, drawn_names, variant
-from survey.benchmark.front import draw_front, on_front
+from survey.benchmark.front import draw_front, legend_of, on_front
 from survey.benchmark.records import Cost, Errors, Record, Results, read_results, write_results
 from survey.benchmark.text import comparison, lines_of, table
 from survey.errors import SurveyError
@@ -76,6 +76,65 @@ def test_times_are_judged_with_three_repeats_on_one_machine_only():
     assert verdicts(results(record()), results(slow))["wall_s"] == "not judged"
 
 
+def test_memory_is_judged_as_times_are():
+    light, heavy = record(times=(10.0, 10.2, 10.1)), record(times=(10.0, 10.2, 10.1))
+    heavy = replace(heavy, costs=tuple(replace(cost, peak_bytes=2 * cost.peak_bytes) for cost in heavy.costs))
+    assert verdicts(results(heavy), results(light))["memory"] == "worse"
+    assert verdicts(results(light), results(heavy))["memory"] == "better"
+    assert verdicts(results(light), results(light))["memory"] == "as before"
+    assert verdicts(results(heavy), results(light, processor="other"))["memory"] == "not judged"
+
+
+def test_completeness_and_coverage_are_judged_beyond_their_noise():
+    then = errors()
+    lost = replace(then, completeness=then.completeness | {"0.05": 0.89, "0.2": 0.9895}, coverage=0.97)
+    found = verdicts(results(record(found=lost)), results(record(found=then)))
+    assert found["complete at 0.05 m"] == "worse"
+    assert found["complete at 0.2 m"] == "as before"
+    assert found["std covers"] == "worse"
+    back = verdicts(results(record(found=then)), results(record(found=lost)))
+    assert (back["complete at 0.05 m"], back["std covers"]) == ("better", "better")
+    # Whether too few or too many are covered.
+    few = replace(then, coverage=0.93)
+    assert verdicts(results(record(found=few)), results(record(found=lost)))["std covers"] == "as before"
+    # Standard deviations over straight rays are of no height.
+    straight = [results(record("straight", found=each)) for each in (lost, then)]
+    assert "std covers" not in verdicts(*straight)
+    (line,) = [
+        line for line in lines_of(changes(*(results(record(found=e)) for e in (lost, then)))) if "0.05 m" in line
+    ]
+    assert line.endswith("complete at 0.05 m -1.00 points worse")
+
+
+def lifted(found: Errors, by: float) -> Errors:
+    """The same errors with every distance so much larger."""
+    blocks = {name: [n, total + n * by, squares + 2.0 * by * total + n * by**2]
+              for name, (n, total, squares) in found.blocks.items()}  # fmt: skip
+    return replace(found, mean_m=found.mean_m + by, blocks=blocks)
+
+
+def test_a_mean_that_leaves_zero_on_either_side_is_worse():
+    for by in (0.002, -0.002):
+        assert verdicts(results(record(found=lifted(errors(), by))), results(record()))["mean"] == "worse"
+        assert verdicts(results(record()), results(record(found=lifted(errors(), by))))["mean"] == "better"
+    assert verdicts(results(record(found=lifted(errors(), 1e-4))), results(record()))["mean"] == "as before"
+
+
+def test_differences_over_several_surveys_are_taken_together():
+    cases = ("a", "b", "c")
+    then = results(*(replace(record(), case=case) for case in cases))
+    losses = (0.010, 0.012, 0.009)
+    now = results(
+        *(
+            replace(record(found=replace(errors(), completeness={"0.05": 0.9 - loss})), case=case)
+            for case, loss in zip(cases, losses, strict=True)
+        )
+    )
+    (change,) = [c for c in over_surveys(changes(now, then)) if c.figure == "complete at 0.05 m"]
+    assert change.verdict == "worse"
+    assert change.difference == pytest.approx(-np.mean(losses))
+
+
 def test_a_lost_cloud_is_worse():
     lost = replace(record(), errors=None)
     assert verdicts(results(lost), results(record())) == {"has a cloud": "worse"}
@@ -95,8 +154,11 @@ def test_over_several_surveys_ratios_are_taken_together_and_times_of_one_repeat_
     )
     assert {c.verdict for c in over_surveys(changes(mixed, then)) if c.figure == "wall_s"} == {"as before"}
     elsewhere = replace(now, machine={"processor": "other"})
-    assert [change.figure for change in over_surveys(changes(elsewhere, then))] == ["error"]
+    assert [change.figure for change in over_surveys(changes(elsewhere, then))] == _OF_CLOUDS
     assert over_surveys(changes(replace(now, records=now.records[:2]), then)) == []
+
+
+_OF_CLOUDS = ["error", "mean", "complete at 0.05 m", "complete at 0.1 m", "complete at 0.2 m", "std covers"]
 
 
 def _faster(slow: Record, by: float) -> Record:
@@ -125,6 +187,21 @@ def test_the_front_holds_what_nothing_beats_in_both_time_and_error(tmp_path):
     assert (tmp_path / "front.png").read_bytes().startswith(b"\x89PNG")
     lines = table(results(*found))
     assert [line.endswith("*") for line in lines[1:]] == [True, True, False]
+
+
+def test_coverage_is_printed_only_where_a_std_is_that_of_the_height():
+    ours, straight = (line for line in table(results(record("full"), record("straight")))[1:])
+    assert "95.0 %" in ours
+    assert "95.0 %" not in straight
+
+
+def test_the_legend_says_what_filled_and_hollow_marks_mean():
+    entries = legend_of(["full"], ["quick"])
+    assert [label for label, *_ in entries[:2]] == ["whole chain", "quick"]
+    assert {label.partition(":")[0]: is_filled for label, *_, is_filled in entries[2:]} == {
+        "filled": True,
+        "hollow": False,
+    }
 
 
 def test_names_of_drawn_surveys_are_checked_before_anything_is_drawn():

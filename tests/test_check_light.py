@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from datetime import UTC, datetime
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -15,7 +16,7 @@ from refract import PinholeCamera
 from survey.photos.exif import read_exif
 from survey.photos.sharpness import detail_of, relative
 from survey.plan.check import require_processable
-from survey.plan.check_light import LEAST_SHARP, glitter_text, light_section, motion_text, times_of
+from survey.plan.check_light import LEAST_SHARP, glitter_text, light_section, motion_text, sharpness_text, times_of
 from survey.plan.glitter import GlitterOfFlight, glitters, slope_variance, widest_lean
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -100,6 +101,26 @@ def test_an_image_that_moved_or_lost_its_focus_is_less_sharp_than_its_neighbours
     assert int(np.argmin(found)) == 3
     assert found[3] < LEAST_SHARP
     assert (np.delete(found, 3) > LEAST_SHARP).all()
+
+
+def test_a_photograph_that_is_mostly_white_is_called_white_and_not_blurred(tmp_path):
+    images = {f"{seed}.png": textured(seed) for seed in range(6)}
+    images["2.png"][100:] = 255.0
+    images["4.png"] = cv2.filter2D(images["4.png"], -1, np.full((5, 5), 0.04))
+    paths = {name: tmp_path / name for name in images}
+    for name, image in images.items():
+        cv2.imwrite(str(paths[name]), image)
+    found = SimpleNamespace(images=paths, heads={name: SimpleNamespace(size_px=(400, 300)) for name in paths})
+    text = sharpness_text(found)
+    assert text.startswith(
+        "poor: 1 of 6 photographs is more than half white by glint of the sun or exposure: 2.png (67"
+    )
+    blurred = text.partition("usual detail in some direction: ")[2].partition(";")[0]
+    assert blurred.startswith("4.png")
+    assert "2.png" not in blurred
+    del found.images["4.png"]
+    assert "none of 5 photographs is blurred" in sharpness_text(found)
+    assert "take those that are blurred" not in sharpness_text(found)
 
 
 def test_times_without_a_zone_are_those_of_the_longitude(tmp_path):

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from survey.adjust.foreseen import foresee
 from survey.commands.verbs import app
 from survey.errors import ConfigError, SurveyError
+from survey.plan.choices import Choices
 from survey.simulate.scene_file import read_scene
 from survey.simulate.staging.build import light_of
 from survey.simulate.staging.check_plan import check_plan, survey_of
@@ -101,8 +102,14 @@ def test_oblique_views_and_better_positions_tell_the_level_and_nadir_alone_does_
 def test_heights_of_photographs_that_are_halved_are_half_as_good(tmp_path):
     path = plan_file(tmp_path, ("[600, 450]", "[4000, 3000]"), ("focal_px = 500.0", "focal_px = 3300.0"))
     survey = survey_of(plan_scene(read_scene(path), tmp_path))
-    fine, standard = (foresee(survey, depth_m=1.5, quality=quality) for quality in ("fine", "standard"))
+    fine, standard = (foresee(survey, depth_m=1.5, chosen=Choices(quality=quality)) for quality in ("fine", "standard"))
     assert standard.heights.of_point_m == pytest.approx(2.0 * fine.heights.of_point_m)
+
+
+def test_a_short_way_is_said_in_seconds(tmp_path):
+    way = said(checked(plan_file(tmp_path, ("height_m = 12.0", "height_m = 12.0\nspeed_m_s = 4.0"))), "Flight")["way"]
+    metres, seconds = (int(way.partition(f" {unit} ")[0].split()[-1]) for unit in ("m", "seconds"))
+    assert seconds == pytest.approx(metres / 4.0, abs=1.0)
 
 
 def test_a_flight_with_too_little_overlap_is_told_to_have_more(tmp_path):

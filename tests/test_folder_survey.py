@@ -9,9 +9,11 @@ from pyproj import Transformer
 from small_survey import CRS, E0, LEVEL, N0, TOML, camera_lines, replaced, small_survey, write_image, write_poses
 
 from geo.errors import GeoError, MissingVerticalDatum
+from refract.dispersion import converted_index
 from survey.errors import ConfigError, ImageError, PosesError, SurveyError
 from survey.folder.config import dump_config, parse_config
 from survey.folder.survey import load_image, load_survey
+from survey.photos.images import LUMA
 
 # Over 30 m, grid metres and true ones differ by 0.0007 (scale and height) on a rise of 0.006 * 30 m, and level
 # water leaves its plane by 0.07 mm.
@@ -67,13 +69,17 @@ def test_the_settings_that_took_effect_make_the_same_survey_again(tmp_path):
 
 def test_what_is_not_given_of_the_water_is_said_to_be_assumed(tmp_path):
     survey = load_survey(small_survey(tmp_path / "a", toml=replaced(("refractive_index = 1.333", ""))))
-    assert survey.water.n_water == 1.333
-    assert any("refractive_index = 1.333, fresh water" in text for text in survey.assumptions)
+    # White noise is no texture: 1.333 of the sodium line, for the weights of luma.
+    assert survey.water.n_water == pytest.approx(converted_index(1.333, 589.3, LUMA), abs=1e-6)
+    assert survey.config.water.index_std == 0.004
+    (said,) = survey.assumptions
+    assert said.startswith(f"refractive_index = {survey.water.n_water}, fresh water (the sea has 1.340")
+    assert ", 1.333 at 589.3 nm for light of " in said
     toml = replaced(("refractive_index = 1.333", "temperature_c = 20"))
     survey = load_survey(small_survey(tmp_path / "b", toml=toml))
     fresh, light = survey.assumptions
     assert fresh == "salinity_psu = 0, fresh water"
-    # White noise is no texture: the mean of Quan and Fry at 610, 540 and 460 nm by the weights of luma.
+    # The mean of Quan and Fry at 610, 540 and 460 nm by the weights of luma.
     assert survey.water.n_water == pytest.approx(1.334465, abs=1e-6)
     assert light.startswith("refractive_index = 1.334465, of water of 20 degrees for light of 547 nm (red 30 %, green")
 

@@ -5,11 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from survey.adjust.foreseen import MATCH_STD_PX, foresee
+from survey.adjust.foreseen import DEPTH_M, MATCH_STD_PX, foresee, heights_by_depth
 from survey.adjust.foreseen_text import foreseen_section
+from survey.adjust.std_common import std_common
 from survey.folder.survey import load_survey
+from survey.plan.choices import Choices
+from survey.plan.plan import make_plan
 from survey.simulate.drawn import DrawnScene, draw_survey
 from tests.block_survey import survey_of
 from tests.drawn_block import draw_block
@@ -61,3 +65,36 @@ def test_the_section_says_what_was_assumed_and_what_has_to_be_given():
     rows = dict(section.rows)
     assert "has to be given" in rows["level"]
     assert "tie points good to" in rows["assumed"]
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """A survey whose poses the plan keeps, and its folder."""
+    folder = tmp_path_factory.mktemp("foreseen") / "tiny"
+    draw_survey(folder, DrawnScene.tiny())
+    survey = load_survey(folder)
+    assert make_plan(survey).poses[0] == "fixed"
+    return survey
+
+
+def test_heights_over_poses_that_are_kept_are_foreseen_as_a_run_states_them(kept):
+    found, adjusted = foresee(kept), foresee(kept, chosen=Choices(poses="refine"))
+    assert found is not None
+    assert adjusted is not None
+    x, y = np.meshgrid(np.linspace(-1.0, 1.0, 12), np.linspace(-1.0, 1.0, 12))
+    bed = np.column_stack([x.ravel(), y.ravel(), kept.water.height(x.ravel(), y.ravel()) - DEPTH_M])
+    stated = np.median(std_common(bed, np.full(len(bed), True), kept, None, make_plan(kept).gsd_m))
+    assert found.heights.of_all_m == pytest.approx(stated, rel=0.1)
+    assert adjusted.heights.of_all_m < 0.85 * stated
+    assert found.heights.of_point_m == pytest.approx(adjusted.heights.of_point_m)
+    for chosen, words in ((Choices(), "poses and lens kept"), (Choices(poses="refine"), "poses and lens adjusted")):
+        section = foreseen_section(kept, chosen=chosen)
+        assert section is not None
+        assert words in dict(section.rows)["assumed"]
+
+
+def test_the_depth_that_is_asked_for_is_listed_however_low_the_flight(kept):
+    height = make_plan(kept).height_m
+    depths = [heights.depth_m for heights in heights_by_depth(kept, 0.8 * height)]
+    assert depths == pytest.approx([0.2 * height, 0.4 * height, 0.8 * height])
+    assert [heights.depth_m for heights in heights_by_depth(kept, 0.2 * height)][-1] == pytest.approx(0.4 * height)

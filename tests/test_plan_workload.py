@@ -73,10 +73,15 @@ def test_the_time_is_not_guessed_for_devices_that_were_not_measured(tmp_path):
 
 def test_the_estimate_in_words():
     workload = Workload(42, 40, 173.0, 2, 2_070_000_000, 870_000_000)
-    words = "about 3 minutes on 2 cores, about 2.1 GB of memory and 870 MB on the disk; 40 of 42 views get a height map"
+    words = (
+        "about 3 minutes on 2 idle cores, about 2.1 GB of memory and 870 MB on the disk; "
+        "40 of 42 views get a height map"
+    )
     assert str(workload) == words
-    assert str(replace(workload, seconds=31.0, num_cores=1)).startswith("about 40 seconds on 1 core, ")
-    assert str(replace(workload, seconds=9000.0)).startswith("about 2.5 hours on 2 cores, ")
+    assert str(replace(workload, seconds=31.0, num_cores=1)).startswith("about 40 seconds on 1 idle core, ")
+    assert str(replace(workload, seconds=9000.0)).startswith("about 2.5 hours on 2 idle cores, ")
+    busy = "about 6 minutes on 2 cores as busy as now (2.0 times as long as idle), "
+    assert str(workload.on_busy(2.0)).startswith(busy)
 
 
 def test_too_little_disk_or_memory_is_a_warning_of_check(tmp_path, monkeypatch):

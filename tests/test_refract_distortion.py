@@ -219,3 +219,9 @@ def test_an_affine_lens_without_its_two_terms_is_browns(rng):
     np.testing.assert_allclose(undistorted(by_k3, without), undistorted(AFFINE_LENS, pixels), rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(affine_from_brown(AFFINE_LENS, without), pixels, rtol=0.0, atol=1e-8)
     assert k4 != 0.0 != skew
+
+
+@pytest.mark.parametrize("lens", LENSES, ids=lambda lens: lens.model)
+def test_no_pixels_are_no_pixels_through_any_lens(lens):
+    none = np.empty((0, 2))
+    assert distorted(lens, none).shape == undistorted(lens, none).shape == (0, 2)

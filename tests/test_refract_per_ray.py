@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from refract import FlatWater, TidalWater, WavyWater, channel_indices, crossing_point, project, trace
+from refract import FlatWater, SphericalWater, TidalWater, WavyWater, channel_indices, crossing_point, project, trace
 
 CENTRE = np.array([1.0, 2.0, 30.0])
 COUNT = 7
@@ -109,7 +109,7 @@ def test_wrong_numbers_among_many_are_found():
         with pytest.raises(ValueError, match=r"expected .* index"):
             FlatWater((0.0, 0.0, 0.0), **arguments)
     with pytest.raises(ValueError, match=r"one number.*\(2,\)"):
-        FlatWater((0.0, 0.0, [0.0, 1.0])).as_array()
+        SphericalWater((0.0, 0.0, [0.0, 1.0]), 6.4e6).detached()
 
 
 @pytest.mark.parametrize("name", ["trace", "project", "at_height", "crossing_point"])

@@ -73,7 +73,7 @@ def test_drjit_takes_water_as_opaque_numbers(rng, Float):
 
     camera, point = drone_geometry(rng, 1000)
     water = FlatWater((0.5, -0.25, 0.125), n_water=1.34, slope_x=0.02, slope_y=-0.01)
-    numbers = [drjit.opaque(Float, float(v)) for v in water.as_array()]
+    numbers = [drjit.opaque(Float, float(v)) for v in (*water.point, *water.up, water.n_water)]
     found, _ = kernels.crossing_of_point(
         tuple(map(Float, camera)), tuple(map(Float, point)), numbers[:3], numbers[3:6], numbers[6], 4
     )

@@ -84,7 +84,7 @@ DISK_FILES = {
         "survey/export": ("cameras", "clouds", "export", "gridded", "loaded", "photographs", "product", "written"),
         "survey/files": ("csv_table", "json_values", "lock", "outputs", "toml_table", "xml_tree"),
         "survey/folder": ("found", "infer", "inputs", "level_geojson", "masks"),
-        "survey/photos": ("complete", "images", "opening", "png", "priors"),
+        "survey/photos": ("complete", "images", "opening", "png"),
         "survey/photos/formats": (
             "__init__",
             "colmap",

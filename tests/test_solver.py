@@ -14,8 +14,9 @@ from solved_tiles import plain_tile
 
 from fields.device import choose_device
 from fields.solver.appearance import appearance_of, brightness_of
+from fields.solver.projection import Projection
 from fields.solver.roughness import roughness_of
-from fields.solver.sight import lookup, window_of
+from fields.solver.sight import Surface, lookup, sights_of, window_of
 from fields.solver.smoothness import bends_of, stiffness_of
 from fields.solver.solve import Solved
 from fields.solver.solver import SolvedMap, SolverFigures, solve_maps
@@ -117,6 +118,18 @@ def test_the_error_is_what_the_standard_deviation_says():
 def test_more_noise_gives_larger_standard_deviations():
     quiet, noisy = (np.median(solved(noise, 0.2, 0.1)[2]) for noise in (0.5, 16.0))
     assert noisy > 1.2 * quiet
+
+
+def test_pixels_that_look_along_a_wall_keep_the_heights_of_the_sweep():
+    block, maps, _ = survey(0.3, 0.0)
+    height = maps[0].height.copy()
+    height[:, SIZE // 2 :] += 20.0 * GSD
+    maps = [replace(maps[0], height=height), *maps[1:]]
+    kept = [middle() if m.view == 0 else np.zeros((SIZE, SIZE), dtype=bool) for m in maps]
+    found, _ = solve_maps(block, maps, kept, GSD, lambda share: None)
+    columns = np.arange(14, SIZE - 14)
+    beside = (columns == SIZE // 2 - 1) | (columns == SIZE // 2)
+    np.testing.assert_array_equal(np.unique(found[0].pixels % SIZE), columns[~beside])
 
 
 def test_planes_have_no_bends_however_steep():
@@ -221,3 +234,20 @@ def test_a_lookup_in_the_part_of_an_image_that_it_needs_gives_the_same_bits(rng)
     for way in (cv2.INTER_CUBIC, cv2.INTER_LINEAR):
         part = lookup(image[rows, columns], x - columns.start, y - rows.start, way)
         np.testing.assert_array_equal(part, lookup(image, x, y, way))
+
+
+def test_tiles_seen_together_are_seen_as_each_alone(device):
+    """Also where only some of them are in another photograph."""
+    cameras = {0: camera(0.0, 0.0), 1: camera(0.4 * SIZE * GSD, 0.0), 2: camera(0.0, 0.3)}
+    heights = np.full((SIZE, SIZE), -DEPTH, dtype=np.float32) + np.linspace(0.0, 0.1, SIZE, dtype=np.float32)
+    maps = dict.fromkeys(cameras, Surface(heights, heights < -1.95))
+    wanted = np.random.default_rng(4).random((SIZE, SIZE)) < 0.7
+    tiles = list(tiles_of(wanted, np.ones_like(wanted), 30))
+    projection = Projection(device, cameras, WATER)
+    together = sights_of(tiles, 0, (1, 2), cameras, maps, projection, 0.01)
+    assert {tuple(sight.views) for sight in together} == {(0, 2), (0, 1, 2)}
+    for tile, sight in zip(tiles, together, strict=True):
+        (alone,) = sights_of([tile], 0, (1, 2), cameras, maps, projection, 0.01)
+        assert alone.views == sight.views
+        for name in ("position", "rise", "motion", "seen"):
+            np.testing.assert_array_equal(getattr(alone, name), getattr(sight, name))

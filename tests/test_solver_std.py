@@ -13,7 +13,7 @@ from fields.solver.correlation import NoiseShares, noise_shares, phantoms_of, re
 from fields.solver.shifts import Shifts, shifts_of
 from fields.solver.solve import CG_RESIDUAL, Solved, conjugate_gradients, normal_matrix, response_to
 from fields.solver.tile import Tile
-from fields.solver.uncertainty import Expected, change_of, expected_of, relief_of, smoothed
+from fields.solver.uncertainty import Expected, bends_below, change_of, expected_of, relief_of, smoothed
 
 INFORMATION, ROUGHNESS, RESPONSE = 1.0 / 0.02**2, 0.01, 0.8
 STILL = Shifts(0.0, 0.0)
@@ -94,6 +94,37 @@ def test_noise_of_its_own_in_each_pixel_counts_once_and_noise_that_neighbours_sh
     assert more.heights > 1.25 * alone.heights
 
 
+@pytest.mark.parametrize(("relief_m", "low", "high"), [(0.0, 0.0, 0.1), (0.03, 1.0, 1.0)])
+def test_residuals_tell_whether_heights_follow_the_bed_from_pixel_to_pixel(relief_m, low, high):
+    relief = relief_m * white(1, seed=4)[0] / 3.0
+    found = noise_shares(phantoms_of([residuals(white(8), relief=relief)], ROUGHNESS, 1.0), 1.0, STILL, is_wet=True)
+    assert low <= found.unfollowed <= high
+
+
+def test_heights_have_no_more_noise_than_the_residuals_along_them():
+    phantoms = phantoms_of([residuals(white(8))], ROUGHNESS, 1.0)
+    quieter = replace(phantoms, residual=0.5 * phantoms.left)
+    whole, half = (noise_shares(each, 1.0, STILL, is_wet=True).heights for each in (phantoms, quieter))
+    assert half == pytest.approx(0.5 * whole, rel=0.15)
+
+
+def test_bends_of_noise_are_none_of_the_bed():
+    tile, result = level(INFORMATION, ROUGHNESS, 120)
+    expected = expected_of(tile, result, RESPONSE)
+    noisy = replace(result, height=heights(result, np.zeros(len(tile))))
+    bends = bends_below(noisy, expected, 1.0, 1.0)
+    assert np.mean(bends) == pytest.approx(np.mean(expected.bends_noise), rel=0.15)
+    assert np.mean(bends_below(noisy, expected, 1.0, 0.0)) < 0.4 * np.mean(bends)
+
+
+def test_bends_beyond_noise_are_those_of_the_bed():
+    tile, result = level(INFORMATION, ROUGHNESS, 120)
+    bent = 20.0 * heights(result, np.zeros(len(tile)))
+    found = bends_below(replace(result, height=bent), expected_of(tile, result, RESPONSE), 1.0, 0.0)
+    all_of_it = bends_below(replace(result, height=bent), expected_of(tile, result, RESPONSE), 1.0, 1.0)
+    assert np.mean(found) > 0.95 * np.mean(all_of_it)
+
+
 def test_shifts_are_no_noise():
     phantoms = phantoms_of([residuals(white(8), shift_px=0.3)], ROUGHNESS, 1.0)
     all_noise, rest = (noise_shares(phantoms, 1.0, Shifts(px, 0.0), is_wet=True).heights for px in (0.0, 0.3))
@@ -102,7 +133,7 @@ def test_shifts_are_no_noise():
 
 def test_two_photographs_tell_neither_noise_that_is_shared_nor_shifts():
     sample = [residuals(white(2), shift_px=0.3)]
-    assert noise_shares(phantoms_of(sample, ROUGHNESS, 0.9), 0.9, STILL, is_wet=True) == NoiseShares(0.9, 1.0, 1.0)
+    assert noise_shares(phantoms_of(sample, ROUGHNESS, 0.9), 0.9, STILL, is_wet=True) == NoiseShares(0.9, 1.0, 1.0, 1.0)
     assert shifts_of(sample, 1.0, is_wet=True).variance(np.array([2.0])) == 0.0
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from plane_survey import SIZE, TILTED, PlaneBed, ring
@@ -11,7 +13,7 @@ from fields.sweep.block import Block
 from fields.sweep.maps import DepthMap
 from refract import FlatWater
 
-HEIGHT = -2.0
+HEIGHT, GSD = -2.0, 0.05
 
 
 def level_map(view: int, height: float = HEIGHT, agreeing: int = 3) -> DepthMap:
@@ -58,7 +60,7 @@ def test_one_confirmation_needs_a_good_match_two_do_not():
 def test_two_identical_views_give_one_set_of_pixels(device):
     cameras = ring(3)
     block = PlaneBed(TILTED, -2.0).block(device, [cameras[0], cameras[0], *cameras[1:]])
-    first, second = unique_pixels(block, [level_map(0), level_map(1)])
+    first, second = unique_pixels(block, [level_map(0), level_map(1)], GSD)
     assert first.all()
     # On the rim of the image positions of 0.5 px may round outward.
     assert not second[1:-1, 1:-1].any()
@@ -68,7 +70,7 @@ def test_each_piece_of_the_bed_is_taken_once_as_a_slow_twin_takes_it(device):
     block = PlaneBed(TILTED, -2.0).block(device, ring(3))
     maps = [level_map(view) for view in (2, 0, 3)]
     maps[1].agreeing[:30, :50] = 0
-    found, slow = unique_pixels(block, maps), slow_unique(block, maps)
+    found, slow = unique_pixels(block, maps, GSD), slow_unique(block, maps)
     for keep, expected in zip(found, slow, strict=True):
         # A path within 1e-4 px of a pixel's border may round to either side of it.
         assert (keep != expected).mean() < 1e-3
@@ -81,7 +83,7 @@ def test_pixels_that_are_not_trusted_are_dropped_and_claim_nothing(device):
     cameras = ring(3)
     block = PlaneBed(TILTED, -2.0).block(device, [cameras[0], cameras[0], *cameras[1:]])
     nobody, other = level_map(0, agreeing=0), level_map(1)
-    first, second = unique_pixels(block, [nobody, other])
+    first, second = unique_pixels(block, [nobody, other], GSD)
     assert not first.any()
     assert second.all()
 
@@ -91,12 +93,12 @@ def test_a_bed_at_another_height_is_another_piece_of_it(device):
     tolerance = block.agreement_tolerance(0, [1], HEIGHT)
     for offset, all_kept in ((0.5 * tolerance, False), (2.0 * tolerance, True)):
         maps = [level_map(0), level_map(1, HEIGHT + offset)]
-        assert all(keep.all() for keep in unique_pixels(block, maps)) == all_kept
+        assert all(keep.all() for keep in unique_pixels(block, maps, GSD)) == all_kept
 
 
 def test_a_single_map_keeps_all_that_is_trusted(device):
     block = PlaneBed(TILTED, -2.0).block(device, ring(3))
-    (keep,) = unique_pixels(block, [level_map(1)])
+    (keep,) = unique_pixels(block, [level_map(1)], GSD)
     assert keep.all()
 
 
@@ -113,7 +115,7 @@ def half_kept(rng):
 
 def test_points_appear_at_the_pixels_they_were_taken_from(half_kept):
     camera, m, keep, rgb = half_kept
-    points = points_of(camera, TILTED, m, keep, rgb)
+    points = points_of(camera, TILTED, m, keep, rgb, 0.1)
     assert len(points) == keep.sum()
     assert points.xyz.dtype == np.float64
     np.testing.assert_allclose(camera.project(points.xyz, TILTED), camera.pixel_centres()[keep], atol=1e-7)
@@ -129,7 +131,7 @@ def test_points_appear_at_the_pixels_they_were_taken_from(half_kept):
 
 def test_a_dry_survey_has_no_depth_and_counts_heights_from_local_zero(half_kept):
     camera, m, keep, rgb = half_kept
-    points = points_of(camera, None, m, keep, rgb)
+    points = points_of(camera, None, m, keep, rgb, 0.1)
     assert np.isnan(points.depth).all()
     assert not points.wet.any()
     np.testing.assert_allclose(points.xyz[:, 2], m.height[keep], atol=1e-12)
@@ -138,14 +140,24 @@ def test_a_dry_survey_has_no_depth_and_counts_heights_from_local_zero(half_kept)
 def test_a_padded_map_gives_the_points_of_the_image_in_it(half_kept):
     camera, m, keep, rgb = half_kept
     padded = DepthMap(1, *(np.pad(a, ((0, 8), (0, 16))) for a in (m.height, m.score, m.agreeing, m.spread)))
-    found, expected = points_of(camera, TILTED, padded, keep, rgb), points_of(camera, TILTED, m, keep, rgb)
+    found, expected = points_of(camera, TILTED, padded, keep, rgb, 0.1), points_of(camera, TILTED, m, keep, rgb, 0.1)
     np.testing.assert_array_equal(found.xyz, expected.xyz)
     np.testing.assert_array_equal(found.std, expected.std)
 
 
+def test_points_have_the_std_of_the_solver_where_it_has_one(half_kept):
+    camera, m, keep, rgb = half_kept
+    of_map = points_of(camera, TILTED, m, keep, rgb, 0.1).std
+    solved = np.full(m.height.shape, 0.25, dtype=np.float32)
+    np.testing.assert_array_equal(points_of(camera, TILTED, m, keep, rgb, 0.1, solved).std, 0.25)
+    solved[:, ::2] = np.nan
+    found = points_of(camera, TILTED, m, keep, rgb, 0.1, solved).std
+    np.testing.assert_array_equal(found, np.where(np.isnan(solved)[keep], of_map, 0.25))
+
+
 def test_points_of_several_views_join_and_can_be_chosen_from(half_kept):
     camera, m, keep, rgb = half_kept
-    one = points_of(camera, FlatWater((0.0, 0.0, 0.0), n_water=1.0), m, keep, rgb)
+    one = points_of(camera, FlatWater((0.0, 0.0, 0.0), n_water=1.0), m, keep, rgb, 0.1)
     both = BedPoints.concatenate([one, one[one.wet]])
     assert len(both) == len(one) + one.wet.sum()
     np.testing.assert_array_equal(both[len(one) :].xyz, one.xyz[one.wet])
@@ -162,3 +174,17 @@ def test_points_of_a_surface_have_company_and_chance_agreements_have_not(rng):
     assert not found[len(surface) :].any()
     assert not has_company(surface[:3], gsd).any()
     assert has_company(surface[:0], gsd).shape == (0,)
+
+
+@pytest.mark.parametrize(("rise", "apart", "stays"), [(0.5, 0.2, False), (1.2, 0.2, True), (1.2, 2.0, False)])
+def test_on_a_wall_pixels_that_lie_far_apart_stay(device, rise, apart, stays):
+    cameras = ring(3)
+    # Half a pixel beside the first: its pixels show what lies between those of the first.
+    beside = replace(cameras[0], cx=cameras[0].cx + 0.5)
+    block = PlaneBed(TILTED, -2.0).block(device, [cameras[0], beside, *cameras[1:]])
+    tolerance, middle = block.agreement_tolerance(0, [1], HEIGHT), SIZE[0] // 2
+    maps = [level_map(0), level_map(1)]
+    for m, shift in zip(maps, (0.0, 0.5), strict=True):
+        m.height[:] += (rise * tolerance * np.clip(np.arange(SIZE[0]) - shift - middle, -3.0, 3.0)).astype(np.float32)
+    _, second = unique_pixels(block, maps, apart * tolerance)
+    np.testing.assert_array_equal(second[5:-5, middle], stays)

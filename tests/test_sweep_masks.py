@@ -84,3 +84,11 @@ def test_a_stack_that_is_no_longer_used_gives_its_images_back_at_once(device):
         assert gone() is None
     finally:
         gc.enable()
+
+
+def test_a_copy_is_changed_without_the_masks_it_was_made_of():
+    masks = Masks([(2, 3)])
+    copy = masks.copy()
+    copy.add(0, np.ones((2, 3), dtype=bool))
+    assert copy[0].all()
+    assert not masks[0].any()

@@ -16,7 +16,7 @@ from refract import FlatWater
 
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.34)
 LOW, HIGH = -2.0, -1.6
-SEARCH = StepSearch(radius=1, step_px=0.5, tile_px=8, reach_px=2.0, around_px=5, least_score=0.6)
+SEARCH = StepSearch(radius=1, step_px=0.5, tile_px=8, reach_px=2.0, around_px=5, neighbours=8, least_score=0.6)
 # Too high pixels beside the edge, and the pixels at it whose windows hold both sides.
 FAT_PX, EDGE_PX = 4, 3
 

@@ -203,7 +203,7 @@ def test_torch_finds_what_dr_jit_finds_on_a_drawn_survey(drawn, greys):
     for name in ("cpu", "torch"):
         block = Block(choose_device(name), list(drawn.cameras), greys, drawn.water, -1.2)
         maps = sweep(block, [0, 2, 4, 5, 7], (-1.6, -0.6), ignore)
-        results.append((maps, unique_pixels(block, maps)))
+        results.append((maps, unique_pixels(block, maps, 0.029)))
     (ours, kept), (twins, twin_kept) = results
     for m, twin in zip(ours, twins, strict=True):
         sure = trusted(m)

@@ -1,10 +1,9 @@
-"""Priors: carried from images to paths, their losses in closed form, and their files."""
+"""Priors: carried from images to paths, and their losses in closed form."""
 
 from __future__ import annotations
 
 import math
 
-import cv2
 import numpy as np
 import pytest
 import torch
@@ -17,11 +16,8 @@ from fields.volume.priors import COLUMNS, PriorImages, Priors
 from fields.volume.renderer import Rendered, VolumeRenderer
 from fields.volume.sampling import Cells, Samples
 from refract import PinholeCamera
-from survey.errors import ImageError
-from survey.photos.priors import read_depth_prior, read_normal_prior
 
 CAMERA = looking_down(size=8)
-TILTED = PinholeCamera(np.zeros(3), np.array([[0.8, 0, -0.6], [0, 1, 0], [0.6, 0, 0.8]]), 9.0, 9.0, 3.0, 4.0, 6, 8)
 
 
 def stopped_at(s: torch.Tensor, opacity: float = 1.0) -> Rendered:
@@ -163,82 +159,3 @@ def test_normals_of_a_floor_agree_with_a_prior_that_points_up():
     paths.priors = torch.full((len(paths), COLUMNS), math.nan)
     paths.priors[:, 5:] = torch.tensor([0.0, 0.0, 1.0])
     assert normal_prior_loss(paths, normals).item() < 1e-4  # differences of float32 densities
-
-
-@pytest.fixture
-def depth() -> np.ndarray:
-    return np.linspace(2.0, 9.0, 48, dtype=np.float32).reshape(8, 6)
-
-
-def test_depth_is_read_from_every_kind_of_file(tmp_path, depth):
-    np.save(tmp_path / "a.npy", depth.astype(np.float64))
-    cv2.imwrite(str(tmp_path / "a.tif"), depth)
-    whole = (1000.0 * depth).astype(np.uint16)
-    whole[0, 0] = 0
-    cv2.imwrite(str(tmp_path / "a.png"), whole)
-    np.testing.assert_array_equal(read_depth_prior(tmp_path / "a.npy", TILTED), depth)
-    np.testing.assert_array_equal(read_depth_prior(tmp_path / "a.tif", TILTED), depth)
-    found = read_depth_prior(tmp_path / "a.png", TILTED)
-    assert math.isnan(found[0, 0])
-    np.testing.assert_array_equal(found[1:], whole[1:])
-
-
-def local_normals() -> np.ndarray:
-    """Unit normals (8, 6, 3) towards the tilted camera, local frame."""
-    bent = -TILTED.directions(TILTED.pixel_centres()) + 0.4 * np.random.default_rng(0).uniform(-1.0, 1.0, (8, 6, 3))
-    return bent / np.linalg.norm(bent, axis=2, keepdims=True)
-
-
-def test_normals_are_read_from_every_kind_of_file_and_turned_into_the_local_frame(tmp_path):
-    in_cam = local_normals() @ TILTED.cam_from_local.T
-    np.save(tmp_path / "n.npy", in_cam)
-    np.testing.assert_allclose(read_normal_prior(tmp_path / "n.npy", TILTED), local_normals(), atol=1e-7)  # float32
-    for kind, most in ((np.uint8, 255), (np.uint16, 65535)):
-        stored = np.round((in_cam + 1.0) / 2.0 * most).astype(kind)
-        stored[0, 0] = 0
-        cv2.imwrite(str(tmp_path / "n.png"), stored[:, :, ::-1])
-        found = read_normal_prior(tmp_path / "n.png", TILTED)
-        assert np.isnan(found[0, 0]).all()
-        # Each component rounded to half a step of 2 / most, and made unit again.
-        np.testing.assert_allclose(found[1:], local_normals()[1:], atol=2.0 * math.sqrt(3.0) / most)
-
-
-def refused_depths(folder, depth):
-    np.save(folder / "small.npy", depth[:4])
-    yield "small.npy", r"6 x 4 px, its camera 6 x 8 px"
-    np.save(folder / "three.npy", np.dstack([depth] * 3))
-    yield "three.npy", r"shape \(8, 6, 3\), expected one number per pixel"
-    cv2.imwrite(str(folder / "coarse.png"), depth.astype(np.uint8))
-    yield "coarse.png", "256 steps"
-    np.save(folder / "even.npy", np.full((8, 6), 3.0))
-    yield "even.npy", "is constant"
-    np.save(folder / "empty.npy", np.full((8, 6), np.nan))
-    yield "empty.npy", "is constant"
-    np.save(folder / "words.npy", np.full((8, 6), "deep"))
-    yield "words.npy", "expected real numbers"
-    (folder / "broken.npy").write_bytes(b"nothing")
-    yield "broken.npy", "not an array that numpy can read"
-    (folder / "broken.tif").write_bytes(b"nothing")
-    yield "broken.tif", "not an image that can be read"
-    yield "missing.png", "does not exist"
-    yield "depth.exr", "unknown kind"
-
-
-def test_depth_files_that_cannot_be_right_are_refused_with_the_mend(tmp_path, depth):
-    for name, words in refused_depths(tmp_path, depth):
-        with pytest.raises(ImageError, match=words):
-            read_depth_prior(tmp_path / name, TILTED)
-
-
-def test_normal_files_that_cannot_be_right_are_refused_with_the_mend(tmp_path, depth):
-    in_cam = local_normals() @ TILTED.cam_from_local.T
-    refused = {
-        "flat": (depth, "a normal per pixel"),
-        "long": (3.0 * in_cam, "length 3.00, expected 1"),
-        "up": (in_cam * (1.0, -1.0, -1.0), "change the sign of both"),
-        "none": (np.zeros((8, 6, 3)), "has no normals"),
-    }
-    for name, (values, words) in refused.items():
-        np.save(tmp_path / f"{name}.npy", values)
-        with pytest.raises(ImageError, match=words):
-            read_normal_prior(tmp_path / f"{name}.npy", TILTED)

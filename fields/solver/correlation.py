@@ -3,7 +3,8 @@
 The normal matrix counts the noise of each pixel for itself. In blurred, compressed or demosaiced photographs
 neighbouring pixels share it, and photographs that are interpolated have less of it than their pixels. Contrasts between
 the photographs of a survey, in which neither albedo nor height takes part, have the noise alone: solved like residuals,
-they give heights that would be zero without it.
+they give heights that would be zero without it. What a solved height leaves of the residuals along it holds noise, as
+what a phantom leaves of its contrast, and the relief of the bed that heights do not follow.
 """
 
 from __future__ import annotations
@@ -42,11 +43,15 @@ class NoiseShares:
         How much of the information the residuals answer with.
     heights, changes : float
         Of the variance of heights by noise, and of what smoothing them once more changes.
+    unfollowed : float
+        Not of noise, but of the relief that the prior should take from the bed: how much the residuals show that the
+        heights do not follow, 0 to 1.
     """
 
     response: float
     heights: float
     changes: float
+    unfollowed: float
 
 
 def response_of(samples: list[tuple[Tile, Solved]]) -> float:
@@ -58,14 +63,19 @@ def response_of(samples: list[tuple[Tile, Solved]]) -> float:
 
 @dataclass(frozen=True)
 class Phantoms:
-    """Heights that contrasts give, of all samples together, and what is expected of them; N pixels, [m^2].
+    """Heights that contrasts give, of all samples together, and what is expected of them; N pixels.
 
     Attributes
     ----------
-    square, expected : (N,)
+    square, expected : (N,) [m^2]
         Of the heights; expected for independent noise.
-    changed, expected_change : (N,)
+    changed, expected_change : (N,) [m^2]
         Of what smoothing them once more changes.
+    left, residual : (N,)
+        Squares of what a phantom leaves of its contrast, and a height of the residuals along it; one for a pixel that
+        has independent noise and is not solved.
+    relief : (N,)
+        What the relief that the prior should take from the bed adds to the latter.
     shift : (N,)
         Of a height, by a shift of each photograph by one pixel.
     height : (N,) [m]
@@ -76,6 +86,9 @@ class Phantoms:
     expected: np.ndarray
     changed: np.ndarray
     expected_change: np.ndarray
+    left: np.ndarray
+    residual: np.ndarray
+    relief: np.ndarray
     shift: np.ndarray
     height: np.ndarray
 
@@ -86,11 +99,16 @@ def phantoms_of(samples: list[tuple[Tile, Solved]], roughness: float, response: 
     for tile, each in samples:
         solved = replace(each, stiffness=stiffness_of(each.bends.of_heights @ each.height, roughness))
         contrast, known = _contrast(solved, np.random.default_rng(0))
-        phantom = smoothed(solved, np.sqrt(solved.information) * contrast, response, CG_RESIDUAL)
+        of_height = np.sqrt(solved.information)
+        phantom = smoothed(solved, of_height * contrast, response, CG_RESIDUAL)
         change, expected = change_of(solved, phantom, response), expected_of(tile, solved, response)
         use = known & tile.asked
         of_shift = 1.0 / parallax_of(solved.brightness.weight, solved.motion)
-        values = phantom**2, expected.noise, change**2, expected.changed_noise, of_shift, solved.height
+        values = (
+            phantom**2, expected.noise, change**2, expected.changed_noise,
+            (contrast - response * of_height * phantom) ** 2, _along_height(solved, response) ** 2,
+            (response * of_height) ** 2 * expected.relief, of_shift, solved.height,
+        )  # fmt: skip
         parts.append([value[use] for value in values])
     return Phantoms(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
@@ -98,14 +116,30 @@ def phantoms_of(samples: list[tuple[Tile, Solved]], roughness: float, response: 
 def noise_shares(phantoms: Phantoms, response: float, shifts: Shifts, is_wet: bool) -> NoiseShares:
     """What noise is worth, as `_MOST` of the phantoms say; one where fewer than three photographs see too many of them.
 
-    Photographs that are shifted move the phantoms like the heights; that is no noise.
+    Photographs that are shifted move the phantoms like the heights; that is no noise. Nor have heights more noise than
+    the residuals along them show, where contrasts of the photographs hold more than noise.
     """
     if len(phantoms.square) < _LEAST_PIXELS:
-        return NoiseShares(response, 1.0, 1.0)
+        return NoiseShares(response, 1.0, 1.0, 1.0)
     by_shift = shifts.variance(depth_of(phantoms.height, is_wet)) * phantoms.shift
     heights = np.quantile((phantoms.square / _WITHIN**2 - by_shift) / phantoms.expected, _MOST)
     changes = np.quantile(phantoms.changed / phantoms.expected_change, ONE_STD)
-    return NoiseShares(response, max(float(heights), _LEAST_NOISE), max(float(changes), _LEAST_NOISE))
+    left, residual = (float(np.quantile(each, ONE_STD)) for each in (phantoms.left, phantoms.residual))
+    unfollowed = float(np.quantile((phantoms.residual - left) / phantoms.relief, ONE_STD))
+    heights *= min(residual / left, 1.0)
+    return NoiseShares(
+        response, max(float(heights), _LEAST_NOISE), max(float(changes), _LEAST_NOISE), min(max(unfollowed, 0.0), 1.0)
+    )
+
+
+def _along_height(solved: Solved, response: float) -> np.ndarray:
+    """What the heights that the stiffness gives leave of the residuals along them, (N,): 1 for independent noise alone
+    where nothing is solved."""
+    pull = np.einsum("kn,kn,kn->n", solved.brightness.weight, solved.slope, solved.brightness.residual)
+    right = -pull - solved.bends.pull(solved.stiffness, solved.height)
+    step = smoothed(solved, right, response, CG_RESIDUAL)
+    information = np.maximum(solved.information, 1e-12)
+    return (pull + response * information * step) / np.sqrt(information)
 
 
 def _contrast(solved: Solved, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

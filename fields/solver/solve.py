@@ -174,15 +174,23 @@ def conjugate_gradients(
     """Solution (N,) of ``matrix(x) = right``, with ``diagonal`` (N,) as preconditioner."""
     solution, rest = np.zeros_like(right), right.copy()
     towards = rest / diagonal
-    way, size = towards, float(rest @ towards)
+    way, size = towards.copy(), _product(rest, towards)
     enough = residual**2 * size
     for _ in range(CG_STEPS):
         if size <= enough:
             break
         along = matrix(way)
-        length = size / float(way @ along)
-        solution, rest = solution + length * way, rest - length * along
-        towards = rest / diagonal
-        before, size = size, float(rest @ towards)
-        way = towards + (size / before) * way
+        length = size / _product(way, along)
+        solution += length * way
+        along *= length
+        rest -= along
+        np.divide(rest, diagonal, out=towards)
+        before, size = size, _product(rest, towards)
+        way *= size / before
+        way += towards
     return solution
+
+
+def _product(one: np.ndarray, other: np.ndarray) -> float:
+    """Inner product, on this thread alone: a BLAS would share it out among threads that tiles are solved on."""
+    return float(np.einsum("n,n->", one, other))

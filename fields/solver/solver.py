@@ -17,6 +17,7 @@ from fields.solver.solve import Solved, parallax_of
 from fields.solver.tile import Tile, asked_in_squares
 from fields.solver.uncertainty import bends_below, change_of, expected_of, relief_of, rise_of
 from fields.solver.views import WORKERS, Job, Views
+from fields.sweep.arrays import beside_workers
 from fields.sweep.block import Block
 from fields.sweep.certainty import for_few
 from fields.sweep.maps import DepthMap, InOrder
@@ -110,7 +111,7 @@ def solve_maps(
     goes_on: Callable[[], bool] = lambda: True,
     keep: Callable[[], MutableMapping[int, SolvedMap]] = dict,
 ) -> tuple[InOrder, SolverFigures]:
-    """Solve the kept pixels of all maps, about the heights of the sweep.
+    """Solve the kept pixels of all maps, about the heights of the sweep, where `Views.solvable` lets it.
 
     Parameters
     ----------
@@ -134,6 +135,7 @@ def solve_maps(
         NaN where nothing is kept.
     """
     views = Views.of(block, maps)
+    kept = views.solvable(kept)
     filled = [asked_in_squares(wanted, SAMPLE_PX) if views.others[index] else [] for index, wanted in enumerate(kept)]
     total, done = sum(map(sum, filled)), 0
     solved = keep()
@@ -141,8 +143,8 @@ def solve_maps(
         solved[index] = SolvedMap.empty()
     found = InOrder(solved, list(range(len(filled))))
     if not total:
-        return found, SolverFigures(np.nan, Shifts(np.nan, np.nan), NoiseShares(np.nan, np.nan, np.nan))
-    with ThreadPoolExecutor(WORKERS) as pool:
+        return found, SolverFigures(np.nan, Shifts(np.nan, np.nan), NoiseShares(*4 * (np.nan,)))
+    with ThreadPoolExecutor(WORKERS) as pool, beside_workers(block.device, WORKERS):
         sample = _sample(views, kept, filled)
         first = [each for _, each in views.solved(sample, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
         is_wet = block.water is not None
@@ -183,7 +185,8 @@ def _part(job: Job, width: int, found: Solved, noise: NoiseShares) -> _Solved:
     of_shift = 1.0 / parallax_of(found.brightness.weight, found.motion)
     expected = expected_of(tile, found, noise.response)
     change = change_of(found, found.height, noise.response)
-    relief = relief_of(tile, change, expected, noise.heights, noise.changes) + bends_below(found)
+    relief = relief_of(tile, change, expected, noise.heights, noise.changes)
+    relief += bends_below(found, expected, noise.heights, noise.unfollowed)
     values = (found.height, noise.heights * expected.noise, relief, of_shift, rise_of(tile, found.height))
     return _Solved(pixels[tile.asked], *(each[tile.asked].astype(np.float32) for each in values))
 

@@ -39,6 +39,8 @@ class Expected:
         Of a height, by relief that the prior takes from the bed.
     changed_noise, changed_relief : (N,)
         Of what smoothing a height once more changes.
+    bends_noise : (N,)
+        Of the bends about a height, by noise.
     independent : (N,)
         How many independent values of that the bell about a pixel has.
     """
@@ -47,6 +49,7 @@ class Expected:
     relief: np.ndarray
     changed_noise: np.ndarray
     changed_relief: np.ndarray
+    bends_noise: np.ndarray
     independent: np.ndarray
 
 
@@ -63,12 +66,12 @@ def expected_of(tile: Tile, solved: Solved, response: float) -> Expected:
     compliance = _near(tile, solved.bends.mean_about(1.0 / solved.stiffness), _ALIKE_PX)
     answer = response * _near(tile, solved.information, _ALIKE_PX) + FAINT
     ratio = np.log(1.0 / (np.maximum(compliance, 1e-12) * answer))
-    noise, relief, changed_noise, changed_relief, alike = (
+    noise, relief, changed_noise, changed_relief, bends_noise, alike = (
         np.exp(np.interp(ratio, np.log(_RATIOS), share)) for share in _shares()
     )
     of_noise = 1.0 / (response * answer)
     return Expected(
-        noise * of_noise, relief / answer, changed_noise * of_noise, changed_relief / answer,
+        noise * of_noise, relief / answer, changed_noise * of_noise, changed_relief / answer, bends_noise * of_noise,
         4.0 * np.pi * _NEAR_PX**2 / alike,
     )  # fmt: skip
 
@@ -102,10 +105,16 @@ def relief_of(tile: Tile, change: np.ndarray, expected: Expected, noise: float, 
     return np.maximum(here - by_noise, 0.0) * expected.relief / expected.changed_relief
 
 
-def bends_below(solved: Solved) -> np.ndarray:
-    """Variance (N,) [m^2] of the bed within a pixel by how it bends there."""
+def bends_below(solved: Solved, expected: Expected, noise: float, unfollowed: float) -> np.ndarray:
+    """Variance (N,) [m^2] of the bed within a pixel by how it bends there.
+
+    Noise bends the solved heights, too. Its part is taken off as far as the photographs show no relief of the pixels
+    that the heights do not follow (``noise`` and ``unfollowed`` of `fields.solver.correlation.NoiseShares`): a bed that
+    has none from pixel to pixel has none below the pixel.
+    """
     bend = solved.bends.of_heights @ solved.height
-    return solved.bends.mean_about(bend * bend)
+    by_noise = (1.0 - unfollowed) * noise * expected.bends_noise
+    return np.maximum(solved.bends.mean_about(bend * bend) - by_noise, 0.0)
 
 
 def rise_of(tile: Tile, height: np.ndarray) -> np.ndarray:
@@ -131,10 +140,13 @@ def _spread(tile: Tile, values: np.ndarray, alike_px: float) -> np.ndarray:
 @cache
 def _shares() -> tuple[np.ndarray, ...]:
     """Logarithms of means over all waves, for `_RATIOS` of stiffness to answer: of the noise of a height, of its
-    relief, of both in what smoothing once more changes, and of how many pixels share a value of that."""
+    relief, of both in what smoothing once more changes, of the noise of bends, and of how many pixels share a value of
+    what is changed."""
     angle = 2.0 * np.pi * np.fft.fftfreq(_FREQUENCIES)
     along = 2.0 - 2.0 * np.cos(angle)
     symbol = (along[:, None] + along) ** 2
+    # Of the ten bends of a height three are along rows, three along columns and four across both.
+    bend = 0.3 * (along[:, None] ** 2 + along**2) + 0.8 * along[:, None] * along
     rows = []
     for ratio in _RATIOS:
         stiff = ratio * symbol
@@ -142,5 +154,6 @@ def _shares() -> tuple[np.ndarray, ...]:
         noise, relief = kept**2, stiff * kept**2
         changed = (stiff * kept) ** 2 * noise
         changed_relief, alike = relief * kept**2, (changed**2).mean() / changed.mean() ** 2
-        rows.append([noise.mean(), relief.mean(), changed.mean(), changed_relief.mean(), alike])
+        means = (part.mean() for part in (noise, relief, changed, changed_relief, bend * noise))
+        rows.append([*means, alike])
     return tuple(np.log(rows).T)

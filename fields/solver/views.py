@@ -14,14 +14,16 @@ import numpy as np
 
 from fields.device import Device
 from fields.solver.projection import Projection
-from fields.solver.sight import Sight, Surface, sight_of
+from fields.solver.sight import Sight, Surface, sights_of
 from fields.solver.solve import Solved, solve
-from fields.solver.tile import Tile, tiles_of
+from fields.solver.tile import MOST_PX, Tile, tiles_of
 from fields.sweep.block import Block
 from fields.sweep.greys import Greys
 from fields.sweep.lazy import most_kept
 from fields.sweep.maps import ByView, DepthMap
+from fields.sweep.masks import Masks
 from fields.sweep.recent import Recent
+from fields.sweep.slopes import is_steep
 from refract import FlatWater, PinholeCamera
 
 Used = TypeVar("Used")
@@ -30,10 +32,10 @@ Used = TypeVar("Used")
 MOST_VIEWS = 20
 # Surfaces that are kept, in bytes of so many a pixel.
 _KEPT_BYTES, _SURFACE_BYTES = 200_000_000, 5
-# Tiles that are solved at a time, one on each core that there may be, and those that wait for it too.
+# Tiles that are solved at a time, one on each core that there may be, and pixels of those that wait for it too.
 _CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 WORKERS = min(_CORES, 4)
-AHEAD = WORKERS + 1
+AHEAD_PX = 2 * MOST_PX
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,17 @@ class Views:
         cameras = dict(enumerate(block.cameras))
         return Views(cameras, block.images, block.water, block.device, maps, views, others, tolerance)
 
+    def solvable(self, kept: Sequence[np.ndarray]) -> Masks:
+        """The kept pixels (height, width) bool of each map, without those that look along a wall or over an edge.
+
+        There a pixel shows so long a piece of the bed that the other photographs do not look like it, and the prior
+        alone would move its height; that of the sweep, whose windows stood upright, is nearer to the wall.
+        """
+        found = Masks([mask.shape for mask in kept])
+        for index, (m, mask) in enumerate(zip(self.maps, kept, strict=True)):
+            found[index] = mask & ~is_steep(m.height, self.tolerance[index])
+        return found
+
     @cached_property
     def _surfaces(self) -> ByView[Surface]:
         return surfaces_of(self.maps, self.views)
@@ -119,15 +132,33 @@ class Views:
             return use(job, solve(job.tile, sight, self.images, start, roughness, self.tolerance[job.index]))
 
         waiting: deque[tuple[Job, Future[Used]]] = deque()
-        for job in jobs:
-            start = job.tile.of(self._surfaces[self.views[job.index]].height)
-            waiting.append((job, pool.submit(one, job, self._sight(job), start)))
-            if len(waiting) > AHEAD:
+        pixels = 0
+        for batch in _batches(jobs):
+            for job, sight in zip(batch, self._sights(batch), strict=True):
+                start = job.tile.of(self._surfaces[self.views[job.index]].height)
+                waiting.append((job, pool.submit(one, job, sight, start)))
+                pixels += len(job.tile)
+            while pixels > AHEAD_PX:
                 first, found = waiting.popleft()
+                pixels -= len(first.tile)
                 yield first, found.result()
         for job, found in waiting:
             yield job, found.result()
 
-    def _sight(self, job: Job) -> Sight:
-        view, tolerance = self.views[job.index], self.tolerance[job.index]
-        return sight_of(job.tile, view, job.others, self.cameras, self._surfaces, self._projection, tolerance)
+    def _sights(self, batch: list[Job]) -> list[Sight]:
+        """Of tiles of one map."""
+        index = batch[0].index
+        view, tolerance, tiles = self.views[index], self.tolerance[index], [job.tile for job in batch]
+        return sights_of(tiles, view, batch[0].others, self.cameras, self._surfaces, self._projection, tolerance)
+
+
+def _batches(jobs: Iterable[Job]) -> Iterator[list[Job]]:
+    """Jobs of one map each, of `MOST_PX` pixels together at most, except where one has more."""
+    batch: list[Job] = []
+    for job in jobs:
+        if batch and (job.index != batch[0].index or sum(len(each.tile) for each in (*batch, job)) > MOST_PX):
+            yield batch
+            batch = []
+        batch.append(job)
+    if batch:
+        yield batch

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -12,6 +15,7 @@ from fields.device import Device
 
 # Kernels of Dr.Jit load whole vectors, and one is compiled for each choice of arrays that begin at such an address.
 _ALIGNED_BYTES = 64
+_SWITCH_INTERVAL_S = 3e-4
 
 
 def floats(device: Device, array: np.ndarray) -> Any:
@@ -86,6 +90,37 @@ def rung_and_pixel(device: Device, count: int, strip: int) -> tuple[Any, Any]:
 def host(device: Device, array) -> np.ndarray:
     """An array of the device as numpy, flat."""
     return array.numpy() if device.module is not None else array.reshape(-1).cpu().numpy()
+
+
+@contextmanager
+def beside_workers(device: Device, workers: int) -> Iterator[None]:
+    """Let threads of Python work beside the kernels that this thread starts.
+
+    Threads of Dr.Jit keep a core busy while they wait for the next kernel, so all but one of the workers get the core
+    of one. Python hands over its lock every 5 ms unless it is released, longer than most calls of numpy take here.
+    """
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    try:
+        with _fewer_threads(device, workers - 1):
+            yield
+    finally:
+        sys.setswitchinterval(interval)
+
+
+@contextmanager
+def _fewer_threads(device: Device, fewer: int) -> Iterator[None]:
+    if device.name != "llvm":
+        yield
+        return
+    import drjit
+
+    count = drjit.thread_count()
+    drjit.set_thread_count(max(count - fewer, 1))
+    try:
+        yield
+    finally:
+        drjit.set_thread_count(count)
 
 
 def forget(device: Device) -> None:

@@ -17,6 +17,7 @@ from fields.sweep.footprint import Footprint
 from fields.sweep.lazy import Lazy
 from fields.sweep.maps import DepthMap
 from fields.sweep.masks import Masks
+from fields.sweep.slopes import is_wall
 from fields.sweep.stack import ViewStack
 from refract import FlatWater, PinholeCamera
 
@@ -89,24 +90,31 @@ def trusted(depth_map: DepthMap) -> np.ndarray:
     return (depth_map.agreeing >= CONFIRMED_TWICE) | once
 
 
-def unique_pixels(block: Block, maps: Sequence[DepthMap]) -> Masks:
+def unique_pixels(block: Block, maps: Sequence[DepthMap], gsd: float) -> Masks:
     """Which pixels of each map to keep so that every piece of the bed is taken once.
 
     Views take turns, the steepest first: their ground sampling distance is the finest. A pixel that is kept claims, in
     every later view, the four pixels around its projection whose heights agree with it; claimed pixels are duplicates.
-    Only trusted pixels are kept.
+    On walls, where neighbouring pixels lie far apart, it claims those alone that are as near to it as the bed's points
+    are to each other (``gsd``, the ground sampling distance [m]). Only trusted pixels are kept.
 
     Returns
     -------
     Masks (height, width), in the order of `maps`
     """
-    found = [(m.view, (float(m.height.min()), float(m.height.max()))) for m in maps]
-    chosen = [view for view, _ in found]
+    chosen = [m.view for m in maps]
     cameras = [block.cameras[view] for view in chosen]
-    ground = [Footprint.of(camera, block.water, extent) for camera, (_, extent) in zip(cameras, found, strict=True)]
-    order = sorted(range(len(maps)), key=lambda i: cameras[i].cam_from_local[2][2])
     shape = (cameras[0].height, cameras[0].width) if cameras else (0, 0)
-    kept, claimed = Masks([shape] * len(chosen)), Masks([shape] * len(chosen))
+    kept, claimed, walls = (Masks([shape] * len(chosen)) for _ in range(3))
+    ground, tolerances = [], []
+    for index, m in enumerate(maps):
+        others = block.neighbours(m.view, 8, among=chosen)
+        tolerance = block.agreement_tolerance(m.view, others, float(np.median(m.height))) if others else 0.0
+        extent = float(m.height.min()), float(m.height.max())
+        ground.append(Footprint.of(cameras[index], block.water, extent))
+        tolerances.append(tolerance)
+        walls[index] = is_wall(m.height, tolerance)
+    order = sorted(range(len(maps)), key=lambda i: cameras[i].cam_from_local[2][2])
     images = Lazy(lambda index: maps[index].height, len(chosen), shape, 1)
     heights = ViewStack.build(block.device, cameras, images, block.water)
     for place, index in enumerate(order):
@@ -116,11 +124,10 @@ def unique_pixels(block: Block, maps: Sequence[DepthMap]) -> Masks:
         if not keep.any():
             continue
         legs, own = warping(block.device).paths_of(heights, index, np.flatnonzero(keep))
-        others = block.neighbours(m.view, 8, among=chosen)
-        tolerance = block.agreement_tolerance(m.view, others, float(np.median(m.height))) if others else 0.0
         for later in order[place + 1 :]:
             if ground[index].meets(ground[later]):
-                claimed.add(later, warping(block.device).claim(heights, legs, own, later, tolerance))
+                same, near = warping(block.device).claim(heights, legs, own, later, tolerances[index], gsd)
+                claimed.add(later, same & (near | ~walls[later].ravel()))
         forget(block.device)
     return kept
 
@@ -147,16 +154,28 @@ def has_company(xyz: np.ndarray, gsd: float) -> np.ndarray:
 
 
 def points_of(
-    camera: PinholeCamera, water: FlatWater | None, depth_map: DepthMap, keep: np.ndarray, rgb: np.ndarray
+    camera: PinholeCamera,
+    water: FlatWater | None,
+    depth_map: DepthMap,
+    keep: np.ndarray,
+    rgb: np.ndarray,
+    tolerance: float,
+    solved_std: np.ndarray | None = None,
 ) -> BedPoints:
     """The kept pixels (height, width) bool of one view as points, in float64 from the ray to the point.
 
-    The map may be larger than the camera's image (padded at its right and bottom).
+    ``tolerance`` [m] is that of views that agree, ``solved_std`` (height, width) [m] the standard deviation where it is
+    known, and NaN elsewhere. The map may be larger than the camera's image (padded at its right and bottom).
     """
     height, agreeing, spread = (
         array[: camera.height, : camera.width] for array in (depth_map.height, depth_map.agreeing, depth_map.spread)
     )
-    std = std_of(height, agreeing, spread)
+    if solved_std is None:
+        std = std_of(height, agreeing, spread, tolerance)
+    else:
+        std = solved_std[: camera.height, : camera.width]
+        if np.isnan(std[keep]).any():
+            std = np.where(np.isnan(std), std_of(height, agreeing, spread, tolerance), std)
     parts = []
     for first in range(0, camera.height, rows := max(_POINTS_AT_ONCE // camera.width, 1)):
         part = np.s_[first : first + rows]

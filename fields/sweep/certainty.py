@@ -2,27 +2,44 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
-from scipy import ndimage
 
-# Heights of single pixels disagree as those about them do.
-_ALIKE_PX = 2.0
+# Heights of single pixels disagree and bend as those about them do: a bell of this standard deviation and width [px].
+_ALIKE_PX, _BELL_PX = 2.0, 17
+# Views that agree so near a pixel see it, too [px].
+_BESIDE_PX = 5
 # Bends are those of averaged heights, over the width of the last windows [px].
-_AVERAGED_PX, _WIDTH_PX = 1.0, 2
+_AVERAGED_PX, _AVERAGE_PX, _WIDTH_PX = 1.0, 9, 2
 
 
-def std_of(height: np.ndarray, agreeing: np.ndarray, spread: np.ndarray) -> np.ndarray:
+def std_of(height: np.ndarray, agreeing: np.ndarray, spread: np.ndarray, tolerance: float) -> np.ndarray:
     """Standard deviation (height, width) [m] of the heights of a `DepthMap`, where other views confirm them.
 
-    Its variance is that of a mean of heights which disagree as much as those of the pixels around do, and the square of
-    the bends of the map over the width of a window, which are its noise and the relief that windows flatten. Waves and
-    errors of the poses that a neighbourhood shares are in it as far as views disagree by them.
+    What its variance is shows in two ways: as that of a mean of heights which disagree as much as those of the pixels
+    around do, with waves and errors of the poses as far as views disagree by them; and as the bends of the map over the
+    width of a window, which are its noise and the relief that windows flatten. Noise is in both: the larger one counts.
+    Added to it is what views say that see another height there: they agree beside a pixel, and not with it.
+
+    Parameters
+    ----------
+    height, agreeing, spread : (height, width)
+        As `DepthMap` has them.
+    tolerance : [m]
+        Heights of views that differ by less agree.
     """
     views = agreeing.astype(np.float32) + 1.0
+    confirmed = views > 1.0
     # The spread is a population figure.
-    squares = _near(np.where(views > 1.0, views * spread.astype(np.float32) ** 2, 0.0))
-    variance = squares / np.maximum(_near(views - 1.0), 1e-6)
-    return np.sqrt(for_few(views) * (variance / views + _bends(height)))
+    squares = _near(np.where(confirmed, views * spread.astype(np.float32) ** 2, 0.0))
+    others = _near(views - 1.0)
+    disagreement = squares / np.maximum(others, 1e-6)
+    refusing = np.where(confirmed, cv2.dilate(views, np.ones((_BESIDE_PX, _BESIDE_PX))) - views, 0.0)
+    # A view that does not agree differs by the tolerance at least.
+    with_refusing = (squares + _near(refusing) * tolerance**2) / np.maximum(others + _near(refusing), 1e-6)
+    refusal = np.maximum(with_refusing - disagreement, 0.0)
+    bends = _near(np.where(confirmed, _bends(height), 0.0)) / np.maximum(_near(confirmed), 1e-6)
+    return np.sqrt(for_few(views) * (np.maximum(disagreement / views, bends) + refusal / views))
 
 
 def for_few(views: np.ndarray) -> np.ndarray:
@@ -36,16 +53,17 @@ def for_few(views: np.ndarray) -> np.ndarray:
 
 
 def _near(values: np.ndarray) -> np.ndarray:
-    return ndimage.gaussian_filter(values.astype(np.float32), _ALIKE_PX)
+    return _bell(values.astype(np.float32), _BELL_PX, _ALIKE_PX)
 
 
 def _bends(height: np.ndarray) -> np.ndarray:
     """Mean square of the second differences of heights across and down, [m^2]."""
-    smooth = ndimage.gaussian_filter(height, _AVERAGED_PX)
-    kernel = np.zeros(2 * _WIDTH_PX + 1, dtype=np.float32)
-    kernel[[0, _WIDTH_PX, -1]] = 1.0, -2.0, 1.0
-    square = sum(ndimage.correlate1d(smooth, kernel, axis=axis) ** 2 for axis in (0, 1))
-    # Not by running sums: what they leave beside a large bend may be below zero.
-    for axis in (0, 1):
-        square = ndimage.correlate1d(square, np.full(3, 1.0 / 3.0), axis=axis)
-    return 0.5 * square
+    smooth = _bell(height.astype(np.float32), _AVERAGE_PX, _AVERAGED_PX)
+    kernel = np.zeros((1, 2 * _WIDTH_PX + 1), dtype=np.float32)
+    kernel[0, [0, _WIDTH_PX, -1]] = 1.0, -2.0, 1.0
+    across, down = (cv2.filter2D(smooth, -1, each, borderType=cv2.BORDER_REFLECT) for each in (kernel, kernel.T))
+    return 0.5 * (across * across + down * down)
+
+
+def _bell(values: np.ndarray, side: int, std_px: float) -> np.ndarray:
+    return cv2.GaussianBlur(values, (side, side), std_px, borderType=cv2.BORDER_REFLECT)

@@ -34,3 +34,9 @@ class Masks(Sequence):
     def add(self, number: int, mask: np.ndarray) -> None:
         """Set what a mask, of any shape with as many pixels, has."""
         self._bits[number] |= np.packbits(mask)
+
+    def copy(self) -> Masks:
+        """The same masks, to be changed without these."""
+        other = Masks([])
+        other._shapes, other._bits = list(self._shapes), [bits.copy() for bits in self._bits]
+        return other

@@ -42,12 +42,12 @@ class Pass:
 
 # Windows shrink as the relief becomes known: 5x5 finds the height, 3x3 about the relief resolves it. docs/sweep.md has
 # what other passes give. Windows of the pass before hold heights from 5 px around; images without anything in common
-# reach the least scores by chance in one of forty pixels: the better half of eight neighbours on a ladder of forty.
+# reach the least scores by chance in one of forty pixels: the better half of the neighbours on a ladder of forty.
 PASSES = (
     Pass(0.25, 2, None, 0.5, 8, False),
-    Pass(0.5, 2, 11, 0.4, 8, False, StepSearch(2, 0.5, 16, 2.0, 5, MATCHED_NCC)),
-    Pass(1.0, 2, 7, 0.4, 8, True, StepSearch(1, 0.75, 8, 1.6, 3, 0.68, walls=True)),
-    Pass(1.0, 2, 5, 0.25, 8, True),
+    Pass(0.5, 2, 11, 0.4, 8, False, StepSearch(2, 0.5, 16, 2.0, 5, 8, MATCHED_NCC)),
+    Pass(1.0, 2, 7, 0.4, 8, True, StepSearch(1, 0.75, 8, 1.6, 3, 6, 0.72, walls=True)),
+    Pass(1.0, 2, 3, 0.4, 8, True),
     Pass(1.0, 1, 3, 0.25, 12, True),
 )
 

@@ -38,6 +38,7 @@ class StepSearch:
         their pixels need
     reach_px : searched are pixels around which heights differ by a parallax of more [px at the scale of the pass]
     around_px : heights this far around a pixel bound its ladder [px at the scale of the pass]
+    neighbours : number of views compared with, of those of the pass the ones that match best
     least_score : views are searched of which half of the pixels scored so high in the pass: windows of this size can
         tell heights in them
     walls : whether vertical walls are tried, beside level ground
@@ -48,6 +49,7 @@ class StepSearch:
     tile_px: int
     reach_px: float
     around_px: int
+    neighbours: int
     least_score: float
     walls: bool = False
 
@@ -74,6 +76,7 @@ def search_steps(
     height, score = found[0], found[1]
     if min(height.shape) < search.tile_px + 2 * search.radius or np.median(score) < search.least_score:
         return found
+    others = others[: search.neighbours]
     low, high = _around(height, search.around_px)
     wanted = (high - low) * parallax > search.reach_px
     if not wanted.any():

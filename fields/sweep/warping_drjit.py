@@ -167,18 +167,24 @@ def paths_of(stack: ViewStack, view: int, pixels: np.ndarray):
     return legs, own
 
 
-def claim(stack: ViewStack, legs, own, later: int, tolerance: float) -> np.ndarray:
-    """The pixels (P) bool of height map `later` that show the bed of paths at their own heights.
+def claim(stack: ViewStack, legs, own, later: int, tolerance: float, apart: float) -> tuple[np.ndarray, np.ndarray]:
+    """The pixels (P) bool of height map `later` that show the bed of paths at their own heights, and those beside them.
 
-    These are the four pixels about the projection of each path, where their height is within `tolerance` [m].
+    The first are the four pixels about the projection of each path, where their height is within `tolerance` [m]; the
+    second those of them whose height is within `apart` [m] of the path's, or of that of the map between the four.
     """
     Float, UInt, Byte = stack.device.module.Float, stack.device.module.UInt, stack.device.module.UInt8
-    claimed = dr.zeros(Byte, stack.width * stack.height)
+    claimed, beside = (dr.zeros(Byte, stack.width * stack.height) for _ in range(2))
     u, v, inside = project_at(stack, legs, own, later)
-    corner, _, _ = _corner(stack, u, v, inside)
-    width = dr.opaque(UInt, stack.width)
-    for offset in (0, 1, width, width + 1):
-        there = dr.gather(Float, stack.pixels[later], corner + offset, inside)
-        same = inside & (dr.abs(there - own) < dr.opaque(Float, tolerance))
+    corner, fx, fy = _corner(stack, u, v, inside)
+    width, most = dr.opaque(UInt, stack.width), dr.opaque(Float, apart)
+    offsets = (0, 1, width, width + 1)
+    heights = [dr.gather(Float, stack.pixels[later], corner + offset, inside) for offset in offsets]
+    between = _between(heights, fx, fy)
+    for offset, there in zip(offsets, heights, strict=True):
+        off = dr.abs(there - own)
+        same = inside & (off < dr.opaque(Float, tolerance))
         dr.scatter(claimed, Byte(1), corner + offset, same)
-    return claimed.numpy().view(bool)
+        dr.scatter(beside, Byte(1), corner + offset, same & (dr.minimum(off, dr.abs(there - between)) < most))
+    dr.eval(claimed, beside)
+    return claimed.numpy().view(bool), beside.numpy().view(bool)

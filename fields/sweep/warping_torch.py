@@ -123,13 +123,24 @@ def paths_of(stack: ViewStack, view: int, pixels: np.ndarray) -> tuple[list[Tens
     return legs_at(stack, view, pixels), own
 
 
-def claim(stack: ViewStack, legs, own: Tensor, later: int, tolerance: float) -> np.ndarray:
-    """The pixels (P) bool of height map `later` that show the bed of paths at their own heights."""
+def claim(
+    stack: ViewStack, legs, own: Tensor, later: int, tolerance: float, apart: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The pixels (P) bool of height map `later` that show the bed of paths at their own heights, and those beside them.
+
+    See the twin in Dr.Jit.
+    """
     u, v, inside = project_at(stack, legs, own, later)
-    corner = _corner(stack, u, v, inside)[0][inside]
+    corner, fx, fy = (each[inside] for each in _corner(stack, u, v, inside))
     own, heights = own[inside], stack.pixels[later]
-    claimed = torch.zeros(len(heights), dtype=torch.bool, device=heights.device)
-    for offset in (0, 1, stack.width, stack.width + 1):
-        same = (heights[corner + offset] - own).abs() < tolerance
+    claimed, beside = (torch.zeros(len(heights), dtype=torch.bool, device=heights.device) for _ in range(2))
+    offsets = (0, 1, stack.width, stack.width + 1)
+    corners = [heights[corner + offset] for offset in offsets]
+    between = _between(corners, fx, fy)
+    for offset, there in zip(offsets, corners, strict=True):
+        off = (there - own).abs()
+        same = off < tolerance
+        near = same & (torch.minimum(off, (there - between).abs()) < apart)
         claimed[corner[same] + offset] = True
-    return claimed.cpu().numpy()
+        beside[corner[near] + offset] = True
+    return claimed.cpu().numpy(), beside.cpu().numpy()

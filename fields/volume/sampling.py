@@ -74,7 +74,7 @@ def samples_by_mass(bin_edges: Tensor, mass: Tensor, num: int, jitter: bool, *, 
 
 @dataclass
 class Cells:
-    """The cells of a box that may hold a surface: those within +-margin of a proxy.
+    """The cells of a box that may hold a surface: all at first, then those about what is opaque.
 
     Attributes
     ----------
@@ -89,16 +89,6 @@ class Cells:
     def everywhere(box: Box, num: int) -> Cells:
         """All cells, ``num`` along the longest edge."""
         return Cells(box, torch.ones(_counts(box, num), dtype=torch.bool))
-
-    @staticmethod
-    def about_points(box: Box, num: int, points: np.ndarray, margin: float) -> Cells:
-        """Cells within ``margin`` [m] of points (N, 3) [m], local: of the sweep or of structure from motion."""
-        counts = np.array(_counts(box, num))
-        index = np.floor((np.asarray(points) - box.low) / box.size * counts).astype(int)
-        index = index[((index >= 0) & (index < counts)).all(axis=1)]
-        occupied = np.zeros(tuple(counts), dtype=bool)
-        occupied[tuple(index.T)] = True
-        return Cells(box, torch.from_numpy(_thickened(occupied, box, margin)))
 
     def centres(self) -> Tensor:
         """Positions (cells, 3) [m] of all cell centres, float32."""

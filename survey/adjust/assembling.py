@@ -142,9 +142,10 @@ def _gps_std(known: Known) -> tuple[float, float, float] | None:
 def _warnings(survey: Survey, done: Adjusted) -> list[str]:
     """About control, positions and photographs that the block contradicts or hardly holds."""
     warnings = control_warnings(survey.control, survey.views, done.used, done.solution.state)
-    blunders = [view.name for view, bad in zip(survey.views, done.blunders, strict=True) if bad]
-    if blunders:
-        warnings.append(f"positions that the block contradicts are not used: {', '.join(blunders)}")
+    for kind, bad in zip(("positions", "rotations"), done.blunders.T, strict=True):
+        if bad.any():
+            names = ", ".join(view.name for view, is_bad in zip(survey.views, bad, strict=True) if is_bad)
+            warnings.append(f"{kind} that the block contradicts are not used: {names}")
     matches = np.bincount(done.used.ties.view, minlength=len(survey.views))
     loose = [view.name for view, count in zip(survey.views, matches, strict=True) if count < FEW_MATCHES]
     if loose:

@@ -1,7 +1,8 @@
 """What a flight can tell, from its poses alone: the covariance of an adjustment whose photographs nobody has measured.
 
 Points are put on a rough bed at some depth, as many as an adjustment takes, seen by the views whose frames they are in,
-and good to what is assumed. No pixel is read; it takes seconds.
+and good to what is assumed. No pixel is read; it takes seconds. Where the plan keeps the poses, heights are as good as
+a run says that keeps them.
 """
 
 from __future__ import annotations
@@ -17,10 +18,11 @@ from survey.adjust.observed import KINDS, WINDOW
 from survey.adjust.prediction import linearise, predict, relief_sides
 from survey.adjust.priors import known_of, priors_for
 from survey.adjust.state import RELIEF, WATER
+from survey.adjust.std_common import std_common
 from survey.adjust.thinning import CELLS, PER_CELL
 from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
-from survey.plan.choices import Choices
+from survey.plan.choices import USUAL, Choices
 from survey.plan.places import in_the_middle, places_of
 from survey.plan.plan import Plan, make_plan
 
@@ -31,7 +33,7 @@ TIE_STD_PX, MATCH_STD_PX = 0.1, 0.2
 DEPTH_M = 2.0
 # By how much of its depth the bed goes up and down about it.
 RELIEF_SHARE, _SEED = 0.3, 20_261_122
-# Depths that heights are foreseen for, over the main one, and down to which share of the flying height.
+# Depths that heights are foreseen for, over the main one; larger ones than that down to a share of the flying height.
 DEPTH_SHARES, _DEEPEST_SHARE = (0.25, 0.5, 1.0, 2.0, 4.0), 0.5
 # A place of the bed is in so many frames, at most, that count for its height.
 _MOST_VIEWS = 12
@@ -47,8 +49,8 @@ class HeightStds:
     of_point_m : [m]
         One sigma of the height of a point by the noise of matching.
     of_all_m : [m]
-        Of all heights together by what an adjustment leaves uncertain of water, lens and poses, all known before as
-        survey.toml says.
+        Of all heights together by water, lens and poses: by what an adjustment leaves uncertain of them, all known
+        before as survey.toml says; where the plan keeps the poses, as `survey.adjust.std_common` has it without one.
     """
 
     depth_m: float
@@ -69,6 +71,8 @@ class Foreseen:
     level_std_m, index_std, focal_std : [m], [-], [share of it]
         One sigma of what the photographs would tell if nothing were known of the water; NaN for a dry survey.
     heights : HeightStds
+    is_adjusted : bool
+        Whether the plan adjusts poses, lens and water, which is what the heights are foreseen for.
     """
 
     views_of_place: tuple[float, float]
@@ -77,9 +81,10 @@ class Foreseen:
     index_std: float
     focal_std: float
     heights: HeightStds
+    is_adjusted: bool
 
 
-def foresee(survey: Survey, *, depth_m: float = DEPTH_M, quality: str = "standard") -> Foreseen | None:
+def foresee(survey: Survey, *, depth_m: float = DEPTH_M, chosen: Choices = USUAL) -> Foreseen | None:
     """What the poses of a survey promise for a level bed; None where too few views overlap.
 
     Parameters
@@ -88,15 +93,15 @@ def foresee(survey: Survey, *, depth_m: float = DEPTH_M, quality: str = "standar
         Of a large one, the views in its middle count.
     depth_m : [m]
         Of the bed under the water.
-    quality : str
-        Of the run: photographs that it halves are matched to larger pixels.
+    chosen : Choices
+        Of the run: photographs that its quality halves are matched to larger pixels, and its plan adjusts the poses or
+        keeps them.
     """
-    survey = in_the_middle(survey)
+    plan, survey = make_plan(survey, chosen), in_the_middle(survey)
     ties = _ties(survey, depth_m)
     if ties is None:
         return None
-    plan = make_plan(survey, Choices(quality=quality))
-    free, given = (_covariance(survey, plan.gsd_m, ties, free=free) for free in (True, False))
+    free = _covariance(survey, plan.gsd_m, ties, free=True)
     at_level, at_index, at_focal = 0, WATER - 1, WATER + RELIEF
     std = np.sqrt(np.diag(free.covariance))
     is_wet = survey.water is not None
@@ -108,22 +113,28 @@ def foresee(survey: Survey, *, depth_m: float = DEPTH_M, quality: str = "standar
         level_std_m=float(std[at_level]) if is_wet else math.nan,
         index_std=float(std[at_index]) if is_wet else math.nan,
         focal_std=float(std[at_focal]) / focal,
-        heights=_stds_of_heights(given, plan, depth_m),
+        heights=_stds_of_heights(survey, plan, ties, depth_m),
+        is_adjusted=_is_adjusted(plan),
     )
 
 
-def heights_by_depth(survey: Survey, depth_m: float = DEPTH_M, *, quality: str = "standard") -> list[HeightStds]:
-    """How well heights would be known at several depths about one; none for a dry survey."""
+def heights_by_depth(survey: Survey, depth_m: float = DEPTH_M, *, chosen: Choices = USUAL) -> list[HeightStds]:
+    """How well heights would be known at a depth and at several about it; none for a dry survey."""
     if survey.water is None:
         return []
-    survey = in_the_middle(survey)
-    plan = make_plan(survey, Choices(quality=quality))
+    plan, survey = make_plan(survey, chosen), in_the_middle(survey)
+    deepest = max(depth_m, _DEEPEST_SHARE * plan.height_m)
     found = []
     for depth in (depth_m * share for share in DEPTH_SHARES):
-        ties = _ties(survey, depth) if depth <= _DEEPEST_SHARE * plan.height_m else None
+        ties = _ties(survey, depth) if depth <= deepest else None
         if ties is not None:
-            found.append(_stds_of_heights(_covariance(survey, plan.gsd_m, ties, free=False), plan, depth))
+            found.append(_stds_of_heights(survey, plan, ties, depth))
     return found
+
+
+def _is_adjusted(plan: Plan) -> bool:
+    """Whether a plan adjusts for certain: it mostly keeps poses that it checks first."""
+    return plan.poses[0] == "refine"
 
 
 def _ties(survey: Survey, depth_m: float) -> TiePoints | None:
@@ -191,10 +202,14 @@ def _heights(found: _Adjusted) -> _Heights:
     return _Heights(of_point, common)
 
 
-def _stds_of_heights(found: _Adjusted, plan: Plan, depth_m: float) -> HeightStds:
-    heights = _heights(found)
+def _stds_of_heights(survey: Survey, plan: Plan, ties: TiePoints, depth_m: float) -> HeightStds:
+    heights = _heights(_covariance(survey, plan.gsd_m, ties, free=False))
     of_point = float(np.median(heights.of_point)) * MATCH_STD_PX / plan.image_scale / TIE_STD_PX
-    return HeightStds(depth_m, of_point, float(np.median(heights.common)))
+    common = heights.common
+    if not _is_adjusted(plan):
+        wet = np.full(len(ties), survey.water is not None)
+        common = std_common(ties.start, wet, survey, None, plan.gsd_m)
+    return HeightStds(depth_m, of_point, float(np.nanmedian(common)))
 
 
 def _angles(survey: Survey, ties: TiePoints) -> np.ndarray:

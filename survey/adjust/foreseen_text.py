@@ -15,22 +15,29 @@ from survey.adjust.foreseen import (
     foresee,
     heights_by_depth,
 )
-from survey.adjust.priors import INDEX_STD, LEVEL_STD_M
+from survey.adjust.priors import EXACT_STD_DEG, EXACT_STD_M, INDEX_STD, LEVEL_STD_M
 from survey.adjust.verdicts import MOST_STD_FOCAL, MOST_STD_INDEX, MOST_STD_LEVEL_M
 from survey.folder.survey import Survey
+from survey.folder.water import ASSUMED_INDEX_STD
 from survey.plan.check import Section
+from survey.plan.choices import USUAL, Choices
 from survey.plan.verdict import Verdict, by_limits, judged
 
 # Good and fair: photographs that the worst tenth of the places is in; angles between rays to a place.
 OVERLAP, ANGLES_DEG = (5.0, 3.0), (30.0, 15.0)
+_ADJUSTED = "poses and lens adjusted"
+_KEPT = (
+    "for heights poses and lens kept, as good as those of an adjusted block "
+    f"({100 * EXACT_STD_M:g} cm, {EXACT_STD_DEG:g} degrees) where nothing is said"
+)
 
 
-def foreseen_section(survey: Survey, *, depth_m: float = DEPTH_M, quality: str = "standard") -> Section | None:
+def foreseen_section(survey: Survey, *, depth_m: float = DEPTH_M, chosen: Choices = USUAL) -> Section | None:
     """What is foreseen, for `check`; None where too few views overlap."""
-    found = foresee(survey, depth_m=depth_m, quality=quality)
+    found = foresee(survey, depth_m=depth_m, chosen=chosen)
     if found is None:
         return None
-    return Section("Foreseen from the poses", rows_of(found, heights_by_depth(survey, depth_m, quality=quality)))
+    return Section("Foreseen from the poses", rows_of(found, heights_by_depth(survey, depth_m, chosen=chosen)))
 
 
 def rows_of(found: Foreseen, by_depth: Sequence[HeightStds]) -> tuple[tuple[str, str], ...]:
@@ -39,8 +46,9 @@ def rows_of(found: Foreseen, by_depth: Sequence[HeightStds]) -> tuple[tuple[str,
     place = f"a rough bed {found.heights.depth_m:g} m under the water" if is_wet else "rough ground"
     assumed = (
         f"{place}, tie points good to {TIE_STD_PX:g} px, matches to {MATCH_STD_PX:g} px of what is worked on, "
-        f"poses and lens adjusted, level and index known to {LEVEL_STD_M:g} m and {INDEX_STD:g} where nothing is said, "
-        "still and clear water without glitter"
+        f"{_ADJUSTED if found.is_adjusted else _KEPT}, level and index known to {LEVEL_STD_M:g} m and {INDEX_STD:g} "
+        f"where nothing is said, an index that is not given to {ASSUMED_INDEX_STD:g}, still and clear water "
+        "without glitter"
     )
     rows = [("overlap", _overlap_text(*found.views_of_place)), ("angles", _angles_text(found.angle_deg))]
     if is_wet:

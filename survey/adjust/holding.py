@@ -67,6 +67,7 @@ def adjusted_with(done: Adjusted, held: np.ndarray, stated_std: np.ndarray, size
         known.mean,
         np.where(held, HELD * known.std, known.std),
         known.unknown_positions,
+        known.unknown_rotations,
     )
     again = adjust(kept, done.used.at(kept.state.points), sizes, marks_std_px)
     follow = covariance[:, held] @ np.linalg.inv(covariance[np.ix_(held, held)])

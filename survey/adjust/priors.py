@@ -11,6 +11,7 @@ import numpy as np
 from refract.lens import MODELS, Lens, is_affine
 from survey.adjust.bundle import Priors
 from survey.adjust.state import LENS, LENS_NAMES, RELIEF, Layout, State
+from survey.folder.pose_priors import BY_POSES
 from survey.folder.shutter import rows_between
 from survey.photos.tie_points import TiePoints
 
@@ -24,7 +25,8 @@ GPS_STD_M = 3.0
 # The same for poses of a file that are to be refined without a word on how good they are.
 _POSES_STD_M = 0.05
 # Rotations of structure from motion, for photographs with too few matches to turn them: a block bends by far less.
-_ROTATION_STD_DEG = 5.0
+# Those of a file without a word on how good they are start from it; the block then tells how good they are.
+ROTATION_STD = math.radians(5.0)
 # Poses of an adjusted block, and by how much smaller than a data sheet's the errors of its lens are.
 EXACT_STD_M, EXACT_STD_DEG, _CALIBRATED = 0.01, 0.003, 0.02
 # Water of which nothing is known: too wide to affect a parameter that the block determines.
@@ -57,6 +59,8 @@ class Known:
     std : (P,)
     unknown_positions : (V,) bool
         Whose standard deviation is not known, and is `GPS_STD_M` to start with.
+    unknown_rotations : (V,) bool
+        Of poses of a file, whose standard deviation is not known, and is `ROTATION_STD` to start with.
     """
 
     layout: Layout
@@ -65,6 +69,7 @@ class Known:
     mean: State
     std: np.ndarray
     unknown_positions: np.ndarray
+    unknown_rotations: np.ndarray
 
     @property
     def place_of_water(self) -> tuple[float, float]:
@@ -109,6 +114,7 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
     exact = (free_water or survey.doubt is not None) and survey.ties is None
     calibrated = exact and not (survey.doubt is not None and survey.doubt.is_of_lens)
     positions, position_std, unknown = _positions(survey, centres, exact=exact)
+    rotation_std, unknown_rotations = _rotations(survey, exact=exact)
     mean = replace(state, lenses=sheet, centres=positions)
     std = np.concatenate(
         [
@@ -117,10 +123,10 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
             *(_lens_std(lens) * (_CALIBRATED if calibrated else 1.0) for lens in lenses),
             np.full(layout.first_rate - layout.first_readout, readout_std, dtype=np.float64),
             np.full(layout.first_pose - layout.first_rate, _rate_std(survey), dtype=np.float64),
-            np.concatenate([position_std, _rotation_std(survey, exact=exact)], axis=1).ravel(),
+            np.concatenate([position_std, rotation_std], axis=1).ravel(),
         ]
     )
-    return Known(layout, lenses, state, mean, std, unknown)
+    return Known(layout, lenses, state, mean, std, unknown, unknown_rotations)
 
 
 def priors_for(known: Known, ties: TiePoints, point_std: np.ndarray | None = None) -> Priors:
@@ -228,12 +234,21 @@ def _positions(survey: Survey, centres: np.ndarray, *, exact: bool):
     return positions, std, unknown
 
 
-def _rotation_std(survey: Survey, *, exact: bool) -> np.ndarray:
-    """Standard deviations (V, 3) [rad] of the rotations that the views come with."""
-    std = np.full((len(survey.views), 3), math.radians(EXACT_STD_DEG if exact else _ROTATION_STD_DEG))
+def _rotations(survey: Survey, *, exact: bool):
+    """Standard deviations (V, 3) [rad] of the rotations that the views come with, and which are not known (V,).
+
+    Rotations that another program found from the same photographs, or this one, bend and tilt as one: what the block
+    shows of their scatter does not tell by how much.
+    """
+    std = np.full((len(survey.views), 3), math.radians(EXACT_STD_DEG) if exact else ROTATION_STD)
+    unknown = np.zeros(len(survey.views), dtype=bool)
     for number, view in enumerate(survey.views):
         prior = survey.priors.get(view.name)
-        if prior is not None and prior.rotation_std_deg is not None:
+        if prior is None:
+            continue
+        if prior.rotation_std_deg is not None:
             # About the axes of local; where they differ, those of cam get the largest.
             std[number] = math.radians(float(np.max(prior.rotation_std_deg)))
-    return std
+        else:
+            unknown[number] = not exact and prior.source == BY_POSES and survey.tool is None
+    return std, unknown

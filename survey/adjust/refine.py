@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from refract.lens import Lens
 from survey.adjust.adjustment import UNKNOWN, Adjustment
-from survey.adjust.assembling import lens_with, result
+from survey.adjust.applied import at_state
+from survey.adjust.assembling import result
 from survey.adjust.contradiction import Contradiction, released, worst_contradiction
 from survey.adjust.far_poses import Search, windows_or_search
 from survey.adjust.free_water import Lost, adjust_free, dry_or_within_bounds, within_bounds
@@ -22,14 +22,12 @@ from survey.adjust.holding import adjusted_with
 from survey.adjust.observed import MATCH, WINDOW, Observed, observed
 from survey.adjust.priors import Known, known_of
 from survey.adjust.rounds import Adjusted, adjust
-from survey.adjust.state import WATER, Layout, State
+from survey.adjust.state import WATER
 from survey.adjust.thinning import CELLS, PER_CELL, thinned
 from survey.adjust.water_settings import WATER_PARAMETERS
 from survey.adjust.windows_of_survey import measure_windows
 from survey.errors import SurveyError
-from survey.folder.place import water_plane
-from survey.folder.survey import Survey, View
-from survey.folder.tides import with_shift
+from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
 from survey.plan.plan import make_plan
 
@@ -90,51 +88,25 @@ def _adjusted(
     free_water: bool = False,
 ) -> Adjustment:
     """See `adjust_survey`; with the windows, where they were measured already."""
-    sizes = [(view.lens.width, view.lens.height) for view in survey.views]
-    marks_std = _MARKS_STD_PX if survey.control is None else survey.control.marks_std_px
-    parts: list[tuple[int, TiePoints]] = []
+    gathered = _Gathered(survey, known, free_water)
     done: Adjusted | None = None
-    lost: dict[str, Lost] = {}
-
-    def settle(start: Known, seen: Observed) -> tuple[Adjusted, dict[str, Lost]]:
-        if free_water:
-            return adjust_free(survey, start, seen, sizes, marks_std)
-        return adjust(start, seen, sizes, marks_std), {}
-
     if survey.ties is not None:
-        matches = dry_or_within_bounds(survey, survey.ties) if free_water else survey.ties
-        parts.append((MATCH, _thinned(matches, sizes)))
-        done, lost = settle(known, observed(parts, survey.control, survey, known))
+        done = gathered.with_more(
+            MATCH, dry_or_within_bounds(survey, survey.ties) if free_water else survey.ties, known
+        )
         advance(0.3)
     if use_windows:
         if windows is None:
-            moved = survey if done is None else _with_state(survey, known, done.solution.state)
+            moved = survey if done is None else at_state(survey, known, done.solution.state)
             windows = measure_windows(moved, device=device, advance=lambda part: advance(0.6 * part))
-        parts.append((WINDOW, _thinned(within_bounds(survey, windows) if free_water else windows, sizes)))
         start = known if done is None else _started(known, done)
-        done, lost = settle(start, observed(parts, survey.control, survey, known))
+        done = gathered.with_more(WINDOW, within_bounds(survey, windows) if free_water else windows, start)
         advance(0.1)
     assert done is not None
     against: list[Contradiction] = []
-    while not free_water and len(against) < WATER:
-        each = (_doubted(survey) if not against else None) or worst_contradiction(done)
-        if each is None:
-            break
-        against.append(each)
-        start = released(_started(done.known, done), each)
-        done = adjust(start, observed(parts, survey.control, survey, known), sizes, marks_std)
-    total = sum(len(ties.view) for _, ties in parts) + (0 if survey.control is None else len(survey.control.marks))
-    if free_water:
-        found = result(survey, done, total, lost=lost)
-    else:
-        numbers = [each.number for each in against]
-        found = result(
-            survey,
-            done,
-            total,
-            contradicted=numbers,
-            hold=lambda held: adjusted_with(done, held, known.std, sizes, marks_std),
-        )
+    if not free_water:
+        done, against = gathered.without_contradictions(done)
+    found = gathered.result(done, against)
     if not survey.is_level_known and found.parameter("level_m").status == UNKNOWN:
         raise SurveyError(
             f"the level of the water is not given, and the photographs do not tell it: "
@@ -144,6 +116,56 @@ def _adjusted(
     if survey.doubt is not None and survey.doubt.is_of_lens:
         warnings.append(f"{survey.doubt}: the lens is found anew, under the poses that were given with it; correct it")
     return replace(found, warnings=(*found.warnings, *warnings))
+
+
+class _Gathered:
+    """What is observed of a survey, as more of it is measured, and the adjustments of all that there is."""
+
+    def __init__(self, survey: Survey, known: Known, free_water: bool):
+        self._survey, self._known, self._free_water = survey, known, free_water
+        self._sizes = [(view.lens.width, view.lens.height) for view in survey.views]
+        self._marks_std = _MARKS_STD_PX if survey.control is None else survey.control.marks_std_px
+        self._parts: list[tuple[int, TiePoints]] = []
+        self._lost: dict[str, Lost] = {}
+
+    @property
+    def _observed(self) -> Observed:
+        return observed(self._parts, self._survey.control, self._survey, self._known)
+
+    def with_more(self, kind: int, ties: TiePoints, start: Known) -> Adjusted:
+        """Take in more tie points, those that are needed, and adjust."""
+        needed = ties.only(np.isin(ties.point, thinned(ties, self._sizes, CELLS, PER_CELL)))
+        self._parts.append((kind, needed))
+        if not self._free_water:
+            return adjust(start, self._observed, self._sizes, self._marks_std)
+        done, self._lost = adjust_free(self._survey, start, self._observed, self._sizes, self._marks_std)
+        return done
+
+    def without_contradictions(self, done: Adjusted) -> tuple[Adjusted, list[Contradiction]]:
+        """Adjust with what the photographs contradict of the water set free, the worst first; and what that was."""
+        against: list[Contradiction] = []
+        while len(against) < WATER:
+            each = (_doubted(self._survey) if not against else None) or worst_contradiction(done)
+            if each is None:
+                break
+            against.append(each)
+            start = released(_started(done.known, done), each)
+            done = adjust(start, self._observed, self._sizes, self._marks_std)
+        return done, against
+
+    def result(self, done: Adjusted, against: Sequence[Contradiction]) -> Adjustment:
+        """The adjustment in the terms of the survey."""
+        control = self._survey.control
+        total = sum(len(ties.view) for _, ties in self._parts) + (0 if control is None else len(control.marks))
+        if self._free_water:
+            return result(self._survey, done, total, lost=self._lost)
+        return result(
+            self._survey,
+            done,
+            total,
+            contradicted=[each.number for each in against],
+            hold=lambda held: adjusted_with(done, held, self._known.std, self._sizes, self._marks_std),
+        )
 
 
 def _doubted(survey: Survey) -> Contradiction | None:
@@ -166,58 +188,8 @@ def _against(found: Adjustment, each: Contradiction) -> str:
     )
 
 
-def _thinned(ties: TiePoints, sizes: list[tuple[int, int]]) -> TiePoints:
-    return ties.only(np.isin(ties.point, thinned(ties, sizes, CELLS, PER_CELL)))
-
-
-def apply_adjustment(survey: Survey, found: Adjustment) -> Survey:
-    """The survey with the poses, lenses and water that an adjustment found."""
-    views = _views(survey, found.lenses, found.layout, found.centres, found.rotations, found.readouts_s, found.tides)
-    survey = replace(survey, views=views, points=found.points, ties=None, is_adjusted=True)
-    if found.hours is not None and survey.tide is not None and found.water is not None:
-        over = {view.name: view.camera.tide for view in views}
-        survey = replace(survey, tide=with_shift(replace(survey.tide, over=over), views, survey.require_water()[0]))
-    if found.layout.finds_readouts and found.readouts_s is not None and len(found.readouts_s) == 1:
-        readout = max(found.readouts_s[0], 0.0)
-        cameras = replace(survey.config.cameras, rolling_shutter_s=readout, rolling_shutter_std_s=None)
-        survey = replace(survey, config=replace(survey.config, cameras=cameras))
-    if found.water is None:
-        return survey
-    config = replace(survey.config, water=found.water)
-    return replace(survey, config=config, water=water_plane(survey.frame, found.water))
-
-
 def _started(known: Known, done: Adjusted) -> Known:
     """What was known, with the start where an adjustment ended, and the positions as good as it found them."""
     none = np.zeros((0, 3))
     std = np.concatenate([known.std[:WATER], done.known.std[WATER:]])
     return replace(known, state=replace(done.solution.state, points=none), std=std)
-
-
-def _with_state(survey: Survey, known: Known, state: State) -> Survey:
-    lenses = [lens_with(lens, state.lenses[i]) for i, lens in enumerate(known.lenses)]
-    views = _views(
-        survey, lenses, known.layout, state.centres, state.rotations, state.readouts, state.tides(known.layout)
-    )
-    return replace(survey, views=views, water=state.water, points=state.points, is_adjusted=True)
-
-
-def _views(
-    survey: Survey,
-    lenses: Sequence[Lens],
-    layout: Layout,
-    centres: np.ndarray,
-    rotations: np.ndarray,
-    readouts,
-    tides: np.ndarray | None,
-) -> tuple[View, ...]:
-    """The views with other lenses, poses, readouts of their shutters (L,) [s], and tides (V,) [m]."""
-    views = []
-    for number, view in enumerate(survey.views):
-        lens = lenses[layout.lens_of[number]]
-        tide = 0.0 if tides is None else float(tides[number])
-        camera = replace(lens.camera(centres[number], rotations[number]), tide=tide)
-        if layout.flow is not None and layout.flow[number].any():
-            camera = replace(camera, motion=layout.flow[number] * readouts[layout.lens_of[number]])
-        views.append(replace(view, camera=camera, lens=lens))
-    return tuple(views)

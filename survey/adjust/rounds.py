@@ -10,16 +10,13 @@ from survey.adjust.bundle import NotConvergedError, Problem, Solution, solve
 from survey.adjust.clusters import inflation
 from survey.adjust.control_check import checked_points, given_points
 from survey.adjust.observed import KINDS, MARK, Observed, rows_taken
+from survey.adjust.pose_std import judged
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import Known, priors_for
-from survey.adjust.state import POSE, State
+from survey.adjust.state import State
 
 # Observations of more standard deviations than this are left out.
 _OUTLIER = 4.0
-# A position is a blunder beyond this many standard deviations.
-_BLUNDER = 6.0
-# Positions that fit worse than stated by more than this factor are taken for as good as they fit.
-_OVERSTATED = 1.5
 _ROUNDS = 4
 # Wet observations of each kind are divided into that many strata of equal number by depth.
 _STRATA = 3
@@ -34,14 +31,14 @@ class Adjusted:
     Attributes
     ----------
     known : Known
-        With the standard deviations of positions that the block showed.
+        With the standard deviations of poses that the block showed.
     used : Observed
         What was not left out.
     solution : Solution
     factor : (kinds,)
         On variances, for what neighbouring observations share.
-    blunders : (V,) bool
-        Positions that the block contradicts and that were left out.
+    blunders : (V, 2) bool
+        Positions and rotations that the block contradicts and that were left out.
     """
 
     known: Known
@@ -69,7 +66,7 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
     if not len(seen.kind):
         raise NotConvergedError("no window or match is left in three photographs to adjust")
     state = replace(known.state, points=seen.ties.start)
-    blunders = np.zeros(len(known.unknown_positions), dtype=bool)
+    blunders = np.zeros((len(known.unknown_positions), 2), dtype=bool)
     factors = np.ones(len(KINDS) * (1 + _STRATA))
     given = np.full(len(factors), np.nan)
     given[MARK :: len(KINDS)] = marks_std_px
@@ -85,8 +82,8 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
         shared = inflation(seen.ties, solution.residuals, found, kind, sizes)
         before, factors = factors, np.array([_first(shared[kind == number]) for number in range(len(factors))])
         factors[MARK :: len(KINDS)] = 1.0
-        known_blunders = blunders
-        known, blunders, positions_changed = _positions_by_block(known, solution, blunders)
+        poses, known_blunders = judged(known, solution, blunders), blunders
+        known, blunders = poses.known, poses.blunders
         checked = checked_points(problem, solution, seen, coordinates)
         control_changed = checked is not seen
         # Wrong points are found one by one.
@@ -99,7 +96,7 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
         kept = checked.only(keep)
         # A few matches do no harm at their Huber weights; a mark is one of few, and has a name.
         few = (~keep).mean() < _FEW and keep[seen.kind == MARK].all()
-        settled = few and not positions_changed and not control_changed and (np.abs(factors / before - 1.0) < 0.2).all()
+        settled = few and not poses.is_changed and not control_changed and (np.abs(factors / before - 1.0) < 0.2).all()
         # What is returned as used is what the solution was found from.
         if settled or not remaining:
             break
@@ -140,44 +137,3 @@ def _without_points(state: State, seen: Observed, keep: np.ndarray) -> State:
     """The state with the points that are left when only these observations are kept."""
     left = seen.at(state.points).only(keep)
     return replace(state, points=left.ties.start)
-
-
-def _positions_by_block(known: Known, solution: Solution, blunders: np.ndarray):
-    """Standard deviations of the positions as the block shows them, where it does; and blunders, which are left out."""
-    first = known.layout.first_pose
-    std = known.std[first:].reshape(-1, POSE)[:, :3]
-    used = np.isfinite(std).all(axis=1)
-    if used.sum() < 4:
-        return known, blunders, False
-    miss = solution.state.centres - known.mean.centres
-    adjusted = np.array([np.diag(c)[:3] for c in _pose_blocks(known, solution)])
-    # The share of the error of a position that the adjustment leaves in its residual.
-    redundancy = np.clip(1.0 - adjusted / std**2, 0.05, 1.0)
-    scaled = np.abs(miss) / (std * np.sqrt(redundancy))
-    bad = used & (np.max(scaled, axis=1) > _BLUNDER * np.maximum(1.0, _scale(scaled[used]).max()))
-    changed = std.copy()
-    changed[bad] = np.inf
-    good = used & ~bad
-    factor = _scale(scaled[good])
-    estimated = good & known.unknown_positions
-    changed[estimated] = std[estimated] * factor
-    overstated = good & ~known.unknown_positions
-    # A blunder bends the block away from other positions too: these are judged once it is left out.
-    if (factor > _OVERSTATED).any() and not bad.any():
-        changed[overstated] = std[overstated] * np.maximum(factor, 1.0)
-    with np.errstate(invalid="ignore"):
-        moved = bad.any() or bool((np.abs(changed[good] / std[good] - 1.0) > 0.1).any())
-    if not moved:
-        return known, blunders, False
-    all_std = known.std.copy()
-    all_std[first:].reshape(-1, POSE)[:, :3] = changed
-    return replace(known, std=all_std), blunders | bad, True
-
-
-def _pose_blocks(known: Known, solution: Solution) -> list[np.ndarray]:
-    return [solution.covariance[known.layout.pose(v), known.layout.pose(v)] for v in range(len(known.layout.lens_of))]
-
-
-def _scale(scaled: np.ndarray) -> np.ndarray:
-    """Robust standard deviation per axis (3,) of residuals in units of what is expected."""
-    return np.maximum(1.4826 * np.median(scaled, axis=0), 1e-3)

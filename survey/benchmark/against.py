@@ -1,18 +1,21 @@
 """Two results of the benchmark: what became better or worse beyond noise.
 
-Errors are paired block by block of the plan: both clouds come from the same photographs and share most of their
-noise, which leaves the ratio. Times are compared where both were measured on the same machine and often enough. Over
-several surveys the ratios of each method are taken together, which judges times that were measured once, too.
+Errors and means are paired block by block of the plan: both clouds come from the same photographs and share most of
+their noise. Times and memory are compared where both were measured on the same machine and often enough. Completeness
+and the coverage of the standard deviations are shares of the whole cloud, whose differences count beyond `NOISE`. Over
+several surveys the changes of each method are taken together, which judges times that were measured once, too.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import t as student
 
-from survey.benchmark.records import Errors, Record, Results
+from survey.benchmark.methods import METHODS
+from survey.benchmark.records import Cost, Errors, Record, Results
 
 _DRAWS, _SEED = 2000, 20_261_122
 _LEVEL = (2.5, 97.5)
@@ -21,12 +24,17 @@ MIN_REPEATS, MIN_BLOCKS = 3, 10
 # Fewer surveys than this are not taken together.
 MIN_SURVEYS = 3
 ANOTHER_MACHINE = "another machine"
+COMPLETE, MEAN, COVERS = "complete", "mean", "std covers"
+# Smaller differences are noise: of the mean as a share of the error, of completeness and of coverage as shares.
+NOISE = {MEAN: 0.05, COMPLETE: 0.002, COVERS: 0.01}
+# Which share of the errors 1.96 standard deviations should cover.
+_COVERED = 0.95
 BETTER, WORSE, SAME, UNKNOWN = "better", "worse", "as before", "not judged"
 
 
 @dataclass(frozen=True)
 class Change:
-    """One figure of one record, now over then.
+    """One figure of one record: the ratio of now over then, or the difference of now less then.
 
     Attributes
     ----------
@@ -34,11 +42,15 @@ class Change:
         Of the record.
     figure : str
     ratio : float
+        NaN where it is a difference.
     interval : (low, high) or None
-        Of the ratio, 95 %; None where there is too little to tell.
+        Of ratio or difference, 95 %; None where there is too little to tell.
     verdict : "better", "worse", "as before" or "not judged"
     why : str
         Of "not judged".
+    difference : float
+        Of completeness; of the distance of the coverage from 95 %; of the mean's absolute value over the error then.
+        NaN where it is a ratio.
     """
 
     key: tuple[str, ...]
@@ -47,10 +59,16 @@ class Change:
     interval: tuple[float, float] | None
     verdict: str
     why: str = ""
+    difference: float = float("nan")
+
+    @property
+    def kind(self) -> str:
+        """The figure without its tolerance: what its noise is known by."""
+        return self.figure.partition(" at ")[0]
 
 
 def changes(now: Results, then: Results) -> list[Change]:
-    """Time, processor time and error of all records that both have; a cloud that one lacks is a change too."""
+    """All figures of all records that both have; a cloud that one lacks is a change too."""
     earlier = {record.key: record for record in then.records}
     same_machine = now.machine == then.machine
     found = []
@@ -62,23 +80,26 @@ def changes(now: Results, then: Results) -> list[Change]:
 
 
 def over_surveys(found: list[Change]) -> list[Change]:
-    """The changes of each method and figure over all surveys: the geometric mean of their ratios.
+    """The changes of each method and figure over all surveys: the geometric mean of ratios, the mean of differences.
 
-    The interval is Student's, of the logarithms: surveys count as drawn from all that could be.
+    The interval is Student's, of ratios that of their logarithms: surveys count as drawn from all that could be.
     """
     groups: dict[tuple[tuple[str, ...], str], list[Change]] = {}
     for change in found:
-        if np.isfinite(change.ratio) and change.why != ANOTHER_MACHINE:
+        if (np.isfinite(change.ratio) or change.kind in NOISE) and change.why != ANOTHER_MACHINE:
             groups.setdefault((change.key[1:], change.figure), []).append(change)
     return [_together(key, figure, group) for (key, figure), group in groups.items() if len(group) >= MIN_SURVEYS]
 
 
 def _together(key: tuple[str, ...], figure: str, group: list[Change]) -> Change:
-    logs = np.log([change.ratio for change in group])
-    half = student.ppf(0.5 * (1.0 + 0.01 * (_LEVEL[1] - _LEVEL[0])), len(logs) - 1) * logs.std(ddof=1)
-    middle, half = float(logs.mean()), float(half) / len(logs) ** 0.5
+    name, is_difference = (f"{len(group)} surveys", *key), group[0].kind in NOISE
+    values = np.array([change.difference for change in group]) if is_difference else np.log([c.ratio for c in group])
+    half = student.ppf(0.5 * (1.0 + 0.01 * (_LEVEL[1] - _LEVEL[0])), len(values) - 1) * values.std(ddof=1)
+    middle, half = float(values.mean()), float(half) / len(values) ** 0.5
+    if is_difference:
+        return _differs(name, figure, middle, (middle - half, middle + half))
     interval = (float(np.exp(middle - half)), float(np.exp(middle + half)))
-    return Change((f"{len(group)} surveys", *key), figure, float(np.exp(middle)), interval, _verdict(*interval))
+    return Change(name, figure, float(np.exp(middle)), interval, _verdict(*interval))
 
 
 def unpaired(now: Results, then: Results) -> tuple[list[tuple[str, ...]], list[tuple[str, ...]]]:
@@ -93,30 +114,57 @@ def _of_record(now: Record, then: Record, same_machine: bool) -> list[Change]:
             return []
         verdict = WORSE if now.errors is None else BETTER
         return [Change(now.key, "has a cloud", float("nan"), None, verdict)]
-    found = [_error(now.key, now.errors, then.errors)]
-    for figure in ("wall_s", "processor_s"):
-        after, before = (np.array([getattr(cost, figure) for cost in record.costs]) for record in (now, then))
-        found.append(_time(now.key, figure, after, before, same_machine))
+    found = [_error(now.key, now.errors, then.errors), _mean(now.key, now.errors, then.errors)]
+    for tolerance in sorted(now.errors.completeness.keys() & then.errors.completeness.keys(), key=float):
+        after, before = (errors.completeness[tolerance] for errors in (now.errors, then.errors))
+        found.append(_differs(now.key, f"{COMPLETE} at {tolerance} m", after - before))
+    shares = (now.errors.coverage, then.errors.coverage)
+    if METHODS[now.method].is_refracted and shares[0] is not None and shares[1] is not None:
+        found.append(_differs(now.key, COVERS, abs(shares[0] - _COVERED) - abs(shares[1] - _COVERED)))
+    costs: tuple[tuple[str, Callable[[Cost], float]], ...] = (
+        ("wall_s", lambda cost: cost.wall_s),
+        ("processor_s", lambda cost: cost.processor_s),
+        ("memory", lambda cost: float(cost.peak_bytes)),
+    )
+    for figure, of in costs:
+        a, b = (np.array([of(cost) for cost in record.costs]) for record in (now, then))
+        found.append(_cost(now.key, figure, a, b, same_machine))
     return found
 
 
 def _error(key: tuple[str, ...], now: Errors, then: Errors) -> Change:
     """Root mean square of the inner 90 %, by pairs of blocks that are drawn anew."""
+    ratio, drawn = now.error_m / then.error_m, _drawn(now, then)
+    if isinstance(drawn, str):
+        return Change(key, "error", ratio, None, UNKNOWN, drawn)
+    return _judged(key, "error", ratio, _rms(drawn[0]) / _rms(drawn[1]))
+
+
+def _mean(key: tuple[str, ...], now: Errors, then: Errors) -> Change:
+    """How far the mean of the inner 90 % is from zero, over the error then, by pairs of blocks that are drawn anew."""
+    difference, drawn = (abs(now.mean_m) - abs(then.mean_m)) / then.error_m, _drawn(now, then)
+    if isinstance(drawn, str):
+        return Change(key, MEAN, float("nan"), None, UNKNOWN, drawn, difference)
+    off = [np.abs(sums[:, 1] / sums[:, 0]) for sums in drawn]
+    low, high = (float(v) for v in np.percentile((off[0] - off[1]) / then.error_m, _LEVEL))
+    return _differs(key, MEAN, difference, (low, high))
+
+
+def _drawn(now: Errors, then: Errors) -> tuple[np.ndarray, np.ndarray] | str:
+    """Sums (draws, 3) over blocks that both have, drawn anew in pairs; in words why there are too few of them."""
     shared = sorted(now.blocks.keys() & then.blocks.keys())
-    ratio = now.error_m / then.error_m
     if len(shared) < MIN_BLOCKS:
-        return Change(key, "error", ratio, None, UNKNOWN, f"{len(shared)} blocks in common, expected {MIN_BLOCKS}")
+        return f"{len(shared)} blocks in common, expected {MIN_BLOCKS}"
     a, b = (np.array([errors.blocks[name] for name in shared]) for errors in (now, then))
     drawn = np.random.default_rng(_SEED).integers(len(shared), size=(_DRAWS, len(shared)))
-    ratios = _rms(a[drawn].sum(axis=1)) / _rms(b[drawn].sum(axis=1))
-    return _judged(key, "error", ratio, ratios)
+    return a[drawn].sum(axis=1), b[drawn].sum(axis=1)
 
 
 def _rms(sums: np.ndarray) -> np.ndarray:
     return np.sqrt(sums[..., 2] / sums[..., 0])
 
 
-def _time(key: tuple[str, ...], figure: str, now: np.ndarray, then: np.ndarray, same_machine: bool) -> Change:
+def _cost(key: tuple[str, ...], figure: str, now: np.ndarray, then: np.ndarray, same_machine: bool) -> Change:
     ratio = float(np.median(now) / np.median(then))
     if not same_machine:
         return Change(key, figure, ratio, None, UNKNOWN, ANOTHER_MACHINE)
@@ -130,6 +178,17 @@ def _time(key: tuple[str, ...], figure: str, now: np.ndarray, then: np.ndarray, 
 def _judged(key: tuple[str, ...], figure: str, ratio: float, ratios: np.ndarray) -> Change:
     low, high = (float(v) for v in np.percentile(ratios, _LEVEL))
     return Change(key, figure, ratio, (low, high), _verdict(low, high))
+
+
+def _differs(
+    key: tuple[str, ...], figure: str, difference: float, interval: tuple[float, float] | None = None
+) -> Change:
+    """A difference: beyond noise, and with an interval, where there is one, on the same side of zero."""
+    change = Change(key, figure, float("nan"), interval, SAME, "", difference)
+    is_one_sided = interval is None or interval[0] > 0.0 or interval[1] < 0.0
+    if abs(difference) <= NOISE[change.kind] or not is_one_sided:
+        return change
+    return replace(change, verdict=BETTER if (difference > 0.0) == (change.kind == COMPLETE) else WORSE)
 
 
 def _verdict(low: float, high: float) -> str:

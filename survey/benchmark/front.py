@@ -58,10 +58,8 @@ def draw_front(path: Path, records: Sequence[Record]) -> None:
             record.quality, (1000.0 * record.errors.error_m, wall_s(record)), textcoords="offset points", xytext=(6, 3),
             fontsize=7, color=SOFT,
         )  # fmt: skip
-    for number, name in enumerate(methods):
-        axes.plot([], [], "o", color=_COLOURS[number % len(_COLOURS)], label=METHODS[name].words)
-    for number, case in enumerate(cases):
-        axes.plot([], [], _MARKERS[number % len(_MARKERS)], color=INK, markerfacecolor="none", label=case)
+    for label, marker, colour, is_filled in legend_of(methods, cases):
+        axes.plot([], [], marker, color=colour, markerfacecolor=colour if is_filled else "none", label=label)
     axes.set(xscale="log", yscale="log")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(LogLocator(subs=_TICKS))
@@ -73,3 +71,13 @@ def draw_front(path: Path, records: Sequence[Record]) -> None:
     if known:
         axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     save(figure, path)
+
+
+def legend_of(methods: Sequence[str], cases: Sequence[str]) -> list[tuple[str, str, str, bool]]:
+    """What marks mean: words, marker, colour, and whether it is filled."""
+    return [
+        *((METHODS[name].words, "o", _COLOURS[i % len(_COLOURS)], True) for i, name in enumerate(methods)),
+        *((case, _MARKERS[i % len(_MARKERS)], INK, False) for i, case in enumerate(cases)),
+        ("filled: on the front", "o", SOFT, True),
+        ("hollow: another is faster and more accurate", "o", SOFT, False),
+    ]

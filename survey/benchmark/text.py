@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from survey.benchmark.against import Change, changes, over_surveys, unpaired
+from survey.benchmark.against import COMPLETE, COVERS, MEAN, Change, changes, over_surveys, unpaired
 from survey.benchmark.front import on_front, wall_s
 from survey.benchmark.methods import METHODS
 from survey.benchmark.records import Record, Results
@@ -13,6 +13,8 @@ from survey.display.quantities import length
 _HEAD = ("survey", "method", "quality", "poses", "time", "processor", "memory", "mean", "std", "complete 0.2, 0.05 m",
          "std covers", "")  # fmt: skip
 
+# Of differences in hundredths.
+_UNITS = {COMPLETE: " points", MEAN: " % of the error", COVERS: " points away from 95 %"}
 # Records that are named where others cannot be paired.
 _MOST_NAMED = 3
 
@@ -34,7 +36,9 @@ def _row(record: Record, is_front: bool) -> tuple[str, ...]:
     if errors is None:
         return (*name, *costs, "-", "-", "-", "-", record.words[:80])
     shares = ", ".join(f"{100.0 * errors.completeness[key]:.1f}" for key in ("0.2", "0.05"))
-    covers = "-" if errors.coverage is None else f"{100.0 * errors.coverage:.1f} %"
+    # Standard deviations of clouds over straight rays are those of apparent depths.
+    known = errors.coverage if METHODS[record.method].is_refracted else None
+    covers = "-" if known is None else f"{100.0 * known:.1f} %"
     marks = ("*" if is_front else "") + (" quality gate failed" if record.exit_code else "")
     return (*name, *costs, length(errors.mean_m), length(errors.std_m), f"{shares} %", covers, marks.strip())
 
@@ -54,8 +58,17 @@ def lines_of(changes: list[Change]) -> list[str]:
     """One line for each change."""
     lines = []
     for change in changes:
-        between = "" if change.interval is None else f" ({change.interval[0]:.3f} to {change.interval[1]:.3f})"
         why = f": {change.why}" if change.why else ""
-        ratio = "" if np.isnan(change.ratio) else f" {change.ratio:.3f}{between}"
-        lines.append(f"{' '.join(change.key)}: {change.figure}{ratio} {change.verdict}{why}")
+        lines.append(f"{' '.join(change.key)}: {change.figure}{_by_how_much(change)} {change.verdict}{why}")
     return lines
+
+
+def _by_how_much(change: Change) -> str:
+    if np.isnan(change.ratio) and np.isnan(change.difference):
+        return ""
+    if np.isnan(change.difference):
+        between = "" if change.interval is None else f" ({change.interval[0]:.3f} to {change.interval[1]:.3f})"
+        return f" {change.ratio:.3f}{between}"
+    low, high = change.interval or (np.nan, np.nan)
+    between = "" if change.interval is None else f" ({100.0 * low:+.2f} to {100.0 * high:+.2f})"
+    return f" {100.0 * change.difference:+.2f}{between}{_UNITS[change.kind]}"

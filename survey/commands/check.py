@@ -66,18 +66,22 @@ def run(
         shortage = address_space_shortage()
         if shortage is not None:
             current().warn(shortage)
-        checked = require_processable(survey)
-        for section in check_survey(survey, quality=quality.value, device=device.value, checked=checked):
+        checked, chosen = require_processable(survey), Choices(quality=quality.value, device=device.value)
+        aim, slowness = aim_of(target_std, time_budget, quality=None, field="auto"), None
+        if aim is not None:
+            from survey.run.beginning import busy, rows_of
+
+            slowness = busy()
+        for section in check_survey(
+            survey, quality=quality.value, device=device.value, checked=checked, slowness=slowness
+        ):
             show(results, section)
         show(results, light_section(checked, wind_m_s=wind))
-        foreseen = None if checked.survey is None else foreseen_section(checked.survey, quality=quality.value)
+        foreseen = None if checked.survey is None else foreseen_section(checked.survey, chosen=chosen)
         if foreseen is not None:
             show(results, foreseen)
-        aim = aim_of(target_std, time_budget, quality=None, field="auto")
-        if aim is not None and checked.survey is not None:
-            from survey.run.beginning import rows_of
-
-            show(results, Section("Asked", rows_of(aim, checked.survey, Choices(device=device.value))))
+        if aim is not None and slowness is not None and checked.survey is not None:
+            show(results, Section("Asked", rows_of(aim, checked.survey, Choices(device=device.value), slowness)))
         if deep:
             require_address_space()
             from survey.adjust.deep_check import deep_check

@@ -15,7 +15,7 @@ from survey.folder.config import SurveyConfig, WaterConfig
 from survey.folder.config_water import MOST_LEVEL_STD_M
 from survey.folder.found import Found
 from survey.folder.posed import cams_from_local, points_in_crs
-from survey.folder.water import refractive_index
+from survey.folder.water import ASSUMED_INDEX_STD, refractive_index
 from survey.photos.cameras import View
 from survey.photos.poses import Pose, PoseFile, PoseFrame
 from survey.photos.texture import matched_light
@@ -123,6 +123,8 @@ def water_in_local(
     if given.level_at is None:
         middle = frame.crs_from_local(np.mean([view.camera.centre for view in views], axis=0))
         given = replace(given, level_at=(float(middle[0]), float(middle[1])))
+    if given.refractive_index is None and given.temperature_c is None and given.index_std is None:
+        given = replace(given, index_std=ASSUMED_INDEX_STD)
     index = refractive_index(given, lambda: matched_light(views), assumptions)
     given = replace(given, refractive_index=index, index_wavelength_nm=None, temperature_c=None, salinity_psu=None)
     water = water_plane(frame, given)

@@ -5,16 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from geo.frames import LocalFrame
 from survey.folder.config import CamerasConfig
 from survey.folder.config_std import per_axis
-from survey.folder.found import Found
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.sfm.gps import positions_in_crs
+
+if TYPE_CHECKING:
+    from survey.folder.found import Found
 
 # What DJI calls a position whose carrier phases are resolved; its standard deviations are those of the receiver.
 _RTK_FIXED = 50
@@ -23,6 +26,8 @@ _RTK_FIXED = 50
 _WELL_KNOWN_M = 0.1
 # Positions before the adjustment of another program, with the accuracy that its file gives them.
 BY_FILE = "GPS in the poses file"
+# Poses of a file that come without a word on how good they are.
+BY_POSES = "poses file"
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +45,7 @@ class PosePrior:
         structure from motion, or its accuracy is not known.
     source : str
         Of the standard deviation, "survey.toml", "XMP RTK", "XMP accuracy" or `BY_FILE`; without one, of the position:
-        "GPS EXIF", "poses file", or "none".
+        "GPS EXIF", `BY_POSES`, or "none".
     """
 
     position: np.ndarray | None
@@ -59,7 +64,7 @@ def priors_of_poses(
     """
     position_std = None if cameras.position_std_m is None else np.array(per_axis(cameras.position_std_m))
     rotation_std = None if cameras.rotation_std_deg is None else np.array(per_axis(cameras.rotation_std_deg))
-    source = "poses file" if position_std is None else "survey.toml"
+    source = BY_POSES if position_std is None else "survey.toml"
     priors = {view.name: PosePrior(view.camera.centre, position_std, rotation_std, source) for view in views}
     if position_std is None:
         for name, (position, std) in (given or {}).items():

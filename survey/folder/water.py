@@ -16,7 +16,10 @@ from survey.errors import FILE_NAME, ConfigError
 from survey.folder.config import WaterConfig
 from survey.photos.texture import MatchedLight
 
-FRESH_WATER = 1.333
+# As handbooks have it: of the sodium line.
+FRESH_WATER, SODIUM_NM = 1.333, 589.3
+# Of an index that nothing is said of: any water from fresh to that of the sea, 0.007 above, is as likely.
+ASSUMED_INDEX_STD = 0.004
 
 
 def refractive_index(given: WaterConfig, light: Callable[[], MatchedLight], assumptions: list[str]) -> float:
@@ -40,15 +43,18 @@ def refractive_index(given: WaterConfig, light: Callable[[], MatchedLight], assu
     if given.temperature_c is not None:
         return _of_water(given, given.temperature_c, light(), assumptions)
     if given.refractive_index is None:
-        assumptions.append(f"refractive_index = {FRESH_WATER}, fresh water; sea water has 1.340 (0.7 % more depth)")
-        return FRESH_WATER
+        said = "fresh water (the sea has 1.340, 0.7 % more depth), "
+        return _converted(FRESH_WATER, SODIUM_NM, light(), said, assumptions)
     if given.index_wavelength_nm is None:
         return given.refractive_index
-    matched = light()
-    index = round(converted_index(given.refractive_index, given.index_wavelength_nm, matched.shares), 6)
-    at = f"{given.refractive_index:g} at {given.index_wavelength_nm:g} nm"
-    assumptions.append(f"refractive_index = {index}, {at} for {matched}")
-    return index
+    return _converted(given.refractive_index, given.index_wavelength_nm, light(), "", assumptions)
+
+
+def _converted(index: float, wavelength_nm: float, light: MatchedLight, said: str, assumptions: list[str]) -> float:
+    """The index of the matched light, from that of a wavelength."""
+    found = round(converted_index(index, wavelength_nm, light.shares), 6)
+    assumptions.append(f"refractive_index = {found}, {said}{index:g} at {wavelength_nm:g} nm for {light}")
+    return found
 
 
 def _of_water(given: WaterConfig, temperature_c: float, light: MatchedLight, assumptions: list[str]) -> float:

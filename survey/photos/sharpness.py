@@ -8,12 +8,14 @@ that each of four directions counts by itself.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from survey.photos.pixels import read_grey
+from survey.photos.saturation import saturated
 
 # Standard deviations of the Gaussians that leave fine and coarse detail, and half the way of their differences [px].
 _FINE, _COARSE = (0.7, 1), (2.8, 4)
@@ -27,19 +29,39 @@ _FEWEST_PX = 16
 _LEAST = 1e-3
 
 
-def detail(path: Path) -> np.ndarray:
-    """Ratios (4,) of fine to coarse detail along rows, columns and both diagonals; the higher, the sharper.
+@dataclass(frozen=True)
+class Look:
+    """What a photograph shows of its sharpness.
+
+    Attributes
+    ----------
+    detail : (4,)
+        See `detail_of`.
+    white : [-]
+        Share of its pixels that are white or beside white; see `survey.photos.saturation`.
+    """
+
+    detail: np.ndarray
+    white: float
+
+
+def look_at(path: Path) -> Look:
+    """Detail and white of a photograph.
 
     Raises
     ------
     ImageError
         Where the image cannot be decoded.
     """
-    return detail_of(read_grey(path))
+    grey = read_grey(path)
+    return Look(detail_of(grey), float(saturated(grey).mean()))
 
 
 def detail_of(grey: np.ndarray) -> np.ndarray:
-    """See `detail`; of an image (height, width) of grey levels, 0 to 255; NaN for less than 16 pixels a side."""
+    """Ratios (4,) of fine to coarse detail along rows, columns and both diagonals; the higher, the sharper.
+
+    Of an image (height, width) of grey levels, 0 to 255; NaN for less than 16 pixels a side.
+    """
     if min(grey.shape) < _FEWEST_PX:
         return np.full(len(_DIRECTIONS), np.nan)
     top, left = (max(side - _MOST_PX, 0) // 2 for side in grey.shape)
@@ -54,7 +76,7 @@ def detail_of(grey: np.ndarray) -> np.ndarray:
 
 
 def relative(details: Sequence[np.ndarray]) -> np.ndarray:
-    """How sharp each image (N,) is, of `detail`: its worst direction over the median of all images."""
+    """How sharp each image (N,) is, of `detail_of`: its worst direction over the median of all images."""
     every = np.array(details)
     return (every / np.median(every, axis=0)).min(axis=1)
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from geo.frames import LocalFrame
     from survey.folder.survey import Survey
 
-# The cloud ends this far beyond the bounds that the survey asks for.
+# The cloud ends this far beyond the area, so that heights at its border have points on all sides.
 AREA_MARGIN_M = 0.5
 
 
@@ -51,6 +51,21 @@ def local_area(survey: Placed) -> tuple[float, float, float, float] | None:
     level = survey.frame.origin[2]
     corners = survey.frame.local_from_crs([[e0, n0, level], [e1, n0, level], [e1, n1, level], [e0, n1, level]])
     return (*corners[:, :2].min(axis=0), *corners[:, :2].max(axis=0))
+
+
+def beyond_bounds(survey: Placed) -> float:
+    """How far the cloud may reach beyond the bounds [m]: the margin, and what the map is turned against local."""
+    area = local_area(survey)
+    if survey.bounds is None or area is None:
+        return 0.0
+    e0, n0, e1, n1 = survey.bounds
+    level = survey.frame.origin[2]
+    ring = survey.frame.local_from_crs([[e0, n0, level], [e1, n0, level], [e1, n1, level], [e0, n1, level]])[:, :2]
+    along = np.roll(ring, -1, axis=0) - ring
+    outwards = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
+    x0, y0, x1, y1 = grown(area, AREA_MARGIN_M)
+    corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+    return float(((corners[:, None] - ring) * outwards).sum(axis=2).max())
 
 
 def grown(area: tuple[float, float, float, float], margin: float) -> tuple[float, float, float, float]:

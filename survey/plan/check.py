@@ -66,7 +66,12 @@ def require_processable(folder: Path) -> Checked:
 
 
 def check_survey(
-    folder: Path, *, quality: str = "standard", device: str = "auto", checked: Checked | None = None
+    folder: Path,
+    *,
+    quality: str = "standard",
+    device: str = "auto",
+    checked: Checked | None = None,
+    slowness: float | None = None,
 ) -> list[Section]:
     """Check a survey and describe what `process` would do; nothing is computed and nothing written.
 
@@ -76,6 +81,8 @@ def check_survey(
     quality, device : str
     checked : Checked, optional
         What `require_processable` found in the folder, where it has looked already.
+    slowness : float, optional
+        See `Workload.slowness`; default for idle cores.
 
     Raises
     ------
@@ -91,6 +98,7 @@ def check_survey(
     workload: Workload | str
     try:
         workload = workload_of(survey, plan)
+        workload = workload if slowness is None else workload.on_busy(slowness)
     except SurveyError as error:
         if survey.reprojection is None:
             raise

@@ -12,6 +12,7 @@ from survey.folder.control import FoundControl
 from survey.folder.level_observation import LevelObservation
 from survey.folder.mark_residuals import mark_residuals
 from survey.folder.survey import Survey
+from survey.folder.water import ASSUMED_INDEX_STD
 
 
 def control_rows(control: FoundControl | None) -> list[tuple[str, str]]:
@@ -68,4 +69,6 @@ def water_stds(water: WaterConfig, levels: Sequence[LevelObservation]) -> str:
     measured = [each.source for each in levels if each.source != "level_m"]
     if measured and water.level_std_m is not None:
         by = f"{measured[0]}, {len(measured)} measured" + (f", and {FILE_NAME}" if len(said) > 1 else "")
+    if water.index_std == ASSUMED_INDEX_STD:
+        by += "; that of the index is assumed"
     return f"; known: {', '.join(said)} ({by})" if said else ""

@@ -17,7 +17,8 @@ from survey.folder.survey import Survey
 from survey.folder.velocities import velocities_of
 from survey.photos.cameras import level_from_yaw_pitch_roll
 from survey.photos.exif import Exif
-from survey.photos.sharpness import detail, relative
+from survey.photos.saturation import MOSTLY_WHITE
+from survey.photos.sharpness import look_at, relative
 from survey.plan.check import Checked, Section
 from survey.plan.glitter import USUAL_WIND_M_S, Glitter, GlitterOfFlight
 from survey.plan.places import in_the_middle
@@ -33,7 +34,7 @@ BLUR_GOOD_PX, BLUR_FAIR_PX = 0.5, 1.0
 LEAST_SHARP = 0.75
 # At most so many photographs are decoded, evenly through the flight [Mpx].
 _MOST_MPX = 150.0
-# Blurred photographs are named up to this number.
+# Blurred and white photographs are named up to this number.
 _MOST_NAMED = 6
 _WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 _DEG_PER_HOUR, _EARTH_RADIUS_M = 15.0, 6.371e6
@@ -117,22 +118,39 @@ def motion_text(speed: float | None, exposure: float | None, pixel: float | None
 
 
 def sharpness_text(found: Found) -> str:
-    """The verdict on photographs that are blurred against the others."""
+    """The verdict on photographs that are mostly white, and on those that are blurred against the others."""
     names = _some(found)
-    sharp = relative([detail(found.images[name]) for name in names])
+    looks = [look_at(found.images[name]) for name in names]
+    of = f"of {len(names)} photographs" + ("" if len(names) == len(found.images) else f" (of {len(found.images)})")
+    white = {name: look.white for name, look in zip(names, looks, strict=True) if look.white > MOSTLY_WHITE}
+    clear = [name for name in names if name not in white]
+    sharp = relative([look.detail for look in looks if look.white <= MOSTLY_WHITE]) if clear else np.ones(0)
     if not np.isfinite(sharp).all():
         return "unknown: the photographs are too small to tell"
-    of = f"of {len(names)} photographs" + ("" if len(names) == len(found.images) else f" (of {len(found.images)})")
-    if sharp.min() >= LEAST_SHARP:
-        return judged(Verdict.good, f"none {of} is blurred against the others (the worst has {sharp.min():.2f})", "")
-    order = [int(number) for number in np.argsort(sharp, kind="stable") if sharp[number] < LEAST_SHARP]
-    worst = ", ".join(f"{names[number]} ({sharp[number]:.2f})" for number in order[:_MOST_NAMED])
-    more = f" and {len(order) - _MOST_NAMED} more" if len(order) > _MOST_NAMED else ""
-    return judged(
-        Verdict.fair if len(order) <= 0.1 * len(names) else Verdict.poor,
-        f"{len(order)} {of} have less than {LEAST_SHARP:g} of the usual detail in some direction: {worst}{more}",
-        "look at them, and take those that are blurred out of the image folder",
-    )
+    blurred = {name: float(value) for name, value in zip(clear, sharp, strict=True) if value < LEAST_SHARP}
+    said, advice = [], []
+    if white:
+        worst = _named([(name, f"{100.0 * white[name]:.0f} %") for name in sorted(white, key=lambda n: -white[n])])
+        verb = "is" if len(white) == 1 else "are"
+        said.append(f"{len(white)} {of} {verb} more than half white by glint of the sun or exposure: {worst}")
+        advice.append("what is white tells nothing of the bed: expose less, or fly at a lower sun")
+    if blurred:
+        worst = _named([(name, f"{blurred[name]:.2f}") for name in sorted(blurred, key=lambda n: blurred[n])])
+        said.append(
+            f"{len(blurred)} {of} have less than {LEAST_SHARP:g} of the usual detail in some direction: {worst}"
+        )
+        advice.append("look at these, and take those that are blurred out of the image folder")
+    elif clear:
+        said.append(f"none {of} is blurred against the others (the worst has {sharp.min():.2f})")
+    bad = len(white) + len(blurred)
+    verdict = Verdict.good if not bad else Verdict.fair if bad <= 0.1 * len(names) else Verdict.poor
+    return judged(verdict, "; ".join(said), "; ".join(advice))
+
+
+def _named(worst: list[tuple[str, str]]) -> str:
+    """Photographs with what is wrong with them, the first of many."""
+    more = f" and {len(worst) - _MOST_NAMED} more" if len(worst) > _MOST_NAMED else ""
+    return ", ".join(f"{name} ({value})" for name, value in worst[:_MOST_NAMED]) + more
 
 
 def _some(found: Found) -> list[str]:

@@ -25,6 +25,8 @@ _CHECK_S, _ADJUST_S = (4.0, 0.9), (2.0, 2.0)
 _DECODING_S, _RANGE_S, _SOLVER_S, _POINT_S = 0.02, 2.0, 2.0, 45e-6
 # Bed, cloud and report: once, and per point.
 _TAIL_S = (3.0, 12e-6)
+# Of any run on any device.
+ANY_RUN_S = _START_S + _TAIL_S[0]
 # What a measurement may say at most: that a machine is so much faster than stated, or that the solver learned for all
 # but this share of its time.
 _FASTEST, _OF_POINTS = 0.5, 0.3

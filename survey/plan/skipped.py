@@ -11,6 +11,7 @@ from fields.skips import Skips
 from refract import FlatWater, PinholeCamera
 from refract.distortion import kinds_of
 from survey.folder.survey import Survey
+from survey.plan.area import beyond_bounds
 
 FULL = "--plan full"
 
@@ -62,7 +63,9 @@ def pixels(survey: Survey, skips: Skips) -> Decision:
         return Decision("pixels", "all", f"{FULL}: also those that cannot see the area")
     if survey.bounds is None:
         return Decision("pixels", "all", "there are no [area] bounds")
-    return Decision("pixels", "those that may see the area", "the cloud has no points beyond [area] bounds")
+    return Decision(
+        "pixels", "those that may see the area", f"the cloud ends {beyond_bounds(survey):.2f} m beyond [area] bounds"
+    )
 
 
 def first_heights(skips: Skips) -> Decision:

@@ -78,6 +78,8 @@ class Workload:
     is_bound : bool
         Whether this is an upper bound: poses are not known yet, or there are too many views to choose from here, and
         all of them count.
+    slowness : float or None
+        How many times as long as on idle cores the seconds are; None for idle ones.
     """
 
     num_views: int
@@ -87,6 +89,11 @@ class Workload:
     memory_bytes: int
     disk_bytes: int
     is_bound: bool = False
+    slowness: float | None = None
+
+    def on_busy(self, slowness: float) -> Workload:
+        """The same on cores that take ``slowness`` times as long as idle ones."""
+        return self if self.seconds is None else replace(self, seconds=self.seconds * slowness, slowness=slowness)
 
     @property
     def most(self) -> str:
@@ -102,7 +109,15 @@ class Workload:
         if self.seconds is None:
             return f"{room}; {maps}; no time was measured on such a device"
         cores = "core" if self.num_cores == 1 else "cores"
-        return f"{self.most}{_duration(self.seconds)} on {self.num_cores} {cores}, {room}; {maps}"
+        if self.slowness is None:
+            return f"{self.most}{_duration(self.seconds)} on {self.num_cores} idle {cores}, {room}; {maps}"
+        busy = f"{self.num_cores} {cores} {busy_in_words(self.slowness)}"
+        return f"{self.most}{_duration(self.seconds)} on {busy}, {room}; {maps}"
+
+
+def busy_in_words(slowness: float) -> str:
+    """What times count on: a machine as busy as it is."""
+    return f"as busy as now ({slowness:.1f} times as long as idle)"
 
 
 def workload_of(survey: Survey, plan: Plan) -> Workload:

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 # Of a height map, along its longer side, at most.
 _PIXELS = 2000
 _DEPTH_LABEL = "true depth below the water [m]"
+_OF_SOLVER = "from the normal matrix of the solver"
+_OF_SWEEP = "from how far the views that agree differ around it, and how the bed bends there"
 
 
 def representative(depth_maps: Sequence[DepthMap]) -> int:
@@ -89,7 +91,7 @@ def draw_num_views(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
 
 
 def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
-    """Standard deviation of the height over the views that agree, in plan."""
+    """Standard deviation of each height by itself, in plan."""
     values = without_pinholes(grid.mean(facts.bed.std))
     known = values[np.isfinite(values)]
     top_m = max(float(np.quantile(known, 0.98)), 1e-6) if known.size else 0.001
@@ -97,10 +99,12 @@ def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     scale = ScalarMappable(Normalize(0.0, top_m * unit.per_metre), SPREADS)
     axes = _show(scale.to_rgba(np.ma.masked_invalid(values * unit.per_metre)), facts, grid)
     colour_bar(axes, scale, f"standard deviation [{unit.name}]", extend="max")
-    title = "Spread of the height"
+    title = "Standard deviation of the height"
     write_title(axes, title, f"mean of each cell of {_centimetres(grid.cell_m)}")
     save(figure_of(axes), path)
-    return Picture(path, title, "Standard deviation of the height over the views that agree.")
+    source = _OF_SOLVER if facts.plan.field == "solver" else _OF_SWEEP
+    words = f"Of each point by itself, {source}; what water, lens and poses do to all heights together is not in it."
+    return Picture(path, title, words)
 
 
 def draw_view(path: Path, facts: ReportFacts, depth_maps: Sequence[DepthMap]) -> Picture:

@@ -9,10 +9,9 @@ import numpy as np
 
 from survey.display.quantities import share
 from survey.display.words import named
+from survey.photos.saturation import MOSTLY_WHITE
 from survey.report.blocks import Block, Rows, Table
 
-# A photograph with more white than this shows the sun rather than the bed.
-_MOSTLY_WHITE = 0.5
 # Worth a row in the page; all are in report.json.
 _NOTABLE_WHITE, _NOTABLE_OUTLYING, _MOST_ROWS = 0.02, 0.15, 20
 
@@ -47,7 +46,7 @@ def photographs_of(saturated: Mapping[str, float], sightings: Mapping[str, list[
 
 def doubts(photographs: tuple[PhotographFigures, ...]) -> list[str]:
     """A warning that names the photographs that show little of the bed."""
-    white = [each.name for each in photographs if each.saturated > _MOSTLY_WHITE]
+    white = [each.name for each in photographs if each.saturated > MOSTLY_WHITE]
     return named(
         white, "photograph", "more than half white by glint of the sun or exposure, with little of the bed left"
     )
@@ -60,7 +59,9 @@ def summary(photographs: tuple[PhotographFigures, ...]) -> list[str]:
     white = float(np.mean([each.saturated for each in photographs]))
     known = [each.outlying for each in photographs if each.outlying is not None]
     unlike = (
-        f", and {share(float(np.mean(known)))} of the points in a photograph look unlike in all others" if known else ""
+        f"; {share(float(np.mean(known)))} of the points in a photograph look unlike in all others and count less there"
+        if known
+        else ""
     )
     return [f"left out as white: {share(white)} of the pixels{unlike}"]
 

@@ -5,27 +5,21 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
-from fields.sweep.block import Overlap
 from survey import machine
-from survey.adjust.foreseen import DEPTH_M, Foreseen, foresee
-from survey.adjust.std_common import std_common
+from survey.adjust.foreseen import foresee
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.plan.aim import Aim, ladder
 from survey.plan.choices import Choices
-from survey.plan.ground import ground_height
-from survey.plan.pace import Ground, Pace
-from survey.plan.plan import Plan, make_plan
+from survey.plan.pace import ANY_RUN_S, Ground, Pace
+from survey.plan.plan import make_plan
 from survey.plan.recipe import Recipe
+from survey.plan.workload import busy_in_words
 from survey.progress import Progress
 from survey.run.aimed import Aimed
 from survey.run.clock import Clock
 
-# Places that so many views see count for what all have in common.
-_SEEN_BY = 3
 # What the stated rates of another machine may be wrong by.
 _UNKNOWN_PACE = 1.2
 
@@ -59,8 +53,16 @@ class Outlook:
     pace: Pace
 
 
-def outlook(aim: Aim, survey: Survey, chosen: Choices) -> Outlook:
-    """Look at what an aim needs of a survey whose poses are known.
+def busy() -> float:
+    """How many times as long as on idle cores of the stated rates work takes now.
+
+    At least 1: another machine may be faster than the one of the rates, which is kept for what follows.
+    """
+    return max(machine.slowness(), 1.0)
+
+
+def outlook(aim: Aim, survey: Survey, chosen: Choices, slowness: float) -> Outlook:
+    """Look at what an aim needs of a survey whose poses are known, with ``slowness`` as `busy` says.
 
     Raises
     ------
@@ -70,16 +72,15 @@ def outlook(aim: Aim, survey: Survey, chosen: Choices) -> Outlook:
     rungs = ladder([(view.lens.width, view.lens.height) for view in survey.views])
     scales = tuple(make_plan(survey, chosen, recipe=recipe).image_scale for recipe in rungs)
     ground = Ground.of(survey, make_plan(survey, chosen, recipe=rungs[-1]))
-    foreseen, at = foresee(survey), make_plan(survey).image_scale
+    foreseen, at = foresee(survey, chosen=chosen), make_plan(survey, chosen).image_scale
     std = tuple(math.nan if foreseen is None else foreseen.heights.of_point_m * at / scale for scale in scales)
     first = 0
     if aim.std_m is not None:
         # Only heights of the solver have a standard deviation that can be relied on.
         solving = [rung for rung, recipe in enumerate(rungs) if recipe.field == "solver"]
         first = next((rung for rung in solving if not std[rung] > aim.std_m), solving[-1])
-    # Another machine may be faster than the one of the rates: what it has to spare is kept for what follows.
-    pace = Pace.stated(ground, max(machine.slowness(), 1.0))
-    common = _common_std(survey, make_plan(survey, chosen, recipe=rungs[-1]), foreseen)
+    pace = Pace.stated(ground, slowness)
+    common = math.nan if foreseen is None else foreseen.heights.of_all_m
     return Outlook(rungs, scales, ground, std, common, first, pace)
 
 
@@ -102,20 +103,23 @@ def doubts(aim: Aim, found: Outlook) -> list[str]:
     return told
 
 
-def _common_std(survey: Survey, plan: Plan, foreseen: Foreseen | None) -> float:
-    """What water, lens and poses leave [m], median over a level bed as `foresee` assumes it; NaN where not known."""
-    if foreseen is None or plan.poses[0] == "refine":
-        return math.nan if foreseen is None else foreseen.heights.of_all_m
-    height = -DEPTH_M if survey.water is not None else ground_height([view.camera for view in survey.views])
-    overlap = Overlap([view.camera for view in survey.views], survey.water, height)
-    places = overlap.cells[overlap.seen.sum(axis=0) >= _SEEN_BY]
-    wet = np.full(len(places), survey.water is not None)
-    return float(np.nanmedian(std_common(places, wet, survey, None, plan.gsd_m))) if len(places) else math.nan
-
-
 def shortest_s(found: Outlook) -> float:
     """The shortest time that is accepted [s]."""
     return _UNKNOWN_PACE * found.pace.least_s(found.ground, found.scales[0], lowest=found.scales[0])
+
+
+def require_some_time(aim: Aim | None) -> None:
+    """Raise where a time is asked for in which no survey can be processed; nothing is read for that.
+
+    Raises
+    ------
+    SurveyError
+    """
+    if aim is not None and aim.seconds is not None and aim.seconds < ANY_RUN_S:
+        raise SurveyError(
+            f"--time-budget {aim.seconds:g} is too short: any run takes {ANY_RUN_S:g} s and more; give more, "
+            "bathynerf check --time-budget says how much"
+        )
 
 
 def require_time(seconds: float, found: Outlook) -> None:
@@ -151,7 +155,7 @@ def begin_aimed(
     SurveyError
         If the time is too short.
     """
-    found = outlook(aim, survey, chosen)
+    found = outlook(aim, survey, chosen, busy())
     progress.note(f"asked: {aim}")
     for text in doubts(aim, found):
         progress.warn(text)
@@ -171,15 +175,15 @@ def begin_aimed(
     return state
 
 
-def rows_of(aim: Aim, survey: Survey, chosen: Choices) -> tuple[tuple[str, str], ...]:
-    """What an aim promises and costs, as labelled sentences for `check`.
+def rows_of(aim: Aim, survey: Survey, chosen: Choices, slowness: float) -> tuple[tuple[str, str], ...]:
+    """What an aim promises and costs, as labelled sentences for `check`; ``slowness`` as `busy` says.
 
     Raises
     ------
     SurveyError
         If no view looks down.
     """
-    found = outlook(aim, survey, chosen)
+    found = outlook(aim, survey, chosen, slowness)
     rows = [("asked", str(aim))]
     is_timed = make_plan(survey, chosen, recipe=found.ladder[0]).device == "llvm"
     for rung, (recipe, scale) in enumerate(zip(found.ladder, found.scales, strict=True)):
@@ -194,5 +198,8 @@ def rows_of(aim: Aim, survey: Survey, chosen: Choices) -> tuple[tuple[str, str],
     rows += [("", text) for text in doubts(aim, found)]
     if aim.seconds is not None and is_timed:
         enough = "enough" if aim.seconds >= shortest_s(found) else "more than is asked: process refuses"
-        rows.append(("shortest run", f"about {math.ceil(shortest_s(found))} s, {enough}"))
+        shortest = f"about {math.ceil(shortest_s(found))} s, a reserve of {100 * (_UNKNOWN_PACE - 1):.0f} % included"
+        rows.append(("shortest run", f"{shortest}; {enough}"))
+    if is_timed:
+        rows.append(("times", f"on cores {busy_in_words(slowness)}"))
     return tuple(rows)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property, partial
@@ -20,6 +21,7 @@ from survey.stage_key import stage_key
 
 if TYPE_CHECKING:
     from fields.sweep.block import Block
+    from fields.sweep.masks import Masks
     from survey.folder.survey import Survey
     from survey.plan.choices import Choices
     from survey.plan.plan import Plan
@@ -54,6 +56,7 @@ class Job:
     ):
         self.survey, self.chosen, self.progress = survey, chosen, progress
         self.aimed, self.workspace = aimed, workspace
+        self._found: dict[Path, Masks] = {}
         self.plan = self._planned()
 
     def take(self, survey: Survey) -> None:
@@ -123,6 +126,15 @@ class Job:
             return find_range(self.block, limits(self.survey))
         except ValueError as error:
             raise SurveyError(str(error)) from error
+
+    def once(self, folder: Path, find: Callable[[], Masks]) -> Masks:
+        """Which pixels become points of the maps in the folder of a sweep: found once for the stages that ask.
+
+        The name of the folder ends in the hash of all that they depend on.
+        """
+        if folder not in self._found:
+            self._found = {folder: find()}
+        return self._found[folder]
 
     def part(self, name: str) -> str:
         """The hash of a part of the job that stages depend on; the names are those in `survey.run.keys`."""

@@ -8,7 +8,9 @@ settings and plan are the result of a run and take the place of an earlier one t
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING
 
 from survey.display.quantities import length
@@ -24,7 +26,7 @@ from survey.plan.plan import device_decision, make_plan
 from survey.plan.workload import require_room, workload_of
 from survey.progress import Progress, opened
 from survey.run.aimed import Aimed
-from survey.run.beginning import begin_aimed
+from survey.run.beginning import begin_aimed, require_some_time
 from survey.run.clock import Clock
 from survey.run.folder import RunDir
 from survey.run.truth import Truth
@@ -104,6 +106,7 @@ def process(
     truth = Truth(*(None if path is None else Path(path) for path in (reference, visible)))
     _require_inputs(survey_folder, run_folder, truth)
     aim = aim_of(target_std_m, time_budget_s, quality=quality, field=field, scale=image_scale)
+    require_some_time(aim)
     clock = None if aim is None or aim.seconds is None else Clock(aim.seconds, time_gone_s)
     chosen = Choices(
         quality=quality or USUAL.quality,
@@ -162,19 +165,31 @@ def _announce(progress: Progress, survey: Survey, chosen: Choices, aimed: Aimed 
     for decision in plan.decisions:
         progress.note(f"plan: {decision.name}: {decision.choice} ({decision.reason})")
     # An aim may come to need all that its ladder has.
-    workload = workload_of(survey, plan if aimed is None else make_plan(survey, chosen, recipe=aimed.ladder[-1]))
+    workload = (
+        workload_of(survey, plan)
+        if aimed is None
+        else workload_of(survey, make_plan(survey, chosen, recipe=aimed.ladder[-1])).on_busy(aimed.pace.slow)
+    )
     progress.note(f"workload: {'' if aimed is None else 'at the top of the ladder, '}{workload}")
     for text in require_room(workload, run_folder):
         progress.warn(text)
 
 
+def _import_products() -> None:
+    with suppress(Exception):
+        import survey.run.products  # noqa: F401
+
+
 def _to_the_end(run: RunDir, job: Job, resume: bool, truth: Truth) -> int:
     """Stages, result and verdict; the exit code."""
-    from survey.run.products import write_products
     from survey.run.rounds import run_stages
 
+    # The report takes half a second to import, beside the kernels of the first stages; if it fails, it does so below.
+    Thread(target=_import_products, daemon=True).start()
     result = run.open_result(job.plan.quality)
     done = run_stages(job, run, resume=resume, compares_sweep=truth.reference is not None)
+    from survey.run.products import write_products
+
     verdict = write_products(result, run, job, done, truth)
     run.publish(result, quality=job.plan.quality, stages=done)
     job.progress.detail(f"report: {run.report_html_path}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -27,7 +28,7 @@ from survey.run.job import Job
 from survey.run.stage_adjust import FILES as ADJUSTMENT_FILES
 from survey.run.stage_solver import SIGHTINGS
 from survey.run.stage_sweep import MAPS, SATURATED
-from survey.run.stored import load_bed
+from survey.run.stored import StoredBed, load_bed
 from survey.run.stored_maps import Stored
 from survey.run.truth import Truth
 
@@ -48,11 +49,24 @@ def write_products(folder: Path, run: RunDir, job: Job, done: Mapping[str, Path]
         Folders of the finished stages, by name.
     truth : Truth
     """
+    stored = load_bed(done["bed"])
+    # Beside the report, which reads it only to compare it.
+    with ThreadPoolExecutor(1) as pool:
+        cloud = pool.submit(write_bed_las, folder / "cloud.las", stored)
+        if truth.reference is not None:
+            cloud.result()
+        verdict = _write_report(folder, run, job, done, truth, stored)
+        cloud.result()
+    return verdict
+
+
+def _write_report(
+    folder: Path, run: RunDir, job: Job, done: Mapping[str, Path], truth: Truth, stored: StoredBed
+) -> Verdict:
+    """All but the cloud."""
     survey, plan = job.survey, job.plan
     (folder / "settings.toml").write_text(dump_config(survey.config), encoding="utf-8")
     write_json(folder / "plan.json", plan.as_dict())
-    stored = load_bed(done["bed"])
-    write_bed_las(folder / "cloud.las", stored)
     save_flight(folder, survey)
     job.progress.note(f"{len(stored.bed):,} points of the bed")
     start = time.monotonic()

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from survey.adjust import refine
 from survey.adjust.adjustment import ARRAYS, JSON, read_adjustment, write_adjustment
+from survey.adjust.applied import apply_adjustment
 from survey.adjust.written import CAMERAS, MODEL, write_cameras
 
 if TYPE_CHECKING:
@@ -28,13 +29,13 @@ def adjust_block(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
             search=job.search,
         )
     write_adjustment(folder, found)
-    write_cameras(folder, refine.apply_adjustment(job.survey, found), found)
+    write_cameras(folder, apply_adjustment(job.survey, found), found)
 
 
 def use_adjustment(job: Job, folder: Path) -> None:
     """Give the job the poses, lenses and water that were found."""
     found = read_adjustment(folder)
-    survey = refine.apply_adjustment(job.survey, found)
+    survey = apply_adjustment(job.survey, found)
     sentences = [f"{row.name} {row.verdict}" for row in found.parameters]
     for text in (*sentences, *found.notes):
         job.progress.note(f"adjustment: {text}")

@@ -11,6 +11,7 @@ import numpy as np
 
 from fields.solver.solver import SolvedMap
 from fields.sweep.bed import BedPoints, has_company, points_of, unique_pixels
+from fields.sweep.block import AGREEMENT_PX
 from fields.sweep.maps import DepthMap
 from fields.sweep.sweep import PEERS
 from survey.adjust.adjustment import read_adjustment
@@ -51,7 +52,8 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     solved = Stored(needs["solver"] / SOLVED, SolvedMap) if "solver" in needs else None
     look_at_bed(job, needs["sweep"])
     with job.progress.stage("Bed", len(maps)) as stage:
-        bed, tide, moved = bed_points(job, maps, field, stage.advance, solved)
+        kept = job.once(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m))
+        bed, tide, moved = bed_points(job, maps, field, stage.advance, solved, kept)
     if field is not None:
         job.progress.detail(f"{moved:,} of {len(bed):,} points have the field's height")
     if len(bed) == 0:
@@ -94,43 +96,44 @@ def bed_points(
     field: TensorField | None,
     advance: Callable[[float], None],
     solved: Sequence[SolvedMap] | None = None,
+    kept: Sequence[np.ndarray] | None = None,
 ) -> tuple[BedPoints, np.ndarray, int]:
     """Every piece of the bed once, coloured from the photograph that shows it steepest.
+
+    ``kept`` is what `fields.sweep.bed.unique_pixels` finds, where it is known.
 
     Returns the points, the tides (N,) [m] of their photographs, and how many took their height from the field.
     """
     survey, plan, block = job.survey, job.plan, job.block
     parts, sources, tides, moved, area = [], [], [], 0, local_area(survey)
-    for number, (depth_map, keep) in enumerate(zip(maps, unique_pixels(block, maps), strict=True)):
+    if kept is None:
+        kept = unique_pixels(block, maps, plan.gsd_m)
+    for number, (depth_map, keep) in enumerate(zip(maps, kept, strict=True)):
         view = survey.views[depth_map.view]
         camera = camera_of(view, plan)
         rgb = job.photographs.load(view, scale=plan.image_scale)
         keep = keep[: camera.height, : camera.width]
+        parallax = _parallax(block, depth_map)
+        tolerance = AGREEMENT_PX / parallax
         if field is not None:
             from fields.slab.refine import refine
 
             height, taken = refine(field, camera, depth_map, rgb, survey.water, keep)
             depth_map, moved = replace(depth_map, height=height), moved + taken
-        if solved is None:
-            points = points_of(camera, survey.water, depth_map, keep, rgb)
-        else:
-            refined, std = solved[number].over(depth_map)
-            points = points_of(camera, survey.water, refined, keep, rgb)
-            std = std[: camera.height, : camera.width][keep]
-            points = replace(points, std=np.where(np.isnan(std), points.std, std))
-        least = np.float32(_least_std(block, depth_map))
-        points = replace(points, std=np.maximum(points.std, least))
+        final, std = (depth_map, None) if solved is None else solved[number].over(depth_map)
+        points = points_of(camera, survey.water, final, keep, rgb, tolerance, std)
+        # Heights that agree by chance to the last bit lie anywhere in a hundredth of a pixel of parallax.
+        points = replace(points, std=np.maximum(points.std, np.float32(LEAST_STD_PX / parallax)))
         if area is not None:
             points = points[within(points.xyz, grown(area, AREA_MARGIN_M))]
         parts.append(points)
         sources.append(np.full(len(points), number, dtype=np.int32))
         tides.append(camera.tide)
         advance(1.0)
-    bed, kept = BedPoints.gathered(parts, lambda xyz: has_company(xyz, plan.gsd_m))
-    return bed, np.array(tides)[np.concatenate(sources)[kept]], moved
+    bed, accompanied = BedPoints.gathered(parts, lambda xyz: has_company(xyz, plan.gsd_m))
+    return bed, np.array(tides)[np.concatenate(sources)[accompanied]], moved
 
 
-def _least_std(block: Block, depth_map: DepthMap) -> float:
-    """Of heights that agree by chance to the last bit [m]: they lie anywhere in a hundredth of a pixel of parallax."""
-    others = block.neighbours(depth_map.view, PEERS)
-    return LEAST_STD_PX / block.parallax(depth_map.view, others, float(np.median(depth_map.height)))
+def _parallax(block: Block, depth_map: DepthMap) -> float:
+    """Of the bed of a map in the views that confirm its heights [px/m]."""
+    return block.parallax(depth_map.view, block.neighbours(depth_map.view, PEERS), float(np.median(depth_map.height)))

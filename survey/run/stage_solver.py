@@ -34,7 +34,7 @@ def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         _save(job, folder, [SolvedMap.empty() for _ in maps], None)
         return
     look_at_bed(job, needs["sweep"])
-    kept = unique_pixels(job.block, maps)
+    kept = job.once(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m)).copy()
     carried = _carried(maps, kept, needs)
     for number, each in enumerate(carried):
         if each is not None:

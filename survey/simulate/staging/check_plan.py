@@ -34,6 +34,8 @@ from survey.simulate.staging.planning import Plan, plan_scene
 # Of the area, seen by fewer than three photographs: good, and fair.
 _UNSEEN = 0.0, 0.05
 _LOOKS_DOWN_DEG = 7.0
+# Shorter flights are said in seconds.
+_SHORT_S = 120.0
 # Hours of a day are asked in such steps, while the sun is high enough to light the bed.
 _STEP_MIN, _LOWEST_SUN_DEG = 15, 15.0
 _NO_TIME = 'unknown: give [light] time, e.g. time = "2026-07-14T09:30+02:00"'
@@ -60,7 +62,7 @@ def check_plan(path: Path, *, quality: str, device: str, wind_m_s: float) -> lis
         raise SurveyError(f"{path} has the settings of a survey, expected its folder; give {path.resolve().parent}")
     plan = plan_scene(read_scene(path), path.parent)
     survey = survey_of(plan)
-    foreseen = foreseen_section(survey, depth_m=plan.site.depth_m or DEPTH_M, quality=quality)
+    foreseen = foreseen_section(survey, depth_m=plan.site.depth_m or DEPTH_M, chosen=Choices(quality=quality))
     sections = [
         Section("Flight", tuple(_flight_rows(plan, survey))),
         Section("Light and motion", tuple(_light_rows(plan, survey, wind_m_s))),
@@ -116,7 +118,7 @@ def _flight_rows(plan: Plan, survey: Survey) -> list[tuple[str, str]]:
     down = sum(tilt <= _LOOKS_DOWN_DEG for tilt in tilted)
     way = float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum())
     speed = plan.settings.flight.speed_m_s
-    duration = "" if speed is None else f", {way / speed / 60.0:.0f} minutes at {speed:g} m/s without the turns"
+    duration = "" if speed is None else f", {_duration(way / speed)} at {speed:g} m/s without the turns"
     over = "the water" if site.water is not None else "the ground"
     wide, deep = plan.settings.area.size_m
     unseen = float((coverage(cameras, site).num_views < 3).mean())
@@ -132,6 +134,10 @@ def _flight_rows(plan: Plan, survey: Survey) -> list[tuple[str, str]]:
         ("coverage", judged(by_limits(unseen, *_UNSEEN), f"{100.0 * (1.0 - unseen):.0f} % of the area is in three "
                             "photographs or more", "give more overlap, or let the strips begin outside the area")),
     ]  # fmt: skip
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} seconds" if seconds < _SHORT_S else f"{seconds / 60.0:.0f} minutes"
 
 
 def _light_rows(plan: Plan, survey: Survey, wind_m_s: float) -> list[tuple[str, str]]:

@@ -1,0 +1,34 @@
+"""How height maps rise from pixel to pixel: where a view looks along a wall, or over an edge."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+# Heights about a pixel on a wall lie in one plane: they leave it (rms) by less than this share of its rise. At a clean
+# step it is 0.47.
+_MOST_BENT = 0.4
+# Rise from column to column of the plane through 3x3 heights.
+_RISE = np.tile(np.array([-1.0, 0.0, 1.0], dtype=np.float32) / 6.0, (3, 1))
+
+
+def is_steep(height: np.ndarray, tolerance: float) -> np.ndarray:
+    """Which pixels (height, width) bool differ from their neighbours by more than what counts as agreement [m]."""
+    return _slope(height) > tolerance
+
+
+def is_wall(height: np.ndarray, tolerance: float) -> np.ndarray:
+    """Which pixels (height, width) bool are steep, in one plane with their neighbours: on a wall, not at an edge."""
+    slope = _slope(height)
+    # About the middle of the map: squares of large heights would lose the small ones.
+    height = height - np.median(height)
+    mean, square = (cv2.blur(each, (3, 3)) for each in (height, height * height))
+    # Along its rise the squares of a plane are two thirds of that of its slope.
+    off_plane = square - mean * mean - (2.0 / 3.0) * slope * slope
+    return (slope > tolerance) & (off_plane < (_MOST_BENT * slope) ** 2)
+
+
+def _slope(height: np.ndarray) -> np.ndarray:
+    """Rise from pixel to pixel (height, width) float32 [m] of the plane through 3x3 heights."""
+    across, down = (cv2.filter2D(height, -1, kernel) for kernel in (_RISE, _RISE.T))
+    return cv2.magnitude(across, down)

@@ -1,0 +1,149 @@
+"""How good given poses are, as the block shows it, and which of them it contradicts.
+
+The adjusted pose keeps a part of the error of the given one; the rest is its residual. With p the standard deviation
+that a coordinate was given with and s that after the adjustment, this part of a residual is ``r = 1 - s^2 / p^2``, its
+redundancy. Of poses whose standard deviation nobody states, that of a kind is such that the residuals over
+``p sqrt(r)`` have unit variance. Where it changes, so do the residuals, which follow from the normal equations: this
+goes on until nothing changes (variance components, R. Koch, Parameter Estimation and Hypothesis Testing, 1999).
+
+A variance from few residuals is uncertain itself. An error over the root of a variance that n residuals have told
+follows Student's distribution of n degrees of freedom, whose variance is about ``(n + 2) / n``: that factor is on it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from survey.adjust.bundle import Priors, Solution, inverse
+from survey.adjust.priors import ROTATION_STD, Known
+from survey.adjust.state import POSE
+
+# A pose is a blunder beyond this many standard deviations.
+_BLUNDER = 6.0
+# Positions that fit worse than stated by more than this factor are taken for as good as they fit.
+_OVERSTATED = 1.5
+# With fewer poses nothing tells how good they are.
+_FEWEST = 4
+# What is told apart, as coordinates of a pose: along and across the ground, by height, tilt, heading of the camera.
+_KINDS = ((0, 1), (2,), (3, 4), (5,))
+# Residuals of more standard deviations count as that many; of normal deviates the mean square is then this.
+_MOST, _MEAN_SQUARE = 2.5, 0.9776
+# Standard deviations are found anew until they change by less than this share.
+_STEADY, _MOST_STEPS = 0.03, 12
+_LEAST_REDUNDANCY = 1e-3
+# In metres and radians; less is nothing beside what photographs tell.
+_LEAST = 1e-6
+# What is changed by less needs no other adjustment.
+_CHANGED = 0.1
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Given poses as a block shows them.
+
+    Attributes
+    ----------
+    known : Known
+        With their standard deviations; infinite of positions that are contradicted.
+    blunders : (V, 2) bool
+        Positions and rotations that the block contradicts.
+    is_changed : bool
+        Whether the block is to be adjusted again.
+    """
+
+    known: Known
+    blunders: np.ndarray
+    is_changed: bool
+
+
+def judged(known: Known, solution: Solution, blunders: np.ndarray) -> Judged:
+    """Standard deviations of poses as the block shows them, where it does, and blunders, which are left out.
+
+    Parameters
+    ----------
+    known : Known
+    solution : Solution
+        Of the block with these.
+    blunders : (V, 2) bool
+        Found before.
+    """
+    std = _of_poses(known, known.std)
+    used = np.isfinite(std[:, :3]).all(axis=1)
+    if used.sum() < _FEWEST:
+        return Judged(known, blunders, is_changed=False)
+    estimated = _estimated(known, used, blunders)
+    found, scaled = _components(known, solution, estimated)
+    scale = _scale(scaled[used])
+    bad = np.column_stack(
+        [
+            used & (scaled[:, :3].max(axis=1) > _BLUNDER * np.maximum(1.0, scale[:3].max())),
+            estimated[:, 3:].any(axis=1) & (scaled[:, 3:].max(axis=1) > _BLUNDER),
+        ]
+    )
+    changed = np.where(estimated, found, std)
+    changed[bad[:, 0], :3] = np.inf
+    changed[bad[:, 1], 3:] = ROTATION_STD
+    stated = used & ~bad[:, 0] & ~known.unknown_positions
+    # A blunder bends the block away from other positions too: these are judged once it is left out.
+    if stated.any() and not bad.any():
+        factor = _scale(scaled[stated, :3])
+        if (factor > _OVERSTATED).any():
+            changed[stated, :3] = std[stated, :3] * np.maximum(factor, 1.0)
+    with np.errstate(invalid="ignore"):
+        if not bad.any() and not (np.abs(changed / std - 1.0) > _CHANGED).any():
+            return Judged(known, blunders, is_changed=False)
+    all_std = known.std.copy()
+    all_std[known.layout.first_pose :] = changed.ravel()
+    return Judged(replace(known, std=all_std), blunders | bad, is_changed=True)
+
+
+def _estimated(known: Known, used: np.ndarray, blunders: np.ndarray) -> np.ndarray:
+    """Of which coordinates (V, 6) of the poses the block is to tell the standard deviation."""
+    positions = known.unknown_positions & used
+    rotations = known.unknown_rotations & ~blunders[:, 1]
+    return np.column_stack([*[positions] * 3, *[rotations] * 3])
+
+
+def _components(known: Known, solution: Solution, estimated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Standard deviations (V, 6) of poses, those to be estimated as the block shows them; and, over what is expected
+    under them, the residuals.
+    """
+    pull = Priors(known.mean, known.std, np.empty((0, 3))).pull(known.layout, solution.state)
+    first, std = known.std**-2.0, _of_poses(known, known.std).copy()
+    kinds = [estimated & np.isin(np.arange(POSE), kind) for kind in _KINDS]
+    kinds = [kind for kind in kinds if kind.any()]
+    miss, covariance = pull, solution.covariance
+    for step in range(_MOST_STEPS + 1):
+        redundancy = np.clip(1.0 - _of_poses(known, np.diag(covariance)) / std**2, _LEAST_REDUNDANCY, 1.0)
+        scaled = np.abs(_of_poses(known, miss)) / (std * np.sqrt(redundancy))
+        factors = [_scale_of(scaled[kind], redundancy[kind]) for kind in kinds]
+        if step == _MOST_STEPS or all(abs(factor - 1.0) < _STEADY for factor in factors):
+            break
+        for kind, factor in zip(kinds, factors, strict=True):
+            std[kind] = np.maximum(factor * std[kind], _LEAST)
+        strength = first.copy()
+        strength[known.layout.first_pose :] = std.ravel() ** -2.0
+        covariance = inverse(solution.system.normal + np.diag(strength - first))
+        miss = pull + covariance @ ((first - strength) * pull)
+    for kind in kinds:
+        told = float(redundancy[kind].sum())
+        std[kind] *= np.sqrt((told + 2.0) / told)
+    return std, scaled
+
+
+def _scale_of(scaled: np.ndarray, redundancy: np.ndarray) -> float:
+    """Standard deviation of residuals in units of what is expected, by as much as each tells; blunders hardly count."""
+    squares = np.minimum(scaled, _MOST) ** 2
+    return float(np.sqrt(np.sum(redundancy * squares) / (_MEAN_SQUARE * np.sum(redundancy))))
+
+
+def _of_poses(known: Known, values: np.ndarray) -> np.ndarray:
+    """Those (V, 6) of the poses, of values (P,) of all parameters."""
+    return values[known.layout.first_pose :].reshape(-1, POSE)
+
+
+def _scale(scaled: np.ndarray) -> np.ndarray:
+    """Robust standard deviation per coordinate of residuals in units of what is expected."""
+    return np.maximum(1.4826 * np.median(scaled, axis=0), 1e-3)

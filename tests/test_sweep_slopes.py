@@ -1,0 +1,28 @@
+"""Where a height map is steep."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fields.sweep.slopes import is_steep, is_wall
+
+
+@pytest.mark.parametrize("height", [0.0, -300.0])
+def test_a_plane_is_steep_where_it_rises_by_more_than_the_tolerance_from_pixel_to_pixel(height):
+    rows, columns = np.mgrid[:20, :30]
+    plane = (height + 0.03 * rows - 0.04 * columns).astype(np.float32)
+    inner = np.s_[1:-1, 1:-1]
+    assert is_steep(plane, 0.049)[inner].all()
+    assert not is_steep(plane, 0.051).any()
+
+
+def test_a_wall_is_steep_and_plane_and_an_edge_is_not_plane():
+    wall = np.repeat((0.3 * np.clip(np.arange(30) - 10, 0, 9)).astype(np.float32)[None], 20, axis=0)
+    found = is_wall(wall, 0.1)[10]
+    assert found[12:18].all()
+    assert not found[:10].any()
+    assert not found[21:].any()
+    edge = np.where(np.arange(30) < 15, 0.0, 2.0).astype(np.float32)[None].repeat(20, axis=0)
+    assert is_steep(edge, 0.1)[10, 14:16].all()
+    assert not is_wall(edge, 0.1).any()

@@ -16,8 +16,9 @@ import math
 import numpy as np
 
 from refract import fermat, kernels
-from refract._array import as_like, as_numpy, namespace
+from refract._array import as_like, namespace
 from refract._disc import search_disc
+from refract._numbers import readable
 
 # A crossing this near an edge [m] belongs to both sides; found twice, it counts once.
 _ON_EDGE = 1e-11
@@ -34,13 +35,13 @@ def crossing(surface, camera, point):
     depth = surface.height(point[0], point[1]) - point[2]
     over = camera[2] - surface.height(camera[0], camera[1])
     bent = (depth > 0.0) & ~(over <= kernels.CONTACT)  # a camera beside the water, where it has no height, is over it
-    wet = as_numpy(bent).ravel() > 0.0
-    plain_camera, plain_point = (tuple(as_numpy(c).ravel()[wet] for c in end) for end in (camera, point))
-    found = _found(surface.detached(), plain_camera, plain_point, as_numpy(depth).ravel()[wet])
+    wet = readable(bent).ravel() > 0.0
+    plain_camera, plain_point = (tuple(readable(c).ravel()[wet] for c in end) for end in (camera, point))
+    found = _found(surface.detached(), plain_camera, plain_point, readable(depth).ravel()[wet])
     whole = [np.full(wet.shape, fill) for fill in (math.nan, math.nan, math.nan, 0, -1)]
     for array, values in zip(whole, found, strict=True):
         array[wet] = values
-    x, y, z, count, triangle = (a.reshape(np.shape(as_numpy(depth))) for a in whole)
+    x, y, z, count, triangle = (a.reshape(np.shape(readable(depth))) for a in whole)
     at = x, y, z
     if xp.name == "torch":
         inside = as_like(triangle, depth) >= 0

@@ -33,6 +33,23 @@ def plain(value) -> float:
     return array.item()
 
 
+def readable(array) -> np.ndarray:
+    """`as_numpy`, where the way goes by what the values are.
+
+    Raises
+    ------
+    TypeError
+        Under a transform of torch that hides them.
+    """
+    try:
+        return as_numpy(array)
+    except RuntimeError as error:
+        raise TypeError(
+            "HeightFieldWater finds triangles by values, which torch.func and torch.compile hide; take backward() or "
+            "torch.autograd.grad, or BicubicWater, which they can look into"
+        ) from error
+
+
 def hold(condition: Callable[[np.ndarray], np.ndarray], *numbers) -> bool:
     """Whether a condition holds for all values; taken to, while a transform of torch hides what tensors hold."""
     if transformed():

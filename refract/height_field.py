@@ -10,9 +10,9 @@ from typing import Any, final
 import numpy as np
 
 from refract import _facet_paths, fermat, kernels
-from refract._array import as_like, as_numpy, namespace
+from refract._array import as_like, namespace
 from refract._disc import Bounds
-from refract._numbers import moved, number, plain, require_index
+from refract._numbers import moved, number, plain, readable, require_index
 from refract._triangulation import Triangulation
 
 # Rounding of a clearance [m], as part of its size.
@@ -123,7 +123,7 @@ class HeightFieldWater:
     @cached_property
     def plain_heights(self) -> np.ndarray:
         """The heights in numpy, without gradients."""
-        return as_numpy(self.heights)
+        return readable(self.heights)
 
     @cached_property
     def wet_triangles(self) -> np.ndarray:
@@ -185,7 +185,7 @@ class HeightFieldWater:
 
     def _under(self, x, y):
         """The wet triangle over or under each point, numpy; -1 where there is none."""
-        x, y = np.broadcast_arrays(as_numpy(x), as_numpy(y))
+        x, y = np.broadcast_arrays(readable(x), readable(y))
         triangle, inside = self.mesh.locate(x.ravel(), y.ravel())
         return np.where(inside & self.wet_triangles[triangle], triangle, -1).reshape(x.shape)
 
@@ -215,7 +215,7 @@ class HeightFieldWater:
         like = origin[0] + direction[0]
         origin, direction = fermat.together(origin, direction)
         xp = namespace(*origin)
-        plain_origin, plain_direction = (tuple(as_numpy(c).ravel() for c in v) for v in (origin, direction))
+        plain_origin, plain_direction = (tuple(readable(c).ravel() for c in v) for v in (origin, direction))
         met = self._first_triangle(plain_origin, plain_direction, 1.0)
         met = met.reshape(tuple(origin[0].shape))
         corner, slopes = self.planes(self.or_any(met), origin[0])

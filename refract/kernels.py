@@ -111,7 +111,18 @@ def is_unit(direction):
 
 def in_reach(*triples):
     """Where no component is NaN, or beyond `REACH`."""
-    return sum(dot(triple, triple) for triple in triples) < REACH * REACH
+    first, *others = (_squared(triple) for triple in triples)
+    return sum(others, first) < REACH * REACH
+
+
+def _squared(triple):
+    """The sum of squares; numpy has no multiply-add, but adds in place."""
+    if namespace(*triple).name != "numpy":
+        return dot(triple, triple)
+    total = triple[0] * triple[0]
+    for component in triple[1:]:
+        total += component * component
+    return total
 
 
 def cleaned(*triples):

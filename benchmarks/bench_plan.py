@@ -30,7 +30,6 @@ from fields.solver import solve
 from fields.solver.appearance import Appearance
 from fields.sweep import views
 from fields.sweep.passes import PASSES
-from fields.sweep.sweep import sweep
 from survey.folder.survey import load_survey
 from survey.plan import plan as planning
 from survey.run import process as running
@@ -69,7 +68,7 @@ VARIANTS: dict[str, tuple[Callable[[], AbstractContextManager], dict[str, str]]]
     "--plan full": (nullcontext, {"plan": "full"}),
     "tried: no check of the poses": (nullcontext, {"poses": "fixed"}),
     "tried: no gain and offset of photographs": (partial(patch.object, solve, "appearance_of", same_light), {}),
-    "tried: no last pass": (partial(patch.object, stage_sweep, "sweep", partial(sweep, passes=PASSES[:-1])), {}),
+    "tried: no last pass": (partial(patch.object, stage_sweep, "PASSES", PASSES[:-1]), {}),
     "tried: no views for one cell alone": (partial(patch.object, views, "_greedy", but_for_one_cell), {}),
 }
 

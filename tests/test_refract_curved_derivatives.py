@@ -6,12 +6,14 @@ import mpmath
 import numpy as np
 import pytest
 import torch
+from fifty_digits import exact_derivatives, worst
 from torch.func import hessian, jacfwd, jacrev
 
 from refract import AnySurface, BicubicWater, SphericalWater, WavyWater, project, trace
 
-# Of the largest derivative of a kind.
-FIRST, SECOND = 1e-11, 1e-8
+# Of the largest derivative of a kind. Measured worst: 5e-15 and 5e-15, and 1.2e-9 for second derivatives of `project`
+# over a surface that knows only height and normal.
+FIRST, SECOND, SECOND_BY_NORMALS = 5e-14, 5e-14, 1e-8
 # Camera, point, level and index.
 NUMBERS = [1.0, 2.0, 30.0, 8.0, 3.0, -3.0, 0.2, 1.333]
 AMPLITUDES, VECTORS, PHASES = (0.02, 0.01), ((1.5, 0.3), (-0.6, 2.2)), (0.3, 1.0)
@@ -101,32 +103,6 @@ def traced_exactly(name, numbers, start):
     return [*at(t), *(r / n + push * u for r, u in zip(ray, up, strict=True)), t]
 
 
-def exact_derivatives(function, numbers):
-    """Jacobian and Hessian by differences in 50 digits, of which 20 are left."""
-    at, step, size = [mpmath.mpf(v) for v in numbers], mpmath.mpf(10) ** -12, range(len(numbers))
-
-    def moved(*which):
-        shifted = list(at)
-        for index, sign in which:
-            shifted[index] += sign * step
-        return np.array(function(shifted), dtype=object)
-
-    once = {(i, s): moved((i, s)) for i in size for s in (-1, 1)}
-    first = np.stack([(once[i, 1] - once[i, -1]) / (2 * step) for i in size], axis=-1)
-    second = np.empty((len(first), len(numbers), len(numbers)), dtype=object)
-    for i in size:
-        for j in range(i + 1):
-            corners = [s * t * moved((i, s), (j, t)) for s in (-1, 1) for t in (-1, 1)]
-            second[:, i, j] = second[:, j, i] = sum(corners) / (4 * step * step)
-    return first.astype(float), second.astype(float)
-
-
-def worst(found, exact):
-    """Largest error as a part of the largest derivative of the same number."""
-    size = np.abs(exact).reshape(len(exact), -1).max(axis=-1).reshape(-1, *[1] * (exact.ndim - 1))
-    return (np.abs(found.numpy() - exact) / np.maximum(size, 1e-3)).max()
-
-
 @pytest.mark.parametrize("name", ["sphere", "wavy", "bowl"])
 @pytest.mark.parametrize("way", ["project", "trace"])
 def test_derivatives_over_curved_water_are_those_of_fifty_digits(way, name):
@@ -136,12 +112,12 @@ def test_derivatives_over_curved_water_are_those_of_fifty_digits(way, name):
         start = [mpmath.mpf(float(v)) for v in seen(name, numbers)[3:5]]
     else:
         told, exactly, start = traced, traced_exactly, mpmath.mpf(float(traced(name, numbers)[-1]))
-    with mpmath.workdps(50):
-        first, second = exact_derivatives(lambda v: exactly(name, v, start), NUMBERS)
+    first, second = exact_derivatives(lambda v: exactly(name, v, start), NUMBERS)
     for mode in (jacrev, jacfwd):
         assert worst(mode(lambda v: told(name, v))(numbers), first) < FIRST
-    assert worst(hessian(lambda v: told(name, v))(numbers), second) < SECOND
-    assert worst(jacrev(jacrev(lambda v: told(name, v)))(numbers), second) < SECOND
+    bound = SECOND_BY_NORMALS if (name, way) == ("bowl", "project") else SECOND
+    assert worst(hessian(lambda v: told(name, v))(numbers), second) < bound
+    assert worst(jacrev(jacrev(lambda v: told(name, v)))(numbers), second) < bound
 
 
 def test_second_derivatives_over_cubic_pieces_pass_the_check_of_torch():

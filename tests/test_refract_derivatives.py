@@ -6,6 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 import torch
+from fifty_digits import exact_derivatives, worst
 from torch.func import hessian, jacfwd, jacrev, jvp, vmap
 
 from refract import FlatWater, project, trace
@@ -31,7 +32,7 @@ def seen(numbers):
     return torch.cat([found.direction, found.crossing, lengths])
 
 
-def seen_exactly(*numbers):
+def seen_exactly(numbers):
     """`seen` in mpmath, with the share of the way that lies in air found by Newton's steps in all digits."""
     camera, point = mpmath.matrix(numbers[:3]), mpmath.matrix(numbers[3:6])
     z, n, slope_x, slope_y = numbers[6:]
@@ -47,38 +48,10 @@ def seen_exactly(*numbers):
     return [*(air / mpmath.norm(air)), *(camera + air), mpmath.norm(air), mpmath.norm(water), h]
 
 
-def exact_derivatives(numbers):
-    """Jacobian (9, 10) and Hessian (9, 10, 10) by differences in 50 digits, of which 20 are left."""
-    with mpmath.workdps(50):
-        at, step = [mpmath.mpf(v) for v in numbers], mpmath.mpf(10) ** -12
-
-        def moved(*which):
-            shifted = list(at)
-            for index, sign in which:
-                shifted[index] += sign * step
-            return np.array(seen_exactly(*shifted), dtype=object)
-
-        size = range(len(at))
-        once = {(i, s): moved((i, s)) for i in size for s in (-1, 1)}
-        first = np.stack([(once[i, 1] - once[i, -1]) / (2 * step) for i in size], axis=-1)
-        second = np.empty((9, 10, 10), dtype=object)
-        for i in size:
-            for j in range(i + 1):
-                corners = [s * t * moved((i, s), (j, t)) for s in (-1, 1) for t in (-1, 1)]
-                second[:, i, j] = second[:, j, i] = sum(corners) / (4 * step * step)
-        return first.astype(float), second.astype(float)
-
-
-def worst(found, exact):
-    """Largest error as a part of the largest derivative of the same number by the same argument."""
-    size = np.abs(exact).reshape(len(exact), -1).max(axis=-1).reshape(-1, *[1] * (exact.ndim - 1))
-    return (np.abs(found.numpy() - exact) / np.maximum(size, 1e-3)).max()
-
-
 @pytest.mark.parametrize("name", CASES)
 def test_derivatives_of_both_modes_are_those_of_fifty_digits(name):
     numbers = torch.tensor(CASES[name], dtype=torch.float64)
-    first, second = exact_derivatives(CASES[name])
+    first, second = exact_derivatives(seen_exactly, CASES[name])
     assert worst(jacrev(seen)(numbers), first) < FIRST
     assert worst(jacfwd(seen)(numbers), first) < FIRST
     assert worst(hessian(seen)(numbers), second) < SECOND
@@ -87,7 +60,7 @@ def test_derivatives_of_both_modes_are_those_of_fifty_digits(name):
 
 def test_a_dual_number_for_the_level_carries_its_derivative():
     numbers = torch.tensor(CASES["oblique"], dtype=torch.float64)
-    first, _ = exact_derivatives(CASES["oblique"])
+    first, _ = exact_derivatives(seen_exactly, CASES["oblique"])
     with torch.autograd.forward_ad.dual_level():
         level = torch.autograd.forward_ad.make_dual(numbers[6], torch.ones((), dtype=torch.float64))
         found = seen(torch.cat([numbers[:6], level[None], numbers[7:]]))

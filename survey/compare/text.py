@@ -22,6 +22,8 @@ def sections_of(figures: Figures) -> list[Section]:
         sections.append(("By depth", _bands(depth.bands, "m")))
     sections.append(("By incidence", _bands(figures.parts.incidence, "deg")))
     sections.append(("By number of views", _bands(figures.parts.views, "views")))
+    sections.append(("By slope of the reference", _bands(figures.parts.slope, "deg")))
+    sections.append((f"Completeness{_of_seen(figures)} by slope of the reference", _reached(figures)))
     sections.append(("Other distances", _others(figures)))
     sections.append(("Check points (ASPRS, Edition 2)", _asprs(figures.checkpoints)))
     sections.append(("Vertical uncertainty (IHO S-44), share of the points under water", _orders(figures.uncertainty)))
@@ -141,6 +143,19 @@ def _short(part: DistanceStatistics) -> str:
         f"mean {_metres(part.mean_m)}{interval}, std {_metres(part.std_m)}; inner 90 %: mean "
         f"{_metres(part.mean_inner90_m)}, std {_metres(part.std_inner90_m)} m; {part.n_points} points"
     )
+
+
+def _of_seen(figures: Figures) -> str:
+    return "" if figures.circumstances.visible is None else " of what cameras see"
+
+
+def _reached(figures: Figures) -> list[tuple[str, str]]:
+    rows = []
+    for band in figures.reached:
+        at = zip(figures.tolerances, band.completeness, strict=True)
+        shares = ", ".join(f"{_percent(share)} at {scores.tolerance_m:g} m" for scores, share in at)
+        rows.append((limits_label(band.low, band.high, "deg"), f"{shares}; {band.n_samples} samples"))
+    return rows
 
 
 def _others(figures: Figures) -> list[tuple[str, str]]:

@@ -24,7 +24,7 @@ def comparison(found: Figures | None) -> list[Block]:
     unit = LengthUnit.of([distances.std_m])
     notes = [Sentences(held.notes)] if held.notes else []
     whole = _bias_and_spread("part", _parts(found), unit, "Bias and spread")
-    return [method, _completeness(found.tolerances), whole, *_bands(found, unit), *notes]
+    return [method, _completeness(found.tolerances), *_reached(found), whole, *_bands(found, unit), *notes]
 
 
 def _parts(found: Figures) -> list[tuple[str, DistanceStatistics]]:
@@ -44,6 +44,7 @@ def _bands(found: Figures, unit: LengthUnit) -> list[Table]:
         (() if parts.depth is None else parts.depth.bands, "depth", "m"),
         (parts.incidence, "incidence", "deg"),
         (parts.views, "views that agree", "views"),
+        (parts.slope, "slope of the reference", "deg"),
     )
     return [
         _bias_and_spread(
@@ -83,6 +84,19 @@ def _completeness(tolerances: tuple[Scores, ...]) -> Table:
         shares = [scores.completeness, *visible, scores.accuracy_share, scores.f_score]
         rows.append((f"{scores.tolerance_m:g}", *(_percent(value) for value in shares)))
     return Table(titles, rows, num_texts=0, heading="Completeness")
+
+
+def _reached(found: Figures) -> list[Table]:
+    """Completeness by the slope of the reference, at each tolerance; nothing without a mesh."""
+    if not found.reached:
+        return []
+    of = "reached" if found.circumstances.visible is None else "of what cameras see"
+    titles = ("slope of the reference", "samples", *(f"{of}, {s.tolerance_m:g} m [%]" for s in found.tolerances))
+    rows = [
+        (limits_label(band.low, band.high, "deg"), count(band.n_samples), *(_percent(at) for at in band.completeness))
+        for band in found.reached
+    ]
+    return [Table(titles, rows, heading="Completeness by slope")]
 
 
 def iho_s44(found: VerticalUncertainty | None) -> list[Block]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fields.median import median
 from fields.solver.solver import SolvedMap
 from fields.sweep.bed import BedPoints, has_company, points_of, unique_pixels
 from fields.sweep.block import AGREEMENT_PX
@@ -138,4 +139,4 @@ def bed_points(
 
 def _parallax(block: Block, depth_map: DepthMap) -> float:
     """Of the bed of a map in the views that confirm its heights [px/m]."""
-    return block.parallax(depth_map.view, block.neighbours(depth_map.view, PEERS), float(np.median(depth_map.height)))
+    return block.parallax(depth_map.view, block.neighbours(depth_map.view, PEERS), median(depth_map.height))

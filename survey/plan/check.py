@@ -160,7 +160,8 @@ def _water(survey: Survey) -> str:
     return (
         f"level {water.level_m:g} m at {east:.10g}, {north:.10g}, slope "
         f"{water.slope_east:g} east and {water.slope_north:g} north, index {water.refractive_index:g}; cameras "
-        f"{_range(-plane.depth(centres))} m over it{water_stds(water, survey.levels)}"
+        f"{_range(-plane.depth(centres))} m over it"
+        f"{water_stds(water, survey.levels, is_index_known=survey.is_index_known)}"
     )
 
 

@@ -35,8 +35,7 @@ def verdict_of(survey: Survey, bed: BedPoints, gsd_m: float) -> Verdict:
 
 def asked_gate(stored: StoredBed, std_m: float) -> Gate:
     """Whether the standard deviation [m] that was asked for is reached, and if not, what limits it."""
-    bed = stored.bed
-    cells = std_cells(bed.xyz, bed.std, bed.num_views, bed.depth, stored.gsd_m)
+    cells = std_cells(stored.bed, stored.gsd_m)
     reached = cells.reached(std_m)
     sentence = f"{cells.in_words(std_m)}; required: {share(SHARE)} within what was asked"
     if reached < SHARE:

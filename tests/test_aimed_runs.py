@@ -133,7 +133,7 @@ class Hand:
 @pytest.fixture
 def clock(monkeypatch):
     """Lets runs have a clock of a test's own, on a machine that is as fast as the rates say."""
-    monkeypatch.setattr(machine, "slowness", lambda: 1.0)
+    monkeypatch.setattr(machine, "load", lambda: machine.Load(1.0, 1.0))
 
     def use(step: float) -> None:
         hand = Hand(step)
@@ -175,6 +175,20 @@ def test_a_round_that_runs_out_of_time_leaves_what_was_there_before(tmp_path, cl
     _, log = run_with(run, time_budget_s=3000.0)
     assert "the heights of the one before are kept" in log
     assert scale_of(run) == 0.5
+
+
+@pytest.mark.parametrize(
+    ("std_m", "words"),
+    [
+        (1e-9, r"--target-std 1e-09 is in metres, and less than a hundredth of what a pixel covers here \("),
+        (20.0, r"--target-std 20 is in metres, and more than 10 pixels of the smallest images cover here \("),
+    ],
+)
+def test_a_target_that_cannot_be_meant_is_refused_before_anything_is_computed(tmp_path, std_m, words):
+    run = drawn(tmp_path / "survey", **FINER)
+    with pytest.raises(SurveyError, match=words):
+        process(run.folder, target_std_m=std_m)
+    assert not (run.folder / "bathynerf" / "cloud.las").exists()
 
 
 def test_a_time_that_is_too_short_is_refused_with_the_shortest(tmp_path):

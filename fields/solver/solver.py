@@ -86,7 +86,7 @@ class SolverFigures:
         return (
             f"the bed bends by {1e3 * self.roughness_m:.1f} mm from pixel to pixel; photographs are shifted against "
             f"each other by {self.shifts.anywhere_px:.2f} px and {self.shifts.by_depth_px_m:.2f} px for each metre of "
-            f"water; the variance by noise counts {self.noise.heights:.2f} times; finer relief is weaker by the "
+            f"water; the variance by noise counts {self.noise.heights:.2f} times; relief falls with the "
             f"frequency to the power of {2.0 * self.fall:.1f}"
         )
 

@@ -74,7 +74,7 @@ def _write_report(
     timings = _timings(run, survey, done)
     if comparison is not None:
         timings["comparison"] = time.monotonic() - start
-    verdict = verdict_of(survey, stored.bed, plan.gsd_m)
+    verdict = verdict_of(survey, stored, plan.gsd_m)
     aim = None if job.aimed is None else job.aimed.aim
     if aim is not None and aim.std_m is not None:
         verdict = Verdict((*verdict.gates, asked_gate(stored, aim.std_m)))

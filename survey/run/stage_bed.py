@@ -72,16 +72,18 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         job.progress.detail(f"{100 * too_bright:.1f} % of the points are brighter than white without the water")
     found = read_adjustment(needs["adjust"]) if "adjust" in needs else None
     common = std_common(bed.xyz, bed.wet, survey, found, job.plan.gsd_m)
-    if found is not None and survey.config.cameras.poses is not None:
+    std_placed = None
+    if found is not None:
         of_block = std_of_block(bed.xyz, survey, found, job.plan.gsd_m)
         bed = replace(bed, std=np.hypot(bed.std, of_block))
         job.progress.note(f"std: {length(float(np.median(of_block)))} (median) of it by what tilts or shifts the block")
+        std_placed = of_block if survey.config.cameras.poses is None else None
     basis = BASIS_STATED if found is None else BASIS_ADJUSTED
     job.progress.note(f"std_common: {length(float(np.nanmedian(common)))} (median), by {basis}")
     points_crs = np.empty_like(bed.xyz)
     for first in range(0, len(bed), _PORTION):
         points_crs[first : first + _PORTION] = survey.frame.crs_from_local(bed.xyz[first : first + _PORTION])
-    save_bed(folder, StoredBed(bed, points_crs, survey.frame.crs, survey.name, job.plan.gsd_m, common))
+    save_bed(folder, StoredBed(bed, points_crs, survey.frame.crs, survey.name, job.plan.gsd_m, common, std_placed))
 
 
 def _field_of(job: Job, folder: Path) -> TensorField:

@@ -9,6 +9,7 @@ from itertools import groupby, islice, takewhile
 
 import numpy as np
 
+from fields.solver.choosing import keeps_sweep, slopes_by_noise
 from fields.solver.correlation import NoiseShares, noise_shares, phantoms_of, response_of
 from fields.solver.roughness import START_GSD, roughness_of
 from fields.solver.shifts import Shifts, depth_of, shifts_of
@@ -69,6 +70,8 @@ class SolverFigures:
         Between photographs: `fields.solver.shifts.shifts_of`.
     noise : NoiseShares
         What noise is worth: `fields.solver.correlation.noise_shares`.
+    slopes : float
+        Of the noise of the sweep: `fields.solver.choosing.slopes_by_noise`.
     sightings : Sightings or None
         Of all points in all photographs; None where nothing was solved.
     """
@@ -76,6 +79,7 @@ class SolverFigures:
     roughness_m: float
     shifts: Shifts
     noise: NoiseShares
+    slopes: float
     sightings: Sightings | None = field(default=None, compare=False)
 
     def __str__(self) -> str:
@@ -111,7 +115,7 @@ def solve_maps(
     goes_on: Callable[[], bool] = lambda: True,
     keep: Callable[[], MutableMapping[int, SolvedMap]] = dict,
 ) -> tuple[InOrder, SolverFigures]:
-    """Solve the kept pixels of all maps, about the heights of the sweep, where `Views.solvable` lets it.
+    """Solve the kept pixels of all maps, about the heights of the sweep; some keep these (`choosing.keeps_sweep`).
 
     Parameters
     ----------
@@ -135,7 +139,6 @@ def solve_maps(
         NaN where nothing is kept.
     """
     views = Views.of(block, maps)
-    kept = views.solvable(kept)
     filled = [asked_in_squares(wanted, SAMPLE_PX) if views.others[index] else [] for index, wanted in enumerate(kept)]
     total, done = sum(map(sum, filled)), 0
     solved = keep()
@@ -143,7 +146,7 @@ def solve_maps(
         solved[index] = SolvedMap.empty()
     found = InOrder(solved, list(range(len(filled))))
     if not total:
-        return found, SolverFigures(np.nan, Shifts(np.nan, np.nan), NoiseShares(*4 * (np.nan,)))
+        return found, SolverFigures(np.nan, Shifts(np.nan, np.nan), NoiseShares(*4 * (np.nan,)), np.nan)
     with ThreadPoolExecutor(WORKERS) as pool, beside_workers(block.device, WORKERS):
         sample = _sample(views, kept, filled)
         first = [each for _, each in views.solved(sample, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
@@ -152,7 +155,7 @@ def solve_maps(
         sightings = Sightings.none(len(block.images))
 
         def part(job: Job, each: Solved) -> tuple[_Solved, Sightings]:
-            return _part(job, block.cameras[0].width, each, figures.noise), Sightings.of(each, len(block.images))
+            return _part(job, block.cameras[0].width, each, figures), Sightings.of(each, len(block.images))
 
         jobs = (job for index, wanted in enumerate(kept) for job in views.jobs(index, wanted))
         begun = takewhile(lambda _job: goes_on(), jobs)
@@ -174,12 +177,13 @@ def _learned(samples: list[tuple[Tile, Solved]], gsd: float, pool: Executor, is_
     # Noise looks like shifts, and shifts like noise: first all is noise, then what shifts leave.
     all_noise = noise_shares(phantoms, response, Shifts(0.0, 0.0), is_wet)
     shifts = shifts_of(samples, all_noise.heights, is_wet)
-    return SolverFigures(roughness, shifts, noise_shares(phantoms, response, shifts, is_wet))
+    noise = noise_shares(phantoms, response, shifts, is_wet)
+    return SolverFigures(roughness, shifts, noise, slopes_by_noise(samples, roughness, noise))
 
 
-def _part(job: Job, width: int, found: Solved, noise: NoiseShares) -> _Solved:
-    """The asked pixels of a tile, of a map of a width."""
-    tile = job.tile
+def _part(job: Job, width: int, found: Solved, figures: SolverFigures) -> _Solved:
+    """The asked pixels of a tile, of a map of a width, but for those that keep the height of the sweep."""
+    tile, noise = job.tile, figures.noise
     rows, columns = tile.places
     pixels = (rows + tile.row) * width + columns + tile.column
     of_shift = 1.0 / parallax_of(found.brightness.weight, found.motion)
@@ -187,8 +191,10 @@ def _part(job: Job, width: int, found: Solved, noise: NoiseShares) -> _Solved:
     change = change_of(found, found.height, noise.response)
     relief = relief_of(tile, change, expected, noise.heights, noise.changes)
     relief += bends_below(found, expected, noise.heights, noise.unfollowed)
-    values = (found.height, noise.heights * expected.noise, relief, of_shift, rise_of(tile, found.height))
-    return _Solved(pixels[tile.asked], *(each[tile.asked].astype(np.float32) for each in values))
+    by_noise = noise.heights * expected.noise
+    values = (found.height, by_noise, relief, of_shift, rise_of(tile, found.height))
+    taken = tile.asked & ~keeps_sweep(tile, found, by_noise, noise, figures.slopes, job.tolerance)
+    return _Solved(pixels[taken], *(each[taken].astype(np.float32) for each in values))
 
 
 def _joined(parts: list[_Solved]) -> _Solved:

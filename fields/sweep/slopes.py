@@ -8,6 +8,8 @@ import numpy as np
 # Heights about a pixel on a wall lie in one plane: they leave it (rms) by less than this share of its rise. At a clean
 # step it is 0.47.
 _MOST_BENT = 0.4
+# Where within the windows of the sweep an edge lies, it does not tell: heights this far from a pixel may be its own.
+_BESIDE_PX = 5
 # Rise from column to column of the plane through 3x3 heights.
 _RISE = np.tile(np.array([-1.0, 0.0, 1.0], dtype=np.float32) / 6.0, (3, 1))
 
@@ -24,6 +26,12 @@ def is_wall(height: np.ndarray, tolerance: float) -> np.ndarray:
     # Along its rise the squares of a plane are two thirds of that of its slope.
     off_plane = square - mean * mean - (2.0 / 3.0) * slope * slope
     return (slope > tolerance) & (off_plane < (_MOST_BENT * slope) ** 2)
+
+
+def differing(height: np.ndarray) -> np.ndarray:
+    """By how much heights within two pixels differ from each other, half of their range (height, width) [m]."""
+    about = np.ones((_BESIDE_PX, _BESIDE_PX), np.uint8)
+    return 0.5 * (cv2.dilate(height, about) - cv2.erode(height, about))
 
 
 def slope_of(height: np.ndarray) -> np.ndarray:

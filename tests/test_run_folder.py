@@ -22,7 +22,7 @@ from survey.errors import SurveyError
 from survey.run.folder import RunDir, seconds_of, versions
 from survey.run.keys import Key
 from survey.run.stored import load_arrays, save_arrays
-from survey.run.stored_maps import Stored, kept_on_disk, save_maps
+from survey.run.stored_maps import Stored, kept_aside, save_maps
 from survey.stage_key import stage_key
 
 A, B = Key({"water": "1", "code": "x"}), Key({"water": "2", "code": "x"})
@@ -410,16 +410,23 @@ def test_depth_maps_come_back_as_they_were_whatever_their_sizes(tmp_path, rng):
             np.testing.assert_array_equal(getattr(old, name), getattr(new, name))
 
 
-def test_maps_that_are_worked_on_lie_in_a_folder_while_they_are(tmp_path, rng):
-    solved = SolvedMap(np.arange(3), *rng.normal(size=(2, 3)).astype(np.float32))
-    with kept_on_disk(tmp_path / "scratch", SolvedMap) as keep:
+@pytest.mark.parametrize(("in_memory", "num_files"), [(0, 2), (48, 1), (96, 0)])
+def test_maps_that_are_worked_on_lie_in_a_folder_where_memory_has_no_room(tmp_path, rng, in_memory, num_files):
+    maps = [SolvedMap(np.arange(3), *rng.normal(size=(2, 3)).astype(np.float32)) for _ in range(2)]
+    assert maps[0].pixels.nbytes + maps[0].height.nbytes + maps[0].std.nbytes == 48
+    with kept_aside(tmp_path / "scratch", SolvedMap, in_memory) as keep:
         first, second = keep(), keep()
-        first[4] = solved
-        np.testing.assert_array_equal(first[4].height, solved.height)
-        assert (list(first), 4 in first, 4 in second, len(second)) == ([4], True, False, 0)
+        for place, solved in zip((first, second), maps, strict=True):
+            place[4] = solved
+            place[4] = solved
+            np.testing.assert_array_equal(place[4].height, solved.height)
+        assert len(list(tmp_path.rglob("*.npy"))) == num_files
+        assert (list(first), 4 in first, 5 in first, len(second)) == ([4], True, False, 1)
         first.clear()
         with pytest.raises(KeyError):
             first[4]
+        second[5] = maps[0]
+        assert (list(first), list(second)) == ([], [4, 5])
     assert list(tmp_path.iterdir()) == []
 
 

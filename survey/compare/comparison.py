@@ -69,9 +69,9 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     num_cropped = int((~inputs.inside).sum())
     inputs, is_left = _without_outliers(inputs, options, notes)
     scene = Scene.of(inputs, options.bounds, is_left, max(options.tolerances_m))
-    distances, nearest = measure.distances_of(scene, options.sign, notes)
-    blocks = spatial_blocks(scene.points[:, :2], distances)
-    depth = measure.bed_depth(scene, nearest, options.water_level)
+    distances = measure.distances_of(scene, options.sign, notes)
+    blocks = spatial_blocks(scene.points[:, :2], distances.signed)
+    depth = measure.bed_depth(scene, distances.nearest, options.water_level)
     with current().stage("Completeness", len(options.tolerances_m)) as stage:
         reaches = []
         for tolerance_m in options.tolerances_m:
@@ -82,17 +82,18 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     vertical, errors = measure.vertical(scene, depth, blocks)
     figures = Figures(
         summary=summarise(
-            distances,
+            distances.signed,
             tolerance_m=first.tolerance_m,
             is_reached=first.samples,
             is_reached_visible=first.visible,
             num_cropped=num_cropped,
             blocks=blocks,
         ),
-        tolerances=tuple(reach.scores(distances) for reach in reaches),
+        tolerances=tuple(reach.scores(distances.signed) for reach in reaches),
         parts=measure.parts(scene, distances, depth, blocks),
+        reached=measure.reached_by_slope_of(scene, reaches),
         vertical=vertical,
-        uncertainty=measure.uncertainty(distances, errors, depth),
+        uncertainty=measure.uncertainty(distances.signed, errors, depth),
         checkpoints=None
         if places is None or checkpoints is None
         else checkpoint_accuracy(scene, checkpoints, places, notes),
@@ -102,8 +103,7 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
         circumstances=_circumstances(scene, options, blocks, notes),
     )
     points, targets = inputs.cloud.points[inputs.inside], inputs.frame.crs_from_local(scene.targets)
-    is_reached = first.samples if first.visible is None else first.visible
-    return Comparison(figures, points, distances, nearest, depth, targets, is_reached, inputs)
+    return Comparison(figures, points, distances.signed, distances.nearest, depth, targets, first.targets, inputs)
 
 
 def _circumstances(scene: Scene, options: CompareOptions, blocks: Blocks, notes: list[str]) -> Circumstances:

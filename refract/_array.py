@@ -52,7 +52,7 @@ def quiet(function):
 
     @wraps(function)
     def call(*args, **options):
-        if _is_compiling():
+        if compiling():
             return function(*args, **options)
         with np.errstate(invalid="ignore", over="ignore"):
             return function(*args, **options)
@@ -60,7 +60,8 @@ def quiet(function):
     return call
 
 
-def _is_compiling() -> bool:
+def compiling() -> bool:
+    """Whether torch.compile looks on."""
     torch = sys.modules.get("torch")
     return torch is not None and torch.compiler.is_compiling()
 
@@ -72,7 +73,7 @@ def namespace(*arrays) -> SimpleNamespace:
     """
     torch = sys.modules.get("torch")
     # What torch compiles comes from torch, and it cannot look into Dr.Jit.
-    drjit = None if _is_compiling() else sys.modules.get("drjit")
+    drjit = None if compiling() else sys.modules.get("drjit")
     for array in arrays:
         if type(array) is np.ndarray or type(array) is float:
             continue
@@ -204,9 +205,6 @@ def _common_drjit(arrays: dict) -> tuple:
         return _vector(*(leaf(np.ascontiguousarray(array[..., c]).ravel()) for c in range(array.shape[-1])))
 
     same = tuple(convert(a) for a in arrays.values())
-    if not all(drjit.width(a) for a in same):
-        shapes = ", ".join(f"{name} {tuple(a.shape)}" for name, a in zip(arrays, same, strict=True))
-        raise ValueError(f"Dr.Jit combines no empty arrays with numbers, got {shapes}; leave the call out")
     if len({drjit.width(a) for a in same} - {1}) > 1:
         raise _cannot_broadcast({name: tuple(a.shape) for name, a in zip(arrays, same, strict=True)})
     return same

@@ -11,6 +11,7 @@ import numpy as np
 from refract import fermat, kernels
 from refract._array import namespace
 from refract._disc import Bounds
+from refract._empty import of_any_size
 from refract._numbers import hold, moved, number, plain, require_index
 from refract.kernels import GRAZING
 
@@ -19,6 +20,7 @@ MEAN_RADIUS_M = 6_371_000.0
 _WGS84_A, _WGS84_F = 6_378_137.0, 1.0 / 298.257223563
 
 
+@of_any_size
 def curvature_drop(distance, radius=MEAN_RADIUS_M):
     """How far a level surface falls below its tangent plane [m], ``distance`` [m] from where they touch.
 

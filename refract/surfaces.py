@@ -13,7 +13,8 @@ from typing import Any, Protocol, final
 import numpy as np
 
 from refract import kernels
-from refract._array import namespace, root
+from refract._array import components, namespace, root
+from refract._empty import of_any_size
 from refract._numbers import hold, in_library, moved, number, require_index
 from refract.kernels import GRAZING
 
@@ -162,16 +163,18 @@ class FlatWater:
         """`up`, whatever x and y."""
         return _up(in_library(self.slope_x, x), in_library(self.slope_y, x))
 
+    @of_any_size
     def height(self, x, y):
         """Height z of the surface [m] at local x, y [m]."""
         px, py, pz, _, slope_x, slope_y = (in_library(v, x) for v in self._numbers)
         return pz + slope_x * (x - px) + slope_y * (y - py)
 
+    @of_any_size
     def depth(self, points):
         """Depth below the surface [m] along its normal, positive in water, of points (..., 3) [m], local."""
-        nx, ny, nz = self.up
-        px, py, pz = self.point
-        return -((points[..., 0] - px) * nx + (points[..., 1] - py) * ny + (points[..., 2] - pz) * nz)
+        position = components(points)
+        point, up, _ = self.plane(position)
+        return -kernels.over_plane(position, point, up)
 
     def _require_library_of(self, *triples) -> None:
         """TypeError unless rays come from where the numbers of the water do, if those are not plain."""

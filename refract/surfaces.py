@@ -99,6 +99,20 @@ def _library(value) -> str:
     return type(value).__module__ if name == "drjit" else name
 
 
+def _require_broadcast(like, numbers) -> None:
+    """ValueError unless the numbers of a water broadcast against an array of rays without their last axis."""
+    if namespace(like).name == "drjit" or all(isinstance(v, float) for v in numbers):
+        return
+    shapes = [tuple(v.shape) for v in (like, *numbers) if hasattr(v, "shape")]
+    try:
+        np.broadcast_shapes(*shapes)
+    except ValueError:
+        raise ValueError(
+            f"expected numbers of the water that broadcast against rays {shapes[0]} (without their last axis), got "
+            f"{shapes[1:]}; give rays one more axis for an index per channel: rays[..., None, :]"
+        ) from None
+
+
 @final
 @dataclass(frozen=True)
 class FlatWater:
@@ -193,11 +207,14 @@ class FlatWater:
         ------
         TypeError
             If the numbers of the water and the triples are arrays of different libraries.
+        ValueError
+            If shapes of numbers do not broadcast against those of numpy or torch rays.
         """
         self._require_library_of(*triples)
+        like = triples[0][0]
+        _require_broadcast(like, self._numbers)
         if not any(isinstance(v, np.ndarray) for v in self._numbers):
             return self.point, self.up, self.n_water
-        like = triples[0][0]
         x, y, z, n_water, slope_x, slope_y = (in_library(v, like) for v in self._numbers)
         return (x, y, z), _up(slope_x, slope_y), n_water
 

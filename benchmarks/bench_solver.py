@@ -78,7 +78,7 @@ def below(survey: Path, run: Path, truth: Path) -> str:
     inside = (las.x >= e0) & (las.x <= e1) & (las.y >= n0) & (las.y <= n1)
     points = points[inside]
     gsd = json.loads((run / "plan.json").read_text())["gsd_m"]
-    raster, low, cell = _raster(points, vertices, mesh.faces, gsd / FINE)
+    raster, low, cell = raster_of(points, vertices, mesh.faces, gsd / FINE)
     stds = []
     for window in WINDOWS_GSD:
         mean = ndimage.uniform_filter(raster, window * FINE)
@@ -88,7 +88,7 @@ def below(survey: Path, run: Path, truth: Path) -> str:
     return " | ".join(stds)
 
 
-def _raster(points, vertices, faces, cell: float) -> tuple[np.ndarray, np.ndarray, float]:
+def raster_of(points, vertices, faces, cell: float) -> tuple[np.ndarray, np.ndarray, float]:
     """Heights of the highest surface in cells over the extent of the points; holes take the nearest."""
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     x, y = np.meshgrid(*(np.arange(a, b, cell) for a, b in zip(low, high, strict=True)))

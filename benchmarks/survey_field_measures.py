@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 from point_clouds import tops
-from scipy.ndimage import distance_transform_edt, grey_opening
+from scipy.ndimage import distance_transform_edt, percentile_filter
 from scipy.spatial import cKDTree
 
 from evaluation import distance_statistics, distance_to_mesh, image_quality, is_reached, psnr
@@ -17,23 +17,21 @@ from survey.folder.survey import Survey, View, load_image, load_mask
 from survey.plan.area import local_area, within
 
 TOLERANCES_M = (0.05, 0.2)
-# A point belongs to a mast if it rises this far above everything wider than this, in a raster of these cells.
-RISE_M, WIDE_M, CELL_M = 0.5, 1.0, 0.1
+# A point belongs to a mast if it rises this far above what covers a quarter of the disc of this diameter around it, in
+# a raster of these cells: a deck beside the side of a hull does, and the top of a mast does not.
+RISE_M, WIDE_M, CELL_M, COVERED = 0.5, 1.5, 0.1, 0.25
 # The shortest side of an image that allows five scales.
 SMALLEST_PX = 176
 
 
 def is_mast(points: np.ndarray) -> np.ndarray:
-    """Which points (N, 3) [m] of a surface, local, belong to narrow upright objects: (N,) bool.
-
-    The opening of the raster of greatest heights by a disc is the surface without anything narrower than the disc.
-    """
+    """Which points (N, 3) [m] of a surface, local, belong to masts, yards and other narrow objects: (N,) bool."""
     top, row, column = tops(points, CELL_M)
     nearest = distance_transform_edt(np.isinf(top), return_distances=False, return_indices=True)
     across = np.arange(-int(WIDE_M / CELL_M / 2), int(WIDE_M / CELL_M / 2) + 1)
     disc = np.add.outer(across**2, across**2) <= (WIDE_M / CELL_M / 2) ** 2
-    opened = grey_opening(top[tuple(nearest)], footprint=disc)
-    return points[:, 2] - opened[row, column] > RISE_M
+    around = percentile_filter(top[tuple(nearest)], 100.0 * (1.0 - COVERED), footprint=disc)
+    return points[:, 2] - around[row, column] > RISE_M
 
 
 def cloud_figures(cloud: Path, reference: Path, visible: Path, survey: Survey) -> dict:

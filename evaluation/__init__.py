@@ -6,7 +6,7 @@
 | vertical difference, positive above the mesh | `vertical` |
 | distance along normals (M3C2), positive above the reference | `m3c2` |
 | distance to a cloud, completeness, F-score | `completeness` |
-| bias, spread and scores | `summary`; by depth, incidence and views: `strata`; intervals of confidence: `bootstrap` |
+| bias, spread and scores | `summary`; of parts, as by depth: `strata`; intervals of confidence: `bootstrap` |
 | share of errors within 1.96 std, in classes | `coverage` |
 | IHO S-44 and ASPRS | `standards`; the height of a cloud at check points: `checkpoints` |
 | statistical outliers | `outliers` |
@@ -26,7 +26,7 @@ from evaluation.images.quality import gmsd, image_quality, ms_gmsd, ms_ssim, psn
 from evaluation.m3c2 import M3C2Distances, m3c2_distances
 from evaluation.outliers import is_outlier
 from evaluation.standards import AsprsAccuracy, IhoS44, asprs_vertical, iho_s44
-from evaluation.strata import Band, DepthParts, by_band, by_depth
+from evaluation.strata import Band, DepthParts, ReachedBand, by_band, by_depth, reached_by_slope
 from evaluation.summary import DistanceStatistics, Scores, Summary, distance_statistics, scores, summarise
 from evaluation.triangles import weld
 from evaluation.vertical import vertical_difference
@@ -41,6 +41,7 @@ __all__ = [
     "IhoS44",
     "M3C2Distances",
     "MeshDistances",
+    "ReachedBand",
     "Scores",
     "Summary",
     "apparent_points",
@@ -65,6 +66,7 @@ __all__ = [
     "ms_ssim",
     "per_camera",
     "psnr",
+    "reached_by_slope",
     "sample_mesh",
     "scores",
     "slope_below",

@@ -43,12 +43,15 @@ class MeshDistances:
         NaN for points that are not finite.
     nearest : (N, 3) [m]
         The nearest point of the mesh.
+    slope_deg : (N,) [deg]
+        Of a triangle that it lies on: 0 level, 90 upright, whichever side is up; NaN for points that are not finite.
     num_degenerate : int
         Triangles without area, which were left out.
     """
 
     signed: np.ndarray
     nearest: np.ndarray
+    slope_deg: np.ndarray
     num_degenerate: int
 
 
@@ -105,6 +108,7 @@ def distance_to_mesh(
     surface = _Surface(vertices - origin, faces[sound], sign)
     signed = np.full(len(points), np.nan)
     nearest = np.full(points.shape, np.nan)
+    slope_deg = np.full(len(points), np.nan)
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))
     order = finite[_neighbours_first(points[finite])]
     parts = [order[start : start + _CHUNK] for start in range(0, len(order), _CHUNK)]
@@ -112,10 +116,10 @@ def distance_to_mesh(
         for rows, found in zip(
             parts, pool.map(lambda rows: surface.measure(points[rows] - origin), parts), strict=True
         ):
-            signed[rows], nearest[rows] = found
+            signed[rows], nearest[rows], slope_deg[rows] = found
             if advance is not None:
                 advance(len(rows))
-    return MeshDistances(signed, nearest + origin, int((~sound).sum()))
+    return MeshDistances(signed, nearest + origin, slope_deg, int((~sound).sum()))
 
 
 class _Surface:
@@ -129,6 +133,7 @@ class _Surface:
         if sign == "up":
             normals[normals[:, 2] < -_STEEP_NZ] *= -1.0
         self._normals = normals
+        self._slope_deg = np.degrees(np.arctan2(np.hypot(normals[:, 0], normals[:, 1]), np.abs(normals[:, 2])))
         self._tree = igl.AABB()
         self._tree.init(self._vertices, self._faces)
         # Triangles around vertex v: star_faces[star_start[v] : star_start[v + 1]].
@@ -136,8 +141,8 @@ class _Surface:
         self._star_faces = np.argsort(corners, kind="stable") // 3
         self._star_start = np.concatenate([[0], np.cumsum(np.bincount(corners, minlength=len(vertices)))])
 
-    def measure(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Signed distances (N,) and nearest points (N, 3)."""
+    def measure(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Signed distances (N,), nearest points (N, 3) and the slopes there (N,) [deg]."""
         # igl squeezes a single row.
         hit = np.reshape(self._tree.squared_distance(self._vertices, self._faces, points)[1], len(points))
         nearest, feature = closest_on_triangles(points, self._vertices[self._faces[hit]])
@@ -148,7 +153,7 @@ class _Surface:
         tied = np.flatnonzero((feature != INSIDE) & (distance > 0.0))
         for rows, counts in self._blocks(tied, hit, feature):
             positive[rows] = self._is_above(away[rows], hit[rows], feature[rows], counts)
-        return np.where(positive, distance, -distance), nearest
+        return np.where(positive, distance, -distance), nearest, self._slope_deg[hit]
 
     def _blocks(self, tied: np.ndarray, hit: np.ndarray, feature: np.ndarray):
         """The tied points in blocks of bounded work, each with the sizes of the stars to look at."""

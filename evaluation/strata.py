@@ -1,8 +1,9 @@
-"""Bias and spread of the parts of a cloud: wet and dry, by depth, by incidence, by number of views."""
+"""Bias and spread of the parts of a cloud, by depth, incidence, views and slope; completeness by slope."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -14,6 +15,8 @@ from evaluation.summary import DistanceStatistics, distance_statistics
 DEPTH_EDGES_M = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, math.inf)
 INCIDENCE_EDGES_DEG = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0, 50.0, 60.0, 90.0)
 VIEWS_EDGES = (1, 2, 3, 4, 6, 8, 12, 16, 24, math.inf)
+# Of the reference. The last band are its walls: |n_z| of their normals is below 0.4.
+SLOPE_EDGES_DEG = (0.0, 20.0, 45.0, 66.4, math.inf)
 SHORELINE_MARGIN_M = 0.05
 
 
@@ -32,6 +35,26 @@ class Band:
     low: float
     high: float
     distances: DistanceStatistics
+
+
+@dataclass(frozen=True)
+class ReachedBand:
+    """How much of the reference a cloud reaches where its slope lies between two limits [deg].
+
+    Attributes
+    ----------
+    low, high : [deg]
+        The lower limit belongs to the band; the upper one may be infinite.
+    n_samples : int
+        Of the reference, in the band.
+    completeness : tuple of float [-]
+        Share of them that is reached, at each tolerance.
+    """
+
+    low: float
+    high: float
+    n_samples: int
+    completeness: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -83,12 +106,31 @@ def by_band(
     blocks : Blocks of the N points, optional
         As `distance_statistics`.
     """
-    bands = []
+    return tuple(Band(low, high, _statistics(distances, part, blocks)) for low, high, part in _parts(values, edges))
+
+
+def reached_by_slope(slope_deg: np.ndarray, is_reached: Sequence[np.ndarray]) -> tuple[ReachedBand, ...]:
+    """Completeness in bands of slope; bands without a sample are left out.
+
+    Parameters
+    ----------
+    slope_deg : (M,) [deg]
+        Of the reference at its samples.
+    is_reached : sequence of (M,) bool
+        Which of them are reached, at each tolerance.
+    """
+    return tuple(
+        ReachedBand(low, high, int(part.sum()), tuple(float(np.mean(reached[part])) for reached in is_reached))
+        for low, high, part in _parts(slope_deg, SLOPE_EDGES_DEG)
+    )
+
+
+def _parts(values: np.ndarray, edges: tuple[float, ...]) -> Iterator[tuple[float, float, np.ndarray]]:
+    """Limits of each band and which values (N,) lie in it, without the empty ones."""
     for low, high in pairwise(edges):
         part = (values >= low) & (values < high)
         if part.any():
-            bands.append(Band(low, high, _statistics(distances, part, blocks)))
-    return tuple(bands)
+            yield low, high, part
 
 
 def _statistics(distances: np.ndarray, part: np.ndarray, blocks: Blocks | None) -> DistanceStatistics:

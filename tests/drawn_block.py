@@ -79,34 +79,19 @@ def water_plane(water: np.ndarray) -> FlatWater:
     return FlatWater((0.0, 0.0, level), n_water=index, slope_x=slope_x, slope_y=slope_y)
 
 
-def draw_block(
-    seed: int,
-    *,
-    num_points: int = 600,
-    num_views: int | None = None,
-    nadir_only: bool | None = None,
-    dry_share: float | None = None,
-    num_control: int | None = None,
-    pixel_std: float | None = None,
-    position_std: tuple[float, float, float] = (0.02, 0.02, 0.03),
-    wrong: float = 0.0,
-    shared: float = 0.0,
-    height: float | None = None,
-    depth: float | None = None,
-    strip: bool = False,
-    speed: float = 0.0,
-    readout: float = 0.0,
-) -> DrawnBlock:
-    """A random block; what is not passed is drawn.
+@dataclass(frozen=True)
+class Wanted:
+    """What a block should be like; None is drawn.
 
-    Parameters
+    Attributes
     ----------
-    seed : int
-        One seed draws the same block on every machine, up to rounding.
+    num_points, num_views, num_control : int
     nadir_only : bool
         No views tilted by 12 to 38 degrees.
     dry_share : [-]
         Of the points, on a bank; control points lie there.
+    pixel_std, position_std : [px], (3,) [m]
+        Of the observations and of GPS.
     wrong : [-]
         Share of the observations that are up to 15 px off.
     shared : [-]
@@ -119,92 +104,130 @@ def draw_block(
     speed, readout : [m/s], [s]
         Of the cameras, each in a direction of its own, and of their rolling shutter.
     """
-    rng = np.random.default_rng([seed, 30])
-    num_views = int(rng.integers(16, 41)) if num_views is None else num_views
-    nadir_only = rng.random() < 0.25 if nadir_only is None else nadir_only
-    dry_share = (rng.uniform(0.15, 0.5) if rng.random() < 0.6 else 0.0) if dry_share is None else dry_share
-    num_control = int(rng.integers(5, 9)) if num_control is None else num_control
-    pixel_std = rng.uniform(0.15, 0.5) if pixel_std is None else pixel_std
+
+    num_points: int = 600
+    num_views: int | None = None
+    nadir_only: bool | None = None
+    dry_share: float | None = None
+    num_control: int | None = None
+    pixel_std: float | None = None
+    position_std: tuple[float, float, float] = (0.02, 0.02, 0.03)
+    wrong: float = 0.0
+    shared: float = 0.0
+    height: float | None = None
+    depth: float | None = None
+    strip: bool = False
+    speed: float = 0.0
+    readout: float = 0.0
+
+
+def draw_block(seed: int, **settings) -> DrawnBlock:
+    """A random block; settings as `Wanted`. One seed draws the same block on every machine, up to rounding."""
+    wanted, rng = Wanted(**settings), np.random.default_rng([seed, 30])
+    num_views = int(rng.integers(16, 41)) if wanted.num_views is None else wanted.num_views
+    nadir_only = rng.random() < 0.25 if wanted.nadir_only is None else wanted.nadir_only
+    dry_share = (
+        (rng.uniform(0.15, 0.5) if rng.random() < 0.6 else 0.0) if wanted.dry_share is None else wanted.dry_share
+    )
+    num_control = int(rng.integers(5, 9)) if wanted.num_control is None else wanted.num_control
+    pixel_std = rng.uniform(0.15, 0.5) if wanted.pixel_std is None else wanted.pixel_std
 
     stated_lens, lens = _lenses(rng)
-    # Drawn even where they are passed, so that all else stays.
+    # Drawn even where they are wanted, so that all else stays.
     drawn = rng.uniform(15.0, 45.0)
-    height = drawn if height is None else height
+    height = drawn if wanted.height is None else wanted.height
     drawn = rng.uniform(0.8, min(6.0, 0.2 * height))
-    depth = drawn if depth is None else depth
+    depth = drawn if wanted.depth is None else wanted.depth
     slopes = rng.normal(0.0, 0.002, 2) if rng.random() < 0.3 else np.zeros(2)
     water = np.array([rng.normal(0.0, 0.3), *slopes, rng.uniform(1.325, 1.345)])
     plane = water_plane(water)
     half = 0.5 * height / lens.focal[0] * np.array([lens.width, lens.height]) * rng.uniform(0.9, 1.4)
-    if strip:
+    if wanted.strip:
         half = height / lens.focal[0] * np.array([0.1 * lens.width * num_views, 0.45 * lens.height])
-    cameras = _fly(rng, lens, water[0], height, half * [1.0, 0.0 if strip else 1.0], num_views, nadir_only)
-    points = _bed(rng, plane, half, depth, num_points, dry_share)
+    strips = half * [1.0, 0.0 if wanted.strip else 1.0]
+    cameras = _fly(rng, lens, water[0], height, strips, num_views, nadir_only)
+    points = _bed(rng, plane, half, depth, wanted.num_points, dry_share)
 
-    velocities = _velocities(np.random.default_rng([seed, 32]), len(cameras), speed)
+    velocities = _velocities(np.random.default_rng([seed, 32]), len(cameras), wanted.speed)
+    point, view, pixel = _seen(rng, lens, cameras, velocities * wanted.readout, points, plane)
+    pixel = pixel + pixel_std * rng.standard_normal(pixel.shape)
+    pixel = pixel + (rng.random((len(pixel), 1)) < wanted.wrong) * rng.uniform(-15.0, 15.0, pixel.shape)
+    if wanted.shared > 0.0:
+        waves = _waves(np.random.default_rng([seed, 31]), view, pixel, lens.width)
+        pixel = pixel + wanted.shared * pixel_std * waves
+    points, point, view, pixel = _of_three_views(points, point, view, pixel)
+    truth = _Truth(points, tuple(cameras), lens, water, velocities)
+    observed = {"point": point, "view": view, "pixel": pixel, "pixel_std": float(pixel_std), "seed": seed}
+    return DrawnBlock(**observed, **_stated(rng, truth, stated_lens, num_control, wanted), **vars(truth))
+
+
+@dataclass(frozen=True)
+class _Truth:
+    """As `DrawnBlock`."""
+
+    points: np.ndarray
+    cameras: tuple[PinholeCamera, ...]
+    lens: Lens
+    water: np.ndarray
+    velocities: np.ndarray
+
+
+def _seen(rng, lens: Lens, cameras, path: np.ndarray, points: np.ndarray, plane: FlatWater):
+    """Numbers of points and views and pixels of what the cameras, which fly a path (V, 3) [m] while they read, see."""
     seen = []
     for view, camera in enumerate(cameras):
-        pixel = np.full((num_points, 2), np.nan)
+        pixel = np.full((len(points), 2), np.nan)
         ahead = camera.project(points, plane)
         # Distortion is a polynomial: far outside the image it would fold points back into it.
-        near = (np.abs(ahead - (0.5 * lens.width, 0.5 * lens.height)) < 0.6 * np.array([lens.width, lens.height])).all(
-            1
-        )
+        size = np.array([lens.width, lens.height])
+        near = (np.abs(ahead - 0.5 * size) < 0.6 * size).all(axis=1)
         pixel[near] = distorted(lens, ahead[near])
-        if velocities[view].any() and readout > 0.0:
-            motion = velocities[view] * readout / (lens.height - 1)
-            flown = replace(lens.camera(camera.centre, camera.cam_from_local), motion=motion)
+        if path[view].any():
+            flown = replace(lens.camera(camera.centre, camera.cam_from_local), motion=path[view] / (lens.height - 1))
             pixel[near] = flown.project(points[near], plane)
-        inside = np.flatnonzero(((pixel > 1.0) & (pixel < (lens.width - 1.0, lens.height - 1.0))).all(axis=1))
+        inside = np.flatnonzero(((pixel > 1.0) & (pixel < size - 1.0)).all(axis=1))
         # No matcher finds each point in each photograph.
         inside = inside[rng.random(len(inside)) < 0.8]
         seen.append((inside, np.full(len(inside), view), pixel[inside]))
-    point, view, pixel = (np.concatenate(column) for column in zip(*seen, strict=True))
-    pixel = pixel + pixel_std * rng.standard_normal(pixel.shape)
-    off = (rng.random((len(pixel), 1)) < wrong) * rng.uniform(-15.0, 15.0, pixel.shape)
-    pixel = pixel + off
-    if shared > 0.0:
-        pixel = pixel + shared * pixel_std * _waves(np.random.default_rng([seed, 31]), view, pixel, lens.width)
+    return (np.concatenate(column) for column in zip(*seen, strict=True))
+
+
+def _of_three_views(points: np.ndarray, point: np.ndarray, view: np.ndarray, pixel: np.ndarray):
+    """The points that three photographs see, and their observations, sorted by point."""
     order = np.argsort(point, kind="stable")
     point, view, pixel = point[order], view[order], pixel[order]
-    enough = np.bincount(point, minlength=num_points) >= 3
+    enough = np.bincount(point, minlength=len(points)) >= 3
     keep = enough[point]
-    point, view, pixel = (np.cumsum(enough) - 1)[point[keep]], view[keep], pixel[keep]
-    points = points[enough]
+    number = np.cumsum(enough) - 1
+    return points[enough], number[point[keep]].astype(np.int64), view[keep].astype(np.int64), pixel[keep]
 
+
+def _stated(rng, truth: _Truth, lens: Lens, num_control: int, wanted: Wanted) -> dict:
+    """What a survey would state about a block, a lens among it, with the errors that it would have."""
+    points, plane = truth.points, water_plane(truth.water)
     dry = np.flatnonzero(points[:, 2] > plane.height(*points.T[:2]) + 0.05)
     control = np.sort(rng.permutation(dry)[:num_control])
     control_points = points[control] + CONTROL_STD_M * rng.standard_normal((len(control), 3))
     water_std = np.array([LEVEL_STD_M, 0.0, 0.0, INDEX_STD])
-    centres = np.array([camera.centre for camera in cameras])
-    positions = centres + rng.normal(0.0, position_std, centres.shape)
+    centres = np.array([camera.centre for camera in truth.cameras])
+    positions = centres + rng.normal(0.0, wanted.position_std, centres.shape)
     start_cameras = tuple(
-        stated_lens.pinhole(place, _turned(camera.cam_from_local, START_ROTATION_STD * rng.standard_normal(3)))
-        for camera, place in zip(cameras, positions, strict=True)
+        lens.pinhole(place, _turned(camera.cam_from_local, START_ROTATION_STD * rng.standard_normal(3)))
+        for camera, place in zip(truth.cameras, positions, strict=True)
     )
-    return DrawnBlock(
-        start=points + START_POINT_STD_M * rng.standard_normal(points.shape),
-        point=point.astype(np.int64),
-        view=view.astype(np.int64),
-        pixel=pixel,
-        start_cameras=start_cameras,
-        positions=positions,
-        position_std=np.array(position_std),
-        control=control.astype(np.int64),
-        control_points=control_points,
-        control_std=np.full(3, CONTROL_STD_M),
-        stated_lens=stated_lens,
-        stated_water=water + water_std * rng.standard_normal(4),
-        water_std=water_std,
-        velocities=velocities,
-        readout=readout,
-        pixel_std=float(pixel_std),
-        seed=seed,
-        points=points,
-        cameras=tuple(cameras),
-        lens=lens,
-        water=water,
-    )
+    return {
+        "start": points + START_POINT_STD_M * rng.standard_normal(points.shape),
+        "start_cameras": start_cameras,
+        "positions": positions,
+        "position_std": np.array(wanted.position_std),
+        "control": control.astype(np.int64),
+        "control_points": control_points,
+        "control_std": np.full(3, CONTROL_STD_M),
+        "stated_lens": lens,
+        "stated_water": truth.water + water_std * rng.standard_normal(4),
+        "water_std": water_std,
+        "readout": wanted.readout,
+    }
 
 
 def _lenses(rng: np.random.Generator) -> tuple[Lens, Lens]:

@@ -10,9 +10,18 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from evaluation import distance_to_mesh, is_reached
+from evaluation import (
+    Coverage,
+    coverage_by_class,
+    distance_to_mesh,
+    is_reached,
+    slope_below,
+    vertical_difference,
+)
 from evaluation.c2m import MeshDistances
+from evaluation.coverage import WALL_DEG
 from geo import Cloud, Mesh, read_cloud, read_reference
+from geo.las import CLASS_BATHYMETRIC
 from survey.folder.survey import Survey, load_survey
 from survey.progress import Progress
 from survey.run.folder import RunDir
@@ -51,7 +60,8 @@ class DrawnRun:
         e0, n0, e1, n1 = self.survey.bounds
         e, n, _ = cloud.points.T
         inside = (e >= e0) & (e <= e1) & (n >= n0) & (n <= n1)
-        return Cloud(cloud.points[inside], None, cloud.crs, cloud.classification[inside], {})
+        extra = {name: values[inside] for name, values in cloud.extra.items()}
+        return Cloud(cloud.points[inside], None, cloud.crs, cloud.classification[inside], extra)
 
     @cached_property
     def reference(self) -> Mesh:
@@ -63,6 +73,18 @@ class DrawnRun:
         frame = self.survey.frame
         vertices = frame.local_from_crs(self.reference.vertices)
         return distance_to_mesh(frame.local_from_crs(self.cloud.points), vertices, self.reference.faces)
+
+    def coverage(self) -> dict[str, Coverage]:
+        """Of the vertical errors by the std of the points, where the true surface is no wall; in classes."""
+        points, vertices = (
+            self.survey.frame.local_from_crs(each) for each in (self.cloud.points, self.reference.vertices)
+        )
+        error = vertical_difference(points, vertices, self.reference.faces)
+        slope = slope_below(points, vertices, self.reference.faces)
+        known = np.isfinite(error) & (slope < WALL_DEG)
+        is_wet = self.cloud.classification == CLASS_BATHYMETRIC
+        std, num_views = self.cloud.extra["std"], self.cloud.extra["num_views"]
+        return coverage_by_class(error[known], std[known], num_views[known], slope[known], is_wet[known])
 
     def height_over_water(self, points_crs: np.ndarray) -> np.ndarray:
         """Vertical distance [m] of points (N, 3) in crs from the water plane as the scene has it, positive above."""

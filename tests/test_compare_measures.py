@@ -60,7 +60,7 @@ CIRCUMSTANCES = [
     "seed",
     "notes",
 ]
-BANDS = ["depth_bands", "incidence_bands", "views_bands"]
+BANDS = ["depth_bands", "incidence_bands", "views_bands", "slope_bands"]
 
 
 def test_the_numbers_keep_their_names(tmp_path, plane):
@@ -73,12 +73,13 @@ def test_the_numbers_keep_their_names(tmp_path, plane):
     table.write_text(",".join(f"{v:.4f}" for v in FRAME.crs_from_local(np.zeros(3))))
     numbers = compared(cloud, plane, visible=plane, checkpoints=table, c2c=True, water_level=ORIGIN[2] + 1.0)
     at_the_top = {*STATISTICS, "n_cropped", *INTERVALS, *SCORES}
-    below = {"tolerances", "wet", "dry", *BANDS, "vertical", "iho_s44", "asprs", "c2c"}
+    below = {"tolerances", "wet", "dry", *BANDS, "completeness_by_slope", "vertical", "iho_s44", "asprs", "c2c"}
     assert set(numbers) == (at_the_top | below | {*CIRCUMSTANCES}) - {"dry"}
     part = [*STATISTICS, *INTERVALS]
     assert list(numbers["wet"]) == part
-    for key, unit in zip(BANDS, ("m", "deg", "views"), strict=True):
+    for key, unit in zip(BANDS, ("m", "deg", "views", "deg"), strict=True):
         assert list(numbers[key][0]) == [f"from_{unit}", f"to_{unit}", *part]
+    assert list(numbers["completeness_by_slope"][0]) == ["from_deg", "to_deg", "n_samples", "completeness"]
     assert list(numbers["tolerances"][0]) == SCORES
     assert list(numbers["vertical"]) == [*part, "n_holes", "wet", "depth_bands"]
     assert {name: list(found) for name, found in numbers["c2c"].items()} == {
@@ -86,7 +87,7 @@ def test_the_numbers_keep_their_names(tmp_path, plane):
     }  # fmt: skip
     iho = numbers["iho_s44"]
     assert list(iho) == ["points", "error_95_m", "orders", "note", "error"]
-    order = ["order", "tvu_at_median_depth_m", "share_within", "meets_tvu", "depth_bands"]
+    order = ["order", "tvu_at_median_depth_m", "share_within", "meets_tvu", "meets_tvu_at_all_depths", "depth_bands"]
     assert list(iho["orders"][0]) == order
     assert list(iho["orders"][0]["depth_bands"][0]) == ["from_m", "to_m", "n_points", "share_within"]
     rmse = ["rmse_fit_m", "rmse_checkpoints_m", "rmse_v_m"]
@@ -223,6 +224,35 @@ def test_outliers_are_left_out_only_when_asked_for_and_said_so(tmp_path, plane):
     assert any(f"{lost} of {len(local)} points were left out as outliers (sor:6,2.0" in n for n in numbers["notes"])
 
 
+def test_walls_have_their_own_completeness_and_spread(tmp_path):
+    """A level square of 100 m² and an upright wall of 20 m² at its edge, of which the cloud has the lower half."""
+    corners = [
+        [-HALF, -HALF, 0],
+        [HALF, -HALF, 0],
+        [HALF, HALF, 0],
+        [-HALF, HALF, 0],
+        [HALF, -HALF, 2],
+        [HALF, HALF, 2],
+    ]
+    faces = [[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]]
+    reference = write_mesh(tmp_path / "step.ply", FRAME.crs_from_local(np.array(corners, dtype=float)), faces)
+    wall = grid(0.05)[:, [2, 1, 0]] * [0, 1, 0.2] + [HALF - 0.02, 0, 0]
+    wall = wall[(wall[:, 2] > 0.05) & (wall[:, 2] < 1.0)]
+    floor = grid(0.05, 0.01)
+    floor = floor[floor[:, 0] < HALF - 0.03]
+    cloud = write_las(tmp_path / "c.las", FRAME.crs_from_local(np.concatenate([floor, wall])))
+    numbers = compared(cloud, reference, tolerances_m=(0.2, 0.1))
+    level, upright = numbers["completeness_by_slope"]
+    assert (level["from_deg"], level["to_deg"], upright["from_deg"], upright["to_deg"]) == (0.0, 20.0, 66.4, None)
+    assert level["completeness"] == [1.0, 1.0]
+    # A tolerance reaches beyond the end of the points, less the 2 cm beside the wall.
+    assert upright["completeness"] == pytest.approx([0.6, 0.55], abs=0.02)
+    assert upright["n_samples"] == pytest.approx(NUM_SAMPLES / 6, rel=0.05)
+    beside = numbers["slope_bands"][1]
+    assert (beside["n_points"], beside["from_deg"]) == (len(wall), 66.4)
+    assert abs(beside["mean_m"]) == pytest.approx(0.02, abs=LAS_M)
+
+
 def test_cloud_to_cloud_is_measured_both_ways(tmp_path, cloud, plane):
     """The cloud covers the western half only: from it all is near, from the reference half is far."""
     e, n, _ = ORIGIN
@@ -258,12 +288,15 @@ def test_everything_that_was_measured_reaches_the_terminal(tmp_path, plane):
     assert whole["mean"].startswith("0.1000 m (0.")
     assert whole["completeness"] == "1.0000"
     titles = {"By tolerance", "Wet and dry", "By depth", "By incidence", "By number of views", "Other distances"}
+    titles |= {"By slope of the reference", "Completeness by slope of the reference"}
     assert titles <= set(sections)
     others = ["vertical", "cloud to cloud, to reference", "cloud to cloud, to cloud"]
     assert [label for label, _ in sections["Other distances"]] == others
     assert sections["By incidence"][0][0] == "20 to 25°"
     assert sections["By number of views"][0][0] == "3 views"
     assert sections["By depth"][0][1].startswith("mean 0.1000")
+    rows = sections["Completeness by slope of the reference"]
+    assert rows == [("0 to 20°", f"100.0 % at 0.2 m, 0.0 % at 0.05 m; {NUM_SAMPLES} samples")]
 
 
 def test_check_points_reach_the_terminal_without_what_one_alone_cannot_tell(tmp_path, cloud, plane):

@@ -16,7 +16,6 @@ from drawn_runs import GSD, SHORELINE_M, DrawnRun, drawn, inner90, process_quiet
 from pyproj import CRS
 from typer.testing import CliRunner
 
-from evaluation import vertical_difference
 from fields.sweep.passes import PASSES
 from fields.sweep.sweep import sweep
 from geo import read_cloud, read_reference
@@ -36,6 +35,10 @@ BIAS_M = GSD / 20.0
 STD_WITHOUT_NOISE_M, STD_WITH_NOISE_M = 0.25 * GSD, 0.32 * GSD
 # Measured 1.0000 at 0.2 m and 0.996 within two pixels: some far sides of stones and bodies are not confirmed.
 COMPLETENESS, TOLERANCES_M = 0.99, (0.2, 2.0 * GSD)
+# Of vertical errors within 1.96 std, of which 95 % are asked: in all, and in classes of so many points. Measured 0.967,
+# and 0.944 to 0.983; neighbouring errors are alike, so that 11,700 are worth some hundreds, and 0.95 of these is known
+# to 0.01. One class in five is worth a fifth of them.
+COVERAGE, COVERAGE_OF_A_CLASS, LEAST = (0.93, 0.985), (0.88, 0.995), 1000
 # LAS stores millimetres.
 LAS_STEP_M = 0.001
 
@@ -203,14 +206,14 @@ def test_the_solver_takes_noise_off_and_its_standard_deviation_covers_the_errors
     mean, std = inner90(solved.distances.signed)
     assert abs(mean) < BIAS_M
     assert std < 0.9 * swept[1]
-    las = laspy.read(solved.run.cloud_path)
-    local = solved.survey.frame.local_from_crs
-    points = local(np.stack([las.x, las.y, las.z], axis=-1))
-    error = vertical_difference(points, local(solved.reference.vertices), solved.reference.faces)
-    known = np.isfinite(error)
-    assert np.mean(np.abs(error[known]) < 1.96 * las.std[known]) > 0.9
-    assert np.median(las.std) < 4.0 * np.median(np.abs(error[known]))
-    assert (las.std > 0.0).all()
+    assert (solved.cloud.extra["std"] > 0.0).all()
+    covered = solved.coverage()
+    low, high = COVERAGE
+    assert low < covered["all"].share < high
+    low, high = COVERAGE_OF_A_CLASS
+    large = {name: each.share for name, each in covered.items() if each.num >= LEAST}
+    assert {"fifth 1", "fifth 5", "5 to 7 views", "slopes", "wet"} <= set(large)
+    assert all(low < share < high for share in large.values()), large
 
 
 def test_a_killed_run_goes_on_after_the_last_stage_that_it_finished(noisy):

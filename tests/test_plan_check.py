@@ -57,7 +57,14 @@ def test_check_says_what_was_assumed_and_what_is_doubtful(tmp_path):
     sections = check_survey(folder)
     assert [section.title for section in sections] == ["Found", "Plan", "Assumed", "Warnings"]
     assert "fresh water" in said(sections, "Assumed")[""]
+    assert said(sections, "Found")["water"].endswith("index to 0.004 (survey.toml; that of the index is assumed)")
     assert said(sections, "Warnings")[""] == "1 image without a pose, left out: more.jpg"
+
+
+def test_an_index_that_is_stated_is_not_said_to_be_assumed_however_uncertain_it_is(tmp_path):
+    toml = TOML.replace("refractive_index = 1.333", "refractive_index = 1.333\nindex_std = 0.004")
+    sections = check_survey(small_survey(tmp_path / "s", toml=toml))
+    assert said(sections, "Found")["water"].endswith("known: index to 0.004 (survey.toml)")
 
 
 def test_check_says_that_structure_from_motion_would_run_and_does_not_run_it(tmp_path, monkeypatch):

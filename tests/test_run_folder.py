@@ -14,15 +14,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_survey import SIZE, small_survey, write_image
 
 from fields.solver.solver import SolvedMap
 from fields.sweep.maps import DepthMap
 from geo.errors import GeoError, UnwritableFile
 from survey.errors import SurveyError
+from survey.folder.found import find_survey
 from survey.run.folder import RunDir, seconds_of, versions
 from survey.run.keys import Key
+from survey.run.owner import Owner
+from survey.run.process import process
 from survey.run.stored import load_arrays, save_arrays
-from survey.run.stored_maps import Stored, kept_on_disk, save_maps
+from survey.run.stored_maps import Stored, kept_aside, save_maps
 from survey.stage_key import stage_key
 
 A, B = Key({"water": "1", "code": "x"}), Key({"water": "2", "code": "x"})
@@ -410,16 +414,23 @@ def test_depth_maps_come_back_as_they_were_whatever_their_sizes(tmp_path, rng):
             np.testing.assert_array_equal(getattr(old, name), getattr(new, name))
 
 
-def test_maps_that_are_worked_on_lie_in_a_folder_while_they_are(tmp_path, rng):
-    solved = SolvedMap(np.arange(3), *rng.normal(size=(2, 3)).astype(np.float32))
-    with kept_on_disk(tmp_path / "scratch", SolvedMap) as keep:
+@pytest.mark.parametrize(("in_memory", "num_files"), [(0, 2), (48, 1), (96, 0)])
+def test_maps_that_are_worked_on_lie_in_a_folder_where_memory_has_no_room(tmp_path, rng, in_memory, num_files):
+    maps = [SolvedMap(np.arange(3), *rng.normal(size=(2, 3)).astype(np.float32)) for _ in range(2)]
+    assert maps[0].pixels.nbytes + maps[0].height.nbytes + maps[0].std.nbytes == 48
+    with kept_aside(tmp_path / "scratch", SolvedMap, in_memory) as keep:
         first, second = keep(), keep()
-        first[4] = solved
-        np.testing.assert_array_equal(first[4].height, solved.height)
-        assert (list(first), 4 in first, 4 in second, len(second)) == ([4], True, False, 0)
+        for place, solved in zip((first, second), maps, strict=True):
+            place[4] = solved
+            place[4] = solved
+            np.testing.assert_array_equal(place[4].height, solved.height)
+        assert len(list(tmp_path.rglob("*.npy"))) == num_files
+        assert (list(first), 4 in first, 5 in first, len(second)) == ([4], True, False, 1)
         first.clear()
         with pytest.raises(KeyError):
             first[4]
+        second[5] = maps[0]
+        assert (list(first), list(second)) == ([], [4, 5])
     assert list(tmp_path.iterdir()) == []
 
 
@@ -441,3 +452,55 @@ def test_arrays_that_cannot_be_read_are_named_with_the_mend(tmp_path, spoil):
         path.write_text("not arrays")
     with pytest.raises(SurveyError, match=r"data\.npz cannot be read.*process"):
         load_arrays(path)
+
+
+# --- whose run it is ----------------------------------------------------------------------------------------
+
+
+def files_of(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_run_of_other_photographs_is_refused_with_the_way_out(tmp_path):
+    """Of a survey as it grows, is renamed or thinned out it stays; names of cameras alone make no survey."""
+    sizes = {f"DJI_{i:04d}.JPG": 1000 + i for i in range(10)}
+    first, other = Owner("a", sizes), Owner("b", {name: size + 500 for name, size in sizes.items()})
+    run = RunDir(tmp_path / "run")
+    with run:
+        run.claim(first, is_inside=False)
+    for same in (
+        Owner("renamed", sizes),
+        Owner("a", sizes | {f"new_{i}.JPG": 7 for i in range(30)}),
+        Owner("a", dict(list(sizes.items())[:4])),
+    ):
+        with run:
+            run.claim(same, is_inside=False)
+            run.claim(first, is_inside=False)
+    with run, pytest.raises(SurveyError, match=r"another survey, a, .*\(0 of 10 .*another folder with -o, or remove"):
+        run.claim(other, is_inside=False)
+    with run:
+        run.claim(other, is_inside=True)
+    with run, pytest.raises(SurveyError, match="another survey, b"):
+        run.claim(first, is_inside=False)
+
+
+def test_a_run_of_a_version_that_noted_no_survey_is_taken_over(tmp_path):
+    run = RunDir(tmp_path / "run")
+    with run:  # marked, and claimed by nobody
+        run.claim(Owner("a", {"1.jpg": 5}), is_inside=False)
+    with run, pytest.raises(SurveyError, match="another survey, a"):
+        run.claim(Owner("b", {"1.jpg": 6}), is_inside=False)
+
+
+def test_process_into_the_run_of_another_survey_changes_nothing(tmp_path):
+    surveys = [small_survey(tmp_path / name) for name in ("a", "b")]
+    for i, image in enumerate(sorted((surveys[1] / "images").iterdir())):
+        write_image(image, size=SIZE, ImageDescription="x" * (i + 1))
+    run = RunDir(tmp_path / "run")
+    with run:
+        found = find_survey(surveys[0])
+        run.claim(Owner.of("a", found.images), is_inside=False)
+    before = files_of(run.path)
+    with pytest.raises(SurveyError, match="belongs to another survey, a"):
+        process(surveys[1], run.path)
+    assert files_of(run.path) == before

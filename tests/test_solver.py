@@ -112,7 +112,8 @@ def test_errors_of_the_start_vanish_without_noise_and_slopes_are_kept(slope):
 def test_the_error_is_what_the_standard_deviation_says():
     _, error, std, _ = solved(4.0, 0.2)
     assert np.mean(np.abs(error) < 1.96 * std) > 0.9
-    assert 0.3 < np.sqrt(np.mean(error**2) / np.mean(std**2)) < 1.2
+    # Measured 0.94; 2,700 neighbouring errors are worth some fifty.
+    assert 0.7 < np.sqrt(np.mean(error**2) / np.mean(std**2)) < 1.2
 
 
 def test_more_noise_gives_larger_standard_deviations():

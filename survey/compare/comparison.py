@@ -42,6 +42,7 @@ def compare_files(cloud: str | Path, reference: str | Path, *, options: CompareO
     """
     options = options or CompareOptions()
     cloud, reference = Path(cloud), Path(reference)
+    check_options(options)
     check_outputs(options, cloud, reference)
     comparison = compare_surfaces(cloud, reference, options)
     if options.report_dir is not None:
@@ -60,39 +61,43 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     check_options(options)
     paths = Paths(Path(cloud), Path(reference), None if options.visible is None else Path(options.visible))
     places = None if options.checkpoints is None else Path(options.checkpoints)
-    for path in (paths.cloud, paths.reference):
-        existing_file(path)
+    for path in (paths.cloud, paths.reference, paths.visible):
+        if path is not None:
+            existing_file(path)
+    # Before the clouds and meshes, which take longer to read.
+    checkpoints = None if places is None else read_checkpoints(places)
     with current().stage("Reading"):
         inputs = load_inputs(paths, options.bounds)
-        checkpoints = None if places is None else read_checkpoints(places)
     notes = list(inputs.notes)
     num_cropped = int((~inputs.inside).sum())
     inputs, is_left = _without_outliers(inputs, options, notes)
     scene = Scene.of(inputs, options.bounds, is_left, max(options.tolerances_m))
-    distances, nearest = measure.distances_of(scene, options.sign, notes)
-    blocks = spatial_blocks(scene.points[:, :2], distances)
-    depth = measure.bed_depth(scene, nearest, options.water_level)
+    distances = measure.distances_of(scene, options.sign, notes)
+    blocks = spatial_blocks(scene.points[:, :2], distances.signed)
+    depth = measure.bed_depth(scene, distances.nearest, options.water_level)
     with current().stage("Completeness", len(options.tolerances_m)) as stage:
         reaches = []
         for tolerance_m in options.tolerances_m:
             reaches.append(measure.reached_at(scene, tolerance_m))
             stage.advance()
+    _note_unseen(inputs, notes)
     _note_extent(inputs, options.bounds, notes)
     first = reaches[0]
     vertical, errors = measure.vertical(scene, depth, blocks)
     figures = Figures(
         summary=summarise(
-            distances,
+            distances.signed,
             tolerance_m=first.tolerance_m,
             is_reached=first.samples,
             is_reached_visible=first.visible,
             num_cropped=num_cropped,
             blocks=blocks,
         ),
-        tolerances=tuple(reach.scores(distances) for reach in reaches),
+        tolerances=tuple(reach.scores(distances.signed) for reach in reaches),
         parts=measure.parts(scene, distances, depth, blocks),
+        reached=measure.reached_by_slope_of(scene, reaches),
         vertical=vertical,
-        uncertainty=measure.uncertainty(distances, errors, depth),
+        uncertainty=measure.uncertainty(distances.signed, errors, depth),
         checkpoints=None
         if places is None or checkpoints is None
         else checkpoint_accuracy(scene, checkpoints, places, notes),
@@ -102,8 +107,7 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
         circumstances=_circumstances(scene, options, blocks, notes),
     )
     points, targets = inputs.cloud.points[inputs.inside], inputs.frame.crs_from_local(scene.targets)
-    is_reached = first.samples if first.visible is None else first.visible
-    return Comparison(figures, points, distances, nearest, depth, targets, is_reached, inputs)
+    return Comparison(figures, points, distances.signed, distances.nearest, depth, targets, first.targets, inputs)
 
 
 def _circumstances(scene: Scene, options: CompareOptions, blocks: Blocks, notes: list[str]) -> Circumstances:
@@ -147,6 +151,14 @@ def _without_outliers(inputs: Inputs, options: CompareOptions, notes: list[str])
         f"{neighbours} neighbours over its mean plus {num_std:g} standard deviations)"
     )
     return replace(inputs, inside=inputs.inside & is_left), is_left
+
+
+def _note_unseen(inputs: Inputs, notes: list[str]) -> None:
+    if isinstance(inputs.reference, Mesh) and inputs.visible is None:
+        notes.append(
+            f"completeness counts all of {inputs.paths.reference.name}, also what no camera sees (undersides, ground "
+            "beside the photographs): give the points that cameras see as --visible; --bounds crops the cloud alone"
+        )
 
 
 def _note_extent(inputs: Inputs, bounds: Bounds | None, notes: list[str]) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evaluation import AsprsAccuracy, Band, DepthParts, DistanceStatistics, IhoS44, Scores, Summary
+from evaluation import AsprsAccuracy, Band, DepthParts, DistanceStatistics, IhoS44, ReachedBand, Scores, Summary
 from evaluation.c2m import Sign
 from survey.compare.area import Bounds
 
@@ -20,11 +20,14 @@ class Parts:
     depth : DepthParts or None
     incidence, views : tuple of Band
         By incidence at the water [deg] and by the number of views that agree.
+    slope : tuple of Band
+        By the slope of the reference [deg]; empty where that is a cloud.
     """
 
     depth: DepthParts | None = None
     incidence: tuple[Band, ...] = ()
     views: tuple[Band, ...] = ()
+    slope: tuple[Band, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -161,6 +164,8 @@ class Figures:
     tolerances : tuple of Scores
         At each tolerance.
     parts : Parts
+    reached : tuple of ReachedBand
+        Completeness by the slope of the reference, of what cameras see where that is known; empty where it is a cloud.
     circumstances : Circumstances
     vertical : Vertical or None
         Where the reference is a mesh.
@@ -174,6 +179,7 @@ class Figures:
     summary: Summary
     tolerances: tuple[Scores, ...]
     parts: Parts
+    reached: tuple[ReachedBand, ...]
     circumstances: Circumstances
     vertical: Vertical | None = None
     uncertainty: VerticalUncertainty | None = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 
-from evaluation import Band, DepthParts, DistanceStatistics, Scores
+from evaluation import Band, DepthParts, DistanceStatistics, ReachedBand, Scores
 from evaluation.bootstrap import LEVEL, NUM_DRAWS, SEED
 from evaluation.standards import TvuOrder
 from survey.compare.figures import Checkpoints, Circumstances, Figures, Parts, Vertical, VerticalUncertainty
@@ -19,7 +19,8 @@ def numbers_of(figures: Figures) -> dict:
     -------
     dict
         At the top `evaluation.DistanceStatistics` and `evaluation.Scores` over all points (the latter at the first
-        tolerance), ``n_cropped``, ``wet``, ``dry``, the bands and the circumstances; below it ``tolerances``,
+        tolerance), ``n_cropped``, ``wet``, ``dry``, the bands, ``completeness_by_slope`` (one share for each
+        tolerance) and the circumstances; below it ``tolerances``,
         ``vertical``, ``iho_s44``, ``asprs``, ``c2c`` and ``m3c2``. What was not requested is missing; a value that
         does not exist is None.
     """
@@ -27,7 +28,7 @@ def numbers_of(figures: Figures) -> dict:
     statistics = _statistics(summary.distances)
     numbers = {"n_points": statistics.pop("n_points"), "n_cropped": summary.n_cropped} | statistics
     numbers |= _scores(summary.scores) | {"tolerances": [_scores(s) for s in figures.tolerances]}
-    numbers |= _parts(figures.parts)
+    numbers |= _parts(figures.parts) | _reached(figures.reached)
     if figures.vertical is not None:
         numbers["vertical"] = _vertical(figures.vertical)
     if figures.uncertainty is not None:
@@ -59,9 +60,22 @@ def _scores(scores: Scores) -> dict:
 
 def _parts(parts: Parts) -> dict:
     numbers = {} if parts.depth is None else _depth_parts(parts.depth)
-    for key, bands, unit in (("incidence_bands", parts.incidence, "deg"), ("views_bands", parts.views, "views")):
+    kinds = (
+        ("incidence_bands", parts.incidence, "deg"),
+        ("views_bands", parts.views, "views"),
+        ("slope_bands", parts.slope, "deg"),
+    )
+    for key, bands, unit in kinds:
         numbers |= {key: _bands(bands, unit)} if bands else {}
     return numbers
+
+
+def _reached(bands: tuple[ReachedBand, ...]) -> dict:
+    rows = [
+        _limits(band.low, band.high, "deg") | {"n_samples": band.n_samples, "completeness": list(band.completeness)}
+        for band in bands
+    ]
+    return {"completeness_by_slope": rows} if rows else {}
 
 
 def _depth_parts(parts: DepthParts) -> dict:
@@ -104,6 +118,7 @@ def _order(order: TvuOrder) -> dict:
         "tvu_at_median_depth_m": order.tvu_at_median_depth_m,
         "share_within": order.share_within,
         "meets_tvu": order.meets_tvu,
+        "meets_tvu_at_all_depths": order.meets_tvu_at_all_depths,
         "depth_bands": bands,
     }
 

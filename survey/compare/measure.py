@@ -9,6 +9,7 @@ import numpy as np
 from evaluation import (
     Blocks,
     DepthParts,
+    ReachedBand,
     Scores,
     by_band,
     by_depth,
@@ -17,11 +18,12 @@ from evaluation import (
     distance_to_mesh,
     iho_s44,
     is_reached,
+    reached_by_slope,
     scores,
     vertical_difference,
 )
 from evaluation.c2m import Sign
-from evaluation.strata import INCIDENCE_EDGES_DEG, VIEWS_EDGES
+from evaluation.strata import INCIDENCE_EDGES_DEG, SLOPE_EDGES_DEG, VIEWS_EDGES
 from geo import Mesh
 from survey.compare.area import metres_in_crs, to_local, within
 from survey.compare.figures import Parts, Vertical, VerticalUncertainty
@@ -32,6 +34,25 @@ from survey.progress import current
 _DEPTH_NAMES = ("depth", "depth_m")
 _INCIDENCE_NAMES = ("incidence", "incidence_deg")
 _VIEWS_NAMES = ("num_views",)
+
+
+@dataclass(frozen=True)
+class Distances:
+    """Of the compared points.
+
+    Attributes
+    ----------
+    signed : (N,) [m]
+        Without a sign where the reference is a cloud.
+    nearest : (N, 3) [m], local
+        Points of the reference.
+    slope_deg : (N,) [deg] or None
+        Of the reference there; None where it is a cloud.
+    """
+
+    signed: np.ndarray
+    nearest: np.ndarray
+    slope_deg: np.ndarray | None
 
 
 @dataclass(frozen=True)
@@ -51,23 +72,28 @@ class Reach:
     samples: np.ndarray
     visible: np.ndarray | None
 
+    @property
+    def targets(self) -> np.ndarray:
+        """What should be reached: the visible points where those are known, else the samples."""
+        return self.samples if self.visible is None else self.visible
+
     def scores(self, distances: np.ndarray) -> Scores:
         """With the share of the distances (N,) [m] below the tolerance."""
         return scores(distances, tolerance_m=self.tolerance_m, is_reached=self.samples, is_reached_visible=self.visible)
 
 
-def distances_of(scene: Scene, sign: Sign, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Distances (N,) of the compared points and nearest points (N, 3) of the reference, local [m]."""
+def distances_of(scene: Scene, sign: Sign, notes: list[str]) -> Distances:
+    """Distances of the compared points to the reference."""
     reference = scene.inputs.reference
     with current().stage("Distances", len(scene.points)) as stage:
         if not isinstance(reference, Mesh):
             notes.append("the reference is a cloud: distances are to its nearest point and have no sign")
             distances, numbers = distance_to_cloud(scene.points, scene.reference)
-            return distances, scene.reference[numbers]
+            return Distances(distances, scene.reference[numbers], None)
         result = distance_to_mesh(scene.points, scene.reference, reference.faces, sign=sign, advance=stage.advance)
     if result.num_degenerate:
         notes.append(f"{result.num_degenerate} triangles of the reference have no area and were left out")
-    return result.signed, result.nearest
+    return Distances(result.signed, result.nearest, result.slope_deg)
 
 
 def reached_at(scene: Scene, tolerance_m: float) -> Reach:
@@ -97,13 +123,27 @@ def bed_depth(scene: Scene, nearest: np.ndarray, water_level: float | None) -> n
     return None if depth is None else depth + scene.points[:, 2] - nearest[:, 2]
 
 
-def parts(scene: Scene, distances: np.ndarray, depth: np.ndarray | None, blocks: Blocks) -> Parts:
-    """Statistics by depth, incidence and number of views, as far as the points have them."""
-    incidence, views = (
-        () if (values := scene.extra(names)) is None else by_band(distances, values, edges, blocks)
-        for names, edges in ((_INCIDENCE_NAMES, INCIDENCE_EDGES_DEG), (_VIEWS_NAMES, VIEWS_EDGES))
+def parts(scene: Scene, distances: Distances, depth: np.ndarray | None, blocks: Blocks) -> Parts:
+    """Statistics by depth, incidence, number of views and slope, as far as these are known."""
+    incidence, views, slope = (
+        () if values is None else by_band(distances.signed, values, edges, blocks)
+        for values, edges in (
+            (scene.extra(_INCIDENCE_NAMES), INCIDENCE_EDGES_DEG),
+            (scene.extra(_VIEWS_NAMES), VIEWS_EDGES),
+            (distances.slope_deg, SLOPE_EDGES_DEG),
+        )
     )
-    return Parts(_by_depth(distances, depth, blocks), incidence, views)
+    return Parts(_by_depth(distances.signed, depth, blocks), incidence, views, slope)
+
+
+def reached_by_slope_of(scene: Scene, reaches: list[Reach]) -> tuple[ReachedBand, ...]:
+    """Completeness in bands of slope, of what cameras see where that is known; nothing of a reference of points."""
+    if not isinstance(scene.inputs.reference, Mesh):
+        return ()
+    with current().stage("Slopes", len(scene.targets)) as stage:
+        faces = scene.inputs.reference.faces
+        found = distance_to_mesh(scene.targets, scene.reference, faces, advance=stage.advance)
+    return reached_by_slope(found.slope_deg, [reach.targets for reach in reaches])
 
 
 def vertical(scene: Scene, depth: np.ndarray | None, blocks: Blocks) -> tuple[Vertical | None, np.ndarray | None]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from evaluation import Band, DistanceStatistics, Scores
+from evaluation.standards import TvuOrder
 from survey.compare.figures import Checkpoints, Circumstances, Figures, VerticalUncertainty
 
 Section = tuple[str | None, list[tuple[str, str]]]
@@ -22,6 +23,8 @@ def sections_of(figures: Figures) -> list[Section]:
         sections.append(("By depth", _bands(depth.bands, "m")))
     sections.append(("By incidence", _bands(figures.parts.incidence, "deg")))
     sections.append(("By number of views", _bands(figures.parts.views, "views")))
+    sections.append(("By slope of the reference", _bands(figures.parts.slope, "deg")))
+    sections.append((f"Completeness{_of_seen(figures)} by slope of the reference", _reached(figures)))
     sections.append(("Other distances", _others(figures)))
     sections.append(("Check points (ASPRS, Edition 2)", _asprs(figures.checkpoints)))
     sections.append(("Vertical uncertainty (IHO S-44), share of the points under water", _orders(figures.uncertainty)))
@@ -43,6 +46,14 @@ def limits_label(low: float, high: float, unit: str) -> str:
     if unit == "views":
         return f"{low:g}{shown}" if high == low + 1 else f"{low:g} to {high - 1:g}{shown}"
     return f"{low:g} to {high:g}{shown}"
+
+
+def tvu_in_words(order: TvuOrder) -> str:
+    """Whether an order's vertical uncertainty is met, and at which depths it is not although all points meet it."""
+    if not order.meets_tvu:
+        return "does not meet the TVU"
+    failing = ", ".join(limits_label(band.low_m, band.high_m, "m") for band in order.failing)
+    return f"meets the TVU, but not at {failing}" if failing else "meets the TVU"
 
 
 def _bands(bands: tuple[Band, ...], unit: str) -> list[tuple[str, str]]:
@@ -143,6 +154,19 @@ def _short(part: DistanceStatistics) -> str:
     )
 
 
+def _of_seen(figures: Figures) -> str:
+    return "" if figures.circumstances.visible is None else " of what cameras see"
+
+
+def _reached(figures: Figures) -> list[tuple[str, str]]:
+    rows = []
+    for band in figures.reached:
+        at = zip(figures.tolerances, band.completeness, strict=True)
+        shares = ", ".join(f"{_percent(share)} at {scores.tolerance_m:g} m" for scores, share in at)
+        rows.append((limits_label(band.low, band.high, "deg"), f"{shares}; {band.n_samples} samples"))
+    return rows
+
+
 def _others(figures: Figures) -> list[tuple[str, str]]:
     rows = []
     if figures.vertical is not None:
@@ -162,9 +186,8 @@ def _orders(uncertainty: VerticalUncertainty | None) -> list[tuple[str, str]]:
         return []
     rows = []
     for order in uncertainty.iho.orders:
-        meets = "meets" if order.meets_tvu else "does not meet"
         shares = [f"{limits_label(band.low_m, band.high_m, 'm')} {_percent(band.share_within)}" for band in order.bands]
-        rows.append((order.name, f"{_percent(order.share_within)}, {meets} the TVU ({', '.join(shares)})"))
+        rows.append((order.name, f"{_percent(order.share_within)}, {tvu_in_words(order)} ({', '.join(shares)})"))
     return [*rows, ("judged", f"the {uncertainty.error}. {uncertainty.iho.note}")]
 
 

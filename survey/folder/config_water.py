@@ -81,6 +81,11 @@ class WaterConfig:
             raise ValueError("level_at is not known before its default is filled in from the cameras")
         return self.level_at
 
+    @property
+    def says_index(self) -> bool:
+        """Whether anything is said of the index; else both it and its standard deviation are assumed."""
+        return not (self.refractive_index is None and self.temperature_c is None and self.index_std is None)
+
     def require_level(self) -> None:
         """Raise ConfigError where neither a level nor a file of it is given.
 

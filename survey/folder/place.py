@@ -123,7 +123,7 @@ def water_in_local(
     if given.level_at is None:
         middle = frame.crs_from_local(np.mean([view.camera.centre for view in views], axis=0))
         given = replace(given, level_at=(float(middle[0]), float(middle[1])))
-    if given.refractive_index is None and given.temperature_c is None and given.index_std is None:
+    if not given.says_index:
         given = replace(given, index_std=ASSUMED_INDEX_STD)
     index = refractive_index(given, lambda: matched_light(views), assumptions)
     given = replace(given, refractive_index=index, index_wavelength_nm=None, temperature_c=None, salinity_psu=None)

@@ -74,6 +74,9 @@ class Survey:
         Where a sample of photographs contradicts what is given of water or lens, under poses that they bear out.
     is_level_known : bool
         Whether survey.toml tells the level of the water; else that of `water` is a guess.
+    is_index_known : bool
+        Whether survey.toml says anything of the index of the water; else `config` has one that is assumed, with the
+        standard deviation of one that is.
     priors : dict of name to PosePrior
         What is known of the pose of each view besides its photograph.
     control : Control or None
@@ -102,6 +105,7 @@ class Survey:
     ties: TiePoints | None = field(default=None, compare=False, repr=False)
     is_adjusted: bool = False
     is_level_known: bool = True
+    is_index_known: bool = True
     tool: str | None = None
     reprojection: Reprojection | None = None
     pose_misfit_px: float | None = None
@@ -178,6 +182,7 @@ def load_survey(
         points=block.points,
         ties=block.ties,
         is_level_known=is_level_known,
+        is_index_known=block.found.config.water is None or block.found.config.water.says_index,
         tool=block.tool,
         reprojection=block.reprojection,
         priors=block.priors,

@@ -160,61 +160,65 @@ def _water(survey: Survey) -> str:
     return (
         f"level {water.level_m:g} m at {east:.10g}, {north:.10g}, slope "
         f"{water.slope_east:g} east and {water.slope_north:g} north, index {water.refractive_index:g}; cameras "
-        f"{_range(-plane.depth(centres))} m over it{water_stds(water, survey.levels)}"
+        f"{_range(-plane.depth(centres))} m over it"
+        f"{water_stds(water, survey.levels, is_index_known=survey.is_index_known)}"
     )
 
 
 def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]:
     """The sections of a survey that needs structure from motion first."""
     found = checked.found
+    sfm = Decision("structure from motion", "on", f"there is no poses file; georeferenced by {_placed_by(found)}")
+    rest = Decision("refraction and the rest", "later", "decided once the poses are known")
+    decisions = (sfm, device_decision(device), rest)
+    sizes = [head.size_px for head in found.heads.values()]
+    workload = workload_of_images(sizes, quality=quality, device=decisions[1].choice)
+    warnings = (*checked.warnings, *room_doubts(workload, found.folder / RUN_FOLDER))
+    return _sections(_rows_without_poses(found), decisions, workload, found.assumptions, warnings)
+
+
+def _placed_by(found: Found) -> str:
+    """What structure from motion is georeferenced by."""
+    by_control = placing_control(found)
+    if by_control is not None:
+        return f"the marks of {len(by_control.points)} control points, as too few images have a GPS position"
+    like = "heights in crs" if found.config.cameras.gps_height == "crs" else "ellipsoidal heights"
+    return f"GPS positions, heights taken as {like}"
+
+
+def _rows_without_poses(found: Found) -> list[tuple[str, str]]:
+    """What is known of a survey before its poses are."""
     places = [head.lat_lon_height for head in found.heads.values() if head.lat_lon_height is not None]
     num_of_size = Counter(head.size_px for head in found.heads.values())
     heights = np.array([height for _, _, height in places])
-    rows = [
+    on_places = f", heights {_range(heights)} m" if places else ""
+    return [
         ("survey", f"{found.config.name or found.folder.resolve().name} in {found.folder}"),
         ("crs", f"{found.config.crs} ({found.crs.name})"),
         (
             "images",
             ", ".join(f"{n} of {w} x {h} px" for (w, h), n in num_of_size.items()) + f" in {found.config.images.dir}",
         ),
-        (
-            "positions",
-            f"{len(places)} of {len(found.heads)} images have one in EXIF"
-            + (f", heights {_range(heights)} m" if places else ""),
-        ),
+        ("positions", f"{len(places)} of {len(found.heads)} images have one in EXIF{on_places}"),
         ("poses", "none"),
         ("accuracy", accuracy_of_gps(found.config.cameras, found.heads)),
+        ("water", _water_below(found, heights)),
+        *control_rows(found.control),
     ]
+
+
+def _water_below(found: Found, heights: np.ndarray) -> str:
+    """What is known of the water under cameras at heights (K,), in crs, of EXIF."""
     water = found.config.water
     if water is None:
-        rows.append(("water", "none: a dry survey"))
-    elif water.level_m is None and water.clicks is not None:
-        rows.append(("water", f"its level by the clicks in {water.clicks}, once the poses are known"))
-    elif water.level_m is None:
-        rows.append(("water", "of unknown level: the adjustment finds it, where the photographs tell it"))
-    else:
-        level = water.level_m / height_unit_m(found.crs)
-        rows.append(
-            (
-                "water",
-                f"level {water.level_m:g} m"
-                + (f"; by EXIF the cameras are {_range(heights - level)} m over it" if places else "")
-                + water_stds(water, found.levels),
-            )
-        )
-    rows += control_rows(found.control)
-    like = "heights in crs" if found.config.cameras.gps_height == "crs" else "ellipsoidal heights"
-    by_control = placing_control(found)
-    placed = f"GPS positions, heights taken as {like}"
-    if by_control is not None:
-        placed = f"the marks of {len(by_control.points)} control points, as too few images have a GPS position"
-    sfm = Decision("structure from motion", "on", f"there is no poses file; georeferenced by {placed}")
-    rest = Decision("refraction and the rest", "later", "decided once the poses are known")
-    decisions = (sfm, device_decision(device), rest)
-    sizes = [head.size_px for head in found.heads.values()]
-    workload = workload_of_images(sizes, quality=quality, device=decisions[1].choice)
-    warnings = (*checked.warnings, *room_doubts(workload, found.folder / RUN_FOLDER))
-    return _sections(rows, decisions, workload, found.assumptions, warnings)
+        return "none: a dry survey"
+    if water.level_m is None and water.clicks is not None:
+        return f"its level by the clicks in {water.clicks}, once the poses are known"
+    if water.level_m is None:
+        return "of unknown level: the adjustment finds it, where the photographs tell it"
+    level = water.level_m / height_unit_m(found.crs)
+    over = f"; by EXIF the cameras are {_range(heights - level)} m over it" if len(heights) else ""
+    return f"level {water.level_m:g} m{over}{water_stds(water, found.levels)}"
 
 
 def _range(values: np.ndarray) -> str:

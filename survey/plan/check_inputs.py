@@ -12,7 +12,6 @@ from survey.folder.control import FoundControl
 from survey.folder.level_observation import LevelObservation
 from survey.folder.mark_residuals import mark_residuals
 from survey.folder.survey import Survey
-from survey.folder.water import ASSUMED_INDEX_STD
 
 
 def control_rows(control: FoundControl | None) -> list[tuple[str, str]]:
@@ -61,7 +60,7 @@ def _stds(control: FoundControl) -> str:
     return f"{', '.join(parts)}; marks to {control.config.marks_std_px:g} px"
 
 
-def water_stds(water: WaterConfig, levels: Sequence[LevelObservation]) -> str:
+def water_stds(water: WaterConfig, levels: Sequence[LevelObservation], *, is_index_known: bool = True) -> str:
     """How well the water is known, and by what, to follow its level; empty where nothing says it."""
     known = {"level": water.level_std_m, "index": water.index_std, "slopes": water.slope_std}
     said = [f"{name} to {std:.3g}{' m' if name == 'level' else ''}" for name, std in known.items() if std is not None]
@@ -69,6 +68,6 @@ def water_stds(water: WaterConfig, levels: Sequence[LevelObservation]) -> str:
     measured = [each.source for each in levels if each.source != "level_m"]
     if measured and water.level_std_m is not None:
         by = f"{measured[0]}, {len(measured)} measured" + (f", and {FILE_NAME}" if len(said) > 1 else "")
-    if water.index_std == ASSUMED_INDEX_STD:
+    if not is_index_known:
         by += "; that of the index is assumed"
     return f"; known: {', '.join(said)} ({by})" if said else ""

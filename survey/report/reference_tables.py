@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from evaluation import Band, DistanceStatistics, Scores
 from survey.compare.figures import Figures, VerticalUncertainty
-from survey.compare.text import limits_label
+from survey.compare.text import limits_label, tvu_in_words
 from survey.display.quantities import NO_BREAK, LengthUnit, count, is_known, length, number, share
 from survey.report.blocks import Block, Rows, Sentences, Table, Text
 from survey.report.checkpoints import CheckpointFigures
@@ -24,7 +24,7 @@ def comparison(found: Figures | None) -> list[Block]:
     unit = LengthUnit.of([distances.std_m])
     notes = [Sentences(held.notes)] if held.notes else []
     whole = _bias_and_spread("part", _parts(found), unit, "Bias and spread")
-    return [method, _completeness(found.tolerances), whole, *_bands(found, unit), *notes]
+    return [method, _completeness(found.tolerances), *_reached(found), whole, *_bands(found, unit), *notes]
 
 
 def _parts(found: Figures) -> list[tuple[str, DistanceStatistics]]:
@@ -44,6 +44,7 @@ def _bands(found: Figures, unit: LengthUnit) -> list[Table]:
         (() if parts.depth is None else parts.depth.bands, "depth", "m"),
         (parts.incidence, "incidence", "deg"),
         (parts.views, "views that agree", "views"),
+        (parts.slope, "slope of the reference", "deg"),
     )
     return [
         _bias_and_spread(
@@ -85,6 +86,19 @@ def _completeness(tolerances: tuple[Scores, ...]) -> Table:
     return Table(titles, rows, num_texts=0, heading="Completeness")
 
 
+def _reached(found: Figures) -> list[Table]:
+    """Completeness by the slope of the reference, at each tolerance; nothing without a mesh."""
+    if not found.reached:
+        return []
+    of = "reached" if found.circumstances.visible is None else "of what cameras see"
+    titles = ("slope of the reference", "samples", *(f"{of}, {s.tolerance_m:g} m [%]" for s in found.tolerances))
+    rows = [
+        (limits_label(band.low, band.high, "deg"), count(band.n_samples), *(_percent(at) for at in band.completeness))
+        for band in found.reached
+    ]
+    return [Table(titles, rows, heading="Completeness by slope")]
+
+
 def iho_s44(found: VerticalUncertainty | None) -> list[Block]:
     """Which orders' vertical uncertainty is met, and by how many points in each band of depth; nothing without."""
     if found is None:
@@ -92,7 +106,7 @@ def iho_s44(found: VerticalUncertainty | None) -> list[Block]:
     iho = found.iho
     labels = [limits_label(band.low_m, band.high_m, "m") for band in iho.orders[0].bands]
     rows = [
-        (order.name, "meets TVU" if order.meets_tvu else "does not meet TVU", f"{order.tvu_at_median_depth_m:.2f}",
+        (order.name, tvu_in_words(order), f"{order.tvu_at_median_depth_m:.2f}",
          _percent(order.share_within), *(_percent(band.share_within) for band in order.bands))
         for order in iho.orders
     ]  # fmt: skip

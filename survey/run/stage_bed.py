@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fields.median import median
 from fields.solver.solver import SolvedMap
 from fields.sweep.bed import BedPoints, has_company, points_of, unique_pixels
 from fields.sweep.block import AGREEMENT_PX
@@ -72,16 +73,18 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         job.progress.detail(f"{100 * too_bright:.1f} % of the points are brighter than white without the water")
     found = read_adjustment(needs["adjust"]) if "adjust" in needs else None
     common = std_common(bed.xyz, bed.wet, survey, found, job.plan.gsd_m)
-    if found is not None and survey.config.cameras.poses is not None:
+    std_placed = None
+    if found is not None:
         of_block = std_of_block(bed.xyz, survey, found, job.plan.gsd_m)
         bed = replace(bed, std=np.hypot(bed.std, of_block))
         job.progress.note(f"std: {length(float(np.median(of_block)))} (median) of it by what tilts or shifts the block")
+        std_placed = of_block if survey.config.cameras.poses is None else None
     basis = BASIS_STATED if found is None else BASIS_ADJUSTED
     job.progress.note(f"std_common: {length(float(np.nanmedian(common)))} (median), by {basis}")
     points_crs = np.empty_like(bed.xyz)
     for first in range(0, len(bed), _PORTION):
         points_crs[first : first + _PORTION] = survey.frame.crs_from_local(bed.xyz[first : first + _PORTION])
-    save_bed(folder, StoredBed(bed, points_crs, survey.frame.crs, survey.name, job.plan.gsd_m, common))
+    save_bed(folder, StoredBed(bed, points_crs, survey.frame.crs, survey.name, job.plan.gsd_m, common, std_placed))
 
 
 def _field_of(job: Job, folder: Path) -> TensorField:
@@ -136,4 +139,4 @@ def bed_points(
 
 def _parallax(block: Block, depth_map: DepthMap) -> float:
     """Of the bed of a map in the views that confirm its heights [px/m]."""
-    return block.parallax(depth_map.view, block.neighbours(depth_map.view, PEERS), float(np.median(depth_map.height)))
+    return block.parallax(depth_map.view, block.neighbours(depth_map.view, PEERS), median(depth_map.height))

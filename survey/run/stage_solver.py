@@ -14,7 +14,7 @@ from fields.sweep.maps import ByView, DepthMap, enlarged_map
 from survey.files.json_values import write_json
 from survey.progress import shares
 from survey.run.stage_sweep import EARLIER_SOLVER, EARLIER_SWEEP, MAPS, SCRATCH, look_at_bed, views_swept
-from survey.run.stored_maps import Stored, kept_on_disk, save_maps
+from survey.run.stored_maps import Stored, kept_aside, save_maps
 
 if TYPE_CHECKING:
     from fields.solver.sightings import Sightings
@@ -39,13 +39,13 @@ def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     for number, each in enumerate(carried):
         if each is not None:
             kept[number] = np.zeros_like(kept[number])
-    with job.progress.stage("Solver", 1.0) as stage, kept_on_disk(folder / SCRATCH, SolvedMap) as keep:
+    with job.progress.stage("Solver", 1.0) as stage, kept_aside(folder / SCRATCH, SolvedMap) as keep:
         solved, figures = solve_maps(
             job.block, maps, kept, job.plan.gsd_m, shares(stage), goes_on=lambda: _goes_on(job), keep=keep
         )
         both = (new if old is None else old for new, old in zip(solved, carried, strict=True))
         _save(job, folder, both, figures.sightings)
-    job.progress.note(f"solver: {figures}")
+    job.progress.detail(f"solver: {figures}")
 
 
 def _save(job: Job, folder: Path, solved: Iterable[SolvedMap], found: Sightings | None) -> None:

@@ -22,7 +22,7 @@ from survey.plan.block import camera_of
 from survey.progress import shares
 from survey.run.clock import OutOfTimeError
 from survey.run.stored import load_arrays
-from survey.run.stored_maps import Stored, kept_on_disk, save_maps
+from survey.run.stored_maps import Stored, kept_aside, save_maps
 
 if TYPE_CHECKING:
     from fields.sweep.block import Block
@@ -60,7 +60,7 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         ladder = (low, high) if job.plan.skips.heights else limits(survey)
         passes = PASSES if job.aimed is None else passes_from(job.aimed.first_search)
         start = time.monotonic()
-        with kept_on_disk(folder / SCRATCH, DepthMap) as keep:
+        with kept_aside(folder / SCRATCH, DepthMap) as keep:
             maps = sweep(block, chosen, ladder, shares(stage), passes, _wanted(job), keep=keep)
             if not maps:
                 raise SurveyError("no two views overlap; check that the poses belong to the images")
@@ -93,7 +93,7 @@ def _go_on(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     job.progress.note(f"sweep: {len(again)} of {len(before)} views go on at image scale {job.plan.image_scale:g}")
     start, aimed = time.monotonic(), job.aimed
     try:
-        with job.progress.stage("Sweep", 1.0) as stage, kept_on_disk(folder / SCRATCH, DepthMap) as keep:
+        with job.progress.stage("Sweep", 1.0) as stage, kept_aside(folder / SCRATCH, DepthMap) as keep:
             report = shares(stage)
 
             def advance(share: float) -> None:

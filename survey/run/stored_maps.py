@@ -1,4 +1,4 @@
-"""Height maps, and what was solved of them, on the disk: a file each while they are worked on, then all in one file."""
+"""Height maps, and what was solved of them, on the disk: aside while they are worked on, then all in one file."""
 
 from __future__ import annotations
 
@@ -21,64 +21,92 @@ from survey.run.stored import load_arrays, unreadable, write_arrays
 
 # In the header of a file in a zip archive: the lengths of name and extra field, which follow it.
 _LENGTHS_AT = 26
+# Bytes of maps that are worked on in memory; files for the others take a twentieth of the time of the sweep.
+IN_MEMORY = 100_000_000
 
 Kind = TypeVar("Kind")
 
 
-class OnDisk(MutableMapping[int, Kind]):
-    """Maps of one kind by number, in a folder of their own; each is read from there whenever it is asked for.
+class _Room:
+    """Bytes of memory that several places for maps share."""
+
+    def __init__(self, num_bytes: int):
+        self.left = num_bytes
+
+
+class Scratch(MutableMapping[int, Kind]):
+    """Maps of one kind by number: in memory while there is room, the others each in a file of a folder of their own.
+
+    Those in files are read from there whenever they are asked for.
 
     Parameters
     ----------
     folder : Path
         Made here, and empty.
     kind : type of the maps, DepthMap or SolvedMap
+    room : _Room
     """
 
-    def __init__(self, folder: Path, kind: type[Kind]):
-        self._folder, self._kind = folder, kind
-        self._numbers: set[int] = set()
+    def __init__(self, folder: Path, kind: type[Kind], room: _Room):
+        self._folder, self._kind, self._room = folder, kind, room
+        self._held: dict[int, Kind] = {}
+        self._written: set[int] = set()
         with disk_refusals(folder):
             folder.mkdir()
 
     def __getitem__(self, number: int) -> Kind:
-        if number not in self._numbers:
+        if number in self._held:
+            return self._held[number]
+        if number not in self._written:
             raise KeyError(number)
         with disk_refusals(self._path(number)), self._path(number).open("rb") as stream:
             return _made(self._kind, number, lambda _name: np.load(stream))
 
     def __setitem__(self, number: int, each: Kind) -> None:
+        if number in self._held:
+            self._room.left += _bytes_of(self._held.pop(number))
+        if number not in self._written and _bytes_of(each) <= self._room.left:
+            self._room.left -= _bytes_of(each)
+            self._held[number] = each
+            return
         with disk_refusals(self._path(number)), self._path(number).open("wb") as stream:
             for name in _names(self._kind):
                 np.save(stream, getattr(each, name))
-        self._numbers.add(number)
+        self._written.add(number)
 
     def __delitem__(self, number: int) -> None:
-        self._numbers.remove(number)
+        if number in self._held:
+            self._room.left += _bytes_of(self._held.pop(number))
+            return
+        self._written.remove(number)
         with disk_refusals(self._path(number)):
             self._path(number).unlink()
 
     def __iter__(self) -> Iterator[int]:
-        return iter(sorted(self._numbers))
+        return iter(sorted({*self._held, *self._written}))
 
     def __len__(self) -> int:
-        return len(self._numbers)
+        return len(self._held) + len(self._written)
 
     def __contains__(self, number: object) -> bool:
-        return number in self._numbers
+        return number in self._held or number in self._written
 
     def _path(self, number: int) -> Path:
         return self._folder / f"{number}.npy"
 
 
+def _bytes_of(each: Any) -> int:
+    return sum(getattr(each, name).nbytes for name in _names(type(each)))
+
+
 @contextmanager
-def kept_on_disk(folder: Path, kind: type[Kind]) -> Iterator[Callable[[], OnDisk[Kind]]]:
-    """Places for maps in a folder, which is made, and removed in the end."""
-    number = count()
+def kept_aside(folder: Path, kind: type[Kind], in_memory: int = IN_MEMORY) -> Iterator[Callable[[], Scratch[Kind]]]:
+    """Places for maps, the first bytes of them in memory, the others in a folder that is removed in the end."""
+    number, room = count(), _Room(in_memory)
     with disk_refusals(folder):
         folder.mkdir()
     try:
-        yield lambda: OnDisk(folder / str(next(number)), kind)
+        yield lambda: Scratch(folder / str(next(number)), kind, room)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 

@@ -6,6 +6,7 @@ The world of a georeferenced chunk is geocentric, on the datum of the chunk's re
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -40,7 +41,6 @@ def read_metashape(path: Path) -> PoseFile:
         camera without a lens or a lens that is not supported, or a number that is not finite.
     """
     chunk = _chunk(path)
-    warnings: list[str] = []
     sensors = {sensor.get("id", ""): sensor for sensor in chunk.iter("sensor")}
     lenses: dict[str, Lens] = {}
     transforms = _transforms(chunk, path)
@@ -74,21 +74,27 @@ def read_metashape(path: Path) -> PoseFile:
             f"{path} has no camera that is enabled, aligned and georeferenced; align the photos, set the reference of "
             f"the chunk and update it, then {_EXPORT}"
         )
-    warnings += named(disabled, "camera", f"disabled in {path.name}, left out")
-    warnings += named(unplaced, "camera", f"not aligned in {path.name}, left out")
-    if len(components) > 1:
-        warnings.append(
-            f"{path.name} has a block in {len(components)} components that no tie point joins; they fit each other "
+    warnings = (
+        *named(disabled, "camera", f"disabled in {path.name}, left out"),
+        *named(unplaced, "camera", f"not aligned in {path.name}, left out"),
+        *_doubts(chunk, path, num_components=len(components)),
+    )
+    is_earth = _is_on_earth(poses.values(), crs, path)
+    frame = PoseFrame.GEOCENTRIC if is_earth else PoseFrame.LOCAL
+    return PoseFile(tuple(poses.values()), frame, crs, "Metashape", warnings=warnings)
+
+
+def _doubts(chunk: Element, path: Path, *, num_components: int) -> Iterator[str]:
+    if num_components > 1:
+        yield (
+            f"{path.name} has a block in {num_components} components that no tie point joins; they fit each other "
             "only as their references do: align them together, or export one alone"
         )
     if any(_is_true(tag.text, default="true") for tag in chunk.iter("rolling_shutter")):
-        warnings.append(
+        yield (
             f"Metashape compensated a rolling shutter in {path.name}: its poses are those of the middle of each "
             "exposure, and rows count as exposed at once unless [cameras] rolling_shutter_s gives the readout"
         )
-    is_earth = _is_on_earth(poses.values(), crs, path)
-    frame = PoseFrame.GEOCENTRIC if is_earth else PoseFrame.LOCAL
-    return PoseFile(tuple(poses.values()), frame, crs, "Metashape", warnings=tuple(warnings))
 
 
 def _chunk(path: Path) -> Element:

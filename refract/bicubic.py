@@ -112,9 +112,10 @@ class BicubicWater(AnySurface):
             for at, start, nodes in zip((x, y), self.corner, (columns, rows), strict=True)
         )
         padded, whole = _filled(self._padded(x))
-        rows, columns = (_stacked([first + k for k in range(4)]) for first in (row, column))
-        nodes = padded[rows[..., :, None], columns[..., None, :]]
-        total = (_stacked(along_y(v)) * (nodes * _stacked(along_x(u))[..., None, :]).sum(-1)).sum(-1)
+        total = 0.0
+        for j, weight_y in enumerate(along_y(v)):
+            line = sum(weight * padded[row + j, column + i] for i, weight in enumerate(along_x(u)))
+            total = total + weight_y * line
         return namespace(x).where(in_x & in_y & whole[row, column], total, math.nan)
 
     def _padded(self, like):
@@ -141,15 +142,6 @@ def _concatenated(*parts):
     import torch
 
     return torch.cat(parts)
-
-
-def _stacked(parts):
-    """Arrays (...) as one (..., parts)."""
-    if namespace(*parts).name == "numpy":
-        return np.stack(parts, axis=-1)
-    import torch
-
-    return torch.stack(tuple(parts), dim=-1)
 
 
 def _cell(at, nodes: int):

@@ -102,11 +102,11 @@ def _climbed(
     for part, rungs in tiles.batches(images.STRIP_SAMPLES // len(others), _LAUNCH_SAMPLES // len(others)):
         pixels = tiles.pixels(part)
         legs = images.legs_at(stack, view, pixels.ravel())
-        start = floats(device, tiles.starts(part))
+        start = tiles.starts(part)
         grey = floats(device, stack.images[view].ravel()[pixels])
         values = images.warp(stack, legs, start, others, step, rungs)
         mean = scores.best_half(device, scores.ncc(device, grey, values, tiles.side, tiles.radius))
-        climbed = [host(device, each) for each in scores.climb(device, mean, start, step, rungs)]
+        climbed = [host(device, each) for each in scores.climb(device, mean, floats(device, start), step, rungs)]
         # The first window begins `radius` pixels into the first row.
         climbed = [np.pad(each, tiles.radius * (tiles.side + 1)).reshape(pixels.shape) for each in climbed]
         keep = tiles.own(part, pixels) & (climbed[1] > least.ravel()[pixels])

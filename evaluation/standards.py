@@ -26,6 +26,9 @@ THU = (
     ("1a and 1b", 5.0, 0.05),
     ("2", 20.0, 0.1),
 )
+# A band of depth with fewer points is not judged: of as many independent points that just meet an order, 0.7 % more or
+# less are within it by chance, and neighbouring points share their errors.
+MIN_BAND_POINTS = 1000
 # From a standard deviation to 95 %: of a normal error in one direction, and in two that are alike.
 TO_95, TO_95_IN_PLAN = 1.959964, 2.447747
 _TVU_SHARE = 0.95
@@ -68,8 +71,12 @@ class TvuOrder:
     share_within : [-]
         Share of the points whose error is at most the uncertainty at their own depth.
     meets_tvu : bool
-        Whether those are 95 %.
+        Whether those are 95 % of all points, whatever their depth.
     bands : tuple of TvuBand
+    failing : tuple of TvuBand
+        Those of at least `MIN_BAND_POINTS` points with less than 95 % within.
+    meets_tvu_at_all_depths : bool
+        Whether 95 % are within of all points and in each of those bands.
     """
 
     name: str
@@ -77,6 +84,14 @@ class TvuOrder:
     share_within: float
     meets_tvu: bool
     bands: tuple[TvuBand, ...]
+
+    @property
+    def failing(self) -> tuple[TvuBand, ...]:
+        return tuple(b for b in self.bands if b.n_points >= MIN_BAND_POINTS and b.share_within < _TVU_SHARE)
+
+    @property
+    def meets_tvu_at_all_depths(self) -> bool:
+        return self.meets_tvu and not self.failing
 
 
 @dataclass(frozen=True)
@@ -93,12 +108,18 @@ class IhoS44:
         The strictest first.
     note : str
         What is not judged.
+    strictest : TvuOrder or None
+        The first whose uncertainty is met at all depths.
     """
 
     n_points: int
     error_95_m: float
     orders: tuple[TvuOrder, ...]
     note: str = _TVU_NOTE
+
+    @property
+    def strictest(self) -> TvuOrder | None:
+        return next((order for order in self.orders if order.meets_tvu_at_all_depths), None)
 
 
 @dataclass(frozen=True)

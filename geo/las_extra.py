@@ -12,7 +12,7 @@ NO_DATA = -9999.0
 # Names in lower case, as the registry of standard extra bytes has them; at most 32 characters each.
 EXTRA_BYTES = (
     ("depth", np.dtype(np.float32), "true depth below the water, m"),
-    ("std", np.dtype(np.float32), "height, without std_common, m"),
+    ("std", np.dtype(np.float32), "height, less what lifts all, m"),
     ("std_common", np.dtype(np.float32), "height, by water, lens, poses, m"),
     ("num_views", np.dtype(np.uint16), "photographs that agree"),
     ("incidence", np.dtype(np.float32), "angle at the water in air, deg"),

@@ -39,6 +39,20 @@ def test_the_share_within_is_told_by_depth_and_dry_points_do_not_count():
     assert bands == [(0.0, 0.5, 2, 0.5), (1.0, 2.0, 2, 1.0), (30.0, math.inf, 1, 1.0)]
 
 
+def test_an_order_that_one_depth_does_not_meet_is_not_met_at_all_depths():
+    """Of 40,000 points 250 are off by 0.2 m: 10 % of those at 1.5 m, and all of the few at 0.2 m."""
+    depth = np.repeat([1.5, 3.5, 0.2], [2000, 37_950, 50])
+    errors = np.zeros(40_000)
+    errors[:200] = errors[-50:] = 0.2
+    iho = iho_s44(errors, depth)
+    exclusive, special, *_ = iho.orders
+    assert exclusive.meets_tvu
+    assert [(band.low_m, band.high_m) for band in exclusive.failing] == [(1.0, 2.0)]  # 50 points are not judged
+    assert not exclusive.meets_tvu_at_all_depths
+    assert iho.strictest == special
+    assert iho_s44(np.full(5, 9.0), np.ones(5)).strictest is None
+
+
 def test_nothing_is_judged_without_a_point_under_water():
     assert iho_s44(np.zeros(3), np.array([-1.0, np.nan, 0.0])) is None
 

@@ -14,7 +14,7 @@ from pyproj import CRS
 from small_bed import SLOPE, SPACING_M, plane_bed, plane_depth_map, write_plane_mesh
 from small_survey import TOML, small_survey
 
-from evaluation import DistanceStatistics
+from evaluation import DistanceStatistics, iho_s44
 from geo import LocalFrame
 from survey.compare.comparison import CompareOptions, compare_surfaces
 from survey.display.plan_grid import PlanGrid
@@ -26,7 +26,7 @@ from survey.report import NUM_STEPS, ReportFacts, profile, write_report
 from survey.report.collect import figures_of
 from survey.report.cut import choose_cut
 from survey.report.figures import Spread
-from survey.report.headline import headline
+from survey.report.headline import cards, headline
 from survey.report.json_figures import json_of
 from survey.report.maps import draw_std
 from survey.report.page import render_page
@@ -165,6 +165,25 @@ def test_vertical_uncertainty_is_that_of_the_comparison(report):
     assert all(order.meets_tvu for order in iho.orders)
 
 
+def test_the_card_claims_an_order_only_where_every_depth_meets_it(report):
+    def card(errors, depth):
+        uncertainty = replace(report.figures.comparison.uncertainty, iho=iho_s44(errors, depth))
+        comparison = replace(report.figures.comparison, uncertainty=uncertainty)
+        return next(c for c in cards(replace(report.figures, comparison=comparison)) if c.label.startswith("IHO"))
+
+    depth, errors = np.repeat([1.5, 3.5], [2000, 38_000]), np.zeros(40_000)
+    everywhere = "strictest order whose TVU is met at every depth"
+    assert (card(errors, depth).value, card(errors, depth).detail) == ("Exclusive", everywhere)
+    errors[:200] = 0.2
+    found = card(errors, depth)
+    assert found.value == "Special"
+    assert (
+        found.detail.replace("\N{NO-BREAK SPACE}", " ") == f"{everywhere}; at 1 to 2 m only 90.0 % are within Exclusive"
+    )
+    errors[:200] = 9.0
+    assert card(errors, depth).value == "none"
+
+
 def test_no_order_is_claimed_without_a_reference(survey):
     figures = figures_of(_facts(survey, plane_bed(survey, num=20)))
     assert figures.comparison is None
@@ -239,7 +258,7 @@ def test_report_html_shows_the_figures_of_report_json(report):
         "87.5\u00a0%",
         "<td>sweep</td>",
         "61.2</td>",
-        "meets TVU",
+        "meets the TVU",
         "a note",
         "quality = &#34;standard&#34;",
     ):
@@ -459,11 +478,13 @@ def test_straight_rays_and_their_corrections_stand_beside_what_was_measured(repo
     assert "per-camera correction (Dietrich)" in page
 
 
-def test_a_sweep_without_its_field_has_a_row_of_its_own(survey, report):
+@pytest.mark.parametrize(("field", "named"), [("solver", "solver"), ("slab", "trained slab")])
+def test_the_sweep_alone_has_a_row_beside_what_refined_it(report, field, named):
     wet = DistanceStatistics(n_points=1, n_nan=0, mean_m=0.1, median_m=0.2, nmad_m=0.3)
-    facts = replace(report.facts, sweep_comparison=SimpleNamespace(figures=SimpleNamespace(wet=wet)))
+    sweep = SimpleNamespace(figures=SimpleNamespace(wet=wet))
+    facts = replace(report.facts, sweep_comparison=sweep, plan=replace(PLAN, field=field))
     rows = figures_of(facts).baselines.rows
-    assert [row.name for row in rows[3:]] == ["refractive sweep only", "full chain: sweep and field"]
+    assert [row.name for row in rows[3:]] == ["sweep alone", f"this run: sweep and {named}"]
     assert rows[3].median_m == 0.2
     assert figures_of(replace(report.facts, comparison=None)).baselines is None
 

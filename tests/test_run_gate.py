@@ -11,10 +11,11 @@ from small_survey import small_survey
 from fields.sweep.bed import BedPoints
 from refract import FlatWater, PinholeCamera
 from refract.distortion import BROWN, Distortion
-from survey.folder.survey import load_survey
+from survey.folder.survey import Survey, load_survey
 from survey.run import seen_cells
 from survey.run.gate import MAX_STD_GSD, cells_of, verdict_of
 from survey.run.seen_cells import CELL_GSD
+from survey.run.stored import StoredBed
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 GSD = 0.05
@@ -50,6 +51,11 @@ def bed_over(x0: float, x1: float, *, std: float = 0.01) -> BedPoints:
     )
 
 
+def stored_bed(survey: Survey, bed: BedPoints, std_placed: np.ndarray | None = None) -> StoredBed:
+    """A bed as its stage leaves it."""
+    return StoredBed(bed, bed.xyz, survey.frame.crs, survey.name, GSD, std_placed=std_placed)
+
+
 def test_cells_are_counted_by_the_views_that_see_them(survey):
     num_views = cells_of(survey, bed_over(-5.0, 9.0).xyz, GSD).num_views
     cell_m2 = (CELL_GSD * GSD) ** 2
@@ -73,7 +79,7 @@ def test_no_cell_that_a_lens_bends_into_view_is_left_out(survey, monkeypatch, k1
 @pytest.mark.parametrize(("until", "passed"), [(9.0, True), (2.6, True), (1.4, False)])
 def test_only_ground_that_two_views_see_is_asked_for(survey, until, passed):
     """Both see x from -1 to 5 m: half of it ends at 2 m; what one view sees does not count."""
-    (ground, _) = verdict_of(survey, bed_over(-5.0, until), GSD).gates
+    (ground, _) = verdict_of(survey, stored_bed(survey, bed_over(-5.0, until)), GSD).gates
     assert ground.value == pytest.approx(100.0 * (min(until, 5.0) + 1.0) / 6.0, abs=9.0)
     assert ground.passed == passed
     assert "of the ground that two or more views see has a point of the bed" in ground.sentence
@@ -82,13 +88,22 @@ def test_only_ground_that_two_views_see_is_asked_for(survey, until, passed):
 def test_ground_beyond_the_bounds_is_not_asked_for(survey):
     low, high = survey.frame.crs_from_local(np.array([[0.0, -2.0, 0.0], [2.0, 2.0, 0.0]]))
     bounded = replace(survey, bounds=(low[0], low[1], high[0], high[1]))
-    (ground, _) = verdict_of(bounded, bed_over(-0.5, 2.5), GSD).gates
+    (ground, _) = verdict_of(bounded, stored_bed(bounded, bed_over(-0.5, 2.5)), GSD).gates
     assert ground.value == 100.0
 
 
 @pytest.mark.parametrize(("share", "passed"), [(0.99, True), (1.01, False)])
 def test_points_have_to_be_known_to_one_and_a_half_pixels(survey, share, passed):
-    verdict = verdict_of(survey, bed_over(-5.0, 9.0, std=share * MAX_STD_GSD * GSD), GSD)
+    bed = bed_over(-5.0, 9.0, std=share * MAX_STD_GSD * GSD)
+    verdict = verdict_of(survey, stored_bed(survey, bed), GSD)
     assert [gate.passed for gate in verdict.gates] == [True, passed]
     assert verdict.passed == passed
     assert verdict.gates[1].sentence.endswith("at most 75.0\u00a0mm (1.5\u00a0ground sampling distances)")
+
+
+def test_where_gps_has_put_the_block_is_not_held_against_the_photographs(survey):
+    bed = bed_over(-5.0, 9.0, std=5.0 * MAX_STD_GSD * GSD)
+    placed = np.sqrt(bed.std**2 - np.float32(0.5 * MAX_STD_GSD * GSD) ** 2)
+    (_, precision) = verdict_of(survey, stored_bed(survey, bed, placed), GSD).gates
+    assert precision.passed
+    assert precision.value == pytest.approx(500.0 * MAX_STD_GSD * GSD, rel=1e-3)

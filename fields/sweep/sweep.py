@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 
-from fields.sweep.arrays import forget
 from fields.sweep.block import Block
 from fields.sweep.climbs import climbed, climbs_of, pixels_of
 from fields.sweep.fusing import confirm, fuse
@@ -85,9 +84,6 @@ def sweep(
         for climb in climbs[number]:
             height = maps[climb.view].height if climb.view in maps else None
             maps[climb.view], wider[climb.view] = climbed(block, p, climb, bound, height, area, wider[climb.view])
-            if p.search is not None:
-                # Ladders of many lengths leave memory of many sizes. To ask for it again takes time: others keep it.
-                forget(block.device)
             done += climb.samples
             progress(done / total)
         if fused[number]:

@@ -1,5 +1,8 @@
 """The standard deviation of each height by what all points have in common: water, lens and poses.
 
+It is that of a height at its place. What of it differs from place to place (tilt, bend, the bank against the bed) is in
+the std of the points of an adjusted block, too: `survey.adjust.std_of_block`.
+
 Worked out at places spread over the bed, wet and dry apart, and interpolated in plan. The covariance is that of the
 adjustment; without one the parameters count as independent, as good as survey.toml says or else as the defaults of
 `survey.adjust.priors` say, poses and lens those of an adjusted block.

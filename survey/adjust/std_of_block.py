@@ -1,8 +1,9 @@
 """What errors of an adjusted block do to heights from place to place: it may lie askew, bent, and beside its place.
 
 Over a slope, a block that lies beside its place shows heights of other places. At a fixed place in plan the error of a
-height is ``e_z - s . e_xy``, with e the error of the point where the rays meet and s the slope of the bed there. The
-mean of e_z over the bed, which lifts all heights alike, is left to `survey.adjust.std_common`.
+height is ``e_z - s . e_xy``, with e the error of the point where the rays meet and s the slope of the bed there. With
+the moves M of a place by the parameters and C their covariance, that of e is ``(M - N) C (M - N)'``, N the mean of the
+moves of heights over the bed: what lifts all heights alike is left to `survey.adjust.std_common`.
 """
 
 from __future__ import annotations

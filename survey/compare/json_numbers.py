@@ -118,6 +118,7 @@ def _order(order: TvuOrder) -> dict:
         "tvu_at_median_depth_m": order.tvu_at_median_depth_m,
         "share_within": order.share_within,
         "meets_tvu": order.meets_tvu,
+        "meets_tvu_at_all_depths": order.meets_tvu_at_all_depths,
         "depth_bands": bands,
     }
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from evaluation import Band, DistanceStatistics, Scores
+from evaluation.standards import TvuOrder
 from survey.compare.figures import Checkpoints, Circumstances, Figures, VerticalUncertainty
 
 Section = tuple[str | None, list[tuple[str, str]]]
@@ -45,6 +46,14 @@ def limits_label(low: float, high: float, unit: str) -> str:
     if unit == "views":
         return f"{low:g}{shown}" if high == low + 1 else f"{low:g} to {high - 1:g}{shown}"
     return f"{low:g} to {high:g}{shown}"
+
+
+def tvu_in_words(order: TvuOrder) -> str:
+    """Whether an order's vertical uncertainty is met, and at which depths it is not although all points meet it."""
+    if not order.meets_tvu:
+        return "does not meet the TVU"
+    failing = ", ".join(limits_label(band.low_m, band.high_m, "m") for band in order.failing)
+    return f"meets the TVU, but not at {failing}" if failing else "meets the TVU"
 
 
 def _bands(bands: tuple[Band, ...], unit: str) -> list[tuple[str, str]]:
@@ -177,9 +186,8 @@ def _orders(uncertainty: VerticalUncertainty | None) -> list[tuple[str, str]]:
         return []
     rows = []
     for order in uncertainty.iho.orders:
-        meets = "meets" if order.meets_tvu else "does not meet"
         shares = [f"{limits_label(band.low_m, band.high_m, 'm')} {_percent(band.share_within)}" for band in order.bands]
-        rows.append((order.name, f"{_percent(order.share_within)}, {meets} the TVU ({', '.join(shares)})"))
+        rows.append((order.name, f"{_percent(order.share_within)}, {tvu_in_words(order)} ({', '.join(shares)})"))
     return [*rows, ("judged", f"the {uncertainty.error}. {uncertainty.iho.note}")]
 
 

@@ -7,6 +7,7 @@ memory.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,7 +30,33 @@ if TYPE_CHECKING:
 _DEFAULT_PX = 4.0
 _POINTS_PER_TILE = 2_000_000
 _LARGEST_TILE = 2048
-_COLUMNS = ("points_crs", "std", "depth", "incidence", "std_common")
+_COLUMNS = ("points_crs", "std", "depth", "incidence", "std_common", "std_placed")
+
+
+@dataclass(frozen=True)
+class _Points:
+    """Columns of the points of a run, N of each.
+
+    Attributes
+    ----------
+    at : (N, 2)
+        Places in plan, in cells.
+    height, std, placed, common, incidence : (N,)
+        The standard deviation is without ``placed`` (`survey.run.stored.StoredBed.std_placed`), which neighbours share.
+    """
+
+    at: np.ndarray
+    height: np.ndarray
+    std: np.ndarray
+    placed: np.ndarray
+    common: np.ndarray
+    incidence: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.height)
+
+    def __getitem__(self, rows: np.ndarray) -> _Points:
+        return _Points(*(getattr(self, column.name)[rows] for column in fields(self)))
 
 
 def gridded(run: LoadedRun, options: ExportOptions) -> Gridded:
@@ -68,7 +95,9 @@ def _gridded(run: LoadedRun, options: ExportOptions) -> Gridded:
     grid = _empty(run, cells, LevelFit.of(points, columns["depth"]), pixel)
     common = columns.get("std_common", np.full(len(points), np.nan, dtype=np.float32))
     common = np.where(np.isfinite(common), common, np.float32(run.common_std_m))
-    _fill_in(grid, points, columns["std"], common, columns["incidence"])
+    placed = columns.get("std_placed", np.zeros(len(points), dtype=np.float32))
+    std = np.sqrt(np.maximum(columns["std"] ** 2 - placed**2, 0.0))
+    _fill_in(grid, _Points(cells.place(points), points[:, 2], std, placed, common, columns["incidence"]))
     if options.fill_m > 0.0:
         fill_gaps(grid, options.fill_m)
     return grid
@@ -84,16 +113,15 @@ def _empty(run: LoadedRun, cells: PlanCells, level: LevelFit | None, pixel_m: fl
     return Gridded(cells=cells, level=level, pixel_m=pixel_m, **arrays)
 
 
-def _fill_in(grid: Gridded, points: np.ndarray, std: np.ndarray, common: np.ndarray, incidence: np.ndarray) -> None:
+def _fill_in(grid: Gridded, points: _Points) -> None:
     """Fit the cells, tile by tile."""
-    cells = grid.cells
-    at = cells.place(points)
+    cells, at = grid.cells, points.at
     margin = margin_of(grid.pixel_m) / cells.side_m
     side = _tile_side(len(points), cells, margin)
     tiles = np.floor(at / side).astype(np.int32)
     across = -(-cells.shape[1] // side)
     number = tiles[:, 1] * across + tiles[:, 0]
-    correlated = correlated_px2(at * cells.side_m, points[:, 2], std, grid.pixel_m)
+    correlated = correlated_px2(at * cells.side_m, points.height, points.std, grid.pixel_m)
     order = np.argsort(number, kind="stable")
     first = np.searchsorted(number[order], np.arange(across * -(-cells.shape[0] // side) + 1))
     for tile in np.unique(number):
@@ -106,23 +134,12 @@ def _fill_in(grid: Gridded, points: np.ndarray, std: np.ndarray, common: np.ndar
         rows = np.concatenate(near)
         low = np.array([column, row]) * side
         rows = rows[((at[rows] >= low - margin) & (at[rows] < low + side + margin)).all(axis=1)]
-        of_tile = (at[rows], points[rows, 2], std[rows], common[rows], incidence[rows])
-        _fit_tile(grid, low, side, correlated, *of_tile)
+        _fit_tile(grid, low, side, correlated, points[rows])
 
 
-def _fit_tile(
-    grid: Gridded,
-    low: np.ndarray,
-    side: int,
-    correlated: float,
-    at: np.ndarray,
-    height: np.ndarray,
-    std: np.ndarray,
-    common: np.ndarray,
-    incidence: np.ndarray,
-) -> None:
+def _fit_tile(grid: Gridded, low: np.ndarray, side: int, correlated: float, points: _Points) -> None:
     """Fit the cells of one tile to the points in it; those of the margin only decide which ones are covered."""
-    cells = grid.cells
+    cells, at, height, std = grid.cells, points.at, points.height, points.std
     is_seen, wall_std = seen_from_above(at * cells.side_m, height, std, grid.pixel_m)
     own = is_seen & ((at >= low) & (at < low + side)).all(axis=1)
     if not own.any():
@@ -139,12 +156,12 @@ def _fit_tile(
     def mean(values: np.ndarray) -> np.ndarray:
         return np.bincount(inverse, values[own].astype(np.float64), len(fits.cell)) / fits.count
 
-    # The place of a wall is an error of all points beside it.
-    variance = fits.std**2 + mean(np.square(wall_std))
+    # The place of a wall is an error of all points beside it, that of the block one of all points.
+    variance = fits.std**2 + mean(np.square(wall_std)) + mean(np.square(points.placed))
     place = np.divmod(fits.cell, cells.shape[1])
     grid.height[place], grid.std[place], grid.count[place] = fits.height, np.sqrt(variance), fits.count
-    grid.common[place] = np.sqrt(mean(np.square(common.astype(np.float64))))
-    grid.incidence[place], grid.known[place] = mean(incidence), 1
+    grid.common[place] = np.sqrt(mean(np.square(points.common.astype(np.float64))))
+    grid.incidence[place], grid.known[place] = mean(points.incidence), 1
 
 
 def _tile_side(num_points: int, cells: PlanCells, margin: float) -> int:

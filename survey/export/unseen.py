@@ -114,5 +114,6 @@ def with_unseen(run: LoadedRun, stored: StoredBed, crs: str | None) -> tuple[Sto
         bed=BedPoints.concatenate([bed, added, added]),
         points_crs=np.concatenate([stored.points_crs, points, points]),
         std_common=None if common is None else np.concatenate([common, unknown, unknown]),
+        std_placed=None,
     )
     return whole, np.concatenate(classes).astype(np.uint8)

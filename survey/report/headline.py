@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from evaluation import IhoS44
+from survey.compare.text import limits_label
 from survey.display.quantities import NO_BREAK, LengthUnit, count, is_known, length, metres, number, share
 from survey.report.figures import ReportFigures
 from survey.report.verdict import Gate, Verdict
@@ -107,6 +109,17 @@ def _of_comparison(figures: ReportFigures) -> list[Card]:
     value = f"{unit.number(mean_m)}{NO_BREAK}±{NO_BREAK}{unit.text(std_m)}"
     found = [Card("From the reference", value, "mean ± std, inner 90 %")]
     if uncertainty is not None:
-        met = [order.name for order in uncertainty.iho.orders if order.meets_tvu]
-        found.append(Card("IHO S-44, vertical only", met[0] if met else "none", "strictest order whose TVU is met"))
+        found.append(_of_orders(uncertainty.iho))
     return found
+
+
+def _of_orders(iho: IhoS44) -> Card:
+    """The strictest order that all points and every depth meet; where all points alone meet a stricter one, why not."""
+    met = iho.strictest
+    pooled = next((order for order in iho.orders if order.meets_tvu), None)
+    detail = "strictest order whose TVU is met at every depth"
+    if pooled is not None and pooled is not met:
+        worst = min(pooled.failing, key=lambda band: band.share_within)
+        depth = limits_label(worst.low_m, worst.high_m, "m")
+        detail += f"; at {depth} only {share(worst.share_within)} are within {pooled.name}"
+    return Card("IHO S-44, vertical only", "none" if met is None else met.name, detail)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from evaluation import Band, DistanceStatistics, Scores
 from survey.compare.figures import Figures, VerticalUncertainty
-from survey.compare.text import limits_label
+from survey.compare.text import limits_label, tvu_in_words
 from survey.display.quantities import NO_BREAK, LengthUnit, count, is_known, length, number, share
 from survey.report.blocks import Block, Rows, Sentences, Table, Text
 from survey.report.checkpoints import CheckpointFigures
@@ -106,7 +106,7 @@ def iho_s44(found: VerticalUncertainty | None) -> list[Block]:
     iho = found.iho
     labels = [limits_label(band.low_m, band.high_m, "m") for band in iho.orders[0].bands]
     rows = [
-        (order.name, "meets TVU" if order.meets_tvu else "does not meet TVU", f"{order.tvu_at_median_depth_m:.2f}",
+        (order.name, tvu_in_words(order), f"{order.tvu_at_median_depth_m:.2f}",
          _percent(order.share_within), *(_percent(band.share_within) for band in order.bands))
         for order in iho.orders
     ]  # fmt: skip

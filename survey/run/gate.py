@@ -2,11 +2,13 @@
 
 Two things are required. Of the ground that two or more views see, at the height where the bed was found, at least half
 has a point: what one view alone sees cannot be measured and does not count. And the median standard deviation of the
-points is at most one and a half ground sampling distances.
+points is at most one and a half ground sampling distances. Standard deviations are those that the photographs, or the
+poses of a file, are answerable for: where GPS or control has put a block, they make it no better.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,14 +30,14 @@ MAX_STD_GSD = 1.5
 MIN_VIEWS = 2
 
 
-def verdict_of(survey: Survey, bed: BedPoints, gsd_m: float) -> Verdict:
-    """What the gates say of points of the bed (local frame) at a ground sampling distance [m]."""
-    return Verdict((_completeness(survey, bed, gsd_m), _precision(bed, gsd_m)))
+def verdict_of(survey: Survey, stored: StoredBed, gsd_m: float) -> Verdict:
+    """What the gates say of the points of a bed at a ground sampling distance [m]."""
+    return Verdict((_completeness(survey, stored.bed, gsd_m), _precision(stored.std_of_photographs(), gsd_m)))
 
 
 def asked_gate(stored: StoredBed, std_m: float) -> Gate:
     """Whether the standard deviation [m] that was asked for is reached, and if not, what limits it."""
-    cells = std_cells(stored.bed, stored.gsd_m)
+    cells = std_cells(replace(stored.bed, std=stored.std_of_photographs()), stored.gsd_m)
     reached = cells.reached(std_m)
     sentence = f"{cells.in_words(std_m)}; required: {share(SHARE)} within what was asked"
     if reached < SHARE:
@@ -62,8 +64,8 @@ def cells_of(survey: Survey, xyz: np.ndarray, gsd_m: float) -> SeenCells:
     return cells_seen([view.camera for view in survey.views], survey.water, local_area(survey), xyz, gsd_m)
 
 
-def _precision(bed: BedPoints, gsd_m: float) -> Gate:
-    std, limit = float(np.nanmedian(bed.std)), MAX_STD_GSD * gsd_m
+def _precision(stds: np.ndarray, gsd_m: float) -> Gate:
+    std, limit = float(np.nanmedian(stds)), MAX_STD_GSD * gsd_m
     sentence = (
         f"the median standard deviation of the points is {length(std)}; required: at most {length(limit)} "
         f"({MAX_STD_GSD:g}{NO_BREAK}ground sampling distances)"

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fields.median import median
 from fields.solver.solver import SolvedMap
 from fields.sweep.bed import BedPoints, has_company, points_of, unique_pixels
 from fields.sweep.block import AGREEMENT_PX
@@ -37,11 +38,16 @@ def adjustment_of(needs: Mapping[str, Path]) -> Adjustment | None:
     return read_adjustment(needs["adjust"]) if "adjust" in needs else None
 
 
+def is_placed(survey: Survey) -> bool:
+    """Whether GPS or control alone has placed the block: no work on photographs changes what that leaves uncertain."""
+    return survey.config.cameras.poses is None
+
+
 def with_std_of_block(
     bed: BedPoints, survey: Survey, found: Adjustment | None, gsd_m: float
 ) -> tuple[BedPoints, np.ndarray | None]:
     """The points with what an adjusted block adds to the std of each, and what that is (N,) [m]; None where nothing."""
-    if found is None or survey.config.cameras.poses is None:
+    if found is None:
         return bed, None
     of_block = std_of_block(bed.xyz, survey, found, gsd_m)
     return replace(bed, std=np.hypot(bed.std, of_block)), of_block
@@ -99,4 +105,4 @@ def _black(camera: PinholeCamera) -> np.ndarray:
 
 def _parallax(block: Block, depth_map: DepthMap) -> float:
     """Of the bed of a map in the views that confirm its heights [px/m]."""
-    return block.parallax(depth_map.view, block.neighbours(depth_map.view, PEERS), float(np.median(depth_map.height)))
+    return block.parallax(depth_map.view, block.neighbours(depth_map.view, PEERS), median(depth_map.height))

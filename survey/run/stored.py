@@ -50,6 +50,9 @@ class StoredBed:
         Ground sampling distance that was worked at.
     std_common : (N,) float32 [m] or None
         Standard deviation of the heights by water, lens and poses, `survey.adjust.std_common`; None where not known.
+    std_placed : (N,) float32 [m] or None
+        The part of the standard deviations in `bed` by how GPS or control has placed the block
+        (`survey.adjust.std_of_block`); None where a file has.
     """
 
     bed: BedPoints
@@ -58,6 +61,13 @@ class StoredBed:
     name: str
     gsd_m: float
     std_common: np.ndarray | None = None
+    std_placed: np.ndarray | None = None
+
+    def std_of_photographs(self) -> np.ndarray:
+        """Standard deviations (N,) [m] of the heights without `std_placed`: as good as the photographs are."""
+        if self.std_placed is None:
+            return self.bed.std
+        return np.sqrt(np.maximum(self.bed.std**2 - self.std_placed**2, 0.0))
 
 
 def save_arrays(path: str | Path, **arrays: np.ndarray) -> None:
@@ -105,6 +115,8 @@ def save_bed(folder: str | Path, stored: StoredBed) -> None:
     columns = {f.name: getattr(stored.bed, f.name) for f in dataclasses.fields(stored.bed)}
     if stored.std_common is not None:
         columns["std_common"] = stored.std_common
+    if stored.std_placed is not None:
+        columns["std_placed"] = stored.std_placed
     save_arrays(folder / BED_FILE, points_crs=stored.points_crs, **columns)
     said = {"crs_wkt": stored.crs.to_wkt(), "name": stored.name, "gsd_m": stored.gsd_m}
     with write_whole(folder / SURVEY_FILE) as stream:
@@ -124,8 +136,9 @@ def load_bed(folder: str | Path) -> StoredBed:
     arrays = load_arrays(Path(folder) / BED_FILE)
     place = load_bed_place(folder)
     try:
-        points_crs, common = arrays.pop("points_crs"), arrays.pop("std_common", None)
-        return StoredBed(BedPoints(**arrays), points_crs, place.crs, place.name, place.gsd_m, common)
+        points_crs = arrays.pop("points_crs")
+        parts = [arrays.pop(name, None) for name in ("std_common", "std_placed")]
+        return StoredBed(BedPoints(**arrays), points_crs, place.crs, place.name, place.gsd_m, *parts)
     except (KeyError, TypeError) as error:
         raise _no_bed(folder, error) from error
 

@@ -1,4 +1,4 @@
-"""What a run will take: against what three surveys took, and against what the machine has."""
+"""What a run will take: as its parts do, against the memory of two surveys, and against what the machine has."""
 
 from __future__ import annotations
 
@@ -8,13 +8,17 @@ from dataclasses import replace
 import pytest
 from small_survey import E0, N0, TOML, said, small_survey, unposed
 
+from fields.sweep.block import Overlap
 from survey import machine
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
 from survey.plan import workload as workload_module
+from survey.plan.area import local_area
+from survey.plan.block import camera_of
 from survey.plan.check import check_survey
 from survey.plan.choices import Choices
 from survey.plan.plan import make_plan
+from survey.plan.rates import Amounts, run_s
 from survey.plan.workload import Workload, require_room, workload_of, workload_of_images
 
 GIGA = 1e9
@@ -30,19 +34,42 @@ def warnings_of(sections) -> list[str]:
     return [text for _, text in section.rows]
 
 
-@pytest.mark.parametrize(
-    ("name", "quality", "seconds", "num_maps"), [("quick", "standard", 35.7, 21), ("wreck_water", "draft", 119.1, 43)]
-)
-def test_the_time_of_two_surveys_is_estimated_as_it_was_measured(
-    data_dir, monkeypatch, name, quality, seconds, num_maps
-):
-    monkeypatch.setattr(machine, "num_cores", lambda: 1)
-    survey = load_survey(data_dir / name)
-    plan = replace(make_plan(survey, Choices(quality=quality, device="cpu")), device="llvm")
-    workload = workload_of(survey, plan)
-    # The rates come from these surveys.
-    assert workload.seconds == pytest.approx(seconds, rel=0.15)
-    assert workload.num_maps == num_maps
+AMOUNTS = Amounts(
+    num_views=20, photographs_mpx=8.0, largest_px=4e5, map_px=4e6, points=3e5, field_cells=0.0, poses="check",
+    solves=False,
+)  # fmt: skip
+
+
+def test_the_time_grows_with_all_that_there_is_to_do_and_more_cores_shorten_only_what_they_share():
+    one = run_s(AMOUNTS, 1)
+    for name in ("photographs_mpx", "map_px", "points"):
+        more, most = (run_s(replace(AMOUNTS, **{name: n * getattr(AMOUNTS, name)}), 1) for n in (2.0, 3.0))
+        assert more > one
+        assert most - more == pytest.approx(more - one), name
+    assert run_s(replace(AMOUNTS, solves=True), 1) > one
+    assert run_s(replace(AMOUNTS, field_cells=1e5), 1) > one
+    assert run_s(replace(AMOUNTS, poses="fixed"), 1) < one < run_s(replace(AMOUNTS, poses="refine"), 1)
+    halves = [run_s(AMOUNTS, cores) for cores in (1, 2, 4)]
+    assert halves[0] - halves[1] == pytest.approx(2.0 * (halves[1] - halves[2]))
+    assert halves[2] > 0.25 * one
+
+
+def test_a_survey_of_a_few_small_photographs_takes_little_more_than_the_start():
+    nothing = replace(AMOUNTS, num_views=1, photographs_mpx=0.0, largest_px=0.0, map_px=0.0, points=0.0, poses="fixed")
+    small = replace(nothing, num_views=8, photographs_mpx=0.15, largest_px=2e4, map_px=0.15e6, points=2e4, solves=True)
+    assert run_s(nothing, 1) < run_s(small, 1) < 1.5 * run_s(nothing, 1)
+
+
+def test_the_maps_are_those_of_the_views_that_cover_the_area_and_better_qualities_take_more(tmp_path):
+    survey = load_survey(small_survey(tmp_path / "s"))
+    found = []
+    for quality in ("draft", "standard", "fine"):
+        plan = replace(make_plan(survey, Choices(quality=quality, device="cpu")), device="llvm")
+        found.append(workload_of(survey, plan))
+        overlap = Overlap([camera_of(view, plan) for view in survey.views], survey.water, 0.0)
+        assert found[-1].num_maps == len(overlap.cover(*plan.recipe.times_seen, local_area(survey)))
+    assert found[0].seconds < found[1].seconds <= found[2].seconds
+    assert found[0].num_maps <= found[1].num_maps <= found[2].num_maps <= len(survey.views)
 
 
 @pytest.mark.parametrize(
@@ -129,10 +156,10 @@ def test_more_views_than_can_be_chosen_from_make_it_a_bound(tmp_path, monkeypatc
 
 
 def test_without_poses_the_estimate_is_a_bound_that_refuses_nothing(tmp_path, monkeypatch):
-    workload = workload_of_images([(4000, 3000)] * 100, quality="standard", device="llvm")
+    workload = workload_of_images([(4000, 3000)] * 100, quality="standard")
     assert str(workload).startswith("at most ")
     assert str(workload).endswith("time is known when the poses are")
-    finer = workload_of_images([(4000, 3000)] * 100, quality="fine", device="llvm")
+    finer = workload_of_images([(4000, 3000)] * 100, quality="fine")
     assert finer.disk_bytes > 4 * workload.disk_bytes - 2e9
     monkeypatch.setattr(machine, "free_disk_bytes", lambda _folder: 1_000_000)
     sections = check_survey(unposed(tmp_path / "s"), device="cpu")

@@ -172,7 +172,7 @@ def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]
     rest = Decision("refraction and the rest", "later", "decided once the poses are known")
     decisions = (sfm, device_decision(device), rest)
     sizes = [head.size_px for head in found.heads.values()]
-    workload = workload_of_images(sizes, quality=quality, device=decisions[1].choice)
+    workload = workload_of_images(sizes, quality=quality)
     warnings = (*checked.warnings, *room_doubts(workload, found.folder / RUN_FOLDER))
     return _sections(_rows_without_poses(found), decisions, workload, found.assumptions, warnings)
 

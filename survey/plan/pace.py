@@ -13,14 +13,11 @@ from fields.sweep.passes import PASSES, passes_from
 from survey import machine
 from survey.folder.survey import Survey
 from survey.plan.plan import Plan
-from survey.plan.workload import FIRST_RUNGS, STEPS_PER_CORE_S, amounts_of
+from survey.plan.rates import FIRST_RUNGS, STEPS_PER_CORE_S, poses_s
+from survey.plan.workload import amounts_of
 
 # Imports, and hashes of program and photographs.
 _START_S = 2.5
-# Check of the poses of so many photographs, and adjustment of all, at no more than so many megapixels each: once, and
-# per megapixel.
-_CHECKED, _MOST_MPX = 10, 6.0
-_CHECK_S, _ADJUST_S = (4.0, 0.9), (2.0, 2.0)
 # Decoding a megapixel; the range of heights; the solver's learning, and its work on a point.
 _DECODING_S, _RANGE_S, _SOLVER_S, _POINT_S = 0.02, 2.0, 2.0, 45e-6
 # Bed, cloud and report: once, and per point.
@@ -130,14 +127,6 @@ class Pace:
 
     def least_s(self, ground: Ground, scale: float, *, lowest: float) -> float:
         """Of a whole run whose only round is a sweep at a scale [s]; see `samples`."""
-        before = (_START_S + _poses_s(ground) + _RANGE_S) * self.slow
+        poses = poses_s(ground.poses, ground.photographs_mpx, ground.num_views)
+        before = (_START_S + poses + _RANGE_S) * self.slow
         return before + self.sweep_s(ground, scale, lowest=lowest) + self.tail_s(ground, scale)
-
-
-def _poses_s(ground: Ground) -> float:
-    """Of the check or the adjustment of the poses on the core of the rates [s]."""
-    adjusted = min(ground.photographs_mpx, ground.num_views * _MOST_MPX)
-    if ground.poses == "check":
-        checked = adjusted * min(_CHECKED / ground.num_views, 1.0)
-        return _CHECK_S[0] + _CHECK_S[1] * checked
-    return _ADJUST_S[0] + _ADJUST_S[1] * adjusted if ground.poses == "refine" else 0.0

@@ -1,7 +1,6 @@
 """Time, memory and disk space of a run, estimated before anything is computed.
 
-Rates of time are those of two surveys (quick at standard, wreck_water at draft quality) on a part of one core with
-AVX-512: 35 and 108 s, which the estimate meets within 15 %; it is rough elsewhere, and on more cores. Memory is that of
+Time is that of `survey.plan.rates`. Memory is that of
 the arrays which docs/performance.md names; measured were 0.5 GB (quick) to 3.4 GB (20 megapixels).
 """
 
@@ -15,7 +14,6 @@ from pathlib import Path
 import numpy as np
 
 from fields.sweep.block import Overlap
-from fields.sweep.passes import PASSES
 from fields.sweep.quads import FEWEST_KEPT, KEPT_BYTES
 from survey import machine
 from survey.errors import SurveyError
@@ -25,18 +23,9 @@ from survey.plan.block import camera_of
 from survey.plan.ground import ground_height
 from survey.plan.image_size import image_scale
 from survey.plan.plan import Plan
+from survey.plan.rates import Amounts, run_s
 from survey.plan.recipe import RECIPES
 
-# The first pass of the sweep tries as many heights as its bound holds.
-FIRST_RUNGS = 25
-# Pixels times heights times neighbours of the sweep that one core compares in a second, by Dr.Jit on LLVM, with the
-# search beside steps.
-STEPS_PER_CORE_S = 58e6
-# Of the solver: for any survey, and per pixel of a height map.
-_SOLVER_CORE_S = (6.5, 0.8e-6)
-_FIELD_CORE_S_PER_CELL = 2.3e-4
-# Imports, check of the poses, bed, report.
-_START_S = 12.0
 # In it the samples of the ladders, of which there are as many at a time whatever the survey.
 _BASE_BYTES = 430e6
 # Per pixel of every view, its grey image; of its colours, and these at most; whole photographs while they are decoded.
@@ -131,8 +120,20 @@ def workload_of(survey: Survey, plan: Plan) -> Workload:
     pixels, chosen, num_cells = amounts_of(survey, plan)
     largest = max(view.lens.width * view.lens.height for view in survey.views)
     field = num_cells if plan.field == "slab" else 0.0
-    found = _workload(pixels, pixels[chosen], largest, num_cells, field, plan.device, plan.field == "solver")
-    return replace(found, is_bound=True) if len(pixels) > _MOST_VIEWS else found
+    solves = plan.field == "solver"
+    amounts = Amounts(
+        num_views=len(pixels),
+        photographs_mpx=sum(view.lens.width * view.lens.height for view in survey.views) / 1e6,
+        largest_px=float(np.max(pixels)),
+        map_px=float(np.sum(pixels[chosen])),
+        points=num_cells,
+        field_cells=field,
+        poses=plan.poses[0],
+        solves=solves,
+    )
+    seconds = run_s(amounts, machine.num_cores()) if plan.device == "llvm" else None
+    found = _workload(pixels, pixels[chosen], largest, num_cells, field, solves)
+    return replace(found, seconds=seconds, is_bound=len(pixels) > _MOST_VIEWS)
 
 
 def amounts_of(survey: Survey, plan: Plan) -> tuple[np.ndarray, list[int], float]:
@@ -163,16 +164,16 @@ def amounts_of(survey: Survey, plan: Plan) -> tuple[np.ndarray, list[int], float
     return pixels, chosen, num_cells
 
 
-def workload_of_images(sizes: Iterable[tuple[int, int]], *, quality: str, device: str) -> Workload:
+def workload_of_images(sizes: Iterable[tuple[int, int]], *, quality: str) -> Workload:
     """An upper bound for images (width, height) without poses; structure from motion adds to it."""
     sizes = list(sizes)
     scale = min(image_scale(width, height, RECIPES[quality].megapixels) for width, height in sizes)
     pixels = np.array([width * height for width, height in sizes]) * scale**2
     num_cells = _OWN_GROUND * float(pixels.sum())
     largest = max(width * height for width, height in sizes)
-    found = _workload(pixels, pixels, largest, num_cells, 0.0, device, RECIPES[quality].field == "solver")
+    found = _workload(pixels, pixels, largest, num_cells, 0.0, RECIPES[quality].field == "solver")
     disk = found.disk_bytes + int(_DISK_OF_SFM * len(sizes))
-    return replace(found, seconds=None, disk_bytes=disk, is_bound=True)
+    return replace(found, disk_bytes=disk, is_bound=True)
 
 
 def require_room(workload: Workload, run_folder: Path) -> list[str]:
@@ -224,21 +225,15 @@ def _limit_doubt(workload: Workload) -> str | None:
     )
 
 
-def _workload(pixels, of_maps, largest: int, num_cells: float, of_field: float, device: str, solves: bool) -> Workload:
-    """From pixels of views, of height maps, and of the largest photograph; cells of bed and field."""
-    num_cores = machine.num_cores()
-    mapped = float(np.sum(of_maps))
-    steps = sum(p.scale**2 * (p.rungs or FIRST_RUNGS) * p.neighbours for p in PASSES)
-    core_s = steps * mapped / STEPS_PER_CORE_S + _FIELD_CORE_S_PER_CELL * of_field
-    solver_s = _SOLVER_CORE_S[0] + _SOLVER_CORE_S[1] * mapped if solves else 0.0
-    memory = _memory(pixels, of_maps, largest, num_cells, of_field, solves)
+def _workload(pixels, of_maps, largest: int, num_cells: float, of_field: float, solves: bool) -> Workload:
+    """Without its time, from pixels of views, of height maps, and of the largest photograph; cells of bed and field."""
     return Workload(
         num_views=len(pixels),
         num_maps=len(of_maps),
-        seconds=_START_S + (core_s + solver_s) / num_cores if device == "llvm" else None,
-        num_cores=num_cores,
-        memory_bytes=int(memory),
-        disk_bytes=int(_DISK_AT_LEAST + _DISK_OF_MAP * mapped + _DISK_OF_CELL * num_cells),
+        seconds=None,
+        num_cores=machine.num_cores(),
+        memory_bytes=int(_memory(pixels, of_maps, largest, num_cells, of_field, solves)),
+        disk_bytes=int(_DISK_AT_LEAST + _DISK_OF_MAP * float(np.sum(of_maps)) + _DISK_OF_CELL * num_cells),
     )
 
 

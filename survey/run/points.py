@@ -38,6 +38,11 @@ def adjustment_of(needs: Mapping[str, Path]) -> Adjustment | None:
     return read_adjustment(needs["adjust"]) if "adjust" in needs else None
 
 
+def is_placed(survey: Survey) -> bool:
+    """Whether GPS or control alone has placed the block: no work on photographs changes what that leaves uncertain."""
+    return survey.config.cameras.poses is None
+
+
 def with_std_of_block(
     bed: BedPoints, survey: Survey, found: Adjustment | None, gsd_m: float
 ) -> tuple[BedPoints, np.ndarray | None]:

@@ -16,7 +16,7 @@ from survey.adjust.std_common import BASIS_ADJUSTED, BASIS_STATED, std_common
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.plan.block import backend
-from survey.run.points import adjustment_of, bed_points, with_std_of_block
+from survey.run.points import adjustment_of, bed_points, is_placed, with_std_of_block
 from survey.run.stage_solver import SOLVED
 from survey.run.stage_sweep import MAPS, look_at_bed
 from survey.run.stored import BED_FILE, SURVEY_FILE, StoredBed, save_bed
@@ -70,7 +70,7 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     std_placed = None
     if of_block is not None:
         job.progress.note(f"std: {length(float(np.median(of_block)))} (median) of it by what tilts or shifts the block")
-        std_placed = of_block if survey.config.cameras.poses is None else None
+        std_placed = of_block if is_placed(survey) else None
     basis = BASIS_STATED if found is None else BASIS_ADJUSTED
     job.progress.note(f"std_common: {length(float(np.nanmedian(common)))} (median), by {basis}")
     points_crs = np.empty_like(bed.xyz)

@@ -19,7 +19,7 @@ from fields.sweep.maps import DepthMap
 from survey.files.json_values import write_json
 from survey.run.cell_std import CellStd, std_cells
 from survey.run.folder import seconds_of
-from survey.run.points import adjustment_of, bed_points, with_std_of_block
+from survey.run.points import adjustment_of, bed_points, is_placed, with_std_of_block
 from survey.run.stage_solver import SOLVED
 from survey.run.stage_sweep import CELLS, MAPS, look_at_bed
 from survey.run.stored import save_arrays
@@ -73,7 +73,6 @@ def _cells(job: Job, needs: Mapping[str, Path], solved: Sequence[SolvedMap]) -> 
     look_at_bed(job, needs["sweep"])
     kept = job.once(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m))
     bed, _, _ = bed_points(job, maps, None, lambda _done: None, solved, kept, coloured=False)
-    if job.survey.config.cameras.poses is not None:
-        # As the gate: where GPS or control has put a block, no round mends.
+    if not is_placed(job.survey):
         bed, _ = with_std_of_block(bed, job.survey, adjustment_of(needs), job.plan.gsd_m)
     return std_cells(bed, job.plan.gsd_m)

@@ -9,6 +9,7 @@ from itertools import groupby, islice, takewhile
 
 import numpy as np
 
+from fields.solver.choosing import keeps_sweep, slopes_by_noise
 from fields.solver.correlation import NoiseShares, noise_shares, phantoms_of, response_of
 from fields.solver.fall import fall_of
 from fields.solver.roughness import START_GSD, roughness_of
@@ -72,6 +73,8 @@ class SolverFigures:
         What noise is worth: `fields.solver.correlation.noise_shares`.
     fall : float
         How steeply the bed's power falls with the frequency: `fields.solver.fall.fall_of`.
+    slopes : float
+        Of the noise of the sweep: `fields.solver.choosing.slopes_by_noise`.
     sightings : Sightings or None
         Of all points in all photographs; None where nothing was solved.
     """
@@ -80,6 +83,7 @@ class SolverFigures:
     shifts: Shifts
     noise: NoiseShares
     fall: float
+    slopes: float
     sightings: Sightings | None = field(default=None, compare=False)
 
     def __str__(self) -> str:
@@ -117,7 +121,7 @@ def solve_maps(
     goes_on: Callable[[], bool] = lambda: True,
     keep: Callable[[], MutableMapping[int, SolvedMap]] = dict,
 ) -> tuple[InOrder, SolverFigures]:
-    """Solve the kept pixels of all maps, about the heights of the sweep, where `Views.solvable` lets it.
+    """Solve the kept pixels of all maps, about the heights of the sweep; some keep these (`choosing.keeps_sweep`).
 
     Parameters
     ----------
@@ -141,7 +145,6 @@ def solve_maps(
         NaN where nothing is kept.
     """
     views = Views.of(block, maps)
-    kept = views.solvable(kept)
     filled = [asked_in_squares(wanted, SAMPLE_PX) if views.others[index] else [] for index, wanted in enumerate(kept)]
     total, done = sum(map(sum, filled)), 0
     solved = keep()
@@ -149,7 +152,7 @@ def solve_maps(
         solved[index] = SolvedMap.empty()
     found = InOrder(solved, list(range(len(filled))))
     if not total:
-        return found, SolverFigures(np.nan, Shifts(np.nan, np.nan), NoiseShares(*4 * (np.nan,)), np.nan)
+        return found, SolverFigures(np.nan, Shifts(np.nan, np.nan), NoiseShares(*4 * (np.nan,)), np.nan, np.nan)
     with ThreadPoolExecutor(WORKERS) as pool, beside_workers(block.device, WORKERS):
         sample = _sample(views, kept, filled)
         first = [each for _, each in views.solved(sample, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
@@ -181,11 +184,13 @@ def _learned(samples: list[tuple[Tile, Solved]], gsd: float, pool: Executor, is_
     all_noise = noise_shares(phantoms, response, Shifts(0.0, 0.0), is_wet)
     shifts = shifts_of(samples, all_noise.heights, is_wet)
     noise = noise_shares(phantoms, response, shifts, is_wet)
-    return SolverFigures(roughness, shifts, noise, fall_of(samples, roughness, noise))
+    return SolverFigures(
+        roughness, shifts, noise, fall_of(samples, roughness, noise), slopes_by_noise(samples, roughness, noise)
+    )
 
 
 def _part(job: Job, width: int, found: Solved, figures: SolverFigures) -> _Solved:
-    """The asked pixels of a tile, of a map of a width."""
+    """The asked pixels of a tile, of a map of a width, but for those that keep the height of the sweep."""
     tile, noise = job.tile, figures.noise
     rows, columns = tile.places
     pixels = (rows + tile.row) * width + columns + tile.column
@@ -194,8 +199,10 @@ def _part(job: Job, width: int, found: Solved, figures: SolverFigures) -> _Solve
     change = change_of(found, found.height, noise.response)
     relief = relief_of(tile, change, expected, noise.heights, noise.changes)
     relief += bends_below(found, expected, noise.heights, noise.unfollowed)
-    values = (found.height, noise.heights * expected.noise, relief, of_shift, rise_of(tile, found.height))
-    return _Solved(pixels[tile.asked], *(each[tile.asked].astype(np.float32) for each in values))
+    by_noise = noise.heights * expected.noise
+    values = (found.height, by_noise, relief, of_shift, rise_of(tile, found.height))
+    taken = tile.asked & ~keeps_sweep(tile, found, by_noise, noise, figures.slopes, job.tolerance)
+    return _Solved(pixels[taken], *(each[taken].astype(np.float32) for each in values))
 
 
 def _joined(parts: list[_Solved]) -> _Solved:

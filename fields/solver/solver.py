@@ -11,6 +11,7 @@ import numpy as np
 
 from fields.solver.choosing import keeps_sweep, slopes_by_noise
 from fields.solver.correlation import NoiseShares, noise_shares, phantoms_of, response_of
+from fields.solver.fall import fall_of
 from fields.solver.roughness import START_GSD, roughness_of
 from fields.solver.shifts import Shifts, depth_of, shifts_of
 from fields.solver.sightings import Sightings
@@ -70,6 +71,8 @@ class SolverFigures:
         Between photographs: `fields.solver.shifts.shifts_of`.
     noise : NoiseShares
         What noise is worth: `fields.solver.correlation.noise_shares`.
+    fall : float
+        How steeply the bed's power falls with the frequency: `fields.solver.fall.fall_of`.
     slopes : float
         Of the noise of the sweep: `fields.solver.choosing.slopes_by_noise`.
     sightings : Sightings or None
@@ -79,14 +82,17 @@ class SolverFigures:
     roughness_m: float
     shifts: Shifts
     noise: NoiseShares
+    fall: float
     slopes: float
     sightings: Sightings | None = field(default=None, compare=False)
 
     def __str__(self) -> str:
         return (
-            f"the bed bends by {1e3 * self.roughness_m:.1f} mm from pixel to pixel; photographs are shifted against "
-            f"each other by {self.shifts.anywhere_px:.2f} px and {self.shifts.by_depth_px_m:.2f} px for each metre of "
-            f"water; the variance by noise counts {self.noise.heights:.2f} times"
+            f"roughness of the bed, as the bend from one pixel to the next: {1e3 * self.roughness_m:.1f} mm; local "
+            f"shifts of single photographs (poses, waves): {self.shifts.anywhere_px:.2f} px and "
+            f"{self.shifts.by_depth_px_m:.2f} px more for each metre of depth; variance of heights by noise, over that "
+            f"of noise without correlation: {self.noise.heights:.2f}; power of relief: frequency to "
+            f"{-2.0 * self.fall:.1f}"
         )
 
 
@@ -146,7 +152,7 @@ def solve_maps(
         solved[index] = SolvedMap.empty()
     found = InOrder(solved, list(range(len(filled))))
     if not total:
-        return found, SolverFigures(np.nan, Shifts(np.nan, np.nan), NoiseShares(*4 * (np.nan,)), np.nan)
+        return found, SolverFigures(np.nan, Shifts(np.nan, np.nan), NoiseShares(*4 * (np.nan,)), np.nan, np.nan)
     with ThreadPoolExecutor(WORKERS) as pool, beside_workers(block.device, WORKERS):
         sample = _sample(views, kept, filled)
         first = [each for _, each in views.solved(sample, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
@@ -178,7 +184,9 @@ def _learned(samples: list[tuple[Tile, Solved]], gsd: float, pool: Executor, is_
     all_noise = noise_shares(phantoms, response, Shifts(0.0, 0.0), is_wet)
     shifts = shifts_of(samples, all_noise.heights, is_wet)
     noise = noise_shares(phantoms, response, shifts, is_wet)
-    return SolverFigures(roughness, shifts, noise, slopes_by_noise(samples, roughness, noise))
+    return SolverFigures(
+        roughness, shifts, noise, fall_of(samples, roughness, noise), slopes_by_noise(samples, roughness, noise)
+    )
 
 
 def _part(job: Job, width: int, found: Solved, figures: SolverFigures) -> _Solved:
@@ -187,7 +195,7 @@ def _part(job: Job, width: int, found: Solved, figures: SolverFigures) -> _Solve
     rows, columns = tile.places
     pixels = (rows + tile.row) * width + columns + tile.column
     of_shift = 1.0 / parallax_of(found.brightness.weight, found.motion)
-    expected = expected_of(tile, found, noise.response)
+    expected = expected_of(tile, found, noise.response, figures.fall)
     change = change_of(found, found.height, noise.response)
     relief = relief_of(tile, change, expected, noise.heights, noise.changes)
     relief += bends_below(found, expected, noise.heights, noise.unfollowed)

@@ -26,7 +26,7 @@ from bench_sweep import Case
 from fields.sweep.maps import DepthMap
 from survey.plan.recipe import RECIPES
 from survey.progress import current, shares
-from survey.run import stage_bed, stage_field
+from survey.run import points, stage_field
 from survey.simulate.drawn import DrawnScene, draw_survey
 
 KEPT = RECIPES["standard"].rays_per_cell
@@ -39,7 +39,7 @@ def trained(case: Case, maps: list[DepthMap], rays_per_cell: float) -> dict:
     with patch.dict(RECIPES, {case.plan.quality: recipe}), current().stage("field", 1.0) as stage:
         field, figures = stage_field.trained(case.job, maps, shares(stage))
     spent = {"seconds": time.monotonic() - start, "processor_s": time.process_time() - used}
-    bed, _, moved = stage_bed.bed_points(case.job, maps, field, lambda done: None)
+    bed, _, moved = points.bed_points(case.job, maps, field, lambda done: None)
     return asdict(figures) | spent | case.figures(bed) | {"share_of_field": moved / len(bed)}
 
 

@@ -35,7 +35,7 @@ from survey.plan.area import limits, local_area
 from survey.plan.choices import Choices
 from survey.plan.recipe import RECIPES
 from survey.progress import current
-from survey.run import stage_bed
+from survey.run import points
 from survey.run.cloud import write_bed_las
 from survey.run.job import Job
 from survey.run.stored import StoredBed
@@ -93,7 +93,7 @@ class Case:
         return maps, time.monotonic() - start
 
     def points(self, maps: list[DepthMap]) -> BedPoints:
-        return stage_bed.bed_points(self.job, maps, None, lambda done: None)[0]
+        return points.bed_points(self.job, maps, None, lambda done: None)[0]
 
     def figures(self, bed: BedPoints) -> dict:
         """Distances of the points from the truth, and their completeness."""
@@ -158,9 +158,9 @@ def once_table(case: Case) -> dict[str, dict]:
     """How duplicates and strays are left out."""
     maps, _ = case.maps()
     rows = {"a kept pixel claims those of later views (kept)": case.figures(case.points(maps))}
-    with patch.object(stage_bed, "has_company", lambda xyz, gsd: np.ones(len(xyz), dtype=bool)):
+    with patch.object(points, "has_company", lambda xyz, gsd: np.ones(len(xyz), dtype=bool)):
         rows["the same, with isolated points"] = case.figures(case.points(maps))
-    with patch.object(stage_bed, "unique_pixels", lambda block, found, gsd: [trusted(m) for m in found]):
+    with patch.object(points, "unique_pixels", lambda block, found, gsd: [trusted(m) for m in found]):
         everything = case.points(maps)
     rows["nothing left out"] = case.figures(everything)
     rows["mean of the points in cubes of one GSD"] = case.figures(in_cubes(everything, case.plan.gsd_m))

@@ -6,15 +6,18 @@ import os
 import resource
 import shutil
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 _CGROUP = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
-# Work that one idle core with AVX-512 does in so long [s]; done so often that the turns of other programs average out.
-_PROBE_SIZE, _PROBE_S, _PROBES = 1_000_000, 7e-4, 300
+# Work that one idle core with AVX-512 does in so long [s]; so many steps make a probe.
+_PROBE_SIZE, _PROBE_S, _STEPS, _PROBES = 1_000_000, 7e-4, 15, 15
+# What a process did longer ago than this says nothing of how busy the machine is now [s].
+_RECENT_S = 60.0
 _MEMINFO = Path("/proc/meminfo")
-_STAT, _UPTIME = Path("/proc/self/stat"), Path("/proc/uptime")
+_STAT, _UPTIME, _TURNS = Path("/proc/self/stat"), Path("/proc/uptime"), Path("/proc/self/schedstat")
 # Of the words of `_STAT` behind the name of the program: when the process started [ticks].
 _STARTED = 19
 # Address space that libraries and kernels map and do not fill, on one core.
@@ -77,12 +80,63 @@ def process_age_s() -> float:
         return time.process_time()
 
 
-def slowness() -> float:
-    """How many times as long work takes now as on the idle core that rates were measured on; takes 0.2 s there."""
+@dataclass(frozen=True)
+class Load:
+    """How long work takes now, against an idle core of the kind that rates were measured on.
+
+    Attributes
+    ----------
+    work : float
+        Processor time of known work: below 1 on faster cores, above it where another program shares the core's units.
+    turns : float
+        Wall clock for each second of processor time: above 1 where other programs take turns.
+    """
+
+    work: float
+    turns: float
+
+    @property
+    def slowness(self) -> float:
+        """How many times as long work takes; at least 1, so that a faster machine has a reserve."""
+        return max(self.work * self.turns, 1.0)
+
+    def __str__(self) -> str:
+        return (
+            f"{self.slowness:.1f} times as long as on an idle core: known work takes {self.work:.1f} times the "
+            f"processor time, and a second of that takes {self.turns:.1f} s"
+        )
+
+
+def load() -> Load:
+    """Of this machine now; takes 0.2 s of processor time.
+
+    Work is the median of short probes. Turns of other programs come and go within seconds: they are counted since the
+    process started, by the system where it does, unless that is long ago.
+    """
     values = np.linspace(0.0, 1.0, _PROBE_SIZE, dtype=np.float32)
     np.exp(values)
-    start = time.monotonic()
+    before = (0, 0) if process_age_s() < _RECENT_S else _ran_and_waited()
+    wall, processor = time.monotonic(), []
     for _ in range(_PROBES):
-        np.exp(values)
-        np.sqrt(values)
-    return (time.monotonic() - start) / (_PROBES * _PROBE_S)
+        start = time.thread_time()
+        for _ in range(_STEPS):
+            np.exp(values)
+            np.sqrt(values)
+        processor.append(time.thread_time() - start)
+    wall = time.monotonic() - wall
+    after = _ran_and_waited()
+    if before is None or after is None:
+        turns = wall / sum(processor)
+    else:
+        ran, waited = after[0] - before[0], after[1] - before[1]
+        turns = (ran + waited) / ran
+    return Load(float(np.median(processor)) / (_STEPS * _PROBE_S), max(turns, 1.0))
+
+
+def _ran_and_waited() -> tuple[int, int] | None:
+    """How long the first thread of the process has run, and waited for its turn [ns]; None where it is not counted."""
+    try:
+        ran, waited = (int(word) for word in _TURNS.read_text(encoding="ascii").split()[:2])
+    except (OSError, ValueError):
+        return None
+    return (ran, waited) if ran > 0 else None

@@ -32,7 +32,9 @@ def drawn_adjustment(seed: int = 3, **changes) -> tuple[DrawnBlock, Adjustment]:
     level, slope_x, slope_y, index = block.water.tolist()
     parameters = (
         Parameter("level_m", level, 0.012, level + 0.03, 0.04, FREE, "found: 0.123 +- 0.012 m (given 0.153 +- 0.04 m)"),
-        Parameter("refractive_index", index, 0.001, index, 0.001, HELD, "held: 1.3330 +- 0.001, as given"),
+        Parameter(
+            "refractive_index", index, 0.001, index, 0.001, HELD, "held: 1.3330 +- 0.001 (given 1.3330 +- 0.001)"
+        ),
         Parameter("camera0.f", fx, 0.5, fx - 4.0, 14.0, FREE, "found: 702.1 +- 0.5 px (given 698 +- 14 px)"),
     )
     control = (

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fields.sweep.bed import BedPoints
 from survey.errors import SurveyError
 from survey.plan.aim import Aim, aim_of, ladder
 from survey.plan.pace import Ground, Pace, samples
@@ -41,6 +42,12 @@ def cells(std: list[float], *, num_views: float = 8.0, depth: list[float] | None
     count = len(std)
     depth = [2.0] * count if depth is None else depth
     return CellStd(np.zeros((count, 3)), np.array(std), np.full(count, num_views), np.array(depth))
+
+
+def bed(xyz: np.ndarray, std: np.ndarray, num_views: list[int], depth: list[float]) -> BedPoints:
+    count = len(xyz)
+    rgb, wet = np.zeros((count, 3), dtype=np.uint8), np.ones(count, dtype=bool)
+    return BedPoints(xyz, rgb, std, np.array(num_views), np.array(depth), np.zeros(count), wet)
 
 
 @pytest.mark.parametrize(
@@ -157,7 +164,7 @@ def test_cells_have_the_median_of_their_points():
     gsd = 0.1
     xyz = np.array([[0.5, 0.5, 0.0], [0.6, 0.5, 0.0], [0.7, 0.5, 0.0], [1.5, 0.5, 0.0], [1.6, 0.5, 0.0]])
     std = np.array([0.01, 0.05, 0.02, 0.04, np.nan])
-    found = std_cells(xyz, std, np.array([3, 9, 5, 7, 7]), np.array([1.0, 2.0, 3.0, 4.0, 4.0]), gsd)
+    found = std_cells(bed(xyz, std, [3, 9, 5, 7, 7], [1.0, 2.0, 3.0, 4.0, 4.0]), gsd)
     np.testing.assert_allclose(found.std, [0.02, 0.04])
     np.testing.assert_allclose(found.num_views, [5.0, 7.0])
     assert found.reached(0.03) == 0.5
@@ -172,6 +179,6 @@ def test_what_limits_the_rest_is_said():
 
 
 def test_ground_without_points_is_above_no_target():
-    nothing = std_cells(np.empty((0, 3)), np.empty(0), np.empty(0), np.empty(0), 0.1)
+    nothing = std_cells(bed(np.empty((0, 3)), np.empty(0), [], []), 0.1)
     assert nothing.reached(0.01) == 1.0
     assert nothing.in_words(0.01) == "no ground has points"

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from drawn_runs import GSD, DrawnRun, drawn, inner90
 
+from fields.solver.solver import SolvedMap, solve_maps
 from geo import read_cloud
 from survey import machine
 from survey.errors import SurveyError
 from survey.progress import Progress
 from survey.run import process as process_module
+from survey.run import stage_solver
 from survey.run.clock import Clock
 from survey.run.process import process
 
@@ -28,10 +30,13 @@ def run_with(run: DrawnRun, **aim) -> tuple[int, str]:
     return code, run.run.log_path.read_text(encoding="utf-8")
 
 
+def decisions_of(run: DrawnRun) -> list[dict]:
+    return json.loads(run.run.plan_path.read_text(encoding="utf-8"))["decisions"]
+
+
 def rounds(run: DrawnRun) -> list[str]:
     """What the plan says of the rounds."""
-    decisions = json.loads(run.run.plan_path.read_text(encoding="utf-8"))["decisions"]
-    return [each["choice"] for each in decisions if each["name"].startswith("round")]
+    return [each["choice"] for each in decisions_of(run) if each["name"].startswith("round")]
 
 
 def scale_of(run: DrawnRun) -> float:
@@ -65,6 +70,32 @@ def test_the_report_says_what_was_asked_and_reached(reached):
     assert gate["value"] >= gate["limit"] == 95.0
     assert "asked: a standard deviation of" in log
     assert "comes on top" in gate["sentence"]
+
+
+def judged(run: DrawnRun) -> tuple[str, str]:
+    """What the look at the last round and the gate at the end say of the ground."""
+    look = [each["reason"] for each in decisions_of(run) if each["name"].startswith("round")][-1]
+    (gate,) = (each for each in run.report()["verdict"]["gates"] if each["name"] == "ground within the std asked for")
+    words = "of it has at most"
+    return tuple(each[: each.index("mm", each.index(words))] for each in (look, gate["sentence"]))
+
+
+def test_the_look_between_rounds_and_the_gate_judge_the_same_points_of_a_scene_with_walls(reached):
+    look, gate = judged(reached[0])
+    assert look == gate
+
+
+def test_points_that_the_solver_leaves_to_the_sweep_count_in_the_look_as_in_the_gate(tmp_path, monkeypatch):
+    def leaving_most(*args, **options):
+        solved, figures = solve_maps(*args, **options)
+        return [SolvedMap(each.pixels[::4], each.height[::4], each.std[::4]) for each in solved], figures
+
+    run = drawn(tmp_path / "survey", **FINER)
+    monkeypatch.setattr(stage_solver, "solve_maps", leaving_most)
+    run_with(run, target_std_m=0.6 * GSD)
+    assert len(rounds(run)) == 2
+    look, gate = judged(run)
+    assert look == gate
 
 
 def test_the_same_command_uses_all_again_and_a_finer_target_goes_on(reached, tmp_path):
@@ -102,7 +133,7 @@ class Hand:
 @pytest.fixture
 def clock(monkeypatch):
     """Lets runs have a clock of a test's own, on a machine that is as fast as the rates say."""
-    monkeypatch.setattr(machine, "slowness", lambda: 1.0)
+    monkeypatch.setattr(machine, "load", lambda: machine.Load(1.0, 1.0))
 
     def use(step: float) -> None:
         hand = Hand(step)
@@ -144,6 +175,20 @@ def test_a_round_that_runs_out_of_time_leaves_what_was_there_before(tmp_path, cl
     _, log = run_with(run, time_budget_s=3000.0)
     assert "the heights of the one before are kept" in log
     assert scale_of(run) == 0.5
+
+
+@pytest.mark.parametrize(
+    ("std_m", "words"),
+    [
+        (1e-9, r"--target-std 1e-09 is in metres, and less than a hundredth of what a pixel covers here \("),
+        (20.0, r"--target-std 20 is in metres, and more than 10 pixels of the smallest images cover here \("),
+    ],
+)
+def test_a_target_that_cannot_be_meant_is_refused_before_anything_is_computed(tmp_path, std_m, words):
+    run = drawn(tmp_path / "survey", **FINER)
+    with pytest.raises(SurveyError, match=words):
+        process(run.folder, target_std_m=std_m)
+    assert not (run.folder / "bathynerf" / "cloud.las").exists()
 
 
 def test_a_time_that_is_too_short_is_refused_with_the_shortest(tmp_path):

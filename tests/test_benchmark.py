@@ -207,7 +207,7 @@ def test_the_legend_says_what_filled_and_hollow_marks_mean():
 def test_names_of_drawn_surveys_are_checked_before_anything_is_drawn():
     assert drawn_names(["2,oblique,20"]) == ["2,oblique,20"]
     assert len(drawn_names(["all"])) == 24
-    for word in ("2,oblique", "deep,nadir,20", "2,sideways,20", "0.5,nadir,-4"):
+    for word in ("2,oblique", "deep,nadir,20", "2,sideways,20", "0.5,nadir,-4", "0,nadir,20"):
         with pytest.raises(SurveyError):
             drawn_names([word])
 

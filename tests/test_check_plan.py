@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from small_survey import said, small_survey
 from typer.testing import CliRunner
 
+from survey import machine
 from survey.adjust.foreseen import foresee
 from survey.commands.verbs import app
 from survey.errors import ConfigError, SurveyError
@@ -69,6 +71,25 @@ def test_a_plan_is_checked_by_the_command_that_checks_surveys(tmp_path):
         assert f"{title}\n" in result.output
     assert "81 from 40.0 m over the water: 55 look down, 26 are tilted" in result.output
     assert "good: blurs by 0.36 px at most (4.0 m/s, open for 1 ms)" in result.output
+
+
+def test_a_plan_says_what_an_aim_promises_and_costs(tmp_path, monkeypatch):
+    monkeypatch.setattr(machine, "load", lambda: machine.Load(1.0, 2.0))
+    path = str(plan_file(tmp_path))
+    asked = CliRunner().invoke(app, ["check", path, "--target-std", "0.004", "--time-budget", "6"]).output
+    before, _, said_of_aim = asked.partition("Asked\n")
+    assert said_of_aim
+    assert "Asked" not in CliRunner().invoke(app, ["check", path]).output
+    assert "Flight\n" in before
+    rows = " ".join(said_of_aim.split())
+    scales = re.findall(r"image scale ([\d.]+) std of points about ([\d.]+).mm", rows)
+    assert [scale for scale, _ in scales] == ["0.5", "1"]
+    # Matches are good to a share of a pixel.
+    assert float(scales[0][1]) == pytest.approx(2.0 * float(scales[1][1]), rel=0.05)
+    assert "photographs of this size and overlap promise about" in rows
+    refused = CliRunner().invoke(app, ["check", path, "--target-std", "20"])
+    assert refused.exit_code == 2
+    assert "--target-std 20 is in metres" in refused.output
 
 
 def test_a_file_of_poses_is_the_flight_that_it_was_written_from(tmp_path):

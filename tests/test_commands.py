@@ -600,3 +600,20 @@ def test_ctrl_c_during_an_import_is_one_sentence(tmp_path, module):
 def test_a_run_without_a_field_imports_no_torch():
     code = "import sys, survey.run.process, survey.run.pipeline; print('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"
+
+
+@pytest.mark.parametrize(("asked", "taken"), [(None, "1"), ("3", "3")])
+def test_openblas_computes_on_one_thread_unless_somebody_asks_for_more(asked, taken):
+    lines = (
+        "import os, sys",
+        "from survey.commands.app import main",
+        "print('numpy' in sys.modules)",
+        "sys.argv[1:] = ['--help']",
+        "try: main()",
+        "except SystemExit: print(os.environ['OPENBLAS_NUM_THREADS'])",
+    )
+    given = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    if asked is not None:
+        given["OPENBLAS_NUM_THREADS"] = asked
+    done = subprocess.run([sys.executable, "-c", "\n".join(lines)], env=given, capture_output=True, text=True)
+    assert (done.returncode, done.stdout.split()[0], done.stdout.split()[-1]) == (0, "False", taken)

@@ -96,6 +96,26 @@ def test_completeness_over_visible_points_counts_all_of_them(tmp_path, cloud, pl
     numbers = compared(cloud, plane, tolerances_m=(0.2,), visible=visible)
     assert numbers["completeness_visible"] == 0.75
     assert numbers["completeness"] == 1.0
+    assert not any("--visible" in note for note in numbers["notes"])
+    notes = [note for note in compared(cloud, plane)["notes"] if "--visible" in note]
+    assert [note.split(",")[0] for note in notes] == ["completeness counts all of reference.ply"]
+
+
+def test_all_options_and_small_files_are_looked_at_before_a_cloud_is_read(tmp_path, monkeypatch, cloud, plane):
+    def too_late(*_args):
+        raise AssertionError("a cloud was read")
+
+    monkeypatch.setattr("survey.compare.comparison.load_inputs", too_late)
+    (tmp_path / "points.csv").write_text("easting,northing\n")
+    for wrong, said in (
+        ({"visible": tmp_path / "no.ply"}, "no.ply does not exist"),
+        ({"checkpoints": tmp_path / "no.csv"}, "no.csv does not exist"),
+        ({"checkpoints": tmp_path / "points.csv"}, "points.csv"),
+        ({"json_path": tmp_path / "no" / "n.json"}, "whose folder does not exist"),
+        ({"outliers": "all"}, "--outliers"),
+    ):
+        with pytest.raises((GeoError, CompareError, OutputError), match=said):
+            compare_files(cloud, plane, options=CompareOptions(**wrong))
 
 
 def test_a_reference_of_points_is_compared_cloud_to_cloud_and_says_so(tmp_path, cloud):

@@ -101,6 +101,7 @@ DISK_FILES = {
         "survey/run": (
             "flight",
             "folder",
+            "owner",
             "process",
             "products",
             "render",

@@ -14,13 +14,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_survey import SIZE, small_survey, write_image
 
 from fields.solver.solver import SolvedMap
 from fields.sweep.maps import DepthMap
 from geo.errors import GeoError, UnwritableFile
 from survey.errors import SurveyError
+from survey.folder.found import find_survey
 from survey.run.folder import RunDir, seconds_of, versions
 from survey.run.keys import Key
+from survey.run.owner import Owner
+from survey.run.process import process
 from survey.run.stored import load_arrays, save_arrays
 from survey.run.stored_maps import Stored, kept_aside, save_maps
 from survey.stage_key import stage_key
@@ -448,3 +452,55 @@ def test_arrays_that_cannot_be_read_are_named_with_the_mend(tmp_path, spoil):
         path.write_text("not arrays")
     with pytest.raises(SurveyError, match=r"data\.npz cannot be read.*process"):
         load_arrays(path)
+
+
+# --- whose run it is ----------------------------------------------------------------------------------------
+
+
+def files_of(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_run_of_other_photographs_is_refused_with_the_way_out(tmp_path):
+    """Of a survey as it grows, is renamed or thinned out it stays; names of cameras alone make no survey."""
+    sizes = {f"DJI_{i:04d}.JPG": 1000 + i for i in range(10)}
+    first, other = Owner("a", sizes), Owner("b", {name: size + 500 for name, size in sizes.items()})
+    run = RunDir(tmp_path / "run")
+    with run:
+        run.claim(first, is_inside=False)
+    for same in (
+        Owner("renamed", sizes),
+        Owner("a", sizes | {f"new_{i}.JPG": 7 for i in range(30)}),
+        Owner("a", dict(list(sizes.items())[:4])),
+    ):
+        with run:
+            run.claim(same, is_inside=False)
+            run.claim(first, is_inside=False)
+    with run, pytest.raises(SurveyError, match=r"another survey, a, .*\(0 of 10 .*another folder with -o, or remove"):
+        run.claim(other, is_inside=False)
+    with run:
+        run.claim(other, is_inside=True)
+    with run, pytest.raises(SurveyError, match="another survey, b"):
+        run.claim(first, is_inside=False)
+
+
+def test_a_run_of_a_version_that_noted_no_survey_is_taken_over(tmp_path):
+    run = RunDir(tmp_path / "run")
+    with run:  # marked, and claimed by nobody
+        run.claim(Owner("a", {"1.jpg": 5}), is_inside=False)
+    with run, pytest.raises(SurveyError, match="another survey, a"):
+        run.claim(Owner("b", {"1.jpg": 6}), is_inside=False)
+
+
+def test_process_into_the_run_of_another_survey_changes_nothing(tmp_path):
+    surveys = [small_survey(tmp_path / name) for name in ("a", "b")]
+    for i, image in enumerate(sorted((surveys[1] / "images").iterdir())):
+        write_image(image, size=SIZE, ImageDescription="x" * (i + 1))
+    run = RunDir(tmp_path / "run")
+    with run:
+        found = find_survey(surveys[0])
+        run.claim(Owner.of("a", found.images), is_inside=False)
+    before = files_of(run.path)
+    with pytest.raises(SurveyError, match="belongs to another survey, a"):
+        process(surveys[1], run.path)
+    assert files_of(run.path) == before

@@ -264,7 +264,7 @@ def warped(stack: ViewStack, start: np.ndarray, others: list[int], step: float, 
     """W (neighbours, rungs, height, width) of view 0."""
     images, device = warping(stack.device), stack.device
     legs = images.legs_of(stack, 0, 0, stack.height)
-    values = images.warp(stack, legs, floats(device, start), others, step, rungs)
+    values = images.warp(stack, legs, start, others, step, rungs)
     return np.stack([host(device, each).reshape(rungs, stack.height, stack.width) for each in values])
 
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from scipy import sparse
 
+from fields.median import median_reordering
 from fields.solver.tile import Tile
 
 # The offset of a photograph (veil, reflected sky, vignetting) varies over some such blocks.
@@ -168,11 +169,4 @@ def _some_of(mask: np.ndarray) -> np.ndarray:
 def _noise(residual: np.ndarray) -> np.float32:
     if len(residual) == 0:
         return np.float32(1.0)
-    return np.float32(max(1.4826 * float(_median(np.abs(residual))), LEAST_NOISE))
-
-
-def _median(values: np.ndarray) -> np.float32:
-    """That of numpy in a quarter of its time, of values (N,) without NaN, which are reordered."""
-    half = len(values) // 2
-    values.partition(half)
-    return values[half] if len(values) % 2 else (values[:half].max() + values[half]) / np.float32(2.0)
+    return np.float32(max(1.4826 * float(median_reordering(np.abs(residual))), LEAST_NOISE))

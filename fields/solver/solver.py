@@ -84,10 +84,11 @@ class SolverFigures:
 
     def __str__(self) -> str:
         return (
-            f"the bed bends by {1e3 * self.roughness_m:.1f} mm from pixel to pixel; photographs are shifted against "
-            f"each other by {self.shifts.anywhere_px:.2f} px and {self.shifts.by_depth_px_m:.2f} px for each metre of "
-            f"water; the variance by noise counts {self.noise.heights:.2f} times; relief falls with the "
-            f"frequency to the power of {2.0 * self.fall:.1f}"
+            f"roughness of the bed, as the bend from one pixel to the next: {1e3 * self.roughness_m:.1f} mm; local "
+            f"shifts of single photographs (poses, waves): {self.shifts.anywhere_px:.2f} px and "
+            f"{self.shifts.by_depth_px_m:.2f} px more for each metre of depth; variance of heights by noise, over that "
+            f"of noise without correlation: {self.noise.heights:.2f}; power of relief: frequency to "
+            f"{-2.0 * self.fall:.1f}"
         )
 
 

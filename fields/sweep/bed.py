@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
+from fields.median import median
 from fields.sweep.arrays import forget
 from fields.sweep.backends import warping
 from fields.sweep.block import Block
@@ -109,7 +110,7 @@ def unique_pixels(block: Block, maps: Sequence[DepthMap], gsd: float) -> Masks:
     ground, tolerances = [], []
     for index, m in enumerate(maps):
         others = block.neighbours(m.view, 8, among=chosen)
-        tolerance = block.agreement_tolerance(m.view, others, float(np.median(m.height))) if others else 0.0
+        tolerance = block.agreement_tolerance(m.view, others, median(m.height)) if others else 0.0
         extent = float(m.height.min()), float(m.height.max())
         ground.append(Footprint.of(cameras[index], block.water, extent))
         tolerances.append(tolerance)

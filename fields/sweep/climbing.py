@@ -68,11 +68,12 @@ def climb_view(
         inner = np.s_[max(int(here[:, 0].min()), radius) : min(int(here[:, 1].max()), width - radius)]
         strip = np.s_[first - radius : last + radius, left:right]
         legs = _legs(images, stack, view, strip)
-        begin = floats(device, start[strip])
         grey = floats(device, stack.images[view][strip])
-        values = images.warp(stack, legs, begin, others, step, rungs)
+        values = images.warp(stack, legs, start[strip], others, step, rungs)
         mean = scores.best_half(device, scores.ncc(device, grey, values, right - left, radius, least_known))
-        for target, result in zip(found, scores.climb(device, mean, begin, step, rungs), strict=True):
+        for target, result in zip(
+            found, scores.climb(device, mean, floats(device, start[strip]), step, rungs), strict=True
+        ):
             # The results begin with the first whole window: `radius` pixels into the first row of the target.
             image = np.pad(host(device, result), radius).reshape(-1, right - left)
             target[first:last, inner] = image[:, inner.start - left : inner.stop - left]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from fields.median import median
 from fields.sweep.block import Block
 from fields.sweep.climbing import climb_view
 from fields.sweep.maps import DepthMap
@@ -82,7 +83,7 @@ def climbed(
     which is given back.
     """
     stack, view = block.stack(p.scale), climb.view
-    middle = 0.5 * (bound[0] + bound[1]) if before is None else float(np.median(before))
+    middle = 0.5 * (bound[0] + bound[1]) if before is None else median(before)
     step = _step(block, p, view, climb.others, middle)
     if before is None:
         start = np.full((stack.height, stack.width), bound[0], dtype=np.float32)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from fields.median import median
 from fields.sweep.arrays import host
 from fields.sweep.backends import warping
 from fields.sweep.bed import trusted
@@ -46,7 +47,7 @@ def without_contradicted(block: Block, maps: Sequence[DepthMap], keep: Keep = di
         if not peers:
             found[m.view] = m
             continue
-        tolerance = block.agreement_tolerance(m.view, peers, float(np.median(m.height)))
+        tolerance = block.agreement_tolerance(m.view, peers, median(m.height))
         through = warping(block.device).looked_through(stack, index, [chosen.index(peer) for peer in peers], tolerance)
         against = host(block.device, through).reshape(m.height.shape)
         contradicted = (against > 0.0) & (against >= m.agreeing)

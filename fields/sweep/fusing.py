@@ -8,6 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from fields.median import median
 from fields.sweep.block import Block
 from fields.sweep.climbing import MATCHED_NCC
 from fields.sweep.consistency import agreement
@@ -49,7 +50,7 @@ def _agreement(
         others = peers.get(view)
         if others:
             m = maps[view]
-            tolerance = block.agreement_tolerance(view, others, float(np.median(m.height)))
+            tolerance = block.agreement_tolerance(view, others, median(m.height))
             yield m, agreement(heights, index, [chosen.index(p) for p in others], tolerance)
 
 

@@ -72,16 +72,24 @@ def _place(camera, v, beyond: Beyond) -> tuple:
 def seen_at(camera, point, n_water, beyond: Beyond, steps: int = CROSSING_STEPS) -> tuple:
     """Pixel position (u, v) [px] of a point in a camera, and whether inside its image.
 
-    ``n_water`` is None in a dry survey. Inside are positions between the outermost pixel centres. ``steps`` are those
-    of `refract.kernels.air_share`.
+    Inside are positions between the outermost pixel centres. Otherwise as `place_at`.
+    """
+    u, v, depth = place_at(camera, point, n_water, beyond, steps)
+    inside = (u >= 0.5) & (v >= 0.5) & (u < camera[16] - 0.5) & (v < camera[17] - 0.5) & (depth > 0.0)
+    return u, v, inside
+
+
+def place_at(camera, point, n_water, beyond: Beyond, steps: int = CROSSING_STEPS) -> tuple:
+    """Pixel position (u, v) [px] of a point in a camera, and its depth there [m].
+
+    ``n_water`` is None in a dry survey. ``steps`` are those of `refract.kernels.air_share`.
     """
     if beyond.tides:
         point = (point[0], point[1], point[2] - beyond.tide(camera))
     u, v, depth = _seen_from(camera, tuple(camera[9:12]), point, n_water, beyond, steps)
     for _ in range(ROLLING_STEPS if beyond.moves else 0):
         u, v, depth = _seen_from(camera, _place(camera, v, beyond), point, n_water, beyond, steps)
-    inside = (u >= 0.5) & (v >= 0.5) & (u < camera[16] - 0.5) & (v < camera[17] - 0.5) & (depth > 0.0)
-    return u, v, inside
+    return u, v, depth
 
 
 def _seen_from(camera, centre, point, n_water, beyond: Beyond, steps: int) -> tuple:

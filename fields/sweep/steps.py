@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from fields.median import median
 from fields.sweep.arrays import floats, host
 from fields.sweep.backends import scoring, warping
 from fields.sweep.climbing import MATCHED_NCC
@@ -72,7 +73,7 @@ def search_steps(
     search : StepSearch
     """
     height, score = found[0], found[1]
-    if min(height.shape) < search.tile_px + 2 * search.radius or np.median(score) < search.least_score:
+    if min(height.shape) < search.tile_px + 2 * search.radius or median(score) < search.least_score:
         return found
     low, high = _around(height, search.around_px)
     wanted = (high - low) * parallax > search.reach_px
@@ -80,13 +81,13 @@ def search_steps(
         return found
     step = search.step_px / parallax
     least = np.full_like(score, MATCHED_NCC)
-    level = Tiles.of(wanted, low, high, step, search.tile_px, search.radius)
+    size, bounds = search.tile_px, extent(wanted, low, high, search.tile_px)
+    level = Tiles.of(wanted, bounds, step, size, search.radius)
     found = _climbed(stack, view, others, found, level, step, least)
     if search.walls:
-        size, width = search.tile_px, 2.0 * search.radius + 1.0
-        bounds = extent(wanted, low, high, size)
+        width = 2.0 * search.radius + 1.0
         slope = wall_slopes(stack.cameras[view], stack.water, height, wanted, bounds, size, width)
-        upright = Tiles.of(wanted, low, high, step, size, search.radius, slope)
+        upright = Tiles.of(wanted, bounds, step, size, search.radius, slope)
         found = _climbed(stack, view, others, found, upright, step, np.maximum(least, found[1]))
     return found
 
@@ -101,11 +102,11 @@ def _climbed(
     for part, rungs in tiles.batches(images.STRIP_SAMPLES // len(others), _LAUNCH_SAMPLES // len(others)):
         pixels = tiles.pixels(part)
         legs = images.legs_at(stack, view, pixels.ravel())
-        start = floats(device, tiles.starts(part, pixels))
+        start = tiles.starts(part)
         grey = floats(device, stack.images[view].ravel()[pixels])
         values = images.warp(stack, legs, start, others, step, rungs)
         mean = scores.best_half(device, scores.ncc(device, grey, values, tiles.side, tiles.radius))
-        climbed = [host(device, each) for each in scores.climb(device, mean, start, step, rungs)]
+        climbed = [host(device, each) for each in scores.climb(device, mean, floats(device, start), step, rungs)]
         # The first window begins `radius` pixels into the first row.
         climbed = [np.pad(each, tiles.radius * (tiles.side + 1)).reshape(pixels.shape) for each in climbed]
         keep = tiles.own(part, pixels) & (climbed[1] > least.ravel()[pixels])

@@ -39,8 +39,7 @@ class Tiles:
     @staticmethod
     def of(
         wanted: np.ndarray,
-        low: np.ndarray,
-        high: np.ndarray,
+        bounds: tuple[np.ndarray, np.ndarray],
         step: float,
         size: int,
         radius: int,
@@ -48,9 +47,10 @@ class Tiles:
     ) -> Tiles:
         """With ladders from below the lowest to above the highest height [m] of their wanted pixels.
 
-        ``slope`` (rows, columns, 2) [m/px] is that of each tile; those where it is NaN are left out.
+        ``bounds`` (rows, columns) each are those that `extent` gives, ``slope`` (rows, columns, 2) [m/px] is that of
+        each tile; those where it is NaN are left out.
         """
-        least, most = extent(wanted, low, high, size)
+        least, most = bounds
         slope = np.zeros((*least.shape, 2)) if slope is None else slope
         place = np.argwhere(np.isfinite(least) & np.isfinite(slope).all(axis=-1))
         least, most, slope = (each[tuple(place.T)] for each in (least, most, slope))
@@ -83,25 +83,32 @@ class Tiles:
 
     def pixels(self, part: slice) -> np.ndarray:
         """Flat indices (n, side, side) of the pixels of tiles with their halo, moved into the image at its edges."""
-        most = np.array(self.wanted.shape) - self.side
-        corner = np.clip(self.size * self.place[part] - self.radius, 0, most)
-        rows, columns = (corner[:, axis, None] + np.arange(self.side) for axis in (0, 1))
+        rows, columns = self._lines(part)
         return rows[:, :, None] * self.wanted.shape[1] + columns[:, None, :]
 
-    def starts(self, part: slice, pixels: np.ndarray) -> np.ndarray:
+    def starts(self, part: slice) -> np.ndarray:
         """First rungs (n, side, side) float32 [m] of the pixels of tiles."""
-        at = np.stack(np.divmod(pixels, self.wanted.shape[1]), axis=-1) + 0.5
-        away = at - self.size * (self.place[part, None, None] + 0.5)
-        return (self.start[part, None, None] + (away * self.slope[part, None, None]).sum(axis=-1)).astype(np.float32)
+        rows, columns = (
+            (line + 0.5 - self.size * (self.place[part, axis, None] + 0.5)) * self.slope[part, axis, None]
+            for axis, line in enumerate(self._lines(part))
+        )
+        rise = rows[:, :, None] + columns[:, None, :]
+        return (self.start[part, None, None] + rise).astype(np.float32)
 
     def own(self, part: slice, pixels: np.ndarray) -> np.ndarray:
         """Which pixels (n, side, side) are wanted, in their own tile, and have a whole window in it."""
-        rows, columns = np.divmod(pixels, self.wanted.shape[1])
-        row, column = self.place[part, 0, None, None], self.place[part, 1, None, None]
-        own = self.wanted.ravel()[pixels] & (rows // self.size == row) & (columns // self.size == column)
-        inner = np.zeros(pixels.shape[1:], dtype=bool)
-        inner[self.radius : -self.radius, self.radius : -self.radius] = True
-        return own & inner
+        inner = np.zeros(self.side, dtype=bool)
+        inner[self.radius : -self.radius] = True
+        rows, columns = (
+            (line // self.size == self.place[part, axis, None]) & inner for axis, line in enumerate(self._lines(part))
+        )
+        return self.wanted.ravel()[pixels] & rows[:, :, None] & columns[:, None, :]
+
+    def _lines(self, part: slice) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and columns (n, side) of the pixels of tiles with their halo."""
+        most = np.array(self.wanted.shape) - self.side
+        corner = np.clip(self.size * self.place[part] - self.radius, 0, most)
+        return corner[:, 0, None] + np.arange(self.side), corner[:, 1, None] + np.arange(self.side)
 
 
 def in_tiles(image: np.ndarray, size: int, beyond: float) -> np.ndarray:
@@ -113,6 +120,7 @@ def in_tiles(image: np.ndarray, size: int, beyond: float) -> np.ndarray:
 
 def extent(wanted: np.ndarray, low: np.ndarray, high: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
     """Least of the low and most of the high values of the wanted pixels of each tile, (rows, columns); inf without."""
-    least = in_tiles(np.where(wanted, low, np.inf), size, np.inf).min(axis=(1, 3))
-    most = in_tiles(np.where(wanted, high, -np.inf), size, -np.inf).max(axis=(1, 3))
+    # One axis after the other: both at once do not run in vectors.
+    least = in_tiles(np.where(wanted, low, np.inf), size, np.inf).min(axis=1).min(axis=2)
+    most = in_tiles(np.where(wanted, high, -np.inf), size, -np.inf).max(axis=1).max(axis=2)
     return least, most

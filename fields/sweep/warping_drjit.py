@@ -6,18 +6,23 @@ are offsets to a *per-pixel* height, the window of each pixel follows the relief
     K neighbours, J rungs, P pixels of the strip (with a halo of the window's radius)
     W  neighbour intensity at (k, j, p): the bed point of pixel p at rung j, seen by neighbour k
 
-The points of a ladder are computed once, and one kernel projects each of them into all neighbours, whose cameras are
-its arguments. `fields.sweep.scoring_drjit` scores the agreement of W with the reference. Callers get these functions
-from `fields.sweep.backends.warping`; `fields.sweep.warping_torch` is the twin without Dr.Jit.
+One kernel projects points into several neighbours, whose cameras are its arguments: all points of a ladder, which are
+computed once, or, where the ladder lies on one side of the water, three of them, by which another kernel finds the
+others (`fields.sweep.courses`). `fields.sweep.scoring_drjit` scores the agreement of W with the reference. Callers get
+these functions from `fields.sweep.backends.warping`; `fields.sweep.warping_torch` is the twin without Dr.Jit.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import drjit as dr
 import numpy as np
 
-from fields.sweep.arrays import constant, indices, rung_and_pixel
-from fields.sweep.legs import legs_through, point_at, seen_at
+from fields.sweep.arrays import constant, floats, indices, run_of, rung_and_pixel
+from fields.sweep.courses import course_through, place_on, sections, through_water
+from fields.sweep.legs import legs_through, place_at, point_at, seen_at
 from fields.sweep.quads import MASKED
 from fields.sweep.stack import Beyond, ViewStack, camera_table
 
@@ -25,6 +30,10 @@ from fields.sweep.stack import Beyond, ViewStack, camera_table
 VIEWS_PER_KERNEL = 4
 # Samples (neighbours x rungs x pixels) of one launch: 32 MB in all.
 STRIP_SAMPLES = 8_000_000
+# Floats of the widest vectors.
+_VECTOR = 16
+# Share of the pixels that is projected point by point from which all are.
+_MANY = 0.3
 
 
 def legs_of(stack: ViewStack, view: int, first_row: int, rows: int):
@@ -94,24 +103,107 @@ def look_up(stack: ViewStack, view: int, u, v, inside):
     return dr.select(inside & (parts[0] != MASKED), value, dr.nan)
 
 
-def warp(stack: ViewStack, legs, start, neighbours: list[int], step: float, rungs: int) -> list:
-    """Neighbour intensities W: for each neighbour a Dr.Jit float of J * P; NaN outside its image."""
-    Float = stack.device.module.Float
-    rung, pixel = rung_and_pixel(stack.device, dr.width(start) * rungs, dr.width(start))
-    z = dr.gather(Float, start, pixel) + Float(rung) * constant(stack.device, step)
-    points = point_at([dr.gather(Float, row, pixel) for row in legs], z)
-    dr.eval(points)
-    values = []
-    for group in _groups(neighbours):
-        seen = [seen_at(stack.numbers[view], points, stack.n_water, stack.beyond) for view in group]
-        found = [look_up(stack, view, *each) for view, each in zip(group, seen, strict=True)]
-        dr.eval(found)
-        values += found
+@dataclass(frozen=True)
+class _Ladders:
+    """Legs of P paths, their first rungs [m], and the step [m] between rungs."""
+
+    stack: ViewStack
+    legs: list
+    begin: Any
+    step: float
+
+    @property
+    def size(self) -> int:
+        """P."""
+        return dr.width(self.begin)
+
+    def points(self, rung, pixel) -> tuple:
+        """Of rungs, by floats, of paths by their numbers."""
+        z = dr.gather(self.stack.device.module.Float, self.begin, pixel) + rung * constant(self.stack.device, self.step)
+        points = point_at([dr.gather(type(row), row, pixel) for row in self.legs], z)
+        dr.eval(points)
+        return points
+
+
+def warp(stack: ViewStack, legs, start: np.ndarray, neighbours: list[int], step: float, rungs: int) -> list:
+    """Neighbour intensities W: for each neighbour a Dr.Jit float of J * P; NaN outside its image.
+
+    The first rungs ``start`` (P) [m] are on the host.
+    """
+    start = np.ravel(start)
+    ladders = _Ladders(stack, legs, floats(stack.device, start), step)
+    values = [dr.empty(stack.device.module.Float, start.size * rungs) for _ in neighbours]
+    for part in sections(rungs):
+        wet_and_dry = through_water(stack, start, step, part)
+        if len(wet_and_dry) > _MANY * start.size:
+            _point_by_point(ladders, part, neighbours, values)
+            continue
+        _along_courses(ladders, part, neighbours, values)
+        if len(wet_and_dry):
+            _point_by_point(ladders, part, neighbours, values, wet_and_dry)
     return values
 
 
-def _groups(views: list[int]) -> list[list[int]]:
-    """Views in groups of `VIEWS_PER_KERNEL`; the last may have fewer."""
+def _along_courses(ladders: _Ladders, part: range, neighbours: list[int], values: list) -> None:
+    stack, size = ladders.stack, ladders.size
+    UInt, Float = stack.device.module.UInt, stack.device.module.Float
+    per_rung = constant(stack.device, 1.0 / max(len(part) - 1, 1))
+    count, length, first = (dr.opaque(UInt, each) for each in (len(part), size, part.start * size))
+    begin = dr.zeros(UInt, size), dr.arange(UInt, size) + first
+    places = _ends_and_middles(ladders, part, neighbours)
+    for group, of_group, targets in zip(*map(_groups, (neighbours, places, values)), strict=True):
+        courses = [course_through(three) for three in of_group]
+
+        def look(rung, at, group=group, targets=targets, courses=courses):
+            for view, course, target in zip(group, courses, targets, strict=True):
+                seen = place_on(course, Float(rung) * per_rung, stack.numbers[view])
+                dr.scatter(target, look_up(stack, view, *seen), at)
+            return rung + 1, at + length
+
+        dr.while_loop(begin, lambda rung, at: rung < count, look, labels=("rung", "at"))
+        dr.eval(targets)
+
+
+def _ends_and_middles(ladders: _Ladders, part: range, neighbours: list[int]) -> list:
+    """Places (u, v, depth) of the first, the middle and the last point of each ladder in each neighbour."""
+    stack, size = ladders.stack, ladders.size
+    # Three runs of whole vectors, so that views of each begin where vectors do.
+    run = -(-size // _VECTOR) * _VECTOR
+    third, pixel = rung_and_pixel(stack.device, 3 * run, run)
+    pixel = dr.minimum(pixel, dr.opaque(stack.device.module.UInt, size - 1))
+    first, half = (constant(stack.device, each) for each in (part.start, 0.5 * (len(part) - 1)))
+    points = ladders.points(first + stack.device.module.Float(third) * half, pixel)
+    found = []
+    for group in _groups(neighbours):
+        places = [place_at(stack.numbers[view], points, stack.n_water, stack.beyond) for view in group]
+        dr.eval(places)
+        found += places
+    return [[[run_of(stack.device, each, k * run, size) for each in place] for k in range(3)] for place in found]
+
+
+def _point_by_point(
+    ladders: _Ladders, part: range, neighbours: list[int], values: list, pixels: np.ndarray | None = None
+) -> None:
+    """Of all paths, or of some by number (n,)."""
+    stack, size = ladders.stack, ladders.size
+    UInt, Float = stack.device.module.UInt, stack.device.module.Float
+    num = size if pixels is None else len(pixels)
+    rung, pixel = rung_and_pixel(stack.device, num * len(part), num)
+    if pixels is not None:
+        pixel = dr.gather(UInt, indices(stack.device, pixels), pixel)
+    rung += dr.opaque(UInt, part.start)
+    at = rung * dr.opaque(UInt, size) + pixel
+    dr.eval(at)
+    points = ladders.points(Float(rung), pixel)
+    for group, targets in zip(_groups(neighbours), _groups(values), strict=True):
+        for view, target in zip(group, targets, strict=True):
+            seen = seen_at(stack.numbers[view], points, stack.n_water, stack.beyond)
+            dr.scatter(target, look_up(stack, view, *seen), at)
+        dr.eval(targets)
+
+
+def _groups(views: list) -> list[list]:
+    """Views, or what belongs to them, in groups of `VIEWS_PER_KERNEL`; the last may have fewer."""
     return [views[first : first + VIEWS_PER_KERNEL] for first in range(0, len(views), VIEWS_PER_KERNEL)]
 
 

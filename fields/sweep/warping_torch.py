@@ -10,8 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fields.sweep.arrays import indices
-from fields.sweep.legs import legs_through, point_at, seen_at
+from fields.sweep.arrays import floats, indices
+from fields.sweep.courses import course_through, place_on, sections, through_water
+from fields.sweep.legs import legs_through, place_at, point_at, seen_at
 from fields.sweep.quads import MASKED
 from fields.sweep.stack import Beyond, ViewStack, camera_table
 
@@ -77,16 +78,32 @@ def look_up(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Tensor) -
     return torch.where(inside & (parts[0] != MASKED), value, torch.nan)
 
 
-def warp(stack: ViewStack, legs, start: Tensor, neighbours: list[int], step: float, rungs: int) -> list[Tensor]:
-    """Neighbour intensities W: for each neighbour a tensor of J * P; NaN outside its image."""
-    values = [start.new_empty(rungs, len(start)) for _ in neighbours]
-    ladder = torch.arange(rungs, dtype=torch.float32, device=start.device)
-    per_call = max(1, PORTION // len(start))
-    for first in range(0, rungs, per_call):
-        points = point_at(legs, start + float(step) * ladder[first : first + per_call, None])
-        for target, view in zip(values, neighbours, strict=True):
-            seen = seen_at(stack.numbers[view], points, stack.n_water, stack.beyond)
-            target[first : first + per_call] = look_up(stack, view, *seen)
+def warp(stack: ViewStack, legs, start: np.ndarray, neighbours: list[int], step: float, rungs: int) -> list[Tensor]:
+    """Neighbour intensities W: for each neighbour a tensor of J * P; NaN outside its image. See the twin."""
+    start = np.ravel(start)
+    begin = floats(stack.device, start)
+    values = [begin.new_empty(rungs, len(begin)) for _ in neighbours]
+    ladder = torch.arange(rungs, dtype=torch.float32, device=begin.device)[:, None]
+    for part in sections(rungs):
+        span = step * max(len(part) - 1, 1)
+        three = [point_at(legs, begin + step * part.start + share * span) for share in (0.0, 0.5, 1.0)]
+        courses = [
+            course_through([place_at(stack.numbers[view], each, stack.n_water, stack.beyond) for each in three])
+            for view in neighbours
+        ]
+        per_call = max(1, PORTION // len(begin))
+        for first in range(part.start, part.stop, per_call):
+            rows = slice(first, min(first + per_call, part.stop))
+            at = (ladder[rows] - part.start) * (step / span)
+            for target, course, view in zip(values, courses, neighbours, strict=True):
+                target[rows] = look_up(stack, view, *place_on(course, at, stack.numbers[view]))
+        wet_and_dry = indices(stack.device, through_water(stack, start, step, part))
+        if len(wet_and_dry):
+            some = [leg[wet_and_dry] for leg in legs]
+            points = point_at(some, begin[wet_and_dry] + step * ladder[part.start : part.stop])
+            for target, view in zip(values, neighbours, strict=True):
+                seen = seen_at(stack.numbers[view], points, stack.n_water, stack.beyond)
+                target[part.start : part.stop, wet_and_dry] = look_up(stack, view, *seen)
     return [each.reshape(-1) for each in values]
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from fields.median import median
 from fields.sweep.climbing import climb_view
 from fields.sweep.stack import ViewStack
 
@@ -63,6 +64,6 @@ def radius_for(score: np.ndarray, radius: int, rungs: int) -> int:
     matched = score[score > -1.0]
     if not len(matched):
         return radius
-    side = (_ABOVE_CHANCE + np.sqrt(2.0 * np.log(rungs))) / max(float(np.median(matched)), 1e-3)
+    side = (_ABOVE_CHANCE + np.sqrt(2.0 * np.log(rungs))) / max(median(matched), 1e-3)
     fitting = [each for each in RADII if 2 * each + 1 <= _MOST_OF_SIDE * min(score.shape)] or [radius]
     return max(radius, next((each for each in fitting if each >= round(0.5 * (side - 1.0))), fitting[-1]))

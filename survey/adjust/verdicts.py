@@ -38,8 +38,9 @@ def judge(name: str, value: float, std: float, given: float, given_std: float, l
         )
         return Parameter(name, given, std, given, prior, UNKNOWN, verdict)
     if std > _LITTLE * given_std:
-        return Parameter(name, value, std, given, prior, HELD, f"held: {shown}, as given; the photographs add nothing")
-    return Parameter(name, value, std, given, prior, FREE, f"found: {shown}{_against(value, std, given, prior, unit)}")
+        verdict = f"held: {shown}{_against(std, given, prior, unit)}; the photographs add nothing"
+        return Parameter(name, value, std, given, prior, HELD, verdict)
+    return Parameter(name, value, std, given, prior, FREE, f"found: {shown}{_against(std, given, prior, unit)}")
 
 
 def lost_verdict(name: str, std: float, given: float, reason: str) -> Parameter:
@@ -48,7 +49,7 @@ def lost_verdict(name: str, std: float, given: float, reason: str) -> Parameter:
     return Parameter(name, given, std, given, None, UNKNOWN, f"not observable: {reason}; {kept} is kept")
 
 
-def _against(value: float, std: float, given: float, prior: float | None, unit: str) -> str:
+def _against(std: float, given: float, prior: float | None, unit: str) -> str:
     if prior is None:
         return ""
     return f" (given {given:.{_digits(std)}f} +- {prior:.2g}{unit})"

@@ -91,6 +91,8 @@ def _scene_of(word: str) -> DrawnScene:
             f"--drawn is {word!r}, expected DEPTH,PATTERN,IMAGES with a depth in metres, {' or '.join(PATTERNS)} and a "
             'number of photographs, e.g. "2,oblique,20", or "all"'
         ) from error
+    if not (math.isfinite(depth) and depth > 0.0):
+        raise SurveyError(f"--drawn is {word!r} with a depth of {depth:g} m; give one above zero")
     # Too few are refused by the scene.
     side = math.sqrt(max(num_views, 1) / _IMAGES_PER_M2)
     size = (round(1.05 * side, 1), round(0.95 * side, 1))

@@ -6,11 +6,17 @@ Nothing is imported before Ctrl-C, closed streams and broken pipes are taken car
 
 from __future__ import annotations
 
+import os
 import sys
+
+# Of OpenBLAS, which reads it when numpy is imported. Matrices are small here, and threads that wait for the next one
+# keep a core from kernels and tiles. A number that the user has set stays.
+_THREADS_OF_ALGEBRA = "OPENBLAS_NUM_THREADS"
 
 
 def main() -> None:
     """Run the verb named by the arguments and exit with its exit code."""
+    os.environ.setdefault(_THREADS_OF_ALGEBRA, "1")
     try:
         code = _run()
     except KeyboardInterrupt:

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from survey import machine
 from survey.commands.console import Results, command
 from survey.commands.memory import address_space_shortage, require_address_space
 from survey.commands.options import Quiet, TargetStd, TimeBudget, Verbose
+from survey.errors import SurveyError
 from survey.plan.choices import Choices, Device, Quality
 
 if TYPE_CHECKING:
@@ -55,7 +57,10 @@ def run(
     """
     with command(verbose, quiet, survey) as results:
         if survey.suffix.lower() == ".toml":
-            _check_plan(results, survey, quality, device, wind, deep=deep)
+            if deep:
+                raise SurveyError("--deep holds a survey against its photographs, and a plan has none; remove it")
+            _check_plan(results, survey, quality, device, wind)
+            _check_aim_of_plan(results, survey, device, target_std, time_budget)
             return
         from survey.adjust.foreseen_text import foreseen_section
         from survey.plan.aim import aim_of
@@ -67,11 +72,9 @@ def run(
         if shortage is not None:
             current().warn(shortage)
         checked, chosen = require_processable(survey), Choices(quality=quality.value, device=device.value)
-        aim, slowness = aim_of(target_std, time_budget, quality=None, field="auto"), None
-        if aim is not None:
-            from survey.run.beginning import busy, rows_of
-
-            slowness = busy()
+        aim = aim_of(target_std, time_budget, quality=None, field="auto")
+        load = None if aim is None else machine.load()
+        slowness = None if load is None else load.slowness
         for section in check_survey(
             survey, quality=quality.value, device=device.value, checked=checked, slowness=slowness
         ):
@@ -80,8 +83,10 @@ def run(
         foreseen = None if checked.survey is None else foreseen_section(checked.survey, chosen=chosen)
         if foreseen is not None:
             show(results, foreseen)
-        if aim is not None and slowness is not None and checked.survey is not None:
-            show(results, Section("Asked", rows_of(aim, checked.survey, Choices(device=device.value), slowness)))
+        if aim is not None and load is not None and checked.survey is not None:
+            from survey.run.beginning import rows_of
+
+            show(results, Section("Asked", rows_of(aim, checked.survey, Choices(device=device.value), load)))
         if deep:
             require_address_space()
             from survey.adjust.deep_check import deep_check
@@ -90,14 +95,29 @@ def run(
                 show(results, section)
 
 
-def _check_plan(results: Results, path: Path, quality: Quality, device: Device, wind: float, *, deep: bool) -> None:
-    from survey.errors import SurveyError
+def _check_plan(results: Results, path: Path, quality: Quality, device: Device, wind: float) -> None:
     from survey.simulate.staging.check_plan import check_plan
 
-    if deep:
-        raise SurveyError("--deep holds a survey against its photographs, and a plan has none; remove it")
     for section in check_plan(path, quality=quality.value, device=device.value, wind_m_s=wind):
         show(results, section)
+
+
+def _check_aim_of_plan(
+    results: Results, path: Path, device: Device, target_std: float | None, time_budget: float | None
+) -> None:
+    """What an aim promises and costs of a planned flight."""
+    from survey.plan.aim import aim_of
+
+    aim = aim_of(target_std, time_budget, quality=None, field="auto")
+    if aim is None:
+        return
+    from survey.plan.check import Section
+    from survey.run.beginning import rows_of
+    from survey.simulate.staging.check_plan import depth_of, flight_of, survey_of
+
+    plan = flight_of(path)
+    rows = rows_of(aim, survey_of(plan), Choices(device=device.value), machine.load(), depth_of(plan))
+    show(results, Section("Asked", rows))
 
 
 def show(results: Results, section: Section) -> None:

@@ -42,6 +42,7 @@ def compare_files(cloud: str | Path, reference: str | Path, *, options: CompareO
     """
     options = options or CompareOptions()
     cloud, reference = Path(cloud), Path(reference)
+    check_options(options)
     check_outputs(options, cloud, reference)
     comparison = compare_surfaces(cloud, reference, options)
     if options.report_dir is not None:
@@ -60,11 +61,13 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     check_options(options)
     paths = Paths(Path(cloud), Path(reference), None if options.visible is None else Path(options.visible))
     places = None if options.checkpoints is None else Path(options.checkpoints)
-    for path in (paths.cloud, paths.reference):
-        existing_file(path)
+    for path in (paths.cloud, paths.reference, paths.visible):
+        if path is not None:
+            existing_file(path)
+    # Before the clouds and meshes, which take longer to read.
+    checkpoints = None if places is None else read_checkpoints(places)
     with current().stage("Reading"):
         inputs = load_inputs(paths, options.bounds)
-        checkpoints = None if places is None else read_checkpoints(places)
     notes = list(inputs.notes)
     num_cropped = int((~inputs.inside).sum())
     inputs, is_left = _without_outliers(inputs, options, notes)
@@ -77,6 +80,7 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
         for tolerance_m in options.tolerances_m:
             reaches.append(measure.reached_at(scene, tolerance_m))
             stage.advance()
+    _note_unseen(inputs, notes)
     _note_extent(inputs, options.bounds, notes)
     first = reaches[0]
     vertical, errors = measure.vertical(scene, depth, blocks)
@@ -147,6 +151,14 @@ def _without_outliers(inputs: Inputs, options: CompareOptions, notes: list[str])
         f"{neighbours} neighbours over its mean plus {num_std:g} standard deviations)"
     )
     return replace(inputs, inside=inputs.inside & is_left), is_left
+
+
+def _note_unseen(inputs: Inputs, notes: list[str]) -> None:
+    if isinstance(inputs.reference, Mesh) and inputs.visible is None:
+        notes.append(
+            f"completeness counts all of {inputs.paths.reference.name}, also what no camera sees (undersides, ground "
+            "beside the photographs): give the points that cameras see as --visible; --bounds crops the cloud alone"
+        )
 
 
 def _note_extent(inputs: Inputs, bounds: Bounds | None, notes: list[str]) -> None:

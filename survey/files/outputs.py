@@ -11,6 +11,7 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from survey.errors import OutputError
 
@@ -136,3 +137,8 @@ def _is_within(path: Path, folder: Path) -> bool:
 def _require_permission(said: str, folder: Path) -> None:
     if not os.access(folder, os.W_OK | os.X_OK):
         raise OutputError(f"{said}but {folder} is not writable; change its permissions or name another place")
+    # Permission is not all: folders of the system, as those in /proc, take no file, nor does a full disk.
+    try:
+        TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise OutputError(f"{said}but {folder} takes no new file ({error.strerror}); name another place") from error

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 import cv2
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from geo.optional import library_for
 from survey import machine
@@ -81,6 +81,8 @@ def damage_named(said: str) -> Iterator[None]:
         if isinstance(error, OSError) and error.errno is not None:
             raise
         why = " ".join(str(error).split())[:200] or type(error).__name__
+        if isinstance(error, UnidentifiedImageError):  # its own text names an object of Python
+            why = "it does not begin as any known format does"
         raise ImageError(f"{said} ({why}); copy it again or remove it") from error
 
 

@@ -54,7 +54,7 @@ def pose_choice(survey: Survey, asked: str, *, free_water: bool) -> tuple[str, s
     if len(survey.views) < _FEWEST_VIEWS:
         return (
             "fixed",
-            f"poses from a file without position_std_m count as exact; {_FEWEST_VIEWS} views could be checked",
+            f"{_UNSTATED}; to check them takes at least {_FEWEST_VIEWS} views, and there are {len(survey.views)}",
         )
     if survey.pose_misfit_px is None:
         return "check", f"{_UNSTATED}, unless photographs contradict them"

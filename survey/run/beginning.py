@@ -6,22 +6,24 @@ import math
 from dataclasses import dataclass
 
 from survey import machine
-from survey.adjust.foreseen import foresee
+from survey.adjust.foreseen import DEPTH_M, foresee
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
+from survey.machine import Load
 from survey.plan.aim import Aim, ladder
 from survey.plan.choices import Choices
 from survey.plan.pace import ANY_RUN_S, Ground, Pace
 from survey.plan.plan import make_plan
 from survey.plan.recipe import Recipe
-from survey.plan.workload import busy_in_words
 from survey.progress import Progress
 from survey.run.aimed import Aimed
 from survey.run.clock import Clock
 
 # What the stated rates of another machine may be wrong by.
 _UNKNOWN_PACE = 1.2
+# Standard deviations that can be asked for: in pixels of the largest images at least, of the smallest at most.
+_LEAST_PX, _MOST_PX = 0.01, 10.0
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,8 @@ class Outlook:
         Rung of the first round.
     pace : Pace
         By stated rates and how busy the machine is.
+    load : Load
+        Of the machine.
     """
 
     ladder: tuple[Recipe, ...]
@@ -51,37 +55,58 @@ class Outlook:
     common_std_m: float
     first: int
     pace: Pace
+    load: Load
 
 
-def busy() -> float:
-    """How many times as long as on idle cores of the stated rates work takes now.
+def outlook(aim: Aim, survey: Survey, chosen: Choices, load: Load, depth_m: float = DEPTH_M) -> Outlook:
+    """Look at what an aim needs of a survey whose poses are known.
 
-    At least 1: another machine may be faster than the one of the rates, which is kept for what follows.
-    """
-    return max(machine.slowness(), 1.0)
-
-
-def outlook(aim: Aim, survey: Survey, chosen: Choices, slowness: float) -> Outlook:
-    """Look at what an aim needs of a survey whose poses are known, with ``slowness`` as `busy` says.
+    Parameters
+    ----------
+    aim, survey, chosen :
+        As the run has them.
+    load : Load
+        Of the machine.
+    depth_m : [m]
+        Of the bed under the water.
 
     Raises
     ------
     SurveyError
-        If no view looks down.
+        If no view looks down, or the standard deviation cannot be meant.
     """
     rungs = ladder([(view.lens.width, view.lens.height) for view in survey.views])
-    scales = tuple(make_plan(survey, chosen, recipe=recipe).image_scale for recipe in rungs)
-    ground = Ground.of(survey, make_plan(survey, chosen, recipe=rungs[-1]))
-    foreseen, at = foresee(survey, chosen=chosen), make_plan(survey, chosen).image_scale
+    plans = [make_plan(survey, chosen, recipe=recipe) for recipe in rungs]
+    _require_meant(aim, plans[0].gsd_m, plans[-1].gsd_m)
+    scales = tuple(plan.image_scale for plan in plans)
+    ground = Ground.of(survey, plans[-1])
+    foreseen, at = foresee(survey, depth_m=depth_m, chosen=chosen), make_plan(survey, chosen).image_scale
     std = tuple(math.nan if foreseen is None else foreseen.heights.of_point_m * at / scale for scale in scales)
     first = 0
     if aim.std_m is not None:
         # Only heights of the solver have a standard deviation that can be relied on.
         solving = [rung for rung, recipe in enumerate(rungs) if recipe.field == "solver"]
         first = next((rung for rung in solving if not std[rung] > aim.std_m), solving[-1])
-    pace = Pace.stated(ground, slowness)
+    pace = Pace.stated(ground, load.slowness)
     common = math.nan if foreseen is None else foreseen.heights.of_all_m
-    return Outlook(rungs, scales, ground, std, common, first, pace)
+    return Outlook(rungs, scales, ground, std, common, first, pace, load)
+
+
+def _require_meant(aim: Aim, largest_m: float, smallest_m: float) -> None:
+    """Raise where the target is none, by what a pixel covers in the smallest and in the largest images [m]."""
+    if aim.std_m is None:
+        return
+    asked, least, most = f"--target-std {aim.std_m:g} is in metres", _LEAST_PX * smallest_m, _MOST_PX * largest_m
+    if aim.std_m < least:
+        raise SurveyError(
+            f"{asked}, and less than a hundredth of what a pixel covers here ({1e3 * least:.2g} mm), which no match of "
+            "photographs reaches; give more, 0.02 for 20 mm"
+        )
+    if aim.std_m > most:
+        raise SurveyError(
+            f"{asked}, and more than {_MOST_PX:g} pixels of the smallest images cover here ({most:.2g} m), which asks "
+            "for nothing; give less, 0.02 for 20 mm"
+        )
 
 
 def doubts(aim: Aim, found: Outlook) -> list[str]:
@@ -133,7 +158,7 @@ def require_time(seconds: float, found: Outlook) -> None:
     if seconds < shortest:
         raise SurveyError(
             f"--time-budget {seconds:g} is too short: this survey takes at least about {shortest} s on this machine, "
-            "as busy as it is; give more, or a smaller [area]"
+            f"as busy as it is ({found.load}); give more, or a smaller [area]"
         )
 
 
@@ -153,10 +178,11 @@ def begin_aimed(
     Raises
     ------
     SurveyError
-        If the time is too short.
+        If the time is too short, or the standard deviation cannot be meant.
     """
-    found = outlook(aim, survey, chosen, busy())
+    found = outlook(aim, survey, chosen, machine.load())
     progress.note(f"asked: {aim}")
+    progress.note(f"machine: {found.load}")
     for text in doubts(aim, found):
         progress.warn(text)
     # No rates are known of other devices: their first round tells.
@@ -175,15 +201,11 @@ def begin_aimed(
     return state
 
 
-def rows_of(aim: Aim, survey: Survey, chosen: Choices, slowness: float) -> tuple[tuple[str, str], ...]:
-    """What an aim promises and costs, as labelled sentences for `check`; ``slowness`` as `busy` says.
-
-    Raises
-    ------
-    SurveyError
-        If no view looks down.
-    """
-    found = outlook(aim, survey, chosen, slowness)
+def rows_of(
+    aim: Aim, survey: Survey, chosen: Choices, load: Load, depth_m: float = DEPTH_M
+) -> tuple[tuple[str, str], ...]:
+    """What an aim promises and costs, as labelled sentences for `check`; parameters as those of `outlook`."""
+    found = outlook(aim, survey, chosen, load, depth_m)
     rows = [("asked", str(aim))]
     is_timed = make_plan(survey, chosen, recipe=found.ladder[0]).device == "llvm"
     for rung, (recipe, scale) in enumerate(zip(found.ladder, found.scales, strict=True)):
@@ -201,5 +223,5 @@ def rows_of(aim: Aim, survey: Survey, chosen: Choices, slowness: float) -> tuple
         shortest = f"about {math.ceil(shortest_s(found))} s, a reserve of {100 * (_UNKNOWN_PACE - 1):.0f} % included"
         rows.append(("shortest run", f"{shortest}; {enough}"))
     if is_timed:
-        rows.append(("times", f"on cores {busy_in_words(slowness)}"))
+        rows.append(("times", f"on this machine as busy as it is, {load}"))
     return tuple(rows)

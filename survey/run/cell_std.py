@@ -6,10 +6,14 @@ That of the points themselves, which work on the photographs changes; std_common
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from survey.plan.aim import SHARE
+
+if TYPE_CHECKING:
+    from fields.sweep.bed import BedPoints
 
 # Side of a cell in ground sampling distances.
 _CELL_GSD = 10.0
@@ -68,16 +72,13 @@ class CellStd:
         )
 
 
-def std_cells(xyz: np.ndarray, std: np.ndarray, num_views: np.ndarray, depth: np.ndarray, gsd: float) -> CellStd:
-    """Cells from points (N, 3) [m], local, their standard deviations (N,) [m], numbers of views and depths (N,) [m].
-
-    ``gsd`` [m] is the ground sampling distance.
-    """
-    use = np.isfinite(std)
-    place = np.floor(xyz[use, :2] / (_CELL_GSD * gsd)).astype(np.int64)
+def std_cells(bed: BedPoints, gsd: float) -> CellStd:
+    """Cells of points of the bed; ``gsd`` [m] is the ground sampling distance."""
+    use = np.isfinite(bed.std)
+    place = np.floor(bed.xyz[use, :2] / (_CELL_GSD * gsd)).astype(np.int64)
     _, first, cell = np.unique(place, axis=0, return_index=True, return_inverse=True)
-    columns = (_medians(cell.ravel(), each[use].astype(np.float64)) for each in (std, num_views, depth))
-    return CellStd(xyz[use][first], *columns)
+    columns = (_medians(cell.ravel(), each[use].astype(np.float64)) for each in (bed.std, bed.num_views, bed.depth))
+    return CellStd(bed.xyz[use][first], *columns)
 
 
 def _medians(cell: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -29,6 +29,7 @@ from survey.names import RUN_FOLDER, SFM_FOLDER
 from survey.progress import current
 from survey.run import result
 from survey.run.keys import Key
+from survey.run.owner import Owner
 
 _MARKER, _RECORD, _PART = ".bathynerf-run.json", "stage.json", ".part"
 _NAMED_VERSIONS = (
@@ -90,8 +91,7 @@ class RunDir:
             self._require_ours_or_empty()
             self.stages_path.mkdir(parents=True, exist_ok=True)
             if not (self.path / _MARKER).exists():
-                made_by = {"made_by": f"bathynerf {importlib.metadata.version('bathynerf')}"}
-                self.write_text(self.path / _MARKER, json.dumps(made_by))
+                self._mark({})
             busy = (
                 f"the run {self.path} is being written by another process (number {{pid}}); wait until it ends, "
                 "stop it, or name another run folder with -o"
@@ -107,6 +107,26 @@ class RunDir:
         held, self._held = self._held, None
         if held is not None:
             held.__exit__(*exception)
+
+    def claim(self, owner: Owner, *, is_inside: bool) -> None:
+        """Note the survey that the run is of.
+
+        ``is_inside``: the run lies in the folder of the survey, and is its own whatever became of its photographs.
+
+        Raises
+        ------
+        SurveyError
+            If the run is that of another survey.
+        """
+        before = Owner.from_record(read_json_object(self.path / _MARKER))
+        if before is not None and not is_inside:
+            before.require_same(owner, self.path)
+        if before != owner:
+            self._mark(owner.as_record())
+
+    def _mark(self, owner: dict) -> None:
+        made_by = {"made_by": f"bathynerf {importlib.metadata.version('bathynerf')}"}
+        self.write_text(self.path / _MARKER, json.dumps(made_by | owner))
 
     def require_run(self) -> None:
         """Raise SurveyError where the folder is not one that `bathynerf process` made."""

@@ -8,6 +8,7 @@ poses of a file, are answerable for: where GPS or control has put a block, they 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,8 +37,9 @@ def verdict_of(survey: Survey, stored: StoredBed, gsd_m: float) -> Verdict:
 
 def asked_gate(stored: StoredBed, std_m: float) -> Gate:
     """Whether the standard deviation [m] that was asked for is reached, and if not, what limits it."""
-    bed = stored.bed
-    cells = std_cells(bed.xyz, stored.std_of_photographs(), bed.num_views, bed.depth, stored.gsd_m)
+    # What GPS or control leaves of the place of the block is not for the photographs to mend.
+    bed = replace(stored.bed, std=stored.std_of_photographs())
+    cells = std_cells(bed, stored.gsd_m)
     reached = cells.reached(std_m)
     sentence = f"{cells.in_words(std_m)}; required: {share(SHARE)} within what was asked"
     if reached < SHARE:

@@ -101,8 +101,8 @@ STAGES = (
     ),
     Stage(
         name=LOOK,
-        needs=("sweep", "solver"),
-        depends_on=(*_RAYS, "area", "aim"),
+        needs=("adjust", "sweep", "solver"),
+        depends_on=(*_VIEWS, "area", "gsd", "aim"),
         leaves=(REACHED, CELLS),
         compute=look_at_reached,
         is_on=_is_aimed,

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.files.outputs import ReadFiles, require_folder
+from survey.folder.found import Found
 from survey.folder.inputs import survey_inputs
 from survey.folder.survey import Survey, load_survey
 from survey.names import RUN_FOLDER
@@ -29,6 +30,7 @@ from survey.run.aimed import Aimed
 from survey.run.beginning import begin_aimed, require_some_time
 from survey.run.clock import Clock
 from survey.run.folder import RunDir
+from survey.run.owner import Owner
 from survey.run.truth import Truth
 
 if TYPE_CHECKING:
@@ -120,6 +122,7 @@ def process(
     )
     checked = _require_possible(survey_folder, chosen)
     with opened() as progress, RunDir(run_folder) as run:
+        _claim(run, checked.found)
         progress.log_to(run.log_path)
         survey = checked.survey or load_survey(
             survey_folder, found=checked.found, workspace=run.sfm_path, report=progress.note
@@ -141,6 +144,13 @@ def _require_inputs(survey_folder: Path, run_folder: Path, truth: Truth) -> None
         if path is not None and not path.exists():
             raise SurveyError(f"{name} {path} does not exist; give the path of a PLY, OBJ, LAS or LAZ file")
     require_folder("-o", run_folder, survey_inputs(survey_folder) + ReadFiles.of(truth.reference, truth.visible))
+
+
+def _claim(run: RunDir, found: Found) -> None:
+    """Raise where the run is that of another survey."""
+    name = found.config.name or found.folder.resolve().name
+    is_inside = run.path.resolve().is_relative_to(found.folder.resolve())
+    run.claim(Owner.of(name, found.images), is_inside=is_inside)
 
 
 def _require_possible(survey_folder: Path, chosen: Choices) -> Checked:

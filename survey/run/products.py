@@ -13,10 +13,8 @@ from fields.sweep.maps import DepthMap
 from survey.adjust.adjustment import Adjustment, read_adjustment
 from survey.compare.result import Comparison
 from survey.files.json_values import read_json_object, write_json
-from survey.folder.config import dump_config
 from survey.folder.survey import Survey
 from survey.photos.texture import matched_light
-from survey.plan.aim import Aim
 from survey.report import NUM_STEPS, ReportFacts, write_report
 from survey.report.photographs import PhotographFigures, doubts, photographs_of, summary
 from survey.report.verdict import Verdict
@@ -25,6 +23,7 @@ from survey.run.flight import save_flight
 from survey.run.folder import RunDir, seconds_of, versions, versions_of
 from survey.run.gate import asked_gate, verdict_of
 from survey.run.job import Job
+from survey.run.repeat import options_of, settings_text
 from survey.run.stage_adjust import FILES as ADJUSTMENT_FILES
 from survey.run.stage_solver import SIGHTINGS
 from survey.run.stage_sweep import MAPS, SATURATED
@@ -65,12 +64,13 @@ def _write_report(
 ) -> Verdict:
     """All but the cloud."""
     survey, plan = job.survey, job.plan
-    (folder / "settings.toml").write_text(dump_config(survey.config), encoding="utf-8")
+    options = options_of(job, truth)
+    (folder / "settings.toml").write_text(settings_text(job, options), encoding="utf-8")
     write_json(folder / "plan.json", plan.as_dict())
     save_flight(folder, survey)
     job.progress.note(f"{len(stored.bed):,} points of the bed")
     start = time.monotonic()
-    comparison, of_sweep = _comparisons(folder, run, survey, done, truth)
+    comparison, of_sweep = _comparisons(folder, run, job, done, truth)
     timings = _timings(run, survey, done)
     if comparison is not None:
         timings["comparison"] = time.monotonic() - start
@@ -86,7 +86,7 @@ def _write_report(
     facts = ReportFacts(
         survey=survey,
         plan=plan,
-        settings={**asdict(survey.config), "quality": plan.quality, "device": plan.device, **_asked(aim)},
+        settings={**asdict(survey.config), **options},
         timings=timings,
         bed=stored.bed,
         points_crs=stored.points_crs,
@@ -105,10 +105,6 @@ def _write_report(
     for text in figures.notes:
         job.progress.note(text)
     return verdict
-
-
-def _asked(aim: Aim | None) -> dict[str, float | None]:
-    return {} if aim is None else {"target_std_m": aim.std_m, "time_budget_s": aim.seconds}
 
 
 def _photographs(done: Mapping[str, Path]) -> tuple[PhotographFigures, ...]:
@@ -151,15 +147,17 @@ def _timings(run: RunDir, survey: Survey, done: Mapping[str, Path]) -> dict[str,
 
 
 def _comparisons(
-    folder: Path, run: RunDir, survey: Survey, done: Mapping[str, Path], truth: Truth
+    folder: Path, run: RunDir, job: Job, done: Mapping[str, Path], truth: Truth
 ) -> tuple[Comparison | None, Comparison | None]:
     """The cloud against the reference, and the cloud that the sweep alone would give; None where there is none."""
     if truth.reference is None:
         return None, None
+    say = job.progress.note
     # Loads what compares images too; most runs have nothing to compare with.
     from survey.compare.comparison import CompareOptions, compare_surfaces
 
-    options = CompareOptions(tolerances_m=TOLERANCES_M, visible=truth.visible, bounds=survey.bounds)
+    options = CompareOptions(tolerances_m=TOLERANCES_M, visible=truth.visible, bounds=job.survey.bounds)
+    say(f"comparison of the cloud with {truth.reference.name}")
     found = compare_surfaces(folder / "cloud.las", truth.reference, options)
     # The final path, not that of the folder in which the result is written.
     circumstances = replace(found.figures.circumstances, cloud=str(run.cloud_path))
@@ -168,6 +166,7 @@ def _comparisons(
         return found, None
     cloud = folder / "sweep.las"
     write_bed_las(cloud, load_bed(done["bed_of_sweep"]))
+    say(f"comparison of what the sweep alone gives with {truth.reference.name}")
     of_sweep = compare_surfaces(cloud, truth.reference, options)
     cloud.unlink()
     return found, of_sweep

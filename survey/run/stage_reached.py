@@ -7,21 +7,21 @@ the same result.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fields.solver.solver import SolvedMap
+from fields.sweep.bed import unique_pixels
 from fields.sweep.maps import DepthMap
 from survey.files.json_values import write_json
-from survey.plan.area import AREA_MARGIN_M, grown, local_area, within
-from survey.plan.block import camera_of
 from survey.run.cell_std import CellStd, std_cells
 from survey.run.folder import seconds_of
+from survey.run.points import adjustment_of, bed_points, with_std_of_block
 from survey.run.stage_solver import SOLVED
-from survey.run.stage_sweep import CELLS, MAPS
+from survey.run.stage_sweep import CELLS, MAPS, look_at_bed
 from survey.run.stored import save_arrays
 from survey.run.stored_maps import Stored
 
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from survey.run.job import Job
 
 REACHED = "reached.json"
-# Every so manieth solved pixel tells enough of the cells.
-_EVERY = 5
 
 
 def look_at_reached(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
@@ -43,7 +41,7 @@ def look_at_reached(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     num_solved = sum(len(each.pixels) for each in solved)
     told: dict = {"solver_s": seconds_of(needs["solver"]) if num_solved else None, "solved": num_solved}
     _take_pace(aimed, told)
-    cells = _cells(job, needs) if num_solved and aimed.aim.std_m is not None else None
+    cells = _cells(job, needs, solved) if num_solved and aimed.aim.std_m is not None else None
     if cells is None:
         save_arrays(folder / CELLS, xyz=np.empty((0, 3)), above=np.empty(0, dtype=bool))
     else:
@@ -69,19 +67,13 @@ def _take_pace(aimed: Aimed, found: dict) -> None:
         aimed.pace = aimed.pace.after_solver(found["solver_s"], found["solved"])
 
 
-def _cells(job: Job, needs: Mapping[str, Path]) -> CellStd:
-    """Of the solved pixels inside the area."""
-    survey, plan, parts = job.survey, job.plan, []
-    maps, solved = Stored(needs["sweep"] / MAPS, DepthMap), Stored(needs["solver"] / SOLVED, SolvedMap)
-    for m, each in zip(maps, solved, strict=True):
-        pixels, height, std = (column[::_EVERY] for column in (each.pixels, each.height, each.std))
-        rows, columns = np.divmod(pixels, m.height.shape[1])
-        path = camera_of(survey.views[m.view], plan).paths(np.column_stack([columns + 0.5, rows + 0.5]), survey.water)
-        xyz = path.at_height(height.astype(np.float64), survey.water)
-        depth = np.full(len(xyz), np.nan) if survey.water is None else -height
-        parts.append((xyz, std, m.agreeing.flat[pixels] + 1.0, depth))
-    xyz, std, num_views, depth = (np.concatenate(column) for column in zip(*parts, strict=True))
-    area = local_area(survey)
-    if area is not None:
-        std = np.where(within(xyz, grown(area, AREA_MARGIN_M)), std, np.nan)
-    return std_cells(xyz, std, num_views, depth, plan.gsd_m)
+def _cells(job: Job, needs: Mapping[str, Path], solved: Sequence[SolvedMap]) -> CellStd:
+    """Of the points that the run would have if it ended now, those of the sweep's heights among them."""
+    maps = Stored(needs["sweep"] / MAPS, DepthMap)
+    look_at_bed(job, needs["sweep"])
+    kept = job.once(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m))
+    bed, _, _ = bed_points(job, maps, None, lambda _done: None, solved, kept, coloured=False)
+    if job.survey.config.cameras.poses is not None:
+        # As the gate: where GPS or control has put a block, no round mends.
+        bed, _ = with_std_of_block(bed, job.survey, adjustment_of(needs), job.plan.gsd_m)
+    return std_cells(bed, job.plan.gsd_m)

@@ -45,7 +45,7 @@ def solve_heights(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         )
         both = (new if old is None else old for new, old in zip(solved, carried, strict=True))
         _save(job, folder, both, figures.sightings)
-    job.progress.note(f"solver: {figures}")
+    job.progress.detail(f"solver: {figures}")
 
 
 def _save(job: Job, folder: Path, solved: Iterable[SolvedMap], found: Sightings | None) -> None:

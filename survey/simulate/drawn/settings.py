@@ -101,9 +101,10 @@ class DrawnScene:
     water: bool = True
 
     def __post_init__(self):
-        positive = (*self.size_m, self.depth_m, *self.image_px, self.focal_px, self.cell_m, self.texel_m)
-        if not all(math.isfinite(v) and v > 0.0 for v in positive):
-            raise SurveyError(f"sizes and depth of a drawn scene are {positive}; give numbers above zero")
+        for name in ("size_m", "depth_m", "image_px", "focal_px", "cell_m", "texel_m"):
+            value = getattr(self, name)
+            if not all(math.isfinite(v) and v > 0.0 for v in (value if isinstance(value, tuple) else (value,))):
+                raise SurveyError(f"{name} of a drawn scene is {value}; give a number above zero")
         if not (0.0 <= self.speed_m_s <= _FASTEST_M_S and 0.0 <= self.readout_s <= _LONGEST_READOUT_S):
             raise SurveyError(
                 f"speed_m_s is {self.speed_m_s:g} and readout_s {self.readout_s:g}, expected at most {_FASTEST_M_S:g} "

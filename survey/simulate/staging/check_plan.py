@@ -58,17 +58,33 @@ def check_plan(path: Path, *, quality: str, device: str, wind_m_s: float) -> lis
     SurveyError, GeoError
         If it is no plan of a flight.
     """
-    if path.name == FILE_NAME:
-        raise SurveyError(f"{path} has the settings of a survey, expected its folder; give {path.resolve().parent}")
-    plan = plan_scene(read_scene(path), path.parent)
+    plan = flight_of(path)
     survey = survey_of(plan)
-    foreseen = foreseen_section(survey, depth_m=plan.site.depth_m or DEPTH_M, chosen=Choices(quality=quality))
+    foreseen = foreseen_section(survey, depth_m=depth_of(plan), chosen=Choices(quality=quality))
     sections = [
         Section("Flight", tuple(_flight_rows(plan, survey))),
         Section("Light and motion", tuple(_light_rows(plan, survey, wind_m_s))),
         Section("Processing", tuple(_processing_rows(survey, quality, device))),
     ]
     return sections if foreseen is None else [*sections[:1], foreseen, *sections[1:]]
+
+
+def flight_of(path: Path) -> Plan:
+    """The planned flight of a scene file.
+
+    Raises
+    ------
+    SurveyError, GeoError
+        If it is none.
+    """
+    if path.name == FILE_NAME:
+        raise SurveyError(f"{path} has the settings of a survey, expected its folder; give {path.resolve().parent}")
+    return plan_scene(read_scene(path), path.parent)
+
+
+def depth_of(plan: Plan) -> float:
+    """Of the bed under the water that heights are foreseen for [m]."""
+    return plan.site.depth_m or DEPTH_M
 
 
 def survey_of(plan: Plan) -> Survey:

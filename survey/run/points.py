@@ -1,0 +1,103 @@
+"""The points of height maps: every piece of the bed once, with all of its own standard deviation.
+
+The bed of a run and the look at what a round has reached are made of the same points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fields.median import median
+from fields.solver.solver import SolvedMap
+from fields.sweep.bed import BedPoints, has_company, points_of, unique_pixels
+from fields.sweep.block import AGREEMENT_PX
+from fields.sweep.maps import DepthMap
+from fields.sweep.sweep import PEERS
+from survey.adjust.adjustment import Adjustment, read_adjustment
+from survey.adjust.std_of_block import std_of_block
+from survey.plan.area import AREA_MARGIN_M, grown, local_area, within
+from survey.plan.block import camera_of
+
+if TYPE_CHECKING:
+    from fields.slab.tensor_field import TensorField
+    from fields.sweep.block import Block
+    from refract import PinholeCamera
+    from survey.folder.survey import Survey
+    from survey.run.job import Job
+
+LEAST_STD_PX = 0.01
+
+
+def adjustment_of(needs: Mapping[str, Path]) -> Adjustment | None:
+    """What the stage of the adjustment left, if the run has one."""
+    return read_adjustment(needs["adjust"]) if "adjust" in needs else None
+
+
+def with_std_of_block(
+    bed: BedPoints, survey: Survey, found: Adjustment | None, gsd_m: float
+) -> tuple[BedPoints, np.ndarray | None]:
+    """The points with what an adjusted block adds to the std of each, and what that is (N,) [m]; None where nothing."""
+    if found is None:
+        return bed, None
+    of_block = std_of_block(bed.xyz, survey, found, gsd_m)
+    return replace(bed, std=np.hypot(bed.std, of_block)), of_block
+
+
+def bed_points(
+    job: Job,
+    maps: Sequence[DepthMap],
+    field: TensorField | None,
+    advance: Callable[[float], None],
+    solved: Sequence[SolvedMap] | None = None,
+    kept: Sequence[np.ndarray] | None = None,
+    *,
+    coloured: bool = True,
+) -> tuple[BedPoints, np.ndarray, int]:
+    """Every piece of the bed once, coloured from the photograph that shows it steepest, or black.
+
+    ``kept`` is what `fields.sweep.bed.unique_pixels` finds, where it is known.
+
+    Returns the points, the tides (N,) [m] of their photographs, and how many took their height from the field.
+    """
+    survey, plan, block = job.survey, job.plan, job.block
+    parts, sources, tides, moved, area = [], [], [], 0, local_area(survey)
+    if kept is None:
+        kept = unique_pixels(block, maps, plan.gsd_m)
+    for number, (depth_map, keep) in enumerate(zip(maps, kept, strict=True)):
+        view = survey.views[depth_map.view]
+        camera = camera_of(view, plan)
+        rgb = job.photographs.load(view, scale=plan.image_scale) if coloured else _black(camera)
+        keep = keep[: camera.height, : camera.width]
+        parallax = _parallax(block, depth_map)
+        tolerance = AGREEMENT_PX / parallax
+        if field is not None:
+            from fields.slab.refine import refine
+
+            height, taken = refine(field, camera, depth_map, rgb, survey.water, keep)
+            depth_map, moved = replace(depth_map, height=height), moved + taken
+        final, std = (depth_map, None) if solved is None else solved[number].over(depth_map)
+        points = points_of(camera, survey.water, final, keep, rgb, tolerance, std)
+        # Heights that agree by chance to the last bit lie anywhere in a hundredth of a pixel of parallax.
+        points = replace(points, std=np.maximum(points.std, np.float32(LEAST_STD_PX / parallax)))
+        if area is not None:
+            points = points[within(points.xyz, grown(area, AREA_MARGIN_M))]
+        parts.append(points)
+        sources.append(np.full(len(points), number, dtype=np.int32))
+        tides.append(camera.tide)
+        advance(1.0)
+    bed, accompanied = BedPoints.gathered(parts, lambda xyz: has_company(xyz, plan.gsd_m))
+    return bed, np.array(tides)[np.concatenate(sources)[accompanied]], moved
+
+
+def _black(camera: PinholeCamera) -> np.ndarray:
+    return np.broadcast_to(np.uint8(0), (camera.height, camera.width, 3))
+
+
+def _parallax(block: Block, depth_map: DepthMap) -> float:
+    """Of the bed of a map in the views that confirm its heights [px/m]."""
+    return block.parallax(depth_map.view, block.neighbours(depth_map.view, PEERS), median(depth_map.height))

@@ -1,0 +1,64 @@
+"""The options of a run, and the command that repeats it: for settings.toml and the report."""
+
+from __future__ import annotations
+
+import shlex
+
+from survey.folder.config import dump_config
+from survey.run.job import Job
+from survey.run.truth import Truth
+
+
+def options_of(job: Job, truth: Truth) -> dict:
+    """What the options of a run came to, by name, and under ``command`` the command that repeats the run."""
+    chosen, plan, aim = job.chosen, job.plan, None if job.aimed is None else job.aimed.aim
+    asked = {} if aim is None else {"target_std_m": aim.std_m, "time_budget_s": aim.seconds}
+    return {
+        "quality": plan.quality,
+        "device": plan.device,
+        "field": plan.field,
+        "poses": plan.poses[0],
+        "plan": chosen.plan,
+        "image_scale": plan.image_scale,
+        "calibrate_water": chosen.calibrate_water,
+        "true_colour": chosen.true_colour,
+        **asked,
+        "command": command_of(job, truth),
+    }
+
+
+def command_of(job: Job, truth: Truth) -> str:
+    """The command line of a run, without its run folder."""
+    chosen, aim = job.chosen, None if job.aimed is None else job.aimed.aim
+    options = {
+        "quality": chosen.quality if aim is None else None,
+        "target-std": None if aim is None else aim.std_m,
+        "time-budget": None if aim is None else aim.seconds,
+        "device": chosen.device,
+        "field": chosen.field,
+        "poses": chosen.poses,
+        "plan": chosen.plan,
+        "image-scale": chosen.image_scale,
+        "calibrate-water": chosen.calibrate_water,
+        "true-colour": chosen.true_colour,
+        "reference": truth.reference,
+        "visible": truth.visible,
+    }
+    words = ["bathynerf", "process", str(job.survey.folder)]
+    for name, value in options.items():
+        if value is True:
+            words.append(f"--{name}")
+        elif value not in (None, False, "auto"):
+            words += [f"--{name}", str(value)]
+    return shlex.join(words)
+
+
+def settings_text(job: Job, options: dict) -> str:
+    """The settings of a run as survey.toml has them, with its `options_of` as comments."""
+    effect = ", ".join(f"{name} {value}" for name, value in options.items() if name != "command" and value is not None)
+    head = (
+        "# The settings in effect, with defaults and with what the run found of the water.\n"
+        f"# Options in effect: {effect}\n"
+        f"# The same run again: {options['command']}\n\n"
+    )
+    return head + dump_config(job.survey.config)

@@ -1,0 +1,63 @@
+"""The options of a run are written where it is found, with the command that repeats it."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import pytest
+from small_survey import small_survey
+
+from survey.commands import process as command
+from survey.folder.config import parse_config
+from survey.folder.survey import load_survey
+from survey.plan.choices import Choices
+from survey.progress import opened
+from survey.run.job import Job
+from survey.run.repeat import command_of, options_of, settings_text
+from survey.run.truth import Truth
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return small_survey(tmp_path / "a survey")
+
+
+def job_of(folder: Path, **chosen) -> Job:
+    with opened() as progress:
+        return Job(load_survey(folder), Choices(**chosen), progress)
+
+
+def test_a_run_without_options_is_repeated_with_its_quality(folder):
+    said = shlex.split(command_of(job_of(folder), Truth()))
+    assert said == ["bathynerf", "process", str(folder), "--quality", "standard"]
+
+
+def test_every_option_that_was_chosen_is_repeated(folder):
+    job = job_of(
+        folder,
+        quality="draft",
+        device="cpu",
+        field="off",
+        poses="fixed",
+        plan="full",
+        image_scale=0.5,
+        true_colour=True,
+    )
+    said = shlex.split(command_of(job, Truth(Path("true bed.ply"))))
+    assert said[3:] == [
+        "--quality", "draft", "--device", "cpu", "--field", "off", "--poses", "fixed", "--plan", "full",
+        "--image-scale", "0.5", "--true-colour", "--reference", "true bed.ply",
+    ]  # fmt: skip
+    known = {parameter.replace("_", "-") for parameter in command.run.__annotations__}
+    assert {word.removeprefix("--") for word in said if word.startswith("--")} <= known
+
+
+def test_settings_hold_what_was_done_and_still_load_as_survey_toml(folder):
+    job = job_of(folder, field="off")
+    options = options_of(job, Truth())
+    text = settings_text(job, options)
+    assert parse_config(text) == job.survey.config
+    assert "quality standard" in text
+    assert "field off" in text
+    assert f"# The same run again: {options['command']}\n" in text

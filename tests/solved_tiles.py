@@ -7,7 +7,7 @@ from scipy import ndimage
 
 from fields.solver.appearance import brightness_of
 from fields.solver.smoothness import bends_of, stiffness_of
-from fields.solver.solve import Solved, gradients_of
+from fields.solver.solve import Solved, Start, gradients_of
 from fields.solver.tile import Tile
 
 
@@ -23,7 +23,9 @@ def level(information: float, roughness: float, size: int = 40) -> tuple[Tile, S
     stiffness = stiffness_of(bends.of_heights @ zero, roughness)
     brightness = brightness_of(np.zeros((2, len(tile)), dtype=np.float32))
     slope, motion = np.zeros((2, len(tile))), np.zeros((2, 2, len(tile)))
-    return tile, Solved(zero, zero + np.float32(information), stiffness, bends, brightness, slope, motion, 1.0)
+    everywhere = zero + np.float32(information)
+    start = Start(zero, zero)
+    return tile, Solved(zero, everywhere, stiffness, bends, brightness, slope, motion, 1.0, start, zero)
 
 
 def residuals(
@@ -47,7 +49,8 @@ def residuals(
     information = np.einsum("kn,kn,kn->n", brightness.weight, slope, slope)
     zero, bends = np.zeros(len(tile), dtype=np.float32), bends_of(tile)
     stiffness = stiffness_of(bends.of_heights @ zero, 0.01)
-    return tile, Solved(zero - np.float32(depth), information, stiffness, bends, brightness, slope, motion, 1.0)
+    height, start = zero - np.float32(depth), Start(zero, zero)
+    return tile, Solved(height, information, stiffness, bends, brightness, slope, motion, 1.0, start, zero)
 
 
 def white(views: int, seed: int = 1) -> np.ndarray:

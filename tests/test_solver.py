@@ -18,7 +18,7 @@ from fields.solver.projection import Projection
 from fields.solver.roughness import roughness_of
 from fields.solver.sight import Surface, lookup, sights_of, window_of
 from fields.solver.smoothness import bends_of, stiffness_of
-from fields.solver.solve import Solved
+from fields.solver.solve import Solved, Start
 from fields.solver.solver import SolvedMap, SolverFigures, solve_maps
 from fields.solver.tile import Tile, tiles_of
 from fields.sweep.block import Block
@@ -185,7 +185,7 @@ def drawn(roughness: float, views: int = 12) -> tuple[Tile, Solved]:
     zero = np.zeros(len(tile), dtype=np.float32)
     motion = 10.0 * random.standard_normal((views, 2, 1)).astype(np.float32) * np.ones((1, 1, len(tile)), np.float32)
     stiffness = stiffness_of(bends.of_heights @ zero, 0.01)
-    return tile, Solved(zero, information, stiffness, bends, brightness, slope, motion, 1.0)
+    return tile, Solved(zero, information, stiffness, bends, brightness, slope, motion, 1.0, Start(zero, zero), zero)
 
 
 def test_a_rougher_bed_is_learned_to_be_rougher():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from plane_survey import SIZE, TILTED, PlaneBed, ring
 
-from fields.sweep.bed import BedPoints, has_company, points_of, trusted, unique_pixels
+from fields.sweep.bed import BedPoints, has_company, points_of, trusted, unique_pixels, with_slopes
 from fields.sweep.block import Block
 from fields.sweep.maps import DepthMap
 from refract import FlatWater
@@ -188,3 +188,33 @@ def test_on_a_wall_pixels_that_lie_far_apart_stay(device, rise, apart, stays):
         m.height[:] += (rise * tolerance * np.clip(np.arange(SIZE[0]) - shift - middle, -3.0, 3.0)).astype(np.float32)
     _, second = unique_pixels(block, maps, apart * tolerance)
     np.testing.assert_array_equal(second[5:-5, middle], stays)
+
+
+@pytest.mark.parametrize("n", [1.0, 1.34])
+def test_beside_an_edge_std_is_that_of_a_point_that_moves_along_its_ray_and_on_level_ground_as_it_was(n):
+    shape, incidence, std = (20, 30), np.radians(30.0), 0.02
+    height = np.full(shape, HEIGHT, np.float32)
+    height[:, 15:] += 1.0
+    keep = np.zeros(shape, bool)
+    keep[10, [3, 12, 13, 16, 17]] = True
+    nothing = np.zeros(5, np.float32)
+    points = BedPoints(
+        np.zeros((5, 3)), np.zeros((5, 3), np.uint8), nothing + np.float32(std), nothing.astype(np.uint8), nothing,
+        nothing + np.float32(incidence), np.ones(5, bool),
+    )  # fmt: skip
+    found = with_slopes(points, height, keep, GSD, FlatWater((0.0, 0.0, 0.0), n_water=n)).std
+    pixels_off = np.tan(np.arcsin(np.sin(incidence) / n)) * std / GSD
+    there = np.hypot(std, pixels_off * np.sqrt(0.5**2 - std**2))
+    np.testing.assert_allclose(found, [std, std, there, there, std], rtol=1e-5)
+
+
+def test_heights_that_differ_by_their_noise_alone_say_nothing_of_slopes(rng):
+    shape = (40, 50)
+    height = rng.uniform(HEIGHT - 0.019, HEIGHT + 0.019, shape).astype(np.float32)
+    keep = np.ones(shape, bool)
+    nothing = np.zeros(keep.size, np.float32)
+    points = BedPoints(
+        np.zeros((keep.size, 3)), np.zeros((keep.size, 3), np.uint8), nothing + np.float32(0.02),
+        nothing.astype(np.uint8), nothing, nothing + np.float32(0.6), nothing > 0.0,
+    )  # fmt: skip
+    np.testing.assert_array_equal(with_slopes(points, height, keep, GSD, None).std, points.std)

@@ -71,6 +71,18 @@ class Brightness:
         return np.where(self.weight > 0.0, values - mean, np.float32(0.0))
 
 
+def gain_of(before: Brightness, now: Brightness) -> np.ndarray:
+    """How much better the photographs agree on each pixel (N,) now: logarithm of the ratio of the likelihoods.
+
+    By the law that the weights are those of, Cauchy's, and the noise now; of the photographs that show the pixel in
+    both.
+    """
+    scale = OUTLIER * now.noise[:, None]
+    both = (before.weight > 0.0) & (now.weight > 0.0)
+    misfit = np.log1p((before.residual / scale) ** 2) - np.log1p((now.residual / scale) ** 2)
+    return 0.5 * OUTLIER**2 * np.where(both, misfit, np.float32(0.0)).sum(axis=0)
+
+
 def appearance_of(tile: Tile, grey: np.ndarray) -> Appearance:
     """Gain and smooth offset of each photograph against the mean of all, from grey values (K, N), NaN where not seen.
 

@@ -44,8 +44,8 @@ class NoiseShares:
     heights, changes : float
         Of the variance of heights by noise, and of what smoothing them once more changes.
     unfollowed : float
-        Not of noise, but of the relief that the prior should take from the bed: how much the residuals show that the
-        heights do not follow, 0 to 1.
+        Not of noise, but of the relief that the prior should take from the bed: how much more than that the residuals
+        show that the heights do not follow, 0 to 1.
     """
 
     response: float
@@ -125,7 +125,8 @@ def noise_shares(phantoms: Phantoms, response: float, shifts: Shifts, is_wet: bo
     heights = np.quantile((phantoms.square / _WITHIN**2 - by_shift) / phantoms.expected, _MOST)
     changes = np.quantile(phantoms.changed / phantoms.expected_change, ONE_STD)
     left, residual = (float(np.quantile(each, ONE_STD)) for each in (phantoms.left, phantoms.residual))
-    unfollowed = float(np.quantile((phantoms.residual - left) / phantoms.relief, ONE_STD))
+    # What the prior should take is counted as that; more than it goes on below the pixel.
+    unfollowed = float(np.quantile((phantoms.residual - left) / phantoms.relief, ONE_STD)) - 1.0
     heights *= min(residual / left, 1.0)
     return NoiseShares(
         response, max(float(heights), _LEAST_NOISE), max(float(changes), _LEAST_NOISE), min(max(unfollowed, 0.0), 1.0)

@@ -9,11 +9,12 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from fields.solver.appearance import Appearance, Brightness, appearance_of, brightness_of
+from fields.solver.appearance import Appearance, Brightness, appearance_of, brightness_of, gain_of
 from fields.solver.sight import Sight
 from fields.solver.smoothness import Bends, bends_of, stiffness_of
 from fields.solver.tile import Tile
 from fields.sweep.greys import Greys
+from fields.sweep.slopes import slope_of
 
 ITERATIONS = 3
 # Gain and offset are estimated in the first steps.
@@ -26,6 +27,20 @@ FAINT = np.float32(1e-2)
 _LARGE_STEP = 2.0
 # Derivative of fourth order: exact for the wavelengths that a cubic lookup keeps.
 _DERIVATIVE = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]], dtype=np.float32) / 12.0
+
+
+@dataclass(frozen=True)
+class Start:
+    """Heights of the sweep (N,) float32 [m] at the pixels of a tile, and their rise (N,) [m/px] in its map."""
+
+    height: np.ndarray
+    slope: np.ndarray
+
+    @staticmethod
+    def of(tile: Tile, heights: np.ndarray) -> Start:
+        """Of a map (height, width) [m]."""
+        window = np.ascontiguousarray(tile.window(heights), dtype=np.float32)
+        return Start(window[tile.inside], slope_of(window)[tile.inside])
 
 
 @dataclass(frozen=True)
@@ -48,6 +63,9 @@ class Solved:
     response : float
         How much of ``information`` the residuals answered to a change of the heights with: less than one where robust
         weights drop what a change adds, more where the albedo is sharper than its gradients. NaN of no change.
+    start : Start
+    gain : (N,)
+        How much better than at the start the photographs agree: logarithm of the ratio of likelihoods.
     views : (K,) of int
         The photographs, by their number.
     """
@@ -60,6 +78,8 @@ class Solved:
     slope: np.ndarray
     motion: np.ndarray
     response: float
+    start: Start
+    gain: np.ndarray
     views: tuple[int, ...] = ()
 
 
@@ -67,7 +87,7 @@ def solve(
     tile: Tile,
     sight: Sight,
     images: Greys | Mapping[int, np.ndarray],
-    start: np.ndarray,
+    start: Start,
     roughness: float,
     tolerance: float,
 ) -> Solved:
@@ -79,21 +99,22 @@ def solve(
     sight : Sight
     images : (height, width) float32, by view
         Grey levels; NaN where masked.
-    start : (N,) float32 [m]
-        Heights of the sweep.
+    start : Start
     roughness : [m]
         Typical bend of the bed from pixel to pixel.
     tolerance : [m]
         The largest change in one step.
     """
-    bends, height = bends_of(tile), start.astype(np.float32)
+    bends, height = bends_of(tile), start.height
     appearance: Appearance | None = None
+    seen: list[Brightness] = []
     response, before = np.nan, None
     for iteration in range(ITERATIONS):
-        grey = sight.sample(images, height - start)
+        grey = sight.sample(images, height - start.height)
         if appearance is None or iteration < APPEARANCE_ITERATIONS:
             appearance = appearance_of(tile, grey)
         brightness = brightness_of(appearance.albedo(grey))
+        seen.append(brightness)
         slope = _slopes(tile, sight, tile.window_of(images, sight.views[0]), brightness)
         information = np.einsum("kn,kn,kn->n", brightness.weight, slope, slope)
         pull = np.einsum("kn,kn,kn->n", brightness.weight, slope, brightness.residual)
@@ -107,7 +128,11 @@ def solve(
         )
         step = np.clip(step, -tolerance, tolerance).astype(np.float32)
         height, before = height + step, (information, pull, step)
-    return Solved(height, information, stiffness, bends, brightness, slope, sight.motion, response, tuple(sight.views))
+    gain = gain_of(seen[0], brightness)
+    return Solved(
+        height, information, stiffness, bends, brightness, slope, sight.motion, response, start, gain,
+        tuple(sight.views),
+    )  # fmt: skip
 
 
 def response_to(information: np.ndarray, pull: np.ndarray, step: np.ndarray, pull_then: np.ndarray) -> float:

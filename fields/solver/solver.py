@@ -9,7 +9,9 @@ from itertools import groupby, islice, takewhile
 
 import numpy as np
 
+from fields.solver.choosing import keeps_sweep, slopes_by_noise
 from fields.solver.correlation import NoiseShares, noise_shares, phantoms_of, response_of
+from fields.solver.fall import fall_of
 from fields.solver.roughness import START_GSD, roughness_of
 from fields.solver.shifts import Shifts, depth_of, shifts_of
 from fields.solver.sightings import Sightings
@@ -69,6 +71,10 @@ class SolverFigures:
         Between photographs: `fields.solver.shifts.shifts_of`.
     noise : NoiseShares
         What noise is worth: `fields.solver.correlation.noise_shares`.
+    fall : float
+        How steeply the bed's power falls with the frequency: `fields.solver.fall.fall_of`.
+    slopes : float
+        Of the noise of the sweep: `fields.solver.choosing.slopes_by_noise`.
     sightings : Sightings or None
         Of all points in all photographs; None where nothing was solved.
     """
@@ -76,6 +82,8 @@ class SolverFigures:
     roughness_m: float
     shifts: Shifts
     noise: NoiseShares
+    fall: float
+    slopes: float
     sightings: Sightings | None = field(default=None, compare=False)
 
     def __str__(self) -> str:
@@ -83,7 +91,8 @@ class SolverFigures:
             f"roughness of the bed, as the bend from one pixel to the next: {1e3 * self.roughness_m:.1f} mm; local "
             f"shifts of single photographs (poses, waves): {self.shifts.anywhere_px:.2f} px and "
             f"{self.shifts.by_depth_px_m:.2f} px more for each metre of depth; variance of heights by noise, over that "
-            f"of noise without correlation: {self.noise.heights:.2f}"
+            f"of noise without correlation: {self.noise.heights:.2f}; power of relief: frequency to "
+            f"{-2.0 * self.fall:.1f}"
         )
 
 
@@ -112,7 +121,7 @@ def solve_maps(
     goes_on: Callable[[], bool] = lambda: True,
     keep: Callable[[], MutableMapping[int, SolvedMap]] = dict,
 ) -> tuple[InOrder, SolverFigures]:
-    """Solve the kept pixels of all maps, about the heights of the sweep, where `Views.solvable` lets it.
+    """Solve the kept pixels of all maps, about the heights of the sweep; some keep these (`choosing.keeps_sweep`).
 
     Parameters
     ----------
@@ -136,7 +145,6 @@ def solve_maps(
         NaN where nothing is kept.
     """
     views = Views.of(block, maps)
-    kept = views.solvable(kept)
     filled = [asked_in_squares(wanted, SAMPLE_PX) if views.others[index] else [] for index, wanted in enumerate(kept)]
     total, done = sum(map(sum, filled)), 0
     solved = keep()
@@ -144,7 +152,7 @@ def solve_maps(
         solved[index] = SolvedMap.empty()
     found = InOrder(solved, list(range(len(filled))))
     if not total:
-        return found, SolverFigures(np.nan, Shifts(np.nan, np.nan), NoiseShares(*4 * (np.nan,)))
+        return found, SolverFigures(np.nan, Shifts(np.nan, np.nan), NoiseShares(*4 * (np.nan,)), np.nan, np.nan)
     with ThreadPoolExecutor(WORKERS) as pool, beside_workers(block.device, WORKERS):
         sample = _sample(views, kept, filled)
         first = [each for _, each in views.solved(sample, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
@@ -153,7 +161,7 @@ def solve_maps(
         sightings = Sightings.none(len(block.images))
 
         def part(job: Job, each: Solved) -> tuple[_Solved, Sightings]:
-            return _part(job, block.cameras[0].width, each, figures.noise), Sightings.of(each, len(block.images))
+            return _part(job, block.cameras[0].width, each, figures), Sightings.of(each, len(block.images))
 
         jobs = (job for index, wanted in enumerate(kept) for job in views.jobs(index, wanted))
         begun = takewhile(lambda _job: goes_on(), jobs)
@@ -175,21 +183,26 @@ def _learned(samples: list[tuple[Tile, Solved]], gsd: float, pool: Executor, is_
     # Noise looks like shifts, and shifts like noise: first all is noise, then what shifts leave.
     all_noise = noise_shares(phantoms, response, Shifts(0.0, 0.0), is_wet)
     shifts = shifts_of(samples, all_noise.heights, is_wet)
-    return SolverFigures(roughness, shifts, noise_shares(phantoms, response, shifts, is_wet))
+    noise = noise_shares(phantoms, response, shifts, is_wet)
+    return SolverFigures(
+        roughness, shifts, noise, fall_of(samples, roughness, noise), slopes_by_noise(samples, roughness, noise)
+    )
 
 
-def _part(job: Job, width: int, found: Solved, noise: NoiseShares) -> _Solved:
-    """The asked pixels of a tile, of a map of a width."""
-    tile = job.tile
+def _part(job: Job, width: int, found: Solved, figures: SolverFigures) -> _Solved:
+    """The asked pixels of a tile, of a map of a width, but for those that keep the height of the sweep."""
+    tile, noise = job.tile, figures.noise
     rows, columns = tile.places
     pixels = (rows + tile.row) * width + columns + tile.column
     of_shift = 1.0 / parallax_of(found.brightness.weight, found.motion)
-    expected = expected_of(tile, found, noise.response)
+    expected = expected_of(tile, found, noise.response, figures.fall)
     change = change_of(found, found.height, noise.response)
     relief = relief_of(tile, change, expected, noise.heights, noise.changes)
     relief += bends_below(found, expected, noise.heights, noise.unfollowed)
-    values = (found.height, noise.heights * expected.noise, relief, of_shift, rise_of(tile, found.height))
-    return _Solved(pixels[tile.asked], *(each[tile.asked].astype(np.float32) for each in values))
+    by_noise = noise.heights * expected.noise
+    values = (found.height, by_noise, relief, of_shift, rise_of(tile, found.height))
+    taken = tile.asked & ~keeps_sweep(tile, found, by_noise, noise, figures.slopes, job.tolerance)
+    return _Solved(pixels[taken], *(each[taken].astype(np.float32) for each in values))
 
 
 def _joined(parts: list[_Solved]) -> _Solved:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 
 import cv2
 import numpy as np
@@ -11,6 +10,7 @@ from scipy import ndimage
 
 from fields.solver.solve import FAINT, Solved, conjugate_gradients, normal_matrix
 from fields.solver.tile import Tile
+from fields.solver.waves import FALL_OF_PRIOR, means_at
 
 # Information and stiffness are alike over about the range in which heights are correlated [px].
 _ALIKE_PX = 1.5
@@ -24,7 +24,6 @@ _WHOLE = 2.0
 ONE_STD = 0.6827
 # Changes are wanted to a few hundredths: conjugate gradients, relative to the start.
 _CHANGE_RESIDUAL = 0.01
-_FREQUENCIES, _RATIOS = 256, np.logspace(-4.0, 9.0, 66)
 
 
 @dataclass(frozen=True)
@@ -53,27 +52,28 @@ class Expected:
     independent: np.ndarray
 
 
-def expected_of(tile: Tile, solved: Solved, response: float) -> Expected:
+def expected_of(tile: Tile, solved: Solved, response: float, fall: float = FALL_OF_PRIOR) -> Expected:
     """What is expected of the heights of a tile, as if the normal matrix were the same all around each pixel.
 
-    Then each wave of the heights is solved on its own. With information H, of which the residuals answer with
-    ``A = response * H``, and stiffness q, a wave of the bed is multiplied by ``A / (A + q S)``, with S the square of
-    the symbol of Laplace's operator, and noise gives it the variance ``H / (A + q S)^2``. What it lacks of the bed has
-    ``(q S)^2 P / (A + q S)^2``, where the bed has the power P; the prior says ``1 / (q S)``. Smoothed once more, it
-    changes by ``q S / (A + q S)`` of itself. The variance of a height is the mean over all waves.
+    Then each wave of the heights is solved on its own, and the variance of a height is the mean over all waves
+    (`fields.solver.waves`). Smoothed once more, a wave changes by what the prior takes of it. ``fall`` is how steeply
+    the bed's power falls with the frequency (`fields.solver.fall.fall_of`).
     """
+    answer, log_ratio = answer_of(tile, solved, response)
+    means, of_noise = means_at(log_ratio, fall), 1.0 / (response * answer)
+    return Expected(
+        means.noise * of_noise, means.relief / answer, means.changed_noise * of_noise, means.changed_relief / answer,
+        means.bends_noise * of_noise, 4.0 * np.pi * _NEAR_PX**2 / means.alike,
+    )  # fmt: skip
+
+
+def answer_of(tile: Tile, solved: Solved, response: float) -> tuple[np.ndarray, np.ndarray]:
+    """How much the residuals answer to a height about each pixel (N,) [1/m^2], and the logarithm (N,) of the ratio of
+    the stiffness to it."""
     # Compliances add up, as those of springs in a row: one loose bend frees a height.
     compliance = _near(tile, solved.bends.mean_about(1.0 / solved.stiffness), _ALIKE_PX)
     answer = response * _near(tile, solved.information, _ALIKE_PX) + FAINT
-    ratio = np.log(1.0 / (np.maximum(compliance, 1e-12) * answer))
-    noise, relief, changed_noise, changed_relief, bends_noise, alike = (
-        np.exp(np.interp(ratio, np.log(_RATIOS), share)) for share in _shares()
-    )
-    of_noise = 1.0 / (response * answer)
-    return Expected(
-        noise * of_noise, relief / answer, changed_noise * of_noise, changed_relief / answer, bends_noise * of_noise,
-        4.0 * np.pi * _NEAR_PX**2 / alike,
-    )  # fmt: skip
+    return answer, np.log(1.0 / (np.maximum(compliance, 1e-12) * answer))
 
 
 def smoothed(solved: Solved, right: np.ndarray, response: float, residual: float) -> np.ndarray:
@@ -108,9 +108,9 @@ def relief_of(tile: Tile, change: np.ndarray, expected: Expected, noise: float, 
 def bends_below(solved: Solved, expected: Expected, noise: float, unfollowed: float) -> np.ndarray:
     """Variance (N,) [m^2] of the bed within a pixel by how it bends there.
 
-    Noise bends the solved heights, too. Its part is taken off as far as the photographs show no relief of the pixels
-    that the heights do not follow (``noise`` and ``unfollowed`` of `fields.solver.correlation.NoiseShares`): a bed that
-    has none from pixel to pixel has none below the pixel.
+    Noise bends the solved heights, too. Its part is taken off as far as the photographs show no more relief of the
+    pixels than what the prior should take from the bed (``noise`` and ``unfollowed`` of
+    `fields.solver.correlation.NoiseShares`): a bed that has none has none below the pixel.
     """
     bend = solved.bends.of_heights @ solved.height
     by_noise = (1.0 - unfollowed) * noise * expected.bends_noise
@@ -135,25 +135,3 @@ def _spread(tile: Tile, values: np.ndarray, alike_px: float) -> np.ndarray:
     image[tile.inside] = values
     side = 2 * round(_TRUNCATED * alike_px) + 1
     return cv2.GaussianBlur(image, (side, side), alike_px, borderType=cv2.BORDER_REFLECT)[tile.inside]
-
-
-@cache
-def _shares() -> tuple[np.ndarray, ...]:
-    """Logarithms of means over all waves, for `_RATIOS` of stiffness to answer: of the noise of a height, of its
-    relief, of both in what smoothing once more changes, of the noise of bends, and of how many pixels share a value of
-    what is changed."""
-    angle = 2.0 * np.pi * np.fft.fftfreq(_FREQUENCIES)
-    along = 2.0 - 2.0 * np.cos(angle)
-    symbol = (along[:, None] + along) ** 2
-    # Of the ten bends of a height three are along rows, three along columns and four across both.
-    bend = 0.3 * (along[:, None] ** 2 + along**2) + 0.8 * along[:, None] * along
-    rows = []
-    for ratio in _RATIOS:
-        stiff = ratio * symbol
-        kept = 1.0 / (1.0 + stiff)
-        noise, relief = kept**2, stiff * kept**2
-        changed = (stiff * kept) ** 2 * noise
-        changed_relief, alike = relief * kept**2, (changed**2).mean() / changed.mean() ** 2
-        means = (part.mean() for part in (noise, relief, changed, changed_relief, bend * noise))
-        rows.append([*means, alike])
-    return tuple(np.log(rows).T)

@@ -15,15 +15,13 @@ import numpy as np
 from fields.device import Device
 from fields.solver.projection import Projection
 from fields.solver.sight import Sight, Surface, sights_of
-from fields.solver.solve import Solved, solve
+from fields.solver.solve import Solved, Start, solve
 from fields.solver.tile import MOST_PX, Tile, tiles_of
 from fields.sweep.block import Block
 from fields.sweep.greys import Greys
 from fields.sweep.lazy import most_kept
 from fields.sweep.maps import ByView, DepthMap
-from fields.sweep.masks import Masks
 from fields.sweep.recent import Recent
-from fields.sweep.slopes import is_steep
 from refract import FlatWater, PinholeCamera
 
 Used = TypeVar("Used")
@@ -40,11 +38,22 @@ AHEAD_PX = 2 * MOST_PX
 
 @dataclass(frozen=True)
 class Job:
-    """A tile of a height map, and the photographs that it is compared with."""
+    """A tile of a height map, and the photographs that it is compared with.
+
+    Attributes
+    ----------
+    index : int
+        Of the map.
+    tile : Tile
+    others : tuple of int
+    tolerance : [m]
+        Heights of the map that differ by less agree.
+    """
 
     index: int
     tile: Tile
     others: tuple[int, ...]
+    tolerance: float
 
 
 def surfaces_of(maps: Sequence[DepthMap], views: list[int]) -> ByView[Surface]:
@@ -95,17 +104,6 @@ class Views:
         cameras = dict(enumerate(block.cameras))
         return Views(cameras, block.images, block.water, block.device, maps, views, others, tolerance)
 
-    def solvable(self, kept: Sequence[np.ndarray]) -> Masks:
-        """The kept pixels (height, width) bool of each map, without those that look along a wall or over an edge.
-
-        There a pixel shows so long a piece of the bed that the other photographs do not look like it, and the prior
-        alone would move its height; that of the sweep, whose windows stood upright, is nearer to the wall.
-        """
-        found = Masks([mask.shape for mask in kept])
-        for index, (m, mask) in enumerate(zip(self.maps, kept, strict=True)):
-            found[index] = mask & ~is_steep(m.height, self.tolerance[index])
-        return found
-
     @cached_property
     def _surfaces(self) -> ByView[Surface]:
         return surfaces_of(self.maps, self.views)
@@ -118,7 +116,7 @@ class Views:
         """Tiles of a map that hold all wanted pixels (height, width) bool; none where no other view overlaps."""
         if self.others[index] and wanted.any():
             for tile in tiles_of(wanted, self.maps[index].agreeing > 0, side):
-                yield Job(index, tile, self.others[index])
+                yield Job(index, tile, self.others[index], self.tolerance[index])
 
     def solved(
         self, jobs: Iterable[Job], roughness: float, pool: Executor, use: Callable[[Job, Solved], Used]
@@ -128,14 +126,14 @@ class Views:
         The kernels that see tiles in other photographs run on this thread, a few tiles ahead.
         """
 
-        def one(job: Job, sight: Sight, start: np.ndarray) -> Used:
-            return use(job, solve(job.tile, sight, self.images, start, roughness, self.tolerance[job.index]))
+        def one(job: Job, sight: Sight, start: Start) -> Used:
+            return use(job, solve(job.tile, sight, self.images, start, roughness, job.tolerance))
 
         waiting: deque[tuple[Job, Future[Used]]] = deque()
         pixels = 0
         for batch in _batches(jobs):
             for job, sight in zip(batch, self._sights(batch), strict=True):
-                start = job.tile.of(self._surfaces[self.views[job.index]].height)
+                start = Start.of(job.tile, self._surfaces[self.views[job.index]].height)
                 waiting.append((job, pool.submit(one, job, sight, start)))
                 pixels += len(job.tile)
             while pixels > AHEAD_PX:
@@ -148,7 +146,7 @@ class Views:
     def _sights(self, batch: list[Job]) -> list[Sight]:
         """Of tiles of one map."""
         index = batch[0].index
-        view, tolerance, tiles = self.views[index], self.tolerance[index], [job.tile for job in batch]
+        view, tolerance, tiles = self.views[index], batch[0].tolerance, [job.tile for job in batch]
         return sights_of(tiles, view, batch[0].others, self.cameras, self._surfaces, self._projection, tolerance)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from fields.median import median
 from fields.solver.solver import SolvedMap
-from fields.sweep.bed import BedPoints, has_company, points_of, unique_pixels
+from fields.sweep.bed import BedPoints, has_company, points_of, unique_pixels, with_slopes
 from fields.sweep.block import AGREEMENT_PX
 from fields.sweep.maps import DepthMap
 from fields.sweep.sweep import PEERS
@@ -87,6 +87,7 @@ def bed_points(
             depth_map, moved = replace(depth_map, height=height), moved + taken
         final, std = (depth_map, None) if solved is None else solved[number].over(depth_map)
         points = points_of(camera, survey.water, final, keep, rgb, tolerance, std)
+        points = with_slopes(points, final.height, keep, plan.gsd_m, survey.water)
         # Heights that agree by chance to the last bit lie anywhere in a hundredth of a pixel of parallax.
         points = replace(points, std=np.maximum(points.std, np.float32(LEAST_STD_PX / parallax)))
         if area is not None:

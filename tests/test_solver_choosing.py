@@ -1,0 +1,69 @@
+"""Which pixels keep the height of the sweep."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from solved_tiles import level, residuals, white
+
+from fields.solver.appearance import brightness_of, gain_of
+from fields.solver.choosing import keeps_sweep, slopes_by_noise
+from fields.solver.correlation import NoiseShares
+from fields.solver.solve import Start
+from fields.solver.uncertainty import expected_of
+
+TOLERANCE = 0.05
+NOISE = NoiseShares(response=1.0, heights=1.0, changes=1.0, unfollowed=0.0)
+
+
+def kept(slope: float = 0.0, gain: float = 0.0, by_noise: float = 1e-8, noise: NoiseShares = NOISE) -> np.ndarray:
+    """Of a tile whose pixels in the middle are so steep in the sweep, or were solved with such a gain."""
+    tile, solved = level(1e4, 0.01)
+    middle = np.zeros((40, 40), dtype=np.float32)
+    middle[18:22, 18:22] = 1.0
+    of_middle = middle.ravel()
+    start = Start(solved.height, slope * of_middle)
+    solved = replace(solved, start=start, gain=gain * of_middle)
+    found = keeps_sweep(tile, solved, np.full(len(tile), by_noise), noise, 1.0, TOLERANCE)
+    assert not found[middle.ravel() == 0.0].any() or gain < 0.0
+    return found.reshape(40, 40)[19:21, 19:21]
+
+
+def test_a_pixel_on_a_wall_keeps_the_height_of_the_sweep_and_one_on_a_slope_is_solved():
+    assert kept(slope=1.1 * TOLERANCE).all()
+    assert not kept(slope=0.9 * TOLERANCE).any()
+
+
+def test_what_only_looks_steep_in_noise_is_solved():
+    assert not kept(slope=2.0 * TOLERANCE, by_noise=(TOLERANCE / 2.9) ** 2).any()
+    assert kept(slope=2.0 * TOLERANCE, by_noise=(TOLERANCE / 3.1) ** 2).all()
+
+
+@pytest.mark.parametrize(("share", "limit"), [(0.5, 13.95), (1.0, 13.95), (2.5, 34.9)])
+def test_a_solved_height_that_the_photographs_refute_is_not_taken_and_shared_noise_refutes_less(share, limit):
+    noise = replace(NOISE, heights=share)
+    assert kept(gain=-1.01 * limit / 9.0, noise=noise).all()
+    assert not kept(gain=-0.99 * limit / 9.0, noise=noise).any()
+    assert not kept(gain=limit, noise=noise).any()
+
+
+def test_slopes_by_noise_are_those_of_heights_that_are_noise_alone(rng):
+    tile, solved = level(1e4, 0.01, size=80)
+    std = float(np.sqrt(expected_of(tile, solved, 1.0).noise.mean()))
+    noisy = (3.0 * std * rng.standard_normal(len(tile))).astype(np.float32)
+    noisy[tile.number[30:33, 30:33].ravel()] = 5.0
+    moved = replace(solved, start=Start(solved.height - noisy, noisy))
+    # Of the plane through nine independent heights each component is known to the root of a sixth of their variance.
+    assert slopes_by_noise([(tile, moved)], 0.01, NOISE) == pytest.approx(3.0 / np.sqrt(6.0), rel=0.06)
+
+
+def test_gain_is_large_where_photographs_came_to_agree_and_leaves_out_what_only_one_time_shows():
+    _, solved = residuals(white(5))
+    now, apart = solved.brightness, white(5, seed=2).reshape(5, -1)
+    assert gain_of(now, now) == pytest.approx(0.0)
+    worse = brightness_of((now.albedo + 3.0 * apart).astype(np.float32))
+    assert np.median(gain_of(worse, now)) > 5.0
+    unseen = replace(worse, weight=0.0 * worse.weight)
+    assert (gain_of(unseen, now) == 0.0).all()

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from field_settings import FieldSettings
 
+from fields.gamma import GAMMA
 from geo.crs import parse_crs
 from geo.frames import LocalFrame
 from refract import FlatWater, PinholeCamera, WavyWater
@@ -26,7 +27,6 @@ from survey.simulate.ground.shapes import BedGrid
 from survey.simulate.ground.skin import skin_from_above
 from survey.simulate.light import Light
 from survey.simulate.render.direct import DirectRenderer, depth_below
-from survey.simulate.sensor import GAMMA
 from survey.simulate.water import WaterLevel
 from survey.simulate.watercolour import WaterColour
 

@@ -23,7 +23,7 @@ import numpy as np
 import study_protocol as study
 from straight_bias import straight_bias
 
-from evaluation import distance_to_mesh, is_reached, sample_mesh
+from evaluation import distance_statistics, distance_to_mesh, is_reached, sample_mesh
 from geo import read_cloud, read_reference
 from survey.folder.survey import Survey, load_survey
 from survey.plan.recipe import RECIPES
@@ -80,12 +80,6 @@ def process(case: Case, quality: str) -> None:
         raise SystemExit(f"{case.name}, {case.chain}: process ended with exit code {done.returncode}")
 
 
-def inner90(distances: np.ndarray) -> tuple[float, float]:
-    """Mean and standard deviation of the 90 % that are least in size."""
-    inner = distances[np.abs(distances) <= np.quantile(np.abs(distances), 0.9)]
-    return float(inner.mean()), float(inner.std())
-
-
 def measure(case: Case, truth: Survey, reference: Path, samples: int, times_seen: tuple[int, int]) -> dict:
     """Figures of a cloud by the study's protocol and by ours, in the local frame of the wet survey."""
     frame = truth.frame
@@ -101,10 +95,10 @@ def measure(case: Case, truth: Survey, reference: Path, samples: int, times_seen
     surface = study.cropped(sample_mesh(vertices, mesh.faces, samples), middle, *np.minimum(size, study.OBJECT_M))
     record = {"survey": case.name, "chain": case.chain, "n_points": len(ours), "n_points_study": len(theirs)}
     for label, points in (("ours", ours), ("study", theirs)):
-        mean, std = inner90(distance_to_mesh(points, vertices, mesh.faces).signed)
+        found = distance_statistics(distance_to_mesh(points, vertices, mesh.faces).signed)
         record[label] = {
-            "mean_m": mean,
-            "std_m": std,
+            "mean_m": found.mean_inner90_m,
+            "std_m": found.std_inner90_m,
             "completeness": float(is_reached(surface, points, tolerance_m=TOLERANCE_M).mean()),
         }
     if case.name == "wet straight":

@@ -16,6 +16,8 @@ from pyproj.exceptions import CRSError, ProjError
 
 from geo.errors import MissingVerticalDatum, UnknownCRS, UnsupportedCRS
 
+# Of the sphere that has the volume of the Earth: for lengths of degrees where a part in three hundred is no matter.
+EARTH_RADIUS_M = 6.371e6
 _HORIZONTAL_KINDS = ("Projected CRS", "Geographic 2D CRS", "Geographic 3D CRS")
 _EXAMPLE = "EPSG:25832+5778"
 

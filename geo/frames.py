@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import degrees_outside_area, parse_crs
+from geo.crs import EARTH_RADIUS_M, degrees_outside_area, parse_crs
 from geo.ellipsoid import enu_from_geocentric, geocentric_from_geodetic, geodetic_from_geocentric
 from geo.errors import PlaceMismatch
 from geo.projection import MapProjection, nan_unless_finite
@@ -21,7 +21,6 @@ from geo.projection import MapProjection, nan_unless_finite
 # Half a step for differentiation along the grid axes. Rounding of geocentric metres gives 1e-9 / 10 rad,
 # curvature (10 m / 6.4e6 m)² = 2e-12 rad.
 _STEP_M = 10.0
-_EARTH_RADIUS_M = 6.371e6
 # Surveys may lie a few degrees outside a zone; swapped or shifted coordinates lie far away.
 _AREA_MARGIN_DEG = 10.0
 
@@ -125,7 +124,7 @@ class LocalFrame:
         east = np.full(points.shape[:-1], _STEP_M / unit)
         north = east
         if self._map.is_geographic:
-            north = east / _EARTH_RADIUS_M
+            north = east / EARTH_RADIUS_M
             east = north / np.maximum(np.cos(points[..., 1] * unit), 1e-6)
         up = np.full_like(east, _STEP_M / self._map.height_unit_m)
         return np.stack([east, north, up], axis=-1)[..., None] * np.eye(3)

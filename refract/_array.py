@@ -21,17 +21,18 @@ def _is_array(x) -> bool:
 
 
 # Beside the functions: `fma(a, b, c)` is a b + c, in one instruction where there is one; `double` and `like` change
-# the precision of arrays, to float64 and to that of the second argument, and leave plain numbers alone; `fixed` is
-# the value without its derivatives, and `tracked` is whether any may have some, in reverse or forward mode; `eps` is
-# the spacing of numbers near one; `orders` is how many steps attach derivatives to a root (`refract._implicit`);
-# `same` is the value of a mask that is the same everywhere, None if that is not so
-# or cannot be told without waiting for it.
+# the precision of arrays, to float64 and to that of the second argument, and leave plain numbers alone; `whole` makes
+# whole numbers of an array (numpy and torch); `fixed` is the value without its derivatives, and `tracked` is whether
+# any may have some, in reverse or forward mode; `eps` is the spacing of numbers near one; `orders` is how many steps
+# attach derivatives to a root (`refract._implicit`); `same` is the value of a mask that is the same everywhere, None
+# if that is not so or cannot be told without waiting for it.
 _NUMPY = SimpleNamespace(
     name="numpy", sqrt=np.sqrt, sin=np.sin, cos=np.cos, atan=np.arctan, exp=np.exp, isnan=np.isnan,
     where=np.where, minimum=np.minimum, maximum=np.maximum, abs=np.abs,
     rsqrt=lambda x: 1.0 / np.sqrt(x), fma=lambda a, b, c: a * b + c,
     double=lambda x: x.astype(np.float64, copy=False) if _is_array(x) else x,
     like=lambda x, other: np.asarray(x, dtype=other.dtype) if _is_array(other) else x,
+    whole=lambda x: x.astype(np.int64),
     eps=lambda x: 2.0**-52,
     orders=1,
     fixed=lambda x: x,
@@ -52,7 +53,7 @@ def quiet(function):
 
     @wraps(function)
     def call(*args, **options):
-        if _is_compiling():
+        if compiling():
             return function(*args, **options)
         with np.errstate(invalid="ignore", over="ignore"):
             return function(*args, **options)
@@ -60,7 +61,8 @@ def quiet(function):
     return call
 
 
-def _is_compiling() -> bool:
+def compiling() -> bool:
+    """Whether torch.compile looks on."""
     torch = sys.modules.get("torch")
     return torch is not None and torch.compiler.is_compiling()
 
@@ -72,7 +74,7 @@ def namespace(*arrays) -> SimpleNamespace:
     """
     torch = sys.modules.get("torch")
     # What torch compiles comes from torch, and it cannot look into Dr.Jit.
-    drjit = None if _is_compiling() else sys.modules.get("drjit")
+    drjit = None if compiling() else sys.modules.get("drjit")
     for array in arrays:
         if type(array) is np.ndarray or type(array) is float:
             continue
@@ -105,9 +107,9 @@ def transformed() -> bool:
     return "torch" in sys.modules and _library("torch").transformed()
 
 
-def outside(function, *tensors) -> tuple:
-    """See `refract._with_torch.outside`."""
-    return _library("torch").outside(function, *tensors)
+def solve(name: str, kind: str, numbers, arrays) -> tuple:
+    """See `refract._with_torch.solve`."""
+    return _library("torch").solve(name, kind, numbers, arrays)
 
 
 def as_like(values, like):
@@ -204,9 +206,6 @@ def _common_drjit(arrays: dict) -> tuple:
         return _vector(*(leaf(np.ascontiguousarray(array[..., c]).ravel()) for c in range(array.shape[-1])))
 
     same = tuple(convert(a) for a in arrays.values())
-    if not all(drjit.width(a) for a in same):
-        shapes = ", ".join(f"{name} {tuple(a.shape)}" for name, a in zip(arrays, same, strict=True))
-        raise ValueError(f"Dr.Jit combines no empty arrays with numbers, got {shapes}; leave the call out")
     if len({drjit.width(a) for a in same} - {1}) > 1:
         raise _cannot_broadcast({name: tuple(a.shape) for name, a in zip(arrays, same, strict=True)})
     return same

@@ -15,10 +15,11 @@ import math
 
 import numpy as np
 
-from refract import fermat, kernels
-from refract._array import as_like, namespace
+from refract import _facet_walk, fermat, kernels
+from refract._array import namespace
 from refract._disc import search_disc
-from refract._numbers import readable
+from refract._numbers import read
+from refract._solvers import solver
 
 # A crossing this near an edge [m] belongs to both sides; found twice, it counts once.
 _ON_EDGE = 1e-11
@@ -35,31 +36,37 @@ def crossing(surface, camera, point):
     depth = surface.height(point[0], point[1]) - point[2]
     over = camera[2] - surface.height(camera[0], camera[1])
     bent = (depth > 0.0) & ~(over <= kernels.CONTACT)  # a camera beside the water, where it has no height, is over it
-    wet = readable(bent).ravel() > 0.0
-    plain_camera, plain_point = (tuple(readable(c).ravel()[wet] for c in end) for end in (camera, point))
-    found = _found(surface.detached(), plain_camera, plain_point, readable(depth).ravel()[wet])
-    whole = [np.full(wet.shape, fill) for fill in (math.nan, math.nan, math.nan, 0, -1)]
-    for array, values in zip(whole, found, strict=True):
-        array[wet] = values
-    x, y, z, count, triangle = (a.reshape(np.shape(readable(depth))) for a in whole)
+    x, y, z, count, triangle, inside = read(shortest_path, surface, (*camera, *point, depth, xp.like(bent, depth)))
     at = x, y, z
     if xp.name == "torch":
-        inside = as_like(triangle, depth) >= 0
-        at = tuple(as_like(c, depth) for c in at)
-        exact = _through(surface, triangle, camera, point, depth)
-        at = tuple(xp.where(inside, e, c) for e, c in zip(exact, at, strict=True))
-        count = as_like(count, depth).long()
+        exact = _through(surface, triangle.long(), camera, point, inside > 0.0)
+        at = tuple(xp.where(inside > 0.0, e, c) for e, c in zip(exact, at, strict=True))
     seen = tuple(xp.where(bent, a, p) for a, p in zip(at, point, strict=True))
-    return seen, depth, xp.where(bent, count, 1)
+    return seen, depth, xp.where(bent, xp.whole(count), 1)
 
 
-def _through(surface, triangle, camera, point, like):
-    """The crossing through the planes of triangles; with gradients; harmless numbers where the triangle is -1."""
-    corner, (slope_x, slope_y) = surface.planes(surface.or_any(triangle), like)
-    xp = namespace(like)
+@solver(outputs=6)
+def shortest_path(surface, *arrays):
+    """Crossing x, y, z, number of paths, a triangle, and whether the shortest leads through its inside.
+
+    In numpy, of arrays as `refract.fermat.located` takes them; NaN and 0 where not bent.
+    """
+    *ends, depth, bent = (array.ravel() for array in arrays)
+    wet = bent != 0.0
+    camera, point = (tuple(c[wet] for c in end) for end in (ends[:3], ends[3:]))
+    whole = [np.full(wet.shape, fill) for fill in (math.nan, math.nan, math.nan, 0, -1)]
+    for array, values in zip(whole, _found(surface, camera, point, depth[wet]), strict=True):
+        array[wet] = values
+    *at, triangle = (array.reshape(arrays[0].shape) for array in whole)
+    return *at, surface.or_any(triangle), triangle >= 0
+
+
+def _through(surface, triangle, camera, point, some):
+    """The crossing through the planes of triangles; with gradients; harmless numbers where there is not some path."""
+    xp = namespace(*camera)
+    corner, (slope_x, slope_y) = surface.planes(triangle, camera[0])
     up = 1.0 / xp.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
     normal = -slope_x * up, -slope_y * up, up
-    some = as_like(triangle, like) >= 0
     camera, point = (
         tuple(xp.where(some, c, q + way) for c, q, way in zip(end, corner, (0.0, 0.0, side), strict=True))
         for end, side in ((camera, 1.0), (point, -1.0))
@@ -100,7 +107,7 @@ def _shortest(surface, camera, point, owner, triangle):
     ]
     owner, x, y, z, triangle = (np.concatenate(parts) for parts in zip(*paths, strict=True))
     ends = tuple(c[owner] for c in camera), tuple(p[owner] for p in point)
-    clear = surface.clear(ends[0], (x, y, z), ends[1])
+    clear = _facet_walk.clear(surface, ends[0], (x, y, z), ends[1])
     owner, x, y, z, triangle = (a[clear] for a in (owner, x, y, z, triangle))
     to_camera, to_point = (kernels.minus(tuple(c[owner] for c in end), (x, y, z)) for end in (camera, point))
     length = np.sqrt(kernels.dot(to_camera, to_camera)) + surface.n_water * np.sqrt(kernels.dot(to_point, to_point))
@@ -125,7 +132,7 @@ def _in_triangles(surface, camera, point, owner, triangle):
     camera, point = tuple(c[owner] for c in camera), tuple(p[owner] for p in point)
     (x, y, z), (slope_x, slope_y) = surface.planes(triangle, camera[0])
     over, under = (end[2] - z - slope_x * (end[0] - x) - slope_y * (end[1] - y) for end in (camera, point))
-    at = _through(surface, triangle, camera, point, camera[0])
+    at = _through(surface, triangle, camera, point, triangle >= 0)
     inside = (surface.mesh.offsets(triangle, *at[:2]).min(axis=-1) >= -_ON_EDGE) & (over > 0.0) & (under < 0.0)
     return tuple(a[inside] for a in (owner, *at, triangle))
 

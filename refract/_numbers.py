@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from refract._array import as_like, as_numpy, namespace, outside, transformed
+from refract._array import as_like, as_numpy, namespace, solve, transformed
 
 
 def number(value):
@@ -31,23 +31,6 @@ def plain(value) -> float:
     if array.size != 1:
         raise ValueError(f"expected one number, got an array of shape {array.shape}; take one surface for each")
     return array.item()
-
-
-def readable(array) -> np.ndarray:
-    """`as_numpy`, where the way goes by what the values are.
-
-    Raises
-    ------
-    TypeError
-        Under a transform of torch that hides them.
-    """
-    try:
-        return as_numpy(array)
-    except RuntimeError as error:
-        raise TypeError(
-            "HeightFieldWater finds triangles by values, which torch.func and torch.compile hide; take backward() or "
-            "torch.autograd.grad, or BicubicWater, which they can look into"
-        ) from error
 
 
 def hold(condition: Callable[[np.ndarray], np.ndarray], *numbers) -> bool:
@@ -96,24 +79,12 @@ def moved(surface, place: Iterable, options: dict) -> Any:
     return mapped(surface, lambda tensor: tensor.to(*place, **options))
 
 
-def read(function: Callable, surface, arrays: tuple) -> tuple:
-    """Tensors like the first of `arrays` of what ``function(surface, *arrays)`` makes of a surface and arrays of numpy.
+def read(solver: Callable, surface, arrays: tuple) -> tuple:
+    """What a solver of `refract._solvers` makes of a surface and arrays of one shape, in their library.
 
-    Without derivatives. Under a transform of torch it is called where the values can be read, once for each row that
-    is mapped over.
+    Without derivatives. Under a transform of torch it is called where the values can be read.
     """
-    own: list = []
-
-    def in_numpy(plain_surface, *tensors):
-        found = function(plain_surface, *(as_numpy(tensor) for tensor in tensors))
-        return tuple(as_like(each, tensors[0]) for each in found)
-
-    if not transformed():
-        return in_numpy(surface.detached(), *arrays)
-    mapped(surface, own.append)
-
-    def rebuilt(*tensors):
-        rest = iter(tensors[: len(own)])
-        return in_numpy(mapped(surface, lambda _: next(rest)).detached(), *tensors[len(own) :])
-
-    return outside(rebuilt, *own, *arrays)
+    if transformed() and namespace(*arrays).name == "torch":
+        return solve(solver.__name__, type(surface).__name__, surface.numbers, arrays)
+    found = solver(surface.detached(), *(as_numpy(array) for array in arrays))
+    return tuple(as_like(each, arrays[0]) for each in found)

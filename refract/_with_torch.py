@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import numpy as np
 import torch
+
+from refract._solvers import SOLVERS, SURFACES
 
 
 def transformed() -> bool:
@@ -62,6 +65,7 @@ NAMESPACE = SimpleNamespace(
     where=torch.where, minimum=pair(torch.minimum), maximum=pair(torch.maximum), abs=torch.abs,
     rsqrt=torch.rsqrt, fma=fma,
     double=if_tensor(torch.Tensor.double),
+    whole=torch.Tensor.long,
     like=if_tensor(lambda x, other: x.to(other.dtype)),
     eps=lambda x: torch.finfo(x.dtype).eps,
     orders=2,
@@ -69,28 +73,39 @@ NAMESPACE = SimpleNamespace(
 )  # fmt: skip
 
 
-class _Outside(torch.autograd.Function):
-    """A function of plain tensors that has no derivatives, and that vmap calls once for each row."""
-
-    @staticmethod
-    def forward(function, *tensors):
-        return function(*tensors)
-
-    @staticmethod
-    def setup_context(ctx, inputs, output):
-        ctx.mark_non_differentiable(*output)
-
-    @staticmethod
-    def vmap(info, in_dims, function, *tensors):
-        rows = (
-            tuple(t if dim is None else t.select(dim, row) for t, dim in zip(tensors, in_dims[1:], strict=True))
-            for row in range(info.batch_size)
-        )
-        found = zip(*(_Outside.apply(function, *row) for row in rows), strict=True)
-        outputs = tuple(torch.stack(each) for each in found)
-        return outputs, (0,) * len(outputs)
+@torch.library.custom_op(
+    "refract::solve", mutates_args=(), schema="(str name, str kind, Tensor[] numbers, Tensor[] arrays) -> Tensor[]"
+)
+def _solve(name, kind, numbers, arrays):
+    surface = SURFACES[kind](*(number.detach().cpu().numpy() for number in numbers))
+    with np.errstate(all="ignore"):  # the numpy of what torch.compile calls is not `quiet`
+        found = SOLVERS[name][1](surface, *(array.detach().cpu().numpy() for array in arrays))
+    return [torch.tensor(each, dtype=arrays[0].dtype, device=arrays[0].device) for each in found]
 
 
-def outside(function, *tensors) -> tuple:
-    """Tensors that a function makes of others whose values it reads, also where a transform hides them."""
-    return _Outside.apply(function, *(tensor.detach() for tensor in tensors))
+@_solve.register_fake
+def _(name, kind, numbers, arrays):
+    return [arrays[0].new_empty(arrays[0].shape) for _ in range(SOLVERS[name][0])]
+
+
+@_solve.register_vmap
+def _(info, in_dims, name, kind, numbers, arrays):
+    def row(tensors, dims, at):
+        return [t if dim is None else t.select(dim, at) for t, dim in zip(tensors, dims, strict=True)]
+
+    rows = [
+        _solve(name, kind, row(numbers, in_dims[2], at), row(arrays, in_dims[3], at)) for at in range(info.batch_size)
+    ]
+    outputs = [torch.stack(each) for each in zip(*rows, strict=True)]
+    return outputs, [0] * len(outputs)
+
+
+def solve(name: str, kind: str, numbers, arrays) -> tuple:
+    """What a solver (`refract._solvers`) finds, as tensors like the first of `arrays`, without derivatives.
+
+    An operator of its own for torch: torch.compile does not look into it, and vmap calls it once for each row.
+    """
+    like = arrays[0]
+    # torch.compile takes arrays of numpy for tensors, but not their methods.
+    numbers = [torch.as_tensor(number, dtype=torch.float64, device=like.device).detach() for number in numbers]
+    return tuple(_solve(name, kind, numbers, [array.detach() for array in arrays]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from refract._array import alike, namespace
+from refract._empty import of_any_size
 from refract._ranges import require
 
 # Between the wavelengths at which the channels of a camera with a colour filter array change over.
@@ -84,6 +85,7 @@ def channel_absorption(bands_nm=CHANNEL_BANDS_NM) -> tuple[float, ...]:
     return tuple(band_absorption(low, high) for low, high in bands_nm)
 
 
+@of_any_size
 def leg_transmittance(attenuation, length):
     """Share of light that is left after a leg through water: ``exp(-attenuation length)``.
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 
 from refract._array import alike, namespace
+from refract._empty import of_any_size
 from refract._ranges import require, warn_outside
 
 _FITTED = {"wavelength_nm": (300, 1700), "temperature_c": (-40, 100), "pressure_pa": (80e3, 120e3)}
 
 
+@of_any_size
 def air_index(wavelength_nm, temperature_c=15.0, pressure_pa=101325.0, humidity=0.0, co2_ppm=450.0):
     """Refractive index of air relative to vacuum, after Ciddor.
 
@@ -47,7 +49,7 @@ def air_index(wavelength_nm, temperature_c=15.0, pressure_pa=101325.0, humidity=
     require("pressure_pa", p, lambda v: v > 0.0, "more than 0")
     require("humidity", humidity, lambda v: (v >= 0.0) & (v <= 1.0), "0 to 1")
     require("co2_ppm", co2, lambda v: (v >= 0.0) & (v <= 1e6), "0 to 1000000")
-    warn_outside("Ciddor (1996)", _FITTED, stacklevel=3, wavelength_nm=wave, temperature_c=t, pressure_pa=p)
+    warn_outside("Ciddor (1996)", _FITTED, stacklevel=4, wavelength_nm=wave, temperature_c=t, pressure_pa=p)
     s2 = (1000.0 / wave) ** 2  # wavenumber squared, 1/um^2
     standard_air = (5792105.0 / (238.0185 - s2) + 167917.0 / (57.362 - s2)) * 1e-8 * (1.0 + 0.534e-6 * (co2 - 450.0))
     standard_vapour = 1.022e-8 * (295.235 + (2.6422 + (-0.032380 + 0.004028 * s2) * s2) * s2)

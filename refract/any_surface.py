@@ -13,10 +13,13 @@ from typing import Any
 from refract import kernels
 from refract._array import namespace, transformed
 from refract._implicit import along_ray, newton_step, over_surface
+from refract._solvers import solver
 from refract.fermat import together
 
 # A step below this part of the length of the ray, or of the distance between camera and point, has arrived.
 _SETTLED = 1e-12
+# Nor does a step go on that is the rounding of coordinates far from the origin: so many units in their last place.
+_ROUNDING = 32 * 2.0**-52
 # Steps: a calm sea takes four to six. What has not arrived after so many is not a number.
 _MOST_STEPS = 30
 # Second derivatives are differences of normals over this part of that distance.
@@ -27,6 +30,11 @@ _PLANE_STEPS = 4
 def _all(arrived) -> bool:
     """Whether all have arrived, where that can be known before the end."""
     return namespace(arrived).name != "drjit" and not transformed() and bool(arrived.all())
+
+
+def _size(position):
+    """Sum of the absolute coordinates of a position [m]."""
+    return sum(map(namespace(*position).abs, position))
 
 
 class AnySurface(ABC):
@@ -69,25 +77,31 @@ class AnySurface(ABC):
         origin, direction = together(origin, direction)
         xp = namespace(*origin)
 
-        def step(t, o, d):
-            x, y, z = kernels.along(o, d, t)
-            slope_x, slope_y = self._slopes(x, y)
-            rate = d[2] - slope_x * d[0] - slope_y * d[1]
-            return z - self.height(x, y), rate
+        t, arrived = self._arrived(*(tuple(map(xp.fixed, v)) for v in (origin, direction)))
+        meets = arrived & (t >= 0.0)
+        t = along_ray(lambda t: self._clearance(origin, direction, t), xp.where(meets, t, 0.0), meets)
+        return xp.like(xp.where(meets, xp.maximum(t, 0.0), math.nan), like)
 
-        fixed = tuple(tuple(map(xp.fixed, v)) for v in (origin, direction))
-        t, arrived = origin[0] * 0.0, origin[0] < math.inf
+    def _clearance(self, origin, direction, t):
+        """Height [m] of a ray above the surface at distance t, and its rate [-]."""
+        x, y, z = kernels.along(origin, direction, t)
+        slope_x, slope_y = self._slopes(x, y)
+        return z - self.height(x, y), direction[2] - slope_x * direction[0] - slope_y * direction[1]
+
+    def _arrived(self, origin, direction):
+        """Where Newton's steps along rays lead, and whether they arrive; without derivatives."""
+        xp = namespace(*origin)
+        t, arrived, rounding = origin[0] * 0.0, origin[0] < math.inf, _ROUNDING * _size(origin)
         for _ in range(_MOST_STEPS):
-            over, rate = (xp.fixed(v) for v in step(t, *fixed))
+            over, rate = map(xp.fixed, self._clearance(origin, direction, t))
             falls = rate < -kernels.GRAZING
-            move = over / xp.where(falls, -rate, 1.0)
-            arrived = falls & (xp.abs(move) <= _SETTLED * (1.0 + xp.abs(t)))
+            fall = xp.where(falls, -rate, 1.0)
+            move = over / fall
+            arrived = falls & (xp.abs(move) <= _SETTLED * (1.0 + xp.abs(t)) + rounding / fall)
             t = xp.where(falls, t + move, t)
             if _all(arrived):
                 break
-        meets = arrived & (t >= 0.0)
-        t = along_ray(lambda t: step(t, origin, direction), xp.where(meets, t, 0.0), meets)
-        return xp.like(xp.where(meets, xp.maximum(t, 0.0), math.nan), like)
+        return t, arrived
 
     def crossing(self, camera, point, steps: int):
         """See `WaterSurface.crossing`; `solutions` is 1 where the steps arrive at a path, else -1: not proven."""
@@ -154,14 +168,26 @@ class AnySurface(ABC):
         share = kernels.air_share(square, xp.where(H > 0.0, H, 1.0), depth, xp.fixed(self.n_water), _PLANE_STEPS)
         x, y = camera[0] + share * way[0], camera[1] + share * way[1]
         chord = xp.sqrt(kernels.dot(way, way))
-        arrived = chord < 0.0
+        arrived, settled = chord < 0.0, _SETTLED * chord + _ROUNDING * _size(camera)
         for _ in range(_MOST_STEPS):
             pull, matrix = self._pull(camera, point, x, y), self._matrix(camera, point, x, y)
             step_x, step_y = map(xp.fixed, newton_step(pull, matrix))
             length = xp.sqrt(step_x * step_x + step_y * step_y)
-            arrived = length <= _SETTLED * chord
+            arrived = length <= settled
             back = xp.where(length > depth, depth / xp.where(length > 0.0, length, 1.0), 1.0)
             x, y = x + back * step_x, y + back * step_y
             if _all(arrived):
                 break
         return x, y, arrived
+
+
+@solver(outputs=2)
+def arrived_at(surface: AnySurface, *ends):
+    """Of origins and directions: where Newton's steps along rays lead, and whether they arrive."""
+    return surface._arrived(ends[:3], ends[3:])
+
+
+@solver(outputs=3)
+def path_found(surface: AnySurface, *arrays):
+    """Of cameras, points and depths: the crossing x, y where Newton's steps lead, and whether they arrive."""
+    return surface._located(arrays[:3], arrays[3:6], arrays[6])

@@ -8,11 +8,13 @@ from typing import Any, final
 
 import numpy as np
 
-from refract._array import as_like, namespace
-from refract._numbers import hold, moved, number, require_index
-from refract.any_surface import AnySurface
+from refract._array import as_like, as_numpy, compiling, namespace
+from refract._numbers import hold, moved, number, read, require_index
+from refract._solvers import solved
+from refract.any_surface import AnySurface, arrived_at, path_found
 
 
+@solved
 @final
 @dataclass(frozen=True, eq=False)
 class BicubicWater(AnySurface):
@@ -61,6 +63,20 @@ class BicubicWater(AnySurface):
         """The same water with its tensors moved, by the arguments of `torch.Tensor.to`."""
         return moved(self, place, options)
 
+    @property
+    def numbers(self) -> tuple:
+        """All that the surface is made of."""
+        return *self.corner, self.spacing, self.heights, self.n_water
+
+    @classmethod
+    def from_numbers(cls, x, y, spacing, heights, n_water) -> BicubicWater:
+        """The surface with these `numbers`."""
+        return cls((x, y), spacing, heights, n_water=n_water)
+
+    def detached(self) -> BicubicWater:
+        """The same water in numpy, without gradients."""
+        return BicubicWater.from_numbers(*map(as_numpy, self.numbers))
+
     def height(self, x, y):
         """Height z of the surface [m] at local x, y [m]; NaN where there is no water."""
         return self._interpolated(x, y, _weights, _weights)
@@ -71,6 +87,19 @@ class BicubicWater(AnySurface):
         zy = self._interpolated(x, y, _weights, _rates) / self.spacing
         up = 1.0 / namespace(zx).sqrt(1.0 + zx * zx + zy * zy)
         return -zx * up, -zy * up, up
+
+    # torch.compile would write out each of thirty steps, sixteen nodes a height.
+    def _arrived(self, origin, direction):
+        if not compiling():
+            return super()._arrived(origin, direction)
+        t, arrived = read(arrived_at, self, (*origin, *direction))
+        return t, arrived > 0.0
+
+    def _located(self, camera, point, depth):
+        if not compiling():
+            return super()._located(camera, point, depth)
+        x, y, arrived = read(path_found, self, (*camera, *point, depth))
+        return x, y, arrived > 0.0
 
     def _interpolated(self, x, y, along_x, along_y):
         """The sum over 4 by 4 nodes with weights along x and y."""

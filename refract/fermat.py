@@ -25,6 +25,7 @@ from refract._branches import every_path
 from refract._disc import Bounds, Disc, hypot, search_disc
 from refract._implicit import newton_step, over_surface
 from refract._numbers import read
+from refract._solvers import solver
 from refract.surfaces import WaterSurface
 
 # Newton's last step, as part of the camera's distance: squared, it is far below the rounding.
@@ -120,10 +121,18 @@ def _least(surface, camera, point, disc):
     return best_x, best_y, np.where(unsettled, -1, np.bincount(owner, minlength=unsettled.size))
 
 
-def _located(surface, camera, point, depth, bent):
-    """Crossing x, y and number of paths in numpy; NaN and 0 where not bent."""
+@solver(outputs=3)
+def located(surface, *arrays):
+    """Crossing x, y and number of paths in numpy, of cameras, points, their depth and where they are bent.
+
+    Eight arrays (...): three coordinates of each, the depth and a number that is not zero where bent; NaN, NaN and 0
+    where it is zero.
+    """
+    *ends, depth, bent = arrays
+    bent = bent != 0.0
     x, y, count = np.full(depth.shape, np.nan), np.full(depth.shape, np.nan), np.zeros(depth.shape, dtype=np.int64)
-    camera, point, depth = tuple(c[bent] for c in camera), tuple(p[bent] for p in point), depth[bent]
+    *ends, depth = (array[bent] for array in (*ends, depth))
+    camera, point = tuple(ends[:3]), tuple(ends[3:])
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # what becomes NaN here is not proven below
         disc = search_disc(surface, camera, point, depth)
         found_x, found_y, settled = newton(surface, camera, point, disc)
@@ -139,7 +148,7 @@ def _located(surface, camera, point, depth, bent):
 
 
 def _located_drjit(surface, camera, point, depth, bent):
-    """`_located` with Dr.Jit arrays: a path that is not the only one for sure is not proven."""
+    """`located` with Dr.Jit arrays: a path that is not the only one for sure is not proven."""
     xp = namespace(depth)
     camera, point = (tuple(map(xp.fixed, end)) for end in _harmless(xp, surface, camera, point, bent))
     disc = search_disc(surface, camera, point, xp.fixed(xp.where(bent, depth, 1.0)))
@@ -193,15 +202,9 @@ def crossing(surface: Relief, camera, point):
     bent = (depth > 0.0) & (camera[2] - surface.height(camera[0], camera[1]) > kernels.CONTACT)
     if xp.name == "drjit":
         x, y, count = _located_drjit(surface.detached(), camera, point, depth, bent)
-    elif xp.name == "torch":
-        x, y, count = read(
-            lambda plain, *v: _located(plain, v[:3], v[3:6], v[6], v[7] > 0.0),
-            surface,
-            (*camera, *point, depth, bent.to(depth.dtype)),
-        )
-        count = count.long()
     else:
-        x, y, count = _located(surface.detached(), camera, point, depth, bent)
+        x, y, count = read(located, surface, (*camera, *point, depth, xp.like(bent, depth)))
+        count = xp.whole(count)
     found = bent & (count > 0)
     if xp.name != "numpy":
         x, y = _attached(xp, surface, camera, point, x, y, found)
@@ -212,8 +215,10 @@ def crossing(surface: Relief, camera, point):
 
 def _attached(xp, surface, camera, point, x, y, found):
     """The crossing x, y with derivatives with respect to everything."""
+    # By the point, since x is not a number where no path is found.
+    anchor = _anchor(xp, surface, point[0])[:2]
     camera, point = _harmless(xp, surface, camera, point, found)
-    x, y = (xp.where(found, c, a) for c, a in zip((x, y), _anchor(xp, surface, x)[:2], strict=True))
+    x, y = (xp.where(found, c, a) for c, a in zip((x, y), anchor, strict=True))
     _, (hxx, hxy, hyy) = path_slope(surface, camera, point, x, y)
     firm = xp.abs(hxx * hyy - hxy * hxy) > _FIRM * (hxx * hxx + 2.0 * hxy * hxy + hyy * hyy)
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from refract._array import namespace
+from refract._empty import of_any_size
 
 
 class Fresnel(NamedTuple):
@@ -36,6 +37,7 @@ class Fresnel(NamedTuple):
         return 0.5 * (self.transmittance_s + self.transmittance_p)
 
 
+@of_any_size
 def fresnel_coefficients(cos_from, *, n_from, n_to) -> Fresnel:
     """Power coefficients (reflectance, transmittance) of a smooth surface between two media, in either direction.
 
@@ -78,6 +80,7 @@ def fresnel_coefficients(cos_from, *, n_from, n_to) -> Fresnel:
     return Fresnel(r_s, r_p, t_s, t_p)
 
 
+@of_any_size
 def radiance_factor(*, n_from, n_to):
     """By how much radiance grows, beside the transmittance, where light passes from one medium into another.
 

@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import math
-from dataclasses import KW_ONLY, dataclass, field
-from functools import cached_property
+from dataclasses import KW_ONLY, dataclass
+from functools import cached_property, lru_cache
 from typing import Any, final
 
 import numpy as np
 
-from refract import _facet_paths, fermat, kernels
-from refract._array import as_like, namespace
+from refract import _facet_paths, _facet_walk, fermat
+from refract._array import alike, as_like, as_numpy, compiling, namespace, transformed
 from refract._disc import Bounds
-from refract._numbers import moved, number, plain, readable, require_index
+from refract._numbers import moved, number, plain, read, require_index
+from refract._solvers import solved
 from refract._triangulation import Triangulation
 
-# Rounding of a clearance [m], as part of its size.
-_ROUNDING = 1e-12
-# A leg that has this part of its length to go has arrived.
-_ARRIVED = 1e-9
+# Triangulations that are kept: those of a surface whose heights change are the same.
+_KEPT = 2
 
 
+@solved
 @final
 @dataclass(frozen=True, eq=False)
 class HeightFieldWater:
@@ -51,23 +51,37 @@ class HeightFieldWater:
     triangles: Any
     _: KW_ONLY
     n_water: Any = 1.333
-    mesh: Triangulation = field(init=False, repr=False)
 
     def __post_init__(self):
-        points = np.asarray(self.points, dtype=np.float64)
-        shape = tuple(np.shape(self.heights))
+        points, shape = np.asarray(self.points, dtype=np.float64), tuple(np.shape(self.heights))
         if points.ndim != 2 or points.shape[1] != 2 or shape != points.shape[:1]:
             raise ValueError(f"expected points (points, 2) and heights (points,), got {points.shape} and {shape}")
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "triangles", np.asarray(self.triangles, dtype=np.int64))
         object.__setattr__(self, "n_water", number(self.n_water))
         require_index(self.n_water)
         if namespace(self.heights).name == "numpy":
             object.__setattr__(self, "heights", np.asarray(self.heights, dtype=np.float64))
-        mesh = Triangulation(points, self.triangles)
-        object.__setattr__(self, "mesh", mesh)
-        object.__setattr__(self, "points", mesh.points)
-        object.__setattr__(self, "triangles", mesh.triangles)
-        if not self.wet_triangles.any():
+        # What torch.compile traces is checked when it runs.
+        if not compiling():
+            object.__setattr__(self, "triangles", self.mesh.triangles)
+        if not transformed() and not self.wet_triangles.any():
             raise ValueError("expected at least one triangle with three finite heights, got none")
+
+    @property
+    def numbers(self) -> tuple:
+        """All that the surface is made of."""
+        return self.points, self.heights, self.triangles, self.n_water
+
+    @classmethod
+    def from_numbers(cls, points, heights, triangles, n_water) -> HeightFieldWater:
+        """The surface with these `numbers`."""
+        return cls(points, heights, triangles, n_water=n_water)
+
+    @cached_property
+    def mesh(self) -> Triangulation:
+        """The triangles and their neighbours; the same object for surfaces over the same points."""
+        return _triangulated(self.points.shape, self.points.tobytes(), self.triangles.shape, self.triangles.tobytes())
 
     def to(self, *place, **options) -> HeightFieldWater:
         """The same water with its tensors moved, by the arguments of `torch.Tensor.to`."""
@@ -99,7 +113,7 @@ class HeightFieldWater:
             )
         for name, axis in (("x", x), ("y", y)):
             steps = np.diff(axis)
-            if not (np.all(steps > 0.0) or np.all(steps < 0.0)):
+            if not compiling() and not (np.all(steps > 0.0) or np.all(steps < 0.0)):
                 raise ValueError(f"expected {name} to rise or fall all the way, got {axis}")
         x_order, y_order = np.argsort(x), np.argsort(y)
         index = np.arange(x.size * y.size).reshape(shape)[y_order][:, x_order]
@@ -123,7 +137,7 @@ class HeightFieldWater:
     @cached_property
     def plain_heights(self) -> np.ndarray:
         """The heights in numpy, without gradients."""
-        return readable(self.heights)
+        return as_numpy(self.heights)
 
     @cached_property
     def wet_triangles(self) -> np.ndarray:
@@ -144,7 +158,7 @@ class HeightFieldWater:
 
             near = cKDTree(self.points[known]).query(self.points[~known])[1]
             filled[~known] = self.plain_heights[known][near]
-        slope_x, slope_y = _slopes(self.points[self.triangles], filled[self.triangles])
+        slope_x, slope_y = _slopes(*(v[self.triangles] for v in (*self.points.T, filled)))
         return float(np.hypot(slope_x, slope_y).max())
 
     @cached_property
@@ -169,41 +183,37 @@ class HeightFieldWater:
 
     def planes(self, triangle, like):
         """A corner (x, y, z) and the slopes along x and y of the planes of triangles; in the library of `like`."""
-        corners = self.points[self.triangles[triangle]]
+        corners, points, heights = self.triangles, self.points, self.heights
         if namespace(like).name == "torch":
-            z = (self.heights if namespace(self.heights).name == "torch" else as_like(self.heights, like))[
-                as_like(self.triangles[triangle], like).long()
-            ].to(like.dtype)
-            corners = as_like(corners, like)
+            corners, points = as_like(corners, triangle), as_like(points, like)
+            heights = as_like(heights, like).to(like.dtype)
         else:
-            z = self.plain_heights[self.triangles[triangle]]
-        return (corners[..., 0, 0], corners[..., 0, 1], z[..., 0]), _slopes(corners, z)
+            heights = self.plain_heights
+        corners = corners[triangle]
+        x, y, z = points[:, 0][corners], points[:, 1][corners], heights[corners]
+        return (x[..., 0], y[..., 0], z[..., 0]), _slopes(x, y, z)
 
     def or_any(self, triangle):
         """`triangle` where there is one, elsewhere some wet one: its numbers are harmless, also to gradients."""
         return np.where(triangle >= 0, triangle, self.wet_triangles.argmax())
 
-    def _under(self, x, y):
-        """The wet triangle over or under each point, numpy; -1 where there is none."""
-        x, y = np.broadcast_arrays(readable(x), readable(y))
-        triangle, inside = self.mesh.locate(x.ravel(), y.ravel())
-        return np.where(inside & self.wet_triangles[triangle], triangle, -1).reshape(x.shape)
+    def _plane_at(self, x, y):
+        """The plane at each place, as `planes`, and whether there is water."""
+        _needs_numpy_or_torch(x)
+        xp, (x, y) = namespace(x, y), _of_one_shape(x, y)
+        triangle, wet = read(_facet_walk.triangle_at, self, (xp.double(x), xp.double(y)))
+        return *self.planes(xp.whole(triangle), x), wet > 0.0
 
     def height(self, x, y):
         """Height z of the surface [m] at local x, y [m]; NaN where there is no water."""
-        _needs_numpy_or_torch(x)
-        triangle = self._under(x, y)
-        (cx, cy, cz), (slope_x, slope_y) = self.planes(self.or_any(triangle), x)
+        (cx, cy, cz), (slope_x, slope_y), wet = self._plane_at(x, y)
         z = cz + slope_x * (x - cx) + slope_y * (y - cy)
-        return namespace(x).where(as_like(triangle, x) >= 0, z, math.nan)
+        return namespace(x).where(wet, z, math.nan)
 
     def normal(self, x, y) -> tuple[Any, Any, Any]:
         """Unit normal of the triangle at x, y, pointing up into the air; NaN where there is no water."""
-        _needs_numpy_or_torch(x)
-        xp, triangle = namespace(x), self._under(x, y)
-        _, (slope_x, slope_y) = self.planes(self.or_any(triangle), x)
+        xp, (_, (slope_x, slope_y), wet) = namespace(x), self._plane_at(x, y)
         up = 1.0 / xp.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
-        wet = as_like(triangle, x) >= 0
         return tuple(xp.where(wet, c, math.nan) for c in (-slope_x * up, -slope_y * up, up))
 
     def intersect(self, origin, direction):
@@ -215,63 +225,11 @@ class HeightFieldWater:
         like = origin[0] + direction[0]
         origin, direction = fermat.together(origin, direction)
         xp = namespace(*origin)
-        plain_origin, plain_direction = (tuple(readable(c).ravel() for c in v) for v in (origin, direction))
-        met = self._first_triangle(plain_origin, plain_direction, 1.0)
-        met = met.reshape(tuple(origin[0].shape))
-        corner, slopes = self.planes(self.or_any(met), origin[0])
-        meets = as_like(met, origin[0]) >= 0
-        over, rate = _clearance(corner, slopes, origin, direction)
-        t = -over / xp.where(meets, rate, -1.0)
-        return xp.like(xp.where(meets, xp.maximum(t, 0.0), math.nan), like)
-
-    def _first_triangle(self, origin, direction, side):
-        """The triangle where rays from above (side 1) or below (-1) first meet the surface; -1 for none (numpy)."""
-        met = np.full(origin[0].shape, -1)
-        wet = self.plain_heights[self.triangles[self.wet_triangles]]
-        level = wet.max() if side > 0.0 else wet.min()
-        fall = side * direction[2]
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            start, end = self.mesh.span(*origin[:2], *direction[:2])
-            over = side * (origin[2] - level)
-            start = np.maximum(start, np.where(over > 0.0, np.where(fall < 0.0, over / -fall, np.inf), 0.0))
-            left = np.flatnonzero((start <= end) & np.isfinite(start))
-            here = tuple((o + start * d)[left] for o, d in zip(origin[:2], direction[:2], strict=True))
-            triangle, _ = self.mesh.locate(*here)
-            enters = np.ones(left.size, dtype=bool)
-            t = start[left]
-            for _ in range(len(self.triangles)):
-                o, d = (tuple(c[left] for c in v) for v in (origin, direction))
-                leave, behind = self.mesh.exit(triangle, *o[:2], *d[:2])
-                leave = np.maximum(leave, t)
-                corner, slopes = self.planes(triangle, t)
-                over, rate = (side * v for v in _clearance(corner, slopes, o, d))
-                hit = (over + np.where(np.isfinite(leave), leave, 0.0) * rate <= 0.0) & np.isfinite(leave)
-                hit |= np.isinf(leave) & (rate < 0.0)
-                # A ray that comes in from dry land below the level of the water never meets it from its own side.
-                sunk = enters & (over + t * rate < -_ROUNDING * (1.0 + np.abs(over)))
-                met[left[hit & ~sunk]] = triangle[hit & ~sunk]
-                enters = ~self.wet_triangles[triangle]
-                going = ~hit & ~sunk & (behind >= 0)
-                left, triangle, enters, t = left[going], behind[going], enters[going], leave[going]
-                if left.size == 0:
-                    break
-        return met
-
-    def clear(self, camera, crossing, point):
-        """True where neither leg to the crossing meets the surface before it gets there (numpy)."""
-        clear = np.ones(crossing[0].shape, dtype=bool)
-        for end, side in ((camera, 1.0), (point, -1.0)):
-            way = kernels.minus(crossing, end)
-            length = np.sqrt(kernels.dot(way, way))
-            flat = np.abs(way[2]) <= self._steepest * np.hypot(way[0], way[1])
-            origin, direction = tuple(c[flat] for c in end), tuple((w / length)[flat] for w in way)
-            met = self._first_triangle(origin, direction, side)
-            corner, slopes = self.planes(self.or_any(met), origin[0])
-            over, rate = _clearance(corner, slopes, origin, direction)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                first = np.where(met >= 0, -over / rate, np.inf)
-            clear[flat] = first >= length[flat] * (1.0 - _ARRIVED)
-        return clear
+        triangle, meets = read(_facet_walk.triangle_met, self, origin + direction)
+        corner, slopes = self.planes(xp.whole(triangle), origin[0])
+        over, rate = _facet_walk.clearance(corner, slopes, origin, direction)
+        t = -over / xp.where(meets > 0.0, rate, -1.0)
+        return xp.like(xp.where(meets > 0.0, xp.maximum(t, 0.0), math.nan), like)
 
     def crossing(self, camera, point, steps: int):
         """See `WaterSurface.crossing`: the shortest of all paths through plane triangles (`refract._facet_paths`)."""
@@ -279,19 +237,22 @@ class HeightFieldWater:
         return _facet_paths.crossing(self, camera, point)
 
 
-def _slopes(corners, z):
-    """Slopes along x and y of planes through corners (..., 3, 2) at heights z (..., 3)."""
-    way = corners[..., 1:, :] - corners[..., :1, :]
-    ax, ay, bx, by = way[..., 0, 0], way[..., 0, 1], way[..., 1, 0], way[..., 1, 1]
-    rise_a, rise_b = z[..., 1] - z[..., 0], z[..., 2] - z[..., 0]
+@lru_cache(maxsize=_KEPT)
+def _triangulated(shape, points: bytes, faces, triangles: bytes) -> Triangulation:
+    """The triangulation of arrays of float64 and int64, known by their bytes."""
+    return Triangulation(np.frombuffer(points).reshape(shape), np.frombuffer(triangles, dtype=np.int64).reshape(faces))
+
+
+def _slopes(x, y, z):
+    """Slopes along x and y of planes through corners at x, y, z (..., 3)."""
+    (ax, bx), (ay, by), (az, bz) = ((v[..., 1] - v[..., 0], v[..., 2] - v[..., 0]) for v in (x, y, z))
     area = ax * by - ay * bx
-    return (rise_a * by - rise_b * ay) / area, (rise_b * ax - rise_a * bx) / area
+    return (az * by - bz * ay) / area, (bz * ax - az * bx) / area
 
 
-def _clearance(corner, slopes, origin, direction):
-    """Height [m] of the start of rays over planes, and its rate along the ray [-]."""
-    over = origin[2] - corner[2] - slopes[0] * (origin[0] - corner[0]) - slopes[1] * (origin[1] - corner[1])
-    return over, direction[2] - slopes[0] * direction[0] - slopes[1] * direction[1]
+def _of_one_shape(x, y):
+    """Arrays of one shape, and those of numpy at least one."""
+    return alike(x + 0.0 * y, y + 0.0 * x)
 
 
 def _needs_numpy_or_torch(array):

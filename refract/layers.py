@@ -14,7 +14,8 @@ from typing import Any, final
 import numpy as np
 
 from refract import kernels
-from refract._array import common, components, namespace, quiet, root, stack
+from refract._array import common, components, namespace, quiet, root, spread, stack
+from refract._empty import of_any_size
 from refract._numbers import hold, least, moved, number
 from refract.regimes import Regime, counts
 
@@ -56,6 +57,7 @@ class LayeredPath:
         """Direction (..., 3), unit, in the last medium; NaN where the ray never gets there."""
         return self.directions[-1]
 
+    @of_any_size
     @quiet
     def at(self, t):
         """Points (..., 3) [m] at path length ``t`` (...) [m] from the camera through all media.
@@ -153,6 +155,7 @@ class ParallelLayers:
         """The same layers with their tensors moved, by the arguments of `torch.Tensor.to`."""
         return moved(self, place, options)
 
+    @of_any_size
     def trace(self, origin, direction) -> LayeredPath:
         """Bend rays at every interface.
 
@@ -198,8 +201,11 @@ class ParallelLayers:
             directions.append(stack(*kernels.chosen(going, ray, math.nan)))
             way = self.thicknesses[place] if place < len(self.thicknesses) else 0.0
         regime = xp.where(valid, regime, int(Regime.INVALID))
+        if xp.name != "drjit":
+            origin = spread(origin, directions[0])[0]
         return LayeredPath(origin, tuple(crossings), tuple(directions), tuple(lengths), regime)
 
+    @of_any_size
     def project(self, points, camera):
         """Directions (..., 3), unit, in which a camera in the first medium sees points in the last one.
 

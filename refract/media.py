@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from refract._array import alike, as_numpy, namespace
+from refract._empty import of_any_size
 from refract._ranges import require, warn_outside
 from refract.air import air_index
 
@@ -28,6 +29,7 @@ _FITTED = {
 }
 
 
+@of_any_size
 def water_index(wavelength_nm, temperature_c, salinity_psu):
     """Refractive index of fresh or sea water relative to air, after Quan and Fry.
 
@@ -76,6 +78,7 @@ def water_index(wavelength_nm, temperature_c, salinity_psu):
     )
 
 
+@of_any_size
 def channel_indices(temperature_c, salinity_psu, wavelengths_nm=CHANNEL_WAVELENGTHS_NM):
     """`water_index` at the effective wavelengths of the channels of a camera: by default of red, green, blue.
 
@@ -89,6 +92,7 @@ def channel_indices(temperature_c, salinity_psu, wavelengths_nm=CHANNEL_WAVELENG
     return tuple(water_index(wavelength, temperature_c, salinity_psu) for wavelength in wavelengths_nm)
 
 
+@of_any_size
 def water_index_parrish(wavelength_nm, temperature_c, salinity_psu):
     """As `water_index`, after Parrish: a second opinion that also knows sea water, to 2e-4.
 
@@ -103,6 +107,7 @@ def water_index_parrish(wavelength_nm, temperature_c, salinity_psu):
     return fresh + (sea - fresh) * (s / 35.0)
 
 
+@of_any_size
 def water_index_iapws(wavelength_nm, temperature_c):
     """As `water_index`, for fresh water at one atmosphere, after the release of IAPWS: a second opinion.
 
@@ -141,6 +146,7 @@ def _fresh_density(t):
     return 999.974950 * (1.0 - (t - 3.983035) ** 2 * (t + 301.797) / (522528.9 * (t + 69.34881)))
 
 
+@of_any_size
 def freezing_point(salinity_psu):
     """Temperature [deg C] at which water of a salinity [per mille] freezes at one atmosphere.
 
@@ -164,5 +170,5 @@ def _water(model: str, wavelength_nm, temperature_c, salinity_psu):
             f"temperature_c is {found[frozen][0]:g}, but this water freezes at {freezes[frozen][0] + 0.0:.2f}; "
             "correct it, or salinity_psu"
         )
-    warn_outside(model, _FITTED[model], stacklevel=4, wavelength_nm=wave, temperature_c=t, salinity_psu=s)
+    warn_outside(model, _FITTED[model], stacklevel=5, wavelength_nm=wave, temperature_c=t, salinity_psu=s)
     return wave, t, s

@@ -8,6 +8,7 @@ from typing import Any, final, overload
 
 from refract import kernels
 from refract._array import common, components, namespace, quiet, spread, stack
+from refract._empty import of_any_size
 from refract._numbers import in_library
 from refract.layers import LayeredPath, ParallelLayers
 from refract.regimes import Regime, counts
@@ -49,6 +50,7 @@ class BentPaths:
     tide: float = 0.0
 
     @property
+    @of_any_size
     def regime(self):
         """`Regime` of each ray, (...) int."""
         xp = namespace(self.air_length)
@@ -70,6 +72,7 @@ class BentPaths:
         up = (0.0, 0.0, by)
         return replace(self, origin=self.origin + up, crossing=self.crossing + up, tide=self.tide + by)
 
+    @of_any_size
     @quiet
     def at(self, t):
         """Points (..., 3) [m] at path length ``t`` (...) [m] from the camera, air and water legs together.
@@ -88,6 +91,7 @@ class BentPaths:
         points = kernels.along(kernels.along(origin, air_direction, t_air), water_direction, t - t_air)
         return stack(*kernels.chosen(valid, points, math.nan))
 
+    @of_any_size
     def at_height(self, height, water: FlatWater | None):
         """Points (..., 3) [m] where the paths are ``height`` (...) [m] above the water plane.
 
@@ -123,6 +127,7 @@ def trace(origin, direction, surface: WaterSurface | None) -> BentPaths: ...
 def trace(origin, direction, surface: ParallelLayers) -> LayeredPath: ...
 
 
+@of_any_size
 @quiet
 def trace(origin, direction, surface):
     """Bend camera rays at the water surface.

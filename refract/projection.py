@@ -8,6 +8,7 @@ from typing import Any, final
 
 from refract import kernels
 from refract._array import common, components, namespace, quiet, spread, stack
+from refract._empty import of_any_size
 from refract.layers import ParallelLayers
 from refract.regimes import Regime, counts
 from refract.surfaces import FlatWater, WaterSurface, derivable, height_over, require_surface
@@ -56,18 +57,21 @@ class Projection:
     _first: tuple = field(repr=False)
 
     @property
+    @of_any_size
     @quiet
     def crossing(self):
         """See the class."""
         return _stacked(self._valid, kernels.minus(self._point, self._legs[1]), self.depth)
 
     @property
+    @of_any_size
     @quiet
     def air_length(self):
         """See the class."""
         return self._told(0.0, _length(*self._first))
 
     @property
+    @of_any_size
     @quiet
     def water_length(self):
         """See the class."""
@@ -80,6 +84,7 @@ class Projection:
         return xp.where(self._valid, xp.like(number, self.depth), math.nan)
 
     @property
+    @of_any_size
     def regime(self):
         """`Regime` of each ray, (...) int."""
         xp, length = namespace(self.depth), self.air_length + self.water_length
@@ -111,6 +116,7 @@ def _stacked(keep, triple, like):
     return stack(*kernels.chosen(keep, tuple(xp.like(v, like) for v in triple), math.nan))
 
 
+@of_any_size
 @quiet
 def project(points, camera, surface: WaterSurface | ParallelLayers | None, *, steps: int = EXACT_STEPS) -> Projection:
     """How a camera sees points of the bed: the way of least optical path (Fermat) through the surface.
@@ -192,6 +198,7 @@ def _legs(point, centre, surface, steps: int) -> tuple:
     return legs, depth, solutions, below
 
 
+@of_any_size
 @quiet
 def crossing_point(points, camera, surface: WaterSurface | ParallelLayers | None, *, steps: int = EXACT_STEPS):
     """Point of the water surface (..., 3) [m], local, through which the camera sees a point of the bed.

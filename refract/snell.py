@@ -6,10 +6,12 @@ import math
 
 from refract import kernels
 from refract._array import common, components, namespace, quiet, stack
+from refract._empty import of_any_size
 from refract._numbers import hold
 from refract.regimes import Regime
 
 
+@of_any_size
 @quiet
 def bend(ray, normal, *, n_from, n_to):
     """Direction of a ray after it crosses the water surface.
@@ -59,6 +61,7 @@ def _require_positive(n_from, n_to) -> None:
         raise ValueError(f"expected finite refractive indices above zero, got n_from {n_from} and n_to {n_to}")
 
 
+@of_any_size
 @quiet
 def bend_regime(ray, normal, *, n_from, n_to):
     """What `bend` makes of each ray: an array (...) of `Regime` codes, for `counts`. Arguments as for `bend`."""

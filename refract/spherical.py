@@ -11,7 +11,9 @@ import numpy as np
 from refract import fermat, kernels
 from refract._array import namespace
 from refract._disc import Bounds
+from refract._empty import of_any_size
 from refract._numbers import hold, moved, number, plain, require_index
+from refract._solvers import solved
 from refract.kernels import GRAZING
 
 MEAN_RADIUS_M = 6_371_000.0
@@ -19,6 +21,7 @@ MEAN_RADIUS_M = 6_371_000.0
 _WGS84_A, _WGS84_F = 6_378_137.0, 1.0 / 298.257223563
 
 
+@of_any_size
 def curvature_drop(distance, radius=MEAN_RADIUS_M):
     """How far a level surface falls below its tangent plane [m], ``distance`` [m] from where they touch.
 
@@ -46,6 +49,7 @@ def gaussian_radius(latitude: float) -> float:
     return _WGS84_A * math.sqrt(1.0 - e_squared) / (1.0 - e_squared * math.sin(latitude) ** 2)
 
 
+@solved
 @final
 @dataclass(frozen=True)
 class SphericalWater:
@@ -79,7 +83,7 @@ class SphericalWater:
         object.__setattr__(self, "point", tuple(number(v) for v in self.point))
         object.__setattr__(self, "radius", number(self.radius))
         object.__setattr__(self, "n_water", number(self.n_water))
-        own = (*self.point, self.radius, self.n_water)
+        own = self.numbers
         if len(self.point) != 3 or not hold(np.isfinite, *own) or not hold(lambda r: r > 0.0, self.radius):
             raise ValueError(f"expected three finite coordinates, a positive radius and a finite index, got {own}")
         require_index(self.n_water)
@@ -88,10 +92,19 @@ class SphericalWater:
         """The same water with its tensors moved, by the arguments of `torch.Tensor.to`."""
         return moved(self, place, options)
 
+    @property
+    def numbers(self) -> tuple:
+        """All numbers of the sphere in one row."""
+        return (*self.point, self.radius, self.n_water)
+
+    @classmethod
+    def from_numbers(cls, x, y, z, radius, n_water) -> SphericalWater:
+        """The sphere with these `numbers`."""
+        return cls((x, y, z), radius, n_water=n_water)
+
     def detached(self) -> SphericalWater:
         """The same water in plain numbers, without gradients."""
-        x, y, z = map(plain, self.point)
-        return SphericalWater((x, y, z), plain(self.radius), n_water=plain(self.n_water))
+        return SphericalWater.from_numbers(*map(plain, self.numbers))
 
     def derivatives(self, x, y) -> tuple:
         """Height [m], slopes along x and y [-] and second derivatives xx, xy, yy [1/m] at local x, y [m]."""

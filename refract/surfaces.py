@@ -13,7 +13,8 @@ from typing import Any, Protocol, final
 import numpy as np
 
 from refract import kernels
-from refract._array import namespace, root
+from refract._array import components, namespace, root
+from refract._empty import of_any_size
 from refract._numbers import hold, in_library, moved, number, require_index
 from refract.kernels import GRAZING
 
@@ -98,6 +99,20 @@ def _library(value) -> str:
     return type(value).__module__ if name == "drjit" else name
 
 
+def _require_broadcast(like, numbers) -> None:
+    """ValueError unless the numbers of a water broadcast against an array of rays without their last axis."""
+    if namespace(like).name == "drjit" or all(isinstance(v, float) for v in numbers):
+        return
+    shapes = [tuple(v.shape) for v in (like, *numbers) if hasattr(v, "shape")]
+    try:
+        np.broadcast_shapes(*shapes)
+    except ValueError:
+        raise ValueError(
+            f"expected numbers of the water that broadcast against rays {shapes[0]} (without their last axis), got "
+            f"{shapes[1:]}; give rays one more axis for an index per channel: rays[..., None, :]"
+        ) from None
+
+
 @final
 @dataclass(frozen=True)
 class FlatWater:
@@ -162,16 +177,18 @@ class FlatWater:
         """`up`, whatever x and y."""
         return _up(in_library(self.slope_x, x), in_library(self.slope_y, x))
 
+    @of_any_size
     def height(self, x, y):
         """Height z of the surface [m] at local x, y [m]."""
         px, py, pz, _, slope_x, slope_y = (in_library(v, x) for v in self._numbers)
         return pz + slope_x * (x - px) + slope_y * (y - py)
 
+    @of_any_size
     def depth(self, points):
         """Depth below the surface [m] along its normal, positive in water, of points (..., 3) [m], local."""
-        nx, ny, nz = self.up
-        px, py, pz = self.point
-        return -((points[..., 0] - px) * nx + (points[..., 1] - py) * ny + (points[..., 2] - pz) * nz)
+        position = components(points)
+        point, up, _ = self.plane(position)
+        return -kernels.over_plane(position, point, up)
 
     def _require_library_of(self, *triples) -> None:
         """TypeError unless rays come from where the numbers of the water do, if those are not plain."""
@@ -190,11 +207,14 @@ class FlatWater:
         ------
         TypeError
             If the numbers of the water and the triples are arrays of different libraries.
+        ValueError
+            If shapes of numbers do not broadcast against those of numpy or torch rays.
         """
         self._require_library_of(*triples)
+        like = triples[0][0]
+        _require_broadcast(like, self._numbers)
         if not any(isinstance(v, np.ndarray) for v in self._numbers):
             return self.point, self.up, self.n_water
-        like = triples[0][0]
         x, y, z, n_water, slope_x, slope_y = (in_library(v, like) for v in self._numbers)
         return (x, y, z), _up(slope_x, slope_y), n_water
 

@@ -13,6 +13,7 @@ from refract._array import namespace
 from refract._disc import Bounds
 from refract._implicit import along_ray
 from refract._numbers import hold, moved, number, plain, read, require_index
+from refract._solvers import solved, solver
 
 # Steps along a ray to its first meeting with the waves: 4 to 8 for most; at 89.9 deg to the vertical over waves of
 # slope 0.3 some 40, and 130 at worst. A ray that needs this many runs along the surface.
@@ -25,6 +26,7 @@ _TINY = 4 * float(np.finfo(np.float64).eps)
 _ARRIVED = 1e-7
 
 
+@solved
 @final
 @dataclass(frozen=True)
 class WavyWater:
@@ -86,18 +88,36 @@ class WavyWater:
                 f"expected a point (3,), and amplitudes, phases and frequencies (waves,) with wave vectors (waves, 2), "
                 f"got {len(self.point)} coordinates and {counts} amplitudes, wave vectors, phases and frequencies"
             )
-        if not hold(np.isfinite, *self._numbers()):
-            raise ValueError(f"expected finite numbers, got {self._numbers()}")
+        if not hold(np.isfinite, *self.numbers):
+            raise ValueError(f"expected finite numbers, got {self.numbers}")
         require_index(self.n_water)
 
     def to(self, *place, **options) -> WavyWater:
         """The same water with its tensors moved, by the arguments of `torch.Tensor.to`."""
         return moved(self, place, options)
 
-    def _numbers(self) -> tuple:
+    @property
+    def numbers(self) -> tuple:
+        """All numbers of the waves in one row."""
         vectors = (v for k in self.wave_vectors for v in k)
         own = (self.n_water, self.slope_x, self.slope_y)
-        return (*self.point, *self.amplitudes, *vectors, *self.phases, *self.frequencies, *own)
+        return (*self.point, *own, *self.amplitudes, *vectors, *self.phases, *self.frequencies)
+
+    @classmethod
+    def from_numbers(cls, *numbers) -> WavyWater:
+        """The waves with these `numbers`."""
+        x, y, z, n_water, slope_x, slope_y, *rest = numbers
+        waves = len(rest) // 5
+        amplitudes, kx_ky, phases, frequencies = (
+            rest[:waves],
+            rest[waves : -2 * waves],
+            rest[-2 * waves : -waves],
+            rest[-waves:],
+        )
+        return cls(
+            (x, y, z), amplitudes, tuple(zip(kx_ky[::2], kx_ky[1::2], strict=True)), phases,
+            frequencies=frequencies, n_water=n_water, slope_x=slope_x, slope_y=slope_y,
+        )  # fmt: skip
 
     def _waves(self):
         return zip(self.amplitudes, self.wave_vectors, self.phases, strict=True)
@@ -109,13 +129,7 @@ class WavyWater:
 
     def detached(self) -> WavyWater:
         """The same water in plain numbers, without gradients."""
-        x, y, z = map(plain, self.point)
-        return WavyWater(
-            (x, y, z), tuple(map(plain, self.amplitudes)),
-            tuple(tuple(map(plain, k)) for k in self.wave_vectors), tuple(map(plain, self.phases)),
-            frequencies=tuple(map(plain, self.frequencies)),
-            n_water=plain(self.n_water), slope_x=plain(self.slope_x), slope_y=plain(self.slope_y),
-        )  # fmt: skip
+        return WavyWater.from_numbers(*map(plain, self.numbers))
 
     def derivatives(self, x, y) -> tuple:
         """Height [m], slopes along x and y [-] and second derivatives xx, xy, yy [1/m] at local x, y [m]."""
@@ -161,11 +175,11 @@ class WavyWater:
         like = origin[0] + direction[0]
         origin, direction = fermat.together(origin, direction)
         xp = namespace(*origin)
-        if xp.name == "torch":
-            (t,) = read(lambda water, *ends: (water._first_meeting(ends[:3], ends[3:], 1.0),), self, origin + direction)
-        else:
+        if xp.name == "drjit":
             start, way = (tuple(map(xp.fixed, v)) for v in (origin, direction))
             t = self.detached()._first_meeting(start, way, side=1.0)
+        else:
+            (t,) = read(first_meeting, self, origin + direction)
         meets = t >= 0.0
         t = along_ray(lambda t: self._clearance(origin, direction, t), xp.where(meets, t, 0.0), meets)
         return xp.like(xp.where(meets, xp.maximum(t, 0.0), math.nan), like)
@@ -250,3 +264,9 @@ class WavyWater:
     def crossing(self, camera, point, steps: int):
         """See `WaterSurface.crossing`: all stationary paths are counted, the shortest taken (`refract.fermat`)."""
         return fermat.crossing(self, camera, point)
+
+
+@solver(outputs=1)
+def first_meeting(water: WavyWater, *ends):
+    """Distance [m] to the first meeting of rays from above with the waves, in numpy: see `WavyWater.intersect`."""
+    return (water._first_meeting(ends[:3], ends[3:], 1.0),)

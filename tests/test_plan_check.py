@@ -34,6 +34,7 @@ from survey.photos.poses import PoseFrame
 from survey.plan.check import check_survey, require_processable
 from survey.plan.choices import Choices, Quality
 from survey.plan.plan import ground_height, make_plan
+from survey.plan.poses import pose_choice
 from survey.plan.recipe import RECIPES
 
 
@@ -363,3 +364,9 @@ def test_the_area_is_shown_in_crs(tmp_path):
 
 def test_every_quality_that_can_be_chosen_has_a_recipe():
     assert set(RECIPES) == {quality.value for quality in Quality}
+
+
+def test_views_too_few_to_check_their_poses_are_counted(tmp_path):
+    choice, reason = pose_choice(load_survey(small_survey(tmp_path / "s")), "auto", free_water=False)
+    assert choice == "fixed"
+    assert reason.endswith("count as exact; to check them takes at least 12 views, and there are 4")

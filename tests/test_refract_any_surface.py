@@ -12,6 +12,8 @@ from refract import (
     BicubicWater,
     FlatWater,
     HeightFieldWater,
+    LayeredPath,
+    ParallelLayers,
     Regime,
     SphericalWater,
     WavyWater,
@@ -198,3 +200,37 @@ def test_transforms_of_torch_reach_level_and_index_of_curved_water(name):
         np.testing.assert_allclose(reverse[..., k], differences, atol=1e-8)
     rows = torch.stack([numbers, numbers + 0.01])
     np.testing.assert_allclose(vmap(told)(rows), torch.stack([told(row) for row in rows]), atol=1e-13)
+
+
+FAR = np.array([5e6, -2e6, 1024.0])
+AXIS = np.linspace(-64.0, 64.0, 33)
+RELIEF = 0.05 * np.sin(AXIS) * np.cos(AXIS[:, None])
+ANYWHERE = {
+    "plane": lambda o: FlatWater(tuple(o), slope_x=0.01),
+    "layers": lambda o: ParallelLayers(tuple(o), (0.0, 0.02, 1.0), (1.0, 1.5, 1.33), (0.01,)),
+    "waves": lambda o: WavyWater(tuple(o), (0.02,), ((1.5, 0.3),)),
+    "sphere": lambda o: SphericalWater(tuple(o)),
+    "triangles": lambda o: HeightFieldWater.from_raster(o[0] + AXIS, o[1] + AXIS, o[2] + RELIEF),
+    "cubic pieces": lambda o: BicubicWater((o[0] - 64.0, o[1] - 64.0), 4.0, o[2] + RELIEF),
+    "height and normal": lambda o: Veiled(WavyWater(tuple(o), (0.02,), ((1.5, 0.3),))),
+}
+
+
+@pytest.mark.parametrize("name", list(ANYWHERE))
+def test_paths_5000_km_from_the_origin_are_those_at_the_origin(rng, name):
+    """To the last bit through planes; elsewhere to the rounding of coordinates, 1e-9 m, over 30 m."""
+    rays, points = rays_and_points(rng)
+    points = np.round(points * 1024.0) / 1024.0  # the sums below are not rounded
+    near, far = (ANYWHERE[name](o) for o in (0.0 * FAR, FAR))
+    exact = name in ("plane", "layers")
+    for here, there in (
+        (project(points, CENTRE, near).direction, project(points + FAR, CENTRE + FAR, far).direction),
+        *zip(*(_ends_of(trace(c, rays, water)) for c, water in ((CENTRE, near), (CENTRE + FAR, far))), strict=True),
+    ):
+        assert np.isfinite(here).all()
+        np.testing.assert_allclose(there, here, rtol=0.0, atol=0.0 if exact else 5e-9)
+
+
+def _ends_of(path):
+    layered = isinstance(path, LayeredPath)
+    return (path.direction, path.lengths[0]) if layered else (path.water_direction, path.air_length)

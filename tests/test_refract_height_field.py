@@ -9,7 +9,7 @@ import pytest
 import torch
 from surface_rays import bed_points, cameras, falling_rays, view_angle
 
-from refract import crossing_point, kernels, project, trace
+from refract import crossing_point, kernels, trace
 from refract.height_field import HeightFieldWater
 from refract.surfaces import FlatWater
 from refract.wavy import WavyWater
@@ -287,12 +287,3 @@ def test_wrong_numbers_are_named():
         HeightFieldWater(np.zeros((4, 2)), np.zeros(3), [[0, 1, 2]])
     with pytest.raises(ValueError, match=r"0\.5"):
         HeightFieldWater.from_raster(x, x, np.zeros((3, 3)), n_water=0.5)
-
-
-@pytest.mark.parametrize("transform", [torch.func.jacrev, torch.func.jacfwd, torch.vmap])
-def test_transforms_that_hide_values_are_refused_in_words(transform):
-    nodes, camera = np.linspace(-20.0, 20.0, 3), torch.tensor([1.0, 2.0, 30.0], dtype=torch.float64)
-    water = HeightFieldWater.from_raster(nodes, nodes, np.zeros((3, 3)))
-    points = torch.tensor([[2.0, 1.0, -3.0]], dtype=torch.float64)
-    with pytest.raises(TypeError, match="HeightFieldWater finds triangles by values"):
-        transform(lambda p: project(p, camera, water).direction)(points)

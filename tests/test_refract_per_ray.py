@@ -82,6 +82,16 @@ def test_an_index_per_channel_is_one_more_axis(rng):
         np.testing.assert_allclose(seen.direction[:, channel], project(points, CENTRE, single).direction, atol=1e-15)
 
 
+@pytest.mark.parametrize("library", ["numpy", "torch"])
+def test_an_index_per_channel_without_its_axis_is_refused_in_words(rng, library):
+    rays, points, _ = scene(rng)
+    of_rays, of_points, indices = arrays(library, rays, points, np.array(channel_indices(15.0, 0.0)))
+    water = FlatWater((0.0, 0.0, 0.5), n_water=indices)
+    for call in (lambda: trace(CENTRE, of_rays, water), lambda: project(of_points, CENTRE, water)):
+        with pytest.raises(ValueError, match=r"broadcast against rays \(7,\).*\(3,\).*rays\[\.\.\., None, :\]"):
+            call()
+
+
 def test_each_photograph_is_traced_at_its_own_tide(rng):
     tide = TidalWater([0.0, 600.0, 1500.0], [1.0, 1.4, 1.1], slope_x=0.01)
     rays, _, _ = scene(rng)

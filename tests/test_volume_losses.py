@@ -11,7 +11,7 @@ import torch
 from analytic_volume import BOX, AnalyticVolume, floor_at, looking_down, seen_by
 
 from fields.volume.appearance import appearance_vectors
-from fields.volume.density_loss import Drawn, NodeScores, density_loss, draw_nodes, gaussian_density_loss, node_counts
+from fields.volume.density_loss import NODES, Drawn, NodeScores, density_loss, draw_nodes, gaussian_density_loss
 from fields.volume.losses import (
     Losses,
     PatchWeights,
@@ -123,7 +123,7 @@ def test_the_density_loss_of_a_ramp_is_its_closed_form():
     torch.manual_seed(0)
     drawn = draw_nodes(model, LENGTH, drawn=4000, points=8)
     torch.testing.assert_close(drawn.gradient.mean(dim=(0, 1)), LENGTH * slope, rtol=1e-5, atol=1e-7)  # float32 places
-    node = 2.0 / torch.tensor(node_counts(BOX))
+    node = 2.0 / torch.tensor(BOX.counts(NODES))
     variance = number((slope**2 * node**2 / 12.0).sum()) * 7 / 8
     expected = number(torch.expm1(LENGTH * slope.abs()).mean()) + math.expm1(variance)
     # The variance is a mean over 4000 nodes: 1 % of a term that is a hundredth of the sum.

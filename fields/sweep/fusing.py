@@ -9,24 +9,30 @@ import cv2
 import numpy as np
 
 from fields.median import median
+from fields.sweep.bed import trusted
 from fields.sweep.block import Block
 from fields.sweep.climbing import MATCHED_NCC
 from fields.sweep.consistency import agreement
 from fields.sweep.lazy import Lazy
 from fields.sweep.maps import DepthMap, Keep, Maps
+from fields.sweep.planes import continued
 from fields.sweep.stack import ViewStack
 
 
-def fuse(block: Block, maps: Maps, scale: float, peers: Mapping[int, list[int]], keep: Keep = dict) -> Maps:
+def fuse(
+    block: Block, maps: Maps, scale: float, peers: Mapping[int, list[int]], keep: Keep = dict, *, goes_on: bool = True
+) -> Maps:
     """Maps with the mean over the peers that agree as heights, and how many do and how closely; the others are cleared.
 
-    A pixel that no other view confirms takes the median of its surroundings: a better start for the next pass. A
-    pixel that matched nothing confirms nothing either. Maps without peers keep what they have.
+    A pixel that no other view confirms takes the median of its surroundings, and where a pass follows (``goes_on``) one
+    whose height is not trusted that of the plane through the trusted ones around it, where these lie in one: a better
+    start. A pixel that matched nothing confirms nothing either. Maps without peers keep what they have.
     """
     fused = keep()
-    for m, (agreeing, height, spread) in _agreement(block, maps, scale, peers):
+    for m, tolerance, (agreeing, height, spread) in _agreement(block, maps, scale, peers):
         height = np.where(agreeing > 0, height, cv2.medianBlur(m.height, 5))
-        fused[m.view] = DepthMap(m.view, height, m.score, agreeing, spread.astype(np.float16))
+        found = DepthMap(m.view, height, m.score, agreeing, spread.astype(np.float16))
+        fused[m.view] = replace(found, height=continued(height, trusted(found), tolerance)) if goes_on else found
     for view in set(maps) - set(fused):
         fused[view] = maps[view]
     maps.clear()
@@ -35,8 +41,8 @@ def fuse(block: Block, maps: Maps, scale: float, peers: Mapping[int, list[int]],
 
 def _agreement(
     block: Block, maps: Maps, scale: float, peers: Mapping[int, list[int]]
-) -> Iterator[tuple[DepthMap, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
-    """Each map that has peers, and what `fields.sweep.consistency.agreement` says of it."""
+) -> Iterator[tuple[DepthMap, float, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+    """Each map that has peers, how close heights [m] have to be to agree, and what `agreement` says of it."""
     chosen = sorted(maps)
     cameras = [block.cameras[v].scaled(scale) if scale != 1.0 else block.cameras[v] for v in chosen]
 
@@ -51,11 +57,11 @@ def _agreement(
         if others:
             m = maps[view]
             tolerance = block.agreement_tolerance(view, others, median(m.height))
-            yield m, agreement(heights, index, [chosen.index(p) for p in others], tolerance)
+            yield m, tolerance, agreement(heights, index, [chosen.index(p) for p in others], tolerance)
 
 
 def confirm(block: Block, maps: Maps, peers: Mapping[int, list[int]]) -> None:
     """Let heights that stay as they are be confirmed by the others at full size, where these say more than before."""
     if peers:
-        for m, (agreeing, _, _) in _agreement(block, maps, 1.0, peers):
+        for m, _, (agreeing, _, _) in _agreement(block, maps, 1.0, peers):
             maps[m.view] = replace(m, agreeing=np.maximum(m.agreeing, agreeing))

@@ -88,7 +88,8 @@ def sweep(
             progress(done / total)
         if fused[number]:
             block.release(p.scale)
-            maps = fuse(block, maps, p.scale, {view: peers[view] for view in climbing[number]}, keep)
+            compared = {view: peers[view] for view in climbing[number]}
+            maps = fuse(block, maps, p.scale, compared, keep, goes_on=number + 1 < len(passes))
             done += fused[number]
             progress(done / total)
         if number + 1 == len(passes) or passes[number + 1].scale != p.scale:

@@ -56,7 +56,7 @@ def opacity(model: VolumeModel, x: Tensor, length: float) -> Tensor:
 
 def draw_nodes(model: VolumeModel, length: float, *, drawn: int = DRAWN, points: int = POINTS) -> Drawn:
     """Opacities and their gradients at points drawn uniformly in nodes drawn uniformly; ``length`` is l [m]."""
-    counts = node_counts(model.box)
+    counts = model.box.counts(NODES)
     node = torch.randint(0, int(np.prod(counts)), (drawn,))
     corner = torch.stack(torch.unravel_index(node, counts), dim=-1)
     size = torch.as_tensor(model.box.size / counts, dtype=torch.float32)
@@ -85,12 +85,6 @@ def gaussian_density_loss(model: VolumeModel, length: float, *, points: int = DR
     return ((a[:, 0] - a[:, 1:].mean(dim=1)) ** 2).mean()
 
 
-def node_counts(box: Box) -> tuple[int, int, int]:
-    """Nodes along x, y and z."""
-    nx, ny, nz = np.maximum(np.round(NODES * box.size / box.edge), 1).astype(int).tolist()
-    return nx, ny, nz
-
-
 class NodeScores:
     """Where density has detail: the score (4) of each node, forgotten exponentially.
 
@@ -105,7 +99,7 @@ class NodeScores:
 
     def __init__(self, box: Box, length: float, decay: float = 0.8):
         self.box, self.length, self.decay = box, length, decay
-        self.score = torch.zeros(node_counts(box))
+        self.score = torch.zeros(box.counts(NODES))
 
     @torch.no_grad()
     def update(self, model: VolumeModel) -> None:

@@ -44,6 +44,11 @@ class Box:
         """The longest edge [m]."""
         return float(self.size.max())
 
+    def counts(self, num: int) -> tuple[int, int, int]:
+        """Cells along x, y and z that are about cubes, ``num`` of them along the longest edge."""
+        nx, ny, nz = np.maximum(np.round(num * self.size / self.edge), 1).astype(int).tolist()
+        return nx, ny, nz
+
     def unit(self, x: Tensor) -> Tensor:
         """Coordinates (..., 3) in [0, 1] along each edge, of positions (..., 3) [m]."""
         return (x - _like(self.low, x)) / _like(self.size, x)

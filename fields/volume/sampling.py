@@ -88,7 +88,7 @@ class Cells:
     @staticmethod
     def everywhere(box: Box, num: int) -> Cells:
         """All cells, ``num`` along the longest edge."""
-        return Cells(box, torch.ones(_counts(box, num), dtype=torch.bool))
+        return Cells(box, torch.ones(box.counts(num), dtype=torch.bool))
 
     def centres(self) -> Tensor:
         """Positions (cells, 3) [m] of all cell centres, float32."""
@@ -121,11 +121,6 @@ class Cells:
         index = torch.minimum(index.clamp(min=0), shape - 1)
         flat = (index[..., 0] * shape[1] + index[..., 1]) * shape[2] + index[..., 2]
         return inside & self.occupied.view(-1)[flat]
-
-
-def _counts(box: Box, num: int) -> tuple[int, int, int]:
-    nx, ny, nz = np.maximum(np.round(num * box.size / box.edge), 1).astype(int).tolist()
-    return nx, ny, nz
 
 
 def _thickened(occupied: np.ndarray, box: Box, margin: float) -> np.ndarray:

@@ -100,7 +100,8 @@ class Adjustment:
     water_point : (x, y) [m], local
         Where the height of the water in `covariance` is.
     std_px, factor, num_observations : by kind of observation
-        Standard deviation of a pixel coordinate; factor on its variance, for what neighbours share; how many were used.
+        Standard deviation of a pixel coordinate; factor on its variance, for what neighbours and ground
+        share; how many were used.
     num_points, num_left_out : int
         Points used; observations left out as outliers.
     gps_std_m : (3,) or None

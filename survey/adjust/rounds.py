@@ -9,6 +9,7 @@ import numpy as np
 from survey.adjust.bundle import NotConvergedError, Problem, Solution, solve
 from survey.adjust.clusters import inflation
 from survey.adjust.control_check import checked_points, given_points
+from survey.adjust.ground_clusters import shared_by_ground
 from survey.adjust.observed import KINDS, MARK, Observed, rows_taken
 from survey.adjust.pose_std import judged
 from survey.adjust.prediction import relief_sides
@@ -36,7 +37,7 @@ class Adjusted:
         What was not left out.
     solution : Solution
     factor : (kinds,)
-        On variances, for what neighbouring observations share.
+        On variances, for what neighbouring observations and neighbouring ground share.
     blunders : (V, 2) bool
         Positions and rotations that the block contradicts and that were left out.
     """
@@ -79,9 +80,7 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
         problem = Problem(known.layout, seen.ties, kind, priors, given, sides, rows)
         solution = solve(problem, state, inflation=factors[kind])
         found = solution.std_px
-        shared = inflation(seen.ties, solution.residuals, found, kind, sizes)
-        before, factors = factors, np.array([_first(shared[kind == number]) for number in range(len(factors))])
-        factors[MARK :: len(KINDS)] = 1.0
+        before, factors = factors, _factors(problem, solution, sizes, factors)
         poses, known_blunders = judged(known, solution, blunders), blunders
         known, blunders = poses.known, poses.blunders
         checked = checked_points(problem, solution, seen, coordinates)
@@ -104,6 +103,20 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
         seen = kept.at(state.points)
     solution = replace(solution, std_px=np.sqrt(_means(found[kind] ** 2, seen.kind)))
     return Adjusted(known, seen, solution, _means(factors[kind], seen.kind), blunders)
+
+
+def _factors(problem: Problem, solution: Solution, sizes, before: np.ndarray) -> np.ndarray:
+    """Factors (kinds,) on variances, for what neighbours share; ``before`` are those of the solution."""
+    kind = problem.kind
+    shared = inflation(problem.ties, solution.residuals, solution.std_px, kind, sizes)
+    is_tie = kind % len(KINDS) != MARK
+    if is_tie.any():
+        # Errors of the ground are in all photographs, so that they are not told from those of one photograph.
+        lacking = shared_by_ground(problem, solution, sizes, is_tie)
+        shared *= max(1.0, lacking * float(np.mean((before[kind] / shared)[is_tie])))
+    factors = np.array([_first(shared[kind == number]) for number in range(len(before))])
+    factors[MARK :: len(KINDS)] = 1.0
+    return factors
 
 
 def _by_depth(seen: Observed, state: State) -> np.ndarray:

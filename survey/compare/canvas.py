@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from pyproj import CRS
 
 from geo import write_whole
-from geo.crs import is_geographic
+from geo.crs import EARTH_RADIUS_M, is_geographic
 from survey.display.palette import EMPTY, INK, SOFT
 
 if TYPE_CHECKING:
@@ -37,7 +37,6 @@ _MARGINS_IN = (1.0, 1.05, 0.6, 0.6)
 _TICK_PT = 8.5
 # Share of |d| that the colours and the histogram span; the rest has the colour of the end.
 _SHOWN = 0.98
-_EARTH_RADIUS_M = 6.371e6
 # Height over width of a map; long narrow surveys get empty margins, so that title and ticks have room.
 _FLATTEST, _TALLEST = 0.3, 1.5
 _BAR_WIDTH_IN = 0.2
@@ -105,7 +104,7 @@ def map_canvas(extent: Extent, crs: CRS | None, *, below_in: float = 0.0) -> tup
         formatter.set_scientific(False)
         axis.set_major_formatter(formatter)
     unit_m = crs.axis_info[0].unit_conversion_factor if crs is not None else 1.0
-    _scale_bar(axes, unit_m * _EARTH_RADIUS_M / aspect if angular else unit_m)
+    _scale_bar(axes, unit_m * EARTH_RADIUS_M / aspect if angular else unit_m)
     return figure, axes
 
 

@@ -25,9 +25,9 @@ def numbers_of(figures: Figures) -> dict:
         does not exist is None.
     """
     summary = figures.summary
-    statistics = _statistics(summary.distances)
+    statistics = _known(summary.distances)
     numbers = {"n_points": statistics.pop("n_points"), "n_cropped": summary.n_cropped} | statistics
-    numbers |= _scores(summary.scores) | {"tolerances": [_scores(s) for s in figures.tolerances]}
+    numbers |= _known(summary.scores) | {"tolerances": [_known(s) for s in figures.tolerances]}
     numbers |= _parts(figures.parts) | _reached(figures.reached)
     if figures.vertical is not None:
         numbers["vertical"] = _vertical(figures.vertical)
@@ -37,11 +37,11 @@ def numbers_of(figures: Figures) -> dict:
         numbers["asprs"] = _asprs(figures.checkpoints)
     if figures.c2c is not None:
         numbers["c2c"] = {
-            "to_reference": _statistics(figures.c2c.to_reference),
-            "to_cloud": _statistics(figures.c2c.to_cloud),
+            "to_reference": _known(figures.c2c.to_reference),
+            "to_cloud": _known(figures.c2c.to_cloud),
         }
     if (m3c2 := figures.m3c2) is not None:
-        numbers["m3c2"] = _statistics(m3c2.distances) | {
+        numbers["m3c2"] = _known(m3c2.distances) | {
             "radius_m": m3c2.radius_m,
             "detection_median_m": m3c2.detection_median_m,
             "significant_share": m3c2.significant_share,
@@ -49,13 +49,9 @@ def numbers_of(figures: Figures) -> dict:
     return plain(numbers | _circumstances(figures.circumstances))
 
 
-def _statistics(statistics: DistanceStatistics) -> dict:
-    """With intervals where there are any."""
-    return {name: value for name, value in asdict(statistics).items() if value is not None}
-
-
-def _scores(scores: Scores) -> dict:
-    return {name: value for name, value in asdict(scores).items() if value is not None}
+def _known(record: DistanceStatistics | Scores) -> dict:
+    """Its figures, without those that there are none of."""
+    return {name: value for name, value in asdict(record).items() if value is not None}
 
 
 def _parts(parts: Parts) -> dict:
@@ -80,12 +76,12 @@ def _reached(bands: tuple[ReachedBand, ...]) -> dict:
 
 def _depth_parts(parts: DepthParts) -> dict:
     split = {"wet": parts.wet, "dry": parts.dry}
-    numbers = {name: _statistics(part) for name, part in split.items() if part is not None}
+    numbers = {name: _known(part) for name, part in split.items() if part is not None}
     return numbers | {"depth_bands": _bands(parts.bands, "m")}
 
 
 def _bands(bands: tuple[Band, ...], unit: str) -> list[dict]:
-    return [_limits(band.low, band.high, unit) | _statistics(band.distances) for band in bands]
+    return [_limits(band.low, band.high, unit) | _known(band.distances) for band in bands]
 
 
 def _limits(low: float, high: float, unit: str) -> dict:
@@ -93,7 +89,7 @@ def _limits(low: float, high: float, unit: str) -> dict:
 
 
 def _vertical(vertical: Vertical) -> dict:
-    numbers = _statistics(vertical.distances) | {"n_holes": vertical.distances.n_nan}
+    numbers = _known(vertical.distances) | {"n_holes": vertical.distances.n_nan}
     return numbers if vertical.depth is None else numbers | _depth_parts(vertical.depth)
 
 

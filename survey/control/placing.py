@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import height_unit_m, horizontal_unit, is_geographic
+from geo.crs import EARTH_RADIUS_M, height_unit_m, horizontal_unit, is_geographic
 from geo.frames import LocalFrame
 from survey.control.content import GivenPoint
 from survey.control.horizontal import swapped
@@ -18,7 +18,6 @@ from survey.errors import ControlError
 
 # No photograph of a survey of shallow water shows a point further away.
 _FARTHEST_M = 3000.0
-_EARTH_RADIUS_M = 6.371e6
 
 
 def require_near(points: Sequence[GivenPoint], cameras: np.ndarray, crs: CRS) -> list[str]:
@@ -104,7 +103,7 @@ def _distance_m(place: np.ndarray, cameras: np.ndarray, crs: CRS) -> float:
     unit = horizontal_unit(crs)
     steps = (cameras[:, :2] - place[:2]) * unit
     if is_geographic(crs):
-        steps *= _EARTH_RADIUS_M * np.array([math.cos(float(np.median(cameras[:, 1])) * unit), 1.0])
+        steps *= EARTH_RADIUS_M * np.array([math.cos(float(np.median(cameras[:, 1])) * unit), 1.0])
     nearest = float(np.linalg.norm(steps, axis=1).min())
     return nearest if math.isfinite(nearest) else math.inf
 

@@ -9,9 +9,8 @@ import numpy as np
 from pyproj import CRS
 
 from evaluation.cells import cell_counts, cell_means, cell_numbers
-from geo.crs import horizontal_unit, is_geographic
+from geo.crs import EARTH_RADIUS_M, horizontal_unit, is_geographic
 
-_EARTH_RADIUS_M = 6.371e6
 # A few stray points must not shrink the picture of all others.
 _STRAY_SHARE = 0.001
 _MARGIN = 0.05
@@ -134,5 +133,5 @@ def metres_per_unit(crs: CRS, north: float) -> np.ndarray:
     unit = horizontal_unit(crs)
     if not is_geographic(crs):
         return np.array([unit, unit])
-    along = unit * _EARTH_RADIUS_M
+    along = unit * EARTH_RADIUS_M
     return np.array([along * math.cos(north * unit), along])

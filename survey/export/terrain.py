@@ -81,36 +81,43 @@ def _write_dem(path: Path, run: LoadedRun, options: ExportOptions) -> None:
 
 
 def _write_slope(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-
-    from geo.raster_writing import Band, write_cog
-    from survey.export.gridded import gridded
+    from geo.raster_writing import Band
     from survey.export.relief import slope_deg
 
-    grid = gridded(run, options)
-
-    def values(window: Window) -> np.ndarray:
-        around = window.grown(1, grid.cells.shape)
-        return slope_deg(grid.heights(around), grid.cells.side_m)[window.within(around)][None]
-
     said = {"SLOPE": "of central differences between neighbouring cells"}
-    write_cog(path, raster_form(grid, Band("slope", "degree"), said=said), parts_of(grid, values))
+    _write_relief(path, run, options, slope_deg, lambda grid: raster_form(grid, Band("slope", "degree"), said=said))
 
 
 def _write_hillshade(path: Path, run: LoadedRun, options: ExportOptions) -> None:
-
-    from geo.raster_writing import Band, write_cog
-    from survey.export.gridded import gridded
+    from geo.raster_writing import Band
     from survey.export.relief import hillshade
+
+    said = {"HILLSHADE": "light from the north-west at 45 degrees, heights not exaggerated; 1 to 255"}
+
+    def form(grid: Gridded) -> RasterForm:
+        return raster_form(grid, Band("hillshade", "1 to 255"), said=said, dtype="uint8", nodata=0)
+
+    _write_relief(path, run, options, hillshade, form)
+
+
+def _write_relief(
+    path: Path,
+    run: LoadedRun,
+    options: ExportOptions,
+    of: Callable[[np.ndarray, float], np.ndarray],
+    form: Callable[[Gridded], RasterForm],
+) -> None:
+    """A raster of what the heights around each cell, and the side of cells, say."""
+    from geo.raster_writing import write_cog
+    from survey.export.gridded import gridded
 
     grid = gridded(run, options)
 
     def values(window: Window) -> np.ndarray:
         around = window.grown(1, grid.cells.shape)
-        return hillshade(grid.heights(around), grid.cells.side_m)[window.within(around)][None]
+        return of(grid.heights(around), grid.cells.side_m)[window.within(around)][None]
 
-    said = {"HILLSHADE": "light from the north-west at 45 degrees, heights not exaggerated; 1 to 255"}
-    form = raster_form(grid, Band("hillshade", "1 to 255"), said=said, dtype="uint8", nodata=0)
-    write_cog(path, form, parts_of(grid, values))
+    write_cog(path, form(grid), parts_of(grid, values))
 
 
 def is_our_raster(path: Path) -> bool:

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 from pyproj import CRS, Transformer
-from pyproj.transformer import AreaOfInterest
 
 from geo.compatibility import crs_difference
 from geo.crs import (
@@ -27,7 +26,7 @@ from geo.frames import LocalFrame
 from geo.projection import MapProjection
 from survey.errors import FILE_NAME, PosesError
 from survey.photos.poses import Pose, PoseFile, PoseFrame
-from survey.sfm.geoid import height_transformer
+from survey.sfm.geoid import area_at, height_transformer
 
 _WGS84 = CRS("EPSG:4979")
 
@@ -134,7 +133,7 @@ def _from_geocentric(file: PoseFile, points: np.ndarray, crs: CRS, gps_height: s
     if gps_height == "crs":
         return np.column_stack([east, north, height / height_unit_m(crs)])
     known = np.isfinite(lon) & np.isfinite(lat)
-    to_height = height_transformer(crs, _area(lon[known], lat[known]))
+    to_height = height_transformer(crs, area_at(lon[known], lat[known]))
     return np.column_stack([east, north, to_height.transform(lon, lat, height)[2]])
 
 
@@ -144,15 +143,9 @@ def _horizontal(source: CRS, crs: CRS, x, y, lon, lat) -> tuple[np.ndarray, np.n
     if not known.any():
         return np.full(len(lon), np.nan), np.full(len(lon), np.nan)
     transformer = Transformer.from_crs(
-        horizontal_crs(source), horizontal_crs(crs), always_xy=True, area_of_interest=_area(lon[known], lat[known])
+        horizontal_crs(source), horizontal_crs(crs), always_xy=True, area_of_interest=area_at(lon[known], lat[known])
     )
     return transformer.transform(x, y)
-
-
-def _area(lon, lat) -> AreaOfInterest:
-    """Where a survey lies, for PROJ to choose among the regional transformations of a datum."""
-    lon, lat = float(np.median(lon)), float(np.median(lat))
-    return AreaOfInterest(lon - 0.01, max(lat - 0.01, -90.0), lon + 0.01, min(lat + 0.01, 90.0))
 
 
 def _require_heights(source: CRS, crs: CRS) -> None:

@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
-from geo.crs import height_unit_m
+from geo.crs import EARTH_RADIUS_M, height_unit_m
 from geo.sun import Sun, sun_at
 from refract import PinholeCamera
 from survey.folder.datum_mixups import above_start_of, place_of
@@ -37,7 +37,7 @@ _MOST_MPX = 150.0
 # Blurred and white photographs are named up to this number.
 _MOST_NAMED = 6
 _WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
-_DEG_PER_HOUR, _EARTH_RADIUS_M = 15.0, 6.371e6
+_DEG_PER_HOUR = 15.0
 
 
 def light_section(checked: Checked, *, wind_m_s: float = USUAL_WIND_M_S) -> Section:
@@ -180,7 +180,7 @@ def _gps_places(found: Found) -> dict[str, np.ndarray]:
     if not known:
         return {}
     lat0, lon0, height0 = next(iter(known.values()))
-    per_degree = math.radians(_EARTH_RADIUS_M)
+    per_degree = math.radians(EARTH_RADIUS_M)
     across = per_degree * math.cos(math.radians(lat0))
     return {
         name: np.array([across * (lon - lon0), per_degree * (lat - lat0), np.nan_to_num(height - height0)])

@@ -6,6 +6,7 @@ import math
 import re
 import warnings
 
+import numpy as np
 from pyproj import CRS, Transformer
 from pyproj.crs import CompoundCRS, CoordinateOperation
 from pyproj.exceptions import ProjError
@@ -15,6 +16,12 @@ from geo.crs import horizontal_crs, vertical_crs
 from survey.errors import FILE_NAME, ConfigError
 
 _GEOID_STEP = re.compile(r"\+proj=vgridshift\s+\+grids=(\S+)")
+
+
+def area_at(lon: np.ndarray, lat: np.ndarray) -> AreaOfInterest:
+    """Where a survey lies, by longitudes and latitudes [deg], for PROJ to choose among regional transformations."""
+    east, north = float(np.median(lon)), float(np.median(lat))
+    return AreaOfInterest(east - 0.01, max(north - 0.01, -90.0), east + 0.01, min(north + 0.01, 90.0))
 
 
 def height_transformer(crs: CRS, area: AreaOfInterest) -> Transformer:

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from pyproj import CRS, Transformer
-from pyproj.transformer import AreaOfInterest
 
 from geo.crs import height_unit_m, horizontal_crs, is_geographic, parse_crs, vertical_crs
 from geo.frames import LocalFrame
 from survey.errors import FILE_NAME, ConfigError, PosesError
 from survey.photos.exif import Exif, utm_code_of
-from survey.sfm.geoid import height_transformer
+from survey.sfm.geoid import area_at, height_transformer
 
 # Mean sea level by EGM96: the heights of consumer receivers and drones.
 _EGM96_HEIGHT = 5773
@@ -120,7 +119,7 @@ def is_whole(position: tuple[float, float, float] | None) -> bool:
 def _crs_from_wgs84(crs: CRS, lon, lat, height, gps_height: str, notes: list[str]) -> np.ndarray:
     """WGS 84 longitudes, latitudes [deg] and heights [m] (N,) as points (N, 3) in crs."""
     # Two dimensions only: the height is not touched by any change of datum.
-    area, horizontal = _area(lon, lat), horizontal_crs(crs)
+    area, horizontal = area_at(lon, lat), horizontal_crs(crs)
     transformer = Transformer.from_crs("EPSG:4326", horizontal, always_xy=True, area_of_interest=area)
     east, north = transformer.transform(lon, lat)
     if gps_height == "crs":
@@ -137,12 +136,6 @@ def _crs_from_wgs84(crs: CRS, lon, lat, height, gps_height: str, notes: list[str
         f"({' + '.join(steps) or 'no change'})"
     )
     return np.stack([east, north, to_height.transform(lon, lat, height)[2]], axis=-1)
-
-
-def _area(lon, lat) -> AreaOfInterest:
-    """Where a survey lies, for PROJ to choose among the regional transformations of a datum."""
-    lon, lat = float(np.median(lon)), float(np.median(lat))
-    return AreaOfInterest(lon - 0.01, max(lat - 0.01, -90.0), lon + 0.01, min(lat + 0.01, 90.0))
 
 
 def _origin(crs: CRS, points: np.ndarray) -> tuple[float, float, float]:

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fields.gamma import GAMMA
 from refract import PinholeCamera
 from refract.lens import Lens, normalised
 
 # Radiance (N, 3) along rays from origins (N, 3) in directions (N, 3), with a seed for random sampling.
 Eye = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
 
-GAMMA = 2.2
 # Rays at a time.
 _RAYS = 1 << 21
 # Steps of a sequence that fills the cube evenly (Roberts 2018, the generalised golden ratio of three dimensions).

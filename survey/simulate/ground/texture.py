@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from fields.gamma import GAMMA
 from survey.errors import SurveyError
 from survey.simulate.ground.paint import sand
 from survey.simulate.ground.skin import ImageSkin, VertexSkin, skin_from_above
 from survey.simulate.ground.triangles import TriangleMesh
 from survey.simulate.scene_file import TextureSettings
-from survey.simulate.sensor import GAMMA
 
 # Texels of the largest texture: 12 bytes each, and as much again while it is drawn.
 _MOST_TEXELS = 80_000_000

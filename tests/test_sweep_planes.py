@@ -1,0 +1,80 @@
+"""Planes through known heights: how the bed goes on where a view does not know it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from plane_survey import TILTED, PlaneBed, ring
+
+from fields.sweep import fusing
+from fields.sweep.maps import DepthMap
+from fields.sweep.planes import SIDE_PX, continued
+
+# Of heights of some metres in float32.
+ROUNDING_M = 2e-6
+TOLERANCE_M = 0.02
+# More rows than are worked out together.
+SHAPE = (150, 40)
+
+
+@pytest.fixture
+def slope() -> np.ndarray:
+    """A bed that falls by three centimetres from row to row."""
+    rows, columns = np.indices(SHAPE)
+    return (-2.0 - 0.03 * rows + 0.01 * columns).astype(np.float32)
+
+
+def test_unknown_heights_on_a_slope_are_those_of_the_slope(slope, rng):
+    known = rng.random(SHAPE) < 0.6
+    wrong = np.where(known, slope, slope + rng.normal(0.0, 0.5, SHAPE)).astype(np.float32)
+    np.testing.assert_allclose(continued(wrong, known, TOLERANCE_M), slope, atol=ROUNDING_M)
+
+
+def test_known_heights_stay_as_they_are(slope, rng):
+    known, noisy = rng.random(SHAPE) < 0.6, (slope + rng.normal(0.0, 0.005, SHAPE)).astype(np.float32)
+    np.testing.assert_array_equal(continued(noisy, known, TOLERANCE_M)[known], noisy[known])
+
+
+def test_the_plane_is_that_of_least_squares(slope, rng):
+    known, noisy = rng.random(SHAPE) < 0.5, (slope + rng.normal(0.0, 0.005, SHAPE)).astype(np.float32)
+    known[64, 20] = False
+    found, half = continued(noisy, known, TOLERANCE_M), SIDE_PX // 2
+    rows, columns = np.nonzero(known[64 - half : 64 + half + 1, 20 - half : 20 + half + 1])
+    ones = np.stack([np.ones(len(rows)), rows - half, columns - half], axis=-1)
+    expected = np.linalg.lstsq(ones, noisy[64 - half + rows, 20 - half + columns].astype(np.float64))[0][0]
+    assert found[64, 20] == pytest.approx(expected, abs=ROUNDING_M)
+
+
+def test_beside_a_step_nothing_is_changed(slope, rng):
+    known, stepped = rng.random(SHAPE) < 0.6, slope.copy()
+    stepped[:, 20:] += 0.5
+    found, beside = continued(stepped, known, TOLERANCE_M), slice(18, 23)
+    np.testing.assert_array_equal(found[:, beside], stepped[:, beside])
+
+
+@pytest.mark.parametrize("where", [np.s_[75:76, 20:21], np.s_[75:76, :], np.s_[:, 20:21], np.s_[:0]])
+def test_a_few_known_heights_or_a_line_of_them_are_no_plane(slope, where):
+    known = np.zeros(SHAPE, dtype=bool)
+    known[where] = True
+    np.testing.assert_array_equal(continued(slope, known, TOLERANCE_M), slope)
+
+
+def test_heights_that_are_not_trusted_begin_the_next_pass_on_the_plane_of_those_around(device):
+    bed, cameras = PlaneBed(TILTED, -2.0, slope=0.1), ring(3)
+    block = bed.block(device, cameras, None)
+    off = np.s_[30:37, 40:47]
+
+    def fused(goes_on: bool) -> np.ndarray:
+        maps = {}
+        for view, camera in enumerate(cameras):
+            height = bed.true_height(camera).astype(np.float32)
+            nobody = np.zeros(height.shape, dtype=np.uint8)
+            maps[view] = DepthMap(view, height, np.ones(height.shape, np.float16), nobody, nobody.astype(np.float16))
+        maps[0].height[off] += 1.0
+        peers = {view: [other for other in maps if other != view] for view in maps}
+        return fusing.fuse(block, maps, 1.0, peers, goes_on=goes_on)[0].height[off]
+
+    truth = bed.true_height(cameras[0])[off]
+    # True heights of a tilted plane are those of one in the image but for perspective.
+    np.testing.assert_allclose(fused(goes_on=True), truth, atol=1e-3)
+    assert (np.abs(fused(goes_on=False) - truth) > 0.5).any()

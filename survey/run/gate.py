@@ -37,7 +37,9 @@ def verdict_of(survey: Survey, stored: StoredBed, gsd_m: float) -> Verdict:
 
 def asked_gate(stored: StoredBed, std_m: float) -> Gate:
     """Whether the standard deviation [m] that was asked for is reached, and if not, what limits it."""
-    cells = std_cells(replace(stored.bed, std=stored.std_of_photographs()), stored.gsd_m)
+    # What GPS or control leaves of the place of the block is not for the photographs to mend.
+    bed = replace(stored.bed, std=stored.std_of_photographs())
+    cells = std_cells(bed, stored.gsd_m)
     reached = cells.reached(std_m)
     sentence = f"{cells.in_words(std_m)}; required: {share(SHARE)} within what was asked"
     if reached < SHARE:

@@ -74,5 +74,6 @@ def _cells(job: Job, needs: Mapping[str, Path], solved: Sequence[SolvedMap]) -> 
     kept = job.once(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m))
     bed, _, _ = bed_points(job, maps, None, lambda _done: None, solved, kept, coloured=False)
     if not is_placed(job.survey):
+        # As the gate: where GPS or control has put a block, no round mends.
         bed, _ = with_std_of_block(bed, job.survey, adjustment_of(needs), job.plan.gsd_m)
     return std_cells(bed, job.plan.gsd_m)

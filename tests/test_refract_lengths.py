@@ -178,7 +178,7 @@ def test_the_number_of_solutions_has_the_shape_of_the_points(points, water):
     assert project(torch.tensor(points), torch.tensor(CENTRE), water).solutions.shape == points.shape[:-1]
 
 
-def test_empty_arrays_give_empty_answers_and_drjit_says_that_it_has_none():
+def test_empty_arrays_give_empty_answers():
     assert trace(CENTRE, np.zeros((0, 3)), WATER).counts()["bent"] == 0
     assert project(torch.zeros(0, 3), torch.zeros(3), WATER).direction.shape == (0, 3)
     drjit = pytest.importorskip("drjit", reason="Dr.Jit is not installed")
@@ -186,5 +186,4 @@ def test_empty_arrays_give_empty_answers_and_drjit_says_that_it_has_none():
         pytest.skip("Dr.Jit finds no LLVM; install libllvm19 or set DRJIT_LIBLLVM_PATH")
     from drjit.llvm.ad import Array3f64
 
-    with pytest.raises(ValueError, match=r"direction \(3, 0\)"):
-        trace(CENTRE, Array3f64(np.zeros((3, 0))), WATER)
+    assert trace(CENTRE, Array3f64(np.zeros((3, 0))), WATER).counts()["bent"] == 0

@@ -22,7 +22,7 @@ from survey.run.stored import load_arrays, unreadable, write_arrays
 # In the header of a file in a zip archive: the lengths of name and extra field, which follow it.
 _LENGTHS_AT = 26
 # Bytes of maps that are worked on in memory; files for the others take a twentieth of the time of the sweep.
-IN_MEMORY = 100_000_000
+IN_MEMORY = 75_000_000
 
 Kind = TypeVar("Kind")
 

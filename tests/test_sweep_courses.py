@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fields.device import choose_device
-from fields.sweep.courses import MOST_RUNGS, course_through, place_on, sections, through_water
+from fields.sweep.courses import MOST_RUNGS, course_through, in_front, place_on, sections, through_water
 from fields.sweep.legs import legs_through, place_at, point_at
 from fields.sweep.stack import Beyond, PlaneFrame, ViewStack, camera_table
 from refract import FlatWater, PinholeCamera
@@ -45,7 +45,7 @@ def misses(water: FlatWater | None, span_px: float) -> np.ndarray:
         (u, v, _), (u_up, v_up, _) = seen(bed), seen(bed + 1e-3)
         span = span_px * 1e-3 / np.median(np.hypot(u_up - u, v_up - v))
         low = np.minimum(bed, -0.01 - span)
-        course = course_through([seen(low + share * span) for share in (0.0, 0.5, 1.0)])
+        course = course_through([in_front(seen(low + share * span)) for share in (0.0, 0.5, 1.0)])
         for share in np.linspace(0.0, 1.0, 9):
             (u, v, depth_there), (u_on, v_on, inside) = seen(low + share * span), place_on(course, share, other)
             known = inside & (depth_there > 0.0)

@@ -87,16 +87,6 @@ def rung_and_pixel(device: Device, count: int, strip: int) -> tuple[Any, Any]:
     return rung, index - rung * drjit.opaque(module.UInt, strip)
 
 
-def run_of(device: Device, array, first: int, count: int):
-    """Consecutive values of an array of Dr.Jit: on the CPU a view of its memory, which kernels read in vectors."""
-    import drjit
-
-    if device.name == "llvm":
-        return device.module.Float(array.numpy()[first : first + count])
-    UInt = device.module.UInt
-    return drjit.gather(type(array), array, drjit.arange(UInt, count) + drjit.opaque(UInt, first))
-
-
 def host(device: Device, array) -> np.ndarray:
     """An array of the device as numpy, flat."""
     return array.numpy() if device.module is not None else array.reshape(-1).cpu().numpy()

@@ -39,15 +39,17 @@ def through_water(stack: ViewStack, start: np.ndarray, step: float, part: range)
     return np.flatnonzero((start < -low) & (start > -high))
 
 
-def course_through(places) -> list:
-    """The course through three places (u, v, depth): of the first, the middle and the last point of ladders.
+def in_front(place) -> tuple:
+    """A place (u, v) of (u, v, depth); NaN where that is behind the camera."""
+    u, v, depth = place
+    xp = kernels.namespace(u)
+    return xp.where(depth > 0.0, u, math.nan), xp.where(depth > 0.0, v, math.nan)
 
-    NaN where one of them is behind the camera.
-    """
-    xp = kernels.namespace(places[0][0])
-    (u, v), (u_middle, v_middle), (u_last, v_last) = (
-        (xp.where(depth > 0.0, u, math.nan), xp.where(depth > 0.0, v, math.nan)) for u, v, depth in places
-    )
+
+def course_through(places) -> list:
+    """The course through three places (u, v): of the first, the middle and the last point of ladders."""
+    (u, v), (u_middle, v_middle), (u_last, v_last) = places
+    xp = kernels.namespace(u)
     way, middle = (u_last - u, v_last - v), (u_middle - u, v_middle - v)
     squared = way[0] * way[0] + way[1] * way[1]
     is_way = squared > _SHORTEST_PX**2

@@ -18,12 +18,20 @@ from typing import Any
 import drjit as dr
 
 from fields.device import Device
-from fields.sweep.arrays import run_of, rung_and_pixel
+from fields.sweep.arrays import rung_and_pixel
 
 # A window flatter than this (grey levels squared, at 8 bits) holds noise, not texture; it lowers NCC there.
 NOISE_VARIANCE = 1.0
 # A ladder is climbed in kernels of this many rungs: one of hundreds, in one kernel, takes minutes to compile.
 RUNGS_PER_KERNEL = 8
+
+
+def _shifted(device: Device, array, first: int, count: int):
+    """A run of consecutive values of an array: on the CPU a view of its memory, which kernels read in whole vectors."""
+    if device.name == "llvm":
+        return device.module.Float(array.numpy()[first : first + count])
+    UInt = device.module.UInt
+    return dr.gather(type(array), array, dr.arange(UInt, count) + dr.opaque(UInt, first))
 
 
 def ncc(device: Device, reference, values: list, width: int, radius: int, least_known: float = 1.0) -> list:
@@ -42,7 +50,7 @@ def ncc(device: Device, reference, values: list, width: int, radius: int, least_
     side = 2 * radius + 1
     offsets = [row * width + column for row in range(side) for column in range(side)]
     count, scale = total - offsets[-1], 1.0 / side**2
-    reference, *windows = ([run_of(device, array, o, count) for o in offsets] for array in (greys, *values))
+    reference, *windows = ([_shifted(device, array, o, count) for o in offsets] for array in (greys, *values))
     if least_known < 1.0:
         return [_ncc_of_known(window, reference, least_known * side**2) for window in windows]
     m_i, v_i, _ = _moments(reference, reference, scale)

@@ -20,8 +20,8 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from fields.sweep.arrays import constant, floats, indices, run_of, rung_and_pixel
-from fields.sweep.courses import course_through, place_on, sections, through_water
+from fields.sweep.arrays import constant, floats, indices, rung_and_pixel
+from fields.sweep.courses import course_through, in_front, place_on, sections, through_water
 from fields.sweep.legs import legs_through, place_at, point_at, seen_at
 from fields.sweep.quads import MASKED
 from fields.sweep.stack import Beyond, ViewStack, camera_table
@@ -30,8 +30,6 @@ from fields.sweep.stack import Beyond, ViewStack, camera_table
 VIEWS_PER_KERNEL = 4
 # Samples (neighbours x rungs x pixels) of one launch: 32 MB in all.
 STRIP_SAMPLES = 8_000_000
-# Floats of the widest vectors.
-_VECTOR = 16
 # Share of the pixels that is projected point by point from which all are.
 _MANY = 0.3
 
@@ -165,20 +163,20 @@ def _along_courses(ladders: _Ladders, part: range, neighbours: list[int], values
 
 
 def _ends_and_middles(ladders: _Ladders, part: range, neighbours: list[int]) -> list:
-    """Places (u, v, depth) of the first, the middle and the last point of each ladder in each neighbour."""
+    """Places (u, v) of the first, the middle and the last point of each ladder in each neighbour."""
     stack, size = ladders.stack, ladders.size
-    # Three runs of whole vectors, so that views of each begin where vectors do.
-    run = -(-size // _VECTOR) * _VECTOR
-    third, pixel = rung_and_pixel(stack.device, 3 * run, run)
-    pixel = dr.minimum(pixel, dr.opaque(stack.device.module.UInt, size - 1))
+    UInt, Float = stack.device.module.UInt, stack.device.module.Float
+    third, pixel = rung_and_pixel(stack.device, 3 * size, size)
     first, half = (constant(stack.device, each) for each in (part.start, 0.5 * (len(part) - 1)))
-    points = ladders.points(first + stack.device.module.Float(third) * half, pixel)
+    points = ladders.points(first + Float(third) * half, pixel)
     found = []
     for group in _groups(neighbours):
-        places = [place_at(stack.numbers[view], points, stack.n_water, stack.beyond) for view in group]
+        places = [in_front(place_at(stack.numbers[view], points, stack.n_water, stack.beyond)) for view in group]
         dr.eval(places)
         found += places
-    return [[[run_of(stack.device, each, k * run, size) for each in place] for k in range(3)] for place in found]
+    # Not as views of their memory: to ask where that is waits for the kernels.
+    runs = [dr.arange(UInt, size) + dr.opaque(UInt, k * size) for k in range(3)]
+    return [[[dr.gather(Float, each, run) for each in place] for run in runs] for place in found]
 
 
 def _point_by_point(

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from fields.sweep.arrays import floats, indices
-from fields.sweep.courses import course_through, place_on, sections, through_water
+from fields.sweep.courses import course_through, in_front, place_on, sections, through_water
 from fields.sweep.legs import legs_through, place_at, point_at, seen_at
 from fields.sweep.quads import MASKED
 from fields.sweep.stack import Beyond, ViewStack, camera_table
@@ -88,7 +88,7 @@ def warp(stack: ViewStack, legs, start: np.ndarray, neighbours: list[int], step:
         span = step * max(len(part) - 1, 1)
         three = [point_at(legs, begin + step * part.start + share * span) for share in (0.0, 0.5, 1.0)]
         courses = [
-            course_through([place_at(stack.numbers[view], each, stack.n_water, stack.beyond) for each in three])
+            course_through([in_front(place_at(stack.numbers[view], p, stack.n_water, stack.beyond)) for p in three])
             for view in neighbours
         ]
         per_call = max(1, PORTION // len(begin))

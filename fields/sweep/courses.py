@@ -10,11 +10,12 @@ that are projected exactly tell where the others are: to 1e-5 px rms over 6 px, 
 
 from __future__ import annotations
 
-import itertools
 import math
+from itertools import pairwise
 
 import numpy as np
 
+from fields.sweep.legs import is_inside
 from fields.sweep.stack import ViewStack
 from refract import kernels
 
@@ -27,7 +28,7 @@ _SHORTEST_PX = 0.03
 def sections(rungs: int) -> list[range]:
     """The rungs of a ladder in parts for a course each, of about the same length."""
     ends = np.linspace(0, rungs, -(-rungs // MOST_RUNGS) + 1).round().astype(int).tolist()
-    return [range(first, end) for first, end in itertools.pairwise(ends)]
+    return [range(first, end) for first, end in pairwise(ends)]
 
 
 def through_water(stack: ViewStack, start: np.ndarray, step: float, part: range) -> np.ndarray:
@@ -66,4 +67,4 @@ def place_on(course, at, camera) -> tuple:
     share = (1.0 + ahead) * at / (1.0 + ahead * at)
     bump = at * (1.0 - at)
     u, v = u + along_u * share + beside_u * bump, v + along_v * share + beside_v * bump
-    return u, v, (u >= 0.5) & (v >= 0.5) & (u < camera[16] - 0.5) & (v < camera[17] - 0.5)
+    return u, v, is_inside(camera, u, v)

@@ -72,11 +72,15 @@ def _place(camera, v, beyond: Beyond) -> tuple:
 def seen_at(camera, point, n_water, beyond: Beyond, steps: int = CROSSING_STEPS) -> tuple:
     """Pixel position (u, v) [px] of a point in a camera, and whether inside its image.
 
-    Inside are positions between the outermost pixel centres. Otherwise as `place_at`.
+    Parameters as of `place_at`.
     """
     u, v, depth = place_at(camera, point, n_water, beyond, steps)
-    inside = (u >= 0.5) & (v >= 0.5) & (u < camera[16] - 0.5) & (v < camera[17] - 0.5) & (depth > 0.0)
-    return u, v, inside
+    return u, v, is_inside(camera, u, v) & (depth > 0.0)
+
+
+def is_inside(camera, u, v):
+    """Whether positions (u, v) [px] lie between the outermost pixel centres of an image."""
+    return (u >= 0.5) & (v >= 0.5) & (u < camera[16] - 0.5) & (v < camera[17] - 0.5)
 
 
 def place_at(camera, point, n_water, beyond: Beyond, steps: int = CROSSING_STEPS) -> tuple:

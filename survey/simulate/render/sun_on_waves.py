@@ -113,7 +113,6 @@ def suns_of(
     depth_m: float,
     glint_share: float,
     contrast: float,
-    exposure: float = 1.0,
 ) -> tuple[SunOnWaves, ...]:
     """The sun at other waves for each photograph.
 
@@ -126,8 +125,6 @@ def suns_of(
         bed is chosen so, as an exposure does.
     contrast : [-]
         Standard deviation over mean of the light on the bed at ``depth_m``; other depths follow.
-    exposure : [-]
-        Stored grey, linear, per radiance.
 
     Raises
     ------
@@ -142,7 +139,7 @@ def suns_of(
     if glint_share <= 0.0:
         return tuple(found)
     seen = np.concatenate([_probed(sun, camera) for sun, camera in zip(found, cameras, strict=True)])
-    bright = float(np.quantile(seen, 1.0 - glint_share)) * exposure
+    bright = float(np.quantile(seen, 1.0 - glint_share))
     if bright * _BRIGHTEST < 1.0:
         raise SurveyError(
             f"glint_share is {glint_share:g}, but the waves do not mirror the sun into so many pixels of this flight; "

@@ -9,8 +9,8 @@ import pytest
 from adjusted_block import drawn_adjustment, plane_of
 from PIL import Image
 from small_bed import plane_bed
+from small_report import PLAN
 from small_survey import small_survey
-from test_report import PLAN
 
 from survey.adjust.adjustment import UNKNOWN
 from survey.control.points import Control, ControlPoint

@@ -1,34 +1,18 @@
-"""The drawn survey: its renderer is exact, its truth is what it drew, and its folder is whole or absent."""
+"""The drawn survey: its renderer is exact, and its truth is what it drew."""
 
 from __future__ import annotations
 
-import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from drawn_shore import EXACT_M, EXACT_PX, SHORE, STORED_PX, drawn_shore
 
 from geo import read_reference
-from refract import FlatWater
-from survey.errors import SurveyError
 from survey.folder.config import read_config
 from survey.folder.survey import load_survey
-from survey.photos.exif import read_exif
-from survey.simulate.drawn import DrawnScene, draw_survey, stage_drawing
-from survey.simulate.drawn.__main__ import main
-from survey.simulate.ground.shapes import BedGrid, Solid
-from survey.simulate.output import writing
+from survey.simulate.drawn import DrawnScene, stage_drawing
 from survey.simulate.output.staged_scene import StagedScene
-
-# Rounding of float64 over 10 m of path, and the projection's 1e-9 m, at 280 px focal length and 8 m: 4e-8 px.
-EXACT_PX = 1e-6
-# cameras.csv rounds to 1e-6 m and 1e-9 degrees: 0.00004 px.
-STORED_PX = 1e-3
-# Coordinates of about 5e6 m are stored to 1e-9 m; a few roundings on the way into the local frame.
-EXACT_M = 1e-8
-
-ROLLING = DrawnScene.tiny(speed_m_s=4.0, readout_s=0.035)
-SHORE = DrawnScene.tiny(shore=True, slope_east=-0.002, slope_north=0.004)
 
 
 @pytest.fixture(scope="module")
@@ -37,10 +21,8 @@ def drawing() -> StagedScene:
 
 
 @pytest.fixture(scope="module")
-def survey_folder(tmp_path_factory):
-    path = tmp_path_factory.mktemp("drawn") / "shore"
-    draw_survey(path, SHORE)
-    return path
+def survey_folder(tmp_path_factory) -> Path:
+    return drawn_shore(tmp_path_factory.mktemp("drawn"))
 
 
 def hits_of_all(drawing, rng, count=400):
@@ -134,47 +116,6 @@ def test_hits_lie_on_the_ground_and_nothing_stands_before_them(drawing, rng):
         assert not stands_before(drawing, crossing, hits.points).any()
 
 
-def test_rays_over_a_slope_of_triangles_end_at_the_distance_in_closed_form(rng):
-    x, y = 0.1 * np.arange(60), 0.1 * np.arange(40)[:, None]
-    bed = BedGrid(0.3 * x - 0.2 * y - 1.0, 0.0, 0.0, 0.1)
-    origin = rng.uniform((2.0, 1.5, 2.0), (4.0, 2.5, 3.0), (500, 3))
-    direction = np.array([*rng.uniform(-0.3, 0.3, (2, 500)), np.full(500, -1.0)]).T
-    direction[:20, :2] = 0.0  # plumb
-    direction[20:40, 0] = 0.0  # along a line of the grid
-    direction[40:60, 1] = -direction[40:60, 0]  # along the diagonals
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    expected = (origin @ (0.3, -0.2, -1.0) - 1.0) / (direction @ (-0.3, 0.2, 1.0))
-    endless = np.full(500, np.inf)
-    np.testing.assert_allclose(bed.hit(origin, direction, endless)[0], expected, atol=1e-12)
-    assert np.isinf(bed.hit(origin, direction, expected - 1e-6)[0]).all()
-
-
-def test_a_ray_stops_at_a_thin_wall_of_the_bed_that_hides_the_ground_behind():
-    heights = np.zeros((9, 400))
-    heights[:, 200] = 1.0
-    bed = BedGrid(heights, 0.0, 0.0, 0.01)
-    origin, direction = np.array([[0.4, 0.045, 2.0]]), np.array([[1.6, 0.0, -1.4]])
-    direction /= np.linalg.norm(direction)
-    # The west face of the wall is the plane z = 100 (x - 1.99).
-    t = (100.0 * (0.4 - 1.99) - 2.0) / (direction[0, 2] - 100.0 * direction[0, 0])
-    np.testing.assert_allclose(bed.hit(origin, direction, np.array([np.inf]))[0], t, atol=1e-12)
-
-
-def test_a_box_is_entered_where_its_faces_are_and_missed_beside_them():
-    corners = np.stack(np.meshgrid([-1.0, 1.0], [-2.0, 2.0], [0.0, 3.0]), axis=-1).reshape(-1, 3)
-    box = Solid.around(corners)
-    assert len(box.normals) == 6
-    assert len(box.faces) == 12
-    origin = np.array([[0.0, 0.0, 5.0], [1.1, 0.0, 5.0], [-4.0, 0.0, 5.0], [0.5, 2.5, 5.0]])
-    direction = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, -1.0], [0.6, 0.0, -0.8], [0.0, 0.0, -1.0]])
-    t, plane = box.hit(origin, direction, np.full(4, np.inf))
-    np.testing.assert_allclose(t, [2.0, np.inf, 5.0, np.inf], atol=1e-12)
-    np.testing.assert_allclose(box.normals[plane[[0, 2]]], [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]], atol=1e-12)
-    a, b, c = (box.vertices[box.faces[:, k]] for k in range(3))
-    volume = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0
-    assert volume == pytest.approx(24.0)  # positive: all normals point outward
-
-
 def test_the_reference_is_the_bed_that_was_drawn_and_fills_the_bounds(drawing, survey_folder):
     mesh = read_reference(survey_folder / "truth" / "reference.ply")
     local = drawing.frame.local_from_crs(mesh.vertices)
@@ -216,209 +157,3 @@ def test_the_bed_under_the_boat_is_in_the_reference_but_not_visible(drawing, sur
 
     assert num_inside(read_reference(survey_folder / "truth" / "reference.ply").vertices) > 50
     assert num_inside(read_reference(survey_folder / "truth" / "visible.ply").points) == 0
-
-
-def test_a_pixel_is_the_mean_light_of_its_quarters(drawing):
-    camera = drawing.cameras[6]
-    image = drawing.photograph(6)
-    rows, columns = np.array([3, 50, 118, 77]), np.array([150, 20, 90, 1])
-    quarters = np.array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]])
-    pixels = np.stack([columns, rows], axis=-1)[:, None] + quarters
-    light = drawing.renderer.radiance(camera, pixels.reshape(-1, 2)).reshape(4, 4, 3).mean(axis=1)
-    np.testing.assert_array_equal(image[rows, columns], np.round(255.0 * light ** (1.0 / 2.2)))
-
-
-def test_a_rolling_shutter_takes_each_row_from_where_the_camera_is_then():
-    scene = stage_drawing(ROLLING)
-    camera = scene.cameras[6]
-    image = scene.photograph(6)
-    rows, columns = np.array([3, 50, 118, 77]), np.array([150, 20, 90, 1])
-    quarters = np.array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]])
-    pixels = (np.stack([columns, rows], axis=-1)[:, None] + quarters).reshape(-1, 2)
-    # 4 m/s, 35 ms, 120 rows.
-    late = (pixels[:, 1] - 60.0) * 0.035 / 119.0
-    places = camera.centre + late[:, None] * scene.velocities[6]
-    light = scene.renderer.radiance_of_rays(places, camera.directions(pixels)).reshape(4, 4, 3).mean(axis=1)
-    np.testing.assert_allclose(image[rows, columns], np.round(255.0 * light ** (1.0 / 2.2)), atol=1)
-    np.testing.assert_array_equal(scene.renderer.radiance(camera, pixels).reshape(4, 4, 3).mean(axis=1), light)
-    assert np.linalg.norm(scene.velocities, axis=1) == pytest.approx(4.0)
-    still = stage_drawing(dataclasses.replace(ROLLING, readout_s=0.0))
-    assert np.abs(image.astype(float) - still.photograph(6)).mean() > 2.0
-
-
-def test_a_survey_drawn_with_a_rolling_shutter_is_loaded_with_the_motion_that_it_was_drawn_with(tmp_path):
-    draw_survey(tmp_path / "s", ROLLING)
-    survey, scene = load_survey(tmp_path / "s"), stage_drawing(ROLLING)
-    assert survey.warnings == ()
-    for view, camera in zip(survey.views, scene.cameras, strict=True):
-        # XMP has 0.1 m/s, and axes of a frame with its origin a metre away.
-        np.testing.assert_allclose(view.camera.motion, camera.motion, atol=0.06 * 0.035 / 119.0)
-        points = np.column_stack([np.linspace(-1.0, 1.0, 9), np.linspace(1.0, -1.0, 9), np.full(9, -1.1)])
-        here = survey.frame.local_from_crs(scene.frame.crs_from_local(points))
-        apart = view.camera.project(here, survey.water) - camera.project(points, scene.water)
-        assert np.abs(apart).max() < 0.06 * 0.035 / 2.0 * 280.0 / 7.0 + STORED_PX
-    depth = np.asarray(Image.open(tmp_path / "s" / "truth" / "depth" / "0006.tif"))
-    hits = scene.renderer.trace(scene.cameras[6], scene.cameras[6].pixel_centres().reshape(-1, 2))
-    np.testing.assert_allclose(depth.ravel(), -hits.points[:, 2], atol=2e-3)
-
-
-def test_a_survey_drawn_over_rising_water_is_loaded_with_the_levels_that_it_was_drawn_with(tmp_path):
-    rising = DrawnScene.tiny(rise_m=0.2)
-    draw_survey(tmp_path / "s", rising)
-    survey, scene = load_survey(tmp_path / "s"), stage_drawing(rising)
-    assert survey.config.water.level_m == pytest.approx(rising.level_m, abs=1e-9)
-    points = np.column_stack([np.linspace(-1.0, 1.0, 9), np.linspace(1.0, -1.0, 9), np.full(9, -1.1)])
-    for index, view in enumerate(survey.views):
-        # Times in EXIF are those of a flight of an hour, to a microsecond; readings of the gauge have 0.1 mm.
-        assert view.camera.tide == pytest.approx(0.2 * (index / 7.0 - 0.5), abs=1e-4)
-        renderer, camera = scene.at(index)
-        here = survey.frame.local_from_crs(scene.frame.crs_from_local(points))
-        apart = view.camera.project(here, survey.water) - camera.project(points, renderer.water)
-        assert np.abs(apart).max() < STORED_PX
-
-
-def test_deep_ground_is_bluer_and_all_ground_is_textured(drawing):
-    camera = drawing.cameras[0]
-    hits = drawing.renderer.trace(camera, camera.pixel_centres().reshape(-1, 2))
-    image = drawing.photograph(0).astype(float)
-    blueness = (image[..., 2] / image[..., 0]).ravel()
-    deep, shallow = hits.in_water > 0.5, hits.in_water < 0.1
-    assert blueness[deep].mean() > 1.1 * blueness[shallow].mean()
-    blocks = image[:, :, 1].reshape(12, 10, 16, 10).std(axis=(1, 3))
-    assert blocks.min() > 3.0  # three times the noise of a photograph
-    assert (image == 255.0).mean() < 0.01
-
-
-def test_every_point_of_the_demos_area_lies_in_at_least_six_photographs():
-    scene = DrawnScene()
-    x, y = (c.ravel() for c in np.meshgrid(*(np.linspace(-0.5, 0.5, 21) * s for s in scene.size_m)))
-    num_views = np.zeros(len(x), dtype=int)
-    for camera in scene.cameras():
-        points = np.stack([x, y, np.full(len(x), -scene.depth_m)], axis=-1)
-        pixels = camera.project(points, FlatWater((0.0, 0.0, 0.0), n_water=scene.n_water))
-        num_views += ((pixels > 0.0) & (pixels < scene.image_px)).all(axis=1)
-    assert num_views.min() >= 6
-
-
-def test_the_demos_views_are_convergent_from_10_to_35_degrees():
-    axes = np.array([camera.cam_from_local[2] for camera in DrawnScene().cameras()])
-    tilt = np.sort(np.degrees(np.arccos(-axes[:, 2])))
-    assert len(tilt) == 20
-    assert (tilt[:12] < 5.0).all()
-    np.testing.assert_allclose(tilt[[12, -1]], [10.0, 35.0], atol=1e-6)
-
-
-def test_exif_has_the_position_within_the_noise_of_a_good_receiver_and_the_focal_length(drawing, survey_folder):
-    from pyproj import Transformer
-
-    to_grid = Transformer.from_crs("EPSG:4326", "EPSG:25832", always_xy=True)
-    centres = drawing.frame.crs_from_local([camera.centre for camera in drawing.cameras])
-    for name, centre in zip(drawing.names, centres, strict=True):
-        head = read_exif(survey_folder / "images" / name)
-        latitude, longitude, height = head.lat_lon_height
-        found = np.array([*to_grid.transform(longitude, latitude), height])
-        assert np.abs(found - centre).max() < 5 * 0.02
-        assert head.focal_px == pytest.approx(SHORE.focal_px, rel=0.5 / 63.0)  # whole millimetres of 35 mm film
-
-
-def test_the_same_scene_gives_the_same_bytes_and_another_seed_another_bed(survey_folder, tmp_path):
-    draw_survey(tmp_path / "same", SHORE)
-    files = sorted(p.relative_to(survey_folder) for p in survey_folder.rglob("*") if p.is_file())
-    assert len(files) == 3 * 8 + 5
-    for file in files:
-        assert (tmp_path / "same" / file).read_bytes() == (survey_folder / file).read_bytes(), file
-    other = stage_drawing(dataclasses.replace(SHORE, seed=2))
-    assert other.renderer.ground.bed.height(0.0, 0.0) != stage_drawing(SHORE).renderer.ground.bed.height(0.0, 0.0)
-
-
-def test_noise_has_the_asked_strength_and_photographs_become_jpeg(tmp_path):
-    scene = DrawnScene.tiny(noise=2.0, num_views=3)
-    noisy, clean = stage_drawing(scene), stage_drawing(dataclasses.replace(scene, noise=0.0))
-    difference = noisy.photograph(1).astype(float) - clean.photograph(1)
-    # Two roundings add 1/12 each.
-    assert difference.std() == pytest.approx(np.sqrt(4.0 + 2.0 / 12.0), rel=0.01)
-    draw_survey(tmp_path / "noisy", scene)
-    assert sorted(p.name for p in (tmp_path / "noisy" / "images").iterdir()) == noisy.names
-    assert noisy.names[0] == "0000.jpg"
-
-
-def test_a_dry_survey_has_the_same_bed_and_no_water(survey_folder, tmp_path):
-    scene = dataclasses.replace(SHORE, water=False)
-    draw_survey(tmp_path / "dry", scene)
-    assert read_config(tmp_path / "dry" / "survey.toml").water is None
-    wet, dry = (path / "truth" / "reference.ply" for path in (survey_folder, tmp_path / "dry"))
-    assert wet.read_bytes() == dry.read_bytes()
-
-
-def test_a_finished_folder_is_left_alone_until_told_and_keeps_what_is_not_of_it(tmp_path):
-    path, scene = tmp_path / "survey", DrawnScene.tiny(num_views=3)
-    draw_survey(path, scene)
-    (path / "bathynerf").mkdir()
-    (path / "bathynerf" / "cloud.las").write_text("a run")
-    (path / "cameras.csv").write_text("changed")
-    draw_survey(path, scene)
-    assert (path / "cameras.csv").read_text() == "changed"
-    draw_survey(path, scene, again=True)
-    assert (path / "cameras.csv").read_text().startswith("image,easting")
-    draw_survey(path, dataclasses.replace(scene, seed=5))
-    assert (path / "bathynerf" / "cloud.las").read_text() == "a run"
-    assert [p.name for p in tmp_path.iterdir()] == ["survey"]
-
-
-def test_a_change_of_any_file_of_the_simulator_draws_the_survey_anew(tmp_path, monkeypatch):
-    code = tmp_path / "simulate"
-    for place in (".", "drawn", "render"):
-        (code / place).mkdir(exist_ok=True)
-        (code / place / "module.py").write_text("", encoding="utf-8")
-    assert (writing.CODE / "render" / "path_tracer.py").is_file()
-    monkeypatch.setattr(writing, "CODE", code)
-    scene = DrawnScene.tiny(num_views=3)
-    draw_survey(tmp_path / "survey", scene)
-    marker = tmp_path / "survey" / writing.MARKER
-    for place in (".", "drawn", "render"):
-        before = marker.read_text(encoding="utf-8")
-        (code / place / "module.py").write_text("changed = True", encoding="utf-8")
-        draw_survey(tmp_path / "survey", scene)
-        assert marker.read_text(encoding="utf-8") != before
-
-
-def test_what_fails_leaves_no_survey_and_the_next_try_takes_no_photograph_twice(tmp_path, monkeypatch):
-    def disk_is_full(*_):
-        raise OSError("no space left on device")
-
-    scene = DrawnScene.tiny(num_views=3)
-    with monkeypatch.context() as patch:
-        patch.setattr(writing, "write_ply", disk_is_full)
-        with pytest.raises(OSError, match="no space"):
-            draw_survey(tmp_path / "survey", scene)
-    assert not (tmp_path / "survey").exists()
-    with monkeypatch.context() as patch:
-        patch.setattr(StagedScene, "photograph", lambda *_: pytest.fail("an image was taken twice"))
-        draw_survey(tmp_path / "survey", scene)
-    assert [p.name for p in tmp_path.iterdir()] == ["survey"]
-    draw_survey(tmp_path / "whole", scene)
-    assert (tmp_path / "survey" / "images" / "0001.png").read_bytes() == (
-        tmp_path / "whole" / "images" / "0001.png"
-    ).read_bytes()
-
-
-def test_a_folder_with_other_things_in_it_is_refused(tmp_path, capsys):
-    (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(SurveyError, match=r"not empty and was not simulated here.*give another folder"):
-        draw_survey(tmp_path, DrawnScene.tiny())
-    with pytest.raises(SystemExit) as stop:
-        main([str(tmp_path), "--tiny"])
-    assert stop.value.code == 2
-    assert "give another folder" in capsys.readouterr().err
-    assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
-
-
-@pytest.mark.parametrize(
-    ("changes", "named"),
-    [({"num_views": 2}, "at least 3"), ({"n_water": 0.7}, "1.333"), ({"depth_m": 0.0}, "depth_m of a .* is 0.0"),
-     ({"flying_m": 3.0}, "twice the depth"), ({"focal_px": float("nan")}, "above zero"),
-     ({"readout_s": 1.0}, "neither below zero")],
-)  # fmt: skip
-def test_scenes_that_cannot_be_drawn_are_refused_with_the_mend(changes, named):
-    with pytest.raises(SurveyError, match=named):
-        DrawnScene(**changes)

@@ -1,0 +1,38 @@
+"""The command line for tests: called in this process, or in one of its own as a shell would start it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from types import ModuleType
+
+from typer.testing import CliRunner
+
+from survey.commands.verbs import app
+
+
+def bathynerf(*arguments):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def fake_module(monkeypatch, name: str, **content) -> None:
+    """Put a room that is not under test here out of the way."""
+    module = ModuleType(name)
+    vars(module).update(content)
+    monkeypatch.setitem(sys.modules, name, module)
+
+
+def raising(error):
+    def process(*_args, **_options):
+        raise error
+
+    return process
+
+
+MAIN = "import sys; from survey.commands.app import main; sys.argv[0] = 'bathynerf'; main()"
+
+
+def console(*arguments, code: str = MAIN, **options) -> subprocess.CompletedProcess:
+    """The command line in a process of its own, as a shell would start it."""
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    return subprocess.run(command, stderr=subprocess.PIPE, text=True, check=False, **options)

@@ -1,0 +1,134 @@
+"""Errors while a command runs: each becomes a sentence and its exit code; limits on memory are refused before."""
+
+from __future__ import annotations
+
+import errno
+import resource
+from pathlib import Path
+
+import pytest
+from command_line import bathynerf, fake_module, raising
+from small_survey import small_survey
+
+from geo.errors import EmptyCloud, GeoError
+from survey import progress as progress_room
+from survey.errors import SurveyError
+
+
+def caused_by(error: Exception, cause: BaseException) -> Exception:
+    error.__cause__ = cause
+    return error
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [
+        (SurveyError("a survey is wrong; mend it"), 2, "a survey is wrong; mend it"),
+        (EmptyCloud("cloud.las has no points"), 2, "cloud.las has no points"),
+        (OSError(errno.ENOSPC, "No space left on device"), 2, "cannot write run: no space is left on the disk"),
+        (
+            OSError(errno.ENOSPC, "No space left", "run/a.npy"),
+            2,
+            "cannot write run/a.npy: no space is left on the disk",
+        ),
+        (RuntimeError("database or disk is full"), 2, "cannot write run: no space is left on the disk"),
+        (PermissionError(errno.EACCES, "Permission denied", "run/log"), 2, "cannot use run/log: permission is denied"),
+        (FileNotFoundError(errno.ENOENT, "No such file", "r.ply"), 2, "cannot use r.ply: it does not exist"),
+        (OSError(errno.EIO, "Input/output error"), 2, "the disk reports a fault"),
+        (MemoryError(), 2, "memory ran out; use --quality draft"),
+        (
+            RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 8 bytes"),
+            2,
+            "memory ran out",
+        ),
+        (RuntimeError("jit_malloc(): out of memory! Could not allocate 8 bytes"), 2, "memory ran out"),
+        (RuntimeError("OpenCV(4.9) (-4:Insufficient memory) Failed to allocate 8 bytes"), 2, "memory ran out"),
+        (RuntimeError("bad allocation"), 2, "memory ran out"),
+        (ImportError("libtorch_cpu.so: failed to map segment from shared object"), 2, "memory ran out"),
+        (ImportError("x.so: failed to map segment from shared object: Operation not permitted"), 1, "a bug in"),
+        (OSError(errno.ENOMEM, "Cannot allocate memory", "torch"), 2, "memory ran out"),
+        (caused_by(GeoError("c.las is damaged"), MemoryError()), 2, "memory ran out"),
+        (caused_by(ImportError("numpy failed"), KeyboardInterrupt()), 130, "stopped; finished work is kept"),
+        (KeyboardInterrupt(), 130, "stopped; finished work is kept"),
+        (RuntimeError("no such tile"), 1, "RuntimeError: no such tile; this is a bug in bathynerf, -v shows where"),
+        (
+            OSError(errno.EINVAL, "Invalid argument"),
+            1,
+            "OSError: [Errno 22] Invalid argument; this is a bug in bathynerf",
+        ),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else None,
+)
+def test_every_error_becomes_a_sentence_and_its_exit_code(monkeypatch, tmp_path, error, code, words):
+    fake_module(monkeypatch, "survey.run.process", process=raising(error))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "run").mkdir()
+    result = bathynerf("process", "s", "-o", "run")
+    assert result.exit_code == code
+    (line,) = result.stderr.splitlines()
+    assert words in line
+
+
+def test_our_own_fault_leaves_its_traceback_in_the_log_and_shows_it_when_asked(monkeypatch, tmp_path):
+    log = tmp_path / "run" / "log.txt"
+
+    def process(*_args, **_options):
+        progress_room.current().log_to(log)
+        raise RuntimeError("no such tile")
+
+    fake_module(monkeypatch, "survey.run.process", process=process)
+    assert "Traceback" not in bathynerf("process", "s").stderr
+    assert "in process\n    raise RuntimeError" in log.read_text()
+    assert "error: RuntimeError: no such tile" in log.read_text()
+    assert "Traceback" in bathynerf("process", "s", "-v").stderr
+
+
+@pytest.mark.parametrize("arguments", [("process", "s"), ("waterline", "s"), ("simulate", "s.toml", "-o", "s")])
+def test_a_limit_on_memory_below_what_any_survey_needs_is_refused(monkeypatch, arguments):
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (1_536_000_000, resource.RLIM_INFINITY))
+    result = bathynerf(*arguments)
+    assert result.exit_code == 2
+    assert "limited to 1.5 GB (ulimit -v), expected at least 3 GB; raise the limit" in result.stderr
+
+
+def test_a_limit_on_data_that_kernels_would_crash_at_is_refused(monkeypatch):
+    endless = resource.RLIM_INFINITY
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: (3e8 if kind == resource.RLIMIT_DATA else endless, endless))
+    result = bathynerf("process", "s")
+    assert result.exit_code == 2
+    assert "limited to 0.3 GB (ulimit -d), expected at least 0.4 GB; raise the limit" in result.stderr
+
+
+def test_check_warns_of_the_limit_that_process_refuses(monkeypatch, tmp_path):
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (1_536_000_000, resource.RLIM_INFINITY))
+    result = bathynerf("check", small_survey(tmp_path / "s"))
+    assert result.exit_code == 0
+    sentence = bathynerf("process", "s").stderr.removeprefix("error: ")
+    assert result.stderr == f"warning: {sentence}"
+    assert sentence.startswith("the address space of this process is limited to 1.5 GB")
+
+
+def test_ctrl_c_before_there_is_a_run_folder_promises_nothing(monkeypatch, tmp_path):
+    fake_module(monkeypatch, "survey.run.process", process=raising(KeyboardInterrupt()))
+    assert bathynerf("process", "s", "-o", tmp_path / "run").stderr == "error: stopped\n"
+    (tmp_path / "run").mkdir()
+    assert "finished work is kept" in bathynerf("process", "s", "-o", tmp_path / "run").stderr
+
+
+def test_an_error_that_speaks_of_memory_itself_is_said_as_it_is(monkeypatch):
+    fake_module(monkeypatch, "survey.run.process", process=raising(SurveyError("out of memory; take 8 GB")))
+    assert bathynerf("process", "s").stderr == "error: out of memory; take 8 GB\n"
+
+
+def test_a_full_disk_under_the_log_does_not_hide_the_error(monkeypatch):
+    if not Path("/dev/full").exists():
+        pytest.skip("this system has no device that is always full")
+
+    def process(*_args, **_options):
+        progress_room.current().log_to(Path("/dev/full"))
+        progress_room.current().note("a line that does not fit")
+
+    fake_module(monkeypatch, "survey.run.process", process=process)
+    result = bathynerf("process", "s", "-o", "run", "-q")
+    assert result.exit_code == 2
+    assert result.stderr == ("error: cannot write run: no space is left on the disk; free some or write elsewhere\n")

@@ -1,0 +1,77 @@
+"""What a command imports: nothing slow before it is needed, and one sentence where it is stopped meanwhile."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+from command_line import MAIN, console
+from small_survey import small_survey
+
+from survey.commands.faults import STOPPED
+
+
+def test_help_version_and_errors_come_before_anything_slow_is_imported(tmp_path):
+    folder = small_survey(tmp_path / "s")
+    code = (
+        "import sys; from survey.commands.app import main; sys.argv = ['bathynerf', *sys.argv[1:]]\n"
+        "try: main()\n"
+        "finally: print(sorted({'torch', 'matplotlib', 'scipy', 'pycolmap', 'cv2', 'drjit'} & set(sys.modules)))"
+    )
+
+    def run(*arguments):
+        command = [sys.executable, "-c", code, *map(str, arguments)]
+        return subprocess.run(command, capture_output=True, text=True, check=False)
+
+    shown = run("--version")
+    assert shown.returncode == 0
+    assert re.match(r"bathynerf \d+\.\d+", shown.stdout)
+    assert shown.stdout.endswith("[]\n")
+    assert "compare" in run("--help").stdout
+    # check needs images (cv2), asks for the device (drjit) and foresees (scipy); neither torch nor a reconstruction.
+    checked = run("check", folder)
+    assert checked.returncode == 0
+    assert checked.stdout.splitlines()[-1] == "['cv2', 'drjit', 'scipy']"
+
+
+@pytest.mark.parametrize(
+    "module", ["survey.commands.streams", "dataclasses", "typer", "rich", "survey.progress", "geo", "cv2"]
+)
+def test_ctrl_c_during_an_import_is_one_sentence(tmp_path, module):
+    folder = small_survey(tmp_path / "s")
+    stop = (
+        "import sys\n"
+        "class Stop:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        f"        if name == {module!r}:\n"
+        "            del sys.meta_path[0]\n"
+        "            raise KeyboardInterrupt\n"
+        f"sys.meta_path.insert(0, Stop())\n{MAIN}"
+    )
+    result = console("check", folder, code=stop, stdout=subprocess.PIPE)
+    assert (result.returncode, result.stdout, result.stderr) == (STOPPED, "", "error: stopped\n")
+
+
+def test_a_run_without_a_field_imports_no_torch():
+    code = "import sys, survey.run.process, survey.run.pipeline; print('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"
+
+
+@pytest.mark.parametrize(("asked", "taken"), [(None, "1"), ("3", "3")])
+def test_openblas_computes_on_one_thread_unless_somebody_asks_for_more(asked, taken):
+    lines = (
+        "import os, sys",
+        "from survey.commands.app import main",
+        "print('numpy' in sys.modules)",
+        "sys.argv[1:] = ['--help']",
+        "try: main()",
+        "except SystemExit: print(os.environ['OPENBLAS_NUM_THREADS'])",
+    )
+    given = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    if asked is not None:
+        given["OPENBLAS_NUM_THREADS"] = asked
+    done = subprocess.run([sys.executable, "-c", "\n".join(lines)], env=given, capture_output=True, text=True)
+    assert (done.returncode, done.stdout.split()[0], done.stdout.split()[-1]) == (0, "False", taken)

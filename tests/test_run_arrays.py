@@ -1,0 +1,67 @@
+"""Arrays and maps of a run: they come back as they were, or are named where they cannot be read."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fields.solver.solver import SolvedMap
+from fields.sweep.maps import DepthMap
+from survey.errors import SurveyError
+from survey.run.stored import load_arrays, save_arrays
+from survey.run.stored_maps import Stored, kept_aside, save_maps
+
+
+def test_depth_maps_come_back_as_they_were_whatever_their_sizes(tmp_path, rng):
+    def depth_map(view: int, *size: int) -> DepthMap:
+        height, score, spread = rng.normal(size=(3, *size)).astype(np.float32)
+        return DepthMap(view, height, score, rng.integers(0, 9, size).astype(np.uint8), spread)
+
+    maps = [depth_map(7, 4, 6), depth_map(3, 3, 5)]
+    save_maps(tmp_path / "maps.npz", DepthMap, maps)
+    again = Stored(tmp_path / "maps.npz", DepthMap)
+    assert [m.view for m in again] == [7, 3]
+    for old, new in zip(maps, again, strict=True):
+        for name in ("height", "score", "agreeing", "spread"):
+            assert getattr(old, name).dtype == getattr(new, name).dtype
+            np.testing.assert_array_equal(getattr(old, name), getattr(new, name))
+
+
+@pytest.mark.parametrize(("in_memory", "num_files"), [(0, 2), (48, 1), (96, 0)])
+def test_maps_that_are_worked_on_lie_in_a_folder_where_memory_has_no_room(tmp_path, rng, in_memory, num_files):
+    maps = [SolvedMap(np.arange(3), *rng.normal(size=(2, 3)).astype(np.float32)) for _ in range(2)]
+    assert maps[0].pixels.nbytes + maps[0].height.nbytes + maps[0].std.nbytes == 48
+    with kept_aside(tmp_path / "scratch", SolvedMap, in_memory) as keep:
+        first, second = keep(), keep()
+        for place, solved in zip((first, second), maps, strict=True):
+            place[4] = solved
+            place[4] = solved
+            np.testing.assert_array_equal(place[4].height, solved.height)
+        assert len(list(tmp_path.rglob("*.npy"))) == num_files
+        assert (list(first), 4 in first, 5 in first, len(second)) == ([4], True, False, 1)
+        first.clear()
+        with pytest.raises(KeyError):
+            first[4]
+        second[5] = maps[0]
+        assert (list(first), list(second)) == ([], [4, 5])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_depth_maps_that_lack_an_array_are_named_with_the_mend(tmp_path):
+    save_arrays(tmp_path / "maps.npz", views=np.array([0]), height_0=np.zeros((2, 2)))
+    with pytest.raises(SurveyError, match=r"maps\.npz cannot be read .*lacks the array score_0.*delete.*process"):
+        Stored(tmp_path / "maps.npz", DepthMap)
+
+
+@pytest.mark.parametrize("spoil", ["missing", "cut", "text"])
+def test_arrays_that_cannot_be_read_are_named_with_the_mend(tmp_path, spoil):
+    path = tmp_path / "data.npz"
+    save_arrays(path, x=np.zeros(1000))
+    if spoil == "missing":
+        path.unlink()
+    elif spoil == "cut":
+        path.write_bytes(path.read_bytes()[:2000])
+    else:
+        path.write_text("not arrays")
+    with pytest.raises(SurveyError, match=r"data\.npz cannot be read.*process"):
+        load_arrays(path)

@@ -1,0 +1,114 @@
+"""The folder of a drawn survey: the same bytes from the same scene, whole or absent, and refused where it is none."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+from drawn_shore import SHORE, drawn_shore
+
+from survey.errors import SurveyError
+from survey.folder.config import read_config
+from survey.simulate.drawn import DrawnScene, draw_survey, stage_drawing
+from survey.simulate.drawn.__main__ import main
+from survey.simulate.output import writing
+from survey.simulate.output.staged_scene import StagedScene
+
+
+@pytest.fixture(scope="module")
+def survey_folder(tmp_path_factory) -> Path:
+    return drawn_shore(tmp_path_factory.mktemp("drawn"))
+
+
+def test_the_same_scene_gives_the_same_bytes_and_another_seed_another_bed(survey_folder, tmp_path):
+    draw_survey(tmp_path / "same", SHORE)
+    files = sorted(p.relative_to(survey_folder) for p in survey_folder.rglob("*") if p.is_file())
+    assert len(files) == 3 * 8 + 5
+    for file in files:
+        assert (tmp_path / "same" / file).read_bytes() == (survey_folder / file).read_bytes(), file
+    other = stage_drawing(dataclasses.replace(SHORE, seed=2))
+    assert other.renderer.ground.bed.height(0.0, 0.0) != stage_drawing(SHORE).renderer.ground.bed.height(0.0, 0.0)
+
+
+def test_a_dry_survey_has_the_same_bed_and_no_water(survey_folder, tmp_path):
+    scene = dataclasses.replace(SHORE, water=False)
+    draw_survey(tmp_path / "dry", scene)
+    assert read_config(tmp_path / "dry" / "survey.toml").water is None
+    wet, dry = (path / "truth" / "reference.ply" for path in (survey_folder, tmp_path / "dry"))
+    assert wet.read_bytes() == dry.read_bytes()
+
+
+def test_a_finished_folder_is_left_alone_until_told_and_keeps_what_is_not_of_it(tmp_path):
+    path, scene = tmp_path / "survey", DrawnScene.tiny(num_views=3)
+    draw_survey(path, scene)
+    (path / "bathynerf").mkdir()
+    (path / "bathynerf" / "cloud.las").write_text("a run")
+    (path / "cameras.csv").write_text("changed")
+    draw_survey(path, scene)
+    assert (path / "cameras.csv").read_text() == "changed"
+    draw_survey(path, scene, again=True)
+    assert (path / "cameras.csv").read_text().startswith("image,easting")
+    draw_survey(path, dataclasses.replace(scene, seed=5))
+    assert (path / "bathynerf" / "cloud.las").read_text() == "a run"
+    assert [p.name for p in tmp_path.iterdir()] == ["survey"]
+
+
+def test_a_change_of_any_file_of_the_simulator_draws_the_survey_anew(tmp_path, monkeypatch):
+    code = tmp_path / "simulate"
+    for place in (".", "drawn", "render"):
+        (code / place).mkdir(exist_ok=True)
+        (code / place / "module.py").write_text("", encoding="utf-8")
+    assert (writing.CODE / "render" / "path_tracer.py").is_file()
+    monkeypatch.setattr(writing, "CODE", code)
+    scene = DrawnScene.tiny(num_views=3)
+    draw_survey(tmp_path / "survey", scene)
+    marker = tmp_path / "survey" / writing.MARKER
+    for place in (".", "drawn", "render"):
+        before = marker.read_text(encoding="utf-8")
+        (code / place / "module.py").write_text("changed = True", encoding="utf-8")
+        draw_survey(tmp_path / "survey", scene)
+        assert marker.read_text(encoding="utf-8") != before
+
+
+def test_what_fails_leaves_no_survey_and_the_next_try_takes_no_photograph_twice(tmp_path, monkeypatch):
+    def disk_is_full(*_):
+        raise OSError("no space left on device")
+
+    scene = DrawnScene.tiny(num_views=3)
+    with monkeypatch.context() as patch:
+        patch.setattr(writing, "write_ply", disk_is_full)
+        with pytest.raises(OSError, match="no space"):
+            draw_survey(tmp_path / "survey", scene)
+    assert not (tmp_path / "survey").exists()
+    with monkeypatch.context() as patch:
+        patch.setattr(StagedScene, "photograph", lambda *_: pytest.fail("an image was taken twice"))
+        draw_survey(tmp_path / "survey", scene)
+    assert [p.name for p in tmp_path.iterdir()] == ["survey"]
+    draw_survey(tmp_path / "whole", scene)
+    assert (tmp_path / "survey" / "images" / "0001.png").read_bytes() == (
+        tmp_path / "whole" / "images" / "0001.png"
+    ).read_bytes()
+
+
+def test_a_folder_with_other_things_in_it_is_refused(tmp_path, capsys):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(SurveyError, match=r"not empty and was not simulated here.*give another folder"):
+        draw_survey(tmp_path, DrawnScene.tiny())
+    with pytest.raises(SystemExit) as stop:
+        main([str(tmp_path), "--tiny"])
+    assert stop.value.code == 2
+    assert "give another folder" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [({"num_views": 2}, "at least 3"), ({"n_water": 0.7}, "1.333"),
+     ({"depth_m": 0.0}, "depth_m of a drawn scene is 0.0; give a number above zero"),
+     ({"flying_m": 3.0}, "twice the depth"), ({"focal_px": float("nan")}, "above zero"),
+     ({"readout_s": 1.0}, "neither below zero")],
+)  # fmt: skip
+def test_scenes_that_cannot_be_drawn_are_refused_with_the_mend(changes, named):
+    with pytest.raises(SurveyError, match=named):
+        DrawnScene(**changes)

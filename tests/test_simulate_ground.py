@@ -1,0 +1,158 @@
+"""Ground of a scene: beds from meshes and clouds, objects on them, and the rays that meet or miss them."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from PIL import Image
+from scene_files import SCENE, scene_file, staged, write_mesh
+
+from refract import FlatWater
+from survey.errors import SurveyError
+from survey.simulate.ground.ground import NOTHING, Ground, Look, shade_of_normals
+from survey.simulate.ground.shapes import BedGrid
+from survey.simulate.ground.skin import VertexSkin
+from survey.simulate.ground.triangles import TriangleMesh
+from survey.simulate.light import Light
+from survey.simulate.output.truth import depth_map
+from survey.simulate.render.direct import DirectRenderer
+from survey.simulate.scene_file import read_scene
+from survey.simulate.staging.planning import plan_scene
+from survey.simulate.watercolour import WaterColour
+
+
+def test_rays_meet_any_mesh_where_they_meet_the_same_bed_as_a_grid(rng):
+    heights = rng.normal(-1.0, 0.1, (20, 30))
+    grid = BedGrid(heights, -1.0, -1.0, 0.1)
+    vertices, faces, _ = grid.mesh()
+    mesh = TriangleMesh(vertices, faces)
+    origin = rng.uniform((-0.5, -0.5, 4.0), (1.3, 0.5, 6.0), (3000, 3))
+    direction = np.array([*rng.uniform(-0.05, 0.05, (2, 3000)), np.full(3000, -1.0)]).T
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    endless = np.full(3000, np.inf)
+    t, face = mesh.hit(origin, direction, endless)
+    # Where float32 takes the neighbour across an edge the planes differ by its 1e-7 m times the slope.
+    np.testing.assert_allclose(t, grid.hit(origin, direction, endless)[0], atol=1e-6)
+    ends = origin + t[:, None] * direction
+    corner = vertices[faces[face, 0]]
+    assert np.abs(np.einsum("ij,ij->i", ends - corner, mesh.normals[face])).max() < 1e-12
+    assert np.isinf(mesh.hit(origin, direction, t - 1e-4)[0]).all()
+    np.testing.assert_allclose(mesh.height(0.31, 0.22), grid.height(0.31, 0.22), atol=1e-6)
+
+
+def test_a_ray_beside_a_bed_of_limited_extent_meets_nothing_and_is_black():
+    mesh = TriangleMesh(np.array([[0.0, 0, -1], [1, 0, -1], [0, 1, -1]]), np.array([[0, 1, 2]]))
+    look = Look(VertexSkin(np.ones((3, 3)), mesh.vertices, mesh.faces), shade_of_normals(mesh.normals, Light()))
+    for water in (None, FlatWater((0.0, 0.0, 0.0))):
+        renderer = DirectRenderer(Ground(mesh, (), (look,)), water, WaterColour(veil=(0.0, 0.0, 0.0), sky=0.0))
+        origin = np.array([[0.2, 0.2, 3.0], [5.0, 5.0, 3.0]])
+        down = np.tile([0.0, 0.0, -1.0], (2, 1))
+        hits = renderer.trace_rays(origin, down)
+        assert hits.body.tolist() == [-1, NOTHING]
+        assert np.isnan(hits.points[1]).all()
+        light = renderer.radiance_of_rays(origin, down)
+        assert light[0].min() > 0.2
+        assert (light[1] == 0.0).all()
+
+
+def test_a_bed_from_a_mesh_in_crs_lies_where_its_file_says_with_its_colours(tmp_path):
+    local = np.array([[-9.0, -9.0, -1.0], [9.0, -9.0, -1.0], [9.0, 9.0, -1.3], [-9.0, 9.0, -1.3]])
+    frame = plan_scene(read_scene(scene_file(tmp_path)), tmp_path).frame
+    path = scene_file(tmp_path, kind='kind = "mesh"\nfile = "bed.ply"', **{"[texture]": '[texture]\nkind = "vertex"'})
+    write_mesh(tmp_path / "bed.ply", frame.crs_from_local(local), [(0, 1, 2), (0, 2, 3)], [(255, 0, 0)] * 4)
+    scene = staged(path)
+    hits = scene.renderer.trace(scene.cameras[0], np.array([[48.0, 36.0]]))
+    _, y, z = hits.points[0]
+    assert z == pytest.approx(-1.15 - 0.15 * y / 9.0, abs=1e-6)
+    colour = scene.renderer.ground.colour(hits.points, hits.body, hits.face)[0]
+    assert colour[0] > 0.5
+    np.testing.assert_allclose(colour[1:], 0.0, atol=1e-12)
+
+
+def test_a_cloud_becomes_a_bed_by_triangles_thinned_and_smoothed(tmp_path, rng):
+    x, y = (c.ravel() for c in np.meshgrid(np.linspace(-6, 6, 61), np.linspace(-6, 6, 61)))
+    heights = -1.0 - 0.05 * x + rng.normal(0.0, 0.02, x.size)
+    write_mesh(tmp_path / "cloud.ply", np.stack([x, y, heights], axis=-1), [])
+    cloud = 'kind = "cloud"\nfile = "cloud.ply"\nframe = "local"\n'
+    rough = staged(scene_file(tmp_path, kind=cloud)).renderer.ground.bed
+    smooth = staged(scene_file(tmp_path, kind=cloud + "smoothing = 4")).renderer.ground.bed
+    thin = staged(scene_file(tmp_path, kind=cloud + "spacing_m = 0.4")).renderer.ground.bed
+    at = rng.uniform(-3.0, 3.0, (2, 400))
+    error = [np.std(bed.height(*at) + 1.0 + 0.05 * at[0]) for bed in (rough, smooth, thin)]
+    assert error[1] < 0.3 * error[0]
+    assert error[2] < 0.7 * error[0]
+    assert len(thin.vertices) < 0.3 * len(rough.vertices)
+    assert (rough.normals[:, 2] > 0.0).all()
+
+
+def test_an_object_is_scaled_turned_heeled_and_stands_on_the_bed(tmp_path):
+    corners = np.array([[x, y, z] for x in (0.0, 4.0) for y in (0.0, 1.0) for z in (0.0, 1.0)]) + 100.0
+    from scipy.spatial import ConvexHull
+
+    write_mesh(tmp_path / "box.ply", corners, ConvexHull(corners).simplices)
+    text = SCENE + '[[objects]]\nfile = "box.ply"\nat = [0.3, -0.2]\nscale = 0.1\nyaw_deg = 90.0\nabove_bed_m = 0.05\n'
+    (body,) = staged(scene_file(tmp_path, text)).renderer.ground.solids
+    low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
+    np.testing.assert_allclose(low, [0.25, -0.4, -1.15], atol=1e-9)
+    np.testing.assert_allclose(high, [0.35, 0.0, -1.05], atol=1e-9)
+    (heeled,) = staged(scene_file(tmp_path, text + "heel_deg = 90.0\n")).renderer.ground.solids
+    np.testing.assert_allclose(np.ptp(heeled.vertices, axis=0), [0.1, 0.4, 0.1], atol=1e-9)
+
+
+def test_depth_is_nan_where_a_pixel_sees_nothing(tmp_path):
+    scene = staged(scene_file(tmp_path))
+    triangle = TriangleMesh(np.array([[-0.3, -9.0, -1.0], [9.0, -9.0, -1.0], [-0.3, 9.0, -1.0]]), np.array([[0, 1, 2]]))
+    look = Look(
+        VertexSkin(np.ones((3, 3)), triangle.vertices, triangle.faces), shade_of_normals(triangle.normals, Light())
+    )
+    renderer = dataclasses.replace(scene.renderer, ground=Ground(triangle, (), (look,)))
+    depth, wet = depth_map(renderer, scene.cameras[1], scene.lens)
+    assert 0.1 < np.isnan(depth).mean() < 0.9
+    assert np.nanmax(np.abs(depth - 1.0)) < 0.03  # the slope of the water over the picture
+    assert (wet == 255).all()
+
+
+def test_an_object_of_glb_stands_upright_with_the_colours_of_its_vertices_or_its_image(tmp_path):
+    trimesh = pytest.importorskip("trimesh", reason="GLB needs the extra [gltf]")
+    # A tower 3 m tall along y, which points up in glTF.
+    tower = trimesh.creation.box(extents=(1.0, 3.0, 1.0))
+    tower.visual.vertex_colors = [0, 255, 0, 255]
+    tower.export(tmp_path / "coloured.glb")
+    image = Image.new("RGB", (4, 4), (255, 0, 0))
+    material = trimesh.visual.material.PBRMaterial(baseColorTexture=image)
+    tower.visual = trimesh.visual.TextureVisuals(uv=np.full((8, 2), 0.5), material=material)
+    tower.export(tmp_path / "textured.glb")
+    for name, channel in (("coloured", 1), ("textured", 0)):
+        text = SCENE + f'[[objects]]\nfile = "{name}.glb"\nat = [0.0, 0.0]\nscale = 0.1\n'
+        scene = staged(scene_file(tmp_path, text))
+        (body,), look = scene.renderer.ground.solids, scene.renderer.ground.looks[1]
+        np.testing.assert_allclose(np.ptp(body.vertices, axis=0), [0.1, 0.1, 0.3], atol=1e-6)
+        albedo = look.skin.albedo(body.vertices[body.faces[:1, 0]], np.array([0]))[0]
+        np.testing.assert_allclose(albedo, np.eye(3)[channel], atol=0.02)
+
+
+def test_a_bed_in_another_crs_or_without_faces_is_refused(tmp_path):
+    write_mesh(tmp_path / "points.ply", np.zeros((4, 3)), [])
+    with pytest.raises(SurveyError, match='no faces; give kind = "cloud"'):
+        staged(scene_file(tmp_path, kind='kind = "mesh"\nfile = "points.ply"\nframe = "local"'))
+    from geo import write_cloud
+    from geo.crs import parse_crs
+
+    points = np.array([[676110.0, 5311470.0, 583.0], [676130.0, 5311470.0, 583.0], [676120.0, 5311490.0, 583.0]])
+    for name, crs in (("here", "EPSG:25832+7837"), ("there", "EPSG:25833+7837")):
+        zero = np.zeros(3)
+        others = {
+            "depth_m": zero,
+            "std_m": zero,
+            "num_views": zero.astype(int),
+            "incidence_deg": zero,
+            "is_wet": zero > 0,
+        }
+        write_cloud(tmp_path / f"{name}.las", points, parse_crs(crs), rgb=np.zeros((3, 3), np.uint8), **others)
+    bed = staged(scene_file(tmp_path, kind='kind = "cloud"\nfile = "here.las"')).renderer.ground.bed
+    # Heights of crs lie 1.2 m under the origin; millimetres are what LAS holds.
+    assert bed.height(0.0, 0.0) == pytest.approx(-1.2, abs=1e-3)
+    with pytest.raises(SurveyError, match=r"another crs than the scene.*UTM zone 33N"):
+        staged(scene_file(tmp_path, kind='kind = "cloud"\nfile = "there.las"'))

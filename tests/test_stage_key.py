@@ -1,0 +1,76 @@
+"""Keys of stages: they tell apart all that differs, and only that."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from survey.errors import SurveyError
+from survey.stage_key import stage_key
+
+
+@dataclass(frozen=True)
+class Settings:
+    rungs: int = 64
+    step_px: float = 0.5
+
+
+def test_keys_tell_apart_what_differs_and_only_that(tmp_path):
+    image = tmp_path / "a.jpg"
+    image.write_bytes(b"pixels")
+    different = [
+        (),
+        (1,),
+        (1.0,),
+        ("1",),
+        (True,),
+        (None,),
+        ("a", "b"),
+        (("a", "b"),),
+        ("ab",),
+        ({"a": "b"},),
+        (Settings(),),
+        (Settings(rungs=65),),
+        ({"rungs": 64, "step_px": 0.5},),
+        (np.array([1.0, 2.0]),),
+        (np.array([1.0, 2.0], dtype=np.float32),),
+        (np.array([[1.0, 2.0]]),),
+        (image,),
+        ([image, image],),
+        (tmp_path,),
+    ]
+    keys = [stage_key(*parts) for parts in different]
+    assert len(set(keys)) == len(keys)
+    assert keys == [stage_key(*parts) for parts in different]
+    assert stage_key({"a": 1, "b": 2}) == stage_key({"b": 2, "a": 1})
+    assert stage_key(np.float64(0.1), np.arange(6).reshape(2, 3).T) == stage_key(
+        0.1, np.ascontiguousarray(np.arange(6).reshape(2, 3).T)
+    )
+
+
+def test_a_key_changes_with_every_byte_of_a_file_but_not_with_its_place_or_time(tmp_path):
+    image, copy = tmp_path / "a.jpg", tmp_path / "copy" / "a.jpg"
+    pixels = bytes(2 << 20)
+    image.write_bytes(pixels)
+    first = stage_key(image)
+    copy.parent.mkdir()
+    copy.write_bytes(pixels)
+    os.utime(copy, ns=(0, 0))
+    assert stage_key(copy) == first
+    copy.write_bytes(pixels[:-1] + b"1")
+    os.utime(copy, ns=(0, 0))
+    assert stage_key(copy) != first
+
+
+def test_a_key_of_a_file_that_is_gone_names_it(tmp_path):
+    with pytest.raises(SurveyError, match=r"cannot read .*gone\.jpg"):
+        stage_key(tmp_path / "gone.jpg")
+
+
+@pytest.mark.parametrize("part", [{1, 2}, object(), np.array([None])])
+def test_parts_without_a_fixed_form_are_refused(part):
+    with pytest.raises(TypeError, match="stage_key got"):
+        stage_key(part)

@@ -10,24 +10,21 @@ tables in Markdown, docs/field.md has them.
 
 from __future__ import annotations
 
-import argparse
 import json
 import re
 import sys
-import tempfile
 import time
 from dataclasses import asdict, replace
 from functools import cache, partial
 from pathlib import Path
 from unittest.mock import patch
 
-from bench_sweep import Case
+from bench_sweep import Case, parser_of, surveys_and_results
 
 from fields.sweep.maps import DepthMap
 from survey.plan.recipe import RECIPES
 from survey.progress import current, shares
 from survey.run import points, stage_field
-from survey.simulate.drawn import DrawnScene, draw_survey
 
 KEPT = RECIPES["standard"].rays_per_cell
 
@@ -80,18 +77,11 @@ def markdown(name: str, rows: dict[str, dict]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("surveys", nargs="*", type=Path)
-    parser.add_argument("--quality", default="standard", choices=list(RECIPES))
+    parser = parser_of(__doc__)
     parser.add_argument("--rays", nargs="+", type=float, default=[KEPT / 3.0, KEPT, 3.0 * KEPT])
-    parser.add_argument("-o", "--output", type=Path)
     options = parser.parse_args()
-    work = options.output or Path(tempfile.mkdtemp(prefix="bathynerf_bench_"))
-    work.mkdir(parents=True, exist_ok=True)
-    if not options.surveys:
-        options.surveys = [work / "demo"]
-        draw_survey(work / "demo", DrawnScene())
-    for folder in options.surveys:
+    surveys, work = surveys_and_results(options)
+    for folder in surveys:
         rows = rows_of(folder, options.quality, options.rays, work)
         sys.stdout.write(markdown(f"{folder.name}, {options.quality}", rows) + "\n")
 

@@ -193,19 +193,31 @@ def markdown(title: str, rows: dict[str, dict]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def parser_of(description: str) -> argparse.ArgumentParser:
+    """A command line with surveys, their quality and a folder for results."""
+    parser = argparse.ArgumentParser(description=description.splitlines()[0])
     parser.add_argument("surveys", nargs="*", type=Path)
     parser.add_argument("--quality", default="standard", choices=list(RECIPES))
-    parser.add_argument("--tables", nargs="+", default=list(TABLES), choices=list(TABLES))
     parser.add_argument("-o", "--output", type=Path)
-    options = parser.parse_args()
+    return parser
+
+
+def surveys_and_results(options: argparse.Namespace) -> tuple[list[Path], Path]:
+    """The surveys that are named, or else a drawn one, and the folder for results, which is made."""
     work = options.output or Path(tempfile.mkdtemp(prefix="bathynerf_bench_"))
     work.mkdir(parents=True, exist_ok=True)
-    if not options.surveys:
-        options.surveys = [work / "demo"]
-        draw_survey(work / "demo", DrawnScene())
-    for folder in options.surveys:
+    if options.surveys:
+        return options.surveys, work
+    draw_survey(work / "demo", DrawnScene())
+    return [work / "demo"], work
+
+
+def main() -> None:
+    parser = parser_of(__doc__)
+    parser.add_argument("--tables", nargs="+", default=list(TABLES), choices=list(TABLES))
+    options = parser.parse_args()
+    surveys, work = surveys_and_results(options)
+    for folder in surveys:
         case = None
         for name in options.tables:
             path = work / f"{folder.name}_{options.quality}_{name}.json"

@@ -123,44 +123,27 @@ def draw_settings(seed: int) -> FieldSettings:
     """Random settings; a seed has the same ones everywhere."""
     rng = np.random.default_rng([seed, 20])
     size_px, focal, height, depth = _flight_over(rng)
-    gsd = height / focal
     dry_share = rng.uniform(0.12, 0.5) if rng.random() < 0.55 else 0.0
-    num_views = int(rng.integers(22, 57))
-    nadir_only = rng.random() < 0.25
-    num_oblique = 0 if nadir_only else round(num_views * rng.uniform(0.2, 0.45))
-    # An area that as many views cover some eight times.
-    side = gsd * math.sqrt(size_px[0] * size_px[1] * num_views / 8.0) * rng.uniform(0.55, 0.75)
-    ratio = rng.uniform(0.85, 1.15)
-    kind = rng.random()
-    offset = (0.0, 0.0, 0.0)
-    if kind < 0.7 or (kind >= 0.88 and dry_share == 0.0):
-        std = (0.02, 0.02, 0.03)
-    elif kind < 0.88:
-        std = (0.05, 0.05, 0.08)
-    else:
-        # A receiver without corrections: most of its error stays the same during a flight.
-        std = (1.5, 1.5, 1.5)
-        offset = tuple(round(float(v), 3) for v in rng.normal(0.0, 1.4, 3))
+    num_views, num_oblique = _num_views(rng)
+    size_m = _size_m(rng, height / focal * math.sqrt(size_px[0] * size_px[1]), num_views)
+    std, offset = _receiver(rng, dry_share)
     level, level_std = rng.uniform(0.0, 400.0), rng.uniform(0.02, 0.06)
     index = rng.uniform(1.325, 1.345)
     slopes = rng.normal(0.0, 0.002, 2) if rng.random() < 0.3 else (0.0, 0.0)
-    off_axis, toward = rng.uniform(0.0, 8.0), rng.uniform(0.0, 2.0 * math.pi)
-    k1 = rng.uniform(0.01, 0.08) * rng.choice([-1.0, 1.0])
-    distortion = (k1, -k1 * rng.uniform(0.2, 0.8), *rng.normal(0.0, 0.0005, 2))
-    # Of its own sequence: from sand that no matcher can follow to sand that shows its grains.
-    bare_contrast = np.random.default_rng([seed, 25]).uniform(0.07, 0.6)
+    principal_px, distortion = _lens(rng, size_px)
     crs, origin = PLACES[rng.integers(len(PLACES))]
     return FieldSettings(
         crs=crs,
         origin=origin,
-        size_m=(round(side * ratio, 2), round(side / ratio, 2)),
+        size_m=size_m,
         depth_m=round(depth, 2),
         dry_share=round(dry_share, 3),
         bank_to_deg=round(rng.uniform(0.0, 360.0), 1),
         relief=round(rng.uniform(0.04, 0.14), 3),
         bare_share=round(rng.uniform(0.05, 0.45), 3),
         contrast=round(rng.uniform(0.5, 1.0), 3),
-        bare_contrast=round(bare_contrast, 3),
+        # A sequence of its own. From sand that no matcher can follow to sand that shows its grains.
+        bare_contrast=round(np.random.default_rng([seed, 25]).uniform(0.07, 0.6), 3),
         level_m=round(level, 3),
         slope_east=round(float(slopes[0]), 5),
         slope_north=round(float(slopes[1]), 5),
@@ -173,11 +156,8 @@ def draw_settings(seed: int) -> FieldSettings:
         size_px=size_px,
         stated_focal_px=float(focal),
         focal_px=round(focal * (1.0 + rng.uniform(0.001, 0.01) * rng.choice([-1.0, 1.0])), 3),
-        principal_px=(
-            round(size_px[0] / 2 + off_axis * math.cos(toward), 3),
-            round(size_px[1] / 2 + off_axis * math.sin(toward), 3),
-        ),
-        distortion=tuple(round(float(v), 6) for v in distortion),
+        principal_px=principal_px,
+        distortion=distortion,
         height_m=round(height, 2),
         num_nadir=num_views - num_oblique,
         num_oblique=num_oblique,
@@ -190,6 +170,43 @@ def draw_settings(seed: int) -> FieldSettings:
         jpeg_subsampling=int(rng.choice([0, 2])),
         seed=seed,
     )
+
+
+def _num_views(rng: np.random.Generator) -> tuple[int, int]:
+    """How many photographs there are, and how many of them are oblique."""
+    num_views = int(rng.integers(22, 57))
+    nadir_only = rng.random() < 0.25
+    return num_views, 0 if nadir_only else round(num_views * rng.uniform(0.2, 0.45))
+
+
+def _size_m(rng: np.random.Generator, footprint_m: float, num_views: int) -> tuple[float, float]:
+    """An area that as many views with such a footprint (side of a square as large) cover some eight times."""
+    side = footprint_m * math.sqrt(num_views / 8.0) * rng.uniform(0.55, 0.75)
+    ratio = rng.uniform(0.85, 1.15)
+    return round(side * ratio, 2), round(side / ratio, 2)
+
+
+def _receiver(rng: np.random.Generator, dry_share: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Standard deviation of GPS positions, and what all of them have in common, each (3,) [m]: east, north, up."""
+    kind = rng.random()
+    if kind < 0.7 or (kind >= 0.88 and dry_share == 0.0):
+        return (0.02, 0.02, 0.03), (0.0, 0.0, 0.0)
+    if kind < 0.88:
+        return (0.05, 0.05, 0.08), (0.0, 0.0, 0.0)
+    # A receiver without corrections: most of its error stays the same during a flight.
+    return (1.5, 1.5, 1.5), tuple(round(float(v), 3) for v in rng.normal(0.0, 1.4, 3))
+
+
+def _lens(rng: np.random.Generator, size_px: tuple[int, int]) -> tuple[tuple[float, float], tuple[float, ...]]:
+    """Principal point [px] and distortion (k1, k2, p1, p2)."""
+    off_axis, toward = rng.uniform(0.0, 8.0), rng.uniform(0.0, 2.0 * math.pi)
+    k1 = rng.uniform(0.01, 0.08) * rng.choice([-1.0, 1.0])
+    distortion = (k1, -k1 * rng.uniform(0.2, 0.8), *rng.normal(0.0, 0.0005, 2))
+    principal = (
+        round(size_px[0] / 2 + off_axis * math.cos(toward), 3),
+        round(size_px[1] / 2 + off_axis * math.sin(toward), 3),
+    )
+    return principal, tuple(round(float(v), 6) for v in distortion)
 
 
 def _flight_over(rng: np.random.Generator) -> tuple[tuple[int, int], int, float, float]:

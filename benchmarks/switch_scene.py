@@ -60,7 +60,7 @@ def build(*, exposed: bool = False, wide: bool = False, priors: bool = False, se
         inside = ((points > BOX.low) & (points < BOX.high)).all(axis=-1)
         shown.append(np.arange(inside.size) if wide else np.flatnonzero(inside))
         lengths.append(np.where(inside, length, np.nan))
-        known.append(rough_priors(camera, points, normals, length, rng))
+        known.append(rough_priors(camera, normals, length, rng))
     held = [k for k in range(VIEWS) if k % HELD_EVERY == HELD_EVERY // 2]
     rest = [k for k in range(VIEWS) if k not in held]
 
@@ -136,7 +136,7 @@ def colour(points: np.ndarray) -> np.ndarray:
 
 
 def rough_priors(
-    camera: PinholeCamera, points: np.ndarray, normals: np.ndarray, length: np.ndarray, rng: np.random.Generator
+    camera: PinholeCamera, normals: np.ndarray, length: np.ndarray, rng: np.random.Generator
 ) -> PriorImages:
     """What a sweep and a network might say.
 

@@ -21,7 +21,6 @@ from tests.drawn_block import DrawnBlock
 
 # On a central meridian, where the axes of the grid are those of local.
 CRS, ORIGIN = "EPSG:25832+5778", (500000.0, 5200000.0, 100.0)
-MARKS_STD_PX = 0.3
 
 
 def survey_of(block: DrawnBlock, *, shutter: tuple[float, float | None] | None = None) -> Survey:

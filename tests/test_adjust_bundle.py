@@ -87,6 +87,18 @@ def test_points_are_found_on_either_side_of_the_water(rng):
     assert ((depth > 0.0) == (true > 0.0)).mean() > 0.98
 
 
+def test_held_parameters_stay_and_points_go_where_parameters_that_cannot_move_let_them():
+    block = draw_block(3, pixel_std=0.3, **SMALL)
+    problem, truth = problem_of(block), truth_of(block)
+    stiff = replace(problem, priors=replace(problem.priors, std=np.full_like(problem.priors.std, 1e-9)))
+    start = replace(truth, points=truth.points + 0.05)
+    found, expected = solve(replace(stiff, holds_parameters=True), start), solve(stiff, start)
+    assert np.array_equal(found.state.centres, truth.centres)
+    assert np.array_equal(found.state.lenses, truth.lenses)
+    assert np.abs(found.state.points - expected.state.points).max() < 1e-5
+    assert np.abs(found.state.points - start.points).max() > 0.01
+
+
 def dense(problem: Problem, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Normal matrix of all unknowns, parameters first, and their right side, at the weights of a solution."""
     state, ties, priors = solution.state, problem.ties, problem.priors

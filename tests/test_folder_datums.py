@@ -94,11 +94,11 @@ def heads_at(height: float, **changes) -> dict[str, Exif]:
 
 def test_poses_that_differ_from_exif_by_the_undulation_are_doubtful():
     heights = dict.fromkeys(("0.jpg", "1.jpg", "2.jpg"), LEVEL + 69.0)
-    (doubt,) = exif_doubts(CRS, heights, heads_at(LEVEL + 20.0))
+    (doubt,) = exif_doubts(heights, heads_at(LEVEL + 20.0))
     assert doubt.startswith("the poses lie 49 m above the heights in EXIF, about as much as the geoid differs")
-    assert exif_doubts(CRS, heights, heads_at(LEVEL + 66.0)) == []
-    assert exif_doubts(CRS, heights, heads_at(LEVEL + 20.0, above_start_m=20.0)) == []
-    assert exif_doubts(CRS, heights, {"0.jpg": HEAD}) == []
+    assert exif_doubts(heights, heads_at(LEVEL + 66.0)) == []
+    assert exif_doubts(heights, heads_at(LEVEL + 20.0, above_start_m=20.0)) == []
+    assert exif_doubts(heights, {"0.jpg": HEAD}) == []
 
 
 def test_what_xmp_says_of_heights_is_held_against_the_settings(tmp_path):

@@ -24,6 +24,7 @@ pytest.importorskip("mitsuba", reason="the physical mode needs the extra [simula
 
 from survey.simulate.render.mitsuba_scene import load_mitsuba, solid_scene, water_scene
 from survey.simulate.render.path_tracer import PathTracer
+from survey.simulate.render.sunlight import Sunlight
 
 # What the two modes may differ by on the image [px].
 SAME_PX = 0.02
@@ -88,8 +89,8 @@ def tracer(
 ) -> PathTracer:
     surface = None if water is None else water_scene(mi, water, ground)
     plane = None if water is None else (np.array(water.point), np.array(water.up), water.n_water)
-    solids = solid_scene(mi, ground)
-    return kind(mi, solids, surface, plane, colour=colour, light=light, pixel=PIXEL, max_bounces=bounces)
+    sun = Sunlight(mi, solid_scene(mi, ground), plane, colour=colour, light=light, pixel=PIXEL)
+    return kind(surface, sun, max_bounces=bounces)
 
 
 def rays_down(count: int, slant: float = 0.0) -> tuple[np.ndarray, np.ndarray]:

@@ -210,9 +210,10 @@ def test_torch_finds_what_dr_jit_finds_on_a_drawn_survey(drawn, greys):
         assert sure.mean() > 0.6
         assert (trusted(twin) != sure).mean() < 1e-3
         rung = PASSES[-1].step_px / block.parallax(m.view, block.neighbours(m.view, 12), -1.2)
-        # Rounding moves places by 1e-4 px; few stand where two rungs score alike. Measured: 99 % within 5.6e-4.
+        # Rounding moves places by 1e-4 px; few stand where two rungs score alike. Measured: 99 % within 6.1e-4, and
+        # within 4.9e-4 to 6.0e-4 where grey levels and the ladder are rounded otherwise, at random: 2.5 times that.
         difference = np.abs(twin.height - m.height)[sure] / rung
-        assert np.quantile(difference, 0.99) < 2e-3
+        assert np.quantile(difference, 0.99) < 1.5e-3
         for field in fields(DepthMap)[2:]:
             a, b = getattr(m, field.name)[sure], getattr(twin, field.name)[sure]
             assert np.isclose(a, b, rtol=1e-2, atol=1e-4).mean() > 0.99, field.name

@@ -87,6 +87,9 @@ class Problem:
         See `survey.adjust.prediction.relief_sides`.
     rows : (N,) [px], optional
         See `survey.adjust.prediction.predict`.
+    holds_parameters : bool
+        Nothing but points moves: parameters stay as they are in the state that the adjustment starts from, which saves
+        their part of the normal equations.
     """
 
     layout: Layout
@@ -96,6 +99,7 @@ class Problem:
     given_std_px: np.ndarray
     sides: np.ndarray
     rows: np.ndarray | None = None
+    holds_parameters: bool = False
 
     def residuals(self, state: State) -> np.ndarray:
         """Measured less predicted pixels (N, 2)."""
@@ -306,6 +310,9 @@ def _system(problem: Problem, state: State, std_px: np.ndarray, inflation: np.nd
     right = right - precision * np.nan_to_num(state.points - priors.state.points)
     root = np.linalg.inv(np.linalg.cholesky(_damped(own)))
     free = np.einsum("mij,mj->mi", root, right)
+    strength = np.where(np.isfinite(priors.std), priors.std, np.inf) ** -2.0
+    if problem.holds_parameters:
+        return System(np.diag(strength), np.zeros(len(strength)), root, free, csr_array((free.size, len(strength))))
     # With the root of the points' own matrices as left factor, the elimination is one product.
     rooted = np.einsum("nij,naj->nia", root[ties.point], weighted)
     starts = np.searchsorted(ties.point, np.arange(len(ties) + 1))
@@ -313,7 +320,6 @@ def _system(problem: Problem, state: State, std_px: np.ndarray, inflation: np.nd
     mixed = csr_array(left.tocsr() @ design)
     whole = csr_array(design.multiply(np.repeat(weights, 2)[:, None]))
     normal = (design.T @ whole - mixed.T @ mixed).toarray()
-    strength = np.where(np.isfinite(priors.std), priors.std, np.inf) ** -2.0
     normal[np.diag_indices_from(normal)] += strength
     pull = priors.pull(problem.layout, state)
     gradient = whole.T @ residuals.ravel() - mixed.T @ free.ravel() - strength * pull

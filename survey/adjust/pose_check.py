@@ -99,7 +99,7 @@ def check_of_ties(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> Pos
     priors, sides = priors_for(held, seen.ties), relief_sides(state, seen.ties)
     rows = rows_taken(seen.ties, known.lenses, known.layout.lens_of)
     problem = Problem(known.layout, seen.ties, seen.kind, priors, np.full(len(KINDS), np.nan), sides, rows)
-    solution = solve(problem, state)
+    solution = solve(replace(problem, holds_parameters=True), state)
     found = misfit(solution.residuals, seen.ties.view)
     of_poses = found
     if found is not None and found > MOST_MISFIT_PX and kind == WINDOW:

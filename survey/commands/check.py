@@ -15,6 +15,7 @@ from survey.errors import SurveyError
 from survey.plan.choices import Choices, Device, Quality
 
 if TYPE_CHECKING:
+    from survey.plan.aim import Aim
     from survey.plan.check import Section
 
 EXAMPLES = """
@@ -56,43 +57,55 @@ def run(
     (docs/check.md, examples/flight.toml).
     """
     with command(verbose, quiet, survey) as results:
+        from survey.plan.aim import aim_of
+
+        aim = aim_of(target_std, time_budget, quality=None, field="auto")
         if survey.suffix.lower() == ".toml":
             if deep:
                 raise SurveyError("--deep holds a survey against its photographs, and a plan has none; remove it")
             _check_plan(results, survey, quality, device, wind)
-            _check_aim_of_plan(results, survey, device, target_std, time_budget)
+            if aim is not None:
+                _check_aim_of_plan(results, survey, device, aim)
             return
-        from survey.adjust.foreseen_text import foreseen_section
-        from survey.plan.aim import aim_of
-        from survey.plan.check import Section, check_survey, require_processable
-        from survey.plan.check_light import light_section
-        from survey.progress import current
-
-        shortage = address_space_shortage()
-        if shortage is not None:
-            current().warn(shortage)
-        checked, chosen = require_processable(survey), Choices(quality=quality.value, device=device.value)
-        aim = aim_of(target_std, time_budget, quality=None, field="auto")
-        load = None if aim is None else machine.load()
-        slowness = None if load is None else load.slowness
-        for section in check_survey(
-            survey, quality=quality.value, device=device.value, checked=checked, slowness=slowness
-        ):
-            show(results, section)
-        show(results, light_section(checked, wind_m_s=wind))
-        foreseen = None if checked.survey is None else foreseen_section(checked.survey, chosen=chosen)
-        if foreseen is not None:
-            show(results, foreseen)
-        if aim is not None and load is not None and checked.survey is not None:
-            from survey.run.beginning import rows_of
-
-            show(results, Section("Asked", rows_of(aim, checked.survey, Choices(device=device.value), load)))
+        _check_survey(results, survey, Choices(quality=quality.value, device=device.value), aim, wind)
         if deep:
-            require_address_space()
-            from survey.adjust.deep_check import deep_check
+            _check_deep(results, survey, device)
 
-            for section in deep_check(survey, device=device.value):
-                show(results, section)
+
+def _check_survey(results: Results, folder: Path, chosen: Choices, aim: Aim | None, wind: float) -> None:
+    """What a survey has and lacks, its light, what it promises, and what an aim would cost."""
+    from survey.adjust.foreseen_text import foreseen_section
+    from survey.plan.check import Section, check_survey, require_processable
+    from survey.plan.check_light import light_section
+    from survey.progress import current
+
+    shortage = address_space_shortage()
+    if shortage is not None:
+        current().warn(shortage)
+    checked = require_processable(folder)
+    load = None if aim is None else machine.load()
+    slowness = None if load is None else load.slowness
+    for section in check_survey(
+        folder, quality=chosen.quality, device=chosen.device, checked=checked, slowness=slowness
+    ):
+        show(results, section)
+    show(results, light_section(checked, wind_m_s=wind))
+    foreseen = None if checked.survey is None else foreseen_section(checked.survey, chosen=chosen)
+    if foreseen is not None:
+        show(results, foreseen)
+    if aim is not None and load is not None and checked.survey is not None:
+        from survey.run.beginning import rows_of
+
+        show(results, Section("Asked", rows_of(aim, checked.survey, Choices(device=chosen.device), load)))
+
+
+def _check_deep(results: Results, folder: Path, device: Device) -> None:
+    """What the photographs say of poses, lens and water."""
+    require_address_space()
+    from survey.adjust.deep_check import deep_check
+
+    for section in deep_check(folder, device=device.value):
+        show(results, section)
 
 
 def _check_plan(results: Results, path: Path, quality: Quality, device: Device, wind: float) -> None:
@@ -102,15 +115,8 @@ def _check_plan(results: Results, path: Path, quality: Quality, device: Device, 
         show(results, section)
 
 
-def _check_aim_of_plan(
-    results: Results, path: Path, device: Device, target_std: float | None, time_budget: float | None
-) -> None:
+def _check_aim_of_plan(results: Results, path: Path, device: Device, aim: Aim) -> None:
     """What an aim promises and costs of a planned flight."""
-    from survey.plan.aim import aim_of
-
-    aim = aim_of(target_std, time_budget, quality=None, field="auto")
-    if aim is None:
-        return
     from survey.plan.check import Section
     from survey.run.beginning import rows_of
     from survey.simulate.staging.check_plan import depth_of, flight_of, survey_of

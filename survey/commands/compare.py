@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from survey.commands.console import command
-from survey.commands.options import Quiet, Verbose
+from survey.commands.options import Quiet, Verbose, Visible
 
 EXAMPLES = """
     bathynerf compare cloud.las reference.ply
@@ -35,9 +35,7 @@ def run(
     tolerance: Annotated[
         list[float], typer.Option(metavar="M", help="For completeness and F-score [m]; repeatable.")
     ] = _TOLERANCES_M,
-    visible: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Points of the reference that cameras see.")
-    ] = None,
+    visible: Visible = None,
     bounds: Annotated[
         tuple[float, float, float, float] | None,
         typer.Option(metavar="E0 N0 E1 N1", help="Crop the cloud to these bounds."),

@@ -9,7 +9,7 @@ import typer
 
 from survey.commands.console import command
 from survey.commands.memory import require_address_space
-from survey.commands.options import KEPT, DeviceOption, Quiet, SurveyFolder, TargetStd, TimeBudget, Verbose
+from survey.commands.options import KEPT, DeviceOption, Quiet, SurveyFolder, TargetStd, TimeBudget, Verbose, Visible
 from survey.machine import process_age_s
 from survey.names import RUN_FOLDER
 from survey.plan.choices import Device, Field, Plan, Poses, Quality
@@ -51,9 +51,7 @@ def run(
         bool, typer.Option("--true-colour", help="Give points the colour of the bed without the water.")
     ] = False,
     reference: Annotated[Path | None, typer.Option(metavar="FILE", help="True surface, for the report only.")] = None,
-    visible: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Points of the reference that cameras see.")
-    ] = None,
+    visible: Visible = None,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:

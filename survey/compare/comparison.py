@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -75,11 +76,7 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     distances = measure.distances_of(scene, options.sign, notes)
     blocks = spatial_blocks(scene.points[:, :2], distances.signed)
     depth = measure.bed_depth(scene, distances.nearest, options.water_level)
-    with current().stage("Completeness", len(options.tolerances_m)) as stage:
-        reaches = []
-        for tolerance_m in options.tolerances_m:
-            reaches.append(measure.reached_at(scene, tolerance_m))
-            stage.advance()
+    reaches = _reaches(scene, options.tolerances_m)
     _note_unseen(inputs, notes)
     _note_extent(inputs, options.bounds, notes)
     first = reaches[0]
@@ -108,6 +105,16 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     )
     points, targets = inputs.cloud.points[inputs.inside], inputs.frame.crs_from_local(scene.targets)
     return Comparison(figures, points, distances.signed, distances.nearest, depth, targets, first.targets, inputs)
+
+
+def _reaches(scene: Scene, tolerances_m: Sequence[float]) -> list[measure.Reach]:
+    """What is reached of the reference within each tolerance."""
+    reaches = []
+    with current().stage("Completeness", len(tolerances_m)) as stage:
+        for tolerance_m in tolerances_m:
+            reaches.append(measure.reached_at(scene, tolerance_m))
+            stage.advance()
+    return reaches
 
 
 def _circumstances(scene: Scene, options: CompareOptions, blocks: Blocks, notes: list[str]) -> Circumstances:

@@ -120,15 +120,13 @@ def read_table(
             f"{shortened(','.join(names)) or 'nothing'}"
         )
     if missing:
-        is_title = rows and not any(math.isfinite(_number(cell, decimal)) for cell in rows[0][1])
-        rows = rows[1:] if is_title else rows
         place = {name: i for i, name in enumerate((*columns, *optional))}
     else:
-        rows = rows[1:]
         place = {name: names.index(name) for name in (*columns, *optional) if name in names}
+    begins_with_values = missing and rows and any(math.isfinite(_number(cell, decimal)) for cell in rows[0][1])
     needed = 1 + max(place[name] for name in columns)
     found = []
-    for number, cells in rows:
+    for number, cells in rows if begins_with_values else rows[1:]:
         where = f"{path}, line {number}"
         if len(cells) < needed:
             raise error(f"{where}: {len(cells)} values were found, expected {needed}; complete the line")

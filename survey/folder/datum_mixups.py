@@ -91,12 +91,11 @@ def low_flight_doubts(over_m: np.ndarray, level_m: float, place: tuple[float, fl
     ]
 
 
-def exif_doubts(crs: CRS, heights_m: Mapping[str, float], heads: Mapping[str, Exif]) -> list[str]:
+def exif_doubts(heights_m: Mapping[str, float], heads: Mapping[str, Exif]) -> list[str]:
     """A warning where poses and EXIF differ in height by as much as the geoid and the ellipsoid do.
 
     Parameters
     ----------
-    crs : pyproj.CRS
     heights_m : name to [m]
         Of the cameras, by their poses.
     heads : name to Exif

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,6 +29,14 @@ _LEAST_ANGLE = 0.02
 _ROUNDS = 10
 
 
+class Click(NamedTuple):
+    """A place in a photograph: its pixel (2,) and the standard deviation of that [px]."""
+
+    view: View
+    pixel: np.ndarray
+    std_px: float
+
+
 def levels_of_clicks(
     path: Path, views: Sequence[View], frame: LocalFrame, warnings: list[str]
 ) -> tuple[LevelObservation, ...]:
@@ -46,22 +55,7 @@ def levels_of_clicks(
     ConfigError
         If the file is missing or damaged, or no place is left.
     """
-    rows = read_table(path, ("image", "x", "y", "name"), optional=("std",), error=ConfigError)
-    names, by_name = ImageNames(view.name for view in views), {view.name: view for view in views}
-    places: dict[str, list[tuple[View, np.ndarray, float]]] = {}
-    strangers = 0
-    for row in rows:
-        view = by_name.get(names.find(row.text("image")) or "")
-        if view is None:
-            strangers += 1
-            continue
-        pixel, std = np.array([row.number("x"), row.number("y")]), row.number("std", default=CLICK_STD_PX)
-        if not ((pixel >= 0.0) & (pixel <= (view.camera.width, view.camera.height))).all() or not 0.0 < std <= 100.0:
-            raise ConfigError(
-                f"{row.where}: x, y, std are {pixel[0]:g}, {pixel[1]:g}, {std:g}, expected a pixel in {view.name} "
-                f"({view.camera.width} x {view.camera.height}) and a std above 0 and at most 100; correct it"
-            )
-        places.setdefault(row.text("name"), []).append((view, pixel, std))
+    places, strangers = _clicks_by_place(path, views)
     found, unclear = [], []
     for name, clicks in places.items():
         level = _level_of(clicks, frame)
@@ -84,7 +78,28 @@ def levels_of_clicks(
     return tuple(found)
 
 
-def _level_of(clicks: Sequence[tuple[View, np.ndarray, float]], frame: LocalFrame) -> LevelObservation | None:
+def _clicks_by_place(path: Path, views: Sequence[View]) -> tuple[dict[str, list[Click]], int]:
+    """Clicks by the names of their places, and how many are in photographs without a pose."""
+    rows = read_table(path, ("image", "x", "y", "name"), optional=("std",), error=ConfigError)
+    names, by_name = ImageNames(view.name for view in views), {view.name: view for view in views}
+    places: dict[str, list[Click]] = {}
+    strangers = 0
+    for row in rows:
+        view = by_name.get(names.find(row.text("image")) or "")
+        if view is None:
+            strangers += 1
+            continue
+        pixel, std = np.array([row.number("x"), row.number("y")]), row.number("std", default=CLICK_STD_PX)
+        if not ((pixel >= 0.0) & (pixel <= (view.camera.width, view.camera.height))).all() or not 0.0 < std <= 100.0:
+            raise ConfigError(
+                f"{row.where}: x, y, std are {pixel[0]:g}, {pixel[1]:g}, {std:g}, expected a pixel in {view.name} "
+                f"({view.camera.width} x {view.camera.height}) and a std above 0 and at most 100; correct it"
+            )
+        places.setdefault(row.text("name"), []).append(Click(view, pixel, std))
+    return places, strangers
+
+
+def _level_of(clicks: Sequence[Click], frame: LocalFrame) -> LevelObservation | None:
     """Where the rays of clicks meet, by least squares of pixels; None where they do not, or tell no height."""
     rays = np.array([view.camera.directions(pixel) for view, pixel, _ in clicks])
     centres = np.array([view.camera.centre for view, _, _ in clicks])
@@ -116,7 +131,7 @@ def _level_of(clicks: Sequence[tuple[View, np.ndarray, float]], frame: LocalFram
     )
 
 
-def _misses(clicks: Sequence[tuple[View, np.ndarray, float]], point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _misses(clicks: Sequence[Click], point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """By how much a point (3,), local, is seen beside its clicks (2 N,) [px], and the derivative (2 N, 3)."""
     miss, slope = [], []
     for view, pixel, _ in clicks:

@@ -252,5 +252,5 @@ def _height_doubts(found: Found, frame: LocalFrame, views: list[View], over_wate
     return [
         *warnings,
         *start_doubts(over_water, found.heads, level_m, at, crs),
-        *exif_doubts(crs, heights_m, heads),
+        *exif_doubts(heights_m, heads),
     ]

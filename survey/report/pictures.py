@@ -1,4 +1,4 @@
-"""The pictures of a report, drawn one after the other into PNG files."""
+"""The pictures of a report, drawn into PNG files, a part of them in a second process."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from survey.report import adjustment_pictures, flight, graphs, maps, profile
 from survey.report.cut import choose_cut
 from survey.report.facts import ReportFacts, distances_of
 from survey.report.shading import Picture
+from survey.second_process import SecondProcess
 
 if TYPE_CHECKING:
     from survey.adjust.adjustment import Adjustment
@@ -26,7 +27,9 @@ _ORTHO_CELLS, _MAP_CELLS = 2000, 900
 _CELL_GSD = 2.0
 
 
-def draw_pictures(folder: Path, facts: ReportFacts, advance: Callable[[], None] = lambda: None) -> list[Picture]:
+def draw_pictures(
+    folder: Path, facts: ReportFacts, advance: Callable[[], None], helper: SecondProcess
+) -> list[Picture]:
     """Draw all pictures that the facts allow, as PNG files, each whole or not at all.
 
     Parameters
@@ -36,6 +39,8 @@ def draw_pictures(folder: Path, facts: ReportFacts, advance: Callable[[], None] 
     facts : ReportFacts
     advance : callable
         Called after each picture.
+    helper : SecondProcess
+        Draws a part of them, where it was started; all are drawn here where the cloud was compared with a reference.
 
     Returns
     -------
@@ -68,11 +73,8 @@ def draw_pictures(folder: Path, facts: ReportFacts, advance: Callable[[], None] 
     if facts.adjustment is not None:
         drawings |= _of_adjustment(facts, facts.adjustment)
     drawings["plan"] = partial(flight.draw_plan, facts=facts)
-    pictures = []
-    for name, draw in drawings.items():
-        pictures.append(draw(folder / f"{name}.png"))
-        advance()
-    return pictures
+    calls = {name: partial(draw, folder / f"{name}.png") for name, draw in drawings.items()}
+    return list(helper.share(calls, advance).values())
 
 
 def _grid(facts: ReportFacts, max_cells: int) -> PlanGrid:

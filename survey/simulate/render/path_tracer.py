@@ -27,14 +27,11 @@ scattering, follows every wave.
 from __future__ import annotations
 
 import math
-from types import ModuleType
 
 import drjit as dr
 import numpy as np
 
-from survey.simulate.light import Light
 from survey.simulate.render.sunlight import Sunlight, absorbed, not_
-from survey.simulate.watercolour import WaterColour
 
 # Russian roulette starts after as many bounces.
 _SURE_BOUNCES = 4
@@ -45,35 +42,18 @@ class PathTracer:
 
     Parameters
     ----------
-    mi : the Mitsuba module, with its variant set
-    solids, surface : Mitsuba scenes
-        What is solid; the surface of the water, or None.
-    plane : (point, normal, index) or None
-        Mean plane of the water: (3,) [m], (3,), [-].
-    colour : WaterColour
-    light : Light
-    pixel : [rad]
-        Angle of a pixel; see `Sunlight`.
+    surface : Mitsuba scene or None
+        The surface of the water.
+    sun : Sunlight
+        Has what is solid, the mean plane and the colour of the water, and the light.
     max_bounces : int
     """
 
-    def __init__(
-        self,
-        mi: ModuleType,
-        solids,
-        surface,
-        plane,
-        *,
-        colour: WaterColour,
-        light: Light,
-        pixel: float,
-        max_bounces: int,
-    ):
-        self.mi, self.solids, self.surface = mi, solids, surface
-        self.n_water = 1.0 if plane is None else float(plane[2])
-        self.colour, self.light, self.max_bounces = colour, light, max_bounces
-        self.sun = Sunlight(mi, solids, plane, colour=colour, light=light, pixel=pixel)
-        self.scattering, self.asymmetry = colour.similar
+    def __init__(self, surface, sun: Sunlight, *, max_bounces: int):
+        self.mi, self.solids, self.surface, self.sun = sun.mi, sun.solids, surface, sun
+        self.n_water = 1.0 if sun.plane is None else float(sun.plane[2])
+        self.colour, self.light, self.max_bounces = sun.colour, sun.light, max_bounces
+        self.scattering, self.asymmetry = sun.colour.similar
 
     def __call__(self, origin: np.ndarray, direction: np.ndarray, seed: int) -> np.ndarray:
         """Linear radiance (N, 3) along rays from origins in unit directions (N, 3), local."""
@@ -107,14 +87,7 @@ class PathTracer:
         wet, straight, counted, active = mi.Bool(False), mi.Bool(True), mi.Bool(False), mi.Bool(True)
         bounce = mi.UInt32(0)
         while active:
-            ground = self.solids.ray_intersect(ray, active)
-            t = dr.select(ground.is_valid(), ground.t, dr.inf)
-            at_surface = mi.Bool(False)
-            surface = ground
-            if dr.hint(self.surface is not None, mode="scalar"):
-                surface = self.surface.ray_intersect(ray, active)
-                at_surface = active & surface.is_valid() & (surface.t < t)
-                t = dr.select(at_surface, surface.t, t)
+            ground, surface, t, at_surface = self._meet(ray, active)
             # Water absorbs along the way, and scatters after a random length.
             flight = mi.Float(dr.inf)
             if dr.hint(self.scattering > 0.0, mode="scalar"):
@@ -147,12 +120,25 @@ class PathTracer:
             ray = ahead
             bounce += 1
             active &= bounce < self.max_bounces
-            # Russian roulette: faint paths end, and those that are left count for them.
-            keep = dr.minimum(dr.max(share), 0.95)
-            late = bounce > _SURE_BOUNCES
-            active &= not_(late) | (sampler.next_1d(active) < keep)
-            share = dr.select(late, share / dr.maximum(keep, 1e-6), share)
+            share, active = self._thinned(sampler, share, bounce, active)
         return light
+
+    def _meet(self, ray, active):
+        """What rays meet of ground and water, how far they go to the first of both, and whether it is the water."""
+        ground = self.solids.ray_intersect(ray, active)
+        t = dr.select(ground.is_valid(), ground.t, dr.inf)
+        if self.surface is None:
+            return ground, ground, t, self.mi.Bool(False)
+        surface = self.surface.ray_intersect(ray, active)
+        at_surface = active & surface.is_valid() & (surface.t < t)
+        return ground, surface, dr.select(at_surface, surface.t, t), at_surface
+
+    def _thinned(self, sampler, share, bounce, active):
+        """Russian roulette: faint paths end and others count for them; the new shares, and the paths that go on."""
+        keep = dr.minimum(dr.max(share), 0.95)
+        late = bounce > _SURE_BOUNCES
+        goes_on = active & (not_(late) | (sampler.next_1d(active) < keep))
+        return dr.select(late, share / dr.maximum(keep, 1e-6), share), goes_on
 
     def _cross(self, sampler, surface, ray):
         """Reflected or refracted by the water: the next ray, its share of the light, and whether it was refracted."""

@@ -1,4 +1,4 @@
-"""What the sun does at the waves of one photograph: a moving net of light on the bed (caustics), and glint.
+"""What the sun does on the waves of one photograph: a moving net of light on the bed (caustics), and glint.
 
 The waves are a tile of a random surface that repeats, with slopes of equal variance in each octave of wavelengths.
 Rays of view are not bent by them, so that the ground truth is that of still water. Symbols: ``n`` index, ``d`` depth,
@@ -43,7 +43,7 @@ _PROBES, _BRIGHTEST = (40, 30), 1000.0
 
 @dataclass(frozen=True)
 class SunOnWaves:
-    """The sun at the waves of one photograph.
+    """The sun on the waves of one photograph.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class SunOnWaves:
         return gain
 
     def reflected(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Radiance (N,) of the sun that the surface mirrors into rays, given by origins and unit directions (N, 3)."""
+        """Radiance (N,) of the sun that the surface mirrors into rays from origins in unit directions (N, 3)."""
         return self.glint * self._mirrored(origin, direction) if self.glint > 0.0 else np.zeros(len(direction))
 
     def _mirrored(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
@@ -113,21 +113,18 @@ def suns_of(
     depth_m: float,
     glint_share: float,
     contrast: float,
-    exposure: float = 1.0,
 ) -> tuple[SunOnWaves, ...]:
-    """The sun at other waves for each photograph.
+    """The sun on the waves of each photograph, which differ from one to the next.
 
     Parameters
     ----------
     depth_m : [m]
         Mean depth of the bed.
     glint_share : [-]
-        Of the pixels of all photographs together: where the mirrored sun alone saturates. Its brightness against the
-        bed is chosen so, as an exposure does.
+        Of the pixels of all photographs together, how many the mirrored sun alone saturates. The sun is made as bright
+        against the bed as this takes.
     contrast : [-]
         Standard deviation over mean of the light on the bed at ``depth_m``; other depths follow.
-    exposure : [-]
-        Stored grey, linear, per radiance.
 
     Raises
     ------
@@ -142,7 +139,7 @@ def suns_of(
     if glint_share <= 0.0:
         return tuple(found)
     seen = np.concatenate([_probed(sun, camera) for sun, camera in zip(found, cameras, strict=True)])
-    bright = float(np.quantile(seen, 1.0 - glint_share)) * exposure
+    bright = float(np.quantile(seen, 1.0 - glint_share))
     if bright * _BRIGHTEST < 1.0:
         raise SurveyError(
             f"glint_share is {glint_share:g}, but the waves do not mirror the sun into so many pixels of this flight; "

@@ -87,18 +87,14 @@ def _path_tracer(plan: Plan, renderer: DirectRenderer, light: Light) -> PathTrac
     mi = load_mitsuba()
     # Only now: it takes Mitsuba's Dr.Jit to be there.
     from survey.simulate.render.path_tracer import PathTracer
+    from survey.simulate.render.sunlight import Sunlight
 
     water, mean = renderer.water, plan.site.water
-    return PathTracer(
-        mi,
-        solid_scene(mi, renderer.ground),
-        None if water is None else water_scene(mi, water, renderer.ground),
-        None if mean is None else (np.array(mean.point), np.array(mean.up), float(mean.n_water)),
-        colour=renderer.colour,
-        light=light,
-        pixel=1.0 / plan.lens.focal[0],
-        max_bounces=plan.settings.render.max_bounces,
-    )
+    plane = None if mean is None else (np.array(mean.point), np.array(mean.up), float(mean.n_water))
+    surface = None if water is None else water_scene(mi, water, renderer.ground)
+    pixel = 1.0 / plan.lens.focal[0]
+    sun = Sunlight(mi, solid_scene(mi, renderer.ground), plane, colour=renderer.colour, light=light, pixel=pixel)
+    return PathTracer(surface, sun, max_bounces=plan.settings.render.max_bounces)
 
 
 def light_of(light: LightSettings, frame: LocalFrame) -> Light:

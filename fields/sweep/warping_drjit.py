@@ -278,3 +278,29 @@ def claim(stack: ViewStack, legs, own, later: int, tolerance: float, apart: floa
         dr.scatter(beside, Byte(1), corner + offset, same & (dr.minimum(off, dr.abs(there - between)) < most))
     dr.eval(claimed, beside)
     return claimed.numpy().view(bool), beside.numpy().view(bool)
+
+
+def looks_at(
+    stack: ViewStack, points: tuple, view: int, apart: float, sure: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which points (P) height map `view` has among its four pixels about each, and which it looks through: bool each.
+
+    It has those between the lowest and the highest of the four heights, or within `apart` [m] of them. It looks through
+    those above all four by more, if these are all ``sure`` (pixels) bool. Points are in the frame of the water plane.
+    """
+    Float, UInt, Byte = stack.device.module.Float, stack.device.module.UInt, stack.device.module.UInt8
+    u, v, inside = seen_at(stack.numbers[view], points, stack.n_water, stack.beyond)
+    corner, _, _ = _corner(stack, u, v, inside)
+    width, reach, known = dr.opaque(UInt, stack.width), dr.opaque(Float, apart), Byte(sure.ravel().view(np.uint8))
+    four = [corner + offset for offset in (0, 1, width, width + 1)]
+    heights = [dr.gather(Float, stack.pixels[view], each, inside) for each in four]
+    low, high = (dr.minimum(heights[0], heights[1]), dr.maximum(heights[0], heights[1]))
+    for each in heights[2:]:
+        low, high = dr.minimum(low, each), dr.maximum(high, each)
+    below = high + reach < points[2]
+    shown, through = inside & ~below & (low - reach < points[2]), inside & below
+    for each in four:
+        through &= dr.gather(Byte, known, each, inside) > 0
+    found = [dr.select(each, Byte(1), Byte(0)) for each in (shown, through)]
+    dr.eval(found)
+    return found[0].numpy().view(bool), found[1].numpy().view(bool)

@@ -64,6 +64,7 @@ VARIANTS: dict[str, tuple[Callable[[], AbstractContextManager], dict[str, str]]]
     "all terms of the lens": (partial(put_back, lens=False), {}),
     "pixels beyond the area": (partial(put_back, area=False), {}),
     "the whole range of heights first": (partial(put_back, heights=False), {}),
+    "all pixels in the finer passes": (partial(put_back, points=False), {}),
     "poses adjusted without asking": (nullcontext, {"poses": "refine"}),
     "--plan full": (nullcontext, {"plan": "full"}),
     "tried: no check of the poses": (nullcontext, {"poses": "fixed"}),

@@ -160,12 +160,15 @@ def test_straight_rays_and_their_corrections_stand_beside_what_was_measured(repo
     assert "per-camera correction (Dietrich)" in page
 
 
-@pytest.mark.parametrize(("field", "named"), [("solver", "solver"), ("slab", "trained slab")])
-def test_the_sweep_alone_has_a_row_beside_what_refined_it(report, field, named):
+@pytest.mark.parametrize(
+    ("field", "before", "named"),
+    [("solver", "sweep before the solver", "solver"), ("slab", "sweep alone", "trained slab")],
+)
+def test_the_sweep_has_a_row_beside_what_refined_it(report, field, before, named):
     wet = DistanceStatistics(n_points=1, n_nan=0, mean_m=0.1, median_m=0.2, nmad_m=0.3)
     sweep = SimpleNamespace(figures=SimpleNamespace(wet=wet))
     facts = replace(report.facts, sweep_comparison=sweep, plan=replace(PLAN, field=field))
     rows = figures_of(facts).baselines.rows
-    assert [row.name for row in rows[3:]] == ["sweep alone", f"this run: sweep and {named}"]
+    assert [row.name for row in rows[3:]] == [before, f"this run: sweep and {named}"]
     assert rows[3].median_m == 0.2
     assert figures_of(replace(report.facts, comparison=None)).baselines is None

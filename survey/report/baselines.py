@@ -85,12 +85,16 @@ def _rays(survey: Survey, water: FlatWater, places: np.ndarray) -> tuple[np.ndar
 
 
 def _measured(comparison: Comparison, of_sweep: Comparison | None, field: str) -> list[BaselineRow]:
-    """The refractive sweep alone and what refined its heights; one row where nothing did."""
+    """The refractive sweep and what refined its heights; one row where nothing did.
+
+    The solver goes on from a sweep whose heights are not refined to the end, a trained field from one alone.
+    """
     whole = comparison.figures.wet
     if of_sweep is None:
         named = {"this run: sweep alone": whole}
     else:
-        named = {"sweep alone": of_sweep.figures.wet, f"this run: sweep and {_REFINED_BY[field]}": whole}
+        before = "sweep before the solver" if field == "solver" else "sweep alone"
+        named = {before: of_sweep.figures.wet, f"this run: sweep and {_REFINED_BY[field]}": whole}
     return [_row(name, "measured", part) for name, part in named.items() if part]
 
 

@@ -205,18 +205,20 @@ def _groups(views: list) -> list[list]:
     return [views[first : first + VIEWS_PER_KERNEL] for first in range(0, len(views), VIEWS_PER_KERNEL)]
 
 
-def compare(stack: ViewStack, view: int, peers: list[int], tolerance: float):
-    """Height maps compared: each pixel of `view` is carried into its peers at its own height.
+def compare(stack: ViewStack, view: int, peers: list[int], tolerance: float, pixels: np.ndarray | None = None):
+    """Height maps compared: each pixel of `view`, or some (flat indices), is carried into its peers at its own height.
 
     Returns
     -------
     count, total, square : (P) each
         Of the differences [m] (the peer's height there, bilinear, less the own one) that are below `tolerance` [m].
     """
-    Float, size = stack.device.module.Float, stack.width * stack.height
-    legs = legs_of(stack, view, 0, stack.height)
-    own = stack.pixels[view]
-    count, total, square = (dr.opaque(Float, 0.0, size) for _ in range(3))
+    Float = stack.device.module.Float
+    if pixels is None:
+        legs, own = legs_of(stack, view, 0, stack.height), stack.pixels[view]
+    else:
+        legs, own = paths_of(stack, view, pixels)
+    count, total, square = (dr.opaque(Float, 0.0, dr.width(own)) for _ in range(3))
     for group in _groups(peers):
         for peer in group:
             difference = sample(stack, peer, *project_at(stack, legs, own, peer)) - own

@@ -107,9 +107,14 @@ def warp(stack: ViewStack, legs, start: np.ndarray, neighbours: list[int], step:
     return [each.reshape(-1) for each in values]
 
 
-def compare(stack: ViewStack, view: int, peers: list[int], tolerance: float) -> tuple[Tensor, Tensor, Tensor]:
+def compare(
+    stack: ViewStack, view: int, peers: list[int], tolerance: float, pixels: np.ndarray | None = None
+) -> tuple[Tensor, Tensor, Tensor]:
     """Count, sum and sum of squares (P) of the differences below `tolerance`; see the twin."""
-    legs, own = legs_of(stack, view, 0, stack.height), stack.pixels[view]
+    if pixels is None:
+        legs, own = legs_of(stack, view, 0, stack.height), stack.pixels[view]
+    else:
+        legs, own = paths_of(stack, view, pixels)
     count, total, square = torch.zeros_like(own), torch.zeros_like(own), torch.zeros_like(own)
     for peer in peers:
         difference = sample(stack, peer, *project_at(stack, legs, own, peer)) - own

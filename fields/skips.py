@@ -19,12 +19,15 @@ class Skips:
         No heights of pixels that cannot see the area.
     heights : bool
         No heights beyond those that thumbnails find.
+    points : bool
+        No refining of heights that do not become points.
     """
 
     air: bool = True
     lens: bool = True
     area: bool = True
     heights: bool = True
+    points: bool = True
 
 
-SKIPS, NOTHING = Skips(), Skips(air=False, lens=False, area=False, heights=False)
+SKIPS, NOTHING = Skips(), Skips(air=False, lens=False, area=False, heights=False, points=False)

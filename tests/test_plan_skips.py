@@ -52,6 +52,10 @@ def test_the_plan_says_what_is_left_out_and_that_nothing_is_if_all_is_asked_for(
     assert (lines[0]["terms of the lens"], lines[1]["terms of the lens"]) == ("none", "all")
     assert lines[1]["pixels"] == "all"
     assert lines[1]["first heights"] == "the whole range"
+    assert (lines[0]["finer passes"], lines[1]["finer passes"]) == ("pixels that become points", "all pixels")
+    assert (usual.refines_points_only, full.refines_points_only) == (True, False)
+    draft = make_plan(survey, Choices(device="cpu", quality="draft"))
+    assert not draft.refines_points_only
     with pytest.raises(SurveyError, match="plan is most, expected one of auto, full"):
         make_plan(survey, Choices(device="cpu", plan="most"))
 

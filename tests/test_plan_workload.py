@@ -72,9 +72,7 @@ def test_the_maps_are_those_of_the_views_that_cover_the_area_and_better_qualitie
     assert found[0].num_maps <= found[1].num_maps <= found[2].num_maps <= len(survey.views)
 
 
-@pytest.mark.parametrize(
-    ("name", "quality", "memory_gb"), [("quick", "draft", 0.48), ("wreck_water", "standard", 1.22)]
-)
+@pytest.mark.parametrize(("name", "quality", "memory_gb"), [("quick", "draft", 0.62), ("river", "draft", 1.08)])
 def test_the_memory_of_two_surveys_is_estimated_as_it_was_measured(data_dir, name, quality, memory_gb):
     survey = load_survey(data_dir / name)
     plan = replace(make_plan(survey, Choices(quality=quality, device="cpu")), device="llvm")

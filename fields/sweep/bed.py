@@ -18,8 +18,9 @@ from fields.sweep.footprint import Footprint
 from fields.sweep.lazy import Lazy
 from fields.sweep.maps import DepthMap
 from fields.sweep.masks import Masks
-from fields.sweep.slopes import differing, is_wall
+from fields.sweep.slopes import differing, steep_and_walls
 from fields.sweep.stack import ViewStack
+from fields.sweep.steep import Steep, settle
 from refract import FlatWater, PinholeCamera
 
 
@@ -78,6 +79,8 @@ class BedPoints:
 # A height confirmed by two other views is trusted; confirmed by one, only where the images also correlate this well.
 CONFIRMED_TWICE = 2
 TRUSTED_NCC = 0.8
+# On walls, where photographs look less alike, this well.
+WALL_NCC = 0.6
 COMPANY, COMPANY_GSD = 4, 4.0
 # Pixels whose paths are worked out together, of 300 bytes each.
 _POINTS_AT_ONCE = 500_000
@@ -91,7 +94,11 @@ _LEAST_COSINE = 0.01
 
 def trusted(depth_map: DepthMap) -> np.ndarray:
     """Which pixels (height, width) bool of a map have a height that other views confirm."""
-    once = (depth_map.agreeing == 1) & (depth_map.score > TRUSTED_NCC)
+    return _confirmed(depth_map, TRUSTED_NCC)
+
+
+def _confirmed(depth_map: DepthMap, least_ncc: float) -> np.ndarray:
+    once = (depth_map.agreeing == 1) & (depth_map.score > least_ncc)
     return (depth_map.agreeing >= CONFIRMED_TWICE) | once
 
 
@@ -101,7 +108,8 @@ def unique_pixels(block: Block, maps: Sequence[DepthMap], gsd: float) -> Masks:
     Views take turns, the steepest first: their ground sampling distance is the finest. A pixel that is kept claims, in
     every later view, the four pixels around its projection whose heights agree with it; claimed pixels are duplicates.
     On walls, where neighbouring pixels lie far apart, it claims those alone that are as near to it as the bed's points
-    are to each other (``gsd``, the ground sampling distance [m]). Only trusted pixels are kept.
+    are to each other (``gsd``, the ground sampling distance [m]). Only trusted pixels are kept. What is steep is
+    looked at once more in space: that adds pixels on walls, and takes away wrong ones (`fields.sweep.steep`).
 
     Returns
     -------
@@ -110,7 +118,7 @@ def unique_pixels(block: Block, maps: Sequence[DepthMap], gsd: float) -> Masks:
     chosen = [m.view for m in maps]
     cameras = [block.cameras[view] for view in chosen]
     shape = (cameras[0].height, cameras[0].width) if cameras else (0, 0)
-    kept, claimed, walls = (Masks([shape] * len(chosen)) for _ in range(3))
+    kept, claimed, walls, steep, sure, fit = (Masks([shape] * len(chosen)) for _ in range(6))
     ground, tolerances = [], []
     for index, m in enumerate(maps):
         others = block.neighbours(m.view, 8, among=chosen)
@@ -118,14 +126,16 @@ def unique_pixels(block: Block, maps: Sequence[DepthMap], gsd: float) -> Masks:
         extent = float(m.height.min()), float(m.height.max())
         ground.append(Footprint.of(cameras[index], block.water, extent))
         tolerances.append(tolerance)
-        walls[index] = is_wall(m.height, tolerance)
+        steep[index], walls[index] = steep_and_walls(m.height, tolerance)
+        sure[index] = trusted(m)
     order = sorted(range(len(maps)), key=lambda i: cameras[i].cam_from_local[2][2])
     images = Lazy(lambda index: maps[index].height, len(chosen), shape, 1)
     heights = ViewStack.build(block.device, cameras, images, block.water)
     for place, index in enumerate(order):
-        m = maps[index]
         # What is left out of the photograph has a height of its surroundings, but neither colour nor match.
-        kept[index] = keep = trusted(m) & np.isfinite(block.images[m.view]) & ~claimed[index]
+        shown = np.isfinite(block.images[chosen[index]])
+        kept[index] = keep = sure[index] & shown & ~claimed[index]
+        fit[index] = walls[index] & shown & _confirmed(maps[index], WALL_NCC)
         if not keep.any():
             continue
         legs, own = warping(block.device).paths_of(heights, index, np.flatnonzero(keep))
@@ -134,6 +144,7 @@ def unique_pixels(block: Block, maps: Sequence[DepthMap], gsd: float) -> Masks:
                 same, near = warping(block.device).claim(heights, legs, own, later, tolerances[index], gsd)
                 claimed.add(later, same & (near | ~walls[later].ravel()))
         forget(block.device)
+    settle(heights, Steep(steep, fit, sure), kept, gsd)
     return kept
 
 

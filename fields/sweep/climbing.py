@@ -1,7 +1,8 @@
-"""One ladder of heights for one view, in strips of rows that bound the memory."""
+"""One ladder of heights for one view: in strips of rows that bound the memory, or in tiles."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from types import ModuleType
 
 import cv2
@@ -10,11 +11,14 @@ import numpy as np
 from fields.sweep.arrays import floats, host
 from fields.sweep.backends import scoring, warping
 from fields.sweep.stack import ViewStack
+from fields.sweep.tiles import Tiles
 
 # A score below this is meaningless: no window was complete (-1), or the windows have no texture (0, but for rounding).
 MATCHED_NCC = 0.05
 # Floats of the widest vectors.
 _VECTOR = 16
+# A run of tiles costs, beside its samples, as much as so many.
+_LAUNCH_SAMPLES = 600_000
 
 
 def climb_view(
@@ -78,6 +82,42 @@ def climb_view(
             image = np.pad(host(device, result), radius).reshape(-1, right - left)
             target[first:last, inner] = image[:, inner.start - left : inner.stop - left]
     return _filled(found[0], found[1] > MATCHED_NCC), found[1], found[2]
+
+
+def climb_tiles(
+    stack: ViewStack,
+    view: int,
+    others: list[int],
+    tiles: Tiles,
+    starts: Callable[[slice, np.ndarray], np.ndarray],
+    step: float,
+    least_known: float = 1.0,
+) -> Iterator[tuple[np.ndarray, np.ndarray, list[np.ndarray]]]:
+    """As `climb_view`, of tiles with their halos, a run of n of them at a time.
+
+    ``starts`` gives the first rungs [m] of a run, with the flat indices of its pixels, both (n, side, side).
+
+    Yields
+    ------
+    own : (n, side, side) bool
+        Which pixels are wanted, in their own tile, and have a whole window.
+    pixels : (n, side, side) int
+        Flat indices.
+    height [m], score [-], curvature [1/m^2] : list of (n, side, side) float32
+    """
+    device = stack.device
+    images, scores = warping(device), scoring(device)
+    for part, rungs in tiles.batches(images.STRIP_SAMPLES // len(others), _LAUNCH_SAMPLES // len(others)):
+        pixels = tiles.pixels(part)
+        legs = images.legs_at(stack, view, pixels.ravel())
+        start = starts(part, pixels)
+        grey = floats(device, stack.images[view].ravel()[pixels])
+        values = images.warp(stack, legs, start, others, step, rungs)
+        mean = scores.best_half(device, scores.ncc(device, grey, values, tiles.side, tiles.radius, least_known))
+        climbed = [host(device, each) for each in scores.climb(device, mean, floats(device, start), step, rungs)]
+        # The first window begins `radius` pixels into the first row.
+        climbed = [np.pad(each, tiles.radius * (tiles.side + 1)).reshape(pixels.shape) for each in climbed]
+        yield tiles.own(part, pixels), pixels, climbed
 
 
 def _span(first: int, last: int, width: int, radius: int) -> tuple[int, int]:

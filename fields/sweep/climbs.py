@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from fields.median import median
 from fields.sweep.block import Block
-from fields.sweep.climbing import climb_view
+from fields.sweep.climbing import MATCHED_NCC, climb_tiles, climb_view
 from fields.sweep.maps import DepthMap
 from fields.sweep.over_area import Area, columns_over
 from fields.sweep.passes import Pass
 from fields.sweep.stack import ViewStack
 from fields.sweep.steps import search_steps
+from fields.sweep.tiles import Tiles
 from fields.sweep.windows import LEAST_KNOWN, climb_widely_enough
+
+# Side of the tiles of a part, with their halo: whole vectors, so that strips and tiles have the same kernels.
+_SIDE_PX = 32
 
 
 @dataclass(frozen=True)
@@ -95,7 +99,7 @@ def climbed(
 
     ladder = stack, view, climb.others, start, step, climb.rungs
     radius = p.radius + wider
-    least_known = 1.0 if block.images.are_whole else LEAST_KNOWN
+    least_known = _least_known(block)
     if p.refines:
         found = climb_view(*ladder, radius, columns(radius), least_known)
     else:
@@ -110,6 +114,30 @@ def climbed(
     nobody = np.zeros(height.shape, dtype=np.uint8)
     spread = np.zeros(height.shape, dtype=np.float16)
     return DepthMap(view, height, score.astype(np.float16), nobody, spread), radius - p.radius
+
+
+def refined(block: Block, p: Pass, climb: Climb, before: DepthMap, part: np.ndarray) -> tuple[DepthMap, np.ndarray]:
+    """One pass over a part of a view, (height, width) bool at a share of the size, and the pixels that it took, flat.
+
+    Those are of all tiles that hold some of the part; the others stay as they were ``before``.
+    """
+    stack, view = block.stack(p.scale), climb.view
+    step = _step(block, p, view, climb.others, median(before.height))
+    tiles = Tiles.over(part, before.height.shape, _SIDE_PX - 2 * p.radius, p.radius, climb.rungs)
+    height, score = before.height.copy(), before.score.copy()
+    first = before.height.ravel() - np.float32(step * (climb.rungs // 2))
+    runs = climb_tiles(
+        stack, view, climb.others, tiles, lambda _, pixels: first[pixels], step, least_known=_least_known(block)
+    )
+    for own, pixels, (found, scored, _) in runs:
+        matched = own & (scored > MATCHED_NCC)
+        height.flat[pixels[matched]] = found[matched]
+        score.flat[pixels[own]] = scored[own]
+    return replace(before, height=height, score=score), np.flatnonzero(tiles.wanted)
+
+
+def _least_known(block: Block) -> float:
+    return 1.0 if block.images.are_whole else LEAST_KNOWN
 
 
 def _enlarged(height: np.ndarray, stack: ViewStack) -> np.ndarray:

@@ -10,7 +10,7 @@ from fields.sweep.stack import ViewStack
 
 
 def agreement(
-    heights: ViewStack, view: int, peers: list[int], tolerance: float
+    heights: ViewStack, view: int, peers: list[int], tolerance: float, pixels: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compare the height map of one view with those of its peers.
 
@@ -22,20 +22,23 @@ def agreement(
     view, peers : indices into the stack
     tolerance : [m]
         Heights closer than this agree.
+    pixels : (P,) flat indices, optional
+        Of the view; all of them by default.
 
     Returns
     -------
-    agreeing : (height, width) uint8
+    agreeing : (height, width) uint8, or (P,)
         Number of peers that agree.
-    fused : (height, width) float32 [m]
+    fused : float32 [m]
         Mean of the view's own height and those that agree.
-    spread : (height, width) float32 [m]
+    spread : float32 [m]
         Standard deviation (population) of the same.
     """
     device, images = heights.device, warping(heights.device)
-    shape = (heights.height, heights.width)
-    own = host(device, heights.pixels[view]).reshape(shape)
-    sums = images.compare(heights, view, peers, tolerance)
+    own = host(device, heights.pixels[view])
+    shape = (heights.height, heights.width) if pixels is None else (len(pixels),)
+    own = (own if pixels is None else own[pixels]).reshape(shape)
+    sums = images.compare(heights, view, peers, tolerance, pixels)
     count, total, square = (host(device, s).reshape(shape) for s in sums)
     mean = total / (count + 1.0)
     spread = np.sqrt(np.maximum(square / (count + 1.0) - mean * mean, 0.0))

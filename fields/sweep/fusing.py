@@ -20,16 +20,24 @@ from fields.sweep.stack import ViewStack
 
 
 def fuse(
-    block: Block, maps: Maps, scale: float, peers: Mapping[int, list[int]], keep: Keep = dict, *, goes_on: bool = True
+    block: Block,
+    maps: Maps,
+    scale: float,
+    peers: Mapping[int, list[int]],
+    keep: Keep = dict,
+    *,
+    goes_on: bool = True,
+    only: Mapping[int, np.ndarray] | None = None,
 ) -> Maps:
     """Maps with the mean over the peers that agree as heights, and how many do and how closely; the others are cleared.
 
     A pixel that no other view confirms takes the median of its surroundings, and where a pass follows (``goes_on``) one
     whose height is not trusted that of the plane through the trusted ones around it, where these lie in one: a better
-    start. A pixel that matched nothing confirms nothing either. Maps without peers keep what they have.
+    start. A pixel that matched nothing confirms nothing either. Maps without peers keep what they have, and so do
+    pixels of a view that has ``only`` some others (flat indices).
     """
     fused = keep()
-    for m, tolerance, (agreeing, height, spread) in _agreement(block, maps, scale, peers):
+    for m, tolerance, (agreeing, height, spread) in _agreement(block, maps, scale, peers, only or {}):
         height = np.where(agreeing > 0, height, cv2.medianBlur(m.height, 5))
         found = DepthMap(m.view, height, m.score, agreeing, spread.astype(np.float16))
         fused[m.view] = replace(found, height=continued(height, trusted(found), tolerance)) if goes_on else found
@@ -40,9 +48,12 @@ def fuse(
 
 
 def _agreement(
-    block: Block, maps: Maps, scale: float, peers: Mapping[int, list[int]]
+    block: Block, maps: Maps, scale: float, peers: Mapping[int, list[int]], only: Mapping[int, np.ndarray]
 ) -> Iterator[tuple[DepthMap, float, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
-    """Each map that has peers, how close heights [m] have to be to agree, and what `agreement` says of it."""
+    """Each map that has peers, how close heights [m] have to be to agree, and what `agreement` says of it.
+
+    Of a view that has ``only`` some pixels the others are as in its map.
+    """
     chosen = sorted(maps)
     cameras = [block.cameras[v].scaled(scale) if scale != 1.0 else block.cameras[v] for v in chosen]
 
@@ -57,11 +68,18 @@ def _agreement(
         if others:
             m = maps[view]
             tolerance = block.agreement_tolerance(view, others, median(m.height))
-            yield m, tolerance, agreement(heights, index, [chosen.index(p) for p in others], tolerance)
+            pixels = only.get(view)
+            found = agreement(heights, index, [chosen.index(p) for p in others], tolerance, pixels)
+            if pixels is not None:
+                whole = m.agreeing.copy(), m.height.copy(), m.spread.copy()
+                for target, each in zip(whole, found, strict=True):
+                    target.flat[pixels] = each
+                found = whole
+            yield m, tolerance, found
 
 
 def confirm(block: Block, maps: Maps, peers: Mapping[int, list[int]]) -> None:
     """Let heights that stay as they are be confirmed by the others at full size, where these say more than before."""
     if peers:
-        for m, _, (agreeing, _, _) in _agreement(block, maps, 1.0, peers):
+        for m, _, (agreeing, _, _) in _agreement(block, maps, 1.0, peers, {}):
             maps[m.view] = replace(m, agreeing=np.maximum(m.agreeing, agreeing))

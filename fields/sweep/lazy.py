@@ -9,7 +9,7 @@ import numpy as np
 from fields.sweep.recent import Recent
 
 # Images in float32 that are kept, in bytes, or so many.
-_KEPT_BYTES, _FEWEST_KEPT = 100_000_000, 2
+_KEPT_BYTES, _FEWEST_KEPT = 30_000_000, 2
 
 
 class Lazy(Sequence):

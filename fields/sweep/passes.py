@@ -24,6 +24,8 @@ class Pass:
     neighbours : number of views compared with
     fuse : after the pass, average each height with those of the views that agree
     search : after the pass, how heights beyond its ladder are searched; None: not at all
+    points_only : whether only what becomes a point takes part, as the heights before tell: other pixels confirm with
+        the heights that they have
     """
 
     scale: float
@@ -33,6 +35,7 @@ class Pass:
     neighbours: int
     fuse: bool
     search: StepSearch | None = None
+    points_only: bool = False
 
     @property
     def refines(self) -> bool:
@@ -62,3 +65,12 @@ def passes_from(share: float) -> tuple[Pass, ...]:
     if share > PASSES[0].scale:
         return (replace(PASSES[1], rungs=None, step_px=PASSES[0].step_px, search=None), *PASSES[2:])
     return PASSES
+
+
+def before_solver(passes: tuple[Pass, ...]) -> tuple[Pass, ...]:
+    """The same passes for heights that the solver solves again: after the first at full size only points take part.
+
+    Without the solver the heights of points are means over views, which all have to be refined.
+    """
+    first = next(number for number, p in enumerate(passes) if p.scale == 1.0)
+    return (*passes[: first + 1], *(replace(p, points_only=True) for p in passes[first + 1 :]))

@@ -16,8 +16,8 @@ _FARTHEST_PX = 8
 _RISE = np.tile(np.array([-1.0, 0.0, 1.0], dtype=np.float32) / 6.0, (3, 1))
 
 
-def is_wall(height: np.ndarray, tolerance: float) -> np.ndarray:
-    """Which pixels (height, width) bool look along a wall: steep, and in one plane with their neighbours.
+def steep_and_walls(height: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Which pixels (height, width) bool are steep, and which of these look along a wall: in one plane with all around.
 
     Steep is what differs from the neighbours by more than what counts as agreement, ``tolerance`` [m].
     """
@@ -27,7 +27,8 @@ def is_wall(height: np.ndarray, tolerance: float) -> np.ndarray:
     mean, square = (cv2.blur(each, (3, 3)) for each in (height, height * height))
     # Along its rise the squares of a plane are two thirds of that of its slope.
     off_plane = square - mean * mean - (2.0 / 3.0) * slope * slope
-    return (slope > tolerance) & (off_plane < (_MOST_BENT * slope) ** 2)
+    steep = slope > tolerance
+    return steep, steep & (off_plane < (_MOST_BENT * slope) ** 2)
 
 
 def differing(height: np.ndarray, at: np.ndarray, reach: np.ndarray) -> np.ndarray:

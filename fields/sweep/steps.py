@@ -14,15 +14,11 @@ import cv2
 import numpy as np
 
 from fields.median import median
-from fields.sweep.arrays import floats, host
-from fields.sweep.backends import scoring, warping
-from fields.sweep.climbing import MATCHED_NCC
+from fields.sweep.climbing import MATCHED_NCC, climb_tiles
 from fields.sweep.stack import ViewStack
 from fields.sweep.tiles import Tiles, extent
 from fields.sweep.walls import wall_slopes
 
-# A run of tiles costs, beside its samples, as much as so many.
-_LAUNCH_SAMPLES = 600_000
 # Height [m], score and curvature [1/m^2] of each pixel, as `fields.sweep.climbing.climb_view` gives them.
 Found = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -96,20 +92,9 @@ def _climbed(
     stack: ViewStack, view: int, others: list[int], found: Found, tiles: Tiles, step: float, least: np.ndarray
 ) -> Found:
     """What was found, and instead what tiles find on ladders of a step [m], where that scores over ``least``."""
-    device = stack.device
-    images, scores = warping(device), scoring(device)
     better = [np.array(each) for each in found]
-    for part, rungs in tiles.batches(images.STRIP_SAMPLES // len(others), _LAUNCH_SAMPLES // len(others)):
-        pixels = tiles.pixels(part)
-        legs = images.legs_at(stack, view, pixels.ravel())
-        start = tiles.starts(part)
-        grey = floats(device, stack.images[view].ravel()[pixels])
-        values = images.warp(stack, legs, start, others, step, rungs)
-        mean = scores.best_half(device, scores.ncc(device, grey, values, tiles.side, tiles.radius))
-        climbed = [host(device, each) for each in scores.climb(device, mean, floats(device, start), step, rungs)]
-        # The first window begins `radius` pixels into the first row.
-        climbed = [np.pad(each, tiles.radius * (tiles.side + 1)).reshape(pixels.shape) for each in climbed]
-        keep = tiles.own(part, pixels) & (climbed[1] > least.ravel()[pixels])
+    for own, pixels, climbed in climb_tiles(stack, view, others, tiles, lambda part, _: tiles.starts(part), step):
+        keep = own & (climbed[1] > least.ravel()[pixels])
         for target, each in zip(better, climbed, strict=True):
             target.flat[pixels[keep]] = each[keep]
     return better[0], better[1], better[2]

@@ -10,8 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 
+import numpy as np
+
+from fields.sweep.becoming import becoming_points
 from fields.sweep.block import Block
-from fields.sweep.climbs import climbed, climbs_of, pixels_of
+from fields.sweep.climbs import climbed, climbs_of, pixels_of, refined
 from fields.sweep.fusing import confirm, fuse
 from fields.sweep.maps import DepthMap, InOrder, Keep, enlarged_map
 from fields.sweep.over_area import Area
@@ -80,16 +83,24 @@ def sweep(
     total, done = sum(fused) + sum(climb.samples for each in climbs for climb in each), 0
     # By how much the windows of each view are wider than its pass has them [px].
     wider = dict.fromkeys(views, 0)
+    wanted: dict[int, np.ndarray] = {}
     for number, p in enumerate(passes):
+        if p.points_only and not wanted:
+            wanted = becoming_points(block, maps)
+        taken: dict[int, np.ndarray] = {}
         for climb in climbs[number]:
-            height = maps[climb.view].height if climb.view in maps else None
-            maps[climb.view], wider[climb.view] = climbed(block, p, climb, bound, height, area, wider[climb.view])
+            view = climb.view
+            if view in wanted and not wider[view]:
+                maps[view], taken[view] = refined(block, p, climb, maps[view], wanted[view])
+            else:
+                height = maps[view].height if view in maps else None
+                maps[view], wider[view] = climbed(block, p, climb, bound, height, area, wider[view])
             done += climb.samples
             progress(done / total)
         if fused[number]:
             block.release(p.scale)
-            compared = {view: peers[view] for view in climbing[number]}
-            maps = fuse(block, maps, p.scale, compared, keep, goes_on=number + 1 < len(passes))
+            compared = {view: peers[view] for view in climbing[number] if view not in taken or len(taken[view])}
+            maps = fuse(block, maps, p.scale, compared, keep, goes_on=number + 1 < len(passes), only=taken)
             done += fused[number]
             progress(done / total)
         if number + 1 == len(passes) or passes[number + 1].scale != p.scale:

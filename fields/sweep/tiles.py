@@ -60,6 +60,23 @@ class Tiles:
         order = np.argsort(rungs, kind="stable")
         return Tiles(wanted, size, radius, place[order], (least - margin)[order], slope[order], rungs[order])
 
+    @staticmethod
+    def over(part: np.ndarray, shape: tuple[int, int], size: int, radius: int, rungs: int) -> Tiles:
+        """Whole tiles of an image (height, width) that hold some of a part of it, with so many rungs each.
+
+        The part, (rows, columns) bool, has a share of the size of the image.
+        """
+        of_row, of_column = (
+            (np.arange(num) + 0.5) * length / num // size for num, length in zip(part.shape, shape, strict=True)
+        )
+        rows, columns = np.nonzero(part)
+        place = np.unique(np.column_stack([of_row[rows], of_column[columns]]).astype(int), axis=0)
+        mask = np.zeros([-(-length // size) for length in shape], dtype=bool)
+        mask[tuple(place.T)] = True
+        mask = mask.repeat(size, axis=0).repeat(size, axis=1)[: shape[0], : shape[1]]
+        level = np.zeros((len(place), 2))
+        return Tiles(mask, size, radius, place, level[:, 0], level, np.full(len(place), rungs))
+
     @property
     def side(self) -> int:
         """Side of a tile with its halo [px]."""

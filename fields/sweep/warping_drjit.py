@@ -205,18 +205,20 @@ def _groups(views: list) -> list[list]:
     return [views[first : first + VIEWS_PER_KERNEL] for first in range(0, len(views), VIEWS_PER_KERNEL)]
 
 
-def compare(stack: ViewStack, view: int, peers: list[int], tolerance: float):
-    """Height maps compared: each pixel of `view` is carried into its peers at its own height.
+def compare(stack: ViewStack, view: int, peers: list[int], tolerance: float, pixels: np.ndarray | None = None):
+    """Height maps compared: each pixel of `view`, or some (flat indices), is carried into its peers at its own height.
 
     Returns
     -------
     count, total, square : (P) each
         Of the differences [m] (the peer's height there, bilinear, less the own one) that are below `tolerance` [m].
     """
-    Float, size = stack.device.module.Float, stack.width * stack.height
-    legs = legs_of(stack, view, 0, stack.height)
-    own = stack.pixels[view]
-    count, total, square = (dr.opaque(Float, 0.0, size) for _ in range(3))
+    Float = stack.device.module.Float
+    if pixels is None:
+        legs, own = legs_of(stack, view, 0, stack.height), stack.pixels[view]
+    else:
+        legs, own = paths_of(stack, view, pixels)
+    count, total, square = (dr.opaque(Float, 0.0, dr.width(own)) for _ in range(3))
     for group in _groups(peers):
         for peer in group:
             difference = sample(stack, peer, *project_at(stack, legs, own, peer)) - own
@@ -278,3 +280,29 @@ def claim(stack: ViewStack, legs, own, later: int, tolerance: float, apart: floa
         dr.scatter(beside, Byte(1), corner + offset, same & (dr.minimum(off, dr.abs(there - between)) < most))
     dr.eval(claimed, beside)
     return claimed.numpy().view(bool), beside.numpy().view(bool)
+
+
+def looks_at(
+    stack: ViewStack, points: tuple, view: int, apart: float, sure: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which points (P) height map `view` has among its four pixels about each, and which it looks through: bool each.
+
+    It has those between the lowest and the highest of the four heights, or within `apart` [m] of them. It looks through
+    those above all four by more, if these are all ``sure`` (pixels) bool. Points are in the frame of the water plane.
+    """
+    Float, UInt, Byte = stack.device.module.Float, stack.device.module.UInt, stack.device.module.UInt8
+    u, v, inside = seen_at(stack.numbers[view], points, stack.n_water, stack.beyond)
+    corner, _, _ = _corner(stack, u, v, inside)
+    width, reach, known = dr.opaque(UInt, stack.width), dr.opaque(Float, apart), Byte(sure.ravel().view(np.uint8))
+    four = [corner + offset for offset in (0, 1, width, width + 1)]
+    heights = [dr.gather(Float, stack.pixels[view], each, inside) for each in four]
+    low, high = (dr.minimum(heights[0], heights[1]), dr.maximum(heights[0], heights[1]))
+    for each in heights[2:]:
+        low, high = dr.minimum(low, each), dr.maximum(high, each)
+    below = high + reach < points[2]
+    shown, through = inside & ~below & (low - reach < points[2]), inside & below
+    for each in four:
+        through &= dr.gather(Byte, known, each, inside) > 0
+    found = [dr.select(each, Byte(1), Byte(0)) for each in (shown, through)]
+    dr.eval(found)
+    return found[0].numpy().view(bool), found[1].numpy().view(bool)

@@ -107,9 +107,14 @@ def warp(stack: ViewStack, legs, start: np.ndarray, neighbours: list[int], step:
     return [each.reshape(-1) for each in values]
 
 
-def compare(stack: ViewStack, view: int, peers: list[int], tolerance: float) -> tuple[Tensor, Tensor, Tensor]:
+def compare(
+    stack: ViewStack, view: int, peers: list[int], tolerance: float, pixels: np.ndarray | None = None
+) -> tuple[Tensor, Tensor, Tensor]:
     """Count, sum and sum of squares (P) of the differences below `tolerance`; see the twin."""
-    legs, own = legs_of(stack, view, 0, stack.height), stack.pixels[view]
+    if pixels is None:
+        legs, own = legs_of(stack, view, 0, stack.height), stack.pixels[view]
+    else:
+        legs, own = paths_of(stack, view, pixels)
     count, total, square = torch.zeros_like(own), torch.zeros_like(own), torch.zeros_like(own)
     for peer in peers:
         difference = sample(stack, peer, *project_at(stack, legs, own, peer)) - own
@@ -161,3 +166,19 @@ def claim(
         claimed[corner[same] + offset] = True
         beside[corner[near] + offset] = True
     return claimed.cpu().numpy(), beside.cpu().numpy()
+
+
+def looks_at(
+    stack: ViewStack, points: tuple, view: int, apart: float, sure: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which points (P) height map `view` has, and which it looks through; see the twin."""
+    u, v, inside = seen_at(stack.numbers[view], points, stack.n_water, stack.beyond)
+    corner, _, _ = _corner(stack, u, v, inside)
+    known = torch.from_numpy(sure.ravel()).to(corner.device)
+    four = [corner + offset for offset in (0, 1, stack.width, stack.width + 1)]
+    heights = torch.stack([stack.pixels[view][each] for each in four])
+    low, high = heights.amin(dim=0), heights.amax(dim=0)
+    below = high + apart < points[2]
+    is_sure = inside & torch.stack([known[each] for each in four]).all(dim=0)
+    shown, through = inside & ~below & (low - apart < points[2]), is_sure & below
+    return shown.cpu().numpy(), through.cpu().numpy()

@@ -8,7 +8,9 @@ heights of the sweep are approximate values only; what is measured is the positi
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -108,18 +110,28 @@ def measure(
     parts: list[list[tuple[np.ndarray, int, np.ndarray]]] = [
         [(np.arange(len(w.corners)), w.view, w.corners)] for w in windows
     ]
-    # One photograph after the other, so that the spline of only one is in memory.
-    for other, camera in enumerate(block.cameras):
-        asking = [i for i, w in enumerate(windows) if other in w.others]
-        if asking:
-            image = prepared(block.images[other])
-            for i in asking:
-                w = windows[i]
-                offsets = _warp(block.cameras[w.view], camera, w.corners, w.height, block.water)
-                found, ok = match(image, w.templates, w.slopes, camera.project(w.points, block.water), offsets)
-                parts[i].append((np.flatnonzero(ok), other, found[ok]))
-        advance(0.5 / len(block.cameras))
+    # Two photographs at a time, so that the splines of no more are in memory.
+    with ThreadPoolExecutor(2) as pool:
+        for other, found in enumerate(pool.map(partial(_found_in, block, windows), range(len(block.cameras)))):
+            for i, index, pixels in found:
+                parts[i].append((index, other, pixels))
+            advance(0.5 / len(block.cameras))
     return _joined(windows, parts)
+
+
+def _found_in(block: Block, windows: list[_Windows], other: int) -> list[tuple[int, np.ndarray, np.ndarray]]:
+    """What is found in a photograph: numbers of windows, which of each match (K,), and where (K, 2) [px]."""
+    camera, water = block.cameras[other], block.water
+    asking = [i for i, w in enumerate(windows) if other in w.others]
+    if not asking:
+        return []
+    image, parts = prepared(block.images[other]), []
+    for i in asking:
+        w = windows[i]
+        offsets = _warp(block.cameras[w.view], camera, w.corners, w.height, water)
+        found, ok = match(image, w.templates, w.slopes, camera.project(w.points, water), offsets)
+        parts.append((i, np.flatnonzero(ok), found[ok]))
+    return parts
 
 
 def _windows_of(block: Block, depth_map: DepthMap, area: Area | None, density: Density) -> _Windows:

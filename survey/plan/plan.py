@@ -19,7 +19,7 @@ from survey.plan.heights import in_words
 from survey.plan.image_size import image_decision, image_scale
 from survey.plan.poses import pose_choice
 from survey.plan.recipe import AIMED, RECIPES, Recipe
-from survey.plan.skipped import FULL, Decision, first_heights, lens_terms, pixels, refraction
+from survey.plan.skipped import FULL, Decision, finer_passes, first_heights, lens_terms, pixels, refraction
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,11 @@ class Plan:
     poses: tuple[str, str] = ("fixed", "")
     skips: Skips = SKIPS
 
+    @property
+    def refines_points_only(self) -> bool:
+        """Whether the finer passes of the sweep leave out pixels that do not become points: the solver follows."""
+        return self.field == "solver" and self.skips.points and self.quality != AIMED
+
     def as_dict(self) -> dict:
         """Plain numbers, texts and lists, to be saved with the run."""
         return asdict(self)
@@ -104,6 +109,7 @@ def make_plan(survey: Survey, chosen: Choices = USUAL, *, recipe: Recipe | None 
         pixels(survey, skips),
         *_level(survey),
         field,
+        finer_passes(field.choice, skips, aimed=quality == AIMED),
         image_decision(cameras[0], scale, quality, recipe, asked=chosen.image_scale is not None),
         Decision("range of heights", *in_words(survey, height)),
         first_heights(skips),

@@ -8,13 +8,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fields.sweep.passes import PASSES
+from fields.sweep.passes import PASSES, before_solver
 
 # The first pass of the sweep tries as many heights as its bound holds.
 FIRST_RUNGS = 25
 # Pixels times heights times neighbours of the sweep that one core compares in a second, by Dr.Jit on LLVM, with the
 # search beside steps.
 STEPS_PER_CORE_S = 55e6
+# Share of the pixels that passes of points alone take, with the halos of their tiles: a seventh of data/river, a fifth
+# of data/wreck_water, half of data/quick, whose 21 photographs see little ground.
+_POINTS = 0.25
 # Imports, hashes, report: of any run; kernels, which are made by all cores.
 _START_S, _KERNELS_S = 4.5, 2.0
 # Check of the poses of so many photographs, and adjustment of all, at no more than so many megapixels each: once, and
@@ -67,7 +70,10 @@ def run_s(amounts: Amounts, num_cores: int) -> float:
     one = _START_S + poses_s(amounts.poses, amounts.photographs_mpx, amounts.num_views)
     one += _RANGE_S * min(amounts.largest_px / _THUMBNAIL_PX, 1.0)
     one += _DECODING_S * amounts.photographs_mpx + _POINT_S * amounts.points
-    samples = sum(p.scale**2 * (p.rungs or FIRST_RUNGS) * p.neighbours for p in PASSES) * amounts.map_px
+    samples = amounts.map_px * sum(
+        p.scale**2 * (p.rungs or FIRST_RUNGS) * p.neighbours * (_POINTS if p.points_only else 1.0)
+        for p in (before_solver(PASSES) if amounts.solves else PASSES)
+    )
     shared = _KERNELS_S + samples / STEPS_PER_CORE_S + _FIELD_S_PER_CELL * amounts.field_cells
     if amounts.solves:
         shared += _SOLVER_S[0] + _SOLVER_S[1] * amounts.map_px

@@ -68,6 +68,18 @@ def pixels(survey: Survey, skips: Skips) -> Decision:
     )
 
 
+def finer_passes(field: str, skips: Skips, *, aimed: bool) -> Decision:
+    """Which pixels of the height maps are refined at full size."""
+    if aimed:
+        return Decision("finer passes", "all pixels", "later rounds go on from the heights of earlier ones")
+    if field != "solver":
+        return Decision("finer passes", "all pixels", "heights of points are means over views: all of them are refined")
+    if not skips.points:
+        return Decision("finer passes", "all pixels", f"{FULL}: not only those that become points")
+    reason = "the solver solves these again; the others confirm them with the heights that they have"
+    return Decision("finer passes", "pixels that become points", reason)
+
+
 def first_heights(skips: Skips) -> Decision:
     """Which heights the first pass tries."""
     if not skips.heights:

@@ -27,12 +27,14 @@ from survey.plan.rates import Amounts, run_s
 from survey.plan.recipe import RECIPES
 
 # In it the samples of the ladders, of which there are as many at a time whatever the survey.
-_BASE_BYTES = 430e6
+_BASE_BYTES = 480e6
 # Per pixel of every view, its grey image; of its colours, and these at most; whole photographs while they are decoded.
 _BYTES_OF_VIEW, _BYTES_OF_COLOURS, _MOST_COLOURS, _BYTES_OF_DECODING = 1, 3, 100e6, 14
 # Images in float32 that were read last, and packed ones or height maps that are compared: per pixel, at most in all
 # but not fewer than so many images.
-_READ, _COMPARED, _SURFACES = (4, 100e6, 2), (4, KEPT_BYTES, FEWEST_KEPT), (5, 200e6, 21)
+_READ, _COMPARED, _SURFACES = (4, 30e6, 2), (4, KEPT_BYTES, FEWEST_KEPT), (5, 200e6, 21)
+# Per pixel of all height maps while they are worked on, and of these at most in memory.
+_BYTES_OF_MAPS, _MOST_MAPS = 18, 75e6
 # Arrays of the one view that is worked on, per pixel; tiles that are solved at a time.
 _BYTES_OF_WORK, _BYTES_OF_TILES = 80, 150e6
 # Per pixel of all height maps: which become points, and which are taken.
@@ -243,7 +245,8 @@ def _memory(pixels, of_maps, largest: int, num_cells: float, of_field: float, so
     held = _BYTES_OF_VIEW * everything + min(_BYTES_OF_COLOURS * everything, _MOST_COLOURS)
     # As they are, and smaller or with small holes closed.
     read = 2.0 * _kept(pixels, _READ)
-    sweep = read + _kept(pixels, _COMPARED) + _BYTES_OF_WORK * float(np.max(pixels))
+    maps = min(_BYTES_OF_MAPS * float(np.sum(of_maps)), _MOST_MAPS)
+    sweep = read + maps + _kept(pixels, _COMPARED) + _BYTES_OF_WORK * float(np.max(pixels))
     field = _BYTES_OF_FIELD * of_field + _BYTES_OF_RAYS * min(of_field, _RAYS_OF_CELLS)
     solver = _kept(of_maps, _SURFACES) + _BYTES_OF_TILES + masks if solves else 0.0
     bed = read + masks + _BYTES_OF_POINT * num_cells

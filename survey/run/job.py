@@ -170,6 +170,7 @@ class Job:
             "size": lambda: plan.image_scale,
             "gsd": lambda: plan.gsd_m,
             "skips": lambda: plan.skips,
+            "refined": lambda: plan.refines_points_only,
             "coverage": lambda: plan.recipe.times_seen,
             "rays": lambda: plan.recipe.rays_per_cell,
             "device": lambda: plan.device,

@@ -25,6 +25,7 @@ _WORDS = {
     "size": "the size that images are worked on",
     "gsd": "the ground sampling distance",
     "skips": "what is left out (--plan)",
+    "refined": "which pixels the sweep refines (--field, or --quality)",
     "coverage": "the number of views per place (--quality, or the program)",
     "rays": "the rays that the field learns from (--quality, or the program)",
     "device": "the device",

@@ -86,7 +86,7 @@ STAGES = (
     Stage(
         name="sweep",
         needs=(EARLIER_SWEEP, EARLIER_LOOK),
-        depends_on=(*_VIEWS, "heights", "area", "coverage", "aim"),
+        depends_on=(*_VIEWS, "heights", "area", "coverage", "refined", "aim"),
         leaves=(MAPS, BOUND, SATURATED, SWEPT),
         compute=sweep_views,
         apply=use_sweep,

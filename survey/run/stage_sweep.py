@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from fields.sweep.free_space import without_contradicted
 from fields.sweep.maps import ByView, DepthMap
-from fields.sweep.passes import PASSES, passes_from
+from fields.sweep.passes import PASSES, before_solver, passes_from
 from fields.sweep.sweep import sweep
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
@@ -59,6 +59,7 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
         chosen = block.cover(*job.plan.recipe.times_seen, local_area(survey))
         ladder = (low, high) if job.plan.skips.heights else limits(survey)
         passes = PASSES if job.aimed is None else passes_from(job.aimed.first_search)
+        passes = before_solver(passes) if job.plan.refines_points_only else passes
         start = time.monotonic()
         with kept_aside(folder / SCRATCH, DepthMap) as keep:
             maps = sweep(block, chosen, ladder, shares(stage), passes, _wanted(job), keep=keep)

@@ -1,0 +1,140 @@
+"""Passes that refine only what becomes a point: which pixels these are, and that they are refined as all would be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from plane_survey import SIZE, TILTED, PlaneBed, ring
+
+from fields.sweep.becoming import becoming_points
+from fields.sweep.bed import trusted, unique_pixels
+from fields.sweep.block import Block
+from fields.sweep.climbs import climbed, climbs_of, refined
+from fields.sweep.consistency import agreement
+from fields.sweep.maps import DepthMap
+from fields.sweep.passes import PASSES, Pass, before_solver, passes_from
+from fields.sweep.stack import ViewStack
+from fields.sweep.sweep import sweep
+from fields.sweep.tiles import Tiles
+
+BED = PlaneBed(TILTED, -2.0, slope=0.1)
+REFINING = Pass(1.0, 1, 5, 0.25, 6, True, points_only=True)
+# Heights are off by a quarter of a pixel of parallax before they are refined [m].
+OFF_M = 4e-3
+# Rounding of float32, of heights and of grey levels, moves the parabola through three scores by less [m].
+SAME_M = 2e-4
+
+
+@pytest.fixture(scope="module")
+def block(device) -> Block:
+    return BED.block(device, ring(6), None)
+
+
+def map_of(block: Block, view: int, off: float = 0.0) -> DepthMap:
+    """The true heights of a view, or some that are off [m], confirmed by three views."""
+    height = (BED.true_height(block.cameras[view]) + off).astype(np.float32)
+    return DepthMap(
+        view,
+        height,
+        np.ones(height.shape, np.float16),
+        np.full(height.shape, 3, np.uint8),
+        np.zeros_like(height, np.float16),
+    )
+
+
+def larger(part: np.ndarray) -> np.ndarray:
+    """A mask of a quarter of the size at the size of the image."""
+    return part.repeat(4, axis=0).repeat(4, axis=1)[: SIZE[1], : SIZE[0]]
+
+
+def test_nearly_all_that_becomes_a_point_is_foretold_and_most_of_the_rest_is_left_out(block):
+    maps = {view: map_of(block, view) for view in range(7)}
+    wanted = becoming_points(block, maps)
+    kept = unique_pixels(block, list(maps.values()), gsd=0.015)
+    points = sum(int(each.sum()) for each in kept)
+    foretold = sum(int((keep & larger(wanted[view])).sum()) for view, keep in enumerate(kept))
+    assert foretold > 0.98 * points
+    taken = sum(int(part.sum()) for part in wanted.values()) / sum(part.size for part in wanted.values())
+    share = points / (7 * SIZE[0] * SIZE[1])
+    assert share < taken < share + 0.25
+
+
+def test_a_place_at_another_height_than_steeper_views_have_becomes_a_point(block):
+    maps = {view: map_of(block, view) for view in range(7)}
+    order = sorted(maps, key=lambda view: block.cameras[view].cam_from_local[2][2])
+    least = maps[order[-1]]
+    middle = np.s_[SIZE[1] // 2 - 8 : SIZE[1] // 2 + 8, SIZE[0] // 2 - 8 : SIZE[0] // 2 + 8]
+    assert not larger(becoming_points(block, maps)[least.view])[middle].any()
+    least.height[middle] += 1.0
+    assert larger(becoming_points(block, maps)[least.view])[middle].all()
+
+
+def test_what_nothing_confirms_becomes_no_point(block):
+    maps = {view: map_of(block, view) for view in range(7)}
+    maps[0].agreeing[:] = 0
+    wanted = becoming_points(block, maps)
+    assert not wanted[0].any()
+    assert any(part.any() for part in wanted.values())
+
+
+def test_a_part_is_refined_as_the_whole_view_is_and_the_rest_stays(block):
+    before = map_of(block, 0, OFF_M)
+    climb = climbs_of(block, [0], REFINING, None)[0]
+    whole, _ = climbed(block, REFINING, climb, (-3.0, -1.0), before.height, None, 0)
+    part = np.zeros((SIZE[1] // 4, SIZE[0] // 4), dtype=bool)
+    part[10:14, 12:20] = True
+    found, taken = refined(block, REFINING, climb, before, part)
+    mask = np.zeros(found.height.size, dtype=bool)
+    mask[taken] = True
+    assert mask.reshape(found.height.shape)[larger(part)].all()
+    np.testing.assert_array_equal(found.height.ravel()[~mask], before.height.ravel()[~mask])
+    off = np.abs(found.height - whole.height).ravel()[mask]
+    # Where two rungs score alike, rounding may decide for the other.
+    assert np.mean(off < SAME_M) > 0.99
+    assert np.median(np.abs(found.height - BED.true_height(block.cameras[0])).ravel()[mask]) < 0.5 * OFF_M
+
+
+def test_some_pixels_agree_as_they_do_among_all(block):
+    maps = [map_of(block, view, 0.001 * view) for view in range(7)]
+    stack = ViewStack.build(block.device, block.cameras, [m.height for m in maps], TILTED)
+    whole = agreement(stack, 0, [1, 2, 3], 0.05)
+    pixels = np.arange(1000, 3000, 7)
+    for some, every in zip(agreement(stack, 0, [1, 2, 3], 0.05, pixels), whole, strict=True):
+        np.testing.assert_allclose(some, every.ravel()[pixels], rtol=0.0, atol=1e-6)
+
+
+def test_tiles_over_a_part_hold_all_of_it(block):
+    random = np.random.default_rng(3)
+    part = random.random((SIZE[1] // 4, SIZE[0] // 4)) < 0.02
+    tiles = Tiles.over(part, SIZE[::-1], 28, 2, 5)
+    assert tiles.wanted.shape == SIZE[::-1]
+    assert tiles.wanted[larger(part)].all()
+    assert len(tiles.place) == len(np.unique(tiles.place, axis=0))
+
+
+@pytest.mark.parametrize("share", [0.25, 0.5, 1.0])
+def test_before_the_solver_passes_after_the_first_at_full_size_take_points_alone(share):
+    passes = before_solver(passes_from(share))
+    full = [p.points_only for p in passes if p.scale == 1.0]
+    assert full == [False, *[True] * (len(full) - 1)]
+    assert not any(p.points_only for p in passes if p.scale < 1.0)
+    assert not any(p.points_only for p in PASSES)
+
+
+def test_points_of_a_sweep_that_refines_them_alone_are_as_near_to_the_bed(device):
+    block = BED.block(device, ring(6), None)
+    truth = BED.true_height(block.cameras[0])
+    bound = (float(truth.min()) - 0.3, float(truth.max()) + 0.4)
+    passes = (Pass(0.5, 2, None, 0.5, 6, False), Pass(1.0, 2, 7, 0.4, 6, True), Pass(1.0, 1, 3, 0.25, 6, True))
+    errors = []
+    for chosen in (passes, before_solver(passes)):
+        maps = sweep(block, list(range(7)), bound, lambda share: None, chosen)
+        kept = unique_pixels(block, maps, gsd=0.015)
+        off = [
+            np.abs(m.height - BED.true_height(block.cameras[m.view]))[keep & trusted(m)]
+            for m, keep in zip(maps, kept, strict=True)
+        ]
+        errors.append(np.concatenate(off))
+    every, points = errors
+    assert len(points) > 0.97 * len(every)
+    assert np.median(points) < 1.5 * np.median(every)

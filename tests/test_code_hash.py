@@ -77,7 +77,7 @@ def edit(copy):
         ("fields/volume/sdf.py", *A_LINE, ()),
         ("survey/report/page.py", *A_LINE, ()),
         ("survey/folder/infer.py", *A_LINE, ()),
-        ("survey/plan/recipe.py", "(4, 2)", "(5, 2)", ()),
+        ("survey/plan/recipe.py", "(4, 4)", "(5, 4)", ()),
     ],
 )
 def test_a_stage_depends_on_the_code_that_it_calls_and_on_no_other(copy, first, edit, name, old, new, changed):

@@ -35,7 +35,7 @@ class Recipe:
 
 RECIPES = {
     Quality.draft.value: Recipe(megapixels=2.0, times_seen=(4, 1), field="off"),
-    Quality.standard.value: Recipe(megapixels=6.0, times_seen=(4, 2), field="solver"),
+    Quality.standard.value: Recipe(megapixels=6.0, times_seen=(4, 4), field="solver"),
     # More than any place is seen: every view is matched.
     Quality.fine.value: Recipe(megapixels=100.0, times_seen=(1000, 1000), field="solver"),
 }

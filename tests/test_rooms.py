@@ -39,8 +39,7 @@ LAYERS = (
     {"bathynerf"},
 )
 # What every part of survey uses stands in its folder itself, and nothing else; twelve files at most.
-_SHARED = ("__init__", "code_hash", "errors", "machine", "names", "progress", "second_process", "stage_key")
-SURVEY_SHARED = {f"{name}.py" for name in _SHARED}
+SURVEY_SHARED = {"__init__.py", "code_hash.py", "errors.py", "machine.py", "names.py", "progress.py", "stage_key.py"}
 MOST_SHARED = 12
 OUTSIDE = {"tests", "benchmarks", "docs"}
 CONSOLE_FOLDER, CONSOLE_FILE = "survey/commands", "survey/progress.py"

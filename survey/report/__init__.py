@@ -13,7 +13,6 @@ from survey.report.figures import ReportFigures
 from survey.report.json_figures import json_of
 from survey.report.page import render_page
 from survey.report.pictures import draw_pictures
-from survey.second_process import SecondProcess
 
 __all__ = ["NUM_STEPS", "ReportFacts", "write_report"]
 
@@ -21,12 +20,7 @@ __all__ = ["NUM_STEPS", "ReportFacts", "write_report"]
 NUM_STEPS = 16
 
 
-def write_report(
-    folder: Path,
-    facts: ReportFacts,
-    advance: Callable[[], None] = lambda: None,
-    helper: SecondProcess | None = None,
-) -> ReportFigures:
+def write_report(folder: Path, facts: ReportFacts, advance: Callable[[], None] = lambda: None) -> ReportFigures:
     """Write pictures/, report.json and report.html into a folder; each file is written whole or not at all.
 
     Parameters
@@ -36,8 +30,6 @@ def write_report(
     facts : ReportFacts
     advance : callable
         Called after each picture.
-    helper : SecondProcess, optional
-        Draws a part of the pictures.
 
     Returns
     -------
@@ -51,7 +43,7 @@ def write_report(
     """
     figures = figures_of(facts)
     (folder / "pictures").mkdir(exist_ok=True)
-    pictures = draw_pictures(folder / "pictures", facts, advance, helper or SecondProcess())
+    pictures = draw_pictures(folder / "pictures", facts, advance)
     page = render_page(figures, pictures)
     write_json(folder / "report.json", json_of(figures))
     with write_whole(folder / "report.html") as stream:

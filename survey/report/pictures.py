@@ -1,4 +1,4 @@
-"""The pictures of a report, drawn into PNG files, a part of them in a second process."""
+"""The pictures of a report, drawn one after the other into PNG files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from survey.report import adjustment_pictures, flight, graphs, maps, profile
 from survey.report.cut import choose_cut
 from survey.report.facts import ReportFacts, distances_of
 from survey.report.shading import Picture
-from survey.second_process import SecondProcess
 
 if TYPE_CHECKING:
     from survey.adjust.adjustment import Adjustment
@@ -27,9 +26,7 @@ _ORTHO_CELLS, _MAP_CELLS = 2000, 900
 _CELL_GSD = 2.0
 
 
-def draw_pictures(
-    folder: Path, facts: ReportFacts, advance: Callable[[], None], helper: SecondProcess
-) -> list[Picture]:
+def draw_pictures(folder: Path, facts: ReportFacts, advance: Callable[[], None] = lambda: None) -> list[Picture]:
     """Draw all pictures that the facts allow, as PNG files, each whole or not at all.
 
     Parameters
@@ -39,8 +36,6 @@ def draw_pictures(
     facts : ReportFacts
     advance : callable
         Called after each picture.
-    helper : SecondProcess
-        Draws a part of them, where it was started; all are drawn here where the cloud was compared with a reference.
 
     Returns
     -------
@@ -73,8 +68,11 @@ def draw_pictures(
     if facts.adjustment is not None:
         drawings |= _of_adjustment(facts, facts.adjustment)
     drawings["plan"] = partial(flight.draw_plan, facts=facts)
-    calls = {name: partial(draw, folder / f"{name}.png") for name, draw in drawings.items()}
-    return list(helper.share(calls, advance).values())
+    pictures = []
+    for name, draw in drawings.items():
+        pictures.append(draw(folder / f"{name}.png"))
+        advance()
+    return pictures
 
 
 def _grid(facts: ReportFacts, max_cells: int) -> PlanGrid:

@@ -17,7 +17,6 @@ from survey.plan.area import limits, local_area
 from survey.plan.block import load_block
 from survey.plan.plan import make_plan
 from survey.run.water_colour import colour_of
-from survey.second_process import SecondProcess
 from survey.stage_key import stage_key
 
 if TYPE_CHECKING:
@@ -44,8 +43,6 @@ class Job:
         Where the run has an aim in place of a quality: `survey.run.aimed`.
     workspace : Path or None
         Where structure from motion keeps its files.
-    helper : SecondProcess
-        Draws a part of the pictures, where it is started.
     """
 
     def __init__(
@@ -59,7 +56,6 @@ class Job:
     ):
         self.survey, self.chosen, self.progress = survey, chosen, progress
         self.aimed, self.workspace = aimed, workspace
-        self.helper = SecondProcess()
         self._found: dict[Path, Masks] = {}
         self.plan = self._planned()
 

@@ -197,11 +197,10 @@ def _to_the_end(run: RunDir, job: Job, resume: bool, truth: Truth) -> int:
     # The report takes half a second to import, beside the kernels of the first stages; if it fails, it does so below.
     Thread(target=_import_products, daemon=True).start()
     result = run.open_result(job.plan.quality)
-    with job.helper:
-        done = run_stages(job, run, resume=resume, compares_sweep=truth.reference is not None)
-        from survey.run.products import write_products
+    done = run_stages(job, run, resume=resume, compares_sweep=truth.reference is not None)
+    from survey.run.products import write_products
 
-        verdict = write_products(result, run, job, done, truth)
+    verdict = write_products(result, run, job, done, truth)
     run.publish(result, quality=job.plan.quality, stages=done)
     job.progress.detail(f"report: {run.report_html_path}")
     for gate in verdict.gates:

@@ -101,7 +101,7 @@ def _write_report(
         light=None if survey.water is None else matched_light(survey.views),
     )
     with job.progress.stage("Report", NUM_STEPS) as stage:
-        figures = write_report(folder, facts, stage.advance, job.helper)
+        figures = write_report(folder, facts, stage.advance)
     for text in figures.notes:
         job.progress.note(text)
     return verdict

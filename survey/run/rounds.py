@@ -26,9 +26,6 @@ def run_stages(job: Job, run: RunDir, *, resume: bool, compares_sweep: bool) -> 
     for stage in stages:
         if stage.name == "sweep":
             _begin(job)
-        if stage.name == "bed":
-            # Mostly one thread's work: the helper imports beside it what draws.
-            job.helper.start("survey.report.pictures")
         if stage.is_on(job):
             done[stage.name] = run_stage(stage, job, run, done, resume=resume)
         number = 1

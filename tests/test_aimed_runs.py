@@ -88,9 +88,7 @@ def test_the_look_between_rounds_and_the_gate_judge_the_same_points_of_a_scene_w
 def test_points_that_the_solver_leaves_to_the_sweep_count_in_the_look_as_in_the_gate(tmp_path, monkeypatch):
     def leaving_most(*args, **options):
         solved, figures = solve_maps(*args, **options)
-        return [
-            SolvedMap(each.pixels[::4], each.height[::4], each.std[::4], each.side[::4]) for each in solved
-        ], figures
+        return [SolvedMap(each.pixels[::4], each.height[::4], each.std[::4]) for each in solved], figures
 
     run = drawn(tmp_path / "survey", **FINER)
     monkeypatch.setattr(stage_solver, "solve_maps", leaving_most)

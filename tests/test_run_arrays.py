@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
-
 import numpy as np
 import pytest
 
@@ -29,10 +27,10 @@ def test_depth_maps_come_back_as_they_were_whatever_their_sizes(tmp_path, rng):
             np.testing.assert_array_equal(getattr(old, name), getattr(new, name))
 
 
-@pytest.mark.parametrize(("in_memory", "num_files"), [(0, 2), (60, 1), (120, 0)])
+@pytest.mark.parametrize(("in_memory", "num_files"), [(0, 2), (48, 1), (96, 0)])
 def test_maps_that_are_worked_on_lie_in_a_folder_where_memory_has_no_room(tmp_path, rng, in_memory, num_files):
-    maps = [SolvedMap(np.arange(3), *rng.normal(size=(3, 3)).astype(np.float32)) for _ in range(2)]
-    assert sum(getattr(maps[0], each.name).nbytes for each in fields(SolvedMap)) == 60
+    maps = [SolvedMap(np.arange(3), *rng.normal(size=(2, 3)).astype(np.float32)) for _ in range(2)]
+    assert maps[0].pixels.nbytes + maps[0].height.nbytes + maps[0].std.nbytes == 48
     with kept_aside(tmp_path / "scratch", SolvedMap, in_memory) as keep:
         first, second = keep(), keep()
         for place, solved in zip((first, second), maps, strict=True):

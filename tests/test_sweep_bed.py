@@ -218,29 +218,3 @@ def test_heights_that_differ_by_their_noise_alone_say_nothing_of_slopes(rng):
         nothing.astype(np.uint8), nothing, nothing + np.float32(0.6), nothing > 0.0,
     )  # fmt: skip
     np.testing.assert_array_equal(with_slopes(points, height, keep, GSD, None).std, points.std)
-
-
-def test_an_edge_counts_as_far_as_the_pixels_go_that_a_height_is_a_mean_of():
-    height = np.full((20, 40), HEIGHT, np.float32)
-    height[:, 20:] += 1.0
-    keep = np.zeros(height.shape, bool)
-    keep[10, 8:20] = True
-    nothing = np.zeros(12, np.float32)
-    points = BedPoints(
-        np.zeros((12, 3)), np.zeros((12, 3), np.uint8), nothing + np.float32(0.02), nothing.astype(np.uint8), nothing,
-        nothing + np.float32(0.6), nothing > 0.0,
-    )  # fmt: skip
-
-    def std_with(side: float) -> np.ndarray:
-        return with_slopes(points, height, keep, GSD, None, np.full(height.shape, side, np.float32)).std
-
-    def wider_at(side: float) -> list[int]:
-        return (8 + np.flatnonzero(std_with(side) > points.std)).tolist()
-
-    assert wider_at(1.0) == [19]
-    assert wider_at(3.0) == [17, 18, 19]
-    # Between whole pixels a little of what lies farther counts.
-    far, near = std_with(1.5)[-2:]
-    assert points.std[0] < far < near
-    # Where nothing was solved the reach is that of the sweep.
-    assert wider_at(np.nan) == wider_at(2.0) == [18, 19]

@@ -40,32 +40,23 @@ class SolvedMap:
     height : (N,) float32 [m] over the water plane
     std : (N,) float32 [m]
         Of the height, for cameras and water as they are given.
-    side : (N,) float16 [px]
-        Of the square of pixels that a height is as good as a mean of: what the bed does within it does not show.
     """
 
     pixels: np.ndarray
     height: np.ndarray
     std: np.ndarray
-    side: np.ndarray
 
     @staticmethod
     def empty() -> SolvedMap:
         """That of a map of which nothing was solved."""
         nothing = np.empty(0, dtype=np.float32)
-        return SolvedMap(np.empty(0, dtype=np.int64), nothing, nothing, nothing.astype(np.float16))
+        return SolvedMap(np.empty(0, dtype=np.int64), nothing, nothing)
 
     def over(self, depth_map: DepthMap) -> tuple[DepthMap, np.ndarray]:
         """The map with the solved heights, and their std (height, width) [m]; NaN where nothing was solved."""
         height, std = depth_map.height.copy(), np.full(depth_map.height.shape, np.nan, dtype=np.float32)
         height.flat[self.pixels], std.flat[self.pixels] = self.height, self.std
         return replace(depth_map, height=height), std
-
-    def sides(self, shape: tuple[int, int]) -> np.ndarray:
-        """`side` in a map of a shape (height, width) float32 [px]; NaN where nothing was solved."""
-        sides = np.full(shape, np.nan, dtype=np.float32)
-        sides.flat[self.pixels] = self.side
-        return sides
 
 
 @dataclass(frozen=True)
@@ -110,7 +101,7 @@ class _Solved:
     """Pixels of a map, their heights, and what their variance consists of.
 
     The variance by noise and by relief that is smoothed away or below the pixel [m^2], that of a shift of each
-    photograph by one pixel, the rise of the bed from pixel to pixel [m], and the side of `SolvedMap`.
+    photograph by one pixel, and the rise of the bed from pixel to pixel [m].
     """
 
     pixels: np.ndarray
@@ -119,7 +110,6 @@ class _Solved:
     relief: np.ndarray
     shift: np.ndarray
     rise: np.ndarray
-    side: np.ndarray
 
 
 def solve_maps(
@@ -210,13 +200,13 @@ def _part(job: Job, width: int, found: Solved, figures: SolverFigures) -> _Solve
     relief = relief_of(tile, change, expected, noise.heights, noise.changes)
     relief += bends_below(found, expected, noise.heights, noise.unfollowed)
     by_noise = noise.heights * expected.noise
-    values = (found.height, by_noise, relief, of_shift, rise_of(tile, found.height), expected.side)
+    values = (found.height, by_noise, relief, of_shift, rise_of(tile, found.height))
     taken = tile.asked & ~keeps_sweep(tile, found, by_noise, noise, figures.slopes, job.tolerance)
     return _Solved(pixels[taken], *(each[taken].astype(np.float32) for each in values))
 
 
 def _joined(parts: list[_Solved]) -> _Solved:
-    names = ("pixels", "height", "noise", "relief", "shift", "rise", "side")
+    names = ("pixels", "height", "noise", "relief", "shift", "rise")
     pixels, *others = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
     order = np.argsort(pixels)
     return _Solved(pixels[order], *(each[order] for each in others))
@@ -227,7 +217,7 @@ def _with_std(m: DepthMap, found: _Solved, figures: SolverFigures, is_wet: bool)
     # What shifts the photographs shifts the bed in the map that shows it, too.
     shift = figures.shifts.variance(depth_of(found.height, is_wet))
     variance = for_few(photographs) * found.noise + found.relief + shift * (found.shift + found.rise**2)
-    return SolvedMap(found.pixels, found.height, np.sqrt(variance).astype(np.float32), found.side.astype(np.float16))
+    return SolvedMap(found.pixels, found.height, np.sqrt(variance).astype(np.float32))
 
 
 def _sample(views: Views, kept: Sequence[np.ndarray], filled: list[list[int]]) -> list[Job]:

@@ -42,8 +42,6 @@ class Expected:
         Of the bends about a height, by noise.
     independent : (N,)
         How many independent values of that the bell about a pixel has.
-    side : (N,) [px]
-        Of the square of pixels whose mean has as much noise as a height.
     """
 
     noise: np.ndarray
@@ -52,7 +50,6 @@ class Expected:
     changed_relief: np.ndarray
     bends_noise: np.ndarray
     independent: np.ndarray
-    side: np.ndarray
 
 
 def expected_of(tile: Tile, solved: Solved, response: float, fall: float = FALL_OF_PRIOR) -> Expected:
@@ -66,7 +63,7 @@ def expected_of(tile: Tile, solved: Solved, response: float, fall: float = FALL_
     means, of_noise = means_at(log_ratio, fall), 1.0 / (response * answer)
     return Expected(
         means.noise * of_noise, means.relief / answer, means.changed_noise * of_noise, means.changed_relief / answer,
-        means.bends_noise * of_noise, 4.0 * np.pi * _NEAR_PX**2 / means.alike, means.noise**-0.5,
+        means.bends_noise * of_noise, 4.0 * np.pi * _NEAR_PX**2 / means.alike,
     )  # fmt: skip
 
 

@@ -86,8 +86,6 @@ COMPANY, COMPANY_GSD = 4, 4.0
 _POINTS_AT_ONCE = 500_000
 # Points that are looked at together, in a slab of the ground: their search takes 80 bytes each.
 COMPANY_AT_ONCE, _A_LITTLE_MORE = 500_000, 1.001
-# Where within its windows an edge lies, the sweep does not tell: heights this far from a pixel may be its own [px].
-_BESIDE_PX = 2.0
 # No ray that shows the bed leans more.
 _LEAST_COSINE = 0.01
 
@@ -216,26 +214,17 @@ def points_of(
 
 
 def with_slopes(
-    points: BedPoints,
-    height: np.ndarray,
-    keep: np.ndarray,
-    gsd: float,
-    water: FlatWater | None,
-    sides: np.ndarray | None = None,
+    points: BedPoints, height: np.ndarray, keep: np.ndarray, gsd: float, water: FlatWater | None
 ) -> BedPoints:
     """Points of the kept pixels of a map (height, width) [m], with the std that slopes and edges about them lead to.
 
     A height that is off leaves its point on its ray, but beside its place, by as many pixels (of ``gsd`` [m]) as the
     ray leans. Level ground has the same height there; a slope or an edge another one. That heights differ by their own
-    std tells of neither. Where within the pixels that a height is a mean of an edge lies, it does not tell: ``sides``
-    (height, width) [px] are those of `fields.solver.solver.SolvedMap`, and NaN or None where heights are the sweep's.
+    std tells of neither.
     """
     n = 1.0 if water is None else water.n_water
     sine = np.sin(points.incidence) / np.where(points.wet, n, 1.0)
     lean = sine / np.sqrt(np.maximum(1.0 - sine * sine, _LEAST_COSINE**2))
-    at = np.zeros(height.shape, dtype=bool)
-    at[: keep.shape[0], : keep.shape[1]] = keep
-    reach = np.full(len(points), np.nan, dtype=np.float32) if sides is None else sides[at]
-    there = differing(height, at, np.where(np.isnan(reach), np.float32(_BESIDE_PX), reach))
+    there = differing(height)[: keep.shape[0], : keep.shape[1]][keep]
     factor = np.sqrt(1.0 + (lean / gsd) ** 2 * np.maximum(there**2 - points.std**2, 0.0))
     return replace(points, std=(factor * points.std).astype(np.float32))

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
-
 import cv2
 import numpy as np
 
 # Heights about a pixel on a wall lie in one plane: they leave it (rms) by less than this share of its rise. At a clean
 # step it is 0.47.
 _MOST_BENT = 0.4
-# Heights farther from a pixel are not looked at, however far the reach [px].
-_FARTHEST_PX = 8
+# Where within the windows of the sweep an edge lies, it does not tell: heights this far from a pixel may be its own.
+_BESIDE_PX = 5
 # Rise from column to column of the plane through 3x3 heights.
 _RISE = np.tile(np.array([-1.0, 0.0, 1.0], dtype=np.float32) / 6.0, (3, 1))
 
@@ -31,21 +29,10 @@ def steep_and_walls(height: np.ndarray, tolerance: float) -> tuple[np.ndarray, n
     return steep, steep & (off_plane < (_MOST_BENT * slope) ** 2)
 
 
-def differing(height: np.ndarray, at: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """By how much heights of a map about K of its pixels differ from each other, half of their range (K,) [m].
-
-    ``at`` (height, width) bool says of which pixels, ``reach`` (K,) [px] how far about each; between whole pixels the
-    range rises evenly.
-    """
-    nearer = found = np.zeros(len(reach), dtype=np.float32)
-    reach, places = np.minimum(reach, np.float32(_FARTHEST_PX)), np.flatnonzero(at)
-    highest, lowest, about = height, height, np.ones((3, 3), np.uint8)
-    for inner in range(math.ceil(reach.max(initial=0.0))):
-        highest, lowest = cv2.dilate(highest, about), cv2.erode(lowest, about)
-        farther = 0.5 * (highest.ravel()[places] - lowest.ravel()[places])
-        found = found + np.clip(reach - inner, 0.0, 1.0) * (farther - nearer)
-        nearer = farther
-    return found
+def differing(height: np.ndarray) -> np.ndarray:
+    """By how much heights within two pixels differ from each other, half of their range (height, width) [m]."""
+    about = np.ones((_BESIDE_PX, _BESIDE_PX), np.uint8)
+    return 0.5 * (cv2.dilate(height, about) - cv2.erode(height, about))
 
 
 def slope_of(height: np.ndarray) -> np.ndarray:

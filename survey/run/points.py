@@ -85,12 +85,9 @@ def bed_points(
 
             height, taken = refine(field, camera, depth_map, rgb, survey.water, keep)
             depth_map, moved = replace(depth_map, height=height), moved + taken
-        final, std, sides = depth_map, None, None
-        if solved is not None:
-            here = solved[number]
-            (final, std), sides = here.over(depth_map), here.sides(depth_map.height.shape)
+        final, std = (depth_map, None) if solved is None else solved[number].over(depth_map)
         points = points_of(camera, survey.water, final, keep, rgb, tolerance, std)
-        points = with_slopes(points, final.height, keep, plan.gsd_m, survey.water, sides)
+        points = with_slopes(points, final.height, keep, plan.gsd_m, survey.water)
         # Heights that agree by chance to the last bit lie anywhere in a hundredth of a pixel of parallax.
         points = replace(points, std=np.maximum(points.std, np.float32(LEAST_STD_PX / parallax)))
         if area is not None:

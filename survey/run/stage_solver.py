@@ -91,7 +91,6 @@ def _enlarged(before: DepthMap, solved: SolvedMap, now: DepthMap, keep: np.ndarr
         (np.arange(size) * small) // size for size, small in zip(now.height.shape, before.height.shape, strict=True)
     )
     std = std[rows[:, None], columns]
-    side = solved.sides(before.height.shape)[rows[:, None], columns] * (now.height.shape[1] / before.height.shape[1])
     height = enlarged_map(with_heights, now.height.shape[::-1]).height
     pixels = np.flatnonzero(keep & np.isfinite(std))
-    return SolvedMap(pixels, height.flat[pixels], std.flat[pixels], side.flat[pixels].astype(np.float16))
+    return SolvedMap(pixels, height.flat[pixels], std.flat[pixels])

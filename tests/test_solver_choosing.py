@@ -49,6 +49,18 @@ def test_a_solved_height_that_the_photographs_refute_is_not_taken_and_shared_noi
     assert not kept(gain=limit, noise=noise).any()
 
 
+def test_a_pixel_of_which_no_second_photograph_has_a_say_keeps_the_height_of_the_sweep():
+    tile, solved = level(1e4, 0.01)
+    weight = np.ones((3, len(tile)), dtype=np.float32)
+    weight[1:, :5] = 0.0
+    weight[2:, 5:9] = 0.0
+    solved = replace(solved, brightness=replace(solved.brightness, weight=weight), gain=np.zeros(len(tile), np.float32))
+    solved = replace(solved, start=Start(solved.height, np.zeros(len(tile), np.float32)))
+    found = keeps_sweep(tile, solved, np.full(len(tile), 1e-8), NOISE, 1.0, TOLERANCE)
+    assert found[:5].all()
+    assert not found[5:].any()
+
+
 def test_slopes_by_noise_are_those_of_heights_that_are_noise_alone(rng):
     tile, solved = level(1e4, 0.01, size=80)
     std = float(np.sqrt(expected_of(tile, solved, 1.0).noise.mean()))

@@ -218,3 +218,19 @@ def test_heights_that_differ_by_their_noise_alone_say_nothing_of_slopes(rng):
         nothing.astype(np.uint8), nothing, nothing + np.float32(0.6), nothing > 0.0,
     )  # fmt: skip
     np.testing.assert_array_equal(with_slopes(points, height, keep, GSD, None).std, points.std)
+
+
+def test_slopes_add_no_more_to_std_than_the_range_of_the_heights_there():
+    """Heights that are known to 0.3 m only, on a flat ray beside a step of 1 m, and to more than half of the step."""
+    height = np.full((9, 9), HEIGHT, np.float32)
+    height[:, 4:] += 1.0
+    keep = np.zeros(height.shape, bool)
+    keep[4, 3:5] = True
+    nothing, std = np.zeros(2, np.float32), np.array([0.3, 0.7], np.float32)
+    points = BedPoints(
+        np.zeros((2, 3)), np.zeros((2, 3), np.uint8), std, nothing.astype(np.uint8), nothing,
+        nothing + np.float32(1.2), nothing > 0.0,
+    )  # fmt: skip
+    np.testing.assert_allclose(
+        with_slopes(points, height, keep, GSD, None).std, [np.sqrt(0.3**2 + 4.0 * (0.5**2 - 0.3**2)), 0.7], rtol=1e-5
+    )

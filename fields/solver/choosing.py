@@ -21,6 +21,8 @@ _MOST, _WITHIN = 0.95, 1.96
 # Heights of the sweep come from windows of this side. Noise makes the photographs agree on nine heights that follow it
 # better than on the true ones by more than this logarithm in one window of a thousand (chi-square, nine degrees).
 _WINDOW_PX, _REFUTED = 3, 0.5 * 27.9
+# Photographs that tell a height: its own shows no change of it.
+_FEWEST = 2
 
 
 def keeps_sweep(
@@ -32,7 +34,7 @@ def keeps_sweep(
     photographs do not look like it, and the prior alone would move its height. Their rise from pixel to pixel is above
     the tolerance of agreement [m], and above what noise makes of level ones: ``by_noise`` (N,) [m^2] is its variance in
     a solved height, ``slopes`` as `slopes_by_noise` gives it. And those about which the photographs agree better at the
-    height of the sweep, by more than noise explains.
+    height of the sweep, by more than noise explains, or say nothing, because under glint all but one lost their weight.
     """
     steep = solved.start.slope > np.maximum(tolerance, _SIGNIFICANT * slopes * np.sqrt(by_noise))
     image = np.zeros(tile.inside.shape, dtype=np.float32)
@@ -40,7 +42,8 @@ def keeps_sweep(
     side = (_WINDOW_PX, _WINDOW_PX)
     window = cv2.boxFilter(image, -1, side, normalize=False, borderType=cv2.BORDER_CONSTANT)[tile.inside]
     # Noise that neighbours share counts several times in a sum over pixels.
-    return steep | (window < -_REFUTED * max(noise.heights, 1.0))
+    silent = np.count_nonzero(solved.brightness.weight > 0.0, axis=0) < _FEWEST
+    return steep | silent | (window < -_REFUTED * max(noise.heights, 1.0))
 
 
 def slopes_by_noise(samples: list[tuple[Tile, Solved]], roughness: float, noise: NoiseShares) -> float:

@@ -86,6 +86,8 @@ COMPANY, COMPANY_GSD = 4, 4.0
 _POINTS_AT_ONCE = 500_000
 # Points that are looked at together, in a slab of the ground: their search takes 80 bytes each.
 COMPANY_AT_ONCE, _A_LITTLE_MORE = 500_000, 1.001
+# In halves of it.
+_WHOLE_RANGE = 2.0
 # No ray that shows the bed leans more.
 _LEAST_COSINE = 0.01
 
@@ -219,12 +221,13 @@ def with_slopes(
     """Points of the kept pixels of a map (height, width) [m], with the std that slopes and edges about them lead to.
 
     A height that is off leaves its point on its ray, but beside its place, by as many pixels (of ``gsd`` [m]) as the
-    ray leans. Level ground has the same height there; a slope or an edge another one. That heights differ by their own
-    std tells of neither.
+    ray leans. Level ground has the same height there; a slope or an edge another one, but by no more than the whole
+    range of the heights about it. That heights differ by their own std tells of neither.
     """
     n = 1.0 if water is None else water.n_water
     sine = np.sin(points.incidence) / np.where(points.wet, n, 1.0)
     lean = sine / np.sqrt(np.maximum(1.0 - sine * sine, _LEAST_COSINE**2))
     there = differing(height)[: keep.shape[0], : keep.shape[1]][keep]
-    factor = np.sqrt(1.0 + (lean / gsd) ** 2 * np.maximum(there**2 - points.std**2, 0.0))
-    return replace(points, std=(factor * points.std).astype(np.float32))
+    aside = np.minimum(lean * points.std / gsd, _WHOLE_RANGE)
+    variance = points.std**2 + aside**2 * np.maximum(there**2 - points.std**2, 0.0)
+    return replace(points, std=np.sqrt(variance).astype(np.float32))

@@ -1,4 +1,4 @@
-"""What a run will take: as its parts do, against the memory of two surveys, and against what the machine has."""
+"""What a run will take: as its parts do, against the memory of three surveys, and against what the machine has."""
 
 from __future__ import annotations
 
@@ -72,8 +72,11 @@ def test_the_maps_are_those_of_the_views_that_cover_the_area_and_better_qualitie
     assert found[0].num_maps <= found[1].num_maps <= found[2].num_maps <= len(survey.views)
 
 
-@pytest.mark.parametrize(("name", "quality", "memory_gb"), [("quick", "draft", 0.62), ("river", "draft", 1.08)])
-def test_the_memory_of_two_surveys_is_estimated_as_it_was_measured(data_dir, name, quality, memory_gb):
+@pytest.mark.parametrize(
+    ("name", "quality", "memory_gb"),
+    [("quick", "draft", 0.62), ("river", "draft", 1.08), ("wreck_water", "standard", 1.25)],
+)
+def test_the_memory_of_three_surveys_is_estimated_as_it_was_measured(data_dir, name, quality, memory_gb):
     survey = load_survey(data_dir / name)
     plan = replace(make_plan(survey, Choices(quality=quality, device="cpu")), device="llvm")
     assert workload_of(survey, plan).memory_bytes / GIGA == pytest.approx(memory_gb, rel=0.15)

@@ -15,7 +15,7 @@ from fields.sweep.maps import DepthMap
 from fields.sweep.passes import PASSES, Pass, before_solver, passes_from
 from fields.sweep.stack import ViewStack
 from fields.sweep.sweep import sweep
-from fields.sweep.tiles import Tiles
+from fields.sweep.tiles import PART_SIDE_PX, Tiles
 
 BED = PlaneBed(TILTED, -2.0, slope=0.1)
 REFINING = Pass(1.0, 1, 5, 0.25, 6, True, points_only=True)
@@ -27,7 +27,7 @@ SAME_M = 2e-4
 
 @pytest.fixture(scope="module")
 def block(device) -> Block:
-    return BED.block(device, ring(6), None)
+    return BED.block(device, ring(6))
 
 
 def map_of(block: Block, view: int, off: float = 0.0) -> DepthMap:
@@ -47,13 +47,13 @@ def larger(part: np.ndarray) -> np.ndarray:
     return part.repeat(4, axis=0).repeat(4, axis=1)[: SIZE[1], : SIZE[0]]
 
 
-def test_nearly_all_that_becomes_a_point_is_foretold_and_most_of_the_rest_is_left_out(block):
+def test_nearly_all_that_becomes_a_point_is_predicted_and_most_of_the_rest_is_left_out(block):
     maps = {view: map_of(block, view) for view in range(7)}
     wanted = becoming_points(block, maps)
     kept = unique_pixels(block, list(maps.values()), gsd=0.015)
     points = sum(int(each.sum()) for each in kept)
-    foretold = sum(int((keep & larger(wanted[view])).sum()) for view, keep in enumerate(kept))
-    assert foretold > 0.98 * points
+    predicted = sum(int((keep & larger(wanted[view])).sum()) for view, keep in enumerate(kept))
+    assert predicted > 0.98 * points
     taken = sum(int(part.sum()) for part in wanted.values()) / sum(part.size for part in wanted.values())
     share = points / (7 * SIZE[0] * SIZE[1])
     assert share < taken < share + 0.25
@@ -94,6 +94,24 @@ def test_a_part_is_refined_as_the_whole_view_is_and_the_rest_stays(block):
     assert np.median(np.abs(found.height - BED.true_height(block.cameras[0])).ravel()[mask]) < 0.5 * OFF_M
 
 
+def test_what_is_left_out_of_a_photograph_scores_nothing_in_a_part_of_it_either(device):
+    hole = np.s_[44:50, 60:66]
+    images = [BED.photograph(camera) for camera in ring(6)]
+    images[0][hole] = np.nan
+    block = BED.block(device, ring(6), images)
+    part = np.ones((SIZE[1] // 4, SIZE[0] // 4), dtype=bool)
+    found, _ = refined(block, REFINING, climbs_of(block, [0], REFINING, None)[0], map_of(block, 0, OFF_M), part)
+    assert (found.score[hole] == -1.0).all()
+    assert (found.score[4:40, 4:40] > 0.5).mean() > 0.9
+
+
+def test_images_smaller_than_a_tile_have_no_parts(block):
+    assert SIZE[1] * 0.25 < PART_SIDE_PX < SIZE[1]
+    cameras = [camera.scaled(0.25) for camera in ring(6)]
+    small = BED.block(block.device, cameras)
+    assert becoming_points(small, {view: map_of(small, view) for view in range(7)}) == {}
+
+
 def test_some_pixels_agree_as_they_do_among_all(block):
     maps = [map_of(block, view, 0.001 * view) for view in range(7)]
     stack = ViewStack.build(block.device, block.cameras, [m.height for m in maps], TILTED)
@@ -122,7 +140,7 @@ def test_before_the_solver_passes_after_the_first_at_full_size_take_points_alone
 
 
 def test_points_of_a_sweep_that_refines_them_alone_are_as_near_to_the_bed(device):
-    block = BED.block(device, ring(6), None)
+    block = BED.block(device, ring(6))
     truth = BED.true_height(block.cameras[0])
     bound = (float(truth.min()) - 0.3, float(truth.max()) + 0.4)
     passes = (Pass(0.5, 2, None, 0.5, 6, False), Pass(1.0, 2, 7, 0.4, 6, True), Pass(1.0, 1, 3, 0.25, 6, True))

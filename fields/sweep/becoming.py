@@ -1,7 +1,7 @@
 """Which pixels of the height maps become points of the bed: the others only confirm, and need no finer passes.
 
 Every piece of the bed is taken once, from the steepest view that shows it (`fields.sweep.bed.unique_pixels`), so that
-of the pixels of all maps one in ten or twenty becomes a point. Before the passes that refine, this is foretold at a
+of the pixels of all maps one in ten or twenty becomes a point. Before the passes that refine, this is predicted at a
 quarter of the size.
 """
 
@@ -21,6 +21,7 @@ from fields.sweep.footprint import Footprint
 from fields.sweep.lazy import Lazy
 from fields.sweep.maps import DepthMap
 from fields.sweep.stack import ViewStack
+from fields.sweep.tiles import PART_SIDE_PX
 
 # Of the maps: what is looked at has four pixels along each side.
 _SCALE = 0.25
@@ -31,8 +32,11 @@ _AROUND = np.ones((3, 3), dtype=np.uint8)
 def becoming_points(block: Block, maps: Mapping[int, DepthMap]) -> dict[int, np.ndarray]:
     """Which parts of each view are to become points, (height, width) bool at a quarter of the size.
 
-    They have trusted pixels, and no steeper view has trusted ones that agree with them.
+    They have trusted pixels, and no steeper view has trusted ones that agree with them. Empty where images are smaller
+    than a tile of `fields.sweep.tiles.PART_SIDE_PX`: there are no parts of these.
     """
+    if min(min(camera.width, camera.height) for camera in block.cameras) < PART_SIDE_PX:
+        return {}
     order = sorted(maps, key=lambda view: block.cameras[view].cam_from_local[2][2])
     cameras = [block.cameras[view].scaled(_SCALE) for view in order]
     size = cameras[0].width, cameras[0].height

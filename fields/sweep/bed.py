@@ -86,7 +86,7 @@ COMPANY, COMPANY_GSD = 4, 4.0
 _POINTS_AT_ONCE = 500_000
 # Points that are looked at together, in a slab of the ground: their search takes 80 bytes each.
 COMPANY_AT_ONCE, _A_LITTLE_MORE = 500_000, 1.001
-# In halves of it.
+# The range of heights, as a multiple of the half of it that `differing` gives.
 _WHOLE_RANGE = 2.0
 # No ray that shows the bed leans more.
 _LEAST_COSINE = 0.01

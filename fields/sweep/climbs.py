@@ -15,11 +15,8 @@ from fields.sweep.over_area import Area, columns_over
 from fields.sweep.passes import Pass
 from fields.sweep.stack import ViewStack
 from fields.sweep.steps import search_steps
-from fields.sweep.tiles import Tiles
+from fields.sweep.tiles import PART_SIDE_PX, Tiles
 from fields.sweep.windows import LEAST_KNOWN, climb_widely_enough
-
-# Side of the tiles of a part, with their halo: whole vectors, so that strips and tiles have the same kernels.
-_SIDE_PX = 32
 
 
 @dataclass(frozen=True)
@@ -108,9 +105,7 @@ def climbed(
     if p.search is not None and radius == p.radius:
         found = search_steps(stack, view, climb.others, found, p.step_px / step, p.search)
     height, score, _ = found
-    if p.scale == 1.0 and least_known < 1.0:
-        # What is left out of the photograph shows nothing, however much around it is known.
-        score = np.where(np.isnan(block.images[view]), np.float32(-1.0), score)
+    score = _of_shown(block, p, view, score)
     nobody = np.zeros(height.shape, dtype=np.uint8)
     spread = np.zeros(height.shape, dtype=np.float16)
     return DepthMap(view, height, score.astype(np.float16), nobody, spread), radius - p.radius
@@ -123,7 +118,7 @@ def refined(block: Block, p: Pass, climb: Climb, before: DepthMap, part: np.ndar
     """
     stack, view = block.stack(p.scale), climb.view
     step = _step(block, p, view, climb.others, median(before.height))
-    tiles = Tiles.over(part, before.height.shape, _SIDE_PX - 2 * p.radius, p.radius, climb.rungs)
+    tiles = Tiles.over(part, before.height.shape, PART_SIDE_PX - 2 * p.radius, p.radius, climb.rungs)
     height, score = before.height.copy(), before.score.copy()
     first = before.height.ravel() - np.float32(step * (climb.rungs // 2))
     runs = climb_tiles(
@@ -133,7 +128,14 @@ def refined(block: Block, p: Pass, climb: Climb, before: DepthMap, part: np.ndar
         matched = own & (scored > MATCHED_NCC)
         height.flat[pixels[matched]] = found[matched]
         score.flat[pixels[own]] = scored[own]
-    return replace(before, height=height, score=score), np.flatnonzero(tiles.wanted)
+    return replace(before, height=height, score=_of_shown(block, p, view, score)), np.flatnonzero(tiles.wanted)
+
+
+def _of_shown(block: Block, p: Pass, view: int, score: np.ndarray) -> np.ndarray:
+    """The scores, -1 at pixels left out of the photograph: these show nothing, however much around them is known."""
+    if p.scale < 1.0 or block.images.are_whole:
+        return score
+    return np.where(np.isnan(block.images[view]), score.dtype.type(-1.0), score)
 
 
 def _least_known(block: Block) -> float:

@@ -9,6 +9,8 @@ import numpy as np
 
 # Rungs of a ladder are a multiple of this and one: other numbers would need other kernels.
 RUNGS_OF = 8
+# Side of the tiles of a part, with their halo: whole vectors, so that strips and tiles have the same kernels.
+PART_SIDE_PX = 32
 
 
 @dataclass(frozen=True)

@@ -91,23 +91,25 @@ def appearance_of(tile: Tile, grey: np.ndarray) -> Appearance:
     """
     seen = np.isfinite(grey)
     values = np.where(seen, grey, np.float32(0.0))
-    gain, offset, blocks = np.ones(len(grey), dtype=np.float32), np.zeros_like(values), _Blocks(tile)
+    gain, blocks = np.ones(len(grey), dtype=np.float32), _Blocks(tile)
     mean, alike = values.sum(axis=0) / np.maximum(seen.sum(axis=0, dtype=np.float32), 1.0), seen
     for last in (False, True):
-        for k, mask in enumerate(alike):
-            if mask.sum() >= LEAST_PIXELS:
-                gain[k] = _gain(values[k][mask], mean[mask])
-            offset[k] = blocks.smooth(values[k] - gain[k] * mean, mask)
+        gain = np.where(alike.sum(axis=1) >= LEAST_PIXELS, _gains(values, mean, alike), gain)
+        offset = blocks.smooth(values - gain[:, None] * mean, alike)
         if not last:
             found = brightness_of((grey - offset) / gain[:, None])
             mean, alike = found.albedo, seen & ~found.outlying
     return Appearance(gain / gain[0], offset - gain[:, None] / gain[0] * offset[0])
 
 
-def _gain(values: np.ndarray, mean: np.ndarray) -> float:
-    mean = mean - mean.mean()
-    spread = float(mean @ mean)
-    return float(np.clip(mean @ (values - values.mean()) / spread, *GAINS)) if spread > 0.0 else 1.0
+def _gains(values: np.ndarray, mean: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Slopes (K,) of values (K, N) over their mean (N,) where ``mask`` (K, N) holds; 1 where the mean has one value."""
+    share = mask.astype(np.float32)
+    about = mean - (share @ mean / np.maximum(share.sum(axis=1), 1.0))[:, None]
+    about *= share
+    spread, along = (np.einsum("kn,kn->k", about, each) for each in (about, values))
+    gain = np.divide(along, spread, out=np.ones_like(along), where=spread > 0.0)
+    return np.clip(gain, *GAINS)
 
 
 class _Blocks:
@@ -116,7 +118,7 @@ class _Blocks:
     def __init__(self, tile: Tile):
         rows, columns = tile.places
         self._shape = tuple(-(-size // BLOCK_PX) for size in tile.inside.shape)
-        self._block = (rows // BLOCK_PX) * self._shape[1] + columns // BLOCK_PX
+        block = (rows // BLOCK_PX) * self._shape[1] + columns // BLOCK_PX
         places, shares = [], []
         for index, size in zip((rows, columns), self._shape, strict=True):
             at = np.clip((index + 0.5) / BLOCK_PX - 0.5, 0.0, size - 1.0)
@@ -127,20 +129,21 @@ class _Blocks:
         four = [(i, j) for i in (0, 1) for j in (0, 1)]
         index = np.stack([places[0][i] * self._shape[1] + places[1][j] for i, j in four], axis=-1)
         share = np.stack([shares[0][i] * shares[1][j] for i, j in four], axis=-1)
-        ends = 4 * np.arange(len(rows) + 1)
-        self._between = sparse.csr_matrix((share.ravel(), index.ravel(), ends), shape=(len(rows), self._size))
-
-    @property
-    def _size(self) -> int:
-        return self._shape[0] * self._shape[1]
+        number = np.arange(len(rows) + 1)
+        shape = len(rows), self._shape[0] * self._shape[1]
+        self._between = sparse.csr_matrix((share.ravel(), index.ravel(), 4 * number), shape=shape)
+        self._sums = sparse.csr_matrix((np.ones(len(rows), dtype=np.float32), block, number), shape=shape).T
 
     def smooth(self, values: np.ndarray, mask: np.ndarray) -> np.ndarray:
-        """Local mean (N,) of values (N,) where ``mask`` holds."""
-        weights = np.where(mask, values, np.float32(0.0)), mask
-        sums = np.stack([np.bincount(self._block, each, self._size) for each in weights], axis=-1)
-        smooth = cv2.GaussianBlur(sums.reshape(*self._shape, 2), _KERNEL, BLOCKS, borderType=cv2.BORDER_REFLECT)
-        mean = smooth[..., 0] / np.maximum(smooth[..., 1], 1e-9)
-        return self._between @ mean.astype(np.float32).ravel()
+        """Local means (K, N) of values (K, N) where ``mask`` (K, N) holds."""
+        num = len(values)
+        # Pixel by pixel: sums of all photographs at once run in vectors.
+        both = np.empty((values.shape[1], 2 * num), dtype=np.float32)
+        both[:, :num], both[:, num:] = np.where(mask, values, np.float32(0.0)).T, mask.T
+        sums = (self._sums @ both).reshape(*self._shape, 2 * num)
+        smooth = cv2.GaussianBlur(sums, _KERNEL, BLOCKS, borderType=cv2.BORDER_REFLECT).reshape(-1, 2 * num)
+        mean = smooth[:, :num] / np.maximum(smooth[:, num:], 1e-9)
+        return np.ascontiguousarray((self._between @ mean).T)
 
 
 def brightness_of(albedos: np.ndarray) -> Brightness:

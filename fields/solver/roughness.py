@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fields.solver.smoothness import stiffness_of
-from fields.solver.solve import FAINT, Solved, conjugate_gradients, normal_matrix
+from fields.solver.solve import CG_RESIDUAL, CG_RESIDUAL_BEFORE, FAINT, Solved, conjugate_gradients, normal_matrix
 from fields.solver.tile import Tile
 
 # The search starts at this share of the ground sampling distance and goes in steps of this factor, this far at most.
@@ -55,11 +55,13 @@ def halves_of(solved: Solved) -> tuple[Half, Half]:
 def heights_of(solved: Solved, half: Half, roughness: float) -> np.ndarray:
     """Heights (N,) [m] from half of the photographs, linear about those of all."""
     height = solved.height
-    for _ in range(_ROUNDS):
+    for number in range(_ROUNDS):
         stiffness = stiffness_of(solved.bends.of_heights @ height, roughness)
         right = -half.pull - half.information * (height - solved.height) - solved.bends.pull(stiffness, height)
         diagonal = half.information + solved.bends.squared @ stiffness + FAINT
-        height = height + conjugate_gradients(normal_matrix(half.information, solved.bends, stiffness), right, diagonal)
+        matrix = normal_matrix(half.information, solved.bends, stiffness)
+        residual = CG_RESIDUAL if number + 1 == _ROUNDS else CG_RESIDUAL_BEFORE
+        height = height + conjugate_gradients(matrix, right, diagonal, residual)
     return height
 
 

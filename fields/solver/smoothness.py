@@ -55,14 +55,16 @@ def bends_of(tile: Tile) -> Bends:
         ((number[:-2], number[1:-1], number[2:]), along),
         ((number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]), cross),
     ):
-        chosen = np.stack(members, axis=-1)
-        chosen = chosen[(chosen >= 0).all(axis=-1)]
+        whole = np.flatnonzero(np.logical_and.reduce([each >= 0 for each in members]))
+        chosen = np.stack([each.ravel()[whole] for each in members], axis=-1)
         rows, size = len(chosen), len(factors)
         values = np.tile(factors, rows).astype(np.float32)
         parts.append(sparse.csr_matrix((values, chosen.ravel(), np.arange(rows + 1) * size), shape=(rows, len(tile))))
     of_heights = sparse.vstack(parts).tocsr()
     transposed = of_heights.T.tocsr()
-    return Bends(of_heights, transposed, transposed.multiply(transposed).tocsr())
+    squared = transposed.copy()
+    squared.data *= squared.data
+    return Bends(of_heights, transposed, squared)
 
 
 def stiffness_of(bends: np.ndarray, roughness: float) -> np.ndarray:

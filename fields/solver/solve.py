@@ -19,8 +19,8 @@ from fields.sweep.slopes import slope_of
 ITERATIONS = 3
 # Gain and offset are estimated in the first steps.
 APPEARANCE_ITERATIONS = 2
-# Of conjugate gradients, with the residual relative to the start.
-CG_STEPS, CG_RESIDUAL = 300, 3e-3
+# Of conjugate gradients, with the residual relative to the start; in a step that another follows, which mends it.
+CG_STEPS, CG_RESIDUAL, CG_RESIDUAL_BEFORE = 300, 3e-3, 3e-2
 # Weight of the start where neither images nor neighbours say anything [1/m^2].
 FAINT = np.float32(1e-2)
 # Steps beyond so many times their median lead from one feature of the texture to another.
@@ -125,6 +125,7 @@ def solve(
             normal_matrix(information, bends, stiffness),
             -pull - bends.pull(stiffness, height),
             information + bends.squared @ stiffness + FAINT,
+            CG_RESIDUAL if iteration + 1 == ITERATIONS else CG_RESIDUAL_BEFORE,
         )
         step = np.clip(step, -tolerance, tolerance).astype(np.float32)
         height, before = height + step, (information, pull, step)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy import ndimage
 
 from fields.solver.solve import FAINT, Solved, conjugate_gradients, normal_matrix
 from fields.solver.tile import Tile
@@ -119,9 +118,10 @@ def bends_below(solved: Solved, expected: Expected, noise: float, unfollowed: fl
 
 def rise_of(tile: Tile, height: np.ndarray) -> np.ndarray:
     """Rise (N,) [m/px] of heights (N,) [m] over the pixels next to each."""
-    highest, lowest = np.full((2, *tile.inside.shape), [[[-np.inf]], [[np.inf]]], dtype=np.float32)
+    beside = np.ones((3, 3), dtype=np.uint8)
+    highest, lowest = (np.full(tile.inside.shape, bound, dtype=np.float32) for bound in (-np.inf, np.inf))
     highest[tile.inside] = lowest[tile.inside] = height
-    return 0.5 * (ndimage.maximum_filter(highest, 3)[tile.inside] - ndimage.minimum_filter(lowest, 3)[tile.inside])
+    return 0.5 * (cv2.dilate(highest, beside)[tile.inside] - cv2.erode(lowest, beside)[tile.inside])
 
 
 def _near(tile: Tile, values: np.ndarray, alike_px: float) -> np.ndarray:

@@ -42,27 +42,33 @@ def continued(height: np.ndarray, known: np.ndarray, tolerance: float) -> np.nda
 
 def _planes(height: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Height at each pixel of the plane through the known ones around it, and how far these leave it; inf without."""
-    weight = known.astype(np.float64)
-    base = float(np.vdot(weight, height) / weight.sum())
-    columns, rows = (np.arange(n) - 0.5 * n for n in height.shape[::-1])
-    x, y, z = weight * columns, weight * rows[:, None], weight * (height - base)
-
-    def box(values: np.ndarray) -> np.ndarray:
-        return cv2.boxFilter(values, cv2.CV_64F, (SIDE_PX, SIDE_PX), borderType=cv2.BORDER_CONSTANT)
-
-    share = box(weight)
-    each = 1.0 / np.maximum(share, 0.5 / SIDE_PX**2)
-    x_mean, y_mean, z_mean = box(x) * each, box(y) * each, box(z) * each
-    xx, yy, zz = (box(a * a) * each - mean * mean for a, mean in ((x, x_mean), (y, y_mean), (z, z_mean)))
-    xy, xz, yz = (
-        box(a * b) * each - a_mean * b_mean
-        for a, a_mean, b, b_mean in ((x, x_mean, y, y_mean), (x, x_mean, z, z_mean), (y, y_mean, z, z_mean))
-    )
+    weight = known.astype(np.float32)
+    base = np.float32(np.vdot(weight.astype(np.float64), height) / np.count_nonzero(known))
+    z = weight * (height - base)
+    # Sums over the square with powers of the distance from its middle, which float32 holds: along rows, then columns.
+    w0, w1, w2 = (_along(weight, power, 0) for power in range(3))
+    z0, z1 = (_along(z, power, 0) for power in range(2))
+    share = _along(w0, 0, 1)
+    each = 1.0 / np.maximum(share, np.float32(0.5))
+    x_mean, y_mean, z_mean = (sums * each for sums in (_along(w1, 0, 1), _along(w0, 1, 1), _along(z0, 0, 1)))
+    xx = _along(w2, 0, 1) * each - x_mean * x_mean
+    yy = _along(w0, 2, 1) * each - y_mean * y_mean
+    xy = _along(w1, 1, 1) * each - x_mean * y_mean
+    xz = _along(z1, 0, 1) * each - x_mean * z_mean
+    yz = _along(z0, 1, 1) * each - y_mean * z_mean
+    zz = cv2.boxFilter(z * z, -1, (SIDE_PX, SIDE_PX), normalize=False, borderType=cv2.BORDER_CONSTANT) * each
     # The determinant over the trace is nearly the variance in the direction in which the pixels spread least.
     spread = xx * yy - xy * xy
-    enough = (share >= _LEAST_KNOWN) & (spread > _LEAST_SPREAD_PX**2 * (xx + yy))
-    over = 1.0 / np.where(enough, spread, 1.0)
+    enough = (share >= _LEAST_KNOWN * SIDE_PX**2) & (spread > _LEAST_SPREAD_PX**2 * (xx + yy))
+    over = 1.0 / np.where(enough, spread, np.float32(1.0))
     across, down = (yy * xz - xy * yz) * over, (xx * yz - xy * xz) * over
-    plane = base + z_mean + across * (columns - x_mean) + down * (rows[:, None] - y_mean)
-    off = np.sqrt(np.maximum(zz - across * xz - down * yz, 0.0))
-    return plane, np.where(enough, off, np.inf)
+    plane = base + z_mean - across * x_mean - down * y_mean
+    off = np.sqrt(np.maximum(zz - z_mean * z_mean - across * xz - down * yz, 0.0))
+    return plane, np.where(enough, off, np.float32(np.inf))
+
+
+def _along(values: np.ndarray, power: int, axis: int) -> np.ndarray:
+    """Sums over a side of the square of values times a power of the distance [px], along rows (0) or columns (1)."""
+    kernels = [np.ones(1), (np.arange(SIDE_PX) - SIDE_PX // 2.0) ** power]
+    along, other = kernels[::-1] if axis == 0 else kernels
+    return cv2.sepFilter2D(values, -1, along, other, borderType=cv2.BORDER_CONSTANT)

@@ -199,6 +199,10 @@ class PinholeCamera:
             way = project(points, centre, water).direction
         else:
             way = crossing_point(points, centre, water, steps=steps) - centre
+        return self.pixels_of(way)
+
+    def pixels_of(self, way: np.ndarray) -> np.ndarray:
+        """Pixels (..., 2) [px] of straight ways (..., 3), local, from the centre; NaN as for `project`."""
         seen = way @ self.cam_from_local.T
         z = np.where(seen[..., 2] > 0.0, seen[..., 2], np.nan)
         if self.distortion is not None:

@@ -216,8 +216,10 @@ def _solved(xp, terms, steps, like):
             left = xp.like(_left(base, fine_r, *exact), u)
         u = base - xp.like(_halley(left, u, r, *rough), base)
     if like is not None:
-        # Beyond 1e9 camera heights of water rounding of float32 leads out of the bracket, which ends at nadir.
-        u = xp.maximum(xp.like(u, exact[0]), xp.like(0.999999 * rough[0] / (rough[0] + rough[2]), exact[0]))
+        # Beyond 1e9 camera heights of water rounding of float32 leads out of the bracket, which ends at nadir, and
+        # beyond 1e19 squares overflow: comparing, not `maximum`, which keeps what is no number.
+        u, least = (xp.like(v, exact[0]) for v in (u, 0.999999 * rough[0] / (rough[0] + rough[2])))
+        u = xp.where(u > least, u, least)
     return xp.like(u, exact[0])
 
 

@@ -195,6 +195,16 @@ def test_coverage_is_printed_only_where_a_std_is_that_of_the_height():
     assert "95.0 %" not in straight
 
 
+def test_rows_name_their_device_and_completeness_at_every_tolerance():
+    measured = errors(1.0)
+    measured.completeness.update({"0.05": 0.5, "0.1": 0.75, "0.2": 1.0})
+    found = replace(record("full"), errors=measured)
+    head, *rows = table(results(found, replace(found, device="cuda")))
+    assert "complete 0.2, 0.1, 0.05 m" in head
+    assert all("100.0, 75.0, 50.0 %" in row for row in rows)
+    assert [device for row in rows for device in ("cpu", "cuda") if f" {device} " in row] == ["cpu", "cuda"]
+
+
 def test_the_legend_says_what_filled_and_hollow_marks_mean():
     entries = legend_of(["full"], ["quick"])
     assert [label for label, *_ in entries[:2]] == ["whole chain", "quick"]

@@ -9,8 +9,9 @@ from plane_survey import SIZE, TILTED, PlaneBed, ring
 from fields.sweep.becoming import becoming_points
 from fields.sweep.bed import trusted, unique_pixels
 from fields.sweep.block import Block
-from fields.sweep.climbs import climbed, climbs_of, refined
+from fields.sweep.climbs import climbing, climbs_of, refining
 from fields.sweep.consistency import agreement
+from fields.sweep.in_turn import alone
 from fields.sweep.maps import DepthMap
 from fields.sweep.passes import PASSES, Pass, before_solver, passes_from
 from fields.sweep.stack import ViewStack
@@ -80,10 +81,10 @@ def test_what_nothing_confirms_becomes_no_point(block):
 def test_a_part_is_refined_as_the_whole_view_is_and_the_rest_stays(block):
     before = map_of(block, 0, OFF_M)
     climb = climbs_of(block, [0], REFINING, None)[0]
-    whole, _ = climbed(block, REFINING, climb, (-3.0, -1.0), before.height, None, 0)
+    whole, _ = alone(block.device, climbing(block, REFINING, climb, (-3.0, -1.0), before, None, 0))
     part = np.zeros((SIZE[1] // 4, SIZE[0] // 4), dtype=bool)
     part[10:14, 12:20] = True
-    found, taken = refined(block, REFINING, climb, before, part)
+    found, taken = alone(block.device, refining(block, REFINING, climb, before, part))
     mask = np.zeros(found.height.size, dtype=bool)
     mask[taken] = True
     assert mask.reshape(found.height.shape)[larger(part)].all()
@@ -100,7 +101,8 @@ def test_what_is_left_out_of_a_photograph_scores_nothing_in_a_part_of_it_either(
     images[0][hole] = np.nan
     block = BED.block(device, ring(6), images)
     part = np.ones((SIZE[1] // 4, SIZE[0] // 4), dtype=bool)
-    found, _ = refined(block, REFINING, climbs_of(block, [0], REFINING, None)[0], map_of(block, 0, OFF_M), part)
+    (climb,) = climbs_of(block, [0], REFINING, None)
+    found, _ = alone(device, refining(block, REFINING, climb, map_of(block, 0, OFF_M), part))
     assert (found.score[hole] == -1.0).all()
     assert (found.score[4:40, 4:40] > 0.5).mean() > 0.9
 

@@ -13,7 +13,7 @@ from fields.device import choose_device
 from fields.sweep import windows
 from fields.sweep.bed import trusted, unique_pixels
 from fields.sweep.block import Block
-from fields.sweep.climbing import climb_view
+from fields.sweep.climbing import climbing_view
 from fields.sweep.maps import DepthMap
 from fields.sweep.passes import PASSES, Pass
 from fields.sweep.sweep import sweep
@@ -174,9 +174,9 @@ def test_progress_is_the_share_of_the_samples_compared(device, monkeypatch):
 
     def counting(stack, view, others, start, step, rungs, radius, columns, least_known):
         counted.append(start.size * rungs * len(others))
-        return climb_view(stack, view, others, start, step, rungs, radius, columns, least_known)
+        return climbing_view(stack, view, others, start, step, rungs, radius, columns, least_known)
 
-    monkeypatch.setattr(windows, "climb_view", counting)
+    monkeypatch.setattr(windows, "climbing_view", counting)
     sweep(BEDS["dry"].block(device, ring(4)), [3, 0, 2], (-4.5, -0.5), shares.append, SMALL[:2])
     fusing = SIZE[0] * SIZE[1] * 3 * 2  # three views, each compared with the other two
     assert counted[0] > 2 * counted[3]  # the ladder of a wide bound is the longest part of the work

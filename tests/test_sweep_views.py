@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from plane_survey import TILTED, PlaneBed, look, ring
@@ -142,6 +144,19 @@ def test_parallax_under_water_is_that_of_the_apparent_depth():
     expected = cameras[0].fx * 0.5 / distance**2 / WATER.n_water
     # Near nadir; at 2.6 deg of incidence the tangential image is 0.2 % off the sagittal one.
     np.testing.assert_allclose(views.parallax(cameras, WATER, 0, [1], -2.0), expected, rtol=4e-3)
+
+
+@pytest.mark.parametrize("water", [None, WATER, TILTED])
+@pytest.mark.parametrize("tide", [0.0, 0.2])
+def test_parallax_is_that_of_the_pixels_in_each_camera(water, tide):
+    cameras = [replace(camera, tide=tide) for camera in ring(5)]
+    camera, others = cameras[0], [1, 2, 3, 4]
+    middle = np.full((2, 2), (camera.width / 2, camera.height / 2))
+    ends = camera.paths(middle, water).at_height(np.array([-2.05, -1.95]), water)
+    moves = [np.linalg.norm(np.diff(cameras[other].project(ends, water), axis=0)) / 0.1 for other in others]
+    # Points are searched together or camera by camera: the same but for rounding of pixels over 0.1 m.
+    expected = np.quantile(moves, 0.75)
+    np.testing.assert_allclose(views.parallax(cameras, water, 0, others, -2.0), expected, rtol=1e-9)
 
 
 def test_parallax_is_never_zero():

@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -72,6 +73,34 @@ def constant(device: Device, value: float) -> Any:
     import torch
 
     return torch.tensor(float(value), device=device.place)
+
+
+@dataclass(frozen=True)
+class Room:
+    """An array of Dr.Jit that kernels are to fill.
+
+    Attributes
+    ----------
+    array : flat array of float32
+    memory : its memory on the host, on the CPU; None elsewhere
+        Where an array lies Dr.Jit tells only after all kernels are through, so this is asked before they are launched.
+    """
+
+    array: Any
+    memory: np.ndarray | None
+
+    @staticmethod
+    def of(device: Device, size: int) -> Room:
+        """For so many numbers, not set yet."""
+        import drjit
+
+        array = drjit.empty(device.module.Float, size)
+        return Room(array, array.numpy() if device.name == "llvm" else None)
+
+    @staticmethod
+    def around(device: Device, array: Any) -> Room:
+        """Of an array that is there, after its kernels are through."""
+        return Room(array, array.numpy() if device.name == "llvm" else None)
 
 
 def rung_and_pixel(device: Device, count: int, strip: int) -> tuple[Any, Any]:

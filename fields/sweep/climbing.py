@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from functools import partial
 from types import ModuleType
+from typing import Any
 
 import cv2
 import numpy as np
 
-from fields.sweep.arrays import floats, host
+from fields.sweep.arrays import floats
 from fields.sweep.backends import scoring, warping
+from fields.sweep.in_turn import Job, Launched, alone
 from fields.sweep.stack import ViewStack
 from fields.sweep.tiles import Tiles
 
+# Height [m], score and curvature [1/m^2] of each pixel.
+Found = tuple[np.ndarray, np.ndarray, np.ndarray]
 # A score below this is meaningless: no window was complete (-1), or the windows have no texture (0, but for rounding).
 MATCHED_NCC = 0.05
 # Floats of the widest vectors.
@@ -55,8 +60,23 @@ def climb_view(
         Where no window is complete (at the image's edge, by masked pixels, out of sight of the others) the score is
         -1 and the curvature 0. There, and where there is no texture, the height is that of the nearest matched pixel.
     """
-    device = stack.device
-    images, scores = warping(device), scoring(device)
+    job = climbing_view(stack, view, others, start, step, rungs, radius, columns, least_known)
+    return alone(stack.device, job)
+
+
+def climbing_view(
+    stack: ViewStack,
+    view: int,
+    others: list[int],
+    start: np.ndarray,
+    step: float,
+    rungs: int,
+    radius: int,
+    columns: np.ndarray | None = None,
+    least_known: float = 1.0,
+) -> Job[Found]:
+    """`climb_view` as a job."""
+    images = warping(stack.device)
     width, height = stack.width, stack.height
     rows = max(4 * radius + 4, min(height, images.STRIP_SAMPLES // (len(others) * rungs * width)))
     found = [np.array(start, dtype=np.float32), *(np.full((height, width), v, np.float32) for v in (-1.0, 0.0))]
@@ -71,53 +91,72 @@ def climb_view(
         left, right = _span(int(here[:, 0].min()), int(here[:, 1].max()), width, radius)
         inner = np.s_[max(int(here[:, 0].min()), radius) : min(int(here[:, 1].max()), width - radius)]
         strip = np.s_[first - radius : last + radius, left:right]
-        legs = _legs(images, stack, view, strip)
-        grey = floats(device, stack.images[view][strip])
-        values = images.warp(stack, legs, start[strip], others, step, rungs)
-        mean = scores.best_half(device, scores.ncc(device, grey, values, right - left, radius, least_known))
-        for target, result in zip(
-            found, scores.climb(device, mean, floats(device, start[strip]), step, rungs), strict=True
-        ):
+        legs = partial(_legs, images, stack, view, strip)
+        grey, begin = stack.images[view][strip], start[strip]
+        results = yield partial(
+            _launch, stack, others, legs, grey, begin, step, rungs, right - left, radius, least_known
+        )
+        for target, result in zip(found, results, strict=True):
             # The results begin with the first whole window: `radius` pixels into the first row of the target.
-            image = np.pad(host(device, result), radius).reshape(-1, right - left)
+            image = np.pad(result, radius).reshape(-1, right - left)
             target[first:last, inner] = image[:, inner.start - left : inner.stop - left]
     return _filled(found[0], found[1] > MATCHED_NCC), found[1], found[2]
 
 
-def climb_tiles(
+def climbing_tiles(
     stack: ViewStack,
     view: int,
     others: list[int],
     tiles: Tiles,
     starts: Callable[[slice, np.ndarray], np.ndarray],
     step: float,
+    take: Callable[[np.ndarray, np.ndarray, list[np.ndarray]], None],
     least_known: float = 1.0,
-) -> Iterator[tuple[np.ndarray, np.ndarray, list[np.ndarray]]]:
-    """As `climb_view`, of tiles with their halos, a run of n of them at a time.
+) -> Job[None]:
+    """As `climbing_view`, of tiles with their halos, a run of n of them at a time.
 
     ``starts`` gives the first rungs [m] of a run, with the flat indices of its pixels, both (n, side, side).
+    ``take`` is called with what each run finds:
 
-    Yields
-    ------
     own : (n, side, side) bool
         Which pixels are wanted, in their own tile, and have a whole window.
     pixels : (n, side, side) int
         Flat indices.
     height [m], score [-], curvature [1/m^2] : list of (n, side, side) float32
     """
-    device = stack.device
-    images, scores = warping(device), scoring(device)
+    images, side, radius = warping(stack.device), tiles.side, tiles.radius
     for part, rungs in tiles.batches(images.STRIP_SAMPLES // len(others), _LAUNCH_SAMPLES // len(others)):
         pixels = tiles.pixels(part)
-        legs = images.legs_at(stack, view, pixels.ravel())
-        start = starts(part, pixels)
-        grey = floats(device, stack.images[view].ravel()[pixels])
-        values = images.warp(stack, legs, start, others, step, rungs)
-        mean = scores.best_half(device, scores.ncc(device, grey, values, tiles.side, tiles.radius, least_known))
-        climbed = [host(device, each) for each in scores.climb(device, mean, floats(device, start), step, rungs)]
+        legs = partial(images.legs_at, stack, view, pixels.ravel())
+        grey, begin = stack.images[view].ravel()[pixels], starts(part, pixels)
+        results = yield partial(_launch, stack, others, legs, grey, begin, step, rungs, side, radius, least_known)
         # The first window begins `radius` pixels into the first row.
-        climbed = [np.pad(each, tiles.radius * (tiles.side + 1)).reshape(pixels.shape) for each in climbed]
-        yield tiles.own(part, pixels), pixels, climbed
+        climbed = [np.pad(each, radius * (side + 1)).reshape(pixels.shape) for each in results]
+        take(tiles.own(part, pixels), pixels, climbed)
+
+
+def _launch(
+    stack: ViewStack,
+    others: list[int],
+    legs: Callable[[], Any],
+    grey: np.ndarray,
+    start: np.ndarray,
+    step: float,
+    rungs: int,
+    width: int,
+    radius: int,
+    least_known: float,
+) -> Launched:
+    """Kernels for a strip, or for tiles, of a width: its grey levels and first rungs [m], of one shape."""
+    device = stack.device
+    images, scores = warping(device), scoring(device)
+    # Before anything is launched.
+    rooms = scores.rooms(device, len(others), start.size * rungs)
+    paths, reference, begin = legs(), floats(device, grey), floats(device, start)
+    images.warp_into(rooms, stack, paths, start, others, step, rungs)
+    windows = scores.windows(device, reference, rooms, width, radius)
+    mean = scores.best_half(device, scores.ncc_of(windows, radius, least_known))
+    return Launched(list(scores.climb(device, mean, begin, step, rungs)), (paths, reference, windows, begin))
 
 
 def _span(first: int, last: int, width: int, radius: int) -> tuple[int, int]:

@@ -9,14 +9,15 @@ import numpy as np
 
 from fields.median import median
 from fields.sweep.block import Block
-from fields.sweep.climbing import MATCHED_NCC, climb_tiles, climb_view
+from fields.sweep.climbing import MATCHED_NCC, climbing_tiles, climbing_view
+from fields.sweep.in_turn import Job
 from fields.sweep.maps import DepthMap
 from fields.sweep.over_area import Area, columns_over
 from fields.sweep.passes import Pass
 from fields.sweep.stack import ViewStack
-from fields.sweep.steps import search_steps
+from fields.sweep.steps import searching_steps
 from fields.sweep.tiles import PART_SIDE_PX, Tiles
-from fields.sweep.windows import LEAST_KNOWN, climb_widely_enough
+from fields.sweep.windows import LEAST_KNOWN, climbing_widely_enough
 
 
 @dataclass(frozen=True)
@@ -69,27 +70,27 @@ def _step(block: Block, p: Pass, view: int, others: list[int], height: float) ->
     return p.step_px / (p.scale * block.parallax(view, others, height))
 
 
-def climbed(
+def climbing(
     block: Block,
     p: Pass,
     climb: Climb,
     bound: tuple[float, float],
-    before: np.ndarray | None,
+    before: DepthMap | None,
     area: Area | None,
     wider: int,
-) -> tuple[DepthMap, int]:
+) -> Job[tuple[DepthMap, int]]:
     """One pass over one view: the ladder of the bound, or one about the heights of the pass before.
 
     Windows are by so many pixels ``wider`` than those of the pass, or more where this pass finds that they have to be,
     which is given back.
     """
     stack, view = block.stack(p.scale), climb.view
-    middle = 0.5 * (bound[0] + bound[1]) if before is None else median(before)
+    middle = 0.5 * (bound[0] + bound[1]) if before is None else median(before.height)
     step = _step(block, p, view, climb.others, middle)
     if before is None:
         start = np.full((stack.height, stack.width), bound[0], dtype=np.float32)
     else:
-        start = _enlarged(before, stack) - np.float32(step * (climb.rungs // 2))
+        start = _enlarged(before.height, stack) - np.float32(step * (climb.rungs // 2))
 
     def columns(radius: int) -> np.ndarray | None:
         return None if area is None else columns_over(stack.cameras[view], block.water, area, bound, radius)
@@ -98,12 +99,12 @@ def climbed(
     radius = p.radius + wider
     least_known = _least_known(block)
     if p.refines:
-        found = climb_view(*ladder, radius, columns(radius), least_known)
+        found = yield from climbing_view(*ladder, radius, columns(radius), least_known)
     else:
-        found, radius = climb_widely_enough(*ladder, radius, columns, least_known)
+        found, radius = yield from climbing_widely_enough(*ladder, radius, columns, least_known)
     # The search has windows of its own, narrower than those that were too narrow here.
     if p.search is not None and radius == p.radius:
-        found = search_steps(stack, view, climb.others, found, p.step_px / step, p.search)
+        found = yield from searching_steps(stack, view, climb.others, found, p.step_px / step, p.search)
     height, score, _ = found
     score = _of_shown(block, p, view, score)
     nobody = np.zeros(height.shape, dtype=np.uint8)
@@ -111,7 +112,9 @@ def climbed(
     return DepthMap(view, height, score.astype(np.float16), nobody, spread), radius - p.radius
 
 
-def refined(block: Block, p: Pass, climb: Climb, before: DepthMap, part: np.ndarray) -> tuple[DepthMap, np.ndarray]:
+def refining(
+    block: Block, p: Pass, climb: Climb, before: DepthMap, part: np.ndarray
+) -> Job[tuple[DepthMap, np.ndarray]]:
     """One pass over a part of a view, (height, width) bool at a share of the size, and the pixels that it took, flat.
 
     Those are of all tiles that hold some of the part; the others stay as they were ``before``.
@@ -121,13 +124,17 @@ def refined(block: Block, p: Pass, climb: Climb, before: DepthMap, part: np.ndar
     tiles = Tiles.over(part, before.height.shape, PART_SIDE_PX - 2 * p.radius, p.radius, climb.rungs)
     height, score = before.height.copy(), before.score.copy()
     first = before.height.ravel() - np.float32(step * (climb.rungs // 2))
-    runs = climb_tiles(
-        stack, view, climb.others, tiles, lambda _, pixels: first[pixels], step, least_known=_least_known(block)
-    )
-    for own, pixels, (found, scored, _) in runs:
+
+    def take(own: np.ndarray, pixels: np.ndarray, climbed: list[np.ndarray]) -> None:
+        found, scored, _ = climbed
         matched = own & (scored > MATCHED_NCC)
         height.flat[pixels[matched]] = found[matched]
         score.flat[pixels[own]] = scored[own]
+
+    least_known = _least_known(block)
+    yield from climbing_tiles(
+        stack, view, climb.others, tiles, lambda _, pixels: first[pixels], step, take, least_known
+    )
     return replace(before, height=height, score=_of_shown(block, p, view, score)), np.flatnonzero(tiles.wanted)
 
 

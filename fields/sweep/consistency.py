@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fields.sweep.arrays import host
 from fields.sweep.backends import warping
+from fields.sweep.in_turn import Job, Launched, alone
 from fields.sweep.stack import ViewStack
 
 
@@ -34,12 +34,21 @@ def agreement(
     spread : float32 [m]
         Standard deviation (population) of the same.
     """
-    device, images = heights.device, warping(heights.device)
-    own = host(device, heights.pixels[view])
+    return alone(heights.device, comparing(heights, view, peers, tolerance, pixels))
+
+
+def comparing(
+    heights: ViewStack, view: int, peers: list[int], tolerance: float, pixels: np.ndarray | None = None
+) -> Job[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """`agreement` as a job."""
+    own = heights.images[view]
     shape = (heights.height, heights.width) if pixels is None else (len(pixels),)
-    own = (own if pixels is None else own[pixels]).reshape(shape)
-    sums = images.compare(heights, view, peers, tolerance, pixels)
-    count, total, square = (host(device, s).reshape(shape) for s in sums)
+    own = own if pixels is None else own.ravel()[pixels]
+
+    def launch() -> Launched:
+        return Launched(list(warping(heights.device).compare(heights, view, peers, tolerance, pixels)))
+
+    count, total, square = (each.reshape(shape) for each in (yield launch))
     mean = total / (count + 1.0)
     spread = np.sqrt(np.maximum(square / (count + 1.0) - mean * mean, 0.0))
     return count.astype(np.uint8), own + mean, spread

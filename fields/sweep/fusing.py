@@ -12,7 +12,8 @@ from fields.median import median
 from fields.sweep.bed import trusted
 from fields.sweep.block import Block
 from fields.sweep.climbing import MATCHED_NCC
-from fields.sweep.consistency import agreement
+from fields.sweep.consistency import comparing
+from fields.sweep.in_turn import Job, in_turn
 from fields.sweep.lazy import Lazy
 from fields.sweep.maps import DepthMap, Keep, Maps
 from fields.sweep.planes import continued
@@ -63,19 +64,19 @@ def _agreement(
 
     images = Lazy(matched, len(chosen), (cameras[0].height, cameras[0].width), 1)
     heights = ViewStack.build(block.device, cameras, images, block.water)
-    for index, view in enumerate(chosen):
-        others = peers.get(view)
-        if others:
-            m = maps[view]
-            tolerance = block.agreement_tolerance(view, others, median(m.height))
-            pixels = only.get(view)
-            found = agreement(heights, index, [chosen.index(p) for p in others], tolerance, pixels)
-            if pixels is not None:
-                whole = m.agreeing.copy(), m.height.copy(), m.spread.copy()
-                for target, each in zip(whole, found, strict=True):
-                    target.flat[pixels] = each
-                found = whole
-            yield m, tolerance, found
+
+    def job(view: int) -> Job[tuple[DepthMap, float, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+        m, others, pixels = maps[view], peers[view], only.get(view)
+        tolerance = block.agreement_tolerance(view, others, median(m.height))
+        found = yield from comparing(heights, chosen.index(view), [chosen.index(p) for p in others], tolerance, pixels)
+        if pixels is not None:
+            whole = m.agreeing.copy(), m.height.copy(), m.spread.copy()
+            for target, each in zip(whole, found, strict=True):
+                target.flat[pixels] = each
+            found = whole
+        return m, tolerance, found
+
+    yield from in_turn(block.device, (job(view) for view in chosen if peers.get(view)))
 
 
 def confirm(block: Block, maps: Maps, peers: Mapping[int, list[int]]) -> None:

@@ -21,7 +21,7 @@ class Recent(Generic[Key, Value]):
     """
 
     def __init__(self, make: Callable[[Key], Value], most: int):
-        self._make, self._most, self._lock = make, most, Lock()
+        self._make, self.most, self._lock = make, most, Lock()
         self._values: OrderedDict[Key, Value] = OrderedDict()
 
     def __getitem__(self, key: Key) -> Value:
@@ -32,6 +32,6 @@ class Recent(Generic[Key, Value]):
         value = self._make(key)
         with self._lock:
             self._values[key] = value
-            while len(self._values) > self._most:
+            while len(self._values) > self.most:
                 self._values.popitem(last=False)
         return value

@@ -18,7 +18,7 @@ from typing import Any
 import drjit as dr
 
 from fields.device import Device
-from fields.sweep.arrays import rung_and_pixel
+from fields.sweep.arrays import Room, rung_and_pixel
 
 # A window flatter than this (grey levels squared, at 8 bits) holds noise, not texture; it lowers NCC there.
 NOISE_VARIANCE = 1.0
@@ -26,12 +26,17 @@ NOISE_VARIANCE = 1.0
 RUNGS_PER_KERNEL = 8
 
 
-def _shifted(device: Device, array, first: int, count: int):
+def rooms(device: Device, count: int, size: int) -> list[Room]:
+    """Room for the windows of so many neighbours and of the reference, of J * P each: to be asked for before `warp`."""
+    return [Room.of(device, size) for _ in range(count + 1)]
+
+
+def _shifted(device: Device, room: Room, first: int, count: int):
     """A run of consecutive values of an array: on the CPU a view of its memory, which kernels read in whole vectors."""
-    if device.name == "llvm":
-        return device.module.Float(array.numpy()[first : first + count])
+    if room.memory is not None:
+        return device.module.Float(room.memory[first : first + count])
     UInt = device.module.UInt
-    return dr.gather(type(array), array, dr.arange(UInt, count) + dr.opaque(UInt, first))
+    return dr.gather(type(room.array), room.array, dr.arange(UInt, count) + dr.opaque(UInt, first))
 
 
 def ncc(device: Device, reference, values: list, width: int, radius: int, least_known: float = 1.0) -> list:
@@ -43,14 +48,32 @@ def ncc(device: Device, reference, values: list, width: int, radius: int, least_
     edge). With ``least_known`` below 1 the pixels that both have are compared, where these are such a share of the
     window.
     """
-    Float = device.module.Float
-    total = dr.width(values[0])
-    greys = dr.gather(Float, reference, rung_and_pixel(device, total, dr.width(reference))[1])
-    dr.eval(greys)
+    filled = [Room.around(device, each) for each in values]
+    place = Room.of(device, dr.width(values[0]))
+    return ncc_of(windows(device, reference, [*filled, place], width, radius), radius, least_known)
+
+
+def windows(device: Device, reference, filled: list[Room], width: int, radius: int) -> list[list]:
+    """The pixels of all windows of the reference, and of W of each neighbour, place by place.
+
+    Of ``filled`` rooms (see `rooms`) the last is empty.
+    """
+    Float, (*values, greys) = device.module.Float, filled
+    total = dr.width(greys.array)
+    index = dr.arange(device.module.UInt, total)
+    grey = dr.gather(Float, reference, rung_and_pixel(device, total, dr.width(reference))[1])
+    dr.scatter(greys.array, grey, index)
+    dr.eval(greys.array)
     side = 2 * radius + 1
     offsets = [row * width + column for row in range(side) for column in range(side)]
-    count, scale = total - offsets[-1], 1.0 / side**2
-    reference, *windows = ([_shifted(device, array, o, count) for o in offsets] for array in (greys, *values))
+    count = total - offsets[-1]
+    return [[_shifted(device, room, o, count) for o in offsets] for room in (greys, *values)]
+
+
+def ncc_of(windows: list[list], radius: int, least_known: float = 1.0) -> list:
+    """`ncc` of what `windows` gives."""
+    (reference, *windows), side = windows, 2 * radius + 1
+    scale = 1.0 / side**2
     if least_known < 1.0:
         return [_ncc_of_known(window, reference, least_known * side**2) for window in windows]
     m_i, v_i, _ = _moments(reference, reference, scale)

@@ -35,6 +35,22 @@ def ncc(
 
     Windows that leave the strip, or its first and last columns, are incomplete.
     """
+    return ncc_of((reference, values, width), radius, least_known)
+
+
+def rooms(device: Device, count: int, size: int) -> list[Tensor]:
+    """Tensors of J * P for so many neighbours."""
+    return [torch.empty(size, device=device.place) for _ in range(count)]
+
+
+def windows(device: Device, reference: Tensor, filled: list[Tensor], width: int, radius: int) -> tuple:
+    """What `ncc_of` takes: here no window is laid out before it is needed."""
+    return reference, filled, width
+
+
+def ncc_of(windows: tuple, radius: int, least_known: float = 1.0) -> list[Tensor]:
+    """`ncc` of what `windows` gives."""
+    reference, values, width = windows
     grey, lost = reference.reshape(-1, width), radius * (width + 1)
     m_i = _window_means(grey, radius)
     v_i = (_window_means(grey * grey, radius) - m_i * m_i).clamp(min=NOISE_VARIANCE)

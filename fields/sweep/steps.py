@@ -14,13 +14,11 @@ import cv2
 import numpy as np
 
 from fields.median import median
-from fields.sweep.climbing import MATCHED_NCC, climb_tiles
+from fields.sweep.climbing import MATCHED_NCC, Found, climbing_tiles
+from fields.sweep.in_turn import Job, alone
 from fields.sweep.stack import ViewStack
 from fields.sweep.tiles import Tiles, extent
 from fields.sweep.walls import wall_slopes
-
-# Height [m], score and curvature [1/m^2] of each pixel, as `fields.sweep.climbing.climb_view` gives them.
-Found = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -68,6 +66,13 @@ def search_steps(
         At the scale of the stack, per metre of height.
     search : StepSearch
     """
+    return alone(stack.device, searching_steps(stack, view, others, found, parallax, search))
+
+
+def searching_steps(
+    stack: ViewStack, view: int, others: list[int], found: Found, parallax: float, search: StepSearch
+) -> Job[Found]:
+    """`search_steps` as a job."""
     height, score = found[0], found[1]
     if min(height.shape) < search.tile_px + 2 * search.radius or median(score) < search.least_score:
         return found
@@ -79,24 +84,27 @@ def search_steps(
     least = np.full_like(score, MATCHED_NCC)
     size, bounds = search.tile_px, extent(wanted, low, high, search.tile_px)
     level = Tiles.of(wanted, bounds, step, size, search.radius)
-    found = _climbed(stack, view, others, found, level, step, least)
+    found = yield from _climbed(stack, view, others, found, level, step, least)
     if search.walls:
         width = 2.0 * search.radius + 1.0
         slope = wall_slopes(stack.cameras[view], stack.water, height, wanted, bounds, size, width)
         upright = Tiles.of(wanted, bounds, step, size, search.radius, slope)
-        found = _climbed(stack, view, others, found, upright, step, np.maximum(least, found[1]))
+        found = yield from _climbed(stack, view, others, found, upright, step, np.maximum(least, found[1]))
     return found
 
 
 def _climbed(
     stack: ViewStack, view: int, others: list[int], found: Found, tiles: Tiles, step: float, least: np.ndarray
-) -> Found:
+) -> Job[Found]:
     """What was found, and instead what tiles find on ladders of a step [m], where that scores over ``least``."""
     better = [np.array(each) for each in found]
-    for own, pixels, climbed in climb_tiles(stack, view, others, tiles, lambda part, _: tiles.starts(part), step):
+
+    def take(own: np.ndarray, pixels: np.ndarray, climbed: list[np.ndarray]) -> None:
         keep = own & (climbed[1] > least.ravel()[pixels])
         for target, each in zip(better, climbed, strict=True):
             target.flat[pixels[keep]] = each[keep]
+
+    yield from climbing_tiles(stack, view, others, tiles, lambda part, _: tiles.starts(part), step, take)
     return better[0], better[1], better[2]
 
 

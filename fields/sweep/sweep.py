@@ -8,14 +8,16 @@ known.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
 from fields.sweep.becoming import becoming_points
 from fields.sweep.block import Block
-from fields.sweep.climbs import climbed, climbs_of, pixels_of, refined
+from fields.sweep.climbs import climbing, climbs_of, pixels_of, refining
 from fields.sweep.fusing import confirm, fuse
+from fields.sweep.in_turn import Job, in_turn
 from fields.sweep.maps import DepthMap, InOrder, Keep, enlarged_map
 from fields.sweep.over_area import Area
 from fields.sweep.passes import PASSES, Pass
@@ -75,10 +77,10 @@ def sweep(
     ]
     views = sorted({climb.view for each in climbs for climb in each} | set(widths))
     peers = {view: block.neighbours(view, PEERS, among=views) for view in views}
-    climbing = [{climb.view for climb in each} for each in climbs]
+    taking_part = [{climb.view for climb in each} for each in climbs]
     fused = [
         pixels_of(block, p) * sum(len(peers[v]) for v in mine) if p.fuse else 0
-        for p, mine in zip(passes, climbing, strict=True)
+        for p, mine in zip(passes, taking_part, strict=True)
     ]
     total, done = sum(fused) + sum(climb.samples for each in climbs for climb in each), 0
     # By how much the windows of each view are wider than its pass has them [px].
@@ -88,25 +90,38 @@ def sweep(
         if p.points_only and not wanted:
             wanted = becoming_points(block, maps)
         taken: dict[int, np.ndarray] = {}
-        for climb in climbs[number]:
-            view = climb.view
-            if view in wanted and not wider[view]:
-                maps[view], taken[view] = refined(block, p, climb, maps[view], wanted[view])
+        parts = {climb.view for climb in climbs[number] if climb.view in wanted and not wider[climb.view]}
+        # Each made in its turn, as it holds a map.
+        jobs: Iterator[Job[tuple[DepthMap, Any]]] = (
+            refining(block, p, climb, maps[climb.view], wanted[climb.view])
+            if climb.view in parts
+            else climbing(block, p, climb, bound, maps.get(climb.view), area, wider[climb.view])
+            for climb in climbs[number]
+        )
+        found = in_turn(block.device, jobs, _at_once(block, p))
+        for climb, (m, of_view) in zip(climbs[number], found, strict=True):
+            maps[climb.view] = m
+            if climb.view in parts:
+                taken[climb.view] = of_view
             else:
-                height = maps[view].height if view in maps else None
-                maps[view], wider[view] = climbed(block, p, climb, bound, height, area, wider[view])
+                wider[climb.view] = of_view
             done += climb.samples
             progress(done / total)
         if fused[number]:
             block.release(p.scale)
-            compared = {view: peers[view] for view in climbing[number] if view not in taken or len(taken[view])}
+            compared = {view: peers[view] for view in taking_part[number] if view not in taken or len(taken[view])}
             maps = fuse(block, maps, p.scale, compared, keep, goes_on=number + 1 < len(passes), only=taken)
             done += fused[number]
             progress(done / total)
         if number + 1 == len(passes) or passes[number + 1].scale != p.scale:
             block.release(p.scale)
-    confirm(block, maps, {view: peers[view] for view in set(maps) - climbing[-1]})
+    confirm(block, maps, {view: peers[view] for view in set(maps) - taking_part[-1]})
     return InOrder(maps, [view for view in chosen if view in maps])
+
+
+def _at_once(block: Block, p: Pass) -> int:
+    """How many views take turns: two where the images that both need stay packed."""
+    return 2 if block.stack(p.scale).quads.values.most >= 2 * (p.neighbours + 1) else 1
 
 
 def _climbs(size: tuple[int, int], p: Pass, width: int | None, again: bool) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from refract import FlatWater, PinholeCamera
+from refract import FlatWater, PinholeCamera, crossing_point
 
 # NCC over small windows holds to about 30 degrees between views and gains depth precision with the angle;
 # the best trade-off is flat around 15 to 20 degrees.
@@ -136,5 +136,18 @@ def parallax(
     camera = cameras[view]
     path = camera.paths(np.full((2, 2), (camera.width / 2, camera.height / 2)), water)
     ends = path.at_height(height + np.array([-0.05, 0.05]), water)
-    moves = [np.linalg.norm(np.diff(cameras[other].project(ends, water), axis=0)) / 0.1 for other in others]
+    pixels = _pixels([cameras[other] for other in others], ends, water)
+    moves = [np.linalg.norm(np.diff(each, axis=0)) / 0.1 for each in pixels]
     return max(float(np.nanquantile(moves, 0.75)), 1e-3)
+
+
+def _pixels(cameras: list[PinholeCamera], points: np.ndarray, water: FlatWater | None) -> list[np.ndarray]:
+    """Pixels (N, 2) [px] of points (N, 3) [m], local, in each camera.
+
+    One search of crossings for all, where cameras neither move nor have tides: with few points calls take the time.
+    """
+    if not cameras or any(camera.motion is not None or camera.tide != 0.0 for camera in cameras):
+        return [camera.project(points, water) for camera in cameras]
+    centres = np.array([camera.centre for camera in cameras])[:, None]
+    ways = crossing_point(np.broadcast_to(points, (len(cameras), *points.shape)), centres, water) - centres
+    return [camera.pixels_of(way) for camera, way in zip(cameras, ways, strict=True)]

@@ -20,7 +20,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from fields.sweep.arrays import constant, floats, indices, rung_and_pixel
+from fields.sweep.arrays import Room, constant, floats, indices, rung_and_pixel
 from fields.sweep.courses import course_through, in_front, place_on, sections, through_water
 from fields.sweep.legs import legs_through, place_at, point_at, seen_at
 from fields.sweep.quads import MASKED
@@ -128,9 +128,18 @@ def warp(stack: ViewStack, legs, start: np.ndarray, neighbours: list[int], step:
 
     The first rungs ``start`` (P) [m] are on the host.
     """
+    rooms = [Room.of(stack.device, start.size * rungs) for _ in neighbours]
+    warp_into(rooms, stack, legs, start, neighbours, step, rungs)
+    return [room.array for room in rooms]
+
+
+def warp_into(
+    rooms: list[Room], stack: ViewStack, legs, start: np.ndarray, neighbours: list[int], step: float, rungs: int
+) -> None:
+    """`warp` into rooms that are there, of which there may be more."""
     start = np.ravel(start)
     ladders = _Ladders(stack, legs, floats(stack.device, start), step)
-    values = [dr.empty(stack.device.module.Float, start.size * rungs) for _ in neighbours]
+    values = [room.array for room in rooms[: len(neighbours)]]
     for part in sections(rungs):
         wet_and_dry = through_water(stack, start, step, part)
         if len(wet_and_dry) > _MANY * start.size:
@@ -139,7 +148,6 @@ def warp(stack: ViewStack, legs, start: np.ndarray, neighbours: list[int], step:
         _along_courses(ladders, part, neighbours, values)
         if len(wet_and_dry):
             _point_by_point(ladders, part, neighbours, values, wet_and_dry)
-    return values
 
 
 def _along_courses(ladders: _Ladders, part: range, neighbours: list[int], values: list) -> None:

@@ -80,9 +80,18 @@ def look_up(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Tensor) -
 
 def warp(stack: ViewStack, legs, start: np.ndarray, neighbours: list[int], step: float, rungs: int) -> list[Tensor]:
     """Neighbour intensities W: for each neighbour a tensor of J * P; NaN outside its image. See the twin."""
+    values = [torch.empty(start.size * rungs, device=stack.device.place) for _ in neighbours]
+    warp_into(values, stack, legs, start, neighbours, step, rungs)
+    return values
+
+
+def warp_into(
+    rooms: list[Tensor], stack: ViewStack, legs, start: np.ndarray, neighbours: list[int], step: float, rungs: int
+) -> None:
+    """`warp` into tensors that are there."""
     start = np.ravel(start)
     begin = floats(stack.device, start)
-    values = [begin.new_empty(rungs, len(begin)) for _ in neighbours]
+    values = [room.view(rungs, len(begin)) for room in rooms]
     ladder = torch.arange(rungs, dtype=torch.float32, device=begin.device)[:, None]
     for part in sections(rungs):
         span = step * max(len(part) - 1, 1)
@@ -104,7 +113,6 @@ def warp(stack: ViewStack, legs, start: np.ndarray, neighbours: list[int], step:
             for target, view in zip(values, neighbours, strict=True):
                 seen = seen_at(stack.numbers[view], points, stack.n_water, stack.beyond)
                 target[part.start : part.stop, wet_and_dry] = look_up(stack, view, *seen)
-    return [each.reshape(-1) for each in values]
 
 
 def compare(

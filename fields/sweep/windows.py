@@ -12,7 +12,8 @@ from collections.abc import Callable
 import numpy as np
 
 from fields.median import median
-from fields.sweep.climbing import climb_view
+from fields.sweep.climbing import Found, climbing_view
+from fields.sweep.in_turn import Job, alone
 from fields.sweep.stack import ViewStack
 
 # The score of the right height is to be so many standard deviations above the best that chance gives among all that are
@@ -38,20 +39,36 @@ def climb_widely_enough(
     radius: int,
     columns: Callable[[int], np.ndarray | None] = lambda radius: None,
     least_known: float = 1.0,
-) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], int]:
+) -> tuple[Found, int]:
     """What `fields.sweep.climbing.climb_view` finds with windows of a radius [px] or as wide as needed, and the radius.
 
     ``columns`` says which are wanted for a radius.
     """
+    job = climbing_widely_enough(stack, view, others, start, step, rungs, radius, columns, least_known)
+    return alone(stack.device, job)
 
-    def climbed(radius: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return climb_view(stack, view, others, start, step, rungs, radius, columns(radius), least_known)
 
-    found = climbed(radius)
+def climbing_widely_enough(
+    stack: ViewStack,
+    view: int,
+    others: list[int],
+    start: np.ndarray,
+    step: float,
+    rungs: int,
+    radius: int,
+    columns: Callable[[int], np.ndarray | None] = lambda radius: None,
+    least_known: float = 1.0,
+) -> Job[tuple[Found, int]]:
+    """`climb_widely_enough` as a job."""
+
+    def climbed(radius: int) -> Job[Found]:
+        return climbing_view(stack, view, others, start, step, rungs, radius, columns(radius), least_known)
+
+    found = yield from climbed(radius)
     if np.isfinite(stack.images[view]).mean() < _WHOLE:
         return found, radius
     while (wider := radius_for(found[1], radius, rungs)) != radius:
-        found, radius = climbed(wider), wider
+        found, radius = (yield from climbed(wider)), wider
     return found, radius
 
 

@@ -10,8 +10,8 @@ from survey.benchmark.methods import METHODS
 from survey.benchmark.records import Record, Results
 from survey.display.quantities import length
 
-_HEAD = ("survey", "method", "quality", "poses", "time", "processor", "memory", "mean", "std", "complete 0.2, 0.05 m",
-         "std covers", "")  # fmt: skip
+_HEAD = ("survey", "method", "quality", "poses", "device", "time", "processor", "memory", "mean", "std",
+         "complete 0.2, 0.1, 0.05 m", "std covers", "")  # fmt: skip
 
 # Of differences in hundredths.
 _UNITS = {COMPLETE: " points", MEAN: " % of the error", COVERS: " points away from 95 %"}
@@ -28,14 +28,14 @@ def table(results: Results) -> list[str]:
 
 
 def _row(record: Record, is_front: bool) -> tuple[str, ...]:
-    name = (record.case, METHODS[record.method].words, record.quality, record.poses)
+    name = (record.case, METHODS[record.method].words, record.quality, record.poses, record.device)
     processor = float(np.median([cost.processor_s for cost in record.costs]))
     memory = max(cost.peak_bytes for cost in record.costs)
     costs = (f"{wall_s(record):.1f} s", f"{processor:.1f} s", f"{memory / 1e9:.2f} GB")
     errors = record.errors
     if errors is None:
         return (*name, *costs, "-", "-", "-", "-", record.words[:80])
-    shares = ", ".join(f"{100.0 * errors.completeness[key]:.1f}" for key in ("0.2", "0.05"))
+    shares = ", ".join(f"{100.0 * errors.completeness[key]:.1f}" for key in ("0.2", "0.1", "0.05"))
     # Standard deviations of clouds over straight rays are those of apparent depths.
     known = errors.coverage if METHODS[record.method].is_refracted else None
     covers = "-" if known is None else f"{100.0 * known:.1f} %"

@@ -29,7 +29,7 @@ class Aim:
     Attributes
     ----------
     std_m : float or None
-        Standard deviation of heights [m], all that is uncertain together, of `SHARE` of the ground.
+        Standard deviation of heights [m], each point's own without `std_common`, of `SHARE` of the ground.
     seconds : float or None
         Wall clock of the whole run [s].
     """

@@ -43,6 +43,24 @@ def test_no_point_makes_a_shared_gradient_nan(dtype, point, height, slope, index
         assert torch.isfinite(gradient).all()
 
 
+def test_cameras_that_touch_deep_water_see_it_in_float32_as_in_float64():
+    """Where a camera is 1e19 times lower than the water is deep, squares of float32 overflow."""
+    rng = np.random.default_rng(5)
+    sides, depths, heights = (10.0 ** rng.uniform(low, high, 20_000) for low, high in ((5, 13), (8, 14), (-14, -8)))
+    points = torch.tensor(np.stack([sides, sides * 0.0, -depths], axis=1), dtype=torch.float32)
+    cameras = torch.tensor(np.stack([sides * 0.0, sides * 0.0, heights], axis=1), dtype=torch.float32)
+    points.requires_grad_()
+    cameras.requires_grad_()
+    water = FlatWater((0.0, 0.0, 0.0), slope_x=0.01)
+    seen, exact = project(points, cameras, water), project(points.double(), cameras.double(), water)
+    assert seen.counts() == exact.counts()
+    # Which side of the bracket is known there and no more (docs/optics.md): 0.6 rad.
+    assert float((seen.direction.double() - exact.direction).detach().abs().max()) < 0.6
+    told = seen.direction, seen.crossing, seen.air_length, seen.water_length
+    for gradient in shared_gradients(told, (points, cameras)):
+        assert torch.isfinite(gradient).all()
+
+
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @always
 @given(ray=TRIPLE, height=HEIGHT, slope=st.floats(-0.5, 0.5, width=32), index=st.floats(1.0, 1.625, width=32))

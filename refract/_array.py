@@ -67,20 +67,28 @@ def compiling() -> bool:
     return torch is not None and torch.compiler.is_compiling()
 
 
+# Those that were met: a kernel asks for its library thousands of times while it is written down.
+_drjit_types: set[type] = set()
+
+
 def namespace(*arrays) -> SimpleNamespace:
     """Functions for the library that the first array among the arguments comes from; numpy for plain numbers.
 
     Looks only at libraries that are already imported, so numpy users never pay for torch.
     """
-    torch = sys.modules.get("torch")
-    # What torch compiles comes from torch, and it cannot look into Dr.Jit.
-    drjit = None if compiling() else sys.modules.get("drjit")
     for array in arrays:
-        if type(array) is np.ndarray or type(array) is float:
+        kind = type(array)
+        if kind is np.ndarray or kind is float:
             continue
+        if kind in _drjit_types:
+            return _library("drjit").NAMESPACE
+        torch = sys.modules.get("torch")
         if torch is not None and torch.is_tensor(array):
             return _library("torch").NAMESPACE
+        # What torch compiles comes from torch, and it cannot look into Dr.Jit.
+        drjit = None if compiling() else sys.modules.get("drjit")
         if drjit is not None and drjit.is_array_v(array):
+            _drjit_types.add(kind)
             return _library("drjit").NAMESPACE
     return _NUMPY
 

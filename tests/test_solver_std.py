@@ -13,7 +13,15 @@ from fields.solver.correlation import NoiseShares, noise_shares, phantoms_of, re
 from fields.solver.shifts import Shifts, shifts_of
 from fields.solver.solve import CG_RESIDUAL, Solved, conjugate_gradients, normal_matrix, response_to
 from fields.solver.tile import Tile
-from fields.solver.uncertainty import Expected, bends_below, change_of, expected_of, relief_of, smoothed
+from fields.solver.uncertainty import (
+    Expected,
+    bends_below,
+    change_of,
+    expected_of,
+    relief_of,
+    smoothed,
+    worth_of_whole,
+)
 
 INFORMATION, ROUGHNESS, RESPONSE = 1.0 / 0.02**2, 0.01, 0.8
 STILL = Shifts(0.0, 0.0)
@@ -80,6 +88,22 @@ def test_relief_is_where_it_is():
     found, _ = relief(tile, result, 3.0 * bed_of_the_prior(result, size) * rough)
     beyond = np.abs(tile.places[1] - size // 2) > 12
     assert np.median(found[rough & beyond]) > 10.0 * np.median(found[~rough & beyond])
+
+
+@pytest.mark.parametrize(("values", "low", "high"), [(np.inf, 100.0, np.inf), (8.0, 4.0, 16.0)])
+def test_a_tile_counts_for_its_places_as_much_as_they_are_alike(values, low, high):
+    random, size, number = np.random.default_rng(7), 40_000, 10.0
+    scale = np.ones(size) if np.isinf(values) else values / random.chisquare(values, size)
+    found = worth_of_whole(scale * random.chisquare(number, size) / number, np.ones(size, dtype=bool), number)
+    assert low < np.max(found) < high
+
+
+def test_a_tile_hardly_counts_about_an_edge():
+    ratio = np.random.default_rng(7).chisquare(10.0, 40_000) / 10.0
+    ratio[:100] = 30.0
+    found = worth_of_whole(ratio, np.ones(len(ratio), dtype=bool), 10.0)
+    np.testing.assert_allclose(found[:100], 2.0)
+    assert np.median(found) > 100.0
 
 
 def test_noise_of_its_own_in_each_pixel_counts_once_and_noise_that_neighbours_share_more():

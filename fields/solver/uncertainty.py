@@ -17,8 +17,11 @@ _ALIKE_PX = 1.5
 _NEAR_PX = 4.0
 # Bells end at so many standard deviations.
 _TRUNCATED = 3.0
-# What the tile as a whole says of its relief counts as much as so many independent values of the bell.
-_WHOLE = 2.0
+# About edges, what the tile as a whole says of its relief counts as much as so many independent values: where there is
+# more than chance explains by one (a little) to two (all) standard deviations.
+_WHOLE_AT_EDGES = 2.0
+# Share of a normal distribution below one standard deviation less than its mean.
+_ONE_STD_BELOW = 0.1587
 # Of a normal distribution, the share within one standard deviation; large values of some do not move the rest.
 ONE_STD = 0.6827
 # Changes are wanted to a few hundredths: conjugate gradients, relative to the start.
@@ -99,9 +102,31 @@ def relief_of(tile: Tile, change: np.ndarray, expected: Expected, noise: float, 
     by_relief = noise * expected.changed_relief
     # The relief with which that share of the tile lies within one standard deviation.
     whole = max(float(np.quantile(((square - by_noise) / by_relief)[tile.asked], ONE_STD)), 0.0)
-    number = expected.independent
-    here = (number * _near(tile, square, _NEAR_PX) + _WHOLE * (by_noise + whole * by_relief)) / (number + _WHOLE)
+    number, everywhere = expected.independent, by_noise + whole * by_relief
+    near = _near(tile, square, _NEAR_PX)
+    count = worth_of_whole(near / everywhere, tile.asked, float(np.median(number[tile.asked])))
+    here = (number * near + count * everywhere) / (number + count)
     return np.maximum(here - by_noise, 0.0) * expected.relief / expected.changed_relief
+
+
+def worth_of_whole(ratio: np.ndarray, asked: np.ndarray, number: float) -> np.ndarray:
+    """As how many independent values (N,) the mean over a tile counts for each place of it.
+
+    ``ratio`` (N,) is that of the mean square about each pixel, of ``number`` independent values, to what the tile as a
+    whole lets expect. Over the ``asked`` it spreads by chance, and by as much more as places differ: the variance of
+    the latter, v, is that of 2 / v values (empirical Bayes, the conjugate prior of a variance), and no more than the
+    tile has. It is taken from below the median, where no edges are.
+    """
+    # Cube roots of such mean squares are normal (Wilson and Hilferty 1931).
+    root = np.cbrt(np.maximum(ratio, 1e-9))
+    low, middle = np.quantile(root[asked], (_ONE_STD_BELOW, 0.5))
+    by_chance = np.sqrt(2.0 / (9.0 * number))
+    spread = (middle - low) / middle
+    bells = max(np.count_nonzero(asked) / (4.0 * np.pi * _NEAR_PX**2), 1.0)
+    # A root varies by a third of what its cube does.
+    count = 2.0 / max(9.0 * (spread**2 - by_chance**2), 2.0 / (number * bells))
+    beyond = np.clip((root / middle - 1.0) / max(spread, by_chance) - 1.0, 0.0, 1.0)
+    return count * (min(_WHOLE_AT_EDGES / count, 1.0)) ** beyond
 
 
 def bends_below(solved: Solved, expected: Expected, noise: float, unfollowed: float) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from stress_factors import FACTORS
 
 from survey.benchmark.records import Errors
@@ -130,7 +131,12 @@ def _panel(panel: Axes, steps: list[Outcome]) -> None:
         at, [np.nan if e is None else 1e3 * abs(e.mean_m) for e in known], "s--", color=SOFT, ms=4, label="|mean| [mm]"
     )
     panel.set(yscale="log", xticks=at, xticklabels=[f"{o.value:g}" for o in steps], xlim=(-0.5, len(steps) - 0.5))
-    panel.set_title(FACTORS[steps[0].factor].words, fontsize=9, color=INK, pad=14)
+    # Panels of less than a decade would have ticks of their own form, and other panels none between decades.
+    panel.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=6))
+    panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    panel.yaxis.set_minor_formatter(NullFormatter())
+    panel.tick_params(labelsize=7)
+    panel.set_title(FACTORS[steps[0].factor].words, fontsize=9, color=INK, pad=22)
     for x, o in zip(at, steps, strict=True):
         if o.errors is None or o.errors.coverage is None:
             text, colour = o.verdict, INK if o.verdict == REFUSED else RED
@@ -138,6 +144,6 @@ def _panel(panel: Axes, steps: list[Outcome]) -> None:
             text = f"{100.0 * o.errors.coverage:.0f} %"
             colour = RED if o.is_lie else DOUBTFUL if o.verdict == TOO_LARGE else INK
         if o.exit_code == GATE_FAILED:
-            text, colour = f"{text}, gate", SOFT
+            text, colour = f"gate\n{text}", SOFT
         panel.annotate(text, (x, 1.0), xycoords=("data", "axes fraction"), textcoords="offset points", xytext=(0, 3),
                        ha="center", fontsize=7, color=colour)  # fmt: skip

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from survey.benchmark.cases import IMAGES
 from survey.benchmark.front import on_front
 from survey.benchmark.methods import METHODS
 from survey.benchmark.records import Record, Results
@@ -51,6 +52,10 @@ def draw(path: Path, records: Sequence[Record]) -> None:
             _error_mm(record), processor_s(record), MARKERS.get(depth, "v"), color=colour, ms=SIZES.get(number, 7),
             markerfacecolor="none" if record.quality == "draft" else colour, mew=1.0, alpha=0.9,
         )  # fmt: skip
+        if record.poses == IMAGES:
+            axes.plot(_error_mm(record), processor_s(record), "x", color="white", ms=4, mew=1.2)
+    if any(record.poses == IMAGES for record in known):
+        axes.plot([], [], "X", color=INK, ms=6, label="crossed: from the photographs alone")
     for label, marker, colour, size, is_filled in legend_of(known):
         face = colour if is_filled else "none"
         axes.plot([], [], marker, color=colour, markerfacecolor=face, ms=size, label=label)

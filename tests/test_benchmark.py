@@ -49,12 +49,27 @@ def test_results_are_read_as_they_were_written(tmp_path):
     assert read_results(tmp_path / "results.json") == found
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"version": 1, "records": [{}]}', '{"version": 99}'])
-def test_a_file_that_is_no_result_is_refused_in_one_sentence(tmp_path, text):
+RECORDS = '{"version": 1, "machine": {}, "versions": {}, "commit": "", "records": [{}]}'
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("", "no whole JSON"),
+        (RECORDS[:40], "no whole JSON"),
+        ("[]", "no 'version', expected version"),
+        ('{"version": 1, "records": [{}]}', "no 'machine'"),
+        (RECORDS, "record 1 of"),
+        ('{"version": 99}', "layout 99, expected 1"),
+    ],
+)
+def test_a_file_that_is_no_result_is_refused_in_one_sentence(tmp_path, text, found):
     path = tmp_path / "other.json"
     path.write_text(text)
-    with pytest.raises(SurveyError, match=r"other\.json"):
+    with pytest.raises(SurveyError, match=r"other\.json") as error:
         read_results(path)
+    assert found in str(error.value)
+    assert "; " in str(error.value)
 
 
 def test_a_cloud_of_three_quarters_of_the_error_is_better_and_the_same_one_is_as_before():

@@ -52,14 +52,16 @@ def draw_front(path: Path, records: Sequence[Record]) -> None:
             _MARKERS[cases.index(record.case) % len(_MARKERS)],
             color=colour,
             markerfacecolor=colour if record.key in front else "none",
-            ms=7,
+            ms=11,
         )
         axes.annotate(
-            record.quality, (1000.0 * record.errors.error_m, wall_s(record)), textcoords="offset points", xytext=(6, 3),
-            fontsize=7, color=SOFT,
+            record.quality[0].upper(), (1000.0 * record.errors.error_m, wall_s(record)), ha="center", va="center",
+            fontsize=7, color="white" if record.key in front else colour,
         )  # fmt: skip
+    letters = dict.fromkeys(record.quality for record in known)
     for label, marker, colour, is_filled in legend_of(methods, cases):
         axes.plot([], [], marker, color=colour, markerfacecolor=colour if is_filled else "none", label=label)
+    axes.plot([], [], " ", label=", ".join(f"{name[0].upper()}: {name}" for name in letters))
     axes.set(xscale="log", yscale="log")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(LogLocator(subs=_TICKS))

@@ -12,6 +12,7 @@ from survey.files.json_values import plain
 
 # Of the file's layout; another one is not read.
 VERSION = 1
+_TABLE = ("version", "machine", "versions", "commit", "records")
 
 
 @dataclass(frozen=True)
@@ -140,16 +141,29 @@ def read_results(path: Path) -> Results:
     """
     try:
         table = json.loads(Path(path).read_text(encoding="utf-8"))
-        if table["version"] != VERSION:
-            raise SurveyError(f"{path} has the layout {table['version']}, expected {VERSION}; measure it again")
-        records = tuple(_record(entry) for entry in table["records"])
-        return Results(table["machine"], table["versions"], table["commit"], records)
     except FileNotFoundError as error:
         raise SurveyError(f"{path} does not exist; name a file that `bathynerf benchmark` wrote") from error
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except OSError as error:
+        raise SurveyError(f"cannot read {path}: {error.strerror}") from error
+    except ValueError as error:
+        raise SurveyError(f"{path} is no whole JSON file; name one that `bathynerf benchmark` wrote") from error
+    if isinstance(table, dict) and table.get("version", VERSION) != VERSION:
+        raise SurveyError(f"{path} has the layout {table['version']!r}, expected {VERSION}; measure it again")
+    missing = [name for name in _TABLE if not isinstance(table, dict) or name not in table]
+    if missing:
         raise SurveyError(
-            f"{path} is no result of `bathynerf benchmark` ({error}); name a file that it wrote"
+            f"{path} has no {missing[0]!r}, expected {', '.join(_TABLE)}; name a results.json that `bathynerf "
+            "benchmark` wrote"
+        )
+    records = []
+    try:
+        for entry in table["records"]:
+            records.append(_record(entry))
+    except (KeyError, TypeError, AttributeError) as error:
+        raise SurveyError(
+            f"record {len(records) + 1} of {path} has not the fields of layout {VERSION}; measure it again"
         ) from error
+    return Results(table["machine"], table["versions"], table["commit"], tuple(records))
 
 
 def _record(entry: dict) -> Record:

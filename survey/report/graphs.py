@@ -10,24 +10,25 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from survey.compare.canvas import canvas, nice_limit, save, write_title
+from survey.compare.canvas import canvas, nice_limit, plain_log_ticks, save, write_title
 from survey.display.palette import BLUE, INK, RED, SERIES, SOFT
 from survey.display.quantities import LengthUnit, number, with_unit
 from survey.report.facts import ReportFacts
 from survey.report.shading import Picture
 
 _BANDS, _FEWEST = 16, 20
+_STD = "standard deviation"
 
 
 def draw_histograms(path: Path, facts: ReportFacts) -> Picture:
     """Distributions of depth, spread, views and incidence over the points."""
     bed = facts.bed
     is_dry = facts.survey.water is None
-    std = LengthUnit.of([float(np.nanquantile(bed.std, 0.95))] if np.isfinite(bed.std).any() else [])
+    std = LengthUnit.of([float(np.nanmedian(bed.std))] if np.isfinite(bed.std).any() else [])
     angle = "angle off nadir" if is_dry else "incidence at the water"
     graphs = (
         ("height", "m", 2, facts.points_crs[:, 2]) if is_dry else ("true depth", "m", 2, bed.depth[bed.wet]),
-        ("standard deviation", std.name, std.decimals, std.per_metre * bed.std),
+        (_STD, std.name, std.decimals, std.per_metre * bed.std),
         ("views that agree", "", 0, bed.num_views),
         (angle, "°", 1, np.degrees(bed.incidence)),
     )
@@ -37,7 +38,7 @@ def draw_histograms(path: Path, facts: ReportFacts) -> Picture:
     for axes, (label, unit, decimals, values), colour in zip(figure.subplots(2, 2).flat, graphs, SERIES, strict=True):
         values = values[np.isfinite(values)].astype(np.float64)
         if values.size:
-            _histogram(axes, values, colour, is_count=not unit)
+            _histogram(axes, values, colour, is_count=not unit, is_log=label == _STD)
             median = with_unit(number(float(np.median(values)), decimals), unit)
             axes.set_title(f"median {median}", loc="right", color=SOFT, fontsize=9)
         axes.set(yticks=[])
@@ -48,14 +49,19 @@ def draw_histograms(path: Path, facts: ReportFacts) -> Picture:
     return Picture(path, "Distributions", "Over all points; the dark lines mark the medians.")
 
 
-def _histogram(axes: Axes, values: np.ndarray, colour: str, *, is_count: bool) -> None:
-    """Shares of values in bins, each whole number a bin of its own if they are counts; and their median."""
+def _histogram(axes: Axes, values: np.ndarray, colour: str, *, is_count: bool, is_log: bool) -> None:
+    """Shares of values in bins of equal width or ratio, or one for each whole number if they count; and the median."""
     axes.xaxis.set_major_locator(MaxNLocator(4, integer=is_count))
+    low, high = np.quantile(values, [0.002, 0.998])
+    high = high if high > low else low + 1.0
     if is_count:
         edges = np.arange(0.5, np.quantile(values, 0.995) + 1.0)
+    elif is_log and low > 0.0:
+        edges = np.geomspace(low, high, 61)
+        axes.set_xscale("log")
+        plain_log_ticks(axes.xaxis)
     else:
-        low, high = np.quantile(values, [0.002, 0.998])
-        edges = np.linspace(low, high if high > low else low + 1.0, 61)
+        edges = np.linspace(low, high, 61)
     axes.hist(values, edges.tolist(), color=colour, rwidth=0.85 if is_count else 1.0)
     axes.axvline(float(np.median(values)), color=INK, lw=1.2)
 

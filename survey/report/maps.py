@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import BoundaryNorm, Normalize
+from matplotlib.colors import BoundaryNorm, LogNorm
 from matplotlib.figure import Figure
 
-from survey.compare.canvas import colour_bar, figure_of, map_canvas, save, show, write_title
+from survey.compare.canvas import colour_bar, figure_of, map_canvas, plain_log_ticks, save, show, write_title
 from survey.display.palette import COUNTS, EMPTY, INK, SPREADS
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import LengthUnit
@@ -94,11 +94,13 @@ def draw_std(path: Path, facts: ReportFacts, grid: PlanGrid) -> Picture:
     """Standard deviation of each height by itself, in plan."""
     values = without_pinholes(grid.mean(facts.bed.std))
     known = values[np.isfinite(values)]
-    top_m = max(float(np.quantile(known, 0.98)), 1e-6) if known.size else 0.001
-    unit = LengthUnit.of([top_m])
-    scale = ScalarMappable(Normalize(0.0, top_m * unit.per_metre), SPREADS)
+    # By ratio: beside walls it is a hundred times as large as on open ground.
+    low, middle, high = np.maximum(np.quantile(known, (0.01, 0.5, 0.99)), 1e-6) if known.size else (1e-3, 1e-3, 1e-3)
+    unit = LengthUnit.of([middle])
+    scale = ScalarMappable(LogNorm(low * unit.per_metre, max(high, 1.1 * low) * unit.per_metre), SPREADS)
     axes = _show(scale.to_rgba(np.ma.masked_invalid(values * unit.per_metre)), facts, grid)
-    colour_bar(axes, scale, f"standard deviation [{unit.name}]", extend="max")
+    bar = colour_bar(axes, scale, f"standard deviation [{unit.name}]")
+    plain_log_ticks(bar.ax.yaxis)
     title = "Standard deviation of the height"
     write_title(axes, title, f"mean of each cell of {_centimetres(grid.cell_m)}")
     save(figure_of(axes), path)

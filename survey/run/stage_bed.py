@@ -45,7 +45,8 @@ def make_bed(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     field = _field_of(job, needs["field"]) if "field" in needs else None
     solved = Stored(needs["solver"] / SOLVED, SolvedMap) if "solver" in needs else None
     look_at_bed(job, needs["sweep"])
-    with job.progress.stage("Bed", len(maps)) as stage:
+    is_of_sweep = job.plan.field != "off" and field is None and solved is None
+    with job.progress.stage("Bed of the sweep alone" if is_of_sweep else "Bed", len(maps)) as stage:
         kept = job.once(needs["sweep"], lambda: unique_pixels(job.block, maps, job.plan.gsd_m))
         bed, tide, moved = bed_points(job, maps, field, stage.advance, solved, kept)
     if field is not None:

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from geo.crs import is_geographic
-from survey.compare.canvas import canvas, figure_of, save, write_title
+from survey.compare.canvas import canvas, figure_of, lay_out, save, write_title
 from survey.display.palette import BLUE, INK, LAND, RED, WATER, WATER_LINE
 from survey.display.quantities import NO_BREAK, metres, number
 from survey.report.cut import Cut
@@ -154,7 +154,7 @@ def two_digits(value: float) -> str:
 
 def _stretch(axes: Axes) -> float:
     """How much larger heights are drawn than lengths along the line."""
-    figure_of(axes).draw_without_rendering()  # the layout is done at the first drawing
+    lay_out(figure_of(axes))
     box = axes.get_window_extent()
     (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
     return (box.height / (y1 - y0)) / (box.width / (x1 - x0))

@@ -6,6 +6,7 @@ Nothing is imported before Ctrl-C, closed streams and broken pipes are taken car
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 
@@ -25,6 +26,8 @@ def main() -> None:
         from survey.commands.streams import say_error
 
         say_error("stopped")
+    # Or Python would search all that is left for circles of references before it ends.
+    gc.freeze()
     sys.exit(code)
 
 

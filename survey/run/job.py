@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING
 
 from fields.sweep.arrays import release
@@ -43,6 +44,8 @@ class Job:
         Where the run has an aim in place of a quality: `survey.run.aimed`.
     workspace : Path or None
         Where structure from motion keeps its files.
+    waits_for_kernels : Event
+        Set where that begins to take long enough for another thread to have Python's lock for a while.
     """
 
     def __init__(
@@ -56,6 +59,7 @@ class Job:
     ):
         self.survey, self.chosen, self.progress = survey, chosen, progress
         self.aimed, self.workspace = aimed, workspace
+        self.waits_for_kernels = Event()
         self._found: dict[Path, Masks] = {}
         self.plan = self._planned()
 

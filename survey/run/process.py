@@ -185,7 +185,9 @@ def _announce(progress: Progress, survey: Survey, chosen: Choices, aimed: Aimed 
         progress.warn(text)
 
 
-def _import_products() -> None:
+def _import_products(job: Job) -> None:
+    # Before, each file that is read hands Python's lock to this thread, which gives it back after 5 ms.
+    job.waits_for_kernels.wait()
     with suppress(Exception):
         import survey.run.products  # noqa: F401
 
@@ -194,8 +196,8 @@ def _to_the_end(run: RunDir, job: Job, resume: bool, truth: Truth) -> int:
     """Stages, result and verdict; the exit code."""
     from survey.run.rounds import run_stages
 
-    # The report takes half a second to import, beside the kernels of the first stages; if it fails, it does so below.
-    Thread(target=_import_products, daemon=True).start()
+    # The report takes half a second to import, beside the kernels of the sweep; if it fails, it does so below.
+    Thread(target=_import_products, args=(job,), daemon=True).start()
     result = run.open_result(job.plan.quality)
     done = run_stages(job, run, resume=resume, compares_sweep=truth.reference is not None)
     from survey.run.products import write_products

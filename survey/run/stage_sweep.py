@@ -48,6 +48,7 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     SurveyError
         If the images do not match, or no two views overlap.
     """
+    job.waits_for_kernels.set()
     if EARLIER_SWEEP in needs:
         _go_on(job, folder, needs)
         return

@@ -1,4 +1,4 @@
-"""Fixtures shared by all tests: fixed seeds and the folder of external surveys."""
+"""Fixtures shared by all tests: fixed seeds, the folder of external surveys, and what several files build alike."""
 
 from __future__ import annotations
 
@@ -51,3 +51,19 @@ def Float():
     from drjit.llvm.ad import Float as LLVMFloat
 
     return LLVMFloat
+
+
+@pytest.fixture(scope="session")
+def shallow_survey(tmp_path_factory):
+    """The survey of `small_report`, loaded."""
+    from small_report import load_shallow_survey
+
+    return load_shallow_survey(tmp_path_factory.mktemp("survey"))
+
+
+@pytest.fixture(scope="session")
+def plane_report(shallow_survey, tmp_path_factory):
+    """The finished report of `small_report`: its run, facts, figures and number of steps; for tests that only read."""
+    from small_report import write_plane_report
+
+    return write_plane_report(shallow_survey, tmp_path_factory.mktemp("report"))

@@ -42,7 +42,7 @@ PLAN = Plan(
 )
 
 
-def shallow_survey(folder: Path) -> Survey:
+def load_shallow_survey(folder: Path) -> Survey:
     """The small survey with bounds, under a name that HTML has to escape."""
     toml = TOML.replace('"small"', '"small & <shallow>"') + "[area]\nbounds = [589006, 5194730, 589019, 5194742]\n"
     return load_survey(small_survey(folder / "small", toml=toml))
@@ -55,7 +55,7 @@ def facts_of(survey, bed, **others) -> ReportFacts:
     return ReportFacts(survey, PLAN, {"quality": "standard"}, timings, bed, points_crs, **others)
 
 
-def plane_report(survey: Survey, folder: Path) -> SimpleNamespace:
+def write_plane_report(survey: Survey, folder: Path) -> SimpleNamespace:
     """A finished report against a reference 4 mm above the bed, its run and its figures."""
     bed = plane_bed(survey)
     facts = facts_of(survey, bed, depth_maps=[plane_depth_map(survey, 1)], verdict=Verdict((MET,)), notes=("a note",))

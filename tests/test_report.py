@@ -18,13 +18,11 @@ from small_report import (
     PLAN,
     RAISED_M,
     facts_of,
-    plane_report,
-    shallow_survey,
 )
 from small_survey import TOML, small_survey
 
 from evaluation import DistanceStatistics, iho_s44
-from survey.folder.survey import Survey, load_survey
+from survey.folder.survey import load_survey
 from survey.report.collect import figures_of
 from survey.report.figures import Spread
 from survey.report.headline import cards, headline
@@ -33,18 +31,8 @@ from survey.report.page import render_page
 from survey.report.verdict import Verdict
 
 
-@pytest.fixture(scope="module")
-def survey(tmp_path_factory) -> Survey:
-    return shallow_survey(tmp_path_factory.mktemp("survey"))
-
-
-@pytest.fixture(scope="module")
-def report(survey, tmp_path_factory) -> SimpleNamespace:
-    return plane_report(survey, tmp_path_factory.mktemp("report"))
-
-
-def test_the_figures_of_a_plane_are_those_of_its_geometry(report):
-    cloud, bed = report.figures.cloud, report.facts.bed
+def test_the_figures_of_a_plane_are_those_of_its_geometry(plane_report):
+    cloud, bed = plane_report.figures.cloud, plane_report.facts.bed
     assert (cloud.points, cloud.points_wet + cloud.points_dry) == (len(bed), len(bed))
     # Wet where SLOPE * x < 0.3, i.e. 134 of 140 columns (-6.95 to 6.35 m).
     assert cloud.points_wet == 134 * 140
@@ -63,15 +51,15 @@ def test_the_figures_of_a_plane_are_those_of_its_geometry(report):
     assert cloud.incidence_deg.max == pytest.approx(np.degrees(0.5), abs=1e-5)
 
 
-def test_survey_and_water_say_where_they_come_from(report):
-    survey, water = report.figures.survey, report.figures.water
+def test_survey_and_water_say_where_they_come_from(plane_report):
+    survey, water = plane_report.figures.survey, plane_report.figures.water
     assert survey.crs.code == "EPSG:25832+5778"
     assert (survey.views_used, survey.views_left_out) == (4, 0)
     assert survey.bounds == (589006, 5194730, 589019, 5194742)
     assert (water.level_m, water.refractive_index) == (2105.0, 1.333)
     assert water.refractive_index_from == "survey.toml"
-    assert report.figures.total_s == pytest.approx(65.2)
-    assert report.figures.versions == {"bathynerf": "0.1.0"}
+    assert plane_report.figures.total_s == pytest.approx(65.2)
+    assert plane_report.figures.versions == {"bathynerf": "0.1.0"}
 
 
 def test_an_assumed_index_and_an_image_left_out_are_told(tmp_path):
@@ -85,26 +73,26 @@ def test_an_assumed_index_and_an_image_left_out_are_told(tmp_path):
     assert "9999.jpg" in figures.warnings[0]
 
 
-def test_the_comparison_is_that_of_the_cloud_with_the_raised_plane(report):
-    comparison = report.figures.comparison.summary
+def test_the_comparison_is_that_of_the_cloud_with_the_raised_plane(plane_report):
+    comparison = plane_report.figures.comparison.summary
     # The distance to a plane is along its normal; the cloud lies below it.
     assert comparison.distances.mean_m == pytest.approx(-RAISED_M / np.hypot(1.0, SLOPE), abs=LAS_BIAS_M)
     assert comparison.distances.std_m == pytest.approx(LAS_STD_M, rel=0.1)
-    assert comparison.distances.n_points + comparison.n_cropped == len(report.facts.bed)
+    assert comparison.distances.n_points + comparison.n_cropped == len(plane_report.facts.bed)
 
 
-def test_vertical_uncertainty_is_that_of_the_comparison(report):
-    iho = report.figures.comparison.uncertainty.iho
+def test_vertical_uncertainty_is_that_of_the_comparison(plane_report):
+    iho = plane_report.figures.comparison.uncertainty.iho
     # The bed lies 4 mm under the reference everywhere, and LAS rounds to half a millimetre.
     assert iho.error_95_m == pytest.approx(RAISED_M, abs=0.6e-3)
     assert all(order.meets_tvu for order in iho.orders)
 
 
-def test_the_card_claims_an_order_only_where_every_depth_meets_it(report):
+def test_the_card_claims_an_order_only_where_every_depth_meets_it(plane_report):
     def card(errors, depth):
-        uncertainty = replace(report.figures.comparison.uncertainty, iho=iho_s44(errors, depth))
-        comparison = replace(report.figures.comparison, uncertainty=uncertainty)
-        return next(c for c in cards(replace(report.figures, comparison=comparison)) if c.label.startswith("IHO"))
+        uncertainty = replace(plane_report.figures.comparison.uncertainty, iho=iho_s44(errors, depth))
+        comparison = replace(plane_report.figures.comparison, uncertainty=uncertainty)
+        return next(c for c in cards(replace(plane_report.figures, comparison=comparison)) if c.label.startswith("IHO"))
 
     depth, errors = np.repeat([1.5, 3.5], [2000, 38_000]), np.zeros(40_000)
     everywhere = "strictest order whose TVU is met at every depth"
@@ -119,15 +107,15 @@ def test_the_card_claims_an_order_only_where_every_depth_meets_it(report):
     assert card(errors, depth).value == "none"
 
 
-def test_no_order_is_claimed_without_a_reference(survey):
-    figures = figures_of(facts_of(survey, plane_bed(survey, num=20)))
+def test_no_order_is_claimed_without_a_reference(shallow_survey):
+    figures = figures_of(facts_of(shallow_survey, plane_bed(shallow_survey, num=20)))
     assert figures.comparison is None
     assert json_of(figures)["iho_s44"] is None
     assert "IHO S-44" not in render_page(figures, [])
 
 
-def test_a_failed_gate_is_in_the_verdict_and_among_the_warnings(survey):
-    facts = facts_of(survey, plane_bed(survey, num=20), verdict=Verdict((MET, MISSED)))
+def test_a_failed_gate_is_in_the_verdict_and_among_the_warnings(shallow_survey):
+    facts = facts_of(shallow_survey, plane_bed(shallow_survey, num=20), verdict=Verdict((MET, MISSED)))
     figures = figures_of(facts)
     assert figures.warnings == (MISSED.sentence,)
     assert json_of(figures)["verdict"] == {"passed": False, "gates": [asdict(MET), asdict(MISSED)]}
@@ -146,17 +134,17 @@ def test_the_colour_of_a_verdict_is_that_of_its_gates_and_warnings(verdict, warn
     assert headline(verdict, warnings).colour == colour
 
 
-def test_straight_rays_and_their_corrections_stand_beside_what_was_measured(report):
+def test_straight_rays_and_their_corrections_stand_beside_what_was_measured(plane_report):
     """The bed is a plane of 0.05 to 0.65 m depth; every view sees it through index 1.333."""
-    by_name = {row.name: row for row in report.figures.baselines.rows}
+    by_name = {row.name: row for row in plane_report.figures.baselines.rows}
     straight, times_n, dietrich, measured = by_name.values()
-    depth = report.figures.cloud.depth_m.median
+    depth = plane_report.figures.cloud.depth_m.median
     assert [row.kind for row in by_name.values()] == ["predicted"] * 3 + ["measured"]
     # At nadir a quarter of the depth; more where rays are slanted.
     assert 0.25 < straight.median_m / depth < 0.5
     assert abs(dietrich.median_m) < abs(times_n.median_m) < straight.median_m
     assert measured.mean_m == pytest.approx(-RAISED_M, abs=LAS_BIAS_M)
-    page = report.run.report_html_path.read_text(encoding="utf-8")
+    page = plane_report.run.report_html_path.read_text(encoding="utf-8")
     assert "per-camera correction (Dietrich)" in page
 
 
@@ -164,11 +152,11 @@ def test_straight_rays_and_their_corrections_stand_beside_what_was_measured(repo
     ("field", "before", "named"),
     [("solver", "sweep before the solver", "solver"), ("slab", "sweep alone", "trained slab")],
 )
-def test_the_sweep_has_a_row_beside_what_refined_it(report, field, before, named):
+def test_the_sweep_has_a_row_beside_what_refined_it(plane_report, field, before, named):
     wet = DistanceStatistics(n_points=1, n_nan=0, mean_m=0.1, median_m=0.2, nmad_m=0.3)
     sweep = SimpleNamespace(figures=SimpleNamespace(wet=wet))
-    facts = replace(report.facts, sweep_comparison=sweep, plan=replace(PLAN, field=field))
+    facts = replace(plane_report.facts, sweep_comparison=sweep, plan=replace(PLAN, field=field))
     rows = figures_of(facts).baselines.rows
     assert [row.name for row in rows[3:]] == [before, f"this run: sweep and {named}"]
     assert rows[3].median_m == 0.2
-    assert figures_of(replace(report.facts, comparison=None)).baselines is None
+    assert figures_of(replace(plane_report.facts, comparison=None)).baselines is None

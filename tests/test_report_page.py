@@ -5,36 +5,24 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from small_report import MET, MISSED, plane_report, shallow_survey
+from small_report import MET, MISSED
 
 from survey.display.quantities import LengthUnit, length
-from survey.folder.survey import Survey
 from survey.report.json_figures import json_of
 from survey.report.page import render_page
 from survey.report.verdict import Verdict
 
 
-@pytest.fixture(scope="module")
-def survey(tmp_path_factory) -> Survey:
-    return shallow_survey(tmp_path_factory.mktemp("survey"))
+def test_report_json_holds_exactly_the_figures(plane_report):
+    assert json.loads(plane_report.run.report_json_path.read_text(encoding="utf-8")) == json_of(plane_report.figures)
 
 
-@pytest.fixture(scope="module")
-def report(survey, tmp_path_factory) -> SimpleNamespace:
-    return plane_report(survey, tmp_path_factory.mktemp("report"))
-
-
-def test_report_json_holds_exactly_the_figures(report):
-    assert json.loads(report.run.report_json_path.read_text(encoding="utf-8")) == json_of(report.figures)
-
-
-def test_report_json_keeps_its_names(report):
+def test_report_json_keeps_its_names(plane_report):
     """Scripts read it by these names."""
-    found = json_of(report.figures)
+    found = json_of(plane_report.figures)
     assert {name: list(found[name]) for name in ("verdict", "survey", "water", "plan", "cloud", "baselines")} == {
         "verdict": ["passed", "gates"],
         "survey": [
@@ -70,16 +58,16 @@ def test_report_json_keeps_its_names(report):
     assert found["timings_s"] == {"sweep": 61.2, "bed": 4.0, "total": pytest.approx(65.2)}
 
 
-def test_report_html_loads_nothing_and_runs_nothing(report):
-    page = report.run.report_html_path.read_text(encoding="utf-8")
+def test_report_html_loads_nothing_and_runs_nothing(plane_report):
+    page = plane_report.run.report_html_path.read_text(encoding="utf-8")
     assert "<script" not in page
     assert not re.search(r"""(src|href)=["'](?!data:|#)|url\(|@import|https?:""", page)
-    assert page.count('src="data:image/png;base64,') == len(list(report.run.pictures_path.glob("*.png")))
+    assert page.count('src="data:image/png;base64,') == len(list(plane_report.run.pictures_path.glob("*.png")))
 
 
-def test_report_html_shows_the_figures_of_report_json(report):
-    page = report.run.report_html_path.read_text(encoding="utf-8")
-    cloud, distances = report.figures.cloud, report.figures.comparison.summary.distances
+def test_report_html_shows_the_figures_of_report_json(plane_report):
+    page = plane_report.run.report_html_path.read_text(encoding="utf-8")
+    cloud, distances = plane_report.figures.cloud, plane_report.figures.comparison.summary.distances
     for text in (
         "small &amp; &lt;shallow&gt;",
         "water of index 1.3330 &lt;here&gt;",
@@ -99,14 +87,16 @@ def test_report_html_shows_the_figures_of_report_json(report):
         assert text in page, text
 
 
-def test_no_picture_is_wider_than_the_page(report):
-    page = report.run.report_html_path.read_text(encoding="utf-8")
+def test_no_picture_is_wider_than_the_page(plane_report):
+    page = plane_report.run.report_html_path.read_text(encoding="utf-8")
     rules = re.findall(r"[^{}]*img\s*{([^}]*)}", page.partition("</style>")[0])
     assert rules == [" width: 100%; height: auto; display: block; "]
 
 
-def test_every_number_in_report_html_stays_with_its_unit(report):
-    page = re.sub(r"<(style|pre)>.*?</\1>", "", report.run.report_html_path.read_text(encoding="utf-8"), flags=re.S)
+def test_every_number_in_report_html_stays_with_its_unit(plane_report):
+    page = re.sub(
+        r"<(style|pre)>.*?</\1>", "", plane_report.run.report_html_path.read_text(encoding="utf-8"), flags=re.S
+    )
     cards = re.findall(r"<div><span>.*?</div>", page)
     assert len(cards) == 8
     for card in cards:
@@ -122,8 +112,8 @@ def test_columns_of_lengths_have_one_unit():
     assert length(-1e-9) == "0.0\u00a0mm"
 
 
-def test_the_verdict_stands_on_top_in_words_and_colour(report):
-    page = render_page(replace(report.figures, verdict=Verdict((MET, MISSED))), [])
+def test_the_verdict_stands_on_top_in_words_and_colour(plane_report):
+    page = render_page(replace(plane_report.figures, verdict=Verdict((MET, MISSED))), [])
     assert page.index('class="verdict failed"') < page.index('class="cards"') < page.index("<h2>Pictures</h2>")
     assert "<strong>Failed</strong> 1 of 2 quality gates is not met." in page
     assert MISSED.sentence in page

@@ -3,34 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
 from pyproj import CRS
 from small_bed import plane_bed, plane_depth_map
-from small_report import PLAN, facts_of, plane_report, shallow_survey
+from small_report import PLAN, facts_of
 from small_survey import TOML, small_survey
 
 from geo import LocalFrame
 from survey.display.plan_grid import PlanGrid
-from survey.folder.survey import Survey, load_survey
+from survey.folder.survey import load_survey
 from survey.report import NUM_STEPS, profile, write_report
 from survey.report.cut import choose_cut
 from survey.report.maps import draw_std
 from survey.report.profile import _medians, draw_profile, has_profile, two_digits
 from survey.run.folder import RunDir
-
-
-@pytest.fixture(scope="module")
-def survey(tmp_path_factory) -> Survey:
-    return shallow_survey(tmp_path_factory.mktemp("survey"))
-
-
-@pytest.fixture(scope="module")
-def report(survey, tmp_path_factory) -> SimpleNamespace:
-    return plane_report(survey, tmp_path_factory.mktemp("report"))
 
 
 @pytest.fixture(scope="module")
@@ -40,31 +29,30 @@ def dry_survey(tmp_path_factory):
 
 
 @pytest.mark.parametrize(("field", "words"), [("solver", "the normal matrix"), ("off", "the views that agree")])
-def test_the_picture_of_the_std_says_where_it_comes_from(survey, tmp_path, field, words):
-    bed = plane_bed(survey, num=20)
-    facts = replace(facts_of(survey, bed), plan=replace(PLAN, field=field))
+def test_the_picture_of_the_std_says_where_it_comes_from(shallow_survey, tmp_path, field, words):
+    bed = plane_bed(shallow_survey, num=20)
+    facts = replace(facts_of(shallow_survey, bed), plan=replace(PLAN, field=field))
     low, high = bed.xyz[:, :2].min(axis=0), bed.xyz[:, :2].max(axis=0)
     picture = draw_std(tmp_path / "std.png", facts, PlanGrid.within(bed.xyz, low, high, 1.0))
     assert picture.title == "Standard deviation of the height"
     assert words in picture.caption
 
 
-def test_all_pictures_are_drawn_and_are_whole(report):
-    paths = sorted(report.run.pictures_path.iterdir())
+def test_all_pictures_are_drawn_and_are_whole(plane_report):
+    paths = sorted(plane_report.run.pictures_path.iterdir())
     errors = "error error_bands error_depth error_histogram"
     names = f"completeness depth {errors} histograms orthophoto plan profile std view views"
     assert [path.name for path in paths] == [f"{name}.png" for name in names.split()]
     # There is no adjustment, which has three.
-    assert report.num_steps == len(paths) == NUM_STEPS - 3
+    assert plane_report.num_steps == len(paths) == NUM_STEPS - 3
     for path in paths:
         with Image.open(path) as image:
             assert np.asarray(image.convert("L")).std() > 5.0, path  # neither black nor white
 
 
 @pytest.mark.parametrize("kind", ["dry", "empty", "one point", "strip in degrees", "tilted water"])
-def test_every_kind_of_bed_gets_a_report(survey, dry_survey, tmp_path, kind):
-    if kind == "dry":
-        survey = dry_survey
+def test_every_kind_of_bed_gets_a_report(shallow_survey, dry_survey, tmp_path, kind):
+    survey = dry_survey if kind == "dry" else shallow_survey
     if kind == "strip in degrees":
         frame = LocalFrame(CRS("EPSG:4979"), (10.16, 46.89, 2105.0))
         survey = replace(survey, frame=frame, bounds=None)
@@ -91,9 +79,9 @@ def test_every_kind_of_bed_gets_a_report(survey, dry_survey, tmp_path, kind):
         assert "a dry survey" in run.report_html_path.read_text(encoding="utf-8")
 
 
-def test_the_cut_runs_down_the_slope_of_the_bed(survey):
+def test_the_cut_runs_down_the_slope_of_the_bed(shallow_survey):
     """The bed of the small survey falls to the west alone."""
-    cut = choose_cut(facts_of(survey, plane_bed(survey)))
+    cut = choose_cut(facts_of(shallow_survey, plane_bed(shallow_survey)))
     along, across = cut.along_and_across(cut.ends)
     np.testing.assert_allclose(across, 0.0, atol=1e-9)
     np.testing.assert_allclose(along, [0.0, cut.length_m], atol=1e-9)
@@ -101,11 +89,11 @@ def test_the_cut_runs_down_the_slope_of_the_bed(survey):
     assert abs(cut.direction[0]) * cut.length_m == pytest.approx(14.0, rel=0.1)
 
 
-def test_the_cut_of_a_bed_with_a_pit_goes_through_it(survey):
-    bed = plane_bed(survey)
+def test_the_cut_of_a_bed_with_a_pit_goes_through_it(shallow_survey):
+    bed = plane_bed(shallow_survey)
     in_pit = np.hypot(bed.xyz[:, 0] - 3.0, bed.xyz[:, 1] + 4.0) < 1.5
     bed = replace(bed, depth=np.where(in_pit, 5.0, 0.3).astype(bed.depth.dtype))
-    _, across = choose_cut(facts_of(survey, bed)).along_and_across(np.array([[3.0, -4.0]]))
+    _, across = choose_cut(facts_of(shallow_survey, bed)).along_and_across(np.array([[3.0, -4.0]]))
     assert abs(across[0]) < 1.5
 
 
@@ -115,20 +103,20 @@ def test_the_medians_of_a_profile_skip_gaps():
     np.testing.assert_array_equal(y, [6.0, np.nan, 1.0])
 
 
-def test_a_handful_of_points_gets_no_profile(survey):
-    bed = plane_bed(survey)
-    few = facts_of(survey, bed[np.arange(len(bed)) % (len(bed) // 33) == 0])
+def test_a_handful_of_points_gets_no_profile(shallow_survey):
+    bed = plane_bed(shallow_survey)
+    few = facts_of(shallow_survey, bed[np.arange(len(bed)) % (len(bed) // 33) == 0])
     assert not has_profile(few, choose_cut(few))
-    all_of_it = facts_of(survey, bed)
+    all_of_it = facts_of(shallow_survey, bed)
     assert has_profile(all_of_it, choose_cut(all_of_it))
 
 
-def test_a_profile_of_a_wet_survey_shows_the_level_even_over_a_dry_bed(survey, tmp_path, monkeypatch):
+def test_a_profile_of_a_wet_survey_shows_the_level_even_over_a_dry_bed(shallow_survey, tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(profile, "save", lambda figure, _path: drawn.append(figure.axes[0]))
-    bed = plane_bed(survey)
-    level = survey.config.water.level_m
-    facts = facts_of(survey, bed)
+    bed = plane_bed(shallow_survey)
+    level = shallow_survey.config.water.level_m
+    facts = facts_of(shallow_survey, bed)
     raised = np.array([0.0, 0.0, level + 3.0 - facts.points_crs[:, 2].min()])
     facts = replace(facts, points_crs=facts.points_crs + raised)
     draw_profile(tmp_path / "profile.png", facts, choose_cut(facts))

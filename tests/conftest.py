@@ -67,3 +67,25 @@ def plane_report(shallow_survey, tmp_path_factory):
     from small_report import write_plane_report
 
     return write_plane_report(shallow_survey, tmp_path_factory.mktemp("report"))
+
+
+@pytest.fixture(scope="session")
+def shore_drawing():
+    """The scene of `drawn_shore`, staged."""
+    from drawn_shore import SHORE
+
+    from survey.simulate.drawn import stage_drawing
+
+    return stage_drawing(SHORE)
+
+
+@pytest.fixture(scope="session")
+def shore_folder(tmp_path_factory) -> Path:
+    """The survey of `drawn_shore`, drawn; for tests that only read."""
+    from drawn_shore import SHORE
+
+    from survey.simulate.drawn import draw_survey
+
+    path = tmp_path_factory.mktemp("drawn") / "shore"
+    draw_survey(path, SHORE)
+    return path

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from survey.simulate.drawn import DrawnScene, draw_survey
+from survey.simulate.drawn import DrawnScene
 
 # Rounding of float64 over 10 m of path, and the projection's 1e-9 m, at 280 px focal length and 8 m: 4e-8 px.
 EXACT_PX = 1e-6
@@ -14,10 +12,3 @@ STORED_PX = 1e-3
 EXACT_M = 1e-8
 
 SHORE = DrawnScene.tiny(shore=True, slope_east=-0.002, slope_north=0.004)
-
-
-def drawn_shore(folder: Path) -> Path:
-    """The survey of the shore, drawn into a folder."""
-    path = folder / "shore"
-    draw_survey(path, SHORE)
-    return path

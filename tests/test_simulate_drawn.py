@@ -2,27 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
-import pytest
-from drawn_shore import EXACT_M, EXACT_PX, SHORE, STORED_PX, drawn_shore
+from drawn_shore import EXACT_M, EXACT_PX, STORED_PX
 
 from geo import read_reference
 from survey.folder.config import read_config
 from survey.folder.survey import load_survey
 from survey.simulate.drawn import DrawnScene, stage_drawing
-from survey.simulate.output.staged_scene import StagedScene
-
-
-@pytest.fixture(scope="module")
-def drawing() -> StagedScene:
-    return stage_drawing(SHORE)
-
-
-@pytest.fixture(scope="module")
-def survey_folder(tmp_path_factory) -> Path:
-    return drawn_shore(tmp_path_factory.mktemp("drawn"))
 
 
 def hits_of_all(drawing, rng, count=400):
@@ -59,28 +45,28 @@ def crossing_by_snell(camera, points, water):
     return np.where((depth > 0.0)[:, None], foot_p + (x / D)[:, None] * way, points)
 
 
-def test_points_seen_by_the_renderer_are_projected_back_onto_their_pixels_by_refract(drawing, rng):
-    for camera, pixels, hits in hits_of_all(drawing, rng):
-        back = camera.project(hits.points, drawing.water)
+def test_points_seen_by_the_renderer_are_projected_back_onto_their_pixels_by_refract(shore_drawing, rng):
+    for camera, pixels, hits in hits_of_all(shore_drawing, rng):
+        back = camera.project(hits.points, shore_drawing.water)
         assert np.abs(back - pixels).max() < EXACT_PX
 
 
-def test_a_survey_read_from_its_folder_projects_the_drawn_points_onto_their_pixels(drawing, survey_folder, rng):
-    survey = load_survey(survey_folder)
-    assert [view.name for view in survey.views] == drawing.names
-    for view, (_, pixels, hits) in zip(survey.views, hits_of_all(drawing, rng, 50), strict=True):
-        points = survey.frame.local_from_crs(drawing.frame.crs_from_local(hits.points))
+def test_a_survey_read_from_its_folder_projects_the_drawn_points_onto_their_pixels(shore_drawing, shore_folder, rng):
+    survey = load_survey(shore_folder)
+    assert [view.name for view in survey.views] == shore_drawing.names
+    for view, (_, pixels, hits) in zip(survey.views, hits_of_all(shore_drawing, rng, 50), strict=True):
+        points = survey.frame.local_from_crs(shore_drawing.frame.crs_from_local(hits.points))
         assert np.abs(view.camera.project(points, survey.water) - pixels).max() < STORED_PX
 
 
-def test_wet_and_dry_pixels_both_occur_at_a_shore(drawing, rng):
-    wet = np.concatenate([hits.in_water > 0.0 for _, _, hits in hits_of_all(drawing, rng)])
+def test_wet_and_dry_pixels_both_occur_at_a_shore(shore_drawing, rng):
+    wet = np.concatenate([hits.in_water > 0.0 for _, _, hits in hits_of_all(shore_drawing, rng)])
     assert 0.2 < wet.mean() < 0.9
 
 
-def test_paths_obey_snells_law_at_the_water_surface(drawing, rng):
-    normal = np.array(drawing.water.up)
-    for camera, pixels, hits in hits_of_all(drawing, rng):
+def test_paths_obey_snells_law_at_the_water_surface(shore_drawing, rng):
+    normal = np.array(shore_drawing.water.up)
+    for camera, pixels, hits in hits_of_all(shore_drawing, rng):
         wet = hits.in_water > 0.0
         ray, points = camera.directions(pixels)[wet], hits.points[wet]
         crossing = camera.centre + (camera.centre @ normal / -(ray @ normal))[:, None] * ray
@@ -101,25 +87,25 @@ def test_without_a_step_in_index_rays_are_straight(rng):
         np.testing.assert_allclose(dry.renderer.trace(bare, pixels).points, hits.points, atol=1e-12)
 
 
-def test_hits_lie_on_the_ground_and_nothing_stands_before_them(drawing, rng):
-    for camera, _, hits in hits_of_all(drawing, rng, 60):
-        ground = drawing.renderer.ground
+def test_hits_lie_on_the_ground_and_nothing_stands_before_them(shore_drawing, rng):
+    for camera, _, hits in hits_of_all(shore_drawing, rng, 60):
+        ground = shore_drawing.renderer.ground
         on_bed = hits.body < 0
         over = hits.points[:, 2] - ground.bed.height(hits.points[:, 0], hits.points[:, 1])
         assert np.abs(over[on_bed]).max() < 1e-9
         for index, solid in enumerate(ground.solids):
             beyond = hits.points[hits.body == index] @ solid.normals.T - solid.offsets
             np.testing.assert_allclose(beyond.max(axis=1, initial=0.0), 0.0, atol=1e-9)
-        crossing = crossing_by_snell(camera, hits.points, drawing.water)
+        crossing = crossing_by_snell(camera, hits.points, shore_drawing.water)
         top = camera.centre + 0.9 * (crossing - camera.centre)
-        assert not stands_before(drawing, top, crossing).any()
-        assert not stands_before(drawing, crossing, hits.points).any()
+        assert not stands_before(shore_drawing, top, crossing).any()
+        assert not stands_before(shore_drawing, crossing, hits.points).any()
 
 
-def test_the_reference_is_the_bed_that_was_drawn_and_fills_the_bounds(drawing, survey_folder):
-    mesh = read_reference(survey_folder / "truth" / "reference.ply")
-    local = drawing.frame.local_from_crs(mesh.vertices)
-    ground = drawing.renderer.ground
+def test_the_reference_is_the_bed_that_was_drawn_and_fills_the_bounds(shore_drawing, shore_folder):
+    mesh = read_reference(shore_folder / "truth" / "reference.ply")
+    local = shore_drawing.frame.local_from_crs(mesh.vertices)
+    ground = shore_drawing.renderer.ground
     of_bodies = sum(len(solid.vertices) for solid in ground.solids)
     bed, bodies = local[: len(local) - of_bodies], local[len(local) - of_bodies :]
     assert np.abs(bed[:, 2] - ground.bed.height(bed[:, 0], bed[:, 1])).max() < EXACT_M
@@ -129,31 +115,31 @@ def test_the_reference_is_the_bed_that_was_drawn_and_fills_the_bounds(drawing, s
     on_bed = ground.bed.height(centroids[:, 0], centroids[:, 1])
     assert np.abs(centroids[:, 2] - on_bed).max() < EXACT_M
     bed_crs = mesh.vertices[: len(bed)]
-    e0, n0, e1, n1 = read_config(survey_folder / "survey.toml").area.bounds
+    e0, n0, e1, n1 = read_config(shore_folder / "survey.toml").area.bounds
     assert (bed_crs[:, :2].min(axis=0) < (e0, n0)).all()
     assert (bed_crs[:, :2].max(axis=0) > (e1, n1)).all()
 
 
-def test_visible_points_are_seen_by_three_cameras_along_ways_that_nothing_covers(drawing, survey_folder, rng):
-    cloud = read_reference(survey_folder / "truth" / "visible.ply")
-    points = drawing.frame.local_from_crs(cloud.points)
+def test_visible_points_are_seen_by_three_cameras_along_ways_that_nothing_covers(shore_drawing, shore_folder, rng):
+    cloud = read_reference(shore_folder / "truth" / "visible.ply")
+    points = shore_drawing.frame.local_from_crs(cloud.points)
     points = points[rng.choice(len(points), 200, replace=False)]
     num_views = np.zeros(len(points), dtype=int)
-    for camera in drawing.cameras:
-        pixels = camera.project(points, drawing.water)
-        crossing = crossing_by_snell(camera, points, drawing.water)
+    for camera in shore_drawing.cameras:
+        pixels = camera.project(points, shore_drawing.water)
+        crossing = crossing_by_snell(camera, points, shore_drawing.water)
         top = camera.centre + 0.9 * (crossing - camera.centre)
-        free = ~stands_before(drawing, top, crossing) & ~stands_before(drawing, crossing, points)
+        free = ~stands_before(shore_drawing, top, crossing) & ~stands_before(shore_drawing, crossing, points)
         num_views += free & ((pixels > 0.0) & (pixels < (camera.width, camera.height))).all(axis=1)
     assert num_views.min() >= 3
 
 
-def test_the_bed_under_the_boat_is_in_the_reference_but_not_visible(drawing, survey_folder):
-    boat = drawing.renderer.ground.solids[0]
+def test_the_bed_under_the_boat_is_in_the_reference_but_not_visible(shore_drawing, shore_folder):
+    boat = shore_drawing.renderer.ground.solids[0]
 
     def num_inside(points_crs):
-        points = drawing.frame.local_from_crs(points_crs)
+        points = shore_drawing.frame.local_from_crs(points_crs)
         return (points @ boat.normals.T < boat.offsets - 0.001).all(axis=1).sum()
 
-    assert num_inside(read_reference(survey_folder / "truth" / "reference.ply").vertices) > 50
-    assert num_inside(read_reference(survey_folder / "truth" / "visible.ply").points) == 0
+    assert num_inside(read_reference(shore_folder / "truth" / "reference.ply").vertices) > 50
+    assert num_inside(read_reference(shore_folder / "truth" / "visible.ply").points) == 0

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 import pytest
-from drawn_shore import SHORE, drawn_shore
+from drawn_shore import SHORE
 
 from survey.errors import SurveyError
 from survey.folder.config import read_config
@@ -16,26 +15,21 @@ from survey.simulate.output import writing
 from survey.simulate.output.staged_scene import StagedScene
 
 
-@pytest.fixture(scope="module")
-def survey_folder(tmp_path_factory) -> Path:
-    return drawn_shore(tmp_path_factory.mktemp("drawn"))
-
-
-def test_the_same_scene_gives_the_same_bytes_and_another_seed_another_bed(survey_folder, tmp_path):
+def test_the_same_scene_gives_the_same_bytes_and_another_seed_another_bed(shore_folder, tmp_path):
     draw_survey(tmp_path / "same", SHORE)
-    files = sorted(p.relative_to(survey_folder) for p in survey_folder.rglob("*") if p.is_file())
+    files = sorted(p.relative_to(shore_folder) for p in shore_folder.rglob("*") if p.is_file())
     assert len(files) == 3 * 8 + 5
     for file in files:
-        assert (tmp_path / "same" / file).read_bytes() == (survey_folder / file).read_bytes(), file
+        assert (tmp_path / "same" / file).read_bytes() == (shore_folder / file).read_bytes(), file
     other = stage_drawing(dataclasses.replace(SHORE, seed=2))
     assert other.renderer.ground.bed.height(0.0, 0.0) != stage_drawing(SHORE).renderer.ground.bed.height(0.0, 0.0)
 
 
-def test_a_dry_survey_has_the_same_bed_and_no_water(survey_folder, tmp_path):
+def test_a_dry_survey_has_the_same_bed_and_no_water(shore_folder, tmp_path):
     scene = dataclasses.replace(SHORE, water=False)
     draw_survey(tmp_path / "dry", scene)
     assert read_config(tmp_path / "dry" / "survey.toml").water is None
-    wet, dry = (path / "truth" / "reference.ply" for path in (survey_folder, tmp_path / "dry"))
+    wet, dry = (path / "truth" / "reference.ply" for path in (shore_folder, tmp_path / "dry"))
     assert wet.read_bytes() == dry.read_bytes()
 
 

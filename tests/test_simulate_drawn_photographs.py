@@ -3,40 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
-from drawn_shore import SHORE, STORED_PX, drawn_shore
+from drawn_shore import SHORE, STORED_PX
 from PIL import Image
 
 from refract import FlatWater
 from survey.folder.survey import load_survey
 from survey.photos.exif import read_exif
 from survey.simulate.drawn import DrawnScene, draw_survey, stage_drawing
-from survey.simulate.output.staged_scene import StagedScene
-
-
-@pytest.fixture(scope="module")
-def drawing() -> StagedScene:
-    return stage_drawing(SHORE)
-
-
-@pytest.fixture(scope="module")
-def survey_folder(tmp_path_factory) -> Path:
-    return drawn_shore(tmp_path_factory.mktemp("drawn"))
-
 
 ROLLING = DrawnScene.tiny(speed_m_s=4.0, readout_s=0.035)
 
 
-def test_a_pixel_is_the_mean_light_of_its_quarters(drawing):
-    camera = drawing.cameras[6]
-    image = drawing.photograph(6)
+def test_a_pixel_is_the_mean_light_of_its_quarters(shore_drawing):
+    camera = shore_drawing.cameras[6]
+    image = shore_drawing.photograph(6)
     rows, columns = np.array([3, 50, 118, 77]), np.array([150, 20, 90, 1])
     quarters = np.array([[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]])
     pixels = np.stack([columns, rows], axis=-1)[:, None] + quarters
-    light = drawing.renderer.radiance(camera, pixels.reshape(-1, 2)).reshape(4, 4, 3).mean(axis=1)
+    light = shore_drawing.renderer.radiance(camera, pixels.reshape(-1, 2)).reshape(4, 4, 3).mean(axis=1)
     np.testing.assert_array_equal(image[rows, columns], np.round(255.0 * light ** (1.0 / 2.2)))
 
 
@@ -89,10 +76,10 @@ def test_a_survey_drawn_over_rising_water_is_loaded_with_the_levels_that_it_was_
         assert np.abs(apart).max() < STORED_PX
 
 
-def test_deep_ground_is_bluer_and_all_ground_is_textured(drawing):
-    camera = drawing.cameras[0]
-    hits = drawing.renderer.trace(camera, camera.pixel_centres().reshape(-1, 2))
-    image = drawing.photograph(0).astype(float)
+def test_deep_ground_is_bluer_and_all_ground_is_textured(shore_drawing):
+    camera = shore_drawing.cameras[0]
+    hits = shore_drawing.renderer.trace(camera, camera.pixel_centres().reshape(-1, 2))
+    image = shore_drawing.photograph(0).astype(float)
     blueness = (image[..., 2] / image[..., 0]).ravel()
     deep, shallow = hits.in_water > 0.5, hits.in_water < 0.1
     assert blueness[deep].mean() > 1.1 * blueness[shallow].mean()
@@ -120,13 +107,13 @@ def test_the_demos_views_are_convergent_from_10_to_35_degrees():
     np.testing.assert_allclose(tilt[[12, -1]], [10.0, 35.0], atol=1e-6)
 
 
-def test_exif_has_the_position_within_the_noise_of_a_good_receiver_and_the_focal_length(drawing, survey_folder):
+def test_exif_has_the_position_within_the_noise_of_a_good_receiver_and_the_focal_length(shore_drawing, shore_folder):
     from pyproj import Transformer
 
     to_grid = Transformer.from_crs("EPSG:4326", "EPSG:25832", always_xy=True)
-    centres = drawing.frame.crs_from_local([camera.centre for camera in drawing.cameras])
-    for name, centre in zip(drawing.names, centres, strict=True):
-        head = read_exif(survey_folder / "images" / name)
+    centres = shore_drawing.frame.crs_from_local([camera.centre for camera in shore_drawing.cameras])
+    for name, centre in zip(shore_drawing.names, centres, strict=True):
+        head = read_exif(shore_folder / "images" / name)
         latitude, longitude, height = head.lat_lon_height
         found = np.array([*to_grid.transform(longitude, latitude), height])
         assert np.abs(found - centre).max() < 5 * 0.02

@@ -14,6 +14,9 @@ from survey.simulate.drawn.__main__ import main
 from survey.simulate.output import writing
 from survey.simulate.output.staged_scene import StagedScene
 
+# For tests of the folder alone: the same angle of view in a seventh of the pixels.
+FEW = DrawnScene.tiny(num_views=3, image_px=(60, 45), focal_px=105.0)
+
 
 def test_the_same_scene_gives_the_same_bytes_and_another_seed_another_bed(shore_folder, tmp_path):
     draw_survey(tmp_path / "same", SHORE)
@@ -34,16 +37,16 @@ def test_a_dry_survey_has_the_same_bed_and_no_water(shore_folder, tmp_path):
 
 
 def test_a_finished_folder_is_left_alone_until_told_and_keeps_what_is_not_of_it(tmp_path):
-    path, scene = tmp_path / "survey", DrawnScene.tiny(num_views=3)
-    draw_survey(path, scene)
+    path = tmp_path / "survey"
+    draw_survey(path, FEW)
     (path / "bathynerf").mkdir()
     (path / "bathynerf" / "cloud.las").write_text("a run")
     (path / "cameras.csv").write_text("changed")
-    draw_survey(path, scene)
+    draw_survey(path, FEW)
     assert (path / "cameras.csv").read_text() == "changed"
-    draw_survey(path, scene, again=True)
+    draw_survey(path, FEW, again=True)
     assert (path / "cameras.csv").read_text().startswith("image,easting")
-    draw_survey(path, dataclasses.replace(scene, seed=5))
+    draw_survey(path, dataclasses.replace(FEW, seed=5))
     assert (path / "bathynerf" / "cloud.las").read_text() == "a run"
     assert [p.name for p in tmp_path.iterdir()] == ["survey"]
 
@@ -55,13 +58,12 @@ def test_a_change_of_any_file_of_the_simulator_draws_the_survey_anew(tmp_path, m
         (code / place / "module.py").write_text("", encoding="utf-8")
     assert (writing.CODE / "render" / "path_tracer.py").is_file()
     monkeypatch.setattr(writing, "CODE", code)
-    scene = DrawnScene.tiny(num_views=3)
-    draw_survey(tmp_path / "survey", scene)
+    draw_survey(tmp_path / "survey", FEW)
     marker = tmp_path / "survey" / writing.MARKER
     for place in (".", "drawn", "render"):
         before = marker.read_text(encoding="utf-8")
         (code / place / "module.py").write_text("changed = True", encoding="utf-8")
-        draw_survey(tmp_path / "survey", scene)
+        draw_survey(tmp_path / "survey", FEW)
         assert marker.read_text(encoding="utf-8") != before
 
 
@@ -69,17 +71,16 @@ def test_what_fails_leaves_no_survey_and_the_next_try_takes_no_photograph_twice(
     def disk_is_full(*_):
         raise OSError("no space left on device")
 
-    scene = DrawnScene.tiny(num_views=3)
     with monkeypatch.context() as patch:
         patch.setattr(writing, "write_ply", disk_is_full)
         with pytest.raises(OSError, match="no space"):
-            draw_survey(tmp_path / "survey", scene)
+            draw_survey(tmp_path / "survey", FEW)
     assert not (tmp_path / "survey").exists()
     with monkeypatch.context() as patch:
         patch.setattr(StagedScene, "photograph", lambda *_: pytest.fail("an image was taken twice"))
-        draw_survey(tmp_path / "survey", scene)
+        draw_survey(tmp_path / "survey", FEW)
     assert [p.name for p in tmp_path.iterdir()] == ["survey"]
-    draw_survey(tmp_path / "whole", scene)
+    draw_survey(tmp_path / "whole", FEW)
     assert (tmp_path / "survey" / "images" / "0001.png").read_bytes() == (
         tmp_path / "whole" / "images" / "0001.png"
     ).read_bytes()

@@ -155,7 +155,8 @@ def bend(ray, normal, n_from, n_to):
     ``normal`` lies on the side that the ray comes from (``ray . normal < 0``); a ray along the surface, or from
     the other side, gives NaN too. The component along the surface scales by ``n_from / n_to``; the cosine to the
     normal follows from ``1 - c_to^2 = eta^2 (1 - c_from^2)``, written so that grazing rays lose no digits and an
-    equal index on both sides returns the ray to the last bit. The gradient of rays that are `near_critical` is zero.
+    equal index on both sides returns the ray to the last bit, where roots are rounded correctly (torch's are not on
+    processors without AVX2: a unit in the last place). The gradient of rays that are `near_critical` is zero.
     """
     xp = namespace(*ray, *normal)
     eta = n_from / n_to

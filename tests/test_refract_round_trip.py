@@ -89,17 +89,19 @@ def test_project_returns_the_traced_ray_in_float32(kind, n):
 
 @pytest.mark.parametrize("kind", ["numpy", "torch.float64", "Array3f64", "torch.float32", "Array3f"])
 def test_index_one_gives_the_straight_ray(rng, kind):
-    """To the last bit down; up to 4 units in the last place, against the unit vector from camera to point."""
+    """To the last bit down, in torch to one unit in the last place, since its roots are not rounded correctly on every
+    processor; up to 4 units, against the unit vector from camera to point."""
     vector, _, back = library_of(kind)
     rays = rng.normal(size=(5000, 3)) - [0.0, 0.0, 1.0]
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     points, centre = rng.uniform([-30, -30, -9], [30, 30, 1], (5000, 3)), np.array([1.0, 2.0, 35.0])
     water = FlatWater((0.0, 0.0, 2.0), n_water=1.0, slope_x=0.01, slope_y=-0.02)
     path = trace(vector(np.tile(centre, (5000, 1))), vector(rays), water)
-    np.testing.assert_array_equal(back(path.water_direction), back(path.air_direction))
+    unit = EPS32 if kind in ("torch.float32", "Array3f") else EPS
+    down = np.abs(back(path.water_direction) - back(path.air_direction))
+    assert down.max() <= (unit if kind.startswith("torch") else 0.0)
     points = back(vector(points))
     straight = (points - centre) / np.linalg.norm(points - centre, axis=-1, keepdims=True)
-    unit = EPS32 if kind in ("torch.float32", "Array3f") else EPS
     found = back(project(vector(points), vector(np.tile(centre, (5000, 1))), water).direction)
     assert np.abs(found - straight).max() <= 4 * unit / 2  # components of up to one have units of eps / 2
 

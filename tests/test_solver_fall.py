@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from solved_tiles import level, residuals, white
 
-from fields.solver.correlation import NoiseShares
 from fields.solver.fall import fall_of
 from fields.solver.uncertainty import expected_of
 from fields.solver.waves import FALL_OF_PRIOR
 
-ROUGHNESS, ALONE = 0.01, NoiseShares(1.0, 1.0, 1.0, 0.0)
+ROUGHNESS = 0.01
 
 
 def bed(fall: float, seed: int, size: int = 96) -> np.ndarray:
@@ -27,7 +26,7 @@ def bed(fall: float, seed: int, size: int = 96) -> np.ndarray:
 @pytest.mark.parametrize("noise", [0.3, 1.0])
 def test_a_bed_that_is_rougher_at_small_scale_is_told_from_that_of_the_prior(noise):
     found = [
-        fall_of([residuals(noise * white(8, 1 + seed), relief=bed(fall, seed))], ROUGHNESS, ALONE)
+        fall_of([residuals(noise * white(8, 1 + seed), relief=bed(fall, seed))], ROUGHNESS, 1.0)
         for fall, seed in [(0.5, 0), (0.5, 1), (0.7, 0), (0.7, 1), (1.0, 0), (1.0, 1)]
     ]
     assert max(found[:2]) < min(found[2:4])
@@ -36,8 +35,8 @@ def test_a_bed_that_is_rougher_at_small_scale_is_told_from_that_of_the_prior(noi
 
 
 def test_where_noise_hides_the_bed_it_is_that_of_the_prior():
-    assert fall_of([residuals(white(8))], ROUGHNESS, ALONE) == FALL_OF_PRIOR
-    assert fall_of([level(1.0, ROUGHNESS)], ROUGHNESS, ALONE) == FALL_OF_PRIOR
+    assert fall_of([residuals(white(8))], ROUGHNESS, 1.0) == FALL_OF_PRIOR
+    assert fall_of([level(1.0, ROUGHNESS)], ROUGHNESS, 1.0) == FALL_OF_PRIOR
 
 
 def test_more_is_smoothed_away_of_a_bed_that_is_rougher_at_small_scale():

@@ -98,9 +98,8 @@ def phantoms_of(samples: list[tuple[Tile, Solved]], roughness: float, response: 
     parts: list[list[np.ndarray]] = []
     for tile, each in samples:
         solved = replace(each, stiffness=stiffness_of(each.bends.of_heights @ each.height, roughness))
-        contrast, known = _contrast(solved, np.random.default_rng(0))
         of_height = np.sqrt(solved.information)
-        phantom = smoothed(solved, of_height * contrast, response, CG_RESIDUAL)
+        contrast, phantom, known = phantom_of(solved, response)
         change, expected = change_of(solved, phantom, response), expected_of(tile, solved, response)
         use = known & tile.asked
         of_shift = 1.0 / parallax_of(solved.brightness.weight, solved.motion)
@@ -111,6 +110,12 @@ def phantoms_of(samples: list[tuple[Tile, Solved]], roughness: float, response: 
         )  # fmt: skip
         parts.append([value[use] for value in values])
     return Phantoms(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+
+def phantom_of(solved: Solved, response: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A contrast of unit variance, the height [m] that it gives, and where both are known, (N,) each."""
+    contrast, known = _contrast(solved, np.random.default_rng(0))
+    return contrast, smoothed(solved, np.sqrt(solved.information) * contrast, response, CG_RESIDUAL), known
 
 
 def noise_shares(phantoms: Phantoms, response: float, shifts: Shifts, is_wet: bool) -> NoiseShares:

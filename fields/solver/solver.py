@@ -185,7 +185,7 @@ def _learned(samples: list[tuple[Tile, Solved]], gsd: float, pool: Executor, is_
     shifts = shifts_of(samples, all_noise.heights, is_wet)
     noise = noise_shares(phantoms, response, shifts, is_wet)
     return SolverFigures(
-        roughness, shifts, noise, fall_of(samples, roughness, noise), slopes_by_noise(samples, roughness, noise)
+        roughness, shifts, noise, fall_of(samples, roughness, response), slopes_by_noise(samples, roughness, noise)
     )
 
 

@@ -10,14 +10,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from itertools import pairwise
 
 import numpy as np
 
 # How steeply the bed's power falls with the frequency, as an exponent of what the prior expects.
 FALL_OF_PRIOR = 1.0
-# Standard deviations [px] of the bells between which bands of the heights lie: each about an octave.
-BELLS_PX = (0.0, 0.6, 1.2, 2.4, 4.8)
 _FREQUENCIES, _RATIOS = 256, np.logspace(-4.0, 9.0, 66)
 
 
@@ -31,6 +28,8 @@ class Means:
         Of the noise of a height, and of the relief that the prior takes from it.
     changed_noise, changed_relief : (N,)
         Of both in what smoothing a height once more changes.
+    twice_changed_relief : (N,)
+        Of relief in what smoothing that change changes of it.
     bends_noise : (N,)
         Of noise in the bends about a height.
     alike : (N,) [px^2]
@@ -41,6 +40,7 @@ class Means:
     relief: np.ndarray
     changed_noise: np.ndarray
     changed_relief: np.ndarray
+    twice_changed_relief: np.ndarray
     bends_noise: np.ndarray
     alike: np.ndarray
 
@@ -50,36 +50,26 @@ def means_at(log_ratio: np.ndarray, fall: float) -> Means:
     return Means(*(np.exp(np.interp(log_ratio, np.log(_RATIOS), row)) for row in _shares(fall)))
 
 
-def bands_at(log_ratio: float, fall: float) -> tuple[np.ndarray, np.ndarray]:
-    """Noise and relief of solved heights in the bands between `BELLS_PX`, finest first, (bands,) each."""
-    symbol, _, square = _symbols()
-    solved = (1.0 / (1.0 + np.exp(log_ratio) * symbol)) ** 2
-    bells = [np.exp(-0.5 * square * bell**2) for bell in BELLS_PX]
-    bands = [(fine - coarse) ** 2 * solved for fine, coarse in pairwise(bells)]
-    power = _power(fall)
-    return np.array([band.mean() for band in bands]), np.array([(band * power).mean() for band in bands])
-
-
 @cache
-def _symbols() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of the square of Laplace's operator, of the bends of a height, and the squared frequencies."""
+def _symbols() -> tuple[np.ndarray, np.ndarray]:
+    """Of the square of Laplace's operator, and of the bends of a height."""
     angle = 2.0 * np.pi * np.fft.fftfreq(_FREQUENCIES)
     along = 2.0 - 2.0 * np.cos(angle)
     # Of the ten bends of a height three are along rows, three along columns and four across both.
     bend = 0.3 * (along[:, None] ** 2 + along**2) + 0.8 * along[:, None] * along
-    return (along[:, None] + along) ** 2, bend, angle[:, None] ** 2 + angle**2
+    return (along[:, None] + along) ** 2, bend
 
 
 def _power(fall: float) -> np.ndarray:
     """Of the bed; what is the same everywhere is no relief."""
-    symbol, _, _ = _symbols()
+    symbol, _ = _symbols()
     return np.where(symbol > 0.0, np.maximum(symbol, 1e-30) ** -fall, 0.0)
 
 
 @cache
 def _shares(fall: float) -> np.ndarray:
-    """Logarithms of `Means` (6, ratios)."""
-    symbol, bend, _ = _symbols()
+    """Logarithms of `Means` (7, ratios)."""
+    symbol, bend = _symbols()
     power, rows = _power(fall), []
     for ratio in _RATIOS:
         kept = 1.0 / (1.0 + ratio * symbol)
@@ -87,6 +77,7 @@ def _shares(fall: float) -> np.ndarray:
         noise, relief = kept**2, (1.0 - kept) ** 2 * power / ratio
         changed = (1.0 - kept) ** 2 * noise
         changed_relief, alike = relief * kept**2, (changed**2).mean() / changed.mean() ** 2
-        means = (part.mean() for part in (noise, relief, changed, changed_relief, bend * noise))
+        twice = changed_relief * (1.0 - kept) ** 2
+        means = (part.mean() for part in (noise, relief, changed, changed_relief, twice, bend * noise))
         rows.append([*means, alike])
     return np.log(rows).T

@@ -7,7 +7,8 @@ from typing import Any, final
 
 import numpy as np
 
-from refract._numbers import moved
+from refract._array import as_numpy, namespace
+from refract._numbers import hold, in_library, moved, number
 from refract.surfaces import FlatWater
 
 
@@ -25,7 +26,8 @@ class TidalWater:
     times : (readings,)
         Rising: seconds since any one moment, or numpy datetime64 (which knows no time zone: UTC throughout).
     levels : (readings,) [m], local
-        Height z of the water at x, y of `point`.
+        Height z of the water at x, y of `point`; a tensor of torch to derive by the readings,
+        under `torch.func`, too (for `torch.compile` call `at` before).
     point : (2,) [m], local
         Place of the gauge; matters only with slopes.
     n_water, slope_x, slope_y :
@@ -46,18 +48,20 @@ class TidalWater:
     slope_y: Any = 0.0
 
     def __post_init__(self):
-        times, levels = np.asarray(self.times), np.asarray(self.levels, dtype=np.float64)
+        times = np.asarray(self.times)
+        levels = number(self.levels) if namespace(self.levels).name == "torch" else np.asarray(self.levels, np.float64)
         if not np.issubdtype(times.dtype, np.datetime64):
             times = times.astype(np.float64)
         object.__setattr__(self, "times", times)
         object.__setattr__(self, "levels", levels)
-        if times.ndim != 1 or times.shape != levels.shape or times.size < 2:
+        if times.ndim != 1 or times.shape != tuple(levels.shape) or times.size < 2:
             raise ValueError(
-                f"expected times and levels (readings,), at least two of each, got {times.shape} and {levels.shape}"
+                "expected times and levels (readings,), at least two of each, got "
+                f"{times.shape} and {tuple(levels.shape)}"
             )
         missing = np.isnat(times) if times.dtype.kind == "M" else ~np.isfinite(times)
-        if missing.any() or not np.isfinite(levels).all():
-            bad = int(np.flatnonzero(missing | ~np.isfinite(levels))[0])
+        if missing.any() or not hold(np.isfinite, levels):
+            bad = int(np.flatnonzero(missing | ~np.isfinite(as_numpy(levels)))[0])
             raise ValueError(f"expected finite times and levels, got {levels[bad]} m at {times[bad]}; leave it out")
         falls = np.flatnonzero(times[1:] <= times[:-1])
         if falls.size:
@@ -90,8 +94,10 @@ class TidalWater:
                 f"no level at {times[~inside][0]}: the readings run from {self.times[0]} to {self.times[-1]}; "
                 "extend the gauge series, a level outside it would be a guess"
             )
-        # Seconds since the first reading: dates as they are would round to nanoseconds in 1e18.
-        step = np.timedelta64(1, "ns") if self.times.dtype.kind == "M" else 1.0
-        level = np.interp((times - self.times[0]) / step, (self.times - self.times[0]) / step, self.levels)
+        before = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, self.times.size - 2)
+        # Differences of dates: as they are they would round to nanoseconds in 1e18.
+        share = (times - self.times[before]) / (self.times[before + 1] - self.times[before])
+        share = in_library(share, self.levels) if share.ndim else float(share)
+        level = self.levels[before] * (1.0 - share) + self.levels[before + 1] * share
         x, y = self.point
         return FlatWater((x, y, level), n_water=self.n_water, slope_x=self.slope_x, slope_y=self.slope_y)

@@ -75,3 +75,33 @@ def test_a_series_is_no_surface_and_the_error_says_what_is(function):
 def test_tensors_of_a_series_move_together():
     water = TidalWater([0.0, 600.0], [1.0, 1.4], n_water=torch.tensor(1.34)).to(torch.float64)
     assert water.n_water.dtype == water.at(300.0).n_water.dtype == torch.float64
+
+
+LEVELS, TIMES = torch.tensor([1.0, 1.4, 1.1], dtype=torch.float64), np.array([0.0, 150.0, 1050.0, 1500.0])
+
+
+def bent(levels: torch.Tensor) -> torch.Tensor:
+    """Where rays of four photographs meet the water of a series of levels (3,), and how they go on."""
+    water = TidalWater([0.0, 600.0, 1500.0], levels, slope_x=0.02).at(TIMES)
+    ray = torch.tensor([[0.3, 0.1, -1.0]], dtype=torch.float64)
+    path = trace(torch.zeros(4, 3, dtype=torch.float64) + torch.tensor([0.0, 0.0, 30.0]), ray / ray.norm(), water)
+    return torch.cat([path.crossing, path.water_direction], dim=-1)
+
+
+def test_a_tide_is_derived_by_its_readings():
+    forward, backward = torch.func.jacfwd(bent)(LEVELS), torch.func.jacrev(bent)(LEVELS)
+    torch.testing.assert_close(forward, backward, rtol=1e-14, atol=1e-15)
+    # The level at a time is a mean of the readings about it, and all that follows hangs on the level alone.
+    shares = torch.tensor([[1.0, 0.0, 0.0], [0.75, 0.25, 0.0], [0.0, 0.5, 0.5], [0.0, 0.0, 1.0]], dtype=torch.float64)
+    by_level = forward[:, 2].sum(dim=-1)
+    torch.testing.assert_close(forward[:, 2], by_level[:, None] * shares, rtol=1e-14, atol=1e-15)
+    step = torch.tensor([0.0, 1e-3, 0.0], dtype=torch.float64)
+    difference = (bent(LEVELS + step) - bent(LEVELS - step)) / 2e-3
+    torch.testing.assert_close(forward[..., 1], difference, rtol=1e-9, atol=1e-10)
+
+
+def test_tides_of_a_batch_are_those_of_each():
+    batch = torch.stack([LEVELS, LEVELS + 0.2, 2.0 * LEVELS])
+    each = torch.stack([bent(levels) for levels in batch])
+    torch.testing.assert_close(torch.func.vmap(bent)(batch), each, rtol=1e-15, atol=1e-15)
+    assert torch.autograd.gradcheck(bent, LEVELS.clone().requires_grad_())

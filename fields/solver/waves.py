@@ -45,7 +45,7 @@ class Means:
     alike: np.ndarray
 
 
-def means_at(log_ratio: np.ndarray, fall: float) -> Means:
+def means_at(log_ratio: np.ndarray | float, fall: float) -> Means:
     """Means for logarithms (N,) of the ratio of stiffness to answer, and a bed whose power falls so steeply."""
     return Means(*(np.exp(np.interp(log_ratio, np.log(_RATIOS), row)) for row in _shares(fall)))
 

@@ -4,7 +4,8 @@
 
 A RUN is a folder of `bathynerf process` (or a LAS or LAZ file of it), REFERENCE the true surface as a mesh in the same
 crs. Prints rows of Markdown with the share [%] of vertical errors within 1.96 std: in all, in fifths from the smallest
-to the largest std, by the number of views, on slopes, wet and dry, where the reference is flatter than 60 degrees.
+to the largest std, by the number of views, on slopes, wet and dry, where the reference is flatter than 60 degrees. Then
+the smallest std, and the mean interval score: it is small where std is true and no larger than it has to be.
 ``--field`` takes the median error off first, and says how it stands to the median `std_common`: within 2.6 of it.
 """
 
@@ -17,7 +18,7 @@ from pathlib import Path
 import laspy
 import numpy as np
 
-from evaluation import Coverage, coverage_by_class, slope_below, vertical_difference
+from evaluation import Coverage, coverage_by_class, interval_score, slope_below, vertical_difference
 from evaluation.coverage import WALL_DEG
 from geo import read_reference
 from geo.las_extra import extra_of
@@ -44,9 +45,11 @@ def cells_of(run: Path, reference: Path, bounds: list[float] | None, field: bool
     wet = np.asarray(las.classification)[inside] == 40
     known = np.isfinite(error) & (slope < WALL_DEG) & np.isfinite(std)
     error, median = error[known], float(np.median(error[known]))
-    found = coverage_by_class(error - median * field, std[known], views[known], slope[known], wet[known])
+    error = error - median * field
+    found = coverage_by_class(error, std[known], views[known], slope[known], wet[known])
     shares = [_percent(each, digits=int(name == "all")) for name, each in found.items()]
     cells = [shares[0], " ".join(shares[1:6]), *shares[6:], f"{1e3 * np.nanmin(std):.2g} mm"]
+    cells.append(f"{1e3 * interval_score(error, std[known]):.3g} mm")
     if field:
         of_common = float(np.nanmedian(common))
         cells += [f"{1e3 * median:.1f} mm", f"{1e3 * of_common:.1f} mm", f"{abs(median) / of_common:.1f}"]

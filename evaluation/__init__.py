@@ -7,7 +7,7 @@
 | distance along normals (M3C2), positive above the reference | `m3c2` |
 | distance to a cloud, completeness, F-score | `completeness` |
 | bias, spread and scores | `summary`; of parts, as by depth: `strata`; intervals of confidence: `bootstrap` |
-| share of errors within 1.96 std, in classes | `coverage` |
+| share of errors within 1.96 std, in classes; interval score | `coverage` |
 | IHO S-44 and ASPRS | `standards`; the height of a cloud at check points: `checkpoints` |
 | statistical outliers | `outliers` |
 | what straight rays would give | `baselines` |
@@ -20,7 +20,7 @@ from evaluation.bootstrap import Blocks, mean_interval, spatial_blocks
 from evaluation.c2m import MeshDistances, distance_to_mesh
 from evaluation.checkpoints import height_at
 from evaluation.completeness import distance_to_cloud, f_score, is_reached, sample_mesh
-from evaluation.coverage import Coverage, coverage_by_class, slope_below
+from evaluation.coverage import Coverage, coverage_by_class, interval_score, slope_below
 from evaluation.images.feature_similarity import fsim, vsi
 from evaluation.images.quality import gmsd, image_quality, ms_gmsd, ms_ssim, psnr, ssim
 from evaluation.m3c2 import M3C2Distances, m3c2_distances
@@ -58,6 +58,7 @@ __all__ = [
     "height_at",
     "iho_s44",
     "image_quality",
+    "interval_score",
     "is_outlier",
     "is_reached",
     "m3c2_distances",

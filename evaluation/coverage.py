@@ -10,6 +10,8 @@ from evaluation.vertical import vertical_difference
 
 # 95 % of normally distributed errors lie within so many standard deviations.
 WITHIN = 1.96
+# Of them that lie beyond.
+_MISSED = 0.05
 NUM_FIFTHS = 5
 # By the number of photographs that agree, the last without an end.
 VIEW_CLASSES = ((2, 2), (3, 4), (5, 7), (8, 65535))
@@ -31,6 +33,21 @@ class Coverage:
         """Of those errors (N,) [m] that are ``among`` (N,) bool."""
         covered = np.abs(error[among]) < WITHIN * std[among]
         return Coverage(float(covered.mean()) if len(covered) else float("nan"), len(covered))
+
+
+def interval_score(error: np.ndarray, std: np.ndarray) -> float:
+    """How sharp and true intervals of 95 % are, as a mean [m]: their width, and forty times what lies beyond them.
+
+    Of intervals that cover as much the narrower ones win, and nothing is won by narrower ones than those of the true
+    standard deviations (Gneiting and Raftery 2007, equation 43).
+
+    Parameters
+    ----------
+    error, std : (N,) [m]
+        Finite.
+    """
+    half = WITHIN * std
+    return float(np.mean(2.0 * half + (2.0 / _MISSED) * np.maximum(np.abs(error) - half, 0.0)))
 
 
 def coverage_by_class(

@@ -4,6 +4,9 @@ Over a slope, a block that lies beside its place shows heights of other places. 
 height is ``e_z - s . e_xy``, with e the error of the point where the rays meet and s the slope of the bed there. With
 the moves M of a place by the parameters and C their covariance, that of e is ``(M - N) C (M - N)'``, N the mean of the
 moves of heights over the bed: what lifts all heights alike is left to `survey.adjust.std_common`.
+
+A slope holds for a few pixels only. Where the block lies farther beside its place, as with positions of GPS alone, the
+heights that are there count in place of slopes: the mean square of their differences over all displacements.
 """
 
 from __future__ import annotations
@@ -11,9 +14,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import ndimage
 
 from survey.adjust.adjustment import Adjustment
+from survey.adjust.bed_cells import BedCells
 from survey.adjust.common_error import place_moves
 from survey.adjust.std_common import interpolated, places_of, seen_places
 
@@ -22,12 +25,8 @@ if TYPE_CHECKING:
 
 # The slope of the bed is that over cells of so many ground sampling distances: single heights are noisy.
 _CELL_GSD = 2.0
-# Points whose variances along both axes multiply to less than this, in cells, lie in a row.
-_LEAST_SPREAD = 1e-3
 # Points at a time: 300 bytes each.
 _PORTION = 200_000
-# No more cells than this for each point, of a cloud with single points far away.
-_MOST_CELLS = 8
 
 
 def std_of_block(xyz: np.ndarray, survey: Survey, found: Adjustment, gsd: float) -> np.ndarray:
@@ -55,37 +54,14 @@ def std_of_block(xyz: np.ndarray, survey: Survey, found: Adjustment, gsd: float)
     moves = place_moves(found, survey.water, ties)
     moves[:, 2] -= moves[:, 2].mean(axis=0)
     covariance = np.einsum("kai,ij,kbj->kab", moves, found.covariance, moves).reshape(len(ties), 9)
-    towards = np.column_stack([-slopes_of(xyz, _CELL_GSD * gsd), np.ones(len(xyz))])
+    cells = BedCells.of(xyz, _CELL_GSD * gsd)
+    towards = np.column_stack([-cells.slopes, np.ones(len(xyz))])
+    rise, reached = cells.squared_rise(np.sqrt(np.maximum(covariance.mean(axis=0)[[0, 4]], 0.0)))
+    not_by_slopes = rise - (cells.slopes**2 * reached).sum(axis=1)
     std = np.empty(len(xyz), dtype=np.float32)
     for first in range(0, len(xyz), _PORTION):
         part = slice(first, first + _PORTION)
         there = interpolated(ties.start[:, :2], covariance, xyz[part, :2]).reshape(-1, 3, 3)
-        std[part] = np.sqrt(np.maximum(np.einsum("na,nab,nb->n", towards[part], there, towards[part]), 0.0))
+        by_slopes = np.einsum("na,nab,nb->n", towards[part], there, towards[part])
+        std[part] = np.sqrt(np.maximum(by_slopes + not_by_slopes[part], 0.0))
     return std
-
-
-def slopes_of(xyz: np.ndarray, cell: float) -> np.ndarray:
-    """Rise (N, 2) of a bed along x and y at its points (N, 3): of planes through the points of 3 x 3 square cells [m].
-
-    Zero where points lie in a row.
-    """
-    low, wide = xyz[:, :2].min(axis=0), np.ptp(xyz[:, :2], axis=0)
-    cell = max(cell, float(np.sqrt(wide.prod() / (_MOST_CELLS * len(xyz)))))
-    place = np.floor((xyz[:, :2] - low) / cell).astype(np.int64)
-    shape = place.max(axis=0) + 1
-    flat, number = place[:, 0] * shape[1] + place[:, 1], int(shape.prod())
-
-    def nearby(weights: np.ndarray) -> np.ndarray:
-        """Means over the nine cells about each cell, of what its points add up to."""
-        return ndimage.uniform_filter(np.bincount(flat, weights, number).reshape(shape), 3, mode="constant")
-
-    x, y, z = (xyz - xyz.mean(axis=0)).T
-    count = np.maximum(nearby(np.ones(len(xyz))), 1.0 / 9.0)
-    mean_x, mean_y, mean_z = (nearby(each) / count for each in (x, y, z))
-    xx, yy, xy = nearby(x * x) / count - mean_x**2, nearby(y * y) / count - mean_y**2, nearby(x * y) / count
-    xy, xz, yz = xy - mean_x * mean_y, nearby(x * z) / count - mean_x * mean_z, nearby(y * z) / count - mean_y * mean_z
-    size = xx * yy - xy**2
-    is_plane = size > _LEAST_SPREAD * cell**4
-    size = np.where(is_plane, size, np.inf)
-    along = np.stack([(yy * xz - xy * yz) / size, (xx * yz - xy * xz) / size])
-    return along[:, place[:, 0], place[:, 1]].T

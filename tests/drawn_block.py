@@ -286,7 +286,8 @@ def _bed(rng, plane: FlatWater, half, depth: float, num_points: int, dry_share: 
     along = places @ [math.sin(toward), math.cos(toward)]
     rank = np.argsort(np.argsort(along)) / num_points
     relief = 0.12 * depth * np.sin(places @ rng.normal(0.0, 4.0, 2) / half.mean() + phase)
-    low, shore = -depth, 1.0 - dry_share
+    # Where all is dry, the foot of the bank lies beside the block.
+    low, shore = -depth, 1.0 - dry_share if dry_share < 1.0 else -0.01
     rise = 0.8 if dry_share == 0.0 else 1.0
     wet = np.minimum((low + relief) * (1.0 - rise * rank / shore), -0.02)
     bank = 0.02 + 1.2 * np.maximum(rank - shore, 0.0) + 0.05 * rng.random(num_points)

@@ -126,9 +126,27 @@ def test_nothing_is_said_of_water_under_poses_that_are_contradicted():
 
 
 def test_dry_ground_says_nothing_of_water(told):
-    block, survey = block_and_survey(3)
-    assert checked(block, off(survey, level=-100.0)).doubt is None
+    for seed, below in ((3, 0.0), (4, -5.0), (5, -100.0)):
+        block, survey = block_and_survey(seed, dry_share=1.0)
+        found = checked(block, off(survey, level=below))
+        assert (found.doubt, found.flooded) == (None, None)
     assert [each.number for some in told for each in some if each.number < WATER] == []
+
+
+@pytest.mark.parametrize(("seed", "error"), [(3, -5.0), (4, -20.0), (5, -50.0)])
+def test_a_level_below_all_of_a_bed_under_water_is_told_with_the_level_that_photographs_show(seed, error):
+    block, survey = block_and_survey(seed)
+    found = checked(block, off(survey, level=error))
+    true = survey.config.water.level_m
+    assert (found.flooded.name, found.flooded.given) == ("level_m", true + error)
+    assert found.flooded.std < 0.5
+    assert found.flooded.found == pytest.approx(true, abs=3.0 * found.flooded.std)
+
+
+def test_a_bed_under_a_level_that_is_about_right_is_not_flooded():
+    block, survey = block_and_survey(3)
+    assert checked(block, survey).flooded is None
+    assert checked(block, off(survey, level=-0.5)).flooded is None
 
 
 def test_contradicted_water_is_adjusted():

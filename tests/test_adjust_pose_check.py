@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from small_survey import replaced, small_survey
 
 from refract import PinholeCamera
-from survey.adjust.pose_check import SAMPLE, _of_middle, misfit
+from survey.adjust.misfit import misfit
+from survey.adjust.pose_check import SAMPLE, _of_middle
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
 from survey.plan.poses import MOST_MISFIT_PX, pose_choice
+from survey.run.stage_pose_check import MISFIT, use_misfit
 
 
 def test_scatter_without_a_mean_over_a_photograph_is_no_misfit(rng):
@@ -83,3 +87,11 @@ def _looking(camera: PinholeCamera, centre: np.ndarray, ahead: np.ndarray) -> Pi
     right = np.cross(ahead, [0.3, 1.0, 0.0])
     right = right / np.linalg.norm(right)
     return replace(camera, centre=centre, cam_from_local=np.stack([right, np.cross(ahead, right), ahead]))
+
+
+def test_a_level_under_which_all_is_dry_ends_the_run_where_photographs_show_water(tmp_path):
+    flooded = {"name": "level_m", "given": 80.0, "given_std": 0.02, "found": 84.213, "std": 0.03}
+    found = {"misfit_px": 0.01, "doubt": None, "flooded": flooded}
+    (tmp_path / MISFIT).write_text(json.dumps(found), encoding="utf-8")
+    with pytest.raises(SurveyError, match=r"level_m is 80\.000 m, which leaves all .* 84\.21 \+- 0\.03 m.*datum"):
+        use_misfit(SimpleNamespace(), tmp_path)

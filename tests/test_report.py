@@ -24,6 +24,7 @@ from small_survey import TOML, small_survey
 from evaluation import DistanceStatistics, iho_s44
 from survey.folder.survey import load_survey
 from survey.report.collect import figures_of
+from survey.report.dryness import dry_doubts
 from survey.report.figures import Spread
 from survey.report.headline import cards, headline
 from survey.report.json_figures import json_of
@@ -49,6 +50,19 @@ def test_the_figures_of_a_plane_are_those_of_its_geometry(plane_report):
     assert cloud.std_m.p95 == pytest.approx(0.0145, abs=1e-6)
     assert cloud.views_per_point == Spread(2.0, 4.0, pytest.approx(4.0), 6.0, 6.0)
     assert cloud.incidence_deg.max == pytest.approx(np.degrees(0.5), abs=1e-5)
+
+
+def test_a_bed_that_lies_above_the_water_all_over_is_a_warning(shallow_survey):
+    (warning,) = figures_of(facts_of(shallow_survey, plane_bed(shallow_survey, num=20, depth_m=-4.0))).warnings
+    # The lowest of 20 columns, SPACING_M apart.
+    assert f"above the water, whose level is 2105.000 m: the lowest point by {4.0 - 9.5 * SPACING_M * SLOPE:.2f}" in (
+        warning
+    )
+    assert "vertical datum" in warning
+    assert figures_of(facts_of(shallow_survey, plane_bed(shallow_survey, num=20))).warnings == ()
+    water = replace(shallow_survey.config, water=None)
+    dry = replace(shallow_survey, water=None, config=water)
+    assert dry_doubts(dry, plane_bed(dry, num=20)) == []
 
 
 def test_survey_and_water_say_where_they_come_from(plane_report):

@@ -26,7 +26,7 @@ def deep_check(folder: Path, *, device: str = "auto") -> list[Section]:
     Raises
     ------
     SurveyError, GeoError
-        Where the survey cannot be used, or its photographs do not match.
+        Where the survey cannot be used, its photographs do not match, or they show water over a bed that is dry.
     """
     progress = current()
     survey = load_survey(folder, report=progress.note)
@@ -34,6 +34,7 @@ def deep_check(folder: Path, *, device: str = "auto") -> list[Section]:
     if plan.poses[0] == "check":
         with progress.stage("Poses", 1.0) as stage, suppress(SurveyError):
             checked = check_of_windows(survey, plan, *loaded(survey, plan), stage.advance)
+        checked.require_water()
         survey = replace(survey, doubt=checked.doubt)
     with progress.stage("Adjustment", 1.0) as stage:
         found = adjust_survey(survey, device=device, advance=stage.advance)

@@ -27,7 +27,7 @@ from survey.folder.doubt import Doubt
 from survey.folder.survey import Survey
 
 # What is asked: of the water, and of each lens.
-_LEVEL, _INDEX = 0, WATER - 1
+LEVEL, _INDEX = 0, WATER - 1
 _OF_LENS = tuple(LENS_NAMES.index(name) for name in ("f", "k1"))
 # A focal length counts as wrong only beyond this share of it: small errors of poses look like one (docs/adjustment.md).
 _FOCAL_SHARE = 0.001
@@ -50,7 +50,9 @@ def doubt_of(survey: Survey, told: list[Contradiction]) -> Doubt | None:
     return Doubt(name, given, worst.given_std, given + worst.difference, worst.std)
 
 
-def told_of_given(survey: Survey, problem: Problem, state: State, misfit_px: float, gsd: float) -> list[Contradiction]:
+def told_of_given(
+    survey: Survey, problem: Problem, state: State, misfit_px: float, gsd: float, *, fewest_wet: int = FEWEST_WET
+) -> list[Contradiction]:
     """What photographs say of level, index and lenses, whether they contradict it or not.
 
     Without what they do not tell: of water that little lies under, of an index that is of no use.
@@ -64,15 +66,17 @@ def told_of_given(survey: Survey, problem: Problem, state: State, misfit_px: flo
     state : State
         Its solution.
     misfit_px : [px]
-        See `survey.adjust.pose_check.misfit`.
+        See `survey.adjust.misfit.misfit`.
     gsd : [m]
         Ground sampling distance.
+    fewest_wet : int
+        Windows under water, with which level and index are asked for.
     """
     known = known_of(survey, gsd, free_water=True)
     std = known.std.copy()
     std[:WATER] = known_of(survey, gsd).std[:WATER]
     std[known.layout.first_pose :] = _pose_std(known.layout, state, misfit_px, gsd)
-    asked = _asked(known, state)
+    asked = _asked(known, state, fewest_wet)
     given = {number: float(std[number]) for number in asked}
     focals = known.layout.first_lens + np.arange(len(known.lenses)) * len(LENS_NAMES)
     least = dict(zip(focals.tolist(), _FOCAL_SHARE * state.lenses[:, 0], strict=True))
@@ -86,11 +90,11 @@ def told_of_given(survey: Survey, problem: Problem, state: State, misfit_px: flo
     return [each for each in told if each.number != _INDEX or each.std <= np.hypot(MOST_STD_INDEX, _ROUGH_INDEX)]
 
 
-def _asked(known: Known, state: State) -> list[int]:
+def _asked(known: Known, state: State, fewest_wet: int) -> list[int]:
     """Numbers of the parameters that photographs are asked for."""
-    is_wet = state.water is not None and int((state.water.depth(state.points) > 0.0).sum()) >= FEWEST_WET
+    is_wet = state.water is not None and int((state.water.depth(state.points) > 0.0).sum()) >= fewest_wet
     starts = [known.layout.lens(number).start for number, lens in enumerate(known.lenses) if not is_held(lens)]
-    return [*((_LEVEL, _INDEX) if is_wet else ()), *(start + each for start in starts for each in _OF_LENS)]
+    return [*((LEVEL, _INDEX) if is_wet else ()), *(start + each for start in starts for each in _OF_LENS)]
 
 
 def _told(

@@ -15,12 +15,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from survey.adjust.bundle import NotConvergedError, Problem, solve
+from survey.adjust.flooding import level_over
 from survey.adjust.given_check import doubt_of, told_of_given
+from survey.adjust.misfit import misfit
 from survey.adjust.observed import KINDS, MATCH, WINDOW, observed, rows_taken
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import FREE_WATER, HELD, known_of, priors_for
 from survey.adjust.state import State
 from survey.adjust.windows_of_survey import windows_of_block
+from survey.errors import SurveyError
 from survey.folder.doubt import Doubt
 from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
@@ -34,8 +37,6 @@ if TYPE_CHECKING:
 SAMPLE = 10
 # Of the angle to the plumb line: level views look farther than any place that others see.
 _LEAST_COSINE = 0.5
-# Fewest windows of a photograph whose mean counts.
-_FEWEST = 10
 
 
 @dataclass(frozen=True)
@@ -50,10 +51,23 @@ class PoseCheck:
     doubt : Doubt or None
         What the photographs contradict of the water, where their misfit bears out the poses: that under the level which
         fits best, since far from the true one photographs taken aslant miss each other, too.
+    flooded : Doubt or None
+        The level that they ask for, where the one that is given leaves all of the bed dry.
     """
 
     misfit_px: float | None
     doubt: Doubt | None = None
+    flooded: Doubt | None = None
+
+    def require_water(self) -> None:
+        """Raise `SurveyError` where photographs show water over a bed that the given level leaves dry."""
+        if (level := self.flooded) is not None:
+            raise SurveyError(
+                f"[water] level_m is {level.given:.3f} m, which leaves all of the bed dry, and the photographs show it "
+                f"under water whose level is {level.found:.2f} +- {level.std:.2g} m; correct level_m in survey.toml, "
+                "whose vertical datum has to be that of the poses (heights over the ellipsoid and over the geoid "
+                "differ by up to 100 m), or say --poses fixed to use it as it is"
+            )
 
 
 def check_of_windows(
@@ -101,6 +115,9 @@ def check_of_ties(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> Pos
     problem = Problem(known.layout, seen.ties, seen.kind, priors, np.full(len(KINDS), np.nan), sides, rows)
     solution = solve(replace(problem, holds_parameters=True), state)
     found = misfit(solution.residuals, seen.ties.view)
+    flooded = level_over(survey, problem, solution.state, plan.gsd_m)
+    if flooded is not None:
+        return PoseCheck(found, flooded=flooded)
     of_poses = found
     if found is not None and found > MOST_MISFIT_PX and kind == WINDOW:
         of_poses = _under_best_level(problem, solution.state)
@@ -119,20 +136,6 @@ def _under_best_level(problem: Problem, state: State) -> float | None:
         free = solve(replace(problem, priors=replace(problem.priors, std=std)), state)
         return misfit(free.residuals, problem.ties.view)
     return None
-
-
-def misfit(residuals: np.ndarray, view: np.ndarray) -> float | None:
-    """See `PoseCheck`: of residuals (N, 2) [px] of observations in photographs (N,)."""
-    squares = []
-    for number in np.unique(view):
-        mine = residuals[(view == number) & np.isfinite(residuals).all(axis=1)]
-        if len(mine) < _FEWEST:
-            continue
-        middle = np.median(mine, axis=0)
-        # The variance of a median is pi / 2 times that of a mean.
-        noise = np.square(1.4826 * np.median(np.abs(mine - middle), axis=0)) * (0.5 * np.pi / len(mine))
-        squares.append(middle**2 - noise)
-    return float(np.sqrt(max(float(np.mean(squares)), 0.0))) if squares else None
 
 
 def _of_middle(survey: Survey, height: float) -> list[int]:

@@ -20,6 +20,7 @@ from survey.photos.texture import MatchedLight
 from survey.report.adjustment_figures import adjustment_of
 from survey.report.baselines import baselines_of
 from survey.report.checkpoints import checkpoints_of
+from survey.report.dryness import dry_doubts
 from survey.report.facts import ReportFacts
 from survey.report.figures import (
     CloudFigures,
@@ -61,7 +62,7 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
         versions=facts.versions,
         settings=plain(facts.settings),
         assumptions=tuple(survey.assumptions),
-        warnings=(*failed, *doubts(facts.photographs), *survey.warnings),
+        warnings=(*failed, *dry_doubts(survey, facts.bed), *doubts(facts.photographs), *survey.warnings),
         notes=(*facts.notes, *told),
         checkpoints=checkpoints_of(survey, facts.bed.xyz, facts.plan.gsd_m),
         adjustment=adjustment,

@@ -16,6 +16,7 @@ from survey.files.json_values import read_json_object, write_json
 from survey.folder.survey import Survey
 from survey.photos.texture import matched_light
 from survey.report import NUM_STEPS, ReportFacts, write_report
+from survey.report.dryness import dry_doubts
 from survey.report.photographs import PhotographFigures, doubts, photographs_of, summary
 from survey.report.verdict import Verdict
 from survey.run.cloud import write_bed_las
@@ -79,7 +80,7 @@ def _write_report(
     if aim is not None and aim.std_m is not None:
         verdict = Verdict((*verdict.gates, asked_gate(stored, aim.std_m)))
     photographs = _photographs(done)
-    for text in doubts(photographs):
+    for text in (*dry_doubts(survey, stored.bed), *doubts(photographs)):
         job.progress.warn(text)
     for text in summary(photographs):
         job.progress.note(text)

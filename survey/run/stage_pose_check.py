@@ -36,10 +36,11 @@ def check_poses(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
 
 
 def use_misfit(job: Job, folder: Path) -> None:
-    """Let the plan decide by what was found."""
-    found = json.loads((folder / MISFIT).read_text(encoding="utf-8"))
-    misfit, doubt = found["misfit_px"], found["doubt"]
-    doubt = None if doubt is None else Doubt(**doubt)
-    job.take(replace(job.survey, pose_misfit_px=-1.0 if misfit is None else misfit, doubt=doubt))
+    """Let the plan decide by what was found; raise where the level leaves dry what photographs show under water."""
+    values = json.loads((folder / MISFIT).read_text(encoding="utf-8"))
+    misfit, *doubts = (values[name] for name in ("misfit_px", "doubt", "flooded"))
+    found = PoseCheck(misfit, *(None if each is None else Doubt(**each) for each in doubts))
+    found.require_water()
+    job.take(replace(job.survey, pose_misfit_px=-1.0 if misfit is None else misfit, doubt=found.doubt))
     choice, reason = job.plan.poses
     job.progress.note(f"plan: poses: {choice} ({reason})")

@@ -74,6 +74,11 @@ def level(table: dict, error: float) -> None:
     table["water"] |= {"level_m": table["water"]["level_m"] + error, "level_std_m": error}
 
 
+def low_level(table: dict, error: float) -> None:
+    """A level that is too low and counts as exact, as one in another vertical datum."""
+    table["water"]["level_m"] -= error
+
+
 def index(table: dict, error: float) -> None:
     """An index that is off by its standard deviation."""
     table["water"] |= {"refractive_index": table["water"]["refractive_index"] + error, "index_std": error}

@@ -58,8 +58,7 @@ def level_over(survey: Survey, problem: Problem, state: State, gsd: float) -> Do
         for each in told_of_given(survey, problem, found.state, missed, gsd, fewest_wet=_FEWEST):
             depth = np.median(_water(found.state).depth(found.state.points)) + each.difference
             if each.number == LEVEL and depth > MOST * each.std:
-                given = survey.require_water()[1].level_m
-                assert given is not None
+                given = survey.require_water()[1].known_level_m
                 raised_by = float(_water(found.state).point[2] - state.water.point[2]) + each.difference
                 return Doubt("level_m", given, each.given_std, given + raised_by, each.std)
     return None

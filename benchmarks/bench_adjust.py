@@ -1,7 +1,7 @@
 """How well does a run find poses, lens and water from what is known in the field? On data/ and on field surveys.
 
     python benchmarks/bench_adjust.py [ROW ...] [-o FOLDER]
-    python benchmarks/bench_adjust.py --coverage 20 [--shared] [--free-water]
+    python benchmarks/bench_adjust.py --coverage 20 [--shared] [--free-water] [--common-up 30]
 
 A row is a name of adjust_rows.ROWS or shutter_rows.SHUTTER_ROWS, or the folder of a survey that field_surveys.py drew;
 FOLDER:true is the same from its true poses, lens and water. Its survey is prepared in the work folder and processed by
@@ -43,11 +43,18 @@ def main() -> None:
     parser.add_argument("--coverage", type=int, metavar="N", help="adjust N drawn blocks instead")
     parser.add_argument("--shared", action="store_true", help="their neighbours have errors in common")
     parser.add_argument("--free-water", action="store_true", help="nothing is known of their water")
+    parser.add_argument("--common-up", type=float, metavar="M", help="heights of their GPS share an error of this std")
     options = parser.parse_args()
     if options.coverage is not None:
         points = 900 if options.shared else 300
         blocks = [
-            covered(seed, shared=options.shared, free_water=options.free_water, num_points=points)
+            covered(
+                seed,
+                shared=options.shared,
+                free_water=options.free_water,
+                num_points=points,
+                common_up_m=options.common_up,
+            )
             for seed in range(options.coverage)
         ]
         print(table(blocks))  # noqa: T201

@@ -7,8 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from geo import LocalFrame, parse_crs
+from survey.adjust.adjustment import Adjustment
 from survey.control.points import Control, ControlPoint, Mark
 from survey.folder.config import CamerasConfig, SurveyConfig, WaterConfig
 from survey.folder.place import water_plane
@@ -98,6 +100,33 @@ def with_water(survey: Survey, **settings) -> Survey:
     """The survey with other settings of its water."""
     water = replace(survey.config.water, **settings)
     return replace(survey, config=replace(survey.config, water=water), water=water_plane(survey.frame, water))
+
+
+def with_shift(survey: Survey, shift, common_up_std: float) -> Survey:
+    """The block as structure from motion puts it to positions of unknown accuracy that are off by a shift (3,) [m].
+
+    Of which the heights count as having an error of that standard deviation in common.
+    """
+    shift = np.asarray(shift)
+    views = tuple(
+        replace(view, camera=replace(view.camera, centre=view.camera.centre + shift)) for view in survey.views
+    )
+    priors = {
+        name: replace(
+            prior, position=prior.position + shift, position_std=None, source="GPS EXIF", common_up_std=common_up_std
+        )
+        for name, prior in survey.priors.items()
+    }
+    ties = replace(survey.ties, start=survey.ties.start + shift)
+    return replace(survey, views=views, priors=priors, ties=ties, points=ties.start)
+
+
+def height_error(block: DrawnBlock, found: Adjustment) -> float:
+    """Median error of the heights of points [m], each against the true one, however far the block lies off in plan."""
+    true = np.array([camera.centre for camera in block.cameras])
+    aside = np.median(found.centres - true, axis=0)[:2]
+    distance, nearest = cKDTree(block.points[:, :2] + aside).query(found.points[:, :2])
+    return float(np.median((found.points[:, 2] - block.points[nearest, 2])[distance < 0.5]))
 
 
 def pose_errors(block: DrawnBlock, centres: np.ndarray, rotations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
-from small_survey import E0, LEVEL, N0, camera_lines, replaced, small_survey, write_image, write_poses
+from placed_by_gps import solved
+from small_survey import LEVEL, camera_lines, replaced, small_survey, write_image, write_poses
 
-from geo.frames import LocalFrame
 from refract.lens import Lens
 from survey.errors import ConfigError, PosesError
 from survey.folder.survey import find_survey, load_survey
-from survey.photos.tie_points import TiePoints
-from survey.sfm.poses import image_names
 
 
 def test_without_survey_toml_the_zone_comes_from_the_positions_and_it_says_what_it_assumed(tmp_path):
@@ -79,24 +74,6 @@ def test_without_poses_and_positions_there_is_nothing_to_start_from(tmp_path):
     (folder / "cameras.csv").unlink()
     with pytest.raises(PosesError, match="has no poses file, and 0 of 4 images have a GPS position"):
         load_survey(folder)
-
-
-def solved(monkeypatch, names):
-    """Put a solver in the place of structure from motion, which has tests of its own; returns its calls."""
-    calls = []
-
-    def solve_poses(image_paths, crs, workspace, *, gps_height, size_px, focal_px, control, report):
-        calls.append((image_paths, workspace, gps_height, size_px, focal_px))
-        frame = LocalFrame(crs, (E0, N0, LEVEL))
-        lens = Lens("SIMPLE_RADIAL", (focal_px or 90.0, 32.0, 24.0, -0.01), 64, 48)
-        down = np.diag([1.0, -1.0, -1.0])
-        views = [(name, lens, np.array([3.0 * i, 0.0, 20.0]), down) for i, name in enumerate(names)]
-        ties = TiePoints(np.array([[1.0, 0.0, -2.0]]), np.zeros(3, int), np.arange(3), np.full((3, 2), 9.5))
-        return SimpleNamespace(frame=frame, views=views, notes=["placed by GPS"], ties=ties)
-
-    there = SimpleNamespace(solve_poses=solve_poses, image_names=image_names)
-    monkeypatch.setitem(sys.modules, "survey.sfm.poses", there)
-    return calls
 
 
 def test_a_survey_without_poses_is_handed_to_structure_from_motion(tmp_path, monkeypatch):

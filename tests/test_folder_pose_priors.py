@@ -11,7 +11,13 @@ from small_survey import E0, LEVEL, N0, replaced, small_survey, unposed
 
 from geo.frames import LocalFrame
 from survey.folder.found import find_survey
-from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors, priors_of_gps
+from survey.folder.pose_priors import (
+    accuracy_of_gps,
+    accuracy_of_priors,
+    common_up_std,
+    common_up_std_of_exif,
+    priors_of_gps,
+)
 from survey.folder.survey import load_survey
 from survey.photos.cameras import View
 from survey.photos.xmp import Rtk
@@ -79,6 +85,8 @@ def test_without_a_number_in_survey_toml_a_fixed_receiver_tells_its_own_and_no_o
     assert [prior.source for prior in priors.values()] == ["XMP RTK", "GPS EXIF", "GPS EXIF", "GPS EXIF"]
     assert tuple(priors["0000.jpg"].position_std) == std
     assert priors["0001.jpg"].position_std is None
+    assert [prior.common_up_std for prior in priors.values()] == [0.0, 80.0, 80.0, 80.0]
+    assert common_up_std(priors) == common_up_std_of_exif(found.config.cameras, found.heads) == 0.0
     assert accuracy_of_gps(found.config.cameras, found.heads) == accuracy_of_priors(priors)
     assert accuracy_of_priors(priors) == (
         "1 of 4 positions good to 0.011, 0.012 and 0.025 m east, north and up (XMP RTK); 3 of 4 positions of unknown "
@@ -96,6 +104,16 @@ def test_an_accuracy_of_centimetres_by_another_maker_is_believed_and_one_of_metr
     priors = priors_of_gps(found, frame, views_of(found, frame))
     assert [prior.source for prior in priors.values()] == ["XMP accuracy", "GPS EXIF", "GPS EXIF", "GPS EXIF"]
     assert tuple(priors["0000.jpg"].position_std) == (0.02, 0.02, 0.03)
+
+
+@pytest.mark.parametrize(("stated", "common"), [("0.05", 0.0), ("2.0", 2.0), ("[3.0, 3.0, 70.0]", 70.0)])
+def test_heights_that_are_good_to_decimetres_or_worse_have_their_error_in_common(tmp_path, stated, common):
+    found = find_survey(unposed(tmp_path / "s", ("[water]", f"position_std_m = {stated}\n[water]")))
+    frame = LocalFrame(found.crs, (E0, N0, LEVEL))
+    assert common_up_std(priors_of_gps(found, frame, views_of(found, frame))) == common
+    assert common_up_std_of_exif(found.config.cameras, found.heads) == common
+    posed = load_survey(small_survey(tmp_path / "p", toml=replaced(("[water]", f"position_std_m = {stated}\n[water]"))))
+    assert common_up_std(posed.priors) == 0.0
 
 
 def test_a_photograph_without_a_position_or_its_height_has_no_prior(tmp_path):

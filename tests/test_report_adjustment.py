@@ -78,6 +78,19 @@ def test_positions_are_told_by_their_distance_to_those_given(facts):
     assert positions.largest_m == pytest.approx(np.linalg.norm(OFF))
 
 
+def test_what_heights_of_positions_have_in_common_is_told_apart(facts):
+    priors = facts.survey.priors
+    higher = {
+        name: replace(prior, position=prior.position + np.array([0.0, 0.0, 25.0])) for name, prior in priors.items()
+    }
+    survey, found = replace(facts.survey, priors=higher), replace(facts.adjustment, common_up_m=(25.0, 0.1))
+    positions = adjustment_of(survey, found).positions
+    assert positions.rms_m == pytest.approx(np.abs(OFF))
+    assert positions.common_up_m == (25.0, 0.1)
+    page = render_page(figures_of(replace(facts, survey=survey, adjustment=found)), [])
+    assert "too high in common" in page
+
+
 def test_control_and_check_points_are_told_apart(facts):
     control, check = adjustment_of(facts.survey, facts.adjustment).control_groups
     assert (control.name, control.num, control.rms_px) == ("control", 1, pytest.approx(0.31))

@@ -118,6 +118,8 @@ class Adjustment:
         Of the cameras, as they were found.
     hours : (V,) [h], or None
         See `survey.adjust.state.Layout`.
+    common_up_m : (error, standard deviation) [m], or None
+        By how much the heights of all positions are too high, where the level of the water placed the block.
     """
 
     parameters: tuple[Parameter, ...]
@@ -150,6 +152,7 @@ class Adjustment:
     flow: np.ndarray | None = None
     tides: np.ndarray | None = None
     hours: np.ndarray | None = None
+    common_up_m: tuple[float, float] | None = None
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name."""
@@ -208,6 +211,7 @@ def read_adjustment(folder: Path) -> Adjustment:
         **{name: record[name] for name in ("std_px", "factor", "num_observations", "num_points", "num_left_out")},
         gps_std_m=_tuples(record["gps_std_m"]),
         readouts_s=_tuples(record.get("readouts_s")),
+        common_up_m=_tuples(record.get("common_up_m")),
     )
 
 

@@ -9,6 +9,7 @@ V      normal matrix of each point (M, 3, 3), S that of the parameters with the 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,6 +127,11 @@ class System:
         """By how much the sum of squares falls by a step of parameters and points, if all is linear."""
         return float(self.right @ step + np.sum(self.free**2))
 
+    def heights_by_parameters(self) -> np.ndarray:
+        """Derivative (P,) of the mean height of the points by the parameters."""
+        up = self.root[:, :, 2].reshape(-1)
+        return -(self.mixed.T @ up) / len(self.root)
+
     def point_steps(self, step: np.ndarray) -> np.ndarray:
         """Steps (M, 3) [m] of the points that go with a step of the parameters (P,)."""
         left = self.free - (self.mixed @ step).reshape(-1, 3)
@@ -206,6 +212,11 @@ def system_at(problem: Problem, state: State, std_px: np.ndarray) -> System:
     return _system(problem, state, std_px, np.ones(len(problem.kind)))
 
 
+def system_with(problem: Problem, state: State, weights: np.ndarray) -> System:
+    """The normal equations at a state, for weights (N,) [1/px^2] of the observations."""
+    return _weighted_system(problem, state, lambda _residuals: weights)
+
+
 def std_of_kinds(problem: Problem, residuals: np.ndarray, taken: float) -> np.ndarray:
     """Standard deviation [px] of a coordinate of each kind of observation, from the median of its residuals.
 
@@ -240,7 +251,7 @@ def _weights(problem: Problem, residuals: np.ndarray, std_px: np.ndarray) -> np.
 
 def _descend(problem: Problem, state: State, std_px, inflation) -> tuple[State, System]:
     """The state of least cost for given standard deviations, and its normal equations."""
-    damping, cost = _DAMPING_START, _cost(problem, state, std_px, inflation)
+    damping, least = _DAMPING_START, cost(problem, state, std_px, inflation)
     for _ in range(_MOST_STEPS):
         system = _system(problem, state, std_px, inflation)
         matrix, scale = _scaled(system.normal)
@@ -248,15 +259,15 @@ def _descend(problem: Problem, state: State, std_px, inflation) -> tuple[State, 
             step = scale * cho_solve(cho_factor(matrix + damping * np.eye(len(matrix))), scale * system.right)
             own = system.point_steps(step)
             moved = state.moved(problem.layout, step, own)
-            costs = _cost(problem, moved, std_px, inflation)
+            costs = cost(problem, moved, std_px, inflation)
             # Points at the shoreline, where rays begin to bend, may promise more than they can keep.
-            if costs < cost + _SLACK * cost or system.promise(step) < _DONE:
+            if costs < least + _SLACK * least or system.promise(step) < _DONE:
                 break
             damping *= 10.0
             if damping > _DAMPING_MOST:
                 return state, system
-        if costs < cost:
-            gain, state, cost = cost - costs, moved, costs
+        if costs < least:
+            gain, state, least = least - costs, moved, costs
         else:
             gain = 0.0
         damping = max(damping * 0.1, _DAMPING_LEAST)
@@ -280,7 +291,17 @@ def _scaled(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return normal * np.outer(scale, scale), scale
 
 
-def _cost(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarray) -> float:
+def cost(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarray | float = 1.0) -> float:
+    """What an adjustment makes least: Huber's squares of residuals, and squares of priors, in units of variances.
+
+    Parameters
+    ----------
+    problem, state
+    std_px : (kinds,) [px]
+        Of the observations.
+    inflation : (N,), optional
+        As for `solve`.
+    """
     residuals = problem.residuals(state)
     length = np.linalg.norm(residuals, axis=1) / std_px[problem.kind]
     # A point that went behind a camera costs more than any that did not.
@@ -292,10 +313,15 @@ def _cost(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndar
 
 
 def _system(problem: Problem, state: State, std_px: np.ndarray, inflation: np.ndarray) -> System:
+    return _weighted_system(problem, state, lambda residuals: _weights(problem, residuals, std_px) / inflation)
+
+
+def _weighted_system(problem: Problem, state: State, weights_of: Callable[[np.ndarray], np.ndarray]) -> System:
+    """The normal equations; ``weights_of`` takes residuals (N, 2) [px] to weights (N,) [1/px^2]."""
     ties, priors = problem.ties, problem.priors
     linear = linearise(problem.layout, state, ties, problem.sides, problem.rows)
     residuals = ties.pixel - linear.pixels
-    weights = _weights(problem, residuals, std_px) / inflation
+    weights = weights_of(residuals)
     usable = weights > 0.0
     residuals = np.where(usable[:, None], residuals, 0.0)
     by_point = np.where(usable[:, None, None], linear.by_point, 0.0)

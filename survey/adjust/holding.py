@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from survey.adjust.adjustment import UNKNOWN, Parameter
-from survey.adjust.priors import HELD, Known
+from survey.adjust.priors import HELD
 from survey.adjust.rounds import Adjusted, adjust
 from survey.adjust.state import LENS_NAMES, RATE_NAME, READOUT_NAME, Layout
 from survey.adjust.water_settings import WATER_PARAMETERS
@@ -60,14 +60,10 @@ def adjusted_with(done: Adjusted, held: np.ndarray, stated_std: np.ndarray, size
         If the adjustment does not converge.
     """
     known, covariance = done.known, done.solution.covariance
-    kept = Known(
-        known.layout,
-        known.lenses,
-        done.solution.state.moved(known.layout, *_step(done, held)),
-        known.mean,
-        np.where(held, HELD * known.std, known.std),
-        known.unknown_positions,
-        known.unknown_rotations,
+    kept = replace(
+        known,
+        state=done.solution.state.moved(known.layout, *_step(done, held)),
+        std=np.where(held, HELD * known.std, known.std),
     )
     again = adjust(kept, done.used.at(kept.state.points), sizes, marks_std_px)
     follow = covariance[:, held] @ np.linalg.inv(covariance[np.ix_(held, held)])

@@ -11,7 +11,7 @@ import numpy as np
 from refract.lens import MODELS, Lens, is_affine
 from survey.adjust.bundle import Priors
 from survey.adjust.state import LENS, LENS_NAMES, RELIEF, Layout, State
-from survey.folder.pose_priors import BY_POSES
+from survey.folder.pose_priors import BY_POSES, common_up_std
 from survey.folder.shutter import rows_between
 from survey.photos.tie_points import TiePoints
 
@@ -61,6 +61,9 @@ class Known:
         Whose standard deviation is not known, and is `GPS_STD_M` to start with.
     unknown_rotations : (V,) bool
         Of poses of a file, whose standard deviation is not known, and is `ROTATION_STD` to start with.
+    common_up_std : float [m]
+        Of an error that the heights of all positions have in common; 0 where something else holds the heights. The
+        block is adjusted with that error: the level of its water counts as that much less certain.
     """
 
     layout: Layout
@@ -70,6 +73,7 @@ class Known:
     std: np.ndarray
     unknown_positions: np.ndarray
     unknown_rotations: np.ndarray
+    common_up_std: float = 0.0
 
     @property
     def place_of_water(self) -> tuple[float, float]:
@@ -113,12 +117,15 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
     state = State(_under_cameras(survey, centres), np.zeros(RELIEF), start, centres, rotations, none, readouts)
     exact = (free_water or survey.doubt is not None) and survey.ties is None
     calibrated = exact and not (survey.doubt is not None and survey.doubt.is_of_lens)
-    positions, position_std, unknown = _positions(survey, centres, exact=exact)
+    common_up = 0.0 if free_water else _common_up_std(survey)
+    positions, position_std, unknown = _positions(survey, centres, exact=exact, shares_height=common_up > 0.0)
     rotation_std, unknown_rotations = _rotations(survey, exact=exact)
     mean = replace(state, lenses=sheet, centres=positions)
+    of_water = _water_std(survey, free=free_water)
+    of_water[0] = math.hypot(of_water[0], common_up)
     std = np.concatenate(
         [
-            _water_std(survey, free=free_water),
+            of_water,
             np.full(RELIEF, _RELIEF_GSD * gsd),
             *(_lens_std(lens) * (_CALIBRATED if calibrated else 1.0) for lens in lenses),
             np.full(layout.first_rate - layout.first_readout, readout_std, dtype=np.float64),
@@ -126,7 +133,7 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
             np.concatenate([position_std, rotation_std], axis=1).ravel(),
         ]
     )
-    return Known(layout, lenses, state, mean, std, unknown, unknown_rotations)
+    return Known(layout, lenses, state, mean, std, unknown, unknown_rotations, common_up)
 
 
 def priors_for(known: Known, ties: TiePoints, point_std: np.ndarray | None = None) -> Priors:
@@ -215,7 +222,17 @@ def _water_std(survey: Survey, *, free: bool) -> np.ndarray:
     return np.maximum([level, slope, slope, index], HELD)
 
 
-def _positions(survey: Survey, centres: np.ndarray, *, exact: bool):
+def _common_up_std(survey: Survey) -> float:
+    """See `Known.common_up_std`."""
+    is_held = survey.control is not None and any(not point.is_check for point in survey.control.points)
+    if survey.water is None or not survey.is_level_known or survey.ties is None or is_held:
+        return 0.0
+    # What clicks in the photographs say of the level is as high as the block.
+    is_clicked = any(level.source == "clicks" for level in survey.levels)
+    return 0.0 if is_clicked else common_up_std(survey.priors)
+
+
+def _positions(survey: Survey, centres: np.ndarray, *, exact: bool, shares_height: bool):
     """Mean positions (V, 3), their standard deviations (V, 3), and which of these are not known (V,)."""
     positions, std = centres.copy(), np.full(centres.shape, np.inf)
     unknown = np.zeros(len(centres), dtype=bool)
@@ -224,7 +241,8 @@ def _positions(survey: Survey, centres: np.ndarray, *, exact: bool):
         if prior is None or prior.position is None:
             continue
         positions[number] = prior.position
-        if prior.position_std is not None:
+        # An error in common, however large, says nothing of single positions.
+        if prior.position_std is not None and not shares_height:
             std[number] = prior.position_std
         elif exact:
             std[number] = EXACT_STD_M

@@ -15,9 +15,11 @@ import numpy as np
 from survey.adjust.adjustment import UNKNOWN, Adjustment
 from survey.adjust.applied import at_state
 from survey.adjust.assembling import result
+from survey.adjust.common_height import placed_by_level, water_start, with_common, without_common
 from survey.adjust.contradiction import Contradiction, released, worst_contradiction
 from survey.adjust.far_poses import Search, windows_or_search
 from survey.adjust.free_water import Lost, adjust_free, dry_or_within_bounds, within_bounds
+from survey.adjust.given_check import LEVEL
 from survey.adjust.holding import adjusted_with
 from survey.adjust.observed import MATCH, WINDOW, Observed, observed
 from survey.adjust.priors import Known, known_of
@@ -97,9 +99,8 @@ def _adjusted(
         advance(0.3)
     if use_windows:
         if windows is None:
-            moved = survey if done is None else at_state(survey, known, done.solution.state)
-            windows = measure_windows(moved, device=device, advance=lambda part: advance(0.6 * part))
-        start = known if done is None else _started(known, done)
+            windows = _windows_at(survey, done, device, lambda part: advance(0.6 * part))
+        start = known if done is None else _started(gathered.known, done)
         done = gathered.with_more(WINDOW, within_bounds(survey, windows) if free_water else windows, start)
         advance(0.1)
     assert done is not None
@@ -118,11 +119,21 @@ def _adjusted(
     return replace(found, warnings=(*found.warnings, *warnings))
 
 
+def _windows_at(survey: Survey, done: Adjusted | None, device: str, advance: Callable[[float], None]) -> TiePoints:
+    """Windows of an adjusted block, of a survey as it came where there is none."""
+    if done is None:
+        return measure_windows(survey, device=device, advance=advance)
+    placed, common = placed_by_level(done)
+    windows = measure_windows(at_state(survey, done.known, placed.solution.state), device=device, advance=advance)
+    up = np.array([0.0, 0.0, 0.0 if common is None else common.error])
+    return replace(windows, start=windows.start + up)
+
+
 class _Gathered:
     """What is observed of a survey, as more of it is measured, and the adjustments of all that there is."""
 
     def __init__(self, survey: Survey, known: Known, free_water: bool):
-        self._survey, self._known, self._free_water = survey, known, free_water
+        self._survey, self.known, self._free_water = survey, known, free_water
         self._sizes = [(view.lens.width, view.lens.height) for view in survey.views]
         self._marks_std = _MARKS_STD_PX if survey.control is None else survey.control.marks_std_px
         self._parts: list[tuple[int, TiePoints]] = []
@@ -130,16 +141,30 @@ class _Gathered:
 
     @property
     def _observed(self) -> Observed:
-        return observed(self._parts, self._survey.control, self._survey, self._known)
+        return observed(self._parts, self._survey.control, self._survey, self.known)
 
     def with_more(self, kind: int, ties: TiePoints, start: Known) -> Adjusted:
         """Take in more tie points, those that are needed, and adjust."""
         needed = ties.only(np.isin(ties.point, thinned(ties, self._sizes, CELLS, PER_CELL)))
         self._parts.append((kind, needed))
-        if not self._free_water:
+        if self._free_water:
+            done, self._lost = adjust_free(self._survey, start, self._observed, self._sizes, self._marks_std)
+            return done
+        if start.common_up_std == 0.0 or len(self._parts) > 1:
             return adjust(start, self._observed, self._sizes, self._marks_std)
-        done, self._lost = adjust_free(self._survey, start, self._observed, self._sizes, self._marks_std)
-        return done
+        start, points = water_start(start, self._observed, self._marks_std)
+        self._parts[0] = (kind, replace(needed, start=points))
+        done = adjust(start, self._observed, self._sizes, self._marks_std)
+        held = None if self._are_stated else without_common(self.known, done)
+        if held is None:
+            return done
+        self.known = replace(held, state=self.known.state)
+        return adjust(held, self._observed, self._sizes, self._marks_std)
+
+    @property
+    def _are_stated(self) -> bool:
+        """Whether anything says how good positions are."""
+        return any(prior.position_std is not None for prior in self._survey.priors.values())
 
     def without_contradictions(self, done: Adjusted) -> tuple[Adjusted, list[Contradiction]]:
         """Adjust with what the photographs contradict of the water set free, the worst first; and what that was."""
@@ -159,13 +184,14 @@ class _Gathered:
         total = sum(len(ties.view) for _, ties in self._parts) + (0 if control is None else len(control.marks))
         if self._free_water:
             return result(self._survey, done, total, lost=self._lost)
-        return result(
-            self._survey,
-            done,
-            total,
-            contradicted=[each.number for each in against],
-            hold=lambda held: adjusted_with(done, held, self._known.std, self._sizes, self._marks_std),
-        )
+        placed, common = placed_by_level(done)
+
+        def hold(held: np.ndarray) -> Adjusted:
+            return placed_by_level(adjusted_with(done, held, self.known.std, self._sizes, self._marks_std))[0]
+
+        used = {each.number for each in against} | (set() if common is None else {LEVEL})
+        found = result(self._survey, placed, total, contradicted=sorted(used), hold=hold)
+        return found if common is None else with_common(found, common, placed.solution.state.water)
 
 
 def _doubted(survey: Survey) -> Contradiction | None:

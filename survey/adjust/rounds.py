@@ -14,6 +14,7 @@ from survey.adjust.observed import KINDS, MARK, Observed, rows_taken
 from survey.adjust.pose_std import judged
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import Known, priors_for
+from survey.adjust.shore_side import covariance_over_shore
 from survey.adjust.state import State
 
 # Observations of more standard deviations than this are left out.
@@ -101,6 +102,8 @@ def adjust(known: Known, seen: Observed, sizes, marks_std_px: float) -> Adjusted
             break
         state = _without_points(solution.state, seen, keep)
         seen = kept.at(state.points)
+    if known.common_up_std > 0.0:
+        solution = replace(solution, covariance=covariance_over_shore(problem, solution))
     solution = replace(solution, std_px=np.sqrt(_means(found[kind] ** 2, seen.kind)))
     return Adjusted(known, seen, solution, _means(factors[kind], seen.kind), blunders)
 

@@ -101,12 +101,18 @@ def with_level_of_points(
     """
     if config.water is None or points is None or not len(points):
         raise ConfigError(f"[water] in {FILE_NAME} has no level, and no matched points show one; give level_m")
-    top = float(np.quantile(points[:, 2], _TOP_OF_POINTS))
-    x, y, camera = np.median([view.camera.centre for view in views], axis=0)
-    start = frame.crs_from_local(np.array([[x, y, top + _START_OVER_POINTS * max(camera - top, 0.0)]]))[0, 2]
+    centres = np.array([view.camera.centre for view in views])
+    x, y, _ = np.median(centres, axis=0)
+    start = frame.crs_from_local(np.array([[x, y, over_points(points, centres)]]))[0, 2]
     level = round(float(start) * height_unit_m(frame.crs), 2)
     assumptions.append(f"level_m is not given: the search for it starts at {level:g} m, above the matched points")
     return replace(config, water=replace(config.water, level_m=level, level_std_m=MOST_LEVEL_STD_M))
+
+
+def over_points(points: np.ndarray, centres: np.ndarray) -> float:
+    """Where a search for the height of the water begins [m]: over most of the points (N, 3), under cameras (V, 3)."""
+    top = float(np.quantile(points[:, 2], _TOP_OF_POINTS))
+    return top + _START_OVER_POINTS * max(float(np.median(centres[:, 2])) - top, 0.0)
 
 
 def water_in_local(

@@ -77,7 +77,7 @@ def _require_above_water(
     centres = frame.crs_from_local(np.array([view.camera.centre for view in views]))
     heights, at = centres[:, 2] * height_unit_m(frame.crs), place_of(frame.crs, np.median(centres, axis=0))
     why = explanation(float(np.median(over_water)), water.known_level_m, at, frame.crs, above_start_of(heads))
-    _require_level_fits(water, "the cameras are", heights, over_water, f"the poses ({frame.crs.name}){why}")
+    require_level_fits(water, "the cameras are", heights, over_water, f"the poses ({frame.crs.name}){why}")
     lowest = int(np.argmin(over_water))
     if over_water[lowest] <= 0.0:
         raise PosesError(
@@ -87,26 +87,19 @@ def _require_above_water(
         )
 
 
-def require_level_fits_exif(config: SurveyConfig, heads: dict[str, Exif], crs: CRS) -> None:
-    """Raise where the level cannot fit the heights in EXIF, which structure from motion would use.
+def require_level_fits(water: WaterConfig, who: str, heights: np.ndarray, over_water: np.ndarray, like: str) -> None:
+    """Raise where cameras of heights (N,) [m] in crs, and over the water, lie all under it or far above it.
+
+    Parameters
+    ----------
+    water, heights, over_water
+    who, like : str
+        Who says so, and what has the datum that the level should have; for the message.
 
     Raises
     ------
     ConfigError
-        Where all images lie under the water or far above it.
     """
-    places = np.array([h.lat_lon_height for h in heads.values() if h.lat_lon_height is not None]).reshape(-1, 3)
-    places = places[np.isfinite(places).all(axis=1)]
-    heights = places[:, 2]
-    if config.water is None or config.water.level_m is None or config.cameras.gps_height != "crs" or not heights.size:
-        return
-    over_water = heights - config.water.known_level_m
-    lat, lon, _ = np.median(places, axis=0).tolist()
-    why = explanation(float(np.median(over_water)), config.water.known_level_m, (lat, lon), crs, above_start_of(heads))
-    _require_level_fits(config.water, "EXIF has the cameras", heights, over_water, f"the heights in EXIF{why}")
-
-
-def _require_level_fits(water: WaterConfig, who: str, heights: np.ndarray, over_water: np.ndarray, like: str) -> None:
     said = f"[water] level_m is {water.level_m:g} m and {who} at {heights.min():.1f} to {heights.max():.1f} m"
     mend = f"give level_m in {FILE_NAME} in the same vertical datum as {like}"
     if (over_water <= 0.0).all():

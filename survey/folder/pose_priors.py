@@ -23,7 +23,10 @@ if TYPE_CHECKING:
 _RTK_FIXED = 50
 # Receivers of other makers state an accuracy without saying how they came by it. One of centimetres comes from
 # corrections; the errors of one of metres are nearly the same in all photographs, and it says nothing of them.
-_WELL_KNOWN_M = 0.1
+WELL_KNOWN_M = 0.1
+# What heights in EXIF have in common where nothing says how good they are. Most drones take them from their barometer
+# and the standard atmosphere: the pressure of the day is off by some 10 hPa, at 8 m each.
+BAROMETER_STD_M = 80.0
 # Positions before the adjustment of another program, with the accuracy that its file gives them.
 BY_FILE = "GPS in the poses file"
 # Poses of a file that come without a word on how good they are.
@@ -46,12 +49,15 @@ class PosePrior:
     source : str
         Of the standard deviation, "survey.toml", "XMP RTK", "XMP accuracy" or `BY_FILE`; without one, of the position:
         "GPS EXIF", `BY_POSES`, or "none".
+    common_up_std : float [m]
+        Of an error that the heights of all positions have in common; 0 where they have none.
     """
 
     position: np.ndarray | None
     position_std: np.ndarray | None
     rotation_std_deg: np.ndarray | None
     source: str
+    common_up_std: float = 0.0
 
 
 def priors_of_poses(
@@ -83,13 +89,29 @@ def priors_of_gps(found: Found, frame: LocalFrame, views: Sequence[View]) -> dic
     return {view.name: _by_gps(cameras, local.get(view.name), found.heads[view.name]) for view in views}
 
 
+def common_up_std(priors: Mapping[str, PosePrior]) -> float:
+    """Standard deviation [m] of what the heights of all positions have in common; 0 where one has no such error."""
+    return min((prior.common_up_std for prior in priors.values() if prior.position is not None), default=0.0)
+
+
+def common_up_std_of_exif(cameras: CamerasConfig, heads: Mapping[str, Exif]) -> float:
+    """The same of the positions in EXIF, before structure from motion."""
+    placed = [head for head in heads.values() if head.lat_lon_height is not None]
+    return min((_common_up(_std_by_exif(cameras, head)[0]) for head in placed), default=0.0)
+
+
+def _common_up(std: np.ndarray | None) -> float:
+    up = BAROMETER_STD_M if std is None else float(std[2])
+    return up if up > WELL_KNOWN_M else 0.0
+
+
 def _std_by_exif(cameras: CamerasConfig, head: Exif) -> tuple[np.ndarray | None, str]:
     """The standard deviation (3,) [m] of a GPS position, and where it comes from; None where nothing tells it."""
     if cameras.position_std_m is not None:
         return np.array(per_axis(cameras.position_std_m)), "survey.toml"
     if head.rtk is not None and head.rtk.flag == _RTK_FIXED:
         return np.array(head.rtk.std_m), "XMP RTK"
-    if head.std_m is not None and max(head.std_m) <= _WELL_KNOWN_M:
+    if head.std_m is not None and max(head.std_m) <= WELL_KNOWN_M:
         return np.array(head.std_m), "XMP accuracy"
     return None, "GPS EXIF"
 
@@ -98,7 +120,7 @@ def _by_gps(cameras: CamerasConfig, position: np.ndarray | None, head: Exif) -> 
     if position is None:
         return PosePrior(None, None, None, "none")
     std, source = _std_by_exif(cameras, head)
-    return PosePrior(position, std, None, source)
+    return PosePrior(position, std, None, source, _common_up(std))
 
 
 def accuracy_of_priors(priors: Mapping[str, PosePrior]) -> str:

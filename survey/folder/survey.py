@@ -22,6 +22,7 @@ from survey.folder.doubt import Doubt
 from survey.folder.found import Found, find_survey
 from survey.folder.level_observation import LevelObservation
 from survey.folder.mark_residuals import mark_doubts
+from survey.folder.over_water import block_over_water
 from survey.folder.plausible import doubts_of_places, require_true
 from survey.folder.pose_priors import PosePrior
 from survey.folder.reprojection import Reprojection
@@ -165,6 +166,8 @@ def load_survey(
     velocities = velocities_of(places, found.heads, found.config.cameras.speed_m_s)
     views = with_motion(block.views, velocities, found.config.cameras, warnings)
     config, water, is_level_known, levels = _water(block, views, assumptions, warnings)
+    if is_level_known:
+        block, views = block_over_water(block, views, water, warnings)
     views, tide = with_tides(views, found.tide, water)
     require_true(frame, views, water, config, found.heads, see_points=block.reprojection is not None)
     warnings += _doubts(replace(found, config=config), frame, views, water, block.control)

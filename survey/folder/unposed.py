@@ -17,8 +17,8 @@ from survey.errors import ControlError, ImageError, PosesError
 from survey.folder.block_control import control_of_block, require_placing_control
 from survey.folder.camera_faults import require_focal_lengths
 from survey.folder.datum_mixups import place_of, xmp_doubts
+from survey.folder.exif_level import require_level_fits_exif
 from survey.folder.found import MIN_VIEWS, Found
-from survey.folder.plausible import require_level_fits_exif
 from survey.folder.shutter import shutter_doubts
 from survey.folder.start_height import start_doubts
 from survey.names import RUN_FOLDER, SFM_FOLDER

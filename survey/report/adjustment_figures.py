@@ -47,7 +47,9 @@ class PositionFigures:
     used_std_m : (east, north, up) [m] or None
         Median standard deviation with which they were used.
     rms_m : (east, north, up) [m]
-        Of adjusted less given.
+        Of adjusted less given, and less what the heights have in common.
+    common_up_m : (error, standard deviation) [m] or None
+        See `survey.adjust.adjustment.Adjustment`.
     largest_m, largest_name : [m], str
         The largest distance, and its photograph.
     """
@@ -57,6 +59,7 @@ class PositionFigures:
     rms_m: Axes
     largest_m: float
     largest_name: str
+    common_up_m: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -181,9 +184,11 @@ def _positions(survey: Survey, found: Adjustment) -> PositionFigures | None:
     if not rows:
         return None
     miss = found.centres[rows] - np.array([given[found.names[i]] for i in rows])
+    miss[:, 2] += 0.0 if found.common_up_m is None else found.common_up_m[0]
     far = np.linalg.norm(miss, axis=1)
     worst = int(np.argmax(far))
-    return PositionFigures(len(rows), found.gps_std_m, _rms(miss), float(far[worst]), found.names[rows[worst]])
+    name = found.names[rows[worst]]
+    return PositionFigures(len(rows), found.gps_std_m, _rms(miss), float(far[worst]), name, found.common_up_m)
 
 
 def _poses(found: Adjustment) -> PoseFigures:

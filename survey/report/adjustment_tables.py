@@ -57,6 +57,10 @@ def _poses(found: AdjustmentFigures) -> list[tuple[str, str]]:
     if (given := found.positions) is not None:
         if given.used_std_m is not None:
             rows.append(("given positions, 1 sigma as used", f"{_axes_text(given.used_std_m)} (median)"))
+        if given.common_up_m is not None:
+            error, std = given.common_up_m
+            side = "low" if error < 0.0 else "high"
+            rows.append(("heights of given positions", f"{length(abs(error))} too {side} in common, ± {length(std)}"))
         largest = f"the largest is {length(given.largest_m)}, of {given.largest_name}"
         rows.append(("adjusted less given positions", f"rms {_axes_text(given.rms_m)}; {largest}"))
     poses = found.poses

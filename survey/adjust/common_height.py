@@ -1,0 +1,172 @@
+"""Heights of positions that share an error which nothing but the water tells, as those by the barometer of a drone.
+
+A block is adjusted where its positions put it, and there its photographs tell the height L of the water: by the bend of
+rays, and by where the bank ends. The level that is known, of standard deviation s, then tells the error b that heights
+share, of standard deviation p, ``b = k (L - level)`` with ``k = p^2 / (p^2 + s^2)``, to a variance of ``k s^2`` beside
+that of L; and the block is lowered by it. Water and cameras of the block have the covariance C before, and
+``T C T' + k s^2 u u'`` after, with ``T = 1 - k u l'``: u has ones at heights, l one at that of the water.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from refract import FlatWater
+from survey.adjust.adjustment import Adjustment
+from survey.adjust.bundle import NotConvergedError, Problem, Solution, cost, solve
+from survey.adjust.common_error import common_error
+from survey.adjust.contradiction import MOST
+from survey.adjust.observed import KINDS, MARK, Observed, rows_taken
+from survey.adjust.prediction import relief_sides
+from survey.adjust.priors import Known, priors_for
+from survey.adjust.rounds import Adjusted
+from survey.adjust.state import POSE, State, with_parameters
+from survey.adjust.verdicts import MOST_STD_LEVEL_M
+from survey.folder.place import over_points
+from survey.folder.pose_priors import WELL_KNOWN_M
+
+# A position by GPS without corrections is off by less.
+_GPS_WITHIN_M = 10.0
+
+
+@dataclass(frozen=True)
+class CommonHeight:
+    """What the heights of all positions have in common, as the level of the water shows it.
+
+    Attributes
+    ----------
+    error, std : float [m]
+        By how much they are too high.
+    level_std : float [m]
+        Of the height of the water over the block, by photographs.
+    """
+
+    error: float
+    std: float
+    level_std: float
+
+
+def water_start(known: Known, seen: Observed, marks_std_px: float) -> tuple[Known, np.ndarray]:
+    """Where the adjustment of a block is to start whose positions do not tell how high it lies over the water.
+
+    And the points (M, 3) [m] of what is seen. Without any start that converges, both as they are.
+
+    Between the levels of two starts, photographs may fit either way to within what the adjustment follows: all under
+    water, or some of them.
+    """
+    found: list[tuple[Problem, Solution]] = []
+    for height in _levels(known, seen):
+        parameters = known.state.water_parameters()
+        parameters[0] = height
+        water = with_parameters(known.state.water, parameters)
+        state = replace(known.state, water=water, points=seen.ties.start)
+        try:
+            problem = _problem(known, seen, state, marks_std_px)
+            found.append((problem, solve(problem, state)))
+        except NotConvergedError:
+            continue
+    if not found:
+        return known, seen.ties.start
+    std_px = found[0][1].std_px
+    least = min((solution for _, solution in found), key=lambda each: cost(found[0][0], each.state, std_px))
+    return replace(known, state=replace(least.state, points=np.zeros((0, 3)))), least.state.points
+
+
+def _levels(known: Known, seen: Observed) -> tuple[float, ...]:
+    """As positions have it; with most points under water; with half of them."""
+    points = seen.ties.start
+    over = over_points(points, known.state.centres)
+    return float(known.state.water_parameters()[0]), over, float(np.median(points[:, 2]))
+
+
+def _problem(known: Known, seen: Observed, state: State, marks_std_px: float) -> Problem:
+    given = np.full(len(KINDS), np.nan)
+    given[MARK] = marks_std_px
+    sides = relief_sides(state, seen.ties)
+    rows = rows_taken(seen.ties, known.lenses, known.layout.lens_of)
+    return Problem(known.layout, seen.ties, seen.kind, priors_for(known, seen.ties), given, sides, rows)
+
+
+def without_common(known: Known, done: Adjusted) -> Known | None:
+    """What is known if the positions turn out to be those of a receiver with corrections, whose heights hold the block.
+
+    None where they do not: single positions, in plan, show its accuracy, and the level of the water agrees with them.
+    """
+    placed, common = placed_by_level(done)
+    if common is None or not known.unknown_positions.all():
+        return None
+    scatter = done.known.std[known.layout.first_pose :].reshape(-1, POSE)[:, :2]
+    if np.median(scatter) > WELL_KNOWN_M or abs(common.error) > MOST * common.std:
+        return None
+    state = replace(done.solution.state, points=np.zeros((0, 3)))
+    std = known.std.copy()
+    std[0] = placed.known.std[0]
+    return replace(known, state=state, std=std, common_up_std=0.0)
+
+
+def placed_by_level(done: Adjusted) -> tuple[Adjusted, CommonHeight | None]:
+    """The block at the height that the level of its water tells, where its positions have an error in common."""
+    known, covariance = done.known, done.solution.covariance
+    if known.common_up_std == 0.0:
+        return done, None
+    of_level = known.std[0] ** 2 - known.common_up_std**2
+    share = known.common_up_std**2 / known.std[0] ** 2
+    too_high = share * float(done.solution.state.water_parameters()[0] - known.mean.water_parameters()[0])
+    heights = np.zeros(len(known.layout))
+    heights[0], heights[known.layout.first_pose + 2 :: POSE] = 1.0, 1.0
+    follow = covariance - share * np.outer(heights, covariance[0])
+    follow = follow - share * np.outer(follow[:, 0], heights)
+    follow = follow + share * of_level * np.outer(heights, heights)
+    state = _lowered(done.solution.state, too_high)
+    std = known.std.copy()
+    std[0] = np.sqrt(of_level)
+    mean = replace(known.mean, centres=known.mean.centres - (0.0, 0.0, too_high))
+    level_std = float(np.sqrt(covariance[0, 0]))
+    common = CommonHeight(too_high, float(np.sqrt(share * of_level + (share * level_std) ** 2)), level_std)
+    solution = replace(done.solution, state=state, covariance=follow)
+    return replace(done, known=replace(known, std=std, mean=mean, common_up_std=0.0), solution=solution), common
+
+
+def with_common(found: Adjustment, common: CommonHeight, water: FlatWater | None) -> Adjustment:
+    """What was found, with a sentence on the heights of the positions, and warnings where it is more than that.
+
+    Parameters
+    ----------
+    found, common
+    water : FlatWater or None
+        Local, as it was found.
+    """
+    side = "low" if common.error < 0.0 else "high"
+    said = (
+        f"the level of the water places the block: heights of positions are {abs(common.error):.2f} m too {side} "
+        f"(+- {common.std:.2g} m), an error that they have in common"
+    )
+    if abs(common.error) > _GPS_WITHIN_M:
+        doubt = f"{said}; a barometer may have it, GPS has not: else level_m is wrong, or in another vertical datum"
+        found = replace(found, warnings=(*found.warnings, doubt))
+    else:
+        found = replace(found, notes=(*found.notes, said))
+    found = replace(found, common_up_m=(common.error, common.std))
+    heights = common_error(found, water)
+    if heights is None or heights.mean <= MOST_STD_LEVEL_M:
+        return found
+    loose = (
+        f"all heights together are known to {heights.mean:.2g} m only: positions may share any error in height, and "
+        f"photographs tell the height of the water over the bed to {common.level_std:.2g} m; give control points, "
+        "photographs with obliques or of the bank, or [cameras] position_std_m where positions have corrections"
+    )
+    return replace(found, warnings=(*found.warnings, loose))
+
+
+def _lowered(state: State, by: float) -> State:
+    parameters = state.water_parameters()
+    parameters[0] -= by
+    down = np.array([0.0, 0.0, by])
+    return replace(
+        state,
+        water=with_parameters(state.water, parameters),
+        centres=state.centres - down,
+        points=state.points - down,
+    )

@@ -1,0 +1,32 @@
+"""What structure from motion would make of the small survey, without running it."""
+
+from __future__ import annotations
+
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+from small_survey import E0, LEVEL, N0
+
+from geo.frames import LocalFrame
+from refract.lens import Lens
+from survey.photos.tie_points import TiePoints
+from survey.sfm.poses import image_names
+
+
+def solved(monkeypatch, names):
+    """Put a solver in the place of structure from motion, which has tests of its own; returns its calls."""
+    calls = []
+
+    def solve_poses(image_paths, crs, workspace, *, gps_height, size_px, focal_px, control, report):
+        calls.append((image_paths, workspace, gps_height, size_px, focal_px))
+        frame = LocalFrame(crs, (E0, N0, LEVEL))
+        lens = Lens("SIMPLE_RADIAL", (focal_px or 90.0, 32.0, 24.0, -0.01), 64, 48)
+        down = np.diag([1.0, -1.0, -1.0])
+        views = [(name, lens, np.array([3.0 * i, 0.0, 20.0]), down) for i, name in enumerate(names)]
+        ties = TiePoints(np.array([[1.0, 0.0, -2.0]]), np.zeros(3, int), np.arange(3), np.full((3, 2), 9.5))
+        return SimpleNamespace(frame=frame, views=views, notes=["placed by GPS"], ties=ties)
+
+    there = SimpleNamespace(solve_poses=solve_poses, image_names=image_names)
+    monkeypatch.setitem(sys.modules, "survey.sfm.poses", there)
+    return calls

@@ -1,8 +1,8 @@
 """Whether photographs show the bed under water where the level that is given leaves all of it dry.
 
 A level in another vertical datum may be tens of metres too low. Where all rays are straight, no derivative tells of
-water any more; so the water is raised over the windows, and the adjustment, with poses and lens as given, may bring it
-back to the dry bed or find it in between.
+water any more; so the water is raised over the points, and the adjustment, with poses and lens as given or as uncertain
+as they are, may bring it back to the dry bed or find it in between.
 """
 
 from __future__ import annotations
@@ -14,11 +14,18 @@ import numpy as np
 
 from refract import FlatWater
 from survey.adjust.bundle import NotConvergedError, Problem, solve
+from survey.adjust.common_height import water_start
 from survey.adjust.contradiction import MOST
 from survey.adjust.given_check import LEVEL, told_of_given
 from survey.adjust.misfit import misfit
+from survey.adjust.observed import Observed
+from survey.adjust.priors import Known
+from survey.adjust.rounds import Adjusted, adjust
+from survey.adjust.shore_side import std_over_points
 from survey.adjust.state import State
+from survey.errors import SurveyError
 from survey.folder.doubt import Doubt
+from survey.folder.pose_priors import BAROMETER_STD_M
 from survey.folder.survey import Survey
 from survey.plan.poses import MOST_MISFIT_PX
 
@@ -61,6 +68,51 @@ def level_over(survey: Survey, problem: Problem, state: State, gsd: float) -> Do
                 given = survey.require_water()[1].known_level_m
                 raised_by = float(_water(found.state).point[2] - state.water.point[2]) + each.difference
                 return Doubt("level_m", given, each.given_std, given + raised_by, each.std)
+    return None
+
+
+def dry_bed_error(level: Doubt, way_out: str) -> SurveyError:
+    """What ends a run whose level leaves dry what photographs show under water, with a way out beside mending it."""
+    return SurveyError(
+        f"[water] level_m is {level.given:.3f} m, which leaves all of the bed dry, and the photographs show it under "
+        f"water whose level is {level.found:.2f} +- {level.std:.2g} m; correct level_m in survey.toml, whose vertical "
+        "datum has to be that of the poses (heights over the ellipsoid and over the geoid differ by up to 100 m), or "
+        f"{way_out}"
+    )
+
+
+def level_over_block(survey: Survey, known: Known, seen: Observed, done: Adjusted, marks_std_px: float) -> Doubt | None:
+    """The level that an adjusted block asks for, in place of one under which all of it is dry; None where it does not.
+
+    Parameters
+    ----------
+    survey : Survey
+    known : Known
+        What the block was adjusted with.
+    seen : Observed
+        All of it.
+    done : Adjusted
+        The block.
+    marks_std_px : float
+        As for `survey.adjust.rounds.adjust`.
+    """
+    dry = done.solution.state
+    if dry.water is None or (dry.water.depth(dry.points) > 0.0).any():
+        return None
+    std = known.std.copy()
+    std[0] = BAROMETER_STD_M
+    free = replace(known, std=std, common_up_std=BAROMETER_STD_M)
+    with suppress(NotConvergedError):
+        start, points = water_start(free, seen, marks_std_px)
+        wet = adjust(
+            start, seen.at(points), [(view.lens.width, view.lens.height) for view in survey.views], marks_std_px
+        )
+        water, covariance = _water(wet.solution.state), wet.solution.covariance
+        over = float(np.median(water.depth(wet.solution.state.points)))
+        if over > MOST * std_over_points(wet.solution.system, covariance):
+            given, level = survey.require_water()[1].known_level_m, float(np.sqrt(covariance[0, 0]))
+            raised = float(water.point[2]) - float(known.mean.water_parameters()[0])
+            return Doubt("level_m", given, float(known.std[0]), given + raised, level)
     return None
 
 

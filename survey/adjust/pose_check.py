@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from survey.adjust.bundle import NotConvergedError, Problem, solve
-from survey.adjust.flooding import level_over
+from survey.adjust.flooding import dry_bed_error, level_over
 from survey.adjust.given_check import doubt_of, told_of_given
 from survey.adjust.misfit import misfit
 from survey.adjust.observed import KINDS, MATCH, WINDOW, observed, rows_taken
@@ -23,7 +23,6 @@ from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import FREE_WATER, HELD, known_of, priors_for
 from survey.adjust.state import State
 from survey.adjust.windows_of_survey import windows_of_block
-from survey.errors import SurveyError
 from survey.folder.doubt import Doubt
 from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
@@ -62,12 +61,7 @@ class PoseCheck:
     def require_water(self) -> None:
         """Raise `SurveyError` where photographs show water over a bed that the given level leaves dry."""
         if (level := self.flooded) is not None:
-            raise SurveyError(
-                f"[water] level_m is {level.given:.3f} m, which leaves all of the bed dry, and the photographs show it "
-                f"under water whose level is {level.found:.2f} +- {level.std:.2g} m; correct level_m in survey.toml, "
-                "whose vertical datum has to be that of the poses (heights over the ellipsoid and over the geoid "
-                "differ by up to 100 m), or say --poses fixed to use it as it is"
-            )
+            raise dry_bed_error(level, "say --poses fixed to use it as it is")
 
 
 def check_of_windows(

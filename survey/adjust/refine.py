@@ -18,6 +18,7 @@ from survey.adjust.assembling import result
 from survey.adjust.common_height import placed_by_level, water_start, with_common, without_common
 from survey.adjust.contradiction import Contradiction, released, worst_contradiction
 from survey.adjust.far_poses import Search, windows_or_search
+from survey.adjust.flooding import dry_bed_error, level_over_block
 from survey.adjust.free_water import Lost, adjust_free, dry_or_within_bounds, within_bounds
 from survey.adjust.given_check import LEVEL
 from survey.adjust.holding import adjusted_with
@@ -150,10 +151,20 @@ class _Gathered:
         if self._free_water:
             done, self._lost = adjust_free(self._survey, start, self._observed, self._sizes, self._marks_std)
             return done
-        if start.common_up_std == 0.0 or len(self._parts) > 1:
-            return adjust(start, self._observed, self._sizes, self._marks_std)
+        if start.common_up_std > 0.0 and len(self._parts) == 1:
+            return self._at_level(start)
+        done = adjust(start, self._observed, self._sizes, self._marks_std)
+        if len(self._parts) == 1 and self._survey.is_level_known:
+            level = level_over_block(self._survey, start, self._observed, done, self._marks_std)
+            if level is not None:
+                raise dry_bed_error(level, "leave out [water] if the bed is dry")
+        return done
+
+    def _at_level(self, start: Known) -> Adjusted:
+        """Adjust where the level of the water, or else the positions, say how high the block lies."""
         start, points = water_start(start, self._observed, self._marks_std)
-        self._parts[0] = (kind, replace(needed, start=points))
+        kind, ties = self._parts[0]
+        self._parts[0] = (kind, replace(ties, start=points))
         done = adjust(start, self._observed, self._sizes, self._marks_std)
         held = None if self._are_stated else without_common(self.known, done)
         if held is None:

@@ -11,6 +11,7 @@ from small_survey import LEVEL, unposed
 
 from survey.errors import ConfigError
 from survey.folder.survey import Survey, load_survey
+from survey.plan.check import check_survey
 
 NAMES = ["0000.jpg", "0001.jpg", "0002.jpg"]
 # Of the cameras over the true water, of the one matched point.
@@ -64,3 +65,21 @@ def test_heights_that_cannot_be_off_by_so_much_are_refused(tmp_path, monkeypatch
 def test_heights_that_are_said_to_be_off_by_so_much_are_not_refused_for_a_datum_that_explains_it(tmp_path, monkeypatch):
     survey = survey_with(tmp_path / "s", monkeypatch, 49.0, "[3.0, 3.0, 80.0]")
     assert [text for text in survey.warnings if "the level of the water decides" in text]
+
+
+@pytest.mark.parametrize(
+    ("std", "said"),
+    [
+        (
+            "",
+            "may be 80 m off, all alike: the level of the water places the block, unless positions prove good to 0.1 m",
+        ),
+        ("[2.0, 2.0, 4.0]", "may be 4 m off, all alike: the level of the water places the block"),
+        ("0.03", None),
+    ],
+)
+def test_check_says_it_before_structure_from_motion(tmp_path, std, said):
+    stated = f"position_std_m = {std}\n" if std else ""
+    folder = unposed(tmp_path / "s", ("[water]", f"{stated}[water]"))
+    rows = dict(next(section.rows for section in check_survey(folder) if section.title == "Found"))
+    assert rows.get("heights", "").startswith(said) if said else "heights" not in rows

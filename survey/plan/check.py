@@ -11,7 +11,7 @@ import numpy as np
 from geo.crs import height_unit_m
 from survey.display.quantities import length
 from survey.errors import SurveyError
-from survey.folder.pose_priors import accuracy_of_gps, accuracy_of_priors
+from survey.folder.pose_priors import WELL_KNOWN_M, accuracy_of_gps, accuracy_of_priors, common_up_std_of_exif
 from survey.folder.shutter import shutter_text
 from survey.folder.survey import Found, Survey, find_survey, load_survey
 from survey.folder.unposed import placing_control, require_solvable
@@ -202,9 +202,21 @@ def _rows_without_poses(found: Found) -> list[tuple[str, str]]:
         ("positions", f"{len(places)} of {len(found.heads)} images have one in EXIF{on_places}"),
         ("poses", "none"),
         ("accuracy", accuracy_of_gps(found.config.cameras, found.heads)),
+        *_shared_error(found),
         ("water", _water_below(found, heights)),
         *control_rows(found.control),
     ]
+
+
+def _shared_error(found: Found) -> list[tuple[str, str]]:
+    """A row on what heights in EXIF may have in common, where the level of the water places the block."""
+    std = common_up_std_of_exif(found.config.cameras, found.heads)
+    water = found.config.water
+    if std == 0.0 or found.control is not None or water is None or water.level_m is None:
+        return []
+    is_stated = found.config.cameras.position_std_m is not None
+    unless = "" if is_stated else f", unless positions prove good to {WELL_KNOWN_M:g} m and agree with it"
+    return [("heights", f"may be {std:g} m off, all alike: the level of the water places the block{unless}")]
 
 
 def _water_below(found: Found, heights: np.ndarray) -> str:

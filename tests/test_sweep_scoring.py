@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fields.sweep.arrays import floats, host
+from fields.sweep.arrays import ALIGNED_BYTES, Room, floats, host
 from fields.sweep.backends import scoring
 
 EPS32 = np.finfo(np.float32).eps
@@ -33,6 +33,20 @@ def ncc_of(device, reference: np.ndarray, images: np.ndarray, radius: int, least
     (score,) = scoring(device).ncc(device, *flat, reference.shape[1], radius, least_known)
     lost = radius * (reference.shape[1] + 1)
     return np.pad(host(device, score), lost, constant_values=NOWHERE).reshape(images.shape)
+
+
+@pytest.mark.parametrize("size", [1, 15, 16, 4096, 70_001])
+def test_behind_a_room_there_is_memory_for_the_last_vector_of_a_view(device, size):
+    if device.name != "llvm":
+        pytest.skip("views of memory are those of Dr.Jit on the CPU")
+    room = Room.of(device, size)
+    # The last vector of a view that ends where the room does begins at its last number at the latest.
+    assert room.memory.nbytes >= 4 * (size - 1) + ALIGNED_BYTES
+    values = floats(device, np.arange(size, dtype=np.float32))
+    copy = Room.of_values(device, values)
+    # Waits for the kernel that fills it.
+    assert (host(device, copy.values(device)) == np.arange(size)).all()
+    assert (copy.memory[:size] == np.arange(size)).all()
 
 
 @pytest.mark.parametrize("radius", [1, 2, 3])

@@ -15,7 +15,9 @@ import numpy as np
 from fields.device import Device
 
 # Kernels of Dr.Jit load whole vectors, and one is compiled for each choice of arrays that begin at such an address.
-_ALIGNED_BYTES = 64
+ALIGNED_BYTES = 64
+# In float32: as much as the last vector of a view may reach beyond its end.
+_SPARE = ALIGNED_BYTES // 4
 _SWITCH_INTERVAL_S = 3e-4
 
 
@@ -44,10 +46,10 @@ def indices(device: Device, array) -> Any:
 
 def _aligned(flat: np.ndarray) -> np.ndarray:
     """A flat array, or a copy of it that begins where vectors do."""
-    if flat.ctypes.data % _ALIGNED_BYTES == 0:
+    if flat.ctypes.data % ALIGNED_BYTES == 0:
         return flat
-    room = np.empty(flat.nbytes + _ALIGNED_BYTES, dtype=np.uint8)
-    first = -room.ctypes.data % _ALIGNED_BYTES
+    room = np.empty(flat.nbytes + ALIGNED_BYTES, dtype=np.uint8)
+    first = -room.ctypes.data % ALIGNED_BYTES
     copy = room[first : first + flat.nbytes].view(flat.dtype)
     copy[:] = flat
     return copy
@@ -77,16 +79,21 @@ def constant(device: Device, value: float) -> Any:
 
 @dataclass(frozen=True)
 class Room:
-    """An array of Dr.Jit that kernels are to fill.
+    """An array of Dr.Jit that kernels are to fill, of which views are read.
 
     Attributes
     ----------
     array : flat array of float32
+        Longer than asked for by a vector: kernels load whole vectors, of a view that ends where the array does beyond
+        it, and there may be no memory behind it.
+    size : int
+        How many numbers were asked for.
     memory : its memory on the host, on the CPU; None elsewhere
         Where an array lies Dr.Jit tells only after all kernels are through, so this is asked before they are launched.
     """
 
     array: Any
+    size: int
     memory: np.ndarray | None
 
     @staticmethod
@@ -94,13 +101,25 @@ class Room:
         """For so many numbers, not set yet."""
         import drjit
 
-        array = drjit.empty(device.module.Float, size)
-        return Room(array, array.numpy() if device.name == "llvm" else None)
+        array = drjit.empty(device.module.Float, size + _SPARE)
+        return Room(array, size, array.numpy() if device.name == "llvm" else None)
 
     @staticmethod
-    def around(device: Device, array: Any) -> Room:
-        """Of an array that is there, after its kernels are through."""
-        return Room(array, array.numpy() if device.name == "llvm" else None)
+    def of_values(device: Device, values: Any) -> Room:
+        """A copy of an array that is there."""
+        import drjit
+
+        size = drjit.width(values)
+        room = Room.of(device, size)
+        drjit.scatter(room.array, values, drjit.arange(device.module.UInt, size))
+        drjit.eval(room.array)
+        return room
+
+    def values(self, device: Device) -> Any:
+        """A copy of what was asked for."""
+        import drjit
+
+        return drjit.gather(device.module.Float, self.array, drjit.arange(device.module.UInt, self.size))
 
 
 def rung_and_pixel(device: Device, count: int, strip: int) -> tuple[Any, Any]:

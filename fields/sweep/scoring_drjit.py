@@ -48,7 +48,7 @@ def ncc(device: Device, reference, values: list, width: int, radius: int, least_
     edge). With ``least_known`` below 1 the pixels that both have are compared, where these are such a share of the
     window.
     """
-    filled = [Room.around(device, each) for each in values]
+    filled = [Room.of_values(device, each) for each in values]
     place = Room.of(device, dr.width(values[0]))
     return ncc_of(windows(device, reference, [*filled, place], width, radius), radius, least_known)
 
@@ -59,7 +59,7 @@ def windows(device: Device, reference, filled: list[Room], width: int, radius: i
     Of ``filled`` rooms (see `rooms`) the last is empty.
     """
     Float, (*values, greys) = device.module.Float, filled
-    total = dr.width(greys.array)
+    total = greys.size
     index = dr.arange(device.module.UInt, total)
     grey = dr.gather(Float, reference, rung_and_pixel(device, total, dr.width(reference))[1])
     dr.scatter(greys.array, grey, index)

@@ -130,7 +130,7 @@ def warp(stack: ViewStack, legs, start: np.ndarray, neighbours: list[int], step:
     """
     rooms = [Room.of(stack.device, start.size * rungs) for _ in neighbours]
     warp_into(rooms, stack, legs, start, neighbours, step, rungs)
-    return [room.array for room in rooms]
+    return [room.values(stack.device) for room in rooms]
 
 
 def warp_into(

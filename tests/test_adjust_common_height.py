@@ -161,3 +161,14 @@ def test_single_positions_are_as_good_as_the_block_shows_however_large_their_com
     stated = {name: replace(prior, position_std=np.array([3.0, 3.0, 80.0])) for name, prior in survey.priors.items()}
     assert known_of(replace(survey, priors=stated), 0.02).unknown_positions.all()
     assert not known_of(replace(survey, priors=stated, is_level_known=False), 0.02).unknown_positions.any()
+
+
+def test_a_level_that_is_found_is_as_high_as_positions_that_may_be_off():
+    survey = lifted(bank_block(2), (0.0, 0.0, 0.0))
+    found = adjust_survey(survey, use_windows=False, free_water=True)
+    assert [text for text in found.warnings if "which may be 80 m off, all alike" in text]
+    known = adjust_survey(survey, use_windows=False)
+    assert not [text for text in known.warnings if "all alike" in text]
+    exact = draw_block(2, num_points=200, num_views=16, dry_share=0.3, num_control=0)
+    corrected = adjust_survey(lifted(exact, (0.0, 0.0, 0.0)), use_windows=False, free_water=True)
+    assert not [text for text in corrected.warnings if "all alike" in text]

@@ -10,6 +10,7 @@ that of L; and the block is lowered by it. Water and cameras of the block have t
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,12 +21,15 @@ from survey.adjust.common_error import common_error
 from survey.adjust.contradiction import MOST
 from survey.adjust.observed import KINDS, MARK, Observed, rows_taken
 from survey.adjust.prediction import relief_sides
-from survey.adjust.priors import Known, priors_for
+from survey.adjust.priors import Known, priors_for, shared_height_std
 from survey.adjust.rounds import Adjusted
 from survey.adjust.state import POSE, State, with_parameters
 from survey.adjust.verdicts import MOST_STD_LEVEL_M
 from survey.folder.place import over_points
 from survey.folder.pose_priors import WELL_KNOWN_M
+
+if TYPE_CHECKING:
+    from survey.folder.survey import Survey
 
 # A position by GPS without corrections is off by less.
 _GPS_WITHIN_M = 10.0
@@ -89,6 +93,26 @@ def _problem(known: Known, seen: Observed, state: State, marks_std_px: float) ->
     return Problem(known.layout, seen.ties, seen.kind, priors_for(known, seen.ties), given, sides, rows)
 
 
+def height_doubts(survey: Survey, done: Adjusted) -> list[str]:
+    """A warning where positions alone hold the heights, and may have an error in common."""
+    std = shared_height_std(survey)
+    if std == 0.0 or done.known.common_up_std > 0.0 or (done.known.unknown_positions.all() and _is_corrected(done)):
+        return []
+    level, measured = (
+        ("", "") if survey.water is None else (" and the level of the water", "a level that was measured, ")
+    )
+    return [
+        f"all heights{level} are as high as the positions have them, which may be {std:g} m off, all alike; give "
+        f"{measured}control points, or [cameras] position_std_m where positions have corrections"
+    ]
+
+
+def _is_corrected(done: Adjusted) -> bool:
+    """Whether positions scatter in plan as little as those of a receiver with corrections."""
+    scatter = done.known.std[done.known.layout.first_pose :].reshape(-1, POSE)[:, :2]
+    return bool(np.median(scatter) <= WELL_KNOWN_M)
+
+
 def without_common(known: Known, done: Adjusted) -> Known | None:
     """What is known if the positions turn out to be those of a receiver with corrections, whose heights hold the block.
 
@@ -97,8 +121,7 @@ def without_common(known: Known, done: Adjusted) -> Known | None:
     placed, common = placed_by_level(done)
     if common is None or not known.unknown_positions.all():
         return None
-    scatter = done.known.std[known.layout.first_pose :].reshape(-1, POSE)[:, :2]
-    if np.median(scatter) > WELL_KNOWN_M or abs(common.error) > MOST * common.std:
+    if not _is_corrected(done) or abs(common.error) > MOST * common.std:
         return None
     state = replace(done.solution.state, points=np.zeros((0, 3)))
     std = known.std.copy()

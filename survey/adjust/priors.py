@@ -222,14 +222,17 @@ def _water_std(survey: Survey, *, free: bool) -> np.ndarray:
     return np.maximum([level, slope, slope, index], HELD)
 
 
+def shared_height_std(survey: Survey) -> float:
+    """Standard deviation [m] of what heights of positions have in common, where nothing but they holds the block."""
+    is_held = survey.control is not None and any(not point.is_check for point in survey.control.points)
+    return 0.0 if survey.ties is None or is_held else common_up_std(survey.priors)
+
+
 def _common_up_std(survey: Survey) -> float:
     """See `Known.common_up_std`."""
-    is_held = survey.control is not None and any(not point.is_check for point in survey.control.points)
-    if survey.water is None or not survey.is_level_known or survey.ties is None or is_held:
-        return 0.0
     # What clicks in the photographs say of the level is as high as the block.
     is_clicked = any(level.source == "clicks" for level in survey.levels)
-    return 0.0 if is_clicked else common_up_std(survey.priors)
+    return shared_height_std(survey) if survey.water and survey.is_level_known and not is_clicked else 0.0
 
 
 def _positions(survey: Survey, centres: np.ndarray, *, exact: bool, shares_height: bool):

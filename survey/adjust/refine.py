@@ -15,7 +15,7 @@ import numpy as np
 from survey.adjust.adjustment import UNKNOWN, Adjustment
 from survey.adjust.applied import at_state
 from survey.adjust.assembling import result
-from survey.adjust.common_height import placed_by_level, water_start, with_common, without_common
+from survey.adjust.common_height import height_doubts, placed_by_level, water_start, with_common, without_common
 from survey.adjust.contradiction import Contradiction, released, worst_contradiction
 from survey.adjust.far_poses import Search, windows_or_search
 from survey.adjust.flooding import dry_bed_error, level_over_block
@@ -114,7 +114,7 @@ def _adjusted(
             f"the level of the water is not given, and the photographs do not tell it: "
             f"{found.parameter('level_m').verdict}; give [water] level_m"
         )
-    warnings = [_against(found, each) for each in against]
+    warnings = [*(_against(found, each) for each in against), *height_doubts(survey, done)]
     if survey.doubt is not None and survey.doubt.is_of_lens:
         warnings.append(f"{survey.doubt}: the lens is found anew, under the poses that were given with it; correct it")
     return replace(found, warnings=(*found.warnings, *warnings))

@@ -46,6 +46,8 @@ class WaterEstimate:
         Points above the water, which tell nothing of it.
     rms_px : [px]
         Of the residuals of a pixel coordinate; None where there was no adjustment.
+    warnings : sentences
+        Of the adjustment.
     """
 
     water: WaterConfig
@@ -56,6 +58,7 @@ class WaterEstimate:
     num_measurements: int
     num_dry: int
     rms_px: float | None
+    warnings: tuple[str, ...] = ()
 
     @property
     def estimates(self) -> tuple[Parameter, ...]:
@@ -134,6 +137,8 @@ def estimate_water(
     survey = with_water(survey, start)
     with progress.stage("Water", 1.0) as stage:
         found = calibrate_water(nadir_views(survey) if nadir_only else survey, device=device, advance=stage.advance)
+    for text in found.warnings:
+        progress.warn(text)
     if json_path is not None:
         with write_whole(json_path) as stream:
             stream.write(found.to_json().encode())
@@ -182,6 +187,7 @@ def calibrate_water(
         num_measurements=len(found.residual_view),
         num_dry=int((water_plane(survey.frame, found.water).depth(found.points) <= 0.0).sum()),
         rms_px=float(np.sqrt(np.mean(np.square(found.residual_px)))),
+        warnings=found.warnings,
     )
 
 

@@ -19,6 +19,7 @@ from survey.adjust.rounds import Adjusted, adjust
 from survey.adjust.state import POSE
 from survey.folder.level_observation import LevelObservation
 from survey.folder.place import water_plane
+from survey.folder.pose_priors import PosePrior
 from survey.folder.survey import Survey
 from tests.block_survey import ORIGIN, height_error, survey_of, with_shift
 from tests.drawn_block import DrawnBlock, draw_block
@@ -172,3 +173,14 @@ def test_a_level_that_is_found_is_as_high_as_positions_that_may_be_off():
     exact = draw_block(2, num_points=200, num_views=16, dry_share=0.3, num_control=0)
     corrected = adjust_survey(lifted(exact, (0.0, 0.0, 0.0)), use_windows=False, free_water=True)
     assert not [text for text in corrected.warnings if "all alike" in text]
+
+
+def test_positions_that_prove_good_hold_the_block_where_some_photographs_have_none():
+    block = draw_block(5, num_points=250, num_views=18, dry_share=0.3, num_control=0, position_std=(0.02, 0.02, 0.03))
+    survey = lifted(block, (0.0, 0.0, 0.0))
+    name = survey.views[3].name
+    survey = replace(survey, priors={**survey.priors, name: PosePrior(None, None, None, "none")})
+    found = adjust_survey(survey, use_windows=False)
+    assert found.common_up_m is None
+    # The level of the block, to centimetres, by positions.
+    assert found.position_std[3, 2] < 0.1

@@ -96,7 +96,7 @@ def _problem(known: Known, seen: Observed, state: State, marks_std_px: float) ->
 def height_doubts(survey: Survey, done: Adjusted) -> list[str]:
     """A warning where positions alone hold the heights, and may have an error in common."""
     std = shared_height_std(survey)
-    if std == 0.0 or done.known.common_up_std > 0.0 or (done.known.unknown_positions.all() and _is_corrected(done)):
+    if std == 0.0 or done.known.common_up_std > 0.0 or _is_corrected(done):
         return []
     level, measured = (
         ("", "") if survey.water is None else (" and the level of the water", "a level that was measured, ")
@@ -108,9 +108,11 @@ def height_doubts(survey: Survey, done: Adjusted) -> list[str]:
 
 
 def _is_corrected(done: Adjusted) -> bool:
-    """Whether positions scatter in plan as little as those of a receiver with corrections."""
-    scatter = done.known.std[done.known.layout.first_pose :].reshape(-1, POSE)[:, :2]
-    return bool(np.median(scatter) <= WELL_KNOWN_M)
+    """Whether positions of unknown accuracy scatter in plan as little as those of a receiver with corrections."""
+    std = done.known.std[done.known.layout.first_pose :].reshape(-1, POSE)[:, :2]
+    # Photographs without a position, and positions that are blunders, tell nothing of the others.
+    scatter = std[done.known.unknown_positions & np.isfinite(std).all(axis=1)]
+    return len(scatter) > 0 and bool(np.median(scatter) <= WELL_KNOWN_M)
 
 
 def without_common(known: Known, done: Adjusted) -> Known | None:
@@ -119,9 +121,7 @@ def without_common(known: Known, done: Adjusted) -> Known | None:
     None where they do not: single positions, in plan, show its accuracy, and the level of the water agrees with them.
     """
     placed, common = placed_by_level(done)
-    if common is None or not known.unknown_positions.all():
-        return None
-    if not _is_corrected(done) or abs(common.error) > MOST * common.std:
+    if common is None or not _is_corrected(done) or abs(common.error) > MOST * common.std:
         return None
     state = replace(done.solution.state, points=np.zeros((0, 3)))
     std = known.std.copy()

@@ -31,7 +31,7 @@ POSITION_STD_M = (0.3, 0.3, 0.15)
 def bank_block(seed: int) -> DrawnBlock:
     """Obliques, and a bank: the bend of rays tells where the water is."""
     return draw_block(
-        seed, num_points=300, num_views=24, nadir_only=False, dry_share=0.3, num_control=0, pixel_std=0.15,
+        seed, num_points=180, num_views=18, nadir_only=False, dry_share=0.3, num_control=0, pixel_std=0.15,
         position_std=POSITION_STD_M, height=25.0, depth=2.5,
     )  # fmt: skip
 
@@ -41,7 +41,7 @@ def lifted(block: DrawnBlock, shift, common_up_std: float = 80.0) -> Survey:
     return with_shift(survey_of(block), shift, common_up_std)
 
 
-@pytest.mark.parametrize("up", [0.0, 1.5, -4.0, 30.0, -30.0])
+@pytest.mark.parametrize("up", [1.5, 30.0, -30.0])
 def test_heights_are_those_of_the_level_however_far_positions_are_off(up):
     block = bank_block(1)
     found = adjust_survey(lifted(block, (1.0, -2.0, up)), use_windows=False)

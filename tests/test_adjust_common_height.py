@@ -72,13 +72,13 @@ def test_a_block_that_hardly_tells_its_water_says_how_little_is_known():
 
 def test_a_common_error_is_within_what_is_stated_of_heights():
     scaled = []
-    for seed in range(2, 8):
+    for seed in range(2, 6):
         block, rng = bank_block(seed), np.random.default_rng([seed, 50])
         found = adjust_survey(lifted(block, rng.normal(0.0, (1.5, 1.5, 10.0))), use_windows=False)
         common = common_error(found, water_plane(survey_of(block).frame, found.water))
         scaled.append(height_error(block, found) / common.mean)
-    # Six numbers of unit variance have a root mean square under 1.9 but once in 10,000 times.
-    assert np.sqrt(np.mean(np.square(scaled))) < 1.9
+    # Four numbers of unit variance have a root mean square under 2.45 but once in 10,000 times.
+    assert np.sqrt(np.mean(np.square(scaled))) < 2.45
 
 
 def test_positions_that_share_nothing_hold_the_block_against_the_level():

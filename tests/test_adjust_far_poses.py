@@ -73,6 +73,7 @@ def test_a_strip_of_poses_is_turned_scaled_and_shifted_to_given_ones(rng):
     assert np.linalg.norm(found(centres)[5:7].mean(axis=0) - given[5:7].mean(axis=0)) < 0.5
 
 
+@pytest.mark.slow
 def test_poses_off_by_several_pixels_are_found_within_what_is_stated(tmp_path, rng):
     scene = DrawnScene(
         size_m=(3.6, 3.0), depth_m=1.2, num_views=12, image_px=(320, 240), focal_px=500.0, flying_m=8.0, noise=1.0

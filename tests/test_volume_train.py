@@ -54,6 +54,7 @@ def test_training_finds_a_bed_under_water_from_nothing_coarse_to_fine():
     assert len(figures.changed_at) == 1
 
 
+@pytest.mark.slow
 def test_without_water_the_same_photographs_put_the_bed_too_high():
     photographs = bed_photographs(BED_M, views=9)
     renderer = tensor_renderer("mdw")

@@ -142,6 +142,7 @@ def clock(monkeypatch):
     return use
 
 
+@pytest.mark.slow
 def test_with_time_for_all_a_run_ends_where_nothing_is_left_to_win(tmp_path, clock):
     run = drawn(tmp_path / "survey", **FINER)
     clock(0.0)

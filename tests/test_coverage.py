@@ -19,7 +19,7 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("coverage")
 
 
-@pytest.fixture(scope="module", params=["off", "solver"])
+@pytest.fixture(scope="module", params=[pytest.param("off", marks=pytest.mark.slow), "solver"])
 def covered(request, folder):
     """A noisy survey with a bank, by the sweep alone and solved: coverage by class, and the std of all points."""
     run = drawn(folder, noise=4.0, shore=True, seed=7)

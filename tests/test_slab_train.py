@@ -53,6 +53,7 @@ def errors_mm(sources: Sources, field: TensorField) -> np.ndarray:
     return 1e3 * np.concatenate(found)
 
 
+@pytest.mark.slow
 def test_training_brings_a_displaced_bed_back_in_both_stages():
     sources = plane_sources(BED, ring(6), shift=0.015)
     slab = slab_of(sources, GSD, None)

@@ -142,5 +142,6 @@ def table(blocks: list[Covered]) -> str:
     shares = " and ".join(f"{share:.1%}" for share in poses_within(blocks))
     heights = np.array([block.height for block in blocks if block.height is not None])
     if len(heights):
-        sums.append(f"heights {int(np.sum(np.abs(heights) < WITHIN_95))} of {len(heights)}")
+        rms = np.sqrt(np.mean(heights**2))
+        sums.append(f"heights {int(np.sum(np.abs(heights) < WITHIN_95))} of {len(heights)} (rms {rms:.2f})")
     return "\n".join([*lines, f"within 95 %: {', '.join(sums)}; positions and rotations {shares}"])

@@ -184,3 +184,18 @@ def test_positions_that_prove_good_hold_the_block_where_some_photographs_have_no
     assert found.common_up_m is None
     # The level of the block, to centimetres, by positions.
     assert found.position_std[3, 2] < 0.1
+
+
+@pytest.mark.parametrize("up", [2.0, 30.0])
+def test_check_points_tell_the_error_of_a_block_that_positions_put_elsewhere(up):
+    block = draw_block(
+        1, num_points=180, num_views=18, nadir_only=False, dry_share=0.3, num_control=6, pixel_std=0.15,
+        position_std=POSITION_STD_M, height=25.0, depth=2.5,
+    )  # fmt: skip
+    survey = lifted(block, (0.0, 0.0, up))
+    checks = tuple(replace(point, is_check=True) for point in survey.control.points)
+    found = adjust_survey(replace(survey, control=replace(survey.control, points=checks)), use_windows=False)
+    assert len(found.control) == len(checks)
+    common = common_error(found, water_plane(survey.frame, found.water))
+    assert abs(height_error(block, found)) < 4.0 * common.mean
+    assert abs(np.median([row.residual_m[2] for row in found.control])) < 4.0 * common.mean

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from refract.lens import Lens, affine_from_brown, brown_from_affine, distorted, is_affine, undistorted
 from survey.adjust.priors import Known, is_held
@@ -89,7 +90,20 @@ def observed(parts: list[tuple[int, TiePoints]], control: Control | None, survey
         point_std[first[-2] :] = [
             np.full(3, np.inf) if point.is_check else np.asarray(point.std) for point in control.points
         ]
+    if names and known.common_up_std > 0.0:
+        ties = replace(ties, start=_as_high_as_block(ties.start, len(ties) - len(names)))
     return Observed(ties, kind, point_std, names)
+
+
+def _as_high_as_block(start: np.ndarray, first: int) -> np.ndarray:
+    """Places (M, 3) [m], those from ``first`` on, of check points, at the height of the nearest tie point in plan.
+
+    Their coordinates may be tens of metres above or below a block that positions have placed.
+    """
+    start = start.copy()
+    _, nearest = cKDTree(start[:first, :2]).query(start[first:, :2])
+    start[first:, 2] = start[nearest, 2]
+    return start
 
 
 def _marks(control: Control, survey: Survey) -> TiePoints:

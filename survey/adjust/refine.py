@@ -164,7 +164,8 @@ class _Gathered:
         """Adjust where the level of the water, or else the positions, say how high the block lies."""
         start, points = water_start(start, self._observed, self._marks_std)
         kind, ties = self._parts[0]
-        self._parts[0] = (kind, replace(ties, start=points))
+        # Without those of check points, which come last.
+        self._parts[0] = (kind, replace(ties, start=points[: len(ties)]))
         done = adjust(start, self._observed, self._sizes, self._marks_std)
         held = None if self._are_stated else without_common(self.known, done)
         if held is None:

@@ -108,7 +108,7 @@ def every_water(level, n):
 
 
 KINDS = ("plane", "layers", "sphere", "waves", "cubic pieces", "triangles")
-few = settings(max_examples=20, deadline=None, derandomize=True)
+few = settings(max_examples=30, deadline=None, derandomize=True)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

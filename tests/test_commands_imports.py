@@ -55,9 +55,11 @@ def test_ctrl_c_during_an_import_is_one_sentence(tmp_path, module):
     assert (result.returncode, result.stdout, result.stderr) == (STOPPED, "", "error: stopped\n")
 
 
-def test_a_run_without_a_field_imports_no_torch():
-    code = "import sys, survey.run.process, survey.run.pipeline; print('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"
+def test_a_run_with_exact_poses_and_without_a_field_imports_neither_torch_nor_scipy_stats():
+    slow = "{'torch', 'scipy.stats', 'scipy.signal', 'matplotlib'}"
+    code = f"import sys, survey.run.process, survey.run.pipeline; print({slow} & set(sys.modules))"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ended.stdout == "set()\n"
 
 
 @pytest.mark.parametrize(("asked", "taken"), [(None, "1"), ("3", "3")])

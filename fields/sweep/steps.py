@@ -36,6 +36,7 @@ class StepSearch:
     least_score : views are searched of which half of the pixels scored so high in the pass: windows of this size can
         tell heights in them
     walls : whether vertical walls are tried, beside level ground
+    neighbours : how many of the views of the pass heights are compared with, of those that match best
     """
 
     radius: int
@@ -45,6 +46,7 @@ class StepSearch:
     around_px: int
     least_score: float
     walls: bool = False
+    neighbours: int = 6
 
 
 def search_steps(
@@ -80,7 +82,7 @@ def searching_steps(
     wanted = (high - low) * parallax > search.reach_px
     if not wanted.any():
         return found
-    step = search.step_px / parallax
+    others, step = others[: search.neighbours], search.step_px / parallax
     least = np.full_like(score, MATCHED_NCC)
     size, bounds = search.tile_px, extent(wanted, low, high, search.tile_px)
     level = Tiles.of(wanted, bounds, step, size, search.radius)

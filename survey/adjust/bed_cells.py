@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage, signal
+from scipy import ndimage
 
 # Points whose variances along both axes multiply to less than this, in cells, lie in a row.
 _LEAST_SPREAD = 1e-3
@@ -112,6 +112,9 @@ def _kernel(std: float) -> np.ndarray:
 
 
 def _filtered(values: np.ndarray, kernels: list[np.ndarray]) -> np.ndarray:
+    # Imports scipy.stats, half a second: only for poses that were adjusted.
+    from scipy import signal
+
     # By Fourier transforms: positions of GPS alone are off by a hundred cells.
     for axis, kernel in enumerate(kernels):
         values = signal.oaconvolve(values, np.expand_dims(kernel, 1 - axis), mode="same", axes=axis)

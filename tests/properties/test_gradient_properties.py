@@ -108,11 +108,16 @@ def every_water(level, n):
 
 
 KINDS = ("plane", "layers", "sphere", "waves", "cubic pieces", "triangles")
+# Float32 is what lost its gradients; cubic pieces take a quarter of a minute.
+CASES = [
+    *((kind, torch.float32) for kind in KINDS),
+    *((kind, torch.float64) for kind in KINDS if kind != "cubic pieces"),
+    pytest.param("cubic pieces", torch.float64, marks=pytest.mark.slow),
+]
 few = settings(max_examples=30, deadline=None, derandomize=True)
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("kind", "dtype"), CASES)
 @few
 @given(far=TRIPLE)
 def test_no_point_camera_or_origin_makes_a_gradient_shared_over_any_water_nan(kind, dtype, far):

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from fields.sweep.arrays import release
 from fields.sweep.becoming import becoming_points
 from fields.sweep.block import Block
 from fields.sweep.climbs import climbing, climbs_of, pixels_of, refining
@@ -99,8 +98,7 @@ def sweep(
             else climbing(block, p, climb, bound, maps.get(climb.view), area, wider[climb.view])
             for climb in climbs[number]
         )
-        at_once = _at_once(block, p)
-        found = in_turn(block.device, jobs, at_once)
+        found = in_turn(block.device, jobs, _at_once(block, p))
         for climb, (m, of_view) in zip(climbs[number], found, strict=True):
             maps[climb.view] = m
             if climb.view in parts:
@@ -109,9 +107,6 @@ def sweep(
                 wider[climb.view] = of_view
             done += climb.samples
             progress(done / total)
-            if at_once == 1:
-                # Large views leave gigabytes of arrays of many sizes behind; small ones would ask for them again.
-                release(block.device)
         if fused[number]:
             block.release(p.scale)
             compared = {view: peers[view] for view in taking_part[number] if view not in taken or len(taken[view])}

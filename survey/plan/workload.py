@@ -35,8 +35,9 @@ _BYTES_OF_VIEW, _BYTES_OF_COLOURS, _MOST_COLOURS, _BYTES_OF_DECODING = 1, 3, 100
 _READ, _COMPARED, _SURFACES = (4, 30e6, 2), (4, KEPT_BYTES, FEWEST_KEPT), (5, 200e6, 21)
 # Per pixel of all height maps while they are worked on, and of these at most in memory.
 _BYTES_OF_MAPS, _MOST_MAPS = 18, 75e6
-# Arrays of the one view that is worked on, per pixel; tiles that are solved at a time.
-_BYTES_OF_WORK, _BYTES_OF_TILES = 80, 150e6
+# Arrays of a view that is worked on, per pixel, of the two that take turns where heights are fused; tiles that are
+# solved at a time.
+_BYTES_OF_WORK, _BYTES_OF_TILES = 2 * 80, 150e6
 # Per pixel of all height maps: which become points, and which are taken.
 _BYTES_OF_MASKS = 0.25
 # Per point of the bed, while all of them are gathered, and while the report is written.

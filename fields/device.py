@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import ctypes.util
 import os
 import sys
@@ -26,12 +27,15 @@ class Device:
     reason : why this one, in words for the plan.
     place : "cpu" or "cuda"
         Where torch keeps its tensors.
+    apart : bool
+        Whether it has a memory of its own: what is computed stays there between the passes of the sweep.
     """
 
     name: str
     module: Any
     reason: str
     place: str = "cpu"
+    apart: bool = False
 
 
 def _find_llvm() -> str | None:
@@ -66,7 +70,7 @@ def _cuda() -> Device | None:
         return None
     import drjit.cuda as module
 
-    return Device("cuda", module, "a CUDA device is there")
+    return Device("cuda", module, "a CUDA device is there", "cuda", apart=True)
 
 
 def _llvm() -> Device | None:
@@ -79,6 +83,21 @@ def _llvm() -> Device | None:
     import drjit.llvm as module
 
     return Device("llvm", module, f"no CUDA device requested or found; LLVM at {path or 'its default place'}")
+
+
+@cache
+def memory_bytes(device: Device) -> int:
+    """Memory of a device that is apart, as its driver says; 0 where that does not tell."""
+    if device.place != "cuda":
+        return 0
+    number, found = ctypes.c_int(), ctypes.c_size_t()
+    try:
+        driver = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+    except OSError:
+        return 0
+    failed = driver.cuInit(0) or driver.cuDeviceGet(ctypes.byref(number), 0)
+    failed = failed or driver.cuDeviceTotalMem_v2(ctypes.byref(found), number)
+    return 0 if failed else found.value
 
 
 @cache
@@ -117,4 +136,4 @@ def choose_device(wanted: str = "auto") -> Device:
 
     place = "cuda" if torch.cuda.is_available() and wanted != "cpu" else "cpu"
     reason = "torch was requested" if wanted == "torch" else f"{why}: torch runs the sweep, slower"
-    return Device("torch", None, reason, place)
+    return Device("torch", None, reason, place, apart=place == "cuda")

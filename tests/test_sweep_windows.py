@@ -66,16 +66,12 @@ def test_windows_between_many_missing_pixels_stay_narrow(device, rng):
 
 @pytest.mark.parametrize("rungs", [3, 40, 400])
 def test_lower_scores_and_longer_ladders_ask_for_wider_windows(rungs):
-    radii = [radius_for(np.full((300, 400), score), 2, rungs) for score in (0.95, 0.7, 0.5, 0.3, 0.1)]
-    longer = [radius_for(np.full((300, 400), score), 2, 10 * rungs) for score in (0.95, 0.7, 0.5, 0.3, 0.1)]
+    radii = [radius_for(score, (300, 400), 2, rungs) for score in (0.95, 0.7, 0.5, 0.3, 0.1)]
+    longer = [radius_for(score, (300, 400), 2, 10 * rungs) for score in (0.95, 0.7, 0.5, 0.3, 0.1)]
     assert radii == sorted(radii)
     assert (radii[0], radii[-1]) == (2, RADII[-1])
     assert all(a <= b for a, b in zip(radii, longer, strict=True))
 
 
-def test_windows_stay_a_small_part_of_the_image_and_unmatched_pixels_say_nothing():
-    assert radius_for(np.full((24, 32), 0.1), 2, 40) == 2
-    half = np.full((300, 400), 0.95)
-    half[:, 100:] = -1.0
-    assert radius_for(half, 2, 40) == 2
-    assert radius_for(np.full((300, 400), -1.0), 2, 40) == 2
+def test_windows_stay_a_small_part_of_the_image():
+    assert radius_for(0.1, (24, 32), 2, 40) == 2

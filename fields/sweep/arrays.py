@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from fields.device import Device
+from fields.sweep.flat import flat_of
 
 # Kernels of Dr.Jit load whole vectors, and one is compiled for each choice of arrays that begin at such an address.
 ALIGNED_BYTES = 64
@@ -21,12 +22,14 @@ _SPARE = ALIGNED_BYTES // 4
 _SWITCH_INTERVAL_S = 3e-4
 
 
-def floats(device: Device, array: np.ndarray) -> Any:
-    """An array of any shape as one flat array of float32.
+def floats(device: Device, array: Any) -> Any:
+    """An array of any shape as one flat array of float32; one of the device stays as it is.
 
     Dr.Jit on the CPU reads a contiguous array of float32 where it lies, if that is aligned: it must not be written to
     afterwards.
     """
+    if not isinstance(array, np.ndarray):
+        return flat_of(array)
     flat = np.ascontiguousarray(array, dtype=np.float32).ravel()
     if device.module is not None:
         return device.module.Float(_aligned(flat))
@@ -36,7 +39,12 @@ def floats(device: Device, array: np.ndarray) -> Any:
 
 
 def indices(device: Device, array) -> Any:
-    """Whole numbers from zero as one flat array, copied: 32 bits without sign in Dr.Jit, int64 in torch."""
+    """Whole numbers from zero as one flat array, copied: 32 bits without sign in Dr.Jit, int64 in torch.
+
+    Those that are on the device stay there.
+    """
+    if device.apart and not isinstance(array, np.ndarray):
+        return array if device.module is None else device.module.UInt(array)
     if device.module is not None:
         return device.module.UInt(_aligned(np.ascontiguousarray(array, dtype=np.uint32).ravel()))
     import torch

@@ -1,4 +1,4 @@
-"""Which twin of the sweep's inner loops runs on a device: Dr.Jit's or torch's. Only the one asked for is imported."""
+"""Which twin of the sweep's loops runs on a device. Only the one asked for is imported."""
 
 from __future__ import annotations
 
@@ -16,6 +16,17 @@ def warping(device: Device) -> ModuleType:
     from fields.sweep import warping_drjit
 
     return warping_drjit
+
+
+def images(device: Device) -> ModuleType:
+    """`fields.sweep.images_host` or `fields.sweep.images_device`: the same functions with the same signatures."""
+    if device.apart:
+        from fields.sweep import images_device
+
+        return images_device
+    from fields.sweep import images_host
+
+    return images_host
 
 
 def scoring(device: Device) -> ModuleType:

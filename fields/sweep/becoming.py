@@ -7,14 +7,13 @@ quarter of the size.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from typing import Any
 
-import cv2
 import numpy as np
 
-from fields.median import median
-from fields.sweep.arrays import host
-from fields.sweep.backends import warping
+from fields.sweep.backends import images, warping
 from fields.sweep.bed import trusted
 from fields.sweep.block import Block
 from fields.sweep.footprint import Footprint
@@ -25,8 +24,6 @@ from fields.sweep.tiles import PART_SIDE_PX
 
 # Of the maps: what is looked at has four pixels along each side.
 _SCALE = 0.25
-# What lies beside it is refined, too.
-_AROUND = np.ones((3, 3), dtype=np.uint8)
 
 
 def becoming_points(block: Block, maps: Mapping[int, DepthMap]) -> dict[int, np.ndarray]:
@@ -39,33 +36,31 @@ def becoming_points(block: Block, maps: Mapping[int, DepthMap]) -> dict[int, np.
         return {}
     order = sorted(maps, key=lambda view: block.cameras[view].cam_from_local[2][2])
     cameras = [block.cameras[view].scaled(_SCALE) for view in order]
-    size = cameras[0].width, cameras[0].height
-    known = {view: _trusted_heights(maps[view], size) for view in order}
+    beside, shape = images(block.device), (cameras[0].height, cameras[0].width)
+
+    def trusted_heights(m: DepthMap) -> Any:
+        """Mean of the trusted heights in each part of a map [m]; NaN without any."""
+        return beside.means_of(m.height, trusted(m), shape)
+
+    known = {view: trusted_heights(maps[view]) for view in order}
+    extents = {view: beside.extremes(height) for view, height in known.items()}
     ground = {
-        view: Footprint.of(camera, block.water, (float(np.nanmin(height)), float(np.nanmax(height))))
-        for view, camera, height in zip(order, cameras, known.values(), strict=True)
-        if np.isfinite(height).any()
+        view: Footprint.of(camera, block.water, extent)
+        for camera, (view, extent) in zip(cameras, extents.items(), strict=True)
+        if extent is not None
     }
     heights = ViewStack.build(
-        block.device, cameras, Lazy(lambda number: known[order[number]], len(order), size[::-1], 1), block.water
+        block.device, cameras, Lazy(lambda number: known[order[number]], len(order), shape, 1), block.water
     )
     wanted = {}
     for number, view in enumerate(order):
-        there = np.isfinite(known[view])
+        against = None
         steeper = [
             n for n in range(number) if view in ground and order[n] in ground and ground[view].meets(ground[order[n]])
         ]
         if steeper:
             others = block.neighbours(view, 8, among=order)
-            tolerance = block.agreement_tolerance(view, others, median(known[view][there]))
-            count, _, _ = warping(block.device).compare(heights, number, steeper, tolerance)
-            there &= host(block.device, count).reshape(there.shape) == 0.0
-        wanted[view] = cv2.dilate(there.astype(np.uint8), _AROUND).astype(bool)
+            tolerance = block.agreement_tolerance(view, others, beside.median_above(known[view], -math.inf))
+            against, _, _ = warping(block.device).compare(heights, number, steeper, tolerance)
+        wanted[view] = beside.first_shown(block.device, known[view], against)
     return wanted
-
-
-def _trusted_heights(m: DepthMap, size: tuple[int, int]) -> np.ndarray:
-    """Mean of the trusted heights in each part of a map, (height, width) float32 [m]; NaN without any."""
-    known = trusted(m).astype(np.float32)
-    share, total = (cv2.resize(each, size, interpolation=cv2.INTER_AREA) for each in (known, known * m.height))
-    return np.where(share > 0.0, total / np.maximum(share, 1e-6), np.float32(np.nan)).astype(np.float32)

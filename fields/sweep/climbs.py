@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
-import cv2
 import numpy as np
 
-from fields.median import median
+from fields.sweep.backends import images
 from fields.sweep.block import Block
 from fields.sweep.climbing import MATCHED_NCC, climbing_tiles, climbing_view
 from fields.sweep.in_turn import Job
 from fields.sweep.maps import DepthMap
 from fields.sweep.over_area import Area, columns_over
 from fields.sweep.passes import Pass
-from fields.sweep.stack import ViewStack
 from fields.sweep.steps import searching_steps
 from fields.sweep.tiles import PART_SIDE_PX, Tiles
 from fields.sweep.windows import LEAST_KNOWN, climbing_widely_enough
@@ -84,13 +83,14 @@ def climbing(
     Windows are by so many pixels ``wider`` than those of the pass, or more where this pass finds that they have to be,
     which is given back.
     """
-    stack, view = block.stack(p.scale), climb.view
-    middle = 0.5 * (bound[0] + bound[1]) if before is None else median(before.height)
+    stack, view, beside = block.stack(p.scale), climb.view, images(block.device)
+    shape = (stack.height, stack.width)
+    middle = 0.5 * (bound[0] + bound[1]) if before is None else beside.median(before.height)
     step = _step(block, p, view, climb.others, middle)
     if before is None:
-        start = np.full((stack.height, stack.width), bound[0], dtype=np.float32)
+        start = beside.full(block.device, shape, bound[0])
     else:
-        start = _enlarged(before.height, stack) - np.float32(step * (climb.rungs // 2))
+        start = beside.lowered(beside.enlarged(before.height, shape), step * (climb.rungs // 2))
 
     def columns(radius: int) -> np.ndarray | None:
         return None if area is None else columns_over(stack.cameras[view], block.water, area, bound, radius)
@@ -106,52 +106,41 @@ def climbing(
     if p.search is not None and radius == p.radius:
         found = yield from searching_steps(stack, view, climb.others, found, p.step_px / step, p.search)
     height, score, _ = found
-    score = _of_shown(block, p, view, score)
-    nobody = np.zeros(height.shape, dtype=np.uint8)
-    spread = np.zeros(height.shape, dtype=np.float16)
-    return DepthMap(view, height, score.astype(np.float16), nobody, spread), radius - p.radius
+    return beside.found_map(view, height, _of_shown(block, p, view, score)), radius - p.radius
 
 
-def refining(
-    block: Block, p: Pass, climb: Climb, before: DepthMap, part: np.ndarray
-) -> Job[tuple[DepthMap, np.ndarray]]:
+def refining(block: Block, p: Pass, climb: Climb, before: DepthMap, part: np.ndarray) -> Job[tuple[DepthMap, Any]]:
     """One pass over a part of a view, (height, width) bool at a share of the size, and the pixels that it took, flat.
 
     Those are of all tiles that hold some of the part; the others stay as they were ``before``.
     """
-    stack, view = block.stack(p.scale), climb.view
-    step = _step(block, p, view, climb.others, median(before.height))
+    stack, view, beside = block.stack(p.scale), climb.view, images(block.device)
+    step = _step(block, p, view, climb.others, beside.median(before.height))
     tiles = Tiles.over(part, before.height.shape, PART_SIDE_PX - 2 * p.radius, p.radius, climb.rungs)
-    height, score = before.height.copy(), before.score.copy()
-    first = before.height.ravel() - np.float32(step * (climb.rungs // 2))
+    tiles = replace(tiles, wanted=beside.placed(block.device, tiles.wanted))
+    height, score = beside.flat_copy(before.height), beside.flat_copy(before.score)
+    first = beside.flat_copy(beside.lowered(before.height, step * (climb.rungs // 2)))
 
-    def take(own: np.ndarray, pixels: np.ndarray, climbed: list[np.ndarray]) -> None:
+    def take(own: Any, pixels: Any, climbed: list[Any]) -> None:
         found, scored, _ = climbed
-        matched = own & (scored > MATCHED_NCC)
-        height.flat[pixels[matched]] = found[matched]
-        score.flat[pixels[own]] = scored[own]
+        beside.put(height, pixels, found, own & (scored > MATCHED_NCC))
+        beside.put(score, pixels, scored, own)
 
     least_known = _least_known(block)
     yield from climbing_tiles(
-        stack, view, climb.others, tiles, lambda _, pixels: first[pixels], step, take, least_known
+        stack, view, climb.others, tiles, lambda _, pixels: beside.at(first, pixels), step, take, least_known
     )
-    return replace(before, height=height, score=_of_shown(block, p, view, score)), np.flatnonzero(tiles.wanted)
+    height, score = (beside.shaped(each, (stack.height, stack.width)) for each in (height, score))
+    taken = beside.places_of(tiles.wanted)
+    return replace(before, height=height, score=_of_shown(block, p, view, score)), taken
 
 
-def _of_shown(block: Block, p: Pass, view: int, score: np.ndarray) -> np.ndarray:
+def _of_shown(block: Block, p: Pass, view: int, score: Any) -> Any:
     """The scores, -1 at pixels left out of the photograph: these show nothing, however much around them is known."""
     if p.scale < 1.0 or block.images.are_whole:
         return score
-    return np.where(np.isnan(block.images[view]), score.dtype.type(-1.0), score)
+    return images(block.device).shown(block.device, block.images[view], score)
 
 
 def _least_known(block: Block) -> float:
     return 1.0 if block.images.are_whole else LEAST_KNOWN
-
-
-def _enlarged(height: np.ndarray, stack: ViewStack) -> np.ndarray:
-    """Heights of a coarser pass at the size of the stack, without the single wrong ones."""
-    if height.shape == (stack.height, stack.width):
-        return height
-    height = cv2.resize(height, (stack.width, stack.height), interpolation=cv2.INTER_LINEAR)
-    return cv2.medianBlur(height, 5)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from fields.sweep.backends import warping
+from fields.sweep.backends import images, warping
 from fields.sweep.in_turn import Job, Launched, alone
 from fields.sweep.stack import ViewStack
 
@@ -34,21 +36,20 @@ def agreement(
     spread : float32 [m]
         Standard deviation (population) of the same.
     """
-    return alone(heights.device, comparing(heights, view, peers, tolerance, pixels))
+    job = comparing(heights, view, peers, tolerance, pixels)
+    agreeing, fused, spread = (images(heights.device).fetched(each) for each in alone(heights.device, job))
+    return agreeing.astype(np.uint8, copy=False), fused, spread
 
 
 def comparing(
-    heights: ViewStack, view: int, peers: list[int], tolerance: float, pixels: np.ndarray | None = None
-) -> Job[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    heights: ViewStack, view: int, peers: list[int], tolerance: float, pixels: Any | None = None
+) -> Job[tuple[Any, Any, Any]]:
     """`agreement` as a job."""
-    own = heights.images[view]
+    beside = images(heights.device)
     shape = (heights.height, heights.width) if pixels is None else (len(pixels),)
-    own = own if pixels is None else own.ravel()[pixels]
 
     def launch() -> Launched:
         return Launched(list(warping(heights.device).compare(heights, view, peers, tolerance, pixels)))
 
-    count, total, square = (each.reshape(shape) for each in (yield launch))
-    mean = total / (count + 1.0)
-    spread = np.sqrt(np.maximum(square / (count + 1.0) - mean * mean, 0.0))
-    return count.astype(np.uint8), own + mean, spread
+    sums = yield launch
+    return beside.agreement(beside.heights_at(heights, view, pixels), sums, shape)

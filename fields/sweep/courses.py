@@ -12,9 +12,11 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
+from fields.sweep.flat import flat_of, given, where_true
 from fields.sweep.legs import is_inside
 from fields.sweep.stack import ViewStack
 from refract import kernels
@@ -31,13 +33,19 @@ def sections(rungs: int) -> list[range]:
     return [range(first, end) for first, end in pairwise(ends)]
 
 
-def through_water(stack: ViewStack, start: np.ndarray, step: float, part: range) -> np.ndarray:
-    """Pixels (n,) int whose rungs, from heights ``start`` [m], are not all on one side of the water."""
+def through_water(stack: ViewStack, start: Any, step: float, part: range) -> Any:
+    """Pixels (n,) int whose rungs, from heights ``start`` [m], are not all on one side of the water.
+
+    Where the heights are, on the host or on the device.
+    """
     if stack.n_water is None:
         return np.empty(0, dtype=np.int64)
     tide = max(abs(camera.tide) for camera in stack.cameras)
     low, high = part.start * step - tide, (part.stop - 1) * step + tide
-    return np.flatnonzero((start < -low) & (start > -high))
+    if isinstance(start, np.ndarray):
+        return np.flatnonzero((start < -low) & (start > -high))
+    start = flat_of(start)
+    return where_true((start < given(start, -low)) & (start > given(start, -high)))
 
 
 def in_front(place) -> tuple:

@@ -13,10 +13,8 @@ from dataclasses import dataclass
 from itertools import count
 from typing import Any, TypeVar
 
-import numpy as np
-
 from fields.device import Device
-from fields.sweep.arrays import host
+from fields.sweep.backends import images
 
 Found = TypeVar("Found")
 
@@ -37,7 +35,7 @@ class Launched:
 
 
 # Gives what is to be launched, each time is handed the results as flat arrays, and returns what it found.
-Job = Generator[Callable[[], Launched], list[np.ndarray], Found]
+Job = Generator[Callable[[], Launched], list[Any], Found]
 
 
 def alone(device: Device, job: Job[Found]) -> Found:
@@ -56,7 +54,7 @@ def in_turn(device: Device, jobs: Iterable[Job[Found]], most: int = 2) -> Iterat
             if running is not None:
                 number, job, launched = running
                 # Waits; from here to the next launch no kernel runs, and what the last ones read is let go.
-                landed = number, job, [host(device, each) for each in launched.results]
+                landed = number, job, images(device).results(device, launched.results)
                 running = None
                 del launched
             if turn.ready:
@@ -80,7 +78,7 @@ class _Turn:
     found: dict[int, Any]
     ready: deque[tuple[int, Job, Callable[[], Launched]]]
 
-    def go_on(self, number: int, job: Job, results: list[np.ndarray] | None) -> None:
+    def go_on(self, number: int, job: Job, results: list[Any] | None) -> None:
         """Hand a job its results, and take what it launches next or what it found."""
         try:
             self.ready.append((number, job, next(job) if results is None else job.send(results)))

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
 import cv2
 import numpy as np
+
+from refract import kernels
 
 # Heights within a square of this side are known about its middle, or no plane is laid through them [px].
 SIDE_PX = 13
@@ -40,31 +47,73 @@ def continued(height: np.ndarray, known: np.ndarray, tolerance: float) -> np.nda
     return found
 
 
+@dataclass(frozen=True)
+class Sums:
+    """Sums over the square about each pixel, of known pixels (n) at places x, y from its middle with heights z.
+
+    The pixels may be an array of any library, and of any shape.
+    """
+
+    n: Any
+    x: Any
+    y: Any
+    z: Any
+    xx: Any
+    yy: Any
+    xy: Any
+    xz: Any
+    yz: Any
+    zz: Any
+
+    @staticmethod
+    def of(
+        weight: Any, height: Any, along: Callable[[Any, int, int], Any], over: Callable[[Any], Any] | None = None
+    ) -> Sums:
+        """Of weights, 1 where a height is known, else 0, and heights [m] times these, which float32 holds.
+
+        ``along(values, power, axis)`` are sums over a side of the square of values times a power of the distance
+        [px], along rows (0) or columns (1), and ``over(values)`` those over the square.
+        """
+        w0, w1, w2 = (along(weight, power, 0) for power in range(3))
+        z0, z1 = (along(height, power, 0) for power in range(2))
+        square = height * height
+        return Sums(
+            n=along(w0, 0, 1), x=along(w1, 0, 1), y=along(w0, 1, 1), z=along(z0, 0, 1),
+            xx=along(w2, 0, 1), yy=along(w0, 2, 1), xy=along(w1, 1, 1), xz=along(z1, 0, 1), yz=along(z0, 1, 1),
+            zz=along(along(square, 0, 0), 0, 1) if over is None else over(square),
+        )  # fmt: skip
+
+
+def plane_through(sums: Sums) -> tuple[Any, Any]:
+    """Height at the middle of each square of the plane through the known heights in it, and how far they leave it.
+
+    The latter, a root mean square, is infinite where too few are known, or in a line.
+    """
+    xp = kernels.namespace(sums.n)
+    each = 1.0 / xp.maximum(sums.n, 0.5)
+    x, y, z = (part * each for part in (sums.x, sums.y, sums.z))
+    xx, yy, xy = sums.xx * each - x * x, sums.yy * each - y * y, sums.xy * each - x * y
+    xz, yz, zz = sums.xz * each - x * z, sums.yz * each - y * z, sums.zz * each - z * z
+    # The determinant over the trace is nearly the variance in the direction in which the pixels spread least.
+    spread = xx * yy - xy * xy
+    enough = (sums.n >= _LEAST_KNOWN * SIDE_PX**2) & (spread > _LEAST_SPREAD_PX**2 * (xx + yy))
+    over = 1.0 / xp.where(enough, spread, 1.0)
+    across, down = (yy * xz - xy * yz) * over, (xx * yz - xy * xz) * over
+    off = xp.sqrt(xp.maximum(zz - across * xz - down * yz, 0.0))
+    return z - across * x - down * y, xp.where(enough, off, math.inf)
+
+
 def _planes(height: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Height at each pixel of the plane through the known ones around it, and how far these leave it; inf without."""
     weight = known.astype(np.float32)
     base = np.float32(np.vdot(weight.astype(np.float64), height) / np.count_nonzero(known))
-    z = weight * (height - base)
-    # Sums over the square with powers of the distance from its middle, which float32 holds: along rows, then columns.
-    w0, w1, w2 = (_along(weight, power, 0) for power in range(3))
-    z0, z1 = (_along(z, power, 0) for power in range(2))
-    share = _along(w0, 0, 1)
-    each = 1.0 / np.maximum(share, np.float32(0.5))
-    x_mean, y_mean, z_mean = (sums * each for sums in (_along(w1, 0, 1), _along(w0, 1, 1), _along(z0, 0, 1)))
-    xx = _along(w2, 0, 1) * each - x_mean * x_mean
-    yy = _along(w0, 2, 1) * each - y_mean * y_mean
-    xy = _along(w1, 1, 1) * each - x_mean * y_mean
-    xz = _along(z1, 0, 1) * each - x_mean * z_mean
-    yz = _along(z0, 1, 1) * each - y_mean * z_mean
-    zz = cv2.boxFilter(z * z, -1, (SIDE_PX, SIDE_PX), normalize=False, borderType=cv2.BORDER_CONSTANT) * each
-    # The determinant over the trace is nearly the variance in the direction in which the pixels spread least.
-    spread = xx * yy - xy * xy
-    enough = (share >= _LEAST_KNOWN * SIDE_PX**2) & (spread > _LEAST_SPREAD_PX**2 * (xx + yy))
-    over = 1.0 / np.where(enough, spread, np.float32(1.0))
-    across, down = (yy * xz - xy * yz) * over, (xx * yz - xy * xz) * over
-    plane = base + z_mean - across * x_mean - down * y_mean
-    off = np.sqrt(np.maximum(zz - z_mean * z_mean - across * xz - down * yz, 0.0))
-    return plane, np.where(enough, off, np.float32(np.inf))
+    plane, off = plane_through(Sums.of(weight, weight * (height - base), _along, _over))
+    return base + plane, off
+
+
+def _over(values: np.ndarray) -> np.ndarray:
+    """Sums over the square."""
+    return cv2.boxFilter(values, -1, (SIDE_PX, SIDE_PX), normalize=False, borderType=cv2.BORDER_CONSTANT)
 
 
 def _along(values: np.ndarray, power: int, axis: int) -> np.ndarray:

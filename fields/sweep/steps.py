@@ -9,15 +9,13 @@ window needs its surroundings at its own height, or on its own wall, not at the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
-import cv2
-import numpy as np
-
-from fields.median import median
+from fields.sweep.backends import images
 from fields.sweep.climbing import MATCHED_NCC, Found, climbing_tiles
 from fields.sweep.in_turn import Job, alone
 from fields.sweep.stack import ViewStack
-from fields.sweep.tiles import Tiles, extent
+from fields.sweep.tiles import Tiles
 from fields.sweep.walls import wall_slopes
 
 
@@ -68,50 +66,52 @@ def search_steps(
         At the scale of the stack, per metre of height.
     search : StepSearch
     """
-    return alone(stack.device, searching_steps(stack, view, others, found, parallax, search))
+    beside = images(stack.device)
+    height, score, curvature = (beside.placed(stack.device, each) for each in found)
+    job = searching_steps(stack, view, others, (height, score, curvature), parallax, search)
+    height, score, curvature = (beside.fetched(each) for each in alone(stack.device, job))
+    return height, score, curvature
 
 
 def searching_steps(
     stack: ViewStack, view: int, others: list[int], found: Found, parallax: float, search: StepSearch
 ) -> Job[Found]:
     """`search_steps` as a job."""
-    height, score = found[0], found[1]
-    if min(height.shape) < search.tile_px + 2 * search.radius or median(score) < search.least_score:
+    height, score, beside = found[0], found[1], images(stack.device)
+    if min(height.shape) < search.tile_px + 2 * search.radius or beside.median(score) < search.least_score:
         return found
-    low, high = _around(height, search.around_px)
-    wanted = (high - low) * parallax > search.reach_px
-    if not wanted.any():
+    low, high = beside.around(height, search.around_px)
+    wanted = beside.rising(low, high, parallax, search.reach_px)
+    if not beside.is_any(wanted):
         return found
     others, step = others[: search.neighbours], search.step_px / parallax
-    least = np.full_like(score, MATCHED_NCC)
-    size, bounds = search.tile_px, extent(wanted, low, high, search.tile_px)
+    least = beside.full(stack.device, height.shape, MATCHED_NCC)
+    size, bounds = search.tile_px, beside.extent(wanted, low, high, search.tile_px)
     level = Tiles.of(wanted, bounds, step, size, search.radius)
     found = yield from _climbed(stack, view, others, found, level, step, least)
     if search.walls:
-        width = 2.0 * search.radius + 1.0
-        slope = wall_slopes(stack.cameras[view], stack.water, height, wanted, bounds, size, width)
+        width, ways = 2.0 * search.radius + 1.0, beside.ways(height, wanted, size)
+        slope = wall_slopes(stack.cameras[view], stack.water, ways, bounds, size, width)
         upright = Tiles.of(wanted, bounds, step, size, search.radius, slope)
-        found = yield from _climbed(stack, view, others, found, upright, step, np.maximum(least, found[1]))
+        found = yield from _climbed(stack, view, others, found, upright, step, beside.larger(least, found[1]))
     return found
 
 
 def _climbed(
-    stack: ViewStack, view: int, others: list[int], found: Found, tiles: Tiles, step: float, least: np.ndarray
+    stack: ViewStack, view: int, others: list[int], found: Found, tiles: Tiles, step: float, least: Any
 ) -> Job[Found]:
     """What was found, and instead what tiles find on ladders of a step [m], where that scores over ``least``."""
-    better = [np.array(each) for each in found]
+    beside = images(stack.device)
+    *better, worse = (beside.flat_copy(each) for each in (*found, least))
 
-    def take(own: np.ndarray, pixels: np.ndarray, climbed: list[np.ndarray]) -> None:
-        keep = own & (climbed[1] > least.ravel()[pixels])
+    def take(own: Any, pixels: Any, climbed: list[Any]) -> None:
+        keep = own & (climbed[1] > beside.at(worse, pixels))
         for target, each in zip(better, climbed, strict=True):
-            target.flat[pixels[keep]] = each[keep]
+            beside.put(target, pixels, each, keep)
 
-    yield from climbing_tiles(stack, view, others, tiles, lambda part, _: tiles.starts(part), step, take)
-    return better[0], better[1], better[2]
+    def starts(part: slice, _pixels: Any) -> Any:
+        return beside.tile_starts(stack.device, tiles, part)
 
-
-def _around(height: np.ndarray, radius: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest height within a radius [px] of each pixel, without single wrong ones."""
-    kernel = np.ones((2 * radius + 1,) * 2, dtype=np.uint8)
-    height = cv2.medianBlur(height, 3)
-    return cv2.erode(height, kernel), cv2.dilate(height, kernel)
+    yield from climbing_tiles(stack, view, others, tiles, starts, step, take)
+    height, score, curvature = (beside.shaped(each, found[0].shape) for each in better)
+    return height, score, curvature

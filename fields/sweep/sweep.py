@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from fields.sweep.backends import images
 from fields.sweep.becoming import becoming_points
 from fields.sweep.block import Block
 from fields.sweep.climbs import climbing, climbs_of, pixels_of, refining
@@ -21,6 +22,7 @@ from fields.sweep.in_turn import Job, in_turn
 from fields.sweep.maps import DepthMap, InOrder, Keep, enlarged_map
 from fields.sweep.over_area import Area
 from fields.sweep.passes import PASSES, Pass
+from fields.sweep.resident import brought_back, kept_beside
 
 # Height maps that each is compared with where heights are fused.
 PEERS = 12
@@ -67,10 +69,12 @@ def sweep(
         Views that overlap with no other are left out.
     """
     size = (block.cameras[0].width, block.cameras[0].height)
-    maps, widths = keep(), dict[int, int]()
+    beside = kept_beside(block.device, keep)
+    maps, widths = beside(), dict[int, int]()
     for view, m in (before or {}).items():
         if view in chosen:
-            maps[view], widths[view] = m if view in again else enlarged_map(m, size), m.height.shape[1]
+            known = m if view in again else enlarged_map(m, size)
+            maps[view], widths[view] = images(block.device).arrived(block.device, known), m.height.shape[1]
     climbs = [
         climbs_of(block, [v for v in chosen if _climbs(size, p, widths.get(v), v in again)], p, None if n else bound)
         for n, p in enumerate(passes)
@@ -89,7 +93,7 @@ def sweep(
     for number, p in enumerate(passes):
         if p.points_only and not wanted:
             wanted = becoming_points(block, maps)
-        taken: dict[int, np.ndarray] = {}
+        taken: dict[int, Any] = {}
         parts = {climb.view for climb in climbs[number] if climb.view in wanted and not wider[climb.view]}
         # Each made in its turn, as it holds a map.
         jobs: Iterator[Job[tuple[DepthMap, Any]]] = (
@@ -110,13 +114,14 @@ def sweep(
         if fused[number]:
             block.release(p.scale)
             compared = {view: peers[view] for view in taking_part[number] if view not in taken or len(taken[view])}
-            maps = fuse(block, maps, p.scale, compared, keep, goes_on=number + 1 < len(passes), only=taken)
+            maps = fuse(block, maps, p.scale, compared, beside, goes_on=number + 1 < len(passes), only=taken)
             done += fused[number]
             progress(done / total)
         if number + 1 == len(passes) or passes[number + 1].scale != p.scale:
             block.release(p.scale)
     confirm(block, maps, {view: peers[view] for view in set(maps) - taking_part[-1]})
-    return InOrder(maps, [view for view in chosen if view in maps])
+    swept = brought_back(block.device, maps, keep)
+    return InOrder(swept, [view for view in chosen if view in swept])
 
 
 def _at_once(block: Block, p: Pass) -> int:

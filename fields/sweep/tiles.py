@@ -101,7 +101,7 @@ class Tiles:
             first += run
 
     def pixels(self, part: slice) -> np.ndarray:
-        """Flat indices (n, side, side) of the pixels of tiles with their halo, moved into the image at its edges."""
+        """Flat indices (n, side, side) of the pixels of tiles with their halo."""
         rows, columns = self._lines(part)
         return rows[:, :, None] * self.wanted.shape[1] + columns[:, None, :]
 
@@ -123,10 +123,13 @@ class Tiles:
         )
         return self.wanted.ravel()[pixels] & rows[:, :, None] & columns[:, None, :]
 
+    def corners(self, part: slice) -> np.ndarray:
+        """Row and column (n, 2) of the first pixel of tiles with their halo, moved into the image at its edges."""
+        return np.clip(self.size * self.place[part] - self.radius, 0, np.array(self.wanted.shape) - self.side)
+
     def _lines(self, part: slice) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns (n, side) of the pixels of tiles with their halo."""
-        most = np.array(self.wanted.shape) - self.side
-        corner = np.clip(self.size * self.place[part] - self.radius, 0, most)
+        corner = self.corners(part)
         return corner[:, 0, None] + np.arange(self.side), corner[:, 1, None] + np.arange(self.side)
 
 
@@ -135,11 +138,3 @@ def in_tiles(image: np.ndarray, size: int, beyond: float) -> np.ndarray:
     down, right = (-length % size for length in image.shape)
     image = np.pad(image, ((0, down), (0, right)), constant_values=beyond)
     return image.reshape(image.shape[0] // size, size, -1, size)
-
-
-def extent(wanted: np.ndarray, low: np.ndarray, high: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Least of the low and most of the high values of the wanted pixels of each tile, (rows, columns); inf without."""
-    # One axis after the other: both at once do not run in vectors.
-    least = in_tiles(np.where(wanted, low, np.inf), size, np.inf).min(axis=1).min(axis=2)
-    most = in_tiles(np.where(wanted, high, -np.inf), size, -np.inf).max(axis=1).max(axis=2)
-    return least, most

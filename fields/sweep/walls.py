@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
-from fields.sweep.tiles import in_tiles
 from refract import FlatWater, PinholeCamera
 
-# Heights are averaged over so many pixels before the way is taken in which they rise.
-_SMOOTH_PX = 5
 # Of the plumb line on which the image of a wall is found [m].
 _STEP_M = 0.1
 # Cosine of the widest angle in the image between the way in which heights rise and the plumb line. Beyond it a wall is
@@ -20,8 +16,7 @@ _LEAST_COSINE = 0.3
 def wall_slopes(
     camera: PinholeCamera,
     water: FlatWater | None,
-    height: np.ndarray,
-    wanted: np.ndarray,
+    ways: np.ndarray,
     extent: tuple[np.ndarray, np.ndarray],
     size: int,
     width_px: float,
@@ -34,9 +29,8 @@ def wall_slopes(
     Parameters
     ----------
     camera, water
-    height : (height, width) float32 [m]
-    wanted : (height, width) bool
-        Pixels that count.
+    ways : (rows, columns, 2)
+        In which the heights of the tiles rise, of any length: `fields.sweep.images_host.ways`.
     extent : (rows, columns) each [m]
         Lowest and highest height of the tiles.
     size : [px]
@@ -49,15 +43,11 @@ def wall_slopes(
     (rows, columns, 2) float [m/px]
         Of each tile of `fields.sweep.tiles`; NaN where no wall faces the view.
     """
-    smooth = cv2.blur(cv2.medianBlur(height, 3), (_SMOOTH_PX, _SMOOTH_PX))
-    # From row to row, and from column to column.
-    ways = [cv2.Sobel(smooth, cv2.CV_32F, *order) for order in ((0, 1), (1, 0))]
-    way = np.stack([in_tiles(np.where(wanted, each, 0.0), size, 0.0).sum(axis=(1, 3)) for each in ways], axis=-1)
-    length = np.linalg.norm(way, axis=-1)
+    length = np.linalg.norm(ways, axis=-1)
     facing = np.argwhere(np.isfinite(extent[0]) & (length > 0.0))
-    at, found = tuple(facing.T), np.full(way.shape, np.nan)
+    at, found = tuple(facing.T), np.full(ways.shape, np.nan)
     low, high = (each[at] for each in extent)
-    way = way[at] / length[at][:, None]
+    way = ways[at] / length[at][:, None]
     plumb = _plumb_line(camera, water, size * (facing[:, ::-1] + 0.5), 0.5 * (low + high))[:, ::-1]
     # Pixels by which a wall rises in the image for each metre of height, across its foot.
     rise = (way * plumb).sum(axis=-1)

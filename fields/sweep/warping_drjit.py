@@ -134,15 +134,14 @@ def warp(stack: ViewStack, legs, start: np.ndarray, neighbours: list[int], step:
 
 
 def warp_into(
-    rooms: list[Room], stack: ViewStack, legs, start: np.ndarray, neighbours: list[int], step: float, rungs: int
+    rooms: list[Room], stack: ViewStack, legs, start: Any, neighbours: list[int], step: float, rungs: int
 ) -> None:
     """`warp` into rooms that are there, of which there may be more."""
-    start = np.ravel(start)
     ladders = _Ladders(stack, legs, floats(stack.device, start), step)
     values = [room.array for room in rooms[: len(neighbours)]]
     for part in sections(rungs):
         wet_and_dry = through_water(stack, start, step, part)
-        if len(wet_and_dry) > _MANY * start.size:
+        if len(wet_and_dry) > _MANY * ladders.size:
             _point_by_point(ladders, part, neighbours, values)
             continue
         _along_courses(ladders, part, neighbours, values)

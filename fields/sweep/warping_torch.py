@@ -6,6 +6,8 @@ computes step by step, so samples are taken in portions that stay in the process
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -86,10 +88,9 @@ def warp(stack: ViewStack, legs, start: np.ndarray, neighbours: list[int], step:
 
 
 def warp_into(
-    rooms: list[Tensor], stack: ViewStack, legs, start: np.ndarray, neighbours: list[int], step: float, rungs: int
+    rooms: list[Tensor], stack: ViewStack, legs, start: Any, neighbours: list[int], step: float, rungs: int
 ) -> None:
     """`warp` into tensors that are there."""
-    start = np.ravel(start)
     begin = floats(stack.device, start)
     values = [room.view(rungs, len(begin)) for room in rooms]
     ladder = torch.arange(rungs, dtype=torch.float32, device=begin.device)[:, None]

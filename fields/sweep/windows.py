@@ -8,10 +8,11 @@ photograph to photograph, ask for wider windows, and quiet images for none.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from fields.median import median
+from fields.sweep.backends import images
 from fields.sweep.climbing import Found, climbing_view
 from fields.sweep.in_turn import Job, alone
 from fields.sweep.stack import ViewStack
@@ -44,15 +45,18 @@ def climb_widely_enough(
 
     ``columns`` says which are wanted for a radius.
     """
+    beside = images(stack.device)
+    start = beside.placed(stack.device, start)
     job = climbing_widely_enough(stack, view, others, start, step, rungs, radius, columns, least_known)
-    return alone(stack.device, job)
+    (height, score, curvature), radius = alone(stack.device, job)
+    return (beside.fetched(height), beside.fetched(score), beside.fetched(curvature)), radius
 
 
 def climbing_widely_enough(
     stack: ViewStack,
     view: int,
     others: list[int],
-    start: np.ndarray,
+    start: Any,
     step: float,
     rungs: int,
     radius: int,
@@ -67,20 +71,23 @@ def climbing_widely_enough(
     found = yield from climbed(radius)
     if np.isfinite(stack.images[view]).mean() < _WHOLE:
         return found, radius
-    while (wider := radius_for(found[1], radius, rungs)) != radius:
+    while (wider := _wider(stack, found[1], radius, rungs)) != radius:
         found, radius = (yield from climbed(wider)), wider
     return found, radius
 
 
-def radius_for(score: np.ndarray, radius: int, rungs: int) -> int:
-    """Radius [px] that windows need of which those of a radius scored so, (height, width); the same if that is enough.
+def _wider(stack: ViewStack, score: Any, radius: int, rungs: int) -> int:
+    """`radius_for` what a view scored, (height, width)."""
+    matched = images(stack.device).median_above(score, -1.0)
+    return radius if matched is None else radius_for(matched, score.shape, radius, rungs)
+
+
+def radius_for(score: float, shape: tuple[int, int], radius: int, rungs: int) -> int:
+    """Radius [px] that windows need whose median score is so, of those of a radius; the same if that is enough.
 
     Among wrong heights the best scores high too, the more the narrower the window: the radius that this gives may not
-    be enough yet.
+    be enough yet. ``shape`` (height, width) is that of the image.
     """
-    matched = score[score > -1.0]
-    if not len(matched):
-        return radius
-    side = (_ABOVE_CHANCE + np.sqrt(2.0 * np.log(rungs))) / max(median(matched), 1e-3)
-    fitting = [each for each in RADII if 2 * each + 1 <= _MOST_OF_SIDE * min(score.shape)] or [radius]
+    side = (_ABOVE_CHANCE + np.sqrt(2.0 * np.log(rungs))) / max(score, 1e-3)
+    fitting = [each for each in RADII if 2 * each + 1 <= _MOST_OF_SIDE * min(shape)] or [radius]
     return max(radius, next((each for each in fitting if each >= round(0.5 * (side - 1.0))), fitting[-1]))

@@ -1,0 +1,171 @@
+"""The sweep on a device with a memory of its own: the same heights, and images that stay there between the passes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from plane_survey import PlaneBed, ring, texture
+
+from fields.device import choose_device, memory_bytes
+from fields.sweep import arrays, device_filters, flat, images_device, resident
+from fields.sweep.block import Block
+from fields.sweep.maps import DepthMap
+from fields.sweep.passes import Pass
+from fields.sweep.resident import Resident, kept_beside
+from fields.sweep.steps import StepSearch
+from fields.sweep.sweep import sweep
+from refract import FlatWater
+
+WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.34)
+LOW, HIGH = -2.0, -1.7
+PASSES = (
+    Pass(0.5, 2, None, 0.5, 6, False, StepSearch(2, 0.5, 16, 2.0, 5, 0.05)),
+    Pass(1.0, 2, 7, 0.4, 6, True, StepSearch(1, 0.75, 8, 1.6, 3, 0.5, walls=True)),
+    Pass(1.0, 1, 3, 0.25, 8, True, points_only=True),
+)
+# Heights are the same but for rounding, which decides where two score alike [m]; a pixel is 1.5 cm.
+SAME_M, OTHERS = 2e-4, 0.01
+PLENTY = 10**9
+
+
+@dataclass(frozen=True)
+class Terrace:
+    """A bed with a step of 0.3 m, high in the west."""
+
+    def photograph(self, camera) -> np.ndarray:
+        path = camera.paths(camera.pixel_centres(), WATER)
+        height = np.where(path.at_height(HIGH, WATER)[..., 0] < 0.1, HIGH, LOW)
+        points = path.at_height(height.astype(np.float32), WATER)
+        return texture(points[..., 0], points[..., 1]).astype(np.float32)
+
+
+def block_of(device, *, holes: bool = False) -> Block:
+    """Seven views of the terrace; with ``holes`` each photograph has masked pixels."""
+    cameras = ring(6)
+    images = [Terrace().photograph(camera) for camera in cameras]
+    for number, image in enumerate(images if holes else []):
+        image[20 + number : 32 + number, 30:44] = np.nan
+        image[50, 60 + number] = np.nan
+    return PlaneBed(WATER, LOW).block(device, cameras, images)
+
+
+def swept(device, *, holes: bool = False, room: int = PLENTY, passes=PASSES, **options) -> list[DepthMap]:
+    """Maps of all views, by a device whose memory has so many bytes."""
+    block = block_of(device, holes=holes)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(resident, "memory_bytes", lambda device: room)
+        return list(sweep(block, list(range(7)), (-2.4, -1.4), lambda share: None, passes, **options))
+
+
+def plain(apart):
+    """The same device with its images on the host between the kernels."""
+    return choose_device("torch" if apart.module is None else "cpu")
+
+
+def assert_same(maps: list[DepthMap], others: list[DepthMap]) -> None:
+    """That two sweeps give the same maps but for rounding."""
+    assert [m.view for m in maps] == [m.view for m in others]
+    for m, other in zip(maps, others, strict=True):
+        for name in ("height", "score", "agreeing", "spread"):
+            assert getattr(m, name).dtype == getattr(other, name).dtype
+        assert np.mean(np.abs(m.height - other.height) > SAME_M) < OTHERS
+        assert np.mean(m.agreeing != other.agreeing) < OTHERS
+        assert np.mean(np.abs(m.score.astype(np.float32) - other.score) > 1e-3) < OTHERS
+        assert np.mean(np.abs(m.spread.astype(np.float32) - other.spread) > SAME_M) < OTHERS
+
+
+@pytest.fixture(scope="module")
+def beside(apart) -> list[DepthMap]:
+    """Maps by a device with its images in its own memory."""
+    return swept(apart)
+
+
+@pytest.fixture(scope="module")
+def on_host(apart) -> list[DepthMap]:
+    """Maps with images on the host between the kernels."""
+    return swept(plain(apart))
+
+
+def test_heights_are_those_of_images_on_the_host(beside, on_host):
+    assert_same(beside, on_host)
+
+
+def test_masked_photographs_have_the_same_heights(apart):
+    assert_same(swept(apart, holes=True), swept(plain(apart), holes=True))
+
+
+def test_an_area_has_the_same_heights(apart):
+    area = (-0.25, -0.3, 0.35, 0.2)
+    assert_same(swept(apart, area=area), swept(plain(apart), area=area))
+
+
+def test_a_sweep_goes_on_from_maps_of_the_host(apart):
+    before = {m.view: m for m in swept(plain(apart), passes=PASSES[:1])}
+    maps, others = (swept(device, before=before, again=(0, 1, 2, 3)) for device in (apart, plain(apart)))
+    assert_same(maps, others)
+
+
+def test_between_the_passes_the_host_is_told_numbers_and_tiles_alone(apart, monkeypatch):
+    told = []
+
+    def listening(fetch):
+        def told_of(*arguments):
+            found = fetch(*arguments)
+            told.append(found.size)
+            return found
+
+        return told_of
+
+    for module, name in ((flat, "on_host"), (images_device, "on_host"), (device_filters, "on_host"), (arrays, "host")):
+        monkeypatch.setattr(module, name, listening(getattr(module, name)))
+    in_the_end = images_device.left
+
+    def left(m):
+        before = len(told)
+        found = in_the_end(m)
+        del told[before:]
+        return found
+
+    monkeypatch.setattr(images_device, "left", left)
+    maps = swept(apart)
+    # Parts of four by four pixels become points; tiles have more.
+    assert len(told) > 20
+    assert max(told) <= maps[0].height.size / 16
+
+
+@pytest.mark.parametrize("room", [0, 8 * 16 * 96 * 72])
+def test_maps_for_which_the_device_has_no_room_wait_on_the_host(apart, beside, room):
+    assert_same(swept(apart, room=room), beside)
+
+
+def test_a_place_for_maps_takes_and_gives_room(apart, monkeypatch, rng):
+    shape = (4, 6)
+    nothing = (np.zeros(shape, kind) for kind in (np.float16, np.uint8, np.float16))
+    m = DepthMap(2, rng.random(shape).astype(np.float32), *nothing)
+    monkeypatch.setattr(resident, "memory_bytes", lambda device: 2 * 16 * 24)
+    aside = {}
+    maps = kept_beside(apart, lambda: aside)()
+    for view in (2, 5):
+        maps[view] = images_device.arrived(apart, replace(m, view=view))
+    assert sorted(aside) == [5]
+    assert list(maps) == [2, 5]
+    assert 5 in maps
+    for view in (2, 5):
+        np.testing.assert_array_equal(images_device.left(maps[view]).height, m.height)
+    maps[2] = images_device.arrived(apart, m)
+    assert sorted(aside) == [5]
+    del maps[2]
+    maps[5] = images_device.arrived(apart, replace(m, view=5))
+    assert not aside
+    assert len(maps) == 1
+
+
+def test_the_host_keeps_its_own_maps(device):
+    if not device.apart:
+        assert kept_beside(device, dict) is dict
+        assert memory_bytes(device) == 0
+    else:
+        assert isinstance(kept_beside(device, dict)(), Resident)
+        assert memory_bytes(device) > 0

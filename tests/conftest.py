@@ -52,15 +52,9 @@ def device(request):
 @pytest.fixture(scope="session", params=["cpu", "torch", pytest.param("cuda", marks=pytest.mark.gpu)])
 def apart(request):
     """As `device`, each with its images in its own memory between the kernels, where CUDA devices have them always."""
-    from dataclasses import replace
+    from apart_device import device_apart
 
-    from fields.device import choose_device
-
-    chosen = choose_device(request.param)
-    if request.param == "cpu" and chosen.name != "llvm":
-        pytest.skip(f"Dr.Jit does not run on this CPU: {chosen.reason}")
-    # By the way of CUDA, which LLVM compiles as well.
-    return replace(chosen, name="torch" if chosen.module is None else "cuda", apart=True)
+    return device_apart(request.param)
 
 
 @pytest.fixture(scope="session")

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from apart_device import device_apart
 from plane_survey import PlaneBed, ring, texture
 
 from fields.device import choose_device, memory_bytes
@@ -76,6 +77,15 @@ def assert_same(maps: list[DepthMap], others: list[DepthMap]) -> None:
         assert np.mean(np.abs(m.spread.astype(np.float32) - other.spread) > SAME_M) < OTHERS
 
 
+@pytest.fixture(
+    scope="module",
+    params=["cpu", pytest.param("torch", marks=pytest.mark.slow), pytest.param("cuda", marks=pytest.mark.gpu)],
+)
+def apart(request):
+    """Torch takes several times as long."""
+    return device_apart(request.param)
+
+
 @pytest.fixture(scope="module")
 def beside(apart) -> list[DepthMap]:
     """Maps by a device with its images in its own memory."""
@@ -90,6 +100,10 @@ def on_host(apart) -> list[DepthMap]:
 
 def test_heights_are_those_of_images_on_the_host(beside, on_host):
     assert_same(beside, on_host)
+
+
+def test_heights_by_torch_are_those_of_images_on_the_host():
+    assert_same(swept(device_apart("torch")), swept(choose_device("torch")))
 
 
 def test_masked_photographs_have_the_same_heights(apart):

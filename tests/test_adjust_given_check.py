@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from survey.adjust import pose_check
+from survey.adjust.contradiction import MOST_OF_FOUR
 from survey.adjust.given_check import doubt_of
 from survey.adjust.observed import WINDOW
 from survey.adjust.state import WATER
@@ -159,3 +161,7 @@ def test_contradicted_water_is_adjusted():
     choice, reason = pose_choice(replace(survey, pose_misfit_px=0.01, doubt=doubt), "auto", free_water=False)
     assert choice == "refine"
     assert "level_m is given as 100.500 +- 0.02 m, and a sample of photographs says 100.000 +- 0.03 m" in reason
+
+
+def test_one_survey_of_a_thousand_is_doubted_by_chance():
+    assert 1.0 - (1.0 - 2.0 * norm.sf(MOST_OF_FOUR)) ** 4 == pytest.approx(1e-3, rel=0.02)

@@ -10,8 +10,9 @@ from survey.adjust.priors import HELD, Known
 from survey.adjust.rounds import Adjusted
 from survey.adjust.state import WATER
 
-# Beyond this many standard deviations of their difference the two cannot both be true.
-MOST = 3.0
+# Beyond this many standard deviations of their difference the two cannot both be true. Where four parameters are asked
+# about, one of them is beyond the latter by chance in one survey of a thousand (docs/adjustment.md).
+MOST, MOST_OF_FOUR = 3.0, 3.66
 # With less of its own than this share of the knowledge beforehand, a block cannot contradict it.
 _LEAST_OWN = 0.02
 
@@ -46,7 +47,7 @@ def worst_contradiction(done: Adjusted) -> Contradiction | None:
     Of a value of standard deviation s from a prior of standard deviation p, the block alone has told
     ``1 / s^2 - 1 / p^2``, and its own value follows from the weighted mean.
     """
-    worst, most = None, MOST
+    worst, most = None, MOST_OF_FOUR
     moved = done.solution.state.water_parameters() - done.known.mean.water_parameters()
     for number in range(WATER):
         prior = float(done.known.std[number])

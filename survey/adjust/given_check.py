@@ -17,7 +17,7 @@ import numpy as np
 
 from survey.adjust.bundle import Problem, System, inverse, std_of_kinds, system_at
 from survey.adjust.clusters import inflation
-from survey.adjust.contradiction import MOST, Contradiction
+from survey.adjust.contradiction import MOST_OF_FOUR, Contradiction
 from survey.adjust.free_water import FEWEST_WET
 from survey.adjust.priors import Known, is_held, known_of, priors_for
 from survey.adjust.state import LENS_NAMES, WATER, Layout, State
@@ -39,7 +39,7 @@ _OF_MISFIT, _LEAST_PX = 2.0, 0.01
 
 def doubt_of(survey: Survey, told: list[Contradiction]) -> Doubt | None:
     """The parameter that photographs contradict the most, if any; ``told`` as `told_of_given` has it."""
-    worst, most = None, MOST
+    worst, most = None, MOST_OF_FOUR
     for each in told:
         sigmas = abs(each.difference) / np.hypot(each.std, each.given_std)
         if sigmas > most:

@@ -16,7 +16,7 @@ from survey.adjust.adjustment import UNKNOWN, Adjustment
 from survey.adjust.applied import at_state
 from survey.adjust.assembling import result
 from survey.adjust.common_height import height_doubts, placed_by_level, water_start, with_common, without_common
-from survey.adjust.contradiction import Contradiction, released, worst_contradiction
+from survey.adjust.contradiction import MOST_OF_FOUR, Contradiction, released, worst_contradiction
 from survey.adjust.far_poses import Search, windows_or_search
 from survey.adjust.flooding import dry_bed_error, level_over_block
 from survey.adjust.free_water import Lost, adjust_free, dry_or_within_bounds, within_bounds
@@ -221,8 +221,9 @@ def _against(found: Adjustment, each: Contradiction) -> str:
     digits = 3 if each.number == 0 else 4
     return (
         f"{row.name} is given as {row.given:.{digits}f} +- {each.given_std:.2g}{unit}, and the photographs say "
-        f"{row.value:.{digits}f} +- {row.std:.2g}{unit}: the two contradict each other by more than three standard "
-        "deviations; what the photographs say is used. Correct the value, its vertical datum, or its standard deviation"
+        f"{row.value:.{digits}f} +- {row.std:.2g}{unit}: the two contradict each other by more than "
+        f"{MOST_OF_FOUR:.1f} standard deviations; what the photographs say is used. Correct the value, its vertical "
+        "datum, or its standard deviation"
     )
 
 

@@ -195,6 +195,7 @@ def test_the_settings_of_a_survey_and_photographs_of_a_plan_are_refused(tmp_path
     folder = small_survey(tmp_path / "s")
     with pytest.raises(SurveyError, match=r"survey\.toml has the settings of a survey, expected its folder"):
         checked(folder / "survey.toml")
-    result = CliRunner().invoke(app, ["check", str(plan_file(tmp_path)), "--deep"])
-    assert result.exit_code == 2
-    assert "a plan has none" in result.output
+    for options in (["--deep"], ["--image-scale", "0.5"]):
+        result = CliRunner().invoke(app, ["check", str(plan_file(tmp_path)), *options])
+        assert result.exit_code == 2
+        assert "a plan has none" in result.output

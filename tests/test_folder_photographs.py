@@ -11,6 +11,7 @@ from survey.errors import ConfigError, ImageError
 from survey.folder.survey import load_survey
 from survey.photos.images import list_images, load_mask
 from survey.plan.check import check_survey, require_processable
+from survey.plan.choices import Choices
 
 NO_LENS = replaced(
     ('model = "PINHOLE"', ""),
@@ -135,5 +136,5 @@ def test_check_decodes_no_photograph(tmp_path, monkeypatch, suffix):
     cameras = folder / "cameras.csv"
     cameras.write_text(cameras.read_text().replace(".jpg", f".{suffix}"))
     monkeypatch.setattr(ImageFile.ImageFile, "load", lambda _: pytest.fail("decoded"))
-    sections = check_survey(folder, device="cpu")
+    sections = check_survey(folder, chosen=Choices(device="cpu"))
     assert said(sections, "Found")["images"].startswith("4 with a pose, of 4")

@@ -12,6 +12,7 @@ from fields.sweep.block import Overlap
 from survey import machine
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey
+from survey.plan import check
 from survey.plan import workload as workload_module
 from survey.plan.area import local_area
 from survey.plan.block import camera_of
@@ -115,11 +116,11 @@ def test_the_estimate_in_words():
 def test_too_little_disk_or_memory_is_a_warning_of_check(tmp_path, monkeypatch):
     folder = small_survey(tmp_path / "s")
     monkeypatch.setattr(machine, "free_memory_bytes", lambda: 300_000_000)
-    sections = check_survey(folder, device="cpu")
+    sections = check_survey(folder, chosen=Choices(device="cpu"))
     assert "views get a height map" in said(sections, "Plan")["workload"]
     assert "of memory, and 300 MB are free" in said(sections, "Warnings")[""]
     monkeypatch.setattr(machine, "free_disk_bytes", lambda _folder: 1_000_000)
-    (disk, memory) = warnings_of(check_survey(folder, device="cpu"))
+    (disk, memory) = warnings_of(check_survey(folder, chosen=Choices(device="cpu")))
     assert re.search(r"the run needs about \d+ MB in .*bathynerf, and 10 MB are free there", disk)
     assert "of memory, and 300 MB are free" in memory
 
@@ -163,6 +164,23 @@ def test_without_poses_the_estimate_is_a_bound_that_refuses_nothing(tmp_path, mo
     finer = workload_of_images([(4000, 3000)] * 100, quality="fine")
     assert finer.disk_bytes > 4 * workload.disk_bytes - 2e9
     monkeypatch.setattr(machine, "free_disk_bytes", lambda _folder: 1_000_000)
-    sections = check_survey(unposed(tmp_path / "s"), device="cpu")
+    sections = check_survey(unposed(tmp_path / "s"), chosen=Choices(device="cpu"))
     assert said(sections, "Plan")["workload"].startswith("at most ")
     assert "the run needs at most" in said(sections, "Warnings")[""]
+
+
+def test_check_plans_for_the_image_scale_that_is_asked_for(tmp_path, monkeypatch):
+    half = Choices(device="cpu", image_scale=0.5)
+    sections = check_survey(small_survey(tmp_path / "s"), chosen=half)
+    assert said(sections, "Plan")["image scale"].startswith("0.5: set by --image-scale")
+    whole, smaller = (workload_of_images([(4000, 3000)] * 100, quality="fine", scale=each) for each in (1.0, 0.5))
+    assert whole.disk_bytes > 3 * smaller.disk_bytes
+    asked = []
+
+    def listening(sizes, *, quality, scale):
+        asked.append(scale)
+        return workload_of_images(sizes, quality=quality, scale=scale)
+
+    monkeypatch.setattr(check, "workload_of_images", listening)
+    check_survey(unposed(tmp_path / "u"), chosen=half)
+    assert asked == [0.5]

@@ -10,7 +10,7 @@ import typer
 from survey import machine
 from survey.commands.console import Results, command
 from survey.commands.memory import address_space_shortage, require_address_space
-from survey.commands.options import Quiet, TargetStd, TimeBudget, Verbose
+from survey.commands.options import ImageScale, Quiet, TargetStd, TimeBudget, Verbose
 from survey.errors import SurveyError
 from survey.plan.choices import Choices, Device, Quality
 
@@ -36,6 +36,7 @@ def run(
     ],
     quality: Annotated[Quality, typer.Option(help="Plan for this quality.")] = Quality.standard,
     device: Annotated[Device, typer.Option(help="Plan for this device.")] = Device.auto,
+    image_scale: ImageScale = None,
     target_std: TargetStd = None,
     time_budget: TimeBudget = None,
     deep: Annotated[
@@ -59,15 +60,18 @@ def run(
     with command(verbose, quiet, survey) as results:
         from survey.plan.aim import aim_of
 
-        aim = aim_of(target_std, time_budget, quality=None, field="auto")
+        aim = aim_of(target_std, time_budget, quality=None, field="auto", scale=image_scale)
         if survey.suffix.lower() == ".toml":
             if deep:
                 raise SurveyError("--deep holds a survey against its photographs, and a plan has none; remove it")
+            if image_scale is not None:
+                raise SurveyError("--image-scale is for photographs that are there, and a plan has none; remove it")
             _check_plan(results, survey, quality, device, wind)
             if aim is not None:
                 _check_aim_of_plan(results, survey, device, aim)
             return
-        _check_survey(results, survey, Choices(quality=quality.value, device=device.value), aim, wind)
+        chosen = Choices(quality=quality.value, device=device.value, image_scale=image_scale)
+        _check_survey(results, survey, chosen, aim, wind)
         if deep:
             _check_deep(results, survey, device)
 
@@ -85,9 +89,7 @@ def _check_survey(results: Results, folder: Path, chosen: Choices, aim: Aim | No
     checked = require_processable(folder)
     load = None if aim is None else machine.load()
     slowness = None if load is None else load.slowness
-    for section in check_survey(
-        folder, quality=chosen.quality, device=chosen.device, checked=checked, slowness=slowness
-    ):
+    for section in check_survey(folder, chosen=chosen, checked=checked, slowness=slowness):
         show(results, section)
     show(results, light_section(checked, wind_m_s=wind))
     foreseen = None if checked.survey is None else foreseen_section(checked.survey, chosen=chosen)

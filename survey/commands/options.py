@@ -20,6 +20,10 @@ TargetStd = Annotated[
     typer.Option(metavar="METRES", help="Standard deviation wanted on 95 % of the ground: the least work for it."),
 ]
 TimeBudget = Annotated[float | None, typer.Option(metavar="SECONDS", help="What the run may take: the best that fits.")]
+ImageScale = Annotated[
+    float | None,
+    typer.Option(metavar="SCALE", help="Work on images at 1, 0.5, 0.25, ...; default: by size and quality."),
+]
 Visible = Annotated[Path | None, typer.Option(metavar="FILE", help="Points of the reference that cameras see.")]
 Verbose = Annotated[
     int, typer.Option("-v", "--verbose", count=True, show_default=False, help="More details, and tracebacks.")

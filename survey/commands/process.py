@@ -9,7 +9,17 @@ import typer
 
 from survey.commands.console import command
 from survey.commands.memory import require_address_space
-from survey.commands.options import KEPT, DeviceOption, Quiet, SurveyFolder, TargetStd, TimeBudget, Verbose, Visible
+from survey.commands.options import (
+    KEPT,
+    DeviceOption,
+    ImageScale,
+    Quiet,
+    SurveyFolder,
+    TargetStd,
+    TimeBudget,
+    Verbose,
+    Visible,
+)
 from survey.machine import process_age_s
 from survey.names import RUN_FOLDER
 from survey.plan.choices import Device, Field, Plan, Poses, Quality
@@ -39,10 +49,7 @@ def run(
         Poses, typer.Option(help="Adjust poses, lens and water together, or take the poses as they are.")
     ] = Poses.auto,
     plan: Annotated[Plan, typer.Option(help="Leave out what the scene does not need, or nothing.")] = Plan.auto,
-    image_scale: Annotated[
-        float | None,
-        typer.Option(metavar="SCALE", help="Work on images at 1, 0.5, 0.25, ...; default: by size and quality."),
-    ] = None,
+    image_scale: ImageScale = None,
     resume: Annotated[bool, typer.Option(help="Reuse finished stages of an earlier run.")] = True,
     calibrate_water: Annotated[
         bool, typer.Option("--calibrate-water", help="First estimate the water from the photographs.")

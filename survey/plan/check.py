@@ -18,7 +18,7 @@ from survey.folder.unposed import placing_control, require_solvable
 from survey.names import RUN_FOLDER
 from survey.plan.bounds import require_seen
 from survey.plan.check_inputs import control_rows, mark_rows, water_stds
-from survey.plan.choices import Choices
+from survey.plan.choices import USUAL, Choices
 from survey.plan.plan import Plan, device_decision, make_plan
 from survey.plan.skipped import Decision
 from survey.plan.workload import Workload, room_doubts, workload_of, workload_of_images
@@ -68,8 +68,7 @@ def require_processable(folder: Path) -> Checked:
 def check_survey(
     folder: Path,
     *,
-    quality: str = "standard",
-    device: str = "auto",
+    chosen: Choices = USUAL,
     checked: Checked | None = None,
     slowness: float | None = None,
 ) -> list[Section]:
@@ -78,7 +77,7 @@ def check_survey(
     Parameters
     ----------
     folder : Path
-    quality, device : str
+    chosen : Choices
     checked : Checked, optional
         What `require_processable` found in the folder, where it has looked already.
     slowness : float, optional
@@ -91,9 +90,9 @@ def check_survey(
     """
     checked = require_processable(folder) if checked is None else checked
     if checked.survey is None:
-        return _without_poses(checked, quality, device)
+        return _without_poses(checked, chosen)
     survey = checked.survey
-    plan = make_plan(survey, Choices(quality=quality, device=device))
+    plan = make_plan(survey, chosen)
     rows = _rows_of_survey(checked.found, survey, plan)
     workload: Workload | str
     try:
@@ -165,14 +164,14 @@ def _water(survey: Survey) -> str:
     )
 
 
-def _without_poses(checked: Checked, quality: str, device: str) -> list[Section]:
+def _without_poses(checked: Checked, chosen: Choices) -> list[Section]:
     """The sections of a survey that needs structure from motion first."""
     found = checked.found
     sfm = Decision("structure from motion", "on", f"there is no poses file; georeferenced by {_placed_by(found)}")
     rest = Decision("refraction and the rest", "later", "decided once the poses are known")
-    decisions = (sfm, device_decision(device), rest)
+    decisions = (sfm, device_decision(chosen.device), rest)
     sizes = [head.size_px for head in found.heads.values()]
-    workload = workload_of_images(sizes, quality=quality)
+    workload = workload_of_images(sizes, quality=chosen.quality, scale=chosen.image_scale)
     warnings = (*checked.warnings, *room_doubts(workload, found.folder / RUN_FOLDER))
     return _sections(_rows_without_poses(found), decisions, workload, found.assumptions, warnings)
 

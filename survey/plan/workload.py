@@ -167,10 +167,14 @@ def amounts_of(survey: Survey, plan: Plan) -> tuple[np.ndarray, list[int], float
     return pixels, chosen, num_cells
 
 
-def workload_of_images(sizes: Iterable[tuple[int, int]], *, quality: str) -> Workload:
-    """An upper bound for images (width, height) without poses; structure from motion adds to it."""
+def workload_of_images(sizes: Iterable[tuple[int, int]], *, quality: str, scale: float | None = None) -> Workload:
+    """An upper bound for images (width, height) without poses; structure from motion adds to it.
+
+    They are worked on at a scale; by default that of the quality.
+    """
     sizes = list(sizes)
-    scale = min(image_scale(width, height, RECIPES[quality].megapixels) for width, height in sizes)
+    if scale is None:
+        scale = min(image_scale(width, height, RECIPES[quality].megapixels) for width, height in sizes)
     pixels = np.array([width * height for width, height in sizes]) * scale**2
     num_cells = _OWN_GROUND * float(pixels.sum())
     largest = max(width * height for width, height in sizes)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 
 import numpy as np
 import pytest
 from scipy import ndimage
 
-from fields.sweep import images_device, images_host
+from fields.sweep import images_device, images_host, quads
 from fields.sweep.arrays import floats
 from fields.sweep.flat import flat_of, on_host
 from fields.sweep.maps import DepthMap
@@ -195,3 +196,20 @@ def test_maps_come_back_as_they_were(apart, height, rng):
         found, expected = getattr(back, name), getattr(m, name)
         assert found.dtype == expected.dtype
         np.testing.assert_array_equal(found, expected)
+
+
+def test_the_twin_has_the_same_functions_and_signatures():
+    found = inspect.getmembers(images_host, inspect.isfunction)
+    functions = {name: function for name, function in found if function.__module__ == images_host.__name__}
+    assert len(functions) > 30
+    for name, function in functions.items():
+        twin = getattr(images_device, name)
+        assert list(inspect.signature(twin).parameters) == list(inspect.signature(function).parameters), name
+
+
+def test_packed_images_take_a_quarter_of_the_memory_of_a_device_at_most(apart, monkeypatch, rng):
+    images = [rng.integers(0, 200, SHAPE).astype(np.float32) for _ in range(60)]
+    monkeypatch.setattr(quads, "KEPT_BYTES", 0)
+    for memory, kept in ((0, quads.FEWEST_KEPT), (4 * 30 * 4 * 45 * 70, 30), (10**9, 60)):
+        monkeypatch.setattr(quads, "memory_bytes", lambda device, memory=memory: memory)
+        assert min(quads.Quads.build(apart, images).values.most, 60) == kept

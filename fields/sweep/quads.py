@@ -16,7 +16,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from fields.device import Device
+from fields.device import Device, memory_bytes
 from fields.sweep.arrays import words
 from fields.sweep.lazy import most_kept
 from fields.sweep.recent import Recent
@@ -25,6 +25,8 @@ from fields.sweep.recent import Recent
 MASKED = 2**16 - 1
 # Packed images that are kept on a processor, in bytes, or so many: a view's neighbours and those of the next.
 KEPT_BYTES, FEWEST_KEPT = 200_000_000, 20
+# Share of the memory of a device that is apart: height maps take half of it.
+_OF_MEMORY = 0.25
 # Levels that span less are taken to span so much.
 LEAST_SPAN = 1e-3
 
@@ -58,7 +60,8 @@ class Quads:
         step = 1.0 if bits == 8 else 2.0 ** np.ceil(np.log2(max(most - least, LEAST_SPAN) / (MASKED - 2)))
         low = step * np.floor(least / step)
         size = images[0].size * bits // 2
-        kept = len(images) if device.name == "cuda" else most_kept(size, KEPT_BYTES, FEWEST_KEPT)
+        budget = max(int(_OF_MEMORY * memory_bytes(device)), KEPT_BYTES)
+        kept = most_kept(size, budget, FEWEST_KEPT)
         values: Recent[int, Any] = Recent(lambda view: words(device, _packed(images[view], low, step, bits)), kept)
         return Quads(values, bits, float(low), float(step))
 

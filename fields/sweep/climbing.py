@@ -82,7 +82,7 @@ def climbing_view(
     width, height = stack.width, stack.height
     rows = max(4 * radius + 4, min(height, warping(stack.device).STRIP_SAMPLES // (len(others) * rungs * width)))
     none = (beside.full(stack.device, (height, width), value) for value in (-1.0, 0.0))
-    found = [beside.flat_copy(each) for each in (start, *none)]
+    found = [beside.flat_copy(start), *(beside.pixels_of(each) for each in none)]
     columns = np.tile([0, width], (height, 1)) if columns is None else columns
     wanted = np.flatnonzero(columns[:, 1] > columns[:, 0])
     wanted = wanted[(wanted >= radius) & (wanted < height - radius)] if width > 2 * radius else wanted[:0]

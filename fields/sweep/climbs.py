@@ -119,7 +119,7 @@ def refining(block: Block, p: Pass, climb: Climb, before: DepthMap, part: np.nda
     tiles = Tiles.over(part, before.height.shape, PART_SIDE_PX - 2 * p.radius, p.radius, climb.rungs)
     tiles = replace(tiles, wanted=beside.placed(block.device, tiles.wanted))
     height, score = beside.flat_copy(before.height), beside.flat_copy(before.score)
-    first = beside.flat_copy(beside.lowered(before.height, step * (climb.rungs // 2)))
+    first = beside.pixels_of(beside.lowered(before.height, step * (climb.rungs // 2)))
 
     def take(own: Any, pixels: Any, climbed: list[Any]) -> None:
         found, scored, _ = climbed

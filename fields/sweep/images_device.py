@@ -104,6 +104,11 @@ def flat_copy(image: Any) -> Any:
     return copied(flat_of(image))
 
 
+def pixels_of(image: Any) -> Any:
+    """The pixels of an image, to be written to only where nobody else has it."""
+    return flat_of(image)
+
+
 def shaped(flat: Any, shape: tuple[int, int]) -> Any:
     """An image of flat pixels."""
     return image_of(flat, shape)

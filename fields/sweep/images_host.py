@@ -73,6 +73,11 @@ def flat_copy(image: np.ndarray) -> np.ndarray:
     return np.array(image).ravel()
 
 
+def pixels_of(image: np.ndarray) -> np.ndarray:
+    """The pixels of an image, to be written to only where nobody else has it."""
+    return image.ravel()
+
+
 def shaped(flat: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """An image of flat pixels."""
     return flat.reshape(shape)

@@ -102,7 +102,7 @@ def _climbed(
 ) -> Job[Found]:
     """What was found, and instead what tiles find on ladders of a step [m], where that scores over ``least``."""
     beside = images(stack.device)
-    *better, worse = (beside.flat_copy(each) for each in (*found, least))
+    better, worse = [beside.flat_copy(each) for each in found], beside.pixels_of(least)
 
     def take(own: Any, pixels: Any, climbed: list[Any]) -> None:
         keep = own & (climbed[1] > beside.at(worse, pixels))

@@ -5,8 +5,8 @@
 Parts are 20, 130, 520 and images (poses from the photographs alone); each asks of larger surveys fewer methods, so that
 all of them take about four hours of one core. The survey of a case is drawn, measured and removed. FOLDER/results.json
 grows with every process; the same command continues where it was stopped, unless the code has changed. Prints the table
-of docs/benchmark.md; --publish writes it into that page, the results into benchmarks/results/drawn.json and the picture
-into docs/img/.
+of docs/notes/benchmark.md; --publish writes it into that page, the results into benchmarks/results/drawn.json and the
+picture into docs/img/.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from survey.benchmark.text import comparison
 
 ROOT = Path(__file__).resolve().parent.parent
 PUBLISHED, PICTURE = ROOT / "benchmarks" / "results" / "drawn.json", ROOT / "docs" / "img" / "benchmark-drawn.png"
-PAGE = ROOT / "docs" / "benchmark.md"
+PAGE = ROOT / "docs" / "notes" / "benchmark.md"
 STRAIGHT = ("straight", "times_index", "per_camera")
 
 

@@ -6,8 +6,8 @@
 TensoRF, DW, M and MDW-NeRF are one code with four settings, compared with NeRF, TinyNeRF, a hash grid with proposals
 (as Nerfacto) and a signed distance (as NeuS). All see the same photographs, paths and steps, and sample alike (the
 hash grid by its proposals). One photograph in eight is held out. Every row is a file in WORK; what is there is not
-computed again. With --write the tables and pictures go to docs/field.md. The defaults are for two cores; full size is
---scale 1 --cells 256 --steps 30000 --rays 4096.
+computed again. With --write the tables and pictures go to docs/notes/field.md. The defaults are for two cores; full
+size is --scale 1 --cells 256 --steps 30000 --rays 4096.
 """
 
 from __future__ import annotations

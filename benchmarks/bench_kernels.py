@@ -3,8 +3,9 @@
     python benchmarks/bench_kernels.py SURVEY [--quality Q]
 
 Seconds are processor time of the whole process, all cores together; samples are pixels x heights x neighbours. Prints
-the tables of docs/performance.md in Markdown. The kernels run on the middle view at full size; the best of many rounds
-counts. `kernel_limits` says how the limits of arithmetic and memory are measured; here they are those of one core.
+the tables of docs/notes/performance.md in Markdown. The kernels run on the middle view at full size; the best of
+many rounds counts. `kernel_limits` says how the limits of arithmetic and memory are measured; here they are those
+of one core.
 """
 
 from __future__ import annotations

@@ -3,8 +3,9 @@
     python benchmarks/bench_light.py FOLDER [--rows ROW ...] [--seeds 1-3] [--run NAME] [--quality Q]
 
 Each survey is drawn from its seed once, without and with light that moves; each is processed by the command line into
-a folder called NAME, which is used again. Prints rows of Markdown for docs/light.md, means over the seeds: mean and std
-of the inner 90 % of distances, points found at 0.2 and 0.05 m, and the share of vertical errors within 1.96 std.
+a folder called NAME, which is used again. Prints rows of Markdown for docs/notes/light.md, means over the seeds: mean
+and std of the inner 90 % of distances, points found at 0.2 and 0.05 m, and the share of vertical errors within 1.96
+std.
 """
 
 from __future__ import annotations

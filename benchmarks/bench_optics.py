@@ -2,11 +2,11 @@
 
     python benchmarks/bench_optics.py [--plain] [--write | --picture]
 
-Prints the tables of docs/optics.md: run time against error over drone geometry and over the extremes, what torch takes
-beside a few plain lines, and how near the kernels come to the speed of memory and of arithmetic, both measured in the
-same run. With --write the tables replace those of the page, and the picture is drawn; with --picture only that is
-done, which times nothing; with --plain only the table of plain lines. Two minutes; on a busy machine believe no figure
-but the ratios to plain lines, which count processor time.
+Prints the tables of docs/notes/optics.md: run time against error over drone geometry and over the extremes, what
+torch takes beside a few plain lines, and how near the kernels come to the speed of memory and of arithmetic, both
+measured in the same run. With --write the tables replace those of the page, and the picture is drawn; with --picture
+only that is done, which times nothing; with --plain only the table of plain lines. Two minutes; on a busy machine
+believe no figure but the ratios to plain lines, which count processor time.
 """
 
 from __future__ import annotations
@@ -201,8 +201,8 @@ def picture(every: list[Library], path: Path) -> None:
 
 
 def write(tables: dict[str, str]) -> None:
-    """Replace the tables of docs/optics.md, each between its two marks."""
-    page = DOCS / "optics.md"
+    """Replace the tables of docs/notes/optics.md, each between its two marks."""
+    page = DOCS / "notes" / "optics.md"
     text = page.read_text(encoding="utf-8")
     for name, table in tables.items():
         first, last = f"<!-- {name} -->\n", f"<!-- end of {name} -->"

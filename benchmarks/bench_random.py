@@ -4,8 +4,8 @@
 
 Each seed is a survey of random_surveys.py: drawn, processed by the command line in each quality, compared with its true
 bed, and removed. Of a survey with waves the median error is taken off before coverage is counted. Prints rows of
-Markdown; FOLDER/random.json has the rows, and what it has is not run again; --publish writes them into docs/field.md.
-A survey takes about a minute of one core.
+Markdown; FOLDER/random.json has the rows, and what it has is not run again; --publish writes them into
+docs/notes/field.md. A survey takes about a minute of one core.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from survey.benchmark.running import run_bathynerf
 
 # Cells of coverage: all, fifths, four classes of views, slopes, wet, dry, and the least std.
 _CLASSES = 10
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "field.md"
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "notes" / "field.md"
 HEAD = (
     "| seed | quality | mean | std | rms | at 0.2 m | at 0.05 m | std covers | fifths | 2 views | 3 to 4 | 5 to 7 "
     "| 8 and more | slopes | wet | dry | least std |"

@@ -4,7 +4,7 @@
 
 First pairs of photographs of a flat texture, shifted by known fractions of a pixel and matched as the last pass does:
 the mean error at each fraction, and the spread. Then surveys: those of `bench_lens.py`, drawn at random and seen
-through a pinhole, and any SURVEY with known truth. Prints the tables in Markdown; docs/sweep.md has them.
+through a pinhole, and any SURVEY with known truth. Prints the tables in Markdown; docs/notes/sweep.md has them.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 The sweep runs once; fields with different numbers of training rays for each cell of one GSD (`rays_per_cell` in
 survey.plan.recipe) are trained from its height maps. Accuracy and surveys as in bench_sweep; PSNR is of the training
 rays of the last steps, time the processor time of training. One JSON for each row in FOLDER, not computed again; prints
-tables in Markdown, docs/field.md has them.
+tables in Markdown, docs/notes/field.md has them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The front of run time against error over many drawn surveys: as a picture, and as a table in docs/benchmark.md."""
+"""The front of run time against error over many drawn surveys: as a picture and as a table."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def _row(record: Record, is_front: bool) -> str:
 
 
 def lines_of(results: Results) -> list[str]:
-    """What stands in docs/benchmark.md: where it was measured, and the table."""
+    """What stands in docs/notes/benchmark.md: where it was measured, and the table."""
     m = results.machine
     cores = "one core" if m["cores"] == "1" else f"{m['cores']} cores"
     return [f"{m['processor']}, {cores}, {m['memory']}, commit {results.commit}.", "", *table(results.records)]

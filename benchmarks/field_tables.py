@@ -1,4 +1,4 @@
-"""Tables and pictures of docs/field.md from the rows of `bench_field`."""
+"""Tables and pictures of docs/notes/field.md from the rows of `bench_field`."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ def baseline_table(rows: list[dict], models: tuple[str, ...]) -> str:
 
 
 def write_page(tables: dict[str, str], work: Path, objects: list[str], rows: list[dict]) -> None:
-    """Replace the tables of docs/field.md, each between its two marks, and its pictures."""
-    page = DOCS / "field.md"
+    """Replace the tables of docs/notes/field.md, each between its two marks, and its pictures."""
+    page = DOCS / "notes" / "field.md"
     text = page.read_text(encoding="utf-8")
     for name, table in tables.items():
         if table:

@@ -7,7 +7,7 @@ Every factor of stress_factors.py is stepped from harmless to hopeless, everythi
 cloud failed the quality gate. What it may not do is to lie: of the vertical errors less their median 90 to 99 % lie
 within 1.96 `std`, and the median itself within 2.6 of the median `std_common`. Faults of the machine (memory, disk,
 kill) may stop a run, but the run that follows must end with the same bytes as if nothing had been. Writes stress.json
-and stress.png into the folder, and prints the table of docs/stress.md, into which --publish writes it. Steps that
+and stress.png into the folder, and prints the table of docs/notes/stress.md, into which --publish writes it. Steps that
 stress.json of the folder has are not run again; exit code 1 says that something lied.
 """
 
@@ -120,7 +120,7 @@ def main() -> None:
             draw(folder / PICTURE, ordered)
     print(f"\n{table(ordered)}\n\n{folder / RESULTS}")  # noqa: T201
     if options.publish:
-        publish(DOCS / "stress.md", "stress", table(ordered).split("\n"))
+        publish(DOCS / "notes" / "stress.md", "stress", table(ordered).split("\n"))
         draw(DOCS / "img" / PICTURE, ordered)
     sys.exit(1 if any(o.is_lie for o in ordered) else 0)
 

@@ -88,7 +88,7 @@ class Outcome:
 
 
 def row_of(outcome: Outcome) -> str:
-    """One line of the table of docs/stress.md."""
+    """One line of the table of docs/notes/stress.md."""
     errors, start = outcome.errors, f"| {FACTORS[outcome.factor].words} | {outcome.value:g} |"
     words = f": {outcome.words.removeprefix('error: ')[:200]}" if outcome.words else ""
     if errors is None or errors.coverage is None:
@@ -102,7 +102,7 @@ def row_of(outcome: Outcome) -> str:
 
 
 def table(outcomes: list[Outcome]) -> str:
-    """The table of docs/stress.md."""
+    """The table of docs/notes/stress.md."""
     head = "| factor | value | mean | std | complete at 0.05 m | std covers | median error / std_common | processor | |"
     return "\n".join([head, "|" + 9 * "---|", *(row_of(outcome) for outcome in outcomes)])
 

@@ -72,7 +72,7 @@ def test_the_legend_has_what_was_measured_alone(bench):
 
 
 def test_the_pages_have_the_marks_and_the_published_results_can_be_read(bench):
-    for page, name in ((bench.drawn.PAGE, "drawn"), (ROOT / "docs" / "stress.md", "stress")):
+    for page, name in ((bench.drawn.PAGE, "drawn"), (ROOT / "docs" / "notes" / "stress.md", "stress")):
         text, (begin, end) = page.read_text(encoding="utf-8"), bench.published.marks(name)
         assert text.index(begin) < text.index(end)
     if bench.drawn.PUBLISHED.is_file():

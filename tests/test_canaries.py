@@ -78,7 +78,7 @@ def test_the_version_is_the_one_at_the_head_of_the_changelog():
     assert newest[1] == project()["version"]
 
 
-def test_help_and_readme_list_the_same_verbs():
+def test_help_and_the_page_of_commands_list_the_same_verbs():
     code = "from survey.commands.app import main; main()"
     environment = {**os.environ, "COLUMNS": "200", "TERM": "dumb"}
     command = [sys.executable, "-c", code, "--help"]
@@ -86,7 +86,7 @@ def test_help_and_readme_list_the_same_verbs():
     listed = shown.partition("Commands")[2].partition("Exit codes")[0]
     verbs = set(re.findall(r"^\W*([a-z]+) {2,}\S", listed, re.MULTILINE))
     assert {"check", "process", "compare"} < verbs
-    assert set(re.findall(r"^ +bathynerf ([a-z]+) [A-Z]", text_of("README.md"), re.MULTILINE)) == verbs
+    assert set(re.findall(r"^ +bathynerf ([a-z]+) [A-Z]", text_of("docs/commands.md"), re.MULTILINE)) == verbs
 
 
 def test_the_console_command_is_the_command_line():
@@ -117,7 +117,7 @@ def python_files() -> list[Path]:
 def documents() -> list[Path]:
     return [
         *(ROOT / name for name in ("README.md", "CONVENTIONS.md", "CONTRIBUTING.md")),
-        *(ROOT / "docs").glob("*.md"),
+        *(ROOT / "docs").rglob("*.md"),
     ]
 
 

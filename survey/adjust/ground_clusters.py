@@ -23,7 +23,7 @@ from survey.adjust.bundle import Problem, Solution
 from survey.adjust.common_error import moves_of
 from survey.adjust.prediction import linearise
 from survey.adjust.state import RELIEF, WATER, State
-from survey.photos.tie_points import TiePoints
+from survey.photos.tie_points import MIN_TRACK, TiePoints
 
 # Sides of the squares, as shares of what the longer side of a photograph shows: that in which most is shared counts.
 _SIDES = (0.08, 0.16, 0.32)
@@ -73,13 +73,15 @@ def shared_by_ground(problem: Problem, solution: Solution, sizes, kinds: np.ndar
 def _of_block(problem: Problem, state: State) -> np.ndarray:
     """What the parameters do to the block (6, P): its mean height, tilt and bend, and its shift in plan."""
     layout, ties = problem.layout, problem.ties
+    # A control point may have a single mark, which tells of no move.
+    tracked = np.flatnonzero(np.bincount(ties.point, minlength=len(ties)) >= MIN_TRACK)
     plan = state.points[:, :2]
     side = max(float(np.ptp(plan, axis=0).max()), 1e-9) / _PLACES
-    _, chosen = np.unique(np.floor(plan / side), axis=0, return_index=True)
+    _, first = np.unique(np.floor(plan[tracked] / side), axis=0, return_index=True)
+    chosen = np.sort(tracked[first])
     kept = np.isin(ties.point, chosen)
     rows = ties.pixel[kept, 1] if problem.rows is None else problem.rows[kept]
     some = ties.only(kept)
-    chosen = np.unique(ties.point[kept])
     moves = moves_of(layout, replace(state, points=state.points[chosen]), some, rows)
     east, north = (plan[chosen] - plan[chosen].mean(axis=0)).T
     level = np.column_stack([np.ones_like(east), east, north])

@@ -33,7 +33,8 @@ from survey.photos.formats import read_poses
 from survey.photos.poses import PoseFrame
 from survey.plan.check import check_survey, require_processable
 from survey.plan.choices import Choices, Quality
-from survey.plan.plan import ground_height, make_plan
+from survey.plan.ground import dry_ground, ground_below
+from survey.plan.plan import make_plan
 from survey.plan.poses import pose_choice
 from survey.plan.recipe import RECIPES
 
@@ -332,12 +333,34 @@ def cameras_of(survey):
 def test_the_ground_of_a_dry_survey_is_where_oblique_axes_meet_or_where_neighbours_overlap_as_usual(tmp_path, data_dir):
     dry, wet = load_survey(data_dir / "wreck_dry"), load_survey(data_dir / "wreck_water")
     bed = 2105.0 - 3.5
-    assert ground_height(cameras_of(dry)) + dry.frame.origin[2] == pytest.approx(bed, abs=0.5)
+    assert ground_below(cameras_of(dry)).height + dry.frame.origin[2] == pytest.approx(bed, abs=0.5)
     assert make_plan(dry).height_m == pytest.approx(make_plan(wet).height_m + 3.5, abs=0.5)
     # Nadir views 3.61 m apart whose shorter side sees 0.48 of the height: 3.61 / (0.25 * 0.48) = 30 m.
     nadir = load_survey(small_survey(tmp_path / "s", toml=TOML[: TOML.index("[water]")]))
     centre = np.median([view.camera.centre[2] for view in nadir.views])
-    assert centre - ground_height(cameras_of(nadir)) == pytest.approx(math.hypot(3.0, 2.0) / (0.25 * 0.48), rel=1e-3)
+    assert centre - ground_below(cameras_of(nadir)).height == pytest.approx(
+        math.hypot(3.0, 2.0) / (0.25 * 0.48), rel=1e-3
+    )
+
+
+def test_dry_ground_is_where_points_are_known_and_a_guess_is_named_as_one(tmp_path):
+    toml = TOML[: TOML.index("[water]")]
+    nadir = load_survey(small_survey(tmp_path / "s", toml=toml))
+    guess = make_plan(nadir)
+    assert dry_ground(nadir).is_guess
+    (line,) = [d for d in guess.decisions if d.name == "height over ground"]
+    assert "a guess" in line.reason
+    top = np.median([view.camera.centre[2] for view in nadir.views])
+    # Half as high as the overlap suggests: everything that is counted in pixels follows.
+    points = np.column_stack([np.zeros((60, 2)), np.full(60, top - 0.5 * guess.height_m)])
+    known = make_plan(replace(nadir, points=points))
+    assert known.height_m == pytest.approx(0.5 * guess.height_m)
+    assert known.gsd_m == pytest.approx(0.5 * guess.gsd_m)
+    assert known.footprint_m == pytest.approx([0.5 * side for side in guess.footprint_m])
+    low = nadir.frame.crs_from_local(np.array([0.0, 0.0, top - 0.4 * guess.height_m]))[2]
+    high = nadir.frame.crs_from_local(np.array([0.0, 0.0, top - 0.2 * guess.height_m]))[2]
+    area = replace(nadir.config, area=replace(nadir.config.area, heights=(float(low), float(high))))
+    assert make_plan(replace(nadir, config=area)).height_m == pytest.approx(0.3 * guess.height_m, rel=1e-3)
 
 
 def test_an_unknown_quality_or_device_is_refused_with_the_known_ones(tmp_path):

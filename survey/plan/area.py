@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from survey.plan.ground import ground_height
+from survey.plan.ground import dry_ground
 from survey.plan.heights import height_range
 
 if TYPE_CHECKING:
@@ -25,8 +25,7 @@ def plane_name(survey: Survey) -> str:
 def limits(survey: Survey) -> tuple[float, float]:
     """Heights [m] over the water plane (dry: over local z = 0) between which the bed is searched."""
     if survey.water is None:
-        cameras = [view.camera for view in survey.views]
-        flying = float(np.median([camera.centre[2] for camera in cameras])) - ground_height(cameras)
+        flying = float(np.median([view.camera.centre[2] for view in survey.views])) - dry_ground(survey).height
     else:
         flying = float(np.median([-survey.water.depth(v.camera.centre) for v in survey.views]))
     found = height_range(survey, flying)

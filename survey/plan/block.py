@@ -15,7 +15,7 @@ from survey.errors import SurveyError
 from survey.photos.images import load_mask
 from survey.photos.saturation import saturated
 from survey.photos.store import ImageStore
-from survey.plan.ground import ground_height
+from survey.plan.ground import dry_ground
 
 if TYPE_CHECKING:
     from survey.folder.survey import Survey, View
@@ -46,7 +46,7 @@ def load_block(survey: Survey, plan: Plan, advance: Callable[[float], None], sto
             advance(1.0)
 
     cameras = [replace(c, width=width, height=height) for c in cameras]
-    bed = 0.0 if survey.water is not None else ground_height([view.camera for view in survey.views])
+    bed = 0.0 if survey.water is not None else dry_ground(survey).height
     try:
         return Block(backend(plan), cameras, images(), survey.water, bed, whites, plan.skips)
     except ValueError as error:

@@ -9,7 +9,7 @@ import numpy as np
 from survey.errors import FILE_NAME, ConfigError
 from survey.folder.survey import Survey, View
 from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area, within
-from survey.plan.ground import ground_height
+from survey.plan.ground import dry_ground
 
 # Places along each side of the bounds and of a photograph, and heights of the bed, that are tried.
 _PLACES, _HEIGHTS = 16, 5
@@ -63,7 +63,7 @@ def _footprint(view: View, survey: Survey) -> np.ndarray:
     rays = camera.directions(np.column_stack([x.ravel(), y.ravel()]))
     if water is None:
         up = np.array([0.0, 0.0, 1.0])
-        above = float(camera.centre[2]) - ground_height([v.camera for v in survey.views])
+        above = float(camera.centre[2]) - dry_ground(survey).height
     else:
         up, above = np.array(water.up), -float(water.depth(camera.centre))
     fall = -rays @ up

@@ -85,8 +85,8 @@ def height_range(survey: Survey, flying_m: float) -> HeightRange:
     return HeightRange(
         low,
         high,
-        "a third to three times the distance below the cameras that the overlap suggests; [area] heights, or poses "
-        "with matched points, would narrow it",
+        "a third to three times the height over the ground; [area] heights, or poses with matched points, would narrow "
+        "it",
     )
 
 

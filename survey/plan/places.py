@@ -10,7 +10,7 @@ from fields.sweep.views import coverage
 from survey.folder.survey import Survey
 from survey.photos.tie_points import MIN_TRACK
 from survey.plan.area import local_area, within
-from survey.plan.ground import ground_height
+from survey.plan.ground import dry_ground
 
 # Views of a block that are looked at: its middle is then as stiff as that of a larger one, and it takes seconds.
 _MOST_VIEWS = 100
@@ -48,7 +48,7 @@ def places_of(survey: Survey, depth_m: float) -> Places | None:
     """Places of a bed so deep [m] under the water, or of dry ground; None where too few views overlap."""
     cameras = [view.camera for view in survey.views]
     if survey.water is None:
-        height = ground_height(cameras)
+        height = dry_ground(survey).height
     else:
         x, y = np.mean([camera.centre for camera in cameras], axis=0)[:2]
         height = float(survey.water.height(x, y)) - depth_m

@@ -14,7 +14,7 @@ from survey.folder.survey import Survey
 from survey.folder.tides import MOST_SHIFT_PX
 from survey.plan import choices
 from survey.plan.choices import USUAL, Choices
-from survey.plan.ground import ground_height
+from survey.plan.ground import dry_ground
 from survey.plan.heights import in_words
 from survey.plan.image_size import image_decision, image_scale
 from survey.plan.poses import pose_choice
@@ -111,6 +111,7 @@ def make_plan(survey: Survey, chosen: Choices = USUAL, *, recipe: Recipe | None 
         field,
         finer_passes(field.choice, skips, aimed=quality == AIMED),
         image_decision(cameras[0], scale, quality, recipe, asked=chosen.image_scale is not None),
+        *_ground(survey, height),
         Decision("range of heights", *in_words(survey, height)),
         first_heights(skips),
         device,
@@ -184,11 +185,20 @@ def _level(survey: Survey) -> tuple[Decision, ...]:
     return (Decision("level", "one", f"{moves}: less than {MOST_SHIFT_PX:g}, which is lost in the noise of matching"),)
 
 
+def _ground(survey: Survey, height_m: float) -> tuple[Decision, ...]:
+    """How high over dry ground the cameras are; over water the level tells."""
+    if survey.water is not None:
+        return ()
+    ground = dry_ground(survey)
+    advice = "; tie points, control points or [area] heights would tell it" if ground.is_guess else ""
+    return (Decision("height over ground", f"{height_m:.1f} m", f"by {ground.source}{advice}"),)
+
+
 def _height(survey: Survey) -> float:
     centres = np.array([view.camera.centre for view in survey.views])
     if survey.water is not None:
         return float(np.median(-survey.water.depth(centres)))
-    return float(np.median(centres[:, 2]) - ground_height([view.camera for view in survey.views]))
+    return float(np.median(centres[:, 2])) - dry_ground(survey).height
 
 
 def _distance_along_axis(camera: PinholeCamera, survey: Survey, height: float) -> float:

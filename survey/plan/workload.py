@@ -20,7 +20,7 @@ from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.plan.area import AREA_MARGIN_M, grown, local_area
 from survey.plan.block import camera_of
-from survey.plan.ground import ground_height
+from survey.plan.ground import dry_ground
 from survey.plan.image_size import image_scale
 from survey.plan.plan import Plan
 from survey.plan.rates import Amounts, run_s
@@ -153,7 +153,7 @@ def amounts_of(survey: Survey, plan: Plan) -> tuple[np.ndarray, list[int], float
     area = local_area(survey)
     num_cells = _OWN_GROUND * float(pixels.sum())
     if len(cameras) <= _MOST_VIEWS:
-        bed = 0.0 if survey.water is not None else ground_height([view.camera for view in survey.views])
+        bed = 0.0 if survey.water is not None else dry_ground(survey).height
         try:
             overlap = Overlap(cameras, survey.water, bed)
         except ValueError as error:

@@ -52,9 +52,9 @@ BAD_INPUT = {
     "level too high": (spoil_toml((str(LEVEL), "2605")), ["level_m is 2605 m", "2125.0", "same vertical datum"]),
     "level too low": (spoil_toml((str(LEVEL), "1605")), ["level_m is 1605 m", "2125.0", "same vertical datum"]),
     "poses that do not exist": (spoil_toml(("cameras.csv", "sparse/0")), ["sparse/0 do not exist", "[cameras] poses"]),
-    "two views": (
-        lambda folder: [(folder / "images" / f"000{i}.jpg").unlink() for i in (0, 1)],
-        ["only 2 of the 4 poses", "expected at least 3"],
+    "one view": (
+        lambda folder: [(folder / "images" / f"000{i}.jpg").unlink() for i in (0, 1, 2)],
+        ["only 1 of the 4 poses", "expected at least 2"],
     ),
     "not yet": (spoil_toml(("level_at", "mask = 'm'\nlevel_at")), ["mask is not supported yet", "remove it"]),
     "two levels": (spoil_toml(("level_at", "gauge = 'g.csv'\nlevel_at")), ["level_m and gauge", "keep one"]),

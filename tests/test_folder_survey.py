@@ -180,9 +180,29 @@ def test_fewer_than_three_views_are_an_error_with_an_example_of_both_names(tmp_p
     )
 
 
-def test_fewer_than_three_views_whose_names_fit_are_asked_to_become_more(tmp_path):
-    with pytest.raises(PosesError, match=r"only 2 of the 2 poses .* expected at least 3; add photographs with poses"):
-        load_survey(small_survey(tmp_path / "s", num=2))
+def test_a_single_view_whose_name_fits_is_asked_to_become_more(tmp_path):
+    with pytest.raises(PosesError, match=r"only 1 of the 1 poses .* expected at least 2; add photographs with poses"):
+        load_survey(small_survey(tmp_path / "s", num=1))
+
+
+def test_two_views_are_a_survey_whose_heights_no_third_one_checks(tmp_path):
+    survey = load_survey(small_survey(tmp_path / "s", num=2))
+    assert len(survey.views) == 2
+    assert any("no third view checks a height" in warning for warning in survey.warnings)
+
+
+@pytest.mark.parametrize(("height", "spacing", "is_refused"), [(500.0, 60.0, False), (5000.0, 60.0, True)])
+def test_heights_of_aircraft_are_taken_where_the_overlap_of_photographs_allows_them(
+    tmp_path, height, spacing, is_refused
+):
+    folder = small_survey(tmp_path / "s")
+    lines = [f"000{i}.jpg,{E0 + i * spacing},{N0},{LEVEL + height},0,0,0" for i in range(4)]
+    (folder / "cameras.csv").write_text("\n".join(["image,easting,northing,height,omega,phi,kappa", *lines]))
+    if is_refused:
+        with pytest.raises(ConfigError, match=r"all of them more than \d+ m over the water; give level_m"):
+            load_survey(folder)
+    else:
+        assert any("more than 300 m over the water" in warning for warning in load_survey(folder).warnings)
 
 
 @pytest.mark.parametrize(
@@ -246,7 +266,9 @@ def test_a_single_camera_far_over_the_water_is_doubted(tmp_path):
     folder = small_survey(tmp_path / "s")
     lines = camera_lines()
     write_poses(folder, [lines[0].replace("2125.000", "3125.000"), *lines[1:]])
-    assert load_survey(folder).warnings == ("1 camera more than 300 m over the water: 0000.jpg",)
+    assert load_survey(folder).warnings == (
+        "1 camera more than 300 m over the water: check that both count from one datum: 0000.jpg",
+    )
 
 
 def test_a_damaged_image_and_missing_images_are_refused(tmp_path):

@@ -27,13 +27,14 @@ from small_survey import (
 
 from survey.errors import ConfigError, ImageError, PosesError, SurveyError
 from survey.folder.camera_faults import angle_doubts
+from survey.folder.ground import ground_below
 from survey.folder.survey import load_survey
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.photos.formats import read_poses
 from survey.photos.poses import PoseFrame
 from survey.plan.check import check_survey, require_processable
 from survey.plan.choices import Choices, Quality
-from survey.plan.ground import dry_ground, ground_below
+from survey.plan.ground import dry_ground
 from survey.plan.plan import make_plan
 from survey.plan.poses import pose_choice
 from survey.plan.recipe import RECIPES

@@ -234,3 +234,19 @@ def test_slopes_add_no_more_to_std_than_the_range_of_the_heights_there():
     np.testing.assert_allclose(
         with_slopes(points, height, keep, GSD, None).std, [np.sqrt(0.3**2 + 4.0 * (0.5**2 - 0.3**2)), 0.7], rtol=1e-5
     )
+
+
+def test_heights_that_one_other_view_confirms_need_the_surface_around_them(rng):
+    from fields.sweep.bed import is_supported
+
+    height = np.full((60, 80), -2.0, np.float32)
+    confirmed = np.ones(height.shape, dtype=bool)
+    # Chance matches: sparse, and at any height.
+    confirmed[:, 40:] = rng.random((60, 40)) < 0.2
+    height[:, 40:] = rng.uniform(-8.0, 4.0, (60, 40))
+    # And a wrong one within the surface.
+    height[30, 20] = 1.0
+    found = is_supported(height, confirmed, 0.1)
+    assert found[2:58, 2:30].sum() == 56 * 28 - 1
+    assert not found[30, 20]
+    assert not found[:, 50:].any()

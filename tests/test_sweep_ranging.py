@@ -68,3 +68,13 @@ def test_a_bed_at_all_heights_and_a_few_of_a_mast_are_no_chance(rng):
     assert len(beyond_chance(slope, limits)) == len(slope)
     mast = np.concatenate([rng.normal(-4.0, 0.3, 5000), np.linspace(-4.0, 0.0, 60)])
     assert len(beyond_chance(mast, limits)) == len(mast)
+
+
+@pytest.mark.parametrize("half", [0.05, 0.2, 0.6])
+def test_any_narrow_range_about_the_bed_is_taken(device, half):
+    """Of a pair far above, thumbnails resolve a few heights in it, or none; it is narrow already."""
+    bed = PlaneBed(None, -2.0, slope=0.02)
+    limits = (-2.0 - half, -2.0 + half)
+    low, high = find_range(bed.block(device, ring(2, **WIDE)), limits)
+    assert limits[0] <= low < -1.95
+    assert -2.05 < high <= limits[1]

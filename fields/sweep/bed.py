@@ -82,6 +82,9 @@ TRUSTED_NCC = 0.8
 # On walls, where photographs look less alike, this well.
 WALL_NCC = 0.6
 COMPANY, COMPANY_GSD = 4, 4.0
+# Where no third view checks a height, the confirmed pixels around it do, in a square of this side [px]: so many of them
+# have to be confirmed, and of these so many have to agree with it. Chance matches are sparse and scatter.
+_SUPPORT_PX, _LEAST_CONFIRMED, _LEAST_AGREEING = 17, 0.4, 0.7
 # Pixels whose paths are worked out together, of 300 bytes each.
 _POINTS_AT_ONCE = 500_000
 # Points that are looked at together, in a slab of the ground: their search takes 80 bytes each.
@@ -146,6 +149,33 @@ def unique_pixels(block: Block, maps: Sequence[DepthMap], gsd: float) -> Masks:
         forget(block.device)
     settle(heights, Steep(steep, fit, sure), kept, gsd)
     return kept
+
+
+def is_supported(height: np.ndarray, confirmed: np.ndarray, tolerance: float) -> np.ndarray:
+    """Which confirmed pixels (height, width) bool of a map agree with the surface around them.
+
+    A check for heights that only one other view can confirm: two photographs, of which a moving surface or a repeating
+    texture may give the same wrong height to single windows, but not to a whole neighbourhood.
+
+    Parameters
+    ----------
+    height : (height, width) [m]
+    confirmed : (height, width) bool
+    tolerance : [m]
+        Within which heights agree.
+    """
+    radius = _SUPPORT_PX // 2
+    known = np.pad(np.where(confirmed, height, np.nan).astype(np.float32), radius, constant_values=np.nan)
+    rows, columns = height.shape
+    near, agreeing = (np.zeros(height.shape, dtype=np.uint16) for _ in range(2))
+    # Every second pixel of the square tells as much as all of them.
+    for dy in range(0, _SUPPORT_PX, 2):
+        for dx in range(0, _SUPPORT_PX, 2):
+            other = known[dy : dy + rows, dx : dx + columns]
+            near += np.isfinite(other)
+            agreeing += np.abs(other - height) < tolerance
+    enough = near >= _LEAST_CONFIRMED * len(range(0, _SUPPORT_PX, 2)) ** 2
+    return confirmed & enough & (agreeing >= _LEAST_AGREEING * near)
 
 
 def has_company(xyz: np.ndarray, gsd: float) -> np.ndarray:

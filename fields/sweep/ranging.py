@@ -17,6 +17,8 @@ WINDOW_RADIUS = 3
 # as chance does, and the best height is not an end rung.
 CONFIDENT_NCC = 0.7
 MIN_PIXELS = 200
+# With fewer height hypotheses, of which the first and the last count for nothing, a range is narrow already.
+_FEWEST_HYPOTHESES = 9
 # Matches by chance lie anywhere between the limits. Of so many parts of them, those with less than this share of what
 # all have in the mean hold chance alone; what has more than that, by so many standard deviations, holds bed, and so
 # does what goes on from there without a gap, such as a mast.
@@ -35,7 +37,8 @@ def find_range(block: Block, limits: tuple[float, float]) -> tuple[float, float]
     -------
     (low, high) [m]
         The 0.5 and 99.5 % quantiles of the heights that match well and continue around, without those that are no
-        more frequent than chance, widened by a quarter of their distance and one rung.
+        more frequent than chance, widened by a quarter of their distance and one rung. The limits themselves, where
+        thumbnails resolve too few heights between them.
 
     Raises
     ------
@@ -53,6 +56,9 @@ def find_range(block: Block, limits: tuple[float, float]) -> tuple[float, float]
             continue
         step = 0.5 / (scale * block.parallax(view, others, 0.5 * (limits[0] + limits[1])))
         rungs = int(np.ceil((limits[1] - limits[0]) / step)) + 1
+        if rungs < _FEWEST_HYPOTHESES:
+            block.release(scale)
+            return limits
         start = np.full((stack.height, stack.width), limits[0], dtype=np.float32)
         (z, score, curvature), radius = climb_widely_enough(stack, view, others, start, step, rungs, radius)
         confident = CONFIDENT_NCC * (2 * WINDOW_RADIUS + 1) / (2 * radius + 1)

@@ -6,15 +6,20 @@ from collections.abc import Mapping
 
 import numpy as np
 from pyproj import CRS
+from scipy.spatial import KDTree
 
+from geo.crs import EARTH_RADIUS_M
 from survey.folder.config import SurveyConfig
 from survey.folder.datum_mixups import above_start_of, explanation
-from survey.folder.plausible import MAX_HEIGHT_OVER_WATER_M, require_level_fits
+from survey.folder.ground import USUAL_OVERLAP
+from survey.folder.plausible import AIRCRAFT_HEIGHT_M, DRONE_HEIGHT_M, MOST_OF_OVERLAP, require_level_fits
 from survey.folder.pose_priors import common_up_std_of_exif
 from survey.photos.exif import Exif
 
 # Heights in EXIF are not off by more standard deviations of what they have in common.
 _MOST_STD = 3.0
+# Of the shorter side of a photograph over its focal length, of the lenses of drones.
+_SHORT_SIDE = 0.6
 
 
 def require_level_fits_exif(config: SurveyConfig, heads: Mapping[str, Exif], crs: CRS) -> None:
@@ -37,7 +42,19 @@ def require_level_fits_exif(config: SurveyConfig, heads: Mapping[str, Exif], crs
     unknown_m = _MOST_STD * common_up_std_of_exif(config.cameras, heads)
     if why and config.cameras.position_std_m is None:
         unknown_m = 0.0
-    if over_water.max() > -unknown_m and over_water.min() <= MAX_HEIGHT_OVER_WATER_M + unknown_m:
+    most_m = DRONE_HEIGHT_M if why else _most_over_water(places)
+    if over_water.max() > -unknown_m and over_water.min() <= most_m + unknown_m:
         return
     like = f"the heights in EXIF{why}; if they are a barometer's, say so: [cameras] position_std_m = [3, 3, 80]"
-    require_level_fits(config.water, "EXIF has the cameras", heights, over_water, like)
+    require_level_fits(config.water, "EXIF has the cameras", heights, over_water, like, most_m=most_m)
+
+
+def _most_over_water(places: np.ndarray) -> float:
+    """Height over the water [m] that cameras at places (N, 3) can have, by how far apart they are.
+
+    As `survey.folder.plausible.most_over_water` for lenses that are not known yet.
+    """
+    metres = EARTH_RADIUS_M * np.radians(places[:, :2]) * [1.0, np.cos(np.radians(np.median(places[:, 0])))]
+    base = float(np.median(KDTree(metres).query(metres, k=2)[0][:, 1])) if len(places) > 1 else 0.0
+    by_overlap = base / ((1.0 - USUAL_OVERLAP) * _SHORT_SIDE)
+    return float(np.clip(MOST_OF_OVERLAP * by_overlap, DRONE_HEIGHT_M, AIRCRAFT_HEIGHT_M))

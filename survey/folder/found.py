@@ -21,7 +21,7 @@ from survey.photos.exif import Exif, read_exif
 from survey.photos.formats import find_poses, find_unread
 from survey.photos.images import list_images
 
-MIN_VIEWS = 3
+MIN_VIEWS = 2
 # Where a survey may have the grid of the geoid under its heights.
 GRIDS_FOLDER = "geoid"
 # Where OpenDroneMap looks for control points.

@@ -9,7 +9,7 @@ import numpy as np
 from refract import FlatWater
 from survey.folder.block import Block
 from survey.folder.place import over_points
-from survey.folder.plausible import MAX_HEIGHT_OVER_WATER_M
+from survey.folder.plausible import most_over_water
 from survey.folder.pose_priors import common_up_std
 from survey.photos.cameras import View
 
@@ -36,11 +36,12 @@ def block_over_water(
         return block, views
     centres = np.array([view.camera.centre for view in views])
     over = -water.depth(centres)
-    if over.min() > 0.0 and over.max() < MAX_HEIGHT_OVER_WATER_M:
+    most_m = most_over_water([view.camera for view in views])
+    if over.min() > 0.0 and over.max() < most_m:
         return block, views
     x, y, _ = np.median(centres, axis=0).tolist()
     up = float(water.height(x, y)) - over_points(block.ties.start, centres)
-    said = "under the water" if over.min() <= 0.0 else f"more than {MAX_HEIGHT_OVER_WATER_M:.0f} m over the water"
+    said = "under the water" if over.min() <= 0.0 else f"more than {most_m:.0f} m over the water"
     warnings.append(
         f"by the heights of their positions, cameras lie {said} ({over.min():.1f} to {over.max():.1f} m over it): the "
         "level of the water decides how high the block lies; check that level_m is right, and in the datum of crs"

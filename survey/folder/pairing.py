@@ -27,7 +27,7 @@ def pair(found: Found, poses: Sequence[Pose], warnings: list[str]) -> dict[str, 
     Raises
     ------
     PosesError
-        If fewer than three are left.
+        If fewer than two are left.
     """
     names = ImageNames(found.images)
     paired: dict[str, Pose] = {}

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from pyproj import CRS, Geod, Transformer
 
 from geo.crs import height_unit_m, horizontal_crs
 from geo.frames import LocalFrame
-from refract import FlatWater
+from refract import FlatWater, PinholeCamera
 from survey.display.words import named
 from survey.errors import FILE_NAME, ConfigError, PosesError
 from survey.folder.config import SurveyConfig, WaterConfig
 from survey.folder.datum_mixups import above_start_of, explanation, place_of
+from survey.folder.ground import ground_below
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 
-# Bathymetric photographs are taken from lower than this; greater heights mean another vertical datum.
-MAX_HEIGHT_OVER_WATER_M = 300.0
+# Drones take bathymetric photographs from lower than this; aircraft from up to ten times as high. What is higher than
+# the first may come from another vertical datum, what is higher than the second does.
+DRONE_HEIGHT_M, AIRCRAFT_HEIGHT_M = 300.0, 3000.0
+# Photographs of one survey overlap: cameras that would be so many times as high as the usual overlap suggests are not.
+MOST_OF_OVERLAP = 8.0
 # A plane leaves the level surface by 0.5 cm at 250 m from where it touches and by 2 cm at 500 m.
 _FLAT_WITHIN_M = 250.0
 # Further apart than this, positions are not of one survey.
@@ -77,7 +81,9 @@ def _require_above_water(
     centres = frame.crs_from_local(np.array([view.camera.centre for view in views]))
     heights, at = centres[:, 2] * height_unit_m(frame.crs), place_of(frame.crs, np.median(centres, axis=0))
     why = explanation(float(np.median(over_water)), water.known_level_m, at, frame.crs, above_start_of(heads))
-    require_level_fits(water, "the cameras are", heights, over_water, f"the poses ({frame.crs.name}){why}")
+    most_m = DRONE_HEIGHT_M if why else most_over_water([view.camera for view in views])
+    like = f"the poses ({frame.crs.name}){why}"
+    require_level_fits(water, "the cameras are", heights, over_water, like, most_m=most_m)
     lowest = int(np.argmin(over_water))
     if over_water[lowest] <= 0.0:
         raise PosesError(
@@ -87,7 +93,21 @@ def _require_above_water(
         )
 
 
-def require_level_fits(water: WaterConfig, who: str, heights: np.ndarray, over_water: np.ndarray, like: str) -> None:
+def most_over_water(cameras: Sequence[PinholeCamera]) -> float:
+    """Height over the water [m] that cameras can have, by how far apart they are: photographs of a survey overlap."""
+    by_overlap = float(np.median([camera.centre[2] for camera in cameras])) - ground_below(cameras).height
+    return float(np.clip(MOST_OF_OVERLAP * by_overlap, DRONE_HEIGHT_M, AIRCRAFT_HEIGHT_M))
+
+
+def require_level_fits(
+    water: WaterConfig,
+    who: str,
+    heights: np.ndarray,
+    over_water: np.ndarray,
+    like: str,
+    *,
+    most_m: float = AIRCRAFT_HEIGHT_M,
+) -> None:
     """Raise where cameras of heights (N,) [m] in crs, and over the water, lie all under it or far above it.
 
     Parameters
@@ -95,6 +115,8 @@ def require_level_fits(water: WaterConfig, who: str, heights: np.ndarray, over_w
     water, heights, over_water
     who, like : str
         Who says so, and what has the datum that the level should have; for the message.
+    most_m : [m]
+        Over the water, from which the cameras are far above it.
 
     Raises
     ------
@@ -104,8 +126,8 @@ def require_level_fits(water: WaterConfig, who: str, heights: np.ndarray, over_w
     mend = f"give level_m in {FILE_NAME} in the same vertical datum as {like}"
     if (over_water <= 0.0).all():
         raise ConfigError(f"{said}, all of them under the water; {mend}")
-    if (over_water > MAX_HEIGHT_OVER_WATER_M).all():
-        raise ConfigError(f"{said}, all of them more than {MAX_HEIGHT_OVER_WATER_M:.0f} m over the water; {mend}")
+    if (over_water > most_m).all():
+        raise ConfigError(f"{said}, all of them more than {most_m:.0f} m over the water; {mend}")
 
 
 def _require_bounds_near(frame: LocalFrame, centres: np.ndarray, bounds: tuple[float, ...]) -> None:
@@ -129,9 +151,11 @@ def doubts_of_places(
     found: list[str] = []
     centres = np.array([view.camera.centre for view in views])
     if water is not None:
-        too_high = -water.depth(centres) > MAX_HEIGHT_OVER_WATER_M
+        too_high = -water.depth(centres) > DRONE_HEIGHT_M
         names = [view.name for view, is_high in zip(views, too_high, strict=True) if is_high]
-        found += named(names, "camera", f"more than {MAX_HEIGHT_OVER_WATER_M:.0f} m over the water")
+        found += named(
+            names, "camera", f"more than {DRONE_HEIGHT_M:.0f} m over the water: check that both count from one datum"
+        )
         reach = float(np.linalg.norm((centres - water.point)[:, :2], axis=1).max())
         if reach > _FLAT_WITHIN_M:
             found.append(

@@ -231,6 +231,11 @@ def _doubts(
     posed = found.poses_path is not None
     warnings = require_focal_lengths({view.name: view.lens for view in views}, found.heads) if posed else []
     warnings += require_apart(views, water) + doubts_of_places(frame, views, water, found.heads)
+    if len(views) == 2:
+        warnings.append(
+            "two photographs: no third view checks a height; places whose surroundings disagree are left out, and what "
+            "moved between the exposures may remain"
+        )
     if not posed:
         return warnings
     heads = {view.name: found.heads[view.name] for view in views}

@@ -18,7 +18,7 @@ from survey.folder.block_control import control_of_block, require_placing_contro
 from survey.folder.camera_faults import require_focal_lengths
 from survey.folder.datum_mixups import place_of, xmp_doubts
 from survey.folder.exif_level import require_level_fits_exif
-from survey.folder.found import MIN_VIEWS, Found
+from survey.folder.found import Found
 from survey.folder.shutter import shutter_doubts
 from survey.folder.start_height import start_doubts
 from survey.names import RUN_FOLDER, SFM_FOLDER
@@ -149,10 +149,10 @@ def solve_views(found: Found, workspace: Path | None, report: Callable[[str], No
     for called, lens, centre, cam_from_local in result.views:
         name = name_of[called]
         views.append(View(name, found.images[name], lens.camera(centre, cam_from_local), lens))
-    if len(views) < MIN_VIEWS:
+    if len(views) < MIN_POSITIONS:
         raise PosesError(
             f"structure from motion found the poses of {len(views)} of {len(found.images)} images, expected at least "
-            f"{MIN_VIEWS}; give poses made elsewhere in [cameras] poses"
+            f"{MIN_POSITIONS}; give poses made elsewhere in [cameras] poses"
         )
     solved = {view.name for view in views}
     without = [name for name in found.images if name not in solved]

@@ -14,7 +14,7 @@ import numpy as np
 
 from fields.median import median
 from fields.solver.solver import SolvedMap
-from fields.sweep.bed import BedPoints, has_company, points_of, unique_pixels, with_slopes
+from fields.sweep.bed import BedPoints, has_company, is_supported, points_of, trusted, unique_pixels, with_slopes
 from fields.sweep.block import AGREEMENT_PX
 from fields.sweep.maps import DepthMap
 from fields.sweep.sweep import PEERS
@@ -77,9 +77,11 @@ def bed_points(
         view = survey.views[depth_map.view]
         camera = camera_of(view, plan)
         rgb = job.photographs.load(view, scale=plan.image_scale) if coloured else _black(camera)
-        keep = keep[: camera.height, : camera.width]
         parallax = _parallax(block, depth_map)
         tolerance = AGREEMENT_PX / parallax
+        if len(block.neighbours(depth_map.view, PEERS)) == 1:
+            keep = keep & is_supported(depth_map.height, trusted(depth_map), tolerance)
+        keep = keep[: camera.height, : camera.width]
         if field is not None:
             from fields.slab.refine import refine
 

@@ -115,17 +115,6 @@ def vertical_crs(crs: CRS) -> CRS | None:
     return _unbound(part.sub_crs_list[1]) if part.is_compound else None
 
 
-def other_heights(theirs: CRS, ours: CRS) -> tuple[str, str] | None:
-    """What the heights of two CRS count from, in words; None where that is the same, or the first has no heights."""
-    if not has_height(theirs):
-        return None
-    first, second = vertical_crs(theirs), vertical_crs(ours)
-    if first == second or (first is not None and second is not None and first.equals(second)):
-        return None
-    first_name, second_name = (part.name if part is not None else "the ellipsoid" for part in (first, second))
-    return first_name, second_name
-
-
 def has_height(crs: CRS) -> bool:
     """Whether the CRS defines a vertical datum."""
     return len(crs.axis_info) == 3

@@ -41,3 +41,7 @@ class UnwritableFile(GeoError):
 
 class MissingGrid(GeoError):
     """A transformation between two datums needs a grid that PROJ does not have."""
+
+
+class UnknownUnit(GeoError):
+    """Heights whose unit nothing tells."""

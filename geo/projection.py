@@ -11,6 +11,10 @@ import numpy as np
 from pyproj import CRS, Transformer
 
 from geo.crs import angular_unit_rad, ellipsoid, geodetic_crs, height_unit_m, horizontal_crs, horizontal_unit
+from geo.ellipsoid import geocentric_from_geodetic
+
+# Of the central differences of `metres_per_unit`: 64 m on the ground.
+_STEP_RAD = 1e-5
 
 
 @dataclass(frozen=True)
@@ -86,6 +90,23 @@ class MapProjection:
         if self._lonlat_from_grid is not None:
             x, y = self._lonlat_from_grid.transform(x, y, direction="INVERSE")
         return nan_unless_finite(np.stack([x, y, height / self.height_unit_m], axis=-1))
+
+
+def metres_per_unit(crs: CRS, places: np.ndarray) -> np.ndarray:
+    """Metres of ground (2,) in one unit of easting and of northing, or of longitude and latitude.
+
+    Holds the unit and the scale of the map in the middle of places (N, 2 or 3) in a CRS with heights; on the ellipsoid.
+    NaN where there are none on the map.
+    """
+    middle = np.full(2, np.nan) if not len(places) else np.median(np.asarray(places, dtype=np.float64)[:, :2], axis=0)
+    own = MapProjection(crs)
+    step = _STEP_RAD if own.is_geographic else _STEP_RAD * own.a
+    steps = step / own.horizontal_unit * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    at = np.array([*middle, 0.0])
+    ends = [
+        geocentric_from_geodetic(*own.geodetic_from_crs(at + side * steps), a=own.a, b=own.b) for side in (-0.5, 0.5)
+    ]
+    return np.linalg.norm(ends[1] - ends[0], axis=-1) / steps[[0, 1], [0, 1]]
 
 
 def nan_unless_finite(values: np.ndarray) -> np.ndarray:

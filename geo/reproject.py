@@ -6,18 +6,19 @@ datum; between two vertical datums the grid of one of them is needed, and withou
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field
 
 import numpy as np
 from pyproj import CRS, Transformer
 from pyproj.crs import CompoundCRS
-from pyproj.exceptions import CRSError, ProjError
-from pyproj.transformer import TransformerGroup
+from pyproj.exceptions import CRSError
 
 from geo.crs import has_height, horizontal_crs, parse_crs, vertical_crs
-from geo.errors import MissingGrid, UnknownCRS, UnsupportedCRS
+from geo.errors import UnknownCRS
 from geo.projection import nan_unless_finite
+from geo.transformation import best_operation
+
+_MEND = "or name a horizontal CRS alone, which keeps the heights as they are."
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class Reprojection:
         wanted = _with_height(source, target, where)
         keeps_height = _same_heights(source, wanted)
         ends = (horizontal_crs(source), horizontal_crs(wanted)) if keeps_height else (source, wanted)
-        return Reprojection(wanted, keeps_height, _best(*ends, where))
+        return Reprojection(wanted, keeps_height, best_operation(*ends, where, _MEND))
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Points (N, 3) in the source CRS as points (N, 3) float64 in `crs`; NaN where PROJ has no answer."""
@@ -95,33 +96,3 @@ def _same_heights(source: CRS, wanted: CRS) -> bool:
         same_unit = source.axis_info[2].unit_conversion_factor == wanted.axis_info[2].unit_conversion_factor
         return before is after is None and same_ellipsoid and same_unit
     return before.equals(after)
-
-
-def _best(source: CRS, target: CRS, where: str) -> Transformer:
-    """PROJ's best transformation, if all grids that it needs are there.
-
-    Raises
-    ------
-    MissingGrid
-        If the best one needs a grid that is not installed.
-    UnsupportedCRS
-        If there is none.
-    """
-    said = f"{where}: the way from {source.name} to {target.name}"
-    mend = "or name a horizontal CRS alone, which keeps the heights as they are."
-    try:
-        with warnings.catch_warnings():
-            # pyproj warns of missing grids, which end in the error below.
-            warnings.simplefilter("ignore", UserWarning)
-            group = TransformerGroup(source, target, always_xy=True, allow_ballpark=False)
-    except ProjError as error:
-        raise UnsupportedCRS(f"{said} is not known to PROJ ({str(error)[:80]}); choose another CRS, {mend}") from error
-    if group.best_available and group.transformers:
-        return group.transformers[0]
-    missing = [grid.short_name for op in group.unavailable_operations[:1] for grid in op.grids if not grid.available]
-    if missing:
-        raise MissingGrid(
-            f"{said} needs {' and '.join(missing)}, which PROJ does not have; fetch it into its data folder (projsync "
-            f"--file {missing[0]}), {mend}"
-        )
-    raise UnsupportedCRS(f"{said} is not known to PROJ; choose another CRS, {mend}")

@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pyproj import CRS, Transformer
+from pyproj import CRS
 
 from geo.crs import crs_code, horizontal_crs
 from geo.files import write_whole
 from geo.optional import library_for
+from geo.transformation import WGS84, Transformation
 
 MARK = b'"made_by": "bathynerf"'
-_WGS84 = "EPSG:4326"
 # Of a degree: a tenth of a millimetre.
 _DECIMALS = 9
 _WKB_TYPES = {"LineString": 2, "Polygon": 3}
@@ -60,11 +60,15 @@ def write_geojson(path: str | Path, layer: Layer) -> None:
     ------
     UnwritableFile
         If the file cannot be written.
+    MissingGrid
+        If the way to WGS 84 needs a grid that is not installed.
     """
-    way = Transformer.from_crs(horizontal_crs(layer.crs), _WGS84, always_xy=True)
+    places = [line for shape in layer.shapes for line in (shape if layer.kind == "Polygon" else [shape])]
+    way = Transformation.between(layer.crs, WGS84, np.concatenate(places) if places else np.zeros((0, 2)))
+    way.require_best(str(path), "or write a GeoPackage, which keeps the CRS of the survey.")
 
     def turned(line: np.ndarray) -> list:
-        places = np.column_stack(way.transform(*np.asarray(line, dtype=np.float64).T))
+        places = np.column_stack(way(*np.asarray(line, dtype=np.float64).T))
         return np.round(places, _DECIMALS).tolist()
 
     features = []

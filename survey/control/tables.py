@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 from pyproj import CRS
-from pyproj.exceptions import CRSError
 
 from survey.control.content import Content, ControlFormat, GivenMark, GivenPoint, is_check_role, require_std
 from survey.errors import ControlError
-from survey.files.csv_table import Row, column_names, read_table, shortened, text_lines
+from survey.files.crs_comment import crs_of_comment
+from survey.files.csv_table import Row, column_names, read_table, shortened
 
 _PLACE = ("easting", "northing", "height")
 _STDS = ("std_east", "std_north", "std_height")
-# How Metashape begins the line with its CRS.
-_CRS_COMMENT = re.compile(r"#\s*CoordinateSystem:\s*(.+)", re.IGNORECASE)
 # What other programs call the columns.
 _POINT_SYNONYMS = {
     **dict.fromkeys(("label", "point", "gcp", "id", "point name", "point_name", "#label"), "name"),
@@ -49,7 +46,7 @@ def read_coordinates(path: Path) -> Content:
     """
     columns, optional = ("name", *_PLACE), ("std", "std_horizontal", *_STDS, "role", "enable")
     rows = read_table(path, columns, optional=optional, synonyms=_POINT_SYNONYMS, error=ControlError)
-    crs = _crs_of(path)
+    crs = crs_of_comment(path, ControlError)
     return Content(points=tuple(_point(row, crs) for row in rows))
 
 
@@ -77,11 +74,12 @@ def read_checkpoints(path: Path) -> tuple[GivenPoint, ...]:
         If the file has no points or one of them twice, or as `read_coordinates`.
     """
     rows = read_table(path, _PLACE, optional=("name",), synonyms=_POINT_SYNONYMS, error=ControlError)
+    crs = crs_of_comment(path, ControlError)
     if not rows:
         raise ControlError(f"{path} has no check points, expected lines name,easting,northing,height; add them")
     points: dict[str, GivenPoint] = {}
     for i, row in enumerate(rows, start=1):
-        point = GivenPoint(row.cells.get("name") or str(i), row.where, _place(row), is_check=True)
+        point = GivenPoint(row.cells.get("name") or str(i), row.where, _place(row), crs, is_check=True)
         first = points.setdefault(point.name, point)
         if first is not point:
             raise ControlError(
@@ -96,21 +94,6 @@ def _point(row: Row, crs: CRS | None) -> GivenPoint:
     is_ticked = row.cells.get("enable", "").casefold() not in ("0", "false")
     is_check = is_check_role(row.cells.get("role", ""), row.where) or not is_ticked
     return GivenPoint(row.text("name"), row.where, _place(row), crs, std_m=_std(row), is_check=is_check)
-
-
-def _crs_of(path: Path) -> CRS | None:
-    """The CRS in Metashape's comment; None where there is none, or one of the site."""
-    lines = (line.strip() for _, line in text_lines(path, ControlError))
-    found = next((match[1] for line in lines if (match := _CRS_COMMENT.match(line))), None)
-    if found is None or "LOCAL_CS" in found:
-        return None
-    try:
-        return CRS.from_user_input(found.strip())
-    except CRSError as error:
-        raise ControlError(
-            f"{path}: the CoordinateSystem {shortened(found)} is not a known CRS; correct the comment, or remove it "
-            "where coordinates are in the crs of survey.toml"
-        ) from error
 
 
 def _place(row: Row) -> tuple[float, float, float]:

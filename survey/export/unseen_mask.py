@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from pyproj import Transformer
 
-from geo.crs import horizontal_crs
 from geo.raster_writing import Band, write_cog
+from geo.transformation import Transformation
 from survey.export.gridded import gridded
 from survey.export.terrain import parts_of, raster_form
 from survey.export.unseen import REASONS, unseen_of
@@ -26,11 +25,12 @@ def write_mask(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     It covers what the terrain model covers, so that both lie upon each other; what lies beyond is in the polygons only.
     """
     grid, unseen = gridded(run, options), unseen_of(run)
-    back = Transformer.from_crs(horizontal_crs(grid.cells.crs), horizontal_crs(run.place.crs), always_xy=True)
+    corner = np.array([[grid.cells.west, grid.cells.north]])
+    back = Transformation.between(grid.cells.crs, run.place.crs, corner)
     level = float(unseen.frame.origin[2])
 
     def values(window: Window) -> np.ndarray:
-        east, north = back.transform(*np.moveaxis(grid.cells.middles(window), -1, 0))
+        east, north = back(*np.moveaxis(grid.cells.middles(window), -1, 0))
         codes = unseen.codes_at(np.stack([east, north, np.full(window.shape, level)], axis=-1))
         return np.where(grid.known[window.slices] > 0, 0, codes).astype(np.uint8)[None]
 

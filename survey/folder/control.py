@@ -10,6 +10,7 @@ from pyproj import CRS
 
 from geo.frames import LocalFrame
 from survey.control.content import Content, GivenPoint
+from survey.control.horizontal import in_crs
 from survey.control.placing import checkpoints_in_local, control_in_local, without_pose
 from survey.control.points import Checkpoint, Control
 from survey.control.reading import Gathered, gather, read_control
@@ -57,7 +58,9 @@ def find_control(
     ControlError
         If a file is missing or damaged, or its points or marks cannot be true.
     """
-    checkpoints = () if config.checkpoints is None else read_checkpoints(folder / config.checkpoints)
+    checkpoints: tuple[GivenPoint, ...] = ()
+    if config.checkpoints is not None:
+        checkpoints = tuple(in_crs(read_checkpoints(folder / config.checkpoints), crs, assumptions))
     if not config.gcp_files:
         return FoundControl(config, None, checkpoints)
     contents = [read_control(folder / name) for name in config.gcp_files]

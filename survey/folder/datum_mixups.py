@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from pyproj import CRS, Transformer
+from pyproj import CRS
 
-from geo.crs import height_unit_m, horizontal_crs, vertical_crs
+from geo.crs import height_unit_m, vertical_crs
+from geo.transformation import lon_lat
 from geo.undulation import rough_undulation_m
 from survey.photos.exif import Exif
 from survey.photos.xmp import ELLIPSOIDAL
@@ -27,8 +28,7 @@ _SAME_M = 3.0
 
 def place_of(crs: CRS, point_crs: np.ndarray) -> tuple[float, float]:
     """Latitude and longitude [deg] of a point in crs."""
-    to_degrees = Transformer.from_crs(horizontal_crs(crs), "EPSG:4326", always_xy=True)
-    lon, lat = to_degrees.transform(*np.asarray(point_crs, dtype=np.float64)[:2])
+    lon, lat = lon_lat(crs, np.asarray(point_crs, dtype=np.float64)[None])[0]
     return float(lat), float(lon)
 
 

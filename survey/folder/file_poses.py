@@ -15,7 +15,7 @@ from survey.folder.camera_faults import angle_doubts
 from survey.folder.found import Found
 from survey.folder.pairing import pair, with_lenses
 from survey.folder.pose_priors import PosePrior, priors_of_poses
-from survey.folder.posed import given_in_local, points_in_local
+from survey.folder.posed import doubt_of_crs, given_in_local, points_in_local
 from survey.folder.reprojection import Reprojection, reprojection
 from survey.folder.water_level import with_level_of_clicks
 from survey.photos.cameras import View
@@ -67,6 +67,8 @@ def read_file_poses(found: Found, path: Path, assumptions: list[str], warnings: 
     paired = pair(found, file.poses, warnings)
     poses = with_lenses(found, list(paired.values()), assumptions, warnings)
     warnings += angle_doubts(poses, file.frame)
+    doubt = doubt_of_crs(file, found.crs)
+    warnings += [] if doubt is None else [doubt]
     found = _with_clicks(found, file, poses, assumptions, warnings)
     frame, views = place.views_in_local(found, file, poses)
     if file.tool is not None and found.config.water is not None:

@@ -20,6 +20,7 @@ from survey.folder.water_level import with_level
 from survey.photos.exif import Exif, read_exif
 from survey.photos.formats import find_poses, find_unread
 from survey.photos.images import list_images
+from survey.sfm.gps import datum_doubt
 
 MIN_VIEWS = 2
 # Where a survey may have the grid of the geoid under its heights.
@@ -95,7 +96,8 @@ def find_survey(folder: Path) -> Found:
         config.water.require_level()
     warnings = head_doubts(heads)
     if poses_path is None:
-        warnings += find_unread(folder)
+        doubt = datum_doubt(heads, crs)
+        warnings += [*([] if doubt is None else [doubt]), *find_unread(folder)]
     if config.cameras.rotation_std_deg is not None and poses_path is None:
         warnings.append(
             "[cameras] rotation_std_deg is not used: it is that of poses from a file, and structure from motion finds "

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pyproj import CRS, Transformer
-from pyproj.exceptions import CRSError, ProjError
+from pyproj import CRS
+from pyproj.exceptions import CRSError
 
 from geo.crs import horizontal_crs, is_geographic
+from geo.transformation import transformed
 from survey.errors import ConfigError
 
 _LARGEST_BYTES = 100_000_000
@@ -34,6 +35,8 @@ def points_of_geojson(path: Path, crs: CRS, notes: list[str]) -> np.ndarray:
     ------
     ConfigError
         If the file cannot be read, is no GeoJSON, or has a vertex without a height or off the map.
+    GeoError
+        If it cannot be taken to crs: see `geo.transformation.transformed`.
     """
     content = _content(path)
     points = np.array(list(dict.fromkeys(_vertices(path, content, None, 0)))).reshape(-1, 3)
@@ -47,11 +50,7 @@ def points_of_geojson(path: Path, crs: CRS, notes: list[str]) -> np.ndarray:
         source = CRS("EPSG:4326")
     target = horizontal_crs(crs)
     if len(points) and not source.equals(target, ignore_axis_order=True):
-        try:
-            to_crs = Transformer.from_crs(source, target, always_xy=True)
-            points[:, 0], points[:, 1] = to_crs.transform(points[:, 0], points[:, 1])
-        except ProjError as error:
-            raise ConfigError(f"{path} is in {source.name}, which cannot be taken to {target.name}: {error}") from error
+        points = transformed(source, target, points, str(path), "or give the points in crs.")
         if not np.isfinite(points).all():
             raise ConfigError(f"{path} has coordinates that are not on the map of {source.name} and {target.name}")
     return points

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from pyproj import CRS, Geod, Transformer
+from pyproj import CRS, Geod
 
-from geo.crs import height_unit_m, horizontal_crs
+from geo.crs import height_unit_m
 from geo.frames import LocalFrame
+from geo.transformation import lon_lat
 from refract import FlatWater, PinholeCamera
 from survey.display.words import named
 from survey.errors import FILE_NAME, ConfigError, PosesError
@@ -179,9 +180,7 @@ def distances_to_exif(crs: CRS, centres: dict[str, np.ndarray], heads: dict[str,
     known = {name: position for name, position in positions.items() if position is not None}
     if not known:
         return np.zeros(0)
-    horizontal = horizontal_crs(crs)
     lat, lon = np.array([position[:2] for position in known.values()]).T
-    to_degrees = Transformer.from_crs(horizontal, "EPSG:4326", always_xy=True)
-    own_lon, own_lat = to_degrees.transform(*np.array([centres[name][:2] for name in known]).T)
+    own_lon, own_lat = lon_lat(crs, np.array([centres[name][:2] for name in known])).T
     _, _, metres = Geod(ellps="WGS84").inv(lon, lat, own_lon, own_lat)
     return np.where(np.isfinite(metres), metres, np.inf)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from pyproj import CRS, Transformer
+from pyproj import CRS
 
 from geo.compatibility import crs_difference
 from geo.crs import (
@@ -17,18 +17,19 @@ from geo.crs import (
     has_height,
     height_unit_m,
     horizontal_crs,
-    other_heights,
     prime_meridian_rad,
     vertical_crs,
 )
 from geo.ellipsoid import enu_from_geocentric, geocentric_from_geodetic, geodetic_from_geocentric
 from geo.frames import LocalFrame
 from geo.projection import MapProjection
-from survey.errors import FILE_NAME, PosesError
+from geo.transformation import Transformation, height_scale
+from survey.errors import PosesError
 from survey.photos.poses import Pose, PoseFile, PoseFrame
 from survey.sfm.geoid import area_at, height_transformer
 
 _WGS84 = CRS("EPSG:4979")
+_HEIGHTS = "the heights of the poses"
 
 
 def points_in_crs(file: PoseFile, points: np.ndarray, crs: CRS, gps_height: str) -> np.ndarray:
@@ -38,8 +39,8 @@ def points_in_crs(file: PoseFile, points: np.ndarray, crs: CRS, gps_height: str)
 
     Raises
     ------
-    PosesError
-        If the file counts heights from another datum than crs.
+    GeoError
+        If the file counts heights from another datum than crs, or its heights have no unit.
     ConfigError
         If the grid of the geoid is needed and not installed.
     """
@@ -47,12 +48,23 @@ def points_in_crs(file: PoseFile, points: np.ndarray, crs: CRS, gps_height: str)
         return _from_geocentric(file, points, crs, gps_height)
     if file.crs is None:
         return points
-    _require_heights(file.crs, crs)
+    height = points[:, 2] * height_scale(file.crs, crs, _HEIGHTS, unit_m=file.height_unit_m)
     if crs_difference(horizontal_crs(file.crs), horizontal_crs(crs)) is None:
-        return points
-    x, y, height = points.T
-    lon, lat = Transformer.from_crs(horizontal_crs(file.crs), _WGS84.to_2d(), always_xy=True).transform(x, y)
-    return np.column_stack([*_horizontal(file.crs, crs, x, y, lon, lat), height])
+        return np.column_stack([points[:, :2], height])
+    way = Transformation.between(file.crs, crs, points)
+    return np.column_stack([*way(points[:, 0], points[:, 1]), height])
+
+
+def doubt_of_crs(file: PoseFile, crs: CRS) -> str | None:
+    """A warning where the way of the poses of a file to crs is less well known than they are; None where it is not."""
+    places = np.array([pose.centre for pose in file.poses])
+    if file.frame is PoseFrame.LOCAL or not len(places):
+        return None
+    if file.frame is PoseFrame.GEOCENTRIC:
+        lon, lat, _ = _geodetic(file, places)
+        own = geodetic_crs(_WGS84 if file.crs is None else file.crs)
+        return Transformation.between(own, crs, np.degrees(np.column_stack([lon, lat]))).doubt("the poses")
+    return None if file.crs is None else Transformation.between(file.crs, crs, places).doubt("the poses")
 
 
 def cams_from_local(file: PoseFile, poses: Sequence[Pose], centres_crs: np.ndarray, frame: LocalFrame) -> np.ndarray:
@@ -124,10 +136,10 @@ def _from_geocentric(file: PoseFile, points: np.ndarray, crs: CRS, gps_height: s
         )
     lon, lat, height = _geodetic(file, points)
     lon, lat = np.degrees(lon), np.degrees(lat)
-    east, north = _horizontal(geodetic_crs(own), crs, lon, lat, lon, lat)
+    east, north = Transformation.between(geodetic_crs(own), crs, np.column_stack([lon, lat]))(lon, lat)
     if file.crs is not None and has_height(file.crs):
         if vertical_crs(file.crs) is not None:
-            _require_heights(file.crs, crs)
+            height_scale(file.crs, crs, _HEIGHTS)
         # Geocentric heights are ellipsoidal: of heights over a geoid, the program has added that.
         gps_height = "ellipsoidal"
     if gps_height == "crs":
@@ -135,24 +147,3 @@ def _from_geocentric(file: PoseFile, points: np.ndarray, crs: CRS, gps_height: s
     known = np.isfinite(lon) & np.isfinite(lat)
     to_height = height_transformer(crs, area_at(lon[known], lat[known]))
     return np.column_stack([east, north, to_height.transform(lon, lat, height)[2]])
-
-
-def _horizontal(source: CRS, crs: CRS, x, y, lon, lat) -> tuple[np.ndarray, np.ndarray]:
-    """Easting and northing in crs of coordinates in another horizontal CRS, which lie at lon, lat [deg]."""
-    known = np.isfinite(lon) & np.isfinite(lat)
-    if not known.any():
-        return np.full(len(lon), np.nan), np.full(len(lon), np.nan)
-    transformer = Transformer.from_crs(
-        horizontal_crs(source), horizontal_crs(crs), always_xy=True, area_of_interest=area_at(lon[known], lat[known])
-    )
-    return transformer.transform(x, y)
-
-
-def _require_heights(source: CRS, crs: CRS) -> None:
-    """Raise where the CRS of a file says that its heights count from another datum than those of the survey."""
-    names = other_heights(source, crs)
-    if names is not None:
-        raise PosesError(
-            f"the heights of the poses are above {names[0]}, expected above {names[1]} as crs in {FILE_NAME} says; "
-            "change the vertical part of crs, or export the poses with heights of that datum"
-        )

@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import is_geographic
 from geo.frames import LocalFrame
+from geo.projection import metres_per_unit
 from survey.errors import ConfigError
 from survey.folder.config import SurveyConfig
 from survey.folder.config_water import MOST_LEVEL_STD_M, WaterConfig
@@ -141,15 +141,18 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS,
     """The water through points of its surface, with the standard deviation of its level at ``level_at``."""
     source = points[0].source if points else "points"
     coordinates = np.array([(*each.place, each.level_m) for each in points if each.place is not None]).reshape(-1, 3)
-    # Slopes in degrees of longitude are none.
-    free = water.slope_east == 0.0 == water.slope_north and not is_geographic(crs)
+    # Slopes are metres of height in metres of ground, whatever the unit of crs.
+    unit_m = metres_per_unit(crs, coordinates) if len(coordinates) else np.ones(2)
+    coordinates[:, :2] *= unit_m
+    free = water.slope_east == 0.0 == water.slope_north
     fit = fit_surface(
         coordinates, np.array([each.std_m for each in points]), with_slopes=free, least=1 if source == "clicks" else 3
     )
     # By the slopes, from the middle of the points to level_at.
-    level_at = water.level_at or fit.level_at
+    east, north = (float(value) for value in np.array(fit.level_at) / unit_m)
+    level_at = water.level_at or (east, north)
     fit = replace(fit, slope_east=fit.slope_east or water.slope_east, slope_north=fit.slope_north or water.slope_north)
-    away = np.subtract(level_at, fit.level_at)
+    away = np.array(level_at) * unit_m - fit.level_at
     level = fit.level_m + fit.slope_east * away[0] + fit.slope_north * away[1]
     common = COMMON_STD_M.get(source, 0.0)
     std = math.hypot(math.sqrt(np.array([1.0, *away]) @ fit.covariance @ np.array([1.0, *away])), common)

@@ -82,6 +82,8 @@ class PoseFile:
     crs : pyproj.CRS or None
         Of GRID and LEVEL: that of the positions; of GEOCENTRIC: the one on whose datum they are. None: the crs of the
         survey, or WGS 84 for GEOCENTRIC.
+    height_unit_m : float or None
+        Unit of the heights [m], where the program tells it and ``crs`` does not.
     tool : str or None
         The program that adjusted the poses, which knows straight rays only; None where the format does not tell.
     masks : Path or None
@@ -97,6 +99,7 @@ class PoseFile:
     masks: Path | None = None
     notes: tuple[str, ...] = field(default=(), compare=False)
     warnings: tuple[str, ...] = field(default=(), compare=False)
+    height_unit_m: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

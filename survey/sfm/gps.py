@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from pyproj import CRS, Transformer
+from pyproj import CRS
 
-from geo.crs import height_unit_m, horizontal_crs, is_geographic, parse_crs, vertical_crs
+from geo.crs import height_unit_m, is_geographic, parse_crs, vertical_crs
 from geo.frames import LocalFrame
+from geo.transformation import WGS84, Transformation
 from survey.errors import FILE_NAME, ConfigError, PosesError
 from survey.photos.exif import Exif, utm_code_of
 from survey.sfm.geoid import area_at, height_transformer
@@ -111,6 +112,13 @@ def positions_in_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str, notes
     return dict(zip(wgs84, points, strict=True))
 
 
+def datum_doubt(heads: Mapping[str, Exif], crs: CRS) -> str | None:
+    """A warning where GPS positions in crs are less well known than in WGS 84; None where they are not."""
+    known = [head.lat_lon_height for head in heads.values() if head.lat_lon_height is not None]
+    places = np.array(known, dtype=np.float64).reshape(-1, 3)[:, [1, 0]]
+    return Transformation.between(WGS84, crs, places).doubt("GPS positions") if len(places) else None
+
+
 def is_whole(position: tuple[float, float, float] | None) -> bool:
     """Whether a photograph has a position with a height."""
     return position is not None and math.isfinite(position[2])
@@ -119,9 +127,8 @@ def is_whole(position: tuple[float, float, float] | None) -> bool:
 def _crs_from_wgs84(crs: CRS, lon, lat, height, gps_height: str, notes: list[str]) -> np.ndarray:
     """WGS 84 longitudes, latitudes [deg] and heights [m] (N,) as points (N, 3) in crs."""
     # Two dimensions only: the height is not touched by any change of datum.
-    area, horizontal = area_at(lon, lat), horizontal_crs(crs)
-    transformer = Transformer.from_crs("EPSG:4326", horizontal, always_xy=True, area_of_interest=area)
-    east, north = transformer.transform(lon, lat)
+    way = Transformation.between(WGS84, crs, np.column_stack([lon, lat]))
+    east, north = way(lon, lat)
     if gps_height == "crs":
         vertical = vertical_crs(crs)
         above = f"above {vertical.name}" if vertical is not None else "above the ellipsoid"
@@ -129,7 +136,7 @@ def _crs_from_wgs84(crs: CRS, lon, lat, height, gps_height: str, notes: list[str
         return np.stack([east, north, height / height_unit_m(crs)], axis=-1)
     if gps_height != "ellipsoidal":
         raise ConfigError(f'[cameras] gps_height is "{gps_height}", expected "crs" or "ellipsoidal"')
-    to_height = height_transformer(crs, area)
+    to_height = height_transformer(crs, area_at(lon, lat))
     steps = [step for step in to_height.description.split(" + ") if not step.startswith("axis order change")]
     notes.append(
         'gps_height = "ellipsoidal": the GPS heights in EXIF are taken as heights above the WGS 84 ellipsoid '

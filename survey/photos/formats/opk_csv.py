@@ -12,6 +12,7 @@ import numpy as np
 from pyproj import CRS
 
 from survey.errors import PosesError
+from survey.files.crs_comment import crs_of_comment
 from survey.files.csv_table import Row, column_names, read_table, shortened
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk, level_from_yaw_pitch_roll
 from survey.photos.formats.format import Format
@@ -51,8 +52,8 @@ def is_opk_csv(path: Path) -> bool:
 def read_opk_csv(path: Path) -> PoseFile:
     """Poses in crs from a table with the columns of `COLUMNS` or their like, in any order; others are not read.
 
-    Columns longitude and latitude are those of WGS 84. Where there are columns of the accuracy of positions, these are
-    how well the positions are known.
+    Columns longitude and latitude are those of WGS 84, unless a comment names the CRS, as Metashape writes it. Where
+    there are columns of the accuracy of positions, these are how well the positions are known.
 
     Raises
     ------
@@ -69,7 +70,7 @@ def read_opk_csv(path: Path) -> PoseFile:
         if pose.name in poses:
             raise PosesError(f"{row.where}: image {shortened(pose.name)} has a second pose; keep one of the two lines")
         poses[pose.name] = pose
-    crs = CRS("EPSG:4326") if names[1] == "longitude" else None
+    crs = crs_of_comment(path, PosesError) or (CRS("EPSG:4326") if names[1] == "longitude" else None)
     if "omega" in columns:
         return PoseFile(tuple(poses.values()), PoseFrame.GRID, crs)
     is_of_gimbal = "gimbal_yaw" in columns

@@ -15,6 +15,7 @@ import numpy as np
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
+from geo.crs import has_height, horizontal_crs, horizontal_unit
 from refract.lens import Lens, LensError
 from survey.errors import PosesError
 from survey.files.csv_table import shortened, text_lines
@@ -63,8 +64,14 @@ def read_pix4d(path: Path) -> PoseFile:
     twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
     if twice is not None:
         raise PosesError(f"{path}: image {shortened(twice)} has a second pose; keep one of the two")
-    notes = () if crs is None else (f"the poses are in {crs.name}, as {stem}{_MAP} says",)
-    return PoseFile(tuple(poses), PoseFrame.GRID, crs, "Pix4D", notes=notes)
+    notes: tuple[str, ...] = ()
+    unit_m = None
+    if crs is not None:
+        # Pix4D has one unit for all three coordinates.
+        unit_m = None if has_height(crs) or not crs.is_projected else horizontal_unit(crs)
+        heights = "" if unit_m is None else f", its heights in {horizontal_crs(crs).axis_info[0].unit_name}"
+        notes = (f"the poses are in {crs.name}{heights}, as {stem}{_MAP} says",)
+    return PoseFile(tuple(poses), PoseFrame.GRID, crs, "Pix4D", notes=notes, height_unit_m=unit_m)
 
 
 def _external(path: Path) -> Iterator[tuple[str, str, list[float]]]:

@@ -12,11 +12,10 @@ import numpy as np
 from PIL import ExifTags, Image
 from PIL.PngImagePlugin import PngInfo
 from PIL.TiffImagePlugin import IFDRational
-from pyproj import Transformer
 
 from geo import write_whole
-from geo.crs import horizontal_crs
 from geo.frames import LocalFrame
+from geo.transformation import lon_lat
 from refract import PinholeCamera
 from refract.lens import coefficients_of
 from survey.photos.cameras import CAM_FROM_OPK_CAM
@@ -89,7 +88,7 @@ def exif_of_views(scene: StagedScene) -> list[Image.Exif]:
     centres = np.array([camera.centre for camera in scene.cameras])
     noise = scene.position_std_m * rng.standard_normal(centres.shape)
     e, n, heights = scene.frame.crs_from_local(centres + noise).T
-    lon, lat = Transformer.from_crs(horizontal_crs(scene.frame.crs), "EPSG:4326", always_xy=True).transform(e, n)
+    lon, lat = lon_lat(scene.frame.crs, np.column_stack([e, n])).T
     film_mm = 36.0 * max(scene.lens.focal) / max(scene.lens.width, scene.lens.height)
     exifs = []
     seconds = np.linspace(0.0, scene.duration_s, len(scene.cameras)).tolist()

@@ -1,0 +1,282 @@
+"""The one way of coordinates from one CRS into another: which operation is chosen, how good it is, in which units.
+
+Everything that enters or leaves a survey in another CRS than its own goes through here: `Transformation` for places in
+plan, `height_scale` for heights. Between the grid of a CRS and its own longitudes and latitudes, with no change of
+datum, `geo.projection.MapProjection` goes.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field
+
+import numpy as np
+from pyproj import CRS, Transformer
+from pyproj.exceptions import ProjError
+from pyproj.transformer import AreaOfInterest, TransformerGroup
+
+from geo.crs import (
+    degrees_outside_area,
+    geodetic_crs,
+    has_height,
+    height_unit_m,
+    horizontal_crs,
+    horizontal_unit,
+    is_geographic,
+    vertical_crs,
+)
+from geo.errors import CRSMismatch, MissingGrid, PlaceMismatch, UnknownUnit, UnsupportedCRS
+
+WGS84 = CRS("EPSG:4326")
+# Around the middle of a survey, for PROJ to choose among regional operations [deg].
+_AREA_DEG = 0.01
+# Longitudes and latitudes that change by less pass unchanged: a tenth of a millimetre.
+_UNCHANGED_DEG = 1e-9
+# Two feet differ by 2e-6: units that differ by less are one.
+_SAME_UNIT = 1e-9
+# Places may lie so far outside the area that a CRS is made for.
+_AREA_MARGIN_DEG = 3.0
+
+
+@dataclass(frozen=True)
+class Transformation:
+    """The operation between the horizontal parts of two CRSs that PROJ chooses for a place.
+
+    Attributes
+    ----------
+    source, target : pyproj.CRS
+        Two-dimensional; easting or longitude first.
+    accuracy_m : float or None
+        As PROJ states it; 0 where the datum stays, or longitudes and latitudes pass unchanged; None where it is not
+        known (a CRS without a known datum).
+    missing : tuple of str
+        Names of the grids that the best operation needs and PROJ does not have; the operation is then a worse one.
+    """
+
+    source: CRS
+    target: CRS
+    accuracy_m: float | None
+    missing: tuple[str, ...]
+    _transformer: Transformer = field(repr=False, compare=False)
+
+    @staticmethod
+    def between(source: CRS, target: CRS, places: np.ndarray) -> Transformation:
+        """The operation for places (N, 2 or 3) in the source; the middle of those that are on its map counts.
+
+        Raises
+        ------
+        UnsupportedCRS
+            If PROJ knows no way.
+        """
+        source, target = horizontal_crs(source), horizontal_crs(target)
+        middle = _middle(source, np.asarray(places, dtype=np.float64))
+        if middle is None:
+            return Transformation(source, target, 0.0, (), Transformer.from_crs(source, target, always_xy=True))
+        transformer, accuracy, missing = _chosen(source, target, middle)
+        if accuracy != 0.0 and not missing and _keeps_degrees(source, target, transformer, middle):
+            # By convention a receiver's WGS 84 is the frame of its corrections; a survey is then as good as these.
+            accuracy = 0.0
+        return Transformation(source, target, accuracy, missing, transformer)
+
+    def __call__(self, x, y) -> tuple[np.ndarray, np.ndarray]:
+        """Easting and northing (N,) in the target of coordinates (N,) in the source; not finite off the map."""
+        return self._transformer.transform(x, y)
+
+    def require_best(self, said: str, mend: str) -> None:
+        """Raise MissingGrid where a grid of the best operation is missing; ``mend`` says what else would help."""
+        if self.missing:
+            raise MissingGrid(
+                f"{said}: the way from {self.source.name} to {self.target.name} needs {' and '.join(self.missing)}, "
+                f"which PROJ does not have; fetch it into its data folder (projsync --file {self.missing[0]}), {mend}"
+            )
+
+    def doubt(self, said: str) -> str | None:
+        """A warning where places are less well known after the operation; None where they are not."""
+        if self.accuracy_m == 0.0 and not self.missing:
+            return None
+        known = "an unknown accuracy" if self.accuracy_m is None else f"{self.accuracy_m:.2g} m"
+        said = f"{said} are transformed from {self.source.name} to {self.target.name}, which PROJ states to {known}"
+        if self.missing:
+            grids = " and ".join(self.missing)
+            return f"{said}; a better way needs {grids}, which is not installed: projsync --file {self.missing[0]}"
+        return f"{said}: all of them share that error"
+
+
+def transformed(source: CRS, target: CRS, points: np.ndarray, said: str, mend: str) -> np.ndarray:
+    """Points (N, 3) in the target, plan only, by the best operation there is; heights are not touched.
+
+    Raises
+    ------
+    MissingGrid
+        If its grid is missing: see `Transformation.require_best`.
+    """
+    way = Transformation.between(source, target, points)
+    way.require_best(said, mend)
+    return np.column_stack([*way(points[:, 0], points[:, 1]), points[:, 2]])
+
+
+def height_scale(source: CRS, target: CRS, said: str, *, unit_m: float | None = None) -> float:
+    """Units of height of the target in one of the source.
+
+    Parameters
+    ----------
+    source, target : pyproj.CRS
+        The second with heights. A source without heights of its own has those of the target.
+    said : str
+        What errors name, e.g. "the heights of control points in gcp_list.txt".
+    unit_m : float, optional
+        Unit of the heights [m] where the source does not tell it and its program does.
+
+    Raises
+    ------
+    CRSMismatch
+        If the two count heights from different datums.
+    UnknownUnit
+        If the source has no heights, and its unit in plan is another one than that of the target's heights.
+    """
+    if has_height(source):
+        names = _height_names(source, target)
+        if names is not None:
+            raise CRSMismatch(
+                f"{said} are above {names[0]}, expected above {names[1]}; convert them, or correct the vertical part "
+                "of the CRS"
+            )
+        return height_unit_m(source) / height_unit_m(target)
+    if unit_m is not None:
+        return unit_m / height_unit_m(target)
+    in_plan = 1.0 if is_geographic(source) else horizontal_unit(source)
+    if abs(in_plan / height_unit_m(target) - 1.0) < _SAME_UNIT:
+        return 1.0
+    if is_geographic(source):
+        return 1.0 / height_unit_m(target)
+    plan, axis, ours = horizontal_crs(source).name, horizontal_crs(source).axis_info[0].unit_name, target.axis_info[2]
+    raise UnknownUnit(
+        f"{said} have no unit: {plan} counts east and north in {axis}, and heights of the survey are in "
+        f"{ours.unit_name}; name the CRS with its vertical part, whose unit counts (of heights above NAVD 88: +5703 in "
+        "metres, +8228 in feet, +6360 in US survey feet)"
+    )
+
+
+def best_operation(source: CRS, target: CRS, where: str, mend: str) -> Transformer:
+    """PROJ's best operation between two CRSs with or without heights, if all grids that it needs are there.
+
+    ``where`` and ``mend`` are what errors name, and what else would help.
+
+    Raises
+    ------
+    MissingGrid
+        If the best one needs a grid that is not installed.
+    UnsupportedCRS
+        If there is none.
+    """
+    said = f"{where}: the way from {source.name} to {target.name}"
+    try:
+        with warnings.catch_warnings():
+            # pyproj warns of missing grids, which end in the error below.
+            warnings.simplefilter("ignore", UserWarning)
+            group = TransformerGroup(source, target, always_xy=True, allow_ballpark=False)
+    except ProjError as error:
+        raise UnsupportedCRS(f"{said} is not known to PROJ ({str(error)[:80]}); choose another CRS, {mend}") from error
+    if group.best_available and group.transformers:
+        return group.transformers[0]
+    missing = [grid.short_name for op in group.unavailable_operations[:1] for grid in op.grids if not grid.available]
+    if missing:
+        raise MissingGrid(
+            f"{said} needs {' and '.join(missing)}, which PROJ does not have; fetch it into its data folder (projsync "
+            f"--file {missing[0]}), {mend}"
+        )
+    raise UnsupportedCRS(f"{said} is not known to PROJ; choose another CRS, {mend}")
+
+
+def require_in_area(crs: CRS, points: np.ndarray, said: str) -> None:
+    """Raise PlaceMismatch where the middle of points (N, 2 or 3) lies far outside the area that their CRS is made for.
+
+    Raises
+    ------
+    PlaceMismatch
+    """
+    middle = _middle(horizontal_crs(crs), np.asarray(points, dtype=np.float64))
+    if middle is None:
+        return
+    lon, lat = np.radians(middle)
+    excess = degrees_outside_area(crs, lon, lat)
+    if excess > _AREA_MARGIN_DEG:
+        raise PlaceMismatch(
+            f"{said} lie {excess:.0f} degrees outside the area that {crs.name} is made for; choose the CRS of the place"
+        )
+
+
+def lon_lat(crs: CRS, points: np.ndarray) -> np.ndarray:
+    """Longitude and latitude (N, 2) of WGS 84 [deg] of points (N, 2 or 3), to some metres: to look at, not to measure.
+
+    Not finite off the map.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    return np.column_stack(Transformation.between(crs, WGS84, points)(points[:, 0], points[:, 1]))
+
+
+def _middle(source: CRS, places: np.ndarray) -> np.ndarray | None:
+    """Longitude and latitude (2,) [deg], on the source's own datum, of the middle of places; None off the map."""
+    if not len(places):
+        return None
+    own = places[:, :2]
+    if not source.is_geographic:
+        own = np.column_stack(Transformer.from_crs(source, geodetic_crs(source), always_xy=True).transform(*own.T))
+    known = np.isfinite(own).all(axis=1)
+    if not known.any():
+        return None
+    unit = geodetic_crs(source).axis_info[0].unit_conversion_factor
+    return np.degrees(np.median(own[known], axis=0) * unit)
+
+
+def _chosen(source: CRS, target: CRS, middle: np.ndarray) -> tuple[Transformer, float | None, tuple[str, ...]]:
+    """PROJ's best operation of those that can be done, its accuracy, and grids that a better one needs."""
+    lon, lat = middle
+    area = AreaOfInterest(lon - _AREA_DEG, max(lat - _AREA_DEG, -90.0), lon + _AREA_DEG, min(lat + _AREA_DEG, 90.0))
+    with warnings.catch_warnings():
+        # pyproj warns of missing grids, which `Transformation` names.
+        warnings.simplefilter("ignore", UserWarning)
+        try:
+            group = TransformerGroup(source, target, always_xy=True, allow_ballpark=False, area_of_interest=area)
+        except ProjError as error:
+            raise UnsupportedCRS(
+                f"the way from {source.name} to {target.name} is not known to PROJ ({str(error)[:80]}); choose another "
+                "CRS"
+            ) from error
+    better = () if group.best_available else group.unavailable_operations[:1]
+    missing = tuple(grid.short_name for operation in better for grid in operation.grids if not grid.available)
+    if group.transformers:
+        best = group.transformers[0]
+        return best, (best.accuracy if best.accuracy >= 0.0 else None), missing
+    try:
+        # A datum that nobody knows is taken for that of the other.
+        return Transformer.from_crs(source, target, always_xy=True, area_of_interest=area), None, missing
+    except ProjError as error:
+        raise UnsupportedCRS(
+            f"the way from {source.name} to {target.name} is not known to PROJ ({str(error)[:80]}); choose another CRS"
+        ) from error
+
+
+def _keeps_degrees(source: CRS, target: CRS, transformer: Transformer, middle: np.ndarray) -> bool:
+    """Whether longitude and latitude stay what they are."""
+    ends = (geodetic_crs(source), geodetic_crs(target))
+    if any(abs(np.degrees(end.axis_info[0].unit_conversion_factor) - 1.0) > _SAME_UNIT for end in ends):
+        return False
+    x, y = middle
+    if not source.is_geographic:
+        x, y = Transformer.from_crs(ends[0], source, always_xy=True).transform(x, y)
+    x, y = transformer.transform(x, y)
+    if not target.is_geographic:
+        x, y = Transformer.from_crs(target, ends[1], always_xy=True).transform(x, y)
+    return bool(np.abs(np.array([x, y]) - middle).max() < _UNCHANGED_DEG)
+
+
+def _height_names(source: CRS, target: CRS) -> tuple[str, str] | None:
+    """What the heights of two CRSs count from, in words; None where that is the same."""
+    first, second = vertical_crs(source), vertical_crs(target)
+    if first is second is None:
+        return None
+    if first is not None and second is not None and (first.equals(second) or first.datum == second.datum):
+        return None
+    a, b = (part.name if part is not None else "the ellipsoid" for part in (first, second))
+    return a, b

@@ -1,0 +1,109 @@
+"""The one way between CRSs: units, accuracy, missing grids, and that nothing goes past it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pyproj import CRS
+
+from geo.errors import CRSMismatch, MissingGrid, PlaceMismatch, UnknownUnit
+from geo.projection import metres_per_unit
+from geo.transformation import WGS84, Transformation, height_scale, lon_lat, require_in_area, transformed
+
+US_FOOT_M, FOOT_M = 1200.0 / 3937.0, 0.3048
+ROOMS = ("geo", "survey", "evaluation", "fields", "refract", "bathynerf")
+# Where one is made without a change of datum, or for geoids alone.
+DOORS = {"geo/transformation.py", "geo/projection.py", "geo/reproject.py", "survey/sfm/geoid.py"}
+
+
+def test_no_other_file_makes_transformations_of_proj():
+    root = Path(__file__).resolve().parent.parent
+    makers = {
+        path.relative_to(root).as_posix()
+        for room in ROOMS
+        for path in (root / room).rglob("*.py")
+        if "Transformer" in path.read_text(encoding="utf-8").replace("Transformation", "")
+    }
+    assert makers <= DOORS
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "place"),
+    [("EPSG:4326", "EPSG:25832", (9.0, 48.0)), ("EPSG:25832", "EPSG:25833", (5e5, 5.2e6)),
+     ("EPSG:4326", "EPSG:3857", (9.0, 48.0)), ("EPSG:25832", "EPSG:4258", (5e5, 5.2e6)),
+     ("+proj=utm +zone=32 +ellps=GRS80 +units=us-ft +no_defs", "EPSG:25832", (5e5 / US_FOOT_M, 5.2e6 / US_FOOT_M))],
+)  # fmt: skip
+def test_a_map_of_the_same_datum_costs_no_accuracy(source, target, place):
+    way = Transformation.between(CRS(source), CRS(target), np.array([place]))
+    assert way.accuracy_m == 0.0
+    assert way.doubt("they") is None
+    back = Transformation.between(CRS(target), CRS(source), np.array([way(*place)]))
+    # A millionth of a degree is a decimetre; both ways are exact to far less.
+    np.testing.assert_allclose(back(*way(*place)), place, rtol=0.0, atol=1e-4)
+
+
+# Places by the published transformations of these datums: Britain, Austria, old and new North America.
+SHIFTED = [("EPSG:27700", (1.716073973, 52.658007833)), ("EPSG:31254", (10.3, 47.0)), ("EPSG:26910", (-122.0, 41.0))]
+
+
+@pytest.mark.parametrize(("crs", "place"), SHIFTED)
+def test_a_shift_between_datums_says_its_accuracy_and_the_grid_that_a_better_one_needs(crs, place):
+    way = Transformation.between(WGS84, CRS(crs), np.array([place]))
+    doubt = way.doubt("GPS positions")
+    if way.missing:
+        assert way.missing[0] in doubt
+        with pytest.raises(MissingGrid, match=way.missing[0].replace(".", r"\.")):
+            transformed(WGS84, CRS(crs), np.array([[*place, 0.0]]), "it", "or else.")
+    else:
+        # Where the grid is installed the way is good to what it states.
+        assert way.accuracy_m is not None
+        assert way.accuracy_m > 0.0
+        assert "GPS positions are transformed from WGS 84" in doubt
+
+
+@pytest.mark.parametrize("target", ["EPSG:32119+5703", "EPSG:2264+6360", "EPSG:2264+8228"])
+@pytest.mark.parametrize("source", ["EPSG:2264+5703", "EPSG:2264+6360", "EPSG:2264+8228", "EPSG:32119+6360"])
+def test_heights_of_one_datum_are_converted_between_their_units(source, target):
+    scale = height_scale(CRS(source), CRS(target), "the heights")
+    units = {"5703": 1.0, "6360": US_FOOT_M, "8228": FOOT_M}
+    assert scale == pytest.approx(units[source[-4:]] / units[target[-4:]], rel=1e-12)
+
+
+def test_heights_without_a_unit_are_asked_for_where_the_plan_has_another_one_than_the_survey():
+    metres, feet = CRS("EPSG:32119+5703"), CRS("EPSG:2264+6360")
+    assert height_scale(CRS("EPSG:32119"), metres, "they") == 1.0
+    assert height_scale(CRS("EPSG:2264"), feet, "they") == 1.0
+    assert height_scale(CRS("EPSG:4326"), feet, "they") == pytest.approx(1.0 / US_FOOT_M)
+    for source, target in (("EPSG:2264", metres), ("EPSG:32119", feet)):
+        with pytest.raises(UnknownUnit, match=r"they have no unit: .* name the CRS with its vertical part"):
+            height_scale(CRS(source), target, "they")
+        assert height_scale(CRS(source), target, "they", unit_m=2.0) in (2.0, pytest.approx(2.0 / US_FOOT_M))
+    with pytest.raises(CRSMismatch, match="are above the ellipsoid, expected above NAVD88"):
+        height_scale(CRS("EPSG:4979"), metres, "they")
+
+
+@pytest.mark.parametrize(
+    ("crs", "place", "expected"),
+    [("EPSG:25832+5783", (5e5, 5.2e6), (1.0 / 0.9996, 1.0 / 0.9996)),
+     ("EPSG:2264+6360", (2e6, 6e5), (US_FOOT_M, US_FOOT_M)),
+     # Web Mercator stretches by one over the cosine of the latitude.
+     ("EPSG:3857+5773", (1e6, 6.1e6), (0.6713, 0.6692)),
+     ("EPSG:4979", (9.0, 48.0), (74_627.0, 111_200.0))],
+)  # fmt: skip
+def test_metres_in_a_unit_of_the_map(crs, place, expected):
+    # Scale of State Plane and of the sphere: parts in a thousand.
+    np.testing.assert_allclose(metres_per_unit(CRS(crs), np.array([place])), expected, rtol=2e-3)
+
+
+def test_places_far_outside_the_area_of_a_crs_are_refused():
+    require_in_area(CRS("EPSG:25832+5783"), np.array([[5e5, 5.2e6]]), "they")
+    with pytest.raises(PlaceMismatch, match=r"they lie .* degrees outside the area that OSGB36"):
+        require_in_area(CRS("EPSG:27700+5701"), np.array([[5e6, 5.2e6]]), "they")
+
+
+def test_longitudes_and_latitudes_to_look_at():
+    found = lon_lat(CRS("EPSG:25832"), np.array([[5e5, 5.2e6], [np.nan, 0.0]]))
+    np.testing.assert_allclose(found[0], [9.0, 46.953], atol=1e-3)
+    assert not np.isfinite(found[1]).all()

@@ -25,7 +25,8 @@ def solved(monkeypatch, names):
         down = np.diag([1.0, -1.0, -1.0])
         views = [(name, lens, np.array([3.0 * i, 0.0, 20.0]), down) for i, name in enumerate(names)]
         ties = TiePoints(np.array([[1.0, 0.0, -2.0]]), np.zeros(3, int), np.arange(3), np.full((3, 2), 9.5))
-        return SimpleNamespace(frame=frame, views=views, notes=["placed by GPS"], ties=ties)
+        residuals = np.zeros((len(views), 3))
+        return SimpleNamespace(frame=frame, views=views, notes=["placed by GPS"], ties=ties, gps_residual_m=residuals)
 
     there = SimpleNamespace(solve_poses=solve_poses, image_names=image_names)
     monkeypatch.setitem(sys.modules, "survey.sfm.poses", there)

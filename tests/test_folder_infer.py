@@ -25,11 +25,22 @@ def test_without_survey_toml_the_zone_comes_from_the_positions_and_it_says_what_
     for words in (
         "only poses found",
         'crs = "EPSG:32632+5773"',
-        "no water",
         "from EXIF and not a calibration",
         "centre",
     ):
         assert words in said
+    # Nobody said that all ground is dry: the verdict of a run is amber.
+    assert any("no water was given, and rays are not bent" in warning for warning in survey.warnings)
+
+
+def test_a_survey_toml_that_says_no_place_takes_the_crs_of_the_positions_and_is_dry(tmp_path):
+    folder = small_survey(tmp_path / "s", gps=True, toml='name = "quarry"')
+    for i, line in enumerate(camera_lines()):
+        e, n, h = (float(v) for v in line.split(",")[1:4])
+        write_image(folder / "images" / f"{i:04d}.jpg", gps=(e, n, h), FocalLengthIn35mmFilm=50)
+    survey = load_survey(folder)
+    assert survey.config.crs == "EPSG:32632+5773"
+    assert not any("no water" in warning for warning in survey.warnings)
 
 
 def test_images_in_the_survey_folder_itself_are_found_and_those_of_a_run_are_not(tmp_path):

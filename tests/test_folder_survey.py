@@ -210,7 +210,7 @@ def test_heights_of_aircraft_are_taken_where_the_overlap_of_photographs_allows_t
     [
         ([(CRS, "EPSG:25832")], MissingVerticalDatum, "has no vertical part; add a vertical CRS"),
         ([(CRS, "EPSG:9999999")], GeoError, "not a known coordinate reference system"),
-        ([(f'crs = "{CRS}"', "")], ConfigError, "survey.toml: crs is missing; give the one of poses and heights"),
+        ([(f'crs = "{CRS}"', "")], ConfigError, "survey.toml: crs is missing; give the one that positions and heights"),
         ([(f"{LEVEL}", "2605.0")], ConfigError, "the cameras are at 2125.0 to 2125.0 m, all of them under the water"),
         ([(f"{LEVEL}", "1605.0")], ConfigError, "all of them more than 300 m over the water; give level_m"),
         ([(f"[{E0}, {N0}]", "[9e9, 9e9]")], ConfigError, "level_at is [9000000000.0, 9000000000.0], which is not on"),

@@ -88,7 +88,7 @@ def block_of_photographs(
     assumptions += solved.assumptions
     warnings += solved.warnings
     views = _with_images(found, views, None, assumptions, warnings)
-    priors: Mapping[str, PosePrior] = priors_of_gps(found, frame, views)
+    priors: Mapping[str, PosePrior] = priors_of_gps(found, frame, views, solved.rejected)
     control, checkpoints = place_control(found.control, frame, [view.name for view in views], warnings)
     block = Block(found, frame, views, points, ties, None, None, priors, control, checkpoints)
     if control is None:

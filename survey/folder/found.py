@@ -85,7 +85,7 @@ def find_survey(folder: Path) -> Found:
     poses_path = _poses_path(folder, config, assumptions)
     images = list_images(folder / config.images.dir, deep=config.images.dir != ".")
     heads = {name: read_exif(path) for name, path in images.items()}
-    if not toml.is_file():
+    if not toml.is_file() or (config.crs is None and infer.says_no_place(config)):
         config = infer.config_of_images(folder, config, heads, poses_path, assumptions)
     if config.crs is None:
         raise ConfigError(f"{toml}: crs is missing; {infer.crs_advice(heads)}")
@@ -95,6 +95,8 @@ def find_survey(folder: Path) -> Found:
     if poses_path is not None and config.water is not None:
         config.water.require_level()
     warnings = head_doubts(heads)
+    if not toml.is_file():
+        warnings.append(infer.NO_WATER)
     if poses_path is None:
         doubt = datum_doubt(heads, crs)
         warnings += [*([] if doubt is None else [doubt]), *find_unread(folder)]

@@ -1,10 +1,20 @@
-"""What the heads of photographs say that a user should know: rotated, of several pages, of more than 8 bits."""
+"""What the heads of photographs say that a user should know: rotated, of several pages, far from the others."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+from scipy.spatial import KDTree
+
+from geo.crs import EARTH_RADIUS_M
+from survey.display.words import named
 from survey.photos.exif import Exif
+
+# A position is far from the others beyond so many times what is usual among them, and these lengths [m]; more than this
+# share of positions is another part of the flight.
+_FAR, _FAR_HEIGHT_M, _FAR_PLAN_M, _MOST_FAR = 10.0, 10.0, 50.0, 0.1
+_FEWEST = 4
 
 
 def head_doubts(heads: Mapping[str, Exif]) -> list[str]:
@@ -23,4 +33,38 @@ def head_doubts(heads: Mapping[str, Exif]) -> list[str]:
             f"{paged} of {num} images have several pages, of which the first is used; if they are bands or other "
             "photographs, split them"
         )
-    return warnings
+    return warnings + position_doubts(heads)
+
+
+def position_doubts(heads: Mapping[str, Exif]) -> list[str]:
+    """Warnings that name the photographs whose GPS position or height lies far from all others."""
+    known = {name: head.lat_lon_height for name, head in heads.items() if head.lat_lon_height is not None}
+    if len(known) < _FEWEST:
+        return []
+    names, places = np.array(list(known)), np.array(list(known.values()))
+    plan = EARTH_RADIUS_M * np.radians(places[:, :2])
+    plan[:, 1] *= np.cos(np.radians(np.median(places[:, 0])))
+    apart = KDTree(plan).query(plan, k=2)[0][:, 1]
+    warnings = named(
+        _few(names, apart > max(_FAR * float(np.median(apart)), _FAR_PLAN_M)),
+        "image",
+        "far from all others by its GPS position",
+    )
+    with_height = np.isfinite(places[:, 2])
+    heights = places[with_height, 2]
+    if len(heights) < _FEWEST:
+        return warnings
+    off = np.abs(heights - np.median(heights))
+    far = off > max(_FAR * float(np.median(off)), _FAR_HEIGHT_M)
+    low, high = heights[~far].min(), heights[~far].max()
+    said = [f"{name} ({height:.1f} m)" for name, height in zip(names[with_height], heights, strict=True)]
+    return warnings + named(
+        _few(np.array(said), far),
+        "image",
+        f"far from the others by its GPS height, which are at {low:.1f} to {high:.1f} m",
+    )
+
+
+def _few(names: np.ndarray, far: np.ndarray) -> list[str]:
+    """The names that are far, where they are few enough to be wrong."""
+    return names[far].tolist() if far.sum() <= max(1, int(_MOST_FAR * len(names))) else []

@@ -80,7 +80,6 @@ def config_of_images(
     assumptions += [
         f'crs = "{crs}", the UTM zone of the {"GPS positions" if by_exif is not None else "poses"}, with heights '
         f"taken as they are in {'EXIF' if poses_path is None else poses_path.name}: above mean sea level",
-        "no water: for a bed under water write survey.toml with [water] level_m, in the same heights",
     ]
     return replace(config, crs=crs)
 
@@ -88,7 +87,28 @@ def config_of_images(
 def crs_advice(heads: dict[str, Exif]) -> str:
     """Advice on crs, with the UTM zone of the images if they have positions."""
     code = utm_code_of(heads) or 25832
-    return f'give the one of poses and heights, with a vertical part, e.g. crs = "EPSG:{code}+{_EGM96_HEIGHT}"'
+    return (
+        "give the one that positions and heights in survey.toml and its files count in, with a vertical part: "
+        f'crs = "EPSG:{code}+{_EGM96_HEIGHT}" where heights are above mean sea level (EGM96), as those of GPS are'
+    )
+
+
+def says_no_place(config: SurveyConfig) -> bool:
+    """Whether nothing in the settings has a place or a height, so that a crs may be chosen for it."""
+    area, local = config.area, config.local
+    return (
+        config.water is None
+        and not config.control.files
+        and area.bounds is None
+        and area.heights is None
+        and local.origin is None
+    )
+
+
+NO_WATER = (
+    "no water was given, and rays are not bent: ground under water lies about a quarter of its depth too high; write "
+    f"{FILE_NAME} with [water] level_m, or with crs alone where all ground is dry"
+)
 
 
 def _require_same_place(crs: CRS, file: PoseFile, poses_path: Path, heads: dict[str, Exif]) -> None:

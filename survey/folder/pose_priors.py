@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -78,14 +78,16 @@ def priors_of_poses(
     return priors
 
 
-def priors_of_gps(found: Found, frame: LocalFrame, views: Sequence[View]) -> dict[str, PosePrior]:
-    """Of views that structure from motion placed in a frame: the positions in EXIF.
+def priors_of_gps(
+    found: Found, frame: LocalFrame, views: Sequence[View], rejected: Collection[str] = ()
+) -> dict[str, PosePrior]:
+    """Of views that structure from motion placed in a frame: the positions in EXIF, without the ``rejected`` ones.
 
     As accurate as [cameras] says, else as XMP does, where the receiver had a fixed solution.
     """
     cameras = found.config.cameras
     positions = positions_in_crs(found.heads, found.crs, cameras.gps_height, [])
-    local = {name: frame.local_from_crs(position) for name, position in positions.items()}
+    local = {name: frame.local_from_crs(place) for name, place in positions.items() if name not in rejected}
     return {view.name: _by_gps(cameras, local.get(view.name), found.heads[view.name]) for view in views}
 
 

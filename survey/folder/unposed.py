@@ -27,7 +27,7 @@ from survey.photos.images import require_complete
 from survey.photos.opening import HEIC_SUFFIXES
 from survey.photos.tie_points import TiePoints
 from survey.sfm.gps import MIN_POSITIONS, gps_positions, is_whole, positions_in_crs
-from survey.sfm.gps_fit import MIN_STD_M, require_area
+from survey.sfm.gps_fit import MIN_STD_M, contradicted, require_area
 from survey.sfm.marked import BlockControl
 from survey.sfm.settings import one_focal, require_size
 
@@ -43,6 +43,8 @@ class SolvedViews:
     ties : TiePoints
         The points that three views or more see, on straight rays; views are numbered as in `views`.
     assumptions, warnings : sentences
+    rejected : frozenset of str
+        Names of photographs whose GPS positions the block contradicts: they count for nothing in what follows.
     """
 
     frame: LocalFrame
@@ -50,6 +52,7 @@ class SolvedViews:
     ties: TiePoints
     assumptions: tuple[str, ...]
     warnings: tuple[str, ...]
+    rejected: frozenset[str] = frozenset()
 
 
 def require_solvable(found: Found) -> list[str]:
@@ -157,4 +160,17 @@ def solve_views(found: Found, workspace: Path | None, report: Callable[[str], No
     solved = {view.name for view in views}
     without = [name for name in found.images if name not in solved]
     warnings += named(without, "image", "without a pose, left out")
-    return SolvedViews(result.frame, tuple(views), result.ties, tuple(result.notes), tuple(warnings))
+    residuals = result.gps_residual_m
+    rejected = {
+        view.name: float(np.linalg.norm(residual))
+        for view, residual, is_wrong in zip(views, residuals, contradicted(residuals), strict=True)
+        if is_wrong
+    }
+    warnings += named(
+        [f"{name} (by {metres:.1f} m)" for name, metres in rejected.items()],
+        "GPS position",
+        "that the block contradicts, left out",
+    )
+    return SolvedViews(
+        result.frame, tuple(views), result.ties, tuple(result.notes), tuple(warnings), frozenset(rejected)
+    )

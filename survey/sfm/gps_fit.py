@@ -12,6 +12,14 @@ from survey.errors import PosesError
 MIN_STD_M = 0.02
 # Cameras closer to one line than this many std, or share of its length, leave the tilt of the block about it open.
 _LINE_STD, _LINE_SHARE = 3.0, 0.03
+# When the shape of all positions is asked for, one of so many may be wrong: farther from their middle than the median
+# by this factor. Of a strip the ends are twice as far.
+_ONE_WRONG_OF, _FAR = 5, 8.0
+# Residuals are wrong beyond so many of their spread, which the median of their lengths tells (1.54 standard deviations
+# of three normal deviates), and never below so much: as `geo.similarity.robust_similarity`.
+_WRONG_STD, _MEDIAN_LENGTH, _WRONG_AT_LEAST_M = 6.0, 1.5382, 0.6
+# Fewer residuals do not tell a wrong one.
+_FEWEST = 4
 
 
 def gps_std(residuals) -> np.ndarray:
@@ -35,10 +43,35 @@ def require_area(positions, std_m: float) -> None:
         With the extent along and across, and advice.
     """
     positions = np.asarray(positions, dtype=np.float64)
-    spread = np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False) / math.sqrt(len(positions))
+    num = len(positions)
+    # A wrong position may make a line of an area, and an area of a line.
+    away = np.linalg.norm(positions - np.median(positions, axis=0), axis=1)
+    far = away > _FAR * np.median(away)
+    spread = _spread(positions[~far] if far.sum() <= num // _ONE_WRONG_OF else positions)
     if spread[1] < max(_LINE_STD * std_m, _LINE_SHARE * spread[0]):
         raise PosesError(
-            f"the GPS positions of the {len(positions)} images lie on one line (spread {spread[0]:.1f} m along and "
+            f"the GPS positions of the {num} images lie on one line (spread {spread[0]:.1f} m along and "
             f"{spread[1]:.1f} m across, positions good to {std_m:.2g} m), which leaves the tilt of the block about it "
             "open; add images of a second strip, or give poses made elsewhere in [cameras] poses"
         )
+
+
+def contradicted(residuals) -> np.ndarray:
+    """Which positions (N,) bool the block contradicts, by their residuals (N, 3) [m], local; NaN counts for nothing.
+
+    Residuals may have a shift in common, as heights by a barometer do.
+    """
+    residuals = np.asarray(residuals, dtype=np.float64)
+    known = np.isfinite(residuals).all(axis=1)
+    wrong = np.zeros(len(residuals), dtype=bool)
+    if known.sum() < _FEWEST:
+        return wrong
+    away = np.linalg.norm(residuals[known] - np.median(residuals[known], axis=0), axis=1)
+    limit = max(_WRONG_STD * float(np.median(away)) / _MEDIAN_LENGTH, _WRONG_AT_LEAST_M)
+    wrong[known] = away > limit
+    return wrong
+
+
+def _spread(positions: np.ndarray) -> np.ndarray:
+    """Root mean squares (3,) [m] of positions along their principal axes, the largest first."""
+    return np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False) / math.sqrt(len(positions))

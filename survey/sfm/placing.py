@@ -63,7 +63,7 @@ def place_by_gps(
     block, notes = free.block, [*gps.notes, *free.notes]
     positions = {alias_of[name]: position for name, position in gps.local.items()}
     say(f"structure from motion: {block.num_reg_images()} images are placed by their GPS positions")
-    trusted = _to_positions(block, positions, alias_of, notes)
+    trusted = _to_positions(block, positions)
     _reset(block, sensors, notes)
     std = gps_std(_residuals(block, trusted))
     frame = _lowered(gps.frame, block)
@@ -121,9 +121,7 @@ def posed_of(block: pycolmap.Reconstruction, alias_of: Mapping[str, str]) -> dic
     }
 
 
-def _to_positions(
-    block: pycolmap.Reconstruction, positions: Mapping[str, np.ndarray], alias_of: Mapping[str, str], notes: list[str]
-) -> dict[str, np.ndarray]:
+def _to_positions(block: pycolmap.Reconstruction, positions: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Take a block to local by the GPS positions; return those that agree with it."""
     centres = {alias: centre for alias, (centre, _) in sfm_block.poses_of(block).items() if alias in positions}
     if len(centres) < MIN_VIEWS:
@@ -136,9 +134,6 @@ def _to_positions(
     require_area(theirs[agree], float(gps_std(similarity(ours[agree]) - theirs[agree]).max()))
     sfm_block.transform(block, similarity)
     trusted = {alias: positions[alias] for alias, good in zip(centres, agree, strict=True) if good}
-    wrong = [name for name, alias in alias_of.items() if alias in centres and alias not in trusted]
-    if wrong:
-        notes.append(f"GPS positions that the other images contradict are not used: {listed(wrong)}")
     return trusted
 
 

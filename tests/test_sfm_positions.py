@@ -1,0 +1,82 @@
+"""Wrong GPS positions: named by their neighbours before, and by the block after structure from motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from survey.errors import PosesError
+from survey.folder.head_doubts import position_doubts
+from survey.photos.exif import Exif
+from survey.sfm.gps_fit import contradicted, require_area
+
+
+def strips(rng, num: int, noise: float) -> np.ndarray:
+    """Positions (num, 3) [m] of two strips, 30 m high."""
+    along = 8.0 * (np.arange(num) // 2)
+    return np.column_stack([along, 20.0 * (np.arange(num) % 2), np.full(num, 30.0)]) + rng.normal(0, noise, (num, 3))
+
+
+@pytest.mark.parametrize("num", [8, 10, 32])
+@pytest.mark.parametrize("wrong", [1, 2, 3])
+@pytest.mark.parametrize("size", [3.0, 30.0, 2000.0, 1e6])
+@pytest.mark.parametrize("noise", [0.02, 0.3])
+def test_the_block_contradicts_wrong_positions_and_no_other(rng, num, wrong, size, noise):
+    residuals = rng.normal((1.0, -2.0, 40.0), noise, (num, 3))
+    bad = rng.choice(num, min(wrong, (num - 2) // 3), replace=False)
+    directions = rng.normal(size=(len(bad), 3))
+    residuals[bad] += size * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    found = contradicted(residuals)
+    assert found[bad].all() or size < 10.0 * noise
+    # Six standard deviations of three normal deviates, of hundreds that are drawn with fixed seeds.
+    assert found.sum() <= len(bad)
+
+
+def test_residuals_that_are_not_known_count_for_nothing(rng):
+    residuals = rng.normal(0.0, 0.1, (12, 3))
+    residuals[3] = np.nan
+    residuals[5] += [0.0, 0.0, 80.0]
+    assert contradicted(residuals).tolist() == [i == 5 for i in range(12)]
+    assert not contradicted(residuals[:3]).any()
+
+
+@pytest.mark.parametrize("height", [0.0, -2000.0, 5000.0])
+def test_one_wrong_height_makes_no_line_of_an_area(rng, height):
+    positions = strips(rng, 10, 0.05)
+    positions[3, 2] = height
+    require_area(positions, 0.02)
+
+
+def test_a_line_stays_one_with_and_without_a_wrong_position(rng):
+    positions = strips(rng, 20, 0.05)[::2]
+    with pytest.raises(PosesError, match="the GPS positions of the 10 images lie on one line"):
+        require_area(positions, 0.02)
+    positions[4, 2] = 2000.0
+    with pytest.raises(PosesError, match="lie on one line"):
+        require_area(positions, 0.02)
+
+
+def heads(positions: np.ndarray) -> dict[str, Exif]:
+    degrees = positions / [111_200.0, 111_200.0, 1.0]
+    return {
+        f"{i:04d}.jpg": Exif((64, 48), (52.0 + n, 9.0 + e, h), None, 1, "", None) for i, (e, n, h) in enumerate(degrees)
+    }
+
+
+@pytest.mark.parametrize(
+    ("axis", "value", "words"),
+    [(2, 0.0, "far from the others by its GPS height"), (1, 9000.0, "far from all others by its GPS position")],
+)
+def test_check_names_the_photograph_that_is_far_from_the_others(rng, axis, value, words):
+    positions = strips(rng, 20, 0.1)
+    assert position_doubts(heads(positions)) == []
+    positions[7, axis] = value
+    (doubt,) = position_doubts(heads(positions))
+    assert words in doubt
+    assert "0007.jpg" in doubt
+
+
+def test_two_flying_heights_are_no_doubt(rng):
+    positions = strips(rng, 20, 0.1)
+    positions[14:, 2] += 40.0
+    assert position_doubts(heads(positions)) == []

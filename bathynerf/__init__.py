@@ -11,6 +11,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from bathynerf._rooms import find_beside
+
 if TYPE_CHECKING:
     from geo.errors import GeoError
     from geo.frames import LocalFrame
@@ -114,6 +116,8 @@ _MODULES = {
     "survey.simulate.drawn.settings": ("DrawnScene",),
     "survey.simulate.staging.simulate": ("simulate",),
 }
+find_beside()
+
 _OTHER_NAMES = {"compare": "compare_files"}
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -8,11 +8,13 @@ expressions: the syntax trees of all files take more than a second.
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import re
 from functools import cache, lru_cache
 from pathlib import Path
 
+# All rooms lie beside each other, wherever they are installed; names are not looked up on the path: a working directory
+# may have a folder called survey.
+_ROOT = Path(__file__).resolve().parent.parent
 _ROOMS = ("refract", "geo", "evaluation", "fields", "survey")
 # What is left out (docstrings; comments and empty lines at the end of a line), and strings, which are kept: what looks
 # like a comment in them is none.
@@ -55,14 +57,6 @@ def code_hash(*modules: str) -> str:
 
 
 @cache
-def _root(room: str) -> Path:
-    spec = importlib.util.find_spec(room)
-    if spec is None or not spec.submodule_search_locations:
-        raise ModuleNotFoundError(f"{room} is no package of bathynerf")
-    return Path(next(iter(spec.submodule_search_locations)))
-
-
-@cache
 def _find(name: str) -> Path | None:
     """The file of a module of the project; None where the name is no module, or of another project.
 
@@ -71,7 +65,7 @@ def _find(name: str) -> Path | None:
     room, *rest = name.split(".")
     if room not in _ROOMS:
         return None
-    place = _root(room).joinpath(*rest)
+    place = _ROOT.joinpath(room, *rest)
     for file in (place.with_suffix(".py"), place / "__init__.py"):
         if file.is_file():
             return file

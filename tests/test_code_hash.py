@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import shutil
 import subprocess
 import sys
@@ -132,3 +133,19 @@ def test_a_name_that_is_no_module_of_the_project_is_refused():
         code_hash("survey.gone")
     with pytest.raises(ModuleNotFoundError, match="json is no module"):
         code_hash("json")
+
+
+def test_folders_with_the_names_of_rooms_in_the_working_directory_are_not_in_the_way(tmp_path):
+    for name in ("refract", "geo", "evaluation", "fields", "survey"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "notes.txt").write_text("no package\n")
+    (tmp_path / "survey" / "sfm.py").write_text("raise ImportError\n")
+    code = (
+        "import bathynerf; from bathynerf import load_survey; from survey.code_hash import code_hash;"
+        "print(code_hash('survey.sfm.solve'))"
+    )
+    command = [sys.executable, "-c", code]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    shown = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path, env=environment)
+    assert shown.returncode == 0, shown.stderr
+    assert shown.stdout.strip() == code_hash("survey.sfm.solve")

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from geo.crs import height_unit_m
 from survey.folder.ground import Ground, ground_below
-from survey.folder.survey import Survey
+
+if TYPE_CHECKING:
+    from survey.folder.survey import Survey
 
 # Fewer tie points do not tell a height: some of them may be wrong.
 _FEWEST_POINTS = 50

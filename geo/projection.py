@@ -10,11 +10,21 @@ from dataclasses import dataclass, field
 import numpy as np
 from pyproj import CRS, Transformer
 
-from geo.crs import angular_unit_rad, ellipsoid, geodetic_crs, height_unit_m, horizontal_crs, horizontal_unit
+from geo.crs import (
+    angular_unit_rad,
+    ellipsoid,
+    geodetic_crs,
+    has_height,
+    height_unit_m,
+    horizontal_crs,
+    horizontal_unit,
+)
 from geo.ellipsoid import geocentric_from_geodetic
 
 # Of the central differences of `metres_per_unit`: 64 m on the ground.
 _STEP_RAD = 1e-5
+# The scale of a surveyor's grid is within this of 1.
+_TO_SCALE = 0.01
 
 
 @dataclass(frozen=True)
@@ -107,6 +117,27 @@ def metres_per_unit(crs: CRS, places: np.ndarray) -> np.ndarray:
         geocentric_from_geodetic(*own.geodetic_from_crs(at + side * steps), a=own.a, b=own.b) for side in (-0.5, 0.5)
     ]
     return np.linalg.norm(ends[1] - ends[0], axis=-1) / steps[[0, 1], [0, 1]]
+
+
+def ground_units_m(crs: CRS, place: np.ndarray) -> np.ndarray:
+    """As `metres_per_unit`, near a place (east, north, ...): of a cell, a map, a product.
+
+    Grids for surveying (UTM, Gauss-Krüger, the Lambert grids of countries) keep within a hundredth of true lengths: one
+    unit of theirs is what it is called. Degrees are shorter along parallels, and others stretch the ground: Web
+    Mercator by 1.49 at 48 degrees. Places are rounded to a hundredth of a degree, or a kilometre, so that neighbours
+    agree.
+    """
+    unit = horizontal_unit(crs)
+    rounded = np.radians(0.01) / unit if horizontal_crs(crs).is_geographic else 1000.0 / unit
+    near = np.round(np.asarray(place, dtype=np.float64)[None, :2] / rounded) * rounded
+    true = metres_per_unit(crs if has_height(crs) else crs.to_3d(), near)
+    is_to_scale = (np.abs(true / unit - 1.0) <= _TO_SCALE).all() or not np.isfinite(true).all()
+    return np.full(2, unit) if is_to_scale else true
+
+
+def is_to_scale(crs: CRS, place: np.ndarray) -> bool:
+    """Whether coordinates in crs are lengths on the ground, to a hundredth, near a place (east, north, ...)."""
+    return not horizontal_crs(crs).is_geographic and bool((ground_units_m(crs, place) == horizontal_unit(crs)).all())
 
 
 def nan_unless_finite(values: np.ndarray) -> np.ndarray:

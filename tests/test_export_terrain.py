@@ -184,7 +184,8 @@ def test_a_dem_in_another_crs_lies_at_the_same_place(run_folder, stored, tmp_pat
             assert [part.to_epsg() for part in crs.sub_crs_list] == [code, stored.crs.sub_crs_list[1].to_epsg()]
             height = raster.read(1, masked=True)
             area = height.count() * abs(raster.transform.a * raster.transform.e)
-            assert abs(height.mean() - stored.points_crs[:, 2].mean()) < 0.005
+            # Cells at the edge shift the mean by half a cell at most, on a slope of 0.047.
+            assert abs(height.mean() - stored.points_crs[:, 2].mean()) < 0.5 * SIDE * 0.047
             if code == 4326:
                 middle = np.radians(0.5 * (raster.bounds.top + raster.bounds.bottom))
                 area *= 111_300.0**2 * np.cos(middle)

@@ -9,7 +9,7 @@ import numpy as np
 from pyproj import CRS
 
 from evaluation.cells import cell_counts, cell_means, cell_numbers
-from geo.crs import EARTH_RADIUS_M, horizontal_unit, is_geographic
+from geo.projection import ground_units_m
 
 # A few stray points must not shrink the picture of all others.
 _STRAY_SHARE = 0.001
@@ -61,7 +61,7 @@ class PlanGrid:
         twentieth of the extent are strays.
         """
         plan = points_crs[:, :2]
-        unit = np.ones(2) if crs is None else metres_per_unit(crs, float(plan[0, 1]))
+        unit = np.ones(2) if crs is None else ground_units_m(crs, plan[0])
         some = plan[:: len(plan) // _ENOUGH + 1]
         low, high = np.quantile(some, [_STRAY_SHARE, 1.0 - _STRAY_SHARE], axis=0)
         margin = _MARGIN * (high - low)
@@ -126,12 +126,3 @@ class PlanGrid:
         # Of points in one cell the last one assigned stays.
         top[self.index[order]] = values[order]
         return top.reshape(*self.shape, *values.shape[1:])
-
-
-def metres_per_unit(crs: CRS, north: float) -> np.ndarray:
-    """Metres of one unit of easting and of northing (2,), at a northing or latitude, to 1 %."""
-    unit = horizontal_unit(crs)
-    if not is_geographic(crs):
-        return np.array([unit, unit])
-    along = unit * EARTH_RADIUS_M
-    return np.array([along * math.cos(north * unit), along])

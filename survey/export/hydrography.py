@@ -43,6 +43,12 @@ def _write_bag(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     if not crs.is_projected or any(axis.unit_name != "metre" for axis in crs.axis_info):
         raise SurveyError(f"--bag holds square cells and heights in metres, but the CRS is {crs.name}; give --crs")
 
+    if grid.cells.side[0] != grid.cells.side[1]:
+        raise SurveyError(
+            f"--bag holds square cells, and {crs.name} stretches the ground unequally to the east and to the north; "
+            "give --crs, e.g. the UTM zone"
+        )
+
     def values(window: Window) -> np.ndarray:
         height = grid.heights(window)
         return np.nan_to_num(np.stack([height, grid.stds(window)]), nan=_BAG_NODATA).astype(np.float32)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from survey.display.plan_grid import metres_per_unit
+from geo.projection import ground_units_m
 from survey.errors import SurveyError
 
 # What a raster may hold: more is a resolution by mistake, or a stray point far away.
@@ -60,13 +60,15 @@ class Window:
 class PlanCells:
     """Cells whose edges lie at multiples of their side, so that rasters of one resolution fit together.
 
+    Their side is a length on the ground, whatever the unit and the scale of the map (`geo.projection.ground_units_m`).
+
     Attributes
     ----------
     crs : pyproj.CRS
     west, north : in crs
         Outer corner of the first cell.
     side : (east, north), in units of crs
-    side_m : [m]
+    side_m : [m], on the ground
     shape : (rows, columns)
         Rows run from north to south.
     """
@@ -88,7 +90,7 @@ class PlanCells:
             If they are too many for a raster.
         """
         low, high = points_crs[:, :2].min(axis=0), points_crs[:, :2].max(axis=0)
-        side = side_m / metres_per_unit(crs, round(float(0.5 * (low[1] + high[1])), 2))
+        side = side_m / ground_units_m(crs, 0.5 * (low + high))
         first = np.floor(low / side + _ON_EDGE)
         last = np.ceil(high / side - _ON_EDGE)
         columns, rows = (int(n) for n in np.maximum(last - first, 1))

@@ -11,10 +11,11 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import to_rgba
 from matplotlib.patches import Rectangle
 
+from geo.projection import ground_units_m
 from refract import PinholeCamera
 from survey.compare.canvas import map_canvas, save, show, write_title
 from survey.display.palette import BOUNDS, INK, LAND, OBLIQUE, WATER
-from survey.display.plan_grid import PlanGrid, metres_per_unit
+from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import number
 from survey.folder.survey import Survey
 from survey.report.facts import ReportFacts
@@ -59,7 +60,7 @@ def _extent(survey: Survey, centres: np.ndarray, footprints: list[np.ndarray]) -
     if survey.bounds is not None:
         corners.append(np.reshape(survey.bounds, (2, 2)))
     low, high = np.concatenate(corners).min(axis=0), np.concatenate(corners).max(axis=0)
-    unit = metres_per_unit(survey.frame.crs, float(centres[0, 1]))
+    unit = ground_units_m(survey.frame.crs, centres[0])
     twentieth = 0.05 * float(((high - low) * unit).max()) / unit
     low, high = low - 0.5 * twentieth, high + 0.5 * twentieth
     return (float(low[0]), float(high[0]), float(low[1]), float(high[1])), twentieth

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import wkt1
+from geo.crs import horizontal_crs, wkt1
 from geo.errors import EmptyCloud, UnreadableFile, UnwritableFile
 from geo.files import existing_file, write_whole_at
 from geo.optional import library_for
 from geo.shapes import Cloud
+from geo.stated import crs_named
 
 _BEGINNING = b"ASTM-E57"
 _NAME = "bathynerf"
@@ -23,7 +24,7 @@ _LAST_BYTES = 64 * _PAGE
 
 
 def read_e57(path: str | Path) -> Cloud:
-    """Read the points of all scans of an E57 file, each moved by its pose; files rarely name a CRS.
+    """Read the points of all scans of an E57 file, each moved by its pose, with the CRS of its header.
 
     Raises
     ------
@@ -38,6 +39,7 @@ def read_e57(path: str | Path) -> Cloud:
     try:
         with pye57.E57(str(path)) as file:
             scans = [file.read_scan(i, ignore_missing_fields=True) for i in range(file.scan_count)]
+            said = _crs_text(file)
     except Exception as error:
         said = (str(error).splitlines() or [type(error).__name__])[0][:100]
         raise UnreadableFile(f"{path} cannot be read as E57 ({said}); copy or export it again.") from error
@@ -45,7 +47,13 @@ def read_e57(path: str | Path) -> Cloud:
     cloud = np.concatenate([np.empty((0, 3)), *points])
     if not len(cloud):
         raise EmptyCloud(f"{path} has no points; expected a cloud with at least one.")
-    return Cloud(cloud)
+    crs, notes = crs_named(said, path) if said else (None, ())
+    return Cloud(cloud, crs=crs, notes=notes)
+
+
+def _crs_text(file: Any) -> str:
+    """The coordinateMetadata of an open file, or nothing."""
+    return file.root["coordinateMetadata"].value().strip() if file.root.isDefined("coordinateMetadata") else ""
 
 
 def write_e57(path: str | Path, points_crs: np.ndarray, crs: CRS, *, rgb: np.ndarray) -> None:
@@ -53,7 +61,7 @@ def write_e57(path: str | Path, points_crs: np.ndarray, crs: CRS, *, rgb: np.nda
 
     pye57 writes coordinates in single precision, so they are stored from an origin in the middle of the cloud, which is
     the pose of the scan: within 1 km of it they step by 0.06 mm, as `read_e57` and other readers put them together
-    again. It knows no fields beyond colour; the CRS is the coordinateMetadata of the file.
+    again. It knows no fields beyond colour; the CRS is the coordinateMetadata of the file. The format is in metres.
 
     Parameters
     ----------
@@ -65,8 +73,14 @@ def write_e57(path: str | Path, points_crs: np.ndarray, crs: CRS, *, rgb: np.nda
     Raises
     ------
     UnwritableFile
-        If the file cannot be written, or pye57 is not installed.
+        If the CRS is geographic or not in metres, the file cannot be written, or pye57 is not installed.
     """
+    if not horizontal_crs(crs).is_projected or any(a.unit_name != "metre" for a in crs.axis_info):
+        raise UnwritableFile(
+            f"cannot write {path}: E57 is in metres, but the CRS is {crs.name} "
+            f"({' and '.join(dict.fromkeys(axis.unit_name for axis in crs.axis_info))}); give --crs with "
+            "a CRS in metres, e.g. the UTM zone with a vertical part in metres, or write LAS or PLY."
+        )
     pye57 = library_for(path, "pye57", "e57", to_write=True)
     points = np.asarray(points_crs, dtype=np.float64)
     origin = np.floor(0.5 * (points.min(axis=0) + points.max(axis=0)))

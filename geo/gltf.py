@@ -7,21 +7,25 @@ from pathlib import Path
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import crs_code
+from geo.crs import crs_code, has_height, height_unit_m, horizontal_unit
 from geo.errors import UnreadableFile
 from geo.files import existing_file, write_whole
+from geo.frames import LocalFrame
 from geo.optional import library_for
+from geo.projection import is_to_scale
 from geo.shapes import Cloud, Mesh
+from geo.stated import crs_named
 
 # glTF 2.0, section 3.3: y is up and z points forward. East, north, up are x, -z, y.
+_GRID, _TOPOCENTRIC = "grid", "topocentric"
 _Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def read_gltf(path: str | Path) -> Mesh | Cloud:
-    """Read a glTF or GLB file: a mesh if it has triangles, else a cloud. The format knows no CRS.
+    """Read a glTF or GLB file: a mesh if it has triangles, else a cloud.
 
-    Its coordinates are float32, which rounds those of a map (5e6 m) to half a metre: only meshes with an origin near
-    by are of use.
+    The format knows no CRS; files of `write_glb` say it, with their origin, in the ``extras`` of the scene, and come in
+    its coordinates.
 
     Raises
     ------
@@ -40,11 +44,33 @@ def read_gltf(path: str | Path) -> Mesh | Cloud:
         said = (str(error).splitlines() or [type(error).__name__])[0][:100]
         raise UnreadableFile(f"{path} cannot be read as glTF ({said}); export it again.") from error
     points = np.concatenate([np.empty((0, 3)), *vertices]) @ _Z_UP.T
+    points, crs, notes = _placed(points, scene.metadata, path)
     if not meshes:
-        return Cloud(points)
+        return Cloud(points, crs=crs, notes=notes)
     before = np.cumsum([0, *(len(part) for part in vertices)])
     faces = [np.asarray(part.faces, dtype=np.int64) + first for part, first in zip(meshes, before, strict=False)]
-    return Mesh(points, np.concatenate(faces), rgb=_rgb(meshes))
+    return Mesh(points, np.concatenate(faces), rgb=_rgb(meshes), crs=crs, notes=notes)
+
+
+def _placed(points: np.ndarray, said: dict, path: Path) -> tuple[np.ndarray, CRS | None, tuple[str, ...]]:
+    """Points in the CRS that the extras of a file of ours name, and notes; points as they are where they name none."""
+    origin = said.get("origin")
+    if said.get("made_by") != "bathynerf" or not isinstance(said.get("crs"), str) or not isinstance(origin, list):
+        return points, None, ()
+    crs, notes = crs_named(said["crs"], path)
+    if crs is None or len(origin) != 3:
+        return points, None, notes
+    if said.get("axes") == _TOPOCENTRIC:
+        return LocalFrame(crs, (origin[0], origin[1], origin[2])).crs_from_local(points), crs, notes
+    # Files of earlier versions are in units of their CRS, and say no axes.
+    units = _grid_units(crs) if said.get("axes") == _GRID else np.ones(3)
+    return points / units + np.array(origin, dtype=np.float64), crs, notes
+
+
+def _grid_units(crs: CRS) -> np.ndarray:
+    """Metres of one unit of each axis (3,) of a projected CRS."""
+    across = horizontal_unit(crs)
+    return np.array([across, across, height_unit_m(crs) if has_height(crs) else 1.0])
 
 
 def _rgb(meshes: list) -> np.ndarray | None:
@@ -62,10 +88,12 @@ def _rgb(meshes: list) -> np.ndarray | None:
 
 
 def write_glb(path: str | Path, mesh: Mesh, crs: CRS) -> None:
-    """Write a mesh in crs as GLB, whole or not at all: y up, from an origin in its middle.
+    """Write a mesh in crs as GLB, whole or not at all: metres, y up, from an origin in its middle.
 
-    The format stores single precision, which steps by half a metre at a northing of 5e6 m. The origin, whole units of
-    crs, and the CRS stand in the ``extras`` of the scene.
+    The format is in metres, and in single precision, which steps by half a metre at a northing of 5e6 m. Axes are those
+    of the grid (``"axes": "grid"``); where its units are no lengths on the ground (degrees, Web Mercator), east, north
+    and up at the origin (``"topocentric"``). The origin, whole units of crs (degrees to nine digits), and the CRS stand
+    beside it in the ``extras`` of the scene.
 
     Raises
     ------
@@ -73,9 +101,15 @@ def write_glb(path: str | Path, mesh: Mesh, crs: CRS) -> None:
         If the file cannot be written, or trimesh is not installed.
     """
     trimesh = library_for(path, "trimesh", "gltf", to_write=True)
-    origin = np.floor(0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)))
-    body = trimesh.Trimesh((mesh.vertices - origin) @ _Z_UP, mesh.faces, vertex_colors=mesh.rgb, process=False)
-    said = {"made_by": "bathynerf", "crs": crs_code(crs) or crs.to_wkt(), "origin": origin.tolist()}
+    middle = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
+    if is_to_scale(crs, middle):
+        origin, axes = np.floor(middle), _GRID
+        vertices = (mesh.vertices - origin) * _grid_units(crs)
+    else:
+        origin, axes = np.round(middle, 9), _TOPOCENTRIC
+        vertices = LocalFrame(crs, (origin[0], origin[1], origin[2])).local_from_crs(mesh.vertices)
+    body = trimesh.Trimesh(vertices @ _Z_UP, mesh.faces, vertex_colors=mesh.rgb, process=False)
+    said = {"made_by": "bathynerf", "crs": crs_code(crs) or crs.to_wkt(), "origin": origin.tolist(), "axes": axes}
     content = trimesh.Scene(body, metadata=said).export(file_type="glb", include_normals=False)
     with write_whole(path) as stream:
         stream.write(content)

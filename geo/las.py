@@ -27,6 +27,8 @@ from geo.shapes import Cloud
 POINT_FORMAT = 7
 CLASS_GROUND = 2
 CLASS_BATHYMETRIC = 40
+# A height that may be off by metres is kept, and flagged so that programs leave it out.
+WITHHELD_STD_M = 1.0
 SCALE_LENGTH = 0.001
 SCALE_ANGLE = 1e-8
 # Points that are made into records at a time, of 60 bytes and more each.
@@ -68,7 +70,8 @@ def write_cloud(
     rgb : (N, 3) uint8
     depth_m, std_m : (N,) [m]
         True depth below the water surface (negative above it) and standard deviation. NaN (no water, a single
-        view) is written as the declared "no data" value, which `read_cloud` turns back into NaN.
+        view) is written as the declared "no data" value, which `read_cloud` turns back into NaN. Points whose
+        standard deviation is over `WITHHELD_STD_M` are flagged as withheld.
     num_views : (N,) int
     incidence_deg : (N,) [deg]
         Angle between ray and surface normal in air; NaN as above.
@@ -111,6 +114,7 @@ def write_cloud(
         las.number_of_returns[:] = 1
         las.synthetic[:] = 1
         las.classification[:] = classes[part]
+        las.withheld[:] = np.asarray(std_m)[part] > WITHHELD_STD_M
         # 257 maps 0..255 onto the whole of 0..65535.
         las.red, las.green, las.blue = np.asarray(rgb[part], dtype=np.uint16).T * np.uint16(257)
         for name, values in stored_extra(extra, part).items():
@@ -180,8 +184,8 @@ def _header(points: np.ndarray, crs: CRS, path: Path) -> laspy.LasHeader:
 def read_cloud(path: str | Path) -> Cloud:
     """Read LAS or LAZ, version 1.0 to 1.4, any point format.
 
-    Colours come as 8 bits, whether the file stores 8 or 16. The CRS is taken from WKT, else from GeoTIFF
-    keys; where there is none, or none that is understood, it is None and `Cloud.notes` says so.
+    Colours come as 8 bits, whether the file stores 8 or 16. The CRS and the unit of heights are taken from WKT,
+    else from GeoTIFF keys; where there is none, or none that is understood, it is None and `Cloud.notes` says so.
 
     Raises
     ------
@@ -217,12 +221,14 @@ def read_cloud(path: str | Path) -> Cloud:
             f"{path} gives coordinates that are not finite (scales {header.scales}, offsets {header.offsets}); it is "
             "damaged: copy or export it again."
         )
-    crs, notes = crs_of_header(header, path)
+    crs, height_unit, notes = crs_of_header(header, path)
     return Cloud(
         points=points,
         rgb=_rgb(las),
         crs=crs,
         classification=np.asarray(las.classification, dtype=np.uint8),
+        withheld=np.asarray(las.withheld, dtype=bool),
+        height_unit_m=height_unit,
         extra=extra_of(las),
         notes=notes,
     )

@@ -8,17 +8,20 @@ from pathlib import Path
 import laspy
 from laspy.vlrs.known import GeoKeyDirectoryVlr, WktCoordinateSystemVlr
 from pyproj import CRS
+from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
 
 from geo.crs import has_height, horizontal_crs
+from geo.stated import UNIT_CODES, height_unit_said, with_height_unit
 
 # Keys of GeoTIFF 1.1 (OGC 19-008r4).
-_MODEL, _GEOGRAPHIC, _PROJECTED, _LINEAR_UNIT, _VERTICAL = 1024, 2048, 3072, 3076, 4096
+_MODEL, _GEOGRAPHIC, _PROJECTED, _LINEAR_UNIT, _VERTICAL, _VERTICAL_UNIT = 1024, 2048, 3072, 3076, 4096, 4099
 _MODEL_PROJECTED = 1
 _EPSG_RANGE = range(1024, 32767)
 # The vertical codes 5001 to 5033 of GeoTIFF 1.0 are ellipsoids, not EPSG vertical systems.
 _OLD_VERTICAL = range(5001, 5034)
-_UNIT_M = {9001: 1.0, 9002: 0.3048, 9003: 1200.0 / 3937.0}
+# Those from 5101 on name datums; these are their systems in metres, the second one in feet.
+_VERTICAL_OF_DATUM = {5101: 5701, 5102: 5702, 5103: 5703, 5104: 5736, 5105: 5705, 5106: 5706}
 _UNIT_TOLERANCE = 1e-9
 
 _SHORTEST_HEADER, _HEADER_1_4 = 227, 375
@@ -50,23 +53,35 @@ def length_fault(path: Path) -> str | None:
     return None
 
 
-def crs_of_header(header: laspy.LasHeader, path: Path) -> tuple[CRS | None, tuple[str, ...]]:
-    """The CRS of a LAS file and notes on what is missing: (None, why) if the file has none.
+def crs_of_header(header: laspy.LasHeader, path: Path) -> tuple[CRS | None, float | None, tuple[str, ...]]:
+    """The CRS of a LAS file, the unit of heights [m] that it gives beside it, and notes on what is missing.
 
-    Taken from OGC WKT, else from GeoTIFF keys. A CRS without a vertical part is returned as it is, with a note.
+    Taken from OGC WKT, else from GeoTIFF keys; (None, None, why) if the file has none. A CRS without a vertical part is
+    returned as it is, with a note, and with the unit of heights of the keys.
+
+    Raises
+    ------
+    UnreadableFile
+        If the WKT has heights in another unit than the keys say.
     """
     records = [*header.vlrs, *(header.evlrs or [])]
     texts = [r.string for r in records if isinstance(r, WktCoordinateSystemVlr) and r.string.strip()]
     tables = [r for r in records if isinstance(r, GeoKeyDirectoryVlr)]
     if not texts and not tables:
-        return None, (f"{path} states no CRS.",)
+        return None, None, (f"{path} states no CRS.",)
     try:
         crs = CRS.from_wkt(texts[0]) if texts else _crs_of_keys(tables[0])
     except CRSError as error:
-        return None, (f"{path} states a CRS that is not understood ({str(error)[:120]}).",)
+        return None, None, (f"{path} states a CRS that is not understood ({str(error)[:120]}).",)
+    said = UNIT_CODES.get(_keys_of(tables[0]).get(_VERTICAL_UNIT, 0)) if tables else None
+    unit = height_unit_said(crs, said, path, "the unit of height of its GeoTIFF keys")
     if not has_height(crs):
-        return crs, (f"{path} states the CRS {crs.name} without a vertical part.",)
-    return crs, ()
+        return crs, unit, (f"{path} states the CRS {crs.name} without a vertical part.",)
+    return crs, unit, ()
+
+
+def _keys_of(table: GeoKeyDirectoryVlr) -> dict[int, int]:
+    return {key.id: key.value_offset for key in table.geo_keys}
 
 
 def _crs_of_keys(table: GeoKeyDirectoryVlr) -> CRS:
@@ -77,17 +92,22 @@ def _crs_of_keys(table: GeoKeyDirectoryVlr) -> CRS:
     CRSError
         If the keys name no EPSG code, or a unit that is not that of the code.
     """
-    keys = {key.id: key.value_offset for key in table.geo_keys}
+    keys = _keys_of(table)
     projected = keys.get(_MODEL, _MODEL_PROJECTED if _PROJECTED in keys else 0) == _MODEL_PROJECTED
     code = keys.get(_PROJECTED if projected else _GEOGRAPHIC, 0)
     if code not in _EPSG_RANGE:
         raise CRSError(f"GeoTIFF keys with code {code}, which is user-defined")
     crs = CRS.from_epsg(code)
-    unit = _UNIT_M.get(keys.get(_LINEAR_UNIT, 0))
+    unit = UNIT_CODES.get(keys.get(_LINEAR_UNIT, 0))
     own = horizontal_crs(crs).axis_info[0].unit_conversion_factor
     if projected and unit is not None and abs(unit - own) > _UNIT_TOLERANCE:
         raise CRSError(f"GeoTIFF keys with EPSG:{code} in another unit than its own")
-    vertical = keys.get(_VERTICAL, 0)
-    if vertical in _EPSG_RANGE and vertical not in _OLD_VERTICAL and not has_height(crs):
-        return CRS.from_user_input(f"EPSG:{code}+{vertical}")
-    return crs
+    number = keys.get(_VERTICAL, 0)
+    number = _VERTICAL_OF_DATUM.get(number, number)
+    if number not in _EPSG_RANGE or number in _OLD_VERTICAL or has_height(crs):
+        return crs
+    vertical, unit = CRS.from_epsg(number), UNIT_CODES.get(keys.get(_VERTICAL_UNIT, 0))
+    if unit is not None:
+        # Surveyors name a datum by its system in metres, and give the feet of their heights beside it.
+        vertical = with_height_unit(vertical, unit)
+    return CompoundCRS(f"{crs.name} + {vertical.name}", [crs, vertical])

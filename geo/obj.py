@@ -1,4 +1,4 @@
-"""Wavefront OBJ files read in double precision: vertices and faces; everything else is ignored."""
+"""Wavefront OBJ files read in double precision: vertices, faces, the CRS of `geo.obj_writing`, nothing else."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import numpy as np
 
 from geo.errors import UnreadableFile
 from geo.files import existing_file
+from geo.obj_writing import CRS_COMMENT
 from geo.shapes import Cloud, Mesh, triangulated
+from geo.stated import crs_named
 
 
 def read_obj(path: str | Path) -> Mesh | Cloud:
@@ -24,8 +26,10 @@ def read_obj(path: str | Path) -> Mesh | Cloud:
     """
     path = existing_file(path)
     text = path.read_bytes().replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
-    vertex_lines, face_lines, vertices_before = [], [], []
+    vertex_lines, face_lines, vertices_before, said = [], [], [], b""
     for line in text.splitlines():
+        if line.startswith(CRS_COMMENT):
+            said = line.removeprefix(CRS_COMMENT)
         words = line.split(b"#", 1)[0].split()
         if not words:
             continue
@@ -40,9 +44,10 @@ def read_obj(path: str | Path) -> Mesh | Cloud:
         raise UnreadableFile(
             f"{path} has a vertex line that is not three numbers ({str(error)[:80]}); export it again."
         ) from error
+    crs, notes = crs_named(said.decode("utf-8", "replace"), path) if said else (None, ())
     if not face_lines:
-        return Cloud(vertices)
-    return Mesh(vertices, _faces(face_lines, vertices_before, path))
+        return Cloud(vertices, crs=crs, notes=notes)
+    return Mesh(vertices, _faces(face_lines, vertices_before, path), crs=crs, notes=notes)
 
 
 def _faces(lines: list[list[bytes]], vertices_before: list[int], path: Path) -> np.ndarray:

@@ -12,6 +12,7 @@ from geo.files import write_whole
 from geo.shapes import Mesh
 
 MARK = b"# bathynerf\n"
+CRS_COMMENT = b"# crs "
 _DECIMALS_M, _DECIMALS_DEG = 4, 10
 _CHUNK = 100_000
 
@@ -34,7 +35,7 @@ def write_obj(path: str | Path, mesh: Mesh, crs: CRS) -> None:
         vertex += " %.4f %.4f %.4f"
         table = np.column_stack([table, mesh.rgb / 255.0])
     with write_whole(path) as stream:
-        stream.write(MARK + f"# crs {crs_code(crs) or crs.name}\n".encode())
+        stream.write(MARK + CRS_COMMENT + f"{crs_code(crs) or crs.to_wkt()}\n".encode())
         for rows, form in ((table, vertex), (mesh.faces + 1, "f %d %d %d")):
             for first in range(0, len(rows), _CHUNK):
                 part = rows[first : first + _CHUNK]

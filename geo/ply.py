@@ -14,6 +14,8 @@ from geo.crs import crs_code
 from geo.files import write_whole
 
 SCALAR = "scalar_"
+# Before the code of the CRS, and before each piece of its WKT.
+CRS_COMMENT, WKT_COMMENT = "comment crs ", "comment crs_wkt "
 _COLOURS = ("red", "green", "blue")
 _WORDS = {"<f8": "double", "u1": "uchar", "<f4": "float"}
 # Readers built on rply, CloudCompare among them, refuse longer lines in a header.
@@ -85,8 +87,6 @@ def _crs_comments(crs: CRS | None) -> list[str]:
         return []
     code = crs_code(crs)
     if code is not None:
-        return [f"comment crs {code}"]
+        return [CRS_COMMENT + code]
     wkt = crs.to_wkt()
-    return [
-        f"comment crs_wkt {wkt[first : first + _LONGEST_COMMENT]}" for first in range(0, len(wkt), _LONGEST_COMMENT)
-    ]
+    return [WKT_COMMENT + wkt[first : first + _LONGEST_COMMENT] for first in range(0, len(wkt), _LONGEST_COMMENT)]

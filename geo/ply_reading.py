@@ -14,15 +14,16 @@ from __future__ import annotations
 
 import re
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from geo.errors import UnreadableFile
 from geo.files import existing_file
-from geo.ply import SCALAR
+from geo.ply import CRS_COMMENT, SCALAR, WKT_COMMENT
 from geo.shapes import Cloud, Mesh, triangulated
+from geo.stated import crs_named
 
 _TYPES = {
     "char": "b", "int8": "b", "uchar": "B", "uint8": "B", "short": "h", "int16": "h", "ushort": "H",
@@ -66,6 +67,8 @@ class _Lists:
 def read_ply(path: str | Path) -> Mesh | Cloud:
     """Read a PLY file: a mesh if it has faces (polygons are cut into triangles), else a cloud.
 
+    The CRS is that of the comments that `geo.ply.write_ply` leaves; the format has no place for one.
+
     Raises
     ------
     UnreadableFile
@@ -74,7 +77,7 @@ def read_ply(path: str | Path) -> Mesh | Cloud:
     path = existing_file(path)
     data = path.read_bytes()
     try:
-        is_ascii, order, elements, start = _header(data)
+        is_ascii, order, elements, start, said = _header(data)
         tables: dict[str, dict] = {}
         body = memoryview(data)[start:]
         if is_ascii:
@@ -82,22 +85,31 @@ def read_ply(path: str | Path) -> Mesh | Cloud:
         for element in elements:
             tables[element.name], used = _table(body, element, order)
             body = body[used:]
-        return _shape(tables)
+        shape = _shape(tables)
     except _Damaged as error:
         raise UnreadableFile(f"{path} cannot be read as PLY: {error}.") from error
+    if not said:
+        return shape
+    crs, notes = crs_named(said, path)
+    return replace(shape, crs=crs, notes=notes)
 
 
-def _header(data: bytes) -> tuple[bool, str, list[_Element], int]:
-    """Whether it is ASCII, the byte order, the elements, and where the body starts."""
+def _header(data: bytes) -> tuple[bool, str, list[_Element], int, str]:
+    """Whether it is ASCII, the byte order, the elements, where the body starts, and the CRS of comments, or ""."""
     end = re.search(rb"^end_header[^\n]*\n", data, re.MULTILINE)
     if not data.startswith(b"ply") or end is None:
         raise _Damaged('it does not begin with "ply" and a header up to "end_header"')
     form: str | None = None
     elements: list[_Element] = []
+    code, wkt = "", ""
     for line in data[: end.start()].decode("ascii", "replace").splitlines()[1:]:
         words = line.split()
         try:
             match words:
+                case ["comment", "crs", *_]:
+                    code = line.removeprefix(CRS_COMMENT)
+                case ["comment", "crs_wkt", *_]:
+                    wkt += line.removeprefix(WKT_COMMENT)
                 case [] | ["comment" | "obj_info", *_]:
                     pass
                 case ["format", form, _] if form in _ORDERS:
@@ -114,7 +126,7 @@ def _header(data: bytes) -> tuple[bool, str, list[_Element], int]:
             raise _Damaged(f'the line "{line[:60]}" of its header is not understood') from error
     if form is None:
         raise _Damaged("its header names no format")
-    return form == "ascii", _ORDERS[form], elements, end.end()
+    return form == "ascii", _ORDERS[form], elements, end.end(), code or wkt
 
 
 def _binary_of_ascii(body: memoryview, elements: list[_Element]) -> tuple[memoryview, list[_Element]]:
@@ -212,7 +224,14 @@ def _shape(tables: dict[str, dict]) -> Mesh | Cloud:
     corners = face.get("vertex_indices", face.get("vertex_index"))
     if isinstance(corners, _Lists) and len(corners.counts):
         return Mesh(points, triangulated(corners.counts, corners.values), rgb=_rgb(vertex))
-    return Cloud(points, rgb=_rgb(vertex), extra=_scalars(vertex))
+    scalars = _scalars(vertex)
+    classes = next((values for name, values in scalars.items() if name.lower() == "classification"), None)
+    if classes is not None and ((classes < 0) | (classes > 255) | (classes % 1 != 0)).any():
+        classes = None
+    # As CloudCompare keeps the classes of LAS.
+    return Cloud(
+        points, rgb=_rgb(vertex), extra=scalars, classification=None if classes is None else classes.astype(np.uint8)
+    )
 
 
 def _require_fine_steps(points: np.ndarray) -> None:

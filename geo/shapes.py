@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from pyproj import CRS
@@ -25,6 +25,10 @@ class Cloud:
         Further values by name; NaN where the file declares "no data".
     notes : tuple of str
         Sentences for the user about missing parts of the file.
+    withheld : (N,) bool or None
+        Points that the file itself says are not to be used.
+    height_unit_m : [m] or None
+        One unit of height, where the file says it and its CRS does not.
     """
 
     points: np.ndarray
@@ -33,6 +37,8 @@ class Cloud:
     classification: np.ndarray | None = None
     extra: dict[str, np.ndarray] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    withheld: np.ndarray | None = None
+    height_unit_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -45,11 +51,13 @@ class Mesh:
     faces : (F, 3) int64
         Vertex numbers in the winding of the file; polygons are cut into fans.
     crs : pyproj.CRS or None
-        None where the format states none: PLY, OBJ, glTF.
+        None where the file states none.
     rgb : (V, 3) uint8 or None
         Of the vertices.
     notes : tuple of str
         Sentences for the reader about what the file lacks.
+    height_unit_m : [m] or None
+        One unit of height, where the file says it and its CRS does not.
     """
 
     vertices: np.ndarray
@@ -57,6 +65,64 @@ class Mesh:
     crs: CRS | None = None
     rgb: np.ndarray | None = None
     notes: tuple[str, ...] = ()
+    height_unit_m: float | None = None
+
+
+# Of LAS 1.4 and its topo-bathy profile: noise low and high, water (9, 41, 42), and what stands in for a bed not found.
+NOT_GROUND = {
+    7: "low noise",
+    9: "water",
+    18: "high noise",
+    41: "water surface",
+    42: "derived water surface",
+    45: "no bottom found",
+}
+
+
+def left_out(cloud: Cloud) -> tuple[np.ndarray, str]:
+    """Which points (N,) bool are not of the ground by what their own file says, and how many of what, in words."""
+    out = np.zeros(len(cloud.points), dtype=bool)
+    said = []
+    if cloud.withheld is not None and cloud.withheld.any():
+        out |= cloud.withheld
+        said.append(f"{int(cloud.withheld.sum())} flagged withheld")
+    for code, name in NOT_GROUND.items() if cloud.classification is not None else ():
+        of_class = (cloud.classification == code) & ~out
+        if of_class.any():
+            said.append(f"{int(of_class.sum())} of class {code} ({name})")
+            out |= of_class
+    return out, ", ".join(said)
+
+
+def part_of(cloud: Cloud, keep: np.ndarray) -> Cloud:
+    """The points (N,) bool of a cloud that are kept, with all that belongs to them."""
+
+    def kept(values: np.ndarray | None) -> np.ndarray | None:
+        return None if values is None else values[keep]
+
+    return replace(
+        cloud,
+        points=cloud.points[keep],
+        rgb=kept(cloud.rgb),
+        classification=kept(cloud.classification),
+        withheld=kept(cloud.withheld),
+        extra={name: values[keep] for name, values in cloud.extra.items()},
+    )
+
+
+def vertices_of(shape: Mesh | Cloud) -> np.ndarray:
+    """Points (N, 3) of a cloud or vertices of a mesh, in crs."""
+    return shape.vertices if isinstance(shape, Mesh) else shape.points
+
+
+def in_height_unit(shape: Mesh | Cloud, unit_m: float) -> Mesh | Cloud:
+    """A shape whose file gives a unit of heights beside its CRS, with heights in another one [m]; else as it is."""
+    if shape.height_unit_m is None or shape.height_unit_m == unit_m:
+        return shape
+    factor = np.array([1.0, 1.0, shape.height_unit_m / unit_m])
+    if isinstance(shape, Mesh):
+        return replace(shape, vertices=shape.vertices * factor, height_unit_m=unit_m)
+    return replace(shape, points=shape.points * factor, height_unit_m=unit_m)
 
 
 def triangulated(counts: np.ndarray, corners: np.ndarray) -> np.ndarray:

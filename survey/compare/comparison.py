@@ -12,11 +12,12 @@ from evaluation import Blocks, is_outlier, spatial_blocks, summarise
 from evaluation.completeness import SEED
 from geo import Mesh
 from geo.files import disk_refusals, existing_file
+from geo.shapes import vertices_of
 from survey.compare import clouds, measure
 from survey.compare.area import Bounds, metres_in_crs, to_local, within
 from survey.compare.checkpoints import checkpoint_accuracy, read_checkpoints
 from survey.compare.figures import Circumstances, Figures
-from survey.compare.inputs import Inputs, Paths, load_inputs, vertices_of
+from survey.compare.inputs import Inputs, Paths, load_inputs
 from survey.compare.json_numbers import numbers_of
 from survey.compare.options import CompareOptions, check_options, check_outputs, outlier_filter
 from survey.compare.pictures import write_report
@@ -70,7 +71,6 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     with current().stage("Reading"):
         inputs = load_inputs(paths, options.bounds)
     notes = list(inputs.notes)
-    num_cropped = int((~inputs.inside).sum())
     inputs, is_left = _without_outliers(inputs, options, notes)
     scene = Scene.of(inputs, options.bounds, is_left, max(options.tolerances_m))
     distances = measure.distances_of(scene, options.sign, notes)
@@ -87,7 +87,7 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
             tolerance_m=first.tolerance_m,
             is_reached=first.samples,
             is_reached_visible=first.visible,
-            num_cropped=num_cropped,
+            num_cropped=inputs.num_cropped,
             blocks=blocks,
         ),
         tolerances=tuple(reach.scores(distances.signed) for reach in reaches),

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from pyproj import CRS
@@ -11,9 +12,11 @@ from pyproj import CRS
 from evaluation import weld
 from evaluation.triangles import has_area
 from geo import Cloud, LocalFrame, Mesh, read_reference, require_same_crs, require_same_place
-from geo.crs import has_height
+from geo.crs import has_height, height_unit_m
+from geo.shapes import in_height_unit, left_out, part_of, vertices_of
 from survey.compare.area import Bounds, CompareError, ShiftedFrame, as_text, within
 
+Shape = TypeVar("Shape", bound=Mesh | Cloud)
 # Heights further apart than this many times the size of the data are another place, not an error of the bed.
 _FARTHEST_HEIGHT = 10.0
 
@@ -37,7 +40,9 @@ class Inputs:
     cloud : Cloud
         As read, not cropped.
     inside : (N,) bool
-        The points within the bounds; all of them without bounds.
+        The points that are compared: within the bounds, and of the ground by what the file says of them.
+    num_cropped : int
+        Points beyond the bounds.
     reference : Mesh or Cloud
     visible : Mesh or Cloud or None
     crs : pyproj.CRS or None
@@ -51,6 +56,7 @@ class Inputs:
     paths: Paths
     cloud: Cloud
     inside: np.ndarray
+    num_cropped: int
     reference: Mesh | Cloud
     visible: Mesh | Cloud | None
     crs: CRS | None
@@ -70,43 +76,75 @@ def load_inputs(paths: Paths, bounds: Bounds | None) -> Inputs:
     """
     notes: list[str] = []
     cloud = _as_cloud(read_reference(paths.cloud), paths.cloud, notes)
-    reference = _surface(read_reference(paths.reference), paths.reference)
-    visible = None if paths.visible is None else _surface(read_reference(paths.visible), paths.visible)
-    others = {paths.reference: reference}
-    if paths.visible is not None and visible is not None:
-        others[paths.visible] = visible
-    for path, other in others.items():
+    given = {path: read_reference(path) for path in (paths.reference, paths.visible) if path is not None}
+    for path, other in given.items():
         require_same_crs(cloud.crs, other.crs, str(paths.cloud), str(path))
+    notes += [note for shape in (cloud, *given.values()) for note in shape.notes]
+    crs = _common_crs(cloud, paths.cloud, given, notes)
+    cloud = _in_common_unit(cloud, paths.cloud, crs, notes)
+    others = {
+        path: _surface(_of_the_ground(_in_common_unit(shape, path, crs, notes), path, notes), path)
+        for path, shape in given.items()
+    }
+    reference, visible = others[paths.reference], None if paths.visible is None else others[paths.visible]
+    for path, other in others.items():
         require_same_place(cloud.points, vertices_of(other), str(paths.cloud), str(path))
-    inside = within(cloud.points, bounds)
-    if not inside.any():
+    cropped = ~within(cloud.points, bounds)
+    if cropped.all():
         low, high = cloud.points.min(axis=0), cloud.points.max(axis=0)
         raise CompareError(
             f"none of the {len(cloud.points)} points of {paths.cloud} lies within the bounds "
             f"{as_text(bounds)}; it reaches from {as_text(low[:2])} to {as_text(high[:2])}: correct "
             "--bounds (E0 N0 E1 N1 in its CRS)"
         )
+    inside = ~cropped & _is_ground(cloud, paths.cloud, notes)
     kept = cloud.points[inside]
+    if not len(kept):
+        raise CompareError(f"no point of {paths.cloud} within the bounds is of the ground, by its class or flag")
     require_same_place(kept, vertices_of(reference), f"{paths.cloud} (cropped)", str(paths.reference))
-    notes += [note for shape in (cloud, *others.values()) for note in shape.notes]
-    crs = _common_crs(cloud, paths.cloud, others, notes)
     east, north, height = (float(v) for v in 0.5 * (kept.min(axis=0) + kept.max(axis=0)))
     origin = (east, north, height)
     frame = ShiftedFrame(origin) if crs is None else LocalFrame(crs, origin)
     _check_heights(kept, vertices_of(reference), paths, frame, notes)
-    return Inputs(paths, cloud, inside, reference, visible, crs, frame, tuple(notes))
+    return Inputs(paths, cloud, inside, int(cropped.sum()), reference, visible, crs, frame, tuple(notes))
 
 
-def vertices_of(shape: Mesh | Cloud) -> np.ndarray:
-    """Points (N, 3) of a cloud or vertices of a mesh."""
-    return shape.vertices if isinstance(shape, Mesh) else shape.points
+def _in_common_unit(shape: Shape, path: Path, crs: CRS | None, notes: list[str]) -> Shape:
+    """A shape with heights in the unit of the common CRS, where its file gives a unit beside its own CRS."""
+    unit_m = 1.0 if crs is None else height_unit_m(crs)
+    if shape.height_unit_m is not None and abs(shape.height_unit_m - unit_m) > 1e-9:
+        notes.append(
+            f"{path.name} gives its heights in units of {shape.height_unit_m:.10g} m: converted to units of "
+            f"{unit_m:.10g} m"
+        )
+    return in_height_unit(shape, unit_m)
+
+
+def _is_ground(cloud: Cloud, path: Path, notes: list[str]) -> np.ndarray:
+    """Which points (N,) are compared, by the classes and flags of their file; a note counts the others.
+
+    Raises
+    ------
+    CompareError
+        If none is.
+    """
+    out, said = left_out(cloud)
+    if out.all():
+        raise CompareError(f"no point of {path} is of the ground: it holds {said}; give it with the points of the bed")
+    if said:
+        notes.append(f"{int(out.sum())} of {len(out)} points of {path.name} are not of the ground and left out: {said}")
+    return ~out
+
+
+def _of_the_ground(shape: Shape, path: Path, notes: list[str]) -> Shape:
+    return shape if isinstance(shape, Mesh) else part_of(shape, _is_ground(shape, path, notes))
 
 
 def _as_cloud(shape: Mesh | Cloud, path: Path, notes: list[str]) -> Cloud:
     if isinstance(shape, Cloud):
         return shape
     notes.append(f"{path.name} is a mesh: its vertices are compared")
-    return Cloud(points=shape.vertices, crs=shape.crs, notes=shape.notes)
+    return Cloud(points=shape.vertices, crs=shape.crs, height_unit_m=shape.height_unit_m, notes=shape.notes)
 
 
 def _surface(shape: Mesh | Cloud, path: Path) -> Mesh | Cloud:
@@ -118,7 +156,7 @@ def _surface(shape: Mesh | Cloud, path: Path) -> Mesh | Cloud:
         raise CompareError(
             f"none of the {len(faces)} triangles of {path} has an area; export the surface again, or its points alone"
         )
-    return Mesh(vertices, faces, crs=shape.crs, notes=shape.notes)
+    return replace(shape, vertices=vertices, faces=faces, rgb=None)
 
 
 def _common_crs(cloud: Cloud, path: Path, others: dict[Path, Mesh | Cloud], notes: list[str]) -> CRS | None:

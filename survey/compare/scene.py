@@ -9,8 +9,9 @@ import numpy as np
 from evaluation import sample_mesh
 from evaluation.completeness import NUM_SAMPLES
 from geo import Cloud, Mesh
+from geo.shapes import left_out, vertices_of
 from survey.compare.area import Bounds, metres_in_crs, to_local, within
-from survey.compare.inputs import Inputs, vertices_of
+from survey.compare.inputs import Inputs
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,8 @@ class Scene:
     @staticmethod
     def of(inputs: Inputs, bounds: Bounds | None, is_left: np.ndarray, largest_m: float) -> Scene:
         """Bring the points that are left (N,) bool, the reference and the visible points into the local frame."""
-        around = within(inputs.cloud.points, bounds, metres_in_crs(inputs.frame, largest_m)) & is_left
+        near = within(inputs.cloud.points, bounds, metres_in_crs(inputs.frame, largest_m))
+        around = near & is_left & ~left_out(inputs.cloud)[0]
         cloud = to_local(inputs.frame, inputs.cloud.points[around], inputs.paths.cloud)
         reference = to_local(inputs.frame, vertices_of(inputs.reference), inputs.paths.reference)
         samples = targets = _samples(reference, inputs.reference)

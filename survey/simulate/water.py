@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from geo import Mesh, read_reference
+from geo import read_reference
+from geo.crs import height_unit_m
 from geo.frames import LocalFrame
+from geo.shapes import in_height_unit, vertices_of
 from refract import FlatWater, HeightFieldWater, WavyWater
 from survey.errors import SurveyError
 from survey.simulate.scene_file import WaveSettings
@@ -72,8 +74,8 @@ def measured(path: Path, frame: LocalFrame, n_water: float) -> HeightFieldWater:
     SurveyError, GeoError
         If no surface can be fitted through them.
     """
-    shape = read_reference(path)
-    points = frame.local_from_crs(shape.vertices if isinstance(shape, Mesh) else shape.points)
+    shape = in_height_unit(read_reference(path), height_unit_m(frame.crs))
+    points = frame.local_from_crs(vertices_of(shape))
     try:
         return HeightFieldWater.from_points(points[:, :2], points[:, 2], n_water=n_water)
     except ValueError as error:

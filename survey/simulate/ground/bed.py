@@ -9,7 +9,9 @@ from pyproj import CRS
 from scipy.sparse import coo_matrix
 from scipy.spatial import Delaunay
 
-from geo import LocalFrame, Mesh, crs_difference, read_reference
+from geo import Cloud, LocalFrame, Mesh, crs_difference, read_reference
+from geo.crs import height_unit_m
+from geo.shapes import in_height_unit, left_out, part_of
 from survey.errors import SurveyError
 from survey.simulate.ground.shapes import BedGrid
 from survey.simulate.ground.triangles import TriangleMesh
@@ -27,11 +29,14 @@ def bed_from_file(path: Path, settings: BedSettings, frame: LocalFrame) -> tuple
     SurveyError, GeoError
         If the file cannot be used as a bed.
     """
-    shape = read_reference(path)
+    in_crs = settings.frame == "crs"
+    shape = in_height_unit(read_reference(path), height_unit_m(frame.crs) if in_crs else 1.0)
+    if isinstance(shape, Cloud):
+        shape = part_of(shape, ~left_out(shape)[0])
     points, faces = (shape.vertices, shape.faces) if isinstance(shape, Mesh) else (shape.points, None)
     if settings.kind == "mesh" and faces is None:
         raise SurveyError(f'{path} has no faces; give kind = "cloud" in [bed], or a mesh')
-    if settings.frame == "crs":
+    if in_crs:
         points = _in_local(points, shape.crs, path, frame)
     if settings.kind == "mesh" and faces is not None:
         return TriangleMesh(points, faces), shape.rgb

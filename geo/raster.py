@@ -47,7 +47,7 @@ def read_raster(path: str | Path) -> Mesh:
     rows, columns = np.mgrid[0 : heights.shape[0], 0 : heights.shape[1]] + 0.5
     east, north = t.a * columns + t.b * rows + t.c, t.d * columns + t.e * rows + t.f
     unit = unit_named(unit_name)
-    notes = ()
+    notes: tuple[str, ...] = ()
     if unit is None and unit_name:
         notes = (f"{path} gives its heights in {unit_name[:40]!r}, which is no unit of length that is known.",)
     height_unit = height_unit_said(crs, unit, path, f"the unit of its band, {unit_name},")

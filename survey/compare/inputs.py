@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 from pyproj import CRS
@@ -16,7 +15,6 @@ from geo.crs import has_height, height_unit_m
 from geo.shapes import in_height_unit, left_out, part_of, vertices_of
 from survey.compare.area import Bounds, CompareError, ShiftedFrame, as_text, within
 
-Shape = TypeVar("Shape", bound=Mesh | Cloud)
 # Heights further apart than this many times the size of the data are another place, not an error of the bed.
 _FARTHEST_HEIGHT = 10.0
 
@@ -75,13 +73,13 @@ def load_inputs(paths: Paths, bounds: Bounds | None) -> Inputs:
         If no point is within the bounds, or the heights cannot be of one place.
     """
     notes: list[str] = []
-    cloud = _as_cloud(read_reference(paths.cloud), paths.cloud, notes)
+    compared = read_reference(paths.cloud)
     given = {path: read_reference(path) for path in (paths.reference, paths.visible) if path is not None}
     for path, other in given.items():
-        require_same_crs(cloud.crs, other.crs, str(paths.cloud), str(path))
-    notes += [note for shape in (cloud, *given.values()) for note in shape.notes]
-    crs = _common_crs(cloud, paths.cloud, given, notes)
-    cloud = _in_common_unit(cloud, paths.cloud, crs, notes)
+        require_same_crs(compared.crs, other.crs, str(paths.cloud), str(path))
+    notes += [note for shape in (compared, *given.values()) for note in shape.notes]
+    crs = _common_crs(compared, paths.cloud, given, notes)
+    cloud = _as_cloud(_in_common_unit(compared, paths.cloud, crs, notes), paths.cloud, notes)
     others = {
         path: _surface(_of_the_ground(_in_common_unit(shape, path, crs, notes), path, notes), path)
         for path, shape in given.items()
@@ -109,7 +107,7 @@ def load_inputs(paths: Paths, bounds: Bounds | None) -> Inputs:
     return Inputs(paths, cloud, inside, int(cropped.sum()), reference, visible, crs, frame, tuple(notes))
 
 
-def _in_common_unit(shape: Shape, path: Path, crs: CRS | None, notes: list[str]) -> Shape:
+def _in_common_unit(shape: Mesh | Cloud, path: Path, crs: CRS | None, notes: list[str]) -> Mesh | Cloud:
     """A shape with heights in the unit of the common CRS, where its file gives a unit beside its own CRS."""
     unit_m = 1.0 if crs is None else height_unit_m(crs)
     if shape.height_unit_m is not None and abs(shape.height_unit_m - unit_m) > 1e-9:
@@ -136,7 +134,7 @@ def _is_ground(cloud: Cloud, path: Path, notes: list[str]) -> np.ndarray:
     return ~out
 
 
-def _of_the_ground(shape: Shape, path: Path, notes: list[str]) -> Shape:
+def _of_the_ground(shape: Mesh | Cloud, path: Path, notes: list[str]) -> Mesh | Cloud:
     return shape if isinstance(shape, Mesh) else part_of(shape, _is_ground(shape, path, notes))
 
 
@@ -144,7 +142,7 @@ def _as_cloud(shape: Mesh | Cloud, path: Path, notes: list[str]) -> Cloud:
     if isinstance(shape, Cloud):
         return shape
     notes.append(f"{path.name} is a mesh: its vertices are compared")
-    return Cloud(points=shape.vertices, crs=shape.crs, height_unit_m=shape.height_unit_m, notes=shape.notes)
+    return Cloud(points=shape.vertices, crs=shape.crs)
 
 
 def _surface(shape: Mesh | Cloud, path: Path) -> Mesh | Cloud:
@@ -159,7 +157,7 @@ def _surface(shape: Mesh | Cloud, path: Path) -> Mesh | Cloud:
     return replace(shape, vertices=vertices, faces=faces, rgb=None)
 
 
-def _common_crs(cloud: Cloud, path: Path, others: dict[Path, Mesh | Cloud], notes: list[str]) -> CRS | None:
+def _common_crs(cloud: Mesh | Cloud, path: Path, others: dict[Path, Mesh | Cloud], notes: list[str]) -> CRS | None:
     """The CRS of all files, None if none has one: the first that has heights, else the first."""
     known = {path: cloud.crs} | {other_path: other.crs for other_path, other in others.items()}
     said = {file: crs for file, crs in known.items() if crs is not None}

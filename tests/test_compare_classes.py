@@ -1,0 +1,115 @@
+"""Points that their own file calls noise, water or withheld take no part in a comparison, on either side."""
+
+from __future__ import annotations
+
+import laspy
+import numpy as np
+import pytest
+from compare_plane import FRAME, compared, grid, write_las, write_plane
+from pyproj import CRS
+
+from geo import read_reference, write_ply
+from geo.las import WITHHELD_STD_M, write_cloud
+from geo.shapes import NOT_GROUND, left_out
+from survey.compare.area import CompareError
+
+# Of LAS 1.4 and its topo-bathy profile: what is ground, an object, or not said, and every other one.
+KEPT = [code for code in range(256) if code not in {7, 9, 18, 41, 42, 45}]
+RAISED_M = 1.5
+
+
+@pytest.fixture(autouse=True)
+def _fewer_samples(monkeypatch):
+    monkeypatch.setattr("survey.compare.scene.NUM_SAMPLES", 2000)
+
+
+def with_flags(path, *, classes=None, withheld=None):
+    """A LAS file with other classes and flags."""
+    las = laspy.read(path)
+    if classes is not None:
+        las.classification = classes
+    if withheld is not None:
+        las.withheld = withheld
+    las.write(path)
+    return path
+
+
+def spoilt(tmp_path, name, *, code=None, withheld=False):
+    """Points on the plane, and a quarter more, a metre and a half over it, of a class or flagged."""
+    good, bad = grid(0.25), grid(0.5, RAISED_M)
+    path = write_las(tmp_path / name, FRAME.crs_from_local(np.concatenate([good, bad])))
+    is_bad = np.arange(len(good) + len(bad)) >= len(good)
+    classes = None if code is None else np.where(is_bad, code, 40).astype(np.uint8)
+    return with_flags(path, classes=classes, withheld=is_bad if withheld else None), int(is_bad.sum())
+
+
+def test_exactly_noise_water_and_beds_not_found_are_left_out():
+    assert set(range(256)) - set(KEPT) == set(NOT_GROUND)
+
+
+@pytest.mark.parametrize("flag", [*NOT_GROUND, "withheld"])
+def test_points_that_are_no_bed_are_left_out_of_the_cloud_and_counted(tmp_path, flag):
+    what = {"withheld": True} if flag == "withheld" else {"code": flag}
+    cloud, num_bad = spoilt(tmp_path, "c.las", **what)
+    found = compared(cloud, write_plane(tmp_path / "r.ply"))
+    assert found["n_points"] == len(grid(0.25))
+    assert found["n_cropped"] == 0
+    assert found["max_m"] < 0.01
+    said = "flagged withheld" if flag == "withheld" else f"of class {flag} ({NOT_GROUND[flag]})"
+    assert any(f"of c.las are not of the ground and left out: {num_bad} {said}" in note for note in found["notes"])
+
+
+@pytest.mark.parametrize("flag", [*NOT_GROUND, "withheld"])
+def test_points_that_are_no_bed_are_left_out_of_the_reference_and_of_what_is_visible(tmp_path, flag):
+    what = {"withheld": True} if flag == "withheld" else {"code": flag}
+    reference, num_bad = spoilt(tmp_path, "r.las", **what)
+    cloud = write_las(tmp_path / "c.las", FRAME.crs_from_local(grid(0.25, 0.001)))
+    found = compared(cloud, reference, visible=reference, c2c=True)
+    assert found["completeness"] == found["completeness_visible"] == 1.0
+    assert found["c2c"]["to_cloud"]["max_m"] < 0.01
+    assert sum(f"{num_bad} of " in note for note in found["notes"]) == 1
+
+
+@pytest.mark.parametrize("code", [0, 1, 2, 8, 12, 40, 43, 64, 255])
+def test_other_classes_are_compared(tmp_path, code):
+    cloud, num_bad = spoilt(tmp_path, "c.las", code=code)
+    found = compared(cloud, write_plane(tmp_path / "r.ply"))
+    assert found["n_points"] == len(grid(0.25)) + num_bad
+    assert found["max_m"] == pytest.approx(RAISED_M, abs=0.01)
+    assert not any("not of the ground" in note for note in found["notes"])
+
+
+@pytest.mark.parametrize("point_format", range(11))
+def test_flags_are_read_in_every_point_format(tmp_path, point_format):
+    header = laspy.LasHeader(version="1.4", point_format=point_format)
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = grid(1.0)[:4].T
+    las.classification, las.withheld = [2, 7, 9, 2], [False, False, False, True]
+    las.write(tmp_path / "c.las")
+    out, said = left_out(read_reference(tmp_path / "c.las"))
+    assert out.tolist() == [False, True, True, True]
+    assert said == "1 flagged withheld, 1 of class 7 (low noise), 1 of class 9 (water)"
+
+
+def test_classes_that_cloudcompare_keeps_in_a_ply_count_too(tmp_path):
+    at = grid(1.0)
+    scalars = {"Classification": np.where(np.arange(len(at)) < 5, 7, 2)}
+    write_ply(tmp_path / "c.ply", at, rgb=np.zeros((len(at), 3), np.uint8), scalars=scalars)
+    assert left_out(read_reference(tmp_path / "c.ply"))[0].sum() == 5
+
+
+def test_a_cloud_of_nothing_but_water_is_refused_with_what_it_holds(tmp_path):
+    cloud = with_flags(
+        write_las(tmp_path / "c.las", FRAME.crs_from_local(grid(1.0))), classes=np.full(121, 9, np.uint8)
+    )
+    with pytest.raises(CompareError, match=r"no point of .*c\.las is of the ground: it holds 121 of class 9 \(water\)"):
+        compared(cloud, write_plane(tmp_path / "r.ply"))
+
+
+def test_points_that_may_be_metres_off_are_withheld_and_others_not(tmp_path):
+    std = np.array([0.01, WITHHELD_STD_M, 1.001, 30.0, np.nan])
+    write_cloud(
+        tmp_path / "c.laz", grid(1.0)[:5], CRS("EPSG:25832+5778"), rgb=np.zeros((5, 3), np.uint8), depth_m=np.ones(5),
+        std_m=std, num_views=np.full(5, 3), incidence_deg=np.zeros(5), is_wet=np.ones(5, bool),
+    )  # fmt: skip
+    assert np.asarray(laspy.read(tmp_path / "c.laz").withheld).tolist() == [0, 0, 1, 1, 0]

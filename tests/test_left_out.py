@@ -8,6 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from fields.solver.appearance import brightness_of
 from fields.sweep.holes import closed, shrunk
+from fields.sweep.photo_consistency import Consistency
 from survey.photos.saturation import saturated
 from survey.report.photographs import doubts, photographs_of, summary, table
 
@@ -59,8 +60,27 @@ def test_white_and_what_is_beside_it_is_saturated():
     assert saturated(grey).sum() == 9
 
 
+def test_photographs_that_give_nothing_to_the_cloud_are_named_with_the_reason():
+    consistency = {f"{i}.jpg": Consistency(4000, 0.8, 8.0) for i in range(5)}
+    consistency |= {
+        "up.jpg": Consistency(0, None, 8.0),
+        "turned.jpg": Consistency(3000, 0.02, 8.0),
+        "dim.jpg": Consistency(3000, 0.05, 1.0),
+        "edge.jpg": Consistency(20, -0.1, 8.0),
+    }
+    found = {each.name: each.useless for each in photographs_of(dict.fromkeys(consistency, 0.0), {}, consistency)}
+    assert [name for name, why in found.items() if why] == ["up.jpg", "turned.jpg", "dim.jpg"]
+    (warning,) = doubts(photographs_of(dict.fromkeys(consistency, 0.0), {}, consistency))
+    assert warning.startswith("3 photographs with nothing for the cloud: up.jpg (its frame holds none of the bed")
+    assert "turned.jpg (shows something else there: pose wrong)" in warning
+    assert "dim.jpg (blurred, or without texture)" in warning
+    # Where all correlate badly, as in noise, none stands out.
+    noisy = {f"{i}.jpg": Consistency(4000, 0.1, 8.0) for i in range(5)}
+    assert not any(each.useless for each in photographs_of(dict.fromkeys(noisy, 0.0), {}, noisy))
+
+
 def test_each_photograph_has_its_shares_and_those_that_are_mostly_white_are_named():
-    found = photographs_of({"a.jpg": 0.0, "b.jpg": 0.61, "c.jpg": 0.03}, {"a.jpg": [200, 20], "c.jpg": [0, 0]})
+    found = photographs_of({"a.jpg": 0.0, "b.jpg": 0.61, "c.jpg": 0.03}, {"a.jpg": [200, 20], "c.jpg": [0, 0]}, {})
     assert [each.outlying for each in found] == [0.1, None, None]
     (warning,) = doubts(found)
     assert warning.startswith("1 photograph more than half white by glint of the sun or exposure")

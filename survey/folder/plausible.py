@@ -149,7 +149,8 @@ def doubts_of_places(
     frame: LocalFrame, views: list[View], water: FlatWater | None, heads: dict[str, Exif]
 ) -> list[str]:
     """Warnings about positions and heights that are possible but more likely a mistake."""
-    found: list[str] = []
+    up = [view.name for view in views if view.camera.cam_from_local[2, 2] > 0.0]
+    found = named(up, "camera", "that looks up at the sky by its pose, and shows nothing of the bed")
     centres = np.array([view.camera.centre for view in views])
     if water is not None:
         too_high = -water.depth(centres) > DRONE_HEIGHT_M

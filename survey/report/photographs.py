@@ -7,11 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fields.sweep.photo_consistency import Consistency
 from survey.display.quantities import share
 from survey.display.words import named
 from survey.photos.saturation import MOSTLY_WHITE
 from survey.report.blocks import Block, Rows, Table
 
+# A photograph that shows the bed correlates with the others there as they do with each other; one whose pose is wrong
+# does not: 0.7 to 0.9 and 0.03 in drawn surveys. Fewer points of the bed than this in a frame tell nothing.
+_LEAST_OF_MEDIAN, _FEWEST_POINTS = 0.25, 100
+# A photograph with so much less contrast than the median is blurred.
+_BLURRED = 0.3
 # Worth a row in the page; all are in report.json.
 _NOTABLE_WHITE, _NOTABLE_OUTLYING, _MOST_ROWS = 0.02, 0.15, 20
 
@@ -28,28 +34,54 @@ class PhotographFigures:
     outlying : [-] or None
         Of the points of the bed in it, those where it shows what no other photograph does, so that its weight is less
         than half there; None where the solver did not run, or it shows no point.
+    useless : str
+        Why the photograph gives nothing to the cloud; empty where it does.
     """
 
     name: str
     saturated: float
     outlying: float | None
+    useless: str = ""
 
 
-def photographs_of(saturated: Mapping[str, float], sightings: Mapping[str, list[int]]) -> tuple[PhotographFigures, ...]:
+def photographs_of(
+    saturated: Mapping[str, float], sightings: Mapping[str, list[int]], consistency: Mapping[str, Consistency]
+) -> tuple[PhotographFigures, ...]:
     """The photographs, by what the stages of sweep and solver counted by their names."""
-    found = []
+    found, useless = [], _useless(consistency)
     for name, white in saturated.items():
         seen, outlying = sightings.get(name, (0, 0))
-        found.append(PhotographFigures(name, white, outlying / seen if seen else None))
+        found.append(PhotographFigures(name, white, outlying / seen if seen else None, useless.get(name, "")))
     return tuple(found)
 
 
+def _useless(consistency: Mapping[str, Consistency]) -> dict[str, str]:
+    """Why photographs give nothing to the cloud, by their names."""
+    known = [each for each in consistency.values() if each.correlation is not None]
+    if not known:
+        return {}
+    usual = float(np.median([each.correlation for each in known if each.correlation is not None]))
+    contrast = float(np.median([each.contrast for each in known]))
+    found = {}
+    for name, each in consistency.items():
+        if each.num_points == 0:
+            found[name] = "its frame holds none of the bed: pose wrong, or outside"
+        elif each.num_points >= _FEWEST_POINTS and (each.correlation or 0.0) < _LEAST_OF_MEDIAN * usual:
+            blurred = each.contrast < _BLURRED * contrast
+            found[name] = "blurred, or without texture" if blurred else "shows something else there: pose wrong"
+    return found
+
+
 def doubts(photographs: tuple[PhotographFigures, ...]) -> list[str]:
-    """A warning that names the photographs that show little of the bed."""
+    """Warnings that name the photographs that show little of the bed, or nothing."""
     white = [each.name for each in photographs if each.saturated > MOSTLY_WHITE]
-    return named(
-        white, "photograph", "more than half white by glint of the sun or exposure, with little of the bed left"
-    )
+    useless = [f"{each.name} ({each.useless})" for each in photographs if each.useless]
+    return [
+        *named(
+            white, "photograph", "more than half white by glint of the sun or exposure, with little of the bed left"
+        ),
+        *named(useless, "photograph", "with nothing for the cloud"),
+    ]
 
 
 def summary(photographs: tuple[PhotographFigures, ...]) -> list[str]:

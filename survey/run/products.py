@@ -10,6 +10,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from fields.sweep.maps import DepthMap
+from fields.sweep.photo_consistency import Consistency
 from survey.adjust.adjustment import Adjustment, read_adjustment
 from survey.compare.result import Comparison
 from survey.files.json_values import read_json_object, write_json
@@ -27,7 +28,7 @@ from survey.run.job import Job
 from survey.run.repeat import options_of, settings_text
 from survey.run.stage_adjust import FILES as ADJUSTMENT_FILES
 from survey.run.stage_solver import SIGHTINGS
-from survey.run.stage_sweep import MAPS, SATURATED
+from survey.run.stage_sweep import CONSISTENCY, MAPS, SATURATED
 from survey.run.stored import StoredBed, load_bed
 from survey.run.stored_maps import Stored
 from survey.run.truth import Truth
@@ -111,7 +112,8 @@ def _write_report(
 def _photographs(done: Mapping[str, Path]) -> tuple[PhotographFigures, ...]:
     """What of each photograph was left out; what only the solver can tell, where it ran."""
     sightings = read_json_object(done["solver"] / SIGHTINGS) if "solver" in done else {}
-    return photographs_of(read_json_object(done["sweep"] / SATURATED), sightings)
+    consistency = {name: Consistency(**found) for name, found in read_json_object(done["sweep"] / CONSISTENCY).items()}
+    return photographs_of(read_json_object(done["sweep"] / SATURATED), sightings, consistency)
 
 
 def _adjustment(folder: Path, done: Mapping[str, Path]) -> Adjustment | None:

@@ -8,12 +8,14 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fields.sweep.free_space import without_contradicted
 from fields.sweep.maps import ByView, DepthMap
 from fields.sweep.passes import PASSES, before_solver, passes_from
+from fields.sweep.photo_consistency import photo_consistency
 from fields.sweep.sweep import sweep
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
@@ -31,7 +33,9 @@ if TYPE_CHECKING:
     from survey.run.aimed import Aimed
     from survey.run.job import Job
 
-MAPS, BOUND, SATURATED, SWEPT = "maps.npz", "bound.json", "saturated.json", "swept.json"
+MAPS, BOUND, SWEPT = "maps.npz", "bound.json", "swept.json"
+# Of each photograph by its name: the share of white pixels, and whether it shows the bed that was found.
+SATURATED, CONSISTENCY = "saturated.json", "consistency.json"
 # Of the round before, for the stages of the next; and where its look left the cells that need work.
 EARLIER_SWEEP, EARLIER_SOLVER, EARLIER_LOOK, CELLS = "earlier sweep", "earlier solver", "earlier look", "cells.npz"
 # In the folder of the stage, while it lasts: maps that are worked on.
@@ -150,6 +154,8 @@ def _save(
     write_json(folder / SWEPT, told)
     names = [view.name for view in job.survey.views]
     write_json(folder / SATURATED, dict(zip(names, job.block.saturated, strict=True)))
+    found = photo_consistency(job.block, maps) if scale == job.plan.image_scale else []
+    write_json(folder / CONSISTENCY, {name: asdict(each) for name, each in zip(names, found, strict=False)})
 
 
 def _wanted(job: Job) -> Area | None:

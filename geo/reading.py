@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,8 @@ from geo.las import read_cloud
 from geo.obj import read_obj
 from geo.ply_reading import read_ply
 from geo.raster import read_raster
-from geo.shapes import Cloud, Mesh
+from geo.shapes import Cloud, Mesh, vertices_of
+from geo.values import check_values
 
 _READERS = {
     ".ply": read_ply,
@@ -41,7 +43,8 @@ def read_reference(path: str | Path) -> Mesh | Cloud:
         If the file has no points.
     UnreadableFile
         If it does not exist, has another suffix, needs a library that is not installed, is damaged, has
-        coordinates that are not finite, or faces that name vertices it does not have.
+        coordinates that are not finite, or faces that name vertices it does not have; if its values were rounded, or
+        hold marks of no data, see `geo.values`.
     """
     path = existing_file(path)
     reader = _READERS.get(path.suffix.lower())
@@ -49,7 +52,7 @@ def read_reference(path: str | Path) -> Mesh | Cloud:
         suffixes = ", ".join(_READERS)
         raise UnreadableFile(f'{path} has the suffix "{path.suffix}"; export it as one of {suffixes}.')
     shape = reader(path)
-    points = shape.vertices if isinstance(shape, Mesh) else shape.points
+    points = vertices_of(shape)
     if not len(points):
         raise EmptyCloud(f"{path} has no points; expected a mesh or a cloud with at least one.")
     bad = int((~np.isfinite(points).all(axis=1)).sum())
@@ -60,7 +63,7 @@ def read_reference(path: str | Path) -> Mesh | Cloud:
         )
     if isinstance(shape, Mesh):
         _require_faces(shape, path)
-    return shape
+    return replace(shape, notes=(*shape.notes, *check_values(points, shape.crs, path)))
 
 
 def _require_faces(mesh: Mesh, path: Path) -> None:

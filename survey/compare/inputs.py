@@ -11,8 +11,9 @@ from pyproj import CRS
 from evaluation import weld
 from evaluation.triangles import has_area
 from geo import Cloud, LocalFrame, Mesh, read_reference, require_same_crs, require_same_place
-from geo.crs import has_height, height_unit_m
+from geo.crs import has_height, height_unit_m, is_geographic
 from geo.shapes import in_height_unit, left_out, part_of, vertices_of
+from geo.values import rounded_coordinates
 from survey.compare.area import Bounds, CompareError, ShiftedFrame, as_text, within
 
 # Heights further apart than this many times the size of the data are another place, not an error of the bed.
@@ -79,6 +80,10 @@ def load_inputs(paths: Paths, bounds: Bounds | None) -> Inputs:
         require_same_crs(compared.crs, other.crs, str(paths.cloud), str(path))
     notes += [note for shape in (compared, *given.values()) for note in shape.notes]
     crs = _common_crs(compared, paths.cloud, given, notes)
+    for path, shape in ({paths.cloud: compared} | given).items():
+        if shape.crs is None and crs is not None and is_geographic(crs):
+            # Only now it is known that they are degrees, of which a tenth of a metre is six decimals.
+            notes += rounded_coordinates(vertices_of(shape), crs, path)
     cloud = _as_cloud(_in_common_unit(compared, paths.cloud, crs, notes), paths.cloud, notes)
     others = {
         path: _surface(_of_the_ground(_in_common_unit(shape, path, crs, notes), path, notes), path)

@@ -1,0 +1,181 @@
+"""Coordinates that no survey measured: rounded through single precision or few digits, or marks of no data.
+
+Judged by the values, whatever the format stores them in; `geo.reading.read_reference` asks for every file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from pyproj import CRS
+
+from geo.crs import has_height, height_unit_m
+from geo.errors import UnreadableFile
+from geo.projection import ground_units_m
+
+# At 5 mm steps begin to spoil a comparison.
+_COARSEST_STEP_M = 0.005
+# Steps that are not those of single precision or a number of digits may be meant, as those of LAS are; larger ones not.
+_COARSEST_MEANT_M = 0.05
+_LARGEST_STEP_M = 1000.0
+_SMALLEST_EXTENT_M = 0.05
+# Fewer points may lie on whole metres by chance, or by design.
+_FEWEST = 10
+_SAMPLE = 1000
+# As many around the middle tell how crowded a cloud is.
+_ENOUGH = 500_000
+# Half a step of LAS, in which rounded values may have been stored later.
+_STORED_M = 0.0006
+_DIGITS = range(4, 10)
+# Of all points, how many share their place in plan with another height; of a raster's cells, how many have one.
+_MANY_SHARED, _RASTER = 0.1, 0.3
+
+# What programs write where there is no height; 0 may also be one.
+_MARKS = (-9999.0, 9999.0, -99999.0, 99999.0, -999.0, -32768.0, -32767.0, 32767.0, 65535.0, 1e6, -1e6)
+_BEYOND_EARTH = 1e7
+_FAR, _SPREADS = 100.0, 10.0
+_SHARE = 0.01
+
+
+def check_values(points: np.ndarray, crs: CRS | None, path: Path) -> tuple[str, ...]:
+    """Notes on the points (N, 3) of a file, in crs (None: metres).
+
+    Raises
+    ------
+    UnreadableFile
+        If their coordinates were rounded to steps far coarser than their spacing, or some heights stand for no data.
+    """
+    return (*_marks_of_no_data(points[:, 2], path), *rounded_coordinates(points, crs, path))
+
+
+def rounded_coordinates(points: np.ndarray, crs: CRS | None, path: Path) -> tuple[str, ...]:
+    """As `check_values`, of the steps of coordinates alone."""
+    if len(points) < _FEWEST:
+        return ()
+    metres = np.ones(2) if crs is None else ground_units_m(crs, points[0])
+    steps = np.array([_step(values, unit) for values, unit in zip(points[:, :2].T, metres, strict=True)])
+    if np.isinf(steps).all() and points[:, 2].min() < points[:, 2].max():
+        raise UnreadableFile(
+            f"all {len(points)} points of {path} have the same easting and northing, and different heights: their "
+            "places were rounded; export it again with double precision and all decimals."
+        )
+    notes = _rounded_heights(points[:, 2], 1.0 if crs is None or not has_height(crs) else height_unit_m(crs), path)
+    if not (np.isfinite(steps) & (steps > 0.0)).any():
+        return notes
+    said = " and ".join(f"{step:.3g}" for step in steps if step > 0.0 and np.isfinite(step))
+    what = f"the eastings and northings of {path} are multiples of {said}"
+    by = _narrowed_by(points[:, :2], steps, metres)
+    shared, is_raster = _crowding(points)
+    if by and not is_raster:
+        raise UnreadableFile(
+            f"{what}: they went through {by}, which loses the places of its points; export it again with double "
+            "precision and all decimals, or with an origin near by."
+        )
+    if shared > _MANY_SHARED:
+        if (steps * metres)[np.isfinite(steps)].max() > _COARSEST_MEANT_M:
+            raise UnreadableFile(
+                f"{what}, and {100.0 * shared:.0f} % of its points share their place with another height: their places "
+                "were rounded; export it again with all decimals."
+            )
+        return (*notes, f"{what}, coarser than the spacing of its points: differences of that size are rounding")
+    return notes
+
+
+def _step(values: np.ndarray, metres: float) -> float:
+    """The largest power of two or ten, over 5 mm, by multiples of which values differ; 0 if none, inf if they agree."""
+    some = values[:: max(len(values) // _SAMPLE, 1)]
+    if values.min() == values.max():
+        return np.inf
+    if np.ptp(values) * metres < _SMALLEST_EXTENT_M:
+        return 0.0
+    found = (step for step in _steps(metres) if _is_multiple(some, values[0], step, metres))
+    return next((step for step in found if _is_multiple(values, values[0], step, metres)), 0.0)
+
+
+def _steps(metres: float) -> Iterator[float]:
+    """Powers of two and of ten, in units of so many metres, the largest first."""
+    low, high = np.log2([_COARSEST_STEP_M / metres, _LARGEST_STEP_M / metres])
+    twos = [2.0**k for k in range(int(np.ceil(low)), int(high) + 1)]
+    low, high = np.log10([_COARSEST_STEP_M / metres, _LARGEST_STEP_M / metres])
+    tens = [float(f"1e{k}") for k in range(int(np.ceil(low)), int(high) + 1)]
+    yield from sorted({*twos, *tens}, reverse=True)
+
+
+def _is_multiple(values: np.ndarray, origin: float, step: float, metres: float) -> bool:
+    along = values - origin
+    return bool((np.abs(along - np.round(along / step) * step) <= min(_STORED_M / metres, 0.05 * step)).all())
+
+
+def _narrowed_by(plan: np.ndarray, steps: np.ndarray, metres: np.ndarray) -> str | None:
+    """What leaves steps (2,) like these on coordinates (N, 2) of this size, in words; None if nothing that is known.
+
+    Equal steps along both axes say nothing: they may be meant.
+    """
+    if steps[0] == steps[1]:
+        return None
+    largest = np.abs(plan).max(axis=0)
+
+    def fits(expected: np.ndarray) -> bool:
+        is_fine = expected * metres <= _COARSEST_STEP_M
+        return bool((np.isinf(steps) | (steps == np.where(is_fine, 0.0, expected))).all())
+
+    if fits(np.spacing(largest.astype(np.float32)).astype(np.float64)):
+        return "single precision"
+    for digits in _DIGITS:
+        whole = np.floor(np.log10(np.maximum(largest, 1e-300))) + 1.0
+        if fits(np.array([float(f"1e{int(n)}") for n in whole - digits])):
+            return f"numbers of {digits} digits"
+    return None
+
+
+def _crowding(points: np.ndarray) -> tuple[float, bool]:
+    """Share of the points that have the place in plan of one of another height, and whether they are cells of a raster.
+
+    Few corners over each other (a box) are not crowded.
+    """
+    if len(points) > _ENOUGH:
+        half = 0.5 * np.ptp(points[:, :2], axis=0) * (_ENOUGH / len(points)) ** 0.5
+        middle = np.median(points[:, :2], axis=0)
+        points = points[(np.abs(points[:, :2] - middle) <= half).all(axis=1)]
+    distinct = np.unique(points, axis=0)
+    _, number, count = np.unique(distinct[:, :2], axis=0, return_inverse=True, return_counts=True)
+    if len(count) < _FEWEST and len(distinct) < _FEWEST * len(count):
+        return 0.0, False
+    rows = np.prod([len(np.unique(values)) for values in distinct[:, :2].T], dtype=np.float64)
+    return float((count[number.ravel()] > 1).mean()), bool(count.max() == 1 and len(count) > _RASTER * rows)
+
+
+def _rounded_heights(height: np.ndarray, metres: float, path: Path) -> tuple[str, ...]:
+    """A note where all heights are multiples of centimetres or more, and there are more points than heights."""
+    step = _step(height, metres)
+    if not np.isfinite(step) or step * metres <= 0.02 or len(np.unique(height)) * 5 > len(height):
+        return ()
+    if len(np.unique(height)) < _FEWEST:
+        return ()
+    return (f"the heights of {path} are multiples of {step:g}: smaller differences are not known from it",)
+
+
+def _marks_of_no_data(height: np.ndarray, path: Path) -> tuple[str, ...]:
+    """A note where the lowest or highest of heights (N,) may be a mark; UnreadableFile where it must be."""
+    for mark in {float(height.min()), float(height.max())}:
+        is_mark = height == mark
+        rest = height[~is_mark]
+        known = mark in _MARKS or abs(mark) >= _BEYOND_EARTH
+        if not len(rest) or not (known or mark == 0.0):
+            continue
+        low, high = np.quantile(rest, [0.01, 0.99])
+        gap, num = max(low - mark, mark - high), int(is_mark.sum())
+        said = (
+            f"{num} of the {len(height)} heights of {path} are exactly {mark:.10g}, most of the others from "
+            f"{low:.6g} to {high:.6g}"
+        )
+        if gap > max(_SPREADS * (high - low), _FAR) and (known or num > 2):
+            raise UnreadableFile(
+                f"{said}: a mark of no data that the file does not declare; declare it (of a raster: gdal_translate "
+                f"-a_nodata {mark:.10g} {path.name} new.tif), or remove those points."
+            )
+        if num > max(_SHARE * len(height), 20) and len(np.unique(rest)) > 0.5 * len(rest):
+            return (f"{said}: if that is a mark of no data, declare it (gdal_translate -a_nodata {mark:.10g})",)
+    return ()

@@ -57,6 +57,18 @@ def distinct(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.sort(first), number
 
 
+def num_wound_against(faces: np.ndarray) -> int:
+    """Number of edges along which two triangles (F, 3) run in one direction, so that one of them is turned over.
+
+    Their vertices have to be shared, see `weld`. None in a surface with two sides, whatever its shape.
+    """
+    faces = np.asarray(faces, dtype=np.int64)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = edges[edges[:, 0] != edges[:, 1]]
+    _, count = np.unique(edges[:, 0] * (faces.max(initial=0) + 1) + edges[:, 1], return_counts=True)
+    return int((count > 1).sum())
+
+
 def area_vectors(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Normals (F, 3) whose lengths are the areas of the triangles [m²]."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))

@@ -68,6 +68,18 @@ def test_winding_decides_where_it_is_asked_to(cloud, plane):
     numbers = compared(cloud, plane, sign="winding")
     assert numbers["mean_m"] == pytest.approx(-0.1, abs=LAS_M / 10)
     assert numbers["sign"] == "winding"
+    assert not any("wound against" in note for note in numbers["notes"])
+
+
+def test_triangles_that_are_wound_against_each_other_are_noted_where_winding_counts(tmp_path, cloud):
+    corners = FRAME.crs_from_local(np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [HALF, HALF, 1.0])
+    twice = [[0, 2, 1], [0, 3, 2], [0, 1, 2], [0, 2, 3]]
+    for faces, turned in (([[0, 2, 1], [0, 2, 3]], 1), (twice, 2), ([[0, 1, 2], [0, 2, 3]], 0)):
+        mesh = write_mesh(tmp_path / "mesh.ply", corners, faces)
+        for sign in ("up", "winding"):
+            said = [note for note in compared(cloud, mesh, sign=sign)["notes"] if "wound against" in note]
+            assert len(said) == (sign == "winding" and turned > 0)
+            assert all(f"along {turned} edges" in note for note in said)
 
 
 def test_distances_are_metres_on_the_ground_and_not_of_the_map_grid(tmp_path, plane):

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from evaluation import distance_to_mesh, weld
-from evaluation.triangles import closest_on_triangles
+from evaluation.triangles import closest_on_triangles, num_wound_against
 
 EPS = np.finfo(np.float64).eps
 # Numbers of size 10 m go through some twenty operations each.
@@ -254,3 +254,18 @@ def test_welding_joins_equal_vertices_and_nothing_else(rng):
     np.testing.assert_array_equal(welded[welded_faces], soup[soup_faces])
     nearly = np.array([[0.0, 0, 0], [np.nextafter(0.0, 1.0), 0, 0], [-0.0, 0, 0]])
     assert weld(nearly, np.array([[0, 1, 2]]))[1].tolist() == [[0, 1, 0]]
+
+
+@pytest.mark.parametrize("size", [2, 5, 9])
+def test_exactly_surfaces_with_turned_triangles_have_edges_that_run_one_way_twice(size):
+    number = np.arange(size * size).reshape(size, size)
+    nw, ne, sw, se = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
+    faces = np.concatenate([np.stack(abc, axis=-1).reshape(-1, 3) for abc in ((nw, sw, ne), (ne, sw, se))])
+    assert num_wound_against(faces) == num_wound_against(faces[:, ::-1]) == 0
+    rng = np.random.default_rng(size)
+    for share in (0.1, 0.5, 0.9):
+        turned = rng.random(len(faces)) < share
+        turned[0], turned[-1] = True, False
+        mixed = np.where(turned[:, None], faces[:, ::-1], faces)
+        assert num_wound_against(mixed) > 0
+    assert num_wound_against(np.concatenate([faces, faces[:, ::-1]])) > 0

@@ -24,6 +24,7 @@ from evaluation import (
 )
 from evaluation.c2m import Sign
 from evaluation.strata import INCIDENCE_EDGES_DEG, SLOPE_EDGES_DEG, VIEWS_EDGES
+from evaluation.triangles import num_wound_against
 from geo import Mesh
 from survey.compare.area import metres_in_crs, to_local, within
 from survey.compare.figures import Parts, Vertical, VerticalUncertainty
@@ -91,6 +92,12 @@ def distances_of(scene: Scene, sign: Sign, notes: list[str]) -> Distances:
             distances, numbers = distance_to_cloud(scene.points, scene.reference)
             return Distances(distances, scene.reference[numbers], None)
         result = distance_to_mesh(scene.points, scene.reference, reference.faces, sign=sign, advance=stage.advance)
+    turned = num_wound_against(reference.faces) if sign == "winding" else 0
+    if turned:
+        notes.append(
+            f"triangles of {scene.inputs.paths.reference.name} are wound against each other along {turned} edges: "
+            "signs by winding change from one to the next; --sign up does not"
+        )
     if result.num_degenerate:
         notes.append(f"{result.num_degenerate} triangles of the reference have no area and were left out")
     return Distances(result.signed, result.nearest, result.slope_deg)

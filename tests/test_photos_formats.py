@@ -191,9 +191,20 @@ def test_a_camera_model_that_cannot_be_undistorted_is_refused_by_name(tmp_path, 
 
 def test_an_unsupported_model_in_a_binary_file_is_refused_by_name(tmp_path):
     (tmp_path / "cameras.bin").write_bytes(struct.pack("<QIiQQ5d", 1, 1, 7, 64, 48, 1, 2, 3, 4, 5))
-    (tmp_path / "images.bin").write_bytes(struct.pack("<Q", 0))
+    image = struct.pack("<QI7dI", 1, 1, 1, 0, 0, 0, 0, 0, 0, 1) + b"a.jpg\0" + struct.pack("<Q", 0)
+    (tmp_path / "images.bin").write_bytes(image)
     with pytest.raises(PosesError, match=r"cameras\.bin: camera model FOV is not supported"):
         colmap.read_model(tmp_path)
+
+
+@pytest.mark.parametrize(("model", "num"), [(7, 5), (10, 12), (11, 16), (12, 4), (13, 5), (16, 6), (17, 2)])
+def test_a_lens_that_no_image_uses_refuses_no_model(tmp_path, model, num):
+    other = struct.pack(f"<IiQQ{num}d", 1, model, 64, 48, *range(1, num + 1))
+    pinhole = struct.pack("<IiQQ4d", 2, 1, 64, 48, 50.0, 50.0, 32.0, 24.0)
+    (tmp_path / "cameras.bin").write_bytes(struct.pack("<Q", 2) + other + pinhole)
+    image = struct.pack("<QI7dI", 1, 1, 1, 0, 0, 0, 0, 0, 0, 2) + b"a.jpg\0" + struct.pack("<Q", 0)
+    (tmp_path / "images.bin").write_bytes(image)
+    assert colmap.read_model(tmp_path).poses[0].lens.model == "PINHOLE"
 
 
 @pytest.mark.parametrize(

@@ -122,3 +122,41 @@ def test_a_fault_is_refused_in_one_sentence(tmp_path, block, change, words):
     with pytest.raises(PosesError, match=words) as error:
         read_poses(tmp_path / "transforms.json")
     assert len(str(error.value)) < 500
+
+
+@pytest.mark.parametrize("word", [True, 1])
+def test_the_flag_of_instant_ngp_makes_it_a_fisheye(tmp_path, block, word):
+    data = transforms(block)
+    del data["camera_model"]
+    (tmp_path / "transforms.json").write_text(json.dumps(data | {"is_fisheye": word, "p1": 0.0, "p2": 0.0}))
+    lens = read_poses(tmp_path / "transforms.json").poses[0].lens
+    assert lens.model == "OPENCV_FISHEYE"
+    assert lens["k1"] == block.lens.k[0]
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [({"is_fisheye": True}, "is_fisheye is true, and camera_model is OPENCV"), ({"is_latlong": True}, "not supported"),
+     ({"is_equirectangular": 1}, "not supported"), ({"ftheta_p1": 0.2}, "a term of the lens that is not read"),
+     ({"k5": 0.01}, "a term of the lens that is not read"), ({"skew": 0.5}, "a term of the lens that is not read")],
+)  # fmt: skip
+def test_what_changes_the_lens_is_understood_or_refused(tmp_path, block, more, words):
+    (tmp_path / "transforms.json").write_text(json.dumps(transforms(block) | more))
+    with pytest.raises(PosesError, match=words):
+        read_poses(tmp_path / "transforms.json")
+
+
+def test_terms_that_are_zero_and_flags_that_are_off_change_nothing(tmp_path, block):
+    more = {"is_fisheye": False, "k5": 0.0, "p3": 0, "is_latlong": False}
+    (tmp_path / "transforms.json").write_text(json.dumps(transforms(block) | more))
+    assert read_poses(tmp_path / "transforms.json").poses[0].lens.model == "FULL_OPENCV"
+
+
+def test_the_focal_length_of_a_frame_goes_before_that_of_the_root(tmp_path, block):
+    data = transforms(block)
+    angle = 2.0 * np.arctan(0.5 * SIZE[0] / 1234.0)
+    data["frames"][0]["camera_angle_x"] = angle
+    (tmp_path / "transforms.json").write_text(json.dumps(data))
+    poses = read_poses(tmp_path / "transforms.json").poses
+    assert poses[0].lens.focal[0] == pytest.approx(1234.0)
+    assert poses[1].lens.focal[0] == pytest.approx(block.lens.fx)

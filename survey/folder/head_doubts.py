@@ -23,6 +23,12 @@ def head_doubts(heads: Mapping[str, Exif]) -> list[str]:
     rotated = sum(head.orientation != 1 for head in heads.values())
     paged = sum(head.has_pages for head in heads.values())
     warnings = []
+    for fault in dict.fromkeys(head.gps_fault for head in heads.values() if head.gps_fault):
+        without = [name for name, head in heads.items() if head.gps_fault == fault]
+        warnings += named(without, "image", f"without {fault} in EXIF, whose GPS position is not used")
+    for doubt in dict.fromkeys(head.focal_doubt for head in heads.values() if head.focal_doubt):
+        such = [name for name, head in heads.items() if head.focal_doubt == doubt]
+        warnings += named(such, "image", f"with {doubt}; give [cameras] focal_px if it is known")
     if rotated:
         warnings.append(
             f"EXIF marks {rotated} of {num} images as rotated; pixels are used as stored and poses are assumed to "

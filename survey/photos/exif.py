@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -13,17 +14,32 @@ import numpy as np
 from PIL import ExifTags
 
 from geo.crs import utm_code
-from survey.photos.exif_focal import FocalCandidate, focal_candidates, focal_px
+from survey.photos.exif_focal import FocalCandidate, focal_candidates, focal_px, resized_doubt
 from survey.photos.opening import HEIC_SUFFIXES, damage_named, open_image, without_complaints
 from survey.photos.pixels import channel_bits, stored_size
 from survey.photos.png import exif_of_png
-from survey.photos.xmp import Motion, Rtk, height_datum, motion_of, number, rtk_of, stated_std, xmp_number
+from survey.photos.xmp import (
+    SEA_LEVEL,
+    Motion,
+    Rtk,
+    height_datum,
+    motion_of,
+    number,
+    rtk_of,
+    stated_std,
+    xmp_number,
+    xmp_place,
+)
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", *HEIC_SUFFIXES)
 
 _LONGEST_XMP, _LONGEST_WORDS = 1_000_000, 60
 # Longer ones stand in files whose camera writes a filler.
 _LONGEST_EXPOSURE_S = 60.0
+# Of GPSAltitudeRef: below the ellipsoid, below the sea.
+_BELOW = (1, 3)
+# A position in XMP that differs from that in EXIF by less (a tenth of a second and half) is the same with more digits.
+_SAME_PLACE_DEG = 1.5 * 0.1 / 3600.0
 
 
 @dataclass(frozen=True)
@@ -64,6 +80,10 @@ class Exif:
         By the camera's own clock, to the fraction of a second that it has: for the time between photographs.
     exposure_s : float or None
         How long the shutter was open [s].
+    gps_fault : str
+        What EXIF lacks for a GPS position, of which it has a part.
+    focal_doubt : str
+        Where a calibration in XMP belongs to another size of the photograph, or nothing tells to which.
     """
 
     size_px: tuple[int, int]
@@ -82,6 +102,8 @@ class Exif:
     has_pages: bool = False
     clock: datetime | None = None
     exposure_s: float | None = None
+    gps_fault: str = ""
+    focal_doubt: str = ""
 
 
 def read_exif(path: Path) -> Exif:
@@ -105,9 +127,10 @@ def read_exif(path: Path) -> Exif:
     xmp = _text_of_xmp(xmp)
     camera = " ".join(_words(exif.get(tag, "")) for tag in (ExifTags.Base.Make, ExifTags.Base.Model))
     orientation = exif.get(ExifTags.Base.Orientation, 1)
+    position, fault = _position(gps, xmp)
     return Exif(
         size_px=size,
-        lat_lon_height=_position(gps),
+        lat_lon_height=position,
         focal_px=focal_px(size, details, xmp),
         orientation=orientation if orientation in range(1, 9) else 1,
         camera=camera.strip(),
@@ -117,11 +140,13 @@ def read_exif(path: Path) -> Exif:
         rtk=rtk_of(xmp),
         motion=motion_of(xmp),
         std_m=stated_std(xmp),
-        height_datum=height_datum(xmp),
+        height_datum=height_datum(xmp) or (SEA_LEVEL if _altitude_reference(gps) in (2, 3) else None),
         bits=bits,
         has_pages=has_pages,
         clock=_clock(details),
         exposure_s=_exposure(details),
+        gps_fault=fault,
+        focal_doubt=resized_doubt(size, details, xmp),
     )
 
 
@@ -137,31 +162,81 @@ def _words(value: Any) -> str:
     return "".join(letter for letter in text if letter.isprintable()).strip()
 
 
-def _position(gps: dict) -> tuple[float, float, float] | None:
-    latitude = _degrees(gps.get(ExifTags.GPS.GPSLatitude), gps.get(ExifTags.GPS.GPSLatitudeRef), "S")
-    longitude = _degrees(gps.get(ExifTags.GPS.GPSLongitude), gps.get(ExifTags.GPS.GPSLongitudeRef), "W")
+def _position(gps: dict, xmp: str) -> tuple[tuple[float, float, float] | None, str]:
+    """The position, by EXIF, or by XMP where that has more digits or EXIF none; and what EXIF lacks for one."""
+    by_exif, fault = _position_of_gps(gps)
+    by_xmp = xmp_place(xmp)
+    if by_xmp is None:
+        return by_exif, fault
+    if by_exif is None:
+        height = math.nan if by_xmp.height is None else by_xmp.height
+        return (by_xmp.latitude, by_xmp.longitude, height), ""
+    apart = max(abs(by_exif[0] - by_xmp.latitude), abs(by_exif[1] - by_xmp.longitude))
+    if by_xmp.step_deg < _step_deg(gps) and apart < _SAME_PLACE_DEG:
+        return (by_xmp.latitude, by_xmp.longitude, by_exif[2]), ""
+    return by_exif, fault
+
+
+def _position_of_gps(gps: dict) -> tuple[tuple[float, float, float] | None, str]:
+    places = []
+    for name, value, reference, letters in (
+        ("latitude", ExifTags.GPS.GPSLatitude, ExifTags.GPS.GPSLatitudeRef, "NS"),
+        ("longitude", ExifTags.GPS.GPSLongitude, ExifTags.GPS.GPSLongitudeRef, "EW"),
+    ):
+        degrees = _degrees(gps.get(value))
+        # The letter, or the word that begins with it.
+        letter = _plain(gps.get(reference))[:1].upper()
+        if math.isfinite(degrees) and (not letter or letter not in letters):
+            return None, f"{name}'s reference ({' or '.join(letters)})"
+        places.append(-abs(degrees) if letter == letters[1] else degrees)
+    latitude, longitude = places
     # A receiver without a fix writes 0, 0.
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0) or latitude == longitude == 0.0:
-        return None
+        return None, ""
     height = number(gps.get(ExifTags.GPS.GPSAltitude))
-    if gps.get(ExifTags.GPS.GPSAltitudeRef) in (1, b"\x01"):
-        height = -height
-    return latitude, longitude, height
+    return (latitude, longitude, -abs(height) if _altitude_reference(gps) in _BELOW else height), ""
+
+
+def _altitude_reference(gps: dict) -> int | None:
+    """0 and 1: above and below the ellipsoid, or the sea before Exif 3.0; 2 and 3: above and below the sea."""
+    value = gps.get(ExifTags.GPS.GPSAltitudeRef)
+    if isinstance(value, bytes) and len(value) == 1 and value[0] < 0x20:
+        return value[0]
+    found = number(_plain(value) if isinstance(value, bytes | str) else value)
+    return int(found) if found in (0.0, 1.0, 2.0, 3.0) else None
+
+
+def _plain(value: Any) -> str:
+    """A text of EXIF without its padding."""
+    text = value.decode("ascii", errors="replace") if isinstance(value, bytes) else str("" if value is None else value)
+    return text.strip("\0 ")
+
+
+def _step_deg(gps: dict) -> float:
+    """The step [deg] of the coarser coordinate, as the denominators of degrees, minutes and seconds tell."""
+    steps = [1.0 / 3600.0]
+    for tag in (ExifTags.GPS.GPSLatitude, ExifTags.GPS.GPSLongitude):
+        try:
+            parts = list(gps[tag])[:3]
+            steps.append(min(60.0**-i / max(getattr(part, "denominator", 1), 1) for i, part in enumerate(parts)))
+        except (KeyError, TypeError, ValueError):
+            continue
+    return max(steps[1:], default=steps[0])
 
 
 def _taken(gps: dict, details: dict) -> datetime | None:
     day = str(gps.get(ExifTags.GPS.GPSDateStamp, "")).strip("\0 ")
     clock = gps.get(ExifTags.GPS.GPSTimeStamp)
-    try:
-        if day and clock is not None:
-            hours, minutes, seconds = (number(part) for part in clock)
-            passed = timedelta(hours=hours, minutes=minutes, seconds=seconds)
-            return datetime.strptime(day, "%Y:%m:%d").replace(tzinfo=UTC) + passed
+    with suppress(TypeError, ValueError, OverflowError):
+        hours, minutes, seconds = (number(part) for part in clock or ())
+        passed = timedelta(hours=hours, minutes=minutes, seconds=seconds)
+        return datetime.strptime(day, "%Y:%m:%d").replace(tzinfo=UTC) + passed
+    # A receiver that has no date yet hides no camera that has one.
+    with suppress(TypeError, ValueError, OverflowError):
         local = str(details.get(ExifTags.Base.DateTimeOriginal, "")).strip("\0 ")
         offset = str(details.get(ExifTags.Base.OffsetTimeOriginal, "")).strip("\0 ")
         return datetime.strptime(local + offset, "%Y:%m:%d %H:%M:%S%z").astimezone(UTC)
-    except (TypeError, ValueError, OverflowError):
-        return None
+    return None
 
 
 def _clock(details: dict) -> datetime | None:
@@ -180,12 +255,13 @@ def _exposure(details: dict) -> float | None:
     return seconds if 0.0 < seconds < _LONGEST_EXPOSURE_S else None
 
 
-def _degrees(parts, reference, negative: str) -> float:
+def _degrees(parts) -> float:
     try:
-        value = sum(number(part) / 60.0**i for i, part in enumerate(parts[:3]))
+        values = [number(part) for part in parts[:3]]
     except TypeError:
         return math.nan
-    return -value if str(reference).strip("\0 ").upper() == negative else value
+    size = sum(abs(value) / 60.0**i for i, value in enumerate(values))
+    return -size if any(value < 0.0 for value in values) else size
 
 
 def utm_code_of(heads: Mapping[str, Exif]) -> int | None:

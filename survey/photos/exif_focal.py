@@ -13,8 +13,11 @@ from survey.photos.xmp import number, pix4d_number, xmp_number
 
 # The film that "focal length in 35 mm film" refers to [mm].
 _FILM_WIDTH_MM, _FILM_DIAGONAL_MM = 36.0, math.hypot(36.0, 24.0)
-# A calibration further off the 35 mm equivalent than this belongs to another size of the image.
-_RESIZED = 1.5
+# A calibration further off the 35 mm equivalent than this belongs to another size of the image: the equivalent is
+# rounded to a millimetre and may count the diagonal, which is 8 % off for 4:3.
+_SAME_SIZE = math.log(1.2)
+# Optical centres lie within this share of the side about the middle.
+_OFF_CENTRE = 0.1
 # EXIF's units of FocalPlaneXResolution in mm: inch, centimetre, millimetre, micrometre.
 _PLANE_UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 _INCH = 2
@@ -58,14 +61,38 @@ def focal_candidates(size: tuple[int, int], details: Mapping[int, Any], xmp: str
 
 
 def focal_px(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> float | None:
-    """The focal length [px] by DJI's calibration where it belongs to this size, else by the 35 mm equivalent."""
+    """The focal length [px] by DJI's calibration where it belongs to this size, else by the 35 mm equivalent.
+
+    A photograph that was made smaller may keep the calibration of its full size: the optical centre beside it tells, or
+    a 35 mm equivalent that contradicts it.
+    """
     calibrated = xmp_number(xmp, "CalibratedFocalLength")
     film = number(details.get(ExifTags.Base.FocalLengthIn35mmFilm))
     by_film = film / _FILM_WIDTH_MM * max(size) if film > 0.0 else None
-    is_of_size = details.get(ExifTags.Base.ExifImageWidth, size[0]) == size[0]
-    if calibrated and is_of_size and (by_film is None or 1.0 / _RESIZED < calibrated / by_film < _RESIZED):
+    is_of_size = details.get(ExifTags.Base.ExifImageWidth, size[0]) == size[0] and _is_centred(size, xmp)
+    if calibrated and is_of_size and (by_film is None or abs(math.log(calibrated / by_film)) < _SAME_SIZE):
         return calibrated
     return by_film
+
+
+def resized_doubt(size: tuple[int, int], details: Mapping[int, Any], xmp: str) -> str:
+    """What a calibration and the 35 mm equivalent say, where they are of photographs of two sizes; empty otherwise."""
+    calibrated, used = xmp_number(xmp, "CalibratedFocalLength"), focal_px(size, details, xmp)
+    if not calibrated or calibrated <= 0.0:
+        return ""
+    if used == calibrated:
+        film = number(details.get(ExifTags.Base.FocalLengthIn35mmFilm))
+        is_told = film > 0.0 or xmp_number(xmp, "CalibratedOpticalCenterX") is not None
+        return "" if is_told else f"a calibrated focal length of {calibrated:.0f} px, of the size that the camera made"
+    other = "nothing else tells" if used is None else f"the 35 mm equivalent gives {used:.0f} px, which is used"
+    return f"a calibrated focal length of {calibrated:.0f} px in XMP that belongs to another size; {other}"
+
+
+def _is_centred(size: tuple[int, int], xmp: str) -> bool:
+    """Whether the calibrated optical centre lies about the middle of the image; true where there is none."""
+    centre = [xmp_number(xmp, f"CalibratedOpticalCenter{axis}") for axis in "XY"]
+    known = [(at, side) for at, side in zip(centre, size, strict=True) if at is not None and at > 0.0]
+    return all(abs(at / side - 0.5) < _OFF_CENTRE for at, side in known)
 
 
 def _by_focal_plane(size: tuple[int, int], details: Mapping[int, Any], focal_mm: float) -> float | None:

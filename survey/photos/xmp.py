@@ -14,14 +14,16 @@ from typing import Any
 import numpy as np
 
 _DJI, _AUTEL, _PARROT, _PIX4D = "drone-dji", "drone", "drone-parrot", "Camera"
-_VALUE = r"(?<![\w-]){}:{}\s{{0,40}}(?:=\s{{0,40}}\"|>)\s{{0,40}}([^\"<]{{1,60}})[\"<]"
+# XML allows both quotes.
+_VALUE = r"(?<![\w-]){}:{}\s{{0,40}}(?:=\s{{0,40}}[\"']|>)\s{{0,40}}([^\"'<]{{1,60}})[\"'<]"
 _NUMBER = re.compile(r"[+-]?[0-9.]+(?:[eE][+-]?[0-9]{1,3})?")
-_MECHANICAL = re.compile(r"drone-dji:ShutterType\s*(?:=\s*\"|>)\s*mechanical", re.IGNORECASE)
+_MECHANICAL = re.compile(r"drone-dji:ShutterType\s*(?:=\s*[\"']|>)\s*mechanical", re.IGNORECASE)
 # No receiver is this wrong and still reports a standard deviation; files without one have 0, or a filler.
 _MOST_STD_M = 100.0
 # Nearer to the vertical than this sine, the camera's yaw and roll turn about the same axis.
 _VERTICAL = 1.0 - 1e-12
 ELLIPSOIDAL = "ellipsoidal"
+SEA_LEVEL = "mean sea level"
 _ELLIPSOIDS = ("ELLIPSOID", "EPSG:4326", "EPSG:4979", "EPSG:6318", "EPSG:6319")
 
 
@@ -39,6 +41,25 @@ class Rtk:
 
     flag: int
     std_m: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class XmpPlace:
+    """A position in XMP.
+
+    Attributes
+    ----------
+    latitude, longitude : [deg]
+    height : float or None [m]
+        As EXIF has it: its datum is not known.
+    step_deg : [deg]
+        Of its last digit.
+    """
+
+    latitude: float
+    longitude: float
+    height: float | None
+    step_deg: float
 
 
 @dataclass(frozen=True)
@@ -90,6 +111,24 @@ def height_datum(xmp: str) -> str | None:
     if said is None:
         return None
     return ELLIPSOIDAL if said.upper().startswith(_ELLIPSOIDS) else said
+
+
+def xmp_place(xmp: str) -> XmpPlace | None:
+    """The position in DJI's or Autel's XMP; None where it has none.
+
+    Older firmware spells the longitude GpsLongtitude.
+    """
+    texts = [
+        next((text for space in (_DJI, _AUTEL) for name in names if (text := _text_in(xmp, space, name))), None)
+        for names in (("GpsLatitude",), ("GpsLongitude", "GpsLongtitude"))
+    ]
+    if any(text is None or not _NUMBER.fullmatch(text) for text in texts):
+        return None
+    latitude, longitude = (number(text) for text in texts)
+    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0) or latitude == longitude == 0.0:
+        return None
+    digits = min(len(str(text).partition(".")[2]) for text in texts)
+    return XmpPlace(latitude, longitude, xmp_number(xmp, "AbsoluteAltitude"), 10.0**-digits)
 
 
 def motion_of(xmp: str) -> Motion:

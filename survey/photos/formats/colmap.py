@@ -58,7 +58,10 @@ def read_model(folder: Path) -> PoseFile:
                 f"{path}: the pose of {name} is {[float(f'{v:.6g}') for v in photo.pose]}, expected a quaternion "
                 "and a translation of finite numbers; correct it or remove the image from the model"
             )
-        if photo.camera not in lenses:
+        lens = lenses.get(photo.camera)
+        if isinstance(lens, LensError):
+            raise PosesError(f"{folder / f'cameras{suffix}'}: {lens}")
+        if lens is None:
             raise PosesError(
                 f"{path}: image {name} has the camera {photo.camera}, which cameras{suffix} does not have; write "
                 "the model again"
@@ -67,7 +70,7 @@ def read_model(folder: Path) -> PoseFile:
             raise PosesError(f"{path}: image {name} has a second pose; keep one of the two")
         cam_from_local = rotation_from_quaternion(*photo.pose[:4])
         centre = -cam_from_local.T @ np.array(photo.pose[4:])
-        poses[photo.name] = Pose(photo.name, centre, cam_from_local, lenses[photo.camera])
+        poses[photo.name] = Pose(photo.name, centre, cam_from_local, lens)
     if (folder / f"frames{suffix}").is_file() and (folder / f"rigs{suffix}").is_file():
         _require_rigs_agree(folder, suffix, photos)
     with (folder / f"cameras{suffix}").open("rb") as file:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from refract.lens import MODELS, Lens
+from refract.lens import MODELS, Lens, LensError
 from survey.files.csv_table import shortened
 
 _NAME_OF_ID = {number: name for name, (number, _) in MODELS.items() if number is not None}
@@ -25,8 +25,8 @@ _AS_FISHEYE = {
 _FISHEYE_OF_ID = {number: name for name, (number, _) in _AS_FISHEYE.items()}
 # Names of the models that are not read, so that an error can name them.
 _OTHER_IDS = {
-    7: "FOV", 10: "THIN_PRISM_FISHEYE", 11: "RAD_TAN_THIN_PRISM_FISHEYE", 12: "SIMPLE_DIVISION", 13: "DIVISION",
-    16: "EUCM", 17: "EQUIRECTANGULAR",
+    7: ("FOV", 5), 10: ("THIN_PRISM_FISHEYE", 12), 11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16), 12: ("SIMPLE_DIVISION", 4),
+    13: ("DIVISION", 5), 16: ("EUCM", 6), 17: ("EQUIRECTANGULAR", 2),
 }  # fmt: skip
 _CAMERA = "CAMERA"
 _OBSERVATION = np.dtype([("x", "<f8"), ("y", "<f8"), ("point", "<i8")])
@@ -63,13 +63,20 @@ def lens_of(model: str, params: tuple[float, ...], width: int, height: int) -> L
     return Lens(model, params, width, height)
 
 
-def cameras_txt(path: Path) -> dict[int, Lens]:
-    """Lenses by the number of their camera."""
-    lenses = {}
+def cameras_txt(path: Path) -> dict[int, Lens | LensError]:
+    """Lenses by the number of their camera, or why there is none: a camera may be one that no image uses."""
+    lenses: dict[int, Lens | LensError] = {}
     for line in _lines(path):
         number, model, width, height, *params = line.split()
-        lenses[int(number)] = lens_of(shortened(model), tuple(float(p) for p in params), int(width), int(height))
+        lenses[int(number)] = _lens_or_error(model, tuple(float(p) for p in params), int(width), int(height))
     return lenses
+
+
+def _lens_or_error(model: str, params: tuple[float, ...], width: int, height: int) -> Lens | LensError:
+    try:
+        return lens_of(shortened(model), params, width, height)
+    except LensError as error:
+        return error
 
 
 def images_txt(path: Path) -> list[Photo]:
@@ -130,11 +137,12 @@ def frames_txt(path: Path) -> list[tuple[int, list[float], list[tuple[int, int]]
     return found
 
 
-def cameras_bin(path: Path) -> dict[int, Lens]:
+def cameras_bin(path: Path) -> dict[int, Lens | LensError]:
     """As `cameras_txt`."""
     data = path.read_bytes()
     (count,) = struct.unpack_from("<Q", data)
-    at, lenses = 8, {}
+    lenses: dict[int, Lens | LensError] = {}
+    at = 8
     for _ in range(count):
         number, model_id, width, height = struct.unpack_from("<IiQQ", data, at)
         if model_id in _FISHEYE_OF_ID:
@@ -143,10 +151,12 @@ def cameras_bin(path: Path) -> dict[int, Lens]:
         elif model_id in _NAME_OF_ID:
             model = _NAME_OF_ID[model_id]
             size = len(MODELS[model][1])
+        elif model_id in _OTHER_IDS:
+            model, size = _OTHER_IDS[model_id]
         else:
-            model = _OTHER_IDS.get(model_id, f"number {model_id}")
-            return {number: Lens(model, (), width, height)}  # refused there, by name
-        lenses[number] = lens_of(model, struct.unpack_from(f"<{size}d", data, at + 24), width, height)
+            # How long its parameters are, nobody knows: what follows cannot be read.
+            return {number: Lens(f"number {model_id}", (), width, height)}  # refused there, by name
+        lenses[number] = _lens_or_error(model, struct.unpack_from(f"<{size}d", data, at + 24), width, height)
         at += 24 + 8 * size
     return lenses
 

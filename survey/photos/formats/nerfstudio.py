@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,12 @@ _ROUNDED = 1e-4
 # From cameras of computer graphics (x right, y up, z back) to ours.
 _CAM_FROM_GRAPHICS = np.diag([1.0, -1.0, -1.0])
 _SUPPORTED = ("OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE")
+# What says how long the focal length is, along each side.
+_FOCALS = (("fl_x", "camera_angle_x", "x_fov"), ("fl_y", "camera_angle_y", "y_fov"))
+# Keys of instant-ngp and others that make it another lens, and terms of distortion beyond those that are read.
+_OTHER_LENSES = ("is_equirectangular", "is_latlong", "equirectangular", "latlong", "panorama", "fisheye624_params")
+_OTHER_TERMS = ("k5", "k6", "p3", "p4", "b1", "b2", "s1", "s2", "s3", "s4", "skew", "lens_skew", "distortion_params")
+_FTHETA = re.compile(r"ftheta_\w+")
 
 
 def read_nerfstudio(path: Path) -> PoseFile:
@@ -46,7 +53,7 @@ def read_nerfstudio(path: Path) -> PoseFile:
         if name in poses:
             raise PosesError(f"{where}: the image has a second pose; keep one of the two")
         try:
-            lens = _lens({**data, **frame})
+            lens = _lens(_with_root(data, frame))
         except LensError as error:
             raise PosesError(f"{where}: {error}") from error
         poses[name] = _pose(name, frame, lens, applied, scale, where)
@@ -91,9 +98,35 @@ def _matrix(value, num_rows: int) -> np.ndarray | None:
     return None if len(rows) != num_rows or None in rows else np.array(rows, dtype=np.float64)
 
 
+def _with_root(data: dict, frame: dict) -> dict:
+    """What a frame says, else the root of the file; a focal length of the frame leaves no other one of the root."""
+    own = {key for keys in _FOCALS for key in keys if any(key in frame for key in keys)}
+    return {**{key: value for key, value in data.items() if key not in own}, **frame}
+
+
+def _require_understood(values: dict) -> None:
+    """Raise LensError where a key changes the lens in a way that is not read."""
+    for key in _OTHER_LENSES:
+        if values.get(key):
+            raise LensError(f"{key} is {shortened(str(values[key]))}, a lens that is not supported; {_EXPORT}")
+    for key, value in values.items():
+        is_other = _FTHETA.fullmatch(key) or key in _OTHER_TERMS
+        if is_other and value not in (0, 0.0, None, False):
+            raise LensError(
+                f"{key} is {shortened(str(value))}, a term of the lens that is not read; undistort the photographs, or "
+                "export OPENCV or OPENCV_FISHEYE"
+            )
+
+
 def _lens(values: dict) -> Lens:
     """The lens of a frame, from its own numbers or those of all; k3 and k4 of OPENCV are powers of the radius."""
     model = str(values.get("camera_model", "OPENCV"))
+    _require_understood(values)
+    if values.get("is_fisheye"):
+        # instant-ngp's word: k1 to k4 are then of the angle.
+        if "camera_model" in values and model != "OPENCV_FISHEYE":
+            raise LensError(f"is_fisheye is true, and camera_model is {shortened(model)}; keep one of the two")
+        model = "OPENCV_FISHEYE"
     if model not in _SUPPORTED:
         raise LensError(f"camera model {shortened(model)} is not supported, expected one of {', '.join(_SUPPORTED)}")
     width, height = _number(values, "w"), _number(values, "h")

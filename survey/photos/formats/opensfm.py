@@ -134,7 +134,10 @@ def _block(path: Path) -> _Block:
     by_size = sorted(blocks, key=lambda block: -len(_object(block.get("shots"))))
     block = by_size[0]
     lenses = {}
+    used = {str(_object(shot).get("camera")) for shot in _object(block.get("shots")).values()}
     for name, camera in _object(block.get("cameras")).items():
+        if name not in used:
+            continue
         try:
             lenses[name] = read_lens(_object(camera))
         except LensError as error:

@@ -1,0 +1,165 @@
+"""One position, height and time in all of the legal forms that EXIF and XMP have for them."""
+
+from __future__ import annotations
+
+import math
+from datetime import UTC, datetime
+from itertools import product
+
+import pytest
+from PIL import ExifTags, Image
+from PIL.TiffImagePlugin import IFDRational
+
+from survey.folder.head_doubts import head_doubts
+from survey.photos.exif import read_exif
+from survey.photos.exif_focal import focal_px, resized_doubt
+from survey.photos.xmp import height_datum, rtk_of, xmp_place
+
+GPS = ExifTags.GPS
+LAT, LON = -33.8567844, -151.2152967
+XMP = (
+    "<x:xmpmeta xmlns:x={q}adobe:ns:meta/{q}><rdf:RDF><rdf:Description drone-dji:GpsLatitude={q}-33.85678441{q} "
+    "drone-dji:GpsLongitude={q}-151.21529672{q} drone-dji:AbsoluteAltitude={q}+12.50{q} drone-dji:RtkFlag={q}50{q} "
+    "drone-dji:RtkStdLon={q}0.01{q} drone-dji:RtkStdLat={q}0.02{q} drone-dji:RtkStdHgt={q}0.03{q} "
+    "drone-dji:AltitudeType={q}RtkAlt{q}/></rdf:RDF></x:xmpmeta>"
+)
+
+
+def dms(degrees: float, denominator: int = 100_000) -> tuple:
+    whole, rest = divmod(abs(degrees) * 3600.0, 3600.0)
+    minutes, seconds = divmod(rest, 60.0)
+    return IFDRational(int(whole)), IFDRational(int(minutes)), IFDRational(round(seconds * denominator), denominator)
+
+
+def decimal(degrees: float) -> tuple:
+    return IFDRational(round(abs(degrees) * 10**7), 10**7), IFDRational(0), IFDRational(0)
+
+
+def minutes(degrees: float) -> tuple:
+    whole, rest = divmod(abs(degrees) * 60.0, 60.0)
+    return IFDRational(int(whole)), IFDRational(round(rest * 10**6), 10**6), IFDRational(0)
+
+
+def gps_of(form=dms, letters=("S", "W"), **places) -> dict:
+    latitude, longitude = places.get("lat", LAT), places.get("lon", LON)
+    return {
+        GPS.GPSLatitude: form(latitude), GPS.GPSLatitudeRef: letters[0],
+        GPS.GPSLongitude: form(longitude), GPS.GPSLongitudeRef: letters[1],
+    }  # fmt: skip
+
+
+@pytest.fixture
+def head(tmp_path):
+    def read(gps=None, details=None, xmp=None):
+        exif, path = Image.Exif(), tmp_path / "a.jpg"
+        if gps:
+            exif.get_ifd(ExifTags.IFD.GPSInfo).update(gps)
+        if details:
+            exif.get_ifd(ExifTags.IFD.Exif).update(details)
+        Image.new("RGB", (64, 48)).save(path, exif=exif, **({"xmp": xmp.encode()} if xmp else {}))
+        return read_exif(path)
+
+    return read
+
+
+@pytest.mark.parametrize(
+    ("form", "letters"),
+    list(
+        product([dms, decimal, minutes], [("S", "W"), ("s", "w"), ("South", "West"), ("SOUTH", "WEST"), ("S\0", "W ")])
+    ),
+)
+def test_one_position_in_all_its_forms(head, form, letters):
+    latitude, longitude, height = head(gps_of(form, letters)).lat_lon_height
+    # A hundred-thousandth of a second is 0.3 mm, a ten-millionth of a degree a centimetre.
+    assert latitude == pytest.approx(LAT, abs=1e-7)
+    assert longitude == pytest.approx(LON, abs=1e-7)
+    assert math.isnan(height)
+
+
+@pytest.mark.parametrize("missing", [GPS.GPSLatitudeRef, GPS.GPSLongitudeRef])
+@pytest.mark.parametrize("value", [None, "?"])
+def test_a_position_without_its_hemisphere_is_none_and_that_is_said(head, missing, value):
+    gps = {tag: each for tag, each in gps_of().items() if tag != missing} | ({} if value is None else {missing: value})
+    found = head(gps)
+    assert found.lat_lon_height is None
+    (warning,) = head_doubts({"a.jpg": found})
+    assert "'s reference (" in warning
+    assert head(gps, xmp=XMP.format(q='"')).lat_lon_height == (-33.85678441, -151.21529672, 12.5)
+
+
+@pytest.mark.parametrize(
+    ("reference", "altitude", "height", "datum"),
+    [
+        (b"\x00", 12.5, 12.5, None), (b"\x01", 12.5, -12.5, None), (b"\x02", 12.5, 12.5, "mean sea level"),
+        (b"\x03", 12.5, -12.5, "mean sea level"), (b"1", 12.5, -12.5, None), (b"3", 12.5, -12.5, "mean sea level"),
+        (b"0", 12.5, 12.5, None), (None, 12.5, 12.5, None),
+    ],
+)  # fmt: skip
+def test_one_height_in_all_its_forms(head, reference, altitude, height, datum):
+    gps = gps_of() | {GPS.GPSAltitude: IFDRational(round(10 * altitude), 10)}
+    found = head(gps | ({} if reference is None else {GPS.GPSAltitudeRef: reference}))
+    assert found.lat_lon_height[2] == pytest.approx(height)
+    assert found.height_datum == datum
+
+
+@pytest.mark.parametrize("date", [None, "2024:06:01", "0000:00:00", "unset", "2024-06-01"])
+def test_a_clock_that_is_not_set_hides_no_other(head, date):
+    gps = {GPS.GPSTimeStamp: (IFDRational(8), IFDRational(30), IFDRational(0))}
+    gps |= {} if date is None else {GPS.GPSDateStamp: date}
+    base = ExifTags.Base
+    details = {base.DateTimeOriginal: "2024:06:01 10:30:00", base.OffsetTimeOriginal: "+02:00"}
+    assert head(gps, details).taken == datetime(2024, 6, 1, 8, 30, tzinfo=UTC)
+
+
+@pytest.mark.parametrize("quote", ['"', "'"])
+def test_xmp_in_both_quotes(quote):
+    text = XMP.format(q=quote)
+    assert rtk_of(text).std_m == (0.01, 0.02, 0.03)
+    assert height_datum(text) == "ellipsoidal"
+    assert xmp_place(text).latitude == -33.85678441
+    assert xmp_place(text).step_deg == 1e-8
+
+
+@pytest.mark.parametrize("denominator", [1, 10, 1000])
+def test_a_position_with_more_digits_in_xmp_is_taken_from_there(head, denominator):
+    gps = gps_of(lambda degrees: dms(degrees, denominator))
+    near = head(gps, xmp=XMP.format(q='"'))
+    assert near.lat_lon_height[:2] == (
+        (-33.85678441, -151.21529672) if denominator > 1 else head(gps).lat_lon_height[:2]
+    )
+    coarse = XMP.format(q='"').replace("33.85678441", "33.86").replace("151.21529672", "151.22")
+    assert head(gps, xmp=coarse).lat_lon_height[:2] == head(gps).lat_lon_height[:2]
+
+
+def test_a_position_in_xmp_of_another_place_is_not_taken(head):
+    gps = gps_of(lambda degrees: dms(degrees, 10), lat=LAT + 0.01)
+    assert head(gps, xmp=XMP.format(q='"')).lat_lon_height[0] == pytest.approx(LAT + 0.01, abs=2e-5)
+
+
+def calibration(focal: float, centre: float | None = None) -> str:
+    at = "" if centre is None else f'drone-dji:CalibratedOpticalCenterX="{centre}" '
+    return f'<a drone-dji:CalibratedFocalLength="{focal}" {at}/>'
+
+
+@pytest.mark.parametrize(
+    ("film", "xmp", "expected", "words"),
+    [
+        (63, calibration(900.0), 900.0, ""),
+        (
+            63,
+            calibration(1194.67),
+            896.0,
+            "1195 px in XMP that belongs to another size; the 35 mm equivalent",
+        ),
+        (63, calibration(1800.0), 896.0, "belongs to another size"),
+        (None, calibration(900.0, 256.0), 900.0, ""),
+        (None, calibration(1800.0, 512.0), None, "belongs to another size; nothing else tells"),
+        (None, calibration(1800.0), 1800.0, "of the size that the camera made"),
+        (63, "", 896.0, ""),
+    ],
+)
+def test_a_calibration_of_another_size_is_not_used_and_said(film, xmp, expected, words):
+    details = {} if film is None else {ExifTags.Base.FocalLengthIn35mmFilm: film}
+    assert focal_px((512, 384), details, xmp) == expected
+    assert words in resized_doubt((512, 384), details, xmp)
+    assert bool(words) == bool(resized_doubt((512, 384), details, xmp))

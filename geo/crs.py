@@ -223,14 +223,18 @@ def wkt1(crs: CRS) -> str:
         ) from error
 
 
-def _wkt1_of_3d(crs: CRS) -> str:
+def ellipsoidal_wkt1(crs: CRS) -> str:
+    """The vertical part of a CRS with ellipsoidal heights as WKT 1, in which they have none of their own."""
     axis = crs.axis_info[2]
     authority = ',AUTHORITY["EPSG","9001"]' if axis.unit_name == "metre" else ""
     unit = f'UNIT["{axis.unit_name}",{axis.unit_conversion_factor:.15g}{authority}]'
-    vertical = f'VERT_CS["Ellipsoid ({axis.unit_name})",VERT_DATUM["Ellipsoid",2002],{unit},AXIS["Up",UP]]'
+    return f'VERT_CS["Ellipsoid ({axis.unit_name})",VERT_DATUM["Ellipsoid",2002],{unit},AXIS["Up",UP]]'
+
+
+def _wkt1_of_3d(crs: CRS) -> str:
     horizontal = horizontal_crs(crs)
-    name = f"{horizontal.name} + Ellipsoid ({axis.unit_name})"
-    return f'COMPD_CS["{name}",{horizontal.to_wkt("WKT1_GDAL")},{vertical}]'
+    name = f"{horizontal.name} + Ellipsoid ({crs.axis_info[2].unit_name})"
+    return f'COMPD_CS["{name}",{horizontal.to_wkt("WKT1_GDAL")},{ellipsoidal_wkt1(crs)}]'
 
 
 def utm_code(lat_deg: float, lon_deg: float) -> int:

@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
+
 from geo.errors import UnreadableFile, UnwritableFile
 
 _NO_PERMISSION = "permission is denied; change its permissions or choose another folder"
@@ -39,6 +41,8 @@ _MENDS_OF_USE = _MENDS | {
 _ONLY_WRITING = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 # numpy and Pillow lose the error number: with less free space than this, the cause is taken to be a full disk.
 _NO_ROOM_BYTES = 1 << 20
+# Written at a time where the system cannot reserve room.
+_ZEROS = 1 << 24
 
 
 def refusal(error: OSError, path: str | Path, *, verb: str = "write") -> str | None:
@@ -128,6 +132,33 @@ def write_whole_at(path: str | Path) -> Iterator[Path]:
             part.unlink(missing_ok=True)
     except OSError as error:
         raise _unwritable(error, path) from error
+
+
+def scratch_array(path: Path, dtype: str, shape: tuple[int, ...]) -> np.ndarray:
+    """An array of zeros in a file of a scratch folder, whose room is taken before it is mapped.
+
+    A file that is mapped and finds the disk full when a page of it is written ends the process (SIGBUS).
+
+    Raises
+    ------
+    UnwritableFile
+        If there is no room, with how much is needed, and where.
+    """
+    size = int(np.prod(shape, dtype=np.int64)) * np.dtype(dtype).itemsize
+    try:
+        with path.open("wb") as stream:
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(stream.fileno(), 0, max(size, 1))
+            else:
+                for first in range(0, size, _ZEROS):
+                    stream.write(bytes(min(_ZEROS, size - first)))
+    except OSError as error:
+        said = error.strerror or str(error)
+        raise UnwritableFile(
+            f"cannot write {path}: scratch of {size / 1e6:.0f} MB does not fit into {path.parent} ({said}); free some "
+            "room, or name another folder in the environment variable TMPDIR."
+        ) from error
+    return np.memmap(path, dtype=dtype, mode="r+", shape=shape)
 
 
 def existing_file(path: str | Path) -> Path:

@@ -22,6 +22,7 @@ from geo.errors import EmptyCloud, GeoError, UnreadableFile, UnwritableFile
 from geo.files import existing_file, write_whole
 from geo.las_extra import add_extra_bytes, extra_of, stored_extra
 from geo.las_header import crs_of_header, length_fault
+from geo.read_back import Sums, require_cloud
 from geo.shapes import Cloud
 
 POINT_FORMAT = 7
@@ -130,8 +131,8 @@ def classes_of(is_wet: np.ndarray) -> np.ndarray:
 
 
 def _write(records: Callable[[slice], laspy.LasData], count: int, header: laspy.LasHeader, path: Path) -> None:
-    """Write records, made a portion at a time, except into an octree, which holds all of them."""
-    compress = path.suffix.lower() == ".laz"
+    """Write records, made a portion at a time, except into an octree, which holds all of them; and read them again."""
+    compress, sums = path.suffix.lower() == ".laz", Sums()
     with write_whole(path) as stream:
         try:
             if path.name.lower().endswith(copc.SUFFIX):
@@ -140,13 +141,20 @@ def _write(records: Callable[[slice], laspy.LasData], count: int, header: laspy.
             writer = laspy.open(stream, mode="w", header=header, do_compress=compress, closefd=False)
             with writer:
                 for first in range(0, max(count, 1), _PORTION):
-                    writer.write_points(records(slice(first, first + _PORTION)).points)
+                    points = records(slice(first, first + _PORTION)).points
+                    writer.write_points(points)
+                    for values in (points.X, points.Y, points.Z):
+                        sums.add(np.asarray(values, dtype=np.int32))
         except LazrsError as error:
             # The LAZ encoder hides the system's error.
             raise UnwritableFile(
                 f"cannot write {path} ({_first_line(error)}); most likely no space is left on the disk: free "
                 "some or write elsewhere."
             ) from error
+        stream.flush()
+        # A device or a pipe cannot be read back.
+        if stream.seekable() and stream.readable():
+            require_cloud(stream, path, count, sums)
 
 
 def _require_sound(points: np.ndarray, others: dict) -> None:

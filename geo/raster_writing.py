@@ -18,8 +18,10 @@ from rasterio.enums import ColorInterp
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
+from geo.crs import ellipsoid, ellipsoidal_wkt1, has_height, horizontal_crs, vertical_crs
 from geo.errors import UnwritableFile
 from geo.files import refusal, write_whole_at
+from geo.read_back import Sums, require_raster
 
 # In the tag "Software" of every raster, by which bathynerf knows its own again.
 SOFTWARE = f"bathynerf {version('bathynerf')}"
@@ -102,7 +104,7 @@ def write_cog(path: str | Path, form: RasterForm, parts: Iterable[Part]) -> None
             profile |= {"photometric": "RGB", "interleave": "pixel"}
         else:
             profile |= {"photometric": "MINISBLACK", "interleave": "band"}
-        _write(plain, form, parts, driver="GTiff", **profile)
+        sums = _write(plain, form, parts, driver="GTiff", **profile)
         rasterio.shutil.copy(
             plain,
             copy,
@@ -113,6 +115,7 @@ def write_cog(path: str | Path, form: RasterForm, parts: Iterable[Part]) -> None
             overview_resampling=form.resampling,
             bigtiff="IF_SAFER",
         )
+        require_raster(copy, Path(path), stored_crs(form.crs), form.transform, form.shape, sums)
         copy.replace(part)
 
 
@@ -136,12 +139,17 @@ def write_bag(path: str | Path, form: RasterForm, parts: Iterable[Part], said: d
     with write_whole_at(path) as part, _working_folder(part, Path(path)) as work:
         # GDAL knows the format by the suffix.
         copy = work / "copy.bag"
-        _write(copy, form, parts, driver="BAG", **{f"VAR_{name}": value for name, value in said.items()})
+        if vertical_crs(form.crs) is None and has_height(form.crs):
+            said = said | {"VERT_WKT": ellipsoidal_wkt1(form.crs)}
+        sums = _write(copy, form, parts, driver="BAG", **{f"VAR_{name}": value for name, value in said.items()})
+        require_raster(copy, Path(path), stored_crs(form.crs), form.transform, form.shape, sums)
         copy.replace(part)
 
 
-def _write(path: Path, form: RasterForm, parts: Iterable[Part], **profile) -> None:
+def _write(path: Path, form: RasterForm, parts: Iterable[Part], **profile) -> list[Sums]:
+    """Write a raster; returns the checksum of each band."""
     rows, columns = form.shape
+    sums = [Sums(form.nodata) for _ in form.bands]
     raster = rasterio.open(
         path,
         "w",
@@ -149,14 +157,17 @@ def _write(path: Path, form: RasterForm, parts: Iterable[Part], **profile) -> No
         height=rows,
         count=len(form.bands),
         dtype=form.dtype,
-        crs=rasterio.crs.CRS.from_wkt(form.crs.to_wkt()),
+        crs=rasterio.crs.CRS.from_wkt(stored_crs(form.crs).to_wkt()),
         transform=rasterio.Affine(*form.transform),
         nodata=form.nodata,
         **profile,
     )
     with raster:
         if profile["driver"] == "GTiff":
-            raster.update_tags(TIFFTAG_SOFTWARE=SOFTWARE, AREA_OR_POINT="Area", **form.tags)
+            heights = {}
+            if has_height(form.crs) and not has_height(stored_crs(form.crs)):
+                heights["HEIGHT_DATUM"] = f"ellipsoid {ellipsoid(form.crs).name}, {form.crs.axis_info[2].unit_name}"
+            raster.update_tags(TIFFTAG_SOFTWARE=SOFTWARE, AREA_OR_POINT="Area", **heights, **form.tags)
             if form.is_colour:
                 raster.colorinterp = [getattr(ColorInterp, name) for name in ("red", "green", "blue", "alpha")]
             for number, band in enumerate(form.bands, start=1):
@@ -165,6 +176,17 @@ def _write(path: Path, form: RasterForm, parts: Iterable[Part], **profile) -> No
                     raster.set_band_unit(number, band.unit)
         for row, column, values in parts:
             raster.write(values, window=Window(column, row, values.shape[2], values.shape[1]))
+            for band, each in zip(values, sums, strict=True):
+                each.add(np.asarray(band, dtype=form.dtype))
+    return sums
+
+
+def stored_crs(crs: CRS) -> CRS:
+    """The CRS that a raster can hold: of a projected one with ellipsoidal heights the part in plan.
+
+    No keys of GeoTIFF say "above the ellipsoid" of a projected CRS that GDAL reads back; a tag does.
+    """
+    return horizontal_crs(crs) if crs.is_projected and vertical_crs(crs) is None else crs
 
 
 @contextmanager

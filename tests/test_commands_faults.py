@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import resource
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -132,3 +134,16 @@ def test_a_full_disk_under_the_log_does_not_hide_the_error(monkeypatch):
     result = bathynerf("process", "s", "-o", "run", "-q")
     assert result.exit_code == 2
     assert result.stderr == ("error: cannot write run: no space is left on the disk; free some or write elsewhere\n")
+
+
+def test_a_command_that_is_told_to_terminate_stops_as_by_ctrl_c(tmp_path):
+    code = (
+        "import os, signal, threading, time\n"
+        "threading.Timer(1.0, lambda: os.kill(os.getpid(), signal.SIGTERM)).start()\n"
+        "from survey.commands import app\n"
+        "app._run = lambda: time.sleep(60)\n"
+        "app.main()"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=50)
+    assert ended.returncode == 130
+    assert "stopped" in ended.stderr

@@ -73,6 +73,7 @@ DISK_FILES = {
             "ply_reading",
             "raster",
             "raster_writing",
+            "read_back",
             "vectors",
         ),
         "survey": ("code_hash", "machine", "progress", "stage_key"),

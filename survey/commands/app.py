@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 import sys
+from contextlib import suppress
 
 # Of OpenBLAS, which reads it when numpy is imported. Matrices are small here, and threads that wait for the next one
 # keep a core from kernels and tiles. A number that the user has set stays.
@@ -18,6 +20,9 @@ _THREADS_OF_ALGEBRA = "OPENBLAS_NUM_THREADS"
 def main() -> None:
     """Run the verb named by the arguments and exit with its exit code."""
     os.environ.setdefault(_THREADS_OF_ALGEBRA, "1")
+    # What ends a job of Slurm or a container is Ctrl-C; in another thread than the main one there are no signals.
+    with suppress(ValueError):
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         code = _run()
     except KeyboardInterrupt:

@@ -11,8 +11,12 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
+from pyproj import CRS
 
 from geo.crs import height_unit_m
+from geo.files import scratch_array
+from geo.projection import ground_units_m
+from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.export.bed_cells import Gridded
 from survey.export.cell_fit import fit_cells
@@ -98,9 +102,21 @@ def _gridded(run: LoadedRun, options: ExportOptions) -> Gridded:
     placed = columns.get("std_placed", np.zeros(len(points), dtype=np.float32))
     std = np.sqrt(np.maximum(columns["std"] ** 2 - placed**2, 0.0))
     _fill_in(grid, _Points(cells.place(points), points[:, 2], std, placed, common, columns["incidence"]))
+    if not grid.known.any():
+        raise SurveyError(too_coarse(grid.cells.side_m, points, crs, pixel))
     if options.fill_m > 0.0:
         fill_gaps(grid, options.fill_m)
     return grid
+
+
+def too_coarse(side_m: float, points_crs: np.ndarray, crs: CRS, pixel_m: float) -> str:
+    """The message for cells of a side [m] of which points cover none well enough for a height."""
+    extent = np.ptp(points_crs[:, :2], axis=0) / ground_units_m(crs, points_crs[:, :2].mean(axis=0))
+    return (
+        f"--resolution {side_m:g} is metres, and no cell of that side is covered by points: the cloud is "
+        f"{extent[0]:.1f} x {extent[1]:.1f} m wide, a pixel covers {length(pixel_m)}; give e.g. --resolution "
+        f"{round_side(_DEFAULT_PX * pixel_m):g}"
+    )
 
 
 def _empty(run: LoadedRun, cells: PlanCells, level: LevelFit | None, pixel_m: float) -> Gridded:
@@ -108,8 +124,7 @@ def _empty(run: LoadedRun, cells: PlanCells, level: LevelFit | None, pixel_m: fl
     kinds = {"height": "f4", "std": "f4", "common": "f4", "count": "u4", "known": "u1", "incidence": "f4"}
     place = run.scratch / f"cells-{len(list(run.scratch.iterdir()))}"
     place.mkdir()
-    # Blocks of zeros take no room on the disk.
-    arrays = {name: np.memmap(place / name, dtype=kind, mode="w+", shape=cells.shape) for name, kind in kinds.items()}
+    arrays = {name: scratch_array(place / name, kind, cells.shape) for name, kind in kinds.items()}
     return Gridded(cells=cells, level=level, pixel_m=pixel_m, **arrays)
 
 

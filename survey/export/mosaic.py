@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from geo.files import scratch_array
 from refract import PinholeCamera
 from survey.export.plan_cells import PlanCells, Window
 from survey.export.sight import Sight
@@ -43,7 +44,7 @@ class Mosaic:
     def empty(cells: PlanCells, folder: Path) -> Mosaic:
         """Without a colour; its files are made in a folder."""
         shapes = {"highest": cells.shape, "weight": cells.shape, "colour": (*cells.shape, 3)}
-        files = {n: np.memmap(folder / f"mosaic-{n}", dtype="f4", mode="w+", shape=s) for n, s in shapes.items()}
+        files = {name: scratch_array(folder / f"mosaic-{name}", "f4", shape) for name, shape in shapes.items()}
         return Mosaic(cells, **files)
 
     def add(self, window: Window, log_weight: np.ndarray, colour: np.ndarray) -> None:

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
     ColourOf = Callable[[np.ndarray, Window, np.ndarray, Sight], np.ndarray]
 
+# Of the shorter side of a photograph at the resolution that is asked for.
+_FEWEST_PX = 8
+
 
 def _write_orthophoto(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     from geo.crs import horizontal_crs
@@ -47,11 +50,13 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
     """The photographs on the bed, in cells of a side [m]."""
     import numpy as np
 
+    from survey.errors import SurveyError
     from survey.export.exposure import common_exposure
     from survey.export.gridded import gridded
     from survey.export.hidden import Tops
     from survey.export.mosaic import Mosaic, log_weight
     from survey.export.photographs import at_scale, flight_of
+    from survey.export.plan_cells import round_side
     from survey.export.sight import Windows
     from survey.progress import current
 
@@ -61,6 +66,13 @@ def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:
         grid = gridded(run, options)
     flight = flight_of(run, options.survey)
     scale = min(1.0, grid.pixel_m / side_m)
+    shortest = min(min(view.camera.width, view.camera.height) for view in flight.views)
+    if scale * shortest < _FEWEST_PX:
+        raise SurveyError(
+            f"--resolution {side_m:g} is metres, and a photograph would have {scale * shortest:.1f} of such pixels "
+            f"along its shorter side, expected at least {_FEWEST_PX}; give e.g. --resolution "
+            f"{round_side(run.place.gsd_m):g}"
+        )
     photographs = at_scale(flight, scale)
     cells = grid.cells.finer(side_m)
     mosaic, colour_of = Mosaic.empty(cells, run.scratch), _colour_of(run, grid, cells)

@@ -50,6 +50,11 @@ FAULTS = {
     "unknown system": ({"points__csv": "# CoordinateSystem: PROJCS[\n" + table()}, "CoordinateSystem PROJCS.* is not"),
     "latin-1": ({"gcp_list__txt": odm().replace("p1", "Fähre").encode("latin-1")}, "is not UTF-8"),
     "latin-1 under another name": ({"ground__txt": odm().replace("p1", "Fähre").encode("latin-1")}, "is not UTF-8"),
+    "space in a name": (
+        {"gcp_list__txt": odm(images=("shore 0000.JPG", "0001.jpg"))},
+        '"shore 0000.JPG" has a space.*by tabs',
+    ),
+    "commas": ({"gcp_list__txt": "EPSG:25832\n1,2,3,4,5,0000.jpg\n"}, "separated by commas, expected spaces or tabs"),
     "unknown kind": ({"points__txt": "abc\n"}, "is not a known kind of control file, expected markers"),
     "binary": ({"points__txt": b"\x00\xff\xfe" * 50}, "is not UTF-8"),
     "no markers": ({"m__xml": "<document/>"}, "has no markers"),

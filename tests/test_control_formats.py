@@ -18,7 +18,7 @@ FORMAT_FILES = {
         "ground__txt": ("\ufeff# by hand\n" + odm().replace(" ", "\t")).replace("\n", "\r\n")
     },
     "gcp list with a role": {"gcp_list__txt": odm().replace("p1\n", "p1 extra\n")},
-    "names in other case and folders": {"gcp_list__txt": odm(images=("C:\\shots\\0000.JPG", "A/0001.jpg"))},
+    "names in other case and folders": {"gcp_list__txt": odm(images=("C:\\shots\\a\\0000.JPG", "A/0001.jpg"))},
     "PROJ string": {"g__txt": odm(header="+proj=utm +zone=32 +ellps=GRS80 +units=m +no_defs\t")},
     "tables": {"points__csv": table(), "marks__csv": marks()},
     "tables with decimal commas": {"points__txt": table(mark=";", decimal=","), "marks__csv": marks()},

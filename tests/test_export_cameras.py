@@ -162,3 +162,12 @@ def test_a_folder_with_other_files_is_not_written_into_and_an_earlier_model_is_r
     assert sorted(p.name for p in (tmp_path / "model").iterdir()) == ["cameras.txt", "images.txt", "points3D.txt"]
     with pytest.raises(OutputError, match="whose files are read"):
         export(path, colmap=path / "stages")
+
+
+def test_names_that_a_colmap_text_would_cut_are_refused(run, tmp_path):
+    path, views, _ = run(LENSES["pinhole"])
+    flight = load_flight(path)
+    save_flight(path, replace(flight, views=(replace(views[0], name="DJI 0001.jpg"), *flight.views[1:])))
+    with pytest.raises(SurveyError, match=r'"DJI 0001.jpg" has a space in its name.*rename'):
+        export(path, colmap=tmp_path / "model")
+    assert not (tmp_path / "model").exists()

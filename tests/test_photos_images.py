@@ -103,6 +103,14 @@ def test_images_are_listed_by_their_path_below_the_folder(tmp_path):
         list_images(tmp_path / "nowhere")
 
 
+@pytest.mark.parametrize("hidden", [".thumbnails", "@eaDir/0001.jpg", "__MACOSX", "card/.cache", "@__thumb"])
+def test_thumbnails_of_file_managers_and_storage_are_no_photographs(tmp_path, hidden):
+    for name in ("card/0001.jpg", f"{hidden}/0001.jpg", "card/._0001.jpg"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        Image.new("RGB", (8, 6)).save(tmp_path / name)
+    assert list(list_images(tmp_path)) == ["card/0001.jpg"]
+
+
 def test_a_file_that_is_no_image_is_refused(tmp_path):
     path = tmp_path / "a.jpg"
     path.write_text("not a photograph")

@@ -138,3 +138,13 @@ def test_process_into_the_run_of_another_survey_changes_nothing(tmp_path):
     with pytest.raises(SurveyError, match="belongs to another survey, a"):
         process(surveys[1], run.path)
     assert files_of(run.path) == before
+
+
+def test_another_photograph_under_the_same_name_is_refused_by_name(tmp_path):
+    path = tmp_path / "0001.jpg"
+    path.write_bytes(bytes(10))
+    owner = Owner.of("a", {"0001.jpg": path})
+    owner.require_unchanged("0001.jpg", path)
+    path.write_bytes(bytes(11))
+    with pytest.raises(SurveyError, match=r"0001.jpg is not the photograph that the run used: it has 11 bytes, .* 10"):
+        owner.require_unchanged("0001.jpg", path)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from pyproj import CRS
 from pyproj.exceptions import CRSError
@@ -15,6 +15,7 @@ from pyproj.exceptions import CRSError
 from survey.control.content import Content, ControlFormat, GivenMark, GivenPoint, is_check_role
 from survey.errors import ControlError
 from survey.files.csv_table import shortened, text_lines
+from survey.photos.exif import SUFFIXES
 
 _UTM = re.compile(r"WGS\s*84\s+UTM\s+(\d{1,2})\s*([NS])", re.IGNORECASE)
 # OpenSfM's word for longitude and latitude.
@@ -46,6 +47,7 @@ def read_gcp_list(path: Path) -> Content:
     for number, line in lines[1:]:
         where = f"{path}, line {number}"
         values, image, words = _parts(line, where)
+        _require_whole_name(image, words, where)
         place = (values[0], values[1], values[2])
         name = words[0] if words else name_of.setdefault(place, f"{path.stem} {len(name_of) + 1}")
         is_check = len(words) > 1 and _is_check(words[1])
@@ -60,6 +62,8 @@ def _parts(line: str, where: str) -> tuple[list[float], str, list[str]]:
     cells = (
         [cell.strip() for cell in line.split("\t") if cell.strip()] if line.strip().count("\t") >= 5 else line.split()
     )
+    if len(cells) < 6 and "," in line:
+        raise ControlError(f"{where}: values are separated by commas, expected spaces or tabs: {_FORM}; replace them")
     if len(cells) < 6:
         raise ControlError(f"{where}: {len(cells)} values were found, expected {_FORM}; complete the line")
     values = [_number(cell) for cell in cells[:5]]
@@ -69,6 +73,18 @@ def _parts(line: str, where: str) -> tuple[list[float], str, list[str]]:
                 f"{where}: {name} is {shortened(cell)}, expected a finite number; expected {_FORM}, correct the line"
             )
     return values, cells[5], cells[6:]
+
+
+def _require_whole_name(image: str, words: list[str], where: str) -> None:
+    """Raise ControlError where a space has cut the name of a photograph: its suffix is in a later word."""
+    if PurePosixPath(image).suffix.lower() in SUFFIXES:
+        return
+    end = next((i for i, word in enumerate(words, 1) if PurePosixPath(word).suffix.lower() in SUFFIXES), None)
+    if end is not None:
+        raise ControlError(
+            f'{where}: the image name "{shortened(" ".join([image, *words[:end]]))}" has a space, and values are '
+            "separated by spaces here; separate all values of the file by tabs, or rename the photographs"
+        )
 
 
 def _is_check(word: str) -> bool:

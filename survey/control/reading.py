@@ -90,7 +90,7 @@ def gather(
         If a point has two places, a mark lies outside its photograph or has two places in it, or nothing is left.
     """
     points = _points(in_crs([point for content in contents for point in content.points], crs, assumptions), crs)
-    marks = _marks([mark for content in contents for mark in content.marks], points, sizes, warnings)
+    marks = _marks([content.marks for content in contents], points, sizes, warnings)
     marked = {mark.point for mark in marks}
     unmarked = [point for name, point in points.items() if name not in marked]
     lost = [f"{point.name} ({point.where})" for point in unmarked if not point.is_check]
@@ -125,22 +125,22 @@ def _points(given: Sequence[GivenPoint], crs: CRS) -> dict[str, GivenPoint]:
 
 
 def _marks(
-    given: Sequence[GivenMark],
+    of_files: Sequence[Sequence[GivenMark]],
     points: Mapping[str, GivenPoint],
     sizes: Mapping[str, tuple[int, int]],
     warnings: list[str],
 ) -> list[Mark]:
-    if not given:
+    if not any(of_files):
         raise ControlError(
             "[control] names points without marks, expected where photographs show them; name a table "
             "image,name,x,y or Metashape's XML in marks, or use a gcp_list.txt, which has both"
         )
-    images = ImageNames(sizes)
     marks: dict[tuple[str, str], GivenMark] = {}
     strangers: dict[str, GivenMark] = {}
     nameless: dict[str, GivenMark] = {}
-    for said in given:
-        mark, image = said, images.find(said.image)
+    called = [(mark, names) for given in of_files for names in [ImageNames(sizes)] for mark in given]
+    for said, names in called:
+        mark, image = said, names.find(said.image, said.where)
         if image is None:
             strangers.setdefault(mark.image, mark)
         elif mark.point not in points:
@@ -163,7 +163,7 @@ def _marks(
         )
         like = next(iter(sizes)) if strangers else next(iter(points))
         raise ControlError(
-            f"{example.where}: no {what}, and none of the {len(given)} marks belongs to one; use the names that they "
+            f"{example.where}: no {what}, and none of the {len(called)} marks belongs to one; use the names that they "
             f'have, e.g. "{like}"'
         )
     warnings += _left_out(strangers, "photograph", "that the survey does not have")

@@ -76,17 +76,20 @@ def flight_of(run: LoadedRun, folder: str | None) -> Flight:
     Raises
     ------
     SurveyError
-        If the run was made before runs kept their cameras, or a photograph is not there.
+        If the run was made before runs kept their cameras, a photograph is not there, or is another one.
     """
     flight = run.flight
     views = flight.views
     if folder is not None:
         views = tuple(_elsewhere(view, Path(folder), run.config.images.dir) for view in views)
+    owner = run.folder.owner()
     for view in views:
         if not view.path.is_file():
             raise SurveyError(
                 f"the photograph {view.path} is not there any more; name the folder of the survey with --survey DIR"
             )
+        if owner is not None:
+            owner.require_unchanged(view.name, view.path)
     return replace(flight, views=views)
 
 

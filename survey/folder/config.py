@@ -26,7 +26,8 @@ _SYNONYMS = {
     "photos": "images.dir", "mask_dir": "images.masks", "lens": "cameras.model", "fx": "cameras.focal_px",
     "cx": "cameras.principal_point_px", "resolution": "cameras.size_px", "k1": "cameras.distortion",
     "gps": "cameras.gps_height", "ior": "water.refractive_index", "index": "water.refractive_index",
-    "tide": "water.gauge", "roi": "area.bounds", "extent": "area.bounds", "bbox": "area.bounds",
+    "tide": "water.gauge", "water_level": "water.level_m", "level": "water.level_m", "roi": "area.bounds",
+    "extent": "area.bounds", "bbox": "area.bounds",
 }  # fmt: skip
 
 # Keys that a later version will read, and what to do until then.

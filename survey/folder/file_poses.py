@@ -20,7 +20,8 @@ from survey.folder.reprojection import Reprojection, reprojection
 from survey.folder.water_level import with_level_of_clicks
 from survey.photos.cameras import View
 from survey.photos.formats import read_poses, read_ties
-from survey.photos.poses import Pose, PoseFile
+from survey.photos.names import ImageNames
+from survey.photos.poses import Pose, PoseFile, SecondPose
 from survey.photos.tie_points import MIN_TRACK
 
 
@@ -61,7 +62,12 @@ def read_file_poses(found: Found, path: Path, assumptions: list[str], warnings: 
     SurveyError, GeoError
         Where the file, or its fit to the survey, is wrong.
     """
-    file = read_poses(path)
+    try:
+        file = read_poses(path)
+    except SecondPose as error:
+        # Two photographs of this name are the reason that a user can mend.
+        ImageNames(found.images).find(error.called, str(path))
+        raise
     assumptions += file.notes
     warnings += file.warnings
     paired = pair(found, file.poses, warnings)

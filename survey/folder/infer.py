@@ -114,7 +114,7 @@ NO_WATER = (
 def _require_same_place(crs: CRS, file: PoseFile, poses_path: Path, heads: dict[str, Exif]) -> None:
     centres = points_in_crs(file, np.array([pose.centre for pose in file.poses]), crs, "crs")
     names = ImageNames(heads)
-    called = [names.find(pose.name) for pose in file.poses]
+    called = [names.find(pose.name, str(poses_path)) for pose in file.poses]
     known = {name: centre for name, centre in zip(called, centres, strict=True) if name is not None}
     distances = distances_to_exif(crs, known, heads)
     if not distances.size or np.median(distances) > _SAME_PLACE_M:

@@ -85,7 +85,7 @@ def _clicks_by_place(path: Path, views: Sequence[View]) -> tuple[dict[str, list[
     places: dict[str, list[Click]] = {}
     strangers = 0
     for row in rows:
-        view = by_name.get(names.find(row.text("image")) or "")
+        view = by_name.get(names.find(row.text("image"), row.where) or "")
         if view is None:
             strangers += 1
             continue

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import PurePosixPath
 
 from survey.display.words import named
 from survey.errors import ImageError, PosesError
@@ -14,20 +13,21 @@ from survey.folder.lens import lenses_from_config
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
 from survey.photos.images import require_complete
-from survey.photos.names import ImageNames, name_key
+from survey.photos.names import ImageNames
 from survey.photos.poses import Pose
 
 
 def pair(found: Found, poses: Sequence[Pose], warnings: list[str]) -> dict[str, Pose]:
     """The poses that have an image, under the name of that image, by the name that their file has.
 
-    Warns of images without a pose and of poses without an image. Where no name matches exactly, case, the encoding of
-    accents, a suffix that only one of the two has and, last, folders are ignored.
+    Warns of images without a pose and of poses without an image.
 
     Raises
     ------
     PosesError
         If fewer than two are left.
+    ImageError
+        If a name fits two images, or an image two names; see `survey.photos.names.ImageNames`.
     """
     names = ImageNames(found.images)
     paired: dict[str, Pose] = {}
@@ -35,8 +35,8 @@ def pair(found: Found, poses: Sequence[Pose], warnings: list[str]) -> dict[str, 
     unmatched = []
     # Exact names first, so that no other one takes their image.
     for pose in sorted(poses, key=lambda pose: pose.name not in found.images):
-        image = names.find(pose.name)
-        if image is None or image in taken or not _same_tail(pose.name, image):
+        image = names.find(pose.name, str(found.poses_path))
+        if image is None or image in taken:
             unmatched.append(pose.name)
         else:
             taken.add(image)
@@ -57,13 +57,6 @@ def pair(found: Found, poses: Sequence[Pose], warnings: list[str]) -> dict[str, 
     warnings += named(without_pose, "image", "without a pose, left out")
     warnings += named([shortened(name) for name in unmatched], "pose", "without an image, left out")
     return paired
-
-
-def _same_tail(called: str, image: str) -> bool:
-    """Whether the folders of two names do not contradict each other: one path may begin further up."""
-    a, b = (PurePosixPath(name_key(name.strip())).parts[:-1] for name in (called, image))
-    shared = min(len(a), len(b))
-    return a[len(a) - shared :] == b[len(b) - shared :]
 
 
 def with_lenses(found: Found, poses: list[Pose], assumptions: list[str], warnings: list[str]) -> list[Pose]:

@@ -106,7 +106,7 @@ def tide_of_levels(path: Path, heads: Mapping[str, Exif]) -> tuple[float, Tide, 
     found: dict[str, LevelObservation] = {}
     for row in read_table(path, ("image", "level"), optional=("std",), error=ConfigError):
         # Photographs that are not there were left out.
-        name = names.find(row.text("image"))
+        name = names.find(row.text("image"), row.where)
         if name in found:
             raise ConfigError(f"{row.where}: {name} has a level already; keep one")
         if name is not None:

@@ -18,12 +18,15 @@ from survey.photos.pixels import read_grey, read_opaque, read_rgb
 _STEPS = 257.0
 # Weights of red, green and blue in the grey that is matched: luma, as JPEG has it.
 LUMA = (0.299, 0.587, 0.114)
+# Folders that are not hidden, with thumbnails: of Synology, QNAP, macOS' archives and Windows.
+_NOT_OF_CAMERAS = ("@eadir", "@__thumb", "__macosx", "$recycle.bin")
 _LOSSY = (".jpg", ".jpeg")
 
 
 def list_images(folder: Path, *, deep: bool = True) -> dict[str, Path]:
     """Images in a folder and, if `deep`, below it, by name: the path in the folder with forward slashes.
 
+    Hidden files and folders, and those in which storage devices and archives keep thumbnails, are left out.
     A file named like another one with _mask behind, as OpenDroneMap has them, is its mask, and no image.
 
     Raises
@@ -34,12 +37,18 @@ def list_images(folder: Path, *, deep: bool = True) -> dict[str, Path]:
     if not folder.is_dir():
         raise ImageError(f"the image folder {folder} does not exist; make it, or correct [images] dir in survey.toml")
     below = folder.rglob("*") if deep else folder.iterdir()
-    files = sorted(p for p in below if p.suffix.lower() in SUFFIXES and p.name[0] != "." and p.is_file())
+    files = sorted(
+        p for p in below if p.suffix.lower() in SUFFIXES and not _is_hidden(p.relative_to(folder)) and p.is_file()
+    )
     stems = {path.with_suffix("") for path in files}
     files = [path for path in files if not is_mask_of_another(path, stems)]
     if not files:
         raise ImageError(f"no images in {folder}; expected files ending in {', '.join(SUFFIXES)}")
     return {path.relative_to(folder).as_posix(): path for path in files}
+
+
+def _is_hidden(path: Path) -> bool:
+    return any(part[0] == "." or part.casefold() in _NOT_OF_CAMERAS for part in path.parts)
 
 
 def is_mask_of_another(path: Path, stems: set[Path]) -> bool:

@@ -6,8 +6,11 @@ import unicodedata
 from collections.abc import Iterable
 from pathlib import PurePosixPath
 
+from survey.errors import ImageError
+
 # Behind the name of a photograph, before its suffix, in the name of its mask.
 MASK_ENDING = "_mask"
+_LONGEST_SHOWN = 80
 
 
 def name_key(name: str) -> str:
@@ -16,26 +19,74 @@ def name_key(name: str) -> str:
 
 
 class ImageNames:
-    """The photographs of a survey, found by what a file calls them."""
+    """The photographs of a survey, found by what one file calls them: by the longest common tail of their paths."""
 
     def __init__(self, names: Iterable[str]):
         self._names = frozenset(names)
-        self._by_key: dict[str, set[str]] = {}
-        for name in self._names:
-            path = PurePosixPath(name_key(name))
-            for key in (str(path), str(path.with_suffix("")), path.name, path.stem):
-                self._by_key.setdefault(key, set()).add(name)
+        self._by_last: dict[str, list[tuple[str, tuple[str, ...]]]] = {}
+        for name in sorted(self._names):
+            parts = _parts(name)
+            for last in {parts[-1], PurePosixPath(parts[-1]).stem}:
+                self._by_last.setdefault(last, []).append((name, parts))
+        self._called: dict[str, str] = {}
 
-    def find(self, called: str) -> str | None:
-        """The name of the only photograph that a file can mean; None where there is none, or several.
+    def find(self, called: str, where: str) -> str | None:
+        """The photograph that a file means; None where there is none.
 
-        Asked in this order: the same name; the same but for case and suffix; the same without folders.
+        Parameters
+        ----------
+        called : str
+            As the file has it. Case, slashes and the encoding of accents do not count; the suffix may be missing. One
+            of the two paths may begin further up than the other, but their folders must not contradict each other.
+        where : str
+            Of the name, for errors: the file, and the line if there are lines.
+
+        Raises
+        ------
+        ImageError
+            Where two photographs fit equally well, or one fits two names whose folders contradict each other.
         """
-        if called in self._names:
-            return called
-        path = PurePosixPath(name_key(called.strip()))
-        for key in (str(path), path.name):
-            found = self._by_key.get(key, set())
-            if len(found) == 1:
-                return next(iter(found))
-        return None
+        image = called if called in self._names else self._longest_tail(called, where)
+        if image is None:
+            return None
+        # The longer one of two names of one photograph has more to contradict.
+        before = self._called.setdefault(image, called)
+        if not _agree(_parts(before)[:-1], _parts(called)[:-1]):
+            raise ImageError(
+                f"{where}: {_shown(called)} and {_shown(before)} are two photographs, and both names fit {image} "
+                "alone; keep the photographs in the folders that the file has, or remove the lines of the other one"
+            )
+        self._called[image] = max(before, called, key=lambda name: len(_parts(name)))
+        return image
+
+    def _longest_tail(self, called: str, where: str) -> str | None:
+        parts = _parts(called)
+        if not parts:
+            return None
+        ranks = {
+            name: (min(len(own), len(parts)), len(own) == len(parts), own[-1] == parts[-1])
+            for name, own in self._by_last.get(parts[-1], ())
+            if _agree(own[:-1], parts[:-1])
+        }
+        best = [name for name, rank in ranks.items() if rank == max(ranks.values())]
+        if len(best) > 1:
+            raise ImageError(
+                f"{where}: {_shown(called)} fits {best[0]} and {best[1]}"
+                f"{f' and {len(best) - 2} more' if len(best) > 2 else ''}, expected the name of one photograph; write "
+                f'its folder and suffix too, e.g. "{best[0]}"'
+            )
+        return best[0] if best else None
+
+
+def _parts(name: str) -> tuple[str, ...]:
+    return PurePosixPath(name_key(name.strip())).parts
+
+
+def _agree(a: tuple[str, ...], b: tuple[str, ...]) -> bool:
+    """Whether the folders of two paths do not contradict each other: one path may begin further up."""
+    shared = min(len(a), len(b))
+    return a[len(a) - shared :] == b[len(b) - shared :]
+
+
+def _shown(name: str) -> str:
+    return "".join(letter for letter in name[:_LONGEST_SHOWN] if letter.isprintable())

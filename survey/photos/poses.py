@@ -10,6 +10,25 @@ import numpy as np
 from pyproj import CRS
 
 from refract.lens import Lens
+from survey.errors import PosesError
+from survey.files.csv_table import shortened
+
+
+class SecondPose(PosesError):
+    """A file has two poses under one name.
+
+    Attributes
+    ----------
+    called : str
+        The name, as the file has it.
+    """
+
+    def __init__(self, called: str, where: str):
+        super().__init__(
+            f"{where}: image {shortened(called)} has a second pose; keep one of the two, or, if they are of two "
+            "photographs in different folders, write the folder before the name"
+        )
+        self.called = called
 
 
 class PoseFrame(Enum):

@@ -124,6 +124,10 @@ class RunDir:
         if before != owner:
             self._mark(owner.as_record())
 
+    def owner(self) -> Owner | None:
+        """The survey whose run this is; None in a run of a version that did not keep it."""
+        return Owner.from_record(read_json_object(self.path / _MARKER))
+
     def _mark(self, owner: dict) -> None:
         made_by = {"made_by": f"bathynerf {importlib.metadata.version('bathynerf')}"}
         self.write_text(self.path / _MARKER, json.dumps(made_by | owner))

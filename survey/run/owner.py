@@ -38,6 +38,15 @@ class Owner:
         """Plain values."""
         return {"survey": self.name, "photographs": self.photographs}
 
+    def require_unchanged(self, name: str, path: Path) -> None:
+        """Raise SurveyError where the file at a path is not the photograph of this name, by its size."""
+        before, now = self.photographs.get(name), path.stat().st_size
+        if before is not None and before != now:
+            raise SurveyError(
+                f"{path} is not the photograph that the run used: it has {now} bytes, expected {before}; put the "
+                "photographs of the run there, name the folder of the survey with --survey DIR, or process again"
+            )
+
     def require_same(self, other: Owner, run: Path) -> None:
         """Raise SurveyError where a run of this survey is to become one of another.
 

@@ -16,7 +16,7 @@ from survey.files.csv_table import shortened
 from survey.photos.cameras import rotation_from_quaternion
 from survey.photos.formats import colmap_files as files
 from survey.photos.formats.format import Format
-from survey.photos.poses import FileTies, Pose, PoseFile, PoseFrame
+from survey.photos.poses import FileTies, Pose, PoseFile, PoseFrame, SecondPose
 
 # Where models lie in a survey folder, beside the folder itself.
 _PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "colmap")
@@ -67,7 +67,7 @@ def read_model(folder: Path) -> PoseFile:
                 "the model again"
             )
         if photo.name in poses:
-            raise PosesError(f"{path}: image {name} has a second pose; keep one of the two")
+            raise SecondPose(photo.name, str(path))
         cam_from_local = rotation_from_quaternion(*photo.pose[:4])
         centre = -cam_from_local.T @ np.array(photo.pose[4:])
         poses[photo.name] = Pose(photo.name, centre, cam_from_local, lens)

@@ -16,7 +16,7 @@ from survey.errors import PosesError
 from survey.files.csv_table import shortened, text_lines
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.photos.formats.format import Format
-from survey.photos.poses import Pose, PoseFile, PoseFrame
+from survey.photos.poses import Pose, PoseFile, PoseFrame, SecondPose
 
 _SUFFIXES = (".txt", ".dat", ".opk", ".eo")
 _NUMBERS, _WITH_MATRIX = 6, 15
@@ -46,7 +46,7 @@ def read_exterior_text(path: Path) -> PoseFile:
         elif line.strip() and not line.lstrip().startswith("#"):
             name, values = _split(line, where)
             if name in poses:
-                raise PosesError(f"{where}: image {shortened(name)} has a second pose; keep one of the two lines")
+                raise SecondPose(name, where)
             poses[name] = _pose(name, values, unit, where)
     if heading.lstrip("# ").startswith(("epsg:", "+proj", "wgs84")):
         raise PosesError(

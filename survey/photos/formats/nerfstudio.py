@@ -14,7 +14,7 @@ from survey.files.csv_table import shortened
 from survey.files.json_values import finite_number, finite_numbers, read_foreign_json
 from survey.photos.cameras import nearest_rotation
 from survey.photos.formats.format import Format
-from survey.photos.poses import Pose, PoseFile, PoseFrame
+from survey.photos.poses import Pose, PoseFile, PoseFrame, SecondPose
 
 _NAME = "transforms.json"
 _EXPORT = "write it again with ns-process-data"
@@ -51,7 +51,7 @@ def read_nerfstudio(path: Path) -> PoseFile:
             raise PosesError(f"{path}: a frame has no file_path, expected the name of its image; {_EXPORT}")
         where = f"{path}, frame {shortened(name)}"
         if name in poses:
-            raise PosesError(f"{where}: the image has a second pose; keep one of the two")
+            raise SecondPose(name, str(path))
         try:
             lens = _lens(_with_root(data, frame))
         except LensError as error:

@@ -13,10 +13,10 @@ from pyproj import CRS
 
 from survey.errors import PosesError
 from survey.files.crs_comment import crs_of_comment
-from survey.files.csv_table import Row, column_names, read_table, shortened
+from survey.files.csv_table import Row, column_names, read_table
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk, level_from_yaw_pitch_roll
 from survey.photos.formats.format import Format
-from survey.photos.poses import GivenPosition, Pose, PoseFile, PoseFrame
+from survey.photos.poses import GivenPosition, Pose, PoseFile, PoseFrame, SecondPose
 
 COLUMNS = ("image", "easting", "northing", "height", "omega", "phi", "kappa")
 _PLACE, _OPK = COLUMNS[1:4], COLUMNS[4:]
@@ -68,7 +68,7 @@ def read_opk_csv(path: Path) -> PoseFile:
     for row in rows:
         pose = _pose(row, names)
         if pose.name in poses:
-            raise PosesError(f"{row.where}: image {shortened(pose.name)} has a second pose; keep one of the two lines")
+            raise SecondPose(pose.name, row.where)
         poses[pose.name] = pose
     crs = crs_of_comment(path, PosesError) or (CRS("EPSG:4326") if names[1] == "longitude" else None)
     if "omega" in columns:

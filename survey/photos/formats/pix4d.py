@@ -21,7 +21,7 @@ from survey.errors import PosesError
 from survey.files.csv_table import shortened, text_lines
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk, nearest_rotation
 from survey.photos.formats.format import Format
-from survey.photos.poses import Pose, PoseFile, PoseFrame
+from survey.photos.poses import Pose, PoseFile, PoseFrame, SecondPose
 
 _EXTERNAL, _CAMERAS = "_calibrated_external_camera_parameters.txt", "_calibrated_camera_parameters.txt"
 _OFFSET, _MAP = "_offset.xyz", "_wkt.prj"
@@ -63,7 +63,7 @@ def read_pix4d(path: Path) -> PoseFile:
     names = [pose.name for pose in poses]
     twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
     if twice is not None:
-        raise PosesError(f"{path}: image {shortened(twice)} has a second pose; keep one of the two")
+        raise SecondPose(twice, str(path))
     notes: tuple[str, ...] = ()
     unit_m = None
     if crs is not None:

@@ -85,6 +85,9 @@ def test_without_poses_and_positions_there_is_nothing_to_start_from(tmp_path):
     (folder / "cameras.csv").unlink()
     with pytest.raises(PosesError, match="has no poses file, and 0 of 4 images have a GPS position"):
         load_survey(folder)
+    (folder / "geo.txt").write_text("EPSG:4326\n")
+    with pytest.raises(PosesError, match=r"geo.txt is not read: write its positions into the EXIF"):
+        load_survey(folder)
 
 
 def test_a_survey_without_poses_is_handed_to_structure_from_motion(tmp_path, monkeypatch):

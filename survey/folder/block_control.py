@@ -15,6 +15,7 @@ from survey.control.points import Control
 from survey.errors import FILE_NAME, ControlError, PosesError
 from survey.folder.config_control import per_direction
 from survey.folder.found import Found
+from survey.photos.formats import find_unread
 from survey.sfm.control_fit import MIN_POINTS, require_spread
 from survey.sfm.gps import MIN_POSITIONS, is_whole
 from survey.sfm.marked import BlockControl
@@ -62,9 +63,10 @@ def require_placing_control(found: Found) -> BlockControl:
         f"({num_whole} with a height), expected at least {MIN_POSITIONS}"
     )
     if control is None:
+        unread = "".join(f". {sentence}" for sentence in find_unread(found.folder))
         raise PosesError(
             f"{told}, or at least {MIN_POINTS} control points; name a file of poses in [cameras] poses in {FILE_NAME}, "
-            "or control points with their marks in [control] gcps"
+            f"or control points with their marks in [control] gcps{unread}"
         )
     count = Counter(mark.point for mark in control.marks)
     enough = [point for point in control.points if count[point.name] >= 2]

@@ -41,8 +41,9 @@ def test_report_json_keeps_its_names(plane_report):
         "baselines": ["places", "views_per_place", "rows", "note"],
     }  # fmt: skip
     assert list(found) == [
-        "verdict", "survey", "water", "plan", "cloud", "comparison", "iho_s44", "checkpoints", "adjustment",
-        "baselines", "photographs", "timings_s", "versions", "settings", "assumptions", "warnings", "notes",
+        "verdict", "survey", "water", "plan", "cloud", "comparison", "iho_s44", "checkpoints", "height_std_m",
+        "adjustment", "baselines", "photographs", "timings_s", "versions", "settings", "assumptions", "warnings",
+        "notes",
     ]  # fmt: skip
     assert list(found["verdict"]["gates"][0]) == ["name", "value", "limit", "unit", "passed", "sentence"]
     assert list(found["survey"]["crs"]) == ["name", "code", "unit", "height_unit"]
@@ -98,7 +99,7 @@ def test_every_number_in_report_html_stays_with_its_unit(plane_report):
         r"<(style|pre)>.*?</\1>", "", plane_report.run.report_html_path.read_text(encoding="utf-8"), flags=re.S
     )
     cards = re.findall(r"<div><span>.*?</div>", page)
-    assert len(cards) == 8
+    assert len(cards) == 9
     for card in cards:
         assert " " not in re.search("<b>(.*?)</b>", card).group(1)
 

@@ -6,14 +6,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from evaluation import height_at
 from survey.control.points import Checkpoint, ControlPoint
+from survey.display.quantities import length
+from survey.display.words import named
 from survey.folder.survey import Survey
 
 # Points of the cloud within this many ground sampling distances count. They lie 1.2 apart or so: within one, three
 # places of five have fewer than three points.
 WITHIN_GSD = 5.0
+# A difference of more standard deviations, of the cloud as it states them, is named.
+_MOST_STD = 3.0
+# Nearest points of the cloud whose standard deviations tell that at a check point.
+_NEAREST = 8
 
 
 @dataclass(frozen=True)
@@ -28,12 +35,18 @@ class CheckpointRow:
         Under the water, negative above; None for a dry survey.
     difference_m : float or None
         Height of the cloud less that of the check point; None where the cloud does not surround it.
+    stated_m : float or None
+        Standard deviation of the height of the cloud there, random and shared; None without a difference.
+    is_outside : bool
+        Whether it lies outside [area] bounds, beyond which there is no cloud.
     """
 
     name: str
     height: float
     depth_m: float | None
     difference_m: float | None
+    stated_m: float | None = None
+    is_outside: bool = False
 
 
 @dataclass(frozen=True)
@@ -92,10 +105,13 @@ def checkpoint_heights(points: np.ndarray, places: np.ndarray, gsd_m: float) -> 
     return height_at(points, places[:, :2], within_m=WITHIN_GSD * gsd_m) - places[:, 2]
 
 
-def checkpoints_of(survey: Survey, points: np.ndarray, gsd_m: float) -> CheckpointFigures | None:
-    """The figures of a cloud (N, 3) [m], local; None for a survey without check points.
+def checkpoints_of(
+    survey: Survey, points: np.ndarray, gsd_m: float, stated: np.ndarray | None = None
+) -> CheckpointFigures | None:
+    """The figures of a cloud (N, 3) [m], local, with the standard deviations (N,) [m] of its heights, where known.
 
-    Check points are those of [control] checkpoints, and the control points that their file calls check points.
+    None for a survey without check points: those of [control] checkpoints, and the control points that their file calls
+    check points.
     """
     marked = () if survey.control is None else tuple(point for point in survey.control.points if point.is_check)
     given: tuple[Checkpoint | ControlPoint, ...] = (*survey.checkpoints, *marked)
@@ -103,6 +119,7 @@ def checkpoints_of(survey: Survey, points: np.ndarray, gsd_m: float) -> Checkpoi
         return None
     places = np.array([point.local for point in given])
     differences = checkpoint_heights(points, places, gsd_m)
+    stds, outside = _stated_at(points, stated, places), _outside(survey, np.array([point.crs for point in given]))
     depths = None if survey.water is None else np.asarray(survey.water.depth(places))
     rows = tuple(
         CheckpointRow(
@@ -110,10 +127,42 @@ def checkpoints_of(survey: Survey, points: np.ndarray, gsd_m: float) -> Checkpoi
             point.crs[2],
             None if depths is None else float(depths[i]),
             float(differences[i]) if np.isfinite(differences[i]) else None,
+            float(stds[i]) if np.isfinite(differences[i]) and np.isfinite(stds[i]) else None,
+            bool(outside[i]),
         )
         for i, point in enumerate(given)
     )
     return CheckpointFigures(rows, tuple(_groups(rows)), WITHIN_GSD * gsd_m)
+
+
+def checkpoint_doubts(found: CheckpointFigures | None) -> list[str]:
+    """A warning that names the check points whose difference is not explained by what the cloud states."""
+    if found is None:
+        return []
+    far = [
+        f"{row.name} ({length(row.difference_m)}, stated {length(row.stated_m)})"
+        for row in found.rows
+        if row.difference_m is not None and row.stated_m is not None
+        and abs(row.difference_m) > _MOST_STD * row.stated_m
+    ]  # fmt: skip
+    return named(far, "check point", f"farther from the cloud than {_MOST_STD:g} standard deviations")
+
+
+def _stated_at(points: np.ndarray, stated: np.ndarray | None, places: np.ndarray) -> np.ndarray:
+    """Standard deviations (K,) [m] of the cloud at places (K, 3): the median of the nearest points."""
+    if stated is None or len(points) < _NEAREST:
+        return np.full(len(places), np.nan)
+    _, nearest = cKDTree(points[:, :2]).query(places[:, :2], k=_NEAREST)
+    return np.median(stated[nearest], axis=1)
+
+
+def _outside(survey: Survey, places_crs: np.ndarray) -> np.ndarray:
+    """Which places (K, 3) in crs lie outside [area] bounds, (K,) bool."""
+    if survey.bounds is None:
+        return np.zeros(len(places_crs), dtype=bool)
+    e0, n0, e1, n1 = survey.bounds
+    east, north = places_crs[:, 0], places_crs[:, 1]
+    return (east < e0) | (east > e1) | (north < n0) | (north > n1)
 
 
 def _groups(rows: Sequence[CheckpointRow]) -> list[CheckpointGroup]:

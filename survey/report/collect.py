@@ -19,13 +19,14 @@ from survey.photos.images import list_images
 from survey.photos.texture import MatchedLight
 from survey.report.adjustment_figures import adjustment_of
 from survey.report.baselines import baselines_of
-from survey.report.checkpoints import checkpoints_of
+from survey.report.checkpoints import checkpoint_doubts, checkpoints_of
 from survey.report.dryness import dry_doubts
 from survey.report.facts import ReportFacts
 from survey.report.figures import (
     CloudFigures,
     CrsFigures,
     Extent,
+    HeightStd,
     LightFigures,
     ReportFigures,
     Spread,
@@ -50,6 +51,8 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
     adjustment = adjustment_of(survey, facts.adjustment)
     told = [] if adjustment is None or adjustment.note is None else [adjustment.note]
     failed = [gate.sentence for gate in facts.verdict.gates if not gate.passed] if facts.verdict else []
+    stated = stated_std(facts)
+    checkpoints = checkpoints_of(survey, facts.bed.xyz, facts.plan.gsd_m, stated)
     return ReportFigures(
         verdict=facts.verdict,
         survey=_survey(survey),
@@ -62,12 +65,33 @@ def figures_of(facts: ReportFacts) -> ReportFigures:
         versions=facts.versions,
         settings=plain(facts.settings),
         assumptions=tuple(survey.assumptions),
-        warnings=(*failed, *dry_doubts(survey, facts.bed), *doubts(facts.photographs), *survey.warnings),
+        warnings=(
+            *failed,
+            *dry_doubts(survey, facts.bed),
+            *doubts(facts.photographs),
+            *checkpoint_doubts(checkpoints),
+            *survey.warnings,
+        ),
         notes=(*facts.notes, *told),
-        checkpoints=checkpoints_of(survey, facts.bed.xyz, facts.plan.gsd_m),
+        checkpoints=checkpoints,
+        height_std=height_std_of(facts),
         adjustment=adjustment,
         photographs=facts.photographs,
     )
+
+
+def stated_std(facts: ReportFacts) -> np.ndarray:
+    """Standard deviations (N,) [m] of the heights of the points, random and shared."""
+    common = np.zeros(len(facts.bed)) if facts.std_common is None else np.nan_to_num(facts.std_common)
+    return np.hypot(facts.bed.std, common)
+
+
+def height_std_of(facts: ReportFacts) -> HeightStd | None:
+    """How well the height of a point is known, all included; None without points."""
+    if not len(facts.bed):
+        return None
+    shared = None if facts.std_common is None else float(np.nanmedian(facts.std_common))
+    return HeightStd(float(np.median(stated_std(facts))), shared, float(np.nanmedian(facts.bed.std)))
 
 
 def _survey(survey: Survey) -> SurveyFigures:

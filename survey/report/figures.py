@@ -218,6 +218,25 @@ class Baselines:
 
 
 @dataclass(frozen=True)
+class HeightStd:
+    """How well the height of a point is known, one standard deviation; medians over the points [m].
+
+    Attributes
+    ----------
+    whole : float
+        Random and shared.
+    shared : float or None
+        Alike for large parts of the cloud, by water, lens and poses; None where nobody knows.
+    random : float
+        Of each point for itself.
+    """
+
+    whole: float
+    shared: float | None
+    random: float
+
+
+@dataclass(frozen=True)
 class ReportFigures:
     """All figures of a report.
 
@@ -246,6 +265,7 @@ class ReportFigures:
         None without check points.
     adjustment : AdjustmentFigures or None
         None where poses and water were used as they came.
+    height_std : HeightStd or None
     photographs : tuple of PhotographFigures
         What of each was left out of matching.
     """
@@ -266,6 +286,7 @@ class ReportFigures:
     checkpoints: CheckpointFigures | None = None
     adjustment: AdjustmentFigures | None = None
     photographs: tuple[PhotographFigures, ...] = ()
+    height_std: HeightStd | None = None
 
     @property
     def total_s(self) -> float:

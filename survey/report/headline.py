@@ -56,8 +56,16 @@ def headline(verdict: Verdict | None, warnings: tuple[str, ...]) -> Headline:
 
 def cards(figures: ReportFigures) -> list[Card]:
     """The few numbers that matter most."""
-    of_run = [*_of_cloud(figures), *_of_flight(figures), *_of_adjustment(figures)]
+    of_run = [*_of_heights(figures), *_of_cloud(figures), *_of_flight(figures), *_of_adjustment(figures)]
     return [*of_run, *_of_checkpoints(figures), *_of_comparison(figures)]
+
+
+def _of_heights(figures: ReportFigures) -> list[Card]:
+    std = figures.height_std
+    if std is None:
+        return []
+    shared = "" if std.shared is None else f"{length(std.shared)} shared by all, "
+    return [Card("Height, one sigma, all included", length(std.whole), f"{shared}{length(std.random)} random")]
 
 
 def _of_cloud(figures: ReportFigures) -> list[Card]:

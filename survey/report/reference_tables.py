@@ -123,22 +123,33 @@ def checkpoints(found: CheckpointFigures | None) -> list[Block]:
     if found is None:
         return []
     unit = LengthUnit.of([row.difference_m for row in found.rows])
-    num_without = sum(row.difference_m is None for row in found.rows)
+    num_outside = sum(row.is_outside and row.difference_m is None for row in found.rows)
+    num_without = sum(row.difference_m is None for row in found.rows) - num_outside
     method = (
         f"Height of the cloud less that of the check point, by the plane through the nearest points within "
         f"{length(found.within_m)}; nothing is adjusted to check points."
     )
     if num_without:
         method += f" {num_without} of {len(found.rows)} have no value: the cloud does not surround them."
+    if num_outside:
+        method += f" {num_outside} of {len(found.rows)} lie outside [area] bounds."
     groups = [
         (group.name, count(group.num), *(unit.number(value) for value in (group.mean_m, group.rms_m, group.largest_m)))
         for group in found.groups
     ]
     rows = [
-        (row.name, number(row.height, 3), number(row.depth_m, 3), unit.number(row.difference_m)) for row in found.rows
+        (
+            row.name,
+            number(row.height, 3),
+            number(row.depth_m, 3),
+            unit.number(row.difference_m),
+            unit.number(row.stated_m),
+            "outside bounds" if row.is_outside else "",
+        )
+        for row in found.rows
     ]
     statistics = ("check points", "compared", *(f"{name} [{unit.name}]" for name in ("mean", "RMS", "largest")))
-    each = ("check point", "height in crs", "depth [m]", f"difference [{unit.name}]")
+    each = ("check point", "height in crs", "depth [m]", f"difference [{unit.name}]", f"std stated [{unit.name}]", "")
     return [Text(method), *([Table(statistics, groups)] if groups else []), Table(each, rows, heading="Each")]
 
 

@@ -13,10 +13,12 @@ from fields.sweep.maps import DepthMap
 from fields.sweep.photo_consistency import Consistency
 from survey.adjust.adjustment import Adjustment, read_adjustment
 from survey.compare.result import Comparison
+from survey.display.quantities import length
 from survey.files.json_values import read_json_object, write_json
 from survey.folder.survey import Survey
 from survey.photos.texture import matched_light
 from survey.report import NUM_STEPS, ReportFacts, write_report
+from survey.report.checkpoints import checkpoint_doubts
 from survey.report.dryness import dry_doubts
 from survey.report.photographs import PhotographFigures, doubts, photographs_of, summary
 from survey.report.verdict import Verdict
@@ -104,6 +106,11 @@ def _write_report(
     )
     with job.progress.stage("Report", NUM_STEPS) as stage:
         figures = write_report(folder, facts, stage.advance)
+    for text in checkpoint_doubts(figures.checkpoints):
+        job.progress.warn(text)
+    if (std := figures.height_std) is not None:
+        shared = "" if std.shared is None else f", of which {length(std.shared)} are shared by large parts of the cloud"
+        job.progress.note(f"height, one sigma, all included: {length(std.whole)} (median){shared}")
     for text in figures.notes:
         job.progress.note(text)
     return verdict

@@ -200,7 +200,8 @@ def test_check_points_are_compared_with_the_cloud_under_them(tmp_path, cloud, pl
     ("text", "message"),
     [
         ("e,n,h\n1,2\n", r"points.csv, line 2: 2 values were found, expected 3"),
-        ("1,2,3,-1\n", r"line 1: sigma is -1, expected .* not negative"),
+        ("1,2,3,-1\n", r"has 4 columns without names"),
+        ("e,n,h,std\n1,2,3,-1\n", r"line 2: std is -1, expected .* not negative"),
         ("1,2,3\ne,n,h\n", r"line 2: easting is e, expected a finite number"),
         ("e,n,h\n", r"has no check points"),
     ],

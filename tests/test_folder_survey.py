@@ -257,7 +257,7 @@ def test_a_position_far_from_the_others_is_named_and_does_not_move_their_frame(t
 def test_a_position_that_is_not_on_the_map_is_named(tmp_path):
     folder = small_survey(tmp_path / "s")
     lines = camera_lines()
-    write_poses(folder, [f"0000.jpg,1e30,{N0},{LEVEL + 20},0,0,0", *lines[1:]])
+    write_poses(folder, [f"0000.jpg,1e11,{N0},{LEVEL + 20},0,0,0", *lines[1:]])
     with pytest.raises(PosesError, match=r"of 0000\.jpg in .*cameras\.csv is not on the map"):
         load_survey(folder)
 

@@ -130,8 +130,8 @@ def test_a_damaged_gauge_is_named(tmp_path, rows, message):
 
 
 def test_missing_columns_and_files_are_named(tmp_path):
-    (tmp_path / "p.csv").write_text("x,y,z\n1,2,3\n")
-    with pytest.raises(ConfigError, match="expected easting,northing,height"):
+    (tmp_path / "p.csv").write_text("x,y,q\n1,2,3\n")
+    with pytest.raises(ConfigError, match="expected easting, northing, height"):
         points_of_surface(tmp_path / "p.csv", "shoreline", CRS, [])
     with pytest.raises(ConfigError, match="cannot be read"):
         points_of_surface(tmp_path / "none.csv", "shoreline", CRS, [])

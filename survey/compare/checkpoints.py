@@ -8,20 +8,19 @@ import numpy as np
 
 from evaluation import asprs_vertical, height_at
 from evaluation.standards import MIN_CHECKPOINTS
+from geo.compatibility import require_same_place
 from geo.files import existing_file
 from survey.compare.area import CompareError, to_local
 from survey.compare.figures import Checkpoints
 from survey.compare.scene import Scene
-from survey.files.csv_table import read_table
-
-_COLUMNS = ("easting", "northing", "height", "sigma")
+from survey.files.point_table import PLACE, read_points
 
 
 def read_checkpoints(path: Path) -> np.ndarray:
     """Check points (K, 4) of a CSV: easting, northing, height in the CRS of the cloud, standard deviation [m].
 
-    The last column may be missing (0 then). A first line may name the columns, in any order; without names this
-    order holds. See `survey.files.csv_table` for separators.
+    The last column may be missing (0 then). A first line names the columns, in any order; numbers alone have this
+    order. See `survey.files.point_table`.
 
     Raises
     ------
@@ -30,13 +29,13 @@ def read_checkpoints(path: Path) -> np.ndarray:
     CompareError
         If a line has other columns, or no line is left.
     """
-    rows = read_table(existing_file(path), _COLUMNS[:3], optional=_COLUMNS[3:], header=False, error=CompareError)
-    table = np.array([[*(row.number(name) for name in _COLUMNS[:3]), row.number("sigma", default=0.0)] for row in rows])
+    rows = read_points(existing_file(path), optional=("std",), by_place=True, error=CompareError)
+    table = np.array([[*(row.number(name) for name in PLACE), row.number("std", default=0.0)] for row in rows])
     if not rows:
-        raise CompareError(f"{path} has no check points; expected lines of {', '.join(_COLUMNS)}")
+        raise CompareError(f"{path} has no check points; expected lines of easting, northing, height, std")
     for row, sigma in zip(rows, table[:, 3], strict=True):
         if sigma < 0.0:
-            raise CompareError(f"{row.where}: sigma is {sigma:g}, expected metres, not negative")
+            raise CompareError(f"{row.where}: std is {sigma:g}, expected metres, not negative")
     return table
 
 
@@ -44,6 +43,9 @@ def checkpoint_accuracy(scene: Scene, table: np.ndarray, path: Path, notes: list
     """Vertical accuracy of the compared cloud at check points (K, 4); notes list its shortcomings as a test."""
     places = to_local(scene.inputs.frame, table[:, :3], path)
     residuals = height_at(scene.points, places[:, :2]) - places[:, 2]
+    if not np.isfinite(residuals).any():
+        require_same_place(scene.points, places, "the cloud", path.name)
+        raise CompareError(f"none of the {len(places)} check points of {path.name} has points of the cloud around it")
     accuracy = asprs_vertical(residuals, table[:, 3])
     if not accuracy.is_enough:
         notes.append(

@@ -10,23 +10,9 @@ from survey.control.content import Content, ControlFormat, GivenMark, GivenPoint
 from survey.errors import ControlError
 from survey.files.crs_comment import crs_of_comment
 from survey.files.csv_table import Row, column_names, read_table, shortened
+from survey.files.point_table import PLACE, STDS, SYNONYMS, read_points
 
-_PLACE = ("easting", "northing", "height")
-_STDS = ("std_east", "std_north", "std_height")
 # What other programs call the columns.
-_POINT_SYNONYMS = {
-    **dict.fromkeys(("label", "point", "gcp", "id", "point name", "point_name", "#label"), "name"),
-    **dict.fromkeys(("e", "east", "x", "x/easting", "x/east", "x/longitude", "longitude", "lon"), "easting"),
-    **dict.fromkeys(("n", "north", "y", "y/northing", "y/north", "y/latitude", "latitude", "lat"), "northing"),
-    **dict.fromkeys(("h", "z", "z/altitude", "z/height", "altitude", "elevation", "up"), "height"),
-    **dict.fromkeys(("accuracy", "sigma", "accuracy_x/y/z_(m)", "accuracy_(m)", "std_m"), "std"),
-    **dict.fromkeys(("accuracy_x/y_(m)", "accuracy_x/y/_(m)"), "std_horizontal"),
-    **dict.fromkeys(("std_e", "accuracy_x_(m)", "accuracy_x/easting_(m)", "accuracy_x"), "std_east"),
-    **dict.fromkeys(("std_n", "accuracy_y_(m)", "accuracy_y/northing_(m)", "accuracy_y"), "std_north"),
-    **dict.fromkeys(("std_h", "std_up", "accuracy_z_(m)", "accuracy_z/altitude_(m)", "accuracy_z"), "std_height"),
-    **dict.fromkeys(("type", "use"), "role"),
-    **dict.fromkeys(("enabled",), "enable"),
-}
 _MARK_SYNONYMS = {
     **dict.fromkeys(("photo", "photograph", "file", "filename", "camera", "image_name"), "image"),
     **dict.fromkeys(("label", "point", "gcp", "marker", "point name", "point_name"), "name"),
@@ -44,8 +30,10 @@ def read_coordinates(path: Path) -> Content:
     ControlError
         If a column is missing, a value is no finite number, or a role or an accuracy cannot be.
     """
-    columns, optional = ("name", *_PLACE), ("std", "std_horizontal", *_STDS, "role", "enable")
-    rows = read_table(path, columns, optional=optional, synonyms=_POINT_SYNONYMS, error=ControlError)
+    columns, optional = ("name", *PLACE), ("std", "std_horizontal", *STDS, "role", "enable")
+    rows = read_points(path, optional=("name", *optional), error=ControlError)
+    if rows and "name" not in column_names(path, SYNONYMS):
+        raise ControlError(f"{path}: the first line has no column name, expected {','.join(columns)}; add it")
     crs = crs_of_comment(path, ControlError)
     return Content(points=tuple(_point(row, crs) for row in rows))
 
@@ -73,7 +61,7 @@ def read_checkpoints(path: Path) -> tuple[GivenPoint, ...]:
     ControlError
         If the file has no points or one of them twice, or as `read_coordinates`.
     """
-    rows = read_table(path, _PLACE, optional=("name",), synonyms=_POINT_SYNONYMS, error=ControlError)
+    rows = read_points(path, error=ControlError)
     crs = crs_of_comment(path, ControlError)
     if not rows:
         raise ControlError(f"{path} has no check points, expected lines name,easting,northing,height; add them")
@@ -97,12 +85,12 @@ def _point(row: Row, crs: CRS | None) -> GivenPoint:
 
 
 def _place(row: Row) -> tuple[float, float, float]:
-    easting, northing, height = (row.number(name) for name in _PLACE)
+    easting, northing, height = (row.number(name) for name in PLACE)
     return easting, northing, height
 
 
 def _std(row: Row) -> tuple[float, float, float] | None:
-    for names in (_STDS, ("std_horizontal", "std_horizontal", "std_height")):
+    for names in (STDS, ("std_horizontal", "std_horizontal", "std_height")):
         if all(row.cells.get(name) for name in names):
             east, north, up = (row.number(name) for name in names)
             return require_std((east, north, up), row.where)
@@ -123,6 +111,6 @@ MARKS = ControlFormat(
 )
 COORDINATES = ControlFormat(
     name="a table name,easting,northing,height",
-    recognises=lambda path: path.suffix.casefold() == ".csv" or _has(path, ("name", *_PLACE), _POINT_SYNONYMS),
+    recognises=lambda path: path.suffix.casefold() == ".csv" or _has(path, ("name", *PLACE), SYNONYMS),
     read=read_coordinates,
 )

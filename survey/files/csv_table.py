@@ -14,8 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from survey.errors import SurveyError
+from survey.files.json_values import LARGEST
 
 # What the csv module of Python takes as one value.
+_SPACE = " "
 _LONGEST_LINE = 100_000
 _QUOTED = re.compile(r'"[^"]*"')
 
@@ -64,10 +66,10 @@ class Row:
         if not text and default is not None:
             return default
         value = _number(text, self.decimal)
-        if not math.isfinite(value):
+        if not abs(value) <= LARGEST:
             raise self.error(
-                f"{self.where}: {name} is {shortened(text) or 'empty'}, expected a finite number; correct it or remove "
-                "the line"
+                f"{self.where}: {name} is {shortened(text) or 'empty'}, expected a finite number of at most "
+                f"{LARGEST:g} in size; correct it or remove the line"
             )
         return value
 
@@ -106,7 +108,7 @@ def read_table(
     """
     title, lines = _title_and_lines(path, error)
     delimiter = _delimiter(lines[0][1]) if lines else ","
-    decimal = "." if delimiter == "," else ","
+    decimal = "." if delimiter in (",", _SPACE) else ","
     rows = [(number, _cells(f"{path}, line {number}", line, delimiter, error)) for number, line in lines]
     names = _names(rows[0][1], synonyms) if rows else []
     if synonyms is not None and title is not None and not set(columns) <= set(names):
@@ -151,6 +153,18 @@ def column_names(path: Path, synonyms: Mapping[str, str] | None = None) -> list[
         return [name for text in texts for name in _names(_cells("", text, _delimiter(text), SurveyError), synonyms)]
     except SurveyError:
         return []
+
+
+def first_cells(path: Path, error: type[SurveyError]) -> list[str]:
+    """Cells of the first line of a table, or of the comment before it where that has as many; lower case."""
+    title, lines = _title_and_lines(path, error)
+    if not lines:
+        return []
+    cells = [cell.casefold() for cell in _cells(str(path), lines[0][1], _delimiter(lines[0][1]), error)]
+    if title is not None and any(math.isfinite(_number(cell, ",")) for cell in cells):
+        named = [cell.casefold() for cell in _cells(str(path), title, _delimiter(title), error)]
+        return named if len(named) >= len(cells) > 1 else cells
+    return cells
 
 
 def text_lines(path: Path, error: type[SurveyError]) -> Iterator[tuple[int, str]]:
@@ -208,14 +222,18 @@ def _names(cells: Sequence[str], synonyms: Mapping[str, str] | None) -> list[str
 
 def _delimiter(line: str) -> str:
     bare = _QUOTED.sub("", line)
-    return next((mark for mark in "\t;" if mark in bare), ",")
+    found = next((mark for mark in "\t;," if mark in bare), None)
+    return found or (_SPACE if len(bare.split()) > 1 else ",")
 
 
 def _cells(where: str, line: str, delimiter: str, error: type[SurveyError]) -> list[str]:
     if len(line) > _LONGEST_LINE:
         raise error(f"{where}: the line has {len(line)} characters, expected a line of a table; correct the file")
     try:
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, strict=True))]
+        if delimiter == _SPACE:
+            line = line.strip()
+        cells = next(csv.reader([line], delimiter=delimiter, strict=True, skipinitialspace=delimiter == _SPACE))
+        return [cell.strip() for cell in cells if delimiter != _SPACE or cell]
     except csv.Error as problem:
         raise error(f"{where}: {problem}; expected a closing quote on the same line") from problem
 

@@ -12,6 +12,9 @@ import numpy as np
 from geo.files import write_whole
 from survey.errors import SurveyError
 
+# No coordinate, time or number of a survey is larger; squares of larger ones overflow.
+LARGEST = 1e12
+
 
 def plain(value):
     """A value as JSON knows it: numpy scalars and arrays, tuples and dataclasses undone; NaN and infinity as None.
@@ -88,8 +91,8 @@ def finite_numbers(value, count: int) -> list[float] | None:
 
 
 def finite_number(value) -> float | None:
-    """A finite number from JSON; None if it is anything else."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    """A finite number from JSON of at most `LARGEST` in size; None if it is anything else."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
         return None
     return float(value)
 

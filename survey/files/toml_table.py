@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import math
 import tomllib
 import types
 import typing
@@ -17,8 +16,14 @@ from pathlib import Path
 from typing import Any
 
 from survey.errors import ConfigError
+from survey.files.json_values import LARGEST
 
-_KINDS = {float: "a finite number", int: "a whole number", bool: "true or false", str: "a text in quotes"}
+_KINDS = {
+    float: f"a finite number of at most {LARGEST:g} in size",
+    int: "a whole number",
+    bool: "true or false",
+    str: "a text in quotes",
+}
 # Share of letters that two near names have in common, in order: "level" and "level_m", not "gcp" and "gps_height".
 _NEAR = 0.6
 # Metadata of a field: a description of valid values, for the error message.
@@ -72,6 +77,8 @@ def parse_toml(
         tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"not valid TOML: {error}; correct that line") from error
+    except RecursionError as error:
+        raise ConfigError("its tables and lists are nested too deep for settings; correct it") from error
     return _Reader(kind, synonyms or {}, not_yet or {}).table(kind, "", tables)
 
 
@@ -122,7 +129,7 @@ class _Reader:
         if typing.get_origin(kind) is tuple:
             return self._tuple(typing.get_args(kind), dotted, value, expected)
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        if kind is float and is_number and math.isfinite(value):
+        if kind is float and is_number and abs(value) <= LARGEST:
             return float(value)
         if kind is str and isinstance(value, str) and value.strip():
             return value

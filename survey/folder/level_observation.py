@@ -19,6 +19,7 @@ from pyproj import CRS
 from geo.crs import height_unit_m
 from survey.errors import ConfigError
 from survey.files.csv_table import Row, read_table
+from survey.files.point_table import read_points
 from survey.folder.level_geojson import points_of_geojson
 
 # Of one measurement whose file does not say how sure it is [m]: of GNSS with corrections on the surface, and where
@@ -68,7 +69,7 @@ def points_of_surface(path: Path, source: str, crs: CRS, notes: list[str]) -> tu
     if path.suffix.lower() in _GEOJSON:
         points = points_of_geojson(path, crs, notes)
         return tuple(LevelObservation(h * unit, STD_M[source], (e, n), None, source) for e, n, h in points.tolist())
-    rows = read_table(path, ("easting", "northing", "height"), optional=("std",), error=ConfigError)
+    rows = read_points(path, optional=("std",), error=ConfigError)
     places = [(row.number("easting"), row.number("northing")) for row in rows]
     return tuple(
         LevelObservation(row.number("height") * unit, std_of(row, source), place, None, source)

@@ -1,0 +1,89 @@
+"""Tables of points: any order of columns, any separator and name of the trade give the same points, or an error."""
+
+from __future__ import annotations
+
+from itertools import permutations, product
+
+import pytest
+
+from survey.errors import SurveyError
+from survey.files.csv_table import read_table
+from survey.files.json_values import finite_number
+from survey.files.point_table import PLACE, read_points
+from survey.folder.config import parse_config
+
+POINTS = [("p1", 676120.25, 5311480.5, 581.375), ("p2", 676121.0, 5311481.25, -3.5)]
+NAMES = [
+    ("name", "easting", "northing", "height"), ("Point", "E", "N", "Z"), ("id", "X", "Y", "Elevation"),
+    ("P", "East", "North", "Height_m"), ("Label", "Longitude", "Latitude", "Altitude"), ("no", "x (m)", "y [m]", "alt"),
+]  # fmt: skip
+
+
+def written(path, header, rows, separator) -> None:
+    lines = [separator.join(header), *(separator.join(str(cell) for cell in row) for row in rows)]
+    path.write_text("\n".join(lines) + "\n")
+
+
+@pytest.mark.parametrize(("names", "separator"), list(product(NAMES, [",", ";", "\t", "  ", " "])))
+def test_every_order_of_columns_gives_the_same_points(tmp_path, names, separator):
+    if not separator.strip(" ") and any(" " in name for name in names):
+        pytest.skip("a name with a space needs another separator")
+    for order in permutations(range(4)):
+        path = tmp_path / "points.csv"
+        written(path, [names[i] for i in order], [[row[i] for i in order] for row in POINTS], separator)
+        found = read_points(path, error=SurveyError)
+        assert [tuple(row.number(name) for name in PLACE) for row in found] == [row[1:] for row in POINTS]
+        assert [row.cells["name"] for row in found] == [row[0] for row in POINTS]
+
+
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        ("easting,northing,depth", "has depths, expected heights in crs"),
+        ("easting,northing,ellipsoidal,orthometric", "has 2 columns of heights, ellipsoidal and orthometric"),
+        ("easting,northing,height,elevation", "has 2 columns of heights, height and elevation"),
+        ("easting,northing,up_there", "has no column height"),
+        ("rechts,hoch,hoehe", "has no column easting, northing, height"),
+    ],
+)
+def test_columns_that_are_not_known_are_no_points(tmp_path, header, words):
+    path = tmp_path / "points.csv"
+    path.write_text(f"{header}\n" + ",".join(["1.5"] * len(header.split(","))) + "\n")
+    with pytest.raises(SurveyError, match=words):
+        read_points(path, by_place=True, error=SurveyError)
+
+
+@pytest.mark.parametrize(
+    ("line", "is_taken"),
+    [
+        ("676120.25,5311480.5,581.375", True), ("676120.25 5311480.5 581.375", True),
+        ("676120.25;5311480,5;581,375;0.02", True), ("1,5311480.5,676120.25,581.375,rod", False),
+        ("1,5311480.5,676120.25,581.375", False), ("p1,676120.25,5311480.5,581.375", False),
+    ],
+)  # fmt: skip
+def test_numbers_alone_are_taken_by_place_where_nothing_else_fits(tmp_path, line, is_taken):
+    path = tmp_path / "points.csv"
+    path.write_text(f"{line}\n{line}\n")
+    if is_taken:
+        (first, _) = read_points(path, by_place=True, error=SurveyError)
+        assert first.number("northing") == pytest.approx(5311480.5)
+    else:
+        with pytest.raises(SurveyError, match="name the columns in a first line"):
+            read_points(path, by_place=True, error=SurveyError)
+
+
+@pytest.mark.parametrize("number", ["1e300", "-1e300", "1e13", "inf", "nan", "9" * 400])
+def test_numbers_of_no_place_on_earth_are_refused_at_the_edge(tmp_path, number):
+    path = tmp_path / "t.csv"
+    path.write_text(f"a\n{number}\n")
+    (row,) = read_table(path, ("a",))
+    with pytest.raises(SurveyError, match="expected a finite number of at most 1e"):
+        row.number("a")
+    assert finite_number(float(number)) is None
+    with pytest.raises(SurveyError, match="level_m is "):
+        parse_config(f'crs = "EPSG:4979"\n[water]\nlevel_m = {"1" if number.isdigit() else ""}{number}\n')
+
+
+def test_settings_that_are_nested_too_deep_are_refused():
+    with pytest.raises(SurveyError, match=r"nested too deep|not valid TOML"):
+        parse_config("a = " + "[" * 5000 + "]" * 5000)

@@ -13,8 +13,9 @@ from pyproj import CRS, Transformer
 from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
 
-from geo.crs import has_height, horizontal_crs, parse_crs, vertical_crs
-from geo.errors import UnknownCRS
+from geo.antimeridian import crosses
+from geo.crs import has_height, horizontal_crs, is_geographic, parse_crs, vertical_crs
+from geo.errors import UnknownCRS, UnsupportedCRS
 from geo.projection import nan_unless_finite
 from geo.transformation import best_operation
 
@@ -62,14 +63,26 @@ class Reprojection:
         return Reprojection(wanted, keeps_height, best_operation(*ends, where, _MEND))
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Points (N, 3) in the source CRS as points (N, 3) float64 in `crs`; NaN where PROJ has no answer."""
+        """Points (N, 3) in the source CRS as points (N, 3) float64 in `crs`; NaN where PROJ has no answer.
+
+        Raises
+        ------
+        UnsupportedCRS
+            If longitudes jump among them.
+        """
         points = np.asarray(points, dtype=np.float64)
         if self.keeps_height:
             east, north = self._transformer.transform(points[:, 0], points[:, 1])
             height = points[:, 2]
         else:
             east, north, height = self._transformer.transform(*points.T)
-        return nan_unless_finite(np.stack([east, north, height], axis=-1))
+        turned = nan_unless_finite(np.stack([east, north, height], axis=-1))
+        if is_geographic(self.crs) and crosses(turned):
+            raise UnsupportedCRS(
+                f"the survey lies on the meridian of 180 degrees, where the longitudes of {self.crs.name} jump; choose "
+                "a projected CRS of the place, e.g. UTM zone 1 or 60; GeoJSON of lines and areas is cut there."
+            )
+        return turned
 
 
 def _with_height(source: CRS, target: str | CRS, where: str) -> CRS:

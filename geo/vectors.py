@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 from pyproj import CRS
 
+from geo.antimeridian import cut_line, cut_polygon
 from geo.crs import crs_code, horizontal_crs
 from geo.files import write_whole
 from geo.optional import library_for
@@ -51,10 +52,16 @@ class Layer:
     notes: str = ""
 
 
-def write_geojson(path: str | Path, layer: Layer) -> None:
+def write_geojson(path: str | Path, layer: Layer) -> str | None:
     """Write a layer as GeoJSON, whole or not at all: longitude and latitude of WGS 84, as RFC 7946 wants it.
 
-    The member ``bathynerf`` names the CRS that the features were made in.
+    The member ``bathynerf`` names the CRS that the features were made in, and the accuracy of the way to WGS 84 as PROJ
+    states it. Shapes across the meridian of 180 degrees are cut there.
+
+    Returns
+    -------
+    str or None
+        A warning where places are less well known in WGS 84 than in the CRS of the layer.
 
     Raises
     ------
@@ -67,23 +74,35 @@ def write_geojson(path: str | Path, layer: Layer) -> None:
     way = Transformation.between(layer.crs, WGS84, np.concatenate(places) if places else np.zeros((0, 2)))
     way.require_best(str(path), "or write a GeoPackage, which keeps the CRS of the survey.")
 
-    def turned(line: np.ndarray) -> list:
-        places = np.column_stack(way(*np.asarray(line, dtype=np.float64).T))
-        return np.round(places, _DECIMALS).tolist()
+    def turned(line: np.ndarray) -> np.ndarray:
+        return np.round(np.column_stack(way(*np.asarray(line, dtype=np.float64).T)), _DECIMALS)
 
     features = []
     for number, shape in enumerate(layer.shapes):
-        if layer.kind == "Polygon":
-            coordinates = [turned(_wound(ring, left=place == 0)) for place, ring in enumerate(shape)]
-        else:
-            coordinates = turned(shape)
+        parts = cut_polygon([turned(ring) for ring in shape]) if layer.kind == "Polygon" else cut_line(turned(shape))
         properties = {name: values[number] for name, values in layer.columns.items()}
-        geometry = {"type": layer.kind, "coordinates": coordinates}
-        features.append({"type": "Feature", "properties": properties, "geometry": geometry})
-    said = {"made_by": "bathynerf", "crs_of_survey": crs_code(layer.crs) or layer.crs.name, "about": layer.notes}
+        features.append({"type": "Feature", "properties": properties, "geometry": _geometry(layer.kind, parts)})
+    said = {
+        "made_by": "bathynerf",
+        "crs_of_survey": crs_code(layer.crs) or layer.crs.name,
+        "accuracy_of_wgs84_m": way.accuracy_m,
+        "about": layer.notes,
+    }
     whole = {"type": "FeatureCollection", "name": layer.name, "bathynerf": said, "features": features}
     with write_whole(path) as stream:
         stream.write(json.dumps(whole, ensure_ascii=False, allow_nan=False).encode())
+    return way.doubt(f"places in {path}") if layer.shapes else None
+
+
+def _geometry(kind: str, parts: list) -> dict:
+    """A geometry of lines, or of polygons of rings (N, 2) [deg]; one of several parts where it was cut."""
+    if kind == "Polygon":
+        coordinates = [[_wound(ring, left=n == 0).tolist() for n, ring in enumerate(rings)] for rings in parts]
+    else:
+        coordinates = [line.tolist() for line in parts]
+    if len(parts) == 1:
+        return {"type": kind, "coordinates": coordinates[0]}
+    return {"type": f"Multi{kind}", "coordinates": coordinates}
 
 
 def write_geopackage(path: str | Path, layer: Layer) -> None:

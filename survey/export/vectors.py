@@ -30,7 +30,10 @@ def _writer(make: Callable[[LoadedRun, ExportOptions], Layer]) -> Callable[[Path
         layer = make(run, options)
         if not layer.shapes:
             current().note(f"{path}: nothing to show, the layer {layer.name} is empty")
-        (write_geopackage if path.suffix.lower() == ".gpkg" else write_geojson)(path, layer)
+        if path.suffix.lower() == ".gpkg":
+            write_geopackage(path, layer)
+        elif (doubt := write_geojson(path, layer)) is not None:
+            current().warn(doubt)
 
     return write
 

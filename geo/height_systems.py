@@ -1,0 +1,59 @@
+"""National height systems at a place, by the areas of use in PROJ's database."""
+
+from __future__ import annotations
+
+import warnings
+from functools import cache
+
+from pyproj import CRS
+from pyproj.aoi import AreaOfInterest
+from pyproj.crs import CompoundCRS
+from pyproj.database import query_crs_info
+from pyproj.enums import PJType
+from pyproj.exceptions import ProjError
+from pyproj.transformer import AreaOfInterest as OperationArea
+from pyproj.transformer import TransformerGroup
+
+# Areas wider than this are worldwide: mean sea level and its models, tides.
+_WORLDWIDE_DEG = 350.0
+_MARGIN_DEG = 0.01
+
+
+@cache
+def height_systems_at(lat_deg: float, lon_deg: float) -> tuple[CRS, ...]:
+    """National vertical CRSs in metres at a place, the smallest area of use first.
+
+    Only those whose geoid PROJ knows (its grid need not be installed), and of each area the newest (the highest EPSG
+    code): systems that were replaced keep their areas. PROJ has areas as rectangles, so near a border those of the
+    neighbours are among them, and only a single one is certain.
+    """
+    margin = _MARGIN_DEG
+    box = lon_deg - margin, lat_deg - margin, lon_deg + margin, lat_deg + margin
+    newest: dict[tuple[float, ...], tuple[float, int]] = {}
+    for info in query_crs_info("EPSG", PJType.VERTICAL_CRS, AreaOfInterest(*box), contains=True):
+        use, code = info.area_of_use, int(info.code)
+        width = _WORLDWIDE_DEG if use is None else (use.east - use.west) % 360.0 or 360.0
+        if use is None or width >= _WORLDWIDE_DEG or not _is_national(code, OperationArea(*box)):
+            continue
+        newest[use.bounds] = max(newest.get(use.bounds, (0.0, 0)), (width * (use.north - use.south), code))
+    # By its code: two areas may be equally large.
+    return tuple(CRS.from_epsg(code) for _, code in sorted(newest.values()))
+
+
+def _is_national(code: int, area: OperationArea) -> bool:
+    """Whether a vertical CRS counts metres upwards from a geoid that PROJ knows at the place."""
+    vertical = CRS.from_epsg(code)
+    axis = vertical.axis_info[0]
+    if axis.direction != "up" or axis.unit_conversion_factor != 1.0:
+        return False
+    compound = CompoundCRS(f"WGS 84 + {vertical.name}", ["EPSG:4326", vertical])
+    try:
+        with warnings.catch_warnings():
+            # A grid that is not installed is no fault here.
+            warnings.simplefilter("ignore", UserWarning)
+            group = TransformerGroup("EPSG:4979", compound, always_xy=True, area_of_interest=area, allow_ballpark=False)
+    except ProjError:
+        return False
+    steps = [transformer.definition for transformer in group.transformers]
+    steps += [operation.to_proj4() for operation in group.unavailable_operations]
+    return any("vgridshift" in text for text in steps)

@@ -1,0 +1,56 @@
+"""`bathynerf init`: the options of `survey.init.draft`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from survey.commands.console import command
+from survey.commands.options import Quiet, Verbose
+
+EXAMPLES = """
+    bathynerf init my_survey
+    bathynerf init my_survey --level 12.34
+    bathynerf init my_survey --crs EPSG:25832+7837
+"""
+
+
+def run(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder with photographs, in images/ or itself.")],
+    level: Annotated[
+        float | None, typer.Option(metavar="M", help="Height of the water in the heights of the CRS [m].")
+    ] = None,
+    crs: Annotated[
+        str | None, typer.Option(metavar="CRS", help="Horizontal and vertical, e.g. EPSG:25832+7837; default: found.")
+    ] = None,
+    dry: Annotated[bool, typer.Option("--dry", help="There is no water.")] = False,
+    origin: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(metavar="E N H", help="Zero point of poses in a local frame, in the CRS."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace survey.toml.")] = False,
+    verbose: Verbose = 0,
+    quiet: Quiet = 0,
+) -> None:
+    """Write survey.toml from what a folder of photographs holds.
+
+    Photographs, poses, control and water levels are found by their names; a comment stands at every value that is not
+    certain. On a terminal it asks for what no file tells.
+    """
+    with command(verbose, quiet, folder) as results:
+        from survey.init.draft import require_level_and_dry_apart, write_settings
+        from survey.init.entry import Answers
+
+        answers = Answers(crs, level, dry, origin, _ask if sys.stdin.isatty() and sys.stderr.isatty() else None)
+        require_level_and_dry_apart(answers)
+        path = write_settings(folder, answers, force=force)
+        results.line(path)
+        for line in path.read_text(encoding="utf-8").splitlines():
+            results.line(f"  {line}")
+
+
+def _ask(question: str) -> str:
+    return typer.prompt(question, default="", show_default=False, err=True)

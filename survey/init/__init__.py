@@ -1,0 +1,1 @@
+"""survey.toml written from what a folder of photographs holds."""

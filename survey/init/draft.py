@@ -1,0 +1,144 @@
+"""The text of survey.toml for a folder: what its files tell, and a comment at every value that is not certain."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from geo.files import write_whole
+from survey.errors import FILE_NAME, ConfigError, OutputError, SurveyError
+from survey.folder import infer
+from survey.folder.config import parse_config
+from survey.init.entry import Answers, Table
+from survey.init.place import Photographs, require_in_place, write_crs, write_origin
+from survey.photos.exif import read_exif
+from survey.photos.formats import find_poses, read_poses
+from survey.photos.images import list_images
+from survey.sfm.gps import MIN_POSITIONS, is_whole
+
+# Names of files as people give them, by the key of [water] that they are for; the first that is there counts.
+_WATER_FILES = {
+    "gauge": ("gauge", "tide", "tides", "waterlevel", "water_level"),
+    "gnss_points": ("gnss_points", "surface", "water_surface"),
+    "shoreline": ("shoreline", "waterline"),
+    "image_levels": ("image_levels", "levels"),
+    "clicks": ("clicks",),
+}
+_CONTROL_FILES = {
+    "gcps": ("gcp_list", "gcps", "gcp"),
+    "marks": ("marks", "markers"),
+    "checkpoints": ("checkpoints", "check_points"),
+}
+_SUFFIXES = (".csv", ".txt", ".geojson", ".json")
+
+
+def write_settings(folder: Path, answers: Answers, *, force: bool = False) -> Path:
+    """Write survey.toml into a folder; returns its path.
+
+    Raises
+    ------
+    SurveyError, GeoError
+        If there is one already and `force` is not given, or something is neither found nor answered.
+    """
+    path = folder / FILE_NAME
+    if not folder.is_dir():
+        what = "is a file" if folder.exists() else "does not exist"
+        raise SurveyError(f"the folder {folder} {what}; expected a folder with photographs")
+    if path.exists() and not force:
+        raise OutputError(f"{path} exists; --force replaces it")
+    text = draft(folder, answers)
+    with write_whole(path) as stream:
+        stream.write(text.encode())
+    return path
+
+
+def draft(folder: Path, answers: Answers) -> str:
+    """Settings in TOML for a folder of photographs, and of poses, control and water levels that lie beside them."""
+    top, images, cameras, water, control, local = (
+        Table(name) for name in ("", "images", "cameras", "water", "control", "local")
+    )
+    top.set("name", folder.resolve().name)
+    inferred = infer.config_of_folder(folder)
+    found = list_images(folder / inferred.images.dir, deep=inferred.images.dir != ".")
+    if inferred.images.dir != "images":
+        images.set("dir", inferred.images.dir)
+    if (folder / "masks").is_dir():
+        images.set("masks", "masks", "black is left out")
+    heads = {name: read_exif(path) for name, path in found.items()}
+    poses = find_poses(folder)
+    if poses:
+        others = ", ".join(path.relative_to(folder).as_posix() for path in poses[1:])
+        not_certain = f"not certain: there are also {others}" if others else ""
+        cameras.set("poses", poses[0].relative_to(folder).as_posix(), not_certain)
+    else:
+        cameras.say(f"No poses found: structure from motion computes them from the {len(found)} photographs.")
+    photographs = Photographs(heads, poses[0] if poses else None, read_poses(poses[0]) if poses else None)
+    if photographs.file is not None and any(pose.lens is None for pose in photographs.file.poses):
+        cameras.say(
+            "Not certain: the lens, by EXIF where it tells the focal length. Of a calibration:",
+            'model = "OPENCV"    # with size_px, focal_px, principal_point_px and distortion (docs/survey-toml.md)',
+        )
+    crs = write_crs(photographs, answers, top, cameras)
+    require_in_place(photographs, crs)
+    write_origin(photographs, answers, crs, local)
+    if answers.is_dry:
+        top.say("No [water]: all ground is dry.")
+    else:
+        _write_water(folder, photographs, answers, water)
+    _write_control(folder, control)
+    text = "\n".join(table.text() for table in (top, images, cameras, local, control, water) if table.lines)
+    parse_config(text)
+    return text
+
+
+def _write_water(folder: Path, photographs: Photographs, answers: Answers, water: Table) -> None:
+    files = {key: name for key in _WATER_FILES if (name := _named(folder, _WATER_FILES[key])) is not None}
+    level = answers.level_m
+    if level is None and not files:
+        num_placed = sum(is_whole(head.lat_lon_height) for head in photographs.heads.values())
+        can_do_without = photographs.poses_path is None and num_placed >= MIN_POSITIONS
+        otherwise = (
+            "the height of the water is not known; give it in the heights of crs, e.g. --level 12.34, put a file "
+            "gauge.csv, shoreline.csv or gnss_points.csv (docs/waterline.md) into the folder, or --dry where there is "
+            "no water"
+        )
+        question = "Height of the water in the heights of crs [m]"
+        if can_do_without:
+            question += "; empty: to be found from the photographs"
+        level = answers.number(question, otherwise=None if can_do_without else otherwise)
+    if level is not None:
+        water.set("level_m", level, "height of the water in the heights of crs")
+        water.say(*(f'{key} = "{name}"' for key, name in files.items()))
+        water.say("level_std_m = 0.02    # how well it is known, e.g. from a staff")
+    elif files:
+        (key, name), *others = files.items()
+        water.set(key, name, "taken by its name")
+        water.say(*(f'{key} = "{name}"' for key, name in others))
+    else:
+        water.say(
+            "level_m = 12.34    # not known: found from the photographs, where oblique views cross; better give it"
+        )
+    water.say("refractive_index: not certain, taken as that of fresh water, 1.333 for a handbook; the sea has 1.340.")
+
+
+def _write_control(folder: Path, control: Table) -> None:
+    files = {key: name for key in _CONTROL_FILES if (name := _named(folder, _CONTROL_FILES[key])) is not None}
+    if "gcps" in files and "marks" not in files and not files["gcps"].endswith(".txt"):
+        control.say(
+            f'gcps = "{files.pop("gcps")}"    # where photographs show the points is missing: marks = "marks.csv"'
+        )
+    if "gcps" not in files:
+        files.pop("marks", None)
+    for key, name in files.items():
+        control.set(key, name, "taken by its name")
+
+
+def _named(folder: Path, stems: tuple[str, ...]) -> str | None:
+    """The file with one of these names, the first of them that is there."""
+    there = {path.stem.lower(): path for path in sorted(folder.iterdir()) if path.suffix.lower() in _SUFFIXES}
+    return next((there[stem].name for stem in stems if stem in there), None)
+
+
+def require_level_and_dry_apart(answers: Answers) -> None:
+    """Raise ConfigError where there is a level of no water."""
+    if answers.is_dry and answers.level_m is not None:
+        raise ConfigError("--dry says that there is no water, and --level gives its height; keep one")

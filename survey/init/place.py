@@ -1,0 +1,235 @@
+"""The CRS of a survey, the datum of heights in EXIF, and the origin of poses in a local frame, as files tell them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from textwrap import shorten
+
+import numpy as np
+from pyproj import CRS
+
+from geo.crs import crs_code, has_height, horizontal_crs, parse_crs, utm_code, vertical_crs
+from geo.frames import LocalFrame
+from geo.height_systems import height_systems_at
+from survey.errors import ConfigError
+from survey.folder.plausible import distances_to_exif
+from survey.folder.posed import middle_of_geocentric, points_in_crs
+from survey.init.entry import Answers, Table
+from survey.photos.exif import Exif, utm_code_of
+from survey.photos.names import ImageNames
+from survey.photos.poses import PoseFile, PoseFrame
+from survey.photos.xmp import ELLIPSOIDAL
+from survey.sfm.geoid import area_at, height_transformer
+from survey.sfm.gps import positions_in_crs
+
+_EGM96_HEIGHT, _WGS84_3D = 5773, 4979
+# A GPS position without corrections is within 10 m; another zone or datum is farther off.
+_SAME_PLACE_M = 100.0
+# Positions by GPS are explained by poses in metres, east, north and up, but for this share of their variance.
+_UNEXPLAINED = 0.1
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """Photographs of a folder, and the poses that lie beside them.
+
+    Attributes
+    ----------
+    heads : mapping of name to Exif
+    poses_path : Path or None
+    file : PoseFile or None
+        What `poses_path` holds.
+    """
+
+    heads: Mapping[str, Exif]
+    poses_path: Path | None
+    file: PoseFile | None
+
+    @property
+    def centres(self) -> dict[str, np.ndarray]:
+        """Camera centres (3,) in the frame of the poses file, by names of photographs."""
+        if self.file is None:
+            return {}
+        names = ImageNames(self.heads)
+        called = {names.find(pose.name, str(self.poses_path)): pose.centre for pose in self.file.poses}
+        return {name: centre for name, centre in called.items() if name is not None}
+
+    @property
+    def lat_lon(self) -> tuple[float, float] | None:
+        """Where the survey lies [deg], by EXIF, else by geocentric poses; None where neither tells."""
+        places = [head.lat_lon_height[:2] for head in self.heads.values() if head.lat_lon_height is not None]
+        if places:
+            lat, lon = np.median(np.array(places), axis=0).tolist()
+            return lat, lon
+        if self.file is not None and self.file.frame is PoseFrame.GEOCENTRIC:
+            lon, lat = middle_of_geocentric(self.file)
+            return lat, lon
+        return None
+
+    @property
+    def says_ellipsoidal(self) -> bool:
+        """Whether XMP says of most photographs that their heights count from the ellipsoid."""
+        said = [head.height_datum for head in self.heads.values() if head.height_datum is not None]
+        return 2 * sum(datum == ELLIPSOIDAL for datum in said) > len(said)
+
+
+def write_crs(photographs: Photographs, answers: Answers, top: Table, cameras: Table) -> CRS:
+    """Add crs, and gps_height where heights in EXIF are ellipsoidal; returns the CRS.
+
+    Raises
+    ------
+    ConfigError
+        If nothing tells the CRS, and nobody is there to be asked.
+    GeoError
+        If the one that is given is not fit for a survey.
+    """
+    horizontal, by = (None, "") if answers.crs is not None else _horizontal(photographs)
+    if horizontal is None:
+        given = answers.crs
+        if given is None and answers.ask is not None:
+            given = answers.ask(f"{by}. EPSG code with a vertical part, e.g. EPSG:25832+7837").strip()
+        if not given:
+            raise ConfigError(f'{by}; give it, e.g. --crs "EPSG:25832+7837"')
+        crs = parse_crs(given, where="--crs")
+        top.set("crs", given, crs.name)
+        if photographs.says_ellipsoidal and vertical_crs(crs) is not None:
+            cameras.set("gps_height", "ellipsoidal", "XMP says so")
+        return crs
+    if has_height(CRS(horizontal)):
+        top.set("crs", horizontal, by)
+        return parse_crs(horizontal)
+    vertical, comment, more = _vertical(photographs, answers, cameras)
+    code = f"{horizontal}+{vertical}"
+    crs = parse_crs(code)
+    top.set("crs", code, f"{by}, with {comment}", more)
+    return crs
+
+
+def _horizontal(photographs: Photographs) -> tuple[str | None, str]:
+    """The CRS of the poses, else the UTM zone of the photographs, and what says so; or None and what is missing."""
+    file = photographs.file
+    if file is not None and file.crs is not None and file.frame in (PoseFrame.GRID, PoseFrame.LEVEL):
+        code = crs_code(file.crs)
+        if code is not None and file.crs.is_projected:
+            return code, f"that of the poses, {file.crs.name}"
+    zone = utm_code_of(dict(photographs.heads))
+    by = "the UTM zone of the GPS positions in EXIF"
+    if zone is None and photographs.lat_lon is not None:
+        zone, by = utm_code(*photographs.lat_lon), "the UTM zone of the poses"
+    if zone is None:
+        return None, "neither the photographs nor their poses tell the coordinate reference system (crs)"
+    if file is not None and file.crs is None and file.frame in (PoseFrame.GRID, PoseFrame.LEVEL):
+        crs = CRS(f"EPSG:{zone}+{_EGM96_HEIGHT}")
+        away = distances_to_exif(crs, photographs.centres, dict(photographs.heads))
+        if not away.size or np.median(away) > _SAME_PLACE_M:
+            return (
+                None,
+                f"the poses in {photographs.poses_path} are not in {horizontal_crs(crs).name}, nor say their crs",
+            )
+    return f"EPSG:{zone}", by
+
+
+def _vertical(photographs: Photographs, answers: Answers, cameras: Table) -> tuple[int | None, str, tuple[str, ...]]:
+    """EPSG code of the heights, what they are, and what else they might be."""
+    place = photographs.lat_lon
+    systems = () if place is None else height_systems_at(*place)
+    listed = tuple(_said(system) for system in systems)
+    chosen = systems[0] if len(systems) == 1 else None
+    if len(systems) > 1 and answers.ask is not None:
+        choice = answers.ask(f"Heights: {'; '.join(listed)}. Code, or empty for EGM96").strip().removeprefix("EPSG:")
+        chosen = next((system for system in systems if str(system.to_epsg()) == choice), None)
+        if choice and chosen is None:
+            raise ConfigError(f'the answer is "{choice}", expected one of the codes {"; ".join(listed)}')
+    if photographs.says_ellipsoidal:
+        return _of_ellipsoidal(photographs, chosen, listed, cameras)
+    if chosen is not None:
+        doubt = "Not certain: that the level and all other heights count from there, and those in EXIF too."
+        return chosen.to_epsg(), f"the heights of {_area(chosen)} ({chosen.name})", (doubt,)
+    more: tuple[str, ...] = (
+        ("Not certain: levels of water may be in the heights of a country; then put its code here:",) if listed else ()
+    )
+    more += tuple(f"    {system}" for system in listed)
+    return _EGM96_HEIGHT, "heights above mean sea level (EGM96), as those in EXIF", more
+
+
+def _of_ellipsoidal(
+    photographs: Photographs, chosen: CRS | None, listed: tuple[str, ...], cameras: Table
+) -> tuple[int | None, str, tuple[str, ...]]:
+    """As `_vertical` where XMP says that heights in EXIF are ellipsoidal."""
+    places = np.array([h.lat_lon_height[:2] for h in photographs.heads.values() if h.lat_lon_height is not None])
+    zone = utm_code_of(dict(photographs.heads))
+    why = ""
+    if chosen is not None and len(places):
+        crs = parse_crs(f"EPSG:{zone}+{chosen.to_epsg()}")
+        try:
+            height_transformer(crs, area_at(places[:, 1], places[:, 0]))
+        except ConfigError as error:
+            why = f": {str(error).split(', or ')[0].partition(', and ')[2]}"
+        else:
+            cameras.set("gps_height", "ellipsoidal", "XMP says so")
+            return chosen.to_epsg(), f"the heights of {_area(chosen)} ({chosen.name})", ()
+    more = (
+        "XMP says that heights in EXIF count from the ellipsoid: the level of the water has to count from there too.",
+        *(f'For levels in {system}, put this code and [cameras] gps_height = "ellipsoidal"{why}' for system in listed),
+    )
+    return _WGS84_3D, "heights above the ellipsoid", more
+
+
+def _said(system: CRS) -> str:
+    return f"{system.to_epsg()} {system.name} ({_area(system)})"
+
+
+def _area(system: CRS) -> str:
+    name = "" if system.area_of_use is None else system.area_of_use.name
+    return shorten(name.rstrip("."), 60, placeholder=" ...")
+
+
+def write_origin(photographs: Photographs, answers: Answers, crs: CRS, local: Table) -> None:
+    """Add the origin of poses in a local frame: as given, else by GPS positions in EXIF.
+
+    Raises
+    ------
+    ConfigError
+        If neither is there, or the poses are not in metres, east, north and up.
+    """
+    if photographs.file is None or photographs.file.frame is not PoseFrame.LOCAL:
+        return
+    if answers.origin is not None:
+        local.set("origin", list(answers.origin))
+        return
+    where = f"the poses in {photographs.poses_path}"
+    positions = positions_in_crs(photographs.heads, crs, "crs", [])
+    centres = photographs.centres
+    both = sorted(positions.keys() & centres.keys())
+    if len(both) < 3:
+        raise ConfigError(
+            f"{where} are in a local frame, and {len(both)} of the photographs with a pose have a GPS position in "
+            "EXIF, expected at least 3; give --origin EASTING NORTHING HEIGHT, the zero point of that frame in crs"
+        )
+    by_gps, given = np.array([positions[name] for name in both]), np.array([centres[name] for name in both])
+    frame = LocalFrame(crs, np.median(by_gps, axis=0).tolist())
+    away = frame.local_from_crs(by_gps) - given
+    rest = (away - np.median(away, axis=0))[:, :2]
+    plan = (given - np.median(given, axis=0))[:, :2]
+    if (rest**2).sum() > _UNEXPLAINED * (plan**2).sum():
+        raise ConfigError(
+            f"{where} do not fit the GPS positions in EXIF: they are off by {np.sqrt((rest**2).sum(1).mean()):.3g} m "
+            "(rms) after a shift; align them in metres, east, north and up (COLMAP: model_aligner --ref_is_gps 1 "
+            "--alignment_type enu), or give --origin EASTING NORTHING HEIGHT"
+        )
+    origin = frame.crs_from_local(np.median(away, axis=0)[None])[0]
+    local.set(
+        "origin",
+        [round(float(v), 3) for v in origin],
+        "zero point of the poses in crs",
+        ("Not certain: by GPS positions in EXIF, a few metres. Better the numbers given to model_aligner.",),
+    )
+
+
+def require_in_place(photographs: Photographs, crs: CRS) -> None:
+    """Raise GeoError where the poses cannot be brought into crs."""
+    file = photographs.file
+    if file is not None and file.frame is not PoseFrame.LOCAL:
+        points_in_crs(file, np.array([pose.centre for pose in file.poses]), crs, "crs")

@@ -14,11 +14,11 @@ from typing import Annotated, cast
 import typer
 from typer.core import TyperGroup
 
-from survey.commands import benchmark, check, compare, export, init, process, render, simulate, waterline
+from survey.commands import benchmark, change, check, compare, export, init, process, render, simulate, waterline
 from survey.commands.faults import BAD_INPUT
 
 # In the order of `bathynerf --help`.
-VERBS = (init, check, process, waterline, export, render, compare, simulate, benchmark)
+VERBS = (init, check, process, waterline, export, render, compare, change, simulate, benchmark)
 
 _EPILOG = """\b
 Exit codes:

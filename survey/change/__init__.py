@@ -1,0 +1,1 @@
+"""Change between two surveys of a place: differences, volumes, and how well they are known."""

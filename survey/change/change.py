@@ -1,0 +1,273 @@
+"""`change`: differences of two surveys, cut and fill with their uncertainty, written as JSON, GeoTIFF and picture."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from geo.files import existing_file
+from geo.polygons import cells_inside, read_polygons
+from geo.raster_writing import Band, RasterForm, is_our_tiff, write_cog
+from survey.change.surveys import ChangeError, StatedStd, cloud_path, differences_of
+from survey.change.volume import Correlation, Differences, Volume, measured_correlation, volume_of
+from survey.display.quantities import MINUS, length, share
+from survey.export.plan_cells import PlanCells
+from survey.files.json_values import write_json
+from survey.files.outputs import ReadFiles, is_json, require_file
+from survey.progress import current
+
+_NODATA = -9999.0
+_PNG = b"\x89PNG"
+_WORTH_SAYING = 1.5
+
+
+@dataclass(frozen=True)
+class ChangeOptions:
+    """Options of `change_between`.
+
+    Attributes
+    ----------
+    area : Path or None
+        GeoJSON or GeoPackage of polygons; None: all that both surveys cover.
+    resolution_m : float or None
+        Side of a cell; None: by the spacing of the points.
+    correlation_length_m : float or None
+        Of errors of cells; None: measured.
+    shared : -1 to 1
+        Correlation of what each survey has in common in all its cells.
+    stated : StatedStd
+    json_path, tif_path, picture_path : Path or None
+    """
+
+    area: Path | None = None
+    resolution_m: float | None = None
+    correlation_length_m: float | None = None
+    shared: float = 0.0
+    stated: StatedStd = field(default_factory=StatedStd)
+    json_path: Path | None = None
+    tif_path: Path | None = None
+    picture_path: Path | None = None
+
+
+@dataclass(frozen=True)
+class Change:
+    """What changed between two surveys.
+
+    Attributes
+    ----------
+    differences : Differences
+    cells : PlanCells
+    inside : (rows, columns) bool
+        Cells that count.
+    net : Volume
+        Of all of them: fill less cut.
+    cut, fill : Volume
+        Of those beyond the level of detection; cut is below zero.
+    correlation : Correlation
+    notes : sentences
+    """
+
+    differences: Differences
+    cells: PlanCells
+    inside: np.ndarray
+    net: Volume
+    cut: Volume
+    fill: Volume
+    correlation: Correlation
+    notes: tuple[str, ...]
+
+
+def change_between(first: Path, second: Path, options: ChangeOptions) -> Change:
+    """Compare two surveys and write what is asked for.
+
+    Raises
+    ------
+    GeoError, SurveyError
+        If a file or an option cannot be used.
+    """
+    _require_options(first, second, options)
+    notes: list[str] = []
+    with current().stage("Reading"):
+        differences, cells = differences_of(
+            first, second, stated=options.stated, shared=options.shared, side_m=options.resolution_m, notes=notes
+        )
+        inside = differences.is_known
+        if options.area is not None:
+            inside &= cells_inside(read_polygons(options.area, cells.crs), cells.transform, cells.shape)
+    if not inside.any():
+        raise ChangeError(f"no cell that both surveys cover lies in {options.area}; correct the polygon or its CRS")
+    correlation = _correlation(differences, inside, options, notes)
+    is_beyond = differences.is_significant & inside
+    change = Change(
+        differences,
+        cells,
+        inside,
+        volume_of(differences, inside, correlation),
+        volume_of(differences, is_beyond & (differences.height < 0.0), correlation),
+        volume_of(differences, is_beyond & (differences.height > 0.0), correlation),
+        correlation,
+        tuple(notes),
+    )
+    _write(change, first, second, options)
+    return change
+
+
+def rows_of(change: Change) -> list[tuple[str, str]]:
+    """Labels and texts of the result."""
+    known = change.inside
+    d, detection = change.differences.height[known], change.differences.detection[known]
+    beyond = float(change.differences.is_significant[known].mean())
+    scatter = change.correlation.scatter
+    return [
+        ("area", f"{change.net.area_m2:.6g} m², {int(known.sum())} cells of {change.cells.side_m:g} m"),
+        (
+            "difference",
+            f"median {length(float(np.median(d)))}, from {length(float(d.min()))} to {length(float(d.max()))}",
+        ),
+        (
+            "detection",
+            f"{length(float(np.median(detection)))} (median) at 95 %; {share(beyond)} of the cells are beyond",
+        ),
+        ("fill", f"{_volume(change.fill)}, of cells beyond detection"),
+        ("cut", f"{_volume(change.cut)}, of cells beyond detection"),
+        ("net", f"{_volume(change.net)}, of all cells"),
+        (
+            "errors",
+            f"of cells alike over {length(change.correlation.length_m)} (share {change.correlation.share:.2f}), "
+            + ("stated" if scatter is None else f"measured; unchanged cells scatter {scatter:.2f} times as stated"),
+        ),
+        *[("note", note) for note in change.notes],
+    ]
+
+
+def numbers_of(change: Change, first: Path, second: Path) -> dict:
+    """The result as ``--json`` holds it."""
+    known = change.inside
+
+    def numbers(volume: Volume) -> dict:
+        low, high = volume.interval95_m3
+        return {"volume_m3": volume.volume_m3, "std_m3": volume.std_m3, "interval95_m3": [low, high],
+                "area_m2": volume.area_m2}  # fmt: skip
+
+    return {
+        "first": str(first),
+        "second": str(second),
+        "crs": change.cells.crs.to_string(),
+        "cell_m": change.cells.side_m,
+        "n_cells": int(known.sum()),
+        "share_significant": float(change.differences.is_significant[known].mean()),
+        "median_m": float(np.median(change.differences.height[known])),
+        "detection_median_m": float(np.median(change.differences.detection[known])),
+        "net": numbers(change.net),
+        "cut": numbers(change.cut),
+        "fill": numbers(change.fill),
+        "correlation": change.correlation,
+        "common_correlation": change.differences.shared,
+        "notes": list(change.notes),
+    }
+
+
+def _volume(volume: Volume) -> str:
+    half = 0.5 * (volume.interval95_m3[1] - volume.interval95_m3[0])
+    text = f"{volume.volume_m3:+.4g}".replace("-", MINUS)
+    return f"{text} m³ ± {half:.2g} m³ (95 %) over {volume.area_m2:.4g} m²"
+
+
+def _correlation(differences: Differences, inside: np.ndarray, options: ChangeOptions, notes: list[str]) -> Correlation:
+    if options.correlation_length_m is not None:
+        return Correlation(1.0, options.correlation_length_m)
+    try:
+        found = measured_correlation(differences, inside)
+    except ValueError as error:
+        raise ChangeError(
+            f"how errors of cells are correlated cannot be measured ({error}); give --correlation-length METRES"
+        ) from error
+    if found.scatter is not None and found.scatter > _WORTH_SAYING:
+        notes.append(
+            f"cells that did not change scatter {found.scatter:.1f} times as much as their standard deviations say: "
+            "these are too small, or most of the bed has changed"
+        )
+    return found
+
+
+def _require_options(first: Path, second: Path, options: ChangeOptions) -> None:
+    lengths = {
+        "--resolution": options.resolution_m,
+        "--correlation-length": options.correlation_length_m,
+        "--std": options.stated.own_m,
+    }
+    for name, value in lengths.items():
+        if value is not None and not (math.isfinite(value) and value > 0.0):
+            raise ChangeError(f"{name} is {value:g}, expected metres above 0, e.g. 0.5")
+    common = options.stated.common_m
+    if common is not None and not (math.isfinite(common) and common >= 0.0):
+        raise ChangeError(f"--std-common is {common:g}, expected metres, at least 0, e.g. 0.02")
+    if not -1.0 <= options.shared <= 1.0:
+        raise ChangeError(f"--common-correlation is {options.shared:g}, expected -1 to 1; 0 where nothing is shared")
+    paths = [existing_file(cloud_path(path)) for path in (first, second)]
+    read = ReadFiles.of(*paths, options.area)
+    if options.area is not None:
+        existing_file(options.area)
+    require_file("--json", options.json_path, read, kind="a JSON file", is_of_kind=is_json)
+    require_file("--picture", options.picture_path, read, kind="a PNG", is_of_kind=lambda head: head[:4] in (_PNG, b""))
+    tif = options.tif_path
+    if tif is not None and tif.suffix.lower() not in (".tif", ".tiff"):
+        raise ChangeError(f"--tif names {tif}, expected a name that ends in .tif")
+    kind = "a raster that bathynerf wrote"
+    require_file(
+        "--tif", tif, read, kind=kind, is_of_kind=lambda head: not head or (tif is not None and is_our_tiff(tif))
+    )
+
+
+def _write(change: Change, first: Path, second: Path, options: ChangeOptions) -> None:
+    if options.json_path is not None:
+        write_json(options.json_path, numbers_of(change, first, second))
+    if options.tif_path is not None:
+        _write_raster(change, first, second, options.tif_path)
+    if options.picture_path is not None:
+        with current().stage("Picture"):
+            _draw(change, options.picture_path)
+
+
+def _write_raster(change: Change, first: Path, second: Path, path: Path) -> None:
+    differences = change.differences
+    layers = (differences.height, differences.std, differences.detection, differences.is_significant)
+    values = np.stack([np.where(change.inside, layer, np.nan) for layer in layers])
+    bands = (
+        Band("difference, second minus first", "metre"),
+        Band("uncertainty of its own, one standard deviation", "metre"),
+        Band("minimum level of detection at 95 %", "metre"),
+        Band("beyond it: 1", "code"),
+    )
+    tags = {"FIRST": first.name, "SECOND": second.name, "CELL_M": f"{change.cells.side_m:g}"}
+    cells = change.cells
+    form = RasterForm(cells.crs, cells.transform, cells.shape, bands, nodata=_NODATA, tags=tags, resampling="NEAREST")
+    write_cog(path, form, [(0, 0, np.where(np.isfinite(values), values, _NODATA).astype(np.float32))])
+
+
+def _draw(change: Change, path: Path) -> None:
+    """A map of the differences; those within the level of detection are pale."""
+    from survey.compare.canvas import colour_bar, map_canvas, nice_limit, save, show, write_title
+    from survey.display.palette import DIFFERENCES
+    from survey.display.quantities import LengthUnit
+
+    cells, differences = change.cells, change.differences
+    d = np.where(change.inside, differences.height, np.nan)
+    limit = nice_limit(d[np.isfinite(d)])
+    unit = LengthUnit.of([limit])
+    east = cells.west, cells.west + cells.shape[1] * cells.side[0]
+    extent = (*east, cells.north - cells.shape[0] * cells.side[1], cells.north)
+    figure, axes = map_canvas(extent, cells.crs)
+    end = limit * unit.per_metre
+    look = {"cmap": DIFFERENCES, "vmin": -end, "vmax": end}
+    show(axes, d * unit.per_metre, extent, alpha=0.3, **look)
+    drawn = show(axes, np.where(differences.is_significant, d, np.nan) * unit.per_metre, extent, **look)
+    colour_bar(axes, drawn, f"second minus first [{unit.name}], pale where not significant")
+    subtitle = (
+        f"fill {change.fill.volume_m3:.4g} m³  ·  cut {change.cut.volume_m3:.4g} m³  ·  net {_volume(change.net)}"
+    )
+    write_title(axes, "Change of the bed", subtitle.partition(" over")[0])
+    save(figure, path)

@@ -1,0 +1,66 @@
+"""`bathynerf change`: the options and results of `survey.change`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from survey.commands.console import command
+from survey.commands.options import Quiet, Verbose
+
+EXAMPLES = """
+    bathynerf change spring/bathynerf autumn/bathynerf
+    bathynerf change a.las b.laz --area dredged.geojson
+    bathynerf change a.las b.las --tif d.tif --picture d.png
+    bathynerf change a.las b.las --json d.json
+    bathynerf change a.las b.laz --std 0.05 --std-common 0
+"""
+
+
+def run(
+    run_a: Annotated[Path, typer.Argument(metavar="RUN_A", help="Run folder, LAS, LAZ or COPC: the earlier survey.")],
+    run_b: Annotated[Path, typer.Argument(metavar="RUN_B", help="The later survey.")],
+    area: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Polygons as GeoJSON or GeoPackage; default: all in common.")
+    ] = None,
+    resolution: Annotated[
+        float | None, typer.Option(metavar="M", help="Side of a cell [m]; default: by the spacing of the points.")
+    ] = None,
+    correlation_length: Annotated[
+        float | None, typer.Option(metavar="M", help="Over which errors are alike [m]; default: measured.")
+    ] = None,
+    common_correlation: Annotated[
+        float,
+        typer.Option(metavar="R", help="Of std_common of both: 0 independent, 1 if they share level and control."),
+    ] = 0.0,
+    std: Annotated[float | None, typer.Option(metavar="M", help="Of heights, for clouds without std [m].")] = None,
+    std_common: Annotated[
+        float | None, typer.Option(metavar="M", help="Common to all heights, for clouds without std_common [m].")
+    ] = None,
+    json: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for the numbers.")] = None,
+    tif: Annotated[Path | None, typer.Option(metavar="FILE", help="GeoTIFF of differences and detection.")] = None,
+    picture: Annotated[Path | None, typer.Option(metavar="FILE", help="PNG of the differences.")] = None,
+    verbose: Verbose = 0,
+    quiet: Quiet = 0,
+) -> None:
+    """Compute what changed between two surveys: cut and fill, with their uncertainty.
+
+    Volumes are of the second survey over the first. Nothing is aligned.
+    """
+    with command(verbose, quiet, json or tif or picture or run_a) as results:
+        from survey.change.change import ChangeOptions, change_between, rows_of
+        from survey.change.surveys import StatedStd
+
+        options = ChangeOptions(
+            area=area,
+            resolution_m=resolution,
+            correlation_length_m=correlation_length,
+            shared=common_correlation,
+            stated=StatedStd(std, std_common),
+            json_path=json,
+            tif_path=tif,
+            picture_path=picture,
+        )
+        results.columns(None, rows_of(change_between(run_a, run_b, options)))

@@ -1,0 +1,196 @@
+"""Volumes of change: their intervals hold the truth as often as they say."""
+
+from __future__ import annotations
+
+import json
+
+import laspy
+import numpy as np
+import pytest
+import rasterio
+from command_line import bathynerf
+from pyproj import CRS
+
+from geo.las import read_cloud, write_cloud
+from geo.reproject import Reprojection
+from geo.vectors import Layer, write_geojson, write_geopackage
+from survey.change.change import ChangeOptions, change_between
+from survey.change.volume import Correlation, Differences, measured_correlation, volume_of
+
+SHAPE, SIDE, LENGTH = (48, 60), 0.5, 1.5
+
+
+def exponential_errors(rng, count):
+    """Fields (count, rows, columns) of unit variance with an exponential correlation, by circulant embedding."""
+    rows, columns = (4 * n for n in SHAPE)
+    lags = np.hypot(*np.meshgrid(*(np.minimum(np.arange(n), n - np.arange(n)) for n in (rows, columns)), indexing="ij"))
+    eigen = np.maximum(np.fft.fft2(np.exp(-SIDE * lags / LENGTH)).real, 0.0)
+    noise = rng.standard_normal((count, rows, columns)) + 1j * rng.standard_normal((count, rows, columns))
+    field = np.fft.fft2(np.sqrt(eigen / (rows * columns)) * noise).real
+    return field[:, : SHAPE[0], : SHAPE[1]]
+
+
+def drawn(seed, *, common=(0.01, 0.02), shared=0.0):
+    """Differences of a bed with a pit and a mound, and its true volume."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]] * SIDE
+    change = 0.5 * np.exp(-((x - 8) ** 2 + (y - 8) ** 2) / 4) - 0.3 * np.exp(-((x - 22) ** 2 + (y - 14) ** 2) / 6)
+    std = 0.03 + 0.02 * (x / x.max())
+    first = rng.standard_normal()
+    second = shared * first + np.sqrt(1.0 - shared**2) * rng.standard_normal()
+    height = change + std * exponential_errors(rng, 1)[0] + common[1] * second - common[0] * first
+    height[20:26, 5:12] = np.nan
+    pattern = np.array([np.full(SHAPE, c) for c in common])
+    true = SIDE**2 * change[np.isfinite(height)].sum()
+    return Differences(height, std, pattern, shared, SIDE), true
+
+
+@pytest.mark.parametrize(("common", "shared"), [((0.01, 0.02), 0.0), ((0.0, 0.0), 0.0), ((0.02, 0.02), 1.0)])
+@pytest.mark.parametrize("is_measured", [False, True])
+def test_intervals_of_95_per_cent_hold_the_true_volume(common, shared, is_measured):
+    held = []
+    for seed in range(200):
+        differences, true = drawn(seed, common=common, shared=shared)
+        cells = differences.is_known
+        correlation = measured_correlation(differences, cells) if is_measured else Correlation(1.0, LENGTH)
+        low, high = volume_of(differences, cells, correlation).interval95_m3
+        held.append(low <= true <= high)
+    assert 0.90 <= np.mean(held) <= 0.99
+
+
+def test_the_variance_of_a_sum_is_that_of_all_pairs():
+    differences, _ = drawn(1)
+    cells = differences.is_known
+    cells[:, 12:] = False
+    at = SIDE * np.argwhere(cells)
+    apart = np.hypot(*(at[:, None] - at[None]).T)
+    std, correlation = differences.std[cells], Correlation(0.7, LENGTH)
+    own = (np.outer(std, std) * correlation.at(apart)).sum()
+    common = sum(each[cells].sum() ** 2 for each in differences.common)
+    assert volume_of(differences, cells, correlation).std_m3 == pytest.approx(SIDE**2 * np.sqrt(own + common))
+
+
+def test_errors_without_correlation_have_none():
+    rng = np.random.default_rng(3)
+    zero = np.zeros((2, *SHAPE))
+    differences = Differences(0.1 * rng.standard_normal(SHAPE), np.full(SHAPE, 0.1), zero, 0.0, SIDE)
+    found = measured_correlation(differences, differences.is_known)
+    # A field of 2880 cells tells a correlation to 0.02 at each lag.
+    assert found.at(np.array([SIDE]))[0] < 0.1
+    assert found.scatter == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_level_that_both_surveys_share_does_not_count():
+    differences, _ = drawn(5, common=(0.02, 0.02), shared=1.0)
+    assert differences.detection == pytest.approx(1.959964 * differences.std)
+
+
+E0, N0 = 676120.0, 5311480.0
+CRS_OF_CLOUDS = "EPSG:25832+7837"
+PIT_M3 = 0.4 * 4.0 * 3.0
+
+
+def write(path, seed, *, pit_m=0.0, crs=CRS_OF_CLOUDS, std=0.02, common=0.005):
+    """A sloping bed of 12 x 9 m with a pit of 4 x 3 m, whose edges are those of cells, as a cloud of 10 cm."""
+    rng = np.random.default_rng(seed)
+    x, y = (np.mgrid[0:120, 0:90] * 0.1 + 0.05 + rng.uniform(-0.02, 0.02, (2, 120, 90))).reshape(2, -1)
+    is_pit = (x > 3.0) & (x < 7.0) & (y > 3.0) & (y < 6.0)
+    height = 580.0 + 0.02 * x - pit_m * is_pit + std * rng.standard_normal(x.shape) + common * rng.standard_normal()
+    points = np.column_stack([E0 + x, N0 + y, height])
+    full = np.ones(len(points))
+    write_cloud(
+        path, points, CRS(crs), rgb=np.zeros((len(points), 3), np.uint8), depth_m=full, std_m=std * full,
+        std_common_m=common * full, num_views=3 * full.astype(int), incidence_deg=full, is_wet=full > 0,
+    )  # fmt: skip
+    return path
+
+
+def test_a_pit_is_found_with_its_volume(tmp_path):
+    before, after = write(tmp_path / "a.las", 1), write(tmp_path / "b.laz", 2, pit_m=0.4)
+    json_path, tif, picture = (tmp_path / name for name in ("d.json", "d.tif", "d.png"))
+    said = bathynerf(
+        "change", before, after, "--resolution", "0.5", "--json", json_path, "--tif", tif, "--picture", picture
+    )
+    assert said.exit_code == 0, said.output
+    numbers = json.loads(json_path.read_text())
+    assert numbers["cut"]["area_m2"] == pytest.approx(12.0, abs=0.5)
+    for kind in ("cut", "net"):
+        volume, std = numbers[kind]["volume_m3"], numbers[kind]["std_m3"]
+        assert abs(volume + PIT_M3) < 3.0 * std
+        # What both surveys share, over the area; the rest is small against it.
+        assert std == pytest.approx(np.hypot(0.005, 0.005) * numbers[kind]["area_m2"], rel=0.3)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    with rasterio.open(tif) as raster:
+        difference, _, detection, beyond = raster.read(masked=True)
+        assert raster.crs.to_epsg() == 25832 or "25832" in raster.crs.to_wkt()
+    assert beyond.sum() == pytest.approx(48, abs=5)
+    assert np.ma.median(difference[beyond == 1]) == pytest.approx(-0.4, abs=0.03)
+    assert detection.min() > 0.0
+
+
+def test_a_polygon_bounds_the_volume(tmp_path):
+    before, after = write(tmp_path / "a.las", 1), write(tmp_path / "b.las", 2, pit_m=0.4)
+    half = np.array([[3.0, 2.0], [5.0, 2.0], [5.0, 7.0], [3.0, 7.0], [3.0, 2.0]]) + np.array([E0, N0])
+    layer = Layer("area", "Polygon", [[half]], CRS(CRS_OF_CLOUDS))
+    write_geojson(tmp_path / "area.geojson", layer)
+    write_geopackage(tmp_path / "area.gpkg", layer)
+    found = []
+    for name in ("area.geojson", "area.gpkg"):
+        options = ChangeOptions(area=tmp_path / name, resolution_m=0.5, correlation_length_m=0.1)
+        found.append(change_between(before, after, options).net)
+    assert found[0] == found[1]
+    assert found[0].area_m2 == pytest.approx(10.0)
+    assert abs(found[0].volume_m3 + 0.5 * PIT_M3) < 3.0 * found[0].std_m3
+
+
+@pytest.mark.parametrize("other", ["EPSG:32632+7837", "EPSG:25833+7837"])
+def test_the_second_survey_is_taken_into_the_crs_of_the_first(tmp_path, other):
+    before, after = write(tmp_path / "a.las", 1), write(tmp_path / "b.las", 2, pit_m=0.4)
+    cloud = read_cloud(after)
+    points = Reprojection.between(cloud.crs, other)(cloud.points)
+    full = np.ones(len(points))
+    moved = tmp_path / "c.las"
+    write_cloud(
+        moved, points, CRS(other), rgb=cloud.rgb, depth_m=full, std_m=0.02 * full, std_common_m=0.005 * full,
+        num_views=3 * full.astype(int), incidence_deg=full, is_wet=full > 0,
+    )  # fmt: skip
+    options = ChangeOptions(resolution_m=0.5, correlation_length_m=0.1)
+    a, b = (change_between(before, path, options).net.volume_m3 for path in (after, moved))
+    # A millimetre is a step of LAS: points change cells.
+    assert a == pytest.approx(b, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--resolution", "0"), "--resolution is 0"),
+        (("--common-correlation", "2"), "expected -1 to 1"),
+        (("--tif", "d.png"), "ends in .tif"),
+        (("--area", "nowhere.geojson"), "nowhere.geojson"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_sentence(tmp_path, options, words):
+    cloud = write(tmp_path / "a.las", 1)
+    said = bathynerf("change", cloud, cloud, *options)
+    assert said.exit_code == 2, said.output
+    assert words in said.output
+
+
+def test_a_cloud_without_stds_needs_them_stated(tmp_path):
+    cloud = write(tmp_path / "a.las", 1)
+    las = laspy.read(cloud)
+    las.remove_extra_dims(["std", "std_common"])
+    las.write(tmp_path / "plain.las")
+    refused = bathynerf("change", cloud, tmp_path / "plain.las", "--resolution", "0.5")
+    assert refused.exit_code == 2
+    assert "--std 0.02" in refused.output
+    said = bathynerf("change", cloud, tmp_path / "plain.las", "--resolution", 0.5, "--std", 0.05, "--std-common", 0.01)
+    assert said.exit_code == 0, said.output
+
+
+def test_the_same_survey_twice_needs_the_length_stated(tmp_path):
+    cloud = write(tmp_path / "a.las", 1)
+    refused = bathynerf("change", cloud, cloud, "--resolution", "0.5")
+    assert refused.exit_code == 2
+    assert "--correlation-length" in refused.output
+    assert bathynerf("change", cloud, cloud, "--resolution", "0.5", "--correlation-length", "1").exit_code == 0

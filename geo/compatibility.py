@@ -23,6 +23,8 @@ from geo.projection import MapProjection
 # Two statements of one system differ by rounded parameters, e.g. feet to nine digits (0.4 mm at 1,300 km),
 # and GRS 80 from WGS 84 by 0.1 mm; really different systems do so by decimetres and more.
 _TOLERANCE_M = 0.001
+# Two orders of the same four numbers, of which one makes a rectangle so many times as long.
+_ABSURD = 10.0
 _SAMPLES_M = np.array([-2e5, 0.0, 3e5])
 
 
@@ -90,6 +92,28 @@ def require_same_place(a: np.ndarray, b: np.ndarray, a_name: str, b_name: str) -
         f"{a_name} (easting {_range(box_a[:, 0])}, northing {_range(box_a[:, 1])}) and {b_name} (easting "
         f"{_range(box_b[:, 0])}, northing {_range(box_b[:, 1])}) do not overlap; {mend}."
     )
+
+
+def bounds_in_other_order(bounds: tuple[float, ...], places: np.ndarray) -> tuple[float, ...] | None:
+    """Bounds as (E0, N0, E1, N1) where they were given as (E0, E1, N0, N1), the order of PDAL; else None.
+
+    Parameters
+    ----------
+    bounds : four numbers, in crs
+    places : (N, 2 or more), in crs
+        What the bounds are of: they were given in the other order if they hold some of it so, and as they stand are no
+        rectangle, hold none, or are `_ABSURD` times as long.
+    """
+    e0, e1, n0, n1 = bounds
+    if not (e0 < e1 and n0 < n1):
+        return None
+    other, stands = np.array([[e0, n0], [e1, n1]]), np.array(bounds).reshape(2, 2)
+    if not _overlap(other, box := _box(places)):
+        return None
+    is_one = (stands[0] < stands[1]).all() and _overlap(stands, box)
+    if is_one and np.ptp(stands, axis=0).max() <= _ABSURD * np.ptp(other, axis=0).max():
+        return None
+    return (e0, n0, e1, n1)
 
 
 def _box(points: np.ndarray) -> np.ndarray:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import laspy
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pyproj import CRS
 
-from geo.compatibility import crs_difference, require_same_crs, require_same_place, same_crs
+from geo.compatibility import bounds_in_other_order, crs_difference, require_same_crs, require_same_place, same_crs
 from geo.crs import wkt1
 from geo.errors import CRSMismatch, PlaceMismatch
 
@@ -93,3 +95,26 @@ def test_boxes_that_touch_are_at_the_same_place_and_others_are_refused():
         require_same_place(here, here + np.array([0.0, 1000.0, 0.0]), "cloud.las", "ref.ply")
     with pytest.raises(PlaceMismatch, match=r"easting and northing seem to be swapped.*in ref\.ply"):
         require_same_place(here, here[:, [1, 0, 2]], "cloud.las", "ref.ply")
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    east=st.floats(1e5, 9e5), north=st.floats(1e6, 9e6),
+    sides=st.tuples(st.floats(1.0, 5e3), st.floats(1.0, 5e3)),
+    share=st.tuples(st.floats(0.1, 0.9), st.floats(0.1, 0.9)),
+)  # fmt: skip
+def test_bounds_in_the_order_of_other_programs_are_told_from_their_own(east, north, sides, share):
+    places = np.array([[east, north, 0.0], [east + sides[0], north + sides[1], 5.0]])
+    low, high = places[0, :2] + 0.4 * np.array(share) * sides, places[1, :2]
+    right = (*low.tolist(), *high.tolist())
+    other = (right[0], right[2], right[1], right[3])
+    assert bounds_in_other_order(right, places) is None
+    assert bounds_in_other_order(other, places) == right
+
+
+def test_bounds_that_may_be_in_either_order_stand():
+    # About the origin of a local grid both orders are rectangles of like size that hold the data.
+    places = np.array([[0.0, 0.0], [40.0, 40.0]])
+    assert bounds_in_other_order((0.0, 10.0, 20.0, 30.0), places) is None
+    # Here the second is above the fourth as it stands.
+    assert bounds_in_other_order((10.0, 30.0, 5.0, 25.0), places) == (10.0, 5.0, 30.0, 25.0)

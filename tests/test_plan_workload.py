@@ -121,7 +121,7 @@ def test_too_little_disk_or_memory_is_a_warning_of_check(tmp_path, monkeypatch):
     assert "of memory, and 300 MB are free" in said(sections, "Warnings")[""]
     monkeypatch.setattr(machine, "free_disk_bytes", lambda _folder: 1_000_000)
     (disk, memory) = warnings_of(check_survey(folder, chosen=Choices(device="cpu")))
-    assert re.search(r"the run needs about \d+ MB in .*bathynerf, and 10 MB are free there", disk)
+    assert re.search(r"the run needs about \d+ MB in .*bathynerf, and 0 MB are free there", disk)
     assert "of memory, and 300 MB are free" in memory
 
 

@@ -85,7 +85,7 @@ def check_bounds(bounds: Bounds | None) -> None:
     if e0 >= e1 or n0 >= n1:
         raise CompareError(
             f"--bounds is {as_text(bounds)}, expected E0 N0 E1 N1 with E0 below E1 and N0 below N1; put the "
-            "south-west corner first"
+            "south-west corner first (not E0 E1 N0 N1)"
         )
 
 

@@ -11,6 +11,7 @@ from pyproj import CRS
 from evaluation import weld
 from evaluation.triangles import has_area
 from geo import Cloud, LocalFrame, Mesh, read_reference, require_same_crs, require_same_place
+from geo.compatibility import bounds_in_other_order
 from geo.crs import has_height, height_unit_m, is_geographic
 from geo.shapes import in_height_unit, left_out, part_of, vertices_of
 from geo.values import rounded_coordinates
@@ -92,6 +93,11 @@ def load_inputs(paths: Paths, bounds: Bounds | None) -> Inputs:
     reference, visible = others[paths.reference], None if paths.visible is None else others[paths.visible]
     for path, other in others.items():
         require_same_place(cloud.points, vertices_of(other), str(paths.cloud), str(path))
+    if bounds is not None and (meant := bounds_in_other_order(bounds, cloud.points)) is not None:
+        raise CompareError(
+            f"--bounds is {as_text(bounds)}, which is in the order E0 E1 N0 N1, expected E0 N0 E1 N1: give "
+            f"--bounds {as_text(meant)}"
+        )
     cropped = ~within(cloud.points, bounds)
     if cropped.all():
         low, high = cloud.points.min(axis=0), cloud.points.max(axis=0)

@@ -139,7 +139,7 @@ class AreaConfig:
         if self.bounds is not None and not (self.bounds[0] < self.bounds[2] and self.bounds[1] < self.bounds[3]):
             raise ConfigError(
                 f"area.bounds is {list(self.bounds)}, expected [easting_low, northing_low, easting_high, "
-                "northing_high] with low below high"
+                "northing_high] with low below high (not easting, easting, northing, northing)"
             )
         if self.heights is not None and not self.heights[0] < self.heights[1]:
             raise ConfigError(

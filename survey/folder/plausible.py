@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from pyproj import CRS, Geod
 
+from geo.compatibility import bounds_in_other_order
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from geo.transformation import lon_lat
@@ -134,6 +135,11 @@ def require_level_fits(
 def _require_bounds_near(frame: LocalFrame, centres: np.ndarray, bounds: tuple[float, ...]) -> None:
     e0, n0, e1, n1 = bounds
     cameras = frame.crs_from_local(centres)
+    if (meant := bounds_in_other_order(bounds, cameras)) is not None:
+        raise ConfigError(
+            f"[area] bounds {list(bounds)} are in the order easting, easting, northing, northing, expected "
+            f"[easting_low, northing_low, easting_high, northing_high]: give bounds = {list(meant)}"
+        )
     nearest = cameras.copy()
     nearest[:, 0], nearest[:, 1] = cameras[:, 0].clip(e0, e1), cameras[:, 1].clip(n0, n1)
     distances = np.linalg.norm(frame.local_from_crs(nearest) - centres, axis=1)

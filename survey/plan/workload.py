@@ -205,7 +205,7 @@ def room_doubts(workload: Workload, run_folder: Path) -> list[str]:
     free = machine.free_memory_bytes()
     if workload.memory_bytes > free:
         warnings.append(
-            f"the run needs {workload.most}{_size(workload.memory_bytes)} of memory, and {_size(free)} are free: the "
+            f"the run needs {workload.most}{_size(workload.memory_bytes)} of memory, and {_free(free)} are free: the "
             "system may stop it; close other programs, use a lower --quality, or give [area] bounds"
         )
     return warnings
@@ -217,7 +217,7 @@ def _disk_doubt(workload: Workload, run_folder: Path) -> str | None:
     if workload.disk_bytes <= free:
         return None
     return (
-        f"the run needs {workload.most}{_size(workload.disk_bytes)} in {run_folder}, and {_size(free)} are free "
+        f"the run needs {workload.most}{_size(workload.disk_bytes)} in {run_folder}, and {_free(free)} are free "
         "there; free some, name a run folder elsewhere with -o, or use a lower --quality"
     )
 
@@ -228,7 +228,7 @@ def _limit_doubt(workload: Workload) -> str | None:
         return None
     return (
         f"the run needs {workload.most}{_size(workload.memory_bytes)} of memory, and limits of this process leave "
-        f"{_size(max(allowed, 0.0))} (ulimit -d, ulimit -v); raise them, use a lower --quality, or give [area] bounds"
+        f"{_free(max(allowed, 0.0))} (ulimit -d, ulimit -v); raise them, use a lower --quality, or give [area] bounds"
     )
 
 
@@ -275,6 +275,13 @@ def _duration(seconds: float) -> str:
     if seconds < 5400.0:
         return f"{round(seconds / 60.0)} minutes"
     return f"{seconds / 3600.0:.1f} hours"
+
+
+def _free(num_bytes: float) -> str:
+    """Room that there is, rounded down."""
+    if num_bytes >= 1e9:
+        return f"{math.floor(num_bytes / 1e8) / 10:.1f} GB"
+    return f"{math.floor(num_bytes / 1e7) * 10} MB"
 
 
 def _size(num_bytes: float) -> str:

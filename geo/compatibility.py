@@ -102,16 +102,15 @@ def bounds_in_other_order(bounds: tuple[float, ...], places: np.ndarray) -> tupl
     bounds : four numbers, in crs
     places : (N, 2 or more), in crs
         What the bounds are of: they were given in the other order if they hold some of it so, and as they stand are no
-        rectangle, hold none, or are `_ABSURD` times as long.
+        rectangle or one `_ABSURD` times as long.
     """
     e0, e1, n0, n1 = bounds
     if not (e0 < e1 and n0 < n1):
         return None
     other, stands = np.array([[e0, n0], [e1, n1]]), np.array(bounds).reshape(2, 2)
-    if not _overlap(other, box := _box(places)):
+    if not _overlap(other, _box(places)):
         return None
-    is_one = (stands[0] < stands[1]).all() and _overlap(stands, box)
-    if is_one and np.ptp(stands, axis=0).max() <= _ABSURD * np.ptp(other, axis=0).max():
+    if (stands[0] < stands[1]).all() and np.ptp(stands, axis=0).max() <= _ABSURD * np.ptp(other, axis=0).max():
         return None
     return (e0, n0, e1, n1)
 

@@ -110,6 +110,10 @@ def test_bounds_in_the_order_of_other_programs_are_told_from_their_own(east, nor
     other = (right[0], right[2], right[1], right[3])
     assert bounds_in_other_order(right, places) is None
     assert bounds_in_other_order(other, places) == right
+    # In their own order they stand wherever they lie: beside the places, or far from them.
+    for shift in (0.9, 1.5, 100.0):
+        moved = np.add(right, shift * np.tile(sides, 2))
+        assert bounds_in_other_order(tuple(moved.tolist()), places) is None
 
 
 def test_bounds_that_may_be_in_either_order_stand():

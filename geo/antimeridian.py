@@ -17,30 +17,30 @@ def cut_line(line: np.ndarray) -> list[np.ndarray]:
     """The parts of a line (N, 2) [deg] on both sides, in their order; the line itself where it does not cross."""
     if not crosses(line):
         return [line]
-    return [_back(chain, east) for chain, east in _chains(_continued(line))]
+    return [_wrapped(chain, east) for chain, east in _split_line(_unwrapped(line))]
 
 
 def cut_polygon(rings: list[np.ndarray]) -> list[list[np.ndarray]]:
     """The polygons, each as its closed rings (N, 2) [deg] with the outer one first, of one on both sides."""
     if not any(crosses(ring) for ring in rings) and not crosses(np.concatenate(rings)):
         return [rings]
-    whole = [_continued(ring) for ring in rings]
-    return [polygon for east in (False, True) for polygon in _half(whole, east)]
+    whole = [_unwrapped(ring) for ring in rings]
+    return [polygon for east in (False, True) for polygon in _polygons_on_side(whole, east)]
 
 
-def _continued(line: np.ndarray) -> np.ndarray:
-    """Longitudes from 0 to 360 in place of those that jump."""
+def _unwrapped(line: np.ndarray) -> np.ndarray:
+    """The line with longitudes from 0 to 360 degrees, without a jump at the meridian."""
     line = np.array(line, dtype=np.float64)
     line[line[:, 0] < 0.0, 0] += _TURN
     return line
 
 
-def _back(line: np.ndarray, east: bool) -> np.ndarray:
-    """East of the meridian longitudes count from -180."""
+def _wrapped(line: np.ndarray, east: bool) -> np.ndarray:
+    """The line with longitudes from -180 degrees on where it lies east of the meridian."""
     return line - [_TURN, 0.0] if east else line
 
 
-def _chains(line: np.ndarray) -> list[tuple[np.ndarray, bool]]:
+def _split_line(line: np.ndarray) -> list[tuple[np.ndarray, bool]]:
     """Pieces of a line that lie on one side each, with their ends on the meridian, and whether that is the eastern."""
     side = line[:, 0] > _HALF_TURN
     pieces, start = [], 0
@@ -54,7 +54,7 @@ def _chains(line: np.ndarray) -> list[tuple[np.ndarray, bool]]:
     return pieces
 
 
-def _half(rings: list[np.ndarray], east: bool) -> list[list[np.ndarray]]:
+def _polygons_on_side(rings: list[np.ndarray], east: bool) -> list[list[np.ndarray]]:
     """The part of a polygon on one side.
 
     Its border there is pieces of rings, joined along the meridian: of the ends on it, by latitude, the first and the
@@ -64,7 +64,7 @@ def _half(rings: list[np.ndarray], east: bool) -> list[list[np.ndarray]]:
     holes: list[np.ndarray] = []
     outer: list[np.ndarray] = []
     for number, ring in enumerate(rings):
-        pieces = _chains(ring)
+        pieces = _split_line(ring)
         if len(pieces) == 1:
             if pieces[0][1] == east:
                 (holes if number else outer).append(ring)
@@ -88,11 +88,11 @@ def _half(rings: list[np.ndarray], east: bool) -> list[list[np.ndarray]]:
         outer.append(np.concatenate([*parts, chains[first][:1]]))
     polygons = [[ring] for ring in outer]
     for hole in holes:
-        next(p for p in polygons if _holds(p[0], hole[0])).append(hole)
-    return [[_back(ring, east) for ring in polygon] for polygon in polygons]
+        next(p for p in polygons if _contains(p[0], hole[0])).append(hole)
+    return [[_wrapped(ring, east) for ring in polygon] for polygon in polygons]
 
 
-def _holds(ring: np.ndarray, place: np.ndarray) -> bool:
+def _contains(ring: np.ndarray, place: np.ndarray) -> bool:
     """Whether a place lies in a closed ring, by crossings of a line to the north."""
     (x0, y0), (x1, y1) = ring[:-1].T, ring[1:].T
     spans = (x0 > place[0]) != (x1 > place[0])

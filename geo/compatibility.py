@@ -23,8 +23,8 @@ from geo.projection import MapProjection
 # Two statements of one system differ by rounded parameters, e.g. feet to nine digits (0.4 mm at 1,300 km),
 # and GRS 80 from WGS 84 by 0.1 mm; really different systems do so by decimetres and more.
 _TOLERANCE_M = 0.001
-# Two orders of the same four numbers, of which one makes a rectangle so many times as long.
-_ABSURD = 10.0
+# Bounds whose sides differ by this factor more than in the other order of the same four numbers are in that order.
+_SIDE_RATIO = 10.0
 _SAMPLES_M = np.array([-2e5, 0.0, 3e5])
 
 
@@ -102,7 +102,7 @@ def bounds_in_other_order(bounds: tuple[float, ...], places: np.ndarray) -> tupl
     bounds : four numbers, in crs
     places : (N, 2 or more), in crs
         What the bounds are of: they were given in the other order if they hold some of it so, and as they stand are no
-        rectangle or one `_ABSURD` times as long.
+        rectangle or one `_SIDE_RATIO` times as long.
     """
     e0, e1, n0, n1 = bounds
     if not (e0 < e1 and n0 < n1):
@@ -110,7 +110,7 @@ def bounds_in_other_order(bounds: tuple[float, ...], places: np.ndarray) -> tupl
     other, stands = np.array([[e0, n0], [e1, n1]]), np.array(bounds).reshape(2, 2)
     if not _overlap(other, _box(places)):
         return None
-    if (stands[0] < stands[1]).all() and np.ptp(stands, axis=0).max() <= _ABSURD * np.ptp(other, axis=0).max():
+    if (stands[0] < stands[1]).all() and np.ptp(stands, axis=0).max() <= _SIDE_RATIO * np.ptp(other, axis=0).max():
         return None
     return (e0, n0, e1, n1)
 

@@ -182,7 +182,7 @@ def _header(points: np.ndarray, crs: CRS, path: Path) -> laspy.LasHeader:
                 f"cannot write {path}: the cloud reaches from {low} to {high}, more than LAS holds in steps "
                 f"of {header.scales}; some points lie far off, give [area] bounds to leave them out."
             )
-    # Of the place where it is read, not of the machine.
+    # LAS 1.4 counts days in UTC (GMT).
     header.creation_date = datetime.now(UTC).date()
     header.global_encoding.wkt = True
     # Not header.add_crs, which writes WKT 2; LAS 1.4 asks for WKT 1.

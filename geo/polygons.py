@@ -60,9 +60,8 @@ def cells_inside(
 def _in_crs(ring: np.ndarray, source: CRS, target: CRS, path: Path) -> np.ndarray:
     if not source.equals(target, ignore_axis_order=True):
         with_height = np.column_stack([ring, np.zeros(len(ring))])
-        ring = transformed(source, target, with_height, str(path), "or give the polygon in the CRS of the cloud.")[
-            :, :2
-        ]
+        remedy = "or give the polygon in the CRS of the cloud."
+        ring = transformed(source, target, with_height, str(path), remedy)[:, :2]
     if not np.isfinite(ring).all():
         raise UnreadableFile(f"{path} has corners that are not on the map of {target.name}; correct them or its CRS.")
     return ring
@@ -109,7 +108,6 @@ def _ring(positions: list) -> np.ndarray:
 
 
 def _of_geopackage(path: Path) -> tuple[Polygons, CRS]:
-    library_for(path, "pyogrio", "vector")
     raw = library_for(path, "pyogrio.raw", "vector")
     try:
         said, _, shapes, _ = raw.read(path, columns=[], force_2d=True)

@@ -74,12 +74,14 @@ def write_geojson(path: str | Path, layer: Layer) -> str | None:
     way = Transformation.between(layer.crs, WGS84, np.concatenate(places) if places else np.zeros((0, 2)))
     way.require_best(str(path), "or write a GeoPackage, which keeps the CRS of the survey.")
 
-    def turned(line: np.ndarray) -> np.ndarray:
+    def in_wgs84(line: np.ndarray) -> np.ndarray:
         return np.round(np.column_stack(way(*np.asarray(line, dtype=np.float64).T)), _DECIMALS)
 
     features = []
     for number, shape in enumerate(layer.shapes):
-        parts = cut_polygon([turned(ring) for ring in shape]) if layer.kind == "Polygon" else cut_line(turned(shape))
+        parts = (
+            cut_polygon([in_wgs84(ring) for ring in shape]) if layer.kind == "Polygon" else cut_line(in_wgs84(shape))
+        )
         properties = {name: values[number] for name, values in layer.columns.items()}
         features.append({"type": "Feature", "properties": properties, "geometry": _geometry(layer.kind, parts)})
     said = {

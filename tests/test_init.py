@@ -14,10 +14,14 @@ from small_survey import unposed, write_image
 from test_photos_metashape import cameras_xml
 from test_photos_opensfm import REFERENCE, block_json, tracks_csv
 
+from geo.crs import vertical_crs
 from geo.height_systems import height_systems_at
 from survey.errors import ConfigError
 from survey.init.draft import draft
-from survey.init.entry import Answers
+from survey.init.entry import Answers, Table
+from survey.init.place import Photographs, write_crs
+from survey.photos.exif import Exif
+from survey.photos.xmp import ELLIPSOIDAL
 
 LEVEL = HEIGHT + 4.0
 
@@ -157,3 +161,23 @@ def test_a_height_system_is_taken_where_it_is_the_only_one():
     codes = {system.to_epsg() for system in height_systems_at(48.1, 11.6)}
     assert 7837 in codes
     assert codes.isdisjoint({5783, 5784})
+
+
+def photographs_above_the_ellipsoid(lat, lon):
+    head = Exif((640, 480), (lat, lon, 60.0), 800.0, 1, "DJI FC6310", None, height_datum=ELLIPSOIDAL)
+    return Photographs({"a.jpg": head, "b.jpg": head}, None, None)
+
+
+@pytest.mark.parametrize("lat_lon", [(0.0, -30.0), (52.1, 4.9)])
+def test_heights_above_the_ellipsoid_become_national_ones_only_by_the_grid_of_the_geoid(lat_lon):
+    """Whether the grid is installed is the machine's business; crs and gps_height have to agree either way."""
+    top, cameras = Table(""), Table("cameras")
+    crs = write_crs(photographs_above_the_ellipsoid(*lat_lon), Answers(), top, cameras)
+    written = tomllib.loads(top.text() + cameras.text())
+    if vertical_crs(crs) is None:
+        assert written["crs"].endswith("+4979")
+        assert "cameras" not in written
+    else:
+        assert lat_lon != (0.0, -30.0)
+        assert written["crs"].endswith("+5709")
+        assert written["cameras"]["gps_height"] == "ellipsoidal"

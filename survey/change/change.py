@@ -136,7 +136,7 @@ def rows_of(change: Change) -> list[tuple[str, str]]:
         ("net", f"{_volume(change.net)}, of all cells"),
         (
             "errors",
-            f"of cells alike over {length(change.correlation.length_m)} (share {change.correlation.share:.2f}), "
+            f"of cells correlated over {length(change.correlation.length_m)} (share {change.correlation.share:.2f}), "
             + ("stated" if scatter is None else f"measured; unchanged cells scatter {scatter:.2f} times as stated"),
         ),
         *[("note", note) for note in change.notes],

@@ -52,7 +52,7 @@ def write_settings(folder: Path, answers: Answers, *, force: bool = False) -> Pa
 
 
 def draft(folder: Path, answers: Answers) -> str:
-    """Settings in TOML for a folder of photographs, and of poses, control and water levels that lie beside them."""
+    """Settings in TOML for a folder of photographs, and of poses, control and water levels found with them."""
     top, images, cameras, water, control, local = (
         Table(name) for name in ("", "images", "cameras", "water", "control", "local")
     )

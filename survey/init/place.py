@@ -33,7 +33,7 @@ _UNEXPLAINED = 0.1
 
 @dataclass(frozen=True)
 class Photographs:
-    """Photographs of a folder, and the poses that lie beside them.
+    """Photographs of a folder, and the poses found with them.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ def write_crs(photographs: Photographs, answers: Answers, top: Table, cameras: T
     if has_height(CRS(horizontal)):
         top.set("crs", horizontal, by)
         return parse_crs(horizontal)
-    vertical, comment, more = _vertical(photographs, answers, cameras)
+    vertical, comment, more = _vertical(photographs, horizontal, answers, cameras)
     code = f"{horizontal}+{vertical}"
     crs = parse_crs(code)
     top.set("crs", code, f"{by}, with {comment}", more)
@@ -131,7 +131,9 @@ def _horizontal(photographs: Photographs) -> tuple[str | None, str]:
     return f"EPSG:{zone}", by
 
 
-def _vertical(photographs: Photographs, answers: Answers, cameras: Table) -> tuple[int | None, str, tuple[str, ...]]:
+def _vertical(
+    photographs: Photographs, horizontal: str, answers: Answers, cameras: Table
+) -> tuple[int | None, str, tuple[str, ...]]:
     """EPSG code of the heights, what they are, and what else they might be."""
     place = photographs.lat_lon
     systems = () if place is None else height_systems_at(*place)
@@ -143,7 +145,7 @@ def _vertical(photographs: Photographs, answers: Answers, cameras: Table) -> tup
         if choice and chosen is None:
             raise ConfigError(f'the answer is "{choice}", expected one of the codes {"; ".join(listed)}')
     if photographs.says_ellipsoidal:
-        return _of_ellipsoidal(photographs, chosen, listed, cameras)
+        return _of_ellipsoidal(photographs, horizontal, chosen, listed, cameras)
     if chosen is not None:
         doubt = "Not certain: that the level and all other heights count from there, and those in EXIF too."
         return chosen.to_epsg(), f"the heights of {_area(chosen)} ({chosen.name})", (doubt,)
@@ -155,24 +157,26 @@ def _vertical(photographs: Photographs, answers: Answers, cameras: Table) -> tup
 
 
 def _of_ellipsoidal(
-    photographs: Photographs, chosen: CRS | None, listed: tuple[str, ...], cameras: Table
+    photographs: Photographs, horizontal: str, chosen: CRS | None, listed: tuple[str, ...], cameras: Table
 ) -> tuple[int | None, str, tuple[str, ...]]:
-    """As `_vertical` where XMP says that heights in EXIF are ellipsoidal."""
+    """As `_vertical` where XMP says that heights in EXIF are ellipsoidal.
+
+    A national system is taken where the grid of its geoid is installed, which turns those heights into it; `check`
+    names the grid where it is missing.
+    """
     places = np.array([h.lat_lon_height[:2] for h in photographs.heads.values() if h.lat_lon_height is not None])
-    zone = utm_code_of(dict(photographs.heads))
-    why = ""
     if chosen is not None and len(places):
-        crs = parse_crs(f"EPSG:{zone}+{chosen.to_epsg()}")
+        crs = parse_crs(f"{horizontal}+{chosen.to_epsg()}")
         try:
             height_transformer(crs, area_at(places[:, 1], places[:, 0]))
-        except ConfigError as error:
-            why = f": {str(error).split(', or ')[0].partition(', and ')[2]}"
+        except ConfigError:
+            pass
         else:
             cameras.set("gps_height", "ellipsoidal", "XMP says so")
             return chosen.to_epsg(), f"the heights of {_area(chosen)} ({chosen.name})", ()
     more = (
         "XMP says that heights in EXIF count from the ellipsoid: the level of the water has to count from there too.",
-        *(f'For levels in {system}, put this code and [cameras] gps_height = "ellipsoidal"{why}' for system in listed),
+        *(f'For levels in {system}, put this code and [cameras] gps_height = "ellipsoidal"' for system in listed),
     )
     return _WGS84_3D, "heights above the ellipsoid", more
 

@@ -133,6 +133,10 @@ def test_times_without_a_zone_are_those_of_the_longitude(tmp_path):
     assert times == [datetime(2026, 6, 21, 18, tzinfo=UTC)]
     assert "UTC-6 by the longitude" in assumed
     assert times_of({"a": told, "c": replace(bare, clock=None)}, 10.0) == (None, "")
+    # One of two tells its zone, which the longitude does not.
+    times, assumed = times_of({"a": told, "b": bare}, -92.0)
+    assert times == [datetime(2026, 6, 21, 10, tzinfo=UTC)] * 2
+    assert "that of the others" in assumed
 
 
 @pytest.mark.parametrize("posed", [True, False])

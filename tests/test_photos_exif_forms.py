@@ -111,6 +111,47 @@ def test_a_clock_that_is_not_set_hides_no_other(head, date):
     assert head(gps, details).taken == datetime(2024, 6, 1, 8, 30, tzinfo=UTC)
 
 
+LOCAL, EARLIER = "2024:06:01 10:30:00", "2024:06:01 10:29:00"
+BASE = ExifTags.Base
+
+
+@pytest.mark.parametrize("offset", ["+02:00", "+02:00\0", " +02:00", "+0200"])
+@pytest.mark.parametrize(
+    "details",
+    [
+        {BASE.OffsetTimeOriginal: "{}"},
+        {BASE.OffsetTimeDigitized: "{}"},
+        {BASE.OffsetTime: "{}"},
+        {BASE.OffsetTimeDigitized: "{}", BASE.DateTimeDigitized: LOCAL},
+        # The standard writes blanks where a camera does not know its zone.
+        {BASE.OffsetTimeOriginal: "   :  ", BASE.OffsetTime: "{}"},
+        {BASE.OffsetTimeOriginal: "{}", BASE.OffsetTime: "-05:00"},
+        # Digitised, or changed, by a computer elsewhere.
+        {BASE.DateTimeDigitized: EARLIER, BASE.OffsetTimeDigitized: "-05:00", BASE.OffsetTime: "{}"},
+        {BASE.TimeZoneOffset: 2},
+        {BASE.TimeZoneOffset: (2, -5)},
+        {BASE.TimeZoneOffset: 99, BASE.OffsetTimeOriginal: "{}"},
+    ],
+)
+def test_the_offset_of_the_clock_in_all_tags_that_exif_has_for_it(head, details, offset):
+    of = {tag: value.format(offset) if isinstance(value, str) else value for tag, value in details.items()}
+    assert head({}, {BASE.DateTimeOriginal: LOCAL} | of).taken == datetime(2024, 6, 1, 8, 30, tzinfo=UTC)
+
+
+@pytest.mark.parametrize(
+    "details",
+    [
+        {},
+        {BASE.OffsetTimeOriginal: "unset"},
+        {BASE.OffsetTimeDigitized: "+02:00", BASE.DateTimeDigitized: EARLIER},
+        {BASE.TimeZoneOffset: 99},
+        {BASE.TimeZoneOffset: "two"},
+    ],
+)
+def test_an_offset_that_says_nothing_of_the_exposure_is_none(head, details):
+    assert head({}, {BASE.DateTimeOriginal: LOCAL} | details).taken is None
+
+
 @pytest.mark.parametrize("quote", ['"', "'"])
 def test_xmp_in_both_quotes(quote):
     text = XMP.format(q=quote)

@@ -179,7 +179,7 @@ def _times(heads: Mapping[str, Exif], lack: str) -> dict[str, float]:
     taken = {name: head.taken.timestamp() for name, head in heads.items() if head.taken is not None}
     if not taken:
         raise ConfigError(
-            "no image has its time of exposure in UTC (EXIF GPS time, or DateTimeOriginal with OffsetTimeOriginal), so "
+            "no image has its time of exposure in UTC (EXIF GPS time, or DateTimeOriginal with an offset from UTC), so "
             + lack
         )
     return taken

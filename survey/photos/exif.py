@@ -36,6 +36,8 @@ SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", *HEIC_SUFFIXES)
 _LONGEST_XMP, _LONGEST_WORDS = 1_000_000, 60
 # Longer ones stand in files whose camera writes a filler.
 _LONGEST_EXPOSURE_S = 60.0
+# Clocks on Earth differ from UTC by up to 14 hours.
+_MOST_OFFSET_H = 14
 # Of GPSAltitudeRef: below the ellipsoid, below the sea.
 _BELOW = (1, 3)
 # A position in XMP that differs from that in EXIF by less (a tenth of a second and half) is the same with more digits.
@@ -124,6 +126,7 @@ def read_exif(path: Path) -> Exif:
         bits = channel_bits(image)
         has_pages = image.format == "TIFF" and getattr(image, "is_animated", False)
         gps, details = exif.get_ifd(ExifTags.IFD.GPSInfo), exif.get_ifd(ExifTags.IFD.Exif)
+        changed = exif.get(ExifTags.Base.DateTime)
     xmp = _text_of_xmp(xmp)
     camera = " ".join(_words(exif.get(tag, "")) for tag in (ExifTags.Base.Make, ExifTags.Base.Model))
     orientation = exif.get(ExifTags.Base.Orientation, 1)
@@ -135,7 +138,7 @@ def read_exif(path: Path) -> Exif:
         orientation=orientation if orientation in range(1, 9) else 1,
         camera=camera.strip(),
         above_start_m=xmp_number(xmp, "RelativeAltitude"),
-        taken=_taken(gps, details),
+        taken=_taken(gps, details, changed),
         focal_candidates=focal_candidates(size, details, xmp),
         rtk=rtk_of(xmp),
         motion=motion_of(xmp),
@@ -224,19 +227,41 @@ def _step_deg(gps: dict) -> float:
     return max(steps[1:], default=steps[0])
 
 
-def _taken(gps: dict, details: dict) -> datetime | None:
-    day = str(gps.get(ExifTags.GPS.GPSDateStamp, "")).strip("\0 ")
+def _taken(gps: dict, details: dict, changed: Any) -> datetime | None:
+    """When a photograph was taken, in UTC: by the GPS clock, else by the camera's with its offset.
+
+    ``changed`` is EXIF's DateTime.
+    """
+    day = _plain(gps.get(ExifTags.GPS.GPSDateStamp))
     clock = gps.get(ExifTags.GPS.GPSTimeStamp)
     with suppress(TypeError, ValueError, OverflowError):
         hours, minutes, seconds = (number(part) for part in clock or ())
         passed = timedelta(hours=hours, minutes=minutes, seconds=seconds)
         return datetime.strptime(day, "%Y:%m:%d").replace(tzinfo=UTC) + passed
     # A receiver that has no date yet hides no camera that has one.
-    with suppress(TypeError, ValueError, OverflowError):
-        local = str(details.get(ExifTags.Base.DateTimeOriginal, "")).strip("\0 ")
-        offset = str(details.get(ExifTags.Base.OffsetTimeOriginal, "")).strip("\0 ")
-        return datetime.strptime(local + offset, "%Y:%m:%d %H:%M:%S%z").astimezone(UTC)
+    local = _plain(details.get(ExifTags.Base.DateTimeOriginal))
+    for offset in _offsets(details, local, changed):
+        with suppress(ValueError, OverflowError):
+            return datetime.strptime(local + offset, "%Y:%m:%d %H:%M:%S%z").astimezone(UTC)
     return None
+
+
+def _offsets(details: dict, local: str, changed: Any) -> list[str]:
+    """What EXIF says of the offset of the camera's clock from UTC, as "+02:00"; the standard's own tag comes first.
+
+    The offsets of DateTimeDigitized and DateTime are that of the exposure where these are the time of the exposure:
+    a program that changed the file writes its own.
+    """
+    digitized = _plain(details.get(ExifTags.Base.DateTimeDigitized))
+    found = [_plain(details.get(ExifTags.Base.OffsetTimeOriginal))]
+    found += [_plain(details.get(ExifTags.Base.OffsetTimeDigitized))] if digitized in ("", local) else []
+    found += [_plain(details.get(ExifTags.Base.OffsetTime))] if _plain(changed) in ("", local) else []
+    # Of TIFF/EP, before EXIF had a tag: whole hours, those of the exposure first.
+    hours = details.get(ExifTags.Base.TimeZoneOffset)
+    hours = hours[0] if isinstance(hours, tuple | list) and hours else hours
+    if isinstance(hours, int) and abs(hours) <= _MOST_OFFSET_H:
+        found.append(f"{hours:+03d}:00")
+    return [offset.replace(" ", "") for offset in found]
 
 
 def _clock(details: dict) -> datetime | None:

@@ -228,7 +228,8 @@ def _sun_rows(found: Found, survey: Survey | None, wind_m_s: float) -> list[tupl
     suns = [sun_at(time, *place) for time in times]
     later = sun_at(times[len(times) // 2] - timedelta(hours=1), *place)
     summer = f"summer time, the sun was {math.degrees(later.elevation):.0f} degrees high"
-    doubt = f"; {assumed}: if it was {summer}" if assumed else ""
+    told = any(found.heads[name].taken is not None for name in names)
+    doubt = f"; {assumed}" + ("" if told else f": if it was {summer}") if assumed else ""
     first, last = min(times), max(times)
     rows = [("sun", sun_text(suns, f"{first:%Y-%m-%d %H:%M} to {last:%H:%M} UTC{doubt}"))]
     flight = _flight(found, survey)
@@ -248,9 +249,16 @@ def times_of(heads: Mapping[str, Exif], longitude_deg: float) -> tuple[list[date
     clocks = [head.clock for head in heads.values() if head.clock is not None]
     if len(clocks) < len(heads):
         return None, ""
-    zone = round(longitude_deg / _DEG_PER_HOUR)
-    assumed = f"EXIF has no time zone, and UTC{zone:+d} by the longitude is assumed"
-    return [clock.replace(tzinfo=UTC) - timedelta(hours=zone) for clock in clocks], assumed
+    told = [head.clock.replace(tzinfo=UTC) - head.taken for head in heads.values() if head.clock and head.taken]
+    if told:
+        # One camera, or one that was flown with others: those that say their offset tell that of the rest.
+        zone = timedelta(minutes=round(float(np.median([each.total_seconds() for each in told])) / 60.0))
+        assumed = f"EXIF has no time zone of {len(heads) - len(taken)} of {len(heads)}, and that of the others is taken"
+    else:
+        hours = round(longitude_deg / _DEG_PER_HOUR)
+        zone = timedelta(hours=hours)
+        assumed = f"EXIF has no time zone, and UTC{hours:+d} by the longitude is assumed"
+    return [head.taken or head.clock.replace(tzinfo=UTC) - zone for head in heads.values() if head.clock], assumed
 
 
 def _place(found: Found, survey: Survey | None) -> tuple[float, float] | None:

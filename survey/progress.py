@@ -1,11 +1,12 @@
 """Progress on the console and in the log of a run: named stages with the time left.
 
-On a terminal stages are bars; elsewhere, and in the log, they are plain lines. Together with `survey.commands` the only
-place that writes to the console.
+On a terminal stages are bars; elsewhere, and in the log, they are plain lines with their time. All lines also go to
+the logger "bathynerf". Together with `survey.commands` the only place that writes to the console.
 """
 
 from __future__ import annotations
 
+import logging
 import math
 import sys
 import time
@@ -21,18 +22,34 @@ from rich.progress import BarColumn, ProgressColumn, Task, TextColumn, TimeElaps
 from rich.progress import Progress as Bars
 from rich.text import Text
 
+from survey.lines import fitted
+
 # Seconds between plain lines of one stage, where there is no terminal.
 _LINE_EVERY_S = 20.0
 # The time left is shown once this share of a stage is done and this time [s] has passed; before that the rate
 # is too uncertain.
 _LEAST_SHARE, _LEAST_S = 0.05, 5.0
 
+_TIME = "%Y-%m-%d %H:%M:%S"
+
 _CURRENT: ContextVar[Progress] = ContextVar("progress")
+
+# For programs that use bathynerf: notes are INFO, details DEBUG, warnings WARNING. Without a handler of theirs nothing
+# is written by it.
+LOGGER = logging.getLogger("bathynerf")
+LOGGER.addHandler(logging.NullHandler())
 
 
 def current() -> Progress:
     """The progress of the running command; one that shows only warnings if none was opened."""
-    return _CURRENT.get(None) or Progress(verbosity=-1)
+    return _CURRENT.get(None) or _unopened()
+
+
+def _unopened() -> Progress:
+    """Shows warnings, unless a program has told `logging` where they go."""
+    handlers = (*LOGGER.handlers, *logging.getLogger().handlers)
+    is_handled = any(not isinstance(handler, logging.NullHandler) for handler in handlers)
+    return Progress(verbosity=-2 if is_handled else -1)
 
 
 @contextmanager
@@ -42,7 +59,7 @@ def opened() -> Iterator[Progress]:
     if progress is not None:
         yield progress
         return
-    with Progress(verbosity=-1) as progress:
+    with _unopened() as progress:
         yield progress
 
 
@@ -97,7 +114,7 @@ class Step:
             share = f"{100.0 * self.done / self.total:3.0f} %" if self.total else f"{self.done:g}"
             left = self.seconds_left
             parts = (share, "" if left is None else f"{clock(left)} left", detail)
-            self._progress._line(f"{self.name}: {', '.join(part for part in parts if part)}")
+            self._progress._said(f"{self.name}: {', '.join(part for part in parts if part)}")
 
 
 class _TimeLeft(ProgressColumn):
@@ -150,7 +167,7 @@ class Progress:
             self._bars = Bars(*columns, console=self._console, transient=True)
             self._bars.start()
         elif outermost:
-            self._line(f"{name} ...")
+            self._said(f"{name} ...")
         step = Step(self, name, total)
         try:
             yield step
@@ -158,22 +175,24 @@ class Progress:
             if outermost and self._bars is not None:
                 self._bars.stop()
                 self._bars = None
-        self._line(f"{name}: done in {clock(step.seconds)}")
+        self._said(f"{name}: done in {clock(step.seconds)}")
 
     def note(self, text: str) -> None:
         """A line that the user should see."""
-        self._line(text)
+        self._said(text)
 
     def detail(self, text: str) -> None:
         """A line for the log, shown with ``-v`` only."""
+        LOGGER.debug("%s", text)
         self._line(text, at_verbosity=1)
 
     def warn(self, text: str) -> None:
         """A line that the user must see."""
+        LOGGER.warning("%s", text)
         self._line(f"warning: {text}", at_verbosity=-1)
 
     def log_only(self, text: str) -> None:
-        """A text for the log alone, e.g. a traceback."""
+        """A text for the log of the run alone, e.g. a traceback."""
         self._line(text, at_verbosity=math.inf)
 
     def close(self) -> None:
@@ -193,17 +212,22 @@ class Progress:
         _CURRENT.reset(self._token)
         self.close()
 
+    def _said(self, text: str) -> None:
+        LOGGER.info("%s", text)
+        self._line(text)
+
     def _line(self, text: str, *, at_verbosity: float = 0) -> None:
+        stamped = f"{time.strftime(_TIME)} {text}"
         if self.verbosity >= at_verbosity and not self._console.quiet:
             try:
-                self._console.print(text)
+                self._console.print(fitted(text, self._console.file) if self._console.is_terminal else stamped)
             except BrokenPipeError:
                 raise
             except OSError:
                 # If standard error cannot be written, progress lines are dropped; the run and its log go on.
                 self._console.quiet = True
         if self._log is not None:
-            self._log.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
+            self._log.write(f"{stamped}\n")
 
 
 def shares(step: Step) -> Callable[[float], None]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from types import ModuleType
@@ -13,6 +14,11 @@ from survey.commands.verbs import app
 
 def bathynerf(*arguments):
     return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def without_times(text: str) -> str:
+    """Lines of progress without the time before each."""
+    return re.sub(r"^\d{4}-\d\d-\d\d \d\d:\d\d:\d\d ", "", text, flags=re.MULTILINE)
 
 
 def fake_module(monkeypatch, name: str, **content) -> None:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import io
+import logging
+import time
 
 import pytest
+from command_line import without_times
 
 from survey import progress as progress_room
+from survey.lines import fitted
 from survey.progress import Progress, clock
 
 
@@ -23,14 +27,14 @@ def test_stages_are_plain_lines_with_the_time_left_where_there_is_no_terminal(mo
                 stage.advance(detail="0001.jpg")
         progress.detail("a detail")
         progress.warn("a doubt")
-    assert stream.getvalue().splitlines() == [
+    assert without_times(stream.getvalue()).splitlines() == [
         "sweep ...",
         "sweep:  50 %, 30 s left, 0001.jpg",
         "sweep: done in 45 s",
         "warning: a doubt",
     ]
     lines = [line.split(" ", 2)[2] for line in (tmp_path / "run" / "log.txt").read_text().splitlines()]
-    assert lines == [*stream.getvalue().splitlines()[:3], "a detail", "warning: a doubt"]
+    assert lines == [*without_times(stream.getvalue()).splitlines()[:3], "a detail", "warning: a doubt"]
     assert progress_room.current() is not progress
 
 
@@ -38,7 +42,7 @@ def test_a_stage_that_fails_is_not_said_to_be_done():
     stream = io.StringIO()
     with Progress(stream=stream) as progress, pytest.raises(RuntimeError), progress.stage("sweep"):
         raise RuntimeError
-    assert stream.getvalue() == "sweep ...\n"
+    assert without_times(stream.getvalue()) == "sweep ...\n"
 
 
 def test_a_quiet_run_says_only_warnings():
@@ -46,7 +50,50 @@ def test_a_quiet_run_says_only_warnings():
     with Progress(stream=stream, verbosity=-1) as progress, progress.stage("sweep"):
         progress.note("a note")
         progress.warn("a doubt")
-    assert stream.getvalue() == "warning: a doubt\n"
+    assert without_times(stream.getvalue()) == "warning: a doubt\n"
+
+
+def test_lines_without_a_terminal_begin_with_their_time():
+    stream = io.StringIO()
+    with Progress(stream=stream) as progress:
+        progress.note("a note")
+    time.strptime(stream.getvalue(), "%Y-%m-%d %H:%M:%S a note\n")
+
+
+class Terminal(io.StringIO):
+    """A terminal as far as programs ask."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize("columns", [40, 80])
+def test_a_terminal_gets_whole_words_and_paths(monkeypatch, columns):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setenv("TERM", "xterm")
+    stream = Terminal()
+    words = "warnings have sentences of many well-known words with " + "x" * 100 + "/survey.toml among them"
+    with Progress(stream=stream) as progress:
+        progress.warn(words)
+    lines = stream.getvalue().splitlines()
+    assert " ".join(line.strip() for line in lines) == f"warning: {words}"
+    assert all(len(line) <= columns or "xxx" in line for line in lines)
+    assert fitted(words, io.StringIO()) == words
+
+
+def test_all_lines_go_to_the_logger_and_its_handlers_take_the_place_of_warnings(caplog, capsys):
+    with caplog.at_level(logging.DEBUG, logger="bathynerf"):
+        progress_room.current().warn("a doubt")
+        with Progress(stream=io.StringIO(), verbosity=-2) as progress, progress.stage("sweep"):
+            progress.detail("a detail")
+    assert [(record.levelname, record.getMessage().partition(": done")[0]) for record in caplog.records] == [
+        ("WARNING", "a doubt"),
+        ("INFO", "sweep ..."),
+        ("DEBUG", "a detail"),
+        ("INFO", "sweep"),
+    ]
+    # pytest's handler is one.
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize(

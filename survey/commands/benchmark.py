@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from survey.commands.console import command
-from survey.commands.options import Quiet, Verbose
+from survey.commands.options import Quiet, Verbose, words_of
 from survey.plan.choices import Device, Quality
 
 EXAMPLES = """
@@ -27,16 +27,42 @@ def run(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for all results.")] = FOLDER,
     drawn: Annotated[
         list[str] | None,
-        typer.Option(metavar="D,P,N", help="Also draw one: depth [m], nadir or oblique, images; or all. Repeatable."),
+        typer.Option(
+            metavar="D,P,N",
+            help="Also draw one: depth [m], nadir or oblique, images; or all. Repeatable.",
+            rich_help_panel="What is measured",
+        ),
     ] = None,
     method: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="full, sweep, slab, straight, times_index, per_camera; default: all."),
+        typer.Option(
+            metavar="NAME",
+            help="full, sweep, slab, straight, times_index, per_camera; default: all.",
+            rich_help_panel="What is measured",
+        ),
     ] = None,
-    quality: Annotated[list[Quality] | None, typer.Option(help="Repeatable; default: all.")] = None,
-    poses: Annotated[list[str] | None, typer.Option(metavar="given|images", help="Repeatable; default: given.")] = None,
-    device: Annotated[list[Device] | None, typer.Option(help="Repeatable; default: all that are present.")] = None,
-    repeats: Annotated[int, typer.Option(metavar="N", help="Rounds; times get intervals from three on.")] = 1,
+    quality: Annotated[
+        list[Quality] | None,
+        typer.Option(metavar=words_of(Quality), help="Repeatable; default: all.", rich_help_panel="What is measured"),
+    ] = None,
+    poses: Annotated[
+        list[str] | None,
+        typer.Option(metavar="given|images", help="Repeatable; default: given.", rich_help_panel="What is measured"),
+    ] = None,
+    device: Annotated[
+        list[Device] | None,
+        typer.Option(
+            metavar=words_of(Device),
+            help="Repeatable; default: all that are present.",
+            rich_help_panel="What is measured",
+        ),
+    ] = None,
+    repeats: Annotated[
+        int,
+        typer.Option(
+            metavar="N", help="Rounds; times get intervals from three on.", rich_help_panel="What is measured"
+        ),
+    ] = 1,
     against: Annotated[
         Path | None, typer.Option(metavar="FILE", help="An earlier results.json: say what became better or worse.")
     ] = None,

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from survey.commands.console import command
-from survey.commands.options import Quiet, Verbose
+from survey.commands.options import FILES, Quiet, Verbose
 
 EXAMPLES = """
     bathynerf change spring/bathynerf autumn/bathynerf
@@ -18,30 +18,54 @@ EXAMPLES = """
     bathynerf change a.las b.laz --std 0.05 --std-common 0
 """
 
+_STD = "Uncertainty"
+
 
 def run(
     run_a: Annotated[Path, typer.Argument(metavar="RUN_A", help="Run folder, LAS, LAZ or COPC: the earlier survey.")],
     run_b: Annotated[Path, typer.Argument(metavar="RUN_B", help="The later survey.")],
     area: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Polygons as GeoJSON or GeoPackage; default: all in common.")
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Polygons as GeoJSON or GeoPackage; default: all in common.", rich_help_panel="Where"
+        ),
     ] = None,
     resolution: Annotated[
-        float | None, typer.Option(metavar="M", help="Side of a cell [m]; default: by the spacing of the points.")
+        float | None,
+        typer.Option(
+            metavar="M", help="Side of a cell [m]; default: by the spacing of the points.", rich_help_panel="Where"
+        ),
     ] = None,
     correlation_length: Annotated[
-        float | None, typer.Option(metavar="M", help="Over which errors are alike [m]; default: measured.")
+        float | None,
+        typer.Option(metavar="M", help="Over which errors are alike [m]; default: measured.", rich_help_panel=_STD),
     ] = None,
     common_correlation: Annotated[
         float,
-        typer.Option(metavar="R", help="Of std_common of both: 0 independent, 1 if they share level and control."),
+        typer.Option(
+            metavar="R",
+            help="Of std_common of both: 0 independent, 1 if they share level and control.",
+            rich_help_panel=_STD,
+        ),
     ] = 0.0,
-    std: Annotated[float | None, typer.Option(metavar="M", help="Of heights, for clouds without std [m].")] = None,
-    std_common: Annotated[
-        float | None, typer.Option(metavar="M", help="Common to all heights, for clouds without std_common [m].")
+    std: Annotated[
+        float | None, typer.Option(metavar="M", help="Of heights, for clouds without std [m].", rich_help_panel=_STD)
     ] = None,
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for the numbers.")] = None,
-    tif: Annotated[Path | None, typer.Option(metavar="FILE", help="GeoTIFF of differences and detection.")] = None,
-    picture: Annotated[Path | None, typer.Option(metavar="FILE", help="PNG of the differences.")] = None,
+    std_common: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M", help="Common to all heights, for clouds without std_common [m].", rich_help_panel=_STD
+        ),
+    ] = None,
+    json: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="JSON file for the numbers.", rich_help_panel=FILES)
+    ] = None,
+    tif: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="GeoTIFF of differences and detection.", rich_help_panel=FILES)
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="PNG of the differences.", rich_help_panel=FILES)
+    ] = None,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:

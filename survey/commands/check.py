@@ -10,7 +10,7 @@ import typer
 from survey import machine
 from survey.commands.console import Results, command
 from survey.commands.memory import address_space_shortage, require_address_space
-from survey.commands.options import ImageScale, Quiet, TargetStd, TimeBudget, Verbose
+from survey.commands.options import AIM, HOW, ImageScale, Quiet, TargetStd, TimeBudget, Verbose, words_of
 from survey.errors import SurveyError
 from survey.plan.choices import Choices, Device, Quality
 
@@ -34,8 +34,12 @@ def run(
             metavar="SURVEY|PLAN", help="Folder with images and survey.toml, or the TOML of a planned flight."
         ),
     ],
-    quality: Annotated[Quality, typer.Option(help="Plan for this quality.")] = Quality.standard,
-    device: Annotated[Device, typer.Option(help="Plan for this device.")] = Device.auto,
+    quality: Annotated[
+        Quality, typer.Option(metavar=words_of(Quality), help="Plan for this quality.", rich_help_panel=AIM)
+    ] = Quality.standard,
+    device: Annotated[
+        Device, typer.Option(metavar=words_of(Device), help="Plan for this device.", rich_help_panel=HOW)
+    ] = Device.auto,
     image_scale: ImageScale = None,
     target_std: TargetStd = None,
     time_budget: TimeBudget = None,

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
-import textwrap
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 
 import typer
 
 from survey.commands.faults import STANDARD_OUTPUT, fault_of, refusal_of
+from survey.commands.streams import say_error
+from survey.lines import fitted
 
 # One -q leaves out the progress, two leave out the results too.
 _NO_RESULTS = -2
-# Lines of a pipe or a file are not wrapped.
-_NO_TERMINAL_WIDTH = 1000
+# -v less -q before the verb, which count as those after it.
+BEFORE_VERB: ContextVar[int] = ContextVar("before_verb", default=0)
 
 
 class Ended(typer.Exit):
@@ -51,21 +52,11 @@ class Results:
 
     def columns(self, title: str | None, rows: list[tuple[str, str]]) -> None:
         """Print labels and texts in two columns, wrapped to the terminal."""
-        width = shutil.get_terminal_size().columns if sys.stdout.isatty() else _NO_TERMINAL_WIDTH
         left = max((len(label) for label, _ in rows), default=0) + 2
         if title is not None:
             self.line(title, bold=True)
         for label, text in rows:
-            self.line(
-                textwrap.fill(
-                    text,
-                    max(width, left + 20),
-                    initial_indent=label.ljust(left),
-                    subsequent_indent=" " * left,
-                    break_long_words=False,
-                    break_on_hyphens=False,
-                )
-            )
+            self.line(fitted(text, sys.stdout, label=label.ljust(left), indent=" " * left))
 
 
 @contextmanager
@@ -75,7 +66,7 @@ def command(verbose: int, quiet: int, place: Path, *, stopped: str = "") -> Iter
     Parameters
     ----------
     verbose, quiet : int
-        How often -v and -q were given.
+        How often -v and -q were given after the verb.
     place : Path
         Named when a disk error does not name a file.
     stopped : str
@@ -83,7 +74,7 @@ def command(verbose: int, quiet: int, place: Path, *, stopped: str = "") -> Iter
     """
     from survey.progress import Progress
 
-    verbosity = verbose - quiet
+    verbosity = verbose - quiet + BEFORE_VERB.get()
     with Progress(verbosity=verbosity) as progress:
         try:
             yield Results(is_silent=verbosity <= _NO_RESULTS)
@@ -100,6 +91,5 @@ def command(verbose: int, quiet: int, place: Path, *, stopped: str = "") -> Iter
     with suppress(OSError):
         if fault.is_ours and verbosity > 0:
             typer.echo(trace, err=True)
-        if fault.message:
-            typer.echo(f"error: {fault.message}", err=True)
+        say_error(fault.message)
     raise Ended(fault.code)

@@ -11,35 +11,60 @@ import typer
 from survey.commands.console import command
 from survey.commands.options import Quiet, RunFolder, Verbose
 from survey.export.product import ExportOptions, Product
-from survey.export.registry import PRODUCTS
+from survey.export.registry import FAMILIES, PRODUCTS
 
+_HOW = "How they are made"
 EXAMPLES = "".join(f"bathynerf export RUN {product.example}\n" for product in PRODUCTS)
 
 
 def run(
     run: RunFolder,
     resolution: Annotated[
-        float | None, typer.Option(metavar="M", help="Side of a cell [m]; default: by the density of the points.")
+        float | None,
+        typer.Option(
+            metavar="M", help="Side of a cell [m]; default: by the density of the points.", rich_help_panel=_HOW
+        ),
     ] = None,
     crs: Annotated[
         str | None,
-        typer.Option(metavar="CRS", help="Of the products, e.g. EPSG:32632; heights stay, or are given with it."),
+        typer.Option(
+            metavar="CRS",
+            help="Of the products, e.g. EPSG:32632; heights stay, or are given with it.",
+            rich_help_panel=_HOW,
+        ),
     ] = None,
-    fill: Annotated[float, typer.Option(metavar="M", help="Fill gaps up to this width [m]; default: none.")] = 0.0,
+    fill: Annotated[
+        float,
+        typer.Option(
+            metavar="M", help="Fill gaps up to this width [m]; default: none.", show_default=False, rich_help_panel=_HOW
+        ),
+    ] = 0.0,
     mesh_method: Annotated[
         str,
-        typer.Option(metavar="METHOD", help="delaunay: one height at each place; poisson: overhangs too (extra mesh)."),
+        typer.Option(
+            metavar="METHOD",
+            help="delaunay: one height at each place; poisson: overhangs too (extra mesh).",
+            rich_help_panel=_HOW,
+        ),
     ] = "delaunay",
-    watertight: Annotated[bool, typer.Option("--watertight", help="Close the mesh with walls and a bottom.")] = False,
+    watertight: Annotated[
+        bool, typer.Option("--watertight", help="Close the mesh with walls and a bottom.", rich_help_panel=_HOW)
+    ] = False,
     interval: Annotated[
-        float | None, typer.Option(metavar="M", help="Between contours [m]; default: some ten of them.")
+        float | None,
+        typer.Option(metavar="M", help="Between contours [m]; default: some ten of them.", rich_help_panel=_HOW),
     ] = None,
     no_bed: Annotated[
         bool,
-        typer.Option("--no-bed", help="Into LAS, LAZ and COPC also what saw no bed: classes 45, and 41 over it."),
+        typer.Option(
+            "--no-bed",
+            help="Into LAS, LAZ and COPC also what saw no bed: classes 45, and 41 over it.",
+            rich_help_panel=_HOW,
+        ),
     ] = False,
     survey: Annotated[
-        str | None, typer.Option(metavar="DIR", help="Survey folder, if it was moved since the run.")
+        str | None,
+        typer.Option(metavar="DIR", help="Survey folder, if it was moved since the run.", rich_help_panel=_HOW),
     ] = None,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
@@ -66,9 +91,10 @@ def run(
             results.line(path)
 
 
-def _parameter(product: Product) -> inspect.Parameter:
-    """The option of a product as Typer reads it."""
-    option = typer.Option(f"--{product.option}", metavar="DIR" if product.is_folder else "FILE", help=product.help)
+def _parameter(family: str, product: Product) -> inspect.Parameter:
+    """The option of a product as Typer reads it, in the panel of its family."""
+    place = "DIR" if product.is_folder else "FILE"
+    option = typer.Option(f"--{product.option}", metavar=place, help=product.help, rich_help_panel=family)
     kind = inspect.Parameter.KEYWORD_ONLY
     return inspect.Parameter(product.option, kind, default=None, annotation=Annotated[Path | None, option])
 
@@ -76,7 +102,8 @@ def _parameter(product: Product) -> inspect.Parameter:
 def _signature() -> inspect.Signature:
     """Of `run`, with an option for each product in the place of ``files``."""
     own = inspect.signature(run, eval_str=True).parameters
-    first = [own["run"], *(_parameter(product) for product in PRODUCTS)]
+    products = [_parameter(family, product) for family, members in FAMILIES.items() for product in members]
+    first = [own["run"], *products]
     others = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for name, p in own.items() if name not in ("run", "files")]
     return inspect.Signature([*first, *others], return_annotation=None)
 

@@ -21,15 +21,29 @@ EXAMPLES = """
 def run(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder with photographs, in images/ or itself.")],
     level: Annotated[
-        float | None, typer.Option(metavar="M", help="Height of the water in the heights of the CRS [m].")
+        float | None,
+        typer.Option(
+            metavar="M", help="Height of the water in the heights of the CRS [m].", rich_help_panel="What no file tells"
+        ),
     ] = None,
     crs: Annotated[
-        str | None, typer.Option(metavar="CRS", help="Horizontal and vertical, e.g. EPSG:25832+7837; default: found.")
+        str | None,
+        typer.Option(
+            metavar="CRS",
+            help="Horizontal and vertical, e.g. EPSG:25832+7837; default: found.",
+            rich_help_panel="What no file tells",
+        ),
     ] = None,
-    dry: Annotated[bool, typer.Option("--dry", help="There is no water.")] = False,
+    dry: Annotated[
+        bool, typer.Option("--dry", help="There is no water.", rich_help_panel="What no file tells")
+    ] = False,
     origin: Annotated[
         tuple[float, float, float] | None,
-        typer.Option(metavar="E N H", help="Zero point of poses in a local frame, in the CRS."),
+        typer.Option(
+            metavar="E N H",
+            help="Zero point of poses in a local frame, in the CRS.",
+            rich_help_panel="What no file tells",
+        ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace survey.toml.")] = False,
     verbose: Verbose = 0,

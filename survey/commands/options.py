@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -9,22 +11,46 @@ import typer
 
 from survey.plan.choices import Device
 
+
+def words_of(kind: Iterable[StrEnum]) -> str:
+    """The words of an enumeration as a placeholder, e.g. auto|cpu|cuda."""
+    return "|".join(kind)
+
+
 # After Ctrl-C, for verbs that resume.
 KEPT = "finished work is kept, and the same command resumes from there"
 
+# Panels of help that several verbs have.
+AIM, HOW, FILES = "How well, or how fast", "How it is computed", "Files of results"
+COMPARED = "What is compared"
+
 SurveyFolder = Annotated[Path, typer.Argument(metavar="SURVEY", help="Folder with images and survey.toml.")]
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder written by process.")]
-DeviceOption = Annotated[Device, typer.Option(help="Where to compute.")]
+DeviceOption = Annotated[Device, typer.Option(metavar=words_of(Device), help="Where to compute.", rich_help_panel=HOW)]
 TargetStd = Annotated[
     float | None,
-    typer.Option(metavar="METRES", help="Standard deviation wanted on 95 % of the ground: the least work for it."),
+    typer.Option(
+        metavar="METRES",
+        help="Standard deviation wanted on 95 % of the ground: the least work for it.",
+        rich_help_panel=AIM,
+    ),
 ]
-TimeBudget = Annotated[float | None, typer.Option(metavar="SECONDS", help="What the run may take: the best that fits.")]
+TimeBudget = Annotated[
+    float | None,
+    typer.Option(metavar="SECONDS", help="What the run may take: the best that fits.", rich_help_panel=AIM),
+]
 ImageScale = Annotated[
     float | None,
-    typer.Option(metavar="SCALE", help="Work on images at 1, 0.5, 0.25, ...; default: by size and quality."),
+    typer.Option(
+        metavar="SCALE",
+        help="Work on images at 1, 0.5, 0.25, ...; default: by size and quality.",
+        rich_help_panel=HOW,
+    ),
 ]
-Visible = Annotated[Path | None, typer.Option(metavar="FILE", help="Points of the reference that cameras see.")]
+Visible = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Points of the reference that cameras see.", rich_help_panel=COMPARED),
+]
 Verbose = Annotated[
     int, typer.Option("-v", "--verbose", count=True, show_default=False, help="More details, and tracebacks.")
 ]

@@ -10,6 +10,9 @@ import typer
 from survey.commands.console import command
 from survey.commands.memory import require_address_space
 from survey.commands.options import (
+    AIM,
+    COMPARED,
+    HOW,
     KEPT,
     DeviceOption,
     ImageScale,
@@ -19,6 +22,7 @@ from survey.commands.options import (
     TimeBudget,
     Verbose,
     Visible,
+    words_of,
 )
 from survey.machine import process_age_s
 from survey.names import RUN_FOLDER
@@ -32,6 +36,8 @@ EXAMPLES = """
     bathynerf process my_survey --reference lidar.las
 """
 
+_WATER = "Water"
+
 
 def run(
     survey: SurveyFolder,
@@ -39,25 +45,52 @@ def run(
         Path | None, typer.Option("-o", "--output", metavar="RUN", help=f"Run folder; default: SURVEY/{RUN_FOLDER}.")
     ] = None,
     quality: Annotated[
-        Quality | None, typer.Option(help="Trades run time for detail; default: standard.", show_default=False)
+        Quality | None,
+        typer.Option(
+            metavar=words_of(Quality),
+            help="Trades run time for detail; default: standard.",
+            show_default=False,
+            rich_help_panel=AIM,
+        ),
     ] = None,
     target_std: TargetStd = None,
     time_budget: TimeBudget = None,
     device: DeviceOption = Device.auto,
-    field: Annotated[Field, typer.Option(help="What refines the heights; render needs slab.")] = Field.auto,
+    field: Annotated[
+        Field,
+        typer.Option(metavar=words_of(Field), help="What refines the heights; render needs slab.", rich_help_panel=HOW),
+    ] = Field.auto,
     poses: Annotated[
-        Poses, typer.Option(help="Adjust poses, lens and water together, or take the poses as they are.")
+        Poses,
+        typer.Option(
+            metavar=words_of(Poses),
+            help="Adjust poses, lens and water together, or take the poses as they are.",
+            rich_help_panel=HOW,
+        ),
     ] = Poses.auto,
-    plan: Annotated[Plan, typer.Option(help="Leave out what the scene does not need, or nothing.")] = Plan.auto,
+    plan: Annotated[
+        Plan,
+        typer.Option(
+            metavar=words_of(Plan), help="Leave out what the scene does not need, or nothing.", rich_help_panel=HOW
+        ),
+    ] = Plan.auto,
     image_scale: ImageScale = None,
     resume: Annotated[bool, typer.Option(help="Reuse finished stages of an earlier run.")] = True,
     calibrate_water: Annotated[
-        bool, typer.Option("--calibrate-water", help="First estimate the water from the photographs.")
+        bool,
+        typer.Option(
+            "--calibrate-water", help="First estimate the water from the photographs.", rich_help_panel=_WATER
+        ),
     ] = False,
     true_colour: Annotated[
-        bool, typer.Option("--true-colour", help="Give points the colour of the bed without the water.")
+        bool,
+        typer.Option(
+            "--true-colour", help="Give points the colour of the bed without the water.", rich_help_panel=_WATER
+        ),
     ] = False,
-    reference: Annotated[Path | None, typer.Option(metavar="FILE", help="True surface, for the report only.")] = None,
+    reference: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="True surface, for the report only.", rich_help_panel=COMPARED)
+    ] = None,
     visible: Visible = None,
     verbose: Verbose = 0,
     quiet: Quiet = 0,

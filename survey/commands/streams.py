@@ -45,6 +45,8 @@ def flush_all() -> OSError | None:
 def say_error(message: str) -> None:
     """Write a message to standard error, unless it is empty or standard error cannot be written."""
     if message:
+        from survey.lines import fitted
+
         with suppress(OSError):
-            sys.stderr.write(f"error: {message}\n")
+            sys.stderr.write(f"{fitted(message, sys.stderr, label='error: ')}\n")
             sys.stderr.flush()

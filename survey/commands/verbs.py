@@ -15,7 +15,11 @@ import typer
 from typer.core import TyperGroup
 
 from survey.commands import benchmark, change, check, compare, export, init, process, render, simulate, waterline
+from survey.commands.console import BEFORE_VERB
 from survey.commands.faults import BAD_INPUT
+from survey.commands.options import Quiet, Verbose
+from survey.commands.pages import Page
+from survey.commands.streams import say_error
 
 # In the order of `bathynerf --help`.
 VERBS = (init, check, process, waterline, export, render, compare, change, simulate, benchmark)
@@ -62,7 +66,7 @@ def _in_one_sentence() -> Iterator[None]:
         if type(error).__name__ == "NoArgsIsHelpError":
             raise
         text = error.format_message().replace("Value error, ", "").rstrip(".")
-        typer.echo(f"error: {text[:1].lower()}{text[1:]}; --help lists what is known", err=True)
+        say_error(f"{text[:1].lower()}{text[1:]}; --help lists what is known")
         raise typer.Exit(BAD_INPUT) from error
 
 
@@ -72,7 +76,6 @@ app = typer.Typer(
     help="Drone photographs of shallow water become a georeferenced point cloud of the bed.",
     epilog=_EPILOG,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -80,19 +83,27 @@ app = typer.Typer(
 
 
 @app.callback(invoke_without_command=True)
-def _root(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+def _root(
+    ctx: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+    verbose: Verbose = 0,
+    quiet: Quiet = 0,
+) -> None:
     if version:
         import importlib.metadata
 
         typer.echo(f"bathynerf {importlib.metadata.version('bathynerf')}")
         raise typer.Exit(0)
+    BEFORE_VERB.set(verbose - quiet)
+    if ctx.invoked_subcommand is None:
+        typer.echo(ctx.get_help())
 
 
 def _add(verb) -> None:
     name = verb.__name__.rpartition(".")[2]
     summary = inspect.cleandoc(verb.run.__doc__).partition("\n\n")[0]
     examples = textwrap.indent(textwrap.dedent(verb.EXAMPLES).strip(), "  ")
-    app.command(name, short_help=summary, epilog=f"\b\nExamples:\n{examples}\n")(verb.run)
+    app.command(name, cls=Page, short_help=summary, epilog=f"\b\nExamples:\n{examples}\n")(verb.run)
 
 
 for _verb in VERBS:

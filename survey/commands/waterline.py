@@ -21,11 +21,22 @@ EXAMPLES = """
 def run(
     survey: SurveyFolder,
     device: DeviceOption = Device.auto,
-    nadir_only: Annotated[bool, typer.Option("--nadir-only", help="Use only views that look straight down.")] = False,
-    start_level: Annotated[float | None, typer.Option(metavar="M", help="Start from this level [m].")] = None,
-    start_index: Annotated[float | None, typer.Option(metavar="N", help="Start from this refractive index.")] = None,
+    nadir_only: Annotated[
+        bool,
+        typer.Option("--nadir-only", help="Use only views that look straight down.", rich_help_panel="Where it starts"),
+    ] = False,
+    start_level: Annotated[
+        float | None, typer.Option(metavar="M", help="Start from this level [m].", rich_help_panel="Where it starts")
+    ] = None,
+    start_index: Annotated[
+        float | None,
+        typer.Option(metavar="N", help="Start from this refractive index.", rich_help_panel="Where it starts"),
+    ] = None,
     poses_of: Annotated[
-        Path | None, typer.Option("--run", metavar="RUN", help="Use the poses computed by this run.")
+        Path | None,
+        typer.Option(
+            "--run", metavar="RUN", help="Use the poses computed by this run.", rich_help_panel="Where it starts"
+        ),
     ] = None,
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for all results.")] = None,
     verbose: Verbose = 0,

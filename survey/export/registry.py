@@ -11,6 +11,12 @@ from survey.export.product import Product
 from survey.export.terrain import TERRAIN
 from survey.export.vectors import VECTORS
 
-PRODUCTS: tuple[Product, ...] = (
-    *CLOUDS, *TERRAIN, *HYDROGRAPHY, *ORTHOPHOTO, *MESHES, *VECTORS, *CAMERAS,
-)  # fmt: skip
+# By the panel of help that a product stands in.
+FAMILIES: dict[str, tuple[Product, ...]] = {
+    "Points": CLOUDS,
+    "Rasters": (*TERRAIN, *HYDROGRAPHY, *ORTHOPHOTO),
+    "Meshes": MESHES,
+    "Lines and areas": VECTORS,
+    "Cameras": CAMERAS,
+}
+PRODUCTS: tuple[Product, ...] = tuple(product for members in FAMILIES.values() for product in members)

@@ -33,13 +33,13 @@ if TYPE_CHECKING:
     from survey.errors import SurveyError
     from survey.export.export import export
     from survey.export.product import ExportOptions
+    from survey.export.render import render
     from survey.folder.survey import Survey, load_survey
     from survey.photos.cameras import View
     from survey.plan.choices import Choices
     from survey.plan.plan import Plan, make_plan
     from survey.progress import Progress
     from survey.run.process import process
-    from survey.run.render import render
     from survey.simulate.drawn import draw_survey
     from survey.simulate.drawn.settings import DrawnScene
     from survey.simulate.staging.simulate import simulate
@@ -111,7 +111,7 @@ _MODULES = {
     "survey.plan.plan": ("Plan", "make_plan"),
     "survey.progress": ("Progress",),
     "survey.run.process": ("process",),
-    "survey.run.render": ("render",),
+    "survey.export.render": ("render",),
     "survey.simulate.drawn": ("draw_survey",),
     "survey.simulate.drawn.settings": ("DrawnScene",),
     "survey.simulate.staging.simulate": ("simulate",),

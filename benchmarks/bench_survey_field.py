@@ -1,11 +1,12 @@
 """What does the field bring to a survey, and how well does it predict photographs that were held out?
 
-    python benchmarks/bench_survey_field.py SURVEY -o WORK [--quality draft] [--rows sweep field held]
+    python benchmarks/bench_survey_field.py SURVEY -o WORK [--quality draft] [--rows sweep field held held_field]
         [--reference F --visible F] [--lpips F] [--dists F]
 
 Rows: `sweep`, the cloud of `bathynerf process --field off`; `field`, the same with the field, whose run goes on from
 that sweep; `held`, a survey without every eighth photograph, processed with the field, and what `bathynerf render`
-makes of the cameras that were left out, over water pixels. One JSON for each row in WORK, and markers for commands that
+makes of the cameras that were left out from the other photographs, over water pixels; `held_field`, the same from the
+field. One JSON for each row in WORK, and markers for commands that
 have finished: the same command again does what is missing. SURVEY is only read. Reference and visible points default to
 reference.ply and visible.ply of the survey; weights of LPIPS and DISTS are state dicts of torch.
 """
@@ -32,6 +33,7 @@ from survey.run.stored import load_bed
 
 # The images number 4, 12, 20, ... of the table are left out.
 EVERY, FIRST = 8, 4
+HELD = ("held", "held_field")
 # A quality gate that failed leaves all outputs behind.
 FINISHED = (0, 3)
 BATHYNERF = [sys.executable, "-c", "from survey.commands.app import main; main()"]
@@ -86,19 +88,20 @@ def held_survey(survey: Path, folder: Path) -> Path:
     return folder / "held.csv"
 
 
-def held_row(options: argparse.Namespace) -> dict:
-    """Photographs that the field has not seen, predicted."""
-    folder, views = options.output / "held", options.output / "views"
+def held_row(name: str, options: argparse.Namespace) -> dict:
+    """Photographs that were left out, predicted from the others or from the field."""
+    folder, views = options.output / "held", options.output / f"views of {name}"
     table, run = held_survey(options.survey, folder), folder / "bathynerf"
     arguments = ["process", str(folder), "--quality", options.quality, "--field", "slab", "-q"]
     record = {"process": once(options.output / "held.process.json", arguments)}
     arguments = ["render", str(run), "--cameras", str(table), "-o", str(views), "-q"]
-    record["render"] = once(options.output / "held.render.json", arguments)
+    arguments += ["--field"] if name == "held_field" else []
+    record["render"] = once(options.output / f"{name}.render.json", arguments)
     survey, deepest = load_survey(options.survey), float(load_bed(RunDir(run).load_stage("bed")).bed.depth.max())
     weights = {f"{k}_weights": load(getattr(options, k)) for k in ("lpips", "dists") if getattr(options, k)}
     rendered = [(view, (views / view.name).with_suffix(".png")) for view in survey.views]
     each = [view_figures(survey, view, path, deepest, weights) for view, path in rendered if path.exists()]
-    return {"row": "held", **record, **summary(each), "views": each}
+    return {"row": name, **record, **summary(each), "views": each}
 
 
 def load(path: Path) -> dict:
@@ -108,7 +111,7 @@ def load(path: Path) -> dict:
 def table(rows: list[dict]) -> str:
     """The rows as Markdown."""
     lines = []
-    clouds = [r for r in rows if r["row"] != "held"]
+    clouds = [r for r in rows if r["row"] not in HELD]
     if clouds:
         share = 100.0 * clouds[0]["mast_share"]
         lines += [
@@ -123,9 +126,9 @@ def table(rows: list[dict]) -> str:
             said = ["" if v is None else f"{100.0 * v:.2f} %" for v in shares]
             lengths = [f"{1000.0 * r[f'{k}_{part}']:.1f}" for k in ("mean", "std")]
             lines.append(f"| {r['row']} | {r['wall_s']:.0f} | {part} | {' | '.join(said + lengths)} |")
-    for r in (r for r in rows if r["row"] == "held"):
+    for r in (r for r in rows if r["row"] in HELD):
         found = {k: v for k, v in r.items() if isinstance(v, float)}
-        lines += ["", f"Held out: {r['images']} images.", "", "| measure | mean |", "|---|---|"]
+        lines += ["", f"{r['row']}: {r['images']} images.", "", "| measure | mean |", "|---|---|"]
         lines += [f"| {name} | {value:.4f} |" for name, value in sorted(found.items())]
     return "\n".join(lines)
 
@@ -135,7 +138,7 @@ def main() -> None:
     parser.add_argument("survey", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--quality", default="draft")
-    parser.add_argument("--rows", nargs="+", default=["sweep", "field", "held"], choices=["sweep", "field", "held"])
+    parser.add_argument("--rows", nargs="+", default=["sweep", "field", *HELD], choices=["sweep", "field", *HELD])
     for name in ("reference", "visible", "lpips", "dists"):
         parser.add_argument(f"--{name}", type=Path)
     options = parser.parse_args()
@@ -146,7 +149,7 @@ def main() -> None:
     for name in options.rows:
         path = options.output / f"{name}.json"
         if not path.exists():
-            row = held_row(options) if name == "held" else cloud_row(name, options)
+            row = held_row(name, options) if name in HELD else cloud_row(name, options)
             path.write_text(json.dumps(row, indent=2))
         rows.append(json.loads(path.read_text()))
     print(table(rows))  # noqa: T201

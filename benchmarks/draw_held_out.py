@@ -35,7 +35,7 @@ def main() -> None:
     views = json.loads((options.work / "held.json").read_text(encoding="utf-8"))["views"]
     psnr_db = next(view["psnr_db"] for view in views if view["image"] == options.image)
     photograph = pixels(options.survey / "images" / options.image)
-    rendered = pixels((options.work / "views" / options.image).with_suffix(".png"))
+    rendered = pixels((options.work / "views of held" / options.image).with_suffix(".png"))
     draw(photograph, rendered, psnr_db)
 
 
@@ -52,21 +52,21 @@ def draw(photograph: np.ndarray, rendered: np.ndarray, psnr_db: float) -> None:
     for axes in plots.flat:
         axes.set(xticks=[], yticks=[])
         axes.spines[:].set_visible(False)
-    (whole, wreck), (apart, from_field) = plots
+    (whole, wreck), (apart, rendered_part) = plots
     whole.imshow(cut(photograph, WHOLE), extent=(WHOLE[0], WHOLE[2], WHOLE[3], WHOLE[1]))
     whole.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, ec=RED, lw=1.2))
     wreck.imshow(cut(photograph, WRECK))
-    from_field.imshow(cut(rendered, WRECK))
+    rendered_part.imshow(cut(rendered, WRECK))
     difference = np.abs(photograph.astype(float) - rendered).mean(axis=2)
     shades = apart.imshow(cut(difference, WRECK), cmap="gray_r", vmin=0.0, vmax=MOST)
     bar = figure.colorbar(shades, ax=apart, location="left", extend="max", shrink=0.8, pad=0.02)
     bar.set_label("difference [grey levels]", color=INK, fontsize=8.5)
     bar.ax.tick_params(colors=SOFT, labelsize=8.0)
     titles = (
-        (whole, "A photograph that the field has not seen"),
+        (whole, "A photograph that was left out"),
         (wreck, "The wreck, photographed"),
         (apart, "Where both differ"),
-        (from_field, f"The wreck, rendered ({psnr_db:.1f} dB over the water)"),
+        (rendered_part, f"The wreck, rendered ({psnr_db:.1f} dB over the water)"),
     )
     for axes, title in titles:
         axes.set_title(title, loc="left", color=INK, fontsize=10)

@@ -13,6 +13,7 @@ from fields.slab.rays import Rays, rays_of
 from fields.slab.slab import Slab
 from fields.slab.tensor_field import TensorField
 from fields.threads import half_the_threads
+from fields.views.novel_view import NovelView
 from refract import FlatWater, PinholeCamera
 
 CHUNK = 65536
@@ -24,33 +25,6 @@ HALVINGS = 10
 STRIDE = 8
 # Unknown cells with known ones on two sides, each this near, are shown.
 GAP_CELLS = 4
-
-
-@dataclass(frozen=True)
-class NovelView:
-    """A rendered view; NaN, and black, where the camera does not look at the field.
-
-    Attributes
-    ----------
-    rgb : (height, width, 3) uint8
-        As a photograph stores it.
-    bed_height : (height, width) float32 [m]
-        Over the water plane (over local z = 0 without water), negative below it.
-    distance : (height, width) float32 [m]
-        From the camera to the bed along the path, air and water legs together.
-    normal : (height, width, 3) float32 unit, local
-        Of the bed, up.
-    """
-
-    rgb: np.ndarray
-    bed_height: np.ndarray
-    distance: np.ndarray
-    normal: np.ndarray
-
-    @property
-    def seen(self) -> np.ndarray:
-        """(height, width) bool: pixels that show the field."""
-        return np.isfinite(self.bed_height)
 
 
 @half_the_threads()

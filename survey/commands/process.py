@@ -58,7 +58,9 @@ def run(
     device: DeviceOption = Device.auto,
     field: Annotated[
         Field,
-        typer.Option(metavar=words_of(Field), help="What refines the heights; render needs slab.", rich_help_panel=HOW),
+        typer.Option(
+            metavar=words_of(Field), help="What refines the heights; slab: for render --field.", rich_help_panel=HOW
+        ),
     ] = Field.auto,
     poses: Annotated[
         Poses,

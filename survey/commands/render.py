@@ -1,4 +1,4 @@
-"""`bathynerf render`: the options of `survey.run.render`."""
+"""`bathynerf render`: the options of `survey.export.render`."""
 
 from __future__ import annotations
 
@@ -22,13 +22,19 @@ def run(
     cameras: Annotated[Path, typer.Option(metavar="FILE", help="Poses: a table like cameras.csv, or a COLMAP model.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the pictures.")],
     dry: Annotated[bool, typer.Option("--dry", help="Remove the effect of the water.")] = False,
+    field: Annotated[
+        bool, typer.Option("--field", help="Of the field of `process --field slab`, in place of the photographs.")
+    ] = False,
+    survey: Annotated[
+        str | None, typer.Option(metavar="DIR", help="Survey folder, if it was moved since the run.")
+    ] = None,
     device: DeviceOption = Device.auto,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:
-    """Render the field of a run for other cameras: colours, heights, distances and normals."""
+    """Render the bed of a run for other cameras: colours, heights, distances and normals."""
     with command(verbose, quiet, output) as results:
-        from survey.run.render import render
+        from survey.export.render import render
 
-        for path in render(run, cameras, output, dry=dry, device=device.value):
+        for path in render(run, cameras, output, dry=dry, trained=field, survey=survey, device=device.value):
             results.line(path)

@@ -42,10 +42,10 @@ def common_exposure(
             colour = pixels.at(seen.u.ravel()[at][None], seen.v.ravel()[at][None])[0]
             shown[number, first[window] : first[window] + len(at)] = np.log(np.maximum(colour, 1.0))
         advance()
-    return np.exp(-_gains(shown))
+    return np.exp(-exposure_gains(shown))
 
 
-def _gains(shown: np.ndarray) -> np.ndarray:
+def exposure_gains(shown: np.ndarray) -> np.ndarray:
     """What photographs (V, 3) add to the logarithms of colours (V, K, 3), NaN where one does not show a cell."""
     gain = np.zeros((len(shown), 3))
     shown = shown[:, np.isfinite(shown[..., 0]).sum(axis=0) >= 2]

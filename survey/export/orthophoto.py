@@ -113,22 +113,18 @@ def _heights(grid: Gridded, cells: PlanCells, window: Window) -> np.ndarray:
 
 def _colour_of(run: LoadedRun, grid: Gridded, cells: PlanCells) -> ColourOf:
     """Colours as the mosaic has them, of what a photograph shows: as they are, or without the water."""
-    water = run.config.water
-    if not run.is_true_colour or water is None or water.refractive_index is None or grid.level is None:
+    from survey.export.photographs import colours_without_water
+
+    without_water, level = colours_without_water(run), grid.level
+    if without_water is None or level is None:
         return lambda colour, _window, _height, _seen: colour
     import numpy as np
-
-    from fields.colour.true_colour import stored_colours, without_water
-    from fields.water_column import WaterColumn
-
-    column = WaterColumn(water.absorption_per_m, water.veiling_light)
-    level, n_water = grid.level, water.refractive_index
 
     def dry(colour: np.ndarray, window: Window, height: np.ndarray, seen: Sight) -> np.ndarray:
         depth = level(cells.middles(window)) - height
         wet = np.isfinite(colour[..., 0]) & (depth > 0.0)
         incidence = np.arccos(np.clip(seen.cos_incidence[wet], -1.0, 1.0))
-        colour[wet] = stored_colours(without_water(colour[wet], depth[wet], incidence, n_water, column))
+        colour[wet] = without_water(colour[wet], depth[wet], incidence)
         return colour
 
     return dry

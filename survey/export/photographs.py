@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -68,6 +69,22 @@ class Pixels:
 def at_scale(flight: Flight, scale: float) -> list[Photograph]:
     """The photographs of a flight at a scale of at most 1."""
     return [Photograph(v, v.camera if scale == 1.0 else v.camera.scaled(scale), scale) for v in flight.views]
+
+
+def colours_without_water(run: LoadedRun) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None:
+    """Of colours (N, 3), 0 to 255, depth (N,) [m] and incidence (N,) [rad] in air, the colours without the water.
+
+    None where the run's own points have the colours that photographs show.
+    """
+    water = run.config.water
+    if not run.is_true_colour or water is None or water.refractive_index is None:
+        return None
+    # Imported where they are needed: they take torch.
+    from fields.colour.true_colour import stored_colours, without_water
+    from fields.water_column import WaterColumn
+
+    column, n_water = WaterColumn(water.absorption_per_m, water.veiling_light), water.refractive_index
+    return lambda rgb, depth, incidence: stored_colours(without_water(rgb, depth, incidence, n_water, column))
 
 
 def flight_of(run: LoadedRun, folder: str | None) -> Flight:

@@ -70,7 +70,7 @@ def process(
     device : "auto", "cpu" or "cuda"
     field : "auto", "solver", "slab" or "off"
         What refines the heights of the sweep: least squares over all photographs, a tensor field trained in a slab,
-        which `render` needs, or nothing; "auto" leaves it to the plan.
+        for ``render --field``, or nothing; "auto" leaves it to the plan.
     target_std_m : [m], optional
         Standard deviation that is wanted on 95 % of the ground: as little work as reaches it.
     time_budget_s : [s], optional

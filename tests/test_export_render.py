@@ -1,4 +1,4 @@
-"""`bathynerf render`: pictures of a field from poses in a file, and what is said where they cannot be made."""
+"""`bathynerf render`: pictures of a bed from poses in a file, and what is said where they cannot be made."""
 
 from __future__ import annotations
 
@@ -7,23 +7,30 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from painted_survey import DEPTH_M, EXPOSURES, SLOPE, painted_survey, run_over
 from PIL import Image
 from plane_field import field_over, level_slab
+from plane_survey import PlaneBed
 from pyproj import CRS
 
 from fields.device import choose_device
 from fields.slab.train import FieldFigures
+from fields.sweep.maps import DepthMap
 from geo.frames import LocalFrame
 from refract import FlatWater
 from refract.lens import Lens
 from survey.errors import OutputError, SurveyError
+from survey.export.render import render
 from survey.folder.config import CamerasConfig, SurveyConfig, dump_config
+from survey.photos.cameras import View
 from survey.progress import Progress
+from survey.run.flight import save_flight
 from survey.run.folder import RunDir
 from survey.run.keys import Key
-from survey.run.render import render
+from survey.run.stage_sweep import MAPS
 from survey.run.stored import PLACE_FILE
 from survey.run.stored_field import load_place, save_field, save_place
+from survey.run.stored_maps import save_maps
 
 ORIGIN = (691000.0, 5334000.0, 500.0)
 WATER = FlatWater((1.0, 2.0, 0.5), n_water=1.34, slope_x=0.01, slope_y=-0.004)
@@ -71,7 +78,7 @@ def test_a_place_comes_back(tmp_path, frame):
 
 
 def test_a_camera_gets_four_pictures(run, tmp_path):
-    (path,) = render(run, poses(tmp_path, ABOVE), tmp_path / "new" / "views", device="cpu")
+    (path,) = render(run, poses(tmp_path, ABOVE), tmp_path / "new" / "views", device="cpu", trained=True)
     assert path == tmp_path / "new" / "views" / "nadir.png"
     assert sorted(p.name for p in path.parent.iterdir()) == [
         "nadir.png", "nadir_distance.tif", "nadir_height.tif", "nadir_normal.png",
@@ -91,7 +98,7 @@ def test_a_picture_is_seen_through_the_lens_of_its_camera(run, tmp_path):
     settings = RunDir(run).settings_path
     lens = replace(LENS, model="OPENCV", distortion=(2.0, 0.0, 0.01, -0.02))
     settings.write_text(dump_config(SurveyConfig(crs="EPSG:25832+5783", cameras=lens)), encoding="utf-8")
-    (path,) = render(run, poses(tmp_path, ABOVE), tmp_path, device="cpu")
+    (path,) = render(run, poses(tmp_path, ABOVE), tmp_path, device="cpu", trained=True)
     distance = np.asarray(Image.open(path.with_name("nadir_distance.tif")))
     # Over level water and a level bed the length of a path tells where it looks.
     camera = Lens("OPENCV", (200.0, 200.0, 20.0, 15.0, *lens.distortion), 40, 30).camera(np.zeros(3), np.eye(3))
@@ -105,28 +112,28 @@ def test_a_picture_is_seen_through_the_lens_of_its_camera(run, tmp_path):
 def test_a_camera_that_looks_elsewhere_is_named(run, tmp_path, capsys):
     lines = ABOVE + "far.jpg,691500,5334000,509,0,0,0\n"
     with Progress(verbosity=0):
-        render(run, poses(tmp_path, lines), tmp_path, device="cpu")
-    assert "1 of 2 cameras do not look at the field: far.jpg" in capsys.readouterr().err
+        render(run, poses(tmp_path, lines), tmp_path, device="cpu", trained=True)
+    assert "1 of 2 cameras see nothing of the bed: far.jpg" in capsys.readouterr().err
     assert not np.asarray(Image.open(tmp_path / "far.png")).any()
 
 
 def test_a_run_without_a_field_is_told_how_to_get_one(tmp_path):
     with RunDir(tmp_path / "run"):
         pass
-    with pytest.raises(SurveyError, match="has no field to render; give `bathynerf process` again with --field slab"):
-        render(tmp_path / "run", poses(tmp_path, ABOVE), tmp_path)
+    with pytest.raises(SurveyError, match="has no trained field; give `bathynerf process` again with --field slab"):
+        render(tmp_path / "run", poses(tmp_path, ABOVE), tmp_path, trained=True)
 
 
 def test_a_photograph_is_not_overwritten_by_the_picture_of_its_camera(run, tmp_path):
     views = tmp_path / "views"
-    render(run, poses(tmp_path, ABOVE), views, device="cpu")
-    render(run, poses(tmp_path, ABOVE), views, device="cpu", dry=True)
+    render(run, poses(tmp_path, ABOVE), views, device="cpu", trained=True)
+    render(run, poses(tmp_path, ABOVE), views, device="cpu", trained=True, dry=True)
     Image.new("RGB", (40, 30)).save(views / "nadir.png")
     before = (views / "nadir.png").read_bytes()
     with pytest.raises(
         OutputError, match=r"-o names .*nadir\.png, which exists and is not a picture that render wrote"
     ):
-        render(run, poses(tmp_path, ABOVE), views, device="cpu")
+        render(run, poses(tmp_path, ABOVE), views, device="cpu", trained=True)
     assert (views / "nadir.png").read_bytes() == before
 
 
@@ -135,24 +142,81 @@ def test_pictures_do_not_go_among_photographs_nor_into_the_run_s_own_folders(run
     (tmp_path / "survey.toml").write_text('crs = "EPSG:25832+5783"')
     (tmp_path / "images").mkdir()
     with pytest.raises(OutputError, match="whose files are read; name a folder elsewhere"):
-        render(run, poses(tmp_path, ABOVE), tmp_path / place, device="cpu")
+        render(run, poses(tmp_path, ABOVE), tmp_path / place, device="cpu", trained=True)
     assert not list((tmp_path / "images").iterdir())
 
 
 def test_a_camera_with_the_path_of_a_photograph_does_not_leave_the_folder(run, tmp_path):
     for name in ("../nadir.jpg", str(tmp_path / "nadir.jpg")):
         with pytest.raises(OutputError, match=rf"the camera {name} in .*cameras\.csv would be written outside of"):
-            render(run, poses(tmp_path, ABOVE.replace("nadir.jpg", name)), tmp_path / "views", device="cpu")
+            render(
+                run, poses(tmp_path, ABOVE.replace("nadir.jpg", name)), tmp_path / "views", device="cpu", trained=True
+            )
     assert not (tmp_path / "nadir.png").exists()
 
 
 def test_poses_off_the_map_are_refused(run, tmp_path):
     with pytest.raises(SurveyError, match=r"of nadir\.jpg in .*cameras\.csv is not on the map"):
-        render(run, poses(tmp_path, ABOVE.replace("691000", "1e11")), tmp_path, device="cpu")
+        render(run, poses(tmp_path, ABOVE.replace("691000", "1e11")), tmp_path, device="cpu", trained=True)
 
 
 def test_a_lens_is_asked_for_where_there_is_none(run, tmp_path):
     folder = RunDir(run)
     folder.settings_path.write_text(dump_config(SurveyConfig(crs="EPSG:25832+5783")))
     with pytest.raises(SurveyError, match=r"carries no lens, and survey\.toml gives no size_px and focal_px"):
-        render(run, poses(tmp_path, ABOVE), tmp_path, device="cpu")
+        render(run, poses(tmp_path, ABOVE), tmp_path, device="cpu", trained=True)
+
+
+@pytest.fixture
+def photographed(tmp_path):
+    """The folder of a survey with painted photographs in four exposures, and a run with exact height maps."""
+    survey = painted_survey(tmp_path / "s")
+    path = run_over(survey, tmp_path / "painted run")
+    bed = PlaneBed(survey.water, survey.water.point[2] - DEPTH_M, SLOPE)
+    with RunDir(path) as folder:
+        stages = {name: folder.stages_path / stage for name, stage in folder.result()["stages"].items()}
+        stage = folder.open_stage("sweep")
+        save_maps(stage / MAPS, DepthMap, [map_of(bed, number, view) for number, view in enumerate(survey.views)])
+        stages["sweep"] = folder.finish_stage("sweep", Key({}), stage)
+        result = folder.open_result("standard")
+        (result / "plan.json").write_text(json.dumps({"image_scale": 1.0}))
+        (result / "settings.toml").write_text(dump_config(survey.config), encoding="utf-8")
+        save_flight(result, survey)
+        folder.publish(result, quality="standard", stages=stages)
+    return tmp_path / "s", path
+
+
+def map_of(bed: PlaneBed, number: int, view: View) -> DepthMap:
+    height = bed.true_height(view.camera).astype(np.float32)
+    confirmed, score = np.full(height.shape, 3, dtype=np.uint8), np.ones(height.shape, dtype=np.float16)
+    return DepthMap(number, height, score, confirmed, 0.0 * score)
+
+
+def test_photographs_are_rendered_in_a_common_exposure(photographed, tmp_path):
+    folder, run = photographed
+    factors = []
+    for path in render(run, folder / "cameras.csv", tmp_path / "views"):
+        rgba, own = (np.asarray(Image.open(each), dtype=float) for each in (path, folder / "images" / path.name))
+        seen = rgba[..., 3] == 255
+        assert seen.mean() > 0.99
+        factor = np.median(rgba[seen][:, :3] / own[seen])
+        assert np.sqrt(np.mean((rgba[seen][:, :3] / factor - own[seen]) ** 2)) < 3.0
+        factors.append(factor)
+    np.testing.assert_allclose(np.array(factors) * EXPOSURES, np.mean(np.array(factors) * EXPOSURES), rtol=0.02)
+    np.testing.assert_allclose(np.mean(np.log(factors)), 0.0, atol=0.02)
+
+
+def test_photographs_that_were_moved_are_found_by_the_folder_of_their_survey(photographed, tmp_path):
+    folder, run = photographed
+    folder.rename(tmp_path / "moved")
+    with pytest.raises(SurveyError, match=r"is not there any more; name the folder of the survey with --survey DIR"):
+        render(run, tmp_path / "moved" / "cameras.csv", tmp_path / "views")
+    table = tmp_path / "moved" / "cameras.csv"
+    assert len(render(run, table, tmp_path / "views", survey=str(tmp_path / "moved"))) == len(EXPOSURES)
+
+
+def test_a_run_without_height_maps_says_what_is_missing(tmp_path):
+    survey = painted_survey(tmp_path / "s")
+    run = run_over(survey, tmp_path / "painted run")
+    with pytest.raises(SurveyError, match="has no finished stage sweep; give the same `bathynerf process` again"):
+        render(run, tmp_path / "s" / "cameras.csv", tmp_path / "views")

@@ -1,7 +1,8 @@
-"""`bathynerf render`: the field of a run as any camera would see it."""
+"""`bathynerf render`: what other cameras would see of the bed of a run."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -10,12 +11,16 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from fields.device import choose_device
-from fields.slab.novel_view import NovelView, render_view
+from fields.slab.novel_view import render_view
+from fields.views.novel_view import NovelView
 from geo.files import disk_refusals, write_whole
 from geo.frames import LocalFrame
 from refract import PinholeCamera
 from refract.lens import Lens
 from survey.errors import FILE_NAME, ConfigError, OutputError, SurveyError
+from survey.export.loaded import LoadedRun
+from survey.export.novel_views import image_based_field
+from survey.export.photographs import colours_without_water
 from survey.files.outputs import ReadFiles, require_file, require_folder
 from survey.folder.config import CamerasConfig, SurveyConfig, read_config
 from survey.folder.inputs import poses_inputs, survey_inputs
@@ -24,6 +29,7 @@ from survey.folder.posed import cams_from_local, points_in_crs
 from survey.photos.formats import read_poses
 from survey.photos.poses import PoseFile, PoseFrame
 from survey.progress import current
+from survey.run.flight import load_flight
 from survey.run.folder import RunDir
 from survey.run.stored_field import load_field, load_place
 
@@ -35,26 +41,41 @@ _SOFTWARE = "bathynerf render"
 
 
 def render(
-    run: str | Path, cameras: str | Path, output: str | Path, *, dry: bool = False, device: str = "auto"
+    run: str | Path,
+    cameras: str | Path,
+    output: str | Path,
+    *,
+    dry: bool = False,
+    trained: bool = False,
+    survey: str | None = None,
+    device: str = "auto",
 ) -> list[Path]:
-    """Write what cameras would see of the field of a run.
+    """Write what cameras would see of the bed of a run.
 
-    Of each camera NAME.png (transparent where it does not look at the field), NAME_height.tif (of the bed over the
-    water plane [m], float32, NaN outside), NAME_distance.tif (from the camera along the path [m]) and
-    NAME_normal.png (local east, north, up as red, green, blue, -1 to 1 as 0 to 255). They are seen through the lens of
-    the camera: at the pose of a photograph, they fit it pixel by pixel.
+    The run's photographs are warped along bent rays onto its height maps, and blended (`fields.views.image_based`);
+    or its `trained` field is rendered.
+
+    Of each camera NAME.png (transparent where it sees no bed), NAME_height.tif (of the bed over the water plane [m],
+    float32, NaN outside), NAME_distance.tif (from the camera along the path [m]) and NAME_normal.png (local east,
+    north, up as red, green, blue, -1 to 1 as 0 to 255). They are seen through the lens of the camera: at the pose of
+    a photograph, they fit it pixel by pixel.
 
     Parameters
     ----------
     run : Path
-        Folder that `bathynerf process` made, with a field in it.
+        Folder that `bathynerf process` made.
     cameras : Path
         Poses, in a format that surveys may have; a lens that it does not carry is that of the survey.
     output : Path
         Folder, made if need be.
     dry : bool
-        Take the water away: straight rays, and the bed's own colour.
+        Take the water away: straight rays, and the bed's own colour where the run has it (``--true-colour``).
+    trained : bool
+        Of the field that ``process --field slab`` trained, in place of the photographs.
+    survey : str, optional
+        Folder of the survey, if it was moved since the run.
     device : "auto", "cpu", "cuda" or "torch"
+        For a trained field.
 
     Returns
     -------
@@ -64,7 +85,7 @@ def render(
     Raises
     ------
     SurveyError, GeoError
-        If the run has no field, or the cameras are unusable.
+        If the run has no height maps or no field, its photographs are not there, or the cameras are unusable.
     OutputError
         If the pictures must not be written there, see `survey.files.outputs`: a picture that is there is replaced
         only where render wrote it.
@@ -73,24 +94,48 @@ def render(
     folder.require_run()
     inputs = _inputs(folder, cameras)
     require_folder("-o", output, inputs, may_hold_inputs=True)
-    stage_folder = _field_folder(folder)
+    frame = load_place(_field_folder(folder))[0] if trained else load_flight(folder.path).frame
     folder.warn_if_unfinished()
-    frame, water = load_place(stage_folder)
     posed = _cameras(read_poses(cameras), cameras, frame, read_config(folder.settings_path))
     stems = {name: _stem(output, name, cameras) for name in posed}
     for picture in (path for stem in stems.values() for path in _pictures(stem) if path.exists()):
         require_file("-o", picture, inputs, kind="a picture that render wrote", is_of_kind=is_our_picture)
-    field = load_field(stage_folder, choose_device(device))
+    if trained:
+        return _written(stems, posed, _of_trained(folder, device, dry=dry))
+    with LoadedRun(run) as loaded:
+        return _written(stems, posed, _of_photographs(loaded, survey, list(posed.values()), dry=dry))
+
+
+def _of_trained(folder: RunDir, device: str, *, dry: bool) -> Callable[[PinholeCamera], NovelView]:
+    stage_folder = _field_folder(folder)
+    field, (_, water) = load_field(stage_folder, choose_device(device)), load_place(stage_folder)
+    return lambda camera: render_view(field, camera, water, dry=dry)
+
+
+def _of_photographs(
+    run: LoadedRun, survey: str | None, cameras: list[PinholeCamera], *, dry: bool
+) -> Callable[[PinholeCamera], NovelView]:
+    with current().stage("Exposure") as stage:
+        field = image_based_field(run, survey, cameras, dry=dry, advance=stage.advance)
+    without_water = colours_without_water(run) if dry else None
+    if dry and without_water is None and run.flight.water is not None:
+        current().note("colours are as photographed; a run with --true-colour has those of the bed without its water")
+    return lambda camera: field.render(camera, dry=dry, without_water=without_water)
+
+
+def _written(
+    stems: dict[str, Path], posed: dict[str, PinholeCamera], view_of: Callable[[PinholeCamera], NovelView]
+) -> list[Path]:
     written, empty = [], []
     with current().stage("Render", len(posed)) as stage:
         for name, camera in posed.items():
-            view = render_view(field, camera, water, dry=dry)
+            view = view_of(camera)
             if not view.seen.any():
                 empty.append(name)
             written.append(write_view(stems[name], view))
             stage.advance()
     if empty:
-        current().warn(f"{len(empty)} of {len(posed)} cameras do not look at the field: {', '.join(empty[:5])}")
+        current().warn(f"{len(empty)} of {len(posed)} cameras see nothing of the bed: {', '.join(empty[:5])}")
     return written
 
 
@@ -112,7 +157,8 @@ def _field_folder(folder: RunDir) -> Path:
         return folder.load_stage(FIELD_STAGE)
     except SurveyError as error:
         raise SurveyError(
-            f"the run {folder.path} has no field to render; give `bathynerf process` again with --field slab"
+            f"the run {folder.path} has no trained field; give `bathynerf process` again with --field slab, or leave "
+            "--field out: its photographs are rendered then"
         ) from error
 
 

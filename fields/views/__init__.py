@@ -1,0 +1,1 @@
+"""Novel views of photographs with height maps."""

@@ -1,0 +1,367 @@
+"""Image-based rendering: photographs warped along refracted rays by their height maps, and blended.
+
+The surface that a camera sees comes from a z-buffer into which points of the height maps of nearby photographs are
+splatted; the height of a pixel is then averaged over the maps that agree with it. Its colour is the mean of what these
+photographs show there, weighted as in the unstructured lumigraph (Buehler et al. 2001): the smaller the angle between
+the two rays, the more, and less towards the border of a photograph.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import cv2
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+from fields.views.novel_view import NovelView
+from refract import FlatWater, PinholeCamera
+from refract.paths import BentPaths
+
+# Photographs that a place of the target is blended of.
+_SOURCES = 8
+# Places of the target with their own choice of photographs, along each side.
+_CELLS = 8
+# Of the pixels of a map along each side one in so many is splatted: several maps overlap.
+_STRIDE = 2
+# Gaps of the surface up to this wide take the height of the nearest pixel [px].
+_GAP_PX = 8
+# At this angle [rad] between the rays a photograph has a quarter of its weight; it fades at its border [px].
+_ANGLE, _BORDER_PX = 0.3, 24.0
+
+# Colours (N, 3), 0 to 255, without the water, of those that a photograph shows, the depths (N,) [m] and the incidence
+# (N,) [rad] of its rays in air.
+WithoutWater = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Source:
+    """A photograph with its height map.
+
+    Attributes
+    ----------
+    camera : PinholeCamera
+    rgb : (height, width, 3) uint8
+    mask : (height, width) bool or None
+        Pixels that may be used; None for all.
+    scale : [-]
+        Pixels of the height map per pixel of the photograph.
+    heights : (rows, columns) float32 [m]
+        Over the water plane, of the path of each pixel; NaN where not confirmed.
+    """
+
+    camera: PinholeCamera
+    rgb: np.ndarray
+    mask: np.ndarray | None
+    scale: float
+    heights: np.ndarray
+
+    @property
+    def num_bytes(self) -> int:
+        """Size in memory."""
+        return sum(each.nbytes for each in (self.rgb, self.mask, self.heights) if each is not None)
+
+    def points(self, water: FlatWater | None) -> np.ndarray:
+        """Points (N, 3) [m], local, of every `_STRIDE`-th pixel of the map along each side that has a height."""
+        rows, columns = _STRIDE * np.stack(np.nonzero(np.isfinite(self.heights[::_STRIDE, ::_STRIDE])))
+        path = self.camera.scaled(self.scale).paths(np.column_stack([columns + 0.5, rows + 0.5]), water)
+        return path.at_height(self.heights[rows, columns].astype(np.float64), water)
+
+    def observe(self, points: np.ndarray, water: FlatWater | None) -> Observation:
+        """How the photograph sees points (N, 3) [m], local."""
+        uv = self.camera.project(points, water).astype(np.float32)
+        inside = _is_inside(uv, self.camera)
+        uv[~inside] = -2.0
+        height = _sampled(self.heights, uv * np.float32(self.scale), cv2.INTER_LINEAR)
+        height[~inside] = np.nan
+        if self.mask is not None:
+            inside &= _sampled(self.mask.astype(np.uint8), uv, cv2.INTER_NEAREST) > 0
+        return Observation(uv, inside, height)
+
+    def colours(self, uv: np.ndarray) -> np.ndarray:
+        """Colours (N, 3) float32, 0 to 255, at places (N, 2) [px]."""
+        return _sampled(self.rgb, uv, cv2.INTER_CUBIC).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Observation:
+    """How a photograph sees N points.
+
+    Attributes
+    ----------
+    uv : (N, 2) float32 [px]
+    inside : (N,) bool
+        Whether it may be used there.
+    height : (N,) float32 [m]
+        Of its own map there; NaN where that has none.
+    """
+
+    uv: np.ndarray
+    inside: np.ndarray
+    height: np.ndarray
+
+    def agrees(self, height: np.ndarray, tolerance: float) -> np.ndarray:
+        """Whether (N,) its map has the heights (N,) [m] of the points."""
+        with np.errstate(invalid="ignore"):
+            return np.abs(self.height - height) < tolerance
+
+    def hides(self, height: np.ndarray, tolerance: float) -> np.ndarray:
+        """Whether (N,) its map has a surface in front of the points: along a ray that comes down, a higher one."""
+        with np.errstate(invalid="ignore"):
+            return self.height > height + tolerance
+
+
+@dataclass(frozen=True)
+class ImageBasedField:
+    """What photographs with height maps show to other cameras.
+
+    Attributes
+    ----------
+    cameras : sequence of PinholeCamera
+        Of the photographs.
+    water : FlatWater or None
+    load : callable
+        The photograph of a number, as a `Source`.
+    height : float [m]
+        Of the bed over the water plane, about.
+    tolerance : float [m]
+        Heights that differ by less are of the same surface.
+    gains : (V, 3)
+        Factors that bring the colours of the photographs to a common exposure.
+    """
+
+    cameras: Sequence[PinholeCamera]
+    water: FlatWater | None
+    load: Callable[[int], Source]
+    height: float
+    tolerance: float
+    gains: np.ndarray
+
+    def sources_of(self, camera: PinholeCamera, *, dry: bool = False) -> list[int]:
+        """Numbers of the photographs that show what a camera sees of a level bed: the nearest of each place of it."""
+        optics = self._optics(dry)
+        u, v = (np.linspace(0.5, size - 0.5, _CELLS) for size in (camera.width, camera.height))
+        pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+        points = camera.paths(pixels, optics).at_height(np.full(len(pixels), self.height), optics)
+        points = points[np.isfinite(points).all(axis=1)]
+        chosen = self._nearest(points, camera.centre, range(len(self.cameras)))
+        return sorted({number for numbers in chosen for number in numbers})
+
+    def render(
+        self, camera: PinholeCamera, *, dry: bool = False, without_water: WithoutWater | None = None
+    ) -> NovelView:
+        """What a camera sees: `dry`, by straight rays; `without_water` takes the water out of the colours."""
+        optics, numbers = self._optics(dry), self.sources_of(camera, dry=dry)
+        shape = (camera.height, camera.width)
+        surface = self._front_surface(camera, optics, map(self.load, numbers))
+        rgb = np.zeros((*shape, 3), dtype=np.uint8)
+        bed, distance = (np.full(shape, np.nan, dtype=np.float32) for _ in range(2))
+        place = np.full((*shape, 3), np.nan)
+        tiles = _tiles(surface)
+        middle = np.array([(row[len(row) // 2], column[len(row) // 2]) for row, column in tiles], dtype=np.int64)
+        row, column = middle.reshape(-1, 2).T
+        points = camera.paths(_centres(row, column), optics).at_height(surface[row, column].astype(np.float64), optics)
+        nearest = self._nearest(points, camera.centre, numbers)
+        for at, chosen in zip(tiles, nearest, strict=True):
+            path = camera.paths(_centres(*at), optics)
+            colour, height, known = self._blended(path, optics, surface[at].astype(np.float64), chosen, without_water)
+            points, at = path.at_height(height, optics), (at[0][known], at[1][known])
+            rgb[at] = np.clip(np.round(colour[known]), 0, 255)
+            bed[at], place[at] = height[known], points[known]
+            distance[at] = _path_length(path, points)[known]
+        return NovelView(rgb, bed, distance, _normals(place))
+
+    def _optics(self, dry: bool) -> FlatWater | None:
+        """The water that a camera looks through: an index of one keeps the plane that heights count from."""
+        return replace(self.water, n_water=1.0) if dry and self.water is not None else self.water
+
+    def _nearest(self, points: np.ndarray, centre: np.ndarray, among: Iterable[int]) -> list[list[int]]:
+        """For each of N points (N, 3) the `_SOURCES` photographs that see it under the smallest angle to a place."""
+        own, among = _directions(points, centre), np.array(list(among), dtype=np.int64)
+        angles = np.full((len(among), len(points)), np.inf)
+        for row, number in enumerate(among):
+            camera = self.cameras[number]
+            seen = _is_inside(camera.project(points, self.water), camera)
+            angles[row, seen] = _angle(own, _directions(points, camera.centre))[seen]
+        order = np.argsort(angles, axis=0, kind="stable")[:_SOURCES]
+        known = np.isfinite(np.take_along_axis(angles, order, axis=0))
+        return [among[order[known[:, n], n]].tolist() for n in range(len(points))]
+
+    def _blended(
+        self,
+        path: BentPaths,
+        optics: FlatWater | None,
+        height: np.ndarray,
+        numbers: list[int],
+        without_water: WithoutWater | None,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Colours (N, 3), heights (N,) [m], and whether a photograph shows the place (N,) bool, of N pixels."""
+        points = path.at_height(height, optics)
+        sources = [self.load(number) for number in numbers]
+        if not sources:
+            return np.zeros((len(points), 3)), height, np.zeros(len(points), dtype=bool)
+        height = _averaged(height, [source.observe(points, self.water) for source in sources], self.tolerance)
+        points = path.at_height(height, optics)
+        seen = [source.observe(points, self.water) for source in sources]
+        inside = np.stack([each.inside for each in seen])
+        agree = inside & np.stack([each.agrees(height, self.tolerance) for each in seen])
+        # Where no map agrees (in gaps), photographs count in which nothing is in front; else all that look there.
+        open_to = inside & ~np.stack([each.hides(height, self.tolerance) for each in seen])
+        usable = np.where(agree.any(axis=0), agree, np.where(open_to.any(axis=0), open_to, inside))
+        own = _directions(points, path.origin)
+        total, weight = np.zeros((len(points), 3)), np.zeros(len(points))
+        for number, source, each, use in zip(numbers, sources, seen, usable, strict=True):
+            uv = each.uv[use]
+            colour = source.colours(uv) * self.gains[number]
+            if without_water is not None and self.water is not None:
+                colour = _dried(source, uv, colour, height[use], self.water, without_water)
+            w = _weight(_angle(own[use], _directions(points[use], source.camera.centre)), uv, source.camera)
+            total[use] += w[:, None] * colour
+            weight[use] += w
+        return total / np.maximum(weight, 1e-12)[:, None], height, weight > 0.0
+
+    def _front_surface(self, camera: PinholeCamera, optics: FlatWater | None, sources: Iterable[Source]) -> np.ndarray:
+        """Heights (height, width) float32 [m] of the nearest surface, from a z-buffer; NaN without one.
+
+        Along a ray that comes down heights fall, so the highest point of a pixel is the nearest. Where the maps are
+        coarser than the target, the buffer is as coarse, so that what lies behind does not show through.
+        """
+        spacing, seen = [], []
+        for source in sources:
+            points = source.points(self.water)
+            if len(points):
+                spacing.append(_spacing_px(camera, source, points))
+                seen.append((camera.project(points, optics), heights_over(points, self.water)))
+        if not seen:
+            return np.full((camera.height, camera.width), np.nan, dtype=np.float32)
+        scale = min(1.0, 1.0 / float(np.median(spacing)))
+        width, height = (max(round(size * scale), 1) for size in (camera.width, camera.height))
+        top = np.full(width * height, -np.inf)
+        for number, (uv, z) in enumerate(seen):
+            inside = _is_inside(uv, camera)
+            uv = uv[inside] * (width / camera.width, height / camera.height)
+            cell, z = uv.astype(np.int64) @ [1, width], z[inside]
+            np.maximum.at(top, cell, z)
+            seen[number] = cell, z
+        total, count = np.zeros(width * height), np.zeros(width * height)
+        for cell, z in seen:
+            front = z > top[cell] - self.tolerance
+            total += np.bincount(cell[front], z[front], minlength=len(top))
+            count += np.bincount(cell[front], minlength=len(top))
+        with np.errstate(invalid="ignore"):
+            mean = (total / count).reshape(height, width).astype(np.float32)
+        if np.isnan(mean).all():
+            return np.full((camera.height, camera.width), np.nan, dtype=np.float32)
+        far, nearest = distance_transform_edt(np.isnan(mean), return_indices=True)
+        mean = np.where(far <= _GAP_PX * scale, mean[tuple(nearest)], np.nan)
+        return cv2.resize(mean, (camera.width, camera.height), interpolation=cv2.INTER_NEAREST)
+
+
+def _tiles(surface: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Rows and columns of the pixels of each part of a picture that show a surface."""
+    rows, columns = (np.linspace(0, size, _CELLS + 1).astype(int) for size in surface.shape)
+    tiles = []
+    for top, bottom in pairwise(rows):
+        for left, right in pairwise(columns):
+            row, column = np.nonzero(np.isfinite(surface[top:bottom, left:right]))
+            if len(row):
+                tiles.append((row + top, column + left))
+    return tiles
+
+
+def _centres(row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Middles (N, 2) [px] of pixels."""
+    return np.column_stack([column + 0.5, row + 0.5])
+
+
+def _path_length(path: BentPaths, points: np.ndarray) -> np.ndarray:
+    """Lengths (N,) [m] from the camera to points (N, 3) of paths, through air and water."""
+    straight = np.linalg.norm(points - path.origin, axis=1)
+    bent = path.air_length + np.linalg.norm(points - path.crossing, axis=1)
+    return np.where(path.wet & (straight > path.air_length), bent, straight)
+
+
+def _averaged(height: np.ndarray, seen: list[Observation], tolerance: float) -> np.ndarray:
+    """Heights (N,) [m] averaged over the maps that agree with them; as they are where none does."""
+    total, count = np.zeros(len(height)), np.zeros(len(height))
+    for each in seen:
+        agrees = each.agrees(height, tolerance)
+        total[agrees] += each.height[agrees]
+        count += agrees
+    return np.where(count > 0, total / np.maximum(count, 1), height)
+
+
+def _weight(angle: np.ndarray, uv: np.ndarray, camera: PinholeCamera) -> np.ndarray:
+    border = np.minimum(uv, (camera.width, camera.height) - uv).min(axis=1)
+    return np.clip(border / _BORDER_PX, 1e-3, 1.0) / (1.0 + (angle / _ANGLE) ** 2) ** 2
+
+
+def _dried(
+    source: Source,
+    uv: np.ndarray,
+    colour: np.ndarray,
+    height: np.ndarray,
+    water: FlatWater,
+    without_water: WithoutWater,
+) -> np.ndarray:
+    wet = height < 0.0
+    path = source.camera.paths(uv[wet].astype(np.float64), water)
+    incidence = np.arccos(np.clip(-(path.air_direction @ np.asarray(water.up)), -1.0, 1.0))
+    out = colour.copy()
+    out[wet] = without_water(colour[wet], -height[wet], incidence)
+    return out
+
+
+def _spacing_px(camera: PinholeCamera, source: Source, points: np.ndarray) -> float:
+    """Distance [px] at which neighbouring points of a source appear in the target, by distances and focal lengths."""
+    some = points[:: max(len(points) // 1000, 1)]
+    own, other = (np.linalg.norm(some - c.centre, axis=1) for c in (camera, source.camera))
+    return float(np.median(other / own)) * _STRIDE * camera.fx / (source.camera.fx * source.scale)
+
+
+def _normals(place: np.ndarray) -> np.ndarray:
+    """Unit normals (height, width, 3), up, of points of pixels; NaN without neighbours on both sides."""
+    across, down = np.full_like(place, np.nan), np.full_like(place, np.nan)
+    across[:, 1:-1], down[1:-1] = place[:, 2:] - place[:, :-2], place[2:] - place[:-2]
+    normal = np.cross(across, down)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    return (normal * np.where(normal[..., 2:] < 0.0, -1.0, 1.0)).astype(np.float32)
+
+
+def heights_over(points: np.ndarray, water: FlatWater | None) -> np.ndarray:
+    """Heights (N,) [m] over the water plane along its normal; over local z = 0 in a dry survey."""
+    if water is None:
+        return points[:, 2]
+    return (points - np.asarray(water.point)) @ np.asarray(water.up)
+
+
+def _directions(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    towards = points - centre
+    return towards / np.linalg.norm(towards, axis=-1, keepdims=True)
+
+
+def _angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Angles [rad] between unit vectors (N, 3), exact for small ones."""
+    return 2.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(a - b, axis=-1), 0.0, 1.0))
+
+
+def _is_inside(uv: np.ndarray, camera: PinholeCamera) -> np.ndarray:
+    """Whether places (N, 2) [px] lie in the image of a camera; not where they are NaN."""
+    with np.errstate(invalid="ignore"):
+        inside = (uv > 0.0) & (uv < (camera.width, camera.height))
+    return np.logical_and(inside[:, 0], inside[:, 1])
+
+
+def _sampled(image: np.ndarray, uv: np.ndarray, interpolation: int) -> np.ndarray:
+    """Values of an image at places (N, 2) [px] inside it, the middle of the first pixel at 0.5."""
+    parts = [np.zeros((0, *image.shape[2:]), dtype=image.dtype)]
+    # OpenCV takes at most 32,767 places in a row or column.
+    for first in range(0, len(uv), step := 32_000):
+        x, y = (uv[first : first + step] - np.float32(0.5)).T
+        parts.append(
+            cv2.remap(image, x[None].copy(), y[None].copy(), interpolation, borderMode=cv2.BORDER_REPLICATE)[0]
+        )
+    return np.concatenate(parts)

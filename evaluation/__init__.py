@@ -4,6 +4,7 @@
 |---|---|
 | signed distance to a mesh (C2M), **positive above the mesh** | `c2m`, on `triangles` |
 | vertical difference, positive above the mesh | `vertical` |
+| height over a reference of points, with its uncertainty | `local_surface` |
 | distance along normals (M3C2), positive above the reference | `m3c2` |
 | distance to a cloud, completeness, F-score | `completeness` |
 | bias, spread and scores | `summary`; of parts, as by depth: `strata`; intervals of confidence: `bootstrap` |
@@ -23,6 +24,7 @@ from evaluation.completeness import distance_to_cloud, f_score, is_reached, samp
 from evaluation.coverage import Coverage, coverage_by_class, interval_score, slope_below
 from evaluation.images.feature_similarity import fsim, vsi
 from evaluation.images.quality import gmsd, image_quality, ms_gmsd, ms_ssim, psnr, ssim
+from evaluation.local_surface import LocalSurface, local_surface
 from evaluation.m3c2 import M3C2Distances, m3c2_distances
 from evaluation.outliers import is_outlier
 from evaluation.standards import AsprsAccuracy, IhoS44, asprs_vertical, iho_s44
@@ -39,6 +41,7 @@ __all__ = [
     "DepthParts",
     "DistanceStatistics",
     "IhoS44",
+    "LocalSurface",
     "M3C2Distances",
     "MeshDistances",
     "ReachedBand",
@@ -61,6 +64,7 @@ __all__ = [
     "interval_score",
     "is_outlier",
     "is_reached",
+    "local_surface",
     "m3c2_distances",
     "mean_interval",
     "ms_gmsd",

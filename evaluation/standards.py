@@ -51,12 +51,15 @@ class TvuBand:
     n_points : int
     share_within : [-]
         Share of them whose error is at most the uncertainty that the order allows at their own depth.
+    share_possible : [-]
+        The same with the uncertainty of the reference added to what is allowed; not smaller.
     """
 
     low_m: float
     high_m: float
     n_points: int
     share_within: float
+    share_possible: float
 
 
 @dataclass(frozen=True)
@@ -70,11 +73,16 @@ class TvuOrder:
         Total vertical uncertainty that the order allows there.
     share_within : [-]
         Share of the points whose error is at most the uncertainty at their own depth.
-    meets_tvu : bool
-        Whether those are 95 % of all points, whatever their depth.
+    share_possible : [-]
+        The same with the uncertainty of the reference added to what is allowed; not smaller.
     bands : tuple of TvuBand
-    failing : tuple of TvuBand
-        Those of at least `MIN_BAND_POINTS` points with less than 95 % within.
+    meets_tvu : bool
+        Whether those within are 95 % of all points, whatever their depth.
+    is_undecided : bool
+        Whether they are fewer, and that may be the error of the reference.
+    failing, undecided : tuple of TvuBand
+        Bands of at least `MIN_BAND_POINTS` points with less than 95 % within, whatever the error of the reference, and
+        those for which that may be it.
     meets_tvu_at_all_depths : bool
         Whether 95 % are within of all points and in each of those bands.
     """
@@ -82,16 +90,29 @@ class TvuOrder:
     name: str
     tvu_at_median_depth_m: float
     share_within: float
-    meets_tvu: bool
+    share_possible: float
     bands: tuple[TvuBand, ...]
 
     @property
+    def meets_tvu(self) -> bool:
+        return self.share_within >= _TVU_SHARE
+
+    @property
+    def is_undecided(self) -> bool:
+        return self.share_within < _TVU_SHARE <= self.share_possible
+
+    @property
     def failing(self) -> tuple[TvuBand, ...]:
-        return tuple(b for b in self.bands if b.n_points >= MIN_BAND_POINTS and b.share_within < _TVU_SHARE)
+        return tuple(b for b in self.bands if b.n_points >= MIN_BAND_POINTS and b.share_possible < _TVU_SHARE)
+
+    @property
+    def undecided(self) -> tuple[TvuBand, ...]:
+        large = (b for b in self.bands if b.n_points >= MIN_BAND_POINTS)
+        return tuple(b for b in large if b.share_within < _TVU_SHARE <= b.share_possible)
 
     @property
     def meets_tvu_at_all_depths(self) -> bool:
-        return self.meets_tvu and not self.failing
+        return self.meets_tvu and not self.failing and not self.undecided
 
 
 @dataclass(frozen=True)
@@ -150,7 +171,7 @@ class AsprsAccuracy:
     rmse_v_m: float = math.nan
 
 
-def iho_s44(errors: np.ndarray, depth_m: np.ndarray) -> IhoS44 | None:
+def iho_s44(errors: np.ndarray, depth_m: np.ndarray, reference_std_m: np.ndarray | None = None) -> IhoS44 | None:
     """Which orders' total vertical uncertainty the points under water meet; None if there is no such point.
 
     Parameters
@@ -159,12 +180,16 @@ def iho_s44(errors: np.ndarray, depth_m: np.ndarray) -> IhoS44 | None:
         Vertical, of either sign; NaN is left out.
     depth_m : (N,) [m]
         Of the bed, positive below the water; other points are left out.
+    reference_std_m : (N,) [m], optional
+        Standard deviation of the heights that the errors count from. An order that is missed by no more than its
+        1.96-fold is undecided: errors of the reference widen the differences, so that meeting an order stays certain.
     """
     use = np.isfinite(errors) & (depth_m > 0.0)
     if not use.any():
         return None
     size, depth = np.abs(errors[use]), depth_m[use].astype(np.float64)
-    orders = tuple(_order(*row, size, depth) for row in TVU)
+    doubt = np.zeros(len(size)) if reference_std_m is None else TO_95 * reference_std_m[use]
+    orders = tuple(_order(*row, size, depth, doubt) for row in TVU)
     return IhoS44(len(size), float(np.quantile(size, _TVU_SHARE)), orders)
 
 
@@ -189,15 +214,17 @@ def _strictest(meets: list[np.ndarray], std_m: np.ndarray, depth_m: np.ndarray) 
     return np.where(np.isfinite(std_m) & (depth_m > 0.0), orders, 0).astype(np.uint8)
 
 
-def _order(name: str, a: float, b: float, size: np.ndarray, depth: np.ndarray) -> TvuOrder:
-    within = size <= np.hypot(a, b * depth)
+def _order(name: str, a: float, b: float, size: np.ndarray, depth: np.ndarray, doubt: np.ndarray) -> TvuOrder:
+    tvu = np.hypot(a, b * depth)
+    within, possible = size <= tvu, size <= tvu + doubt
     band = np.searchsorted(DEPTH_EDGES_M, depth, side="right") - 1
     bands = []
     for i in np.unique(band):
-        part = within[band == i]
-        bands.append(TvuBand(DEPTH_EDGES_M[i], DEPTH_EDGES_M[i + 1], len(part), float(part.mean())))
-    share = float(within.mean())
-    return TvuOrder(name, float(np.hypot(a, b * np.median(depth))), share, share >= _TVU_SHARE, tuple(bands))
+        part = band == i
+        shares = float(within[part].mean()), float(possible[part].mean())
+        bands.append(TvuBand(DEPTH_EDGES_M[i], DEPTH_EDGES_M[i + 1], int(part.sum()), *shares))
+    median = float(np.hypot(a, b * np.median(depth)))
+    return TvuOrder(name, median, float(within.mean()), float(possible.mean()), tuple(bands))
 
 
 def asprs_vertical(residuals: np.ndarray, sigma_m: np.ndarray) -> AsprsAccuracy:

@@ -130,15 +130,46 @@ def test_all_options_and_small_files_are_looked_at_before_a_cloud_is_read(tmp_pa
             compare_files(cloud, plane, options=CompareOptions(**wrong))
 
 
-def test_a_reference_of_points_is_compared_cloud_to_cloud_and_says_so(tmp_path, cloud):
-    reference = write_las(tmp_path / "reference.las", FRAME.crs_from_local(grid(0.1)[::2]))
-    numbers = compared(cloud, reference)
-    assert (numbers["method"], numbers["sign"], numbers["seed"]) == ("cloud to cloud", None, None)
-    assert any("have no sign" in note for note in numbers["notes"])
-    # Every second point lies 0.1 m straight above one, the others 0.1 m beside that.
-    assert numbers["min_m"] == pytest.approx(0.1, abs=2 * LAS_M)
-    assert numbers["max_m"] == pytest.approx(np.hypot(0.1, 0.1), abs=4 * LAS_M)
-    assert numbers["n_samples"] == len(grid(0.1)[::2])
+@pytest.mark.parametrize("step", [0.1, 0.5, 1.5])
+def test_over_a_reference_of_points_heights_do_not_depend_on_their_spacing(tmp_path, step):
+    local = grid(0.2, 0.1, half=3.0)
+    reference = write_las(tmp_path / "reference.las", FRAME.crs_from_local(grid(step)))
+    numbers = compared(
+        write_las(tmp_path / "c.las", FRAME.crs_from_local(local), depth=1.0), reference, tolerances_m=(0.2,)
+    )
+    assert (numbers["method"], numbers["sign"], numbers["seed"]) == ("cloud to local planes of a cloud", "up", None)
+    assert numbers["n_points"] == len(local)
+    assert (numbers["min_m"], numbers["max_m"]) == (
+        pytest.approx(0.1, abs=2 * LAS_M),
+        pytest.approx(0.1, abs=2 * LAS_M),
+    )
+    assert numbers["reference_surface"]["spacing_m"] == pytest.approx(step, rel=0.1)
+    assert numbers["reference_surface"]["std_95_m"] < 2 * LAS_M
+    assert numbers["iho_s44"]["orders"][0]["meets_tvu_at_all_depths"] is True
+    assert any(f"about {step:.2g} m apart" in note or "m apart" in note for note in numbers["notes"])
+    assert numbers["n_samples"] == len(grid(step))
+
+
+def test_an_order_that_a_sparse_reference_cannot_tell_is_undecided(tmp_path):
+    local = grid(0.1, half=3.0)
+    local[:, 2] = 0.2 * np.sin(2.0 * np.pi * local[:, 0] / 1.6)
+    reference = grid(0.8)
+    reference[:, 2] = 0.2 * np.sin(2.0 * np.pi * (reference[:, 0] + 0.3) / 1.6)
+    cloud = write_las(tmp_path / "c.las", FRAME.crs_from_local(local), depth=1.0 - local[:, 2])
+    figures = compare_files(cloud, write_las(tmp_path / "r.las", FRAME.crs_from_local(reference)))
+    exclusive = figures.uncertainty.iho.orders[0]
+    assert exclusive.is_undecided
+    assert exclusive.share_within < 0.95 <= exclusive.share_possible
+    texts = [f"{label} {text}" for _, rows in sections_of(figures) for label, text in rows]
+    assert any("undecided" in text for text in texts)
+    assert any("spacing of the reference 0.7" in text or "spacing of the reference 0.8" in text for text in texts)
+
+
+def test_a_reference_of_too_few_points_is_refused(tmp_path, cloud):
+    corners = np.array([[-5.0, -5.0, 0.0], [5.0, -5.0, 0.0], [0.0, 5.0, 0.0]])
+    reference = write_las(tmp_path / "reference.las", FRAME.crs_from_local(corners))
+    with pytest.raises(CompareError, match="needs four of them around it"):
+        compare_files(cloud, reference)
 
 
 def test_without_any_crs_coordinates_are_metres_and_the_notes_say_so(tmp_path, plane):

@@ -87,7 +87,8 @@ def test_the_numbers_keep_their_names(tmp_path, plane):
     }  # fmt: skip
     iho = numbers["iho_s44"]
     assert list(iho) == ["points", "error_95_m", "orders", "note", "error"]
-    order = ["order", "tvu_at_median_depth_m", "share_within", "meets_tvu", "meets_tvu_at_all_depths", "depth_bands"]
+    judged = ["share_within", "meets_tvu", "meets_tvu_at_all_depths", "undecided"]
+    order = ["order", "tvu_at_median_depth_m", *judged, "depth_bands"]
     assert list(iho["orders"][0]) == order
     assert list(iho["orders"][0]["depth_bands"][0]) == ["from_m", "to_m", "n_points", "share_within"]
     rmse = ["rmse_fit_m", "rmse_checkpoints_m", "rmse_v_m"]

@@ -35,7 +35,7 @@ def compare_files(cloud: str | Path, reference: str | Path, *, options: CompareO
     Parameters
     ----------
     cloud, reference : as `geo.read_reference`
-        The reference a mesh, or points: then the comparison is cloud to cloud, without sign.
+        The reference a mesh, or points: then the comparison is by heights over a surface through them.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
     notes = list(inputs.notes)
     inputs, is_left = _without_outliers(inputs, options, notes)
     scene = Scene.of(inputs, options.bounds, is_left, max(options.tolerances_m))
-    distances = measure.distances_of(scene, options.sign, notes)
+    distances, surface = measure.distances_of(scene, options.sign, notes)
     blocks = spatial_blocks(scene.points[:, :2], distances.signed)
     depth = measure.bed_depth(scene, distances.nearest, options.water_level)
     reaches = _reaches(scene, options.tolerances_m)
@@ -94,12 +94,13 @@ def compare_surfaces(cloud: Path, reference: Path, options: CompareOptions) -> C
         parts=measure.parts(scene, distances, depth, blocks),
         reached=measure.reached_by_slope_of(scene, reaches),
         vertical=vertical,
-        uncertainty=measure.uncertainty(distances.signed, errors, depth),
+        uncertainty=measure.uncertainty(distances, errors, depth),
         checkpoints=None
         if places is None or checkpoints is None
         else checkpoint_accuracy(scene, checkpoints, places, notes),
         c2c=clouds.cloud_to_cloud(scene) if options.c2c else None,
         m3c2=None if options.m3c2_radius_m is None else clouds.m3c2(scene, options.m3c2_radius_m),
+        reference_surface=surface,
         # Last: the others add to the notes.
         circumstances=_circumstances(scene, options, blocks, notes),
     )
@@ -130,8 +131,8 @@ def _circumstances(scene: Scene, options: CompareOptions, blocks: Blocks, notes:
         correlation_length_m=blocks.correlation_m,
         widening=blocks.widening,
         water_level=options.water_level,
-        method="cloud to mesh" if is_mesh else "cloud to cloud",
-        sign=options.sign if is_mesh else None,
+        method="cloud to mesh" if is_mesh else "cloud to local planes of a cloud",
+        sign=options.sign if is_mesh else "up",
         crs=None if crs is None else crs.name,
         bounds=options.bounds,
         cloud=str(paths.cloud),

@@ -46,6 +46,23 @@ class Vertical:
 
 
 @dataclass(frozen=True)
+class ReferenceSurface:
+    """The surface through a reference of points, at the places compared.
+
+    Attributes
+    ----------
+    spacing_m : [m]
+        Between its points.
+    std_median_m, std_95_m : [m]
+        Standard deviation of its heights between them; 95 % are below the second.
+    """
+
+    spacing_m: float
+    std_median_m: float
+    std_95_m: float
+
+
+@dataclass(frozen=True)
 class VerticalUncertainty:
     """Vertical errors against IHO S-44.
 
@@ -118,9 +135,7 @@ class Circumstances:
         Of the block bootstrap, see `evaluation.Blocks`.
     water_level : float or None, in crs
     method : str
-        ``"cloud to mesh"`` or ``"cloud to cloud"``.
-    sign : {"up", "winding"} or None
-        None where distances have none.
+    sign : {"up", "winding"}
     crs : str or None
         Name of the coordinate reference system.
     bounds : (E0, N0, E1, N1) or None, in crs
@@ -142,7 +157,7 @@ class Circumstances:
     widening: float
     water_level: float | None
     method: str
-    sign: Sign | None
+    sign: Sign
     crs: str | None
     bounds: Bounds | None
     cloud: str
@@ -174,6 +189,8 @@ class Figures:
     checkpoints : Checkpoints or None
     c2c : CloudToCloud or None
     m3c2 : M3C2 or None
+    reference_surface : ReferenceSurface or None
+        Where the reference is a cloud.
     """
 
     summary: Summary
@@ -186,9 +203,10 @@ class Figures:
     checkpoints: Checkpoints | None = None
     c2c: CloudToCloud | None = None
     m3c2: M3C2 | None = None
+    reference_surface: ReferenceSurface | None = None
 
     @property
     def wet(self) -> DistanceStatistics | None:
-        """Of the points under water: their vertical differences, or distances where the reference is a cloud."""
+        """Of the points under water: their vertical differences."""
         depth = self.parts.depth if self.vertical is None else self.vertical.depth
         return None if depth is None else depth.wet

@@ -21,8 +21,8 @@ def numbers_of(figures: Figures) -> dict:
         At the top `evaluation.DistanceStatistics` and `evaluation.Scores` over all points (the latter at the first
         tolerance), ``n_cropped``, ``wet``, ``dry``, the bands, ``completeness_by_slope`` (one share for each
         tolerance) and the circumstances; below it ``tolerances``,
-        ``vertical``, ``iho_s44``, ``asprs``, ``c2c`` and ``m3c2``. What was not requested is missing; a value that
-        does not exist is None.
+        ``vertical``, ``iho_s44``, ``reference_surface``, ``asprs``, ``c2c`` and ``m3c2``. What was not requested is
+        missing; a value that does not exist is None.
     """
     summary = figures.summary
     statistics = _known(summary.distances)
@@ -33,6 +33,8 @@ def numbers_of(figures: Figures) -> dict:
         numbers["vertical"] = _vertical(figures.vertical)
     if figures.uncertainty is not None:
         numbers["iho_s44"] = _iho_s44(figures.uncertainty)
+    if figures.reference_surface is not None:
+        numbers["reference_surface"] = asdict(figures.reference_surface)
     if figures.checkpoints is not None:
         numbers["asprs"] = _asprs(figures.checkpoints)
     if figures.c2c is not None:
@@ -115,6 +117,7 @@ def _order(order: TvuOrder) -> dict:
         "share_within": order.share_within,
         "meets_tvu": order.meets_tvu,
         "meets_tvu_at_all_depths": order.meets_tvu_at_all_depths,
+        "undecided": order.is_undecided,
         "depth_bands": bands,
     }
 

@@ -9,15 +9,16 @@ import numpy as np
 from evaluation import (
     Blocks,
     DepthParts,
+    LocalSurface,
     ReachedBand,
     Scores,
     by_band,
     by_depth,
     distance_statistics,
-    distance_to_cloud,
     distance_to_mesh,
     iho_s44,
     is_reached,
+    local_surface,
     reached_by_slope,
     scores,
     vertical_difference,
@@ -26,8 +27,8 @@ from evaluation.c2m import Sign
 from evaluation.strata import INCIDENCE_EDGES_DEG, SLOPE_EDGES_DEG, VIEWS_EDGES
 from evaluation.triangles import num_wound_against
 from geo import Mesh
-from survey.compare.area import metres_in_crs, to_local, within
-from survey.compare.figures import Parts, Vertical, VerticalUncertainty
+from survey.compare.area import CompareError, metres_in_crs, to_local, within
+from survey.compare.figures import Parts, ReferenceSurface, Vertical, VerticalUncertainty
 from survey.compare.scene import Scene
 from survey.progress import current
 
@@ -44,16 +45,19 @@ class Distances:
     Attributes
     ----------
     signed : (N,) [m]
-        Without a sign where the reference is a cloud.
+        To a mesh; heights over the surface through the points of a cloud, NaN where these do not surround a place.
     nearest : (N, 3) [m], local
-        Points of the reference.
+        Points of the reference, or of that surface.
     slope_deg : (N,) [deg] or None
         Of the reference there; None where it is a cloud.
+    reference_std : (N,) [m] or None
+        Of the heights of the surface through a cloud; None of a mesh.
     """
 
     signed: np.ndarray
     nearest: np.ndarray
     slope_deg: np.ndarray | None
+    reference_std: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -83,14 +87,19 @@ class Reach:
         return scores(distances, tolerance_m=self.tolerance_m, is_reached=self.samples, is_reached_visible=self.visible)
 
 
-def distances_of(scene: Scene, sign: Sign, notes: list[str]) -> Distances:
-    """Distances of the compared points to the reference."""
+def distances_of(scene: Scene, sign: Sign, notes: list[str]) -> tuple[Distances, ReferenceSurface | None]:
+    """Distances of the compared points to the reference, and what the surface through a reference of points is like.
+
+    Raises
+    ------
+    CompareError
+        If points of the reference surround none of the compared ones.
+    """
     reference = scene.inputs.reference
     with current().stage("Distances", len(scene.points)) as stage:
         if not isinstance(reference, Mesh):
-            notes.append("the reference is a cloud: distances are to its nearest point and have no sign")
-            distances, numbers = distance_to_cloud(scene.points, scene.reference)
-            return Distances(distances, scene.reference[numbers], None)
+            surface = local_surface(scene.reference, scene.points[:, :2], advance=stage.advance)
+            return _over_surface(scene, surface, notes)
         result = distance_to_mesh(scene.points, scene.reference, reference.faces, sign=sign, advance=stage.advance)
     turned = num_wound_against(reference.faces) if sign == "winding" else 0
     if turned:
@@ -100,7 +109,30 @@ def distances_of(scene: Scene, sign: Sign, notes: list[str]) -> Distances:
         )
     if result.num_degenerate:
         notes.append(f"{result.num_degenerate} triangles of the reference have no area and were left out")
-    return Distances(result.signed, result.nearest, result.slope_deg)
+    return Distances(result.signed, result.nearest, result.slope_deg), None
+
+
+def _over_surface(scene: Scene, surface: LocalSurface, notes: list[str]) -> tuple[Distances, ReferenceSurface]:
+    name, known = scene.inputs.paths.reference.name, np.isfinite(surface.height)
+    if not known.any():
+        raise CompareError(
+            f"none of the {len(known)} points of the cloud lies among the {len(scene.reference)} points of {name}: a "
+            "height between them needs four of them around it; give a denser reference, or --checkpoints for single "
+            "points"
+        )
+    std = surface.std[known]
+    found = ReferenceSurface(surface.spacing_m, float(np.median(std)), float(np.quantile(std, 0.95)))
+    notes.append(
+        f"{name} is a cloud, its points about {found.spacing_m:.2g} m apart: distances are heights over the plane "
+        f"through its twelve nearest points in plan, positive above; such a height is known to ± "
+        f"{1e3 * found.std_median_m:.2g} mm (median, one sigma) by the scatter of the points about the plane"
+    )
+    if not known.all():
+        notes.append(
+            f"{int((~known).sum())} of {len(known)} points are not compared: points of {name} do not surround them"
+        )
+    nearest = np.column_stack([scene.points[:, :2], surface.height])
+    return Distances(scene.points[:, 2] - surface.height, nearest, None, surface.std), found
 
 
 def reached_at(scene: Scene, tolerance_m: float) -> Reach:
@@ -164,16 +196,16 @@ def vertical(scene: Scene, depth: np.ndarray | None, blocks: Blocks) -> tuple[Ve
 
 
 def uncertainty(
-    distances: np.ndarray, errors: np.ndarray | None, depth: np.ndarray | None
+    distances: Distances, errors: np.ndarray | None, depth: np.ndarray | None
 ) -> VerticalUncertainty | None:
-    """The vertical uncertainty of IHO S-44 by vertical differences (N,) [m], by distances where there are none.
+    """The vertical uncertainty of IHO S-44 by vertical differences (N,) [m] to a mesh, by heights over a cloud.
 
     None where no depth is known.
     """
     said = "vertical difference to the reference; at walls an offset to the side counts whole"
     if errors is None:
-        errors, said = distances, "distance to the nearest point of the reference"
-    iho = None if depth is None else iho_s44(errors, depth)
+        errors, said = distances.signed, "height over the plane through the nearest points of the reference"
+    iho = None if depth is None else iho_s44(errors, depth, distances.reference_std)
     return None if iho is None else VerticalUncertainty(iho, said)
 
 

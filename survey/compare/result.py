@@ -20,9 +20,9 @@ class Comparison:
     points : (N, 3), in crs
         The compared points.
     distances : (N,) [m]
-        Theirs; signed unless the reference is a cloud.
+        Theirs, signed; NaN where a reference of points does not surround them.
     nearest : (N, 3) [m], local
-        The nearest points of the reference.
+        The nearest points of the reference, or those of its surface straight above or below.
     depth : (N,) [m] or None
         Of the reference below the water at those, where it is known.
     targets : (M, 3), in crs

@@ -6,7 +6,7 @@ import math
 
 from evaluation import Band, DistanceStatistics, Scores
 from evaluation.standards import TvuOrder
-from survey.compare.figures import Checkpoints, Circumstances, Figures, VerticalUncertainty
+from survey.compare.figures import Checkpoints, Circumstances, Figures, ReferenceSurface, VerticalUncertainty
 
 Section = tuple[str | None, list[tuple[str, str]]]
 
@@ -50,10 +50,17 @@ def limits_label(low: float, high: float, unit: str) -> str:
 
 def tvu_in_words(order: TvuOrder) -> str:
     """Whether an order's vertical uncertainty is met, and at which depths it is not although all points meet it."""
+    if order.is_undecided:
+        return "undecided, by heights between the points of the reference"
     if not order.meets_tvu:
         return "does not meet the TVU"
-    failing = ", ".join(limits_label(band.low_m, band.high_m, "m") for band in order.failing)
-    return f"meets the TVU, but not at {failing}" if failing else "meets the TVU"
+    parts = {"but not at": order.failing, "undecided at": order.undecided}
+    at = [
+        f", {said} {', '.join(limits_label(band.low_m, band.high_m, 'm') for band in bands)}"
+        for said, bands in parts.items()
+        if bands
+    ]
+    return "".join(["meets the TVU", *at])
 
 
 def _bands(bands: tuple[Band, ...], unit: str) -> list[tuple[str, str]]:
@@ -81,9 +88,17 @@ def _overall(figures: Figures) -> list[tuple[str, str]]:
         ("accuracy", _decimal(scores.accuracy_share)),
         ("F-score", _decimal(scores.f_score)),
         ("tolerance", _length(scores.tolerance_m)),
+        *_reference_surface(figures.reference_surface),
         ("completeness of what cameras see", _decimal(scores.completeness_visible)),
         *_circumstances(figures.circumstances),
     ])  # fmt: skip
+
+
+def _reference_surface(surface: ReferenceSurface | None) -> list[tuple[str, str | None]]:
+    if surface is None:
+        return []
+    between = f"± {_metres(surface.std_median_m)} m (median), 95 % below {_metres(surface.std_95_m)} m"
+    return [("spacing of the reference", _length(surface.spacing_m)), ("its heights between points", between)]
 
 
 def _circumstances(held: Circumstances) -> list[tuple[str, str | None]]:

@@ -115,7 +115,10 @@ def _of_comparison(figures: ReportFigures) -> list[Card]:
     mean_m, std_m = distances.mean_inner90_m, distances.std_inner90_m
     unit = LengthUnit.of([std_m, mean_m])
     value = f"{unit.number(mean_m)}{NO_BREAK}±{NO_BREAK}{unit.text(std_m)}"
-    found = [Card("From the reference", value, "mean ± std, inner 90 %")]
+    surface, detail = figures.comparison.reference_surface, "mean ± std, inner 90 %"
+    if surface is not None:
+        detail += f"; the reference itself ± {length(surface.std_median_m)} between its points"
+    found = [Card("From the reference", value, detail)]
     if uncertainty is not None:
         found.append(_of_orders(uncertainty.iho))
     return found
@@ -127,7 +130,11 @@ def _of_orders(iho: IhoS44) -> Card:
     pooled = next((order for order in iho.orders if order.meets_tvu), None)
     detail = "strictest order whose TVU is met at every depth"
     if pooled is not None and pooled is not met:
-        worst = min(pooled.failing, key=lambda band: band.share_within)
+        worst = min(pooled.failing + pooled.undecided, key=lambda band: band.share_within)
         depth = limits_label(worst.low_m, worst.high_m, "m")
         detail += f"; at {depth} only {share(worst.share_within)} are within {pooled.name}"
-    return Card("IHO S-44, vertical only", "none" if met is None else met.name, detail)
+    doubtful = next((order for order in iho.orders if order.is_undecided), None)
+    if doubtful is not None:
+        detail += f"; {doubtful.name} is undecided, as heights between the points of the reference are too uncertain"
+    worth = "none" if doubtful is None else "undecided"
+    return Card("IHO S-44, vertical only", worth if met is None else met.name, detail)

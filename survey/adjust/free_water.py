@@ -61,7 +61,7 @@ def adjust_free(
     if few is not None:
         return under_given_water(all_lost(few))
     limits = water_limits(done.solution.state.points)
-    first = std = _std(survey, done)
+    first = std = water_std(survey, done)
     lost: dict[str, Lost] = {}
     for _ in WATER_PARAMETERS:
         ratio = np.array([0.0 if name in lost else std[i] / limits[i] for i, name in enumerate(WATER_PARAMETERS)])
@@ -74,7 +74,7 @@ def adjust_free(
         known = _held(done.known, np.array([worst]), _HELD_STD[worst])
         known = replace(known, state=replace(done.solution.state, points=np.zeros((0, 3))))
         done = adjust(known, done.used, sizes, marks_std_px)
-        std = _std(survey, done)
+        std = water_std(survey, done)
     return done, lost
 
 
@@ -124,7 +124,7 @@ def _too_few(state: State) -> str | None:
     return f"{num_wet} of {len(state.points)} tie points lie under water, expected at least {FEWEST_WET}"
 
 
-def _std(survey: Survey, done: Adjusted) -> np.ndarray:
+def water_std(survey: Survey, done: Adjusted) -> np.ndarray:
     """Standard deviations (4,) of level, slopes and index as survey.toml counts them."""
     water = done.known.mean.water
     assert water is not None

@@ -19,7 +19,7 @@ from survey.adjust.common_height import height_doubts, placed_by_level, water_st
 from survey.adjust.contradiction import MOST_OF_FOUR, Contradiction, released, worst_contradiction
 from survey.adjust.far_poses import Search, windows_or_search
 from survey.adjust.flooding import dry_bed_error, level_over_block
-from survey.adjust.free_water import Lost, adjust_free, dry_or_within_bounds, within_bounds
+from survey.adjust.free_water import Lost, adjust_free, dry_or_within_bounds, water_std, within_bounds
 from survey.adjust.given_check import LEVEL
 from survey.adjust.holding import adjusted_with
 from survey.adjust.observed import MATCH, WINDOW, Observed, observed
@@ -27,14 +27,18 @@ from survey.adjust.priors import Known, known_of
 from survey.adjust.rounds import Adjusted, adjust
 from survey.adjust.state import WATER
 from survey.adjust.thinning import CELLS, PER_CELL, thinned
+from survey.adjust.verdicts import MOST_STD_LEVEL_M
 from survey.adjust.water_settings import WATER_PARAMETERS
 from survey.adjust.windows_of_survey import measure_windows
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
+from survey.plan.level_doubt import DOWN_DEG, GIVE_LEVEL, tilts_deg
 from survey.plan.plan import make_plan
 
 _MARKS_STD_PX = 0.5
+# Windows are measured up to four times as well as matches, and are as many.
+_MOST_GAIN = 6.0
 
 
 def adjust_survey(
@@ -97,6 +101,8 @@ def _adjusted(
         done = gathered.with_more(
             MATCH, dry_or_within_bounds(survey, survey.ties) if free_water else survey.ties, known
         )
+        if use_windows and not survey.is_level_known and not free_water:
+            _require_level(survey, done)
         advance(0.3)
     if use_windows:
         if windows is None:
@@ -110,14 +116,29 @@ def _adjusted(
         done, against = gathered.without_contradictions(done)
     found = gathered.result(done, against)
     if not survey.is_level_known and found.parameter("level_m").status == UNKNOWN:
-        raise SurveyError(
-            f"the level of the water is not given, and the photographs do not tell it: "
-            f"{found.parameter('level_m').verdict}; give [water] level_m"
-        )
+        raise _level_error(survey, found.parameter("level_m").std)
     warnings = [*(_against(found, each) for each in against), *height_doubts(survey, done)]
     if survey.doubt is not None and survey.doubt.is_of_lens:
         warnings.append(f"{survey.doubt}: the lens is found anew, under the poses that were given with it; correct it")
     return replace(found, warnings=(*found.warnings, *warnings))
+
+
+def _require_level(survey: Survey, done: Adjusted) -> None:
+    """Raise where an adjustment of matches leaves the level so uncertain that windows cannot tell it either."""
+    std = float(water_std(survey, done)[0])
+    if not std <= _MOST_GAIN * MOST_STD_LEVEL_M:
+        raise _level_error(survey, std)
+
+
+def _level_error(survey: Survey, std: float) -> SurveyError:
+    tilts = tilts_deg(np.array([view.camera.cam_from_local for view in survey.views]))
+    down = int((tilts <= DOWN_DEG).sum())
+    kept = "" if survey.config.cameras.poses is not None else ". The poses that were found are kept for the next run"
+    return SurveyError(
+        f"the level of the water is not given, and the photographs do not tell it ({down} of {len(tilts)} look "
+        f"straight down): one sigma is {std:.2g} m, and at most {MOST_STD_LEVEL_M:g} m would be of use; "
+        f"{GIVE_LEVEL}{kept}"
+    )
 
 
 def _windows_at(survey: Survey, done: Adjusted | None, device: str, advance: Callable[[float], None]) -> TiePoints:

@@ -19,6 +19,7 @@ from survey.names import RUN_FOLDER
 from survey.plan.bounds import require_seen
 from survey.plan.check_inputs import control_rows, mark_rows, water_stds
 from survey.plan.choices import USUAL, Choices
+from survey.plan.level_doubt import level_doubt
 from survey.plan.plan import Plan, device_decision, make_plan
 from survey.plan.skipped import Decision
 from survey.plan.workload import Workload, room_doubts, workload_of, workload_of_images
@@ -42,11 +43,19 @@ class Checked:
     survey : Survey or None
         None where structure from motion has to find the poses first.
     warnings : sentences
+    level_doubt : a sentence, or None
+        Why the photographs will hardly tell the level of the water, where none is given.
     """
 
     found: Found
     survey: Survey | None
     warnings: tuple[str, ...]
+    level_doubt: str | None = None
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """All warnings, the one that will leave the run without a cloud first."""
+        return self.warnings if self.level_doubt is None else (self.level_doubt, *self.warnings)
 
 
 def require_processable(folder: Path) -> Checked:
@@ -59,10 +68,10 @@ def require_processable(folder: Path) -> Checked:
     """
     found = find_survey(Path(folder))
     if found.poses_path is None:
-        return Checked(found, None, (*found.warnings, *require_solvable(found)))
+        return Checked(found, None, (*found.warnings, *require_solvable(found)), level_doubt(found, None))
     survey = load_survey(folder, found=found)
     require_seen(survey)
-    return Checked(found, survey, survey.warnings)
+    return Checked(found, survey, survey.warnings, level_doubt(found, survey))
 
 
 def check_survey(
@@ -104,7 +113,7 @@ def check_survey(
         # Where tie points prove the poses, what they say is worth printing, though nothing can be made of them.
         workload = f"process refuses this survey: {error}"
     room = room_doubts(workload, folder / RUN_FOLDER) if isinstance(workload, Workload) else [workload]
-    return _sections(rows, plan.decisions, workload, survey.assumptions, (*checked.warnings, *room))
+    return _sections(rows, plan.decisions, workload, survey.assumptions, (*checked.doubts, *room))
 
 
 def _sections(rows, decisions: tuple[Decision, ...], workload: Workload | str, assumptions, warnings) -> list[Section]:
@@ -172,7 +181,7 @@ def _without_poses(checked: Checked, chosen: Choices) -> list[Section]:
     decisions = (sfm, device_decision(chosen.device), rest)
     sizes = [head.size_px for head in found.heads.values()]
     workload = workload_of_images(sizes, quality=chosen.quality, scale=chosen.image_scale)
-    warnings = (*checked.warnings, *room_doubts(workload, found.folder / RUN_FOLDER))
+    warnings = (*checked.doubts, *room_doubts(workload, found.folder / RUN_FOLDER))
     return _sections(_rows_without_poses(found), decisions, workload, found.assumptions, warnings)
 
 
@@ -226,7 +235,7 @@ def _water_below(found: Found, heights: np.ndarray) -> str:
     if water.level_m is None and water.clicks is not None:
         return f"its level by the clicks in {water.clicks}, once the poses are known"
     if water.level_m is None:
-        return "of unknown level: the adjustment finds it, where the photographs tell it"
+        return "of unknown level: the adjustment finds it, where oblique photographs or a shore with dry ground tell it"
     level = water.level_m / height_unit_m(found.crs)
     over = f"; by EXIF the cameras are {_range(heights - level)} m over it" if len(heights) else ""
     return f"level {water.level_m:g} m{over}{water_stds(water, found.levels)}"

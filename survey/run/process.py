@@ -124,6 +124,8 @@ def process(
     with opened() as progress, RunDir(run_folder) as run:
         _claim(run, checked.found)
         progress.log_to(run.log_path)
+        if checked.level_doubt is not None:
+            progress.warn(checked.level_doubt)
         survey = checked.survey or load_survey(
             survey_folder, found=checked.found, workspace=run.sfm_path, report=progress.note
         )

@@ -10,7 +10,7 @@ from pyproj import Transformer
 
 from geo.crs import parse_crs
 from survey.errors import ConfigError
-from survey.folder.level_geojson import points_of_geojson
+from survey.folder.level_geojson import _HEIGHT_NAMES, points_of_geojson
 from survey.folder.survey import load_survey
 from survey.plan.check import check_survey
 from tests.small_survey import E0, LEVEL, N0, replaced, said, small_survey, unposed
@@ -58,6 +58,54 @@ def test_an_older_file_names_its_crs_and_a_contour_line_its_height(tmp_path):
     }
     points = points_of_geojson(written(tmp_path, content), CRS, [])
     np.testing.assert_allclose(points, np.array(RING[:3])[:, :2].tolist() @ np.eye(2, 3) + [0, 0, LEVEL], atol=1e-4)
+
+
+HEIGHTS = [name for each in _HEIGHT_NAMES for name in (each, each.upper(), each.title())]
+
+
+@pytest.mark.parametrize("kind", ["Point", "MultiPoint", "LineString", "MultiLineString", "Polygon", "MultiPolygon"])
+@pytest.mark.parametrize("value", [LEVEL, str(LEVEL)])
+@pytest.mark.parametrize("name", HEIGHTS)
+def test_a_property_is_the_height_where_all_third_coordinates_are_zero(tmp_path, name, value, kind):
+    """As GIS programs export with "include z-dimension"."""
+    ring = [[e, n, 0.0] for e, n, _ in RING]
+    nested = {"Point": ring[0], "MultiPoint": ring, "LineString": ring, "MultiLineString": [ring]}
+    coordinates = nested.get(kind, [ring] if kind == "Polygon" else [[ring]])
+    features = [feature(kind, coordinates, **{name: value, "name": "west"}, id=7)]
+    notes = []
+    points = points_of_geojson(written(tmp_path, {"type": "FeatureCollection", "features": features}), CRS, notes)
+    assert set(points[:, 2].tolist()) == {LEVEL}
+    assert f"are 0: heights are those of its property {name}" in notes[0]
+    # Heights that are there stay what they are, and so does a level of 0 that nothing else contradicts.
+    high = feature("MultiPoint", [[*ring[0][:2], 1.5], ring[1]], **{name: value})
+    assert points_of_geojson(written(tmp_path, high), CRS, [])[:, 2].tolist() == [1.5, 0.0]
+    sea = feature("MultiPoint", ring, name="west", id=7)
+    assert set(points_of_geojson(written(tmp_path, sea), CRS, [])[:, 2].tolist()) == {0.0}
+
+
+@pytest.mark.parametrize("third", [[], [0.0]])
+@pytest.mark.parametrize(
+    ("properties", "named"),
+    [
+        ({"level": 2.0, "ELEV": 5.0}, ["level = 2", "elev = 5"]),
+        ({"z": 1.0, "height": "3"}, ["height = 3", "z = 1"]),
+        ({"depth": 2.5}, ["depth = 2.5"]),
+        ({"level_ft": 6.5}, ["level_ft = 6.5"]),
+        ({"Wasserstand_Hoehe": 6.5}, ["Wasserstand_Hoehe = 6.5"]),
+    ],
+)
+def test_properties_that_may_be_heights_are_refused_by_name(tmp_path, properties, named, third):
+    ring = [[e, n, *third] for e, n, _ in RING]
+    with pytest.raises(ConfigError, match="keep one property level") as refused:
+        points_of_geojson(written(tmp_path, feature("LineString", ring, **properties)), CRS, [])
+    assert all(name in str(refused.value) for name in [*named, "all 0" if third else "property"])
+
+
+def test_a_feature_without_the_property_is_refused_where_third_coordinates_are_zero(tmp_path):
+    ring = [[e, n, 0.0] for e, n, _ in RING]
+    features = [feature("LineString", ring, level=2.0), feature("LineString", ring)]
+    with pytest.raises(ConfigError, match="features without a height"):
+        points_of_geojson(written(tmp_path, {"type": "FeatureCollection", "features": features}), CRS, [])
 
 
 def test_a_shoreline_in_geojson_gives_a_survey_its_level(tmp_path):

@@ -19,6 +19,21 @@ from survey.errors import ConfigError
 _LARGEST_BYTES = 100_000_000
 # Where programs put the height of what has two coordinates, e.g. of a contour line.
 _HEIGHT_NAMES = ("level", "height", "elevation", "elev", "ele", "z", "altitude")
+# Parts of names that may stand for a height: of what else, or in which unit, only who wrote the file knows.
+_LIKE_HEIGHTS = (
+    *_HEIGHT_NAMES[:4],
+    "alt",
+    "depth",
+    "stage",
+    "wse",
+    "hoehe",
+    "höhe",
+    "tiefe",
+    "cote",
+    "quota",
+    "z_",
+    "_z",
+)
 _DEPTH_OF_COORDINATES = {
     "Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2, "Polygon": 2, "MultiPolygon": 3,
 }  # fmt: skip
@@ -27,19 +42,21 @@ _DEPTH_OF_COORDINATES = {
 def points_of_geojson(path: Path, crs: CRS, notes: list[str]) -> np.ndarray:
     """Easting, northing, height (N, 3) in crs of all vertices, each once.
 
-    A third coordinate is the height, in the heights of crs; else a property such as level or ELEV is. Coordinates are
+    A third coordinate is the height, in the heights of crs; else, or where all third coordinates are 0, a property such
+    as level or ELEV is (programs write 0 where a layer has a third coordinate and no heights). Coordinates are
     longitude and latitude (RFC 7946), in the CRS that an older file names, or in crs where they are too large for
     degrees.
 
     Raises
     ------
     ConfigError
-        If the file cannot be read, is no GeoJSON, or has a vertex without a height or off the map.
+        If the file cannot be read, is no GeoJSON, or has a vertex without a height, with several, or off the map.
     GeoError
         If it cannot be taken to crs: see `geo.transformation.transformed`.
     """
     content = _content(path)
-    points = np.array(list(dict.fromkeys(_vertices(path, content, None, 0)))).reshape(-1, 3)
+    vertices = list(_vertices(path, content, {}, 0))
+    points = np.array(list(dict.fromkeys(_with_heights(path, vertices, notes)))).reshape(-1, 3)
     source = _crs_of(path, content)
     if source is None:
         in_degrees = len(points) == 0 or bool((np.abs(points[:, :2]) <= (180.0, 90.0)).all())
@@ -72,21 +89,22 @@ def _content(path: Path) -> dict:
     return content
 
 
-def _vertices(path: Path, item: Any, height: float | None, depth: int) -> Iterator[tuple[float, float, float]]:
-    """Vertices of an object and of what it holds; `height` is that of the feature around it."""
+def _vertices(path: Path, item: Any, properties: dict, depth: int) -> Iterator[tuple[list[float], dict]]:
+    """Coordinates of the vertices of an object and of what it holds, each with the properties of its feature."""
     kind = item.get("type") if isinstance(item, dict) else None
     if not isinstance(kind, str) or depth > 8:
         raise ConfigError(f"{path} is not GeoJSON: an object without a type was found; export it again")
     if kind == "FeatureCollection" or kind == "GeometryCollection":
         inside = item.get("features" if kind == "FeatureCollection" else "geometries")
         for each in inside if isinstance(inside, list) else []:
-            yield from _vertices(path, each, height, depth + 1)
+            yield from _vertices(path, each, properties, depth + 1)
     elif kind == "Feature":
         if item.get("geometry") is not None:
-            yield from _vertices(path, item["geometry"], _height_of(item.get("properties")), depth + 1)
+            held = item.get("properties")
+            yield from _vertices(path, item["geometry"], held if isinstance(held, dict) else {}, depth + 1)
     elif kind in _DEPTH_OF_COORDINATES:
         for position in _positions(item.get("coordinates"), _DEPTH_OF_COORDINATES[kind]):
-            yield _vertex(path, position, height)
+            yield _coordinates(path, position), properties
     else:
         raise ConfigError(f"{path} has a {kind[:40]}, expected points, lines or polygons; export it again")
 
@@ -99,23 +117,70 @@ def _positions(coordinates: Any, depth: int) -> Iterator[Any]:
         yield from _positions(part, depth - 1)
 
 
-def _vertex(path: Path, position: Any, height: float | None) -> tuple[float, float, float]:
-    numbers = [_number(value) for value in position] if isinstance(position, list) else []
-    if len(numbers) < 2 or not all(math.isfinite(value) for value in numbers[:3]):
+def _coordinates(path: Path, position: Any) -> list[float]:
+    """The first three, or two, coordinates of a position."""
+    numbers = [_number(value) for value in position[:3]] if isinstance(position, list) else []
+    if len(numbers) < 2 or not all(math.isfinite(value) for value in numbers):
         raise ConfigError(f"{path} has the position {str(position)[:60]}, expected two or three finite numbers")
-    if len(numbers) == 2 and height is None:
-        raise ConfigError(
-            f"{path} has positions without a height, expected three coordinates, or a property {_HEIGHT_NAMES[0]}; a "
-            "line in plan alone does not tell the level: measure heights along it, or give level_m"
-        )
-    return numbers[0], numbers[1], numbers[2] if len(numbers) > 2 else float(height or 0.0)
+    return numbers
 
 
-def _height_of(properties: Any) -> float | None:
-    if not isinstance(properties, dict):
-        return None
-    by_name = {str(name).casefold(): _number(value) for name, value in properties.items()}
-    return next((by_name[name] for name in _HEIGHT_NAMES if math.isfinite(by_name.get(name, math.nan))), None)
+def _with_heights(
+    path: Path, vertices: list[tuple[list[float], dict]], notes: list[str]
+) -> Iterator[tuple[float, float, float]]:
+    """Vertices with their heights: the third coordinates, unless these are 0 throughout and a property has a height."""
+    thirds = [numbers[2] for numbers, _ in vertices if len(numbers) > 2]
+    is_flat = bool(thirds) and not any(thirds)
+    names = sorted({name for _, properties in vertices for name in _names_like_heights(properties)})
+    by_property = is_flat and bool(names)
+    if by_property:
+        notes.append(f"all third coordinates of {path.name} are 0: heights are those of its property {names[0]}")
+    for numbers, properties in vertices:
+        if len(numbers) > 2 and not by_property:
+            yield numbers[0], numbers[1], numbers[2]
+        else:
+            yield numbers[0], numbers[1], _height_of(path, properties, is_flat)
+
+
+def _names_like_heights(properties: dict) -> list[str]:
+    """Names of properties that hold a number and may be a height."""
+    return [
+        str(name)
+        for name, value in properties.items()
+        if math.isfinite(_number_in(value))
+        and (str(name).casefold() in _HEIGHT_NAMES or any(part in str(name).casefold() for part in _LIKE_HEIGHTS))
+    ]
+
+
+def _height_of(path: Path, properties: dict, is_flat: bool) -> float:
+    """The height among the properties of a feature; ConfigError where there is none, or several that differ."""
+    known = {str(name).casefold(): _number_in(value) for name, value in properties.items()}
+    heights = {name: known[name] for name in _HEIGHT_NAMES if math.isfinite(known.get(name, math.nan))}
+    flat = "third coordinates that are all 0, and " if is_flat else ""
+    mend = f"keep one property {_HEIGHT_NAMES[0]} with the height in crs, or give the height as third coordinate"
+    if len(set(heights.values())) > 1:
+        said = ", ".join(f"{name} = {value:g}" for name, value in heights.items())
+        raise ConfigError(f"{path} has {flat}several properties that may be the height ({said}); {mend}")
+    if heights:
+        return next(iter(heights.values()))
+    if like := _names_like_heights(properties):
+        said = ", ".join(f"{name} = {_number_in(properties[name]):g}" for name in like[:4] if name in properties)
+        raise ConfigError(f"{path} has {flat or 'positions without a height, and '}the property {said}; {mend}")
+    raise ConfigError(
+        f"{path} has {'features without a height' if is_flat else 'positions without a height'}, expected three "
+        f"coordinates, or a property {_HEIGHT_NAMES[0]}; a line in plan alone does not tell the level: measure heights "
+        "along it, or give level_m"
+    )
+
+
+def _number_in(value: Any) -> float:
+    """A number, or a text that is one, as columns of text are exported; NaN where it is none."""
+    if isinstance(value, str) and len(value) < 40:
+        try:
+            return float(value)
+        except ValueError:
+            return math.nan
+    return _number(value)
 
 
 def _number(value: Any) -> float:

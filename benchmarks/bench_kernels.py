@@ -25,12 +25,13 @@ import numpy as np
 from array_libraries import seconds as best_seconds
 from kernel_limits import Limits, measure_limits, shares
 
-from fields.sweep import ranging, scoring_drjit, warping_drjit
+from fields.sweep import ranging, warping_drjit
 from fields.sweep.arrays import floats
 from fields.sweep.block import Block, Overlap
-from fields.sweep.climbs import climbs_of
 from fields.sweep.passes import PASSES
+from fields.sweep.stack import Hypotheses
 from fields.sweep.sweep import sweep
+from fields.sweep.view_pass import view_passes
 from survey.folder.survey import load_survey
 from survey.plan.area import limits, local_area
 from survey.plan.choices import Choices
@@ -41,8 +42,8 @@ from survey.run.job import Job
 FUNCTIONS = {
     "paths of pixels": (warping_drjit, ("legs_of",)),
     "warp": (warping_drjit, ("warp",)),
-    "scores": (scoring_drjit, ("ncc", "best_half")),
-    "best of the ladder": (scoring_drjit, ("climb",)),
+    "scores": (warping_drjit, ("windows", "ncc", "best_half")),
+    "best hypothesis": (warping_drjit, ("best_height",)),
     "height maps compared": (warping_drjit, ("compare",)),
     "parallax": (Overlap, ("parallax",)),
 }
@@ -77,8 +78,8 @@ def clocks(spent: Counter) -> Iterator[None]:
 def stage_table(block: Block, chosen: list[int], bound: tuple[float, float], heights: tuple[float, float]) -> str:
     """Markdown of the seconds of the search for the range of heights, and of the sweep."""
     lines = ["| | samples | processor time | a sample |", "|---|---|---|---|"]
-    climbs = [climbs_of(block, chosen, p, bound if k == 0 else None) for k, p in enumerate(PASSES)]
-    samples = sum(climb.samples for each in climbs for climb in each)
+    work = [view_passes(block, chosen, p, bound if k == 0 else None) for k, p in enumerate(PASSES)]
+    samples = sum(each.samples for of_pass in work for each in of_pass)
     for name, run, number in (
         ("range of heights", partial(ranging.find_range, block, heights), None),
         ("sweep", partial(sweep, block, chosen, bound, lambda done: None), samples),
@@ -99,20 +100,20 @@ def kernel_table(block: Block, bound: tuple[float, float], machine: Limits) -> s
     """Markdown of the two kernels that take most, against the limits of the machine."""
     stack, device, p = block.stack(KERNEL_PASS.scale), block.device, KERNEL_PASS
     view = len(stack.cameras) // 2
-    others, rungs = block.neighbours(view, p.neighbours), p.rungs or 0
-    rows = min(stack.height, warping_drjit.STRIP_SAMPLES // (len(others) * rungs * stack.width))
+    others, count = block.neighbours(view, p.neighbours), p.hypotheses or 0
+    rows = min(stack.height, warping_drjit.SAMPLES_PER_LAUNCH // (len(others) * count * stack.width))
     start = np.full((rows, stack.width), 0.5 * (bound[0] + bound[1]), np.float32)
     legs, grey = warping_drjit.legs_of(stack, view, 0, rows), floats(stack.device, stack.images[view][:rows])
-    warp = partial(warping_drjit.warp, stack, legs, start, others, 0.05, rungs)
-    values = warp()
-    samples = len(others) * rungs * rows * stack.width
+    values = warping_drjit.buffers(device, len(others), start.size * count)
+    warp = partial(warping_drjit.warp, values, stack, legs, Hypotheses(start, 0.05, count), others)
+    samples = len(others) * count * rows * stack.width
     lines = ["| | a sample | operations | of the arithmetic limit | of the memory limit |", "|---|---|---|---|---|"]
 
     def finished() -> None:
         warp()
         drjit.sync_thread()
 
-    # A ladder is one loop of a kernel: its operations cannot be counted in the code.
+    # Hypotheses are one loop of a kernel: its operations cannot be counted in the code.
     lines.append(f"| warp | {1e9 * best_seconds(finished) / samples:.2f} ns | | | |")
     # Bytes a sample: W read, scores written.
     kernels: list[tuple[str, Callable, float]] = []
@@ -130,7 +131,8 @@ def kernel_table(block: Block, bound: tuple[float, float], machine: Limits) -> s
 
 def scored(device, grey, values: list, width: int, radius: int):
     """The score of all neighbours."""
-    return scoring_drjit.best_half(device, scoring_drjit.ncc(device, grey, values, width, radius))
+    windows = warping_drjit.windows(device, grey, values, width, radius)
+    return warping_drjit.best_half(device, warping_drjit.ncc(windows, radius))
 
 
 def main() -> None:

@@ -90,17 +90,18 @@ def sampler(sigma: float, order: int) -> Iterator[None]:
     """The sweep in Dr.Jit with images filtered, and neighbours sampled by a spline of that order."""
     build, warp, raw = ViewStack.build, warping_drjit.warp, {}
 
-    def filtered(device, cameras, images, water):
+    def filtered(device, cameras, images, water, *skips):
         images = [gaussian_filter(image, sigma) for image in images] if sigma else images
-        stack = build(device, cameras, images, water)
+        stack = build(device, cameras, images, water, *skips)
         if order == 3:
             splines = [spline_filter(image, order=3, output=np.float32) for image in images]
-            raw[id(stack)] = build(device, cameras, splines, water)
+            raw[id(stack)] = build(device, cameras, splines, water, *skips)
         return stack
 
-    def warped(stack, *rest):
+    def warped(values, stack, *rest):
+        # Height maps are compared as they are.
         with patch.object(warping_drjit, "look_up", _cubic):
-            return warp(raw[id(stack)], *rest)
+            warp(values, raw[id(stack)], *rest)
 
     class Images(ViewStack):
         build = staticmethod(filtered)

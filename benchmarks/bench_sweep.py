@@ -1,4 +1,4 @@
-"""What do windows, rungs, views and the rules of trust of the sweep bring? One choice changed at a time.
+"""What do windows, hypotheses, views and the rules of trust of the sweep bring? One choice changed at a time.
 
     python benchmarks/bench_sweep.py [SURVEY ...] [--quality Q] [--tables passes steps views trust once] [-o FOLDER]
 
@@ -42,7 +42,7 @@ from survey.run.stored import StoredBed
 from survey.simulate.drawn import DrawnScene, draw_survey
 
 # Without the search beside steps, which would hide what the passes themselves find.
-START = (PASSES[0], replace(PASSES[1], search=None), replace(PASSES[2], rungs=9, search=None))
+START = (PASSES[0], replace(PASSES[1], search=None), replace(PASSES[2], hypotheses=9, search=None))
 # A pass at full size that averages the heights of the views that agree.
 WIDE, NARROW = Pass(1.0, 2, 5, 0.25, 8, True), Pass(1.0, 1, 3, 0.25, 12, True)
 AFTER_START = {
@@ -52,8 +52,8 @@ AFTER_START = {
     "`r2 5 8*`, `r2 3 12*`": (WIDE, replace(NARROW, radius=2)),
     "`r2 5 8*`, `r1 3 12*` (kept)": (WIDE, NARROW),
     "`r2 5 8*`, `r1 3 20*`": (WIDE, replace(NARROW, neighbours=20)),
-    "`r2 9 8*`, `r1 5 12*`": (replace(WIDE, rungs=9), replace(NARROW, rungs=5)),
-    "`r1 5 12*`, `r1 3 12*`": (replace(NARROW, rungs=5), NARROW),
+    "`r2 9 8*`, `r1 5 12*`": (replace(WIDE, hypotheses=9), replace(NARROW, hypotheses=5)),
+    "`r1 5 12*`, `r1 3 12*`": (replace(NARROW, hypotheses=5), NARROW),
     "`r2 5 8`, `r1 3 12*` (averaged at the end only)": (replace(WIDE, fuse=False), NARROW),
 }
 # How often every place is to be seen: by steep views, and by oblique ones of each quarter.

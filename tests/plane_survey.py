@@ -10,8 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from fields.device import Device
+from fields.sweep.arrays import floats, host
+from fields.sweep.backends import images, kernels
 from fields.sweep.block import Block
-from fields.sweep.stack import ViewStack
+from fields.sweep.in_turn import alone
+from fields.sweep.matching import Reference, match_view
+from fields.sweep.stack import Hypotheses, ViewStack
 from refract import FlatWater, PinholeCamera
 
 FOCAL, SIZE = 800.0, (96, 72)
@@ -84,3 +88,33 @@ class PlaneBed:
         """The photographs of all cameras, or other images; overlap is judged at the bed's level."""
         height = self.level - (0.0 if self.water is None else self.water.point[2])
         return Block(device, cameras, images or [self.photograph(c) for c in cameras], self.water, height)
+
+
+def match(stack: ViewStack, neighbours, start, step, count, radius, columns=None) -> tuple[np.ndarray, ...]:
+    """Height [m], score and curvature [1/m^2] of view 0 on the host: `fields.sweep.matching.match_view`."""
+    hypotheses = Hypotheses(images(stack.device).placed(stack.device, start), step, count)
+    return found_by(stack.device, match_view(Reference(stack, 0, list(neighbours), radius), hypotheses, columns))
+
+
+def found_by(device: Device, job) -> tuple[np.ndarray, ...]:
+    """Images that a job finds, on the host."""
+    return tuple(images(device).fetched(each) for each in alone(device, job))
+
+
+def buffers_of(device: Device, arrays) -> list:
+    """`fields.sweep.backends.Kernels.buffers` that hold arrays of one size; Dr.Jit has one more, for the reference."""
+    found = kernels(device).buffers(device, len(arrays), arrays[0].size)
+    for buffer, each in zip(found, arrays, strict=False):
+        if device.module is None:
+            buffer.copy_(floats(device, each))
+        else:
+            import drjit
+
+            drjit.scatter(buffer.array, floats(device, each), drjit.arange(device.module.UInt, each.size))
+            drjit.eval(buffer.array)
+    return found
+
+
+def held_in(device: Device, buffer, size: int) -> np.ndarray:
+    """The numbers in a buffer, on the host."""
+    return host(device, buffer if device.module is None else buffer.array)[:size]

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from fields.device import Device, choose_device
-from fields.sweep.backends import scoring, warping
+from fields.sweep.backends import kernels
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -74,8 +74,7 @@ def test_each_device_has_its_inner_loops_and_says_why_it_was_chosen():
         device = choose_device(wanted)
         assert device is choose_device(wanted)
         library = "torch" if device.name == "torch" else "drjit"
-        assert warping(device).__name__ == f"fields.sweep.warping_{library}"
-        assert scoring(device).__name__ == f"fields.sweep.scoring_{library}"
+        assert kernels(device).__name__ == f"fields.sweep.warping_{library}"
         assert (device.module is None) == (device.name == "torch")
         assert device.reason
     assert choose_device("torch") == Device("torch", None, "torch was requested", choose_device("torch").place)

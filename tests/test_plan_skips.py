@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from plane_survey import TILTED, PlaneBed, ring
+from plane_survey import TILTED, PlaneBed, match, ring
 from small_survey import small_survey
 
 from fields.skips import NOTHING, SKIPS
-from fields.sweep.climbing import climb_view
 from fields.sweep.stack import ViewStack
 from refract import FlatWater
 from survey.errors import SurveyError
@@ -31,7 +30,7 @@ def test_heights_are_the_same_with_terms_that_the_scene_does_not_need(device, be
     found = []
     for skips in (SKIPS, NOTHING):
         stack = ViewStack.build(device, cameras, images, bed.water, skips)
-        found.append(climb_view(stack, 0, [1, 2, 3, 4, 5, 6], start, step, rungs, 2))
+        found.append(match(stack, [1, 2, 3, 4, 5, 6], start, step, rungs, 2))
     near = np.abs(found[0][0] - found[1][0]) < 0.05 * step
     assert near.mean() > 0.98
     assert np.abs(found[0][1] - found[1][1])[near].max() < 0.01

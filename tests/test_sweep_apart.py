@@ -13,9 +13,8 @@ from fields.device import choose_device, memory_bytes
 from fields.sweep import arrays, device_filters, flat, images_device, resident
 from fields.sweep.block import Block
 from fields.sweep.maps import DepthMap
-from fields.sweep.passes import Pass
+from fields.sweep.passes import Pass, StepSearch
 from fields.sweep.resident import Resident, kept_beside
-from fields.sweep.steps import StepSearch
 from fields.sweep.sweep import sweep
 from refract import FlatWater
 

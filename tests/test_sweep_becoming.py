@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from plane_survey import SIZE, TILTED, PlaneBed, ring
+from plane_survey import SIZE, TILTED, PlaneBed, found_by, ring
 
 from fields.sweep.becoming import becoming_points
 from fields.sweep.bed import trusted, unique_pixels
 from fields.sweep.block import Block
-from fields.sweep.climbs import climbing, climbs_of, refining
 from fields.sweep.consistency import agreement
 from fields.sweep.in_turn import alone
 from fields.sweep.maps import DepthMap
@@ -17,6 +16,7 @@ from fields.sweep.passes import PASSES, Pass, before_solver, passes_from
 from fields.sweep.stack import ViewStack
 from fields.sweep.sweep import sweep
 from fields.sweep.tiles import PART_SIDE_PX, Tiles
+from fields.sweep.view_pass import match_pass, refine_part, view_passes
 
 BED = PlaneBed(TILTED, -2.0, slope=0.1)
 REFINING = Pass(1.0, 1, 5, 0.25, 6, True, points_only=True)
@@ -80,11 +80,11 @@ def test_what_nothing_confirms_becomes_no_point(block):
 
 def test_a_part_is_refined_as_the_whole_view_is_and_the_rest_stays(block):
     before = map_of(block, 0, OFF_M)
-    climb = climbs_of(block, [0], REFINING, None)[0]
-    whole, _ = alone(block.device, climbing(block, REFINING, climb, (-3.0, -1.0), before, None, 0))
+    (of_view,) = view_passes(block, [0], REFINING, None)
+    whole, _ = alone(block.device, match_pass(block, REFINING, of_view, (-3.0, -1.0), before, None, 0))
     part = np.zeros((SIZE[1] // 4, SIZE[0] // 4), dtype=bool)
     part[10:14, 12:20] = True
-    found, taken = alone(block.device, refining(block, REFINING, climb, before, part))
+    found, taken = alone(block.device, refine_part(block, REFINING, of_view, before, part))
     mask = np.zeros(found.height.size, dtype=bool)
     mask[taken] = True
     assert mask.reshape(found.height.shape)[larger(part)].all()
@@ -101,8 +101,8 @@ def test_what_is_left_out_of_a_photograph_scores_nothing_in_a_part_of_it_either(
     images[0][hole] = np.nan
     block = BED.block(device, ring(6), images)
     part = np.ones((SIZE[1] // 4, SIZE[0] // 4), dtype=bool)
-    (climb,) = climbs_of(block, [0], REFINING, None)
-    found, _ = alone(device, refining(block, REFINING, climb, map_of(block, 0, OFF_M), part))
+    (of_view,) = view_passes(block, [0], REFINING, None)
+    found, _ = alone(device, refine_part(block, REFINING, of_view, map_of(block, 0, OFF_M), part))
     assert (found.score[hole] == -1.0).all()
     assert (found.score[4:40, 4:40] > 0.5).mean() > 0.9
 
@@ -117,9 +117,10 @@ def test_images_smaller_than_a_tile_have_no_parts(block):
 def test_some_pixels_agree_as_they_do_among_all(block):
     maps = [map_of(block, view, 0.001 * view) for view in range(7)]
     stack = ViewStack.build(block.device, block.cameras, [m.height for m in maps], TILTED)
-    whole = agreement(stack, 0, [1, 2, 3], 0.05)
+    whole = found_by(block.device, agreement(stack, 0, [1, 2, 3], 0.05))
     pixels = np.arange(1000, 3000, 7)
-    for some, every in zip(agreement(stack, 0, [1, 2, 3], 0.05, pixels), whole, strict=True):
+    part = found_by(block.device, agreement(stack, 0, [1, 2, 3], 0.05, pixels))
+    for some, every in zip(part, whole, strict=True):
         np.testing.assert_allclose(some, every.ravel()[pixels], rtol=0.0, atol=1e-6)
 
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from plane_survey import TILTED, PlaneBed, ring
+from plane_survey import TILTED, PlaneBed, match, ring
 
-from fields.sweep.backends import warping
-from fields.sweep.climbing import climb_view
+from fields.sweep.backends import kernels
 from refract import FlatWater
 
 STEP, RUNGS, RADIUS = 0.04, 9, 2
@@ -31,7 +30,7 @@ def is_close(error) -> bool:
 
 
 def climb_plane(device, bed: PlaneBed, offset: float, *, spoil=None, cameras=None):
-    """True heights of view 0 and what `climb_view` finds, on a ladder whose middle is off the truth by `offset` [m]."""
+    """True heights of view 0 and what `match_view` finds, on a ladder whose middle is off the truth by `offset` [m]."""
     cameras = cameras or ring(6)
     images = [bed.photograph(camera) for camera in cameras]
     if spoil is not None:
@@ -39,7 +38,7 @@ def climb_plane(device, bed: PlaneBed, offset: float, *, spoil=None, cameras=Non
     block = bed.block(device, cameras, images)
     truth = bed.true_height(cameras[0])
     start = truth + offset - STEP * (RUNGS // 2)
-    return truth, *climb_view(block.stack(1.0), 0, list(range(1, len(cameras))), start, STEP, RUNGS, RADIUS)
+    return truth, *match(block.stack(1.0), list(range(1, len(cameras))), start, STEP, RUNGS, RADIUS)
 
 
 @pytest.mark.parametrize("bed", BEDS.values(), ids=BEDS.keys())
@@ -64,7 +63,7 @@ def test_one_ladder_for_a_whole_image_finds_relief_that_it_spans(device):
     start = np.full(truth.shape, truth.min() - 2.4 * STEP, np.float32)
     rungs = int(np.ceil(np.ptp(truth) / STEP)) + 5
     stack = bed.stack(device, cameras)
-    height, _, curvature = climb_view(stack, 0, [1, 2, 3, 4, 5, 6], start, STEP, rungs, RADIUS)
+    height, _, curvature = match(stack, [1, 2, 3, 4, 5, 6], start, STEP, rungs, RADIUS)
     assert truth.min() < 0.0 < truth.max()
     error = (height - truth)[curvature > 0.0]
     assert abs(np.median(error)) < BIAS_M
@@ -89,9 +88,9 @@ def test_where_no_window_is_complete_the_score_says_so_and_the_nearest_height_st
 def test_strips_give_what_the_whole_image_gives(device, monkeypatch):
     bed, cameras = BEDS["wet"], ring(3)
     stack, start = bed.stack(device, cameras), bed.true_height(cameras[0]) - 0.1
-    whole = climb_view(stack, 0, [1, 2, 3], start, STEP, 5, RADIUS)
-    monkeypatch.setattr(warping(device), "STRIP_SAMPLES", 1)  # the fewest rows that a strip may have
-    for array, in_strips in zip(whole, climb_view(stack, 0, [1, 2, 3], start, STEP, 5, RADIUS), strict=True):
+    whole = match(stack, [1, 2, 3], start, STEP, 5, RADIUS)
+    monkeypatch.setattr(kernels(device), "SAMPLES_PER_LAUNCH", 1)  # the fewest rows that a strip may have
+    for array, in_strips in zip(whole, match(stack, [1, 2, 3], start, STEP, 5, RADIUS), strict=True):
         np.testing.assert_array_equal(in_strips, array)
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from plane_survey import TILTED, ring
+from plane_survey import TILTED, found_by, ring
 
-from fields.sweep.consistency import agreement
+from fields.sweep import consistency
 from fields.sweep.stack import ViewStack
 
 OWN, TOLERANCE = -2.0, 0.05
@@ -19,6 +19,11 @@ def level_maps(device, heights, water=TILTED) -> ViewStack:
     cameras = ring(len(heights) - 1)
     shape = (cameras[0].height, cameras[0].width)
     return ViewStack.build(device, cameras, [np.full(shape, h, np.float32) for h in heights], water)
+
+
+def agreement(stack: ViewStack, view: int, peers: list[int], tolerance: float):
+    """`fields.sweep.consistency.agreement` on the host."""
+    return found_by(stack.device, consistency.agreement(stack, view, peers, tolerance))
 
 
 def seen_by(stack: ViewStack, peer: int, height: float = OWN) -> np.ndarray:

@@ -93,7 +93,7 @@ def test_small_images_are_searched_at_more_of_their_size():
     assert passes_from(0.25) == passes_from(0.125) == USUAL
     for share in (0.5, 1.0):
         first, *rest = passes_from(share)
-        assert first.rungs is None
+        assert first.hypotheses is None
         assert first.scale == share
-        assert all(p.rungs is not None for p in rest)
+        assert all(p.hypotheses is not None for p in rest)
         assert rest[-1] == USUAL[-1]

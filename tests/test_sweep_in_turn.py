@@ -9,8 +9,7 @@ from plane_survey import TILTED, PlaneBed, ring
 from fields.sweep import sweep as sweeping
 from fields.sweep.arrays import floats
 from fields.sweep.in_turn import Launched, alone, in_turn
-from fields.sweep.passes import Pass
-from fields.sweep.steps import StepSearch
+from fields.sweep.passes import Pass, StepSearch
 
 BED = PlaneBed(TILTED, -2.0, slope=0.1)
 PASSES = (

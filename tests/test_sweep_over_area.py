@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from plane_survey import TILTED, PlaneBed, ring
+from plane_survey import TILTED, PlaneBed, match, ring
 
-from fields.sweep.climbing import climb_view
-from fields.sweep.over_area import columns_over
+from fields.sweep.view_pass import columns_over
 
 AREA, BOUND = (-0.35, -0.25, 0.2, 0.3), (-2.3, -1.9)
 BED = PlaneBed(TILTED, -2.0)
@@ -39,9 +38,7 @@ def test_wanted_columns_have_the_heights_of_a_whole_image_and_the_others_none(de
     start = (BED.true_height(cameras[0]) - step * (rungs // 2)).astype(np.float32)
     columns = np.tile([0, 0], (stack.height, 1))
     columns[20:50] = 31, 64
-    part, whole = (
-        climb_view(stack, 0, [1, 2, 3, 4, 5, 6], start, step, rungs, radius, each) for each in (columns, None)
-    )
+    part, whole = (match(stack, [1, 2, 3, 4, 5, 6], start, step, rungs, radius, each) for each in (columns, None))
     for found, expected in zip(part, whole, strict=True):
         np.testing.assert_allclose(found[20:50, 31:64], expected[20:50, 31:64], rtol=1e-4, atol=1e-4)
     assert (part[1][:18] == -1.0).all()

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from plane_survey import buffers_of, held_in
 
 from fields.sweep.arrays import ALIGNED_BYTES, Room, floats, host
-from fields.sweep.backends import scoring
+from fields.sweep.backends import kernels
 
 EPS32 = np.finfo(np.float32).eps
 # Sums of up to 49 products of grey levels in float32, less the product of their means; measured 2.5e-7.
@@ -29,8 +30,9 @@ def slow_ncc(reference: np.ndarray, image: np.ndarray, radius: int) -> np.ndarra
 
 def ncc_of(device, reference: np.ndarray, images: np.ndarray, radius: int, least_known: float = 1.0) -> np.ndarray:
     """NCC of images (rungs, height, width); `NOWHERE` before the first whole window and after the last."""
-    flat = floats(device, reference), [floats(device, images)]
-    (score,) = scoring(device).ncc(device, *flat, reference.shape[1], radius, least_known)
+    flat, width = floats(device, reference), reference.shape[1]
+    windows = kernels(device).windows(device, flat, buffers_of(device, [images]), width, radius)
+    (score,) = kernels(device).ncc(windows, radius, least_known)
     lost = radius * (reference.shape[1] + 1)
     return np.pad(host(device, score), lost, constant_values=NOWHERE).reshape(images.shape)
 
@@ -41,10 +43,9 @@ def test_behind_a_room_there_is_memory_for_the_last_vector_of_a_view(device, siz
     room = Room.of(device, size)
     # The last vector of a view that ends where the room does begins at its last number at the latest.
     assert room.memory.nbytes >= 4 * (size - 1) + ALIGNED_BYTES
-    values = floats(device, np.arange(size, dtype=np.float32))
-    copy = Room.of_values(device, values)
+    copy, _ = buffers_of(device, [np.arange(size, dtype=np.float32)])
     # Waits for the kernel that fills it.
-    assert (host(device, copy.values(device)) == np.arange(size)).all()
+    assert (held_in(device, copy, size) == np.arange(size)).all()
     assert (copy.memory[:size] == np.arange(size)).all()
 
 
@@ -120,12 +121,12 @@ def test_best_half_agrees_with_a_slow_twin_whoever_sees_the_window(device, rng, 
     score[rng.uniform(size=score.shape) < rng.uniform(0.0, 1.2, 400)] = NOWHERE
     assert (score == NOWHERE).all(axis=0).any()
     assert (score > NOWHERE).all(axis=0).any()
-    found = host(device, scoring(device).best_half(device, [floats(device, s) for s in score]))
+    found = host(device, kernels(device).best_half(device, [floats(device, s) for s in score]))
     np.testing.assert_allclose(found, slow_best_half(score), atol=4 * EPS32)
 
 
 def climbed(device, ladder: np.ndarray, start: np.ndarray, step: float):
-    found = scoring(device).climb(device, floats(device, ladder), floats(device, start), step, len(ladder))
+    found = kernels(device).best_height(device, floats(device, ladder), floats(device, start), step, len(ladder))
     return [host(device, array) for array in found]
 
 

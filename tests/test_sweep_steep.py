@@ -7,7 +7,7 @@ import pytest
 from plane_survey import SIZE, TILTED, ring
 
 from fields.sweep.arrays import floats
-from fields.sweep.backends import warping
+from fields.sweep.backends import kernels
 from fields.sweep.masks import Masks
 from fields.sweep.stack import ViewStack
 from fields.sweep.steep import Steep, settle, spread_out
@@ -92,7 +92,7 @@ def test_maps_have_what_lies_between_their_four_heights_and_look_through_what_li
     stack = ViewStack.build(device, stack.cameras, [*stack.images[:2], heights], TILTED)
     sure = rng.random(SHAPE) < 0.9
     points = np.stack([*rng.uniform(-0.3, 0.3, (2, 400)), rng.uniform(-2.2, -1.8, 400)])
-    found = warping(device).looks_at(stack, tuple(floats(device, each) for each in points), 2, GSD, sure)
+    found = kernels(device).looks_at(stack, tuple(floats(device, each) for each in points), 2, GSD, sure)
     local = stack.frame.origin + points.T @ stack.frame.from_local
     u, v = (stack.cameras[2].project(local, TILTED) - 0.5).T
     # What rounds to another pixel is not asked.

@@ -7,11 +7,13 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import pytest
-from plane_survey import PlaneBed, look, ring, texture
+from plane_survey import PlaneBed, found_by, look, ring, texture
 
-from fields.sweep.backends import warping
+from fields.sweep.backends import images, kernels
+from fields.sweep.matching import Reference
+from fields.sweep.passes import StepSearch
 from fields.sweep.stack import ViewStack
-from fields.sweep.steps import StepSearch, search_steps
+from fields.sweep.steps import search_steps
 from refract import FlatWater
 
 WATER = FlatWater((0.0, 0.0, 0.0), n_water=1.34)
@@ -36,13 +38,19 @@ class Terrace:
         return np.where(height == HIGH, texture(points[..., 0], points[..., 1]), ground).astype(np.float32)
 
 
+def searched_by(stack, neighbours, found, parallax, search):
+    """What the search makes of height, score and curvature, all on the host."""
+    placed = tuple(images(stack.device).placed(stack.device, each) for each in found)
+    return found_by(stack.device, search_steps(Reference(stack, 0, neighbours, 2), placed, parallax, search))
+
+
 def searched(device, height, truth, *, score=0.9, search=SEARCH):
     """What the search makes of a height map of the middle view."""
     cameras = ring(8)
     stack = ViewStack.build(device, cameras, [Terrace().photograph(c) for c in cameras], WATER)
     found = (height, np.full_like(truth, score), np.full_like(truth, 5.0))
     parallax = PlaneBed(WATER, LOW).block(device, cameras).parallax(0, list(range(1, 9)), LOW)
-    return found, search_steps(stack, 0, list(range(1, 9)), found, parallax, search)
+    return found, searched_by(stack, list(range(1, 9)), found, parallax, search)
 
 
 @pytest.fixture
@@ -83,8 +91,7 @@ def test_a_view_that_scores_too_low_for_the_windows_is_left_as_it_is(device, fat
     assert all(old is new for old, new in zip(before, after, strict=True))
 
 
-def test_a_level_bed_is_not_searched(device, fattened, monkeypatch):
-    monkeypatch.setattr(warping(device), "warp", None)
+def test_a_level_bed_is_not_searched(device, fattened):
     truth, _ = fattened
     level = np.full_like(truth, LOW)
     before, after = searched(device, level, truth)
@@ -94,7 +101,7 @@ def test_a_level_bed_is_not_searched(device, fattened, monkeypatch):
 def test_tiles_in_several_batches_give_what_one_batch_gives(device, fattened, monkeypatch):
     truth, height = fattened
     _, whole = searched(device, height, truth)
-    monkeypatch.setattr(warping(device), "STRIP_SAMPLES", 8 * 10 * 10 * 25 * 3)
+    monkeypatch.setattr(kernels(device), "SAMPLES_PER_LAUNCH", 8 * 10 * 10 * 25 * 3)
     _, parts = searched(device, height, truth)
     np.testing.assert_allclose(whole[0], parts[0], atol=1e-5)
 
@@ -137,7 +144,7 @@ def test_a_wall_is_found_better_by_upright_windows_than_by_level_ones(device):
     search = replace(SEARCH, around_px=12)
     errors = []
     for walls in (False, True):
-        height, _, _ = search_steps(stack, 0, [1, 2, 3, 4], found, parallax, replace(search, walls=walls))
+        height, _, _ = searched_by(stack, [1, 2, 3, 4], found, parallax, replace(search, walls=walls))
         errors.append(np.abs(height - truth)[10:-10, 10:-10][on_wall[10:-10, 10:-10]])
     assert len(errors[0]) > 300
     level, upright = (np.mean(error < 0.02) for error in errors)

@@ -10,10 +10,9 @@ import pytest
 from plane_survey import FOCAL, SIZE, TILTED, PlaneBed, look, ring
 
 from fields.device import choose_device
-from fields.sweep import windows
+from fields.sweep import matching
 from fields.sweep.bed import trusted, unique_pixels
 from fields.sweep.block import Block
-from fields.sweep.climbing import climbing_view
 from fields.sweep.maps import DepthMap
 from fields.sweep.passes import PASSES, Pass
 from fields.sweep.sweep import sweep
@@ -164,19 +163,20 @@ def test_maps_come_in_the_order_of_the_chosen_views(device):
     assert all(m.height.shape == SIZE[::-1] and m.height.dtype == np.float32 for m in maps)
 
 
-def test_only_the_first_pass_goes_without_its_own_number_of_rungs(device):
-    with pytest.raises(ValueError, match="a pass after the first expects its own number of rungs"):
+def test_only_the_first_pass_goes_without_its_own_number_of_hypotheses(device):
+    with pytest.raises(ValueError, match="a pass after the first expects its own number of hypotheses"):
         sweep(BEDS["dry"].block(device, ring(4)), [0, 1], (-2.2, -1.8), ignore, (SMALL[0], SMALL[0]))
 
 
 def test_progress_is_the_share_of_the_samples_compared(device, monkeypatch):
     counted, shares = [], []
 
-    def counting(stack, view, others, start, step, rungs, radius, columns, least_known):
-        counted.append(start.size * rungs * len(others))
-        return climbing_view(stack, view, others, start, step, rungs, radius, columns, least_known)
+    def counting(reference, hypotheses, columns):
+        counted.append(hypotheses.start.size * hypotheses.count * len(reference.neighbours))
+        return match_view(reference, hypotheses, columns)
 
-    monkeypatch.setattr(windows, "climbing_view", counting)
+    match_view = matching.match_view
+    monkeypatch.setattr(matching, "match_view", counting)
     sweep(BEDS["dry"].block(device, ring(4)), [3, 0, 2], (-4.5, -0.5), shares.append, SMALL[:2])
     fusing = SIZE[0] * SIZE[1] * 3 * 2  # three views, each compared with the other two
     assert counted[0] > 2 * counted[3]  # the ladder of a wide bound is the longest part of the work

@@ -8,8 +8,10 @@ import plane_survey
 import pytest
 from plane_survey import TILTED, PlaneBed, ring
 
-from fields.sweep.climbing import climb_view
-from fields.sweep.windows import RADII, climb_widely_enough, radius_for
+from fields.sweep.backends import images as images_of
+from fields.sweep.in_turn import alone
+from fields.sweep.matching import RADII, Reference, match_view, match_with_adaptive_windows, radius_for
+from fields.sweep.stack import Hypotheses
 
 BED, OTHERS, STEP, RUNGS = PlaneBed(TILTED, -2.0), [1, 2, 3, 4, 5, 6], 0.04, 41
 
@@ -21,15 +23,18 @@ def fine_texture(monkeypatch):
     monkeypatch.setattr(plane_survey, "LONGEST", 0.15)
 
 
-def climbed(device, images, climb):
-    """What a climb with windows of 5 px finds about the bed, and the errors of its heights [m]."""
+def matched(device, images, match):
+    """What matching with windows of 5 px finds, the last radius [px], and the errors of its heights [m]."""
     cameras = ring(6)
     truth = BED.true_height(cameras[0]).astype(np.float32)
     start = np.full_like(truth, truth.mean() - 0.5 * STEP * (RUNGS - 1))
     stack = BED.block(device, cameras, images).stack(1.0)
-    found = climb(stack, 0, OTHERS, start, STEP, RUNGS, 2)
-    heights = found[0][0] if isinstance(found[0], tuple) else found[0]
-    return found, np.abs(heights - truth)[8:-8, 8:-8]
+    backend = images_of(device)
+    hypotheses = Hypotheses(backend.placed(device, start), STEP, RUNGS)
+    found = alone(device, match(Reference(stack, 0, OTHERS, 2), hypotheses))
+    images, radius = found if match is match_with_adaptive_windows else (found, 2)
+    images = [backend.fetched(each) for each in images]
+    return images, radius, np.abs(images[0] - truth)[8:-8, 8:-8]
 
 
 def lit(rng, contrast: float) -> list[np.ndarray]:
@@ -42,16 +47,16 @@ def lit(rng, contrast: float) -> list[np.ndarray]:
 
 
 def test_quiet_images_keep_their_windows(device):
-    (found, radius), _ = climbed(device, None, climb_widely_enough)
+    found, radius, _ = matched(device, None, match_with_adaptive_windows)
     assert radius == 2
-    for each, narrow in zip(found, climbed(device, None, climb_view)[0], strict=True):
+    for each, narrow in zip(found, matched(device, None, match_view)[0], strict=True):
         np.testing.assert_array_equal(each, narrow)
 
 
 def test_light_that_differs_in_each_photograph_gets_wider_windows_and_these_find_the_bed(device, rng):
     images = lit(rng, 0.4)
-    (_, radius), wide = climbed(device, images, climb_widely_enough)
-    _, narrow = climbed(device, images, climb_view)
+    _, radius, wide = matched(device, images, match_with_adaptive_windows)
+    _, _, narrow = matched(device, images, match_view)
     assert radius >= 4
     assert (wide < STEP).mean() > (narrow < STEP).mean() + 0.2
 
@@ -60,7 +65,7 @@ def test_windows_between_many_missing_pixels_stay_narrow(device, rng):
     images = lit(rng, 0.4)
     hole = (np.arange(72)[:, None] % 13 < 5) & (np.arange(96) % 13 < 5)
     images = [np.where(hole, np.float32(np.nan), image) for image in images]
-    (_, radius), _ = climbed(device, images, climb_widely_enough)
+    _, radius, _ = matched(device, images, match_with_adaptive_windows)
     assert radius == 2
 
 

@@ -112,23 +112,6 @@ class Room:
         array = drjit.empty(device.module.Float, size + _SPARE)
         return Room(array, size, array.numpy() if device.name == "llvm" else None)
 
-    @staticmethod
-    def of_values(device: Device, values: Any) -> Room:
-        """A copy of an array that is there."""
-        import drjit
-
-        size = drjit.width(values)
-        room = Room.of(device, size)
-        drjit.scatter(room.array, values, drjit.arange(device.module.UInt, size))
-        drjit.eval(room.array)
-        return room
-
-    def values(self, device: Device) -> Any:
-        """A copy of what was asked for."""
-        import drjit
-
-        return drjit.gather(device.module.Float, self.array, drjit.arange(device.module.UInt, self.size))
-
 
 def rung_and_pixel(device: Device, count: int, strip: int) -> tuple[Any, Any]:
     """The numbers 0 to ``count`` divided by ``strip``, and what is left, in Dr.Jit.
@@ -146,6 +129,11 @@ def rung_and_pixel(device: Device, count: int, strip: int) -> tuple[Any, Any]:
 def host(device: Device, array) -> np.ndarray:
     """An array of the device as numpy, flat."""
     return array.numpy() if device.module is not None else array.reshape(-1).cpu().numpy()
+
+
+def results(device: Device, launched: list[Any]) -> list[Any]:
+    """Results of kernels as flat arrays where the passes work on them: on the host, after a wait, or on the device."""
+    return launched if device.apart else [host(device, each) for each in launched]
 
 
 @contextmanager

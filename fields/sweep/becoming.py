@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from fields.sweep.backends import images, warping
+from fields.sweep.backends import images, kernels
 from fields.sweep.bed import trusted
 from fields.sweep.block import Block
 from fields.sweep.footprint import Footprint
@@ -58,9 +58,9 @@ def becoming_points(block: Block, maps: Mapping[int, DepthMap]) -> dict[int, np.
         steeper = [
             n for n in range(number) if view in ground and order[n] in ground and ground[view].meets(ground[order[n]])
         ]
-        if steeper:
-            others = block.neighbours(view, 8, among=order)
-            tolerance = block.agreement_tolerance(view, others, beside.median_above(known[view], -math.inf))
-            against, _, _ = warping(block.device).compare(heights, number, steeper, tolerance)
+        middle = beside.median_above(known[view], -math.inf) if steeper else None
+        if middle is not None:
+            tolerance = block.agreement_tolerance(view, block.neighbours(view, 8, among=order), middle)
+            against, _, _ = kernels(block.device).compare(heights, number, steeper, tolerance)
         wanted[view] = beside.first_shown(block.device, known[view], against)
     return wanted

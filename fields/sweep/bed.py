@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from fields.median import median
 from fields.sweep.arrays import forget
-from fields.sweep.backends import warping
+from fields.sweep.backends import kernels
 from fields.sweep.block import Block
 from fields.sweep.certainty import std_of
 from fields.sweep.footprint import Footprint
@@ -141,10 +141,10 @@ def unique_pixels(block: Block, maps: Sequence[DepthMap], gsd: float) -> Masks:
         fit[index] = walls[index] & shown & _confirmed(maps[index], WALL_NCC)
         if not keep.any():
             continue
-        legs, own = warping(block.device).paths_of(heights, index, np.flatnonzero(keep))
+        legs, own = kernels(block.device).paths_of(heights, index, np.flatnonzero(keep))
         for later in order[place + 1 :]:
             if ground[index].meets(ground[later]):
-                same, near = warping(block.device).claim(heights, legs, own, later, tolerances[index], gsd)
+                same, near = kernels(block.device).claim(heights, legs, own, later, tolerances[index], gsd)
                 claimed.add(later, same & (near | ~walls[later].ravel()))
         forget(block.device)
     settle(heights, Steep(steep, fit, sure), kept, gsd)

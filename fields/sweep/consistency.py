@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
-from fields.sweep.backends import images, warping
-from fields.sweep.in_turn import Job, Launched, alone
+from fields.sweep.backends import images, kernels
+from fields.sweep.in_turn import Job, Launched
 from fields.sweep.stack import ViewStack
 
 
 def agreement(
-    heights: ViewStack, view: int, peers: list[int], tolerance: float, pixels: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    heights: ViewStack, view: int, peers: list[int], tolerance: float, pixels: Any | None = None
+) -> Job[tuple[Any, Any, Any]]:
     """Compare the height map of one view with those of its peers.
 
     The bed point of each pixel is projected into each peer, whose own height there (bilinear) is compared.
@@ -36,20 +34,11 @@ def agreement(
     spread : float32 [m]
         Standard deviation (population) of the same.
     """
-    job = comparing(heights, view, peers, tolerance, pixels)
-    agreeing, fused, spread = (images(heights.device).fetched(each) for each in alone(heights.device, job))
-    return agreeing.astype(np.uint8, copy=False), fused, spread
-
-
-def comparing(
-    heights: ViewStack, view: int, peers: list[int], tolerance: float, pixels: Any | None = None
-) -> Job[tuple[Any, Any, Any]]:
-    """`agreement` as a job."""
-    beside = images(heights.device)
+    backend = images(heights.device)
     shape = (heights.height, heights.width) if pixels is None else (len(pixels),)
 
     def launch() -> Launched:
-        return Launched(list(warping(heights.device).compare(heights, view, peers, tolerance, pixels)))
+        return Launched(list(kernels(heights.device).compare(heights, view, peers, tolerance, pixels)))
 
     sums = yield launch
-    return beside.agreement(beside.heights_at(heights, view, pixels), sums, shape)
+    return backend.agreement(backend.heights_at(heights, view, pixels), sums, shape)

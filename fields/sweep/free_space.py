@@ -9,7 +9,7 @@ import numpy as np
 
 from fields.median import median
 from fields.sweep.arrays import host
-from fields.sweep.backends import warping
+from fields.sweep.backends import kernels
 from fields.sweep.bed import trusted
 from fields.sweep.block import Block
 from fields.sweep.lazy import Lazy
@@ -48,7 +48,7 @@ def without_contradicted(block: Block, maps: Sequence[DepthMap], keep: Keep = di
             found[m.view] = m
             continue
         tolerance = block.agreement_tolerance(m.view, peers, median(m.height))
-        through = warping(block.device).looked_through(stack, index, [chosen.index(peer) for peer in peers], tolerance)
+        through = kernels(block.device).looked_through(stack, index, [chosen.index(peer) for peer in peers], tolerance)
         against = host(block.device, through).reshape(m.height.shape)
         contradicted = (against > 0.0) & (against >= m.agreeing)
         found[m.view] = replace(m, agreeing=np.where(contradicted, 0, m.agreeing).astype(np.uint8))

@@ -10,11 +10,11 @@ from typing import Any
 from fields.sweep.backends import images
 from fields.sweep.bed import trusted
 from fields.sweep.block import Block
-from fields.sweep.climbing import MATCHED_NCC
-from fields.sweep.consistency import comparing
+from fields.sweep.consistency import agreement
 from fields.sweep.in_turn import Job, in_turn
 from fields.sweep.lazy import Lazy
 from fields.sweep.maps import DepthMap, Keep, Maps
+from fields.sweep.passes import MATCHED_NCC
 from fields.sweep.stack import ViewStack
 
 # What `fields.sweep.consistency.agreement` gives: images of `fields.sweep.backends.images`.
@@ -73,7 +73,7 @@ def _agreement(
     def job(view: int) -> Job[tuple[DepthMap, float, _Agreement]]:
         m, others, pixels = maps[view], peers[view], only.get(view)
         tolerance = block.agreement_tolerance(view, others, beside.median(m.height))
-        found = yield from comparing(heights, chosen.index(view), [chosen.index(p) for p in others], tolerance, pixels)
+        found = yield from agreement(heights, chosen.index(view), [chosen.index(p) for p in others], tolerance, pixels)
         if pixels is not None:
             whole = [beside.flat_copy(each) for each in (m.agreeing, m.height, m.spread)]
             for target, each in zip(whole, found, strict=True):

@@ -14,19 +14,9 @@ import cv2
 import numpy as np
 
 from fields.device import Device
-from fields.sweep import images_host
+from fields.sweep import device_filters, images_host
 from fields.sweep.arrays import floats
-from fields.sweep.device_filters import (
-    Place,
-    around,
-    enlarged,
-    extent,
-    filled,
-    means_of,
-    median_blur,
-    on_planes,
-    ways,
-)  # fmt: skip
+from fields.sweep.device_filters import Place
 from fields.sweep.flat import (
     all_given,
     computed,
@@ -50,7 +40,10 @@ from fields.sweep.stack import ViewStack
 from fields.sweep.tiles import Tiles
 from refract import kernels
 
-__all__ = ["around", "enlarged", "extent", "filled", "means_of", "median_blur", "on_planes", "ways"]
+# The rest of `fields.sweep.backends.Images`.
+around, enlarged, extent = device_filters.around, device_filters.enlarged, device_filters.extent
+filled, means_of, median_blur = device_filters.filled, device_filters.means_of, device_filters.median_blur
+on_planes, ways = device_filters.on_planes, device_filters.ways
 
 
 def arrived(device: Device, m: DepthMap) -> DepthMap:
@@ -87,11 +80,6 @@ def found_map(view: int, height: Any, score: Any) -> DepthMap:
 def brief(image: Any) -> Any:
     """Scores or spreads as maps keep them."""
     return image
-
-
-def results(device: Device, launched: list[Any]) -> list[Any]:
-    """What kernels give, flat: nothing waits for them."""
-    return launched
 
 
 def full(device: Device, shape: tuple[int, int], value: float) -> Any:

@@ -58,11 +58,6 @@ def brief(image: np.ndarray) -> np.ndarray:
     return image.astype(np.float16)
 
 
-def results(device: Device, launched: list[Any]) -> list[np.ndarray]:
-    """What kernels gave, flat: waits for them."""
-    return [host(device, each) for each in launched]
-
-
 def full(device: Device, shape: tuple[int, int], value: float) -> np.ndarray:
     """An image of one value."""
     return np.full(shape, value, dtype=np.float32)
@@ -176,7 +171,7 @@ def filled(height: np.ndarray, known: np.ndarray) -> np.ndarray:
     return of_label[nearest]
 
 
-def agreement(own: np.ndarray, sums: list[np.ndarray], shape: tuple[int, ...]) -> tuple[np.ndarray, ...]:
+def agreement(own: np.ndarray, sums: list[np.ndarray], shape: tuple[int, ...]) -> tuple[Any, Any, Any]:
     """How many other heights agree, the mean with them [m] and their standard deviation [m], of `compare`'s sums."""
     count, total, square = (each.reshape(shape) for each in sums)
     mean = total / (count + 1.0)

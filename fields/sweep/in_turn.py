@@ -14,7 +14,7 @@ from itertools import count
 from typing import Any, TypeVar
 
 from fields.device import Device
-from fields.sweep.backends import images
+from fields.sweep.arrays import results
 
 Found = TypeVar("Found")
 
@@ -54,7 +54,7 @@ def in_turn(device: Device, jobs: Iterable[Job[Found]], most: int = 2) -> Iterat
             if running is not None:
                 number, job, launched = running
                 # Waits; from here to the next launch no kernel runs, and what the last ones read is let go.
-                landed = number, job, images(device).results(device, launched.results)
+                landed = number, job, results(device, launched.results)
                 running = None
                 del launched
             if turn.ready:

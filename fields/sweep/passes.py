@@ -4,33 +4,60 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from fields.sweep.climbing import MATCHED_NCC
-from fields.sweep.steps import StepSearch
-
-# Rungs of a pass that searches nothing.
+# A score below this is meaningless: no window was complete (-1), or the windows have no texture (0, but for rounding).
+MATCHED_NCC = 0.05
+# Hypotheses of a pass that searches nothing.
 REFINING = 3
 
 
 @dataclass(frozen=True)
+class StepSearch:
+    """How steps are searched after a pass.
+
+    Attributes
+    ----------
+    radius : of the NCC window [px]
+    step_px : parallax between two hypotheses [px at the scale of the pass]
+    tile_px : side of the tiles that share their hypotheses [px]: small ones share little, large ones hold heights that
+        few of their pixels need
+    reach_px : searched are pixels around which heights differ by a parallax of more [px at the scale of the pass]
+    around_px : heights this far around a pixel bound its hypotheses [px at the scale of the pass]
+    least_score : views are searched of which half of the pixels scored so high in the pass: windows of this size can
+        tell heights in them
+    walls : whether vertical walls are tried, beside level ground
+    neighbours : how many of the views of the pass heights are compared with, of those that match best
+    """
+
+    radius: int
+    step_px: float
+    tile_px: int
+    reach_px: float
+    around_px: int
+    least_score: float
+    walls: bool = False
+    neighbours: int = 6
+
+
+@dataclass(frozen=True)
 class Pass:
-    """One ladder over all views.
+    """One matching of all views, with hypotheses about the heights of the pass before.
 
     Attributes
     ----------
     scale : of the image, 1 is full size
     radius : of the NCC window [px]
-    rungs : number of heights tried, odd; None for the first pass, which tries as many as the bound holds
-    step_px : parallax between two rungs [px at this scale]
+    hypotheses : number of heights tried, odd; None for the first pass, which tries as many as the bound holds
+    step_px : parallax between two hypotheses [px at this scale]
     neighbours : number of views compared with
     fuse : after the pass, average each height with those of the views that agree
-    search : after the pass, how heights beyond its ladder are searched; None: not at all
+    search : after the pass, how heights beyond its hypotheses are searched; None: not at all
     points_only : whether only what becomes a point takes part, as the heights before tell: other pixels confirm with
         the heights that they have
     """
 
     scale: float
     radius: int
-    rungs: int | None
+    hypotheses: int | None
     step_px: float
     neighbours: int
     fuse: bool
@@ -40,12 +67,12 @@ class Pass:
     @property
     def refines(self) -> bool:
         """Whether it tries no more than the heights beside the one that is known: windows of any size tell these."""
-        return self.rungs is not None and self.rungs <= REFINING
+        return self.hypotheses is not None and self.hypotheses <= REFINING
 
 
 # Windows shrink as the relief becomes known: 5x5 finds the height, 3x3 about the relief resolves it. docs/sweep.md has
 # what other passes give. Windows of the pass before hold heights from 5 px around; images without anything in common
-# reach the least scores by chance in one of forty pixels: the better half of the neighbours on a ladder of forty.
+# reach the least scores by chance in one of forty pixels: the better half of the neighbours among forty hypotheses.
 PASSES = (
     Pass(0.25, 2, None, 0.5, 8, False),
     Pass(0.5, 2, 11, 0.4, 8, False, StepSearch(2, 0.5, 16, 2.0, 5, MATCHED_NCC)),
@@ -61,9 +88,9 @@ def passes_from(share: float) -> tuple[Pass, ...]:
     Images of few pixels have to be searched at more than a quarter of their size (docs/targets.md).
     """
     if share > PASSES[1].scale:
-        return (replace(PASSES[2], rungs=None, step_px=PASSES[0].step_px, search=None), *PASSES[3:])
+        return (replace(PASSES[2], hypotheses=None, step_px=PASSES[0].step_px, search=None), *PASSES[3:])
     if share > PASSES[0].scale:
-        return (replace(PASSES[1], rungs=None, step_px=PASSES[0].step_px, search=None), *PASSES[2:])
+        return (replace(PASSES[1], hypotheses=None, step_px=PASSES[0].step_px, search=None), *PASSES[2:])
     return PASSES
 
 

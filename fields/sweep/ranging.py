@@ -6,15 +6,18 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
+from fields.sweep.backends import images
 from fields.sweep.block import Block
-from fields.sweep.windows import climb_widely_enough
+from fields.sweep.in_turn import alone
+from fields.sweep.matching import Reference, match_with_adaptive_windows
+from fields.sweep.stack import Hypotheses
 
 THUMBNAIL_PX = 128
 NUM_VIEWS = 8
 NUM_NEIGHBOURS = 8
 WINDOW_RADIUS = 3
 # A thumbnail pixel counts where half of its neighbours correlate this well in such windows, in wider ones as much less
-# as chance does, and the best height is not an end rung.
+# as chance does, and the best height is not the first or the last hypothesis.
 CONFIDENT_NCC = 0.7
 MIN_PIXELS = 200
 # With fewer height hypotheses, of which the first and the last count for nothing, a range is narrow already.
@@ -37,7 +40,7 @@ def find_range(block: Block, limits: tuple[float, float]) -> tuple[float, float]
     -------
     (low, high) [m]
         The 0.5 and 99.5 % quantiles of the heights that match well and continue around, without those that are no
-        more frequent than chance, widened by a quarter of their distance and one rung. The limits themselves, where
+        more frequent than chance, widened by a quarter of their distance and one step. The limits themselves, where
         thumbnails resolve too few heights between them.
 
     Raises
@@ -50,31 +53,35 @@ def find_range(block: Block, limits: tuple[float, float]) -> tuple[float, float]
     chosen = block.cover(1, 0)
     chosen = [chosen[i] for i in np.unique(np.linspace(0, len(chosen) - 1, NUM_VIEWS).astype(int))]
     heights, steps, radius = [np.empty(0)], [0.0], WINDOW_RADIUS
+    backend = images(block.device)
     for view in chosen:
         others = block.neighbours(view, NUM_NEIGHBOURS)
         if not others:
             continue
         step = 0.5 / (scale * block.parallax(view, others, 0.5 * (limits[0] + limits[1])))
-        rungs = int(np.ceil((limits[1] - limits[0]) / step)) + 1
-        if rungs < _FEWEST_HYPOTHESES:
+        count = int(np.ceil((limits[1] - limits[0]) / step)) + 1
+        if count < _FEWEST_HYPOTHESES:
             block.release(scale)
             return limits
-        start = np.full((stack.height, stack.width), limits[0], dtype=np.float32)
-        (z, score, curvature), radius = climb_widely_enough(stack, view, others, start, step, rungs, radius)
+        start = backend.full(block.device, (stack.height, stack.width), limits[0])
+        reference = Reference(stack, view, others, radius)
+        job = match_with_adaptive_windows(reference, Hypotheses(start, step, count))
+        found, radius = alone(block.device, job)
+        z, score, curvature = (backend.fetched(each) for each in found)
         confident = CONFIDENT_NCC * (2 * WINDOW_RADIUS + 1) / (2 * radius + 1)
         # A chance match is isolated; the bed continues in the pixels around.
         supported = np.abs(z - cv2.medianBlur(z, 5)) < step
         heights.append(z[(score > confident) & (curvature > 0.0) & supported])
         steps.append(step)
     block.release(scale)
-    found = np.concatenate(heights)
-    if found.size < MIN_PIXELS:
+    matched = np.concatenate(heights)
+    if matched.size < MIN_PIXELS:
         raise ValueError(
-            f"only {found.size} thumbnail pixels match between views at heights from {limits[0]:.1f} to "
+            f"only {matched.size} thumbnail pixels match between views at heights from {limits[0]:.1f} to "
             f"{limits[1]:.1f} m over the water; check that poses, water level and images belong together and that "
             "the bed shows texture"
         )
-    low, high = np.quantile(beyond_chance(found, limits), [0.005, 0.995])
+    low, high = np.quantile(beyond_chance(matched, limits), [0.005, 0.995])
     margin = 0.25 * (high - low) + max(steps)
     return max(float(low - margin), limits[0]), min(float(high + margin), limits[1])
 

@@ -26,8 +26,8 @@ NOISE_VARIANCE = 1.0
 RUNGS_PER_KERNEL = 8
 
 
-def rooms(device: Device, count: int, size: int) -> list[Room]:
-    """Room for the windows of so many neighbours and of the reference, of J * P each: to be asked for before `warp`."""
+def buffers(device: Device, count: int, size: int) -> list[Room]:
+    """Memory for W of so many neighbours, of J * P each, and for the reference: to be asked for before `warp`."""
     return [Room.of(device, size) for _ in range(count + 1)]
 
 
@@ -39,26 +39,12 @@ def _shifted(device: Device, room: Room, first: int, count: int):
     return dr.gather(type(room.array), room.array, dr.arange(UInt, count) + dr.opaque(UInt, first))
 
 
-def ncc(device: Device, reference, values: list, width: int, radius: int, least_known: float = 1.0) -> list:
-    """NCC of W (K arrays of J * P) with the reference strip (P) over square windows; -1 where a window is incomplete.
-
-    The windows run over the flattened strips, and the first and last M = radius * (width + 1) of them, which would
-    begin before it or end after it, are left out: K arrays of J * P - 2 M, traced and not computed yet. Windows that
-    wrap around a row's end, or leave the strip, are wrong: the caller discards the halo (`radius` pixels at every
-    edge). With ``least_known`` below 1 the pixels that both have are compared, where these are such a share of the
-    window.
-    """
-    filled = [Room.of_values(device, each) for each in values]
-    place = Room.of(device, dr.width(values[0]))
-    return ncc_of(windows(device, reference, [*filled, place], width, radius), radius, least_known)
-
-
-def windows(device: Device, reference, filled: list[Room], width: int, radius: int) -> list[list]:
+def windows(device: Device, reference, values: list[Room], width: int, radius: int) -> list[list]:
     """The pixels of all windows of the reference, and of W of each neighbour, place by place.
 
-    Of ``filled`` rooms (see `rooms`) the last is empty.
+    ``values`` are the `buffers` that `warp` has filled; the last of them, that of the reference, is filled here.
     """
-    Float, (*values, greys) = device.module.Float, filled
+    Float, (*values, greys) = device.module.Float, values
     total = greys.size
     index = dr.arange(device.module.UInt, total)
     grey = dr.gather(Float, reference, rung_and_pixel(device, total, dr.width(reference))[1])
@@ -70,8 +56,15 @@ def windows(device: Device, reference, filled: list[Room], width: int, radius: i
     return [[_shifted(device, room, o, count) for o in offsets] for room in (greys, *values)]
 
 
-def ncc_of(windows: list[list], radius: int, least_known: float = 1.0) -> list:
-    """`ncc` of what `windows` gives."""
+def ncc(windows: list[list], radius: int, least_known: float = 1.0) -> list:
+    """NCC of W (K arrays of J * P) with the reference over square windows; -1 where a window is incomplete.
+
+    The windows run over the flattened strips, and the first and last M = radius * (width + 1) of them, which would
+    begin before it or end after it, are left out: K arrays of J * P - 2 M, traced and not computed yet. Windows that
+    wrap around a row's end, or leave the strip, are wrong: the caller discards the halo (`radius` pixels at every
+    edge). With ``least_known`` below 1 the pixels that both have are compared, where these are such a share of the
+    window.
+    """
     (reference, *windows), side = windows, 2 * radius + 1
     scale = 1.0 / side**2
     if least_known < 1.0:
@@ -142,7 +135,7 @@ def best_half(device: Device, scores: list):
     return mean
 
 
-def climb(device: Device, mean, start, step, rungs: int):
+def best_height(device: Device, mean, start, step: float, count: int):
     """Best height per pixel with a parabola through its neighbours on the ladder, its score and its sharpness.
 
     ``mean`` (J * P - 2 M) has lost M values at either end; so have the results, of P - 2 M.
@@ -154,13 +147,13 @@ def climb(device: Device, mean, start, step, rungs: int):
     curvature : [1/m^2], minus the second derivative of the score; 0 where the best rung is at an end
     """
     Float, UInt = device.module.Float, device.module.UInt
-    lost = dr.width(start) * rungs - dr.width(mean)
+    lost = dr.width(start) * count - dr.width(mean)
     P = dr.width(start) - lost
     pixel, size = dr.arange(UInt, P), dr.opaque(UInt, dr.width(start))
     start = dr.gather(Float, start, pixel + dr.opaque(UInt, lost // 2))
     best = dr.gather(Float, mean, pixel)
     at, low, high, before = dr.zeros(Float, P), Float(best), Float(best), Float(best)
-    for j in range(1, rungs):
+    for j in range(1, count):
         place = dr.opaque(Float, float(j))
         score = dr.gather(Float, mean, pixel + size * dr.opaque(UInt, j))
         high = dr.select(at == place - 1.0, score, high)
@@ -172,7 +165,7 @@ def climb(device: Device, mean, start, step, rungs: int):
         before = score
         if j % RUNGS_PER_KERNEL == 0:
             dr.eval(best, at, low, high, before)
-    inner = (at > 0.5) & (at < dr.opaque(Float, rungs - 1.5))
+    inner = (at > 0.5) & (at < dr.opaque(Float, count - 1.5))
     bend = 2.0 * best - low - high
     offset = dr.select(inner & (bend > 1e-6), dr.clip(0.5 * (high - low) / dr.maximum(bend, 1e-6), -0.5, 0.5), 0.0)
     step = dr.opaque(Float, float(step))

@@ -28,28 +28,21 @@ def _window_means(images: Tensor, radius: int) -> Tensor:
     return images * (1.0 / (2 * radius + 1) ** 2)
 
 
-def ncc(
-    device: Device, reference: Tensor, values: list[Tensor], width: int, radius: int, least_known: float = 1.0
-) -> list[Tensor]:
-    """NCC of W (K tensors of J * P) with the reference strip (P) over square windows; see the twin.
-
-    Windows that leave the strip, or its first and last columns, are incomplete.
-    """
-    return ncc_of((reference, values, width), radius, least_known)
-
-
-def rooms(device: Device, count: int, size: int) -> list[Tensor]:
+def buffers(device: Device, count: int, size: int) -> list[Tensor]:
     """Tensors of J * P for so many neighbours."""
     return [torch.empty(size, device=device.place) for _ in range(count)]
 
 
-def windows(device: Device, reference: Tensor, filled: list[Tensor], width: int, radius: int) -> tuple:
-    """What `ncc_of` takes: here no window is laid out before it is needed."""
-    return reference, filled, width
+def windows(device: Device, reference: Tensor, values: list[Tensor], width: int, radius: int) -> tuple:
+    """What `ncc` takes: here no window is laid out before it is needed."""
+    return reference, values, width
 
 
-def ncc_of(windows: tuple, radius: int, least_known: float = 1.0) -> list[Tensor]:
-    """`ncc` of what `windows` gives."""
+def ncc(windows: tuple, radius: int, least_known: float = 1.0) -> list[Tensor]:
+    """NCC of W (K tensors of J * P) with the reference strip (P) over square windows; see the twin.
+
+    Windows that leave the strip, or its first and last columns, are incomplete.
+    """
     reference, values, width = windows
     grey, lost = reference.reshape(-1, width), radius * (width + 1)
     m_i = _window_means(grey, radius)
@@ -107,15 +100,15 @@ def _best_half(score: Tensor, keep: int) -> Tensor:
     return torch.where(wanted > 0.0, total / wanted.clamp(min=1.0), -1.0)
 
 
-def climb(device: Device, mean: Tensor, start: Tensor, step: float, rungs: int) -> tuple[Tensor, Tensor, Tensor]:
+def best_height(device: Device, mean: Tensor, start: Tensor, step: float, count: int) -> tuple[Tensor, Tensor, Tensor]:
     """Best height [m], its score and its sharpness [1/m^2]; see the twin."""
-    lost = len(start) * rungs - len(mean)
+    lost = len(start) * count - len(mean)
     start = start[lost // 2 : len(start) - lost // 2]
     # From rung to rung the same place is one strip farther.
-    ladder = mean.as_strided((rungs, len(start)), (len(start) + lost, 1))
+    ladder = mean.as_strided((count, len(start)), (len(start) + lost, 1))
     at = ladder.argmax(dim=0, keepdim=True)  # the first of equals
-    best, low, high = (ladder.gather(0, i)[0] for i in (at, (at - 1).clamp(min=0), (at + 1).clamp(max=rungs - 1)))
-    inner = ((at > 0) & (at < rungs - 1))[0]
+    best, low, high = (ladder.gather(0, i)[0] for i in (at, (at - 1).clamp(min=0), (at + 1).clamp(max=count - 1)))
+    inner = ((at > 0) & (at < count - 1))[0]
     bend = 2.0 * best - low - high
     offset = (0.5 * (high - low) / bend.clamp(min=1e-6)).clamp(-0.5, 0.5)
     offset = torch.where(inner & (bend > 1e-6), offset, 0.0)

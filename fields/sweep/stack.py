@@ -122,6 +122,22 @@ def camera_table(cameras: list[PinholeCamera], beyond: Beyond, frame: PlaneFrame
 
 
 @dataclass(frozen=True)
+class Hypotheses:
+    """Height hypotheses of a number of pixels: ``start + j * step`` over the water plane, for j from 0 to count - 1.
+
+    Attributes
+    ----------
+    start : array of the pixels, on the host or on the device [m]
+    step : [m]
+    count : int
+    """
+
+    start: Any
+    step: float
+    count: int
+
+
+@dataclass(frozen=True)
 class ViewStack:
     """Scalar images of equal size with their cameras and the water, for one device.
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fields.sweep.arrays import floats, host
-from fields.sweep.backends import warping
+from fields.sweep.backends import kernels
 from fields.sweep.legs import point_at
 from fields.sweep.masks import Masks
 from fields.sweep.stack import ViewStack
@@ -72,7 +72,7 @@ class _Pixels:
         points = tuple(floats(stack.device, each) for each in self.xyz)
         for number, mask in enumerate(sure):
             other = self.number != number
-            has, looks = warping(stack.device).looks_at(stack, points, number, apart, mask)
+            has, looks = kernels(stack.device).looks_at(stack, points, number, apart, mask)
             having += has & other
             through += looks & other
         return having, through
@@ -121,7 +121,7 @@ def _points(stack: ViewStack, number: int, pixels: np.ndarray) -> np.ndarray:
     """Points (3, N) float32 of pixels of a map."""
     if not len(pixels):
         return np.zeros((3, 0), dtype=np.float32)
-    point = point_at(*warping(stack.device).paths_of(stack, number, pixels))
+    point = point_at(*kernels(stack.device).paths_of(stack, number, pixels))
     return np.stack([host(stack.device, each) for each in point])
 
 

@@ -1,9 +1,9 @@
 """Refractive plane sweep, coarse to fine: a height per pixel of every matched view.
 
 Heights are measured over the water plane along its normal (over local z = 0 in a dry survey), so that a hypothesis
-passes the shoreline without a step. Every pass is one ladder of heights about what the pass before found; from the
-second on the ladder follows the relief (`fields.sweep.warping_drjit`), so that windows do not flatten what is already
-known.
+passes the shoreline without a step. Every pass tries heights about those that the pass before found; from the
+second on the hypotheses follow the relief (`fields.sweep.warping_drjit`), so that windows do not flatten what is
+already known.
 """
 
 from __future__ import annotations
@@ -16,13 +16,12 @@ import numpy as np
 from fields.sweep.backends import images
 from fields.sweep.becoming import becoming_points
 from fields.sweep.block import Block
-from fields.sweep.climbs import climbing, climbs_of, pixels_of, refining
 from fields.sweep.fusing import confirm, fuse
 from fields.sweep.in_turn import Job, in_turn
 from fields.sweep.maps import DepthMap, InOrder, Keep, enlarged_map
-from fields.sweep.over_area import Area
 from fields.sweep.passes import PASSES, Pass
 from fields.sweep.resident import brought_back, kept_beside
+from fields.sweep.view_pass import Area, match_pass, pixels_of, refine_part, view_passes
 
 # Height maps that each is compared with where heights are fused.
 PEERS = 12
@@ -49,9 +48,9 @@ def sweep(
     block : Block
     chosen : indices of the views that get a depth map
     bound : (low, high) [m] over the water plane
-        The ladder of the first pass.
+        Spanned by the hypotheses of the first pass.
     progress : called with the share done, 0 to 1
-        Number of samples (pixels x rungs x compared views) of all passes, which take nearly all of the time.
+        Number of samples (pixels x hypotheses x compared views) of all passes, which take nearly all of the time.
     passes : tuple of Pass
     area : (x0, y0, x1, y1) [m], local, optional
         Where heights are wanted: other pixels get no height of their own.
@@ -75,18 +74,20 @@ def sweep(
         if view in chosen:
             known = m if view in again else enlarged_map(m, size)
             maps[view], widths[view] = images(block.device).arrived(block.device, known), m.height.shape[1]
-    climbs = [
-        climbs_of(block, [v for v in chosen if _climbs(size, p, widths.get(v), v in again)], p, None if n else bound)
+    work = [
+        view_passes(
+            block, [v for v in chosen if _takes_part(size, p, widths.get(v), v in again)], p, None if n else bound
+        )
         for n, p in enumerate(passes)
     ]
-    views = sorted({climb.view for each in climbs for climb in each} | set(widths))
+    views = sorted({each.view for of_pass in work for each in of_pass} | set(widths))
     peers = {view: block.neighbours(view, PEERS, among=views) for view in views}
-    taking_part = [{climb.view for climb in each} for each in climbs]
+    taking_part = [{each.view for each in of_pass} for of_pass in work]
     fused = [
         pixels_of(block, p) * sum(len(peers[v]) for v in mine) if p.fuse else 0
         for p, mine in zip(passes, taking_part, strict=True)
     ]
-    total, done = sum(fused) + sum(climb.samples for each in climbs for climb in each), 0
+    total, done = sum(fused) + sum(each.samples for of_pass in work for each in of_pass), 0
     # By how much the windows of each view are wider than its pass has them [px].
     wider = dict.fromkeys(views, 0)
     wanted: dict[int, np.ndarray] = {}
@@ -94,22 +95,22 @@ def sweep(
         if p.points_only and not wanted:
             wanted = becoming_points(block, maps)
         taken: dict[int, Any] = {}
-        parts = {climb.view for climb in climbs[number] if climb.view in wanted and not wider[climb.view]}
+        parts = {each.view for each in work[number] if each.view in wanted and not wider[each.view]}
         # Each made in its turn, as it holds a map.
         jobs: Iterator[Job[tuple[DepthMap, Any]]] = (
-            refining(block, p, climb, maps[climb.view], wanted[climb.view])
-            if climb.view in parts
-            else climbing(block, p, climb, bound, maps.get(climb.view), area, wider[climb.view])
-            for climb in climbs[number]
+            refine_part(block, p, each, maps[each.view], wanted[each.view])
+            if each.view in parts
+            else match_pass(block, p, each, bound, maps.get(each.view), area, wider[each.view])
+            for each in work[number]
         )
         found = in_turn(block.device, jobs, _at_once(block, p))
-        for climb, (m, of_view) in zip(climbs[number], found, strict=True):
-            maps[climb.view] = m
-            if climb.view in parts:
-                taken[climb.view] = of_view
+        for each, (m, of_view) in zip(work[number], found, strict=True):
+            maps[each.view] = m
+            if each.view in parts:
+                taken[each.view] = of_view
             else:
-                wider[climb.view] = of_view
-            done += climb.samples
+                wider[each.view] = of_view
+            done += each.samples
             progress(done / total)
         if fused[number]:
             block.release(p.scale)
@@ -129,6 +130,6 @@ def _at_once(block: Block, p: Pass) -> int:
     return 2 if block.stack(p.scale).quads.values.most >= 2 * (p.neighbours + 1) else 1
 
 
-def _climbs(size: tuple[int, int], p: Pass, width: int | None, again: bool) -> bool:
+def _takes_part(size: tuple[int, int], p: Pass, width: int | None, again: bool) -> bool:
     """Whether a view takes part in a pass: one that has a map of some width only if it goes on, in finer passes."""
     return width is None or (again and p.scale * size[0] > _FINER * width)

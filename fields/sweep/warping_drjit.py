@@ -9,7 +9,7 @@ are offsets to a *per-pixel* height, the window of each pixel follows the relief
 One kernel projects points into several neighbours, whose cameras are its arguments: all points of a ladder, which are
 computed once, or, where the ladder lies on one side of the water, three of them, by which another kernel finds the
 others (`fields.sweep.courses`). `fields.sweep.scoring_drjit` scores the agreement of W with the reference. Callers get
-these functions from `fields.sweep.backends.warping`; `fields.sweep.warping_torch` is the twin without Dr.Jit.
+these functions from `fields.sweep.backends.kernels`; `fields.sweep.warping_torch` is the twin without Dr.Jit.
 """
 
 from __future__ import annotations
@@ -20,16 +20,21 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from fields.sweep import scoring_drjit as scoring
 from fields.sweep.arrays import Room, constant, floats, indices, rung_and_pixel
 from fields.sweep.courses import course_through, in_front, place_on, sections, through_water
 from fields.sweep.legs import legs_through, place_at, point_at, seen_at
 from fields.sweep.quads import MASKED
-from fields.sweep.stack import Beyond, ViewStack, camera_table
+from fields.sweep.stack import Beyond, Hypotheses, ViewStack, camera_table
 
+# The rest of `fields.sweep.backends.Kernels`.
+NOISE_VARIANCE = scoring.NOISE_VARIANCE
+buffers, windows, ncc = scoring.buffers, scoring.windows, scoring.ncc
+best_half, best_height = scoring.best_half, scoring.best_height
 # Views that one kernel projects into: more take as long in several kernels, which compile faster and serve any number.
 VIEWS_PER_KERNEL = 4
 # Samples (neighbours x rungs x pixels) of one launch: 32 MB in all.
-STRIP_SAMPLES = 8_000_000
+SAMPLES_PER_LAUNCH = 8_000_000
 # Share of the pixels that is projected point by point from which all are.
 _MANY = 0.3
 
@@ -123,30 +128,19 @@ class _Ladders:
         return points
 
 
-def warp(stack: ViewStack, legs, start: np.ndarray, neighbours: list[int], step: float, rungs: int) -> list:
-    """Neighbour intensities W: for each neighbour a Dr.Jit float of J * P; NaN outside its image.
-
-    The first rungs ``start`` (P) [m] are on the host.
-    """
-    rooms = [Room.of(stack.device, start.size * rungs) for _ in neighbours]
-    warp_into(rooms, stack, legs, start, neighbours, step, rungs)
-    return [room.values(stack.device) for room in rooms]
-
-
-def warp_into(
-    rooms: list[Room], stack: ViewStack, legs, start: Any, neighbours: list[int], step: float, rungs: int
-) -> None:
-    """`warp` into rooms that are there, of which there may be more."""
+def warp(values: list[Room], stack: ViewStack, legs, hypotheses: Hypotheses, neighbours: list[int]) -> None:
+    """Fill ``values`` (`buffers`, of which there may be more) with W of each neighbour; NaN outside its image."""
+    start, step = hypotheses.start, hypotheses.step
     ladders = _Ladders(stack, legs, floats(stack.device, start), step)
-    values = [room.array for room in rooms[: len(neighbours)]]
-    for part in sections(rungs):
+    arrays = [room.array for room in values[: len(neighbours)]]
+    for part in sections(hypotheses.count):
         wet_and_dry = through_water(stack, start, step, part)
         if len(wet_and_dry) > _MANY * ladders.size:
-            _point_by_point(ladders, part, neighbours, values)
+            _point_by_point(ladders, part, neighbours, arrays)
             continue
-        _along_courses(ladders, part, neighbours, values)
+        _along_courses(ladders, part, neighbours, arrays)
         if len(wet_and_dry):
-            _point_by_point(ladders, part, neighbours, values, wet_and_dry)
+            _point_by_point(ladders, part, neighbours, arrays, wet_and_dry)
 
 
 def _along_courses(ladders: _Ladders, part: range, neighbours: list[int], values: list) -> None:

@@ -6,20 +6,23 @@ computes step by step, so samples are taken in portions that stay in the process
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import torch
 from torch import Tensor
 
+from fields.sweep import scoring_torch as scoring
 from fields.sweep.arrays import floats, indices
 from fields.sweep.courses import course_through, in_front, place_on, sections, through_water
 from fields.sweep.legs import legs_through, place_at, point_at, seen_at
 from fields.sweep.quads import MASKED
-from fields.sweep.stack import Beyond, ViewStack, camera_table
+from fields.sweep.stack import Beyond, Hypotheses, ViewStack, camera_table
 
+# The rest of `fields.sweep.backends.Kernels`.
+NOISE_VARIANCE = scoring.NOISE_VARIANCE
+buffers, windows, ncc = scoring.buffers, scoring.windows, scoring.ncc
+best_half, best_height = scoring.best_half, scoring.best_height
 # Samples (neighbours x rungs x pixels) of one strip: 32 MB an array.
-STRIP_SAMPLES = 8_000_000
+SAMPLES_PER_LAUNCH = 8_000_000
 # Samples that one operation takes on: 1 MB an array.
 PORTION = 250_000
 
@@ -80,21 +83,13 @@ def look_up(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Tensor) -
     return torch.where(inside & (parts[0] != MASKED), value, torch.nan)
 
 
-def warp(stack: ViewStack, legs, start: np.ndarray, neighbours: list[int], step: float, rungs: int) -> list[Tensor]:
-    """Neighbour intensities W: for each neighbour a tensor of J * P; NaN outside its image. See the twin."""
-    values = [torch.empty(start.size * rungs, device=stack.device.place) for _ in neighbours]
-    warp_into(values, stack, legs, start, neighbours, step, rungs)
-    return values
-
-
-def warp_into(
-    rooms: list[Tensor], stack: ViewStack, legs, start: Any, neighbours: list[int], step: float, rungs: int
-) -> None:
-    """`warp` into tensors that are there."""
+def warp(values: list[Tensor], stack: ViewStack, legs, hypotheses: Hypotheses, neighbours: list[int]) -> None:
+    """Fill ``values`` (`buffers`) with W of each neighbour; NaN outside its image."""
+    start, step, count = hypotheses.start, hypotheses.step, hypotheses.count
     begin = floats(stack.device, start)
-    values = [room.view(rungs, len(begin)) for room in rooms]
-    ladder = torch.arange(rungs, dtype=torch.float32, device=begin.device)[:, None]
-    for part in sections(rungs):
+    arrays = [each.view(count, len(begin)) for each in values]
+    ladder = torch.arange(count, dtype=torch.float32, device=begin.device)[:, None]
+    for part in sections(count):
         span = step * max(len(part) - 1, 1)
         three = [point_at(legs, begin + step * part.start + share * span) for share in (0.0, 0.5, 1.0)]
         courses = [
@@ -105,13 +100,13 @@ def warp_into(
         for first in range(part.start, part.stop, per_call):
             rows = slice(first, min(first + per_call, part.stop))
             at = (ladder[rows] - part.start) * (step / span)
-            for target, course, view in zip(values, courses, neighbours, strict=True):
+            for target, course, view in zip(arrays, courses, neighbours, strict=True):
                 target[rows] = look_up(stack, view, *place_on(course, at, stack.numbers[view]))
         wet_and_dry = indices(stack.device, through_water(stack, start, step, part))
         if len(wet_and_dry):
             some = [leg[wet_and_dry] for leg in legs]
             points = point_at(some, begin[wet_and_dry] + step * ladder[part.start : part.stop])
-            for target, view in zip(values, neighbours, strict=True):
+            for target, view in zip(arrays, neighbours, strict=True):
                 seen = seen_at(stack.numbers[view], points, stack.n_water, stack.beyond)
                 target[part.start : part.stop, wet_and_dry] = look_up(stack, view, *seen)
 

@@ -72,7 +72,7 @@ def samples(ground: Ground, scale: float, *, lowest: float, before: float | None
     else:
         passes = list(passes_from(lowest / scale))
     # The finer the first search, the more heights it tries.
-    steps = sum(p.scale**2 * (p.rungs or FIRST_RUNGS * p.scale / PASSES[0].scale) * p.neighbours for p in passes)
+    steps = sum(p.scale**2 * (p.hypotheses or FIRST_RUNGS * p.scale / PASSES[0].scale) * p.neighbours for p in passes)
     return steps * ground.map_px * scale**2
 
 

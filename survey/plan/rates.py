@@ -71,7 +71,7 @@ def run_s(amounts: Amounts, num_cores: int) -> float:
     one += _RANGE_S * min(amounts.largest_px / _THUMBNAIL_PX, 1.0)
     one += _DECODING_S * amounts.photographs_mpx + _POINT_S * amounts.points
     samples = amounts.map_px * sum(
-        p.scale**2 * (p.rungs or FIRST_RUNGS) * p.neighbours * (_POINTS if p.points_only else 1.0)
+        p.scale**2 * (p.hypotheses or FIRST_RUNGS) * p.neighbours * (_POINTS if p.points_only else 1.0)
         for p in (before_solver(PASSES) if amounts.solves else PASSES)
     )
     shared = _KERNELS_S + samples / STEPS_PER_CORE_S + _FIELD_S_PER_CELL * amounts.field_cells

@@ -29,7 +29,7 @@ from survey.run.stored_maps import Stored, kept_aside, save_maps
 if TYPE_CHECKING:
     from fields.sweep.block import Block
     from fields.sweep.maps import InOrder, Keep
-    from fields.sweep.over_area import Area
+    from fields.sweep.view_pass import Area
     from survey.run.aimed import Aimed
     from survey.run.job import Job
 

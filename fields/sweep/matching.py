@@ -1,0 +1,211 @@
+"""Matching of a reference view: the best of the height hypotheses of each pixel, in strips of rows or in tiles."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from fields.sweep.arrays import floats
+from fields.sweep.backends import images, kernels
+from fields.sweep.in_turn import Job, Launched
+from fields.sweep.passes import MATCHED_NCC
+from fields.sweep.stack import Hypotheses, ViewStack
+from fields.sweep.tiles import Tiles
+
+# Height [m], score and curvature [1/m^2] of each pixel: images of `fields.sweep.backends.images`.
+Found = tuple[Any, Any, Any]
+# Lanes of the widest vectors.
+_VECTOR = 16
+# A launch of kernels costs as much as so many samples.
+_LAUNCH_SAMPLES = 600_000
+# Windows are widened until the score of the right height is so many standard deviations above the best that chance
+# gives among all hypotheses, in half of the pixels of a view.
+_ABOVE_CHANCE = 2.0
+# Of photographs with masked or saturated pixels, windows of which such a share is seen by both are compared.
+LEAST_KNOWN = 0.5
+# Radii [px]: others would need other kernels, and wider windows flatten more relief than they find.
+RADII = (1, 2, 3, 4, 6, 8)
+# Of the shorter side of an image: beyond it the border without whole windows is a large part of the image.
+_MOST_OF_SIDE = 0.25
+# Images of which less is known keep their windows: between sun glints wider ones hold less of the bed.
+_WHOLE = 0.9
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A reference view and how it is matched.
+
+    Attributes
+    ----------
+    stack : ViewStack
+    view : int
+    neighbours : list of int
+        Views that it is compared with.
+    radius : int [px]
+        Of the NCC window.
+    least_known : float
+        Windows of which such a share is not masked count as complete.
+    """
+
+    stack: ViewStack
+    view: int
+    neighbours: list[int]
+    radius: int
+    least_known: float = 1.0
+
+
+def match_view(reference: Reference, hypotheses: Hypotheses, columns: np.ndarray | None = None) -> Job[Found]:
+    """Best height of each pixel of a view among its hypotheses.
+
+    Parameters
+    ----------
+    reference : Reference
+    hypotheses : Hypotheses
+        With a ``start`` of the shape of the image.
+    columns : (height, 2) int, optional
+        First column, and the one after the last, in which each row is wanted; equal ones where none is. The others are
+        as if no window were complete.
+
+    Returns
+    -------
+    height [m], score [-], curvature [1/m^2] : each (height, width) float32
+        Where no window is complete (at the image's edge, by masked pixels, out of sight of the neighbours) the score
+        is -1 and the curvature 0. There, and where there is no texture, the height is that of the nearest matched
+        pixel.
+    """
+    stack, view, radius, start = reference.stack, reference.view, reference.radius, hypotheses.start
+    backend = images(stack.device)
+    width, height = stack.width, stack.height
+    per_row = len(reference.neighbours) * hypotheses.count * width
+    rows = max(4 * radius + 4, min(height, kernels(stack.device).SAMPLES_PER_LAUNCH // per_row))
+    none = (backend.full(stack.device, (height, width), value) for value in (-1.0, 0.0))
+    found = [backend.flat_copy(start), *(backend.pixels_of(each) for each in none)]
+    columns = np.tile([0, width], (height, 1)) if columns is None else columns
+    wanted = np.flatnonzero(columns[:, 1] > columns[:, 0])
+    wanted = wanted[(wanted >= radius) & (wanted < height - radius)] if width > 2 * radius else wanted[:0]
+    for first in range(wanted[0], wanted[-1] + 1, rows) if len(wanted) else ():
+        last = min(first + rows, wanted[-1] + 1)
+        here = columns[wanted[(wanted >= first) & (wanted < last)]]
+        if not len(here):
+            continue
+        left, right = _span(int(here[:, 0].min()), int(here[:, 1].max()), width, radius)
+        inner = slice(max(int(here[:, 0].min()), radius), min(int(here[:, 1].max()), width - radius))
+        strip = np.s_[first - radius : last + radius, left:right]
+        grey, begin = backend.grey(stack, view, strip), backend.cut(start, strip)
+        rays = partial(_rays_of_strip, stack, view, strip)
+        results = yield partial(_launch, reference, rays, grey, replace(hypotheses, start=begin), right - left)
+        for target, result in zip(found, results, strict=True):
+            backend.put_strip(target, width, result, slice(first, last), inner, strip[1], radius)
+    best, score, curvature = (backend.shaped(each, (height, width)) for each in found)
+    return backend.filled(best, score > MATCHED_NCC), score, curvature
+
+
+def match_tiles(
+    reference: Reference,
+    tiles: Tiles,
+    starts: Callable[[slice, Any], Any],
+    step: float,
+    take: Callable[[Any, Any, list[Any]], None],
+) -> Job[None]:
+    """As `match_view`, of tiles with their halos, a batch of them at a time.
+
+    ``starts`` gives the lowest hypotheses [m] of a batch, with the flat indices of its pixels; ``step`` [m] is between
+    hypotheses. ``take`` is called with what each batch finds, flat, for those of its pixels around which a whole window
+    may lie:
+
+    own : bool
+        Which pixels are wanted, in their own tile, and have a whole window.
+    pixels : int
+        Flat indices.
+    height [m], score [-], curvature [1/m^2] : list of float32
+    """
+    stack, view, side = reference.stack, reference.view, tiles.side
+    backend, device, num = images(stack.device), stack.device, len(reference.neighbours)
+    most, launch = kernels(device).SAMPLES_PER_LAUNCH // num, _LAUNCH_SAMPLES // num
+    # The first window begins so many pixels into the first tile.
+    lost = tiles.radius * (side + 1)
+    for part, count in tiles.batches(most, launch):
+        pixels = backend.tile_pixels(device, tiles, part)
+        rays = partial(kernels(device).legs_at, stack, view, pixels)
+        grey, hypotheses = backend.grey_at(stack, view, pixels), Hypotheses(starts(part, pixels), step, count)
+        results = yield partial(_launch, reference, rays, grey, hypotheses, side)
+        take(backend.own(device, tiles, part, pixels, lost), backend.whole_windows(pixels, lost), results)
+
+
+def _launch(reference: Reference, rays: Callable[[], Any], grey: Any, hypotheses: Hypotheses, width: int) -> Launched:
+    """Kernels for a strip, or for tiles, of a width: grey levels and lowest hypotheses [m] have one shape."""
+    stack, radius, neighbours = reference.stack, reference.radius, reference.neighbours
+    device, backend = stack.device, kernels(stack.device)
+    # Before anything is launched.
+    values = backend.buffers(device, len(neighbours), math.prod(hypotheses.start.shape) * hypotheses.count)
+    paths, levels, start = rays(), floats(device, grey), floats(device, hypotheses.start)
+    backend.warp(values, stack, paths, hypotheses, neighbours)
+    windows = backend.windows(device, levels, values, width, radius)
+    mean = backend.best_half(device, backend.ncc(windows, radius, reference.least_known))
+    found = backend.best_height(device, mean, start, hypotheses.step, hypotheses.count)
+    return Launched(list(found), (paths, levels, windows, start))
+
+
+def _span(first: int, last: int, width: int, radius: int) -> tuple[int, int]:
+    """Columns of an image that a strip takes for wanted ones: with a halo, and whole vectors where there is room.
+
+    Which rows of a window begin a vector in memory is a part of the kernel: other widths would need other kernels.
+    """
+    left = max(first - radius, 0)
+    # At least one window wide, where no column is wanted too.
+    right = max(min(last + radius, width), left + 2 * radius + 1)
+    right = left + _VECTOR * -(-(right - left) // _VECTOR)
+    left = max(left - max(right - width, 0), 0)
+    return left, min(right, width)
+
+
+def _rays_of_strip(stack: ViewStack, view: int, strip: tuple[slice, slice]) -> Any:
+    """Rays of a strip of pixels: of whole rows, or of a part of their columns."""
+    rows, columns = strip
+    if columns.stop - columns.start == stack.width:
+        return kernels(stack.device).legs_of(stack, view, rows.start, rows.stop - rows.start)
+    return kernels(stack.device).legs_at(stack, view, images(stack.device).places_in(stack.device, strip, stack.width))
+
+
+def match_with_adaptive_windows(
+    reference: Reference,
+    hypotheses: Hypotheses,
+    columns: Callable[[int], np.ndarray | None] = lambda radius: None,
+) -> Job[tuple[Found, int]]:
+    """`match_view` with windows of the radius of the reference [px] or as wide as needed, and the radius.
+
+    Windows that have nothing in common score with a standard deviation of one over their side; windows that show the
+    same place score the share that its texture has of the variance, whatever their size. So noise, and light that
+    moves from photograph to photograph, need wider windows, and quiet images do not. ``columns`` gives the wanted
+    columns for a radius.
+    """
+    radius, stack = reference.radius, reference.stack
+    found = yield from match_view(reference, hypotheses, columns(radius))
+    if np.isfinite(stack.images[reference.view]).mean() < _WHOLE:
+        return found, radius
+    while (wider := _wider(stack, found[1], radius, hypotheses.count)) != radius:
+        radius = wider
+        found = yield from match_view(replace(reference, radius=radius), hypotheses, columns(radius))
+    return found, radius
+
+
+def _wider(stack: ViewStack, score: Any, radius: int, count: int) -> int:
+    """`radius_for` the scores (height, width) of a view."""
+    matched = images(stack.device).median_above(score, -1.0)
+    return radius if matched is None else radius_for(matched, score.shape, radius, count)
+
+
+def radius_for(score: float, shape: tuple[int, int], radius: int, count: int) -> int:
+    """Radius [px] of the windows that a median score of windows of a radius asks for; the same if that is enough.
+
+    Among wrong heights the best scores high too, the more the narrower the window: the radius that this gives may not
+    be enough yet. ``shape`` (height, width) is that of the image, ``count`` the number of hypotheses.
+    """
+    side = (_ABOVE_CHANCE + np.sqrt(2.0 * np.log(count))) / max(score, 1e-3)
+    fitting = [each for each in RADII if 2 * each + 1 <= _MOST_OF_SIDE * min(shape)] or [radius]
+    return max(radius, next((each for each in fitting if each >= round(0.5 * (side - 1.0))), fitting[-1]))

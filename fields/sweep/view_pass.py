@@ -1,0 +1,187 @@
+"""One pass of the sweep over one view: the whole image, the columns that may see an area, or a part in tiles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+
+from fields.sweep.backends import images
+from fields.sweep.block import Block
+from fields.sweep.in_turn import Job
+from fields.sweep.maps import DepthMap
+from fields.sweep.matching import LEAST_KNOWN, Reference, match_tiles, match_view, match_with_adaptive_windows
+from fields.sweep.passes import MATCHED_NCC, Pass
+from fields.sweep.stack import Hypotheses
+from fields.sweep.steps import search_steps
+from fields.sweep.tiles import PART_SIDE_PX, Tiles
+from refract import FlatWater, PinholeCamera
+
+Area = tuple[float, float, float, float]
+
+# Places along each side of the area: between them the outline of what is seen is straight to a fraction of a pixel.
+_PLACES = 17
+# Pixels added on every side, beside a window: of the straight outline, and for the surroundings of the last points.
+_RIM_PX = 6
+
+
+@dataclass(frozen=True)
+class ViewPass:
+    """What one pass does for one view.
+
+    Attributes
+    ----------
+    view : index of the view
+    neighbours : indices of the views that it is compared with
+    count : number of height hypotheses
+    samples : pixels x hypotheses x neighbours
+    """
+
+    view: int
+    neighbours: list[int]
+    count: int
+    samples: int
+
+
+def view_passes(block: Block, chosen: list[int], p: Pass, bound: tuple[float, float] | None) -> list[ViewPass]:
+    """What a pass does for each of the chosen views; those that overlap with no other are left out.
+
+    The hypotheses span the bound (low, high) [m], or are as many as the pass has where that is None.
+    """
+    found = []
+    for view in chosen:
+        neighbours = block.neighbours(view, p.neighbours)
+        if not neighbours:
+            continue
+        if bound is not None:
+            step = _step(block, p, view, neighbours, 0.5 * (bound[0] + bound[1]))
+            count = int(np.ceil((bound[1] - bound[0]) / step)) + 1
+        elif p.hypotheses is not None:
+            count = p.hypotheses
+        else:
+            raise ValueError("a pass after the first expects its own number of hypotheses, got None")
+        found.append(ViewPass(view, neighbours, count, pixels_of(block, p) * count * len(neighbours)))
+    return found
+
+
+def pixels_of(block: Block, p: Pass) -> int:
+    """Number of pixels of an image at the scale of a pass."""
+    camera = block.cameras[0].scaled(p.scale)
+    return camera.width * camera.height
+
+
+def _step(block: Block, p: Pass, view: int, neighbours: list[int], height: float) -> float:
+    """Distance [m] between two hypotheses of a pass about a height [m]."""
+    return p.step_px / (p.scale * block.parallax(view, neighbours, height))
+
+
+def match_pass(
+    block: Block,
+    p: Pass,
+    of_view: ViewPass,
+    bound: tuple[float, float],
+    before: DepthMap | None,
+    area: Area | None,
+    wider: int,
+) -> Job[tuple[DepthMap, int]]:
+    """One pass over one view, with the hypotheses of the bound or those about the heights of the pass before.
+
+    Windows are by so many pixels ``wider`` than those of the pass, or more where this pass finds that they have to be,
+    which is returned.
+    """
+    stack, view, backend = block.stack(p.scale), of_view.view, images(block.device)
+    shape = (stack.height, stack.width)
+    middle = 0.5 * (bound[0] + bound[1]) if before is None else backend.median(before.height)
+    step = _step(block, p, view, of_view.neighbours, middle)
+    if before is None:
+        start = backend.full(block.device, shape, bound[0])
+    else:
+        start = backend.lowered(backend.enlarged(before.height, shape), step * (of_view.count // 2))
+
+    def columns(radius: int) -> np.ndarray | None:
+        return None if area is None else columns_over(stack.cameras[view], block.water, area, bound, radius)
+
+    radius = p.radius + wider
+    reference = Reference(stack, view, of_view.neighbours, radius, _least_known(block))
+    hypotheses = Hypotheses(start, step, of_view.count)
+    if p.refines:
+        found = yield from match_view(reference, hypotheses, columns(radius))
+    else:
+        found, radius = yield from match_with_adaptive_windows(reference, hypotheses, columns)
+    # The search has windows of its own, narrower than those that were too narrow here.
+    if p.search is not None and radius == p.radius:
+        found = yield from search_steps(reference, found, p.step_px / step, p.search)
+    height, score, _ = found
+    return backend.found_map(view, height, _of_shown(block, p, view, score)), radius - p.radius
+
+
+def refine_part(
+    block: Block, p: Pass, of_view: ViewPass, before: DepthMap, part: np.ndarray
+) -> Job[tuple[DepthMap, Any]]:
+    """One pass over a part of a view, (height, width) bool at a share of the size, and its pixels, flat.
+
+    Those are of all tiles that hold some of the part; the others stay as they were ``before``.
+    """
+    stack, view, backend = block.stack(p.scale), of_view.view, images(block.device)
+    step = _step(block, p, view, of_view.neighbours, backend.median(before.height))
+    tiles = Tiles.over(part, before.height.shape, PART_SIDE_PX - 2 * p.radius, p.radius, of_view.count)
+    tiles = replace(tiles, wanted=backend.placed(block.device, tiles.wanted))
+    height, score = backend.flat_copy(before.height), backend.flat_copy(before.score)
+    lowest = backend.pixels_of(backend.lowered(before.height, step * (of_view.count // 2)))
+
+    def take(own: Any, pixels: Any, matched: list[Any]) -> None:
+        best, best_score, _ = matched
+        backend.put(height, pixels, best, own & (best_score > MATCHED_NCC))
+        backend.put(score, pixels, best_score, own)
+
+    reference = Reference(stack, view, of_view.neighbours, p.radius, _least_known(block))
+    yield from match_tiles(reference, tiles, lambda _, pixels: backend.at(lowest, pixels), step, take)
+    height, score = (backend.shaped(each, (stack.height, stack.width)) for each in (height, score))
+    return replace(before, height=height, score=_of_shown(block, p, view, score)), backend.places_of(tiles.wanted)
+
+
+def _of_shown(block: Block, p: Pass, view: int, score: Any) -> Any:
+    """The scores, -1 at pixels left out of the photograph: these show nothing, however much around them is known."""
+    if p.scale < 1.0 or block.images.are_whole:
+        return score
+    return images(block.device).shown(block.device, block.images[view], score)
+
+
+def _least_known(block: Block) -> float:
+    return 1.0 if block.images.are_whole else LEAST_KNOWN
+
+
+def columns_over(
+    camera: PinholeCamera, water: FlatWater | None, area: Area, bound: tuple[float, float], radius: int
+) -> np.ndarray:
+    """First column, and the one after the last, in which each row may see the area, (height, 2) int; none: equal ones.
+
+    Parameters
+    ----------
+    camera : PinholeCamera
+    water : FlatWater or None
+    area : (x0, y0, x1, y1) [m], local
+    bound : (low, high) [m] over the water plane
+        In which the bed lies.
+    radius : [px]
+        Of the window about a pixel.
+    """
+    x0, y0, x1, y1 = area
+    along = np.linspace(0.0, 1.0, _PLACES)
+    x = x0 + (x1 - x0) * np.concatenate([along, np.ones(_PLACES), 1.0 - along, np.zeros(_PLACES)])
+    y = y0 + (y1 - y0) * np.concatenate([np.zeros(_PLACES), along, np.ones(_PLACES), 1.0 - along])
+    plane, rise = (0.0, 1.0) if water is None else (water.height(x, y), 1.0 / water.up[2])
+    outline = np.concatenate([np.stack([x, y, plane + np.full_like(x, rise * height)], axis=-1) for height in bound])
+    seen = camera.project(outline, water)
+    columns = np.tile([0, camera.width], (camera.height, 1))
+    if not np.isfinite(seen).all():  # a part of the area is behind the camera
+        return columns
+    size = np.array([camera.width, camera.height])
+    hull = cv2.convexHull(np.clip(seen, -4.0 * size, 5.0 * size).astype(np.int32))
+    mask = cv2.fillConvexPoly(np.zeros((camera.height, camera.width), np.uint8), hull, 1)
+    mask = cv2.dilate(mask, np.ones((2 * (radius + _RIM_PX) + 1,) * 2, np.uint8)).astype(bool)
+    columns[:, 0] = np.where(mask.any(axis=1), mask.argmax(axis=1), 0)
+    columns[:, 1] = np.where(mask.any(axis=1), camera.width - mask[:, ::-1].argmax(axis=1), 0)
+    return columns

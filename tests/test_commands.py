@@ -82,8 +82,8 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
         "time_budget_s": 300.0,
         "device": "cpu",
         "field": "slab",
-        "poses": "auto",
-        "plan": "auto",
+        "poses": None,
+        "plan": None,
         "image_scale": None,
         "resume": False,
         "calibrate_water": True,
@@ -95,12 +95,12 @@ def test_process_hands_its_options_on_and_returns_the_code_of_the_pipeline(monke
     bathynerf("process", "s")
     del calls[1][1]["time_gone_s"]
     aim = {"quality": None, "target_std_m": None, "time_budget_s": None}
-    defaults = {"device": "auto", "field": "auto", "resume": True, "calibrate_water": False}
+    defaults = {"device": None, "field": None, "resume": True, "calibrate_water": None}
     others = {
-        "poses": "auto",
-        "plan": "auto",
+        "poses": None,
+        "plan": None,
         "image_scale": None,
-        "true_colour": False,
+        "true_colour": None,
         "reference": None,
         "visible": None,
     }

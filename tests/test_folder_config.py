@@ -56,6 +56,10 @@ heights = [2.5, 14]
 [local]
 frame = "topocentric east-north-up"
 origin = [589012.0, 5194736.0, 2105.0]
+[process]
+time_budget_s = 300
+device = "cpu"
+plan = "full"
 """
 
 

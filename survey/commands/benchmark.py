@@ -9,7 +9,7 @@ import typer
 
 from survey.commands.console import command
 from survey.commands.options import Quiet, Verbose, words_of
-from survey.plan.choices import Device, Quality
+from survey.words import Device, Quality
 
 EXAMPLES = """
     bathynerf benchmark my_survey -o out

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,10 +11,26 @@ import typer
 
 from survey import machine
 from survey.commands.console import Results, command
+from survey.commands.environment import asked_of_environment
 from survey.commands.memory import address_space_shortage, require_address_space
-from survey.commands.options import AIM, HOW, ImageScale, Quiet, TargetStd, TimeBudget, Verbose, words_of
+from survey.commands.options import (
+    AIM,
+    AskedDevice,
+    AskedField,
+    AskedPlan,
+    AskedPoses,
+    ImageScale,
+    Quiet,
+    TargetStd,
+    TimeBudget,
+    Verbose,
+    words_of,
+)
 from survey.errors import SurveyError
-from survey.plan.choices import Choices, Device, Quality
+from survey.files.json_values import write_json
+from survey.folder.config_process import ProcessConfig
+from survey.plan.choices import Choices
+from survey.words import Quality
 
 if TYPE_CHECKING:
     from survey.plan.aim import Aim
@@ -22,7 +40,7 @@ EXAMPLES = """
     bathynerf check my_survey
     bathynerf check my_survey --quality fine
     bathynerf check my_survey --target-std 0.02
-    bathynerf check my_survey --deep
+    bathynerf check my_survey --deep --json found.json
     bathynerf check flight.toml --wind 5
 """
 
@@ -35,11 +53,13 @@ def run(
         ),
     ],
     quality: Annotated[
-        Quality, typer.Option(metavar=words_of(Quality), help="Plan for this quality.", rich_help_panel=AIM)
-    ] = Quality.standard,
-    device: Annotated[
-        Device, typer.Option(metavar=words_of(Device), help="Plan for this device.", rich_help_panel=HOW)
-    ] = Device.auto,
+        Quality | None,
+        typer.Option(metavar=words_of(Quality), help="Plan for this quality; default: standard.", rich_help_panel=AIM),
+    ] = None,
+    device: AskedDevice = None,
+    field: AskedField = None,
+    poses: AskedPoses = None,
+    plan: AskedPlan = None,
     image_scale: ImageScale = None,
     target_std: TargetStd = None,
     time_budget: TimeBudget = None,
@@ -49,6 +69,7 @@ def run(
     wind: Annotated[
         float, typer.Option(min=0.0, max=20.0, metavar="M/S", help="Wind over the water, for the glitter of the sun.")
     ] = 3.0,
+    json: Annotated[Path | None, typer.Option(metavar="FILE", help="JSON file for all that is printed.")] = None,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:
@@ -56,33 +77,50 @@ def run(
 
     Also what the flight promises for a bed under still, clear water, and what light and motion take from it. Nothing is
     written. With --deep poses, lens and water are adjusted to the photographs, and where these contradict survey.toml
-    it says so.
+    it says so. What no option says is what the environment and [process] in survey.toml say, as for process.
 
     Before the flight: a plan has place, camera, height, overlaps and oblique views, or a file of poses, and the time
     (docs/check.md, examples/flight.toml).
     """
-    with command(verbose, quiet, survey) as results:
-        from survey.plan.aim import aim_of
+    with command(verbose, quiet, json or survey) as results:
+        asked = ProcessConfig(
+            quality=quality,
+            target_std_m=target_std,
+            time_budget_s=time_budget,
+            device=device,
+            field=field,
+            poses=poses,
+            plan=plan,
+            image_scale=image_scale,
+        ).over(asked_of_environment())
+        require_json("--json", json, survey)
+        look = _sections_of_plan if is_plan(survey) else _sections
+        shown = []
+        for section in look(survey, asked, wind, deep):
+            show(results, section)
+            shown.append(section)
+        if json is not None:
+            write_json(json, {"checked": survey, "sections": [as_dict(section) for section in shown]})
 
-        aim = aim_of(target_std, time_budget, quality=None, field="auto", scale=image_scale)
-        if survey.suffix.lower() == ".toml":
-            if deep:
-                raise SurveyError("--deep holds a survey against its photographs, and a plan has none; remove it")
-            if image_scale is not None:
-                raise SurveyError("--image-scale is for photographs that are there, and a plan has none; remove it")
-            _check_plan(results, survey, quality, device, wind)
-            if aim is not None:
-                _check_aim_of_plan(results, survey, device, aim)
-            return
-        chosen = Choices(quality=quality.value, device=device.value, image_scale=image_scale)
-        _check_survey(results, survey, chosen, aim, wind)
-        if deep:
-            _check_deep(results, survey, device)
+
+def is_plan(path: Path) -> bool:
+    """Whether a path names a planned flight."""
+    return path.suffix.lower() == ".toml"
 
 
-def _check_survey(results: Results, folder: Path, chosen: Choices, aim: Aim | None, wind: float) -> None:
+def _chosen(asked: ProcessConfig) -> tuple[Aim | None, Choices]:
+    """What the plan is made for, and what an aim beside it asks."""
+    from survey.plan.aim import aim_and_choices
+
+    aim, _ = aim_and_choices(replace(asked, quality=None))
+    _, chosen = aim_and_choices(replace(asked, target_std_m=None, time_budget_s=None))
+    return aim, chosen
+
+
+def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> Iterator[Section]:
     """What a survey has and lacks, its light, what it promises, and what an aim would cost."""
     from survey.adjust.foreseen_text import foreseen_section
+    from survey.folder.found import process_config
     from survey.plan.check import Section, check_survey, require_processable
     from survey.plan.check_light import light_section
     from survey.progress import current
@@ -90,49 +128,63 @@ def _check_survey(results: Results, folder: Path, chosen: Choices, aim: Aim | No
     shortage = address_space_shortage()
     if shortage is not None:
         current().warn(shortage)
+    aim, chosen = _chosen(asked.over(process_config(folder)))
     checked = require_processable(folder)
     load = None if aim is None else machine.load()
     slowness = None if load is None else load.slowness
-    for section in check_survey(folder, chosen=chosen, checked=checked, slowness=slowness):
-        show(results, section)
-    show(results, light_section(checked, wind_m_s=wind))
+    yield from check_survey(folder, chosen=chosen, checked=checked, slowness=slowness)
+    yield light_section(checked, wind_m_s=wind)
     foreseen = None if checked.survey is None else foreseen_section(checked.survey, chosen=chosen)
     if foreseen is not None:
-        show(results, foreseen)
+        yield foreseen
     if aim is not None and load is not None and checked.survey is not None:
         from survey.run.beginning import rows_of
 
-        show(results, Section("Asked", rows_of(aim, checked.survey, Choices(device=chosen.device), load)))
+        yield Section("Asked", rows_of(aim, checked.survey, Choices(device=chosen.device), load))
+    if deep:
+        require_address_space()
+        from survey.adjust.deep_check import deep_check
+
+        yield from deep_check(folder, device=chosen.device)
 
 
-def _check_deep(results: Results, folder: Path, device: Device) -> None:
-    """What the photographs say of poses, lens and water."""
-    require_address_space()
-    from survey.adjust.deep_check import deep_check
+def _sections_of_plan(path: Path, asked: ProcessConfig, wind: float, deep: bool) -> Iterator[Section]:
+    """What a planned flight promises, and what an aim promises and costs of it."""
+    if deep:
+        raise SurveyError("--deep holds a survey against its photographs, and a plan has none; remove it")
+    if asked.image_scale is not None:
+        raise SurveyError("--image-scale is for photographs that are there, and a plan has none; remove it")
+    from survey.simulate.staging.check_plan import check_plan, depth_of, flight_of, survey_of
 
-    for section in deep_check(folder, device=device.value):
-        show(results, section)
+    aim, chosen = _chosen(asked)
+    yield from check_plan(path, quality=chosen.quality, device=chosen.device, wind_m_s=wind)
+    if aim is not None:
+        from survey.plan.check import Section
+        from survey.run.beginning import rows_of
 
-
-def _check_plan(results: Results, path: Path, quality: Quality, device: Device, wind: float) -> None:
-    from survey.simulate.staging.check_plan import check_plan
-
-    for section in check_plan(path, quality=quality.value, device=device.value, wind_m_s=wind):
-        show(results, section)
-
-
-def _check_aim_of_plan(results: Results, path: Path, device: Device, aim: Aim) -> None:
-    """What an aim promises and costs of a planned flight."""
-    from survey.plan.check import Section
-    from survey.run.beginning import rows_of
-    from survey.simulate.staging.check_plan import depth_of, flight_of, survey_of
-
-    plan = flight_of(path)
-    rows = rows_of(aim, survey_of(plan), Choices(device=device.value), machine.load(), depth_of(plan))
-    show(results, Section("Asked", rows))
+        plan = flight_of(path)
+        rows = rows_of(aim, survey_of(plan), Choices(device=chosen.device), machine.load(), depth_of(plan))
+        yield Section("Asked", rows)
 
 
 def show(results: Results, section: Section) -> None:
     """Print a section."""
     rows = [(f"  {label}" if label else "  -", text) for label, text in section.rows]
     results.columns(section.title, rows)
+
+
+def as_dict(section: Section) -> dict:
+    """A section for JSON."""
+    rows = [{"label": label, "text": text} for label, text in section.rows]
+    return {"title": section.title, "rows": rows, **({} if section.numbers is None else {"numbers": section.numbers})}
+
+
+def require_json(option: str, path: Path | None, survey: Path) -> None:
+    """Raise OutputError where a JSON file cannot be written, or would take the place of what is read."""
+    if path is None:
+        return
+    from survey.files.outputs import ReadFiles, is_json, require_file
+    from survey.folder.inputs import survey_inputs
+
+    read = ReadFiles.of(survey) if is_plan(survey) else survey_inputs(survey)
+    require_file(option, path, read, kind="a JSON file", is_of_kind=is_json)

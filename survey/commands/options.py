@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from survey.plan.choices import Device
+from survey.words import Device, Field, Plan, Poses
 
 
 def words_of(kind: Iterable[StrEnum]) -> str:
@@ -27,6 +27,34 @@ COMPARED = "What is compared"
 SurveyFolder = Annotated[Path, typer.Argument(metavar="SURVEY", help="Folder with images and survey.toml.")]
 RunFolder = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder written by process.")]
 DeviceOption = Annotated[Device, typer.Option(metavar=words_of(Device), help="Where to compute.", rich_help_panel=HOW)]
+AskedDevice = Annotated[
+    Device | None,
+    typer.Option(metavar=words_of(Device), help="Where to compute; default: auto.", rich_help_panel=HOW),
+]
+AskedField = Annotated[
+    Field | None,
+    typer.Option(
+        metavar=words_of(Field),
+        help="What refines the heights; slab: for render --field; default: auto.",
+        rich_help_panel=HOW,
+    ),
+]
+AskedPoses = Annotated[
+    Poses | None,
+    typer.Option(
+        metavar=words_of(Poses),
+        help="Adjust poses, lens and water together, or take the poses as they are; default: auto.",
+        rich_help_panel=HOW,
+    ),
+]
+AskedPlan = Annotated[
+    Plan | None,
+    typer.Option(
+        metavar=words_of(Plan),
+        help="Leave out what the scene does not need, or nothing; default: auto.",
+        rich_help_panel=HOW,
+    ),
+]
 TargetStd = Annotated[
     float | None,
     typer.Option(

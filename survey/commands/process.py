@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from survey.commands.console import command
+from survey.commands.environment import asked_of_environment
 from survey.commands.memory import require_address_space
 from survey.commands.options import (
     AIM,
     COMPARED,
-    HOW,
     KEPT,
-    DeviceOption,
+    AskedDevice,
+    AskedField,
+    AskedPlan,
+    AskedPoses,
     ImageScale,
     Quiet,
     SurveyFolder,
@@ -24,9 +28,10 @@ from survey.commands.options import (
     Visible,
     words_of,
 )
+from survey.folder.config_process import ProcessConfig
 from survey.machine import process_age_s
 from survey.names import RUN_FOLDER
-from survey.plan.choices import Device, Field, Plan, Poses, Quality
+from survey.words import Quality
 
 EXAMPLES = """
     bathynerf process my_survey
@@ -55,41 +60,22 @@ def run(
     ] = None,
     target_std: TargetStd = None,
     time_budget: TimeBudget = None,
-    device: DeviceOption = Device.auto,
-    field: Annotated[
-        Field,
-        typer.Option(
-            metavar=words_of(Field), help="What refines the heights; slab: for render --field.", rich_help_panel=HOW
-        ),
-    ] = Field.auto,
-    poses: Annotated[
-        Poses,
-        typer.Option(
-            metavar=words_of(Poses),
-            help="Adjust poses, lens and water together, or take the poses as they are.",
-            rich_help_panel=HOW,
-        ),
-    ] = Poses.auto,
-    plan: Annotated[
-        Plan,
-        typer.Option(
-            metavar=words_of(Plan), help="Leave out what the scene does not need, or nothing.", rich_help_panel=HOW
-        ),
-    ] = Plan.auto,
+    device: AskedDevice = None,
+    field: AskedField = None,
+    poses: AskedPoses = None,
+    plan: AskedPlan = None,
     image_scale: ImageScale = None,
     resume: Annotated[bool, typer.Option(help="Reuse finished stages of an earlier run.")] = True,
     calibrate_water: Annotated[
-        bool,
-        typer.Option(
-            "--calibrate-water", help="First estimate the water from the photographs.", rich_help_panel=_WATER
-        ),
-    ] = False,
+        bool | None,
+        typer.Option(help="First estimate the water from the photographs.", show_default=False, rich_help_panel=_WATER),
+    ] = None,
     true_colour: Annotated[
-        bool,
+        bool | None,
         typer.Option(
-            "--true-colour", help="Give points the colour of the bed without the water.", rich_help_panel=_WATER
+            help="Give points the colour of the bed without the water.", show_default=False, rich_help_panel=_WATER
         ),
-    ] = False,
+    ] = None,
     reference: Annotated[
         Path | None, typer.Option(metavar="FILE", help="True surface, for the report only.", rich_help_panel=COMPARED)
     ] = None,
@@ -97,27 +83,34 @@ def run(
     verbose: Verbose = 0,
     quiet: Quiet = 0,
 ) -> None:
-    """Compute the point cloud of the bed and a report in a run folder."""
+    """Compute the point cloud of the bed and a report in a run folder.
+
+    What no option says is what a variable of the environment says, e.g. BATHYNERF_PROCESS_QUALITY=fine, then [process]
+    in survey.toml, then the default.
+    """
     folder = output or survey / RUN_FOLDER
     with command(verbose, quiet, folder, stopped=KEPT) as results:
         require_address_space()
         from survey.run.process import process
 
+        asked = ProcessConfig(
+            quality=quality,
+            target_std_m=target_std,
+            time_budget_s=time_budget,
+            device=device,
+            field=field,
+            poses=poses,
+            plan=plan,
+            image_scale=image_scale,
+            calibrate_water=calibrate_water,
+            true_colour=true_colour,
+        )
         code = process(
             survey,
             output,
-            quality=None if quality is None else quality.value,
-            target_std_m=target_std,
-            time_budget_s=time_budget,
+            **asdict(asked.over(asked_of_environment())),
             time_gone_s=process_age_s(),
-            device=device.value,
-            field=field.value,
-            poses=poses.value,
-            plan=plan.value,
-            image_scale=image_scale,
             resume=resume,
-            calibrate_water=calibrate_water,
-            true_colour=true_colour,
             reference=reference,
             visible=visible,
         )

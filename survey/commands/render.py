@@ -9,7 +9,7 @@ import typer
 
 from survey.commands.console import command
 from survey.commands.options import DeviceOption, Quiet, RunFolder, Verbose
-from survey.plan.choices import Device
+from survey.words import Device
 
 EXAMPLES = """
     bathynerf render my_survey/bathynerf -o pictures --dry \\

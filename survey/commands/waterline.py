@@ -10,7 +10,7 @@ import typer
 from survey.commands.console import command
 from survey.commands.memory import require_address_space
 from survey.commands.options import DeviceOption, Quiet, SurveyFolder, Verbose
-from survey.plan.choices import Device
+from survey.words import Device
 
 EXAMPLES = """
     bathynerf waterline my_survey

@@ -11,7 +11,7 @@ import difflib
 import tomllib
 import types
 import typing
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +26,16 @@ _KINDS = {
 }
 # Share of letters that two near names have in common, in order: "level" and "level_m", not "gcp" and "gps_height".
 _NEAR = 0.6
-# Metadata of a field: a description of valid values, for the error message.
-_EXPECTED = "expected"
+# Metadata of a field: a description of valid values, for the error message; all of them, where they are few.
+_EXPECTED, _ONE_OF = "expected", "one_of"
 
 
-def key(default: Any, expected: str) -> Any:
-    """A field of a table with its own wording of what is expected, e.g. "[width, height] in pixels"."""
-    return dataclasses.field(default=default, metadata={_EXPECTED: expected})
+def key(default: Any, expected: str, *, one_of: Iterable[Any] = ()) -> Any:
+    """A field of a table with its own wording of what is expected, e.g. "[width, height] in pixels".
+
+    The values that are known, where they are few, are for the schema; who reads the table checks them.
+    """
+    return dataclasses.field(default=default, metadata={_EXPECTED: expected, _ONE_OF: tuple(one_of)})
 
 
 def read_toml(path: Path, parse: Callable[[str], Any]) -> Any:
@@ -80,6 +83,11 @@ def parse_toml(
     except RecursionError as error:
         raise ConfigError("its tables and lists are nested too deep for settings; correct it") from error
     return _Reader(kind, synonyms or {}, not_yet or {}).table(kind, "", tables)
+
+
+def parse_values(values: Mapping[str, Any], kind: type) -> Any:
+    """A dataclass filled from values as TOML has them; see `parse_toml`."""
+    return _Reader(kind, {}, {}).table(kind, "", dict(values))
 
 
 def require_one_of(key: str, value: str, known: Collection[str]) -> None:

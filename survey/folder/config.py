@@ -11,6 +11,7 @@ import tomli_w
 from survey.errors import ConfigError
 from survey.files.toml_table import key, parse_toml, read_toml, require_one_of, require_positive
 from survey.folder.config_control import ControlConfig
+from survey.folder.config_process import ProcessConfig
 from survey.folder.config_std import require_std
 from survey.folder.config_water import WaterConfig, require_sane
 
@@ -171,6 +172,7 @@ class SurveyConfig:
     control: ControlConfig = field(default_factory=ControlConfig)
     area: AreaConfig = field(default_factory=AreaConfig)
     local: LocalConfig = field(default_factory=LocalConfig)
+    process: ProcessConfig = field(default_factory=ProcessConfig)
 
 
 def read_config(path: Path) -> SurveyConfig:
@@ -190,6 +192,7 @@ def parse_config(text: str) -> SurveyConfig:
     config = parse_toml(text, SurveyConfig, synonyms=_SYNONYMS, not_yet=_NOT_YET)
     if config.water is not None:
         require_sane(config.water)
+    config.process.require_sane()
     return config
 
 
@@ -199,8 +202,6 @@ def dump_config(config: SurveyConfig) -> str:
 
 
 def _without_none(table: dict) -> dict:
-    return {
-        name: _without_none(value) if isinstance(value, dict) else value
-        for name, value in table.items()
-        if value is not None
-    }
+    """Without what is not set, tables of which nothing is set included."""
+    values = {name: _without_none(value) if isinstance(value, dict) else value for name, value in table.items()}
+    return {name: value for name, value in values.items() if value is not None and value != {}}

@@ -12,6 +12,7 @@ from geo.grids import use_grids
 from survey.errors import FILE_NAME, ConfigError, PosesError, SurveyError
 from survey.folder import infer
 from survey.folder.config import SurveyConfig, read_config
+from survey.folder.config_process import ProcessConfig
 from survey.folder.control import FoundControl, find_control
 from survey.folder.head_doubts import head_doubts
 from survey.folder.level_observation import LevelObservation
@@ -65,6 +66,18 @@ class Found:
     control: FoundControl | None = None
     levels: tuple[LevelObservation, ...] = ()
     tide: Tide | None = None
+
+
+def process_config(folder: Path) -> ProcessConfig:
+    """[process] of the survey.toml in a folder, all open where there is none.
+
+    Raises
+    ------
+    ConfigError
+        See `read_config`.
+    """
+    toml = folder / FILE_NAME
+    return read_config(toml).process if toml.is_file() else ProcessConfig()
 
 
 def find_survey(folder: Path) -> Found:

@@ -8,10 +8,13 @@ about a hundredth of the points and do not change the standard deviation (docs/t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 from survey.display.quantities import length
 from survey.errors import SurveyError
+from survey.folder.config_process import ProcessConfig
+from survey.plan.choices import USUAL, Choices
 from survey.plan.recipe import Recipe
 
 # The standard deviation is asked for this share of the ground that has points.
@@ -74,6 +77,29 @@ def aim_of(
             f"--image-scale {scale:g} and an aim (--target-std, --time-budget), which chooses it; leave one out"
         )
     return Aim(std_m, seconds)
+
+
+def aim_and_choices(asked: ProcessConfig) -> tuple[Aim | None, Choices]:
+    """What was asked of a run, with the defaults of what is open.
+
+    Raises
+    ------
+    SurveyError
+        See `aim_of` and `Choices`.
+    """
+    aim = aim_of(
+        asked.target_std_m,
+        asked.time_budget_s,
+        quality=asked.quality,
+        field=asked.field or USUAL.field,
+        scale=asked.image_scale,
+    )
+    said = {field.name: getattr(asked, field.name) for field in fields(Choices)}
+    # Keys and reports have words, not the members of an enumeration.
+    words: dict[str, Any] = {
+        name: str(value) if isinstance(value, str) else value for name, value in said.items() if value is not None
+    }
+    return aim, replace(USUAL, **words)
 
 
 def ladder(sizes_px: list[tuple[int, int]]) -> tuple[Recipe, ...]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,10 +29,11 @@ from survey.plan.workload import Workload, room_doubts, workload_of, workload_of
 
 @dataclass(frozen=True)
 class Section:
-    """A titled list of labelled sentences; a label may be empty."""
+    """A titled list of labelled sentences, of which a label may be empty, and the numbers behind them for JSON."""
 
     title: str
     rows: tuple[tuple[str, str], ...]
+    numbers: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -113,12 +116,16 @@ def check_survey(
         # Where tie points prove the poses, what they say is worth printing, though nothing can be made of them.
         workload = f"process refuses this survey: {error}"
     room = room_doubts(workload, folder / RUN_FOLDER) if isinstance(workload, Workload) else [workload]
-    return _sections(rows, plan.decisions, workload, survey.assumptions, (*checked.doubts, *room))
+    warnings = (*checked.doubts, *room)
+    return _sections(rows, plan.decisions, workload, survey.assumptions, warnings, plan.as_dict())
 
 
-def _sections(rows, decisions: tuple[Decision, ...], workload: Workload | str, assumptions, warnings) -> list[Section]:
-    plan = [(d.name, f"{d.choice}: {d.reason}") for d in decisions]
-    sections = [Section("Found", tuple(rows)), Section("Plan", (*plan, ("workload", str(workload))))]
+def _sections(
+    rows, decisions: tuple[Decision, ...], workload: Workload | str, assumptions, warnings, plan: dict | None = None
+) -> list[Section]:
+    said = (*((d.name, f"{d.choice}: {d.reason}") for d in decisions), ("workload", str(workload)))
+    numbers = {**(plan or {}), "workload": workload if isinstance(workload, Workload) else None}
+    sections = [Section("Found", tuple(rows)), Section("Plan", said, numbers)]
     sections += [Section("Assumed", tuple(("", text) for text in assumptions))] if assumptions else []
     sections += [Section("Warnings", tuple(("", text) for text in warnings))] if warnings else []
     return sections

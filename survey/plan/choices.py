@@ -3,58 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 
 from survey.errors import SurveyError
-
-
-class Quality(StrEnum):
-    """How much time is spent; `survey.plan.recipe` says what each means."""
-
-    draft = "draft"
-    standard = "standard"
-    fine = "fine"
-
-
-class Device(StrEnum):
-    """Where kernels run."""
-
-    auto = "auto"
-    cpu = "cpu"
-    cuda = "cuda"
-
-
-class Field(StrEnum):
-    """What refines the heights of the sweep: as the plan decides, least squares, the trained slab, or nothing."""
-
-    auto = "auto"
-    solver = "solver"
-    slab = "slab"
-    off = "off"
-
-
-class Plan(StrEnum):
-    """Whether what a scene does not need is left out, or nothing is."""
-
-    auto = "auto"
-    full = "full"
-
-
-class Poses(StrEnum):
-    """What happens to the poses: as the plan decides, taken as they are, or adjusted."""
-
-    auto = "auto"
-    fixed = "fixed"
-    refine = "refine"
-
-
-# Of photographs: each is half of the one before.
-SCALES = (1.0, 0.5, 0.25, 0.125, 0.0625)
+from survey.words import SCALES, Device, Field, Plan, Poses, Quality
 
 
 @dataclass(frozen=True)
 class Choices:
-    """What was chosen for a run; the words are those of the enumerations of this file.
+    """What was chosen for a run; the words are those of `survey.words`.
 
     Attributes
     ----------

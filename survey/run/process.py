@@ -16,13 +16,14 @@ from typing import TYPE_CHECKING
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.files.outputs import ReadFiles, require_folder
-from survey.folder.found import Found
+from survey.folder.config_process import ProcessConfig
+from survey.folder.found import Found, process_config
 from survey.folder.inputs import survey_inputs
 from survey.folder.survey import Survey, load_survey
 from survey.names import RUN_FOLDER
-from survey.plan.aim import aim_of
+from survey.plan.aim import aim_and_choices
 from survey.plan.check import Checked, require_processable
-from survey.plan.choices import USUAL, Choices, Device
+from survey.plan.choices import Choices, Device
 from survey.plan.plan import device_decision, make_plan
 from survey.plan.workload import require_room, workload_of
 from survey.progress import Progress, opened
@@ -44,21 +45,23 @@ def process(
     run_folder: str | Path | None = None,
     *,
     quality: str | None = None,
-    device: str = "auto",
+    device: str | None = None,
     resume: bool = True,
-    field: str = "auto",
+    field: str | None = None,
     target_std_m: float | None = None,
     time_budget_s: float | None = None,
     time_gone_s: float = 0.0,
-    poses: str = "auto",
-    plan: str = "auto",
+    poses: str | None = None,
+    plan: str | None = None,
     image_scale: float | None = None,
-    calibrate_water: bool = False,
-    true_colour: bool = False,
+    calibrate_water: bool | None = None,
+    true_colour: bool | None = None,
     reference: str | Path | None = None,
     visible: str | Path | None = None,
 ) -> int:
     """Make the point cloud of the bed, with a report, in a run folder.
+
+    What is not given is what [process] of survey.toml says, else the default.
 
     Parameters
     ----------
@@ -67,8 +70,8 @@ def process(
         Default ``survey_folder/bathynerf``.
     quality : "draft", "standard" or "fine", optional
         Default "standard", unless an aim is set by one of the next two.
-    device : "auto", "cpu" or "cuda"
-    field : "auto", "solver", "slab" or "off"
+    device : "auto", "cpu" or "cuda", optional
+    field : "auto", "solver", "slab" or "off", optional
         What refines the heights of the sweep: least squares over all photographs, a tensor field trained in a slab,
         for ``render --field``, or nothing; "auto" leaves it to the plan.
     target_std_m : [m], optional
@@ -77,18 +80,18 @@ def process(
         What the whole run may take, but for the comparison with a reference: the best that fits.
     time_gone_s : [s]
         How much of that is gone already, with the start of the program.
-    poses : "auto", "fixed" or "refine"
+    poses : "auto", "fixed" or "refine", optional
         Whether poses and lens are adjusted together with the water; "auto" leaves it to the plan.
-    plan : "auto" or "full"
+    plan : "auto" or "full", optional
         Leave out what the scene does not need, or nothing: what that costs, docs/plan.md has.
     image_scale : float, optional
         At which photographs are worked on: 1, a half, a quarter, ...; default by their size and the quality.
     resume : bool
         Use what an earlier run in this folder finished, where nothing that it depends on has changed.
-    calibrate_water : bool
+    calibrate_water : bool, optional
         First estimate level, slopes and index of the water from the photographs; those that are not observable keep
         their given values.
-    true_colour : bool
+    true_colour : bool, optional
         Give the points the bed's own colour, the water taken away, instead of the photographs'.
     reference, visible : str or Path, optional
         True surface and the points of it that cameras see, for the report; the reconstruction never reads them.
@@ -107,11 +110,10 @@ def process(
     run_folder = survey_folder / RUN_FOLDER if run_folder is None else Path(run_folder)
     truth = Truth(*(None if path is None else Path(path) for path in (reference, visible)))
     _require_inputs(survey_folder, run_folder, truth)
-    aim = aim_of(target_std_m, time_budget_s, quality=quality, field=field, scale=image_scale)
-    require_some_time(aim)
-    clock = None if aim is None or aim.seconds is None else Clock(aim.seconds, time_gone_s)
-    chosen = Choices(
-        quality=quality or USUAL.quality,
+    given = ProcessConfig(
+        quality=quality,
+        target_std_m=target_std_m,
+        time_budget_s=time_budget_s,
         device=device,
         field=field,
         poses=poses,
@@ -120,6 +122,9 @@ def process(
         calibrate_water=calibrate_water,
         true_colour=true_colour,
     )
+    aim, chosen = aim_and_choices(given.over(process_config(survey_folder)))
+    require_some_time(aim)
+    clock = None if aim is None or aim.seconds is None else Clock(aim.seconds, time_gone_s)
     checked = _require_possible(survey_folder, chosen)
     with opened() as progress, RunDir(run_folder) as run:
         _claim(run, checked.found)

@@ -90,7 +90,8 @@ def _write_report(
     facts = ReportFacts(
         survey=survey,
         plan=plan,
-        settings={**asdict(survey.config), **options},
+        # What [process] asks is in the options in effect.
+        settings={name: value for name, value in asdict(survey.config).items() if name != "process"} | options,
         timings=timings,
         bed=stored.bed,
         points_crs=stored.points_crs,

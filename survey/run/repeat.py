@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
 
 from survey.folder.config import dump_config
+from survey.folder.config_process import ProcessConfig
 from survey.run.job import Job
 from survey.run.truth import Truth
 
@@ -30,6 +32,7 @@ def options_of(job: Job, truth: Truth) -> dict:
 def command_of(job: Job, truth: Truth) -> str:
     """The command line of a run, without its run folder."""
     chosen, aim = job.chosen, None if job.aimed is None else job.aimed.aim
+    by_file = job.survey.config.process
     options = {
         "quality": chosen.quality if aim is None else None,
         "target-std": None if aim is None else aim.std_m,
@@ -46,9 +49,11 @@ def command_of(job: Job, truth: Truth) -> str:
     }
     words = ["bathynerf", "process", str(job.survey.folder)]
     for name, value in options.items():
-        if value is True:
-            words.append(f"--{name}")
-        elif value not in (None, False, "auto"):
+        # What is the default is said where survey.toml says otherwise.
+        is_open = getattr(by_file, name.replace("-", "_"), None) in (None, value)
+        if value is True or (value is False and not is_open):
+            words.append(f"--{name}" if value else f"--no-{name}")
+        elif value not in (None, False) and not (value == "auto" and is_open):
             words += [f"--{name}", str(value)]
     return shlex.join(words)
 
@@ -61,4 +66,4 @@ def settings_text(job: Job, options: dict) -> str:
         f"# Options in effect: {effect}\n"
         f"# The same run again: {options['command']}\n\n"
     )
-    return head + dump_config(job.survey.config)
+    return head + dump_config(replace(job.survey.config, process=ProcessConfig()))

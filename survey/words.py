@@ -1,0 +1,49 @@
+"""Words that are offered for a run, on the command line, in survey.toml and from Python; light to import."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class Quality(StrEnum):
+    """How much time is spent; `survey.plan.recipe` says what each means."""
+
+    draft = "draft"
+    standard = "standard"
+    fine = "fine"
+
+
+class Device(StrEnum):
+    """Where kernels run."""
+
+    auto = "auto"
+    cpu = "cpu"
+    cuda = "cuda"
+
+
+class Field(StrEnum):
+    """What refines the heights of the sweep: as the plan decides, least squares, the trained slab, or nothing."""
+
+    auto = "auto"
+    solver = "solver"
+    slab = "slab"
+    off = "off"
+
+
+class Plan(StrEnum):
+    """Whether what a scene does not need is left out, or nothing is."""
+
+    auto = "auto"
+    full = "full"
+
+
+class Poses(StrEnum):
+    """What happens to the poses: as the plan decides, taken as they are, or adjusted."""
+
+    auto = "auto"
+    fixed = "fixed"
+    refine = "refine"
+
+
+# Of photographs: each is half of the one before.
+SCALES = (1.0, 0.5, 0.25, 0.125, 0.0625)

@@ -1,0 +1,166 @@
+"""What is asked of a run: by options, by the environment, by [process] of survey.toml, in this order."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+from dataclasses import asdict, fields
+from types import SimpleNamespace
+
+import pytest
+from command_line import bathynerf, fake_module
+from small_survey import small_survey
+
+from survey.commands.environment import PREFIX, asked_of_environment
+from survey.errors import ConfigError
+from survey.folder.config import dump_config, parse_config
+from survey.folder.config_process import ProcessConfig
+from survey.plan.aim import Aim, aim_and_choices
+from survey.plan.choices import USUAL, Choices
+from survey.run.repeat import command_of
+from survey.run.truth import Truth
+
+# A value of each key, and another; none of them the default.
+VALUES = {
+    "quality": ("draft", "fine"),
+    "target_std_m": (0.02, 0.03),
+    "time_budget_s": (300.0, 400.0),
+    "device": ("cpu", "cuda"),
+    "field": ("slab", "off"),
+    "poses": ("fixed", "refine"),
+    "plan": ("full", "auto"),
+    "image_scale": (0.5, 0.25),
+    "calibrate_water": (True, False),
+    "true_colour": (True, False),
+}
+AIM, RECIPE = {"target_std_m", "time_budget_s"}, {"quality", "field", "image_scale"}
+
+
+def test_every_key_is_tried_here():
+    assert VALUES.keys() == {field.name for field in fields(ProcessConfig)}
+    assert {field.name for field in fields(Choices)} | AIM == VALUES.keys()
+
+
+@pytest.mark.parametrize("name", VALUES)
+def test_what_is_said_first_counts(name):
+    value, other = VALUES[name]
+    said, lower = ProcessConfig(**{name: value}), ProcessConfig(**{name: other})
+    assert getattr(said.over(lower), name) == value
+    assert getattr(ProcessConfig().over(lower), name) == other
+    assert ProcessConfig().over(ProcessConfig()) == ProcessConfig()
+
+
+@pytest.mark.parametrize(("upper", "lower"), list(itertools.permutations(VALUES, 2)))
+def test_an_aim_and_a_recipe_of_different_places_never_contradict_each_other(upper, lower):
+    merged = ProcessConfig(**{upper: VALUES[upper][0]}).over(ProcessConfig(**{lower: VALUES[lower][0]}))
+    aim_and_choices(merged)
+    is_displaced = (upper in AIM and lower in RECIPE) or (upper in RECIPE and lower in AIM)
+    assert (getattr(merged, lower) is None) == is_displaced
+
+
+def test_what_nobody_says_is_the_default_and_words_are_plain():
+    assert aim_and_choices(ProcessConfig()) == (None, USUAL)
+    aim, chosen = aim_and_choices(ProcessConfig(target_std_m=0.02, device="cpu"))
+    assert (aim, chosen) == (Aim(0.02, None), Choices(device="cpu"))
+
+
+@pytest.mark.parametrize("name", VALUES)
+def test_the_environment_and_the_file_read_each_key_in_the_same_way(name):
+    for value in VALUES[name]:
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        asked = asked_of_environment({PREFIX + name.upper(): text, "BATHYNERF_DATA": "elsewhere"})
+        assert asked == ProcessConfig(**{name: value})
+        written = dump_config(parse_config(f"[process]\n{name} = {json.dumps(value)}"))
+        assert parse_config(written).process == asked
+
+
+@pytest.mark.parametrize(
+    ("variable", "text", "words"),
+    [
+        ("QUALTY", "fine", "unknown variable BATHYNERF_PROCESS_QUALTY"),
+        ("QUALITY", "best", 'BATHYNERF_PROCESS_QUALITY is "best", expected one of draft, standard, fine'),
+        ("TARGET_STD_M", "small", "BATHYNERF_PROCESS_TARGET_STD_M is 'small', expected a standard deviation"),
+        ("TARGET_STD_M", "nan", "BATHYNERF_PROCESS_TARGET_STD_M is nan, expected"),
+        ("TIME_BUDGET_S", "0", "BATHYNERF_PROCESS_TIME_BUDGET_S is 0, expected a number above zero"),
+        ("IMAGE_SCALE", "0.3", "expected one of 1, 0.5, 0.25"),
+        ("TRUE_COLOUR", "yes", "expected true or false"),
+    ],
+)
+def test_a_wrong_variable_is_named(variable, text, words):
+    with pytest.raises(ConfigError, match=re.escape(words)):
+        asked_of_environment({PREFIX + variable: text})
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('quality = "best"', '[process] quality is "best", expected one of draft, standard, fine'),
+        ("image_scale = 0.3", "[process] image_scale is 0.3, expected one of 1, 0.5"),
+        ("target_std_m = -1", "[process] target_std_m is -1, expected a number above zero"),
+        ('quality = "fine"\ntime_budget_s = 300', "[process] has time_budget_s and quality"),
+        ("qualty = 1", "the nearest known one is [process] quality"),
+        ("true_colour = 1", "process.true_colour is 1, expected true or false"),
+    ],
+)
+def test_a_wrong_key_of_the_file_is_named(text, words):
+    with pytest.raises(ConfigError, match=re.escape(words)):
+        parse_config(f"[process]\n{text}")
+
+
+def test_options_stand_over_the_environment_and_this_over_survey_toml(monkeypatch, tmp_path):
+    calls = []
+    fake_module(monkeypatch, "survey.run.process", process=lambda *_, **options: calls.append(options) or 0)
+    monkeypatch.setenv("BATHYNERF_PROCESS_QUALITY", "fine")
+    monkeypatch.setenv("BATHYNERF_PROCESS_DEVICE", "cpu")
+    bathynerf("process", "s")
+    bathynerf("process", "s", "--quality", "draft", "--no-true-colour")
+    bathynerf("process", "s", "--target-std", "0.02")
+    assert [(call["quality"], call["device"], call["true_colour"]) for call in calls] == [
+        ("fine", "cpu", None),
+        ("draft", "cpu", False),
+        (None, "cpu", None),
+    ]
+
+
+def test_check_plans_what_process_would_do(monkeypatch, tmp_path):
+    folder = small_survey(tmp_path / "s")
+    with (folder / "survey.toml").open("a") as stream:
+        stream.write('\n[process]\nquality = "draft"\nfield = "off"\n')
+
+    def plan(*options) -> dict:
+        assert bathynerf("check", folder, "--json", tmp_path / "c.json", *options).exit_code == 0
+        sections = json.loads((tmp_path / "c.json").read_text())["sections"]
+        (numbers,) = [section["numbers"] for section in sections if section["title"] == "Plan"]
+        assert numbers["workload"]["num_views"] > 0
+        return {decision["name"]: decision["choice"] for decision in numbers["decisions"]} | numbers
+
+    assert (plan()["quality"], plan()["field"]) == ("draft", "off")
+    assert (plan("--quality", "fine", "--field", "auto")["quality"], plan("--field", "auto")["field"]) == (
+        "fine",
+        plan("--field", "auto", "--quality", "draft")["field"],
+    )
+    monkeypatch.setenv("BATHYNERF_PROCESS_QUALITY", "standard")
+    assert plan()["quality"] == "standard"
+
+
+def test_the_report_of_check_in_json_has_what_is_printed(tmp_path):
+    folder = small_survey(tmp_path / "s")
+    shown = bathynerf("check", folder, "--json", tmp_path / "c.json").stdout
+    for section in json.loads((tmp_path / "c.json").read_text())["sections"]:
+        assert section["title"] in shown
+        for row in section["rows"]:
+            assert row["label"] in shown
+            assert row["text"] in shown
+    refused = bathynerf("check", folder, "--json", folder / "survey.toml")
+    assert (refused.exit_code, "would overwrite the input" in refused.stderr) == (2, True)
+
+
+@pytest.mark.parametrize("by_file", [{}, {"device": "cpu", "true_colour": True, "plan": "full"}])
+def test_the_command_that_repeats_a_run_overrides_survey_toml(by_file):
+    config = SimpleNamespace(process=ProcessConfig(**by_file))
+    job = SimpleNamespace(chosen=USUAL, aimed=None, survey=SimpleNamespace(folder="s", config=config))
+    words = command_of(job, Truth(None, None)).split()
+    added = ["--device", "auto", "--plan", "auto", "--no-true-colour"] if by_file else []
+    assert words == ["bathynerf", "process", "s", "--quality", "standard", *added]
+    assert asdict(config.process).keys() == VALUES.keys()

@@ -29,7 +29,7 @@ from survey.photos.tie_points import TiePoints
 from survey.sfm.gps import MIN_POSITIONS, gps_positions, is_whole, positions_in_crs
 from survey.sfm.gps_fit import MIN_STD_M, contradicted, require_area
 from survey.sfm.marked import BlockControl
-from survey.sfm.settings import one_focal, require_size
+from survey.sfm.settings import one_focal, require_size, require_solver
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,7 @@ def require_solvable(found: Found) -> list[str]:
     SurveyError, GeoError
         If it would fail: sizes, focal length, heights, positions and images are checked, no pixel is decoded.
     """
+    require_solver()
     cameras = found.config.cameras
     require_level_fits_exif(found.config, found.heads, found.crs)
     require_size(found.images, found.heads, cameras.size_px)

@@ -3,10 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib.util import find_spec
 from pathlib import Path
 
 from survey.errors import FILE_NAME, ImageError, SurveyError
 from survey.photos.exif import Exif
+
+
+def require_solver(module: str = "pycolmap") -> None:
+    """Raise SurveyError where structure from motion is not installed: there is no pycolmap for every machine."""
+    if find_spec(module) is None:
+        raise SurveyError(
+            "the survey has no poses, and pycolmap, which finds them from the photographs, is not installed; it has no "
+            "package for Linux on ARM (aarch64). Name a file of poses in [cameras] poses, e.g. of Metashape, "
+            "OpenDroneMap or COLMAP, or run structure from motion on another machine"
+        )
 
 
 def require_size(images: Mapping[str, Path], heads: Mapping[str, Exif], size_px: tuple[int, int] | None) -> None:

@@ -1,0 +1,78 @@
+"""The package: licences of what it needs, its citation, its source distribution, machines without pycolmap."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import tomllib
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+from survey.errors import SurveyError
+from survey.sfm.settings import require_solver
+
+ROOT = Path(__file__).resolve().parent.parent
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+LICENCES = runpy.run_path(str(ROOT / "scripts" / "licences.py"))
+
+
+def test_the_licence_of_everything_that_is_needed_fits():
+    found = LICENCES["needed"]("bathynerf", tuple(PROJECT["optional-dependencies"]))
+    assert {"numpy", "torch", "typer", "pyproj", "pytest"} <= found.keys()
+    licences = {name: LICENCES["licence_of"](package) for name, package in found.items()}
+    assert [name for name, licence in licences.items() if not LICENCES["fits"](name, licence)] == []
+
+
+@pytest.mark.parametrize(
+    ("licence", "is_fit"),
+    [
+        ("Apache-2.0", True),
+        ("MIT", True),
+        ("BSD-3-Clause AND MIT", True),
+        ("MIT OR GPL-2.0-only", True),
+        ("MPL-2.0", True),
+        ("GPL-3.0-or-later", False),
+        ("MIT AND GPL-2.0-only", False),
+        ("GNU Lesser General Public License v3 (LGPLv3)", False),
+        ("AGPL-3.0", False),
+        ("CC-BY-NC-4.0", False),
+        ("Free for non-commercial use", False),
+        ("unknown", False),
+    ],
+)
+def test_a_licence_fits_that_may_be_used_with_apache(licence, is_fit):
+    assert LICENCES["fits"]("package", licence) == is_fit
+
+
+def test_the_citation_is_of_this_version_and_licence():
+    citation = (ROOT / "CITATION.cff").read_text()
+    assert dict(re.findall(r"^(version|license): (.*)$", citation, re.MULTILINE)) == {
+        "version": PROJECT["version"],
+        "license": PROJECT["license"],
+    }
+
+
+def test_what_the_source_distribution_names_is_there():
+    lines = (ROOT / "MANIFEST.in").read_text().splitlines()
+    named = [name for line in lines if line.split()[0] in ("include", "graft") for name in line.split()[1:]]
+    assert {"docs", "constraints.txt", "Makefile"} <= set(named)
+    assert [name for name in named if not (ROOT / name).exists()] == []
+
+
+@pytest.mark.parametrize(
+    ("system", "machine", "is_needed"),
+    [("linux", "x86_64", True), ("linux", "aarch64", False), ("darwin", "arm64", True), ("win32", "AMD64", True)],
+)
+def test_pycolmap_is_needed_where_it_has_a_wheel(system, machine, is_needed):
+    (text,) = [text for text in PROJECT["dependencies"] if text.startswith("pycolmap")]
+    marker = Requirement(text).marker
+    assert marker is not None
+    assert marker.evaluate({"sys_platform": system, "platform_machine": machine}) == is_needed
+
+
+def test_without_pycolmap_poses_are_asked_for():
+    require_solver()
+    with pytest.raises(SurveyError, match=r"pycolmap.* is not installed.*Name a file of poses"):
+        require_solver("no_such_module")

@@ -11,6 +11,7 @@ from PIL import Image
 from small_bed import plane_bed
 from small_report import PLAN
 from small_survey import small_survey
+from test_adjust_parts import cut
 
 from survey.adjust.adjustment import UNKNOWN
 from survey.control.points import Control, ControlPoint
@@ -23,6 +24,7 @@ from survey.report.adjustment_pictures import (
     draw_correlation,
     draw_ground_residuals,
     draw_image_residuals,
+    draw_parts,
     mean_residuals,
 )
 from survey.report.adjustment_tables import parameter_table
@@ -64,7 +66,7 @@ def test_report_json_has_the_adjustment_by_its_names(facts):
     found = json_of(figures_of(facts))["adjustment"]
     assert list(found) == [
         "parameters", "kinds", "num_points", "num_left_out", "positions", "poses", "control", "control_groups",
-        "correlation_names", "correlation", "height_std_common_m",
+        "parts", "correlation_names", "correlation", "height_std_common_m",
     ]  # fmt: skip
     assert list(found["parameters"][0]) == ["name", "value", "std", "given", "given_std", "status", "verdict"]
     assert list(found["height_std_common_m"]) == ["mean", "typical"]
@@ -157,6 +159,19 @@ def test_each_lens_has_its_own_residuals(facts, tmp_path):
         _, vectors, _ = mean_residuals(two, number)
         np.testing.assert_allclose(vectors, np.tile(expected, (len(vectors), 1)))
     assert draw_image_residuals(tmp_path / "residuals_image.png", two).path.is_file()
+
+
+def test_a_block_that_falls_apart_has_a_table_and_a_picture_of_its_parts(facts, tmp_path):
+    found, _ = cut(facts.adjustment)
+    apart = replace(facts, adjustment=found)
+    page = render_page(figures_of(apart), [draw_parts(tmp_path / "parts.png", apart.survey, found)])
+    assert "Parts that share no points" in page
+    assert "Where the block falls apart" in page
+    with Image.open(tmp_path / "parts.png") as image:
+        assert np.asarray(image.convert("L")).std() > 5.0
+    parts = json_of(figures_of(apart))["adjustment"]["parts"]
+    assert sum(len(part["names"]) for part in parts) == len(found.names)
+    assert json_of(figures_of(facts))["adjustment"]["parts"] == []
 
 
 def test_the_pictures_are_drawn_and_are_whole(facts, tmp_path):

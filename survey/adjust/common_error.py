@@ -59,17 +59,22 @@ def common_error(found: Adjustment, water: FlatWater | None) -> CommonError | No
     water : FlatWater or None
         Local, as it was found.
     """
-    ties = _places(found)
-    if not len(ties):
+    moves = moves_over_area(found, water)
+    if not len(moves):
         return None
-    moves = height_moves(found, water, ties)
     by_place = np.einsum("ki,ij,kj->k", moves, found.covariance, moves)
     whole = moves.mean(axis=0)
     return CommonError(
         mean=math.sqrt(max(float(whole @ found.covariance @ whole), 0.0)),
         typical=float(np.median(np.sqrt(np.maximum(by_place, 0.0)))),
-        num_places=len(ties),
+        num_places=len(moves),
     )
+
+
+def moves_over_area(found: Adjustment, water: FlatWater | None) -> np.ndarray:
+    """Derivative (K, P) of the heights of points spread over the area, by the parameters of the covariance."""
+    ties = _places(found)
+    return height_moves(found, water, ties) if len(ties) else np.zeros((0, len(found.covariance)))
 
 
 def height_moves(found: Adjustment, water: FlatWater | None, ties: TiePoints) -> np.ndarray:

@@ -105,24 +105,27 @@ def find_anew(survey: Survey, workspace: Path, say: Callable[[str], None]) -> Fo
         If it places fewer than half of the views: the poses of the others would remain unchecked.
     """
     # Slow to import, and rarely needed.
-    from survey.sfm.poses import block_of
+    from survey.sfm.poses import blocks_of
 
     views = survey.views
     focals = {view.lens.focal[0] for view in views}
     images = {view.name: view.path for view in views}
     given = np.array([view.camera.centre for view in views])
     focal = focals.pop() if len(focals) == 1 else None
-    found = block_of(images, dict(zip(images, given, strict=True)), focal, workspace, say)
-    numbers = np.array([number for number, view in enumerate(views) if view.name in found.poses])
-    if 2 * len(numbers) < len(views):
-        raise SurveyError(f"structure from motion placed {len(numbers)} of {len(views)} photographs")
-    centres, rotations = (np.array([found.poses[views[number].name][part] for number in numbers]) for part in range(2))
-    turned = np.array([views[number].camera.cam_from_local for number in numbers])
-    onto = _onto(centres, rotations, given[numbers], turned)
+    blocks = blocks_of(images, dict(zip(images, given, strict=True)), focal, workspace, say)
+    num = sum(len(found.poses) for found in blocks)
+    if 2 * num < len(views):
+        raise SurveyError(f"structure from motion placed {num} of {len(views)} photographs")
     all_centres, all_rotations = given.copy(), np.array([view.camera.cam_from_local for view in views])
-    all_centres[numbers], all_rotations[numbers] = onto(centres), rotations @ onto.rotation.T
-    ties = found.ties.renumbered(numbers)
-    return FoundAnew(replace(ties, start=onto(ties.start)), all_centres, all_rotations)
+    parts = []
+    for found in blocks:
+        numbers = np.array([number for number, view in enumerate(views) if view.name in found.poses])
+        centres, rotations = (np.array([found.poses[views[k].name][part] for k in numbers]) for part in range(2))
+        onto = _onto(centres, rotations, given[numbers], all_rotations[numbers])
+        all_centres[numbers], all_rotations[numbers] = onto(centres), rotations @ onto.rotation.T
+        ties = found.ties.renumbered(numbers)
+        parts.append(replace(ties, start=onto(ties.start)))
+    return FoundAnew(TiePoints.together(parts), all_centres, all_rotations)
 
 
 def _onto(centres: np.ndarray, rotations: np.ndarray, given: np.ndarray, turned: np.ndarray) -> Similarity:

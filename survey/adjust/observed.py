@@ -75,19 +75,13 @@ def observed(parts: list[tuple[int, TiePoints]], control: Control | None, survey
     """
     if control is not None and control.points:
         parts = [*parts, (MARK, _marks(control, survey))]
-    first = np.cumsum([0, *(len(ties) for _, ties in parts)])
-    ties = TiePoints(
-        np.concatenate([ties.start for _, ties in parts]),
-        np.concatenate([ties.point + shift for shift, (_, ties) in zip(first, parts, strict=False)]),
-        np.concatenate([ties.view for _, ties in parts]),
-        np.concatenate([_straightened(ties, known) for _, ties in parts]),
-    )
+    ties = TiePoints.together([replace(ties, pixel=_straightened(ties, known)) for _, ties in parts])
     kind = np.concatenate([np.full(len(ties.view), kind) for kind, ties in parts])
     point_std = np.full((len(ties), 3), np.inf)
     names: tuple[str, ...] = ()
     if control is not None and control.points:
         names = tuple(point.name for point in control.points)
-        point_std[first[-2] :] = [
+        point_std[len(ties) - len(names) :] = [
             np.full(3, np.inf) if point.is_check else np.asarray(point.std) for point in control.points
         ]
     if names and known.common_up_std > 0.0:

@@ -23,6 +23,7 @@ from survey.adjust.free_water import Lost, adjust_free, dry_or_within_bounds, wa
 from survey.adjust.given_check import LEVEL
 from survey.adjust.holding import adjusted_with
 from survey.adjust.observed import MATCH, WINDOW, Observed, observed
+from survey.adjust.parts import parts_warning
 from survey.adjust.priors import Known, known_of
 from survey.adjust.rounds import Adjusted, adjust
 from survey.adjust.state import WATER
@@ -118,6 +119,7 @@ def _adjusted(
     if not survey.is_level_known and found.parameter("level_m").status == UNKNOWN:
         raise _level_error(survey, found.parameter("level_m").std)
     warnings = [*(_against(found, each) for each in against), *height_doubts(survey, done)]
+    warnings += parts_warning(found, survey.water)
     if survey.doubt is not None and survey.doubt.is_of_lens:
         warnings.append(f"{survey.doubt}: the lens is found anew, under the poses that were given with it; correct it")
     return replace(found, warnings=(*found.warnings, *warnings))

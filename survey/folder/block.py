@@ -10,7 +10,7 @@ import numpy as np
 
 from geo.frames import LocalFrame
 from survey.control.points import Checkpoint, Control
-from survey.folder.checked_control import checked_control, moved
+from survey.folder.checked_control import checked_parts
 from survey.folder.control import place_control
 from survey.folder.file_poses import read_file_poses
 from survey.folder.found import Found
@@ -93,10 +93,8 @@ def block_of_photographs(
     block = Block(found, frame, views, points, ties, None, None, priors, control, checkpoints)
     if control is None:
         return block
-    checked = checked_control(found, frame, views, control, priors, warnings)
-    if checked.move is not None:
-        views, points, ties = moved(views, ties, checked.move)
-    return replace(block, views=views, points=points, ties=ties, control=checked.control, priors=checked.priors)
+    views, ties, control, priors = checked_parts(found, frame, views, ties, control, priors, warnings)
+    return replace(block, views=views, points=ties.start, ties=ties, control=control, priors=priors)
 
 
 def _with_images(

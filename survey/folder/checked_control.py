@@ -16,7 +16,7 @@ from survey.folder.block_control import of_block
 from survey.folder.found import Found
 from survey.folder.pose_priors import PosePrior
 from survey.photos.cameras import View
-from survey.photos.tie_points import TiePoints
+from survey.photos.tie_points import TiePoints, parts_of
 from survey.sfm.control_fit import MIN_POINTS, agreed, coordinates, require_meeting, spread_of
 from survey.sfm.marked import Met, Posed, meet
 
@@ -46,6 +46,63 @@ class CheckedControl:
     control: Control | None
     priors: Mapping[str, PosePrior]
     move: Similarity | None
+
+
+def checked_parts(
+    found: Found,
+    frame: LocalFrame,
+    views: list[View],
+    ties: TiePoints,
+    control: Control,
+    priors: Mapping[str, PosePrior],
+    warnings: list[str],
+) -> tuple[list[View], TiePoints, Control | None, Mapping[str, PosePrior]]:
+    """Views, tie points, control and priors of a survey, with control held against each part of its block by itself.
+
+    Parts share no points: each has a place, a tilt and a scale of its own. Warnings are added to.
+
+    Raises
+    ------
+    ControlError
+        If the control fits none of the parts that it is marked in, or lies elsewhere.
+    """
+    # Views that share no point with two others have no part of their own.
+    part = np.maximum(parts_of(len(views), ties.point, ties.view), 0)
+    moved_views, priors, marks = list(views), dict(priors), []
+    refusals: list[ControlError] = []
+    for number in range(int(part.max()) + 1):
+        mine = np.flatnonzero(part == number)
+        names = {views[k].name for k in mine}
+        own = _of_views(control, names)
+        if not own.marks:
+            continue
+        own_priors = {name: prior for name, prior in priors.items() if name in names}
+        try:
+            checked = checked_control(found, frame, [views[k] for k in mine], own, own_priors, warnings)
+        except ControlError as error:
+            refusals.append(error)
+            continue
+        priors |= checked.priors
+        marks += [] if checked.control is None else list(checked.control.marks)
+        if checked.move is not None:
+            ties = _moved_ties(ties, checked.move, part == number)
+            for k in mine:
+                moved_views[k] = _moved(views[k], checked.move)
+    if refusals and not marks:
+        raise refusals[0]
+    warnings += [f"control of a part of the photographs that shares no points with the others: {e}" for e in refusals]
+    kept = {mark.point for mark in marks}
+    points = tuple(point for point in control.points if point.name in kept)
+    order = {mark: place for place, mark in enumerate(control.marks)}
+    marks.sort(key=order.__getitem__)
+    return moved_views, ties, replace(control, points=points, marks=tuple(marks)) if points else None, priors
+
+
+def _of_views(control: Control, names: set[str]) -> Control:
+    """The control that some views show."""
+    marks = tuple(mark for mark in control.marks if mark.view in names)
+    shown = {mark.point for mark in marks}
+    return replace(control, points=tuple(point for point in control.points if point.name in shown), marks=marks)
 
 
 def checked_control(
@@ -169,14 +226,14 @@ def _without_far(
     return kept
 
 
-def moved(views: list[View], ties: TiePoints, move: Similarity) -> tuple[list[View], np.ndarray, TiePoints]:
-    """Views, points and ties of a block that is taken elsewhere."""
-    moved = [
-        replace(
-            view,
-            camera=view.lens.camera(move(view.camera.centre), view.camera.cam_from_local @ move.rotation.T),
-        )
-        for view in views
-    ]
-    ties = replace(ties, start=move(ties.start))
-    return moved, ties.start, ties
+def _moved(view: View, move: Similarity) -> View:
+    """A view that is taken elsewhere."""
+    camera = view.lens.camera(move(view.camera.centre), view.camera.cam_from_local @ move.rotation.T)
+    return replace(view, camera=camera)
+
+
+def _moved_ties(ties: TiePoints, move: Similarity, mine: np.ndarray) -> TiePoints:
+    """Tie points, those of views (V,) bool taken elsewhere."""
+    theirs = np.zeros(len(ties), dtype=bool)
+    theirs[ties.point] = mine[ties.view]
+    return replace(ties, start=np.where(theirs[:, None], move(ties.start), ties.start))

@@ -139,6 +139,9 @@ def solve_views(found: Found, workspace: Path | None, report: Callable[[str], No
     names = {path.absolute(): name for name, path in found.images.items()}
     name_of = {called: names[path] for called, path in image_names(list(found.images.values())).items()}
     control = placing_control(found)
+    # Of blocks that fall apart, positions may place one and control another.
+    spare = control_of_block(found) if control is None else None
+    views_of = {name: called for called, name in name_of.items()}
     result = solve_poses(
         list(found.images.values()),
         found.crs,
@@ -146,7 +149,8 @@ def solve_views(found: Found, workspace: Path | None, report: Callable[[str], No
         gps_height=found.config.cameras.gps_height,
         size_px=found.config.cameras.size_px,
         focal_px=found.config.cameras.focal_px,
-        control=None if control is None else control.with_views({name: called for called, name in name_of.items()}),
+        control=None if control is None else control.with_views(views_of),
+        spare_control=None if spare is None else spare.with_views(views_of),
         report=report,
     )
     views = []

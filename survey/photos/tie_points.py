@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 # Two photographs may agree by chance on a false point; a third rarely does.
 MIN_TRACK = 3
@@ -36,9 +39,38 @@ class TiePoints:
         """The same points with view ``i`` as number ``views[i]``."""
         return replace(self, view=views[self.view])
 
+    @classmethod
+    def together(cls, parts: Sequence[TiePoints]) -> TiePoints:
+        """The points of several parts, one after the other; views are numbered alike in all."""
+        first = np.cumsum([0, *(len(part) for part in parts)])
+        return cls(
+            np.concatenate([part.start for part in parts]),
+            np.concatenate([part.point + shift for shift, part in zip(first, parts, strict=False)]),
+            np.concatenate([part.view for part in parts]),
+            np.concatenate([part.pixel for part in parts]),
+        )
+
     def only(self, keep: np.ndarray) -> TiePoints:
         """The points that have at least `MIN_TRACK` observations left among those to keep, (N,) bool."""
         enough = np.bincount(self.point[keep], minlength=len(self)) >= MIN_TRACK
         keep = keep & enough[self.point]
         number = np.cumsum(enough) - 1
         return TiePoints(self.start[enough], number[self.point[keep]], self.view[keep], self.pixel[keep])
+
+
+def parts_of(num_views: int, point: np.ndarray, view: np.ndarray) -> np.ndarray:
+    """Part (num_views,) int64 of each view: the views of one are held together by the points that they share.
+
+    Observations (N,) are of points and of views. Parts are numbered from the largest, that with most views, on; of
+    equal ones the one with the first view comes first. A view that sees nothing is in part -1.
+    """
+    num_points = int(point.max()) + 1 if len(point) else 0
+    nodes = num_views + num_points
+    seen = coo_array((np.ones(len(view), dtype=bool), (view, num_views + point)), shape=(nodes, nodes))
+    label = connected_components(seen, directed=False)[1][:num_views]
+    is_seen = np.bincount(view, minlength=num_views) > 0
+    of_seen, first, size = np.unique(label[is_seen], return_index=True, return_counts=True)
+    part = np.full(num_views, -1, dtype=np.int64)
+    for number, k in enumerate(np.lexsort([first, -size])):
+        part[is_seen & (label == of_seen[k])] = number
+    return part

@@ -8,6 +8,7 @@ import numpy as np
 
 from survey.adjust.adjustment import Adjustment, ControlResidual, Parameter
 from survey.adjust.common_error import CommonError, common_error
+from survey.adjust.parts import Part, parts_of_adjustment
 from survey.adjust.state import RELIEF
 from survey.display.quantities import length
 from survey.folder.survey import Survey
@@ -118,6 +119,8 @@ class AdjustmentFigures:
     control : tuple of ControlResidual
     control_groups : tuple of ControlGroup
     common : CommonError or None
+    parts : tuple of Part
+        Those that share no points; none where the block is whole.
     correlation_names : (K,) of water and lenses, those that were free to move
     correlation : K rows of K
     """
@@ -131,6 +134,7 @@ class AdjustmentFigures:
     control: tuple[ControlResidual, ...]
     control_groups: tuple[ControlGroup, ...]
     common: CommonError | None
+    parts: tuple[Part, ...]
     correlation_names: tuple[str, ...]
     correlation: tuple[tuple[float, ...], ...]
 
@@ -164,6 +168,7 @@ def adjustment_of(survey: Survey, found: Adjustment | None) -> AdjustmentFigures
         control=found.control,
         control_groups=_control_groups(found.control),
         common=common_error(found, survey.water),
+        parts=parts_of_adjustment(found, survey.water),
         correlation_names=names,
         correlation=tuple(tuple(row) for row in correlation.tolist()),
     )

@@ -14,8 +14,9 @@ from matplotlib.figure import Figure
 
 from evaluation.cells import cell_counts, cell_means, cell_numbers
 from survey.adjust.adjustment import Adjustment
+from survey.adjust.parts import part_numbers
 from survey.compare.canvas import canvas, colour_bar, map_canvas, nice_limit, save, show, write_title
-from survey.display.palette import BLUE, DIFFERENCES, INK, RED, SOFT, SPREADS
+from survey.display.palette import BLUE, DIFFERENCES, INK, RED, SERIES, SOFT, SPREADS
 from survey.display.plan_grid import PlanGrid
 from survey.display.quantities import number
 from survey.folder.survey import Survey
@@ -93,6 +94,30 @@ def draw_ground_residuals(path: Path, survey: Survey, found: Adjustment) -> Pict
     write_title(axes, "Residuals over the ground", f"cells of {grid.cell_m:.2g} m")
     save(figure, path)
     return Picture(path, "Residuals over the ground", "Where they are large: waves, moving things, or few photographs.")
+
+
+def draw_parts(path: Path, survey: Survey, found: Adjustment) -> Picture:
+    """Cameras and tie points of a block that falls apart, each part in a colour of its own."""
+    crs, number_of = survey.frame.crs, part_numbers(found)
+    points, cameras = (survey.frame.crs_from_local(places)[:, :2] for places in (found.points, found.centres))
+    part_of_point = np.full(len(points), -1)
+    part_of_point[found.residual_point] = number_of[found.residual_view]
+    low, high = points.min(axis=0), points.max(axis=0)
+    extent = (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
+    figure, axes = map_canvas(_around(extent, cameras), crs, below_in=0.5)
+    for part in range(int(number_of.max()) + 1):
+        colour, mine = SERIES[part % len(SERIES)], number_of == part
+        label = f"part {part + 1}: {int(mine.sum())} photographs"
+        axes.plot(*points[part_of_point == part].T, ".", ms=1.5, color=colour, alpha=0.4, zorder=3)
+        axes.plot(*cameras[mine].T, "o", ms=5.0, mfc=colour, mec="white", mew=0.6, label=label, zorder=5)
+    if (number_of < 0).any():
+        axes.plot(*cameras[number_of < 0].T, "x", ms=5.0, color=INK, label="without points", zorder=5)
+    _draw_control(axes, survey, found)
+    figure.legend(loc="lower center", ncols=3, frameon=False, fontsize=9)
+    title = "Where the block falls apart"
+    write_title(axes, title, "dots: points that the photographs of a part share; no point is of two parts")
+    save(figure, path)
+    return Picture(path, title, "Positions, control and water alone hold the parts together.")
 
 
 def _draw_control(axes: Axes, survey: Survey, found: Adjustment) -> None:

@@ -22,7 +22,30 @@ def adjustment(found: AdjustmentFigures | None) -> list[Block]:
         blocks.append(Text(found.note[0].upper() + found.note[1:] + "."))
     blocks += [parameter_table(found.parameters)] if found.parameters else []
     blocks += [Sentences([f"{row.name} {row.verdict}" for row in found.parameters])] if found.parameters else []
-    return [*blocks, _observations(found), Rows(_poses(found)), *_control(found)]
+    return [*blocks, *_parts(found), _observations(found), Rows(_poses(found)), *_control(found)]
+
+
+def _parts(found: AdjustmentFigures) -> list[Block]:
+    """The parts of a block that falls apart."""
+    if not found.parts:
+        return []
+    stds = [std for part in found.parts for std in (part.height_std_m, part.to_first_std_m) if std is not None]
+    unit = LengthUnit.of(stds)
+
+    def std(value: float | None) -> str:
+        return _NO_VALUE if value is None else unit.number(value)
+
+    rows = [
+        (str(place), part.listed, count(len(part.names)), count(part.num_points),
+         number(part.apart_m, 1), std(part.height_std_m), std(part.to_first_std_m))
+        for place, part in enumerate(found.parts, start=1)
+    ]  # fmt: skip
+    titles = (
+        "part", "photographs", "number", "points", "to the next part [m]", f"height, 1 sigma [{unit.name}]",
+        f"less that of part 1, 1 sigma [{unit.name}]",
+    )  # fmt: skip
+    said = "No point is seen by photographs of two parts: positions, control and water alone hold these together."
+    return [Text(said), Table(titles, rows, num_texts=2, heading="Parts that share no points")]
 
 
 def parameter_table(parameters: Sequence[Parameter]) -> Table:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from survey.adjust.parts import part_numbers
 from survey.compare import bands as compare_bands
 from survey.compare import pictures as compare_report
 from survey.display.plan_grid import PlanGrid
@@ -81,7 +82,10 @@ def _grid(facts: ReportFacts, max_cells: int) -> PlanGrid:
 
 
 def _of_adjustment(facts: ReportFacts, found: Adjustment) -> dict[str, Callable[[Path], Picture]]:
-    drawings: dict[str, Callable[[Path], Picture]] = {
+    drawings: dict[str, Callable[[Path], Picture]] = {}
+    if part_numbers(found).max() > 0:
+        drawings["parts"] = partial(adjustment_pictures.draw_parts, survey=facts.survey, found=found)
+    drawings |= {
         "residuals_ground": partial(adjustment_pictures.draw_ground_residuals, survey=facts.survey, found=found),
         "residuals_image": partial(adjustment_pictures.draw_image_residuals, found=found),
     }

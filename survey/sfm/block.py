@@ -9,7 +9,7 @@ from __future__ import annotations
 # pycolmap 4.2.1 bundles its own zlib; if that is loaded before the system's, reading a PNG file corrupts the heap.
 import zlib  # noqa: F401
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -186,6 +186,17 @@ def lens_of(block: pycolmap.Reconstruction, name: str) -> Lens:
     """The lens of the camera of an image."""
     camera = block.camera(block.find_image_with_name(name).camera_id)
     return Lens(camera.model_name, tuple(float(p) for p in camera.params), camera.width, camera.height)
+
+
+def set_lens(block: pycolmap.Reconstruction, name: str, params: Sequence[float]) -> None:
+    """Give the camera of an image other parameters, those of `MODEL`."""
+    block.camera(block.find_image_with_name(name).camera_id).params = list(params)
+
+
+def drop_images(block: pycolmap.Reconstruction, names: Collection[str]) -> None:
+    """Take images, and what is then seen by one alone, out of a block; in place."""
+    for image in [image for image in block.images.values() if image.has_pose and image.name in names]:
+        block.deregister_frame(image.frame_id)
 
 
 def transform(block: pycolmap.Reconstruction, similarity: Similarity) -> None:

@@ -42,6 +42,11 @@ class BlockControl:
     marks: tuple[Mark, ...]
     slack: np.ndarray
 
+    def in_frame(self, frame: LocalFrame) -> BlockControl:
+        """The same in another local frame of the same crs."""
+        points = tuple(replace(point, local=frame.local_from_crs(np.array(point.crs))) for point in self.points)
+        return replace(self, frame=frame, points=points)
+
     def with_views(self, names: Mapping[str, str]) -> BlockControl:
         """The same with other names of views."""
         return replace(self, marks=tuple(replace(mark, view=names[mark.view]) for mark in self.marks))

@@ -1,14 +1,14 @@
-"""A block of photographs placed on Earth, by the GPS positions of its cameras or by control points.
+"""Blocks of photographs placed on Earth, each by the GPS positions of its cameras or by control points.
 
-A similarity takes the block to local; focal lengths that it does not determine are reset to EXIF; the origin is lowered
+A similarity takes a block to local; focal lengths that it does not determine are reset to EXIF; the origin is lowered
 to the ground.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
 from geo.similarity import Similarity, robust_similarity
-from survey.errors import ControlError, PosesError
+from survey.errors import ControlError, PosesError, SurveyError
 from survey.sfm import block as sfm_block
 from survey.sfm.block import Sensor
 from survey.sfm.control_fit import fit_control
@@ -36,48 +36,71 @@ _FOCAL_SHARE = 0.08
 
 @dataclass(frozen=True)
 class Placed:
-    """A block in its local frame.
+    """Blocks in one local frame.
 
     Attributes
     ----------
-    block : pycolmap.Reconstruction
+    blocks : tuple of pycolmap.Reconstruction
+        Those that could be placed.
     frame : LocalFrame
     notes : sentences
     """
 
-    block: pycolmap.Reconstruction
+    blocks: tuple[pycolmap.Reconstruction, ...]
     frame: LocalFrame
     notes: tuple[str, ...]
 
 
+# Takes a block to local, in place, and says by what; raises PosesError or ControlError if it cannot.
+Way = Callable[["pycolmap.Reconstruction"], str]
+
+
 def place_by_gps(
-    free: Free, gps: GpsPositions, alias_of: Mapping[str, str], sensors: list[Sensor], say: Callable[[str], None]
+    free: Free,
+    gps: GpsPositions,
+    alias_of: Mapping[str, str],
+    sensors: list[Sensor],
+    say: Callable[[str], None],
+    spare: BlockControl | None = None,
 ) -> Placed:
-    """Place a block by the GPS positions of its cameras; the block is changed.
+    """Place blocks by the GPS positions of their cameras; the blocks are changed.
+
+    Parameters
+    ----------
+    free, gps
+    alias_of : mapping of name to name in the block
+    sensors : list of Sensor
+    say : callable
+    spare : BlockControl, optional
+        For the blocks that positions cannot place; its views have the names that are keys of `alias_of`.
 
     Raises
     ------
     PosesError
-        If they do not say how the block lies.
+        If they say of no block how it lies.
     """
-    block, notes = free.block, [*gps.notes, *free.notes]
     positions = {alias_of[name]: position for name, position in gps.local.items()}
-    say(f"structure from motion: {block.num_reg_images()} images are placed by their GPS positions")
-    trusted = _to_positions(block, positions)
-    _reset(block, sensors, notes)
-    std = gps_std(_residuals(block, trusted))
-    frame = _lowered(gps.frame, block)
-    notes.append(
-        f"{_found(block, len(alias_of))}; {len(trusted)} GPS positions lie about {std[0]:.2f} m east and north and "
-        f"{std[2]:.2f} m up from it, before the adjustment"
-    )
-    return Placed(block, frame, tuple(notes))
+    say(f"structure from motion: {free.num_images} images are placed by their GPS positions")
+
+    def by_positions(block: pycolmap.Reconstruction) -> str:
+        trusted = _to_positions(block, positions)
+        std = gps_std(_residuals(block, trusted))
+        return (
+            f"{len(trusted)} GPS positions lie about {std[0]:.2f} m east and north and {std[2]:.2f} m up from it, "
+            "before the adjustment"
+        )
+
+    ways: list[Way] = [by_positions]
+    if spare is not None:
+        ways.append(_way_of_control(spare, gps.frame, alias_of))
+    placed = _place(free, ways, gps.frame, alias_of, sensors)
+    return replace(placed, notes=(*gps.notes, *placed.notes))
 
 
 def place_by_control(
     free: Free, control: BlockControl, alias_of: Mapping[str, str], sensors: list[Sensor], say: Callable[[str], None]
 ) -> Placed:
-    """Place a block by control points; the block is changed.
+    """Place blocks by control points; the blocks are changed.
 
     Parameters
     ----------
@@ -91,24 +114,81 @@ def place_by_control(
     Raises
     ------
     ControlError
-        If the control does not say how the block lies.
+        If the control says of no block how it lies.
     """
-    block, notes = free.block, list(free.notes)
-    say(f"structure from motion: {block.num_reg_images()} images are placed by {len(control.points)} control points")
-    try:
-        fit = fit_control(control, posed_of(block, alias_of))
-    except ControlError as error:
-        raise ControlError("; ".join([str(error), *free.notes])) from error
-    sfm_block.transform(block, fit.similarity)
-    _reset(block, sensors, notes)
-    met = zip(fit.met.points, fit.met.places, strict=True)
-    off = [fit.similarity(place) - point.local for point, place in met if point.name in fit.used]
-    rms = np.sqrt(np.mean(np.square(off), axis=0))
-    notes.append(
-        f"{_found(block, len(alias_of))}; placed by control points alone ({listed(fit.used)}), which lie about "
-        f"{math.hypot(rms[0], rms[1]):.2f} m across and {rms[2]:.2f} m up from it, before the adjustment"
-    )
-    return Placed(block, _lowered(control.frame, block), tuple(notes))
+    say(f"structure from motion: {free.num_images} images are placed by {len(control.points)} control points")
+    return _place(free, [_way_of_control(control, control.frame, alias_of)], control.frame, alias_of, sensors)
+
+
+def _way_of_control(control: BlockControl, frame: LocalFrame, alias_of: Mapping[str, str]) -> Way:
+    def by_control(block: pycolmap.Reconstruction) -> str:
+        fit = fit_control(control if frame is control.frame else control.in_frame(frame), posed_of(block, alias_of))
+        sfm_block.transform(block, fit.similarity)
+        met = zip(fit.met.points, fit.met.places, strict=True)
+        off = [fit.similarity(place) - point.local for point, place in met if point.name in fit.used]
+        rms = np.sqrt(np.mean(np.square(off), axis=0))
+        return (
+            f"placed by control points alone ({listed(fit.used)}), which lie about {math.hypot(rms[0], rms[1]):.2f} m "
+            f"across and {rms[2]:.2f} m up from it, before the adjustment"
+        )
+
+    return by_control
+
+
+def _place(
+    free: Free, ways: Sequence[Way], frame: LocalFrame, alias_of: Mapping[str, str], sensors: list[Sensor]
+) -> Placed:
+    """Place each block by the first way that can; where none of the blocks can be placed, raise for the largest."""
+    notes, placed, found = list(free.notes), [], []
+    refusals: list[SurveyError] = []
+    for block in free.blocks:
+        try:
+            by = _by_first(ways, block)
+        except (PosesError, ControlError) as error:
+            refusals.append(error)
+            lost = [name for name, alias in alias_of.items() if alias in sfm_block.poses_of(block)]
+            notes.append(
+                f"{len(lost)} photographs make a block of their own, which shares no points with the others and which "
+                f"nothing places: {error}; left out: {listed(lost)}"
+            )
+            continue
+        _reset(block, sensors, notes)
+        placed.append(block)
+        found.append(f"{_found(block, len(alias_of))}; {by}")
+    if not placed:
+        # Without what was said of the largest: that is raised.
+        raise type(refusals[0])("; ".join([str(refusals[0]), *free.notes])) from refusals[0]
+    _share_lenses(placed, sensors)
+    if len(placed) > 1:
+        counts = " and ".join(str(block.num_reg_images()) for block in placed)
+        notes.append(
+            f"the photographs fall into {len(placed)} blocks that share no points, of {counts} photographs: each is "
+            "placed by itself, and they are adjusted together"
+        )
+    return Placed(tuple(placed), _lowered(frame, placed), (*notes, *found))
+
+
+def _by_first(ways: Sequence[Way], block: pycolmap.Reconstruction) -> str:
+    """What the first way says that can place a block; the error of the first where none can."""
+    refusal: SurveyError | None = None
+    for way in ways:
+        try:
+            return way(block)
+        except (PosesError, ControlError) as error:
+            refusal = refusal or error
+    assert refusal is not None
+    raise refusal
+
+
+def _share_lenses(blocks: Sequence[pycolmap.Reconstruction], sensors: Sequence[Sensor]) -> None:
+    """Give all images of a sensor the lens that the largest block with one of them has found: it is one lens."""
+    for sensor in sensors:
+        lens = None
+        for block in blocks:
+            poses = sfm_block.poses_of(block)
+            for alias in (alias for alias in sensor.names if alias in poses):
+                lens = sfm_block.lens_of(block, alias) if lens is None else lens
+                sfm_block.set_lens(block, alias, lens.params)
 
 
 def posed_of(block: pycolmap.Reconstruction, alias_of: Mapping[str, str]) -> dict[str, Posed]:
@@ -189,11 +269,13 @@ def _residuals(block: pycolmap.Reconstruction, positions: Mapping[str, np.ndarra
     return np.array([poses[alias][0] - position for alias, position in positions.items()])
 
 
-def _lowered(frame: LocalFrame, block: pycolmap.Reconstruction) -> LocalFrame:
-    """The same frame with its origin at the height of the ground; the block goes with it."""
+def _lowered(frame: LocalFrame, blocks: Sequence[pycolmap.Reconstruction]) -> LocalFrame:
+    """The same frame with its origin at the height of the ground; the blocks go with it."""
     unit = height_unit_m(frame.crs)
-    fall = math.floor(float(np.median(sfm_block.points_of(block)[0][:, 2])) / unit)
-    sfm_block.transform(block, Similarity(1.0, np.eye(3), np.array([0.0, 0.0, -fall * unit])))
+    heights = np.concatenate([sfm_block.points_of(block)[0][:, 2] for block in blocks])
+    fall = math.floor(float(np.median(heights)) / unit)
+    for block in blocks:
+        sfm_block.transform(block, Similarity(1.0, np.eye(3), np.array([0.0, 0.0, -fall * unit])))
     e, n, h = frame.origin
     return LocalFrame(frame.crs, (e, n, h + fall))
 

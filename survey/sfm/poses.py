@@ -1,8 +1,8 @@
 """Structure from motion: poses in the local frame for a survey that comes without them.
 
-Photographs -> a block of poses and points by pycolmap (`survey.sfm.block`, `survey.sfm.solve`) -> georeferenced by GPS
-positions in EXIF or by control points (`survey.sfm.placing`). Here: the entry point, the result, and the solved block,
-which is stored, in its own frame, to be used again.
+Photographs -> blocks of poses and points by pycolmap (`survey.sfm.block`, `survey.sfm.solve`), one where all overlap ->
+each georeferenced by GPS positions in EXIF or by control points (`survey.sfm.placing`). Here: the entry point, the
+result, and the solved blocks, which are stored, in their own frames, to be used again.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from survey.sfm.settings import one_focal, require_size
 from survey.sfm.solve import Free, aliases, sensors_of, solve
 from survey.stage_key import stage_key
 
-__all__ = ["FreeViews", "SfmResult", "SfmView", "block_of", "image_names", "seconds_of_solve", "solve_poses"]
+__all__ = ["FreeViews", "SfmResult", "SfmView", "blocks_of", "image_names", "seconds_of_solve", "solve_poses"]
 
 _RECORD, _MODEL, _WORK = "solved.json", "model", ".work.part"
 # Features and matches of an image take about 2 MB in the database.
@@ -64,7 +64,7 @@ class SfmView(NamedTuple):
 
 @dataclass(frozen=True)
 class SfmResult:
-    """Poses and points of a block in its local frame.
+    """Poses and points of all blocks that could be placed, in one local frame.
 
     Attributes
     ----------
@@ -104,6 +104,7 @@ def solve_poses(
     size_px: tuple[int, int] | None = None,
     focal_px: float | tuple[float, float] | None = None,
     control: BlockControl | None = None,
+    spare_control: BlockControl | None = None,
     report: Callable[[str], None] | None = None,
 ) -> SfmResult:
     """Poses, lenses and points of photographs with GPS positions, or with control points.
@@ -122,7 +123,9 @@ def solve_poses(
     focal_px : float, optional
         Of a calibration; it is kept. Without it, the one in EXIF is where the search starts.
     control : BlockControl, optional
-        Places the block instead of GPS positions; its views have the names of `image_names`.
+        Places blocks instead of GPS positions; its views have the names of `image_names`.
+    spare_control : BlockControl, optional
+        Places the blocks that GPS positions cannot.
     report : callable, optional
         Called with a sentence on the progress.
 
@@ -145,7 +148,7 @@ def solve_poses(
     place: Callable[..., Placed]
     if control is None:
         gps = gps_positions(heads, crs, gps_height)
-        frame, place = gps.frame, partial(place_by_gps, gps=gps)
+        frame, place = gps.frame, partial(place_by_gps, gps=gps, spare=spare_control)
     else:
         frame, place = control.frame, partial(place_by_control, control=control)
     positions = positions_in_crs(heads, frame.crs, gps_height, [])
@@ -172,14 +175,14 @@ class FreeViews:
     ties: TiePoints
 
 
-def block_of(
+def blocks_of(
     images: Mapping[str, Path],
     positions: Mapping[str, np.ndarray],
     focal_px: float | None,
     workspace: Path,
     say: Callable[[str], None],
-) -> FreeViews:
-    """Poses and points of photographs, not placed anywhere.
+) -> list[FreeViews]:
+    """Poses and points of photographs, not placed anywhere, of each block that they make; the largest first.
 
     Parameters
     ----------
@@ -200,11 +203,13 @@ def block_of(
         Where overlap or room on the disk do not suffice.
     """
     heads = {name: read_exif(path) for name, path in images.items()}
-    block = _solved(images, heads, positions, focal_px, workspace, say).block
-    by_alias = sfm_block.poses_of(block)
-    alias_of = {name: alias for name, alias in aliases(images).items() if alias in by_alias}
-    poses = {name: by_alias[alias] for name, alias in alias_of.items()}
-    return FreeViews(poses, sfm_block.tracks_of(block, list(alias_of.values())))
+    found = []
+    for block in _solved(images, heads, positions, focal_px, workspace, say).blocks:
+        by_alias = sfm_block.poses_of(block)
+        alias_of = {name: alias for name, alias in aliases(images).items() if alias in by_alias}
+        poses = {name: by_alias[alias] for name, alias in alias_of.items()}
+        found.append(FreeViews(poses, sfm_block.tracks_of(block, list(alias_of.values()))))
+    return found
 
 
 def _solved(
@@ -215,13 +220,13 @@ def _solved(
     workspace: Path,
     say: Callable[[str], None],
 ) -> Free:
-    """The block of photographs in a frame of its own: the one in the workspace, or solved now and stored there."""
+    """The blocks of photographs in their own frames: those in the workspace, or solved now and stored there."""
     key = stage_key("sfm", code_hash("survey.sfm.solve"), focal_px, list(images), list(images.values()))
     busy = f"another process (number {{pid}}) looks for poses in {workspace}; wait until it ends, or stop it"
     with disk_refusals(workspace), locked(_made(workspace), busy=busy):
         free = _stored(workspace, key)
         if free is not None:
-            say(f"structure from motion: poses of {free.block.num_reg_images()} images from {workspace}")
+            say(f"structure from motion: poses of {free.num_images} images from {workspace}")
         else:
             if (workspace / _RECORD).is_file():
                 say(f"structure from motion: {workspace} has poses of other photographs or settings, or by other code")
@@ -274,27 +279,35 @@ def _stored(workspace: Path, key: str) -> Free | None:
     record = read_json_object(workspace / _RECORD)
     if record.get("key") != key or not (workspace / _MODEL).is_dir():
         return None
-    return Free(sfm_block.read_block(workspace / _MODEL), tuple(record["notes"]))
+    folders = [workspace / _MODEL / str(number) for number in range(record["blocks"])]
+    return Free(tuple(sfm_block.read_block(folder) for folder in folders), tuple(record["notes"]))
 
 
 def _store(workspace: Path, key: str, work: Path, free: Free, seconds: float) -> None:
-    """Store a block; the record is written last and marks it as complete."""
+    """Store blocks; the record is written last and marks it as complete."""
     (workspace / _RECORD).unlink(missing_ok=True)
     shutil.rmtree(workspace / _MODEL, ignore_errors=True)
-    model = work / _MODEL
-    model.mkdir()
-    sfm_block.write_block(free.block, model)
-    model.rename(workspace / _MODEL)
-    write_json(workspace / _RECORD, {"key": key, "notes": free.notes, "seconds": round(seconds, 3)})
+    for number, block in enumerate(free.blocks):
+        model = work / _MODEL / str(number)
+        model.mkdir(parents=True)
+        sfm_block.write_block(block, model)
+    (work / _MODEL).rename(workspace / _MODEL)
+    record = {"key": key, "blocks": len(free.blocks), "notes": free.notes, "seconds": round(seconds, 3)}
+    write_json(workspace / _RECORD, record)
 
 
 def _result(placed: Placed, positions: Mapping[str, np.ndarray], alias_of: Mapping[str, str]) -> SfmResult:
-    poses, frame = sfm_block.poses_of(placed.block), placed.frame
+    frame = placed.frame
+    block_of = {alias: block for block in placed.blocks for alias in sfm_block.poses_of(block)}
+    poses = {alias: pose for block in placed.blocks for alias, pose in sfm_block.poses_of(block).items()}
     posed = {name: alias for name, alias in alias_of.items() if alias in poses}
-    views = tuple(SfmView(name, sfm_block.lens_of(placed.block, alias), *poses[alias]) for name, alias in posed.items())
+    views = tuple(
+        SfmView(name, sfm_block.lens_of(block_of[alias], alias), *poses[alias]) for name, alias in posed.items()
+    )
     lost = np.full(3, np.nan)
     measured = np.array([frame.local_from_crs(positions[name]) if name in positions else lost for name in posed])
-    points, num_views, error_px = sfm_block.points_of(placed.block)
+    of_points = [sfm_block.points_of(block) for block in placed.blocks]
+    points, num_views, error_px = (np.concatenate(column) for column in zip(*of_points, strict=True))
     residuals = np.array([view.centre for view in views]) - measured
-    ties = sfm_block.tracks_of(placed.block, list(posed.values()))
+    ties = TiePoints.together([sfm_block.tracks_of(block, list(posed.values())) for block in placed.blocks])
     return SfmResult(frame, views, list(placed.notes), points, num_views, error_px, residuals, ties)

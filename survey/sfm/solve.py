@@ -1,4 +1,4 @@
-"""From photographs to one block in a frame of its own, which `survey.sfm.placing` then places on Earth.
+"""From photographs to blocks, each in a frame of its own, which `survey.sfm.placing` then places on Earth.
 
 Rays are straight here: `survey.adjust` then adjusts the block with bent ones.
 """
@@ -27,18 +27,23 @@ GIVE_POSES = f"give poses made elsewhere in [cameras] poses in {FILE_NAME}"
 
 @dataclass(frozen=True)
 class Free:
-    """A block in a frame of its own.
+    """Blocks that share no images and no points, each in a frame of its own.
 
     Attributes
     ----------
-    block : pycolmap.Reconstruction
-        Its images have the names of `aliases`.
+    blocks : tuple of pycolmap.Reconstruction
+        The largest first; their images have the names of `aliases`.
     notes : sentences
         What was left out.
     """
 
-    block: pycolmap.Reconstruction
+    blocks: tuple[pycolmap.Reconstruction, ...]
     notes: tuple[str, ...]
+
+    @property
+    def num_images(self) -> int:
+        """How many images have a pose in their block."""
+        return sum(block.num_reg_images() for block in self.blocks)
 
 
 def aliases(images: Mapping[str, Path]) -> dict[str, str]:
@@ -76,7 +81,8 @@ def solve(
     alias_of = aliases(images)
     placed = {alias_of[name]: position for name, position in positions.items()}
     blocks = _blocks(images, sensors_of(heads, alias_of, focal_px), placed, work, say)
-    return Free(blocks[0], tuple(left_out(blocks, alias_of)))
+    apart = apart_of(blocks)
+    return Free(apart, tuple(left_out(apart, alias_of)))
 
 
 def sensors_of(heads: Mapping[str, Exif], alias_of: Mapping[str, str], focal_px: float | None) -> list[Sensor]:
@@ -111,16 +117,23 @@ def _blocks(
     return blocks
 
 
+def apart_of(blocks: Sequence[pycolmap.Reconstruction]) -> tuple[pycolmap.Reconstruction, ...]:
+    """The blocks without the images that a larger one has, those that keep three at least; changed in place."""
+    taken: set[str] = set()
+    apart = []
+    for block in blocks:
+        sfm_block.drop_images(block, taken)
+        if block.num_reg_images() >= MIN_VIEWS:
+            taken |= sfm_block.poses_of(block).keys()
+            apart.append(block)
+    return tuple(apart)
+
+
 def left_out(blocks: Sequence[pycolmap.Reconstruction], alias_of: Mapping[str, str]) -> list[str]:
-    """A sentence on the images that the first block does not have, by their own names; none if it has all."""
-    placed = sfm_block.poses_of(blocks[0])
+    """A sentence on the images that no block has, by their own names; none if they have all."""
+    placed = {alias for block in blocks for alias in sfm_block.poses_of(block)}
     names = [name for name, alias in alias_of.items() if alias not in placed]
-    if not names:
-        return []
-    why = "some images match too little"
-    if len(blocks) > 1:
-        why = f"the images fall into {len(blocks)} blocks that share no points; the largest is used"
-    return [f"{why}; left out: {listed(names)}"]
+    return [f"some images match too little; left out: {listed(names)}"] if names else []
 
 
 def listed(names: Sequence[str]) -> str:

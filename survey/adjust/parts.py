@@ -1,0 +1,130 @@
+"""Parts of a block that share no points: what each is, and how well its heights are known against those of the others.
+
+Photographs of two places with nothing between them that matches, as where a survey crosses deep water, are adjusted
+together, and share the lens and the water; where one part lies against another, positions and control alone tell.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from refract import FlatWater
+from survey.adjust.adjustment import Adjustment
+from survey.adjust.common_error import moves_over_area
+from survey.display.quantities import length
+from survey.photos.tie_points import parts_of
+
+# Runs of photographs that are named.
+_MOST_RUNS = 6
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of an adjusted block.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of its photographs.
+    listed : str
+        The same as runs of neighbours, "a to d, f, k to m".
+    num_points : int
+        Tie points.
+    apart_m : float
+        Between the nearest cameras of this part and another.
+    height_std_m : float or None
+        Standard deviation of its mean height by water, lens and poses; None with too few points to tell.
+    to_first_std_m : float or None
+        That of its mean height less that of the first part; None for the first itself.
+    """
+
+    names: tuple[str, ...]
+    listed: str
+    num_points: int
+    apart_m: float
+    height_std_m: float | None
+    to_first_std_m: float | None
+
+
+def part_numbers(found: Adjustment) -> np.ndarray:
+    """See `survey.photos.tie_points.parts_of`; marks of control hold nothing together."""
+    is_tie = found.residual_point < len(found.points) - len(found.control)
+    return parts_of(len(found.names), found.residual_point[is_tie], found.residual_view[is_tie])
+
+
+def parts_of_adjustment(found: Adjustment, water: FlatWater | None) -> tuple[Part, ...]:
+    """The parts of an adjusted block, the largest first; none where it is whole."""
+    number = part_numbers(found)
+    if number.max() < 1:
+        return ()
+    parts: list[Part] = []
+    first: np.ndarray | None = None
+    for each in range(int(number.max()) + 1):
+        views = np.flatnonzero(number == each)
+        own = _only(found, number == each)
+        moves = moves_over_area(own, water)
+        mean = moves.mean(axis=0) if len(moves) else None
+        first = mean if each == 0 else first
+        others = found.centres[(number != each) & (number >= 0)]
+        between = np.linalg.norm(found.centres[views][:, None] - others[None], axis=-1)
+        to_first = None if each == 0 or mean is None or first is None else _std(found, mean - first)
+        parts.append(
+            Part(
+                names=tuple(found.names[view] for view in views),
+                listed=_runs(found.names, views),
+                num_points=len(own.points),
+                apart_m=float(between.min()),
+                height_std_m=None if mean is None else _std(found, mean),
+                to_first_std_m=to_first,
+            )
+        )
+    return tuple(parts)
+
+
+def parts_warning(found: Adjustment, water: FlatWater | None) -> list[str]:
+    """A sentence where a block falls into parts."""
+    parts = parts_of_adjustment(found, water)
+    if not parts:
+        return []
+    told = [f"{len(part.names)} ({part.listed})" for part in parts]
+    known = [part.to_first_std_m for part in parts if part.to_first_std_m is not None]
+    by = f", which tells the height of one against the other to {length(max(known))} (1 sigma)" if known else ""
+    return [
+        f"the photographs fall into {len(parts)} parts that share no points, of {_listed(told)} photographs: "
+        f"positions, control and water alone hold them together{by}; where they should be one, fly more overlap "
+        "between them"
+    ]
+
+
+def _only(found: Adjustment, keep: np.ndarray) -> Adjustment:
+    """An adjustment with the tie points alone that views (V,) bool see; all else, the covariance too, stays."""
+    is_tie = found.residual_point < len(found.points) - len(found.control)
+    mine = is_tie & keep[found.residual_view]
+    kept, point = np.unique(found.residual_point[mine], return_inverse=True)
+    return replace(
+        found,
+        residual_view=found.residual_view[mine],
+        residual_px=found.residual_px[mine],
+        residual_at_px=found.residual_at_px[mine],
+        residual_point=point,
+        points=found.points[kept],
+    )
+
+
+def _runs(names: tuple[str, ...], views: np.ndarray) -> str:
+    """Names of views (K,), ascending, those of neighbours as their first and last."""
+    runs = np.split(views, np.flatnonzero(np.diff(views) > 1) + 1)
+    told = [names[run[0]] if len(run) == 1 else f"{names[run[0]]} to {names[run[-1]]}" for run in runs]
+    more = f" and {len(told) - _MOST_RUNS} more" if len(told) > _MOST_RUNS else ""
+    return ", ".join(told[:_MOST_RUNS]) + more
+
+
+def _std(found: Adjustment, moves: np.ndarray) -> float:
+    return math.sqrt(max(float(moves @ found.covariance @ moves), 0.0))
+
+
+def _listed(texts: list[str]) -> str:
+    return f"{', '.join(texts[:-1])} and {texts[-1]}"

@@ -10,11 +10,12 @@ import typer
 
 from survey.commands.console import command
 from survey.commands.options import Quiet, Verbose
+from survey.errors import FILE_NAME
 
 EXAMPLES = """
     bathynerf init my_survey
     bathynerf init my_survey --level 12.34
-    bathynerf init my_survey --crs EPSG:25832+7837
+    bathynerf init my_survey --crs EPSG:25832+7837 --schema
 """
 
 
@@ -45,6 +46,9 @@ def run(
             rich_help_panel="What no file tells",
         ),
     ] = None,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Also write survey.schema.json, by which editors complete and check keys.")
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace survey.toml.")] = False,
     verbose: Verbose = 0,
     quiet: Quiet = 0,
@@ -55,12 +59,19 @@ def run(
     certain. On a terminal it asks for what no file tells.
     """
     with command(verbose, quiet, folder) as results:
-        from survey.init.draft import require_level_and_dry_apart, write_settings
+        from survey.init.draft import SCHEMA_LINE, require_level_and_dry_apart, write_schema, write_settings
         from survey.init.entry import Answers
+        from survey.progress import current
 
         answers = Answers(crs, level, dry, origin, _ask if sys.stdin.isatty() and sys.stderr.isatty() else None)
         require_level_and_dry_apart(answers)
-        path = write_settings(folder, answers, force=force)
+        toml = folder / FILE_NAME
+        if schema:
+            results.line(write_schema(folder))
+            if toml.exists() and not force:
+                current().note(f"{toml} is kept; editors find the schema by {SCHEMA_LINE.strip()} in its first line")
+                return
+        path = write_settings(folder, answers, force=force, names_schema=schema)
         results.line(path)
         for line in path.read_text(encoding="utf-8").splitlines():
             results.line(f"  {line}")

@@ -27,7 +27,7 @@ _KINDS = {
 # Share of letters that two near names have in common, in order: "level" and "level_m", not "gcp" and "gps_height".
 _NEAR = 0.6
 # Metadata of a field: a description of valid values, for the error message; all of them, where they are few.
-_EXPECTED, _ONE_OF = "expected", "one_of"
+EXPECTED, ONE_OF = "expected", "one_of"
 
 
 def key(default: Any, expected: str, *, one_of: Iterable[Any] = ()) -> Any:
@@ -35,7 +35,7 @@ def key(default: Any, expected: str, *, one_of: Iterable[Any] = ()) -> Any:
 
     The values that are known, where they are few, are for the schema; who reads the table checks them.
     """
-    return dataclasses.field(default=default, metadata={_EXPECTED: expected, _ONE_OF: tuple(one_of)})
+    return dataclasses.field(default=default, metadata={EXPECTED: expected, ONE_OF: tuple(one_of)})
 
 
 def read_toml(path: Path, parse: Callable[[str], Any]) -> Any:
@@ -120,7 +120,7 @@ class _Reader:
         hints, found = typing.get_type_hints(kind), {}
         for name, field in fields.items():
             dotted = f"{where}.{name}" if where else name
-            expected = field.metadata.get(_EXPECTED) or _words(hints[name])
+            expected = field.metadata.get(EXPECTED) or _words(hints[name])
             if name in values:
                 found[name] = self._value(hints[name], dotted, values[name], expected)
             elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:

@@ -55,7 +55,7 @@ class CamerasConfig:
     focal_px: float | tuple[float, float] | None = key(None, "one focal length or [fx, fy] in pixels")
     principal_point_px: tuple[float, float] | None = key(None, "[x, y] in pixels")
     distortion: tuple[float, ...] | None = key(None, "a list of coefficients, e.g. [k1, k2, p1, p2]")
-    gps_height: str = "crs"
+    gps_height: str = key("crs", "crs or ellipsoidal: what heights in EXIF are", one_of=("crs", "ellipsoidal"))
     position_std_m: float | tuple[float, float, float] | None = key(None, "one number or [east, north, up] in metres")
     rotation_std_deg: float | tuple[float, float, float] | None = key(
         None, "one number or [omega, phi, kappa] in degrees"
@@ -153,7 +153,7 @@ class AreaConfig:
 class LocalConfig:
     """[local]: the topocentric frame that COLMAP poses are in; its origin in crs."""
 
-    frame: str = _TOPOCENTRIC
+    frame: str = key(_TOPOCENTRIC, "the only frame there is", one_of=(_TOPOCENTRIC,))
     origin: tuple[float, float, float] | None = key(None, "[easting, northing, height]")
 
     def __post_init__(self):

@@ -6,8 +6,10 @@ from pathlib import Path
 
 from geo.files import write_whole
 from survey.errors import FILE_NAME, ConfigError, OutputError, SurveyError
+from survey.files.json_values import write_json
+from survey.files.toml_schema import schema_of
 from survey.folder import infer
-from survey.folder.config import parse_config
+from survey.folder.config import SurveyConfig, parse_config
 from survey.init.entry import Answers, Table
 from survey.init.place import Photographs, require_in_place, write_crs, write_origin
 from survey.photos.exif import read_exif
@@ -15,6 +17,9 @@ from survey.photos.formats import find_poses, read_poses
 from survey.photos.images import list_images
 from survey.sfm.gps import MIN_POSITIONS, is_whole
 
+# As the extensions of editors for TOML find it (Taplo, Even Better TOML, Tombi).
+SCHEMA_NAME = "survey.schema.json"
+SCHEMA_LINE = f"#:schema {SCHEMA_NAME}\n"
 # Names of files as people give them, by the key of [water] that they are for; the first that is there counts.
 _WATER_FILES = {
     "gauge": ("gauge", "tide", "tides", "waterlevel", "water_level"),
@@ -31,21 +36,35 @@ _CONTROL_FILES = {
 _SUFFIXES = (".csv", ".txt", ".geojson", ".json")
 
 
-def write_settings(folder: Path, answers: Answers, *, force: bool = False) -> Path:
-    """Write survey.toml into a folder; returns its path.
+def _require_folder(folder: Path) -> None:
+    if not folder.is_dir():
+        what = "is a file" if folder.exists() else "does not exist"
+        raise SurveyError(f"the folder {folder} {what}; expected a folder with photographs")
+
+
+def write_schema(folder: Path) -> Path:
+    """Write the JSON schema of survey.toml into a folder, for editors; returns its path."""
+    _require_folder(folder)
+    path = folder / SCHEMA_NAME
+    write_json(path, schema_of(SurveyConfig))
+    return path
+
+
+def write_settings(folder: Path, answers: Answers, *, force: bool = False, names_schema: bool = False) -> Path:
+    """Write survey.toml into a folder, with the schema of `write_schema` in its first line if it is to be named there.
+
+    Returns its path.
 
     Raises
     ------
     SurveyError, GeoError
         If there is one already and `force` is not given, or something is neither found nor answered.
     """
+    _require_folder(folder)
     path = folder / FILE_NAME
-    if not folder.is_dir():
-        what = "is a file" if folder.exists() else "does not exist"
-        raise SurveyError(f"the folder {folder} {what}; expected a folder with photographs")
     if path.exists() and not force:
         raise OutputError(f"{path} exists; --force replaces it")
-    text = draft(folder, answers)
+    text = (SCHEMA_LINE if names_schema else "") + draft(folder, answers)
     with write_whole(path) as stream:
         stream.write(text.encode())
     return path

@@ -25,11 +25,12 @@ import numpy as np
 from array_libraries import seconds as best_seconds
 from kernel_limits import Limits, measure_limits, shares
 
-from fields.sweep import ranging, warping_drjit
-from fields.sweep.arrays import floats
+from fields.sweep import ranging
 from fields.sweep.block import Block, Overlap
+from fields.sweep.kernels import drjit_kernels
+from fields.sweep.kernels.arrays import floats
+from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.passes import PASSES
-from fields.sweep.stack import Hypotheses
 from fields.sweep.sweep import sweep
 from fields.sweep.view_pass import view_passes
 from survey.folder.survey import load_survey
@@ -40,11 +41,11 @@ from survey.progress import current
 from survey.run.job import Job
 
 FUNCTIONS = {
-    "paths of pixels": (warping_drjit, ("legs_of",)),
-    "warp": (warping_drjit, ("warp",)),
-    "scores": (warping_drjit, ("windows", "ncc", "best_half")),
-    "best hypothesis": (warping_drjit, ("best_height",)),
-    "height maps compared": (warping_drjit, ("compare",)),
+    "paths of pixels": (drjit_kernels, ("legs_of",)),
+    "warp": (drjit_kernels, ("warp",)),
+    "scores": (drjit_kernels, ("windows", "ncc", "best_half")),
+    "best hypothesis": (drjit_kernels, ("best_height",)),
+    "height maps compared": (drjit_kernels, ("compare",)),
     "parallax": (Overlap, ("parallax",)),
 }
 # Kernels: the pass of the sweep that they are taken from.
@@ -101,11 +102,11 @@ def kernel_table(block: Block, bound: tuple[float, float], machine: Limits) -> s
     stack, device, p = block.stack(KERNEL_PASS.scale), block.device, KERNEL_PASS
     view = len(stack.cameras) // 2
     others, count = block.neighbours(view, p.neighbours), p.hypotheses or 0
-    rows = min(stack.height, warping_drjit.SAMPLES_PER_LAUNCH // (len(others) * count * stack.width))
+    rows = min(stack.height, drjit_kernels.SAMPLES_PER_LAUNCH // (len(others) * count * stack.width))
     start = np.full((rows, stack.width), 0.5 * (bound[0] + bound[1]), np.float32)
-    legs, grey = warping_drjit.legs_of(stack, view, 0, rows), floats(stack.device, stack.images[view][:rows])
-    values = warping_drjit.buffers(device, len(others), start.size * count)
-    warp = partial(warping_drjit.warp, values, stack, legs, Hypotheses(start, 0.05, count), others)
+    legs, grey = drjit_kernels.legs_of(stack, view, 0, rows), floats(stack.device, stack.images[view][:rows])
+    values = drjit_kernels.buffers(device, len(others), start.size * count)
+    warp = partial(drjit_kernels.warp, values, stack, legs, Hypotheses(start, 0.05, count), others)
     samples = len(others) * count * rows * stack.width
     lines = ["| | a sample | operations | of the arithmetic limit | of the memory limit |", "|---|---|---|---|---|"]
 
@@ -131,8 +132,8 @@ def kernel_table(block: Block, bound: tuple[float, float], machine: Limits) -> s
 
 def scored(device, grey, values: list, width: int, radius: int):
     """The score of all neighbours."""
-    windows = warping_drjit.windows(device, grey, values, width, radius)
-    return warping_drjit.best_half(device, warping_drjit.ncc(windows, radius))
+    windows = drjit_kernels.windows(device, grey, values, width, radius)
+    return drjit_kernels.best_half(device, drjit_kernels.ncc(windows, radius))
 
 
 def main() -> None:

@@ -24,8 +24,8 @@ from bench_sweep import Case
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter, uniform_filter
 
 from fields.sweep import block as block_module
-from fields.sweep import warping_drjit
-from fields.sweep.stack import ViewStack
+from fields.sweep.kernels import drjit_kernels
+from fields.sweep.kernels.stack import ViewStack
 
 # Standard deviation of a Gauss filter of all images [px], 0 for none; and the order of the spline that is sampled.
 SAMPLERS = {
@@ -88,7 +88,7 @@ def matched(sigma: float, order: int, pixels: int = 256) -> tuple[np.ndarray, fl
 @contextmanager
 def sampler(sigma: float, order: int) -> Iterator[None]:
     """The sweep in Dr.Jit with images filtered, and neighbours sampled by a spline of that order."""
-    build, warp, raw = ViewStack.build, warping_drjit.warp, {}
+    build, warp, raw = ViewStack.build, drjit_kernels.warp, {}
 
     def filtered(device, cameras, images, water, *skips):
         images = [gaussian_filter(image, sigma) for image in images] if sigma else images
@@ -100,7 +100,7 @@ def sampler(sigma: float, order: int) -> Iterator[None]:
 
     def warped(values, stack, *rest):
         # Height maps are compared as they are.
-        with patch.object(warping_drjit, "look_up", _cubic):
+        with patch.object(drjit_kernels, "look_up", _cubic):
             warp(values, raw[id(stack)], *rest)
 
     class Images(ViewStack):
@@ -108,13 +108,13 @@ def sampler(sigma: float, order: int) -> Iterator[None]:
 
     with (
         patch.object(block_module, "ViewStack", Images),
-        patch.object(warping_drjit, "warp", warped if order == 3 else warp),
+        patch.object(drjit_kernels, "warp", warped if order == 3 else warp),
     ):
         yield
 
 
 def _cubic(stack: ViewStack, view, u, v, inside):
-    """`fields.sweep.warping_drjit.look_up` of the coefficients of a cubic spline."""
+    """`fields.sweep.kernels.drjit_kernels.look_up` of the coefficients of a cubic spline."""
     import drjit as dr
 
     Float, UInt, Int = (getattr(stack.device.module, name) for name in ("Float", "UInt", "Int"))

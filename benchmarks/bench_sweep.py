@@ -23,9 +23,9 @@ import numpy as np
 
 from fields.sweep import bed as bed_module
 from fields.sweep import views
-from fields.sweep.bed import BedPoints, trusted
-from fields.sweep.free_space import without_contradicted
-from fields.sweep.maps import DepthMap
+from fields.sweep.bed import BedPoints
+from fields.sweep.fusion import without_contradicted
+from fields.sweep.maps import DepthMap, trusted
 from fields.sweep.passes import PASSES, Pass
 from fields.sweep.ranging import find_range
 from fields.sweep.sweep import sweep

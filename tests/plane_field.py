@@ -11,8 +11,7 @@ from fields.gamma import GAMMA
 from fields.slab.rays import Rays, rays_of
 from fields.slab.slab import Slab
 from fields.slab.tensor_field import FieldSettings, TensorField
-from fields.sweep.maps import DepthMap
-from fields.sweep.sources import Sources
+from fields.sweep.maps import DepthMap, Sources
 from fields.water_column import WaterColumn
 from refract import PinholeCamera
 

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from fields.device import Device
-from fields.sweep.arrays import floats, host
-from fields.sweep.backends import images, kernels
 from fields.sweep.block import Block
-from fields.sweep.in_turn import alone
+from fields.sweep.images import images
+from fields.sweep.kernels.arrays import floats, host
+from fields.sweep.kernels.backend import kernels
+from fields.sweep.kernels.queue import alone
+from fields.sweep.kernels.stack import Hypotheses, ViewStack
 from fields.sweep.matching import Reference, match_view
-from fields.sweep.stack import Hypotheses, ViewStack
 from refract import FlatWater, PinholeCamera
 
 FOCAL, SIZE = 800.0, (96, 72)
@@ -102,7 +103,7 @@ def found_by(device: Device, job) -> tuple[np.ndarray, ...]:
 
 
 def buffers_of(device: Device, arrays) -> list:
-    """`fields.sweep.backends.Kernels.buffers` that hold arrays of one size; Dr.Jit has one more, for the reference."""
+    """Buffers of `fields.sweep.kernels` that hold arrays of one size; Dr.Jit has one more, for the reference."""
     found = kernels(device).buffers(device, len(arrays), arrays[0].size)
     for buffer, each in zip(found, arrays, strict=False):
         if device.module is None:

@@ -16,7 +16,7 @@ from survey.code_hash import code_hash, modules_imported, without_prose
 ROOT = Path(__file__).resolve().parent.parent
 SWEEP, BED = "survey.run.stage_sweep", "survey.run.stage_bed"
 # Loaded by the device that is chosen: both twins count.
-KERNELS = ("legs", "scoring_drjit", "scoring_torch", "warping_drjit", "warping_torch")
+KERNELS = ("rays", "drjit_kernels", "drjit_scoring", "torch_kernels")
 A_LINE = ("from __future__ import annotations", "from __future__ import annotations\nX = 1")
 
 
@@ -69,10 +69,10 @@ def edit(copy):
         ("fields/sweep/passes.py", "Pass(0.5, 2, 11,", "Pass(0.5, 2, 13,", (SWEEP, BED)),
         ("fields/slab/refine.py", "CHUNK = 65536", "CHUNK = 32768", (BED,)),
         ("refract/kernels.py", *A_LINE, (SWEEP, BED)),
-        *((f"fields/sweep/{name}.py", *A_LINE, (SWEEP, BED)) for name in KERNELS),
+        *((f"fields/sweep/kernels/{name}.py", *A_LINE, (SWEEP, BED)) for name in KERNELS),
         ("survey/photos/store.py", *A_LINE, (SWEEP, BED)),
         # Comments, docstrings and empty lines decide nothing.
-        ("fields/sweep/sweep.py", "PEERS = 12", "# Some views.\n\nPEERS = 12  # views", ()),
+        ("fields/sweep/fusion.py", "PEERS = 12", "# Some views.\n\nPEERS = 12  # views", ()),
         ("fields/sweep/sweep.py", '"""Refractive plane sweep', '"""The plane sweep', ()),
         # Nor does code that a stage never reaches: other fields, reports, the reading of folders.
         ("fields/volume/sdf.py", *A_LINE, ()),
@@ -122,9 +122,9 @@ def is_module(name: str) -> bool:
 
 
 def test_a_string_that_looks_like_a_comment_counts(copy, edit):
-    edit("fields/sweep/sweep.py", "PEERS = 12", 'PEERS = 12\nTEXT = "# one"')
+    edit("fields/sweep/fusion.py", "PEERS = 12", 'PEERS = 12\nTEXT = "# one"')
     one = hashes_in(copy)
-    edit("fields/sweep/sweep.py", "# one", "# two")
+    edit("fields/sweep/fusion.py", "# one", "# two")
     assert hashes_in(copy)[SWEEP] != one[SWEEP]
 
 

@@ -14,7 +14,7 @@ from fields.colour.absorption import estimate_absorption
 from fields.colour.true_colour import true_colours
 from fields.gamma import GAMMA
 from fields.sweep.bed import BedPoints
-from fields.sweep.sources import Sources
+from fields.sweep.maps import Sources
 from fields.water_column import WaterColumn
 from refract import FlatWater, fresnel_coefficients
 

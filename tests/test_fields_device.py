@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from fields.device import Device, choose_device
-from fields.sweep.backends import kernels
+from fields.sweep.kernels.backend import kernels
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -18,7 +18,8 @@ ROOT = Path(__file__).resolve().parent.parent
 TORCH_ALONE = """
 import sys
 sys.modules["drjit"] = None
-from fields.sweep.bed import trusted, unique_pixels
+from fields.sweep.bed import unique_pixels
+from fields.sweep.maps import trusted
 from fields.device import choose_device
 from fields.sweep.passes import Pass
 from fields.sweep.sweep import sweep
@@ -74,7 +75,7 @@ def test_each_device_has_its_inner_loops_and_says_why_it_was_chosen():
         device = choose_device(wanted)
         assert device is choose_device(wanted)
         library = "torch" if device.name == "torch" else "drjit"
-        assert kernels(device).__name__ == f"fields.sweep.warping_{library}"
+        assert kernels(device).__name__ == f"fields.sweep.kernels.{library}_kernels"
         assert (device.module is None) == (device.name == "torch")
         assert device.reason
     assert choose_device("torch") == Device("torch", None, "torch was requested", choose_device("torch").place)

@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from fields.solver.appearance import brightness_of
-from fields.sweep.holes import closed, shrunk
+from fields.sweep.block import closed, shrunk
 from fields.sweep.photo_consistency import Consistency
 from survey.photos.saturation import saturated
 from survey.report.photographs import doubts, photographs_of, summary, table

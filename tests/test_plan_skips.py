@@ -8,7 +8,7 @@ from plane_survey import TILTED, PlaneBed, match, ring
 from small_survey import small_survey
 
 from fields.skips import NOTHING, SKIPS
-from fields.sweep.stack import ViewStack
+from fields.sweep.kernels.stack import ViewStack
 from refract import FlatWater
 from survey.errors import SurveyError
 from survey.folder.survey import load_survey

@@ -23,6 +23,7 @@ MAY_IMPORT = {
 # may import at all.
 LAYERS = (
     {"refract", "geo", "evaluation/images", "fields"},
+    {"fields/sweep/kernels"},
     {"evaluation", "fields/sweep", "fields/views", "fields/volume", "survey"},
     {"fields/colour", "fields/slab", "fields/solver", "survey/files", "survey/display"},
     {"survey/photos", "survey/compare", "survey/mesh"},

@@ -16,7 +16,7 @@ from fields.slab.from_sweep import draw_rays, slab_of
 from fields.slab.refine import refine
 from fields.slab.tensor_field import FieldSettings, TensorField
 from fields.slab.train import Schedule, train
-from fields.sweep.sources import Sources
+from fields.sweep.maps import Sources
 from fields.training import set_rates
 from fields.water_column import WaterColumn
 

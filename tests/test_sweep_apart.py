@@ -10,11 +10,12 @@ from apart_device import device_apart
 from plane_survey import PlaneBed, ring, texture
 
 from fields.device import choose_device, memory_bytes
-from fields.sweep import arrays, device_filters, flat, images_device, resident
+from fields.sweep import device_filters, device_maps, images_device
 from fields.sweep.block import Block
+from fields.sweep.device_maps import Resident, kept_beside
+from fields.sweep.kernels import arrays, flat
 from fields.sweep.maps import DepthMap
 from fields.sweep.passes import Pass, StepSearch
-from fields.sweep.resident import Resident, kept_beside
 from fields.sweep.sweep import sweep
 from refract import FlatWater
 
@@ -55,7 +56,7 @@ def swept(device, *, holes: bool = False, room: int = PLENTY, passes=PASSES, **o
     """Maps of all views, by a device whose memory has so many bytes."""
     block = block_of(device, holes=holes)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(resident, "memory_bytes", lambda device: room)
+        patch.setattr(device_maps, "memory_bytes", lambda device: room)
         return list(sweep(block, list(range(7)), (-2.4, -1.4), lambda share: None, passes, **options))
 
 
@@ -157,7 +158,7 @@ def test_a_place_for_maps_takes_and_gives_room(apart, monkeypatch, rng):
     shape = (4, 6)
     nothing = (np.zeros(shape, kind) for kind in (np.float16, np.uint8, np.float16))
     m = DepthMap(2, rng.random(shape).astype(np.float32), *nothing)
-    monkeypatch.setattr(resident, "memory_bytes", lambda device: 2 * 16 * 24)
+    monkeypatch.setattr(device_maps, "memory_bytes", lambda device: 2 * 16 * 24)
     aside = {}
     maps = kept_beside(apart, lambda: aside)()
     for view in (2, 5):

@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from plane_survey import SIZE, TILTED, PlaneBed, found_by, ring
 
-from fields.sweep.becoming import becoming_points
-from fields.sweep.bed import trusted, unique_pixels
+from fields.sweep.bed import unique_pixels
 from fields.sweep.block import Block
-from fields.sweep.consistency import agreement
-from fields.sweep.in_turn import alone
-from fields.sweep.maps import DepthMap
+from fields.sweep.fusion import agreement
+from fields.sweep.kernels.queue import alone
+from fields.sweep.kernels.stack import ViewStack
+from fields.sweep.maps import DepthMap, trusted
 from fields.sweep.passes import PASSES, Pass, before_solver, passes_from
-from fields.sweep.stack import ViewStack
-from fields.sweep.sweep import sweep
+from fields.sweep.sweep import becoming_points, sweep
 from fields.sweep.tiles import PART_SIDE_PX, Tiles
 from fields.sweep.view_pass import match_pass, refine_part, view_passes
 

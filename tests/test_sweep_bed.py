@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from plane_survey import SIZE, TILTED, PlaneBed, ring
 
-from fields.sweep.bed import BedPoints, has_company, points_of, trusted, unique_pixels, with_slopes
+from fields.sweep.bed import BedPoints, has_company, points_of, unique_pixels, with_slopes
 from fields.sweep.block import Block
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import DepthMap, trusted
 from refract import FlatWater
 
 HEIGHT, GSD = -2.0, 0.05

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plane_survey import TILTED, PlaneBed, match, ring
 
-from fields.sweep.backends import kernels
+from fields.sweep.kernels.backend import kernels
 from refract import FlatWater
 
 STEP, RUNGS, RADIUS = 0.04, 9, 2

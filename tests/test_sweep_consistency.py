@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from plane_survey import TILTED, found_by, ring
 
-from fields.sweep import consistency
-from fields.sweep.stack import ViewStack
+from fields.sweep import fusion
+from fields.sweep.kernels.stack import ViewStack
 
 OWN, TOLERANCE = -2.0, 0.05
 # Heights of a few metres in float32; their mean is exact to a few roundings.
@@ -22,8 +22,8 @@ def level_maps(device, heights, water=TILTED) -> ViewStack:
 
 
 def agreement(stack: ViewStack, view: int, peers: list[int], tolerance: float):
-    """`fields.sweep.consistency.agreement` on the host."""
-    return found_by(stack.device, consistency.agreement(stack, view, peers, tolerance))
+    """`fields.sweep.fusion.agreement` on the host."""
+    return found_by(stack.device, fusion.agreement(stack, view, peers, tolerance))
 
 
 def seen_by(stack: ViewStack, peer: int, height: float = OWN) -> np.ndarray:

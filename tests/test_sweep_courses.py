@@ -6,9 +6,18 @@ import numpy as np
 import pytest
 
 from fields.device import choose_device
-from fields.sweep.courses import MOST_RUNGS, course_through, in_front, place_on, sections, through_water
-from fields.sweep.legs import legs_through, place_at, point_at
-from fields.sweep.stack import Beyond, PlaneFrame, ViewStack, camera_table
+from fields.sweep.kernels.rays import (
+    MOST_RUNGS,
+    course_through,
+    in_front,
+    legs_through,
+    place_at,
+    place_on,
+    point_at,
+    sections,
+    through_water,
+)
+from fields.sweep.kernels.stack import Beyond, PlaneFrame, ViewStack, camera_table
 from refract import FlatWater, PinholeCamera
 
 WATER = FlatWater((0.0, 0.0, 0.0))

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from plane_survey import TILTED, PlaneBed, ring
 
-from fields.sweep.bed import trusted
 from fields.sweep.block import Block
-from fields.sweep.free_space import without_contradicted
-from fields.sweep.maps import DepthMap
+from fields.sweep.fusion import without_contradicted
+from fields.sweep.maps import DepthMap, trusted
 from refract import FlatWater
 
 BED = PlaneBed(TILTED, -2.0)

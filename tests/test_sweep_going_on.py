@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from plane_survey import SIZE, TILTED, PlaneBed, ring
 
-from fields.sweep.bed import trusted
 from fields.sweep.block import Block
-from fields.sweep.maps import DepthMap, enlarged_map
+from fields.sweep.maps import DepthMap, enlarged_map, trusted
 from fields.sweep.passes import PASSES as USUAL
 from fields.sweep.passes import Pass, passes_from
 from fields.sweep.sweep import sweep

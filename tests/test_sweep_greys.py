@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fields.sweep.greys import Greys
-from fields.sweep.quads import Quads
-from fields.sweep.recent import Recent
+from fields.image_store import Greys, Recent
+from fields.sweep.kernels.stack import Quads
 
 
 def levels(rng, *, masked: bool, fractions: bool) -> np.ndarray:
@@ -54,8 +53,8 @@ def test_the_values_read_last_are_kept_and_the_others_made_again():
 
 
 def test_packed_images_are_the_same_when_they_are_made_again(device, rng, monkeypatch):
-    monkeypatch.setattr("fields.sweep.quads.KEPT_BYTES", 0)
-    monkeypatch.setattr("fields.sweep.quads.FEWEST_KEPT", 1)
+    monkeypatch.setattr("fields.sweep.kernels.stack.KEPT_BYTES", 0)
+    monkeypatch.setattr("fields.sweep.kernels.stack.FEWEST_KEPT", 1)
     images = [levels(rng, masked=False, fractions=False) for _ in range(3)]
     quads = Quads.build(device, images)
     first = np.asarray(quads.values[0])

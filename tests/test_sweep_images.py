@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from fields.sweep import images_device, images_host, quads
-from fields.sweep.arrays import floats
-from fields.sweep.flat import flat_of, on_host
+from fields.sweep import images_device, images_host
+from fields.sweep.kernels import stack
+from fields.sweep.kernels.arrays import floats
+from fields.sweep.kernels.flat import flat_of, on_host
 from fields.sweep.maps import DepthMap
 from fields.sweep.tiles import Tiles
 
@@ -209,7 +210,7 @@ def test_the_twin_has_the_same_functions_and_signatures():
 
 def test_packed_images_take_a_quarter_of_the_memory_of_a_device_at_most(apart, monkeypatch, rng):
     images = [rng.integers(0, 200, SHAPE).astype(np.float32) for _ in range(60)]
-    monkeypatch.setattr(quads, "KEPT_BYTES", 0)
-    for memory, kept in ((0, quads.FEWEST_KEPT), (4 * 30 * 4 * 45 * 70, 30), (10**9, 60)):
-        monkeypatch.setattr(quads, "memory_bytes", lambda device, memory=memory: memory)
-        assert min(quads.Quads.build(apart, images).values.most, 60) == kept
+    monkeypatch.setattr(stack, "KEPT_BYTES", 0)
+    for memory, kept in ((0, stack.FEWEST_KEPT), (4 * 30 * 4 * 45 * 70, 30), (10**9, 60)):
+        monkeypatch.setattr(stack, "memory_bytes", lambda device, memory=memory: memory)
+        assert min(stack.Quads.build(apart, images).values.most, 60) == kept

@@ -7,8 +7,8 @@ import pytest
 from plane_survey import TILTED, PlaneBed, ring
 
 from fields.sweep import sweep as sweeping
-from fields.sweep.arrays import floats
-from fields.sweep.in_turn import Launched, alone, in_turn
+from fields.sweep.kernels.arrays import floats
+from fields.sweep.kernels.queue import Launched, alone, in_turn
 from fields.sweep.passes import Pass, StepSearch
 
 BED = PlaneBed(TILTED, -2.0, slope=0.1)

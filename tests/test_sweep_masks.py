@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 from plane_survey import TILTED, ring
 
-from fields.sweep.arrays import host
-from fields.sweep.footprint import Footprint
-from fields.sweep.greys import Greys
-from fields.sweep.lazy import Lazy
-from fields.sweep.masks import Masks
-from fields.sweep.stack import ViewStack
+from fields.image_store import Greys, Lazy, Masks
+from fields.sweep.kernels.arrays import host
+from fields.sweep.kernels.stack import ViewStack
+from fields.sweep.views import Footprint
 
 
 def test_masks_come_back_as_they_were_and_take_more(rng):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plane_survey import TILTED, PlaneBed, ring
 
-from fields.sweep import fusing
+from fields.sweep import fusion
 from fields.sweep.maps import DepthMap
 from fields.sweep.planes import SIDE_PX, continued
 
@@ -72,7 +72,7 @@ def test_heights_that_are_not_trusted_begin_the_next_pass_on_the_plane_of_those_
             maps[view] = DepthMap(view, height, np.ones(height.shape, np.float16), nobody, nobody.astype(np.float16))
         maps[0].height[off] += 1.0
         peers = {view: [other for other in maps if other != view] for view in maps}
-        return fusing.fuse(block, maps, 1.0, peers, goes_on=goes_on)[0].height[off]
+        return fusion.fuse(block, maps, 1.0, peers, goes_on=goes_on)[0].height[off]
 
     truth = bed.true_height(cameras[0])[off]
     # True heights of a tilted plane are those of one in the image but for perspective.

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from plane_survey import buffers_of, held_in
 
-from fields.sweep.arrays import ALIGNED_BYTES, Room, floats, host
-from fields.sweep.backends import kernels
+from fields.sweep.kernels.arrays import ALIGNED_BYTES, Room, floats, host
+from fields.sweep.kernels.backend import kernels
 
 EPS32 = np.finfo(np.float32).eps
 # Sums of up to 49 products of grey levels in float32, less the product of their means; measured 2.5e-7.

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from plane_survey import SIZE, TILTED, ring
 
-from fields.sweep.arrays import floats
-from fields.sweep.backends import kernels
-from fields.sweep.masks import Masks
-from fields.sweep.stack import ViewStack
-from fields.sweep.steep import Steep, settle, spread_out
+from fields.image_store import Masks
+from fields.sweep.kernels.arrays import floats
+from fields.sweep.kernels.backend import kernels
+from fields.sweep.kernels.stack import ViewStack
+from fields.sweep.slopes import Steep, settle, spread_out
 
 SHAPE, HEIGHT, GSD = SIZE[::-1], -2.0, 0.02
 PIXEL = SHAPE[0] // 2, SHAPE[1] // 2

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from plane_survey import PlaneBed, found_by, look, ring, texture
 
-from fields.sweep.backends import images, kernels
+from fields.sweep.images import images
+from fields.sweep.kernels.backend import kernels
+from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.matching import Reference
 from fields.sweep.passes import StepSearch
-from fields.sweep.stack import ViewStack
 from fields.sweep.steps import search_steps
 from refract import FlatWater
 

@@ -11,9 +11,9 @@ from plane_survey import FOCAL, SIZE, TILTED, PlaneBed, look, ring
 
 from fields.device import choose_device
 from fields.sweep import matching
-from fields.sweep.bed import trusted, unique_pixels
+from fields.sweep.bed import unique_pixels
 from fields.sweep.block import Block
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import DepthMap, trusted
 from fields.sweep.passes import PASSES, Pass
 from fields.sweep.sweep import sweep
 from refract import FlatWater

@@ -9,9 +9,9 @@ import pytest
 from plane_survey import TILTED, PlaneBed, buffers_of, held_in, look, ring
 
 from fields.device import choose_device
-from fields.sweep.arrays import floats, host
-from fields.sweep.backends import kernels
-from fields.sweep.stack import Hypotheses, ViewStack
+from fields.sweep.kernels.arrays import floats, host
+from fields.sweep.kernels.backend import kernels
+from fields.sweep.kernels.stack import Hypotheses, ViewStack
 from refract import FlatWater, PinholeCamera
 from refract.distortion import BROWN, FISHEYE, RATIONAL, Distortion
 

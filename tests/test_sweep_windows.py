@@ -8,10 +8,10 @@ import plane_survey
 import pytest
 from plane_survey import TILTED, PlaneBed, ring
 
-from fields.sweep.backends import images as images_of
-from fields.sweep.in_turn import alone
+from fields.sweep.images import images as images_of
+from fields.sweep.kernels.queue import alone
+from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.matching import RADII, Reference, match_view, match_with_adaptive_windows, radius_for
-from fields.sweep.stack import Hypotheses
 
 BED, OTHERS, STEP, RUNGS = PlaneBed(TILTED, -2.0), [1, 2, 3, 4, 5, 6], 0.04, 41
 

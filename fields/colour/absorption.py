@@ -16,9 +16,7 @@ from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize_scalar
 
 from fields.gamma import GAMMA
-from fields.sweep.bed import trusted
-from fields.sweep.maps import DepthMap
-from fields.sweep.sources import Sources
+from fields.sweep.maps import DepthMap, Sources, trusted
 from fields.water_column import WaterColumn
 from refract import FlatWater, PinholeCamera, fresnel_coefficients
 

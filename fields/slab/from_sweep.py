@@ -7,9 +7,7 @@ import torch
 
 from fields.slab.rays import Rays, rays_of
 from fields.slab.slab import Slab
-from fields.sweep.bed import trusted
-from fields.sweep.maps import DepthMap
-from fields.sweep.sources import Sources
+from fields.sweep.maps import DepthMap, Sources, trusted
 from refract import FlatWater, PinholeCamera
 
 # A ray is used if the sweep's height lies within this share of the slab's half thickness from its middle.

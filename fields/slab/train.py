@@ -13,7 +13,7 @@ from fields.slab.from_sweep import draw_rays
 from fields.slab.rays import Rays
 from fields.slab.slab import Slab
 from fields.slab.tensor_field import FieldSettings, TensorField
-from fields.sweep.sources import Sources
+from fields.sweep.maps import Sources
 from fields.threads import half_the_threads
 from fields.training import Rates, adam, descend, has_settled, psnr_db, set_rates
 from fields.water_column import WaterColumn

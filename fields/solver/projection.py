@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from fields.device import Device
-from fields.sweep.arrays import constant, floats, host
-from fields.sweep.legs import legs_through, point_at, seen_at
-from fields.sweep.stack import Beyond, PlaneFrame, camera_table
+from fields.sweep.kernels.arrays import constant, floats, host
+from fields.sweep.kernels.rays import legs_through, point_at, seen_at
+from fields.sweep.kernels.stack import Beyond, PlaneFrame, camera_table
 from refract import FlatWater, PinholeCamera
 
 # Of the search for the crossing; docs/optics.md.

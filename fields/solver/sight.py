@@ -9,9 +9,9 @@ from functools import cached_property
 import cv2
 import numpy as np
 
+from fields.image_store import Greys
 from fields.solver.projection import Projection
 from fields.solver.tile import Tile
-from fields.sweep.greys import Greys
 from fields.sweep.maps import DepthMap
 from refract import PinholeCamera
 

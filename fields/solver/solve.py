@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
+from fields.image_store import Greys
 from fields.solver.appearance import Appearance, Brightness, appearance_of, brightness_of, gain_of
 from fields.solver.sight import Sight
 from fields.solver.smoothness import Bends, bends_of, stiffness_of
 from fields.solver.tile import Tile
-from fields.sweep.greys import Greys
 from fields.sweep.slopes import slope_of
 
 ITERATIONS = 3

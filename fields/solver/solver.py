@@ -19,9 +19,9 @@ from fields.solver.solve import Solved, parallax_of
 from fields.solver.tile import Tile, asked_in_squares
 from fields.solver.uncertainty import bends_below, change_of, expected_of, relief_of, rise_of
 from fields.solver.views import WORKERS, Job, Views
-from fields.sweep.arrays import beside_workers
 from fields.sweep.block import Block
-from fields.sweep.certainty import for_few
+from fields.sweep.height_std import for_few
+from fields.sweep.kernels.arrays import beside_workers
 from fields.sweep.maps import DepthMap, InOrder
 
 # What a survey is like is learned from so many tiles of this side, spread over those that are nearly as full as the

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy import ndimage
 
-from fields.sweep.greys import Greys
+from fields.image_store import Greys
 
 # Most pixels of a tile's window, without its surroundings. Larger ones save no time and are less accurate: gain and
 # noise of a photograph are those of a tile.

@@ -13,15 +13,13 @@ from typing import TypeVar
 import numpy as np
 
 from fields.device import Device
+from fields.image_store import Greys, Recent, most_kept
 from fields.solver.projection import Projection
 from fields.solver.sight import Sight, Surface, sights_of
 from fields.solver.solve import Solved, Start, solve
 from fields.solver.tile import MOST_PX, Tile, tiles_of
 from fields.sweep.block import Block
-from fields.sweep.greys import Greys
-from fields.sweep.lazy import most_kept
 from fields.sweep.maps import ByView, DepthMap
-from fields.sweep.recent import Recent
 from refract import FlatWater, PinholeCamera
 
 Used = TypeVar("Used")

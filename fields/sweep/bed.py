@@ -9,18 +9,16 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
+from fields.image_store import Lazy, Masks
 from fields.median import median
-from fields.sweep.arrays import forget
-from fields.sweep.backends import kernels
 from fields.sweep.block import Block
-from fields.sweep.certainty import std_of
-from fields.sweep.footprint import Footprint
-from fields.sweep.lazy import Lazy
-from fields.sweep.maps import DepthMap
-from fields.sweep.masks import Masks
-from fields.sweep.slopes import differing, steep_and_walls
-from fields.sweep.stack import ViewStack
-from fields.sweep.steep import Steep, settle
+from fields.sweep.height_std import std_of
+from fields.sweep.kernels.arrays import forget
+from fields.sweep.kernels.backend import kernels
+from fields.sweep.kernels.stack import ViewStack
+from fields.sweep.maps import DepthMap, confirmed, trusted
+from fields.sweep.slopes import Steep, differing, settle, steep_and_walls
+from fields.sweep.views import Footprint
 from refract import FlatWater, PinholeCamera
 
 
@@ -76,9 +74,6 @@ class BedPoints:
         return BedPoints(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(BedPoints)))
 
 
-# A height confirmed by two other views is trusted; confirmed by one, only where the images also correlate this well.
-CONFIRMED_TWICE = 2
-TRUSTED_NCC = 0.8
 # On walls, where photographs look less alike, this well.
 WALL_NCC = 0.6
 COMPANY, COMPANY_GSD = 4, 4.0
@@ -95,16 +90,6 @@ _WHOLE_RANGE = 2.0
 _LEAST_COSINE = 0.01
 
 
-def trusted(depth_map: DepthMap) -> np.ndarray:
-    """Which pixels (height, width) bool of a map have a height that other views confirm."""
-    return _confirmed(depth_map, TRUSTED_NCC)
-
-
-def _confirmed(depth_map: DepthMap, least_ncc: float) -> np.ndarray:
-    once = (depth_map.agreeing == 1) & (depth_map.score > least_ncc)
-    return (depth_map.agreeing >= CONFIRMED_TWICE) | once
-
-
 def unique_pixels(block: Block, maps: Sequence[DepthMap], gsd: float) -> Masks:
     """Which pixels of each map to keep so that every piece of the bed is taken once.
 
@@ -112,7 +97,7 @@ def unique_pixels(block: Block, maps: Sequence[DepthMap], gsd: float) -> Masks:
     every later view, the four pixels around its projection whose heights agree with it; claimed pixels are duplicates.
     On walls, where neighbouring pixels lie far apart, it claims those alone that are as near to it as the bed's points
     are to each other (``gsd``, the ground sampling distance [m]). Only trusted pixels are kept. What is steep is
-    looked at once more in space: that adds pixels on walls, and takes away wrong ones (`fields.sweep.steep`).
+    looked at once more in space: that adds pixels on walls, and takes away wrong ones (`fields.sweep.slopes`).
 
     Returns
     -------
@@ -138,7 +123,7 @@ def unique_pixels(block: Block, maps: Sequence[DepthMap], gsd: float) -> Masks:
         # What is left out of the photograph has a height of its surroundings, but neither colour nor match.
         shown = np.isfinite(block.images[chosen[index]])
         kept[index] = keep = sure[index] & shown & ~claimed[index]
-        fit[index] = walls[index] & shown & _confirmed(maps[index], WALL_NCC)
+        fit[index] = walls[index] & shown & confirmed(maps[index], WALL_NCC)
         if not keep.any():
             continue
         legs, own = kernels(block.device).paths_of(heights, index, np.flatnonzero(keep))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from fields.sweep import images_host
-from fields.sweep.flat import (
+from fields.sweep.kernels.flat import (
     computed,
     counted,
     flat_of,

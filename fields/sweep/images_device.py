@@ -15,9 +15,9 @@ import numpy as np
 
 from fields.device import Device
 from fields.sweep import device_filters, images_host
-from fields.sweep.arrays import floats
 from fields.sweep.device_filters import Place
-from fields.sweep.flat import (
+from fields.sweep.kernels.arrays import floats
+from fields.sweep.kernels.flat import (
     all_given,
     computed,
     copied,
@@ -35,12 +35,12 @@ from fields.sweep.flat import (
     taken,
     where_true,
 )
+from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import DepthMap
-from fields.sweep.stack import ViewStack
 from fields.sweep.tiles import Tiles
 from refract import kernels
 
-# The rest of `fields.sweep.backends.Images`.
+# The rest of `fields.sweep.images.Images`.
 around, enlarged, extent = device_filters.around, device_filters.enlarged, device_filters.extent
 filled, means_of, median_blur = device_filters.filled, device_filters.means_of, device_filters.median_blur
 on_planes, ways = device_filters.on_planes, device_filters.ways

@@ -1,7 +1,7 @@
 """Images between the kernels of the sweep where these read the memory of the host: numpy and OpenCV.
 
 Images are arrays (height, width), and flat ones hold their pixels row by row. Callers get these functions from
-`fields.sweep.backends.images`; `fields.sweep.images_device` is the twin for devices with a memory of their own.
+`fields.sweep.images.images`; `fields.sweep.images_device` is the twin for devices with a memory of their own.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import numpy as np
 
 from fields import median as medians
 from fields.device import Device
-from fields.sweep.arrays import host
+from fields.sweep.kernels.arrays import host
+from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import DepthMap
 from fields.sweep.planes import continued
-from fields.sweep.stack import ViewStack
 from fields.sweep.tiles import Tiles, in_tiles
 
 # Heights are averaged over so many pixels before the way is taken in which they rise.

@@ -8,14 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, TypeVar
 
 import cv2
 import numpy as np
 
-from fields.sweep.recent import Recent
+from fields.image_store import Recent
+from refract import FlatWater, PinholeCamera
 
 Kind = TypeVar("Kind")
+# A height confirmed by two other views is trusted; confirmed by one, only where the images also correlate this well.
+CONFIRMED_TWICE = 2
+TRUSTED_NCC = 0.8
 
 
 @dataclass
@@ -92,6 +97,17 @@ class ByView(Mapping[int, Kind]):
         return view in self._number
 
 
+def trusted(depth_map: DepthMap) -> np.ndarray:
+    """Which pixels (height, width) bool of a map have a height that other views confirm."""
+    return confirmed(depth_map, TRUSTED_NCC)
+
+
+def confirmed(depth_map: DepthMap, least_ncc: float) -> np.ndarray:
+    """Which pixels two other views confirm, or one where the score is above a value."""
+    once = (depth_map.agreeing == 1) & (depth_map.score > least_ncc)
+    return (depth_map.agreeing >= CONFIRMED_TWICE) | once
+
+
 def enlarged_map(m: DepthMap, size: tuple[int, int]) -> DepthMap:
     """A map at another size (width, height), not smaller."""
     if m.height.shape == size[::-1]:
@@ -102,3 +118,35 @@ def enlarged_map(m: DepthMap, size: tuple[int, int]) -> DepthMap:
     )
     agreeing = cv2.resize(m.agreeing, size, interpolation=cv2.INTER_NEAREST)
     return DepthMap(m.view, height, score, agreeing, spread)
+
+
+@dataclass
+class Sources:
+    """Photographs with a height map: one entry per matched view.
+
+    Attributes
+    ----------
+    cameras : list of PinholeCamera
+    maps : sequence of DepthMap
+    images : list of (height, width, 3) uint8
+    water : FlatWater or None
+    absorption, veil : (3,) floats, optional
+        Of the water, where they are known; see `fields.water_column.WaterColumn`.
+    """
+
+    cameras: list[PinholeCamera]
+    maps: Sequence[DepthMap]
+    images: list[np.ndarray]
+    water: FlatWater | None
+    absorption: tuple[float, ...] | None = None
+    veil: tuple[float, ...] | None = None
+
+    @cached_property
+    def pixels(self) -> list[np.ndarray]:
+        """Flat indices of the trusted pixels of each map, inside its image."""
+        found = []
+        for camera, depth_map in zip(self.cameras, self.maps, strict=True):
+            keep = trusted(depth_map)
+            keep[camera.height :], keep[:, camera.width :] = False, False
+            found.append(np.flatnonzero(keep))
+        return found

@@ -10,14 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from fields.sweep.arrays import floats
-from fields.sweep.backends import images, kernels
-from fields.sweep.in_turn import Job, Launched
+from fields.sweep.images import images
+from fields.sweep.kernels.arrays import floats
+from fields.sweep.kernels.backend import kernels
+from fields.sweep.kernels.queue import Job, Launched
+from fields.sweep.kernels.stack import Hypotheses, ViewStack
 from fields.sweep.passes import MATCHED_NCC
-from fields.sweep.stack import Hypotheses, ViewStack
 from fields.sweep.tiles import Tiles
 
-# Height [m], score and curvature [1/m^2] of each pixel: images of `fields.sweep.backends.images`.
+# Height [m], score and curvature [1/m^2] of each pixel: images of `fields.sweep.images.images`.
 Found = tuple[Any, Any, Any]
 # Lanes of the widest vectors.
 _VECTOR = 16

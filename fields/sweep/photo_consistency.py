@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from fields.sweep.bed import trusted
 from fields.sweep.block import Block
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import DepthMap, trusted
 
 # Wider images are reduced to this: structure of some pixels is compared, not noise.
 _WIDTH_PX = 800

@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from fields.sweep.backends import images
 from fields.sweep.block import Block
-from fields.sweep.in_turn import alone
+from fields.sweep.images import images
+from fields.sweep.kernels.queue import alone
+from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.matching import Reference, match_with_adaptive_windows
-from fields.sweep.stack import Hypotheses
 
 THUMBNAIL_PX = 128
 NUM_VIEWS = 8

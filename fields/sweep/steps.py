@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from fields.sweep.backends import images
-from fields.sweep.in_turn import Job
+from fields.sweep.images import images
+from fields.sweep.kernels.queue import Job
 from fields.sweep.matching import Found, Reference, match_tiles
 from fields.sweep.passes import MATCHED_NCC, StepSearch
 from fields.sweep.tiles import Tiles

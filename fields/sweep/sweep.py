@@ -2,31 +2,35 @@
 
 Heights are measured over the water plane along its normal (over local z = 0 in a dry survey), so that a hypothesis
 passes the shoreline without a step. Every pass tries heights about those that the pass before found; from the
-second on the hypotheses follow the relief (`fields.sweep.warping_drjit`), so that windows do not flatten what is
-already known.
+second on the hypotheses follow the relief (`fields.sweep.kernels`), so that windows do not flatten what is known.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
-from fields.sweep.backends import images
-from fields.sweep.becoming import becoming_points
+from fields.image_store import Lazy
 from fields.sweep.block import Block
-from fields.sweep.fusing import confirm, fuse
-from fields.sweep.in_turn import Job, in_turn
-from fields.sweep.maps import DepthMap, InOrder, Keep, enlarged_map
+from fields.sweep.device_maps import brought_back, kept_beside
+from fields.sweep.fusion import PEERS, confirm, fuse
+from fields.sweep.images import images
+from fields.sweep.kernels.backend import kernels
+from fields.sweep.kernels.queue import Job, in_turn
+from fields.sweep.kernels.stack import ViewStack
+from fields.sweep.maps import DepthMap, InOrder, Keep, enlarged_map, trusted
 from fields.sweep.passes import PASSES, Pass
-from fields.sweep.resident import brought_back, kept_beside
+from fields.sweep.tiles import PART_SIDE_PX
 from fields.sweep.view_pass import Area, match_pass, pixels_of, refine_part, view_passes
+from fields.sweep.views import Footprint
 
-# Height maps that each is compared with where heights are fused.
-PEERS = 12
 # A pass is finer than a map with so many times its pixels along a side: sizes of halved images are rounded.
 _FINER = 1.2
+# Of the maps: what is looked at has four pixels along each side.
+_SCALE = 0.25
 
 
 def sweep(
@@ -133,3 +137,43 @@ def _at_once(block: Block, p: Pass) -> int:
 def _takes_part(size: tuple[int, int], p: Pass, width: int | None, again: bool) -> bool:
     """Whether a view takes part in a pass: one that has a map of some width only if it goes on, in finer passes."""
     return width is None or (again and p.scale * size[0] > _FINER * width)
+
+
+def becoming_points(block: Block, maps: Mapping[int, DepthMap]) -> dict[int, np.ndarray]:
+    """Which parts of each view are to become points, (height, width) bool at a quarter of the size.
+
+    They have trusted pixels, and no steeper view has trusted ones that agree with them. Empty where images are smaller
+    than a tile of `fields.sweep.tiles.PART_SIDE_PX`: there are no parts of these.
+    """
+    if min(min(camera.width, camera.height) for camera in block.cameras) < PART_SIDE_PX:
+        return {}
+    order = sorted(maps, key=lambda view: block.cameras[view].cam_from_local[2][2])
+    cameras = [block.cameras[view].scaled(_SCALE) for view in order]
+    beside, shape = images(block.device), (cameras[0].height, cameras[0].width)
+
+    def trusted_heights(m: DepthMap) -> Any:
+        """Mean of the trusted heights in each part of a map [m]; NaN without any."""
+        return beside.means_of(m.height, trusted(m), shape)
+
+    known = {view: trusted_heights(maps[view]) for view in order}
+    extents = {view: beside.extremes(height) for view, height in known.items()}
+    ground = {
+        view: Footprint.of(camera, block.water, extent)
+        for camera, (view, extent) in zip(cameras, extents.items(), strict=True)
+        if extent is not None
+    }
+    heights = ViewStack.build(
+        block.device, cameras, Lazy(lambda number: known[order[number]], len(order), shape, 1), block.water
+    )
+    wanted = {}
+    for number, view in enumerate(order):
+        against = None
+        steeper = [
+            n for n in range(number) if view in ground and order[n] in ground and ground[view].meets(ground[order[n]])
+        ]
+        middle = beside.median_above(known[view], -math.inf) if steeper else None
+        if middle is not None:
+            tolerance = block.agreement_tolerance(view, block.neighbours(view, 8, among=order), middle)
+            against, _, _ = kernels(block.device).compare(heights, number, steeper, tolerance)
+        wanted[view] = beside.first_shown(block.device, known[view], against)
+    return wanted

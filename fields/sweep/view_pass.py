@@ -8,13 +8,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from fields.sweep.backends import images
 from fields.sweep.block import Block
-from fields.sweep.in_turn import Job
+from fields.sweep.images import images
+from fields.sweep.kernels.queue import Job
+from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.maps import DepthMap
 from fields.sweep.matching import LEAST_KNOWN, Reference, match_tiles, match_view, match_with_adaptive_windows
 from fields.sweep.passes import MATCHED_NCC, Pass
-from fields.sweep.stack import Hypotheses
 from fields.sweep.steps import search_steps
 from fields.sweep.tiles import PART_SIDE_PX, Tiles
 from refract import FlatWater, PinholeCamera

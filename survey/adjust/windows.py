@@ -15,9 +15,8 @@ from functools import partial
 import cv2
 import numpy as np
 
-from fields.sweep.bed import trusted
 from fields.sweep.block import Block
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import DepthMap, trusted
 from fields.sweep.passes import PASSES
 from fields.sweep.sweep import sweep
 from refract import FlatWater, PinholeCamera

@@ -9,8 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from fields.solver.solver import SolvedMap
-from fields.sweep.bed import trusted
-from fields.sweep.maps import DepthMap
+from fields.sweep.maps import DepthMap, trusted
 from fields.views.image_based import ImageBasedField, Source, heights_over
 from refract import PinholeCamera
 from survey.errors import SurveyError

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from fields.sweep.block import Overlap
-from fields.sweep.quads import FEWEST_KEPT, KEPT_BYTES
+from fields.sweep.kernels.stack import FEWEST_KEPT, KEPT_BYTES
 from survey import machine
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
@@ -259,7 +259,7 @@ def _memory(pixels, of_maps, largest: int, num_cells: float, of_field: float, so
 
 
 def _kept(pixels, of_what: tuple[float, float, int]) -> float:
-    """Bytes of images of so many pixels each of which the last few are kept; see `fields.sweep.lazy.most_kept`."""
+    """Bytes of images of so many pixels each of which the last few are kept; see `fields.image_store.most_kept`."""
     each, budget, fewest = of_what
     return each * min(float(np.sum(pixels)), max(budget / each, fewest * float(np.max(pixels))))
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING
 
-from fields.sweep.arrays import release
+from fields.sweep.kernels.arrays import release
 from survey.adjust.far_poses import Search, find_anew
 from survey.errors import SurveyError
 from survey.photos.store import ImageStore
@@ -21,8 +21,8 @@ from survey.run.water_colour import colour_of
 from survey.stage_key import stage_key
 
 if TYPE_CHECKING:
+    from fields.image_store import Masks
     from fields.sweep.block import Block
-    from fields.sweep.masks import Masks
     from survey.folder.survey import Survey
     from survey.plan.choices import Choices
     from survey.plan.plan import Plan

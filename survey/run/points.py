@@ -14,10 +14,10 @@ import numpy as np
 
 from fields.median import median
 from fields.solver.solver import SolvedMap
-from fields.sweep.bed import BedPoints, has_company, is_supported, points_of, trusted, unique_pixels, with_slopes
+from fields.sweep.bed import BedPoints, has_company, is_supported, points_of, unique_pixels, with_slopes
 from fields.sweep.block import AGREEMENT_PX
-from fields.sweep.maps import DepthMap
-from fields.sweep.sweep import PEERS
+from fields.sweep.fusion import PEERS
+from fields.sweep.maps import DepthMap, trusted
 from survey.adjust.adjustment import Adjustment, read_adjustment
 from survey.adjust.std_of_block import std_of_block
 from survey.plan.area import AREA_MARGIN_M, grown, local_area, within

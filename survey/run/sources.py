@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from fields.sweep.sources import Sources
+from fields.sweep.maps import Sources
 from survey.plan.block import camera_of
 
 if TYPE_CHECKING:

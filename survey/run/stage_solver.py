@@ -17,8 +17,8 @@ from survey.run.stage_sweep import EARLIER_SOLVER, EARLIER_SWEEP, MAPS, SCRATCH,
 from survey.run.stored_maps import Stored, kept_aside, save_maps
 
 if TYPE_CHECKING:
+    from fields.image_store import Masks
     from fields.solver.sightings import Sightings
-    from fields.sweep.masks import Masks
     from survey.run.job import Job
 
 SOLVED, SIGHTINGS = "solved.npz", "sightings.json"

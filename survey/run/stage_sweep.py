@@ -12,7 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fields.sweep.free_space import without_contradicted
+from fields.sweep.fusion import without_contradicted
 from fields.sweep.maps import ByView, DepthMap
 from fields.sweep.passes import PASSES, before_solver, passes_from
 from fields.sweep.photo_consistency import photo_consistency

@@ -11,7 +11,7 @@ from geo.files import write_whole
 from survey.errors import SurveyError
 
 if TYPE_CHECKING:
-    from fields.sweep.sources import Sources
+    from fields.sweep.maps import Sources
     from survey.folder.survey import Survey
 
 COLOUR_FILE = "water_colour.json"

@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from fields.sweep.backends import images
-from fields.sweep.bed import trusted
-from fields.sweep.block import Block
-from fields.sweep.consistency import agreement
-from fields.sweep.in_turn import Job, in_turn
-from fields.sweep.lazy import Lazy
-from fields.sweep.maps import DepthMap, Keep, Maps
-from fields.sweep.passes import MATCHED_NCC
-from fields.sweep.stack import ViewStack
+import numpy as np
 
-# What `fields.sweep.consistency.agreement` gives: images of `fields.sweep.backends.images`.
+from fields.image_store import Lazy
+from fields.median import median
+from fields.sweep.block import Block
+from fields.sweep.images import images
+from fields.sweep.kernels.arrays import host
+from fields.sweep.kernels.backend import kernels
+from fields.sweep.kernels.queue import Job, Launched, in_turn
+from fields.sweep.kernels.stack import ViewStack
+from fields.sweep.maps import DepthMap, InOrder, Keep, Maps, trusted
+from fields.sweep.passes import MATCHED_NCC
+
+# What `fields.sweep.fusion.agreement` gives: images of `fields.sweep.images.images`.
 _Agreement = tuple[Any, Any, Any]
+# Height maps that each is compared with.
+PEERS = 12
 # A height that no other view confirms is replaced by the median over a square of this side [px].
 _SURROUNDINGS_PX = 5
 
@@ -89,3 +94,75 @@ def confirm(block: Block, maps: Maps, peers: Mapping[int, list[int]]) -> None:
     if peers:
         for m, _, (agreeing, _, _) in _agreement(block, maps, 1.0, peers, {}):
             maps[m.view] = replace(m, agreeing=images(block.device).larger(m.agreeing, agreeing))
+
+
+def agreement(
+    heights: ViewStack, view: int, peers: list[int], tolerance: float, pixels: Any | None = None
+) -> Job[tuple[Any, Any, Any]]:
+    """Compare the height map of one view with those of its peers.
+
+    The bed point of each pixel is projected into each peer, whose own height there (bilinear) is compared.
+
+    Parameters
+    ----------
+    heights : ViewStack whose images are height maps [m] over the water plane
+    view, peers : indices into the stack
+    tolerance : [m]
+        Heights closer than this agree.
+    pixels : (P,) flat indices, optional
+        Of the view; all of them by default.
+
+    Returns
+    -------
+    agreeing : (height, width) uint8, or (P,)
+        Number of peers that agree.
+    fused : float32 [m]
+        Mean of the view's own height and those that agree.
+    spread : float32 [m]
+        Standard deviation (population) of the same.
+    """
+    backend = images(heights.device)
+    shape = (heights.height, heights.width) if pixels is None else (len(pixels),)
+
+    def launch() -> Launched:
+        return Launched(list(kernels(heights.device).compare(heights, view, peers, tolerance, pixels)))
+
+    sums = yield launch
+    return backend.agreement(backend.heights_at(heights, view, pixels), sums, shape)
+
+
+def without_contradicted(block: Block, maps: Sequence[DepthMap], keep: Keep = dict) -> InOrder:
+    """Maps in which heights count as confirmed by no view if at least as many look through them as confirm them.
+
+    A view looks through a point where its own trusted heights, in all four pixels about the point, are lower by more
+    than what counts as agreement. Beside an edge views from one side may err alike; those from the other side see what
+    lies behind.
+
+    Parameters
+    ----------
+    block : Block
+    maps : sequence of DepthMap
+        Of `fields.sweep.sweep.sweep`.
+    keep : callable
+        Makes the place for what is returned.
+    """
+    chosen, found = [m.view for m in maps], keep()
+    cameras = [block.cameras[view] for view in chosen]
+
+    def heights(number: int) -> np.ndarray:
+        m = maps[number]
+        return np.where(trusted(m), m.height, np.float32(np.nan))
+
+    images = Lazy(heights, len(chosen), (cameras[0].height, cameras[0].width), 1)
+    stack = ViewStack.build(block.device, cameras, images, block.water)
+    for index, m in enumerate(maps):
+        peers = block.neighbours(m.view, PEERS, among=chosen)
+        if not peers:
+            found[m.view] = m
+            continue
+        tolerance = block.agreement_tolerance(m.view, peers, median(m.height))
+        through = kernels(block.device).looked_through(stack, index, [chosen.index(peer) for peer in peers], tolerance)
+        against = host(block.device, through).reshape(m.height.shape)
+        contradicted = (against > 0.0) & (against >= m.agreeing)
+        found[m.view] = replace(m, agreeing=np.where(contradicted, 0, m.agreeing).astype(np.uint8))
+    return InOrder(found, chosen)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fields.device import Device
-from fields.sweep.flat import flat_of
+from fields.sweep.kernels.flat import flat_of
 
 # Kernels of Dr.Jit load whole vectors, and one is compiled for each choice of arrays that begin at such an address.
 ALIGNED_BYTES = 64

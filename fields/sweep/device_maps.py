@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, MutableMapping
 
 from fields.device import Device, memory_bytes
-from fields.sweep.backends import images
+from fields.sweep.images import images
 from fields.sweep.maps import DepthMap, Keep, Maps
 
 # Share of the memory of a device that maps may take; a pixel of a map takes four float32.

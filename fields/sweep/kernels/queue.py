@@ -14,7 +14,7 @@ from itertools import count
 from typing import Any, TypeVar
 
 from fields.device import Device
-from fields.sweep.arrays import results
+from fields.sweep.kernels.arrays import results
 
 Found = TypeVar("Found")
 

@@ -7,7 +7,7 @@
 `ncc` and `best_half` are one kernel, which reads each window from W in vectors of neighbouring pixels, and writes the
 score alone: nothing else goes through memory.
 
-Callers get these functions from `fields.sweep.backends.scoring`; `fields.sweep.scoring_torch` is the twin.
+Callers get these functions from `fields.sweep.backends.scoring`; `fields.sweep.kernels.torch_kernels` is the twin.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 import drjit as dr
 
 from fields.device import Device
-from fields.sweep.arrays import Room, rung_and_pixel
+from fields.sweep.kernels.arrays import Room, rung_and_pixel
 
 # A window flatter than this (grey levels squared, at 8 bits) holds noise, not texture; it lowers NCC there.
 NOISE_VARIANCE = 1.0

@@ -6,10 +6,10 @@ are offsets to a *per-pixel* height, the window of each pixel follows the relief
     K neighbours, J rungs, P pixels of the strip (with a halo of the window's radius)
     W  neighbour intensity at (k, j, p): the bed point of pixel p at rung j, seen by neighbour k
 
-One kernel projects points into several neighbours, whose cameras are its arguments: all points of a ladder, which are
-computed once, or, where the ladder lies on one side of the water, three of them, by which another kernel finds the
-others (`fields.sweep.courses`). `fields.sweep.scoring_drjit` scores the agreement of W with the reference. Callers get
-these functions from `fields.sweep.backends.kernels`; `fields.sweep.warping_torch` is the twin without Dr.Jit.
+One kernel projects points into several neighbours, whose cameras are its arguments: all points of the hypotheses, which
+are computed once, or, where the hypotheses lie on one side of the water, three of them, by which another kernel finds
+the others (`fields.sweep.kernels.rays`). `drjit_scoring` scores the agreement of W with the reference. Callers get
+these functions from `fields.sweep.kernels.backend.kernels`; `torch_kernels` is the twin without Dr.Jit.
 """
 
 from __future__ import annotations
@@ -20,14 +20,22 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from fields.sweep import scoring_drjit as scoring
-from fields.sweep.arrays import Room, constant, floats, indices, rung_and_pixel
-from fields.sweep.courses import course_through, in_front, place_on, sections, through_water
-from fields.sweep.legs import legs_through, place_at, point_at, seen_at
-from fields.sweep.quads import MASKED
-from fields.sweep.stack import Beyond, Hypotheses, ViewStack, camera_table
+from fields.sweep.kernels import drjit_scoring as scoring
+from fields.sweep.kernels.arrays import Room, constant, floats, indices, rung_and_pixel
+from fields.sweep.kernels.rays import (
+    course_through,
+    in_front,
+    legs_through,
+    place_at,
+    place_on,
+    point_at,
+    sections,
+    seen_at,
+    through_water,
+)
+from fields.sweep.kernels.stack import MASKED, Beyond, Hypotheses, ViewStack, camera_table
 
-# The rest of `fields.sweep.backends.Kernels`.
+# The rest of `fields.sweep.kernels.backend.Kernels`.
 NOISE_VARIANCE = scoring.NOISE_VARIANCE
 buffers, windows, ncc = scoring.buffers, scoring.windows, scoring.ncc
 best_half, best_height = scoring.best_half, scoring.best_height
@@ -40,7 +48,7 @@ _MANY = 0.3
 
 
 def legs_of(stack: ViewStack, view: int, first_row: int, rows: int):
-    """Legs (see `fields.sweep.legs`) of a strip of pixels of `view`: six floats of P = rows * width, or more."""
+    """Rays (`fields.sweep.kernels.rays`) of a strip of pixels of `view`: six floats of P = rows * width, or more."""
     UInt = stack.device.module.UInt
     first = dr.opaque(UInt, first_row * stack.width)
     return _legs_through(stack, view, dr.arange(UInt, rows * stack.width) + first)

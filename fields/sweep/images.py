@@ -1,6 +1,6 @@
-"""Backends of the sweep: the kernels on Dr.Jit or torch, and the images between them on the host or on the device.
+"""Images between the kernels, on the host or on the device: modules that mypy checks against one Protocol.
 
-Each backend is a module; mypy checks it against its Protocol. Only the one that a device needs is imported.
+Only the one that a device needs is imported.
 """
 
 from __future__ import annotations
@@ -10,56 +10,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from fields.device import Device
+from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import DepthMap
-from fields.sweep.stack import Hypotheses, ViewStack
 from fields.sweep.tiles import Tiles
-
-
-class Kernels(Protocol):
-    """Inner loops on flat arrays of a device; `fields.sweep.warping_drjit` and `scoring_drjit` say what each does."""
-
-    SAMPLES_PER_LAUNCH: int
-    NOISE_VARIANCE: float
-
-    def legs_of(self, stack: ViewStack, view: int, first_row: int, rows: int) -> Any: ...
-
-    def legs_at(self, stack: ViewStack, view: int, pixels: Any) -> Any: ...
-
-    def paths_of(self, stack: ViewStack, view: int, pixels: Any) -> Any: ...
-
-    def project_at(self, stack: ViewStack, legs: Any, z: Any, view: int) -> Any: ...
-
-    def sample(self, stack: ViewStack, view: int, u: Any, v: Any, inside: Any) -> Any: ...
-
-    def look_up(self, stack: ViewStack, view: int, u: Any, v: Any, inside: Any) -> Any: ...
-
-    def buffers(self, device: Device, count: int, size: int) -> list[Any]: ...
-
-    def warp(
-        self, values: list[Any], stack: ViewStack, legs: Any, hypotheses: Hypotheses, neighbours: list[int]
-    ) -> None: ...
-
-    def windows(self, device: Device, reference: Any, values: list[Any], width: int, radius: int) -> Any: ...
-
-    def ncc(self, windows: Any, radius: int, least_known: float = 1.0) -> list[Any]: ...
-
-    def best_half(self, device: Device, scores: list[Any]) -> Any: ...
-
-    def best_height(self, device: Device, mean: Any, start: Any, step: float, count: int) -> tuple[Any, Any, Any]: ...
-
-    def compare(
-        self, stack: ViewStack, view: int, peers: list[int], tolerance: float, pixels: Any | None = None
-    ) -> tuple[Any, Any, Any]: ...
-
-    def looked_through(self, stack: ViewStack, view: int, peers: list[int], tolerance: float) -> Any: ...
-
-    def claim(
-        self, stack: ViewStack, legs: Any, own: Any, later: int, tolerance: float, apart: float
-    ) -> tuple[np.ndarray, np.ndarray]: ...
-
-    def looks_at(
-        self, stack: ViewStack, points: tuple, view: int, apart: float, sure: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]: ...
 
 
 class Images(Protocol):
@@ -150,17 +103,6 @@ class Images(Protocol):
     def extent(self, wanted: Any, low: Any, high: Any, size: int) -> tuple[np.ndarray, np.ndarray]: ...
 
     def ways(self, height: Any, wanted: Any, size: int) -> np.ndarray: ...
-
-
-def kernels(device: Device) -> Kernels:
-    """The kernels of a device."""
-    if device.module is None:
-        from fields.sweep import warping_torch
-
-        return warping_torch
-    from fields.sweep import warping_drjit
-
-    return warping_drjit
 
 
 def images(device: Device) -> Images:

@@ -1,0 +1,161 @@
+"""Images and masks of many views in little memory: made when they are read, in bytes, in bits."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from threading import Lock
+from typing import Generic, TypeVar
+
+import numpy as np
+
+# Images in float32 that are kept, in bytes, or so many.
+_KEPT_BYTES, _FEWEST_KEPT = 30_000_000, 2
+Key = TypeVar("Key", bound=Hashable)
+Value = TypeVar("Value")
+
+
+class Recent(Generic[Key, Value]):
+    """Values by key, for several threads; two may make the same value.
+
+    Parameters
+    ----------
+    make : the value of a key
+    most : how many are kept, those that were read last
+    """
+
+    def __init__(self, make: Callable[[Key], Value], most: int):
+        self._make, self.most, self._lock = make, most, Lock()
+        self._values: OrderedDict[Key, Value] = OrderedDict()
+
+    def __getitem__(self, key: Key) -> Value:
+        with self._lock:
+            if key in self._values:
+                self._values.move_to_end(key)
+                return self._values[key]
+        value = self._make(key)
+        with self._lock:
+            self._values[key] = value
+            while len(self._values) > self.most:
+                self._values.popitem(last=False)
+        return value
+
+
+class Lazy(Sequence):
+    """Images (height, width) float32 of one size, not to be written to.
+
+    Parameters
+    ----------
+    make : the image of a number
+    count : number of images
+    shape : (height, width)
+    most : how many are kept, those that were read last; default 100 MB, but two at least
+    """
+
+    def __init__(self, make: Callable[[int], np.ndarray], count: int, shape: tuple[int, ...], most: int | None = None):
+        most = most_kept(4 * int(np.prod(shape)), _KEPT_BYTES, _FEWEST_KEPT) if most is None else most
+        self.shape, self._count = shape, count
+        self._made: Recent[int, np.ndarray] = Recent(make, most)
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, number):
+        """The image of a number."""
+        if not 0 <= number < self._count:
+            raise IndexError(f"there are {self._count} images, got number {number}")
+        return self._made[number]
+
+
+def most_kept(num_bytes: int, budget: int, fewest: int) -> int:
+    """How many arrays of so many bytes a budget holds, but not fewer than ``fewest``."""
+    return max(budget // max(num_bytes, 1), fewest)
+
+
+class Greys(Lazy):
+    """Images (height, width) float32, NaN where masked, not to be written to.
+
+    Parameters
+    ----------
+    images : arrays (height, width)
+        Of one size; read once, so that a generator need not hold all of them.
+    """
+
+    def __init__(self, images: Iterable[np.ndarray]):
+        self._kept = kept = [_Kept(image) for image in images]
+        shapes = {each.levels.shape for each in self._kept}
+        if len(shapes) > 1:
+            raise ValueError(f"expected images of one size, got {sorted(shapes)}")
+        super().__init__(lambda view: kept[view].whole(), len(self._kept), next(iter(shapes), (0, 0)))
+
+    def window(self, view: int, rows: slice, columns: slice) -> np.ndarray:
+        """A part of an image, without the rest of it."""
+        return self._kept[view].window(rows, columns)
+
+    @property
+    def are_whole(self) -> bool:
+        """Whether no pixel is masked."""
+        return not any(each.is_masked for each in self._kept)
+
+
+class _Kept:
+    """One image: its levels as int8 and a mask where that loses nothing, as float32 otherwise."""
+
+    def __init__(self, image: np.ndarray):
+        levels = np.asarray(image, dtype=np.float32)
+        masked = np.isnan(levels)
+        self.is_masked = bool(masked.any())
+        self.levels: np.ndarray = levels
+        self.masked: np.ndarray | None = None
+        known = np.where(masked, np.float32(0.0), levels) if self.is_masked else levels
+        if known.min() >= -128.0 and known.max() <= 127.0 and np.array_equal(small := known.astype(np.int8), known):
+            self.levels, self.masked = small, np.packbits(masked, axis=1) if self.is_masked else None
+
+    def whole(self) -> np.ndarray:
+        """As it came."""
+        image = self.window(slice(None), slice(None))
+        image.flags.writeable = False
+        return image
+
+    def window(self, rows: slice, columns: slice) -> np.ndarray:
+        """A part of it."""
+        image = self.levels[rows, columns].astype(np.float32)
+        if self.masked is not None:
+            bits = np.unpackbits(self.masked[rows], axis=1, count=self.levels.shape[1])
+            image[bits[:, columns].view(bool)] = np.nan
+        return image
+
+
+class Masks(Sequence):
+    """Arrays (height, width) bool, written and read one at a time.
+
+    Parameters
+    ----------
+    shapes : (height, width) of each
+        They begin as False.
+    """
+
+    def __init__(self, shapes: list[tuple[int, ...]]):
+        self._shapes = shapes
+        self._bits = [np.zeros(-(-int(np.prod(shape)) // 8), dtype=np.uint8) for shape in shapes]
+
+    def __len__(self) -> int:
+        return len(self._bits)
+
+    def __getitem__(self, number):
+        """The mask of a number."""
+        shape = self._shapes[number]
+        return np.unpackbits(self._bits[number], count=int(np.prod(shape))).reshape(shape).view(bool)
+
+    def __setitem__(self, number: int, mask: np.ndarray) -> None:
+        self._bits[number] = np.packbits(mask)
+
+    def add(self, number: int, mask: np.ndarray) -> None:
+        """Set what a mask, of any shape with as many pixels, has."""
+        self._bits[number] |= np.packbits(mask)
+
+    def copy(self) -> Masks:
+        """The same masks, to be changed without these."""
+        other = Masks([])
+        other._shapes, other._bits = list(self._shapes), [bits.copy() for bits in self._bits]
+        return other

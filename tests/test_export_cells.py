@@ -261,7 +261,7 @@ def test_a_resolution_that_makes_too_many_cells_or_none_is_refused(tmp_path):
     with pytest.raises(SurveyError, match=r"is too large; give a larger --resolution"):
         PlanCells.over(np.array([CORNER, CORNER + 1000.0]), CRS_OF_TEST, 0.001)
     run, _ = made(grid_of_points(0.2), np.zeros(100), tmp_path)
-    for wrong in (0.0, -1.0, float("nan")):
+    for wrong in (0.0, -1.0, float("nan"), float("inf"), 1e-300, 1e9):
         with pytest.raises(SurveyError, match=r"--resolution is .*, expected the side of a cell in metres"):
             gridded(run, ExportOptions(resolution_m=wrong))
     with pytest.raises(SurveyError, match=r"--fill is -1, expected the width of the gaps"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 import zlib
@@ -18,10 +19,11 @@ from stored_run import plane_stored, run_of, stored_points
 
 from geo.errors import UnwritableFile
 from geo.raster_writing import Band, RasterForm, write_cog
-from survey.errors import OutputError
+from survey.errors import OutputError, SurveyError
 from survey.export.export import export
 from survey.export.product import ExportOptions
 from survey.export.relief import hillshade, slope_deg
+from survey.progress import Progress
 from survey.run.stored import StoredBed
 
 SIDE = 0.5
@@ -214,3 +216,29 @@ def test_a_raster_that_fails_leaves_nothing_behind(tmp_path):
     with pytest.raises(UnwritableFile, match=r"cannot write .*a\.tif"):
         write_cog(tmp_path / "missing" / "a.tif", form, [])
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("side", [1e-300, 1e-4, 0.05, 0.3, 2.0, 5.0, 30.0, 1e4, 1e9, float("inf")])
+@pytest.mark.parametrize("product", ["dem", "slope", "hillshade", "bag", "contours"])
+def test_at_no_resolution_a_product_is_empty_without_a_word(run_folder, tmp_path, capsys, product, side):
+    """Far too fine or too coarse: it is refused with the lengths, or has values, or is said to have none."""
+    suffix = {"bag": "bag", "contours": "geojson"}.get(product, "tif")
+    path = tmp_path / f"{product}.{suffix}"
+    with Progress(verbosity=0):
+        try:
+            export(run_folder, options=ExportOptions(resolution_m=side), **{product: path})
+            refused = None
+        except SurveyError as error:
+            refused = str(error)
+    if refused is not None:
+        assert "--resolution" in refused
+        assert len(refused) < 400
+        assert not path.exists()
+        return
+    is_said = f"{path}: nothing to show" in capsys.readouterr().err
+    if suffix in ("tif", "bag"):
+        with rasterio.open(path) as raster:
+            has_values = bool((raster.read(1) != raster.nodata).any())
+    else:
+        has_values = bool(json.loads(path.read_text())["features"])
+    assert has_values != is_said

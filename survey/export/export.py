@@ -7,7 +7,7 @@ from pathlib import Path
 
 from survey.errors import OutputError, SurveyError
 from survey.export.loaded import LoadedRun
-from survey.export.product import ExportOptions, Product
+from survey.export.product import ExportOptions, Product, require_lengths
 from survey.export.registry import PRODUCTS
 from survey.export.written import is_current, key_of, note_written
 from survey.files.outputs import ReadFiles, require_file, require_folder
@@ -34,8 +34,8 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
     Raises
     ------
     SurveyError
-        If nothing is asked for, a name does not end as its product does, an option has no effect on any of them, the
-        folder is no run, or the run has not come as far as the cloud.
+        If a length is unusable, nothing is asked for, a name does not end as its product does, an option has no effect
+        on any of them, the folder is no run, or the run has not come as far as the cloud.
     OutputError
         If a file must not be written, see `survey.files.outputs`: a file that is there is replaced only where bathynerf
         wrote it.
@@ -43,6 +43,7 @@ def export(run: str | Path, *, options: ExportOptions | None = None, **files: st
         If a file cannot be written, or the CRS is unusable.
     """
     options = options or ExportOptions()
+    require_lengths(options)
     wanted = _wanted(files)
     _require_effect([product for product, _ in wanted], options)
     with LoadedRun(run) as loaded:

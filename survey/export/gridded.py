@@ -24,6 +24,7 @@ from survey.export.correlated import correlated_px2
 from survey.export.from_above import margin_of, seen_from_above
 from survey.export.gap_filling import fill_gaps
 from survey.export.plan_cells import PlanCells, round_side
+from survey.export.product import require_lengths
 from survey.export.water_level import LevelFit
 
 if TYPE_CHECKING:
@@ -76,15 +77,6 @@ def gridded(run: LoadedRun, options: ExportOptions) -> Gridded:
     require_lengths(options)
     key = ("gridded", options.crs, options.resolution_m, options.fill_m)
     return run.once(key, lambda: _gridded(run, options))
-
-
-def require_lengths(options: ExportOptions) -> None:
-    """Raise SurveyError where the side of a cell or the width of gaps is unusable."""
-    side, fill = options.resolution_m, options.fill_m
-    if side is not None and not (math.isfinite(side) and side > 0.0):
-        raise SurveyError(f"--resolution is {side:g}, expected the side of a cell in metres, e.g. 0.1")
-    if not (math.isfinite(fill) and fill >= 0.0):
-        raise SurveyError(f"--fill is {fill:g}, expected the width of the gaps to fill in metres, e.g. 0.5")
 
 
 def _gridded(run: LoadedRun, options: ExportOptions) -> Gridded:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from survey.errors import SurveyError
 from survey.export.product import ExportOptions, Product, begins_with
-from survey.export.terrain import CELLS, is_our_raster, parts_of, raster_form
+from survey.export.terrain import CELLS, is_our_raster, noted_if_empty, parts_of, raster_form
 
 if TYPE_CHECKING:
     import numpy as np
@@ -64,7 +64,7 @@ def _write_bag(path: Path, run: LoadedRun, options: ExportOptions) -> None:
         "PROCESS_STEP_DESCRIPTION": f"{SOFTWARE}: a plane by least squares through the points of each cell, seen from "
         "above",
     }
-    write_bag(path, form, parts_of(grid, values), said)
+    write_bag(path, form, noted_if_empty(path, parts_of(grid, values), _BAG_NODATA), said)
 
 
 def _write_s44(path: Path, run: LoadedRun, options: ExportOptions) -> None:
@@ -106,7 +106,7 @@ def _write_s44(path: Path, run: LoadedRun, options: ExportOptions) -> None:
         Band("order by horizontal uncertainty (THU)", "code"),
     )
     form = raster_form(grid, *bands, said=said, dtype="uint8", nodata=0, resampling="NEAREST")
-    write_cog(path, form, parts_of(grid, values))
+    write_cog(path, form, noted_if_empty(path, parts_of(grid, values), 0))
 
 
 def plan_std(grid: Gridded, window: Window, std: np.ndarray, n_water: float, cameras_std: float) -> np.ndarray:

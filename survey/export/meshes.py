@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from survey.errors import SurveyError
 from survey.export.product import ExportOptions, Product, begins_with
 
 if TYPE_CHECKING:
@@ -49,15 +47,12 @@ def _mesh(path: Path, run: LoadedRun, options: ExportOptions) -> Mesh:
 
     from survey.mesh.surface import bed_surface
 
-    spacing = options.resolution_m
-    if spacing is not None and not (math.isfinite(spacing) and spacing > 0.0):
-        raise SurveyError(f"--resolution is {spacing:g}, expected the spacing of vertices in metres, e.g. 0.1")
     bed, frame = run.bed.bed, run.flight.frame
     mesh = bed_surface(
         bed.xyz,
         bed.rgb,
         bed.std,
-        spacing_m=spacing or run.place.gsd_m,
+        spacing_m=options.resolution_m or run.place.gsd_m,
         method=options.mesh_method,
         watertight=options.watertight,
         path=path,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from survey.export.product import ExportOptions, Product
-from survey.export.terrain import is_our_raster
+from survey.export.terrain import is_our_raster, noted_if_empty
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,11 +28,9 @@ _FEWEST_PX = 8
 def _write_orthophoto(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     from geo.crs import horizontal_crs
     from geo.raster_writing import Band, RasterForm, write_cog
-    from survey.export.gridded import require_lengths
     from survey.export.plan_cells import round_side
     from survey.export.sight import WINDOW
 
-    require_lengths(options)
     side_m = options.resolution_m or round_side(run.place.gsd_m)
     mosaic = _mosaic(run, options, side_m)
     cells = mosaic.cells
@@ -43,7 +41,8 @@ def _write_orthophoto(path: Path, run: LoadedRun, options: ExportOptions) -> Non
     bands = (Band("red"), Band("green"), Band("blue"), Band("seen"))
     crs = horizontal_crs(cells.crs)
     form = RasterForm(crs, cells.transform, cells.shape, bands, dtype="uint8", tags=said, is_colour=True)
-    write_cog(path, form, ((window.top, window.left, mosaic.rgba(window)) for window in cells.windows(WINDOW)))
+    parts = ((window.top, window.left, mosaic.rgba(window)) for window in cells.windows(WINDOW))
+    write_cog(path, form, noted_if_empty(path, parts, 0, band=3))
 
 
 def _mosaic(run: LoadedRun, options: ExportOptions, side_m: float) -> Mosaic:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from survey.errors import SurveyError
+
 if TYPE_CHECKING:
     from survey.export.loaded import LoadedRun
 
-
+# What --resolution may be [m]: no photograph from the air shows a tenth of a millimetre, and no survey is so wide.
+_LEAST_SIDE, _LARGEST_SIDE = 1e-4, 1e5
 # Enough for the marks that writers leave near the beginning of their files.
 _HEAD_BYTES = 1 << 16
 
@@ -47,6 +51,18 @@ class ExportOptions:
     interval_m: float | None = None
     no_bed: bool = False
     survey: str | None = None
+
+
+def require_lengths(options: ExportOptions) -> None:
+    """Raise SurveyError where the side of a cell or the width of gaps is unusable."""
+    side, fill = options.resolution_m, options.fill_m
+    if side is not None and not _LEAST_SIDE <= side <= _LARGEST_SIDE:
+        raise SurveyError(
+            f"--resolution is {side:g}, expected the side of a cell in metres, from {_LEAST_SIDE:g} to "
+            f"{_LARGEST_SIDE:g}, e.g. 0.1"
+        )
+    if not (math.isfinite(fill) and fill >= 0.0):
+        raise SurveyError(f"--fill is {fill:g}, expected the width of the gaps to fill in metres, e.g. 0.5")
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ from survey.export.product import ExportOptions, Product
 if TYPE_CHECKING:
     import numpy as np
 
-    from geo.raster_writing import Band, RasterForm
+    from geo.raster_writing import Band, Part, RasterForm
     from survey.export.bed_cells import Gridded
     from survey.export.loaded import LoadedRun
     from survey.export.plan_cells import Window
@@ -50,6 +50,18 @@ def parts_of(grid: Gridded, values: Callable[[Window], np.ndarray]) -> Iterator[
         yield window.top, window.left, found
 
 
+def noted_if_empty(path: Path, parts: Iterable[Part], no_value: float | None, band: int = 0) -> Iterator[Part]:
+    """The parts of a raster, and a note behind the last one where no cell has another value in a band."""
+    from survey.progress import current
+
+    num_known = 0
+    for part in parts:
+        num_known += int((part[2][band] != no_value).sum())
+        yield part
+    if not num_known:
+        current().note(f"{path}: nothing to show, no cell has a value; another --resolution may give some")
+
+
 def _write_dem(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     import numpy as np
 
@@ -77,7 +89,8 @@ def _write_dem(path: Path, run: LoadedRun, options: ExportOptions) -> None:
     said = {"FILLED_GAPS_M": f"{options.fill_m:g}", "UNCERTAINTY": _UNCERTAINTY}
     # A cell of an overview is one of the raster, whose height, uncertainty, points and origin belong together: a mean
     # of codes or of uncertainties would mean nothing.
-    write_cog(path, raster_form(grid, *bands, said=said, resampling="NEAREST"), parts_of(grid, values))
+    parts = noted_if_empty(path, parts_of(grid, values), NODATA)
+    write_cog(path, raster_form(grid, *bands, said=said, resampling="NEAREST"), parts)
 
 
 def _write_slope(path: Path, run: LoadedRun, options: ExportOptions) -> None:
@@ -117,7 +130,8 @@ def _write_relief(
         around = window.grown(1, grid.cells.shape)
         return of(grid.heights(around), grid.cells.side_m)[window.within(around)][None]
 
-    write_cog(path, form(grid), parts_of(grid, values))
+    made = form(grid)
+    write_cog(path, made, noted_if_empty(path, parts_of(grid, values), made.nodata))
 
 
 def is_our_raster(path: Path) -> bool:

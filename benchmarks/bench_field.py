@@ -25,62 +25,48 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 from field_tables import ablation_table, baseline_table, write_page
 from object_scenes import NAMES, ObjectScene, chamfer, load_scene
 from PIL import Image
 from point_clouds import thinned
 
 from fields.device import choose_device
-from fields.volume.hash_grid import HashSettings, HashVolume
-from fields.volume.mlp import MlpSettings, MlpVolume
 from fields.volume.model import VolumeModel
-from fields.volume.paths import Box
-from fields.volume.proposal import Proposal, ProposalSettings
+from fields.volume.models import build_model, proposal_for
 from fields.volume.renderer import Backdrop, VolumeRenderer
 from fields.volume.sampling import Cells
 from fields.volume.sdf import SdfSettings, SdfVolume
-from fields.volume.tensor import TensorSettings, TensorVolume
+from fields.volume.tensor import TensorVolume
 from fields.volume.train import Training, train_volume
 from fields.volume.view import render_volume
 from fields.water_column import WaterColumn
 
 ABLATION = ("tensorf", "dw", "m", "mdw")
-# Beside them; each takes its box and the cells along its longest edge.
-OTHERS: dict[str, Callable[[Box, int], VolumeModel]] = {
-    "nerf": lambda box, _cells: MlpVolume(box, MlpSettings.nerf()),
-    "tinynerf": lambda box, _cells: MlpVolume(box, MlpSettings.tiny_nerf()),
-    # The hash grid and its proposal in a size that suits a CPU: Nerfacto's own take 5.6 s for a step.
-    "hash": lambda box, cells: HashVolume(box, HashSettings(levels=8, log2_table=15, n_max=4 * cells)),
-    "neus": lambda box, _cells: SdfVolume(box, SdfSettings.small()),
-}
-BASELINES = tuple(OTHERS)
+# Beside them. The hash grid is one for processors: a step of Nerfacto's own takes 5.6 s.
+BASELINES = ("nerf", "tinynerf", "hash", "neus")
 # Steps of each model in turn, to compare their times: (rounds, steps of a round). After the switch from coarse to fine
 # density, where a model has one: most steps of a training are such.
 TIMED = (4, 8)
 # Renderings whose memory is measured: one may take twice that of another, as the allocator and its threads go.
 MEMORY_RUNS = 3
-# Learning rate of the factors after the switch: with the paper's 0.001 they hardly change in a short training.
-FINE_RATE = 0.02
 
 
 def build(model: str, scene: ObjectScene, cells: int) -> VolumeRenderer:
     """An untrained scene of one of the models, ``cells`` along the longest edge at the finest scale."""
-    torch.manual_seed(0)  # of the heads
     column = WaterColumn() if scene.train.water is not None else None
     # What an orbit sees beside the box is black; from above, every path ends in it.
     background = Backdrop((0.0, 0.0, 0.0)) if scene.name == "ship" else None
-    proposal = Proposal(scene.box, ProposalSettings((48,), (cells,))) if model == "hash" else None
+    proposal = proposal_for(model, scene.box, cells)
     return VolumeRenderer(_volume(model, scene, cells), column=column, background=background, proposal=proposal)
 
 
 def _volume(model: str, scene: ObjectScene, cells: int) -> VolumeModel:
-    if model in ABLATION:
-        settings = getattr(TensorSettings, model)(n_min=cells // 4, n_max=cells, fine_rate=FINE_RATE)
-        return TensorVolume(scene.box, settings, choose_device("auto"))
-    if model not in OTHERS:
+    if model not in ABLATION + BASELINES:
         raise SystemExit(f"there is no model {model}; expected one of {', '.join(ABLATION + BASELINES)}")
-    return OTHERS[model](scene.box, cells)
+    if model == "neus":
+        # Objects are closed.
+        return SdfVolume(scene.box, SdfSettings.small())
+    return build_model(model, scene.box, cells, choose_device("auto"))
 
 
 def switch_to_fine(scene: VolumeRenderer) -> None:

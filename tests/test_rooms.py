@@ -35,7 +35,7 @@ LAYERS = (
     {"survey/report"},
     {"survey/run", "survey/simulate/output"},
     {"survey/export", "survey/simulate/drawn"},
-    {"survey/simulate/staging", "survey/benchmark", "survey/change"},
+    {"survey/simulate/staging", "survey/benchmark", "survey/change", "survey/volume"},
     {"survey/commands"},
     {"bathynerf"},
 )
@@ -143,6 +143,7 @@ DISK_FILES = {
         "survey/simulate/ground": ("texture",),
         "survey/simulate/output": ("sidecars", "truth", "writing"),
         "survey/simulate/staging": ("planning", "simulate"),
+        "survey/volume": ("stored",),
     }.items()
     for name in names
 }

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+from contextlib import suppress
+
 import numpy as np
 import pytest
 import torch
@@ -12,7 +15,7 @@ from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
 from fields.volume.tensor import TensorSettings, TensorVolume
-from fields.volume.train import Training, proxy_of, train_volume
+from fields.volume.train import POOL_STEPS, Training, proxy_of, train_volume
 from fields.volume.view import render_volume
 
 BED_M = -1.5
@@ -23,9 +26,10 @@ def quietly(share: float) -> None:
     """Progress that nobody looks at."""
 
 
-def tensor_renderer(kind: str = "mdw") -> VolumeRenderer:
+def tensor_renderer(kind: str = "mdw", **changes) -> VolumeRenderer:
     torch.manual_seed(0)  # of the heads
-    return VolumeRenderer(TensorVolume(BOX, getattr(TensorSettings, kind)(**SMALL), choose_device("cpu")))
+    settings = getattr(TensorSettings, kind)(**{**SMALL, **changes})
+    return VolumeRenderer(TensorVolume(BOX, settings, choose_device("cpu")))
 
 
 def heights(renderer: VolumeRenderer, cells: Cells, photographs) -> np.ndarray:
@@ -101,6 +105,50 @@ def test_the_same_seed_draws_the_same_paths_and_trains_the_same_volume():
         train_volume(renderer, photographs, training, quietly, seed=5)
     one, other = (s.state_dict() for s in renderers)
     assert all(torch.equal(one[k], other[k]) for k in one if torch.is_tensor(one[k]))
+
+
+class Interrupted(Exception):
+    """What stops a training."""
+
+
+class Kept:
+    """Checkpoints in memory; the one at a step is the last."""
+
+    def __init__(self, stop_at: int | None = None):
+        self.stop_at, self.state = stop_at, None
+
+    def load(self):
+        return self.state
+
+    def save(self, make, *, last):
+        self.state = copy.deepcopy(make())
+        if self.state["step"] == self.stop_at:
+            raise Interrupted
+
+
+@pytest.mark.parametrize("by_score", [0.0, 0.5])
+def test_an_interrupted_training_goes_on_to_the_same_volume(by_score):
+    photographs = bed_photographs(views=3)
+    # The model switches to weighted density at step 20; the proxy is renewed before and after the interruptions.
+    training = Training(steps=36, rays=16, samples=6, cells=4, refresh=(0.5, 0.95), by_score=by_score)
+    early = {"switch_window": 10, "switch_variance": 1.0, "n_min": 4, "n_max": 8, "scales": 2}
+    found = []
+    for stop_at in (None, POOL_STEPS):
+        kept = Kept(stop_at)
+        for _ in range(2):
+            renderer = tensor_renderer(**early)
+            renderer.model.factors.device = choose_device("torch")
+            with suppress(Interrupted):
+                cells, figures = train_volume(renderer, photographs, training, quietly, seed=5, checkpoints=kept)
+                break
+            kept.stop_at = None
+        found.append((renderer.state_dict(), cells, figures))
+    first, first_cells, first_figures = found[0]
+    assert first_figures.changed_at
+    for state, cells, figures in found[1:]:
+        assert figures == first_figures
+        assert torch.equal(cells.occupied, first_cells.occupied)
+        assert all(torch.equal(state[k], first[k]) for k in first if torch.is_tensor(first[k]))
 
 
 def test_the_proxy_of_a_field_is_where_it_stops_light():

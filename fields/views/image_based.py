@@ -171,7 +171,7 @@ class ImageBasedField:
             rgb[at] = np.clip(np.round(colour[known]), 0, 255)
             bed[at], place[at] = height[known], points[known]
             distance[at] = _path_length(path, points)[known]
-        return NovelView(rgb, bed, distance, _normals(place))
+        return NovelView(rgb, bed, distance, normals_of(place))
 
     def _optics(self, dry: bool) -> FlatWater | None:
         """The water that a camera looks through: an index of one keeps the plane that heights count from."""
@@ -321,7 +321,7 @@ def _spacing_px(camera: PinholeCamera, source: Source, points: np.ndarray) -> fl
     return float(np.median(other / own)) * _STRIDE * camera.fx / (source.camera.fx * source.scale)
 
 
-def _normals(place: np.ndarray) -> np.ndarray:
+def normals_of(place: np.ndarray) -> np.ndarray:
     """Unit normals (height, width, 3), up, of points of pixels; NaN without neighbours on both sides."""
     across, down = np.full_like(place, np.nan), np.full_like(place, np.nan)
     across[:, 1:-1], down[1:-1] = place[:, 2:] - place[:, :-2], place[2:] - place[:-2]

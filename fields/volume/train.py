@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -16,6 +17,7 @@ from fields.volume.paths import Box, Paths
 from fields.volume.photographs import Photographs
 from fields.volume.renderer import VolumeRenderer
 from fields.volume.sampling import Cells
+from refract import WaterSurface
 
 # Paths are drawn for this many steps at once.
 POOL_STEPS = 32
@@ -84,6 +86,16 @@ class VolumeFigures:
     parameters: int
 
 
+class Checkpoints(Protocol):
+    """Where the state of a training is kept, so that one that was interrupted goes on."""
+
+    def load(self) -> dict[str, Any] | None:
+        """The state that was saved last; None where there is none."""
+
+    def save(self, make: Callable[[], dict[str, Any]], *, last: bool) -> None:
+        """Save the state that ``make`` gives, or pass over it: called every `POOL_STEPS` steps, and after the last."""
+
+
 @half_the_threads()
 def train_volume(
     renderer: VolumeRenderer,
@@ -93,6 +105,7 @@ def train_volume(
     *,
     cells: Cells | None = None,
     seed: int = 0,
+    checkpoints: Checkpoints | None = None,
 ) -> tuple[Cells, VolumeFigures]:
     """Fit a volume and its surroundings to photographs.
 
@@ -100,6 +113,8 @@ def train_volume(
     ----------
     cells : Cells or None
         Where surfaces may be at first (of the sweep, or of points of structure from motion); None: anywhere in the box.
+    checkpoints : Checkpoints or None
+        A training that goes on from one computes what it would have computed without the interruption.
 
     Returns
     -------
@@ -111,32 +126,89 @@ def train_volume(
         raise ValueError(f"by_score is {training.by_score}, but the volume's proposal draws samples: use one of both")
     torch.manual_seed(seed)
     box = renderer.model.box
-    cells = cells if cells is not None else Cells.everywhere(box, training.cells)
-    scores = NodeScores(box, box.edge / training.cells) if training.by_score else None
+    state = _State.begun(renderer, training, cells if cells is not None else Cells.everywhere(box, training.cells))
+    if checkpoints is not None and (saved := checkpoints.load()) is not None:
+        state.restore(saved, renderer)
     refresh = {round(share * training.steps) for share in training.refresh}
-    optimiser, losses, changed = adam(renderer.rates(), eps=ADAM_EPS), [], []
-    for step, paths in enumerate(_batches(photographs, box, training, seed)):
-        if step in refresh:
-            cells = proxy_of(renderer, cells, training.margin * box.edge / max(cells.occupied.shape))
-        set_rates(optimiser, training.final_rate ** (step / training.steps))
-        if scores is None:
-            samples = renderer.samples(paths, cells, training.samples, jitter=True)
-        else:
-            scores.update(renderer.model)
-            samples = scores.samples(cells, paths, training.samples, training.by_score)
-        rendered = renderer.render(paths, samples)
-        error = ((rendered.rgb - paths.rgb) ** 2).mean()
-        total = error + renderer.penalty(paths, rendered)
-        if step >= training.losses_from * training.steps:
-            total = total + training.losses(renderer, paths, rendered, cells, photographs.water)
-        descend(optimiser, total)
-        losses.append(float(error.detach()))
-        if renderer.model.observe(losses):
-            changed.append(step)
-            optimiser = adam(renderer.rates(), eps=ADAM_EPS)
-        progress((step + 1) / training.steps)
+    for paths in _batches(photographs, box, training, seed, state.step):
+        if checkpoints is not None and state.step % POOL_STEPS == 0:
+            checkpoints.save(lambda: state.saved(renderer), last=False)
+        if state.step in refresh:
+            margin = training.margin * box.edge / max(state.cells.occupied.shape)
+            state.cells = proxy_of(renderer, state.cells, margin)
+        _step(renderer, paths, training, state, photographs.water)
+        progress(state.step / training.steps)
+    if checkpoints is not None:
+        checkpoints.save(lambda: state.saved(renderer), last=True)
     parameters = sum(p.numel() for p in renderer.parameters())
-    return cells, VolumeFigures(training.steps, tuple(changed), psnr_db(losses[-LAST_STEPS:]), parameters)
+    figures = VolumeFigures(training.steps, tuple(state.changed), psnr_db(state.losses[-LAST_STEPS:]), parameters)
+    return state.cells, figures
+
+
+@dataclass
+class _State:
+    """A training before its next step."""
+
+    step: int
+    cells: Cells
+    optimiser: torch.optim.Adam
+    scores: NodeScores | None
+    losses: list[float] = field(default_factory=list)
+    changed: list[int] = field(default_factory=list)
+
+    @staticmethod
+    def begun(renderer: VolumeRenderer, training: Training, cells: Cells) -> _State:
+        box = renderer.model.box
+        scores = NodeScores(box, box.edge / training.cells) if training.by_score else None
+        return _State(0, cells, adam(renderer.rates(), eps=ADAM_EPS), scores)
+
+    def saved(self, renderer: VolumeRenderer) -> dict[str, Any]:
+        """What the next steps depend on, for `torch.save`; the pixels that they draw follow from the step."""
+        return {
+            "step": self.step,
+            "renderer": renderer.state_dict(),
+            "occupied": self.cells.occupied,
+            "optimiser": self.optimiser.state_dict(),
+            "scores": None if self.scores is None else self.scores.score,
+            "losses": torch.tensor(self.losses, dtype=torch.float64),
+            "changed": self.changed,
+            "generator": torch.get_rng_state(),
+        }
+
+    def restore(self, saved: dict[str, Any], renderer: VolumeRenderer) -> None:
+        """Go back to a state that was saved."""
+        renderer.load_state_dict(saved["renderer"])
+        # After the parameters: what the model learns of them has its own groups.
+        self.optimiser = adam(renderer.rates(), eps=ADAM_EPS)
+        self.optimiser.load_state_dict(saved["optimiser"])
+        if self.scores is not None:
+            self.scores.score = saved["scores"]
+        self.step, self.changed, self.losses = saved["step"], list(saved["changed"]), saved["losses"].tolist()
+        self.cells = Cells(self.cells.box, saved["occupied"])
+        torch.set_rng_state(saved["generator"])
+
+
+def _step(
+    renderer: VolumeRenderer, paths: Paths, training: Training, state: _State, water: WaterSurface | None
+) -> None:
+    """One step of Adam on some paths."""
+    set_rates(state.optimiser, training.final_rate ** (state.step / training.steps))
+    if state.scores is None:
+        samples = renderer.samples(paths, state.cells, training.samples, jitter=True)
+    else:
+        state.scores.update(renderer.model)
+        samples = state.scores.samples(state.cells, paths, training.samples, training.by_score)
+    rendered = renderer.render(paths, samples)
+    error = ((rendered.rgb - paths.rgb) ** 2).mean()
+    total = error + renderer.penalty(paths, rendered)
+    if state.step >= training.losses_from * training.steps:
+        total = total + training.losses(renderer, paths, rendered, state.cells, water)
+    descend(state.optimiser, total)
+    state.losses.append(float(error.detach()))
+    if renderer.model.observe(state.losses):
+        state.changed.append(state.step)
+        state.optimiser = adam(renderer.rates(), eps=ADAM_EPS)
+    state.step += 1
 
 
 @torch.no_grad()
@@ -150,12 +222,15 @@ def proxy_of(renderer: VolumeRenderer, cells: Cells, margin: float) -> Cells:
     return cells.refined(1.0 - torch.exp(-thick * cell), 0.1, margin)
 
 
-def _batches(photographs: Photographs, box: Box, training: Training, seed: int) -> Iterator[Paths]:
-    """Paths of each step: as many whole patches as its rays hold, one at least."""
-    rng, patch = np.random.default_rng(seed), training.losses.patch
+def _batches(photographs: Photographs, box: Box, training: Training, seed: int, start: int) -> Iterator[Paths]:
+    """Paths of each step from `start` on: as many whole patches as its rays hold, one at least.
+
+    `start` is a multiple of `POOL_STEPS`; each pool has its own generator, so that it depends on nothing before.
+    """
+    patch = training.losses.patch
     patches = max(training.rays // patch**2, 1)
-    for first in range(0, training.steps, POOL_STEPS):
+    for first in range(start, training.steps, POOL_STEPS):
         count = min(POOL_STEPS, training.steps - first)
-        pool = photographs.draw(count * patches, box, rng, patch)
+        pool = photographs.draw(count * patches, box, np.random.default_rng((seed, first)), patch)
         for part in torch.arange(len(pool)).split(patches * patch**2):
             yield pool[part]

@@ -57,7 +57,7 @@ def render_volume(
     Paths are rendered ``chunk`` at a time; by default as many as keep their samples within `WORKING_BYTES`, so that a
     model with wider features takes more chunks, not more memory.
     """
-    chunk = chunk or max(WORKING_BYTES // (BYTES_PER_NUMBER * samples * _numbers_per_sample(renderer)), 64)
+    chunk = chunk or chunk_of(renderer, samples)
     pixels = camera.pixel_centres().reshape(-1, 2)
     none = np.zeros((len(pixels), 3))
     parts = []
@@ -70,6 +70,11 @@ def render_volume(
     shape = (camera.height, camera.width)
     columns = [torch.cat(column).numpy() for column in zip(*parts, strict=True)]
     return View(*(c.reshape(*shape, *c.shape[1:]) for c in columns))
+
+
+def chunk_of(renderer: VolumeRenderer, samples: int) -> int:
+    """How many paths are rendered together, so that their samples take `WORKING_BYTES`."""
+    return max(WORKING_BYTES // (BYTES_PER_NUMBER * samples * _numbers_per_sample(renderer)), 64)
 
 
 def _numbers_per_sample(renderer: VolumeRenderer) -> int:

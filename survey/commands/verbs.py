@@ -14,7 +14,19 @@ from typing import Annotated, cast
 import typer
 from typer.core import TyperGroup
 
-from survey.commands import benchmark, change, check, compare, export, init, process, render, simulate, waterline
+from survey.commands import (
+    benchmark,
+    change,
+    check,
+    compare,
+    export,
+    field,
+    init,
+    process,
+    render,
+    simulate,
+    waterline,
+)  # fmt: skip
 from survey.commands.console import BEFORE_VERB
 from survey.commands.faults import BAD_INPUT
 from survey.commands.options import Quiet, Verbose
@@ -22,7 +34,7 @@ from survey.commands.pages import Page
 from survey.commands.streams import say_error
 
 # In the order of `bathynerf --help`.
-VERBS = (init, check, process, waterline, export, render, compare, change, simulate, benchmark)
+VERBS = (init, check, process, waterline, export, render, field, compare, change, simulate, benchmark)
 
 _EPILOG = """\b
 Exit codes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -90,20 +91,50 @@ def render(
         If the pictures must not be written there, see `survey.files.outputs`: a picture that is there is replaced
         only where render wrote it.
     """
-    folder, cameras, output = RunDir(run), Path(cameras), Path(output)
+    folder, output = RunDir(run), Path(output)
     folder.require_run()
-    inputs = _inputs(folder, cameras)
-    require_folder("-o", output, inputs, may_hold_inputs=True)
     frame = load_place(_field_folder(folder))[0] if trained else load_flight(folder.path).frame
     folder.warn_if_unfinished()
-    posed = _cameras(read_poses(cameras), cameras, frame, read_config(folder.settings_path))
-    stems = {name: _stem(output, name, cameras) for name in posed}
-    for picture in (path for stem in stems.values() for path in _pictures(stem) if path.exists()):
-        require_file("-o", picture, inputs, kind="a picture that render wrote", is_of_kind=is_our_picture)
+    targets = targets_of(folder, frame, Path(cameras), output)
     if trained:
-        return _written(stems, posed, _of_trained(folder, device, dry=dry))
+        return write_views(targets, _of_trained(folder, device, dry=dry))
     with LoadedRun(run) as loaded:
-        return _written(stems, posed, _of_photographs(loaded, survey, list(posed.values()), dry=dry))
+        return write_views(targets, _of_photographs(loaded, survey, [t.camera for t in targets], dry=dry))
+
+
+@dataclass(frozen=True)
+class Target:
+    """A camera to be rendered, and where its pictures go: paths that begin with ``stem``."""
+
+    name: str
+    camera: PinholeCamera
+    stem: Path
+
+
+def targets_of(run: RunDir, frame: LocalFrame, cameras: Path, output: Path) -> list[Target]:
+    """The cameras of a file of poses in a local frame, and their pictures in a folder; errors as `render`."""
+    inputs = _inputs(run, cameras)
+    require_folder("-o", output, inputs, may_hold_inputs=True)
+    posed = _cameras(read_poses(cameras), cameras, frame, read_config(run.settings_path))
+    targets = [Target(name, camera, _stem(output, name, cameras)) for name, camera in posed.items()]
+    for picture in (path for target in targets for path in _pictures(target.stem) if path.exists()):
+        require_file("-o", picture, inputs, kind="a picture that render wrote", is_of_kind=is_our_picture)
+    return targets
+
+
+def write_views(targets: list[Target], view_of: Callable[[PinholeCamera], NovelView]) -> list[Path]:
+    """Render and write the pictures of cameras; those that see nothing are named in a warning."""
+    written, empty = [], []
+    with current().stage("Render", len(targets)) as stage:
+        for target in targets:
+            view = view_of(target.camera)
+            if not view.seen.any():
+                empty.append(target.name)
+            written.append(write_view(target.stem, view))
+            stage.advance()
+    if empty:
+        current().warn(f"{len(empty)} of {len(targets)} cameras see nothing of the bed: {', '.join(empty[:5])}")
+    return written
 
 
 def _of_trained(folder: RunDir, device: str, *, dry: bool) -> Callable[[PinholeCamera], NovelView]:
@@ -121,22 +152,6 @@ def _of_photographs(
     if dry and without_water is None and run.flight.water is not None:
         current().note("colours are as photographed; a run with --true-colour has those of the bed without its water")
     return lambda camera: field.render(camera, dry=dry, without_water=without_water)
-
-
-def _written(
-    stems: dict[str, Path], posed: dict[str, PinholeCamera], view_of: Callable[[PinholeCamera], NovelView]
-) -> list[Path]:
-    written, empty = [], []
-    with current().stage("Render", len(posed)) as stage:
-        for name, camera in posed.items():
-            view = view_of(camera)
-            if not view.seen.any():
-                empty.append(name)
-            written.append(write_view(stems[name], view))
-            stage.advance()
-    if empty:
-        current().warn(f"{len(empty)} of {len(posed)} cameras see nothing of the bed: {', '.join(empty[:5])}")
-    return written
 
 
 def _inputs(folder: RunDir, cameras: Path) -> ReadFiles:
@@ -163,7 +178,7 @@ def _field_folder(folder: RunDir) -> Path:
 
 
 def _cameras(file: PoseFile, path: Path, frame: LocalFrame, config: SurveyConfig) -> dict[str, PinholeCamera]:
-    """Cameras in the local frame of the field, by name."""
+    """Cameras of a file of poses in a local frame, by name."""
     if file.frame is PoseFrame.LOCAL and config.local.origin != frame.origin:
         raise SurveyError(
             f"the poses in {path} are in a local frame, but the run's cameras were not; give a table of positions in "

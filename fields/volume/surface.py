@@ -1,0 +1,174 @@
+"""The surface of a volume: where each path of the photographs meets it, and what several photographs agree on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from fields.threads import half_the_threads
+from fields.volume.paths import Box, paths_of
+from fields.volume.photographs import Photographs
+from fields.volume.renderer import Rendered, VolumeRenderer
+from fields.volume.sampling import Cells
+from fields.volume.view import chunk_of
+from refract import FlatWater
+
+# Less of the light of a path than this meets no surface.
+LEAST_OPACITY = 0.5
+# Photographs that a cell of the surface needs.
+LEAST_VIEWS = 2
+
+
+class Rule(StrEnum):
+    """Where on a path the surface is: the median or the mode of its weights, or the first dense sample."""
+
+    median = "median"
+    mode = "mode"
+    density = "density"
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Points (N) of a surface, each the mean of a cell in which photographs agree.
+
+    Attributes
+    ----------
+    xyz : (N, 3) float64 [m], local
+    rgb : (N, 3) uint8
+        As photographs store it.
+    std : (N,) [m]
+        Of the height in a cell, between photographs, over the root of their number.
+    num_views : (N,) int
+    incidence : (N,) [rad]
+        Of the paths at the water in air, mean.
+    """
+
+    xyz: np.ndarray
+    rgb: np.ndarray
+    std: np.ndarray
+    num_views: np.ndarray
+    incidence: np.ndarray
+
+
+def distance_of(rendered: Rendered, rule: Rule, density: float) -> Tensor:
+    """Path lengths (N,) [m] to the surface; NaN where a path meets none.
+
+    The last sample of a path is opaque where nothing lies behind the box (`with_opaque_end`): it is no surface.
+
+    Parameters
+    ----------
+    rendered : Rendered
+    rule : Rule
+    density : [1/m]
+        Of ``Rule.density``.
+    """
+    samples, weights = rendered.samples, rendered.weights
+    if rule is Rule.median:
+        distance = rendered.depth
+    elif rule is Rule.mode:
+        distance = samples.s.gather(1, weights.argmax(dim=1, keepdim=True))[:, 0]
+    else:
+        passed = (1.0 - torch.cumsum(weights, dim=1) + weights).clamp(min=1e-6)
+        dense = -torch.log1p(-(weights / passed).clamp(max=1.0 - 1e-6)) > density * samples.length
+        first = dense.to(torch.int8).argmax(dim=1, keepdim=True)
+        distance = torch.where(dense.any(dim=1), samples.s.gather(1, first)[:, 0], torch.nan)
+    last = samples.edges[:, -2]
+    met = (rendered.opacity > LEAST_OPACITY) & (distance < last)
+    return torch.where(met, distance, torch.nan)
+
+
+@half_the_threads()
+@torch.no_grad()
+def surface_of(
+    renderer: VolumeRenderer,
+    photographs: Photographs,
+    cells: Cells,
+    *,
+    samples: int,
+    side: float,
+    rule: Rule = Rule.median,
+    density: float = 0.0,
+    advance: Callable[[], object] = lambda: None,
+) -> Surface:
+    """The surface of a volume in cells of a side [m], from all pixels of the photographs that show it.
+
+    Parameters
+    ----------
+    renderer : VolumeRenderer
+    photographs : Photographs
+    cells : Cells
+        The proxy of the volume.
+    samples : int
+        Of each path.
+    side : [m]
+    rule, density : as `distance_of`
+    advance : callable
+        Called after each photograph.
+    """
+    parts = []
+    for view in range(len(photographs.cameras)):
+        parts.append(_of_view(renderer, photographs, view, cells, samples, rule, density))
+        advance()
+    return _agreed(parts, renderer.model.box, side)
+
+
+def _of_view(
+    renderer: VolumeRenderer,
+    photographs: Photographs,
+    view: int,
+    cells: Cells,
+    samples: int,
+    rule: Rule,
+    density: float,
+) -> np.ndarray:
+    """Points of a photograph, rows of x, y, z, red, green, blue, incidence and the number of the photograph."""
+    camera, box = photographs.cameras[view], renderer.model.box
+    water = photographs.water
+    up = np.asarray(water.up if isinstance(water, FlatWater) else (0.0, 0.0, 1.0))
+    parts = [np.zeros((0, 8))]
+    for flat in _pieces(photographs.pixels[view], chunk_of(renderer, samples)):
+        rows, columns = np.divmod(flat, camera.width)
+        rgb = photographs.images[view][rows, columns]
+        paths = paths_of(camera, water, np.stack([columns + 0.5, rows + 0.5], axis=-1), rgb, box, view)
+        distance = distance_of(
+            renderer.render(paths, renderer.samples(paths, cells, samples, jitter=False)), rule, density
+        )
+        met = torch.isfinite(distance).numpy()
+        points = paths.at(torch.nan_to_num(distance)[:, None])[:, 0].numpy()[met].astype(np.float64)
+        incidence = np.arccos(np.clip(-(paths.air.numpy()[met] @ up), -1.0, 1.0))
+        parts.append(np.column_stack([points, rgb[met], incidence, np.full(met.sum(), view)]))
+    return np.concatenate(parts)
+
+
+def _pieces(pixels: np.ndarray, size: int) -> Iterable[np.ndarray]:
+    return np.array_split(pixels, max(-(-len(pixels) // size), 1)) if len(pixels) else ()
+
+
+def _agreed(parts: list[np.ndarray], box: Box, side: float) -> Surface:
+    """Means in cells: first of each photograph, then over the photographs."""
+    found = np.concatenate(parts)
+    found = found[((found[:, :3] > box.low) & (found[:, :3] < box.high)).all(axis=1)]
+    shape = tuple(np.maximum(np.ceil(box.size / side), 1).astype(int).tolist())
+    index = np.minimum(((found[:, :3] - box.low) / side).astype(int), np.array(shape) - 1)
+    cell_and_view = np.ravel_multi_index((*index.T, found[:, 7].astype(int)), (*shape, len(parts)))
+    of_view, key = _means(found, cell_and_view)
+    mean, cells = _means(of_view, key // len(parts))
+    number = np.searchsorted(cells, key // len(parts))
+    count = np.bincount(number)
+    squared = np.bincount(number, (of_view[:, 2] - mean[number, 2]) ** 2)
+    keep = count >= LEAST_VIEWS
+    mean, count = mean[keep], count[keep]
+    std = np.sqrt(squared[keep] / (count * (count - 1)))
+    return Surface(mean[:, :3], np.round(mean[:, 3:6]).astype(np.uint8), std, count, mean[:, 6])
+
+
+def _means(values: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Means (G, C) of values (N, C) by group (N,), and the groups (G,), rising."""
+    groups, inverse = np.unique(group, return_inverse=True)
+    sums = np.stack([np.bincount(inverse, column, len(groups)) for column in values.T], axis=-1)
+    return sums / np.bincount(inverse, minlength=len(groups))[:, None], groups

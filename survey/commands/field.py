@@ -1,0 +1,137 @@
+"""`bathynerf field`: the options of `survey.volume.field`."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from survey.commands.console import command
+from survey.commands.options import DeviceOption, Quiet, RunFolder, Verbose
+from survey.plan.choices import Device
+
+EXAMPLES = """
+    bathynerf field my_survey/bathynerf --model mdw -o mdw
+    bathynerf field my_survey/bathynerf --model tensorf -o t \\
+        --held-every 8 --reference lidar.ply
+    bathynerf field my_survey/bathynerf -o mdw --cameras cameras.csv
+"""
+
+_TRAINING, _SCENE, _SHOWN = "Training", "What is learned from", "What is made of it"
+
+
+class Model(StrEnum):
+    """See `fields.volume.models`, which takes torch to import."""
+
+    mdw = "mdw"
+    tensorf = "tensorf"
+    m = "m"
+    dw = "dw"
+    nerf = "nerf"
+    tinynerf = "tinynerf"
+    nerfacto = "nerfacto"
+    neus = "neus"
+    hash = "hash"
+
+
+class Rule(StrEnum):
+    """As `fields.volume.surface.Rule`, which takes torch to import."""
+
+    median = "median"
+    mode = "mode"
+    density = "density"
+
+
+def run(
+    run: RunFolder,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="A new folder, or one with this training begun.")
+    ],
+    model: Annotated[
+        Model, typer.Option(metavar="NAME", help=f"{', '.join(Model)}.", rich_help_panel=_TRAINING)
+    ] = Model.mdw,
+    steps: Annotated[int, typer.Option(metavar="N", help="Steps.", rich_help_panel=_TRAINING)] = 2000,
+    rays: Annotated[int, typer.Option(metavar="N", help="Rays of a step.", rich_help_panel=_TRAINING)] = 4096,
+    samples: Annotated[int, typer.Option(metavar="N", help="Samples of a ray.", rich_help_panel=_TRAINING)] = 48,
+    cells: Annotated[
+        int, typer.Option(metavar="N", help="Cells along the longest edge, finest scale.", rich_help_panel=_TRAINING)
+    ] = 256,
+    appearance: Annotated[
+        bool, typer.Option("--appearance", help="Learn the light of each photograph.", rich_help_panel=_TRAINING)
+    ] = False,
+    from_scratch: Annotated[
+        bool,
+        typer.Option("--from-scratch", help="Begin without the bed of the run.", rich_help_panel=_TRAINING),
+    ] = False,
+    straight: Annotated[
+        bool, typer.Option("--straight", help="Do not bend rays, as others do.", rich_help_panel=_TRAINING)
+    ] = False,
+    seed: Annotated[int, typer.Option(metavar="N", help="Of all random numbers.", rich_help_panel=_TRAINING)] = 0,
+    bounds: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(metavar="E0 N0 E1 N1", help="Part of the bed, in crs.", rich_help_panel=_SCENE),
+    ] = None,
+    image_scale: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Of photographs, 0 to 1; default: two pixels a cell.", rich_help_panel=_SCENE),
+    ] = None,
+    held_every: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Leave out one photograph in N, and predict it.", rich_help_panel=_SCENE),
+    ] = None,
+    survey: Annotated[
+        str | None,
+        typer.Option(metavar="DIR", help="Survey folder, if it was moved since the run.", rich_help_panel=_SCENE),
+    ] = None,
+    extract: Annotated[
+        Rule,
+        typer.Option(metavar="RULE", help="Surface by median, mode or density.", rich_help_panel=_SHOWN),
+    ] = Rule.median,
+    density: Annotated[
+        float | None,
+        typer.Option(metavar="D", help="Least density of the surface [1/m].", rich_help_panel=_SHOWN),
+    ] = None,
+    reference: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Mesh or cloud to compare with.", rich_help_panel=_SHOWN),
+    ] = None,
+    cameras: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Poses of views to render.", rich_help_panel=_SHOWN)
+    ] = None,
+    dry: Annotated[bool, typer.Option("--dry", help="Render without the water.", rich_help_panel=_SHOWN)] = False,
+    device: DeviceOption = Device.auto,
+    verbose: Verbose = 0,
+    quiet: Quiet = 0,
+) -> None:
+    """Train a published radiance field on a run: surface, views and figures.
+
+    Rays are bent at the water before the field is sampled. The same command again goes on where it was stopped.
+    """
+    with command(verbose, quiet, output) as results:
+        from fields.volume.surface import Rule as SurfaceRule
+        from survey.volume.field import VolumeOptions, rows_of, train_field
+
+        options = VolumeOptions(
+            model=model.value,
+            steps=steps,
+            rays=rays,
+            samples=samples,
+            cells=cells,
+            image_scale=image_scale,
+            bounds=bounds,
+            held_every=held_every,
+            from_scratch=from_scratch,
+            straight=straight,
+            appearance=appearance,
+            rule=SurfaceRule(extract.value),
+            density=density,
+            reference=reference,
+            cameras=cameras,
+            dry=dry,
+            survey=survey,
+            device=device.value,
+            seed=seed,
+        )
+        results.columns(None, rows_of(train_field(run, output, options), output))

@@ -1,0 +1,1 @@
+"""Radiance fields over the photographs of a finished run: trained, rendered, extracted and compared."""

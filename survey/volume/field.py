@@ -1,0 +1,324 @@
+"""`bathynerf field`: one of the published radiance fields on the photographs of a finished run."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from evaluation import distance_statistics, psnr
+from fields.device import choose_device
+from fields.views.image_based import heights_over, normals_of
+from fields.views.novel_view import NovelView
+from fields.volume.appearance import appearance_vectors
+from fields.volume.models import APPEARANCE, MODELS, build_model, proposal_for
+from fields.volume.renderer import VolumeRenderer
+from fields.volume.sampling import Cells
+from fields.volume.surface import LEAST_OPACITY, Rule, Surface, surface_of
+from fields.volume.train import Training, VolumeFigures, train_volume
+from fields.volume.view import render_volume
+from fields.water_column import WaterColumn
+from geo import read_reference
+from geo.las import write_cloud
+from refract import FlatWater, PinholeCamera
+from survey.compare.comparison import compare_files
+from survey.compare.json_numbers import numbers_of
+from survey.compare.options import CompareOptions
+from survey.display.quantities import length
+from survey.errors import SurveyError
+from survey.export.loaded import LoadedRun
+from survey.export.photographs import flight_of
+from survey.export.render import Target, targets_of, write_views
+from survey.files.json_values import write_json
+from survey.progress import current, shares
+from survey.run.flight import Flight
+from survey.volume.scene import Scene, load_scene
+from survey.volume.stored import VolumeFolder
+
+CLOUD, REPORT, VIEWS, HELD = "cloud.las", "report.json", "views", "held out"
+
+
+@dataclass(frozen=True)
+class VolumeOptions:
+    """How a radiance field is trained on a run, and what is made of it.
+
+    Attributes
+    ----------
+    model : key of `fields.volume.models.MODELS`
+    steps, rays, samples : int
+        Steps of training, paths of each, and samples of each path.
+    cells : int
+        Along the longest edge at the finest scale, of models that have cells.
+    image_scale : [-], optional
+        Of the photographs; default: two pixels a cell.
+    bounds : (E0, N0, E1, N1), optional, in crs
+        Part of the bed; default: all of it.
+    held_every : int, optional
+        Every so many photographs one is left out and predicted.
+    from_scratch : bool
+        Surfaces may be anywhere in the box at first; else within two cells of the run's bed.
+    straight : bool
+        Rays are not bent, as in the fields of others.
+    appearance : bool
+        A vector for each photograph that changes colours, for changing light.
+    rule : Rule
+        Where on a path the surface is.
+    density : [1/m], optional
+        Of ``Rule.density``; default: half of the light is stopped within a cell.
+    reference : Path, optional
+        Mesh or cloud that the surface is compared with.
+    cameras : Path, optional
+        Poses of views to render; ``dry``, without the water.
+    survey : str, optional
+        Folder of the survey, if it was moved since the run.
+    device : "auto", "cpu", "cuda" or "torch"
+    seed : int
+    """
+
+    model: str = "mdw"
+    steps: int = 2000
+    rays: int = 4096
+    samples: int = 48
+    cells: int = 256
+    image_scale: float | None = None
+    bounds: tuple[float, float, float, float] | None = None
+    held_every: int | None = None
+    from_scratch: bool = False
+    straight: bool = False
+    appearance: bool = False
+    rule: Rule = Rule.median
+    density: float | None = None
+    reference: Path | None = None
+    cameras: Path | None = None
+    dry: bool = False
+    survey: str | None = None
+    device: str = "auto"
+    seed: int = 0
+
+    def __post_init__(self):
+        if self.model not in MODELS:
+            raise SurveyError(f"there is no model {self.model}; expected one of {', '.join(MODELS)}")
+        for name, least in (("steps", 1), ("rays", 1), ("samples", 2), ("cells", 8), ("held_every", 2)):
+            value = getattr(self, name)
+            if value is not None and value < least:
+                raise SurveyError(f"{name} is {value}, expected at least {least}")
+        if self.image_scale is not None and not 0.0 < self.image_scale <= 1.0:
+            raise SurveyError(f"the image scale is {self.image_scale:g}, expected more than 0 and at most 1")
+        if self.density is not None and not 0.0 < self.density < np.inf:
+            raise SurveyError(f"the density is {self.density:g}, expected more than 0, in 1/m")
+
+    def of_training(self, run: LoadedRun) -> dict[str, Any]:
+        """What the trained field depends on."""
+        made = ("rule", "density", "reference", "cameras", "dry", "survey", "device")
+        return {"result": run.stages} | {k: v for k, v in asdict(self).items() if k not in made}
+
+
+@dataclass(frozen=True)
+class _Trained:
+    """A field with what it was trained on."""
+
+    renderer: VolumeRenderer
+    cells: Cells
+    figures: VolumeFigures
+    scene: Scene
+    flight: Flight
+    options: VolumeOptions
+
+    @property
+    def water(self) -> FlatWater | None:
+        return None if self.options.straight else self.flight.water
+
+
+def train_field(run: str | Path, output: str | Path, options: VolumeOptions | None = None) -> dict[str, Any]:
+    """Train a radiance field on a run, or go on with it, and write what it shows.
+
+    Into the folder go the state of the training (an interrupted one goes on), ``cloud.las`` with the surface,
+    ``report.json`` with all figures, and pictures of views and of photographs that were left out.
+
+    Parameters
+    ----------
+    run : Path
+        Folder that `bathynerf process` made.
+    output : Path
+        A new folder, or one with the same training in it.
+    options : VolumeOptions, optional
+
+    Returns
+    -------
+    dict
+        The figures.
+
+    Raises
+    ------
+    SurveyError, GeoError
+        If the run, its photographs, the bounds, the cameras or the reference cannot be used.
+    OutputError
+        If the folder holds something else.
+    """
+    options, output = options or VolumeOptions(), Path(output)
+    if options.reference is not None:
+        # One that cannot be read is refused before the training, not after it.
+        read_reference(options.reference)
+    with LoadedRun(run) as loaded:
+        flight = flight_of(loaded, options.survey)
+        targets = _targets(loaded, flight, output, options)
+        folder = VolumeFolder(output, options.of_training(loaded), loaded.folder.inputs())
+        with current().stage("Photographs", len(flight.views)) as stage:
+            scene = load_scene(
+                loaded,
+                flight,
+                cells=options.cells,
+                bounds=options.bounds,
+                image_scale=options.image_scale,
+                held_every=options.held_every,
+                straight=options.straight,
+                advance=stage.advance,
+            )
+        trained = _train(folder, scene, flight, options)
+        surface = _surface(trained)
+        _write_cloud(output / CLOUD, surface, loaded, flight)
+        report = {
+            "model": options.model,
+            "training": asdict(trained.figures),
+            "box_m": scene.box.size.tolist(),
+            "photographs": len(scene.train.names),
+            "pixel_m": scene.pixel_m,
+            "points": len(surface.xyz),
+            "over_the_bed_of_the_run_m": _over_bed(surface, scene),
+            "held_out_psnr_db": _held_out(trained, output / HELD),
+        }
+    if options.reference is not None:
+        found = compare_files(output / CLOUD, options.reference, options=CompareOptions(bounds=options.bounds))
+        report["compared"] = numbers_of(found)
+    if targets:
+        write_views(targets, lambda camera: _view(trained, camera, dry=options.dry))
+    write_json(output / REPORT, report)
+    return report
+
+
+def _targets(run: LoadedRun, flight: Flight, output: Path, options: VolumeOptions) -> list[Target]:
+    return [] if options.cameras is None else targets_of(run.folder, flight.frame, options.cameras, output / VIEWS)
+
+
+def _train(folder: VolumeFolder, scene: Scene, flight: Flight, options: VolumeOptions) -> _Trained:
+    device, appearance = choose_device(options.device), APPEARANCE if options.appearance else 0
+    model = build_model(options.model, scene.box, options.cells, device, appearance=appearance, seed=options.seed)
+    wet = flight.water is not None and not options.straight
+    renderer = VolumeRenderer(
+        model,
+        column=WaterColumn() if wet else None,
+        appearance=appearance_vectors(len(scene.train.names), appearance) if appearance else None,
+        proposal=proposal_for(options.model, scene.box, options.cells),
+    )
+    training = Training(steps=options.steps, rays=options.rays, samples=options.samples)
+    start = None if options.from_scratch else scene.cells_about_bed(training.cells, training.margin)
+    with current().stage("Training", 1.0) as stage:
+        cells, figures = train_volume(
+            renderer,
+            scene.train.photographs,
+            training,
+            shares(stage),
+            cells=start,
+            seed=options.seed,
+            checkpoints=folder,
+        )
+    return _Trained(renderer, cells, figures, scene, flight, options)
+
+
+def _surface(trained: _Trained) -> Surface:
+    """The surface in cells of a pixel, or of half a cell of the field where that is more."""
+    of, scene = trained.options, trained.scene
+    cell = scene.box.edge / of.cells
+    photographs = scene.train.photographs
+    with current().stage("Surface", len(photographs.cameras)) as stage:
+        return surface_of(
+            trained.renderer,
+            photographs,
+            trained.cells,
+            samples=of.samples,
+            side=max(scene.pixel_m, 0.5 * cell),
+            rule=of.rule,
+            density=of.density or np.log(2.0) / cell,
+            advance=stage.advance,
+        )
+
+
+def _write_cloud(path: Path, surface: Surface, run: LoadedRun, flight: Flight) -> None:
+    depth = np.full(len(surface.xyz), np.nan) if flight.water is None else -heights_over(surface.xyz, flight.water)
+    write_cloud(
+        path,
+        flight.frame.crs_from_local(surface.xyz),
+        run.place.crs,
+        rgb=surface.rgb,
+        depth_m=depth.astype(np.float32),
+        std_m=surface.std.astype(np.float32),
+        num_views=np.minimum(surface.num_views, 255).astype(np.uint8),
+        incidence_deg=np.degrees(surface.incidence),
+        is_wet=depth > 0.0,
+    )
+
+
+def _over_bed(surface: Surface, scene: Scene) -> dict[str, Any]:
+    """Heights [m] of the surface over the nearest points of the run's bed in plan."""
+    _, nearest = cKDTree(scene.bed[:, :2]).query(surface.xyz[:, :2])
+    return asdict(distance_statistics(surface.xyz[:, 2] - scene.bed[nearest, 2]))
+
+
+def _held_out(trained: _Trained, folder: Path) -> dict[str, float]:
+    """PSNR [dB] of the photographs that were left out, over the pixels that show the box; their pictures go there."""
+    held, found = trained.scene.held, {}
+    targets = [
+        Target(name, camera, folder / Path(name).with_suffix(""))
+        for name, camera in zip(held.names, held.photographs.cameras, strict=True)
+    ]
+    if not targets:
+        return {}
+    views: dict[int, NovelView] = {}
+    write_views(targets, lambda camera: views.setdefault(id(camera), _view(trained, camera)))
+    for number, target in enumerate(targets):
+        mask = np.zeros(target.camera.width * target.camera.height, dtype=bool)
+        mask[held.photographs.pixels[number]] = True
+        shown = views[id(target.camera)].rgb / 255.0
+        found[target.name] = psnr(held.photographs.images[number] / 255.0, shown, mask.reshape(shown.shape[:2]))
+    return found
+
+
+def _view(trained: _Trained, camera: PinholeCamera, *, dry: bool = False) -> NovelView:
+    seen = render_volume(
+        trained.renderer,
+        camera,
+        None if dry else trained.water,
+        trained.cells,
+        samples=trained.options.samples,
+        dry=dry,
+    )
+    points = seen.points.astype(np.float64)
+    known = np.isfinite(seen.distance) & (seen.opacity > LEAST_OPACITY)
+    points[~known] = np.nan
+    height = heights_over(points.reshape(-1, 3), trained.flight.water).reshape(known.shape).astype(np.float32)
+    rgb = np.where(known[..., None], np.round(255.0 * seen.rgb.clip(0.0, 1.0)), 0.0).astype(np.uint8)
+    distance = np.where(known, seen.distance, np.nan).astype(np.float32)
+    return NovelView(rgb, height, distance, normals_of(points))
+
+
+def rows_of(report: dict[str, Any], output: Path) -> list[tuple[str, str]]:
+    """What the command prints of `train_field`: labels and values."""
+    training, over = report["training"], report["over_the_bed_of_the_run_m"]
+    rows = [
+        ("model", f"{report['model']}, {training['parameters']:,} parameters, {training['steps']:,} steps"),
+        ("photographs", f"{report['photographs']} learned from, to {training['psnr_db']:.1f} dB"),
+    ]
+    if report["held_out_psnr_db"]:
+        held = list(report["held_out_psnr_db"].values())
+        rows.append(("held out", f"{len(held)} photographs predicted to {np.mean(held):.1f} dB (mean)"))
+    rows.append(("surface", f"{report['points']:,} points"))
+    if report["points"]:
+        inner = f"{length(over['mean_inner90_m'])} +- {length(over['std_inner90_m'])}"
+        rows.append(("over the run's bed", f"{inner} (inner 90 %, mean and std)"))
+    if "compared" in report:
+        to = report["compared"]
+        rows.append(("over the reference", f"{length(to['mean_inner90_m'])} +- {length(to['std_inner90_m'])}"))
+    return [*rows, ("in", str(output))]

@@ -1,0 +1,174 @@
+"""What a volume is trained from: the photographs of a run that look into a box about its bed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from fields.volume.paths import Box
+from fields.volume.photographs import Photographs
+from fields.volume.sampling import Cells
+from refract import FlatWater, PinholeCamera
+from survey.errors import SurveyError
+from survey.export.loaded import LoadedRun
+from survey.export.photographs import Photograph, at_scale
+from survey.run.flight import Flight
+
+# A box reaches over and under the inner part of the heights by a share of their range and some cells.
+_INNER_PERCENT, _REACH, _REACH_CELLS = 0.1, 0.1, 3.0
+# Photographs are reduced to pixels of at least this part of a cell.
+_PIXELS_PER_CELL = 2.0
+# Photographs to learn from.
+LEAST_VIEWS = 2
+# A photograph counts if it shows the box with this share of its pixels.
+_LEAST_SHARE = 0.002
+
+
+@dataclass(frozen=True)
+class Named:
+    """Photographs with their names."""
+
+    names: list[str]
+    photographs: Photographs
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Photographs for a volume.
+
+    Attributes
+    ----------
+    box : Box
+    bed : (N, 3) [m], local
+        Points of the run inside the box.
+    train, held : Named
+        Learned from, and left out.
+    pixel_m : [m]
+        Of a photograph, on the bed.
+    """
+
+    box: Box
+    bed: np.ndarray
+    train: Named
+    held: Named
+    pixel_m: float
+
+    def cells_about_bed(self, num: int, margin: float) -> Cells:
+        """The cells of a proxy, ``num`` along the longest edge, within ``margin`` of them about the run's bed."""
+        everywhere = Cells.everywhere(self.box, num)
+        shape = np.array(everywhere.occupied.shape)
+        index = np.minimum(((self.bed - self.box.low) / self.box.size * shape).astype(int), shape - 1)
+        filled = np.zeros(tuple(shape), dtype=np.float32)
+        filled[tuple(index.T)] = 1.0
+        return everywhere.refined(torch.from_numpy(filled.ravel()), 0.5, margin * self.box.edge / num)
+
+
+def load_scene(
+    run: LoadedRun,
+    flight: Flight,
+    *,
+    cells: int,
+    bounds: tuple[float, float, float, float] | None,
+    image_scale: float | None,
+    held_every: int | None,
+    straight: bool,
+    advance: Callable[[], object],
+) -> Scene:
+    """The photographs of a run about its bed.
+
+    Parameters
+    ----------
+    run : LoadedRun
+    flight : Flight
+        Its photographs, where they are now.
+    cells : int
+        Of the volume along its longest edge.
+    bounds : (e0, n0, e1, n1), optional
+        In crs: part of the bed.
+    image_scale : [-], optional
+        Default: two pixels a cell.
+    held_every : int, optional
+        Every so many photographs one is left out.
+    straight : bool
+        Rays are not bent.
+    advance : callable
+        Called after each photograph.
+
+    Raises
+    ------
+    SurveyError
+        If no bed lies in the bounds, or too few photographs look into the box.
+    """
+    bed = flight.frame.local_from_crs(_within(run.columns("points_crs")["points_crs"], bounds))
+    box = _box_about(bed, cells)
+    gsd_m = run.place.gsd_m
+    scale = image_scale or min(1.0, _PIXELS_PER_CELL * gsd_m * cells / box.edge)
+    water = None if straight else flight.water
+    shown = []
+    for photograph in at_scale(flight, scale):
+        each = _looking_at(photograph, box, water)
+        shown += [each] if each is not None else []
+        advance()
+    held = [] if held_every is None else shown[held_every // 2 :: held_every]
+    train = [each for each in shown if not any(each is other for other in held)]
+    if len(train) < LEAST_VIEWS:
+        raise SurveyError(
+            f"{len(train)} of {len(flight.views)} photographs see the box about the bed down to its floor, expected "
+            f"at least {LEAST_VIEWS} to learn from; give larger --bounds, or a smaller --cells"
+        )
+    inside = ((bed > box.low) & (bed < box.high)).all(axis=1)
+    return Scene(box, bed[inside], _named(train, water), _named(held, water), gsd_m / scale)
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """A photograph with the pixels (n,) that show the box."""
+
+    name: str
+    camera: PinholeCamera
+    rgb: np.ndarray
+    pixels: np.ndarray
+
+
+def _looking_at(photograph: Photograph, box: Box, water: FlatWater | None) -> _Shown | None:
+    """A photograph, if it shows the box; it is decoded only then."""
+    camera = photograph.camera
+    outline = np.zeros((camera.height, camera.width, 3), dtype=np.uint8)
+    (pixels,) = Photographs.over([camera], [outline], box, water).pixels
+    if len(pixels) < _LEAST_SHARE * camera.width * camera.height:
+        return None
+    decoded = photograph.pixels()
+    if decoded.mask is not None:
+        pixels = pixels[decoded.mask.ravel()[pixels]]
+    return _Shown(photograph.view.name, camera, decoded.rgb, pixels)
+
+
+def _named(shown: list[_Shown], water: FlatWater | None) -> Named:
+    cameras, images, pixels = [e.camera for e in shown], [e.rgb for e in shown], [e.pixels for e in shown]
+    return Named([each.name for each in shown], Photographs(cameras, images, pixels, water))
+
+
+def _within(points: np.ndarray, bounds: tuple[float, float, float, float] | None) -> np.ndarray:
+    """The points (N, 3) in bounds (E0, N0, E1, N1)."""
+    if bounds is None:
+        return points
+    e0, n0, e1, n1 = bounds
+    inside = (points[:, 0] >= e0) & (points[:, 0] <= e1) & (points[:, 1] >= n0) & (points[:, 1] <= n1)
+    if not inside.any():
+        low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+        raise SurveyError(
+            f"no bed lies in --bounds {e0:g} {n0:g} {e1:g} {n1:g}; it reaches from {low[0]:.1f} to {high[0]:.1f} east "
+            f"and from {low[1]:.1f} to {high[1]:.1f} north"
+        )
+    return points[inside]
+
+
+def _box_about(bed: np.ndarray, cells: int) -> Box:
+    """The box of points (N, 3), local, with room over and under them."""
+    low, high = np.percentile(bed, [_INNER_PERCENT, 100.0 - _INNER_PERCENT], axis=0)
+    edge = float((high - low).max())
+    room = np.array([0.0, 0.0, _REACH * (high[2] - low[2]) + _REACH_CELLS * edge / cells])
+    return Box(low - room, high + room)

@@ -1,0 +1,137 @@
+"""`bathynerf field`: a published field on a run with a known bed; it goes on, and says what it cannot use."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from command_line import bathynerf
+from painted_survey import painted_survey, run_over
+from PIL import Image
+
+from fields.device import choose_device
+from fields.volume.models import MODELS, build_model, proposal_for
+from fields.volume.paths import Box
+from geo import read_cloud
+from survey.commands.field import Model
+from survey.errors import OutputError, SurveyError
+from survey.export.loaded import LoadedRun
+from survey.run.cloud import write_bed_ply
+from survey.volume.field import VolumeOptions, train_field
+
+# A signed distance begins with a level surface in the middle of the box.
+SHORT = VolumeOptions(model="neus", steps=4, rays=32, samples=8, cells=32, held_every=4, image_scale=0.5)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("field")
+
+
+@pytest.fixture(scope="module")
+def run(folder):
+    return run_over(painted_survey(folder / "s"), folder / "run")
+
+
+def test_the_command_offers_the_models_there_are():
+    assert {model.value for model in Model} == set(MODELS)
+
+
+@pytest.mark.parametrize("name", list(MODELS))
+def test_every_model_is_built_for_a_box(name):
+    box = Box(np.zeros(3), np.array([2.0, 1.0, 0.5]))
+    if name in ("nerf", "nerfacto"):
+        pytest.skip("published width: 30 MB of parameters")
+    model = build_model(name, box, 16, choose_device("torch"), appearance=4)
+    density, features = model.evaluate(torch.rand(5, 3))
+    assert density.shape == (5,)
+    assert model.radiance(features, torch.nn.functional.normalize(torch.ones(5, 3)), torch.zeros(5, 4)).shape == (5, 3)
+    assert (proposal_for(name, box, 16) is None) == (name != "hash")
+
+
+def test_a_field_is_trained_extracted_rendered_and_compared(folder, run):
+    table = folder / "one.csv"
+    table.write_text("\n".join((folder / "s" / "cameras.csv").read_text().splitlines()[:2]) + "\n")
+    options = replace(SHORT, cameras=table, reference=run_cloud(run, folder))
+    report = train_field(run, folder / "f", options)
+    cloud = read_cloud(folder / "f" / "cloud.las")
+    assert report["points"] == len(cloud.points) > 100
+    assert report["photographs"] == 3
+    assert len(report["held_out_psnr_db"]) == 1
+    # The bed slopes by a tenth over 8 m.
+    over = report["over_the_bed_of_the_run_m"]
+    assert abs(over["median_m"]) < 0.3
+    assert over["std_m"] < 0.5
+    assert report["compared"]["n_points"] > 100
+    assert json.loads((folder / "f" / "report.json").read_text())["model"] == "neus"
+    assert len(list((folder / "f" / "views").glob("000?.png"))) == 1
+    with Image.open(folder / "f" / "held out" / "0002.png") as picture:
+        assert picture.mode == "RGBA"
+
+
+def run_cloud(run, folder):
+    """The bed of the run as a PLY."""
+    path = folder / "bed.ply"
+    with LoadedRun(run) as loaded:
+        write_bed_ply(path, loaded.bed)
+    return path
+
+
+def test_the_same_training_again_computes_no_step(folder, run):
+    train_field(run, folder / "g", SHORT)
+    before = torch.load(folder / "g" / "state.pt", weights_only=True)
+    again = train_field(run, folder / "g", SHORT)
+    after = torch.load(folder / "g" / "state.pt", weights_only=True)
+    assert again["training"]["steps"] == after["step"] == 4
+    torch.testing.assert_close(before["renderer"], after["renderer"], rtol=0.0, atol=0.0)
+    with pytest.raises(OutputError, match=r"a volume of other settings \(steps: 4 there, 50 asked for\); name another"):
+        train_field(run, folder / "g", replace(SHORT, steps=50))
+
+
+def test_a_folder_with_other_files_is_left_alone(folder, run):
+    (folder / "mine").mkdir()
+    (folder / "mine" / "notes.txt").write_text("keep")
+    with pytest.raises(OutputError, match="is not empty and holds no volume"):
+        train_field(run, folder / "mine", SHORT)
+    with pytest.raises(OutputError, match="is not empty and holds no volume"):
+        train_field(run, folder / "s" / "images", SHORT)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"model": "gaussians"}, "there is no model gaussians; expected one of tensorf"),
+        ({"steps": 0}, "steps is 0, expected at least 1"),
+        ({"image_scale": 2.0}, "the image scale is 2, expected more than 0 and at most 1"),
+        ({"density": -1.0}, "the density is -1, expected more than 0"),
+    ],
+)
+def test_options_without_sense_are_refused(wrong, said):
+    with pytest.raises(SurveyError, match=said):
+        VolumeOptions(**wrong)
+
+
+def test_bounds_without_a_bed_are_refused(folder, run):
+    with pytest.raises(SurveyError, match=r"no bed lies in --bounds 0 0 1 1; it reaches from"):
+        train_field(run, folder / "h", replace(SHORT, bounds=(0.0, 0.0, 1.0, 1.0)))
+
+
+def test_straight_rays_put_the_surface_elsewhere(folder, run):
+    """Without the water there is no column to learn, and the settings differ."""
+    report = train_field(run, folder / "straight", replace(SHORT, straight=True))
+    assert report["points"] > 100
+    with pytest.raises(OutputError, match="straight: True there, False asked for"):
+        train_field(run, folder / "straight", SHORT)
+
+
+def test_the_command_prints_what_was_found(folder, run):
+    found = bathynerf(
+        "field", run, "-o", folder / "c", "--model", "neus", "--steps", 2, "--rays", 32, "--samples", 8,
+        "--cells", 16, "--image-scale", 0.5,
+    )  # fmt: skip
+    assert found.exit_code == 0, found.stderr
+    assert "neus" in found.stdout
+    assert "over the run's bed" in found.stdout

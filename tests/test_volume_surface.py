@@ -1,0 +1,70 @@
+"""The surface of a volume: where paths meet it by each rule, and what photographs agree on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from volume_scenes import BOX, WATER, Slab, looking_down
+
+from fields.volume.paths import paths_of
+from fields.volume.photographs import Photographs
+from fields.volume.renderer import VolumeRenderer
+from fields.volume.sampling import Cells
+from fields.volume.surface import Rule, distance_of, surface_of
+
+TOP = -1.4
+# Light falls to half within 7 mm of this.
+DENSE = 100.0
+
+
+def photographs(num: int, water) -> Photographs:
+    cameras = [looking_down(x=0.2 * k, tilt=0.1 * k) for k in range(num)]
+    grey = [np.full((c.height, c.width, 3), 40 * (k + 1), dtype=np.uint8) for k, c in enumerate(cameras)]
+    return Photographs.over(cameras, grey, BOX, water)
+
+
+@pytest.mark.parametrize("water", [None, WATER])
+@pytest.mark.parametrize("rule", list(Rule))
+def test_each_rule_finds_the_top_of_a_dense_layer(rule, water):
+    renderer, shown = VolumeRenderer(Slab(DENSE, top=TOP)), photographs(1, water)
+    pixels = shown.cameras[0].pixel_centres().reshape(-1, 2)[shown.pixels[0]]
+    paths = paths_of(shown.cameras[0], water, pixels, np.zeros((len(pixels), 3)), BOX)
+    # 1.5 m in 300 samples: 5 mm a sample, a little more on slanting paths.
+    rendered = renderer.render(paths, Cells.everywhere(BOX, 16).samples(paths, 300, jitter=False))
+    distance = distance_of(rendered, rule, 0.5 * DENSE)
+    height = paths.at(distance[:, None])[:, 0, 2].numpy()
+    assert np.isfinite(height).all()
+    assert np.abs(height - TOP).max() < 0.02
+
+
+@pytest.mark.parametrize("rule", list(Rule))
+def test_fog_and_emptiness_have_no_surface(rule):
+    camera = looking_down()
+    pixels = camera.pixel_centres().reshape(-1, 2)
+    paths = paths_of(camera, None, pixels, np.zeros((len(pixels), 3)), BOX)
+    samples = Cells.everywhere(BOX, 16).samples(paths, 50, jitter=False)
+    for density in (0.0, 0.1):
+        assert not torch.isfinite(distance_of(VolumeRenderer(Slab(density)).render(paths, samples), rule, 1.0)).any()
+
+
+@pytest.mark.parametrize("water", [None, WATER])
+def test_a_surface_is_the_mean_of_the_photographs_that_agree(water):
+    shown = photographs(3, water)
+    cells = Cells.everywhere(BOX, 16)
+    surface = surface_of(VolumeRenderer(Slab(DENSE, top=TOP)), shown, cells, samples=150, side=0.25)
+    assert len(surface.xyz) > 20
+    assert np.abs(surface.xyz[:, 2] - TOP).max() < 0.02
+    assert set(surface.num_views) <= {2, 3}
+    assert surface.std.max() < 0.01
+    # Each photograph counts once, however many of its pixels a cell has.
+    everywhere = surface.rgb[surface.num_views == 3]
+    np.testing.assert_array_equal(everywhere, 80)
+    assert 0.0 <= surface.incidence.min() < surface.incidence.max() < 0.6
+
+
+def test_one_photograph_alone_has_no_surface():
+    surface = surface_of(
+        VolumeRenderer(Slab(DENSE, top=TOP)), photographs(1, WATER), Cells.everywhere(BOX, 16), samples=60, side=0.25
+    )
+    assert len(surface.xyz) == 0

@@ -46,7 +46,7 @@ def read_polygons(path: str | Path, crs: CRS) -> Polygons:
     if not polygons:
         raise UnreadableFile(f"{path} has no polygon, expected one at least; draw the area as a polygon.")
     target = horizontal_crs(crs)
-    return [[_in_crs(ring, source, target, path) for ring in polygon] for polygon in polygons]
+    return [[in_map_of(ring, source, target, path) for ring in polygon] for polygon in polygons]
 
 
 def cells_inside(
@@ -57,7 +57,8 @@ def cells_inside(
     return geometry_mask(shapes, shape, rasterio.Affine(*transform), invert=True)
 
 
-def _in_crs(ring: np.ndarray, source: CRS, target: CRS, path: Path) -> np.ndarray:
+def in_map_of(ring: np.ndarray, source: CRS, target: CRS, path: Path) -> np.ndarray:
+    """Corners (N, 2) of a file in another horizontal CRS; raises GeoError where they cannot be taken there."""
     if not source.equals(target, ignore_axis_order=True):
         with_height = np.column_stack([ring, np.zeros(len(ring))])
         remedy = "or give the polygon in the CRS of the cloud."

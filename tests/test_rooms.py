@@ -35,7 +35,7 @@ LAYERS = (
     {"survey/report"},
     {"survey/run", "survey/simulate/output"},
     {"survey/export", "survey/simulate/drawn"},
-    {"survey/simulate/staging", "survey/benchmark", "survey/change", "survey/volume"},
+    {"survey/simulate/staging", "survey/benchmark", "survey/change", "survey/profile", "survey/volume"},
     {"survey/commands"},
     {"bathynerf"},
 )
@@ -78,6 +78,7 @@ DISK_FILES = {
             "grids",
             "las",
             "las_header",
+            "lines",
             "obj",
             "obj_writing",
             "ply",
@@ -122,6 +123,7 @@ DISK_FILES = {
             "pix4d",
         ),
         "survey/plan": ("workload",),
+        "survey/profile": ("profile", "profiles", "written"),
         "survey/report": ("__init__", "page"),
         "survey/run": (
             "flight",

@@ -23,6 +23,7 @@ from survey.commands import (
     field,
     init,
     process,
+    profile,
     render,
     simulate,
     waterline,
@@ -34,7 +35,7 @@ from survey.commands.pages import Page
 from survey.commands.streams import say_error
 
 # In the order of `bathynerf --help`.
-VERBS = (init, check, process, waterline, export, render, field, compare, change, simulate, benchmark)
+VERBS = (init, check, process, waterline, export, render, field, compare, change, profile, simulate, benchmark)
 
 _EPILOG = """\b
 Exit codes:

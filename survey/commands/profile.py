@@ -1,0 +1,48 @@
+"""`bathynerf profile`: the options and results of `survey.profile`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from survey.commands.console import command
+from survey.commands.options import FILES, Quiet, Verbose
+
+EXAMPLES = """
+    bathynerf profile RUN --lines sections.geojson
+    bathynerf profile RUN --lines axis.dxf --csv axis.csv
+    bathynerf profile bed.laz --lines sections.gpkg \\
+        --reference lidar.laz --picture sections.png
+"""
+
+
+def run(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder, LAS, LAZ or COPC.")],
+    lines: Annotated[
+        Path,
+        typer.Option(metavar="FILE", help="Lines as GeoJSON or (extra vector) GeoPackage, shapefile or DXF."),
+    ],
+    step: Annotated[
+        float | None, typer.Option(metavar="M", help="Between places [m]; default: by the spacing of the points.")
+    ] = None,
+    reference: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="A surface beside the bed: mesh, GeoTIFF or points.")
+    ] = None,
+    csv: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Table of all places.", rich_help_panel=FILES)
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="PNG of the profiles.", rich_help_panel=FILES)
+    ] = None,
+    verbose: Verbose = 0,
+    quiet: Quiet = 0,
+) -> None:
+    """Draw profiles of the bed along lines: bed, water, standard deviation, reference."""
+    with command(verbose, quiet, csv or picture or run) as results:
+        from survey.profile.profiles import profiles_along
+        from survey.profile.written import subtitle_of
+
+        found = profiles_along(run, lines, step_m=step, reference=reference, csv_path=csv, picture_path=picture)
+        results.columns(None, [(profile.name, subtitle_of(profile)) for profile in found])

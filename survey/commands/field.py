@@ -16,7 +16,8 @@ EXAMPLES = """
     bathynerf field my_survey/bathynerf --model mdw -o mdw
     bathynerf field my_survey/bathynerf --model tensorf -o t \\
         --held-every 8 --reference lidar.ply
-    bathynerf field my_survey/bathynerf -o mdw --cameras cameras.csv
+    bathynerf field my_survey/bathynerf -o mdw \\
+        --cameras cameras.csv
 """
 
 _TRAINING, _SCENE, _SHOWN = "Training", "What is learned from", "What is made of it"

@@ -1,6 +1,6 @@
 """The Python interface of bathynerf: the commands and their building blocks under one name.
 
->>> from bathynerf import LocalFrame, Survey, compare, process, simulate
+>>> from bathynerf import LocalFrame, Run, Survey, compare, process, simulate
 
 Everything is defined in the rooms (`survey`, `refract`, `geo`, `fields`, `evaluation`) and imported from there when it
 is first used, so that ``import bathynerf`` itself is quick. docs/python.md has examples.
@@ -34,10 +34,16 @@ if TYPE_CHECKING:
     from survey.export.export import export
     from survey.export.product import ExportOptions
     from survey.export.render import render
-    from survey.folder.survey import Survey, load_survey
+    from survey.folder.survey import Survey as LoadedSurvey
+    from survey.folder.survey import load_survey
+    from survey.handles.dem import Dem
+    from survey.handles.run import Run
+    from survey.handles.survey import Survey
     from survey.photos.cameras import View
     from survey.plan.choices import Choices
     from survey.plan.plan import Plan, make_plan
+    from survey.profile.profile import Profile
+    from survey.profile.profiles import profiles_along
     from survey.progress import Progress
     from survey.run.process import process
     from survey.simulate.drawn import draw_survey
@@ -50,17 +56,21 @@ __all__ = [
     "Choices",
     "Cloud",
     "CompareOptions",
+    "Dem",
     "Distortion",
     "DrawnScene",
     "ExportOptions",
     "FlatWater",
     "GeoError",
     "HeightFieldWater",
+    "LoadedSurvey",
     "LocalFrame",
     "Mesh",
     "PinholeCamera",
     "Plan",
+    "Profile",
     "Progress",
+    "Run",
     "Survey",
     "SurveyError",
     "View",
@@ -74,6 +84,7 @@ __all__ = [
     "load_survey",
     "make_plan",
     "process",
+    "profiles_along",
     "project",
     "read_cloud",
     "read_reference",
@@ -105,10 +116,15 @@ _MODULES = {
     "survey.errors": ("SurveyError",),
     "survey.export.export": ("export",),
     "survey.export.product": ("ExportOptions",),
-    "survey.folder.survey": ("Survey", "load_survey"),
+    "survey.folder.survey": ("LoadedSurvey", "load_survey"),
+    "survey.handles.dem": ("Dem",),
+    "survey.handles.run": ("Run",),
+    "survey.handles.survey": ("Survey",),
     "survey.photos.cameras": ("View",),
     "survey.plan.choices": ("Choices",),
     "survey.plan.plan": ("Plan", "make_plan"),
+    "survey.profile.profile": ("Profile",),
+    "survey.profile.profiles": ("profiles_along",),
     "survey.progress": ("Progress",),
     "survey.run.process": ("process",),
     "survey.export.render": ("render",),
@@ -118,7 +134,7 @@ _MODULES = {
 }
 find_beside()
 
-_OTHER_NAMES = {"compare": "compare_files"}
+_OTHER_NAMES = {"compare": "compare_files", "LoadedSurvey": "Survey"}
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 
 

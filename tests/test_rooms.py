@@ -36,6 +36,7 @@ LAYERS = (
     {"survey/run", "survey/simulate/output"},
     {"survey/export", "survey/simulate/drawn"},
     {"survey/simulate/staging", "survey/benchmark", "survey/change", "survey/profile", "survey/volume"},
+    {"survey/handles"},
     {"survey/commands"},
     {"bathynerf"},
 )
@@ -109,6 +110,7 @@ DISK_FILES = {
         ),
         "survey/files": ("csv_table", "json_values", "lock", "outputs", "toml_table", "xml_tree"),
         "survey/folder": ("found", "infer", "inputs", "level_geojson", "masks"),
+        "survey/handles": ("dem", "run"),
         "survey/init": ("draft",),
         "survey/photos": ("complete", "images", "opening", "png"),
         "survey/photos/formats": (

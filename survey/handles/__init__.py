@@ -1,0 +1,1 @@
+"""A survey and its runs as objects, for programs and notebooks."""

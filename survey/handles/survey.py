@@ -1,0 +1,97 @@
+"""A survey folder as an object: checked, planned, processed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from survey.folder import survey as folder_survey
+from survey.folder.found import Found, find_survey
+from survey.handles.run import Run, table_html
+from survey.names import RUN_FOLDER
+from survey.plan.check import Section, check_survey
+from survey.plan.choices import Choices
+
+
+class Survey:
+    """A survey folder whose settings and image headers were read and found right.
+
+    >>> run = Survey.open("harbour").process(quality="standard")        # doctest: +SKIP
+
+    Attributes
+    ----------
+    folder : Path
+    found : Found
+        What the folder holds.
+
+    Raises
+    ------
+    SurveyError, GeoError
+        Where something is missing, damaged or contradictory.
+    """
+
+    def __init__(self, folder: str | Path):
+        self.folder = Path(folder)
+        self.found: Found = find_survey(self.folder)
+
+    @staticmethod
+    def open(folder: str | Path) -> Survey:
+        """The survey in a folder; errors as those of the class."""
+        return Survey(folder)
+
+    @property
+    def name(self) -> str:
+        """That of survey.toml, else that of the folder."""
+        return self.found.config.name or self.folder.resolve().name
+
+    def __repr__(self) -> str:
+        return f"Survey({str(self.folder)!r})"
+
+    def check(self, **choices: Any) -> list[Section]:
+        """What was found, what is assumed and what `process` would do; keywords are those of `Choices`."""
+        return check_survey(self.folder, chosen=Choices(**choices))
+
+    def load(self) -> folder_survey.Survey:
+        """Photographs, poses and water in the local frame; poses that are missing are computed, which takes long."""
+        return folder_survey.load_survey(self.folder)
+
+    def process(self, run: str | Path | None = None, **options: Any) -> Run:
+        """Make the point cloud of the bed, or use what is finished of it.
+
+        Parameters
+        ----------
+        run : str or Path, optional
+            Run folder; default ``bathynerf`` in the folder of the survey.
+        options :
+            Those of `survey.run.process.process`, e.g. ``quality="draft"``.
+
+        Returns
+        -------
+        Run
+            Where a quality gate failed too: `Run.passed` tells.
+        """
+        from survey.run.process import process
+
+        place = self._run_folder(run)
+        process(self.folder, place, **options)
+        return Run(place)
+
+    def run(self, run: str | Path | None = None) -> Run:
+        """A run that was made before."""
+        return Run(self._run_folder(run))
+
+    def _run_folder(self, run: str | Path | None) -> Path:
+        return self.folder / RUN_FOLDER if run is None else Path(run)
+
+    def _repr_html_(self) -> str:
+        """For notebooks: what the folder holds."""
+        poses = self.found.poses_path
+        rows = [
+            ("survey", self.name),
+            ("folder", self.folder),
+            ("crs", self.found.crs.name),
+            ("photographs", len(self.found.images)),
+            ("poses", "to be found from the photographs" if poses is None else poses.name),
+            *(("warning", text) for text in self.found.warnings),
+        ]
+        return table_html(rows)

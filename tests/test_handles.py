@@ -1,0 +1,127 @@
+"""A survey and its run as objects: from the folder to cloud, terrain model, profile and picture."""
+
+from __future__ import annotations
+
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from command_line import fake_module
+from drawn_runs import drawn
+from matplotlib.figure import Figure
+
+import bathynerf
+from bathynerf import CompareOptions, LoadedSurvey, Run, Survey, SurveyError
+from survey.progress import Progress
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory) -> Survey:
+    return Survey.open(drawn(tmp_path_factory.mktemp("handles") / "pond").folder)
+
+
+@pytest.fixture(scope="module")
+def run(survey) -> Run:
+    with Progress(verbosity=-1):
+        return survey.process(quality="draft", field="off")
+
+
+def middle_of(run: Run) -> np.ndarray:
+    low, high = run.cloud.points[:, :2].min(axis=0), run.cloud.points[:, :2].max(axis=0)
+    return np.array([low + 0.25 * (high - low), low + 0.75 * (high - low)])
+
+
+def test_a_survey_says_what_it_has_before_anything_is_computed(survey):
+    assert isinstance(survey.load(), LoadedSurvey)
+    assert [section.title for section in survey.check(quality="draft")][:2] == ["Found", "Plan"]
+    shown = survey._repr_html_()
+    assert "<th style='text-align: left'>photographs</th><td style='text-align: left'>10</td>" in shown
+    with pytest.raises(SurveyError, match="does not exist"):
+        Survey.open("no/such/folder")
+
+
+def test_a_run_has_cloud_report_and_verdict(survey, run):
+    assert repr(run) == f"Run({str(survey.folder / 'bathynerf')!r})"
+    assert (run.passed, run.report["plan"]["quality"]) == (True, "draft")
+    assert len(run.cloud.points) == run.report["cloud"]["points"] > 1000
+    assert survey.run().folder == run.folder == Run.open(run.folder).folder
+    assert run.report_path.is_file()
+    with pytest.raises(SurveyError, match="is no run folder"):
+        Run.open(survey.folder)
+
+
+def test_a_terrain_model_is_that_of_the_cloud(run):
+    dem = run.dem(0.1)
+    known = np.isfinite(dem.height)
+    assert np.asarray(dem).shape == dem.height.shape == (len(dem.north), len(dem.east))
+    assert dem.crs == run.cloud.crs or dem.crs.name == run.cloud.crs.name
+    assert (np.diff(dem.east) > 0.0).all()
+    assert (np.diff(dem.north) < 0.0).all()
+    # Each cell against the median of the points in it.
+    column = np.round((run.cloud.points[:, 0] - dem.east[0]) / 0.1).astype(int)
+    row = np.round((dem.north[0] - run.cloud.points[:, 1]) / 0.1).astype(int)
+    many = np.argwhere(known & (dem.num_points > 8))
+    assert len(many) > 100
+    medians = [np.median(run.cloud.points[(row == r) & (column == c), 2]) for r, c in many[::20]]
+    assert np.median(np.abs(medians - dem.height[known & (dem.num_points > 8)][::20])) < 0.02
+    assert np.isfinite(dem.std[known]).all()
+    assert not np.isfinite(dem.std[~known]).any()
+
+
+def test_a_profile_is_drawn_beside_the_true_bed(survey, run):
+    truth = survey.folder / "truth" / "reference.ply"
+    profile = run.profile(middle_of(run), reference=truth)
+    assert np.isfinite(profile.bed).mean() > 0.9
+    assert abs(np.nanmedian(profile.error)) < 0.02
+    own = run.plot_profile(middle_of(run), reference=truth, name="A-B")
+    assert isinstance(own, Figure)
+    assert own.axes[0].get_title(loc="left") == "A-B"
+    figure = Figure()
+    axes = figure.subplots()
+    assert run.plot_profile(middle_of(run), axes=axes) is figure
+    assert axes.lines
+    assert np.nanmedian(run.compare(truth, CompareOptions(tolerances_m=(0.1,))).summary.distances.mean_m) < 0.05
+
+
+@pytest.mark.parametrize("line", [[], [1.0, 2.0], [[1.0, 2.0]], [[1.0, 2.0], [np.nan, 1.0]], [[1, 2, 3], [4, 5, 6]]])
+def test_what_is_no_line_is_refused(run, line):
+    with pytest.raises(SurveyError, match="expected two places or more as"):
+        run.profile(line)
+
+
+def test_products_are_written_and_notebooks_get_a_picture(run, tmp_path):
+    assert run.export(ply=tmp_path / "bed.ply") == [tmp_path / "bed.ply"]
+    shown = run._repr_html_()
+    assert "passed" in shown
+    assert re.search(r"src=\"data:image/png;base64,[A-Za-z0-9+/=]{1000,}\"", shown)
+
+
+def test_other_libraries_get_the_same_numbers(run, monkeypatch):
+    dem = run.dem(0.1)
+    fake_module(monkeypatch, "xarray", Dataset=lambda values, coords: SimpleNamespace(values=values, coords=coords))
+    made = dem.to_xarray()
+    assert made.values["height"][0] == ("y", "x")
+    assert made.values["height"][1] is dem.height
+    assert made.coords["x"] is dem.east
+    assert "CRS" in made.coords["spatial_ref"][2]["crs_wkt"]
+    fake_module(
+        monkeypatch, "open3d", geometry=SimpleNamespace(PointCloud=SimpleNamespace),
+        utility=SimpleNamespace(Vector3dVector=np.asarray),
+    )  # fmt: skip
+    cloud = run.to_open3d()
+    assert cloud.points.shape == run.cloud.points.shape
+    assert (cloud.points.min(axis=0) >= 0.0).all()
+    assert cloud.points.max() < 100.0
+
+
+@pytest.mark.parametrize(("name", "extra"), [("xarray", "xarray"), ("open3d", "mesh")])
+def test_a_library_that_is_missing_is_named_with_its_extra(run, monkeypatch, name, extra):
+    # As the import of a module that is not there.
+    monkeypatch.setitem(__import__("sys").modules, name, None)
+    with pytest.raises(SurveyError, match=rf"pip install 'bathynerf\[{extra}\]'"):
+        run.dem(0.1).to_xarray() if name == "xarray" else run.to_open3d()
+
+
+def test_the_names_that_stay_are_listed():
+    assert {"Survey", "Run", "Dem", "Profile", "LoadedSurvey", "profiles_along"} <= set(bathynerf.__all__)

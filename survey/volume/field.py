@@ -213,10 +213,11 @@ def _train(folder: VolumeFolder, scene: Scene, flight: Flight, options: VolumeOp
         appearance=appearance_vectors(len(scene.train.names), appearance) if appearance else None,
         proposal=proposal_for(options.model, scene.box, options.cells),
     )
-    training = Training(steps=options.steps, rays=options.rays, samples=options.samples)
+    cells = min(Training.cells, options.cells)
+    training = Training(steps=options.steps, rays=options.rays, samples=options.samples, cells=cells)
     start = None if options.from_scratch else scene.cells_about_bed(training.cells, training.margin)
     with current().stage("Training", 1.0) as stage:
-        cells, figures = train_volume(
+        proxy, figures = train_volume(
             renderer,
             scene.train.photographs,
             training,
@@ -225,7 +226,7 @@ def _train(folder: VolumeFolder, scene: Scene, flight: Flight, options: VolumeOp
             seed=options.seed,
             checkpoints=folder,
         )
-    return _Trained(renderer, cells, figures, scene, flight, options)
+    return _Trained(renderer, proxy, figures, scene, flight, options)
 
 
 def _surface(trained: _Trained) -> Surface:

@@ -10,11 +10,11 @@ import logging
 import math
 import sys
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from pathlib import Path
+from threading import Event, RLock, Thread
 from typing import TextIO
 
 from rich.console import Console
@@ -22,13 +22,11 @@ from rich.progress import BarColumn, ProgressColumn, Task, TextColumn, TimeElaps
 from rich.progress import Progress as Bars
 from rich.text import Text
 
+from survey.forecast import Forecast, Pace
 from survey.lines import fitted
 
-# Seconds between plain lines of one stage, where there is no terminal.
-_LINE_EVERY_S = 20.0
-# The time left is shown once this share of a stage is done and this time [s] has passed; before that the rate
-# is too uncertain.
-_LEAST_SHARE, _LEAST_S = 0.05, 5.0
+# Seconds between plain lines of one stage, where there is no terminal, and between looks whether one is due.
+_LINE_EVERY_S, _TICK_S = 60.0, 5.0
 
 _TIME = "%Y-%m-%d %H:%M:%S"
 
@@ -70,10 +68,7 @@ class Step:
         self.name, self.total, self.done = name, total, 0.0
         self._progress = progress
         self._start = self._last_line = time.monotonic()
-        # When how much was done: the last entry before the middle of the time since the first, and all that follow.
-        # Nothing stands for the start: until the first advance a step loads and compiles.
-        self._history: deque[tuple[float, float]] = deque()
-        self._first_advance = self._start
+        self._pace = Pace(self._start)
         self._bars = progress._bars
         self._task = self._bars.add_task(name, total=total, step=self) if self._bars is not None else None
 
@@ -84,45 +79,65 @@ class Step:
 
     @property
     def seconds_left(self) -> float | None:
-        """Estimate from the pace over the later half of the time since the first advance [s].
-
-        None before a second advance: until the first one a step may load and compile, which is not its pace.
-        """
-        is_early = not self.total or self.done < _LEAST_SHARE * self.total or self.seconds < _LEAST_S
-        if not self.total or is_early or len(self._history) < 2:
-            return None
-        (then, before), (last, done) = self._history[0], self._history[-1]
-        if done <= before:
-            return None
-        needed = (last - then) * max(self.total - done, 0.0) / (done - before)
-        return max(needed - (time.monotonic() - last), 0.0)
+        """Estimate by the pace of the step [s]; None before it is steady."""
+        with self._progress.lock:
+            return self._pace.left_s(time.monotonic(), self.total)
 
     def advance(self, amount: float = 1.0, *, detail: str = "") -> None:
         """Say that ``amount`` more of the total is done; ``detail`` is a word or number to show beside."""
         self.done += amount
-        now = time.monotonic()
-        if not self._history:
-            self._first_advance = now
-        self._history.append((now, self.done))
-        while len(self._history) > 2 and self._history[1][0] <= 0.5 * (self._first_advance + now):
-            self._history.popleft()
+        with self._progress.lock:
+            self._pace.advance(time.monotonic(), self.done, self.total)
+            self._progress.look_ahead()
         if self._bars is not None and self._task is not None:
             description = f"{self.name}  {detail}" if detail else self.name
             self._bars.update(self._task, completed=self.done, description=description)
-        elif now - self._last_line >= _LINE_EVERY_S:
-            self._last_line = now
-            share = f"{100.0 * self.done / self.total:3.0f} %" if self.total else f"{self.done:g}"
-            left = self.seconds_left
-            parts = (share, "" if left is None else f"{clock(left)} left", detail)
-            self._progress._said(f"{self.name}: {', '.join(part for part in parts if part)}")
+        else:
+            self.say_if_due(detail)
+
+    def say_if_due(self, detail: str = "") -> None:
+        """Say how far the step is where the last line of it is a minute old."""
+        now = time.monotonic()
+        if now - self._last_line < _LINE_EVERY_S:
+            return
+        self._last_line = now
+        share = f"{100.0 * min(self.done / self.total, 1.0):3.0f} %" if self.total else f"{self.done:g}"
+        left, of_run = self.seconds_left, self._progress.look_ahead()
+        times = (
+            "" if left is None else f"{clock(left)} left",
+            "" if of_run is None else f"about {rough(of_run)} to the end of the run",
+        )
+        self._progress._said(f"{self.name}: {', '.join(part for part in (share, *times, detail) if part)}")
+
+
+class _Ticking:
+    """Lets steps that do not advance say how far they are, where there is no terminal."""
+
+    def __init__(self, progress: Progress):
+        self._progress, self._ended = progress, Event()
+
+    def __enter__(self) -> None:
+        Thread(target=self._tick, daemon=True).start()
+
+    def __exit__(self, *_exception) -> None:
+        self._ended.set()
+
+    def _tick(self) -> None:
+        while not self._ended.wait(_TICK_S):
+            steps = self._progress._steps
+            if steps:
+                steps[-1].say_if_due()
 
 
 class _TimeLeft(ProgressColumn):
     """The step's own estimate, beside its bar."""
 
     def render(self, task: Task) -> Text:
-        left = task.fields["step"].seconds_left
-        return Text("" if left is None else f"{clock(left)} left")
+        step = task.fields["step"]
+        left, of_run = step.seconds_left, step._progress.look_ahead()
+        parts = [] if left is None else [f"{clock(left)} left"]
+        parts += [] if of_run is None else [f"run: about {rough(of_run)}"]
+        return Text(", ".join(parts))
 
 
 class Progress:
@@ -137,6 +152,11 @@ class Progress:
         resumed run is complete.
     stream : text file, optional
         Default: standard error, so that results on standard output can be piped.
+
+    Attributes
+    ----------
+    forecast : Forecast or None
+        Of the run, whose parts have the names of stages.
     """
 
     def __init__(self, *, verbosity: int = 0, log_path: Path | None = None, stream: TextIO | None = None):
@@ -144,6 +164,10 @@ class Progress:
         self._console = Console(file=stream or sys.stderr, highlight=False, markup=False, soft_wrap=True)
         self._log: TextIO | None = None
         self._bars: Bars | None = None
+        self._steps: list[Step] = []
+        # Estimates are made by threads that show them, too.
+        self.lock = RLock()
+        self.forecast: Forecast | None = None
         if log_path is not None:
             self.log_to(log_path)
 
@@ -156,7 +180,8 @@ class Progress:
     @contextmanager
     def stage(self, name: str, total: float | None = None) -> Iterator[Step]:
         """A part of the run, or of a stage; ``total`` in any unit in which `Step.advance` counts."""
-        outermost = self._bars is None
+        outermost = not self._steps
+        ticking: AbstractContextManager[None] = nullcontext()
         if outermost and self.verbosity >= 0 and self._console.is_terminal:
             columns = (
                 TextColumn("{task.description}"),
@@ -166,16 +191,38 @@ class Progress:
             )
             self._bars = Bars(*columns, console=self._console, transient=True)
             self._bars.start()
-        elif outermost:
+        elif self._bars is None:
             self._said(f"{name} ...")
+            ticking = _Ticking(self) if outermost else ticking
         step = Step(self, name, total)
+        self._steps.append(step)
+        if outermost and self.forecast is not None:
+            with self.lock:
+                self.forecast.begin(name, time.monotonic())
         try:
-            yield step
+            with ticking:
+                yield step
         finally:
+            self._steps.remove(step)
             if outermost and self._bars is not None:
                 self._bars.stop()
                 self._bars = None
-        self._said(f"{name}: done in {clock(step.seconds)}")
+        if outermost and self.forecast is not None:
+            with self.lock:
+                self.forecast.end(name, time.monotonic())
+        of_run = self.look_ahead() if outermost else None
+        rest = "" if of_run is None or of_run < _LINE_EVERY_S else f", about {rough(of_run)} to the end of the run"
+        self._said(f"{name}: done in {clock(step.seconds)}{rest}")
+
+    def look_ahead(self) -> float | None:
+        """Time to the end of the run [s]; None where nothing is forecast, or before it is steady.
+
+        Whether it is steady is judged by the times that it was asked for.
+        """
+        with self.lock:
+            if self.forecast is None:
+                return None
+            return self.forecast.left_s(time.monotonic(), self._steps[0].seconds_left if self._steps else None)
 
     def note(self, text: str) -> None:
         """A line that the user should see."""
@@ -249,3 +296,12 @@ def clock(seconds: float) -> str:
     if minutes < 60:
         return f"{minutes} min {rest:02d} s"
     return f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def rough(seconds: float) -> str:
+    """A duration as estimates have it: 40 seconds, 12 minutes, 2.5 hours."""
+    if seconds < 90.0:
+        return f"{10 * math.ceil(seconds / 10.0)} seconds"
+    if seconds < 5400.0:
+        return f"{round(seconds / 60.0)} minutes"
+    return f"{seconds / 3600.0:.1f} hours"

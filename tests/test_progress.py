@@ -7,6 +7,7 @@ import io
 import pytest
 
 from survey import progress as progress_room
+from survey.forecast import Forecast
 from survey.progress import Progress, Step
 
 
@@ -52,10 +53,10 @@ def test_an_even_pace_tells_the_time_that_is_left(stage, clock):
 
 
 def test_nothing_is_told_from_too_small_a_share_or_too_short_a_time(stage, clock):
-    work(stage, clock, 4, 60.0)
+    work(stage, clock, 9, 60.0)
     assert stage.seconds_left is None
     work(stage, clock, 1, 60.0)
-    assert stage.seconds_left == pytest.approx(95 * 60.0)
+    assert stage.seconds_left == pytest.approx(90 * 60.0)
 
 
 def test_a_stage_that_is_quick_so_far_tells_nothing_in_its_first_seconds(stage, clock):
@@ -75,8 +76,19 @@ def test_a_first_advance_tells_no_pace(stage, clock):
     clock.now += 30.0
     stage.advance(10.0)
     assert stage.seconds_left is None
-    work(stage, clock, 1, 0.1)
-    assert stage.seconds_left == pytest.approx(8.9)
+    work(stage, clock, 1, 1.0)
+    assert stage.seconds_left is None
+    work(stage, clock, 1, 1.0)
+    assert stage.seconds_left == pytest.approx(88.0)
+
+
+def test_nothing_is_told_while_the_pace_changes(stage, clock):
+    work(stage, clock, 20, 0.5)
+    assert stage.seconds_left == pytest.approx(40.0)
+    work(stage, clock, 2, 10.0)
+    assert stage.seconds_left is None
+    work(stage, clock, 30, 10.0)
+    assert stage.seconds_left == pytest.approx(48 * 10.0)
 
 
 def test_one_slow_part_moves_the_estimate_by_its_share_of_the_later_half(stage, clock):
@@ -85,12 +97,12 @@ def test_one_slow_part_moves_the_estimate_by_its_share_of_the_later_half(stage, 
     assert stage.seconds_left == pytest.approx(59 * 23 / 20, rel=0.1)
 
 
-def test_the_time_runs_down_while_a_part_is_worked_on_and_not_below_zero(stage, clock):
+def test_the_time_runs_down_while_a_part_is_worked_on_and_ends_where_it_takes_longer(stage, clock):
     work(stage, clock, 50, 1.0)
     clock.now += 10.0
     assert stage.seconds_left == pytest.approx(40.0)
     clock.now += 100.0
-    assert stage.seconds_left == 0.0
+    assert stage.seconds_left is None
 
 
 def test_a_stage_without_a_total_tells_nothing(clock):
@@ -107,3 +119,23 @@ def test_a_terminal_shows_the_same_estimate_beside_the_bar(clock, monkeypatch):
         (task,) = progress._bars.tasks
         shown = [column(task) for column in progress._bars.columns]
     assert str(shown[-1]) == "1 min 00 s left"
+
+
+def test_a_run_with_a_forecast_says_when_it_will_end(clock):
+    stream = io.StringIO()
+    with Progress(stream=stream) as progress:
+        progress.forecast = Forecast()
+        progress.forecast.expect({"sweep": 100.0, "report": 50.0})
+        with progress.stage("sweep", total=100) as stage:
+            work(stage, clock, 40, 3.0)
+            assert stage.seconds_left == pytest.approx(180.0)
+            with progress.stage("a part of it", total=10) as part:
+                work(part, clock, 2, 0.0)
+            work(stage, clock, 60, 3.0)
+        clock.now += 10.0
+        with progress.stage("report"):
+            clock.now += 150.0
+    said = stream.getvalue()
+    assert "sweep:  20 %, 4 min 00 s left, about 6 minutes to the end of the run" in said
+    assert "sweep: done in 5 min 00 s, about 2 minutes to the end of the run" in said
+    assert said.rstrip().endswith("report: done in 2 min 30 s")

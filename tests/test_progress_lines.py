@@ -23,18 +23,21 @@ def test_stages_are_plain_lines_with_the_time_left_where_there_is_no_terminal(mo
         with progress.stage("sweep", total=4) as stage:
             assert stage.seconds_left is None
             for _ in range(3):
-                now[0] += 15.0
+                now[0] += 30.0
                 stage.advance(detail="0001.jpg")
+            now[0] += 60.0
+            stage.say_if_due()
         progress.detail("a detail")
         progress.warn("a doubt")
     assert without_times(stream.getvalue()).splitlines() == [
         "sweep ...",
-        "sweep:  50 %, 30 s left, 0001.jpg",
-        "sweep: done in 45 s",
+        "sweep:  50 %, 0001.jpg",
+        "sweep:  75 %",
+        "sweep: done in 2 min 30 s",
         "warning: a doubt",
     ]
     lines = [line.split(" ", 2)[2] for line in (tmp_path / "run" / "log.txt").read_text().splitlines()]
-    assert lines == [*without_times(stream.getvalue()).splitlines()[:3], "a detail", "warning: a doubt"]
+    assert lines == [*without_times(stream.getvalue()).splitlines()[:4], "a detail", "warning: a doubt"]
     assert progress_room.current() is not progress
 
 

@@ -45,6 +45,7 @@ SURVEY_SHARED = {
     "__init__.py",
     "code_hash.py",
     "errors.py",
+    "forecast.py",
     "lines.py",
     "machine.py",
     "names.py",

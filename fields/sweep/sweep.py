@@ -22,7 +22,7 @@ from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.queue import Job, in_turn
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import DepthMap, InOrder, Keep, enlarged_map, trusted
-from fields.sweep.passes import PASSES, Pass
+from fields.sweep.passes import PASSES, POINTS_SHARE, Pass
 from fields.sweep.tiles import PART_SIDE_PX
 from fields.sweep.view_pass import Area, match_pass, pixels_of, refine_part, view_passes
 from fields.sweep.views import Footprint
@@ -91,7 +91,10 @@ def sweep(
         pixels_of(block, p) * sum(len(peers[v]) for v in mine) if p.fuse else 0
         for p, mine in zip(passes, taking_part, strict=True)
     ]
-    total, done = sum(fused) + sum(each.samples for of_pass in work for each in of_pass), 0
+    # What samples of a pass count for the progress.
+    counts = [POINTS_SHARE if p.points_only else 1.0 for p in passes]
+    total = sum(fused) + sum(c * each.samples for c, of_pass in zip(counts, work, strict=True) for each in of_pass)
+    done = 0.0
     # By how much the windows of each view are wider than its pass has them [px].
     wider = dict.fromkeys(views, 0)
     wanted: dict[int, np.ndarray] = {}
@@ -114,7 +117,7 @@ def sweep(
                 taken[each.view] = of_view
             else:
                 wider[each.view] = of_view
-            done += each.samples
+            done += counts[number] * each.samples
             progress(done / total)
         if fused[number]:
             block.release(p.scale)

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from survey import machine
 from survey.adjust.adjustment import UNKNOWN, Adjustment
 from survey.adjust.applied import at_state
 from survey.adjust.assembling import result
@@ -34,8 +35,11 @@ from survey.adjust.windows_of_survey import measure_windows
 from survey.errors import SurveyError
 from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
+from survey.plan.choices import Choices
 from survey.plan.level_doubt import DOWN_DEG, GIVE_LEVEL, tilts_deg
 from survey.plan.plan import make_plan
+from survey.plan.rates import adjustment_s
+from survey.plan.workload import amounts_of_run
 
 _MARKS_STD_PX = 0.5
 # Windows are measured up to four times as well as matches, and are as many.
@@ -98,19 +102,21 @@ def _adjusted(
     """See `adjust_survey`; with the windows, where they were measured already."""
     gathered = _Gathered(survey, known, free_water)
     done: Adjusted | None = None
+    shares = [0.0, 0.9, 0.1]
     if survey.ties is not None:
+        shares = _shares(survey, device) if use_windows else [1.0, 0.0, 0.0]
         done = gathered.with_more(
             MATCH, dry_or_within_bounds(survey, survey.ties) if free_water else survey.ties, known
         )
         if use_windows and not survey.is_level_known and not free_water:
             _require_level(survey, done)
-        advance(0.3)
+        advance(shares[0])
     if use_windows:
         if windows is None:
-            windows = _windows_at(survey, done, device, lambda part: advance(0.6 * part))
+            windows = _windows_at(survey, done, device, lambda part: advance(shares[1] * part))
         start = known if done is None else _started(gathered.known, done)
         done = gathered.with_more(WINDOW, within_bounds(survey, windows) if free_water else windows, start)
-        advance(0.1)
+        advance(shares[2])
     assert done is not None
     against: list[Contradiction] = []
     if not free_water:
@@ -123,6 +129,13 @@ def _adjusted(
     if survey.doubt is not None and survey.doubt.is_of_lens:
         warnings.append(f"{survey.doubt}: the lens is found anew, under the poses that were given with it; correct it")
     return replace(found, warnings=(*found.warnings, *warnings))
+
+
+def _shares(survey: Survey, device: str) -> list[float]:
+    """Shares of the time of an adjustment: of matches, of windows, and of the adjustment of all."""
+    amounts = amounts_of_run(survey, make_plan(survey, Choices(device=device)))
+    seconds = adjustment_s(amounts, machine.num_cores())
+    return [each / sum(seconds) for each in seconds]
 
 
 def _require_level(survey: Survey, done: Adjusted) -> None:

@@ -19,10 +19,12 @@ from fields.sweep.block import Block
 from fields.sweep.maps import DepthMap, trusted
 from fields.sweep.passes import PASSES
 from fields.sweep.sweep import sweep
+from fields.sweep.view_pass import view_passes
 from refract import FlatWater, PinholeCamera
 from survey.adjust.matching import RADIUS, match, prepared, window
 from survey.photos.tie_points import TiePoints
 from survey.plan.area import within
+from survey.plan.rates import STEPS_PER_CORE_S, search_s
 
 # The coarse sweep: approximate heights of the bed. Beside steps, where there are no windows, nothing more is searched.
 _SWEPT = (PASSES[0], replace(PASSES[1], fuse=True, search=None))
@@ -98,13 +100,14 @@ def measure(
     TiePoints, in the pixels of the block's images
     """
     block.look_at(0.5 * (bound[0] + bound[1]))
-    shares = [0.0]
+    chosen, shares = block.cover(*_TIMES_SEEN, area), [0.0]
+    of_sweep = _share_of_sweep(block, chosen, bound)
 
-    def halfway(share: float) -> None:
-        advance(0.5 * (share - shares[-1]))
+    def swept(share: float) -> None:
+        advance(of_sweep * (share - shares[-1]))
         shares.append(share)
 
-    maps = sweep(block, block.cover(*_TIMES_SEEN, area), bound, halfway, _SWEPT)
+    maps = sweep(block, chosen, bound, swept, _SWEPT)
     windows = [w for w in (_windows_of(block, depth_map, area, density) for depth_map in maps) if len(w.corners)]
     parts: list[list[tuple[np.ndarray, int, np.ndarray]]] = [
         [(np.arange(len(w.corners)), w.view, w.corners)] for w in windows
@@ -114,8 +117,15 @@ def measure(
         for other, found in enumerate(pool.map(partial(_found_in, block, windows), range(len(block.cameras)))):
             for i, index, pixels in found:
                 parts[i].append((index, other, pixels))
-            advance(0.5 / len(block.cameras))
+            advance((1.0 - of_sweep) / len(block.cameras))
     return _joined(windows, parts)
+
+
+def _share_of_sweep(block: Block, chosen: list[int], bound: tuple[float, float]) -> float:
+    """The share of the time that the sweep takes; the search for windows takes the rest."""
+    work = [each for n, p in enumerate(_SWEPT) for each in view_passes(block, chosen, p, None if n else bound)]
+    sweep_s = sum(each.samples for each in work) / STEPS_PER_CORE_S
+    return sweep_s / (sweep_s + search_s(len(block.cameras)))
 
 
 def _found_in(block: Block, windows: list[_Windows], other: int) -> list[tuple[int, np.ndarray, np.ndarray]]:

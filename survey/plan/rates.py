@@ -8,22 +8,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fields.sweep.passes import PASSES, before_solver
+from fields.sweep.passes import PASSES, POINTS_SHARE, Pass, before_solver
 
 # The first pass of the sweep tries as many heights as its bound holds.
 FIRST_RUNGS = 25
 # Pixels times heights times neighbours of the sweep that one core compares in a second, by Dr.Jit on LLVM, with the
 # search beside steps.
 STEPS_PER_CORE_S = 55e6
-# Share of the pixels that passes of points alone take, with the halos of their tiles: a seventh of data/river, a fifth
-# of data/wreck_water, half of data/quick, whose 21 photographs see little ground.
-_POINTS = 0.25
-# Imports, hashes, report: of any run; kernels, which are made by all cores.
-_START_S, _KERNELS_S = 4.5, 2.0
+# Imports and hashes, and the report: of any run; kernels, which are made by all cores.
+_START_S, _REPORT_S, _KERNELS_S = 2.5, 2.0, 2.0
 # Check of the poses of so many photographs, and adjustment of all, at no more than so many megapixels each: once, and
 # per megapixel.
 _CHECKED, _MOST_MPX = 10, 6.0
 _CHECK_S, _ADJUST_S = (2.5, 0.1), (2.0, 2.0)
+# Windows of an adjustment: decoding and range of heights, once; searching for those of a photograph in the others, by
+# all cores. An adjustment, once and per photograph; there are two, of matches and of all.
+_WINDOWS_S, _SEARCH_S, _SOLVING_S = 2.5, 0.4, (1.0, 0.25)
+# Structure from motion: features of a megapixel, by all cores; a pair, by two; a photograph that is placed.
+_FEATURES_S, _PAIR_S, _PLACING_S = 0.6, 0.1, 0.1
+_MATCHING_CORES = 2
+SFM_PARTS = ("Features", "Matches", "Structure from motion")
 # Decoding a megapixel; bed and report, per point.
 _DECODING_S, _POINT_S = 0.02, 3e-6
 # The range of heights, of photographs as large as its thumbnails or larger.
@@ -53,6 +57,8 @@ class Amounts:
     poses : "check", "refine" or "fixed"
         What is done with them first.
     solves : bool
+    first_hypotheses : float
+        Heights that the first pass of the sweep tries.
     """
 
     num_views: int
@@ -63,21 +69,62 @@ class Amounts:
     field_cells: float
     poses: str
     solves: bool
+    first_hypotheses: float = FIRST_RUNGS
 
 
 def run_s(amounts: Amounts, num_cores: int) -> float:
     """A whole run on idle cores [s]: what one thread does, and what all cores share."""
-    one = _START_S + poses_s(amounts.poses, amounts.photographs_mpx, amounts.num_views)
-    one += _RANGE_S * min(amounts.largest_px / _THUMBNAIL_PX, 1.0)
-    one += _DECODING_S * amounts.photographs_mpx + _POINT_S * amounts.points
-    samples = amounts.map_px * sum(
-        p.scale**2 * (p.hypotheses or FIRST_RUNGS) * p.neighbours * (_POINTS if p.points_only else 1.0)
-        for p in (before_solver(PASSES) if amounts.solves else PASSES)
-    )
-    shared = _KERNELS_S + samples / STEPS_PER_CORE_S + _FIELD_S_PER_CELL * amounts.field_cells
+    return _START_S + sum(parts_s(amounts, num_cores).values())
+
+
+def parts_s(amounts: Amounts, num_cores: int) -> dict[str, float]:
+    """The parts of a run on idle cores [s], by the names of their stages, in their order."""
+    parts = {"Images": _DECODING_S * amounts.photographs_mpx}
+    if amounts.poses == "check":
+        parts["Poses"] = poses_s("check", amounts.photographs_mpx, amounts.num_views)
+    elif amounts.poses == "refine":
+        parts = {"Adjustment": sum(adjustment_s(amounts, num_cores))} | parts
+    passes = before_solver(PASSES) if amounts.solves else PASSES
+    shared = _KERNELS_S + _samples(amounts, passes) / STEPS_PER_CORE_S
+    parts["Sweep"] = _RANGE_S * min(amounts.largest_px / _THUMBNAIL_PX, 1.0) + shared / num_cores
     if amounts.solves:
-        shared += _SOLVER_S[0] + _SOLVER_S[1] * amounts.map_px
-    return one + shared / num_cores
+        parts["Solver"] = (_SOLVER_S[0] + _SOLVER_S[1] * amounts.map_px) / num_cores
+    if amounts.field_cells:
+        parts["Field"] = _FIELD_S_PER_CELL * amounts.field_cells / num_cores
+    return parts | {"Bed": 0.5 * _POINT_S * amounts.points, "Report": _REPORT_S + 0.5 * _POINT_S * amounts.points}
+
+
+def adjustment_s(amounts: Amounts, num_cores: int) -> tuple[float, float, float]:
+    """Of an adjustment of matches, of windows, and of an adjustment of all [s]."""
+    solving = _SOLVING_S[0] + _SOLVING_S[1] * amounts.num_views
+    shared = _samples(amounts, PASSES[:2]) / STEPS_PER_CORE_S + search_s(amounts.num_views)
+    return solving, _WINDOWS_S + _DECODING_S * amounts.photographs_mpx + shared / num_cores, solving
+
+
+def search_s(num_views: int) -> float:
+    """Of the search for windows in so many photographs, by one core [s]."""
+    return _SEARCH_S * num_views
+
+
+def sfm_s(features_mpx: float, num_views: int, num_pairs: int, num_cores: int) -> dict[str, float]:
+    """The parts of structure from motion [s], by the names of their stages, in their order.
+
+    ``features_mpx`` [Mpx] are those of the photographs at the size at which features are looked for.
+    """
+    seconds = (
+        _FEATURES_S * features_mpx / num_cores,
+        _PAIR_S * num_pairs / min(num_cores, _MATCHING_CORES),
+        _PLACING_S * num_views,
+    )
+    return dict(zip(SFM_PARTS, seconds, strict=True))
+
+
+def _samples(amounts: Amounts, passes: tuple[Pass, ...]) -> float:
+    def of(p: Pass) -> float:
+        tried = (p.hypotheses or amounts.first_hypotheses) * p.neighbours
+        return p.scale**2 * tried * (POINTS_SHARE if p.points_only else 1.0)
+
+    return amounts.map_px * sum(of(p) for p in passes)
 
 
 def poses_s(poses: str, photographs_mpx: float, num_views: int) -> float:

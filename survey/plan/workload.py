@@ -7,7 +7,7 @@ the arrays which docs/notes/performance.md names; measured were 0.5 GB (quick) t
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,16 +15,21 @@ import numpy as np
 
 from fields.sweep.block import Overlap
 from fields.sweep.kernels.stack import FEWEST_KEPT, KEPT_BYTES
+from fields.sweep.passes import PASSES
 from survey import machine
 from survey.errors import SurveyError
+from survey.folder.found import Found
 from survey.folder.survey import Survey
-from survey.plan.area import AREA_MARGIN_M, grown, local_area
+from survey.plan.area import AREA_MARGIN_M, grown, limits, local_area
 from survey.plan.block import camera_of
+from survey.plan.choices import Choices
 from survey.plan.ground import dry_ground
 from survey.plan.image_size import image_scale
 from survey.plan.plan import Plan
-from survey.plan.rates import Amounts, run_s
+from survey.plan.rates import FIRST_RUNGS, SFM_PARTS, Amounts, parts_s, run_s, sfm_s
 from survey.plan.recipe import RECIPES
+from survey.progress import rough
+from survey.sfm.settings import FEATURES_PX, pairs_about
 
 # In it the samples of the ladders, of which there are as many at a time whatever the survey.
 _BASE_BYTES = 480e6
@@ -48,6 +53,8 @@ _BYTES_OF_FIELD, _BYTES_OF_RAYS, _RAYS_OF_CELLS = 400, 1000, 500_000
 _DISK_OF_MAP, _DISK_OF_CELL, _DISK_AT_LEAST, _DISK_OF_SFM = 18, 140, 30e6, 4e6
 # With more views than this, choosing those that cover the bed takes too long here: all count, as a bound.
 _MOST_VIEWS = 2000
+# Views that stand for all where heights of the first pass are counted.
+_SAMPLE = 5
 # Without poses: cells of the bed per pixel; with the usual overlap a place is seen ten times or more.
 _OWN_GROUND = 0.1
 
@@ -72,6 +79,8 @@ class Workload:
         all of them count.
     slowness : float or None
         How many times as long as on idle cores the seconds are; None for idle ones.
+    sfm_seconds : float or None
+        Of structure from motion, where it is a part of the run; the seconds are no bound then.
     """
 
     num_views: int
@@ -82,10 +91,14 @@ class Workload:
     disk_bytes: int
     is_bound: bool = False
     slowness: float | None = None
+    sfm_seconds: float | None = None
 
     def on_busy(self, slowness: float) -> Workload:
         """The same on cores that take ``slowness`` times as long as idle ones."""
-        return self if self.seconds is None else replace(self, seconds=self.seconds * slowness, slowness=slowness)
+        if self.seconds is None:
+            return self
+        of_sfm = None if self.sfm_seconds is None else self.sfm_seconds * slowness
+        return replace(self, seconds=self.seconds * slowness, sfm_seconds=of_sfm, slowness=slowness)
 
     @property
     def most(self) -> str:
@@ -95,16 +108,17 @@ class Workload:
     def __str__(self) -> str:
         """In words, as `check` and `process` say it."""
         room = f"{self.most}{_size(self.memory_bytes)} of memory and {_size(self.disk_bytes)} on the disk"
-        if self.is_bound and self.seconds is None:
-            return f"{room}; time is known when the poses are"
         maps = f"{self.num_maps} of {self.num_views} views get a height map"
         if self.seconds is None:
             return f"{room}; {maps}; no time was measured on such a device"
         cores = "core" if self.num_cores == 1 else "cores"
-        if self.slowness is None:
-            return f"{self.most}{_duration(self.seconds)} on {self.num_cores} idle {cores}, {room}; {maps}"
-        busy = f"{self.num_cores} {cores} {busy_in_words(self.slowness)}"
-        return f"{self.most}{_duration(self.seconds)} on {busy}, {room}; {maps}"
+        state = f"{self.num_cores} idle {cores}"
+        if self.slowness is not None:
+            state = f"{self.num_cores} {cores} {busy_in_words(self.slowness)}"
+        if self.sfm_seconds is not None:
+            of_sfm = f"{rough(self.sfm_seconds)} of them for structure from motion"
+            return f"about {rough(self.seconds)} on {state}, {of_sfm}, longer where photographs match badly; {room}"
+        return f"{self.most}{rough(self.seconds)} on {state}, {room}; {maps}"
 
 
 def busy_in_words(slowness: float) -> str:
@@ -122,21 +136,58 @@ def workload_of(survey: Survey, plan: Plan) -> Workload:
     """
     pixels, chosen, num_cells = amounts_of(survey, plan)
     largest = max(view.lens.width * view.lens.height for view in survey.views)
-    field = num_cells if plan.field == "slab" else 0.0
-    solves = plan.field == "solver"
-    amounts = Amounts(
+    amounts = _amounts(survey, plan, pixels, chosen, num_cells)
+    field, solves = amounts.field_cells, amounts.solves
+    seconds = run_s(amounts, machine.num_cores()) if plan.device == "llvm" else None
+    found = _workload(pixels, pixels[chosen], largest, num_cells, field, solves)
+    return replace(found, seconds=seconds, is_bound=len(pixels) > _MOST_VIEWS)
+
+
+def amounts_of_run(survey: Survey, plan: Plan) -> Amounts:
+    """How much there is to do in a run.
+
+    Raises
+    ------
+    SurveyError
+        If no view looks down.
+    """
+    return _amounts(survey, plan, *amounts_of(survey, plan))
+
+
+def _amounts(survey: Survey, plan: Plan, pixels: np.ndarray, chosen: list[int], num_cells: float) -> Amounts:
+    return Amounts(
         num_views=len(pixels),
         photographs_mpx=sum(view.lens.width * view.lens.height for view in survey.views) / 1e6,
         largest_px=float(np.max(pixels)),
         map_px=float(np.sum(pixels[chosen])),
         points=num_cells,
-        field_cells=field,
+        field_cells=num_cells if plan.field == "slab" else 0.0,
         poses=plan.poses[0],
-        solves=solves,
+        solves=plan.field == "solver",
+        first_hypotheses=_first_hypotheses(survey, plan),
     )
-    seconds = run_s(amounts, machine.num_cores()) if plan.device == "llvm" else None
-    found = _workload(pixels, pixels[chosen], largest, num_cells, field, solves)
-    return replace(found, seconds=seconds, is_bound=len(pixels) > _MOST_VIEWS)
+
+
+def _first_hypotheses(survey: Survey, plan: Plan) -> float:
+    """Heights that the first pass tries: by the range of heights, where something tells it, else as usual.
+
+    Without matched points or [area] heights the range is wide, and thumbnails narrow it.
+    """
+    is_told = survey.config.area.heights is not None or survey.points is not None
+    if not is_told or len(survey.views) > _MOST_VIEWS:
+        return FIRST_RUNGS
+    low, high = limits(survey)
+    try:
+        overlap = Overlap([camera_of(view, plan) for view in survey.views], survey.water, 0.5 * (low + high))
+    except ValueError:
+        return FIRST_RUNGS
+    counts = []
+    for view in np.unique(np.linspace(0, len(survey.views) - 1, _SAMPLE).astype(int)).tolist():
+        others = overlap.neighbours(view, PASSES[0].neighbours)
+        if others:
+            parallax = PASSES[0].scale * overlap.parallax(view, others, overlap.height)
+            counts.append((high - low) * parallax / PASSES[0].step_px + 1.0)
+    return float(np.median(counts)) if counts else FIRST_RUNGS
 
 
 def amounts_of(survey: Survey, plan: Plan) -> tuple[np.ndarray, list[int], float]:
@@ -167,20 +218,53 @@ def amounts_of(survey: Survey, plan: Plan) -> tuple[np.ndarray, list[int], float
     return pixels, chosen, num_cells
 
 
-def workload_of_images(sizes: Iterable[tuple[int, int]], *, quality: str, scale: float | None = None) -> Workload:
-    """An upper bound for images (width, height) without poses; structure from motion adds to it.
+def workload_of_found(found: Found, chosen: Choices) -> Workload:
+    """Of photographs without poses, an upper bound of the room; the time with structure from motion."""
+    sizes = [head.size_px for head in found.heads.values()]
+    return workload_of_images(sizes, quality=chosen.quality, scale=chosen.image_scale)
 
-    They are worked on at a scale; by default that of the quality.
-    """
+
+def parts_of_found(found: Found, chosen: Choices) -> dict[str, float]:
+    """What the parts of a run take that begins with structure from motion [s], by the names of their stages."""
+    sizes = [head.size_px for head in found.heads.values()]
+    return _parts_of_images(sizes, _scale_of(sizes, chosen.quality, chosen.image_scale), chosen.quality)
+
+
+def workload_of_images(sizes: Iterable[tuple[int, int]], *, quality: str, scale: float | None = None) -> Workload:
+    """The same for images (width, height), worked on at a scale; by default that of the quality."""
     sizes = list(sizes)
-    if scale is None:
-        scale = min(image_scale(width, height, RECIPES[quality].megapixels) for width, height in sizes)
+    scale = _scale_of(sizes, quality, scale)
     pixels = np.array([width * height for width, height in sizes]) * scale**2
     num_cells = _OWN_GROUND * float(pixels.sum())
     largest = max(width * height for width, height in sizes)
     found = _workload(pixels, pixels, largest, num_cells, 0.0, RECIPES[quality].field == "solver")
     disk = found.disk_bytes + int(_DISK_OF_SFM * len(sizes))
-    return replace(found, disk_bytes=disk, is_bound=True)
+    parts = _parts_of_images(sizes, scale, quality)
+    seconds, of_sfm = sum(parts.values()), sum(parts[name] for name in SFM_PARTS)
+    return replace(found, disk_bytes=disk, is_bound=True, seconds=seconds, sfm_seconds=of_sfm)
+
+
+def _scale_of(sizes: Sequence[tuple[int, int]], quality: str, scale: float | None) -> float:
+    if scale is not None:
+        return scale
+    return min(image_scale(width, height, RECIPES[quality].megapixels) for width, height in sizes)
+
+
+def _parts_of_images(sizes: Sequence[tuple[int, int]], scale: float, quality: str) -> dict[str, float]:
+    whole = sum(width * height for width, height in sizes) / 1e6
+    amounts = Amounts(
+        num_views=len(sizes),
+        photographs_mpx=whole,
+        largest_px=scale**2 * max(width * height for width, height in sizes),
+        map_px=scale**2 * whole * 1e6,
+        points=_OWN_GROUND * scale**2 * whole * 1e6,
+        field_cells=0.0,
+        poses="refine",
+        solves=RECIPES[quality].field == "solver",
+    )
+    looked_at = sum(w * h * min(1.0, FEATURES_PX / max(w, h)) ** 2 for w, h in sizes) / 1e6
+    cores = machine.num_cores()
+    return sfm_s(looked_at, len(sizes), pairs_about(len(sizes)), cores) | parts_s(amounts, cores)
 
 
 def require_room(workload: Workload, run_folder: Path) -> list[str]:
@@ -267,14 +351,6 @@ def _kept(pixels, of_what: tuple[float, float, int]) -> float:
 def _cell_area(cells: np.ndarray) -> float:
     """Area [m^2] of one cell of a regular grid (N, 3)."""
     return float(np.diff(np.unique(cells[:, 0])).min() * np.diff(np.unique(cells[:, 1])).min())
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 90.0:
-        return f"{10 * math.ceil(seconds / 10.0)} seconds"
-    if seconds < 5400.0:
-        return f"{round(seconds / 60.0)} minutes"
-    return f"{seconds / 3600.0:.1f} hours"
 
 
 def _free(num_bytes: float) -> str:

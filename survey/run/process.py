@@ -13,6 +13,7 @@ from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING
 
+from survey import machine
 from survey.display.quantities import length
 from survey.errors import SurveyError
 from survey.files.outputs import ReadFiles, require_folder
@@ -20,12 +21,14 @@ from survey.folder.config_process import ProcessConfig
 from survey.folder.found import Found, process_config
 from survey.folder.inputs import survey_inputs
 from survey.folder.survey import Survey, load_survey
+from survey.forecast import Forecast
 from survey.names import RUN_FOLDER
 from survey.plan.aim import aim_and_choices
 from survey.plan.check import Checked, require_processable
 from survey.plan.choices import Choices, Device
 from survey.plan.plan import device_decision, make_plan
-from survey.plan.workload import require_room, workload_of
+from survey.plan.rates import parts_s
+from survey.plan.workload import amounts_of_run, parts_of_found, require_room, workload_of, workload_of_found
 from survey.progress import Progress, opened
 from survey.run.aimed import Aimed
 from survey.run.beginning import begin_aimed, require_some_time
@@ -38,6 +41,8 @@ if TYPE_CHECKING:
     from survey.run.job import Job
 
 QUALITY_GATE_FAILED = 3
+# From this on how busy the machine is counts in what is said of the time.
+_BUSY = 1.3
 
 
 def process(
@@ -131,6 +136,8 @@ def process(
         progress.log_to(run.log_path)
         if checked.level_doubt is not None:
             progress.warn(checked.level_doubt)
+        if aim is None:
+            _forecast(progress, checked, chosen)
         survey = checked.survey or load_survey(
             survey_folder, found=checked.found, workspace=run.sfm_path, report=progress.note
         )
@@ -171,6 +178,18 @@ def _require_possible(survey_folder: Path, chosen: Choices) -> Checked:
     return checked
 
 
+def _forecast(progress: Progress, checked: Checked, chosen: Choices) -> None:
+    """Let the run say how long it will take: by stated rates and how busy the machine is, until its parts tell."""
+    progress.forecast = Forecast(machine.load().slowness)
+    if checked.survey is not None:
+        return
+    workload = workload_of_found(checked.found, chosen)
+    progress.forecast.expect(parts_of_found(checked.found, chosen))
+    if (slowness := progress.forecast.slowness) >= _BUSY:
+        workload = workload.on_busy(slowness)
+    progress.note(f"workload: {workload}")
+
+
 def _announce(progress: Progress, survey: Survey, chosen: Choices, aimed: Aimed | None, run_folder: Path) -> None:
     """Say what is going to be done and what it takes; raise where the machine cannot."""
     plan = make_plan(survey, chosen, recipe=None if aimed is None else aimed.recipe)
@@ -181,12 +200,16 @@ def _announce(progress: Progress, survey: Survey, chosen: Choices, aimed: Aimed 
         progress.warn(text)
     for decision in plan.decisions:
         progress.note(f"plan: {decision.name}: {decision.choice} ({decision.reason})")
-    # An aim may come to need all that its ladder has.
-    workload = (
-        workload_of(survey, plan)
-        if aimed is None
-        else workload_of(survey, make_plan(survey, chosen, recipe=aimed.ladder[-1])).on_busy(aimed.pace.slow)
-    )
+    if aimed is not None:
+        # An aim may come to need all that its ladder has.
+        top = make_plan(survey, chosen, recipe=aimed.ladder[-1])
+        workload = workload_of(survey, top).on_busy(aimed.pace.slow)
+    else:
+        workload = workload_of(survey, plan)
+        if progress.forecast is not None and plan.device == "llvm":
+            progress.forecast.expect(parts_s(amounts_of_run(survey, plan), machine.num_cores()))
+            slowness = progress.forecast.slowness
+            workload = workload if slowness < _BUSY else workload.on_busy(slowness)
     progress.note(f"workload: {'' if aimed is None else 'at the top of the ladder, '}{workload}")
     for text in require_room(workload, run_folder):
         progress.warn(text)

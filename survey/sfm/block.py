@@ -8,8 +8,8 @@ from __future__ import annotations
 
 # pycolmap 4.2.1 bundles its own zlib; if that is loaded before the system's, reading a PNG file corrupts the heap.
 import zlib  # noqa: F401
-from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,8 +19,11 @@ from scipy.spatial import cKDTree
 
 from geo.similarity import Similarity
 from refract.lens import Lens
+from survey import machine
 from survey.photos.tie_points import MIN_TRACK, TiePoints
+from survey.progress import current
 from survey.sfm.features import features_of
+from survey.sfm.settings import ALL_PAIRS_UP_TO, NEIGHBOURS
 
 if TYPE_CHECKING:
     import pycolmap
@@ -35,9 +38,10 @@ MODEL = "RADIAL"
 _MOST_FEATURES = 4096
 # All images are adjusted whenever their number, or that of the points, has grown by this factor.
 _GROWN = 1.3
-# Up to this many images every pair is tried, beyond it each image with its nearest neighbours.
-_ALL_PAIRS_UP_TO = 40
-_NEIGHBOURS = 20
+# Pairs that are matched between two words on the progress, at least.
+_PAIRS_AT_ONCE = 100
+# Of a photograph while its features are looked for, and photographs at a time, at most.
+_BYTES_OF_FEATURES, _MOST_AT_ONCE = 2.0e9, 4
 _MIN_IMAGES = 3
 _ERRORS_ONLY = 2
 
@@ -98,12 +102,18 @@ def solve_block(
 
 def _extract(database: Path, folder: Path, names: Sequence[str]) -> None:
     colmap = _pycolmap()
-    with colmap.Database.open(database) as opened:
-        for name in names:
+    at_once = min(machine.num_cores(), _MOST_AT_ONCE, int(machine.free_memory_bytes() / _BYTES_OF_FEATURES))
+    with (
+        colmap.Database.open(database) as opened,
+        current().stage("Features", len(names)) as step,
+        ThreadPoolExecutor(max(at_once, 1)) as pool,
+    ):
+        found = pool.map(lambda name: features_of(folder / name, _MOST_FEATURES), names)
+        for name, (keypoints, descriptors) in zip(names, found, strict=True):
             number = opened.read_image_with_name(name).image_id
-            keypoints, descriptors = features_of(folder / name, _MOST_FEATURES)
             opened.write_keypoints(number, keypoints)
             opened.write_descriptors(number, colmap.FeatureDescriptors(colmap.FeatureExtractorType.SIFT, descriptors))
+            step.advance()
 
 
 def _pycolmap():
@@ -124,13 +134,13 @@ def _reader(sensor: Sensor) -> pycolmap.ImageReaderOptions:
 
 def image_pairs(names: Sequence[str], positions: Mapping[str, np.ndarray]) -> list[tuple[str, str]]:
     """Pairs of images that may overlap: all of a small survey, else neighbours by position."""
-    if len(names) <= _ALL_PAIRS_UP_TO:
+    if len(names) <= ALL_PAIRS_UP_TO:
         return [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
     placed = [name for name in names if name in positions]
     if len(placed) < 2:
         return [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
     points = np.array([positions[name][:2] for name in placed])
-    _, nearest = cKDTree(points).query(points, k=min(_NEIGHBOURS + 1, len(placed)))
+    _, nearest = cKDTree(points).query(points, k=min(NEIGHBOURS + 1, len(placed)))
     pairs = {tuple(sorted((placed[i], placed[j]))) for i, row in enumerate(nearest) for j in row if i != j}
     lost = set(names) - set(placed)
     pairs |= {tuple(sorted((a, b))) for a in lost for b in names if a != b}
@@ -145,10 +155,15 @@ def _match(database: Path, pairs: Sequence[tuple[str, str]], work: Path) -> None
         colmap.TwoViewGeometryOptions(),
     )
     pairing.match_list_path = work / "pairs.txt"
-    pairing.match_list_path.write_text("".join(f"{a} {b}\n" for a, b in pairs), encoding="utf-8")
     matching.num_threads, matching.use_gpu = _THREADS, False
     verification.ransac.random_seed = _SEED
-    colmap.match_image_pairs(database, matching, pairing, verification, colmap.Device.cpu)
+    at_once = max(_PAIRS_AT_ONCE, len(pairs) // 20)
+    with current().stage("Matches", len(pairs)) as step:
+        for first in range(0, len(pairs), at_once):
+            some = pairs[first : first + at_once]
+            pairing.match_list_path.write_text("".join(f"{a} {b}\n" for a, b in some), encoding="utf-8")
+            colmap.match_image_pairs(database, matching, pairing, verification, colmap.Device.cpu)
+            step.advance(len(some))
 
 
 def _map(
@@ -160,15 +175,11 @@ def _map(
     options.ba_global_frames_ratio = options.ba_global_points_ratio = _GROWN
     options.mapper.ba_global_ignore_redundant_points3D = True
     options.extract_colors = False
-    placed = Counter(images=2)
-
-    def next_image() -> None:
-        placed["images"] += 1
-        if placed["images"] % max(5, num // 10) == 0:
-            say(f"structure from motion: {placed['images']} of {num} images placed")
-
     say("structure from motion: poses")
-    blocks = colmap.incremental_mapping(database, folder, work, options, next_image_callback=next_image)
+    with current().stage("Structure from motion", num) as step:
+        # The first two come together.
+        step.advance(2.0)
+        blocks = colmap.incremental_mapping(database, folder, work, options, next_image_callback=step.advance)
     return sorted(blocks.values(), key=lambda block: (-block.num_reg_images(), -block.num_points3D()))
 
 

@@ -12,9 +12,8 @@ import numpy as np
 
 from survey.photos.images import eight_bits
 from survey.photos.pixels import read_rgb
+from survey.sfm.settings import FEATURES_PX
 
-# Longest side [px] of a photograph for detection; larger ones are reduced.
-_SIZE_PX = 3200
 # Extrema of less contrast are noise; the limit is that of pycolmap.
 _CONTRAST = 0.02
 # A descriptor's numbers are shares of its whole, of which a byte has so many steps.
@@ -45,7 +44,7 @@ def features_of(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
         If the photograph is damaged or cannot be read.
     """
     pixels = cv2.cvtColor(eight_bits(read_rgb(path)), cv2.COLOR_RGB2GRAY)
-    shrunk = min(1.0, _SIZE_PX / max(pixels.shape))
+    shrunk = min(1.0, FEATURES_PX / max(pixels.shape))
     if shrunk < 1.0:
         pixels = cv2.resize(pixels, None, fx=shrunk, fy=shrunk, interpolation=cv2.INTER_AREA)
     sift = cv2.SIFT.create(nfeatures=0, contrastThreshold=_CONTRAST, enable_precise_upscale=True)

@@ -9,6 +9,18 @@ from pathlib import Path
 from survey.errors import FILE_NAME, ImageError, SurveyError
 from survey.photos.exif import Exif
 
+# Longest side [px] of a photograph for the detection of features; larger ones are reduced.
+FEATURES_PX = 3200
+# Up to so many images every pair is tried, beyond it each image with its nearest neighbours.
+ALL_PAIRS_UP_TO, NEIGHBOURS = 40, 20
+# Of two neighbours, most have each other: so many pairs come of a neighbour.
+_PAIRS_OF_NEIGHBOUR = 0.65
+
+
+def pairs_about(num: int) -> int:
+    """How many pairs of so many images are matched, about."""
+    return num * (num - 1) // 2 if num <= ALL_PAIRS_UP_TO else round(_PAIRS_OF_NEIGHBOUR * NEIGHBOURS * num)
+
 
 def require_solver(module: str = "pycolmap") -> None:
     """Raise SurveyError where structure from motion is not installed: there is no pycolmap for every machine."""

@@ -1,0 +1,167 @@
+"""How long work will still take: a step by its own pace, a run by the pace of its parts.
+
+Nothing is said before it is steady: until a tenth of the work is done, and while estimates of the later half of the
+time differ by more than half of the smallest.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+# Of the work, and time [s], before which a pace is too uncertain; largest estimate over smallest that counts as steady.
+_LEAST_SHARE, _LEAST_S, _STEADY = 0.1, 5.0, 1.5
+# Of what a run is expected to take, the share of the parts whose pace is known: photographs that match badly slow down
+# the sweep and not the search for features.
+_LEAST_TOLD = 0.25
+# Estimates that are compared are so long apart [s].
+_APART_S = 1.0
+
+
+class Steady:
+    """Whether estimates of one whole, made as time goes on, agree."""
+
+    def __init__(self) -> None:
+        # The last estimate before the middle of the time since the first, and all that follow.
+        self._made: deque[tuple[float, float]] = deque()
+        self._first: float | None = None
+
+    def add(self, now: float, whole: float) -> None:
+        """Take in an estimate [s] made at a time."""
+        self._first = now if self._first is None else self._first
+        if len(self._made) > 1 and now - self._made[-1][0] < _APART_S:
+            return
+        self._made.append((now, whole))
+        _forget(self._made, 0.5 * (self._first + now))
+
+    @property
+    def agrees(self) -> bool:
+        """Whether those of the later half of the time are alike."""
+        values = [whole for _, whole in self._made]
+        return len(values) > 1 and bool(max(values) <= _STEADY * min(values))
+
+
+class Pace:
+    """The pace of a step whose total is known.
+
+    Parameters
+    ----------
+    start : float
+        Time [s] by a clock that only rises, as all others here.
+    """
+
+    def __init__(self, start: float):
+        self._start = start
+        # When how much was done. Nothing stands for the start: until the first advance a step loads and compiles.
+        self._history: deque[tuple[float, float]] = deque()
+        self._first_advance = start
+        self._steady = Steady()
+
+    def advance(self, now: float, done: float, total: float | None) -> None:
+        """Take in that so much of the total is done."""
+        if not self._history:
+            self._first_advance = now
+        self._history.append((now, done))
+        _forget(self._history, 0.5 * (self._first_advance + now))
+        needed = None if total is None else self._needed(total)
+        if needed is not None:
+            self._steady.add(now, now - self._first_advance + needed)
+
+    def left_s(self, now: float, total: float | None) -> float | None:
+        """Estimate by the pace over the later half of the time since the first advance [s].
+
+        None before it is steady, and where the step takes longer than the estimate said.
+        """
+        if not total or not self._history or not self._steady.agrees:
+            return None
+        last, done = self._history[-1]
+        needed = self._needed(total)
+        if needed is None or done < _LEAST_SHARE * total or now - self._start < _LEAST_S:
+            return None
+        left = needed - (now - last)
+        return left if left > 0.0 or done >= total else None
+
+    def _needed(self, total: float) -> float | None:
+        """Time [s] from the last advance to the end."""
+        (then, before), (last, done) = self._history[0], self._history[-1]
+        if done <= before:
+            return None
+        return (last - then) * max(total - done, 0.0) / (done - before)
+
+
+def _forget(entries: deque[tuple[float, float]], middle: float) -> None:
+    """Keep the last entry before a time, and all that follow."""
+    while len(entries) > 2 and entries[1][0] <= middle:
+        entries.popleft()
+
+
+@dataclass
+class _Part:
+    expected_s: float
+    began: float | None = None
+    took_s: float | None = None
+
+
+@dataclass
+class Forecast:
+    """What a run will still take.
+
+    Attributes
+    ----------
+    slowness : float
+        How many times as long as stated rates say work takes on this machine, until parts of the run tell.
+    """
+
+    slowness: float = 1.0
+    _parts: dict[str, _Part] = field(default_factory=dict)
+    _steady: Steady = field(default_factory=Steady)
+    _start: float | None = None
+
+    def expect(self, expected_s: Mapping[str, float]) -> None:
+        """Take in what parts take by stated rates [s], in their order; those that have begun keep what was expected."""
+        begun = {name: part for name, part in self._parts.items() if part.began is not None}
+        self._parts = begun | {name: _Part(seconds) for name, seconds in expected_s.items() if name not in begun}
+
+    def begin(self, name: str, now: float) -> None:
+        """Say that a part begins; parts before it that did not are left out. Other names count for nothing."""
+        self._start = now if self._start is None else self._start
+        if name not in self._parts:
+            return
+        names = list(self._parts)
+        for skipped in names[: names.index(name)]:
+            if self._parts[skipped].began is None:
+                del self._parts[skipped]
+        self._parts[name].began = now
+
+    def end(self, name: str, now: float) -> None:
+        """Say that a part is done."""
+        part = self._parts.get(name)
+        if part is not None and part.began is not None:
+            part.took_s = now - part.began
+
+    def left_s(self, now: float, of_part_s: float | None = None) -> float | None:
+        """Time to the end of the run [s]; None before it is steady.
+
+        ``of_part_s`` is that to the end of the part that goes on, by its own pace.
+        """
+        if self._start is None or not self._parts:
+            return None
+        took, expected, running = 0.0, 0.0, None
+        for part in self._parts.values():
+            if part.took_s is not None:
+                took, expected = took + part.took_s, expected + part.expected_s
+            elif part.began is not None:
+                running = part
+        if running is not None and running.began is not None and of_part_s is not None:
+            took, expected = took + now - running.began + of_part_s, expected + running.expected_s
+        pace = took / expected if expected > 0.0 else self.slowness
+        left = sum(pace * part.expected_s for part in self._parts.values() if part.began is None)
+        if running is not None and running.began is not None:
+            own = pace * running.expected_s - (now - running.began)
+            left += max(own, 0.0) if of_part_s is None else of_part_s
+        whole = now - self._start + left
+        self._steady.add(now, whole)
+        is_early = now - self._start < max(_LEAST_SHARE * whole, _LEAST_S)
+        is_told = expected >= _LEAST_TOLD * sum(part.expected_s for part in self._parts.values())
+        return float(left) if is_told and self._steady.agrees and not is_early else None

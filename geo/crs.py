@@ -18,6 +18,8 @@ from geo.errors import MissingVerticalDatum, UnknownCRS, UnsupportedCRS
 
 # Of the sphere that has the volume of the Earth: for lengths of degrees where a part in three hundred is no matter.
 EARTH_RADIUS_M = 6.371e6
+# Surveys may lie some degrees outside a zone, as countries use one for all; swapped or shifted places lie far away.
+AREA_MARGIN_DEG = 10.0
 _HORIZONTAL_KINDS = ("Projected CRS", "Geographic 2D CRS", "Geographic 3D CRS")
 _EXAMPLE = "EPSG:25832+5778"
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import EARTH_RADIUS_M, degrees_outside_area, parse_crs
+from geo.crs import AREA_MARGIN_DEG, EARTH_RADIUS_M, degrees_outside_area, parse_crs
 from geo.ellipsoid import enu_from_geocentric, geocentric_from_geodetic, geodetic_from_geocentric
 from geo.errors import PlaceMismatch
 from geo.projection import MapProjection, nan_unless_finite
@@ -21,8 +21,6 @@ from geo.projection import MapProjection, nan_unless_finite
 # Half a step for differentiation along the grid axes. Rounding of geocentric metres gives 1e-9 / 10 rad,
 # curvature (10 m / 6.4e6 m)² = 2e-12 rad.
 _STEP_M = 10.0
-# Surveys may lie a few degrees outside a zone; swapped or shifted coordinates lie far away.
-_AREA_MARGIN_DEG = 10.0
 
 
 @dataclass(frozen=True)
@@ -139,7 +137,7 @@ class LocalFrame:
         if not (math.isfinite(lon) and abs(lat) <= 0.5 * math.pi):
             raise PlaceMismatch(f"{said} is not on the map; {order}")
         excess = degrees_outside_area(self.crs, lon, lat)
-        if excess > _AREA_MARGIN_DEG:
+        if excess > AREA_MARGIN_DEG:
             raise PlaceMismatch(f"{said} lies {excess:.0f} degrees outside the area that this CRS is made for; {order}")
         return lon, lat, height
 

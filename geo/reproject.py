@@ -17,7 +17,7 @@ from geo.antimeridian import crosses
 from geo.crs import has_height, horizontal_crs, is_geographic, parse_crs, vertical_crs
 from geo.errors import UnknownCRS, UnsupportedCRS
 from geo.projection import nan_unless_finite
-from geo.transformation import best_operation
+from geo.transformation import best_operation, require_in_area
 
 _MEND = "or name a horizontal CRS alone, which keeps the heights as they are."
 
@@ -37,6 +37,8 @@ class Reprojection:
     crs: CRS
     keeps_height: bool
     _transformer: Transformer = field(repr=False, compare=False)
+    _changes_plan: bool = field(repr=False, compare=False)
+    _where: str = field(repr=False, compare=False)
 
     @staticmethod
     def between(source: CRS, target: str | CRS, *, where: str = "crs") -> Reprojection:
@@ -60,7 +62,8 @@ class Reprojection:
         wanted = _with_height(source, target, where)
         keeps_height = _same_heights(source, wanted)
         ends = (horizontal_crs(source), horizontal_crs(wanted)) if keeps_height else (source, wanted)
-        return Reprojection(wanted, keeps_height, best_operation(*ends, where, _MEND))
+        changes_plan = not horizontal_crs(source).equals(horizontal_crs(wanted), ignore_axis_order=True)
+        return Reprojection(wanted, keeps_height, best_operation(*ends, where, _MEND), changes_plan, where)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Points (N, 3) in the source CRS as points (N, 3) float64 in `crs`; NaN where PROJ has no answer.
@@ -69,6 +72,8 @@ class Reprojection:
         ------
         UnsupportedCRS
             If longitudes jump among them.
+        PlaceMismatch
+            If they lie far outside the area that the CRS is made for.
         """
         points = np.asarray(points, dtype=np.float64)
         if self.keeps_height:
@@ -82,6 +87,8 @@ class Reprojection:
                 f"the survey lies on the meridian of 180 degrees, where the longitudes of {self.crs.name} jump; choose "
                 "a projected CRS of the place, e.g. UTM zone 1 or 60; GeoJSON of lines and areas is cut there."
             )
+        if self._changes_plan:
+            require_in_area(self.crs, turned, "the points", self._where)
         return turned
 
 

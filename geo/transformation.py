@@ -16,6 +16,7 @@ from pyproj.exceptions import ProjError
 from pyproj.transformer import AreaOfInterest, TransformerGroup
 
 from geo.crs import (
+    AREA_MARGIN_DEG,
     degrees_outside_area,
     geodetic_crs,
     has_height,
@@ -23,6 +24,7 @@ from geo.crs import (
     horizontal_crs,
     horizontal_unit,
     is_geographic,
+    prime_meridian_rad,
     vertical_crs,
 )
 from geo.errors import CRSMismatch, MissingGrid, PlaceMismatch, UnknownUnit, UnsupportedCRS
@@ -34,8 +36,6 @@ _AREA_DEG = 0.01
 _UNCHANGED_DEG = 1e-9
 # Two feet differ by 2e-6: units that differ by less are one.
 _SAME_UNIT = 1e-9
-# Places may lie so far outside the area that a CRS is made for.
-_AREA_MARGIN_DEG = 3.0
 
 
 @dataclass(frozen=True)
@@ -188,21 +188,34 @@ def best_operation(source: CRS, target: CRS, where: str, mend: str) -> Transform
     raise UnsupportedCRS(f"{said} is not known to PROJ; choose another CRS, {mend}")
 
 
-def require_in_area(crs: CRS, points: np.ndarray, said: str) -> None:
+def require_in_area(crs: CRS, points: np.ndarray, said: str, where: str = "crs") -> None:
     """Raise PlaceMismatch where the middle of points (N, 2 or 3) lies far outside the area that their CRS is made for.
+
+    ``said`` and ``where`` are what the error names, and what is to be corrected.
 
     Raises
     ------
     PlaceMismatch
     """
     middle = _middle(horizontal_crs(crs), np.asarray(points, dtype=np.float64))
-    if middle is None:
-        return
-    lon, lat = np.radians(middle)
+    if middle is not None:
+        _require_in_area(crs, np.radians(middle), said, where)
+
+
+def require_at(crs: CRS, lon_lat_deg: np.ndarray, said: str, where: str) -> None:
+    """As `require_in_area`, of longitudes and latitudes (N, 2) of WGS 84 [deg]."""
+    if len(lon_lat_deg):
+        lon, lat = np.radians(np.median(lon_lat_deg, axis=0))
+        _require_in_area(crs, np.array([lon - prime_meridian_rad(crs), lat]), said, where)
+
+
+def _require_in_area(crs: CRS, middle: np.ndarray, said: str, where: str) -> None:
+    lon, lat = middle.tolist()
     excess = degrees_outside_area(crs, lon, lat)
-    if excess > _AREA_MARGIN_DEG:
+    if excess > AREA_MARGIN_DEG:
         raise PlaceMismatch(
-            f"{said} lie {excess:.0f} degrees outside the area that {crs.name} is made for; choose the CRS of the place"
+            f"{said} lie {excess:.0f} degrees outside the area that {crs.name} is made for; choose the CRS of the "
+            f"place ({where})"
         )
 
 

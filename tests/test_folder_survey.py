@@ -213,7 +213,11 @@ def test_heights_of_aircraft_are_taken_where_the_overlap_of_photographs_allows_t
         ([(f'crs = "{CRS}"', "")], ConfigError, "survey.toml: crs is missing; give the one that positions and heights"),
         ([(f"{LEVEL}", "2605.0")], ConfigError, "the cameras are at 2125.0 to 2125.0 m, all of them under the water"),
         ([(f"{LEVEL}", "1605.0")], ConfigError, "all of them more than 300 m over the water; give level_m"),
-        ([(f"[{E0}, {N0}]", "[9e9, 9e9]")], ConfigError, "level_at is [9000000000.0, 9000000000.0], which is not on"),
+        (
+            [(f"[{E0}, {N0}]", "[9e9, 9e9]")],
+            ConfigError,
+            "level_at has a place at 9000000000, 9000000000, which is not on",
+        ),
         ([('"cameras.csv"', '"poses.csv"')], PosesError, "poses.csv do not exist; correct [cameras] poses"),
         ([("[64, 48]", "[64, 64]")], ImageError, "0000.jpg has 64 x 48 pixels, expected 64 x 64"),
         ([("focal_px = 100.0", "")], ConfigError, "focal_px is missing from [cameras]"),

@@ -10,7 +10,7 @@ from pyproj import Transformer
 
 from geo import transformation
 from geo.crs import parse_crs
-from geo.errors import MissingGrid, MissingVerticalDatum, UnknownCRS, UnsupportedCRS
+from geo.errors import MissingGrid, MissingVerticalDatum, PlaceMismatch, UnknownCRS, UnsupportedCRS
 from geo.reproject import Reprojection
 
 SOURCE = parse_crs("EPSG:25832+5783")
@@ -62,3 +62,29 @@ def test_a_way_that_proj_only_guesses_is_refused():
 def test_a_crs_that_is_unknown_or_has_no_place_is_refused(target, error):
     with pytest.raises((error, UnsupportedCRS), match="--crs is"):
         Reprojection.between(SOURCE, target, where="--crs")
+
+
+@pytest.mark.parametrize(
+    ("code", "is_near"),
+    [
+        ("EPSG:32633", True),
+        ("EPSG:32631", True),
+        ("EPSG:3857", True),
+        ("EPSG:4326", True),
+        ("EPSG:3035", True),
+        ("EPSG:32601", False),
+        ("EPSG:32732", False),
+        ("EPSG:32636", False),
+        ("EPSG:3031", False),
+        ("EPSG:32760", False),
+    ],
+)
+def test_a_crs_far_outside_its_area_is_refused(code, is_near):
+    """Of a place at 9 degrees east, 47 degrees north; zones some degrees away are near enough to be meant."""
+    points = np.array([[5e5, 5.2e6, 400.0], [5e5 + 30.0, 5.2e6, 401.0]])
+    way = Reprojection.between(parse_crs("EPSG:32632+5773"), code)
+    if is_near:
+        assert np.isfinite(way(points)).all()
+    else:
+        with pytest.raises(PlaceMismatch, match=r"degrees outside the area that .* is made for; choose the CRS"):
+            way(points)

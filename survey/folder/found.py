@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 from pyproj import CRS
 
 from geo.crs import parse_crs
 from geo.grids import use_grids
+from geo.transformation import require_at
 from survey.errors import FILE_NAME, ConfigError, PosesError, SurveyError
 from survey.folder import infer
 from survey.folder.config import SurveyConfig, read_config
@@ -18,6 +20,7 @@ from survey.folder.head_doubts import head_doubts
 from survey.folder.level_observation import LevelObservation
 from survey.folder.tides import Tide
 from survey.folder.water_level import with_level
+from survey.folder.water_place import doubts_of_water_places
 from survey.photos.exif import Exif, read_exif
 from survey.photos.formats import find_poses, find_unread
 from survey.photos.images import list_images
@@ -108,6 +111,11 @@ def find_survey(folder: Path) -> Found:
     if poses_path is not None and config.water is not None:
         config.water.require_level()
     warnings = head_doubts(heads)
+    if poses_path is None:
+        at_exif = [head.lat_lon_height[1::-1] for head in heads.values() if head.lat_lon_height is not None]
+        exif_places = np.array(at_exif).reshape(-1, 2)
+        require_at(crs, exif_places, "the GPS positions in EXIF", f"crs in {FILE_NAME}")
+        warnings += doubts_of_water_places(crs, exif_places, config.water, levels)
     if not toml.is_file():
         warnings.append(infer.NO_WATER)
     if poses_path is None:

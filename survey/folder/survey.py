@@ -10,6 +10,7 @@ import numpy as np
 
 from geo.crs import height_unit_m
 from geo.frames import LocalFrame
+from geo.transformation import lon_lat
 from refract import FlatWater
 from survey.control.points import Checkpoint, Control
 from survey.errors import FILE_NAME, SurveyError
@@ -31,6 +32,7 @@ from survey.folder.start_height import start_doubts
 from survey.folder.tides import Tide, with_tides
 from survey.folder.velocities import Velocity, velocities_of
 from survey.folder.water_level import with_level_of_clicks
+from survey.folder.water_place import doubts_of_water_places
 from survey.photos.cameras import View
 from survey.photos.images import load_image, load_mask
 from survey.photos.tie_points import TiePoints
@@ -165,6 +167,10 @@ def load_survey(
     places = {view.name: view.camera.centre for view in block.views}
     velocities = velocities_of(places, found.heads, found.config.cameras.speed_m_s)
     views = with_motion(block.views, velocities, found.config.cameras, warnings)
+    if found.poses_path is not None:
+        # Held against the GPS positions already where structure from motion finds the poses.
+        centres = frame.crs_from_local(np.array([view.camera.centre for view in views]))
+        warnings += doubts_of_water_places(found.crs, lon_lat(found.crs, centres), found.config.water, found.levels)
     config, water, is_level_known, levels = _water(block, views, assumptions, warnings)
     if is_level_known:
         block, views = block_over_water(block, views, water, warnings)

@@ -143,6 +143,9 @@ def _of_points(water: WaterConfig, points: Sequence[LevelObservation], crs: CRS,
     coordinates = np.array([(*each.place, each.level_m) for each in points if each.place is not None]).reshape(-1, 3)
     # Slopes are metres of height in metres of ground, whatever the unit of crs.
     unit_m = metres_per_unit(crs, coordinates) if len(coordinates) else np.ones(2)
+    if not np.isfinite(unit_m).all():
+        # On no map: `survey.folder.water_place` refuses them beside the cameras.
+        unit_m = np.ones(2)
     coordinates[:, :2] *= unit_m
     free = water.slope_east == 0.0 == water.slope_north
     fit = fit_surface(

@@ -13,6 +13,7 @@ from pyproj import CRS
 from geo.crs import crs_code, has_height, horizontal_crs, parse_crs, utm_code, vertical_crs
 from geo.frames import LocalFrame
 from geo.height_systems import height_systems_at
+from geo.transformation import require_at
 from survey.errors import ConfigError
 from survey.folder.plausible import distances_to_exif
 from survey.folder.posed import middle_of_geocentric, points_in_crs
@@ -93,6 +94,8 @@ def write_crs(photographs: Photographs, answers: Answers, top: Table, cameras: T
         if not given:
             raise ConfigError(f'{by}; give it, e.g. --crs "EPSG:25832+7837"')
         crs = parse_crs(given, where="--crs")
+        at = np.array([] if photographs.lat_lon is None else [photographs.lat_lon[::-1]]).reshape(-1, 2)
+        require_at(crs, at, "the photographs", "--crs")
         top.set("crs", given, crs.name)
         if photographs.says_ellipsoidal and vertical_crs(crs) is not None:
             cameras.set("gps_height", "ellipsoidal", "XMP says so")

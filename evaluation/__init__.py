@@ -1,4 +1,4 @@
-"""How far a result is from the truth: numpy arrays in, numbers out, no files.
+"""Accuracy measures of clouds and images: numpy arrays in, numbers out, no files.
 
 | measure | files |
 |---|---|

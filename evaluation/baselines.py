@@ -1,4 +1,4 @@
-"""What a reconstruction without refraction would give: straight rays, and corrections of their depth afterwards.
+"""Baselines without refraction: straight rays, and corrections of their depth afterwards.
 
 Apparent points are those where straight rays meet: each view sees a point of the bed in the direction of the place
 where its light left the water, and a reconstruction without refraction extends those directions as straight lines.

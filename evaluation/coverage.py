@@ -1,4 +1,4 @@
-"""Is a standard deviation true? The share of vertical errors that it covers, in classes."""
+"""Coverage of standard deviations: the share of vertical errors within them, in classes."""
 
 from __future__ import annotations
 

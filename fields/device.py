@@ -1,4 +1,4 @@
-"""Which compiler runs the inner loops: Dr.Jit on CUDA, Dr.Jit on LLVM, or torch where neither is there."""
+"""Backends of the inner loops: Dr.Jit on CUDA, Dr.Jit on LLVM, or torch."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Between linear light and the numbers that a photograph stores."""
+"""Gamma: linear light to stored grey levels and back."""
 
 from __future__ import annotations
 

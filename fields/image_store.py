@@ -1,4 +1,4 @@
-"""Images and masks of many views in little memory: made when they are read, in bytes, in bits."""
+"""Compact storage of the images and masks of many views."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is left out of the sweep and the solver where a scene does not need it."""
+"""Parts of the sweep and the solver that are left out where a scene does not need them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether two data sets are in the same system and at the same place, before anything is compared."""
+"""Tests whether two data sets share a coordinate system and a place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was written is read again by its library, and compared, before it takes its place.
+"""Verification of written files: read again by their library and compared.
 
 A disk that fills, or a library that drops what a format cannot hold, may leave a file that looks written.
 """

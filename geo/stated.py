@@ -1,4 +1,4 @@
-"""What a file says of its coordinates in words: a CRS in a comment, a unit of heights by its name or code."""
+"""CRS and units that a file states in words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the sun stands, by time and place."""
+"""Position of the sun by time and place."""
 
 from __future__ import annotations
 

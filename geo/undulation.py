@@ -1,4 +1,4 @@
-"""Roughly how high the geoid lies over the ellipsoid, anywhere on Earth, without a grid to install.
+"""Approximate geoid undulation anywhere on Earth, without a grid to install.
 
 Enough to tell which vertical datums were mixed up, where heights that do not fit differ by tens of metres; nothing is
 transformed with it. Every fifth degree of EGM96 (National Geospatial-Intelligence Agency, public domain) in whole

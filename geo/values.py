@@ -1,4 +1,4 @@
-"""Coordinates that no survey measured: rounded through single precision or few digits, or marks of no data.
+"""Detection of rounded coordinates (single precision, few digits) and of undeclared no-data values.
 
 Judged by the values, whatever the format stores them in; `geo.reading.read_reference` asks for every file.
 """

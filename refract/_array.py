@@ -62,7 +62,7 @@ def quiet(function):
 
 
 def compiling() -> bool:
-    """Whether torch.compile looks on."""
+    """Whether torch.compile is tracing."""
     torch = sys.modules.get("torch")
     return torch is not None and torch.compiler.is_compiling()
 
@@ -111,7 +111,7 @@ def _library(name: str) -> ModuleType:
 
 
 def transformed() -> bool:
-    """Whether a transform of torch looks on: see `refract._with_torch.transformed`."""
+    """Whether a transform of torch is tracing: see `refract._with_torch.transformed`."""
     return "torch" in sys.modules and _library("torch").transformed()
 
 

@@ -1,4 +1,4 @@
-"""A short text for the code that a computation calls: while it is the same, so is what the computation gives.
+"""Hash of the code that a computation calls: equal hashes, equal results.
 
 Comments, docstrings and empty lines do not count; a file counts only where the computation reaches it by imports, at
 the head of files or inside functions. Imports that only type checkers follow do not count. The code is read by regular

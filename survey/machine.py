@@ -1,4 +1,4 @@
-"""What this machine has: memory, cores, room on a disk."""
+"""Memory, cores and free disk space of this machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A short text for what a computation depends on: while it is the same, an earlier result may be used again."""
+"""Hash of the inputs of a computation: with equal keys an earlier result is reused."""
 
 from __future__ import annotations
 

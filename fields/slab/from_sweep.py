@@ -1,4 +1,4 @@
-"""What the sweep leaves to the field: a slab about its heights, and rays through its pixels that the slab holds."""
+"""Slab and training rays from the height maps of the sweep."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The field's own heights for the pixels that make the bed."""
+"""Heights of the field for the pixels that become points."""
 
 from __future__ import annotations
 

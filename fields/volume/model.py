@@ -1,4 +1,4 @@
-"""What a volume has to offer to be rendered and trained: the one interface of all radiance fields over a box."""
+"""The interface of all radiance fields over a box: density, colour, learning rates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is known of pixels beforehand: a distance with its spread, monocular depth, a normal.
+"""Priors of pixels: a distance with its std, monocular depth, a normal.
 
 On paths (N, 8), NaN where unknown: length [m], its spread [m], two terms and a power of monocular depth, normal (3).
 """

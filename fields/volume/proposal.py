@@ -1,4 +1,4 @@
-"""A small separate density that selects where to evaluate a volume (mip-NeRF 360, Barron et al. 2022; Nerfacto).
+"""Proposal network: a small density that selects samples (mip-NeRF 360, Barron et al. 2022; Nerfacto).
 
 Paths are sampled evenly, then where the weights of the first density lie, and so on; the volume is evaluated last. Its
 weights w over pieces T teach each histogram (t', w') of the proposal:

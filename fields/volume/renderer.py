@@ -1,4 +1,4 @@
-"""From paths to colours: a volume with the water, each photograph's appearance, and what lies behind the box."""
+"""Volume rendering of paths: a model with the water, appearance vectors, and a background."""
 
 from __future__ import annotations
 

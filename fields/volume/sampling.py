@@ -1,4 +1,4 @@
-"""Where a path is sampled: in the cells of a proxy, or where another field has weight."""
+"""Samples along a path: in the occupied cells of a proxy, or by the weights of another field."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Agreement with virtual views: a surface must have the same colour and depth from a camera nearby.
+"""Consistency with virtual views: equal colour and depth from a camera nearby.
 
 MonoPatchNeRF (Wu et al. 2024) renders virtual views close to the photographs' own and holds them to what those show.
 """

@@ -1,4 +1,4 @@
-"""What an adjustment found: each parameter with its verdict, the poses, and the covariance of all of them."""
+"""The result of an adjustment: parameters with verdicts, adjusted poses, and their joint covariance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The bed as a plane in each cell of a grid: how it slopes, and how much it rises to places beside."""
+"""Local planes of the bed in the cells of a grid: slope, and height differences between neighbouring cells."""
 
 from __future__ import annotations
 

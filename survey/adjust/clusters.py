@@ -1,4 +1,4 @@
-"""What neighbouring tie points of one photograph share: waves, relief and the rest of the lens.
+"""Correlated errors of neighbouring tie points in one photograph: waves, relief and lens residuals.
 
 Matches near each other in a photograph look through the same wave and lie on the same relief, so that their errors are
 alike and hundreds of them say less than as many independent ones. In a square of a photograph with m observations whose

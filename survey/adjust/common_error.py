@@ -1,4 +1,4 @@
-"""What errors of water, lens and poses do to the height of a whole cloud.
+"""Effect of the errors of water, lens and poses on the mean height of a cloud.
 
 Matching errors differ from point to point and average out; an error of the water level does not. The rays of the views
 that show a place meet where

@@ -1,4 +1,4 @@
-"""Heights of positions that share an error which nothing but the water tells, as those by the barometer of a drone.
+"""Common height offset of positions, observable only through the water level, as of barometric heights.
 
 A block is adjusted where its positions put it, and there its photographs tell the height L of the water: by the bend of
 rays, and by where the bank ends. The level that is known, of standard deviation s, then tells the error b that heights

@@ -1,4 +1,4 @@
-"""Where the photographs contradict what survey.toml says of the water."""
+"""Tests of the water in survey.toml against the photographs."""
 
 from __future__ import annotations
 

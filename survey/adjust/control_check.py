@@ -1,4 +1,4 @@
-"""Control points against the block: coordinates that it contradicts, how accurate the rest is, and marks left out.
+"""Outlier tests of control points in the block: rejected coordinates and marks, and the accuracy of the rest.
 
 With X and B the derivatives of the marks of a point by its place and by the parameters, and r their residuals, the
 marks alone put the point at ``place + (X' X)^-1 X' r``. This less its coordinates has the covariance

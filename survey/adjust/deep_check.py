@@ -1,4 +1,4 @@
-"""`bathynerf check --deep`: the survey adjusted, to hold what survey.toml says against the photographs."""
+"""`bathynerf check --deep`: the survey adjusted, and survey.toml tested against the photographs."""
 
 from __future__ import annotations
 

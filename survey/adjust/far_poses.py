@@ -1,4 +1,4 @@
-"""Where poses of a file are too far off for windows: matches of structure from motion, which nothing limits.
+"""Poses of a file that are too inaccurate for windows: tie points by feature matching instead.
 
 Windows are matched within a few pixels of where the poses expect them. Poses that are off by more leave most
 photographs without any. Features are matched wherever they lie; the block that they make is turned, scaled and shifted

@@ -1,4 +1,4 @@
-"""Whether photographs show the bed under water where the level that is given leaves all of it dry.
+"""Test for bed under water where the given level leaves the whole bed dry.
 
 A level in another vertical datum may be tens of metres too low. Where all rays are straight, no derivative tells of
 water any more; so the water is raised over the points, and the adjustment, with poses and lens as given or as uncertain

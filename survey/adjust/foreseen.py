@@ -1,4 +1,4 @@
-"""What a flight can tell, from its poses alone: the covariance of an adjustment whose photographs nobody has measured.
+"""Expected covariance of an adjustment from the poses of a flight alone (pre-analysis of the network).
 
 Points are put on a rough bed at some depth, as many as an adjustment takes, seen by the views whose frames they are in,
 and good to what is assumed. No pixel is read; it takes seconds. Where the plan keeps the poses, heights are as good as

@@ -1,4 +1,4 @@
-"""What `survey.adjust.foreseen` finds, in sentences with verdicts."""
+"""Sentences with verdicts for the pre-analysis of `survey.adjust.foreseen`."""
 
 from __future__ import annotations
 

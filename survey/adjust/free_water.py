@@ -1,4 +1,4 @@
-"""The adjustment of a survey of whose water nothing is known beforehand.
+"""Adjustment of a survey without prior knowledge of its water.
 
 What the photographs cannot tell of it is held: the worst parameter first, and the others adjusted again. Without the
 level nothing is observable, and the block is adjusted under the given water.

@@ -1,4 +1,4 @@
-"""Whether photographs contradict the water or the lens that is given, under poses that they bear out.
+"""Tests of given water and lens against the photographs, under poses that they confirm.
 
 Points follow a wrong level, and photographs agree under it as well as under the true one, to some thousandths of a
 pixel in the mean. What is left in the residuals of windows that many photographs show tells it all the same. One step

@@ -1,4 +1,4 @@
-"""What observations of neighbouring ground share, in all photographs that show it.
+"""Correlated errors of observations of neighbouring ground, over all photographs that show it.
 
 A window is matched with the same piece of the bed in each photograph, and next to another piece of it: their errors are
 alike over some metres of ground, in photographs that have nothing else in common. What a block does as a whole (lift,

@@ -1,4 +1,4 @@
-"""What an adjustment cannot tell is held at what was given, and the block is adjusted to that.
+"""Fixes unobservable parameters at their stated values, and adjusts the block to them.
 
 Where neither photographs nor survey know a parameter well enough, the value that was found follows the noise of the
 block. With C the covariance of the block with all parameters free, U those that are held, and S the covariance of what

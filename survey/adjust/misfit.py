@@ -1,4 +1,4 @@
-"""By how much photographs miss each other under poses that are held."""
+"""Reprojection misfit under fixed poses."""
 
 from __future__ import annotations
 

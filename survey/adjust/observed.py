@@ -1,4 +1,4 @@
-"""All that an adjustment observes in photographs: matches, windows and marks of control points, as one set."""
+"""Observations of an adjustment: feature matches, windows and marks of control points, as one set."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether photographs contradict poses that are given as exact: a sample of windows, with nothing adjusted but points.
+"""Test of poses that are given as exact: the misfit of a sample of windows, with only points adjusted.
 
 Poses, lens and water that are exact leave residuals with no mean over a photograph. Errors of a pose move all that its
 photograph shows in one direction; what points can follow of them does no harm to the bed. Points follow a

@@ -1,4 +1,4 @@
-"""How good given poses are, as the block shows it, and which of them it contradicts.
+"""Accuracy of given poses as estimated from the block, and outliers among them.
 
 The adjusted pose keeps a part of the error of the given one; the rest is its residual. With p the standard deviation
 that a coordinate was given with and s that after the adjustment, this part of a residual is ``r = 1 - s^2 / p^2``, its

@@ -1,4 +1,4 @@
-"""What is known of a survey before its photographs are asked: the start of the adjustment, and its priors."""
+"""Initial values and priors of an adjustment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One adjustment from start to end: outliers, blunders of positions, and what neighbours share, in rounds."""
+"""The rounds of an adjustment: outliers of observations, blunders of positions, correlated errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The covariance of a block whose level is free, where points that seem dry may be wet.
+"""Covariance of a block with a free level, where points near it may be wet or dry.
 
 What a level does to the rays of a point begins at the surface: the derivative jumps. Points that lie just above a level
 that was found have none, and tell the level against the wet ones all the better; were it a little higher, they would

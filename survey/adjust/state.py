@@ -1,4 +1,4 @@
-"""What an adjustment finds: water, lenses, poses and points, and how a vector of steps changes them.
+"""The unknowns of an adjustment: water, lenses, poses and points, and their update by a step.
 
 The vector of parameters is [water (4) | relief (3) | lenses (8 each) | readouts | rate | poses (6 each)]; points have
 three each besides.

@@ -1,4 +1,4 @@
-"""The standard deviation of each height by what all points have in common: water, lens and poses.
+"""Standard deviation of each height by the errors that all points share: water, lens and poses.
 
 It is that of a height at its place. What of it differs from place to place (tilt, bend, the bank against the bed) is in
 the std of the points of an adjusted block, too: `survey.adjust.std_of_block`.

@@ -1,4 +1,4 @@
-"""What errors of an adjusted block do to heights from place to place: it may lie askew, bent, and beside its place.
+"""Tilt, bending and shift of the block: effect of its errors on heights from place to place.
 
 Over a slope, a block that lies beside its place shows heights of other places. At a fixed place in plan the error of a
 height is ``e_z - s . e_xy``, with e the error of the point where the rays meet and s the slope of the bed there. With

@@ -1,4 +1,4 @@
-"""Fewer tie points that say nearly as much: long tracks first, spread evenly over every photograph.
+"""Tie-point thinning: long tracks first, spread evenly over every photograph.
 
 A block of 30 photographs has some 10,000 matches in each. Neighbours share errors of waves, relief and lens, so that
 a few hundred, well spread, determine a photograph as well as all of them.

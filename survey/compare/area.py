@@ -1,4 +1,4 @@
-"""Where a cloud is compared: the frame in which distances are metres, and the bounds to which a cloud is cropped."""
+"""Frame and bounds of a comparison: metric coordinates, and the part of the cloud that counts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bias and spread in a picture: by depth, by incidence at the water, by the number of views."""
+"""Bias and spread by depth, by incidence and by number of views, as a picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a comparison measured: all its figures, and how they came about."""
+"""The figures of a comparison."""
 
 from __future__ import annotations
 

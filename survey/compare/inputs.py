@@ -1,4 +1,4 @@
-"""What a comparison needs: the files read, checked against each other, and brought into one local frame."""
+"""Inputs of a comparison: files read, checked against each other, and brought into one local frame."""
 
 from __future__ import annotations
 

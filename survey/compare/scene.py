@@ -1,4 +1,4 @@
-"""What is compared, in one local frame: the cloud, the reference, and the points that a complete cloud would reach."""
+"""Cloud, reference and visible points of a comparison, in one local frame."""
 
 from __future__ import annotations
 

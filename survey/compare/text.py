@@ -1,4 +1,4 @@
-"""The figures of a comparison as lines for a terminal: what matters first, parts in tables after it."""
+"""The figures of a comparison as lines for a terminal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What files of control say, before files are put together and their coordinates are in the crs of the survey."""
+"""Contents of a control file, before files are merged and transformed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Control and check points beside the cameras: near enough to be seen, and taken into the local frame."""
+"""Control and check points checked against the camera positions, and taken into the local frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Over what area the errors of neighbouring points are alike, as far as a cloud tells it.
+"""Correlation area of the errors of neighbouring points, estimated from a cloud.
 
 Least squares over photographs smooth a bed that is smooth more than one that is rough, so that the area differs from
 survey to survey. Points whose heights differ by less than their standard deviations say must err alike: where

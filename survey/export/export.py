@@ -1,4 +1,4 @@
-"""`bathynerf export`: products of a finished run, each whole or not at all, and only those that are not there yet."""
+"""`bathynerf export`: products of a finished run, written whole, and only those that are not up to date."""
 
 from __future__ import annotations
 

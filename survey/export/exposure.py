@@ -1,4 +1,4 @@
-"""Photographs brought to a common exposure, by the cells of the bed that several of them show."""
+"""Exposure compensation of photographs, by the cells of the bed that several of them show."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Areas on the bed: what each photograph shows of it, and where water was looked at and no bed was found."""
+"""Footprints of photographs on the bed, and areas of water without a bed."""
 
 from __future__ import annotations
 

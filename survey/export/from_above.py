@@ -1,4 +1,4 @@
-"""Which points are seen from above: a terrain model has one height in each place, the highest.
+"""Points visible from above: a terrain model has one height per place, the highest.
 
 Points are binned into squares of about a pixel. A point that lies well below the highest ones of its own and the
 neighbouring squares is under a roof (a hull, a deck) or on a wall, which covers no area in plan. Where the bed drops

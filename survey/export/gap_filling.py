@@ -1,4 +1,4 @@
-"""Gaps of a raster filled up to a width, each filled cell marked and with a standard deviation that tells.
+"""Gap filling of a raster up to a width, with a mask and a standard deviation of filled cells.
 
 A gap is filled where a square of the stated width does not fit into it. The height is the mean of the known cells
 around, weighted by the inverse square of their distance; it is as uncertain as the bed changes over that distance: by

@@ -1,4 +1,4 @@
-"""From the points of a run to the raster of heights that every raster product is made of.
+"""Gridding of the points of a run: the raster of heights of all raster products.
 
 Cells are worked on in tiles of about two million points; the rasters lie in files, so that they may be larger than the
 memory.

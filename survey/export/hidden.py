@@ -1,4 +1,4 @@
-"""What a photograph cannot show because something stands in front of it.
+"""Occlusion: cells of the bed hidden in a photograph by others in front.
 
 The heights of the bed are projected into the photograph. A cell is hidden where the bed at its pixel is seen higher:
 cameras look from above, so that along a ray the higher bed is the nearer one.

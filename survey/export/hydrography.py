@@ -1,4 +1,4 @@
-"""What hydrographic offices take: the bed as BAG, and the order of IHO S-44 that each cell reaches."""
+"""Hydrographic products: the bed as BAG, and the IHO S-44 order of each cell."""
 
 from __future__ import annotations
 

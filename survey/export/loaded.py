@@ -1,4 +1,4 @@
-"""A finished run as products read it: each part when it is first needed, and once."""
+"""A finished run, its parts loaded on first use."""
 
 from __future__ import annotations
 

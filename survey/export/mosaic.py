@@ -1,4 +1,4 @@
-"""Sums of photographs in the cells of a picture: each cell from the view that looks at it most steeply.
+"""Mosaic of photographs in the cells of a picture, weighted towards the steepest view.
 
 Where views are about equally steep they fade into each other.
 """

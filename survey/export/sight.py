@@ -1,4 +1,4 @@
-"""Where the cells of a window appear in a photograph, through the water.
+"""Projection of the cells of a window into a photograph, through the water.
 
 The way through the water is solved at every sixteenth cell and at three heights; between these the pixel changes so
 evenly that linear steps in plan and parabolas in height leave a hundredth of a pixel.

@@ -1,4 +1,4 @@
-"""Where water was looked at and no bed was found: turbid, too deep, glint, or one view only."""
+"""Water without a bed, by cause: turbid, too deep, glint, or one view only."""
 
 from __future__ import annotations
 

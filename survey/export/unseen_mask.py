@@ -1,4 +1,4 @@
-"""Where no bed was seen, as a raster in the cells of the terrain model."""
+"""Mask of water without a bed, in the cells of the terrain model."""
 
 from __future__ import annotations
 

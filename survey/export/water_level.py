@@ -1,4 +1,4 @@
-"""The height of the water in crs, wherever a raster asks for it."""
+"""Height of the water in crs, for rasters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which files `export` wrote of a run, so that one that is still right is not written again."""
+"""Record of exported files, so that those that are up to date are not written again."""
 
 from __future__ import annotations
 

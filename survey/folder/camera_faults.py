@@ -1,4 +1,4 @@
-"""Mistakes in lenses and poses that a single number does not show.
+"""Inconsistent lenses and poses: faults that no single number shows.
 
 A focal length in the wrong unit, angles in radians, one pose for all photographs. What cannot be true of any survey is
 an error; what is unlikely is a warning.

@@ -1,4 +1,4 @@
-"""Control points against the block of structure from motion: what contradicts it, and whether positions agree."""
+"""Control points tested against the block of structure from motion."""
 
 from __future__ import annotations
 

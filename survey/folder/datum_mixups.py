@@ -1,4 +1,4 @@
-"""Heights of cameras and water that can hardly belong together, and which mix-up of vertical datums explains it."""
+"""Mix-ups of vertical datums between the heights of cameras and water."""
 
 from __future__ import annotations
 

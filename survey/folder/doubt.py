@@ -1,4 +1,4 @@
-"""What photographs say of a number that counts as known, where they contradict it."""
+"""Contradictions between the photographs and numbers that count as known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether the level of the water fits the heights in EXIF, before structure from motion uses them."""
+"""Consistency of the water level with the heights in EXIF, before structure from motion."""
 
 from __future__ import annotations
 

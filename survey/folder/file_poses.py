@@ -1,4 +1,4 @@
-"""The poses file of a survey: frame, views, and what else the file knows of them."""
+"""The poses file of a survey: frame, views, and other contents."""
 
 from __future__ import annotations
 

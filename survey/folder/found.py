@@ -1,4 +1,4 @@
-"""Contents of a survey folder: settings, image headers and the poses file, read before anything is computed."""
+"""Contents of a survey folder: settings, image headers and poses file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The rough height of dry ground, from the cameras alone."""
+"""Approximate height of dry ground, from the cameras alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the heads of photographs say that a user should know: rotated, of several pages, far from the others."""
+"""Warnings about image headers: rotation, several pages, positions far from the others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The water level from places on the waterline that were clicked in photographs: rays of known poses meet there.
+"""Water level from marks of the waterline in photographs: intersection of their rays.
 
 A place is on the surface itself, where the water ends: its rays run in air alone and are straight. One photograph tells
 nothing, for its ray meets a plane of any height; so each place has a name, and is clicked in two photographs or more.

@@ -1,4 +1,4 @@
-"""What was measured of the water level on site, each with how sure it is, where and when: points, readings, clicks.
+"""Measurements of the water level on site, with std, place and time: points, readings, clicks.
 
 survey.toml              level_m, level_std_m
 shoreline, gnss_points   CSV with easting, northing, height in crs (and std), or GeoJSON

@@ -1,4 +1,4 @@
-"""A block that its positions put under its water, as heights by a barometer may: it begins over it."""
+"""Initial heights of a block whose positions lie below its water, as by a barometer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How well the tie points of another program fall back on their places under its poses, read as ours: in pixels."""
+"""Reprojection error of another program's tie points under its poses, as read here."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rolling shutters: how far the camera flies from one row of a photograph to the next, and what it does if unknown."""
+"""Rolling shutters: motion of the camera per row, and its effect if unknown."""
 
 from __future__ import annotations
 

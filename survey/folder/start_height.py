@@ -1,4 +1,4 @@
-"""The height of the take-off point over the water, which a drone's own height over it implies."""
+"""Height of the take-off point over the water, implied by a drone's height over take-off."""
 
 from __future__ import annotations
 

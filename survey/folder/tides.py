@@ -1,4 +1,4 @@
-"""A level of the water for each photograph: by a gauge, by a table of levels, or by a rate.
+"""Water level of each photograph: by a gauge, by a table of levels, or by a rate.
 
     gauge                 CSV with time, level: interpolated at the time of each photograph
     image_levels          CSV with image, level (and std)

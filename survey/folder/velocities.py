@@ -1,4 +1,4 @@
-"""How fast and whereto the camera flew at each photograph: by XMP, else by positions and times, else by survey.toml."""
+"""Velocity of the camera at each photograph: by XMP, positions and times, or survey.toml."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether an image file is all there, by its structure: no pixel is decoded, and thousands of files take seconds."""
+"""Completeness of image files by their structure, without decoding pixels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pixels of a photograph that are brighter than it can tell: glint of the sun, and whatever else is white."""
+"""Saturated pixels: glint of the sun and other white areas."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How sharp photographs are against each other, by their finest detail over their coarser one.
+"""Relative sharpness of photographs: finest against coarser detail.
 
 A scene has detail of its own, so that no number says by itself that a photograph is blurred; of photographs of one bed
 by one camera, one whose ratio is lower than that of the others is. Motion takes detail along its direction alone, so

@@ -1,4 +1,4 @@
-"""What each channel of the photographs adds to the texture that is matched, and so whose index the water has for them.
+"""Weight of each colour channel in the matched texture, for the index of the water.
 
 Matching compares grey, ``g = sum of w c`` over the channels c with the weights w of luma. A channel that is shifted by
 a little moves the best match of g by its share ``w <dc, dg> / <dg, dg>`` of that, d for derivatives along the rows and

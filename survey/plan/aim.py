@@ -1,4 +1,4 @@
-"""What a run may be asked for in place of a quality: a standard deviation, a time, or both; and the recipes for it.
+"""Aims of a run in place of a quality: a standard deviation, a time, or both; and their recipes.
 
 The recipes form a ladder, from images as small as can be matched to whole ones, at each size without and with the
 solver; so many views get a height map that three see every place. More views, as standard and fine have them, add

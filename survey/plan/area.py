@@ -1,4 +1,4 @@
-"""Where the bed of a survey is looked for: the area in plan, and the heights over a plane."""
+"""Search volume of a survey: the area in plan, and the range of heights over a plane."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether two photographs see anything of the bounds that a survey asks for."""
+"""Test whether two photographs see any part of the requested bounds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rows of `check` about what an adjustment observes besides tie points: how well it is known, and by what."""
+"""Rows of `check` about the observations besides tie points: their source and accuracy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can be chosen for a run; light to import, for the command line offers the same."""
+"""Options of a run; light to import, since the command line offers the same."""
 
 from __future__ import annotations
 

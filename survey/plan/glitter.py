@@ -1,4 +1,4 @@
-"""Glitter of the sun on the water: which photographs have it, and which places of the bed are seen free of it.
+"""Sun glitter on the water: affected photographs, and places of the bed that are seen free of it.
 
 Facets of the water mirror the sun wherever they lean halfway between the direction to the sun and that to the camera.
 C. Cox and W. Munk (Journal of the Optical Society of America 44, 1954, 838-850) measured how they lean: a slope s has

@@ -1,4 +1,4 @@
-"""The rough height of the dry ground of a survey, from what is known of it."""
+"""Approximate height of the dry ground of a survey."""
 
 from __future__ import annotations
 

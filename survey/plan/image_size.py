@@ -1,4 +1,4 @@
-"""The size at which images are worked on: halved until they have as many pixels as the quality wants, or as asked."""
+"""Working size of photographs: halved to the megapixels of the quality, or as requested."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether photographs can tell a level of the water that is not given, by the directions in which they look."""
+"""Pre-analysis: can the photographs determine a level that is not given, by their directions of view?"""
 
 from __future__ import annotations
 

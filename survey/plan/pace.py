@@ -1,4 +1,4 @@
-"""How long the rounds of a run with an aim take: by rates as stated, then as measured in the rounds before.
+"""Durations of the rounds of a run with an aim: by stated rates, then by measured ones.
 
 Stated rates are those of one core with AVX-512. The first round of a run is small and tells the machine's own.
 """

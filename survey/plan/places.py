@@ -1,4 +1,4 @@
-"""Places of the bed that stand for all of it, and the views that have them in their frame: from poses alone."""
+"""Sample places of the bed, and the views that have them in their frame: from poses alone."""
 
 from __future__ import annotations
 

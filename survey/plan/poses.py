@@ -1,4 +1,4 @@
-"""Whether poses, lens and water are adjusted to the photographs before the bed is searched."""
+"""Decision whether poses, lens and water are adjusted before the sweep."""
 
 from __future__ import annotations
 

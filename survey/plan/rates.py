@@ -1,4 +1,4 @@
-"""What the parts of a run take on one core with AVX-512, and a whole run on several.
+"""Rates of the parts of a run on one core with AVX-512, and the speed-up on several.
 
 From runs of data/quick, river and wreck_water in draft and standard quality and of a drawn survey of 8 small
 photographs: 5.7 to 107 s on two idle cores, which `run_s` meets within a tenth (docs/notes/performance.md).

@@ -1,4 +1,4 @@
-"""All numbers that define each quality."""
+"""The numeric settings of each quality."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lines of the plan about what a scene does not need; docs/plan.md has what each saves, and what it costs."""
+"""Lines of the plan about parts that a scene does not need; docs/plan.md has what each saves and costs."""
 
 from __future__ import annotations
 

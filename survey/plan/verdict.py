@@ -1,4 +1,4 @@
-"""Verdicts of `check`: a word, what was found, and in one sentence what would mend it."""
+"""Verdicts of `check`: a word, the finding, and the remedy in one sentence."""
 
 from __future__ import annotations
 

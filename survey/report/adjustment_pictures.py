@@ -1,4 +1,4 @@
-"""What an adjustment left, in pictures: over the photographs, over the ground, and how its parameters correlate."""
+"""Pictures of an adjustment: residuals over photographs and ground, correlations of parameters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What straight rays, and corrections of them, would have given over the same bed, beside what this run gave."""
+"""Baselines over the same bed: straight rays, and corrections of their depth."""
 
 from __future__ import annotations
 

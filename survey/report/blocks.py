@@ -1,4 +1,4 @@
-"""What a section of report.html is made of: texts and tables, in words and numbers that are ready to be shown."""
+"""Parts of a section of report.html: texts and tables, formatted."""
 
 from __future__ import annotations
 

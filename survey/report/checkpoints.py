@@ -1,4 +1,4 @@
-"""The cloud of a run at the check points of its survey: its height there less theirs."""
+"""Height differences of the cloud of a run at the check points of its survey."""
 
 from __future__ import annotations
 

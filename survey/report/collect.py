@@ -1,4 +1,4 @@
-"""From what a run knows at its end to the figures of its report."""
+"""Collects the figures of a report from the results of a run."""
 
 from __future__ import annotations
 

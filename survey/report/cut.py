@@ -1,4 +1,4 @@
-"""Where a report cuts through the bed: the line that shows most of its relief."""
+"""The line of the report's profile: that with the most relief."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A bed that is dry all over, though the survey has water: often a level in another vertical datum."""
+"""Warning for a bed that is dry all over in a survey with water: often another vertical datum."""
 
 from __future__ import annotations
 

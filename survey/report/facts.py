@@ -1,4 +1,4 @@
-"""What goes into a report: all that a run knows at its end."""
+"""Inputs of a report: all that a run knows at its end."""
 
 from __future__ import annotations
 

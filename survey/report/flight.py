@@ -1,4 +1,4 @@
-"""The flight in plan: cameras and what they cover, over the bed that was found."""
+"""Map of the flight: cameras and their footprints over the bed."""
 
 from __future__ import annotations
 

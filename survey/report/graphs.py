@@ -1,4 +1,4 @@
-"""Distributions over the points, and the distance to a reference over depth."""
+"""Histograms of the points, and distance to a reference over depth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The head of report.html: the verdict in a sentence, and the few numbers that matter most."""
+"""The head of report.html: verdict and main figures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The bed in pictures: from above by colour and depth, in one photograph, and how well it is known."""
+"""Maps of the bed: colour, depth and standard deviation, and the bed in one photograph."""
 
 from __future__ import annotations
 

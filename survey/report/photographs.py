@@ -1,4 +1,4 @@
-"""What of each photograph was left out of matching: white pixels, and what no other photograph shows."""
+"""Shares of each photograph left out of matching: saturated pixels, and inconsistent ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A cut through the bed: water, bed, points and reference in one picture."""
+"""Profile of the bed: water, bed, points and reference."""
 
 from __future__ import annotations
 

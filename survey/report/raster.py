@@ -1,4 +1,4 @@
-"""Rasters of the bed made fit to be looked at: single holes closed, lit as a relief."""
+"""Rasters prepared for display: single holes closed, relief shaded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A bed as an image: coloured by depth or height, shaded by its relief."""
+"""Shaded relief of a bed, coloured by depth or height."""
 
 from __future__ import annotations
 

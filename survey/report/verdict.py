@@ -1,4 +1,4 @@
-"""The verdict on a run: what a cloud has to meet to be used unseen, and whether this one does."""
+"""The verdict on a run: requirements on a cloud, and whether they are met."""
 
 from __future__ import annotations
 

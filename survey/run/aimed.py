@@ -1,4 +1,4 @@
-"""A run with an aim: how far up the ladder of recipes it has come, what that took, and what comes next.
+"""Runs with a target std or a time budget: the recipe reached, its cost, and the next one.
 
 A run goes in rounds of sweep, solver and a look at what was reached (`survey.run.rounds`). The first is cheap. Each
 later one goes on from the heights before, so that a round in between costs a few percent of the one after it.

@@ -1,4 +1,4 @@
-"""How a run with an aim begins: the first recipe, and what can be said before anything is computed."""
+"""The first recipe of a run with an aim, and what can be foreseen before anything is computed."""
 
 from __future__ import annotations
 

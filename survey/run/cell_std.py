@@ -1,4 +1,4 @@
-"""The standard deviation of heights by cells of the ground, and what limits it.
+"""Standard deviation of heights by cells of the ground, and its dominant part.
 
 That of the points themselves, which work on the photographs changes; std_common comes on top of it.
 """

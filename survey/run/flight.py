@@ -1,4 +1,4 @@
-"""The photographs of a run as it used them, kept beside its cloud: cameras, water and place, for what is made later."""
+"""The photographs of a run with their adjusted cameras, water and local frame, stored for later products."""
 
 from __future__ import annotations
 

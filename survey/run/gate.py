@@ -1,4 +1,4 @@
-"""The quality gate of a run: whether its cloud may be used unseen.
+"""The quality gate of a run.
 
 Two things are required. Of the ground that two or more views see, at the height where the bed was found, at least half
 has a point: what one view alone sees cannot be measured and does not count. And the median standard deviation of the

@@ -1,4 +1,4 @@
-"""What a stage depends on, part by part, so that a run can say why a stage is computed again."""
+"""Dependencies of a stage, part by part, and the reason why a stage is computed again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The points of height maps: every piece of the bed once, with all of its own standard deviation.
+"""Points of the bed from height maps, without duplicates, with their random standard deviation.
 
 The bed of a run and the look at what a round has reached are made of the same points.
 """
@@ -90,7 +90,7 @@ def bed_points(
         final, std = (depth_map, None) if solved is None else solved[number].over(depth_map)
         points = points_of(camera, survey.water, final, keep, rgb, tolerance, std)
         points = with_slopes(points, final.height, keep, plan.gsd_m, survey.water)
-        # Heights that agree by chance to the last bit lie anywhere in a hundredth of a pixel of parallax.
+        # Floor of std at 0.01 px of parallax: heights that agree exactly do so by chance.
         points = replace(points, std=np.maximum(points.std, np.float32(LEAST_STD_PX / parallax)))
         if area is not None:
             points = points[within(points.xyz, grown(area, AREA_MARGIN_M))]

@@ -1,4 +1,4 @@
-"""What a run gives to its user: cloud, settings, plan and report, written into the folder of a new result."""
+"""The results of a run: cloud, settings, plan and report, written into a folder of their own."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The options of a run, and the command that repeats it: for settings.toml and the report."""
+"""The options of a run, and the command that repeats it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The result of a run: cloud, report, settings and plan, which take the place of an earlier result all together.
+"""Publication of a result: cloud, report, settings and plan replace an earlier result together.
 
 A result is written into a hidden folder of the run. Renaming the complete folder commits the result, and its files are
 then moved to their places; a process that is killed in between leaves the rest of the moving to the next one. So

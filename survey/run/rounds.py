@@ -1,4 +1,4 @@
-"""The stages of a run one after the other; with an aim, sweep, solver and a look at them round after round."""
+"""Execution of the stages of a run; with an aim, rounds of sweep, solver and assessment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The photographs that have a height map, with their water: what fields and colours are learned from."""
+"""The photographs that have a height map, with their water: training data of fields and colours."""
 
 from __future__ import annotations
 

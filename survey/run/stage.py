@@ -1,4 +1,4 @@
-"""A stage of a run, as data: what it needs, what it leaves, what it depends on, and the function that computes it."""
+"""A stage of a run, as data: inputs, outputs, dependencies, and the function that computes it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The stage that asks a sample of photographs whether poses and water that are given can be."""
+"""The stage that tests given poses and water on a sample of photographs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The stage that looks at what a round has reached, and decides on the next one.
+"""The stage that assesses a round of a run with an aim, and decides on the next one.
 
 Its decision depends on the clock where a time is asked for; it is kept in the run, so that the same command comes to
 the same result.

@@ -1,4 +1,4 @@
-"""The stage of the solver: heights of the points by least squares over all photographs, and how sure they are."""
+"""The stage of the solver: heights of the points by least squares over all photographs, with their std."""
 
 from __future__ import annotations
 

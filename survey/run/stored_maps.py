@@ -1,4 +1,4 @@
-"""Height maps, and what was solved of them, on the disk: aside while they are worked on, then all in one file."""
+"""Height maps and solved maps on disk: scratch files during a stage, one archive after it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the report of a run compares its cloud with."""
+"""The reference of a run's report: mesh or cloud, and visible points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A block of photographs placed by control points alone: the similarity that most of them agree on.
+"""Absolute orientation of a block by control points alone: the similarity that most of them agree on.
 
 The rays of the photographs are straight here and the water is not: a block is bent by a per cent of its range, and
 points under water seem to lie higher. So only gross errors count; the adjustment finds the small ones.

@@ -1,4 +1,4 @@
-"""Heights above the ellipsoid as heights of a vertical datum, by the grid of its geoid, or the name of that grid."""
+"""Ellipsoidal heights converted to a vertical datum by the grid of its geoid."""
 
 from __future__ import annotations
 

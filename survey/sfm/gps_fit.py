@@ -1,4 +1,4 @@
-"""How well GPS positions fit a block of photographs, and whether they can place it."""
+"""Fit of a block to GPS positions: residuals, and whether they determine its orientation."""
 
 from __future__ import annotations
 

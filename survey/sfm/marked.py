@@ -1,4 +1,4 @@
-"""Control points in a block of photographs: where the rays of their marks meet, and which marks do not belong."""
+"""Control points in a block of photographs: intersection of the rays of their marks, and outliers."""
 
 from __future__ import annotations
 

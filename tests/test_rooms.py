@@ -107,6 +107,7 @@ DISK_FILES = {
             "photographs",
             "product",
             "render",
+            "soundings",
             "written",
         ),
         "survey/files": ("csv_table", "json_values", "lock", "outputs", "toml_table", "xml_tree"),

@@ -62,6 +62,12 @@ def run(
             rich_help_panel=_HOW,
         ),
     ] = False,
+    thin: Annotated[
+        str,
+        typer.Option(
+            metavar="none|shoal|mean", help="What is kept of the soundings of a cell; none: all.", rich_help_panel=_HOW
+        ),
+    ] = "none",
     survey: Annotated[
         str | None,
         typer.Option(metavar="DIR", help="Survey folder, if it was moved since the run.", rich_help_panel=_HOW),
@@ -86,6 +92,7 @@ def run(
             interval_m=interval,
             no_bed=no_bed,
             survey=survey,
+            thin=thin,
         )
         for path in export(run, options=options, **files):
             results.line(path)

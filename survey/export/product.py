@@ -41,6 +41,8 @@ class ExportOptions:
         Add points where no bed was found, and of the water over them.
     survey : str or None
         Folder of the survey, if it was moved since the run.
+    thin : "none", "shoal" or "mean"
+        What is kept of the soundings of a cell: all, the shoalest, or their mean.
     """
 
     crs: str | None = None
@@ -51,6 +53,7 @@ class ExportOptions:
     interval_m: float | None = None
     no_bed: bool = False
     survey: str | None = None
+    thin: str = "none"
 
 
 def require_lengths(options: ExportOptions) -> None:

@@ -8,12 +8,13 @@ from survey.export.hydrography import HYDROGRAPHY
 from survey.export.meshes import MESHES
 from survey.export.orthophoto import ORTHOPHOTO
 from survey.export.product import Product
+from survey.export.soundings import SOUNDINGS
 from survey.export.terrain import TERRAIN
 from survey.export.vectors import VECTORS
 
 # By the panel of help that a product stands in.
 FAMILIES: dict[str, tuple[Product, ...]] = {
-    "Points": CLOUDS,
+    "Points": (*CLOUDS, *SOUNDINGS),
     "Rasters": (*TERRAIN, *HYDROGRAPHY, *ORTHOPHOTO),
     "Meshes": MESHES,
     "Lines and areas": VECTORS,

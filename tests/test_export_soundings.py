@@ -1,0 +1,107 @@
+"""Soundings as XYZ and CSV: all points, the shoalest of each cell, or the mean."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+from pyproj import CRS
+from stored_run import run_of, stored_points
+
+from geo.crs import height_unit_m
+from survey.errors import SurveyError
+from survey.export.export import export
+from survey.export.product import ExportOptions
+
+LEVEL_M = 101.5
+
+
+def run_with(folder, code="EPSG:25832+7837", *, level_m: float | None = LEVEL_M):
+    """A rough bed of 6 x 4 m with some thousand points."""
+    crs = CRS(code)
+    unit = np.array([crs.axis_info[0].unit_conversion_factor] * 2 + [height_unit_m(crs)])
+    random = np.random.default_rng(3)
+    local = np.column_stack([random.uniform(0, [6, 4], (4000, 2)), 100.0 + 0.05 * random.standard_normal(4000)])
+    points = local / unit + np.array([500_000.0, 5_200_000.0, 0.0])
+    level = None if level_m is None else level_m / unit[2]
+    return points, run_of(stored_points(points, crs, level_m=level), folder / "run")
+
+
+def numbers_in(path) -> np.ndarray:
+    return np.loadtxt(path, comments="#")
+
+
+def rows_in(path) -> list[dict[str, str]]:
+    return list(csv.DictReader(line for line in path.read_text().splitlines() if not line.startswith("#")))
+
+
+@pytest.mark.parametrize("code", ["EPSG:25832+7837", "EPSG:2263+6360"])
+def test_all_points_are_in_xyz_and_csv(tmp_path, code):
+    points, run = run_with(tmp_path, code)
+    for name in ("a.xyz", "a.csv"):
+        export(run, soundings=tmp_path / name)
+    said = (tmp_path / "a.xyz").read_text().splitlines()[1].removeprefix("# CoordinateSystem: ")
+    assert CRS(said).name == CRS(code).name
+    assert numbers_in(tmp_path / "a.xyz") == pytest.approx(points, abs=6e-4)
+    rows = rows_in(tmp_path / "a.csv")
+    assert [float(row["height"]) for row in rows] == pytest.approx(points[:, 2], abs=6e-4)
+    assert {(row["std_m"], row["std_common_m"], row["points"]) for row in rows} == {("0.010", "", "1")}
+
+
+def test_the_shoalest_point_of_each_cell_is_kept_as_it_is(tmp_path):
+    points, run = run_with(tmp_path)
+    export(run, soundings=tmp_path / "s.csv", options=ExportOptions(thin="shoal", resolution_m=0.5))
+    kept = rows_in(tmp_path / "s.csv")
+    cells = np.floor(points[:, :2] / 0.5)
+    true = {tuple(cell): points[(cells == cell).all(axis=1)] for cell in np.unique(cells, axis=0)}
+    assert len(kept) == len(true)
+    for row in kept:
+        place = np.array([float(row["easting"]), float(row["northing"])])
+        there = min(true.values(), key=lambda some: np.abs(some[:, :2] - place).sum(axis=1).min())
+        assert float(row["height"]) == pytest.approx(there[:, 2].max(), abs=6e-4)
+        assert int(row["points"]) == len(there)
+        assert float(row["depth_m"]) == pytest.approx(LEVEL_M - float(row["height"]), abs=2e-3)
+    assert sum(int(row["points"]) for row in kept) == len(points)
+
+
+def test_a_mean_stands_in_the_middle_of_its_cell(tmp_path):
+    points, run = run_with(tmp_path)
+    export(run, soundings=tmp_path / "m.xyz", options=ExportOptions(thin="mean", resolution_m=1.0))
+    found = numbers_in(tmp_path / "m.xyz")
+    assert len(found) == 24
+    assert (found[:, :2] % 1.0 == 0.5).all()
+    for east, north, height in found:
+        there = (np.abs(points[:, :2] - [east, north]) <= 0.5).all(axis=1)
+        assert height == pytest.approx(points[there, 2].mean(), abs=0.02)
+
+
+def test_a_dry_bed_has_no_depths(tmp_path):
+    _, run = run_with(tmp_path, level_m=None)
+    export(run, soundings=tmp_path / "a.csv")
+    assert {row["depth_m"] for row in rows_in(tmp_path / "a.csv")} == {""}
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (ExportOptions(thin="deep"), "--thin is deep, expected one of none, shoal, mean"),
+        (ExportOptions(resolution_m=1.0), "give --thin shoal or --thin mean too"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(tmp_path, options, words):
+    _, run = run_with(tmp_path)
+    with pytest.raises(SurveyError, match=words):
+        export(run, soundings=tmp_path / "a.csv", options=options)
+
+
+def test_a_table_of_somebody_else_stays(tmp_path):
+    _, run = run_with(tmp_path)
+    path = tmp_path / "a.xyz"
+    path.write_text("1 2 3\n")
+    with pytest.raises(SurveyError, match="is not soundings that bathynerf wrote"):
+        export(run, soundings=path)
+    path.unlink()
+    export(run, soundings=path)
+    export(run, soundings=path, options=ExportOptions(thin="shoal"))
+    assert len(numbers_in(path)) < 4000

@@ -14,8 +14,8 @@ from survey.plan.choices import Device
 
 EXAMPLES = """
     bathynerf field my_survey/bathynerf --model mdw -o mdw
-    bathynerf field my_survey/bathynerf --model tensorf -o t \\
-        --held-every 8 --reference lidar.ply
+    bathynerf field my_survey/bathynerf --model tensorf \\
+        -o t --held-every 8 --reference lidar.ply
     bathynerf field my_survey/bathynerf -o mdw \\
         --cameras cameras.csv
 """

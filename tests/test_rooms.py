@@ -108,6 +108,7 @@ DISK_FILES = {
             "product",
             "render",
             "soundings",
+            "styles",
             "written",
         ),
         "survey/files": ("csv_table", "json_values", "lock", "outputs", "toml_table", "xml_tree"),

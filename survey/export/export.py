@@ -9,6 +9,7 @@ from survey.errors import OutputError, SurveyError
 from survey.export.loaded import LoadedRun
 from survey.export.product import ExportOptions, Product, require_lengths
 from survey.export.registry import PRODUCTS
+from survey.export.styles import write_style
 from survey.export.written import is_current, key_of, note_written
 from survey.files.outputs import ReadFiles, require_file, require_folder
 from survey.progress import current
@@ -68,6 +69,8 @@ def _write(product: Product, path: Path, loaded: LoadedRun, options: ExportOptio
         current().note(f"{path}: unchanged")
     else:
         product.write(path, loaded, options)
+        if product.style is not None:
+            write_style(path, product.style)
         note_written(loaded, path, key)
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from survey.errors import SurveyError
 from survey.export.product import ExportOptions, Product, begins_with
+from survey.export.styles import of_heights, of_orders
 from survey.export.terrain import CELLS, is_our_raster, noted_if_empty, parts_of, raster_form
 
 if TYPE_CHECKING:
@@ -132,6 +133,7 @@ HYDROGRAPHY = (
         takes=CELLS,
         is_ours=begins_with(b"\x89HDF\r\n\x1a\n", _BAG_MARK),
         write=_write_bag,
+        style=of_heights,
     ),
     Product(
         option="s44",
@@ -142,5 +144,6 @@ HYDROGRAPHY = (
         takes=CELLS,
         is_ours=is_our_raster,
         write=_write_s44,
+        style=of_orders,
     ),
 )

@@ -93,6 +93,8 @@ class Product:
         the registry.
     is_folder : bool
         Whether it is a folder of files, which is made where it is not there, and always written anew.
+    style : callable, optional
+        The style of QGIS for a file of it, see `survey.export.styles`.
     """
 
     option: str
@@ -104,6 +106,7 @@ class Product:
     is_ours: Callable[[Path], bool]
     write: Callable[[Path, LoadedRun, ExportOptions], None]
     is_folder: bool = False
+    style: Callable[[Path], str] | None = None
 
 
 def begins_with(start: bytes, *marks: bytes) -> Callable[[Path], bool]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from survey.export.product import ExportOptions, Product
+from survey.export.styles import of_heights, of_slopes
 
 if TYPE_CHECKING:
     import numpy as np
@@ -151,6 +152,7 @@ TERRAIN = (
         takes=CELLS,
         is_ours=is_our_raster,
         write=_write_dem,
+        style=of_heights,
     ),
     Product(
         option="slope",
@@ -161,6 +163,7 @@ TERRAIN = (
         takes=CELLS,
         is_ours=is_our_raster,
         write=_write_slope,
+        style=of_slopes,
     ),
     Product(
         option="hillshade",

@@ -1,0 +1,107 @@
+"""Styles of QGIS beside rasters (.qml): QGIS takes that of a raster's own name when the raster is opened."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+from xml.sax.saxutils import quoteattr
+
+from survey.progress import current
+
+if TYPE_CHECKING:
+    from matplotlib.colors import Colormap
+
+# QGIS leaves comments out when it saves a style: one that somebody changed is kept.
+_MARK = "<!-- made by bathynerf -->"
+_HEAD = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"
+_NUM_COLOURS = 8
+# Of the values of a band, the ends of the colours; cells along a side that are looked at.
+_ENDS, _MOST_SIDE = (0.01, 0.99), 1024
+
+Style = Callable[[Path], str]
+
+
+def write_style(path: Path, style: Style) -> None:
+    """Write the style of a raster beside it, unless there is one of somebody else."""
+    from geo.files import write_whole
+
+    beside = path.with_suffix(".qml")
+    if beside.exists() and _MARK not in beside.read_text(encoding="utf-8", errors="replace"):
+        current().detail(f"{beside} was not written by bathynerf, and stays")
+        return
+    with write_whole(beside) as stream:
+        stream.write(style(path).encode())
+
+
+def of_heights(path: Path) -> str:
+    """Heights or elevations in the first band: dark blue where low."""
+    from survey.display.palette import DEPTHS
+
+    return _ramp(path, DEPTHS.reversed())
+
+
+def of_slopes(path: Path) -> str:
+    """Slopes in the first band: dark where steep."""
+    from matplotlib import colormaps
+
+    from survey.display.palette import SPREADS
+
+    return _ramp(path, colormaps[SPREADS])
+
+
+def of_orders(_path: Path) -> str:
+    """Orders of IHO S-44 in the first band, by their names."""
+    from matplotlib.colors import to_hex
+
+    from evaluation.standards import TVU
+    from survey.display.palette import DEPTHS, RED
+
+    names = [f"S-44 {name}" if name[0].isupper() else f"S-44 order {name}" for name, _, _ in TVU]
+    shades = [to_hex(DEPTHS(0.85 - 0.7 * number / len(TVU))) for number in range(len(TVU))]
+    codes = {number: (shade, name) for number, (shade, name) in enumerate(zip(shades, names, strict=True), 1)}
+    return _codes({**codes, len(TVU) + 1: (RED, "no order")})
+
+
+def _ramp(path: Path, colours: Colormap) -> str:
+    """Colours between the ends of the values of the first band."""
+    import numpy as np
+    import rasterio
+    from matplotlib.colors import to_hex
+
+    with rasterio.open(path) as raster:
+        scale = max(max(raster.shape) / _MOST_SIDE, 1.0)
+        shape = tuple(max(int(side / scale), 1) for side in raster.shape)
+        values = raster.read(1, out_shape=shape, masked=True).compressed()
+    values = values[np.isfinite(values)].astype(np.float64)
+    low, high = np.quantile(values, _ENDS).tolist() if len(values) else (0.0, 1.0)
+    high = high if high > low else low + 1.0
+    steps = np.linspace(0.0, 1.0, _NUM_COLOURS)
+    items = "".join(
+        f'<item alpha="255" value="{value:.9g}" label="{value:.5g}" color="{to_hex(colours(step))}"/>'
+        for step, value in zip(steps, low + steps * (high - low), strict=True)
+    )
+    ends = f'minimumValue="{low:.9g}" maximumValue="{high:.9g}"'
+    return _document(
+        f'<rasterrenderer type="singlebandpseudocolor" band="1" opacity="1" alphaBand="-1" nodataColor="" '
+        f'classificationMin="{low:.9g}" classificationMax="{high:.9g}"><rasterTransparency/><rastershader>'
+        f'<colorrampshader colorRampType="INTERPOLATED" classificationMode="1" clip="0" {ends}>{items}'
+        "</colorrampshader></rastershader></rasterrenderer>"
+    )
+
+
+def _codes(codes: Mapping[int, tuple[str, str]]) -> str:
+    """A colour and a name for each code of the first band."""
+    entries = "".join(
+        f'<paletteEntry value="{code}" color="{colour}" alpha="255" label={quoteattr(name)}/>'
+        for code, (colour, name) in codes.items()
+    )
+    return _document(
+        '<rasterrenderer type="paletted" band="1" opacity="1" alphaBand="-1" nodataColor=""><rasterTransparency/>'
+        f"<colorPalette>{entries}</colorPalette></rasterrenderer>"
+    )
+
+
+def _document(renderer: str) -> str:
+    pipe = f"<pipe>{renderer}</pipe>"
+    return f'{_HEAD}<qgis version="3.22.0" styleCategories="AllStyleCategories">{_MARK}{pipe}</qgis>\n'

@@ -74,6 +74,23 @@ def test_a_survey_has_its_control_in_local_and_its_settings_say_what_was_assumed
     assert (survey.config.control.std_m, survey.config.control.marks_std_px) == (0.01, 0.5)
 
 
+@pytest.mark.parametrize(
+    ("text", "untold"),
+    [
+        ('gcps = "gcp_list.txt"', 3),
+        ('gcps = "points.xml"', 2),
+        ('gcps = "gcp_list.txt"\nstd_m = 0.02', 0),
+        ('gcps = "points.xml"\nstd_m = [0.02, 0.04]', 0),
+        ('gcps = "gcp_list.txt"\nmarks_std_px = 0.3', 3),
+    ],
+)
+def test_control_without_a_word_on_its_accuracy_is_a_warning(tmp_path, text, untold):
+    survey = load_survey(with_control(tmp_path, text, gcp_list__txt=odm(), points__xml=METASHAPE))
+    told = [warning for warning in survey.warnings if "how accurate" in warning]
+    assert len(told) == (untold > 0)
+    assert all(warning.startswith(f"nothing says how accurate {untold} of 3 control points are") for warning in told)
+
+
 def test_accuracies_of_survey_toml_count_where_the_file_has_none(tmp_path):
     control = 'gcps = "points.xml"\nstd_m = [0.02, 0.04]\nmarks_std_px = 0.3'
     survey = load_survey(with_control(tmp_path, control, points__xml=METASHAPE))
@@ -185,16 +202,17 @@ def seen_marks(survey, shift=(0.0, 0.0)) -> str:
 
 def test_marks_are_held_against_the_poses(tmp_path):
     bare = load_survey(small_survey(tmp_path / "bare"))
-    survey = load_survey(with_control(tmp_path, gcp_list__txt=seen_marks(bare)))
+    control = 'gcps = "gcp_list.txt"\nstd_m = 0.02'
+    survey = load_survey(with_control(tmp_path, control, gcp_list__txt=seen_marks(bare)))
     assert mark_residuals(survey.control, survey.views, survey.water).max() < 2e-3
     assert survey.warnings == ()
-    (doubt,) = load_survey(with_control(tmp_path, gcp_list__txt=seen_marks(bare, (3.0, 0.0)))).warnings
+    (doubt,) = load_survey(with_control(tmp_path, control, gcp_list__txt=seen_marks(bare, (3.0, 0.0)))).warnings
     assert doubt.startswith("the marks of control points lie 3 px (median) from where the poses show these points;")
     lines = seen_marks(bare).splitlines()
     parts = lines[1].split()
     parts[3] = "60.0"
     (doubt,) = load_survey(
-        with_control(tmp_path, gcp_list__txt="\n".join([lines[0], " ".join(parts), *lines[2:]]))
+        with_control(tmp_path, control, gcp_list__txt="\n".join([lines[0], " ".join(parts), *lines[2:]]))
     ).warnings
     assert doubt == "1 mark far from where the pose shows its point, to be checked: p1 in 0000.jpg"
 

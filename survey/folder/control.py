@@ -69,7 +69,20 @@ def find_control(
         contents.append(Content(marks=read_control(folder / config.marks).marks))
     sizes = {name: head.size_px for name, head in heads.items()}
     gathered = gather(contents, crs, sizes, assumptions, warnings)
+    warnings += _untold_accuracy(config, gathered)
     return FoundControl(_with_stds(config, gathered, assumptions), gathered, (*checkpoints, *gathered.unmarked))
+
+
+def _untold_accuracy(config: ControlConfig, gathered: Gathered) -> list[str]:
+    """A warning where neither the settings nor a file says how accurate control points are."""
+    untold = [point for point in gathered.points if point.std_m is None]
+    if config.std_m is not None or not untold:
+        return []
+    return [
+        f"nothing says how accurate {len(untold)} of {len(gathered.points)} control points are: {DEFAULT_STD_M:g} m is "
+        "taken, which GNSS with corrections or a total station has, and the block follows them as closely; give "
+        "[control] std_m, e.g. 0.03, or [0.02, 0.03] horizontally and vertically"
+    ]
 
 
 def _with_stds(config: ControlConfig, gathered: Gathered, assumptions: list[str]) -> ControlConfig:

@@ -205,7 +205,9 @@ def require_in_area(crs: CRS, points: np.ndarray, said: str, where: str = "crs")
 def require_at(crs: CRS, lon_lat_deg: np.ndarray, said: str, where: str) -> None:
     """As `require_in_area`, of longitudes and latitudes (N, 2) of WGS 84 [deg]."""
     if len(lon_lat_deg):
-        lon, lat = np.radians(np.median(lon_lat_deg, axis=0))
+        east, north = np.median(lon_lat_deg, axis=0).tolist()
+        lon, lat = np.radians([east, north])
+        said += f" (about {north:.3f} north, {east:.3f} east)"
         _require_in_area(crs, np.array([lon - prime_meridian_rad(crs), lat]), said, where)
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from placed_by_gps import solved
@@ -10,6 +13,8 @@ from small_survey import LEVEL, camera_lines, replaced, small_survey, write_imag
 from refract.lens import Lens
 from survey.errors import ConfigError, PosesError
 from survey.folder.survey import find_survey, load_survey
+from survey.photos.exif import Exif
+from survey.sfm.gps import gps_positions
 
 
 def test_without_survey_toml_the_zone_comes_from_the_positions_and_it_says_what_it_assumed(tmp_path):
@@ -88,6 +93,23 @@ def test_without_poses_and_positions_there_is_nothing_to_start_from(tmp_path):
     (folder / "geo.txt").write_text("EPSG:4326\n")
     with pytest.raises(PosesError, match=r"geo.txt is not read: write its positions into the EXIF"):
         load_survey(folder)
+
+
+@pytest.mark.parametrize(
+    ("exif", "missing"),
+    [
+        (
+            {"gps_fault": "longitude's reference (E or W)"},
+            r"as longitude's reference \(E or W\) is missing in 5 of the",
+        ),
+        ({"lat_lon_height": (46.9, 10.2, math.nan)}, "as the altitude is missing in 5 of the images"),
+        ({}, "height, expected"),
+    ],
+)
+def test_without_whole_positions_what_is_missing_is_said(exif, missing):
+    heads = {f"{i}.jpg": replace(Exif((64, 48), None, None, 1, "", None), **exif) for i in range(5)}
+    with pytest.raises(PosesError, match=missing):
+        gps_positions(heads, None, "crs")
 
 
 def test_a_survey_without_poses_is_handed_to_structure_from_motion(tmp_path, monkeypatch):

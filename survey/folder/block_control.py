@@ -17,7 +17,7 @@ from survey.folder.config_control import per_direction
 from survey.folder.found import Found
 from survey.photos.formats import find_unread
 from survey.sfm.control_fit import MIN_POINTS, require_spread
-from survey.sfm.gps import MIN_POSITIONS, is_whole
+from survey.sfm.gps import MIN_POSITIONS, is_whole, what_is_missing
 from survey.sfm.marked import BlockControl
 
 # On straight rays the bed seems higher than it is by about a quarter of its depth.
@@ -60,7 +60,7 @@ def require_placing_control(found: Found) -> BlockControl:
     num_whole = sum(is_whole(head.lat_lon_height) for head in found.heads.values())
     told = (
         f"{found.folder} has no poses file, and {num} of {len(found.heads)} images have a GPS position in EXIF "
-        f"({num_whole} with a height), expected at least {MIN_POSITIONS}"
+        f"({num_whole} with a height){what_is_missing(found.heads)}, expected at least {MIN_POSITIONS}"
     )
     if control is None:
         unread = "".join(f". {sentence}" for sentence in find_unread(found.folder))

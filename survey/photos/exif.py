@@ -194,7 +194,9 @@ def _position_of_gps(gps: dict) -> tuple[tuple[float, float, float] | None, str]
         places.append(-abs(degrees) if letter == letters[1] else degrees)
     latitude, longitude = places
     # A receiver without a fix writes 0, 0.
-    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0) or latitude == longitude == 0.0:
+    if latitude == longitude == 0.0:
+        return None, "a fix (latitude and longitude are 0)"
+    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
         return None, ""
     height = number(gps.get(ExifTags.GPS.GPSAltitude))
     return (latitude, longitude, -abs(height) if _altitude_reference(gps) in _BELOW else height), ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -67,7 +68,8 @@ def gps_positions(heads: Mapping[str, Exif], crs: CRS | None, gps_height: str) -
     if num_with_height < MIN_POSITIONS:
         raise PosesError(
             f"{num} of {len(heads)} images have a GPS position in EXIF, {num_with_height} of them with a "
-            f"height, expected at least {MIN_POSITIONS} to place the survey on Earth; {_GIVE_POSES}"
+            f"height{what_is_missing(heads)}, expected at least {MIN_POSITIONS} to place the survey on Earth; "
+            f"{_GIVE_POSES}"
         )
     notes = []
     if crs is None:
@@ -82,6 +84,16 @@ def gps_positions(heads: Mapping[str, Exif], crs: CRS | None, gps_height: str) -
     if missing:
         notes.append(f"{missing} of {len(heads)} images have no GPS position with a height; the others place the block")
     return GpsPositions(frame, dict(zip(positions, frame.local_from_crs(points), strict=True)), tuple(notes))
+
+
+def what_is_missing(heads: Mapping[str, Exif]) -> str:
+    """What EXIF lacks for whole positions, as a part of a sentence; empty where it holds nothing of them."""
+    faults = Counter(head.gps_fault for head in heads.values() if head.gps_fault)
+    flat = sum(head.lat_lon_height is not None and not is_whole(head.lat_lon_height) for head in heads.values())
+    if flat:
+        faults["the altitude"] = flat
+    said = [f"{fault} is missing in {num} of the images" for fault, num in faults.items()]
+    return f", as {' and '.join(said)}" if said else ""
 
 
 def positions_in_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str, notes: list[str]) -> dict[str, np.ndarray]:

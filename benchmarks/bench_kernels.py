@@ -104,7 +104,7 @@ def kernel_table(block: Block, bound: tuple[float, float], machine: Limits) -> s
     others, count = block.neighbours(view, p.neighbours), p.hypotheses or 0
     rows = min(stack.height, drjit_kernels.SAMPLES_PER_LAUNCH // (len(others) * count * stack.width))
     start = np.full((rows, stack.width), 0.5 * (bound[0] + bound[1]), np.float32)
-    legs, grey = drjit_kernels.legs_of(stack, view, 0, rows), floats(stack.device, stack.images[view][:rows])
+    legs, grey = drjit_kernels.rays_of_rows(stack, view, 0, rows), floats(stack.device, stack.images[view][:rows])
     values = drjit_kernels.buffers(device, len(others), start.size * count)
     warp = partial(drjit_kernels.warp, values, stack, legs, Hypotheses(start, 0.05, count), others)
     samples = len(others) * count * rows * stack.width
@@ -144,7 +144,7 @@ def main() -> None:
     job = Job(load_survey(options.survey), Choices(quality=options.quality, device="cpu"), current())
     heights, block = limits(job.survey), job.block
     bound = ranging.find_range(block, heights)
-    block.look_at(0.5 * (bound[0] + bound[1]))
+    block.judge_overlap_at(0.5 * (bound[0] + bound[1]))
     chosen = block.cover(*RECIPES[options.quality].times_seen, local_area(job.survey))
     sys.stdout.write(stage_table(block, chosen, bound, heights) + "\n\n")
     # In processor time too: other programs on the machine do not count.

@@ -114,7 +114,7 @@ def sampler(sigma: float, order: int) -> Iterator[None]:
 
 
 def _cubic(stack: ViewStack, view, u, v, inside):
-    """`fields.sweep.kernels.drjit_kernels.look_up` of the coefficients of a cubic spline."""
+    """`fields.sweep.kernels.drjit_kernels.sample_packed` of the coefficients of a cubic spline."""
     import drjit as dr
 
     Float, UInt, Int = (getattr(stack.device.module, name) for name in ("Float", "UInt", "Int"))

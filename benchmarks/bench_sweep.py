@@ -24,7 +24,7 @@ import numpy as np
 from fields.sweep import bed as bed_module
 from fields.sweep import views
 from fields.sweep.bed import BedPoints
-from fields.sweep.fusion import without_contradicted
+from fields.sweep.fusion import remove_free_space_violations
 from fields.sweep.maps import DepthMap, trusted
 from fields.sweep.passes import PASSES, Pass
 from fields.sweep.ranging import find_range
@@ -79,7 +79,7 @@ class Case:
         self.job = Job(load_survey(folder), Choices(quality=quality), current())
         self.survey, self.plan, self.block = self.job.survey, self.job.plan, self.job.block
         self.bound = find_range(self.block, limits(self.survey))
-        self.block.look_at(0.5 * (self.bound[0] + self.bound[1]))
+        self.block.judge_overlap_at(0.5 * (self.bound[0] + self.bound[1]))
         self.chosen = self.block.cover(*RECIPES[quality].times_seen, local_area(self.survey))
 
     def maps(
@@ -89,7 +89,7 @@ class Case:
         start = time.monotonic()
         maps = sweep(self.block, self.chosen if chosen is None else chosen, self.bound, lambda done: None, passes)
         if checked:
-            maps = without_contradicted(self.block, maps)
+            maps = remove_free_space_violations(self.block, maps)
         return maps, time.monotonic() - start
 
     def points(self, maps: list[DepthMap]) -> BedPoints:

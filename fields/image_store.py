@@ -15,8 +15,8 @@ Key = TypeVar("Key", bound=Hashable)
 Value = TypeVar("Value")
 
 
-class Recent(Generic[Key, Value]):
-    """Values by key, for several threads; two may make the same value.
+class LruCache(Generic[Key, Value]):
+    """Least-recently-used cache of values by key, safe for threads; two may compute the same value.
 
     Parameters
     ----------
@@ -41,8 +41,8 @@ class Recent(Generic[Key, Value]):
         return value
 
 
-class Lazy(Sequence):
-    """Images (height, width) float32 of one size, not to be written to.
+class LazyImages(Sequence):
+    """Images (height, width) float32 of one size, computed when they are read; read-only.
 
     Parameters
     ----------
@@ -53,9 +53,9 @@ class Lazy(Sequence):
     """
 
     def __init__(self, make: Callable[[int], np.ndarray], count: int, shape: tuple[int, ...], most: int | None = None):
-        most = most_kept(4 * int(np.prod(shape)), _KEPT_BYTES, _FEWEST_KEPT) if most is None else most
+        most = num_cached(4 * int(np.prod(shape)), _KEPT_BYTES, _FEWEST_KEPT) if most is None else most
         self.shape, self._count = shape, count
-        self._made: Recent[int, np.ndarray] = Recent(make, most)
+        self._made: LruCache[int, np.ndarray] = LruCache(make, most)
 
     def __len__(self) -> int:
         return self._count
@@ -67,13 +67,13 @@ class Lazy(Sequence):
         return self._made[number]
 
 
-def most_kept(num_bytes: int, budget: int, fewest: int) -> int:
-    """How many arrays of so many bytes a budget holds, but not fewer than ``fewest``."""
+def num_cached(num_bytes: int, budget: int, fewest: int) -> int:
+    """Number of arrays of a size in bytes that a budget holds, at least ``fewest``."""
     return max(budget // max(num_bytes, 1), fewest)
 
 
-class Greys(Lazy):
-    """Images (height, width) float32, NaN where masked, not to be written to.
+class GreyImages(LazyImages):
+    """Grey images (height, width) float32, NaN where masked; read-only, one byte a pixel where levels are whole.
 
     Parameters
     ----------
@@ -82,23 +82,23 @@ class Greys(Lazy):
     """
 
     def __init__(self, images: Iterable[np.ndarray]):
-        self._kept = kept = [_Kept(image) for image in images]
+        self._kept = kept = [_GreyImage(image) for image in images]
         shapes = {each.levels.shape for each in self._kept}
         if len(shapes) > 1:
             raise ValueError(f"expected images of one size, got {sorted(shapes)}")
         super().__init__(lambda view: kept[view].whole(), len(self._kept), next(iter(shapes), (0, 0)))
 
     def window(self, view: int, rows: slice, columns: slice) -> np.ndarray:
-        """A part of an image, without the rest of it."""
+        """Window of an image."""
         return self._kept[view].window(rows, columns)
 
     @property
-    def are_whole(self) -> bool:
+    def are_unmasked(self) -> bool:
         """Whether no pixel is masked."""
         return not any(each.is_masked for each in self._kept)
 
 
-class _Kept:
+class _GreyImage:
     """One image: its levels as int8 and a mask where that loses nothing, as float32 otherwise."""
 
     def __init__(self, image: np.ndarray):
@@ -112,13 +112,13 @@ class _Kept:
             self.levels, self.masked = small, np.packbits(masked, axis=1) if self.is_masked else None
 
     def whole(self) -> np.ndarray:
-        """As it came."""
+        """The whole image."""
         image = self.window(slice(None), slice(None))
         image.flags.writeable = False
         return image
 
     def window(self, rows: slice, columns: slice) -> np.ndarray:
-        """A part of it."""
+        """Window of the image."""
         image = self.levels[rows, columns].astype(np.float32)
         if self.masked is not None:
             bits = np.unpackbits(self.masked[rows], axis=1, count=self.levels.shape[1])
@@ -127,7 +127,7 @@ class _Kept:
 
 
 class Masks(Sequence):
-    """Arrays (height, width) bool, written and read one at a time.
+    """Masks (height, width) bool of many images, one bit a pixel.
 
     Parameters
     ----------
@@ -151,11 +151,11 @@ class Masks(Sequence):
         self._bits[number] = np.packbits(mask)
 
     def add(self, number: int, mask: np.ndarray) -> None:
-        """Set what a mask, of any shape with as many pixels, has."""
+        """Union with a mask of any shape with as many pixels."""
         self._bits[number] |= np.packbits(mask)
 
     def copy(self) -> Masks:
-        """The same masks, to be changed without these."""
+        """Deep copy."""
         other = Masks([])
         other._shapes, other._bits = list(self._shapes), [bits.copy() for bits in self._bits]
         return other

@@ -155,7 +155,7 @@ def test_index_one_gives_the_heights_of_the_dry_code(dry):
     for water in (None, FlatWater((0.0, 0.0, -4.0), n_water=1.0)):
         block.water = water
         plane = 0.0 if water is None else water.point[2]
-        block.look_at(-8.2 - plane)
+        block.judge_overlap_at(-8.2 - plane)
         maps = sweep(block, [0, 5], (-8.6 - plane, -7.2 - plane), lambda share: None, PASSES[:2])
         heights.append(np.array([m.height for m in maps]) + plane)
     # float32 at 8 m has steps of 1e-6 m; a tie on the ladder may fall to the other rung.

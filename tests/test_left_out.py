@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from fields.solver.appearance import brightness_of
-from fields.sweep.block import closed, shrunk
+from fields.sweep.block import downsample, fill_small_holes
 from fields.sweep.photo_consistency import Consistency
 from survey.photos.saturation import saturated
 from survey.report.photographs import doubts, photographs_of, summary, table
@@ -19,7 +19,7 @@ def _image(rng) -> np.ndarray:
 
 def test_an_image_without_holes_stays_as_it_is(rng):
     image = _image(rng)
-    assert closed(image) is image
+    assert fill_small_holes(image) is image
 
 
 def test_a_small_hole_takes_whole_levels_of_its_surroundings_and_a_large_one_stays(rng):
@@ -27,7 +27,7 @@ def test_a_small_hole_takes_whole_levels_of_its_surroundings_and_a_large_one_sta
     holed = image.copy()
     holed[10:12, 20:22] = np.nan
     holed[30:50, 30:50] = np.nan
-    found = closed(holed)
+    found = fill_small_holes(holed)
     around = image[8:14, 18:24]
     assert np.all((found[10:12, 20:22] >= around.min()) & (found[10:12, 20:22] <= around.max()))
     assert np.array_equal(found[10:12, 20:22], np.rint(found[10:12, 20:22]))
@@ -39,7 +39,7 @@ def test_a_small_hole_takes_whole_levels_of_its_surroundings_and_a_large_one_sta
 def test_a_straight_edge_of_what_is_left_out_stays_where_it_is(rng):
     image = _image(rng)
     image[:, 50:] = np.nan
-    assert np.array_equal(np.isnan(closed(image)), np.isnan(image))
+    assert np.array_equal(np.isnan(fill_small_holes(image)), np.isnan(image))
 
 
 def test_a_smaller_image_is_the_mean_of_what_is_known():
@@ -47,7 +47,7 @@ def test_a_smaller_image_is_the_mean_of_what_is_known():
     image[0, 0] = np.nan
     image[4:8, 4:8] = np.nan
     image[4, 4] = 10.0
-    small = shrunk(image, (2, 2))
+    small = downsample(image, (2, 2))
     np.testing.assert_allclose(small[0], 10.0)
     assert np.isnan(small[1, 1])
 

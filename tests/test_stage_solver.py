@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fields.solver.solver import SolvedMap
-from fields.sweep.maps import DepthMap, enlarged_map
+from fields.sweep.maps import DepthMap, upsample_map
 from survey.run.stage_solver import _enlarged
 
 SMALL, LARGE = (6, 8), (12, 16)
@@ -25,7 +25,7 @@ def test_solved_pixels_keep_height_and_std_at_twice_the_size():
     solved = SolvedMap(pixels, np.full(len(pixels), -2.5, np.float32), np.full(len(pixels), 0.02, np.float32))
     keep = np.ones(LARGE, dtype=bool)
     keep[0] = False
-    found = _enlarged(before, solved, enlarged_map(before, LARGE[::-1]), keep)
+    found = _enlarged(before, solved, upsample_map(before, LARGE[::-1]), keep)
     rows, columns = np.divmod(found.pixels, LARGE[1])
     # Every kept pixel whose small one was solved, and no other.
     assert rows.min() == 1

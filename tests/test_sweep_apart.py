@@ -12,7 +12,7 @@ from plane_survey import PlaneBed, ring, texture
 from fields.device import choose_device, memory_bytes
 from fields.sweep import device_filters, device_maps, images_device
 from fields.sweep.block import Block
-from fields.sweep.device_maps import Resident, kept_beside
+from fields.sweep.device_maps import DeviceMaps, device_map_store
 from fields.sweep.kernels import arrays, flat
 from fields.sweep.maps import DepthMap
 from fields.sweep.passes import Pass, StepSearch
@@ -134,7 +134,7 @@ def test_between_the_passes_the_host_is_told_numbers_and_tiles_alone(apart, monk
 
     for module, name in ((flat, "on_host"), (images_device, "on_host"), (device_filters, "on_host"), (arrays, "host")):
         monkeypatch.setattr(module, name, listening(getattr(module, name)))
-    in_the_end = images_device.left
+    in_the_end = images_device.download
 
     def left(m):
         before = len(told)
@@ -160,26 +160,26 @@ def test_a_place_for_maps_takes_and_gives_room(apart, monkeypatch, rng):
     m = DepthMap(2, rng.random(shape).astype(np.float32), *nothing)
     monkeypatch.setattr(device_maps, "memory_bytes", lambda device: 2 * 16 * 24)
     aside = {}
-    maps = kept_beside(apart, lambda: aside)()
+    maps = device_map_store(apart, lambda: aside)()
     for view in (2, 5):
-        maps[view] = images_device.arrived(apart, replace(m, view=view))
+        maps[view] = images_device.upload(apart, replace(m, view=view))
     assert sorted(aside) == [5]
     assert list(maps) == [2, 5]
     assert 5 in maps
     for view in (2, 5):
-        np.testing.assert_array_equal(images_device.left(maps[view]).height, m.height)
-    maps[2] = images_device.arrived(apart, m)
+        np.testing.assert_array_equal(images_device.download(maps[view]).height, m.height)
+    maps[2] = images_device.upload(apart, m)
     assert sorted(aside) == [5]
     del maps[2]
-    maps[5] = images_device.arrived(apart, replace(m, view=5))
+    maps[5] = images_device.upload(apart, replace(m, view=5))
     assert not aside
     assert len(maps) == 1
 
 
 def test_the_host_keeps_its_own_maps(device):
     if not device.apart:
-        assert kept_beside(device, dict) is dict
+        assert device_map_store(device, dict) is dict
         assert memory_bytes(device) == 0
     else:
-        assert isinstance(kept_beside(device, dict)(), Resident)
+        assert isinstance(device_map_store(device, dict)(), DeviceMaps)
         assert memory_bytes(device) > 0

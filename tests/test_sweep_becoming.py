@@ -9,11 +9,11 @@ from plane_survey import SIZE, TILTED, PlaneBed, found_by, ring
 from fields.sweep.bed import unique_pixels
 from fields.sweep.block import Block
 from fields.sweep.fusion import agreement
-from fields.sweep.kernels.queue import alone
+from fields.sweep.kernels.queue import run_job
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import DepthMap, trusted
 from fields.sweep.passes import PASSES, Pass, before_solver, passes_from
-from fields.sweep.sweep import becoming_points, sweep
+from fields.sweep.sweep import predict_selected_pixels, sweep
 from fields.sweep.tiles import PART_SIDE_PX, Tiles
 from fields.sweep.view_pass import match_pass, refine_part, view_passes
 
@@ -49,14 +49,14 @@ def larger(part: np.ndarray) -> np.ndarray:
 
 def test_nearly_all_that_becomes_a_point_is_predicted_and_most_of_the_rest_is_left_out(block):
     maps = {view: map_of(block, view) for view in range(7)}
-    wanted = becoming_points(block, maps)
+    wanted = predict_selected_pixels(block, maps)
     kept = unique_pixels(block, list(maps.values()), gsd=0.015)
     points = sum(int(each.sum()) for each in kept)
     predicted = sum(int((keep & larger(wanted[view])).sum()) for view, keep in enumerate(kept))
     assert predicted > 0.98 * points
-    taken = sum(int(part.sum()) for part in wanted.values()) / sum(part.size for part in wanted.values())
+    gather = sum(int(part.sum()) for part in wanted.values()) / sum(part.size for part in wanted.values())
     share = points / (7 * SIZE[0] * SIZE[1])
-    assert share < taken < share + 0.25
+    assert share < gather < share + 0.25
 
 
 def test_a_place_at_another_height_than_steeper_views_have_becomes_a_point(block):
@@ -64,15 +64,15 @@ def test_a_place_at_another_height_than_steeper_views_have_becomes_a_point(block
     order = sorted(maps, key=lambda view: block.cameras[view].cam_from_local[2][2])
     least = maps[order[-1]]
     middle = np.s_[SIZE[1] // 2 - 8 : SIZE[1] // 2 + 8, SIZE[0] // 2 - 8 : SIZE[0] // 2 + 8]
-    assert not larger(becoming_points(block, maps)[least.view])[middle].any()
+    assert not larger(predict_selected_pixels(block, maps)[least.view])[middle].any()
     least.height[middle] += 1.0
-    assert larger(becoming_points(block, maps)[least.view])[middle].all()
+    assert larger(predict_selected_pixels(block, maps)[least.view])[middle].all()
 
 
 def test_what_nothing_confirms_becomes_no_point(block):
     maps = {view: map_of(block, view) for view in range(7)}
     maps[0].agreeing[:] = 0
-    wanted = becoming_points(block, maps)
+    wanted = predict_selected_pixels(block, maps)
     assert not wanted[0].any()
     assert any(part.any() for part in wanted.values())
 
@@ -80,12 +80,12 @@ def test_what_nothing_confirms_becomes_no_point(block):
 def test_a_part_is_refined_as_the_whole_view_is_and_the_rest_stays(block):
     before = map_of(block, 0, OFF_M)
     (of_view,) = view_passes(block, [0], REFINING, None)
-    whole, _ = alone(block.device, match_pass(block, REFINING, of_view, (-3.0, -1.0), before, None, 0))
+    whole, _ = run_job(block.device, match_pass(block, REFINING, of_view, (-3.0, -1.0), before, None, 0))
     part = np.zeros((SIZE[1] // 4, SIZE[0] // 4), dtype=bool)
     part[10:14, 12:20] = True
-    found, taken = alone(block.device, refine_part(block, REFINING, of_view, before, part))
+    found, gather = run_job(block.device, refine_part(block, REFINING, of_view, before, part))
     mask = np.zeros(found.height.size, dtype=bool)
-    mask[taken] = True
+    mask[gather] = True
     assert mask.reshape(found.height.shape)[larger(part)].all()
     np.testing.assert_array_equal(found.height.ravel()[~mask], before.height.ravel()[~mask])
     off = np.abs(found.height - whole.height).ravel()[mask]
@@ -101,7 +101,7 @@ def test_what_is_left_out_of_a_photograph_scores_nothing_in_a_part_of_it_either(
     block = BED.block(device, ring(6), images)
     part = np.ones((SIZE[1] // 4, SIZE[0] // 4), dtype=bool)
     (of_view,) = view_passes(block, [0], REFINING, None)
-    found, _ = alone(device, refine_part(block, REFINING, of_view, map_of(block, 0, OFF_M), part))
+    found, _ = run_job(device, refine_part(block, REFINING, of_view, map_of(block, 0, OFF_M), part))
     assert (found.score[hole] == -1.0).all()
     assert (found.score[4:40, 4:40] > 0.5).mean() > 0.9
 
@@ -110,7 +110,7 @@ def test_images_smaller_than_a_tile_have_no_parts(block):
     assert SIZE[1] * 0.25 < PART_SIDE_PX < SIZE[1]
     cameras = [camera.scaled(0.25) for camera in ring(6)]
     small = BED.block(block.device, cameras)
-    assert becoming_points(small, {view: map_of(small, view) for view in range(7)}) == {}
+    assert predict_selected_pixels(small, {view: map_of(small, view) for view in range(7)}) == {}
 
 
 def test_some_pixels_agree_as_they_do_among_all(block):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from plane_survey import SIZE, TILTED, PlaneBed, ring
 
-from fields.sweep.bed import BedPoints, has_company, points_of, unique_pixels, with_slopes
+from fields.sweep.bed import BedPoints, has_neighbours, points_of, unique_pixels, with_slope_std
 from fields.sweep.block import Block
 from fields.sweep.maps import DepthMap, trusted
 from refract import FlatWater
@@ -169,11 +169,11 @@ def test_points_of_a_surface_have_company_and_chance_agreements_have_not(rng):
     x, y = np.meshgrid(np.arange(30) * gsd, np.arange(20) * gsd)
     surface = np.stack([x.ravel(), y.ravel(), 0.3 * x.ravel() - 2.0], axis=-1)
     stray = np.stack([*rng.uniform(0.0, 0.6, (2, 12)), np.linspace(1.0, 9.0, 12)], axis=-1)
-    found = has_company(np.concatenate([surface, stray]), gsd)
+    found = has_neighbours(np.concatenate([surface, stray]), gsd)
     assert found[: len(surface)].all()
     assert not found[len(surface) :].any()
-    assert not has_company(surface[:3], gsd).any()
-    assert has_company(surface[:0], gsd).shape == (0,)
+    assert not has_neighbours(surface[:3], gsd).any()
+    assert has_neighbours(surface[:0], gsd).shape == (0,)
 
 
 @pytest.mark.parametrize(("rise", "apart", "stays"), [(0.5, 0.2, False), (1.2, 0.2, True), (1.2, 2.0, False)])
@@ -202,7 +202,7 @@ def test_beside_an_edge_std_is_that_of_a_point_that_moves_along_its_ray_and_on_l
         np.zeros((5, 3)), np.zeros((5, 3), np.uint8), nothing + np.float32(std), nothing.astype(np.uint8), nothing,
         nothing + np.float32(incidence), np.ones(5, bool),
     )  # fmt: skip
-    found = with_slopes(points, height, keep, GSD, FlatWater((0.0, 0.0, 0.0), n_water=n)).std
+    found = with_slope_std(points, height, keep, GSD, FlatWater((0.0, 0.0, 0.0), n_water=n)).std
     pixels_off = np.tan(np.arcsin(np.sin(incidence) / n)) * std / GSD
     there = np.hypot(std, pixels_off * np.sqrt(0.5**2 - std**2))
     np.testing.assert_allclose(found, [std, std, there, there, std], rtol=1e-5)
@@ -217,7 +217,7 @@ def test_heights_that_differ_by_their_noise_alone_say_nothing_of_slopes(rng):
         np.zeros((keep.size, 3)), np.zeros((keep.size, 3), np.uint8), nothing + np.float32(0.02),
         nothing.astype(np.uint8), nothing, nothing + np.float32(0.6), nothing > 0.0,
     )  # fmt: skip
-    np.testing.assert_array_equal(with_slopes(points, height, keep, GSD, None).std, points.std)
+    np.testing.assert_array_equal(with_slope_std(points, height, keep, GSD, None).std, points.std)
 
 
 def test_slopes_add_no_more_to_std_than_the_range_of_the_heights_there():
@@ -232,7 +232,7 @@ def test_slopes_add_no_more_to_std_than_the_range_of_the_heights_there():
         nothing + np.float32(1.2), nothing > 0.0,
     )  # fmt: skip
     np.testing.assert_allclose(
-        with_slopes(points, height, keep, GSD, None).std, [np.sqrt(0.3**2 + 4.0 * (0.5**2 - 0.3**2)), 0.7], rtol=1e-5
+        with_slope_std(points, height, keep, GSD, None).std, [np.sqrt(0.3**2 + 4.0 * (0.5**2 - 0.3**2)), 0.7], rtol=1e-5
     )
 
 

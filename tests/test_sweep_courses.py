@@ -7,17 +7,17 @@ import pytest
 
 from fields.device import choose_device
 from fields.sweep.kernels.rays import (
-    MOST_RUNGS,
-    course_through,
-    in_front,
-    legs_through,
-    place_at,
-    place_on,
+    MOST_HYPOTHESES,
+    fit_curve,
+    in_front_of_camera,
     point_at,
-    sections,
-    through_water,
+    point_on_curve,
+    project_with_depth,
+    refracted_rays,
+    segments,
+    straddling_pixels,
 )
-from fields.sweep.kernels.stack import Beyond, PlaneFrame, ViewStack, camera_table
+from fields.sweep.kernels.stack import CameraTerms, PlaneFrame, ViewStack, camera_table
 from refract import FlatWater, PinholeCamera
 
 WATER = FlatWater((0.0, 0.0, 0.0))
@@ -43,43 +43,43 @@ def misses(water: FlatWater | None, span_px: float) -> np.ndarray:
             away = (height + depth) * np.tan(tilt) * np.array([np.sin(toward), np.cos(toward)])
             place = np.array([*rng.normal(0.0, 0.15 * height, 2) - away, height])
             views.append(camera(place, tilt, toward, focal))
-        beyond = Beyond.of(views)
+        beyond = CameraTerms.of(views)
         own, other = camera_table(views, beyond, PlaneFrame.of(water))
-        legs = legs_through(own, rng.uniform(0, WIDTH, 30), rng.uniform(0, HEIGHT, 30), index or 1.0, beyond)
+        rays = refracted_rays(own, rng.uniform(0, WIDTH, 30), rng.uniform(0, HEIGHT, 30), index or 1.0, beyond)
 
-        def seen(z, legs=legs, other=other, beyond=beyond):
-            return place_at(other, point_at(legs, z), index, beyond)
+        def seen(z, rays=rays, other=other, beyond=beyond):
+            return project_with_depth(other, point_at(rays, z), index, beyond)
 
         bed = np.full(30, -depth)
         (u, v, _), (u_up, v_up, _) = seen(bed), seen(bed + 1e-3)
         span = span_px * 1e-3 / np.median(np.hypot(u_up - u, v_up - v))
         low = np.minimum(bed, -0.01 - span)
-        course = course_through([in_front(seen(low + share * span)) for share in (0.0, 0.5, 1.0)])
+        curve = fit_curve([in_front_of_camera(seen(low + share * span)) for share in (0.0, 0.5, 1.0)])
         for share in np.linspace(0.0, 1.0, 9):
-            (u, v, depth_there), (u_on, v_on, inside) = seen(low + share * span), place_on(course, share, other)
+            (u, v, depth_there), (u_on, v_on, inside) = seen(low + share * span), point_on_curve(curve, share, other)
             known = inside & (depth_there > 0.0)
             found.append(np.hypot(u_on - u, v_on - v)[known])
     return np.concatenate(found)
 
 
 def test_straight_paths_are_courses_to_rounding():
-    assert misses(None, 2.0 * MOST_RUNGS).max() < 1e-9
+    assert misses(None, 2.0 * MOST_HYPOTHESES).max() < 1e-9
 
 
 def test_bent_paths_are_courses_to_a_hundredth_of_a_pixel():
     # Measured: 9e-6 px rms over 6 px; 1.2e-3 px rms and 0.022 px at most over as long a ladder as a course has.
     assert np.sqrt(np.mean(misses(WATER, 6.0) ** 2)) < 1e-4
-    found = misses(WATER, MOST_RUNGS)
+    found = misses(WATER, MOST_HYPOTHESES)
     assert np.sqrt(np.mean(found**2)) < 2e-3
     assert found.max() < 0.05
 
 
-@pytest.mark.parametrize("rungs", [1, 3, MOST_RUNGS, MOST_RUNGS + 1, 360])
+@pytest.mark.parametrize("rungs", [1, 3, MOST_HYPOTHESES, MOST_HYPOTHESES + 1, 360])
 def test_a_ladder_falls_into_sections_of_like_length(rungs):
-    parts = sections(rungs)
+    parts = segments(rungs)
     assert [rung for part in parts for rung in part] == list(range(rungs))
     lengths = [len(part) for part in parts]
-    assert max(lengths) <= MOST_RUNGS
+    assert max(lengths) <= MOST_HYPOTHESES
     assert max(lengths) - min(lengths) <= 1
 
 
@@ -88,6 +88,6 @@ def test_ladders_through_the_water_are_told_from_others():
     images = np.zeros((2, HEIGHT, WIDTH), dtype=np.float32)
     start, part = np.array([-2.0, -0.55, -0.45, 0.05]), range(2, 6)
     wet = ViewStack.build(choose_device("torch"), views, images, WATER)
-    np.testing.assert_array_equal(through_water(wet, start, 0.1, part), [2])
+    np.testing.assert_array_equal(straddling_pixels(wet, start, 0.1, part), [2])
     dry = ViewStack.build(choose_device("torch"), views, images, None)
-    assert len(through_water(dry, start, 0.1, part)) == 0
+    assert len(straddling_pixels(dry, start, 0.1, part)) == 0

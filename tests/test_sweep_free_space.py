@@ -9,7 +9,7 @@ import pytest
 from plane_survey import TILTED, PlaneBed, ring
 
 from fields.sweep.block import Block
-from fields.sweep.fusion import without_contradicted
+from fields.sweep.fusion import remove_free_space_violations
 from fields.sweep.maps import DepthMap, trusted
 from refract import FlatWater
 
@@ -39,7 +39,7 @@ def test_a_height_that_more_views_look_through_than_confirm_is_confirmed_by_none
     cameras, maps = level_maps(water)
     maps[0].height[PATCH] += OVER_M
     maps[0].agreeing[PATCH] = 2
-    found = without_contradicted(block_of(device, cameras, water), maps)
+    found = remove_free_space_violations(block_of(device, cameras, water), maps)
     assert (found[0].agreeing[PATCH] == 0).all()
     beside = np.ones(maps[0].height.shape, dtype=bool)
     beside[PATCH] = False
@@ -52,7 +52,7 @@ def test_a_mast_that_more_views_confirm_than_look_through_stays(device):
     cameras, maps = level_maps(TILTED)
     maps[0].height[PATCH] += OVER_M
     maps[0].agreeing[PATCH] = 6
-    found = without_contradicted(block_of(device, cameras), maps)
+    found = remove_free_space_violations(block_of(device, cameras), maps)
     assert (found[0].agreeing[PATCH] == 6).all()
 
 
@@ -61,7 +61,7 @@ def test_heights_that_are_not_trusted_contradict_nothing(device):
     maps = [replace(m, score=0.5 * m.score) for m in maps]
     maps[0].height[PATCH] += OVER_M
     maps[0].agreeing[PATCH] = 2
-    found = without_contradicted(block_of(device, cameras), maps)
+    found = remove_free_space_violations(block_of(device, cameras), maps)
     assert (found[0].agreeing[PATCH] == 2).all()
 
 
@@ -69,7 +69,7 @@ def test_what_hangs_under_the_bed_is_hidden_and_not_looked_through(device):
     cameras, maps = level_maps(TILTED)
     maps[0].height[PATCH] -= OVER_M
     maps[0].agreeing[PATCH] = 2
-    found = without_contradicted(block_of(device, cameras), maps)
+    found = remove_free_space_violations(block_of(device, cameras), maps)
     assert (found[0].agreeing[PATCH] == 2).all()
     # The other views' bed on the rays of these pixels is looked through by one view, and confirmed by four.
     assert all((m.agreeing == 4).all() for m in list(found)[1:])
@@ -77,5 +77,5 @@ def test_what_hangs_under_the_bed_is_hidden_and_not_looked_through(device):
 
 def test_views_that_overlap_with_no_other_keep_their_maps(device):
     cameras, maps = level_maps(TILTED)
-    found = without_contradicted(block_of(device, cameras), maps[:1])
+    found = remove_free_space_violations(block_of(device, cameras), maps[:1])
     assert found[0] is maps[0]

@@ -7,7 +7,7 @@ import pytest
 from plane_survey import SIZE, TILTED, PlaneBed, ring
 
 from fields.sweep.block import Block
-from fields.sweep.maps import DepthMap, enlarged_map, trusted
+from fields.sweep.maps import DepthMap, trusted, upsample_map
 from fields.sweep.passes import PASSES as USUAL
 from fields.sweep.passes import Pass, passes_from
 from fields.sweep.sweep import sweep
@@ -61,7 +61,7 @@ def test_the_others_keep_their_heights_enlarged(gone_on, halved):
     block, maps, _ = gone_on
     for m, earlier in zip(maps, halved[1], strict=True):
         if m.view not in AGAIN:
-            enlarged = enlarged_map(earlier, SIZE)
+            enlarged = upsample_map(earlier, SIZE)
             np.testing.assert_array_equal(m.height, enlarged.height)
             np.testing.assert_array_equal(m.spread, enlarged.spread)
             assert (m.agreeing >= enlarged.agreeing).all()
@@ -80,12 +80,12 @@ def test_a_map_enlarged_by_two_has_the_heights_between_its_pixels():
     rows, columns = np.mgrid[0:6, 0:8].astype(np.float32)
     plane = (2.0 * columns + rows).astype(np.float32)
     agreeing = np.arange(48, dtype=np.uint8).reshape(6, 8)
-    large = enlarged_map(DepthMap(3, plane, plane, agreeing, plane), (16, 12))
+    large = upsample_map(DepthMap(3, plane, plane, agreeing, plane), (16, 12))
     assert large.view == 3
     # Centres of the pixels of half the size lie a quarter of the large pixel before and behind.
     np.testing.assert_allclose(large.height[4, 2:-2], 2.0 * (np.arange(2, 14) / 2 - 0.25) + 1.75, atol=1e-5)
     np.testing.assert_array_equal(large.agreeing[::2, ::2], agreeing)
-    assert enlarged_map(large, (16, 12)) is large
+    assert upsample_map(large, (16, 12)) is large
 
 
 def test_small_images_are_searched_at_more_of_their_size():

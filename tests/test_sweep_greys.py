@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fields.image_store import Greys, Recent
-from fields.sweep.kernels.stack import Quads
+from fields.image_store import GreyImages, LruCache
+from fields.sweep.kernels.stack import PackedImages
 
 
 def levels(rng, *, masked: bool, fractions: bool) -> np.ndarray:
@@ -21,7 +21,7 @@ def levels(rng, *, masked: bool, fractions: bool) -> np.ndarray:
 @pytest.mark.parametrize("fractions", [False, True])
 def test_images_come_back_as_they_were(rng, masked, fractions):
     images = [levels(rng, masked=masked, fractions=fractions) for _ in range(30)]
-    greys = Greys(iter(images))
+    greys = GreyImages(iter(images))
     assert len(greys) == 30
     for found, image in zip(greys, images, strict=True):
         assert found.dtype == np.float32
@@ -31,13 +31,13 @@ def test_images_come_back_as_they_were(rng, masked, fractions):
 
 
 def test_whole_levels_take_a_byte_each(rng):
-    greys = Greys([levels(rng, masked=True, fractions=False)])
+    greys = GreyImages([levels(rng, masked=True, fractions=False)])
     assert greys._kept[0].levels.nbytes == 7 * 9
 
 
 def test_an_image_that_is_read_cannot_be_written_to(rng):
     with pytest.raises(ValueError, match="read-only"):
-        Greys([levels(rng, masked=False, fractions=False)])[0][0, 0] = 1.0
+        GreyImages([levels(rng, masked=False, fractions=False)])[0][0, 0] = 1.0
 
 
 def test_the_values_read_last_are_kept_and_the_others_made_again():
@@ -47,7 +47,7 @@ def test_the_values_read_last_are_kept_and_the_others_made_again():
         made.append(key)
         return 10 * key
 
-    recent = Recent(make, 2)
+    recent = LruCache(make, 2)
     assert [recent[key] for key in (1, 2, 1, 3, 1, 2)] == [10, 20, 10, 30, 10, 20]
     assert made == [1, 2, 3, 2]
 
@@ -56,7 +56,7 @@ def test_packed_images_are_the_same_when_they_are_made_again(device, rng, monkey
     monkeypatch.setattr("fields.sweep.kernels.stack.KEPT_BYTES", 0)
     monkeypatch.setattr("fields.sweep.kernels.stack.FEWEST_KEPT", 1)
     images = [levels(rng, masked=False, fractions=False) for _ in range(3)]
-    quads = Quads.build(device, images)
-    first = np.asarray(quads.values[0])
-    assert not np.array_equal(first, np.asarray(quads.values[1]))
-    np.testing.assert_array_equal(np.asarray(quads.values[0]), first)
+    packed = PackedImages.build(device, images)
+    first = np.asarray(packed.values[0])
+    assert not np.array_equal(first, np.asarray(packed.values[1]))
+    np.testing.assert_array_equal(np.asarray(packed.values[0]), first)

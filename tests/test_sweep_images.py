@@ -12,7 +12,7 @@ from scipy import ndimage
 from fields.sweep import images_device, images_host
 from fields.sweep.kernels import stack
 from fields.sweep.kernels.arrays import floats
-from fields.sweep.kernels.flat import flat_of, on_host
+from fields.sweep.kernels.flat import as_numpy, flatten
 from fields.sweep.maps import DepthMap
 from fields.sweep.tiles import Tiles
 
@@ -38,7 +38,7 @@ def mask(rng) -> np.ndarray:
 
 def there(device, image: np.ndarray):
     """An image on a device."""
-    return images_device.placed(device, image)
+    return images_device.to_device(device, image)
 
 
 def test_medians_are_those_of_numpy(apart, height):
@@ -51,35 +51,35 @@ def test_medians_are_those_of_numpy(apart, height):
 
 def test_nothing_is_known_of_an_image_of_nan(apart, height, mask):
     holes, nothing = np.where(mask, height, np.float32(np.nan)), np.full(SHAPE, np.nan, np.float32)
-    assert images_device.extremes(there(apart, holes)) == images_host.extremes(holes)
+    assert images_device.min_max(there(apart, holes)) == images_host.min_max(holes)
     assert images_device.median_above(there(apart, holes), -math.inf) == images_host.median_above(holes, -math.inf)
-    assert images_device.extremes(there(apart, nothing)) is images_host.extremes(nothing) is None
+    assert images_device.min_max(there(apart, nothing)) is images_host.min_max(nothing) is None
 
 
 @pytest.mark.parametrize("side", [3, 5])
 def test_median_filters_are_those_of_opencv(apart, height, side):
-    found = on_host(images_device.median_blur(there(apart, height), side))
+    found = as_numpy(images_device.median_blur(there(apart, height), side))
     np.testing.assert_array_equal(found, images_host.median_blur(height, side))
 
 
 @pytest.mark.parametrize("radius", [3, 5])
 def test_the_heights_around_are_those_of_opencv(apart, height, radius):
-    found = images_device.around(there(apart, height), radius)
-    for mine, other in zip(found, images_host.around(height, radius), strict=True):
-        np.testing.assert_array_equal(on_host(mine), other)
+    found = images_device.local_min_max(there(apart, height), radius)
+    for mine, other in zip(found, images_host.local_min_max(height, radius), strict=True):
+        np.testing.assert_array_equal(as_numpy(mine), other)
 
 
 @pytest.mark.parametrize("shape", [SHAPE, (90, 140), (91, 139)])
 def test_maps_are_enlarged_alike(apart, height, shape):
-    found = on_host(images_device.enlarged(there(apart, height), shape))
+    found = as_numpy(images_device.upsample(there(apart, height), shape))
     # Places among 70 pixels are good to 4e-6 px in float32, and the step has 1.5 m.
-    np.testing.assert_allclose(found, images_host.enlarged(height, shape), atol=1e-5)
+    np.testing.assert_allclose(found, images_host.upsample(height, shape), atol=1e-5)
 
 
 @pytest.mark.parametrize("shape", [(11, 17), (12, 18), (15, 35)])
 def test_means_over_larger_pixels_are_alike(apart, height, mask, shape):
-    found = on_host(images_device.means_of(there(apart, height), there(apart, mask), shape))
-    np.testing.assert_allclose(found, images_host.means_of(height, mask, shape), atol=1e-5)
+    found = as_numpy(images_device.masked_means(there(apart, height), there(apart, mask), shape))
+    np.testing.assert_allclose(found, images_host.masked_means(height, mask, shape), atol=1e-5)
 
 
 def test_unknown_heights_become_those_of_the_same_pixels_as_by_opencv(apart, rng):
@@ -88,8 +88,8 @@ def test_unknown_heights_become_those_of_the_same_pixels_as_by_opencv(apart, rng
         mask[shape[0] // 4 : shape[0] // 2, 10:40] = False
         # Heights that tell their pixel.
         number = np.arange(mask.size, dtype=np.float32).reshape(shape)
-        found = on_host(images_device.filled(there(apart, number), there(apart, mask)))
-        np.testing.assert_array_equal(found, images_host.filled(number, mask))
+        found = as_numpy(images_device.fill_nearest(there(apart, number), there(apart, mask)))
+        np.testing.assert_array_equal(found, images_host.fill_nearest(number, mask))
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -98,15 +98,15 @@ def test_where_all_or_nothing_is_known_heights_stay(apart, height, known):
     for images, image in ((images_device, there(apart, height)), (images_host, height)):
         which = there(apart, everywhere) if images is images_device else everywhere
         for found in (images.filled(image, which), images.on_planes(image, which, 0.1)):
-            np.testing.assert_array_equal(on_host(found) if images is images_device else found, height)
+            np.testing.assert_array_equal(as_numpy(found) if images is images_device else found, height)
 
 
 def test_planes_go_on_alike(apart, mask, rng):
     rows, columns = np.indices(SHAPE)
     slope = (-2.0 - 0.03 * rows + 0.01 * columns + rng.normal(0.0, 0.01, SHAPE)).astype(np.float32)
     slope[:, 50:] += 1.0
-    found = on_host(images_device.on_planes(there(apart, slope), there(apart, mask), 0.05))
-    expected = images_host.on_planes(slope, mask, 0.05)
+    found = as_numpy(images_device.extrapolate_planes(there(apart, slope), there(apart, mask), 0.05))
+    expected = images_host.extrapolate_planes(slope, mask, 0.05)
     assert np.count_nonzero(expected != slope) > 200
     # About as far off as the tolerance rounding decides.
     assert np.mean(np.abs(found - expected) > 2e-5) < 2e-3
@@ -114,31 +114,33 @@ def test_planes_go_on_alike(apart, mask, rng):
 
 @pytest.mark.parametrize("size", [8, 16])
 def test_tiles_have_the_same_heights_and_ways(apart, height, mask, size):
-    low, high = images_host.around(height, 3)
+    low, high = images_host.local_min_max(height, 3)
     arrays = [there(apart, each) for each in (mask, low, high)]
-    for mine, other in zip(images_device.extent(*arrays, size), images_host.extent(mask, low, high, size), strict=True):
+    for mine, other in zip(
+        images_device.tile_extents(*arrays, size), images_host.tile_extents(mask, low, high, size), strict=True
+    ):
         np.testing.assert_array_equal(mine, other)
-    found = images_device.ways(there(apart, height), arrays[0], size)
-    np.testing.assert_allclose(found, images_host.ways(height, mask, size), atol=2e-3)
+    found = images_device.tile_gradients(there(apart, height), arrays[0], size)
+    np.testing.assert_allclose(found, images_host.tile_gradients(height, mask, size), atol=2e-3)
 
 
 def test_tiles_have_the_same_pixels(apart, height, mask, rng):
-    low, high = images_host.around(height, 3)
-    bounds = images_host.extent(mask, low, high, 8)
+    low, high = images_host.local_min_max(height, 3)
+    bounds = images_host.tile_extents(mask, low, high, 8)
     slope = rng.normal(0.0, 0.1, (*bounds[0].shape, 2))
     tiles = Tiles.of(mask, bounds, 0.1, 8, 2, slope)
     on_device = Tiles.of(there(apart, mask), bounds, 0.1, 8, 2, slope)
     lost = 2 * (tiles.side + 1)
-    for part in (slice(0, 3), slice(5, len(tiles.rungs))):
+    for part in (slice(0, 3), slice(5, len(tiles.counts))):
         pixels, others = (
             images.tile_pixels(apart, each, part) for images, each in ((images_host, tiles), (images_device, on_device))
         )
-        np.testing.assert_array_equal(on_host(others), pixels)
-        np.testing.assert_array_equal(on_host(images_device.whole_windows(others, lost)), pixels[lost:-lost])
-        starts = on_host(images_device.tile_starts(apart, on_device, part))
+        np.testing.assert_array_equal(as_numpy(others), pixels)
+        np.testing.assert_array_equal(as_numpy(images_device.trim_halo(others, lost)), pixels[lost:-lost])
+        starts = as_numpy(images_device.tile_starts(apart, on_device, part))
         np.testing.assert_allclose(starts, images_host.tile_starts(apart, tiles, part), atol=ROUNDING)
-        own = on_host(images_device.own(apart, on_device, part, others, lost))
-        np.testing.assert_array_equal(own, images_host.own(apart, tiles, part, pixels, lost))
+        own = as_numpy(images_device.own_pixels(apart, on_device, part, others, lost))
+        np.testing.assert_array_equal(own, images_host.own_pixels(apart, tiles, part, pixels, lost))
 
 
 def test_strips_and_pixels_are_put_where_they_belong(apart, height, rng):
@@ -148,41 +150,41 @@ def test_strips_and_pixels_are_put_where_they_belong(apart, height, rng):
     host, device = images_host.flat_copy(height), images_device.flat_copy(there(apart, height))
     images_host.put_strip(host, SHAPE[1], result, rows, columns, strip, radius)
     images_device.put_strip(device, SHAPE[1], floats(apart, result), rows, columns, strip, radius)
-    np.testing.assert_array_equal(on_host(device), host)
+    np.testing.assert_array_equal(as_numpy(device), host)
     part = rows, columns
-    np.testing.assert_array_equal(on_host(images_device.cut(there(apart, height), part)), height[part].ravel())
-    places = images_device.places_in(apart, part, SHAPE[1])
-    np.testing.assert_array_equal(on_host(places), images_host.places_in(apart, part, SHAPE[1]))
+    np.testing.assert_array_equal(as_numpy(images_device.crop(there(apart, height), part)), height[part].ravel())
+    places = images_device.strip_indices(apart, part, SHAPE[1])
+    np.testing.assert_array_equal(as_numpy(places), images_host.strip_indices(apart, part, SHAPE[1]))
     wanted = height[part].ravel() > -3.0
     values = np.ones(wanted.size, dtype=np.float32)
-    images_host.put(host, images_host.places_in(apart, part, SHAPE[1]), values, wanted)
-    images_device.put(device, places, floats(apart, values), flat_of(there(apart, wanted)))
-    np.testing.assert_array_equal(on_host(device), host)
+    images_host.put(host, images_host.strip_indices(apart, part, SHAPE[1]), values, wanted)
+    images_device.put(device, places, floats(apart, values), flatten(there(apart, wanted)))
+    np.testing.assert_array_equal(as_numpy(device), host)
 
 
 def test_what_is_copied_is_written_to_alone(apart, height):
     image = there(apart, height)
     flat = images_device.flat_copy(image)
-    images_device.put(flat, images_device.places_of(image < -3.0), flat_of(images_device.full(apart, (1, 1), 9.0)))
-    assert (on_host(flat).reshape(SHAPE) == np.where(height < -3.0, 9.0, height)).all()
-    np.testing.assert_array_equal(on_host(image), height)
+    images_device.put(flat, images_device.indices_of(image < -3.0), flatten(images_device.full(apart, (1, 1), 9.0)))
+    assert (as_numpy(flat).reshape(SHAPE) == np.where(height < -3.0, 9.0, height)).all()
+    np.testing.assert_array_equal(as_numpy(image), height)
 
 
 def test_heights_that_agree_are_averaged_alike(apart, rng):
     own, total = (rng.normal(0.0, 0.1, SHAPE).astype(np.float32) for _ in range(2))
     count = rng.integers(0, 5, SHAPE).astype(np.float32)
     sums = [count, total, total * total + 0.01]
-    expected = images_host.agreement(own, sums, SHAPE)
-    found = images_device.agreement(*(floats(apart, own), [floats(apart, each) for each in sums], SHAPE))
+    expected = images_host.agreement_statistics(own, sums, SHAPE)
+    found = images_device.agreement_statistics(*(floats(apart, own), [floats(apart, each) for each in sums], SHAPE))
     for mine, other in zip(found, expected, strict=True):
-        np.testing.assert_allclose(on_host(mine), other, atol=1e-6)
+        np.testing.assert_allclose(as_numpy(mine), other, atol=1e-6)
 
 
 def test_parts_that_are_first_shown_are_alike(apart, height, mask, rng):
     holes, before = np.where(mask, height, np.float32(np.nan)), rng.integers(0, 2, SHAPE).astype(np.float32)
     for others in (None, before):
         against = None if others is None else floats(apart, others)
-        there_ = images_device.first_shown(apart, there(apart, holes), against)
+        there_ = images_device.newly_visible(apart, there(apart, holes), against)
         expected = np.isfinite(holes) & (True if others is None else others == 0.0)
         np.testing.assert_array_equal(there_, ndimage.binary_dilation(expected, np.ones((3, 3))))
 
@@ -192,7 +194,7 @@ def test_maps_come_back_as_they_were(apart, height, rng):
         3, height, rng.random(SHAPE).astype(np.float16), rng.integers(0, 9, SHAPE).astype(np.uint8),
         rng.random(SHAPE).astype(np.float16),
     )  # fmt: skip
-    back = images_device.left(images_device.arrived(apart, m))
+    back = images_device.download(images_device.upload(apart, m))
     for name in ("height", "score", "agreeing", "spread"):
         found, expected = getattr(back, name), getattr(m, name)
         assert found.dtype == expected.dtype

@@ -8,7 +8,7 @@ from plane_survey import TILTED, PlaneBed, ring
 
 from fields.sweep import sweep as sweeping
 from fields.sweep.kernels.arrays import floats
-from fields.sweep.kernels.queue import Launched, alone, in_turn
+from fields.sweep.kernels.queue import Launch, run_job, run_jobs
 from fields.sweep.passes import Pass, StepSearch
 
 BED = PlaneBed(TILTED, -2.0, slope=0.1)
@@ -25,9 +25,9 @@ def counting(device, name: int, turns: int, log: list):
     for turn in range(turns):
         log.append(("ready", name, turn))
 
-        def launch(turn=turn) -> Launched:
+        def launch(turn=turn) -> Launch:
             log.append(("launched", name, turn))
-            return Launched([floats(device, np.full(3, turn + 1.0))])
+            return Launch([floats(device, np.full(3, turn + 1.0))])
 
         (got,) = yield launch
         total += float(got.sum())
@@ -39,13 +39,13 @@ def counting(device, name: int, turns: int, log: list):
 @pytest.mark.parametrize("turns", [(), (0,), (2,), (3, 1, 0, 4, 1), (0, 0, 2, 0)])
 def test_jobs_are_answered_in_their_order_whatever_turns_they_take(device, turns, most):
     jobs = (counting(device, name, count, []) for name, count in enumerate(turns))
-    found = list(in_turn(device, jobs, most))
+    found = list(run_jobs(device, jobs, most))
     assert found == [(name, 3.0 * count * (count + 1) / 2) for name, count in enumerate(turns)]
 
 
 def test_another_job_is_launched_before_one_goes_on(device):
     log = []
-    list(in_turn(device, [counting(device, name, 2, log) for name in range(2)]))
+    list(run_jobs(device, [counting(device, name, 2, log) for name in range(2)]))
     assert log.index(("launched", 1, 0)) < log.index(("ready", 0, 1))
     assert log.index(("launched", 0, 1)) < log.index(("ready", 1, 1))
 
@@ -53,22 +53,22 @@ def test_another_job_is_launched_before_one_goes_on(device):
 @pytest.mark.parametrize("most", [1, 2])
 def test_no_more_jobs_than_that_are_begun_and_not_done(device, most):
     log = []
-    list(in_turn(device, (counting(device, name, 1 + name % 3, log) for name in range(7)), most))
+    list(run_jobs(device, (counting(device, name, 1 + name % 3, log) for name in range(7)), most))
     begun = np.cumsum([(what == "ready" and turn == 0) - (what == "done") for what, _, turn in log])
     assert begun.max() == most
 
 
 def test_an_error_of_a_job_ends_all(device):
     def failing():
-        yield lambda: Launched([floats(device, np.zeros(3))])
+        yield lambda: Launch([floats(device, np.zeros(3))])
         raise ValueError("no height")
 
     with pytest.raises(ValueError, match="no height"):
-        list(in_turn(device, [counting(device, 0, 3, []), failing()]))
+        list(run_jobs(device, [counting(device, 0, 3, []), failing()]))
 
 
 def test_a_job_alone_gets_what_it_launched(device):
-    assert alone(device, counting(device, 5, 3, [])) == (5, 18.0)
+    assert run_job(device, counting(device, 5, 3, [])) == (5, 18.0)
 
 
 def test_height_maps_are_the_same_one_view_at_a_time_and_two(device, monkeypatch):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from plane_survey import TILTED, ring
 
-from fields.image_store import Greys, Lazy, Masks
+from fields.image_store import GreyImages, LazyImages, Masks
 from fields.sweep.kernels.arrays import host
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.views import Footprint
@@ -33,7 +33,7 @@ def test_images_are_made_once_while_they_are_kept():
         made.append(number)
         return np.full((2, 3), number, dtype=np.float32)
 
-    images = Lazy(make, 3, (2, 3), 2)
+    images = LazyImages(make, 3, (2, 3), 2)
     assert [images[n][0, 0] for n in (0, 1, 0, 2, 0, 1)] == [0, 1, 0, 2, 0, 1]
     assert made == [0, 1, 2, 1]
     with pytest.raises(IndexError, match="3 images, got number 3"):
@@ -44,14 +44,14 @@ def test_images_are_made_once_while_they_are_kept():
 def test_a_part_of_a_grey_image_is_what_the_whole_has_there(rng, step):
     image = step * rng.integers(-100, 100, (9, 21)).astype(np.float32)
     image[rng.random(image.shape) < 0.3] = np.nan
-    greys, part = Greys([image, image]), np.s_[2:7, 3:14]
+    greys, part = GreyImages([image, image]), np.s_[2:7, 3:14]
     np.testing.assert_array_equal(greys.window(1, *part), image[part])
     np.testing.assert_array_equal(greys[1], image)
 
 
 def test_greys_of_several_sizes_are_refused():
     with pytest.raises(ValueError, match="of one size"):
-        Greys([np.zeros((2, 3)), np.zeros((3, 2))])
+        GreyImages([np.zeros((2, 3)), np.zeros((3, 2))])
 
 
 @pytest.mark.parametrize("water", [TILTED, None], ids=["wet", "dry"])
@@ -73,7 +73,7 @@ def test_footprints_that_have_no_ground_in_common_do_not_meet():
 def test_a_stack_that_is_no_longer_used_gives_its_images_back_at_once(device):
     cameras = ring(2)
     shape = (cameras[0].height, cameras[0].width)
-    stack = ViewStack.build(device, cameras, Lazy(lambda _number: np.zeros(shape, np.float32), 3, shape), None)
+    stack = ViewStack.build(device, cameras, LazyImages(lambda _number: np.zeros(shape, np.float32), 3, shape), None)
     assert len(host(device, stack.pixels[1])) == shape[0] * shape[1]
     gone = weakref.ref(stack)
     gc.disable()

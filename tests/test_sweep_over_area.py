@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plane_survey import TILTED, PlaneBed, match, ring
 
-from fields.sweep.view_pass import columns_over
+from fields.sweep.view_pass import columns_seeing_area
 
 AREA, BOUND = (-0.35, -0.25, 0.2, 0.3), (-2.3, -1.9)
 BED = PlaneBed(TILTED, -2.0)
@@ -15,7 +15,7 @@ BED = PlaneBed(TILTED, -2.0)
 @pytest.mark.parametrize("water", [TILTED, None], ids=["wet", "dry"])
 def test_columns_hold_every_pixel_that_sees_the_area_within_the_bound_and_not_all_others(water):
     for camera in ring(6):
-        columns = columns_over(camera, water, AREA, BOUND, 1)
+        columns = columns_seeing_area(camera, water, AREA, BOUND, 1)
         path, across = camera.paths(camera.pixel_centres(), water), np.arange(camera.width)
         sees = np.zeros((camera.height, camera.width), dtype=bool)
         for height in np.linspace(*BOUND, 9):
@@ -28,7 +28,7 @@ def test_columns_hold_every_pixel_that_sees_the_area_within_the_bound_and_not_al
 
 
 def test_an_area_beside_the_image_needs_no_pixel():
-    columns = columns_over(ring(6)[0], TILTED, (50.0, 50.0, 51.0, 51.0), BOUND, 2)
+    columns = columns_seeing_area(ring(6)[0], TILTED, (50.0, 50.0, 51.0, 51.0), BOUND, 2)
     assert (columns[:, 0] == columns[:, 1]).all()
 
 

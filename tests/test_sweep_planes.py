@@ -8,7 +8,7 @@ from plane_survey import TILTED, PlaneBed, ring
 
 from fields.sweep import fusion
 from fields.sweep.maps import DepthMap
-from fields.sweep.planes import SIDE_PX, continued
+from fields.sweep.planes import SIDE_PX, extrapolate_planes
 
 # Of heights of some metres in float32.
 ROUNDING_M = 2e-6
@@ -27,18 +27,18 @@ def slope() -> np.ndarray:
 def test_unknown_heights_on_a_slope_are_those_of_the_slope(slope, rng):
     known = rng.random(SHAPE) < 0.6
     wrong = np.where(known, slope, slope + rng.normal(0.0, 0.5, SHAPE)).astype(np.float32)
-    np.testing.assert_allclose(continued(wrong, known, TOLERANCE_M), slope, atol=ROUNDING_M)
+    np.testing.assert_allclose(extrapolate_planes(wrong, known, TOLERANCE_M), slope, atol=ROUNDING_M)
 
 
 def test_known_heights_stay_as_they_are(slope, rng):
     known, noisy = rng.random(SHAPE) < 0.6, (slope + rng.normal(0.0, 0.005, SHAPE)).astype(np.float32)
-    np.testing.assert_array_equal(continued(noisy, known, TOLERANCE_M)[known], noisy[known])
+    np.testing.assert_array_equal(extrapolate_planes(noisy, known, TOLERANCE_M)[known], noisy[known])
 
 
 def test_the_plane_is_that_of_least_squares(slope, rng):
     known, noisy = rng.random(SHAPE) < 0.5, (slope + rng.normal(0.0, 0.005, SHAPE)).astype(np.float32)
     known[64, 20] = False
-    found, half = continued(noisy, known, TOLERANCE_M), SIDE_PX // 2
+    found, half = extrapolate_planes(noisy, known, TOLERANCE_M), SIDE_PX // 2
     rows, columns = np.nonzero(known[64 - half : 64 + half + 1, 20 - half : 20 + half + 1])
     ones = np.stack([np.ones(len(rows)), rows - half, columns - half], axis=-1)
     expected = np.linalg.lstsq(ones, noisy[64 - half + rows, 20 - half + columns].astype(np.float64))[0][0]
@@ -48,7 +48,7 @@ def test_the_plane_is_that_of_least_squares(slope, rng):
 def test_beside_a_step_nothing_is_changed(slope, rng):
     known, stepped = rng.random(SHAPE) < 0.6, slope.copy()
     stepped[:, 20:] += 0.5
-    found, beside = continued(stepped, known, TOLERANCE_M), slice(18, 23)
+    found, beside = extrapolate_planes(stepped, known, TOLERANCE_M), slice(18, 23)
     np.testing.assert_array_equal(found[:, beside], stepped[:, beside])
 
 
@@ -56,7 +56,7 @@ def test_beside_a_step_nothing_is_changed(slope, rng):
 def test_a_few_known_heights_or_a_line_of_them_are_no_plane(slope, where):
     known = np.zeros(SHAPE, dtype=bool)
     known[where] = True
-    np.testing.assert_array_equal(continued(slope, known, TOLERANCE_M), slope)
+    np.testing.assert_array_equal(extrapolate_planes(slope, known, TOLERANCE_M), slope)
 
 
 def test_heights_that_are_not_trusted_begin_the_next_pass_on_the_plane_of_those_around(device):

@@ -7,7 +7,7 @@ import pytest
 from plane_survey import TILTED, PlaneBed, ring
 
 from fields.sweep.block import Block
-from fields.sweep.ranging import beyond_chance, find_range
+from fields.sweep.ranging import find_range, without_chance_matches
 from refract import FlatWater
 
 LIMITS = (-4.0, 0.0)
@@ -56,7 +56,7 @@ def test_images_without_texture_have_no_range(device):
 def test_matches_by_chance_do_not_widen_the_range(rng):
     limits = (-25.0, 14.0)
     bed, chance = rng.normal(-3.0, 0.4, 1500), rng.uniform(*limits, 60)
-    found = beyond_chance(np.concatenate([bed, chance]), limits)
+    found = without_chance_matches(np.concatenate([bed, chance]), limits)
     assert np.quantile(found, 0.005) > -6.0
     assert np.quantile(found, 0.995) < 0.0
     assert np.isin(found, bed).sum() > 0.99 * len(bed)
@@ -65,9 +65,9 @@ def test_matches_by_chance_do_not_widen_the_range(rng):
 def test_a_bed_at_all_heights_and_a_few_of_a_mast_are_no_chance(rng):
     limits = (-10.0, 2.0)
     slope = rng.uniform(*limits, 5000)
-    assert len(beyond_chance(slope, limits)) == len(slope)
+    assert len(without_chance_matches(slope, limits)) == len(slope)
     mast = np.concatenate([rng.normal(-4.0, 0.3, 5000), np.linspace(-4.0, 0.0, 60)])
-    assert len(beyond_chance(mast, limits)) == len(mast)
+    assert len(without_chance_matches(mast, limits)) == len(mast)
 
 
 @pytest.mark.parametrize("half", [0.05, 0.2, 0.6])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plane_survey import buffers_of, held_in
 
-from fields.sweep.kernels.arrays import ALIGNED_BYTES, Room, floats, host
+from fields.sweep.kernels.arrays import ALIGNED_BYTES, Buffer, floats, host
 from fields.sweep.kernels.backend import kernels
 
 EPS32 = np.finfo(np.float32).eps
@@ -40,7 +40,7 @@ def ncc_of(device, reference: np.ndarray, images: np.ndarray, radius: int, least
 @pytest.mark.parametrize("device", ["cpu"], indirect=True)
 @pytest.mark.parametrize("size", [1, 15, 16, 4096, 70_001])
 def test_behind_a_room_there_is_memory_for_the_last_vector_of_a_view(device, size):
-    room = Room.of(device, size)
+    room = Buffer.of(device, size)
     # The last vector of a view that ends where the room does begins at its last number at the latest.
     assert room.memory.nbytes >= 4 * (size - 1) + ALIGNED_BYTES
     copy, _ = buffers_of(device, [np.arange(size, dtype=np.float32)])

@@ -10,7 +10,7 @@ from fields.image_store import Masks
 from fields.sweep.kernels.arrays import floats
 from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.stack import ViewStack
-from fields.sweep.slopes import Steep, settle, spread_out
+from fields.sweep.slopes import SteepPixels, filter_steep_pixels, thin_out
 
 SHAPE, HEIGHT, GSD = SIZE[::-1], -2.0, 0.02
 PIXEL = SHAPE[0] // 2, SHAPE[1] // 2
@@ -41,7 +41,7 @@ def level_stack(device, heights: list[float]) -> ViewStack:
 
 def settled(stack: ViewStack, steep: Masks, fit: Masks, kept: Masks, sure: bool = True) -> list[bool]:
     """Whether `PIXEL` of each map is kept in the end."""
-    settle(stack, Steep(steep, fit, everywhere(len(kept), sure)), kept, GSD)
+    filter_steep_pixels(stack, SteepPixels(steep, fit, everywhere(len(kept), sure)), kept, GSD)
     return [bool(keep[PIXEL]) for keep in kept]
 
 
@@ -92,7 +92,7 @@ def test_maps_have_what_lies_between_their_four_heights_and_look_through_what_li
     stack = ViewStack.build(device, stack.cameras, [*stack.images[:2], heights], TILTED)
     sure = rng.random(SHAPE) < 0.9
     points = np.stack([*rng.uniform(-0.3, 0.3, (2, 400)), rng.uniform(-2.2, -1.8, 400)])
-    found = kernels(device).looks_at(stack, tuple(floats(device, each) for each in points), 2, GSD, sure)
+    found = kernels(device).vote_on_points(stack, tuple(floats(device, each) for each in points), 2, GSD, sure)
     local = stack.frame.origin + points.T @ stack.frame.from_local
     u, v = (stack.cameras[2].project(local, TILTED) - 0.5).T
     # What rounds to another pixel is not asked.
@@ -108,9 +108,9 @@ def test_maps_have_what_lies_between_their_four_heights_and_look_through_what_li
 
 def test_points_spread_out_are_those_that_taking_turns_takes(rng):
     points = rng.random((300, 3))
-    taken = []
+    gather = []
     for index, point in enumerate(points):
-        if all(np.linalg.norm(point - points[other]) > 0.15 for other in taken):
-            taken.append(index)
-    np.testing.assert_array_equal(np.flatnonzero(spread_out(points, 0.15)), taken)
-    assert spread_out(points[:0], 0.15).shape == (0,)
+        if all(np.linalg.norm(point - points[other]) > 0.15 for other in gather):
+            gather.append(index)
+    np.testing.assert_array_equal(np.flatnonzero(thin_out(points, 0.15)), gather)
+    assert thin_out(points[:0], 0.15).shape == (0,)

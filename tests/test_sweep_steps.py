@@ -41,7 +41,7 @@ class Terrace:
 
 def searched_by(stack, neighbours, found, parallax, search):
     """What the search makes of height, score and curvature, all on the host."""
-    placed = tuple(images(stack.device).placed(stack.device, each) for each in found)
+    placed = tuple(images(stack.device).to_device(stack.device, each) for each in found)
     return found_by(stack.device, search_steps(Reference(stack, 0, neighbours, 2), placed, parallax, search))
 
 

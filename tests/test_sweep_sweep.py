@@ -169,18 +169,18 @@ def test_only_the_first_pass_goes_without_its_own_number_of_hypotheses(device):
 
 
 def test_progress_is_the_share_of_the_samples_compared(device, monkeypatch):
-    counted, shares = [], []
+    count_true, shares = [], []
 
     def counting(reference, hypotheses, columns):
-        counted.append(hypotheses.start.size * hypotheses.count * len(reference.neighbours))
+        count_true.append(hypotheses.start.size * hypotheses.count * len(reference.neighbours))
         return match_view(reference, hypotheses, columns)
 
     match_view = matching.match_view
     monkeypatch.setattr(matching, "match_view", counting)
     sweep(BEDS["dry"].block(device, ring(4)), [3, 0, 2], (-4.5, -0.5), shares.append, SMALL[:2])
     fusing = SIZE[0] * SIZE[1] * 3 * 2  # three views, each compared with the other two
-    assert counted[0] > 2 * counted[3]  # the ladder of a wide bound is the longest part of the work
-    np.testing.assert_allclose(shares, np.cumsum([*counted, fusing]) / (sum(counted) + fusing))
+    assert count_true[0] > 2 * count_true[3]  # the ladder of a wide bound is the longest part of the work
+    np.testing.assert_allclose(shares, np.cumsum([*count_true, fusing]) / (sum(count_true) + fusing))
     assert shares[-1] == 1.0
 
 

@@ -43,10 +43,10 @@ def heights_everywhere(rng, stack: ViewStack) -> np.ndarray:
 
 
 def points_of_legs(stack: ViewStack, view: int, heights: np.ndarray) -> np.ndarray:
-    """Points (height, width, 3) of the paths of a view at their heights, by `legs_of`."""
+    """Points (height, width, 3) of the paths of a view at their heights, by `rays_of_rows`."""
     images, device = kernels(stack.device), stack.device
-    legs = [host(device, row) for row in images.legs_of(stack, view, 0, stack.height)]
-    foot, air, wet = (np.stack(legs[i : i + 2], -1).reshape(*heights.shape, 2) for i in (0, 2, 4))
+    rays = [host(device, row) for row in images.rays_of_rows(stack, view, 0, stack.height)]
+    foot, air, wet = (np.stack(rays[i : i + 2], -1).reshape(*heights.shape, 2) for i in (0, 2, 4))
     flat = foot + heights[..., None] * np.where(heights[..., None] > 0.0, air, wet)
     return np.concatenate([flat, heights[..., None]], axis=-1) @ stack.frame.from_local + stack.frame.origin
 
@@ -54,8 +54,8 @@ def points_of_legs(stack: ViewStack, view: int, heights: np.ndarray) -> np.ndarr
 def project_all(stack: ViewStack, view: int, other: int, heights: np.ndarray):
     """Pixels (height, width, 2) in `other`, and whether inside it, of the paths of a view at their heights."""
     images, device = kernels(stack.device), stack.device
-    legs = images.legs_of(stack, view, 0, stack.height)
-    u, v, inside = images.project_at(stack, legs, floats(device, heights), other)
+    rays = images.rays_of_rows(stack, view, 0, stack.height)
+    u, v, inside = images.project_rays(stack, rays, floats(device, heights), other)
     uv = np.stack([host(device, u), host(device, v)], -1).reshape(*heights.shape, 2)
     return uv, host(device, inside).reshape(heights.shape)
 
@@ -239,12 +239,12 @@ def test_packed_lookups_are_bilinear_lookups(device, rng, levels):
     if levels == "of 8 bits, masked":
         image[3:5, 7] = np.nan
     stack = two_images(device, image)
-    assert stack.quads.bits == (8 if levels == "of 8 bits" else 16)
+    assert stack.packed.bits == (8 if levels == "of 8 bits" else 16)
     where = rng.uniform(0.5, 15.4, 3000), rng.uniform(0.5, 11.4, 3000), rng.uniform(size=3000) > 0.2
     found, expected = (sampled(stack, *where, way) for way in ("look_up", "sample"))
     np.testing.assert_array_equal(np.isnan(found), np.isnan(expected))
     # Whole steps and quarters are exact, but for rounding; others are rounded to a step.
-    rounding = 0.5 * stack.quads.step if levels == "of any kind" else 4 * 256 * EPS32
+    rounding = 0.5 * stack.packed.step if levels == "of any kind" else 4 * 256 * EPS32
     np.testing.assert_allclose(found, expected, atol=rounding + 4 * 256 * EPS32)
     if levels == "of 8 bits, masked":
         column, row = np.floor(where[0] - 0.5), np.floor(where[1] - 0.5)
@@ -256,15 +256,15 @@ def test_images_of_one_level_and_images_all_masked_are_packed(device):
     for level in (30.0, 0.3, np.nan):
         stack = two_images(device, np.full((6, 8), level, np.float32))
         found = sampled(stack, np.full(4, 3.7), np.full(4, 2.2), np.ones(4), "look_up")
-        np.testing.assert_allclose(found, np.float32(level), rtol=EPS32, atol=0.5 * stack.quads.step)
+        np.testing.assert_allclose(found, np.float32(level), rtol=EPS32, atol=0.5 * stack.packed.step)
 
 
 def warped(stack: ViewStack, start: np.ndarray, others: list[int], step: float, rungs: int) -> np.ndarray:
     """W (neighbours, rungs, height, width) of view 0."""
     images, device = kernels(stack.device), stack.device
-    legs = images.legs_of(stack, 0, 0, stack.height)
+    rays = images.rays_of_rows(stack, 0, 0, stack.height)
     values = images.buffers(device, len(others), start.size * rungs)
-    images.warp(values, stack, legs, Hypotheses(start, step, rungs), others)
+    images.warp(values, stack, rays, Hypotheses(start, step, rungs), others)
     found = [held_in(device, each, start.size * rungs) for each in values[: len(others)]]
     return np.stack(found).reshape(len(others), rungs, stack.height, stack.width)
 

@@ -9,7 +9,7 @@ import pytest
 from plane_survey import TILTED, PlaneBed, ring
 
 from fields.sweep.images import images as images_of
-from fields.sweep.kernels.queue import alone
+from fields.sweep.kernels.queue import run_job
 from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.matching import RADII, Reference, match_view, match_with_adaptive_windows, radius_for
 
@@ -30,10 +30,10 @@ def matched(device, images, match):
     start = np.full_like(truth, truth.mean() - 0.5 * STEP * (RUNGS - 1))
     stack = BED.block(device, cameras, images).stack(1.0)
     backend = images_of(device)
-    hypotheses = Hypotheses(backend.placed(device, start), STEP, RUNGS)
-    found = alone(device, match(Reference(stack, 0, OTHERS, 2), hypotheses))
+    hypotheses = Hypotheses(backend.to_device(device, start), STEP, RUNGS)
+    found = run_job(device, match(Reference(stack, 0, OTHERS, 2), hypotheses))
     images, radius = found if match is match_with_adaptive_windows else (found, 2)
-    images = [backend.fetched(each) for each in images]
+    images = [backend.to_host(each) for each in images]
     return images, radius, np.abs(images[0] - truth)[8:-8, 8:-8]
 
 

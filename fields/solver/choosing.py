@@ -12,7 +12,7 @@ from fields.solver.smoothness import stiffness_of
 from fields.solver.solve import Solved
 from fields.solver.tile import Tile
 from fields.solver.uncertainty import expected_of
-from fields.sweep.slopes import rises_of
+from fields.sweep.slopes import gradient_of
 
 # Noise alone makes one pixel in a billion as steep as this many standard deviations, or some more: its tails are long.
 _SIGNIFICANT = 6.0
@@ -59,6 +59,6 @@ def slopes_by_noise(samples: list[tuple[Tile, Solved]], roughness: float, noise:
         whole = cv2.erode(tile.inside.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)[tile.inside] > 0
         solved = replace(each, stiffness=stiffness_of(each.bends.of_heights @ each.height, roughness))
         by_noise = noise.heights * expected_of(tile, solved, noise.response).noise
-        found += [np.abs(rise[tile.inside][whole]) / np.sqrt(by_noise[whole]) for rise in rises_of(moved)]
+        found += [np.abs(rise[tile.inside][whole]) / np.sqrt(by_noise[whole]) for rise in gradient_of(moved)]
     together = np.concatenate(found)
     return float(np.quantile(together, _MOST)) / _WITHIN if len(together) else 1.0

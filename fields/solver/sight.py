@@ -9,7 +9,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from fields.image_store import Greys
+from fields.image_store import GreyImages
 from fields.solver.projection import Projection
 from fields.solver.tile import Tile
 from fields.sweep.maps import DepthMap
@@ -65,7 +65,7 @@ class Sight:
         """Numbers of the pixels that each photograph shows: to take them is ten times as fast as by a mask."""
         return [np.flatnonzero(row) for row in self.seen]
 
-    def sample(self, images: Greys | Mapping[int, np.ndarray], change: np.ndarray) -> np.ndarray:
+    def sample(self, images: GreyImages | Mapping[int, np.ndarray], change: np.ndarray) -> np.ndarray:
         """Grey values (K, N) at start height plus change (N,) [m]; NaN where not seen."""
         values = np.full(self.seen.shape, np.nan, dtype=np.float32)
         for value, view, at, rise, index in zip(
@@ -74,7 +74,11 @@ class Sight:
             if len(index):
                 x, y = at.take(index, axis=1) + rise.take(index, axis=1) * change.take(index)
                 rows, columns = window_of(x, y)
-                image = images.window(view, rows, columns) if isinstance(images, Greys) else images[view][rows, columns]
+                image = (
+                    images.window(view, rows, columns)
+                    if isinstance(images, GreyImages)
+                    else images[view][rows, columns]
+                )
                 value[index] = lookup(image, x - columns.start, y - rows.start, cv2.INTER_CUBIC)
         return values
 

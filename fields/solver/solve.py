@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from fields.image_store import Greys
+from fields.image_store import GreyImages
 from fields.solver.appearance import Appearance, Brightness, appearance_of, brightness_of, gain_of
 from fields.solver.sight import Sight
 from fields.solver.smoothness import Bends, bends_of, stiffness_of
@@ -86,7 +86,7 @@ class Solved:
 def solve(
     tile: Tile,
     sight: Sight,
-    images: Greys | Mapping[int, np.ndarray],
+    images: GreyImages | Mapping[int, np.ndarray],
     start: Start,
     roughness: float,
     tolerance: float,

@@ -20,9 +20,9 @@ from fields.solver.tile import Tile, asked_in_squares
 from fields.solver.uncertainty import bends_below, change_of, expected_of, relief_of, rise_of
 from fields.solver.views import WORKERS, Job, Views
 from fields.sweep.block import Block
-from fields.sweep.height_std import for_few
-from fields.sweep.kernels.arrays import beside_workers
-from fields.sweep.maps import DepthMap, InOrder
+from fields.sweep.height_std import small_sample_factor
+from fields.sweep.kernels.arrays import sharing_cores
+from fields.sweep.maps import DepthMap, OrderedMaps
 
 # What a survey is like is learned from so many tiles of this side, spread over those that are nearly as full as the
 # fullest.
@@ -120,7 +120,7 @@ def solve_maps(
     progress: Callable[[float], None],
     goes_on: Callable[[], bool] = lambda: True,
     keep: Callable[[], MutableMapping[int, SolvedMap]] = dict,
-) -> tuple[InOrder, SolverFigures]:
+) -> tuple[OrderedMaps, SolverFigures]:
     """Solve the kept pixels of all maps, about the heights of the sweep; some keep these (`choosing.keeps_sweep`).
 
     Parameters
@@ -150,10 +150,10 @@ def solve_maps(
     solved = keep()
     for index in range(len(filled)):
         solved[index] = SolvedMap.empty()
-    found = InOrder(solved, list(range(len(filled))))
+    found = OrderedMaps(solved, list(range(len(filled))))
     if not total:
         return found, SolverFigures(np.nan, Shifts(np.nan, np.nan), NoiseShares(*4 * (np.nan,)), np.nan, np.nan)
-    with ThreadPoolExecutor(WORKERS) as pool, beside_workers(block.device, WORKERS):
+    with ThreadPoolExecutor(WORKERS) as pool, sharing_cores(block.device, WORKERS):
         sample = _sample(views, kept, filled)
         first = [each for _, each in views.solved(sample, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
         is_wet = block.water is not None
@@ -216,7 +216,7 @@ def _with_std(m: DepthMap, found: _Solved, figures: SolverFigures, is_wet: bool)
     photographs = m.agreeing.flat[found.pixels] + np.float32(1.0)
     # What shifts the photographs shifts the bed in the map that shows it, too.
     shift = figures.shifts.variance(depth_of(found.height, is_wet))
-    variance = for_few(photographs) * found.noise + found.relief + shift * (found.shift + found.rise**2)
+    variance = small_sample_factor(photographs) * found.noise + found.relief + shift * (found.shift + found.rise**2)
     return SolvedMap(found.pixels, found.height, np.sqrt(variance).astype(np.float32))
 
 

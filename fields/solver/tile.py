@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy import ndimage
 
-from fields.image_store import Greys
+from fields.image_store import GreyImages
 
 # Most pixels of a tile's window, without its surroundings. Larger ones save no time and are less accurate: gain and
 # noise of a photograph are those of a tile.
@@ -69,9 +69,9 @@ class Tile:
         """The part of an image in which the tile lies."""
         return image[self._window]
 
-    def window_of(self, images: Greys | Mapping[int, np.ndarray], view: int) -> np.ndarray:
+    def window_of(self, images: GreyImages | Mapping[int, np.ndarray], view: int) -> np.ndarray:
         """The part of the image of a view in which the tile lies."""
-        return images.window(view, *self._window) if isinstance(images, Greys) else self.window(images[view])
+        return images.window(view, *self._window) if isinstance(images, GreyImages) else self.window(images[view])
 
     @property
     def _window(self) -> tuple[slice, slice]:

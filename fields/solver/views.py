@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from fields.device import Device
-from fields.image_store import Greys, Recent, most_kept
+from fields.image_store import GreyImages, LruCache, num_cached
 from fields.solver.projection import Projection
 from fields.solver.sight import Sight, Surface, sights_of
 from fields.solver.solve import Solved, Start, solve
@@ -57,8 +57,8 @@ class Job:
 def surfaces_of(maps: Sequence[DepthMap], views: list[int]) -> ByView[Surface]:
     """Those of maps by their views; the last few are kept, so that each is read from its map a few times only."""
     size = maps[0].height.size if len(maps) else 0
-    most = most_kept(_SURFACE_BYTES * size, _KEPT_BYTES, MOST_VIEWS + 1)
-    return ByView(Recent(lambda number: Surface.of(maps[number]), most), views)
+    most = num_cached(_SURFACE_BYTES * size, _KEPT_BYTES, MOST_VIEWS + 1)
+    return ByView(LruCache(lambda number: Surface.of(maps[number]), most), views)
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Views:
     """
 
     cameras: dict[int, PinholeCamera]
-    images: Greys | dict[int, np.ndarray]
+    images: GreyImages | dict[int, np.ndarray]
     water: FlatWater | None
     device: Device
     maps: Sequence[DepthMap]

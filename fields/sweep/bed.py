@@ -1,4 +1,4 @@
-"""From height maps to points of the bed: each piece of the bed once, with its attributes."""
+"""Points of the bed from height maps: one point per piece of the bed, with its attributes."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fields.image_store import Lazy, Masks
+from fields.image_store import LazyImages, Masks
 from fields.median import median
 from fields.sweep.block import Block
-from fields.sweep.height_std import std_of
-from fields.sweep.kernels.arrays import forget
+from fields.sweep.height_std import height_std
+from fields.sweep.kernels.arrays import free_unused
 from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import DepthMap, confirmed, trusted
-from fields.sweep.slopes import Steep, differing, settle, steep_and_walls
+from fields.sweep.slopes import SteepPixels, filter_steep_pixels, half_range, steep_and_wall_pixels
 from fields.sweep.views import Footprint
 from refract import FlatWater, PinholeCamera
 
@@ -56,8 +56,10 @@ class BedPoints:
         return BedPoints(*(getattr(self, f.name)[keep] for f in fields(self)))
 
     @staticmethod
-    def gathered(parts: list[BedPoints], keep: Callable[[np.ndarray], np.ndarray]) -> tuple[BedPoints, np.ndarray]:
-        """Points of several views in one, those that ``keep`` says by their places (N, 3), and what it said (N,) bool.
+    def concatenate_where(
+        parts: list[BedPoints], keep: Callable[[np.ndarray], np.ndarray]
+    ) -> tuple[BedPoints, np.ndarray]:
+        """Points of several views that ``keep`` selects by coordinates (N, 3), and its mask (N,) bool.
 
         The parts are taken out of their list, column by column, so that no more than one is there twice.
         """
@@ -74,24 +76,24 @@ class BedPoints:
         return BedPoints(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(BedPoints)))
 
 
-# On walls, where photographs look less alike, this well.
+# The same on walls, where photographs correlate less.
 WALL_NCC = 0.6
-COMPANY, COMPANY_GSD = 4, 4.0
+LEAST_NEIGHBOURS, NEIGHBOURHOOD_GSD = 4, 4.0
 # Where no third view checks a height, the confirmed pixels around it do, in a square of this side [px]: so many of them
 # have to be confirmed, and of these so many have to agree with it. Chance matches are sparse and scatter.
 _SUPPORT_PX, _LEAST_CONFIRMED, _LEAST_AGREEING = 17, 0.4, 0.7
-# Pixels whose paths are worked out together, of 300 bytes each.
+# Pixels of a batch, of 300 bytes each.
 _POINTS_AT_ONCE = 500_000
-# Points that are looked at together, in a slab of the ground: their search takes 80 bytes each.
-COMPANY_AT_ONCE, _A_LITTLE_MORE = 500_000, 1.001
-# The range of heights, as a multiple of the half of it that `differing` gives.
+# Points of a batch, in a slab of the ground: their search takes 80 bytes each.
+POINTS_PER_SLAB, _A_LITTLE_MORE = 500_000, 1.001
+# The range of heights, as a multiple of the half of it that `half_range` gives.
 _WHOLE_RANGE = 2.0
-# No ray that shows the bed leans more.
+# Least cosine of the incidence of a ray that shows the bed.
 _LEAST_COSINE = 0.01
 
 
 def unique_pixels(block: Block, maps: Sequence[DepthMap], gsd: float) -> Masks:
-    """Which pixels of each map to keep so that every piece of the bed is taken once.
+    """Pixels of each map that become points: every piece of the bed once, from its steepest view.
 
     Views take turns, the steepest first: their ground sampling distance is the finest. A pixel that is kept claims, in
     every later view, the four pixels around its projection whose heights agree with it; claimed pixels are duplicates.
@@ -114,30 +116,30 @@ def unique_pixels(block: Block, maps: Sequence[DepthMap], gsd: float) -> Masks:
         extent = float(m.height.min()), float(m.height.max())
         ground.append(Footprint.of(cameras[index], block.water, extent))
         tolerances.append(tolerance)
-        steep[index], walls[index] = steep_and_walls(m.height, tolerance)
+        steep[index], walls[index] = steep_and_wall_pixels(m.height, tolerance)
         sure[index] = trusted(m)
     order = sorted(range(len(maps)), key=lambda i: cameras[i].cam_from_local[2][2])
-    images = Lazy(lambda index: maps[index].height, len(chosen), shape, 1)
+    images = LazyImages(lambda index: maps[index].height, len(chosen), shape, 1)
     heights = ViewStack.build(block.device, cameras, images, block.water)
     for place, index in enumerate(order):
-        # What is left out of the photograph has a height of its surroundings, but neither colour nor match.
+        # A masked pixel of the photograph has a height of its surroundings, but neither colour nor match.
         shown = np.isfinite(block.images[chosen[index]])
         kept[index] = keep = sure[index] & shown & ~claimed[index]
         fit[index] = walls[index] & shown & confirmed(maps[index], WALL_NCC)
         if not keep.any():
             continue
-        legs, own = kernels(block.device).paths_of(heights, index, np.flatnonzero(keep))
+        rays, own = kernels(block.device).rays_and_heights(heights, index, np.flatnonzero(keep))
         for later in order[place + 1 :]:
             if ground[index].meets(ground[later]):
-                same, near = kernels(block.device).claim(heights, legs, own, later, tolerances[index], gsd)
+                same, near = kernels(block.device).find_duplicates(heights, rays, own, later, tolerances[index], gsd)
                 claimed.add(later, same & (near | ~walls[later].ravel()))
-        forget(block.device)
-    settle(heights, Steep(steep, fit, sure), kept, gsd)
+        free_unused(block.device)
+    filter_steep_pixels(heights, SteepPixels(steep, fit, sure), kept, gsd)
     return kept
 
 
 def is_supported(height: np.ndarray, confirmed: np.ndarray, tolerance: float) -> np.ndarray:
-    """Which confirmed pixels (height, width) bool of a map agree with the surface around them.
+    """Confirmed pixels (height, width) bool of a map that agree with the surface around them.
 
     A check for heights that only one other view can confirm: two photographs, of which a moving surface or a repeating
     texture may give the same wrong height to single windows, but not to a whole neighbourhood.
@@ -153,7 +155,7 @@ def is_supported(height: np.ndarray, confirmed: np.ndarray, tolerance: float) ->
     known = np.pad(np.where(confirmed, height, np.nan).astype(np.float32), radius, constant_values=np.nan)
     rows, columns = height.shape
     near, agreeing = (np.zeros(height.shape, dtype=np.uint16) for _ in range(2))
-    # Every second pixel of the square tells as much as all of them.
+    # Every second pixel of the square suffices.
     for dy in range(0, _SUPPORT_PX, 2):
         for dx in range(0, _SUPPORT_PX, 2):
             other = known[dy : dy + rows, dx : dx + columns]
@@ -163,23 +165,23 @@ def is_supported(height: np.ndarray, confirmed: np.ndarray, tolerance: float) ->
     return confirmed & enough & (agreeing >= _LEAST_AGREEING * near)
 
 
-def has_company(xyz: np.ndarray, gsd: float) -> np.ndarray:
-    """Which points (N, 3) [m] are part of a surface: `COMPANY` others lie within `COMPANY_GSD` of them, (N,) bool.
+def has_neighbours(xyz: np.ndarray, gsd: float) -> np.ndarray:
+    """Outlier filter of points (N, 3) [m]: (N,) bool, True with enough neighbours within `NEIGHBOURHOOD_GSD`.
 
     A surface sampled once per GSD (ground sampling distance [m]) has 50 there, one that only very oblique views show
     about 6; a chance agreement of views has no neighbours.
     """
-    found, x, reach = np.zeros(len(xyz), dtype=bool), xyz[:, 0], COMPANY_GSD * gsd
-    if len(xyz) <= COMPANY:
+    found, x, reach = np.zeros(len(xyz), dtype=bool), xyz[:, 0], NEIGHBOURHOOD_GSD * gsd
+    if len(xyz) <= LEAST_NEIGHBOURS:
         return found
     # Of every hundredth point, to know where as many lie on either side.
-    edges = np.quantile(x[::100], np.linspace(0.0, 1.0, -(-len(xyz) // COMPANY_AT_ONCE) + 1))
+    edges = np.quantile(x[::100], np.linspace(0.0, 1.0, -(-len(xyz) // POINTS_PER_SLAB) + 1))
     for low, high in pairwise([-np.inf, *edges[1:-1], np.inf]):
         mine = np.flatnonzero((x >= low) & (x < high))
         if not len(mine):
             continue
         near = xyz[(x >= low - _A_LITTLE_MORE * reach) & (x < high + _A_LITTLE_MORE * reach)]
-        distance, _ = cKDTree(near).query(xyz[mine], k=[COMPANY + 1], distance_upper_bound=reach, workers=-1)
+        distance, _ = cKDTree(near).query(xyz[mine], k=[LEAST_NEIGHBOURS + 1], distance_upper_bound=reach, workers=-1)
         found[mine] = np.isfinite(distance[:, 0])
     return found
 
@@ -193,7 +195,7 @@ def points_of(
     tolerance: float,
     solved_std: np.ndarray | None = None,
 ) -> BedPoints:
-    """The kept pixels (height, width) bool of one view as points, in float64 from the ray to the point.
+    """Points of the kept pixels (height, width) bool of one view, in float64 from the ray to the point.
 
     ``tolerance`` [m] is that of views that agree, ``solved_std`` (height, width) [m] the standard deviation where it is
     known, and NaN elsewhere. The map may be larger than the camera's image (padded at its right and bottom).
@@ -202,11 +204,11 @@ def points_of(
         array[: camera.height, : camera.width] for array in (depth_map.height, depth_map.agreeing, depth_map.spread)
     )
     if solved_std is None:
-        std = std_of(height, agreeing, spread, tolerance)
+        std = height_std(height, agreeing, spread, tolerance)
     else:
         std = solved_std[: camera.height, : camera.width]
         if np.isnan(std[keep]).any():
-            std = np.where(np.isnan(std), std_of(height, agreeing, spread, tolerance), std)
+            std = np.where(np.isnan(std), height_std(height, agreeing, spread, tolerance), std)
     parts = []
     for first in range(0, camera.height, rows := max(_POINTS_AT_ONCE // camera.width, 1)):
         part = np.s_[first : first + rows]
@@ -230,10 +232,10 @@ def points_of(
     return BedPoints.concatenate(parts)
 
 
-def with_slopes(
+def with_slope_std(
     points: BedPoints, height: np.ndarray, keep: np.ndarray, gsd: float, water: FlatWater | None
 ) -> BedPoints:
-    """Points of the kept pixels of a map (height, width) [m], with the std that slopes and edges about them lead to.
+    """Points of the kept pixels of a map (height, width) [m], with the std that slopes and edges add.
 
     A height that is off leaves its point on its ray, but beside its place, by as many pixels (of ``gsd`` [m]) as the
     ray leans. Level ground has the same height there; a slope or an edge another one, but by no more than the whole
@@ -242,7 +244,7 @@ def with_slopes(
     n = 1.0 if water is None else water.n_water
     sine = np.sin(points.incidence) / np.where(points.wet, n, 1.0)
     lean = sine / np.sqrt(np.maximum(1.0 - sine * sine, _LEAST_COSINE**2))
-    there = differing(height)[: keep.shape[0], : keep.shape[1]][keep]
+    there = half_range(height)[: keep.shape[0], : keep.shape[1]][keep]
     aside = np.minimum(lean * points.std / gsd, _WHOLE_RANGE)
     variance = points.std**2 + aside**2 * np.maximum(there**2 - points.std**2, 0.0)
     return replace(points, std=np.sqrt(variance).astype(np.float32))

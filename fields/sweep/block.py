@@ -1,4 +1,4 @@
-"""The views of one survey, ready to be matched: images, cameras, water, and which view sees what."""
+"""The views of one survey as the sweep matches them: images, cameras, water, overlap."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from fields.device import Device
-from fields.image_store import Greys, Lazy
+from fields.image_store import GreyImages, LazyImages
 from fields.skips import SKIPS, Skips
 from fields.sweep import views
 from fields.sweep.kernels.arrays import release
@@ -17,15 +17,14 @@ from refract import FlatWater, PinholeCamera
 
 # Two heights agree when their difference would show as less than this parallax.
 AGREEMENT_PX = 0.7
-# Surroundings [px], and the least share of them that has to be known; and that of the area of a smaller pixel, whose
-# mean a few of many pixels tell as well.
+# Side of the surroundings of a hole [px], and the least known share of them, and of the area of a reduced pixel.
 _AROUND_PX, _KNOWN, _KNOWN_OF_AREA = 5, 0.5, 0.2
 # Standard deviation of the weights of the mean [px].
 _REACH_PX = 1.5
 
 
 class Overlap:
-    """Which cameras see which places of a level bed, in the local frame; needs no images.
+    """Overlap of cameras on a level bed, in the local frame; needs no images.
 
     Parameters
     ----------
@@ -42,9 +41,9 @@ class Overlap:
 
     def __init__(self, cameras: list[PinholeCamera], water: FlatWater | None, height: float):
         self.cameras, self.water = cameras, water
-        self.look_at(height)
+        self.judge_overlap_at(height)
 
-    def look_at(self, height: float) -> None:
+    def judge_overlap_at(self, height: float) -> None:
         """Judge overlap at another height [m] over the water plane."""
         plane_z = 0.0
         if self.water is not None:
@@ -55,7 +54,7 @@ class Overlap:
         self.height = height
 
     def cover(self, times: int, times_oblique: int, area: tuple[float, float, float, float] | None = None) -> list[int]:
-        """Views that see every place from every side; see `fields.sweep.views.cover`.
+        """Set of views that see every place from every side: `fields.sweep.views.cover`.
 
         ``area`` (x0, y0, x1, y1) [m], local, leaves out the places beyond it.
         """
@@ -67,16 +66,16 @@ class Overlap:
         return views.cover(seen, self.cells, self.cameras, times, times_oblique)
 
     def neighbours(self, view: int, count: int, among: list[int] | None = None) -> list[int]:
-        """The views (of ``among``, default all) that match `view` best, at most ``count``."""
+        """Neighbour views of a view (of ``among``, default all), best first, at most ``count``."""
         among = list(range(len(self.cameras))) if among is None else among
         return views.neighbours(self.cameras, self.seen, self.cells, view, among, count)
 
     def parallax(self, view: int, others: list[int], height: float) -> float:
-        """Full-size pixels that a bed point of `view` at a height moves in the others per metre of height."""
+        """Parallax [px/m] at full size in other views per metre of height of a bed point of `view`."""
         return views.parallax(self.cameras, self.water, view, others, height)
 
     def agreement_tolerance(self, view: int, others: list[int], height: float) -> float:
-        """Two heights [m] closer than this agree: their difference is less than `AGREEMENT_PX` of parallax."""
+        """Height difference [m] that shows as a parallax of `AGREEMENT_PX`: closer heights agree."""
         return AGREEMENT_PX / self.parallax(view, others, height)
 
 
@@ -89,7 +88,7 @@ class Block(Overlap):
     cameras : list of PinholeCamera
         All of the images' size; smaller images are padded with NaN, as are masked and saturated pixels.
     images : (height, width) float32 each
-        Grey levels about zero; read once and kept as `Greys`.
+        Grey levels about zero; read once and kept as `GreyImages`.
     water, height :
         As `Overlap`.
     saturated : tuple of float
@@ -113,7 +112,7 @@ class Block(Overlap):
         saturated: Sequence[float] = (),
         skips: Skips = SKIPS,
     ):
-        self.device, self.images, self.skips = device, Greys(images), skips
+        self.device, self.images, self.skips = device, GreyImages(images), skips
         if len(cameras) < 2 or len(cameras) != len(self.images):
             raise ValueError(
                 f"a block needs two views or more, each with an image; got {len(cameras)} and {len(self.images)}"
@@ -130,25 +129,27 @@ class Block(Overlap):
             whole = self.images
             images: Sequence[np.ndarray] = whole
             if scale != 1.0:
-                images = Lazy(lambda view: closed(shrunk(whole[view], size)), len(cameras), size[::-1])
-            elif not self.images.are_whole:
-                images = Lazy(lambda view: closed(whole[view]), len(cameras), size[::-1])
+                images = LazyImages(
+                    lambda view: fill_small_holes(downsample(whole[view], size)), len(cameras), size[::-1]
+                )
+            elif not self.images.are_unmasked:
+                images = LazyImages(lambda view: fill_small_holes(whole[view]), len(cameras), size[::-1])
             self._stacks[scale] = ViewStack.build(self.device, cameras, images, self.water, self.skips)
         return self._stacks[scale]
 
     def part(self, chosen: list[int]) -> Block:
-        """A block of some of the views alone."""
+        """Block of a subset of the views."""
         cameras, images = [self.cameras[view] for view in chosen], (self.images[view] for view in chosen)
         return Block(self.device, cameras, images, self.water, self.height, skips=self.skips)
 
     def release(self, scale: float) -> None:
-        """Forget the images at a scale."""
+        """Drop the images at a scale."""
         self._stacks.pop(scale, None)
         release(self.device)
 
 
-def closed(image: np.ndarray) -> np.ndarray:
-    """An image (height, width) float32 with small holes of NaN filled by whole levels."""
+def fill_small_holes(image: np.ndarray) -> np.ndarray:
+    """Image (height, width) float32 with small holes of NaN filled by whole levels."""
     known = np.isfinite(image)
     if known.all():
         return image
@@ -162,8 +163,8 @@ def closed(image: np.ndarray) -> np.ndarray:
     return np.where(known, image, np.where(share >= _KNOWN, mean, np.float32(np.nan)))
 
 
-def shrunk(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """An image made smaller, to a size (width, height): means of what is known of each area, NaN of hardly any."""
+def downsample(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Image reduced to a size (width, height): means over what is known of each pixel's area, NaN below a fifth."""
     known = np.isfinite(image)
     if known.all():
         return cv2.resize(image, size, interpolation=cv2.INTER_AREA)

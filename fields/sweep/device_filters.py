@@ -1,4 +1,4 @@
-"""Filters of images that lie in the memory of a device: written once for Dr.Jit and torch.
+"""Image filters on device arrays, written once for Dr.Jit and torch.
 
 They look up the pixels around each, and give what OpenCV's give in `fields.sweep.images_host`, but for rounding.
 """
@@ -13,25 +13,25 @@ import numpy as np
 
 from fields.sweep import images_host
 from fields.sweep.kernels.flat import (
-    computed,
-    counted,
-    flat_of,
-    given,
-    image_of,
-    numbers,
-    on_host,
-    ranked,
-    real,
+    arange,
+    as_numpy,
+    count_true,
+    evaluate,
+    flatten,
+    gather,
+    kth_smallest,
+    nonzero,
+    scalar,
     size_of,
-    taken,
-    where_true,
+    to_float,
+    unflatten,
 )
 from fields.sweep.planes import SIDE_PX, Sums, plane_through
 from refract import kernels
 
 # Length of a step along a row or column, across both, and of a knight's move [px], in whole 65536ths (Borgefors 1986).
 STEPS = tuple(round(length * 2**16) / 2**16 for length in (1.0, 1.4, 2.1969))
-# Images have fewer than half as many rows, and no more columns: the numbers of `_turn` fit into 32 bits.
+# Images have fewer than half as many rows, and no more columns: the numbers of `_scan_rank` fit into 32 bits.
 _FAR = 2**15
 # Row and column (N,) of pixels.
 Place = tuple[Any, Any]
@@ -40,47 +40,49 @@ Rim = Callable[[Any, int], Any]
 
 
 def places(like: Any, shape: tuple[int, ...]) -> Place:
-    """Row and column of all pixels of an image (height, width), where an array is."""
-    index, width = numbers(like, math.prod(shape)), given(like, shape[1])
+    """Row and column of all pixels of an image (height, width), on the device of an array."""
+    index, width = arange(like, math.prod(shape)), scalar(like, shape[1])
     row = index // width
     return row, index - row * width
 
 
 def _clamped(line: Any, length: int) -> Any:
-    """The rim repeats."""
+    """Border mode: replicate."""
     xp = kernels.namespace(line)
-    return xp.minimum(xp.maximum(line, 0), given(line, length - 1))
+    return xp.minimum(xp.maximum(line, 0), scalar(line, length - 1))
 
 
 def _mirrored(line: Any, length: int) -> Any:
-    """The image is mirrored at the middle of its outermost pixels."""
-    last = given(line, length - 1)
+    """Border mode: reflect about the centre of the outermost pixel."""
+    last = scalar(line, length - 1)
     return abs(last - abs(last - abs(line)))
 
 
-def _beside(flat: Any, shape: tuple[int, int], place: Place, by: tuple[Any, Any], rim: Rim = _clamped) -> Any:
-    """The pixels of an image so many rows and columns farther."""
+def _shifted(flat: Any, shape: tuple[int, int], place: Place, by: tuple[Any, Any], rim: Rim = _clamped) -> Any:
+    """Pixels of an image at an offset in rows and columns."""
     row, column = (rim(line + step, length) for line, step, length in zip(place, by, shape, strict=True))
-    return taken(flat, row * given(row, shape[1]) + column)
+    return gather(flat, row * scalar(row, shape[1]) + column)
 
 
 def median_blur(image: Any, side: int) -> Any:
-    """Medians over squares of 3 or 5 pixels; the rim repeats."""
-    flat, place, reach = flat_of(image), places(image, image.shape), range(-(side // 2), side // 2 + 1)
-    return image_of(_middle([_beside(flat, image.shape, place, (y, x)) for y in reach for x in reach]), image.shape)
+    """Median filter of 3 or 5 pixels a side; replicated border."""
+    flat, place, reach = flatten(image), places(image, image.shape), range(-(side // 2), side // 2 + 1)
+    return unflatten(
+        _pixelwise_median([_shifted(flat, image.shape, place, (y, x)) for y in reach for x in reach]), image.shape
+    )
 
 
-def _middle(values: list[Any]) -> Any:
-    """The median of an odd number of arrays, each pixel for itself, by Batcher's network (Knuth 5.2.2, algorithm M)."""
+def _pixelwise_median(values: list[Any]) -> Any:
+    """Pixelwise median of an odd number of arrays by Batcher's sorting network (Knuth 5.2.2, algorithm M)."""
     xp, values = kernels.namespace(values[0]), list(values)
-    for one, other in _exchanges(len(values)):
+    for one, other in _sorting_network(len(values)):
         low, high = xp.minimum(values[one], values[other]), xp.maximum(values[one], values[other])
         values[one], values[other] = low, high
     return values[len(values) // 2]
 
 
-def _exchanges(count: int) -> list[tuple[int, int]]:
-    """Which of so many values are brought into order, one pair after the other, until all are."""
+def _sorting_network(count: int) -> list[tuple[int, int]]:
+    """Compare-exchange pairs of the sorting network of so many values, in order."""
     found, first = [], 1 << (count - 1).bit_length() - 1
     part = first
     while part:
@@ -94,112 +96,112 @@ def _exchanges(count: int) -> list[tuple[int, int]]:
     return found
 
 
-def around(height: Any, radius: int) -> tuple[Any, Any]:
-    """Lowest and highest height within a radius [px] of each pixel, without single wrong ones."""
+def local_min_max(height: Any, radius: int) -> tuple[Any, Any]:
+    """Minimum and maximum height within a radius [px] of each pixel, after a median filter."""
     height = median_blur(height, 3)
     xp, reach = kernels.namespace(height), range(-radius, radius + 1)
 
     def within(pick: Callable[[Any, Any], Any]) -> Any:
-        flat, place = flat_of(height), places(height, height.shape)
-        for way in ((1, 0), (0, 1)):
-            lines = [_beside(flat, height.shape, place, (way[0] * by, way[1] * by)) for by in reach]
+        flat, place = flatten(height), places(height, height.shape)
+        for axis_step in ((1, 0), (0, 1)):
+            lines = [_shifted(flat, height.shape, place, (axis_step[0] * by, axis_step[1] * by)) for by in reach]
             flat = lines[0]
             for each in lines[1:]:
                 flat = pick(flat, each)
-            computed(flat)
-        return image_of(flat, height.shape)
+            evaluate(flat)
+        return unflatten(flat, height.shape)
 
     return within(xp.minimum), within(xp.maximum)
 
 
-def enlarged(height: Any, shape: tuple[int, int]) -> Any:
-    """Heights of a coarser pass at another shape, without the single wrong ones."""
+def upsample(height: Any, shape: tuple[int, int]) -> Any:
+    """Heights of a coarser pass at another shape, bilinear, after a median filter."""
     if tuple(height.shape) == shape:
         return height
-    flat, here = flat_of(height), places(height, shape)
+    flat, here = flatten(height), places(height, shape)
     (top, below, down), (first, right, across) = (
         _between(line, length, target) for line, length, target in zip(here, height.shape, shape, strict=True)
     )
-    width = given(flat, height.shape[1])
-    a, b, c, d = (taken(flat, row * width + column) for row in (top, below) for column in (first, right))
+    width = scalar(flat, height.shape[1])
+    a, b, c, d = (gather(flat, row * width + column) for row in (top, below) for column in (first, right))
     upper, lower = a + across * (b - a), c + across * (d - c)
-    return median_blur(image_of(upper + down * (lower - upper), shape), images_host.SINGLE_PX)
+    return median_blur(unflatten(upper + down * (lower - upper), shape), images_host.SINGLE_PX)
 
 
 def _between(line: Any, length: int, target: int) -> tuple[Any, Any, Any]:
-    """The lines of a smaller image on either side of those of a larger one, and the way from the first to it."""
+    """Lower and upper line of a smaller image for each line of a larger one, and the fraction between them."""
     xp = kernels.namespace(line)
-    at = (real(line) + 0.5) * given(line, float(np.float32(length / target))) - 0.5
-    at = xp.minimum(xp.maximum(at, 0.0), given(line, float(length - 1)))
-    first = _whole(at)
-    return first, _clamped(first + 1, length), at - real(first)
+    at = (to_float(line) + 0.5) * scalar(line, float(np.float32(length / target))) - 0.5
+    at = xp.minimum(xp.maximum(at, 0.0), scalar(line, float(length - 1)))
+    first = _floor(at)
+    return first, _clamped(first + 1, length), at - to_float(first)
 
 
-def _whole(values: Any) -> Any:
-    """Whole numbers of values that are whole, or those below values that are not negative."""
-    return values.long() if kernels.namespace(values).name == "torch" else type(numbers(values, 1))(values)
+def _floor(values: Any) -> Any:
+    """Integer part of values that are not negative."""
+    return values.long() if kernels.namespace(values).name == "torch" else type(arange(values, 1))(values)
 
 
-def means_of(value: Any, counts: Any, shape: tuple[int, int]) -> Any:
-    """Means over the areas of larger pixels of what counts, (height, width); NaN where nothing does."""
-    known = real(flat_of(counts))
-    share, total = (_area_sums(each, value.shape, shape) for each in (known, known * flat_of(value)))
+def masked_means(value: Any, counts: Any, shape: tuple[int, int]) -> Any:
+    """Means of the masked values over the areas of larger pixels, (height, width); NaN where none is."""
+    known = to_float(flatten(counts))
+    share, total = (_area_sums(each, value.shape, shape) for each in (known, known * flatten(value)))
     xp = kernels.namespace(share)
-    return image_of(xp.where(share > 0.0, total / xp.maximum(share, 1e-6), math.nan), shape)
+    return unflatten(xp.where(share > 0.0, total / xp.maximum(share, 1e-6), math.nan), shape)
 
 
 def _area_sums(flat: Any, shape: tuple[int, int], target: tuple[int, int]) -> Any:
-    """Means over the areas of larger pixels, first down, then across."""
+    """Means over the areas of larger pixels, along columns, then along rows."""
     for axis, size in enumerate(target):
         before, shape = shape, (size, shape[1]) if axis == 0 else (shape[0], size)
         place = list(places(flat, shape))
         xp, side, total = kernels.namespace(flat), before[axis] / size, None
-        low = real(place[axis]) * given(flat, side)
-        first = _whole(low)
+        low = to_float(place[axis]) * scalar(flat, side)
+        first = _floor(low)
         for step in range(math.ceil(side) + 1):
             line = first + step
-            begin = real(line)
-            share = xp.minimum(begin + 1.0, low + given(flat, side)) - xp.maximum(begin, low)
+            begin = to_float(line)
+            share = xp.minimum(begin + 1.0, low + scalar(flat, side)) - xp.maximum(begin, low)
             place[axis] = _clamped(line, before[axis])
-            part = xp.maximum(share, 0.0) * taken(flat, place[0] * given(flat, before[1]) + place[1])
+            part = xp.maximum(share, 0.0) * gather(flat, place[0] * scalar(flat, before[1]) + place[1])
             total = part if total is None else total + part
-        flat = total * given(flat, 1.0 / side)
-        computed(flat)
+        flat = total * scalar(flat, 1.0 / side)
+        evaluate(flat)
     return flat
 
 
-def filled(height: Any, known: Any) -> Any:
-    """Heights in which unknown ones are replaced by that of the nearest known pixel, or of one about as near.
+def fill_nearest(height: Any, known: Any) -> Any:
+    """Heights with unknown ones replaced by that of the nearest known pixel, or of one about as near.
 
     By jumping from pixel to pixel in steps that halve (Rong and Tan 2006). Many pixels have several that are as near:
     then OpenCV's counts, which looks for those above first, and for those below before it looks to the right.
     """
-    flat, mask, shape = flat_of(height), flat_of(known), height.shape
-    if not 0 < counted(mask) < size_of(flat):
+    flat, mask, shape = flatten(height), flatten(known), height.shape
+    if not 0 < count_true(mask) < size_of(flat):
         return height
     place, xp = places(flat, shape), kernels.namespace(flat)
-    nowhere = given(flat, 4.0 * max(shape))
-    nearest = [xp.where(mask, real(line), nowhere) for line in place]
-    computed(*nearest)
+    nowhere = scalar(flat, 4.0 * max(shape))
+    nearest = [xp.where(mask, to_float(line), nowhere) for line in place]
+    evaluate(*nearest)
     # Steps of one pixel twice: of what is found otherwise one pixel in a thousand is a third too far away.
     for length in [*(1 << bit for bit in reversed(range(max(shape).bit_length()))), 1]:
-        reach = given(flat, length)
-        distance, turn = _distance(place, nearest), _turn(place, nearest)
+        reach = scalar(flat, length)
+        distance, rank = _distance(place, nearest), _scan_rank(place, nearest)
         for y, x in ((y, x) for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x):
-            there = [_beside(each, shape, place, (y * reach, x * reach)) for each in nearest]
-            other, later = _distance(place, there), _turn(place, there)
-            better = (other < distance) | ((other == distance) & (later < turn))
+            there = [_shifted(each, shape, place, (y * reach, x * reach)) for each in nearest]
+            other, later = _distance(place, there), _scan_rank(place, there)
+            better = (other < distance) | ((other == distance) & (later < rank))
             nearest = [xp.where(better, new, old) for new, old in zip(there, nearest, strict=True)]
-            distance, turn = xp.minimum(distance, other), xp.where(better, later, turn)
-        computed(*nearest)
-    rows, columns = (_whole(each) for each in nearest)
-    return image_of(taken(flat, rows * given(flat, shape[1]) + columns), shape)
+            distance, rank = xp.minimum(distance, other), xp.where(better, later, rank)
+        evaluate(*nearest)
+    rows, columns = (_floor(each) for each in nearest)
+    return unflatten(gather(flat, rows * scalar(flat, shape[1]) + columns), shape)
 
 
 def _distance(place: Place, other: list[Any]) -> Any:
-    """Of pixels [px], by steps along rows and columns, across both, and by a knight's move, as OpenCV has it."""
+    """Chamfer distance [px] of pixels with straight, diagonal and knight's-move steps, as OpenCV has it."""
     xp = kernels.namespace(other[0])
-    row, column = (abs(real(line) - each) for line, each in zip(place, other, strict=True))
+    row, column = (abs(to_float(line) - each) for line, each in zip(place, other, strict=True))
     far, near = xp.maximum(row, column), xp.minimum(row, column)
     straight, across, knight = STEPS
     return xp.where(
@@ -209,11 +211,11 @@ def _distance(place: Place, other: list[Any]) -> Any:
     )
 
 
-def _turn(place: Place, other: list[Any]) -> Any:
-    """When OpenCV comes to pixels, as numbers that rise: on its way down the image, on its way up, or last in a row."""
+def _scan_rank(place: Place, other: list[Any]) -> Any:
+    """Rank of pixels in OpenCV's scans of the distance transform: down the image, up, last in a row."""
     xp = kernels.namespace(other[0])
-    down, right = (_whole(each - real(line)) for line, each in zip(place, other, strict=True))
-    order, part = down * _FAR + right, given(down, _FAR * _FAR // 2)
+    down, right = (_floor(each - to_float(line)) for line, each in zip(place, other, strict=True))
+    order, part = down * _FAR + right, scalar(down, _FAR * _FAR // 2)
     on_way_down = ((down < 0) & (right <= -2 * down)) | ((down == 0) & (right < 0))
     return xp.where(on_way_down, order - part, xp.where(down > 0, -order, order + part))
 
@@ -221,64 +223,69 @@ def _turn(place: Place, other: list[Any]) -> Any:
 def _over_tiles(
     flat: Any, shape: tuple[int, int], size: int, join: Callable[[Any, Any], Any], beyond: float | None = None
 ) -> np.ndarray:
-    """What all pixels of each tile come to, (rows, columns) float64 of the host: along rows, then columns.
+    """Reduction over the pixels of each tile, (rows, columns) float64 on the host: along rows, then columns.
 
     Beyond the image its outermost pixels count once more, or a value does.
     """
-    computed(flat)
+    evaluate(flat)
     xp = kernels.namespace(flat)
     for axis in (1, 0):
         before, count = shape, -(-shape[axis] // size)
         shape = (shape[0], count) if axis else (count, shape[1])
         place = list(places(flat, shape))
-        first, total = place[axis] * given(flat, size), None
+        first, total = place[axis] * scalar(flat, size), None
         for step in range(size):
             line = first + step
             place[axis] = _clamped(line, before[axis])
-            part = taken(flat, place[0] * given(flat, before[1]) + place[1])
+            part = gather(flat, place[0] * scalar(flat, before[1]) + place[1])
             if beyond is not None:
-                part = xp.where(line < given(flat, before[axis]), part, beyond)
+                part = xp.where(line < scalar(flat, before[axis]), part, beyond)
             total = part if total is None else join(total, part)
         flat = total
-        computed(flat)
-    return on_host(flat).reshape(shape).astype(np.float64)
+        evaluate(flat)
+    return as_numpy(flat).reshape(shape).astype(np.float64)
 
 
-def extent(wanted: Any, low: Any, high: Any, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Least of the low and most of the high values of the wanted pixels of each tile, (rows, columns); inf without."""
-    xp, mask = kernels.namespace(low), flat_of(wanted)
-    least = _over_tiles(xp.where(mask, flat_of(low), math.inf), low.shape, size, xp.minimum)
-    return least, _over_tiles(xp.where(mask, flat_of(high), -math.inf), low.shape, size, xp.maximum)
+def tile_extents(wanted: Any, low: Any, high: Any, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Least low and largest high value of the wanted pixels of each tile, (rows, columns); inf if none."""
+    xp, mask = kernels.namespace(low), flatten(wanted)
+    least = _over_tiles(xp.where(mask, flatten(low), math.inf), low.shape, size, xp.minimum)
+    return least, _over_tiles(xp.where(mask, flatten(high), -math.inf), low.shape, size, xp.maximum)
 
 
-def ways(height: Any, wanted: Any, size: int) -> np.ndarray:
-    """By how much smoothed heights rise from row to row and from column to column; see the twin."""
+def tile_gradients(height: Any, wanted: Any, size: int) -> np.ndarray:
+    """Gradient of smoothed heights, summed over tiles; see the twin."""
     height = median_blur(height, 3)
     shape, place, half = height.shape, places(height, height.shape), images_host.SMOOTH_PX // 2
-    flat, mask = flat_of(height), flat_of(wanted)
-    for way in ((1, 0), (0, 1)):
-        lines = (_beside(flat, shape, place, (way[0] * by, way[1] * by), _mirrored) for by in range(-half, half + 1))
+    flat, mask = flatten(height), flatten(wanted)
+    for axis_step in ((1, 0), (0, 1)):
+        lines = (
+            _shifted(flat, shape, place, (axis_step[0] * by, axis_step[1] * by), _mirrored)
+            for by in range(-half, half + 1)
+        )
         flat = sum(lines) * (1.0 / images_host.SMOOTH_PX)
-        computed(flat)
+        evaluate(flat)
     xp, found = kernels.namespace(flat), []
-    for way in ((1, 0), (0, 1)):
+    for axis_step in ((1, 0), (0, 1)):
         # Sobel's kernel.
-        asides = ((2.0 - abs(by), [_step(flat, shape, place, way, by, step) for step in (1, -1)]) for by in (-1, 0, 1))
+        asides = (
+            (2.0 - abs(by), [_step(flat, shape, place, axis_step, by, step) for step in (1, -1)]) for by in (-1, 0, 1)
+        )
         rise = sum(weight * (after - before) for weight, (after, before) in asides)
         rise = xp.where(mask, rise, 0.0)
         found.append(_over_tiles(rise, shape, size, lambda one, other: one + other, 0.0))
     return np.stack(found, axis=-1)
 
 
-def _step(flat: Any, shape: tuple[int, int], place: Place, way: tuple[int, int], aside: int, by: int) -> Any:
-    """The pixel a step farther along a way, and some beside it."""
-    return _beside(flat, shape, place, (by, aside) if way[0] else (aside, by), _mirrored)
+def _step(flat: Any, shape: tuple[int, int], place: Place, axis_step: tuple[int, int], aside: int, by: int) -> Any:
+    """Pixel a step farther along an axis, and an offset across it."""
+    return _shifted(flat, shape, place, (by, aside) if axis_step[0] else (aside, by), _mirrored)
 
 
-def on_planes(height: Any, known: Any, tolerance: float) -> Any:
-    """`fields.sweep.planes.continued`."""
-    flat, mask, shape = flat_of(height), flat_of(known), height.shape
-    if not 0 < counted(mask) < size_of(flat):
+def extrapolate_planes(height: Any, known: Any, tolerance: float) -> Any:
+    """`fields.sweep.planes.extrapolate_planes`."""
+    flat, mask, shape = flatten(height), flatten(known), height.shape
+    if not 0 < count_true(mask) < size_of(flat):
         return height
     place, xp, half = places(flat, shape), kernels.namespace(flat), SIDE_PX // 2
 
@@ -288,16 +295,16 @@ def on_planes(height: Any, known: Any, tolerance: float) -> Any:
             if power and not by:
                 continue
             line = place[axis] + by
-            inside = (line >= 0) & (line < given(line, shape[axis]))
-            part = _beside(values, shape, place, (by, 0) if axis == 0 else (0, by))
+            inside = (line >= 0) & (line < scalar(line, shape[axis]))
+            part = _shifted(values, shape, place, (by, 0) if axis == 0 else (0, by))
             total = total + xp.where(inside, part, 0.0) * float(by**power)
-        computed(total)
+        evaluate(total)
         return total
 
-    weight = real(mask)
+    weight = to_float(mask)
     # Any height among them does: float32 holds what is left.
-    base = given(flat, ranked(taken(flat, where_true(mask)), 0))
+    base = scalar(flat, kth_smallest(gather(flat, nonzero(mask)), 0))
     height_over = weight * (flat - base)
-    computed(weight, height_over)
+    evaluate(weight, height_over)
     plane, off = plane_through(Sums.of(weight, height_over, along))
-    return image_of(xp.where(~mask & (off < given(flat, tolerance)), base + plane, flat), shape)
+    return unflatten(xp.where(~mask & (off < scalar(flat, tolerance)), base + plane, flat), shape)

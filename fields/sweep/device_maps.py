@@ -1,4 +1,4 @@
-"""Height maps that stay in the memory of a device between the passes; those it has no room for wait on the host."""
+"""Height maps in the memory of a device between the passes; those that do not fit stay on the host."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from fields.sweep.maps import DepthMap, Keep, Maps
 _SHARE, _PIXEL_BYTES = 0.5, 16
 
 
-def kept_beside(device: Device, keep: Keep) -> Keep:
-    """What makes places for maps that kernels of a device work on; ``keep`` makes those of the host."""
+def device_map_store(device: Device, keep: Keep) -> Keep:
+    """Factory of map stores for the kernels of a device; ``keep`` is that of stores on the host."""
     if not device.apart:
         return keep
-    room = _Room(int(_SHARE * memory_bytes(device)))
-    return lambda: Resident(device, keep(), room)
+    room = _Budget(int(_SHARE * memory_bytes(device)))
+    return lambda: DeviceMaps(device, keep(), room)
 
 
-def brought_back(device: Device, maps: Maps, keep: Keep) -> Maps:
-    """Maps in the memory of the host, where they are not there yet; the others are cleared."""
+def to_host_maps(device: Device, maps: Maps, keep: Keep) -> Maps:
+    """Maps moved to the memory of the host; the store on the device is emptied."""
     if not device.apart:
         return maps
     found = keep()
     for view in list(maps):
-        found[view] = images(device).left(maps.pop(view))
+        found[view] = images(device).download(maps.pop(view))
     return found
 
 
-class _Room:
-    """Bytes that several places for maps share."""
+class _Budget:
+    """Memory budget in bytes that several stores share."""
 
     def __init__(self, num_bytes: int):
         self.left = num_bytes
 
 
-class Resident(MutableMapping[int, DepthMap]):
+class DeviceMaps(MutableMapping[int, DepthMap]):
     """Maps by view, on the device while there is room, the others on the host.
 
     Parameters
@@ -47,37 +47,37 @@ class Resident(MutableMapping[int, DepthMap]):
     room : _Room
     """
 
-    def __init__(self, device: Device, aside: Maps, room: _Room):
-        self._device, self._aside, self._room = device, aside, room
+    def __init__(self, device: Device, on_host: Maps, room: _Budget):
+        self._device, self._on_host, self._budget = device, on_host, room
         self._held: dict[int, DepthMap] = {}
 
     def __getitem__(self, view: int) -> DepthMap:
         if view in self._held:
             return self._held[view]
-        return images(self._device).arrived(self._device, self._aside[view])
+        return images(self._device).upload(self._device, self._on_host[view])
 
     def __setitem__(self, view: int, m: DepthMap) -> None:
         self.pop(view, None)
-        if _bytes_of(m) <= self._room.left:
-            self._room.left -= _bytes_of(m)
+        if _bytes_of(m) <= self._budget.left:
+            self._budget.left -= _bytes_of(m)
             self._held[view] = m
         else:
-            self._aside[view] = images(self._device).left(m)
+            self._on_host[view] = images(self._device).download(m)
 
     def __delitem__(self, view: int) -> None:
         if view in self._held:
-            self._room.left += _bytes_of(self._held.pop(view))
+            self._budget.left += _bytes_of(self._held.pop(view))
         else:
-            del self._aside[view]
+            del self._on_host[view]
 
     def __iter__(self) -> Iterator[int]:
-        return iter(sorted({*self._held, *self._aside}))
+        return iter(sorted({*self._held, *self._on_host}))
 
     def __len__(self) -> int:
-        return len(self._held) + len(self._aside)
+        return len(self._held) + len(self._on_host)
 
     def __contains__(self, view: object) -> bool:
-        return view in self._held or view in self._aside
+        return view in self._held or view in self._on_host
 
 
 def _bytes_of(m: DepthMap) -> int:

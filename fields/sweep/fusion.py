@@ -1,4 +1,4 @@
-"""Height maps of a block, each with what the others say of it."""
+"""Fusion of the height maps of a block: agreement with other views, means over them, violations of free space."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from fields.image_store import Lazy
+from fields.image_store import LazyImages
 from fields.median import median
 from fields.sweep.block import Block
 from fields.sweep.images import images
 from fields.sweep.kernels.arrays import host
 from fields.sweep.kernels.backend import kernels
-from fields.sweep.kernels.queue import Job, Launched, in_turn
+from fields.sweep.kernels.queue import Job, Launch, run_jobs
 from fields.sweep.kernels.stack import ViewStack
-from fields.sweep.maps import DepthMap, InOrder, Keep, Maps, trusted
+from fields.sweep.maps import DepthMap, Keep, Maps, OrderedMaps, trusted
 from fields.sweep.passes import MATCHED_NCC
 
 # What `fields.sweep.fusion.agreement` gives: images of `fields.sweep.images.images`.
@@ -38,19 +38,19 @@ def fuse(
     goes_on: bool = True,
     only: Mapping[int, Any] | None = None,
 ) -> Maps:
-    """Maps with the mean over the peers that agree as heights, and how many do and how closely; the others are cleared.
+    """Fused maps: mean height over the peers that agree, their number and spread; the input is emptied.
 
     A pixel that no other view confirms takes the median of its surroundings, and where a pass follows (``goes_on``) one
     whose height is not trusted that of the plane through the trusted ones around it, where these lie in one: a better
     start. A pixel that matched nothing confirms nothing either. Maps without peers keep what they have, and so do
     pixels of a view that has ``only`` some others (flat indices).
     """
-    fused, beside = keep(), images(block.device)
+    fused, backend = keep(), images(block.device)
     for m, tolerance, (agreeing, height, spread) in _agreement(block, maps, scale, peers, only or {}):
-        height = beside.where(agreeing > 0, height, beside.median_blur(m.height, _SURROUNDINGS_PX))
-        found = DepthMap(m.view, height, m.score, agreeing, beside.brief(spread))
+        height = backend.where(agreeing > 0, height, backend.median_blur(m.height, _SURROUNDINGS_PX))
+        found = DepthMap(m.view, height, m.score, agreeing, backend.to_half(spread))
         if goes_on:
-            found = replace(found, height=beside.on_planes(height, trusted(found), tolerance))
+            found = replace(found, height=backend.extrapolate_planes(height, trusted(found), tolerance))
         fused[m.view] = found
     for view in set(maps) - set(fused):
         fused[view] = maps[view]
@@ -61,45 +61,45 @@ def fuse(
 def _agreement(
     block: Block, maps: Maps, scale: float, peers: Mapping[int, list[int]], only: Mapping[int, Any]
 ) -> Iterator[tuple[DepthMap, float, _Agreement]]:
-    """Each map that has peers, how close heights [m] have to be to agree, and what `agreement` says of it.
+    """For each map that has peers: the map, the tolerance [m], and its `agreement`.
 
     Of a view that has ``only`` some pixels the others are as in its map.
     """
-    chosen, beside = sorted(maps), images(block.device)
+    chosen, backend = sorted(maps), images(block.device)
     cameras = [block.cameras[v].scaled(scale) if scale != 1.0 else block.cameras[v] for v in chosen]
 
     def matched(number: int) -> Any:
         m = maps[chosen[number]]
-        return beside.where(m.score > MATCHED_NCC, m.height, math.nan)
+        return backend.where(m.score > MATCHED_NCC, m.height, math.nan)
 
-    surfaces = Lazy(matched, len(chosen), (cameras[0].height, cameras[0].width), 1)
+    surfaces = LazyImages(matched, len(chosen), (cameras[0].height, cameras[0].width), 1)
     heights = ViewStack.build(block.device, cameras, surfaces, block.water)
 
     def job(view: int) -> Job[tuple[DepthMap, float, _Agreement]]:
         m, others, pixels = maps[view], peers[view], only.get(view)
-        tolerance = block.agreement_tolerance(view, others, beside.median(m.height))
+        tolerance = block.agreement_tolerance(view, others, backend.median(m.height))
         found = yield from agreement(heights, chosen.index(view), [chosen.index(p) for p in others], tolerance, pixels)
         if pixels is not None:
-            whole = [beside.flat_copy(each) for each in (m.agreeing, m.height, m.spread)]
+            whole = [backend.flat_copy(each) for each in (m.agreeing, m.height, m.spread)]
             for target, each in zip(whole, found, strict=True):
-                beside.put(target, pixels, each)
-            found = tuple(beside.shaped(each, m.height.shape) for each in whole)
+                backend.put(target, pixels, each)
+            found = tuple(backend.reshaped(each, m.height.shape) for each in whole)
         return m, tolerance, found
 
-    yield from in_turn(block.device, (job(view) for view in chosen if peers.get(view)))
+    yield from run_jobs(block.device, (job(view) for view in chosen if peers.get(view)))
 
 
 def confirm(block: Block, maps: Maps, peers: Mapping[int, list[int]]) -> None:
-    """Let heights that stay as they are be confirmed by the others at full size, where these say more than before."""
+    """Confirm heights that stay unchanged by the other views at full size, where more agree than before."""
     if peers:
         for m, _, (agreeing, _, _) in _agreement(block, maps, 1.0, peers, {}):
-            maps[m.view] = replace(m, agreeing=images(block.device).larger(m.agreeing, agreeing))
+            maps[m.view] = replace(m, agreeing=images(block.device).pixelwise_max(m.agreeing, agreeing))
 
 
 def agreement(
     heights: ViewStack, view: int, peers: list[int], tolerance: float, pixels: Any | None = None
 ) -> Job[tuple[Any, Any, Any]]:
-    """Compare the height map of one view with those of its peers.
+    """Agreement of the height map of one view with those of its peers.
 
     The bed point of each pixel is projected into each peer, whose own height there (bilinear) is compared.
 
@@ -124,15 +124,15 @@ def agreement(
     backend = images(heights.device)
     shape = (heights.height, heights.width) if pixels is None else (len(pixels),)
 
-    def launch() -> Launched:
-        return Launched(list(kernels(heights.device).compare(heights, view, peers, tolerance, pixels)))
+    def launch() -> Launch:
+        return Launch(list(kernels(heights.device).compare_heights(heights, view, peers, tolerance, pixels)))
 
     sums = yield launch
-    return backend.agreement(backend.heights_at(heights, view, pixels), sums, shape)
+    return backend.agreement_statistics(backend.heights_at(heights, view, pixels), sums, shape)
 
 
-def without_contradicted(block: Block, maps: Sequence[DepthMap], keep: Keep = dict) -> InOrder:
-    """Maps in which heights count as confirmed by no view if at least as many look through them as confirm them.
+def remove_free_space_violations(block: Block, maps: Sequence[DepthMap], keep: Keep = dict) -> OrderedMaps:
+    """Maps without the confirmation of heights that as many views see through (free space) as confirm.
 
     A view looks through a point where its own trusted heights, in all four pixels about the point, are lower by more
     than what counts as agreement. Beside an edge views from one side may err alike; those from the other side see what
@@ -153,7 +153,7 @@ def without_contradicted(block: Block, maps: Sequence[DepthMap], keep: Keep = di
         m = maps[number]
         return np.where(trusted(m), m.height, np.float32(np.nan))
 
-    images = Lazy(heights, len(chosen), (cameras[0].height, cameras[0].width), 1)
+    images = LazyImages(heights, len(chosen), (cameras[0].height, cameras[0].width), 1)
     stack = ViewStack.build(block.device, cameras, images, block.water)
     for index, m in enumerate(maps):
         peers = block.neighbours(m.view, PEERS, among=chosen)
@@ -161,8 +161,10 @@ def without_contradicted(block: Block, maps: Sequence[DepthMap], keep: Keep = di
             found[m.view] = m
             continue
         tolerance = block.agreement_tolerance(m.view, peers, median(m.height))
-        through = kernels(block.device).looked_through(stack, index, [chosen.index(peer) for peer in peers], tolerance)
+        through = kernels(block.device).count_seeing_through(
+            stack, index, [chosen.index(peer) for peer in peers], tolerance
+        )
         against = host(block.device, through).reshape(m.height.shape)
         contradicted = (against > 0.0) & (against >= m.agreeing)
         found[m.view] = replace(m, agreeing=np.where(contradicted, 0, m.agreeing).astype(np.uint8))
-    return InOrder(found, chosen)
+    return OrderedMaps(found, chosen)

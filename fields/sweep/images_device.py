@@ -1,8 +1,8 @@
-"""Images between the kernels of the sweep on a device with a memory of its own: they stay there between the passes.
+"""Images between the kernels on a device with memory of its own, where they stay between the passes.
 
 The twin of `fields.sweep.images_host`, written once for Dr.Jit and torch: images are their tensors (height, width).
-What the host is told are numbers (a median, whether a mask holds anywhere), which tiles are climbed, and which parts of
-a view become points.
+Only scalars (a median, whether a mask is True anywhere), which tiles are matched and which parts of a view become
+points go to the host.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from fields.sweep import device_filters, images_host
 from fields.sweep.device_filters import Place
 from fields.sweep.kernels.arrays import floats
 from fields.sweep.kernels.flat import (
-    all_given,
-    computed,
-    copied,
-    counted,
-    filled_with,
-    flat_of,
-    given,
-    image_of,
-    numbers,
-    on_host,
-    ranked,
-    real,
-    scattered,
+    arange,
+    as_numpy,
+    constant_array,
+    copy_of,
+    count_true,
+    evaluate,
+    flatten,
+    gather,
+    kth_smallest,
+    nonzero,
+    scalar,
+    scatter,
     size_of,
-    taken,
-    where_true,
+    to_float,
+    unflatten,
+    vector,
 )
 from fields.sweep.kernels.stack import ViewStack
 from fields.sweep.maps import DepthMap
@@ -41,164 +41,172 @@ from fields.sweep.tiles import Tiles
 from refract import kernels
 
 # The rest of `fields.sweep.images.Images`.
-around, enlarged, extent = device_filters.around, device_filters.enlarged, device_filters.extent
-filled, means_of, median_blur = device_filters.filled, device_filters.means_of, device_filters.median_blur
-on_planes, ways = device_filters.on_planes, device_filters.ways
+local_min_max, upsample, tile_extents = (
+    device_filters.local_min_max,
+    device_filters.upsample,
+    device_filters.tile_extents,
+)
+fill_nearest, masked_means, median_blur = (
+    device_filters.fill_nearest,
+    device_filters.masked_means,
+    device_filters.median_blur,
+)
+extrapolate_planes, tile_gradients = device_filters.extrapolate_planes, device_filters.tile_gradients
 
 
-def arrived(device: Device, m: DepthMap) -> DepthMap:
-    """A map of the host as the sweep works on it: all of it float32."""
+def upload(device: Device, m: DepthMap) -> DepthMap:
+    """Map of the host as the kernels take it: all of it float32."""
     arrays = (m.height, m.score, m.agreeing, m.spread)
-    return DepthMap(m.view, *(image_of(floats(device, each), each.shape) for each in arrays))
+    return DepthMap(m.view, *(unflatten(floats(device, each), each.shape) for each in arrays))
 
 
-def left(m: DepthMap) -> DepthMap:
-    """A map as the host keeps it."""
+def download(m: DepthMap) -> DepthMap:
+    """Map in the types of the host."""
     kinds = (np.float32, np.float16, np.uint8, np.float16)
     arrays = (m.height, m.score, m.agreeing, m.spread)
-    return DepthMap(m.view, *(on_host(each).astype(kind) for each, kind in zip(arrays, kinds, strict=True)))
+    return DepthMap(m.view, *(as_numpy(each).astype(kind) for each, kind in zip(arrays, kinds, strict=True)))
 
 
-def placed(device: Device, image: np.ndarray) -> Any:
-    """An image of the host, float32 or bool."""
+def to_device(device: Device, image: np.ndarray) -> Any:
+    """Image of the host, float32 or bool, as the kernels take it."""
     flat = floats(device, image)
-    return image_of(flat > 0.0 if image.dtype == bool else flat, image.shape)
+    return unflatten(flat > 0.0 if image.dtype == bool else flat, image.shape)
 
 
-def fetched(image: Any) -> np.ndarray:
-    """An image, or flat pixels, in the memory of the host."""
-    return on_host(image)
+def to_host(image: Any) -> np.ndarray:
+    """Image, or flat pixels, in the memory of the host."""
+    return as_numpy(image)
 
 
-def found_map(view: int, height: Any, score: Any) -> DepthMap:
-    """What a pass found of a view, which no other has confirmed yet."""
-    flat = flat_of(height)
-    nobody, spread = (image_of(filled_with(flat, 0.0, size_of(flat)), height.shape) for _ in range(2))
+def new_map(view: int, height: Any, score: Any) -> DepthMap:
+    """Map of what a pass found of a view, not confirmed yet."""
+    flat = flatten(height)
+    nobody, spread = (unflatten(constant_array(flat, 0.0, size_of(flat)), height.shape) for _ in range(2))
     return DepthMap(view, height, score, nobody, spread)
 
 
-def brief(image: Any) -> Any:
-    """Scores or spreads as maps keep them."""
+def to_half(image: Any) -> Any:
+    """Scores or spreads in the type of maps."""
     return image
 
 
 def full(device: Device, shape: tuple[int, int], value: float) -> Any:
-    """An image of one value."""
-    return image_of(filled_with(floats(device, np.zeros(1)), value, math.prod(shape)), shape)
+    """Image of a constant."""
+    return unflatten(constant_array(floats(device, np.zeros(1)), value, math.prod(shape)), shape)
 
 
 def flat_copy(image: Any) -> Any:
-    """The pixels of an image, to be written to."""
-    return copied(flat_of(image))
+    """Copy of the pixels of an image, flat."""
+    return copy_of(flatten(image))
 
 
-def pixels_of(image: Any) -> Any:
-    """The pixels of an image, to be written to only where nobody else has it."""
-    return flat_of(image)
+def flat_view(image: Any) -> Any:
+    """Pixels of an image, flat, not copied where that can be avoided."""
+    return flatten(image)
 
 
-def shaped(flat: Any, shape: tuple[int, int]) -> Any:
-    """An image of flat pixels."""
-    return image_of(flat, shape)
+def reshaped(flat: Any, shape: tuple[int, int]) -> Any:
+    """Flat pixels as an image."""
+    return unflatten(flat, shape)
 
 
 def where(mask: Any, there: Any, elsewhere: Any) -> Any:
-    """One of two images, or numbers, by a mask."""
+    """Selection of one of two images, or numbers, by a mask."""
     found = kernels.namespace(mask).where(mask, there, elsewhere)
-    computed(found)
+    evaluate(found)
     return found
 
 
-def larger(one: Any, other: Any) -> Any:
-    """The larger of two images, pixel by pixel."""
+def pixelwise_max(one: Any, other: Any) -> Any:
+    """Pixelwise maximum."""
     found = kernels.namespace(one).maximum(one, other)
-    computed(found)
+    evaluate(found)
     return found
 
 
-def lowered(image: Any, by: float) -> Any:
-    """An image less a number."""
-    flat = flat_of(image)
-    return image_of(flat - given(flat, by), image.shape)
+def subtract(image: Any, by: float) -> Any:
+    """Image minus a number."""
+    flat = flatten(image)
+    return unflatten(flat - scalar(flat, by), image.shape)
 
 
-def rising(low: Any, high: Any, parallax: float, least: float) -> Any:
-    """Where heights differ by a parallax of more than a least one [px]."""
-    low_flat, high_flat = flat_of(low), flat_of(high)
-    return image_of((high_flat - low_flat) * given(low_flat, parallax) > given(low_flat, least), low.shape)
+def exceeds_parallax(low: Any, high: Any, parallax: float, least: float) -> Any:
+    """Where heights differ by more than a parallax [px]."""
+    low_flat, high_flat = flatten(low), flatten(high)
+    return unflatten((high_flat - low_flat) * scalar(low_flat, parallax) > scalar(low_flat, least), low.shape)
 
 
-def is_any(mask: Any) -> bool:
-    """Whether a mask holds anywhere."""
-    return counted(flat_of(mask)) > 0
+def any_true(mask: Any) -> bool:
+    """Whether any pixel of a mask is True."""
+    return count_true(flatten(mask)) > 0
 
 
-def extremes(image: Any) -> tuple[float, float] | None:
-    """The least and the largest value of an image; None where all are NaN."""
-    known = _known(flat_of(image))
+def min_max(image: Any) -> tuple[float, float] | None:
+    """Minimum and maximum of an image; None where all are NaN."""
+    known = _known(flatten(image))
     count = size_of(known)
-    return (ranked(known, 0), ranked(known, count - 1)) if count else None
+    return (kth_smallest(known, 0), kth_smallest(known, count - 1)) if count else None
 
 
 def _known(flat: Any) -> Any:
-    return taken(flat, where_true(~kernels.namespace(flat).isnan(flat)))
+    return gather(flat, nonzero(~kernels.namespace(flat).isnan(flat)))
 
 
 def median(image: Any) -> float:
-    """Of all pixels of an image."""
-    return _median(flat_of(image))
+    """Median of all pixels."""
+    return _median(flatten(image))
 
 
 def _median(flat: Any) -> float:
     count = size_of(flat)
-    middle = ranked(flat, count // 2)
+    middle = kth_smallest(flat, count // 2)
     # As numpy has it, in float32.
-    return middle if count % 2 else float(np.float32(middle) + np.float32(ranked(flat, count // 2 - 1))) / 2.0
+    return middle if count % 2 else float(np.float32(middle) + np.float32(kth_smallest(flat, count // 2 - 1))) / 2.0
 
 
 def median_above(image: Any, least: float) -> float | None:
-    """Of the pixels of an image that are above a value; None without any."""
-    flat = flat_of(image)
-    above = where_true(flat > given(flat, least))
-    return _median(taken(flat, above)) if size_of(above) else None
+    """Median of the pixels above a value; None without any."""
+    flat = flatten(image)
+    above = nonzero(flat > scalar(flat, least))
+    return _median(gather(flat, above)) if size_of(above) else None
 
 
-def first_shown(device: Device, height: Any, before: Any | None) -> np.ndarray:
-    """Where heights are known that none of so many views before has, a pixel around it added: see the twin."""
-    flat = flat_of(height)
+def newly_visible(device: Device, height: Any, before: Any | None) -> np.ndarray:
+    """Pixels with a height that no earlier view has, dilated by a pixel; see the twin."""
+    flat = flatten(height)
     there = ~kernels.namespace(flat).isnan(flat)
     if before is not None:
-        there = there & (flat_of(before) == 0.0)
-    mask = on_host(real(there)).reshape(height.shape)
-    return cv2.dilate(mask, images_host.BESIDE) > 0.0
+        there = there & (flatten(before) == 0.0)
+    mask = as_numpy(to_float(there)).reshape(height.shape)
+    return cv2.dilate(mask, images_host.NEIGHBOURHOOD) > 0.0
 
 
-def agreement(own: Any, sums: list[Any], shape: tuple[int, ...]) -> tuple[Any, Any, Any]:
-    """How many other heights agree, the mean with them [m] and their standard deviation [m], of `compare`'s sums."""
+def agreement_statistics(own: Any, sums: list[Any], shape: tuple[int, ...]) -> tuple[Any, Any, Any]:
+    """Number of peers that agree, mean height [m] and standard deviation [m] from the sums of `compare_heights`."""
     xp, (count, total, square) = kernels.namespace(own), sums
     mean = total / (count + 1.0)
     spread = xp.sqrt(xp.maximum(square / (count + 1.0) - mean * mean, 0.0))
-    found = [real(count), own + mean, spread]
-    computed(*found)
-    count, mean, spread = (image_of(each, shape) for each in found) if len(shape) > 1 else found
+    found = [to_float(count), own + mean, spread]
+    evaluate(*found)
+    count, mean, spread = (unflatten(each, shape) for each in found) if len(shape) > 1 else found
     return count, mean, spread
 
 
-def shown(device: Device, photograph: np.ndarray, score: Any) -> Any:
+def mask_scores(device: Device, photograph: np.ndarray, score: Any) -> Any:
     """Scores, -1 at pixels left out of a photograph of the host."""
-    flat = flat_of(score)
+    flat = flatten(score)
     xp = kernels.namespace(flat)
-    return image_of(xp.where(xp.isnan(floats(device, photograph)), -1.0, flat), score.shape)
+    return unflatten(xp.where(xp.isnan(floats(device, photograph)), -1.0, flat), score.shape)
 
 
 def grey(stack: ViewStack, view: int, strip: tuple[slice, slice]) -> Any:
     """Grey levels of a part of a photograph."""
-    return taken(stack.pixels[view], places_in(stack.device, strip, stack.width))
+    return gather(stack.pixels[view], strip_indices(stack.device, strip, stack.width))
 
 
 def grey_at(stack: ViewStack, view: int, pixels: Any) -> Any:
     """Grey levels of some pixels of a photograph, flat."""
-    return taken(stack.pixels[view], pixels)
+    return gather(stack.pixels[view], pixels)
 
 
 def heights_at(stack: ViewStack, view: int, pixels: Any | None) -> Any:
@@ -206,41 +214,41 @@ def heights_at(stack: ViewStack, view: int, pixels: Any | None) -> Any:
     return stack.pixels[view] if pixels is None else grey_at(stack, view, pixels)
 
 
-def cut(image: Any, strip: tuple[slice, slice]) -> Any:
+def crop(image: Any, strip: tuple[slice, slice]) -> Any:
     """A part of an image, flat."""
-    flat = flat_of(image)
-    return taken(flat, _places(flat, strip, image.shape[1]))
+    flat = flatten(image)
+    return gather(flat, _places(flat, strip, image.shape[1]))
 
 
-def places_in(device: Device, strip: tuple[slice, slice], width: int) -> Any:
+def strip_indices(device: Device, strip: tuple[slice, slice], width: int) -> Any:
     """Flat indices of a part of an image of a width."""
     return _places(floats(device, np.zeros(1)), strip, width)
 
 
 def _places(like: Any, strip: tuple[slice, slice], width: int) -> Any:
     rows, columns = (each.stop - each.start for each in strip)
-    index = numbers(like, rows * columns)
-    row = index // given(like, columns)
-    column = index - row * given(like, columns)
+    index = arange(like, rows * columns)
+    row = index // scalar(like, columns)
+    column = index - row * scalar(like, columns)
     first = strip[0].start * width + strip[1].start
-    found = row * given(like, width) + column + given(like, first)
-    computed(found)
+    found = row * scalar(like, width) + column + scalar(like, first)
+    evaluate(found)
     return found
 
 
-def places_of(mask: Any) -> Any:
-    """Flat indices of what a mask has."""
-    return where_true(flat_of(mask))
+def indices_of(mask: Any) -> Any:
+    """Flat indices of the True pixels of a mask."""
+    return nonzero(flatten(mask))
 
 
-def at(flat: Any, pixels: Any) -> Any:
-    """Some of flat pixels."""
-    return taken(flat, pixels)
+def values_at(flat: Any, pixels: Any) -> Any:
+    """Flat pixels at indices."""
+    return gather(flat, pixels)
 
 
 def put(target: Any, pixels: Any, values: Any, mask: Any | None = None) -> None:
-    """Set some of flat pixels, or those of them that a mask has."""
-    scattered(target, pixels, values, mask)
+    """Set flat pixels at indices, where an optional mask is True."""
+    scatter(target, pixels, values, mask)
 
 
 def put_strip(target: Any, width: int, result: Any, rows: slice, columns: slice, strip: slice, radius: int) -> None:
@@ -248,56 +256,56 @@ def put_strip(target: Any, width: int, result: Any, rows: slice, columns: slice,
     wide, left = strip.stop - strip.start, strip.start
     lost = radius * (wide + 1)
     local = slice(radius, radius + rows.stop - rows.start), slice(columns.start - left, columns.stop - left)
-    values = taken(result, _places(result, local, wide) - given(result, lost))
-    scattered(target, _places(target, (rows, columns), width), values)
+    values = gather(result, _places(result, local, wide) - scalar(result, lost))
+    scatter(target, _places(target, (rows, columns), width), values)
 
 
 def _in_tiles(like: Any, tiles: Tiles, part: slice) -> tuple[Any, Place, Place]:
     """Number of the tile, row and column in the image, and in the tile with its halo, of the pixels of tiles."""
     count, side = part.stop - part.start, tiles.side
-    index = numbers(like, count * side * side)
-    tile = index // given(like, side * side)
-    row = (index - tile * given(like, side * side)) // given(like, side)
-    column = index - tile * given(like, side * side) - row * given(like, side)
-    corner = [taken(all_given(like, each), tile) for each in tiles.corners(part).T]
+    index = arange(like, count * side * side)
+    tile = index // scalar(like, side * side)
+    row = (index - tile * scalar(like, side * side)) // scalar(like, side)
+    column = index - tile * scalar(like, side * side) - row * scalar(like, side)
+    corner = [gather(vector(like, each), tile) for each in tiles.corners(part).T]
     return tile, (corner[0] + row, corner[1] + column), (row, column)
 
 
-def tile_pixels(device: Device, tiles: Tiles, part: slice) -> Any:
+def tile_indices(device: Device, tiles: Tiles, part: slice) -> Any:
     """Flat indices of the pixels of tiles with their halo, tile by tile."""
     like = floats(device, np.zeros(1))
     _, (row, column), _ = _in_tiles(like, tiles, part)
-    found = row * given(like, tiles.wanted.shape[1]) + column
-    computed(found)
+    found = row * scalar(like, tiles.wanted.shape[1]) + column
+    evaluate(found)
     return found
 
 
 def tile_starts(device: Device, tiles: Tiles, part: slice) -> Any:
-    """First rungs [m] of the same pixels."""
+    """Lowest hypotheses [m] of the same pixels."""
     like = floats(device, np.zeros(1))
     tile, place, _ = _in_tiles(like, tiles, part)
-    start = taken(all_given(like, tiles.start[part]), tile)
+    start = gather(vector(like, tiles.start[part]), tile)
     for axis, line in enumerate(place):
         middle = tiles.size * (tiles.place[part, axis] + 0.5) - 0.5
-        slope = taken(all_given(like, tiles.slope[part, axis]), tile)
-        start = start + (real(line) - taken(all_given(like, middle), tile)) * slope
-    computed(start)
+        slope = gather(vector(like, tiles.slope[part, axis]), tile)
+        start = start + (to_float(line) - gather(vector(like, middle), tile)) * slope
+    evaluate(start)
     return start
 
 
-def whole_windows(flat: Any, lost: int) -> Any:
-    """Of the pixels of tiles, those that results have: without so many at either end."""
-    return taken(flat, numbers(flat, size_of(flat) - 2 * lost) + given(flat, lost))
+def trim_halo(flat: Any, lost: int) -> Any:
+    """Pixels of tiles without so many at either end, as results have them."""
+    return gather(flat, arange(flat, size_of(flat) - 2 * lost) + scalar(flat, lost))
 
 
-def own(device: Device, tiles: Tiles, part: slice, pixels: Any, lost: int) -> Any:
-    """Which of these are wanted, in their own tile, and have a whole window in it."""
+def own_pixels(device: Device, tiles: Tiles, part: slice, pixels: Any, lost: int) -> Any:
+    """Mask of the pixels that are wanted, in their own tile, and have a whole window in it."""
     like = floats(device, np.zeros(1))
     tile, place, local = _in_tiles(like, tiles, part)
-    found = taken(flat_of(tiles.wanted), pixels)
+    found = gather(flatten(tiles.wanted), pixels)
     for axis, (line, inner) in enumerate(zip(place, local, strict=True)):
-        mine = taken(all_given(like, tiles.place[part, axis]), tile)
-        found = found & (line // given(like, tiles.size) == mine)
+        mine = gather(vector(like, tiles.place[part, axis]), tile)
+        found = found & (line // scalar(like, tiles.size) == mine)
         found = found & (inner >= tiles.radius) & (inner < tiles.side - tiles.radius)
-    computed(found)
-    return whole_windows(found, lost)
+    evaluate(found)
+    return trim_halo(found, lost)

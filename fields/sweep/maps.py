@@ -1,7 +1,7 @@
-"""Height maps of many views: where they are kept while they are worked on, and in which order they are wanted.
+"""Height maps of many views, their stores and containers, and which heights are trusted.
 
-Maps in memory take 9 bytes a pixel, so that those of a large survey do not fit. Whoever calls may give a place on the
-disk to keep them in; only those that are worked on are read.
+Maps in memory take 9 bytes a pixel, so that those of a large survey do not fit. The caller may provide stores on the
+disk; only maps in work are read.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import cv2
 import numpy as np
 
-from fields.image_store import Recent
+from fields.image_store import LruCache
 from refract import FlatWater, PinholeCamera
 
 Kind = TypeVar("Kind")
@@ -25,7 +25,7 @@ TRUSTED_NCC = 0.8
 
 @dataclass
 class DepthMap:
-    """What the sweep knows of one view: arrays (height, width), local frame.
+    """Height map of one view: arrays (height, width), local frame.
 
     Attributes
     ----------
@@ -47,14 +47,14 @@ class DepthMap:
     spread: np.ndarray
 
 
-# Maps by view; a dict, or one that keeps its values on the disk. A map that was changed has to be stored again.
+# Store of maps by view: a dict, or one on the disk. A map that was changed has to be stored again.
 Maps = MutableMapping[int, DepthMap]
-# Makes an empty place for maps.
+# Factory of empty stores.
 Keep = Callable[[], Maps]
 
 
-class InOrder(Sequence):
-    """Maps in the order of some views, or of some numbers, each read when it is asked for.
+class OrderedMaps(Sequence):
+    """Sequence of maps in the order of given views, each read when it is asked for.
 
     Attributes
     ----------
@@ -72,15 +72,15 @@ class InOrder(Sequence):
         return self._maps[self.views[number]]
 
     def clear(self) -> None:
-        """Give the room of the maps back."""
+        """Remove all maps."""
         self.views = []
         self._maps.clear()
 
 
 class ByView(Mapping[int, Kind]):
-    """Maps, or what is known of them, by their views instead of by their order."""
+    """Mapping of views to maps, or to values per map, from a sequence."""
 
-    def __init__(self, maps: Sequence[Kind] | Recent[int, Kind], views: list[int]):
+    def __init__(self, maps: Sequence[Kind] | LruCache[int, Kind], views: list[int]):
         self._maps = maps
         self._number = {view: number for number, view in enumerate(views)}
 
@@ -98,18 +98,18 @@ class ByView(Mapping[int, Kind]):
 
 
 def trusted(depth_map: DepthMap) -> np.ndarray:
-    """Which pixels (height, width) bool of a map have a height that other views confirm."""
+    """Pixels (height, width) bool of a map whose height other views confirm."""
     return confirmed(depth_map, TRUSTED_NCC)
 
 
 def confirmed(depth_map: DepthMap, least_ncc: float) -> np.ndarray:
-    """Which pixels two other views confirm, or one where the score is above a value."""
+    """Pixels that two other views confirm, or one where the score is above a value."""
     once = (depth_map.agreeing == 1) & (depth_map.score > least_ncc)
     return (depth_map.agreeing >= CONFIRMED_TWICE) | once
 
 
-def enlarged_map(m: DepthMap, size: tuple[int, int]) -> DepthMap:
-    """A map at another size (width, height), not smaller."""
+def upsample_map(m: DepthMap, size: tuple[int, int]) -> DepthMap:
+    """Map upsampled to a size (width, height)."""
     if m.height.shape == size[::-1]:
         return m
     height, score, spread = (

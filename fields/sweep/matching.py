@@ -13,7 +13,7 @@ import numpy as np
 from fields.sweep.images import images
 from fields.sweep.kernels.arrays import floats
 from fields.sweep.kernels.backend import kernels
-from fields.sweep.kernels.queue import Job, Launched
+from fields.sweep.kernels.queue import Job, Launch
 from fields.sweep.kernels.stack import Hypotheses, ViewStack
 from fields.sweep.passes import MATCHED_NCC
 from fields.sweep.tiles import Tiles
@@ -85,7 +85,7 @@ def match_view(reference: Reference, hypotheses: Hypotheses, columns: np.ndarray
     per_row = len(reference.neighbours) * hypotheses.count * width
     rows = max(4 * radius + 4, min(height, kernels(stack.device).SAMPLES_PER_LAUNCH // per_row))
     none = (backend.full(stack.device, (height, width), value) for value in (-1.0, 0.0))
-    found = [backend.flat_copy(start), *(backend.pixels_of(each) for each in none)]
+    found = [backend.flat_copy(start), *(backend.flat_view(each) for each in none)]
     columns = np.tile([0, width], (height, 1)) if columns is None else columns
     wanted = np.flatnonzero(columns[:, 1] > columns[:, 0])
     wanted = wanted[(wanted >= radius) & (wanted < height - radius)] if width > 2 * radius else wanted[:0]
@@ -97,13 +97,13 @@ def match_view(reference: Reference, hypotheses: Hypotheses, columns: np.ndarray
         left, right = _span(int(here[:, 0].min()), int(here[:, 1].max()), width, radius)
         inner = slice(max(int(here[:, 0].min()), radius), min(int(here[:, 1].max()), width - radius))
         strip = np.s_[first - radius : last + radius, left:right]
-        grey, begin = backend.grey(stack, view, strip), backend.cut(start, strip)
+        grey, begin = backend.grey(stack, view, strip), backend.crop(start, strip)
         rays = partial(_rays_of_strip, stack, view, strip)
         results = yield partial(_launch, reference, rays, grey, replace(hypotheses, start=begin), right - left)
         for target, result in zip(found, results, strict=True):
             backend.put_strip(target, width, result, slice(first, last), inner, strip[1], radius)
-    best, score, curvature = (backend.shaped(each, (height, width)) for each in found)
-    return backend.filled(best, score > MATCHED_NCC), score, curvature
+    best, score, curvature = (backend.reshaped(each, (height, width)) for each in found)
+    return backend.fill_nearest(best, score > MATCHED_NCC), score, curvature
 
 
 def match_tiles(
@@ -131,15 +131,15 @@ def match_tiles(
     # The first window begins so many pixels into the first tile.
     lost = tiles.radius * (side + 1)
     for part, count in tiles.batches(most, launch):
-        pixels = backend.tile_pixels(device, tiles, part)
-        rays = partial(kernels(device).legs_at, stack, view, pixels)
+        pixels = backend.tile_indices(device, tiles, part)
+        rays = partial(kernels(device).rays_of_pixels, stack, view, pixels)
         grey, hypotheses = backend.grey_at(stack, view, pixels), Hypotheses(starts(part, pixels), step, count)
         results = yield partial(_launch, reference, rays, grey, hypotheses, side)
-        take(backend.own(device, tiles, part, pixels, lost), backend.whole_windows(pixels, lost), results)
+        take(backend.own_pixels(device, tiles, part, pixels, lost), backend.trim_halo(pixels, lost), results)
 
 
-def _launch(reference: Reference, rays: Callable[[], Any], grey: Any, hypotheses: Hypotheses, width: int) -> Launched:
-    """Kernels for a strip, or for tiles, of a width: grey levels and lowest hypotheses [m] have one shape."""
+def _launch(reference: Reference, rays: Callable[[], Any], grey: Any, hypotheses: Hypotheses, width: int) -> Launch:
+    """Launch the kernels for a strip, or tiles, of a width: grey levels and lowest hypotheses [m] of one shape."""
     stack, radius, neighbours = reference.stack, reference.radius, reference.neighbours
     device, backend = stack.device, kernels(stack.device)
     # Before anything is launched.
@@ -149,11 +149,11 @@ def _launch(reference: Reference, rays: Callable[[], Any], grey: Any, hypotheses
     windows = backend.windows(device, levels, values, width, radius)
     mean = backend.best_half(device, backend.ncc(windows, radius, reference.least_known))
     found = backend.best_height(device, mean, start, hypotheses.step, hypotheses.count)
-    return Launched(list(found), (paths, levels, windows, start))
+    return Launch(list(found), (paths, levels, windows, start))
 
 
 def _span(first: int, last: int, width: int, radius: int) -> tuple[int, int]:
-    """Columns of an image that a strip takes for wanted ones: with a halo, and whole vectors where there is room.
+    """Columns of a strip for the wanted ones: with a halo, and whole vectors where there is room.
 
     Which rows of a window begin a vector in memory is a part of the kernel: other widths would need other kernels.
     """
@@ -169,8 +169,10 @@ def _rays_of_strip(stack: ViewStack, view: int, strip: tuple[slice, slice]) -> A
     """Rays of a strip of pixels: of whole rows, or of a part of their columns."""
     rows, columns = strip
     if columns.stop - columns.start == stack.width:
-        return kernels(stack.device).legs_of(stack, view, rows.start, rows.stop - rows.start)
-    return kernels(stack.device).legs_at(stack, view, images(stack.device).places_in(stack.device, strip, stack.width))
+        return kernels(stack.device).rays_of_rows(stack, view, rows.start, rows.stop - rows.start)
+    return kernels(stack.device).rays_of_pixels(
+        stack, view, images(stack.device).strip_indices(stack.device, strip, stack.width)
+    )
 
 
 def match_with_adaptive_windows(

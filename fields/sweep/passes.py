@@ -1,4 +1,4 @@
-"""The passes of the sweep, coarse to fine: what each of them tries."""
+"""Coarse-to-fine passes of the sweep: scale, window, hypotheses and neighbours of each."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ REFINING = 3
 
 @dataclass(frozen=True)
 class StepSearch:
-    """How steps are searched after a pass.
+    """Search for height steps after a pass.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ POINTS_SHARE = 0.25
 
 @dataclass(frozen=True)
 class Pass:
-    """One matching of all views, with hypotheses about the heights of the pass before.
+    """One pass over all views, with hypotheses about the heights of the pass before.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Pass:
 
     @property
     def refines(self) -> bool:
-        """Whether it tries no more than the heights beside the one that is known: windows of any size tell these."""
+        """Whether it only refines: tries no heights but the known one and its two neighbours."""
         return self.hypotheses is not None and self.hypotheses <= REFINING
 
 

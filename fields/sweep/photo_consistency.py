@@ -1,4 +1,4 @@
-"""Photo-consistency: whether each photograph of a block shows the surface that its height maps found.
+"""Photo-consistency of each photograph with the surface of the height maps.
 
 Points of the height maps are projected into every photograph, refracted at the water. Where its pose is right, its
 grey levels there go with those of the photographs that the points come from; where it is wrong, they do not.
@@ -25,7 +25,7 @@ _SAMPLES = 400
 
 @dataclass(frozen=True)
 class Consistency:
-    """One photograph against the surface.
+    """Photo-consistency of one photograph with the surface.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Where the bed goes on: planes through the heights around a pixel that are known."""
+"""Planes fitted to the known heights around a pixel, to extrapolate the bed."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _LEAST_KNOWN, _LEAST_SPREAD_PX = 0.1, 1.0
 _ROWS = 64
 
 
-def continued(height: np.ndarray, known: np.ndarray, tolerance: float) -> np.ndarray:
-    """Heights in which unknown ones are those of the plane through the known ones around, where these lie in one.
+def extrapolate_planes(height: np.ndarray, known: np.ndarray, tolerance: float) -> np.ndarray:
+    """Heights with unknown ones taken from the plane through the known ones around, where these lie in one.
 
     Parameters
     ----------

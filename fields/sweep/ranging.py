@@ -1,4 +1,4 @@
-"""Between which heights does the bed lie? A full sweep of a few views at thumbnail size answers."""
+"""Height range of the bed from a full sweep of a few views at thumbnail size."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from fields.sweep.block import Block
 from fields.sweep.images import images
-from fields.sweep.kernels.queue import alone
+from fields.sweep.kernels.queue import run_job
 from fields.sweep.kernels.stack import Hypotheses
 from fields.sweep.matching import Reference, match_with_adaptive_windows
 
@@ -22,9 +22,9 @@ CONFIDENT_NCC = 0.7
 MIN_PIXELS = 200
 # With fewer height hypotheses, of which the first and the last count for nothing, a range is narrow already.
 _FEWEST_HYPOTHESES = 9
-# Matches by chance lie anywhere between the limits. Of so many parts of them, those with less than this share of what
-# all have in the mean hold chance alone; what has more than that, by so many standard deviations, holds bed, and so
-# does what goes on from there without a gap, such as a mast.
+# Chance matches are uniform between the limits. Of so many bins, those with less than this share of the mean count hold
+# chance matches alone; bins with more than that, by so many standard deviations, hold bed, and so do bins connected to
+# them, such as a mast.
 _PARTS, _CHANCE, _SIGMAS = 60, 0.25, 4.0
 
 
@@ -66,8 +66,8 @@ def find_range(block: Block, limits: tuple[float, float]) -> tuple[float, float]
         start = backend.full(block.device, (stack.height, stack.width), limits[0])
         reference = Reference(stack, view, others, radius)
         job = match_with_adaptive_windows(reference, Hypotheses(start, step, count))
-        found, radius = alone(block.device, job)
-        z, score, curvature = (backend.fetched(each) for each in found)
+        found, radius = run_job(block.device, job)
+        z, score, curvature = (backend.to_host(each) for each in found)
         confident = CONFIDENT_NCC * (2 * WINDOW_RADIUS + 1) / (2 * radius + 1)
         # A chance match is isolated; the bed continues in the pixels around.
         supported = np.abs(z - cv2.medianBlur(z, 5)) < step
@@ -81,13 +81,13 @@ def find_range(block: Block, limits: tuple[float, float]) -> tuple[float, float]
             f"{limits[1]:.1f} m over the water; check that poses, water level and images belong together and that "
             "the bed shows texture"
         )
-    low, high = np.quantile(beyond_chance(matched, limits), [0.005, 0.995])
+    low, high = np.quantile(without_chance_matches(matched, limits), [0.005, 0.995])
     margin = 0.25 * (high - low) + max(steps)
     return max(float(low - margin), limits[0]), min(float(high + margin), limits[1])
 
 
-def beyond_chance(found: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
-    """Heights (N,) [m] without those in parts of the range that lie apart and have no more than chance gives."""
+def without_chance_matches(found: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
+    """Heights (N,) [m] without those in isolated bins of the histogram that hold no more than chance."""
     count, edges = np.histogram(found, bins=_PARTS, range=limits)
     chance = count[count < _CHANCE * count.mean()]
     rate = float(chance.mean()) if len(chance) else 0.0

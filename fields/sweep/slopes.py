@@ -1,4 +1,4 @@
-"""How height maps rise from pixel to pixel: where a view looks along a wall, or over an edge."""
+"""Slopes of height maps, and the filter of steep pixels: walls and edges."""
 
 from __future__ import annotations
 
@@ -15,24 +15,23 @@ from fields.sweep.kernels.backend import kernels
 from fields.sweep.kernels.rays import point_at
 from fields.sweep.kernels.stack import ViewStack
 
-# Heights about a pixel on a wall lie in one plane: they leave it (rms) by less than this share of its rise. At a clean
-# step it is 0.47.
+# Heights around a pixel on a wall lie in one plane: residuals (rms) below this share of its slope. A step has 0.47.
 _MOST_BENT = 0.4
-# Where within the windows of the sweep an edge lies, it does not tell: heights this far from a pixel may be its own.
-_BESIDE_PX = 5
+# An edge is located to the windows of the sweep only: heights within this square may be those of its pixel [px].
+_NEAR_PX = 5
 # Rise from column to column of the plane through 3x3 heights.
 _RISE = np.tile(np.array([-1.0, 0.0, 1.0], dtype=np.float32) / 6.0, (3, 1))
-# A steep pixel is left out if more maps look through its point than have it. One is added if so many maps have it, and
-# at most this share of them as many look through it.
+# A steep pixel is dropped if more maps see through its point than contain it. One is added if so many maps contain it
+# and at most this share of them see through it.
 _LEAST_FOR, _MOST_AGAINST = 4, 0.25
 # Gaps that are filled have this radius, in ground sampling distances.
 _GAP_GSD = 1.25
-# Points near others are looked for in cubes of so many times the distance, which have places in a table of so many.
-_CUBE, _PLACES, _PRIMES = 4.0, 2**22, (73_856_093, 19_349_663, 83_492_791)
+# Spatial hash: side of a cell in distances, size of the table, primes of the hash.
+_CUBE, _TABLE_SIZE, _PRIMES = 4.0, 2**22, (73_856_093, 19_349_663, 83_492_791)
 
 
-def steep_and_walls(height: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Which pixels (height, width) bool are steep, and which of these look along a wall: in one plane with all around.
+def steep_and_wall_pixels(height: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Steep pixels (height, width) bool, and those of them on a wall: in one plane with all around.
 
     Steep is what differs from the neighbours by more than what counts as agreement, ``tolerance`` [m].
     """
@@ -46,26 +45,26 @@ def steep_and_walls(height: np.ndarray, tolerance: float) -> tuple[np.ndarray, n
     return steep, steep & (off_plane < (_MOST_BENT * slope) ** 2)
 
 
-def differing(height: np.ndarray) -> np.ndarray:
-    """By how much heights within two pixels differ from each other, half of their range (height, width) [m]."""
-    about = np.ones((_BESIDE_PX, _BESIDE_PX), np.uint8)
+def half_range(height: np.ndarray) -> np.ndarray:
+    """Half of the range of the heights within two pixels, (height, width) [m]."""
+    about = np.ones((_NEAR_PX, _NEAR_PX), np.uint8)
     return 0.5 * (cv2.dilate(height, about) - cv2.erode(height, about))
 
 
 def slope_of(height: np.ndarray) -> np.ndarray:
-    """Rise from pixel to pixel (height, width) float32 [m] of the plane through 3x3 heights."""
-    return cv2.magnitude(*rises_of(height))
+    """Slope (height, width) float32 [m per pixel] of the plane through 3x3 heights."""
+    return cv2.magnitude(*gradient_of(height))
 
 
-def rises_of(height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The rise of that plane across and down, (height, width) float32 [m] each."""
+def gradient_of(height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient of that plane along columns and rows, (height, width) float32 [m per pixel] each."""
     across, down = (cv2.filter2D(height, -1, kernel) for kernel in (_RISE, _RISE.T))
     return across, down
 
 
 @dataclass(frozen=True)
-class Steep:
-    """Where height maps are steep.
+class SteepPixels:
+    """Steep pixels of height maps.
 
     Attributes
     ----------
@@ -101,14 +100,14 @@ class _Pixels:
         return _Pixels(self.number[which], self.pixel[which], self.xyz[:, which])
 
     def votes(self, stack: ViewStack, sure: Masks, apart: float) -> tuple[np.ndarray, np.ndarray]:
-        """How many other maps (N,) have the point, and how many look through it."""
+        """Number of other maps (N,) that contain the point, and number that see through it."""
         having, through = (np.zeros(len(self.number), dtype=np.int32) for _ in range(2))
         if not len(self.number):
             return having, through
         points = tuple(floats(stack.device, each) for each in self.xyz)
         for number, mask in enumerate(sure):
             other = self.number != number
-            has, looks = kernels(stack.device).looks_at(stack, points, number, apart, mask)
+            has, looks = kernels(stack.device).vote_on_points(stack, points, number, apart, mask)
             having += has & other
             through += looks & other
         return having, through
@@ -121,8 +120,8 @@ class _Pixels:
             masks[number] = mask
 
 
-def settle(stack: ViewStack, found: Steep, kept: Masks, gsd: float) -> None:
-    """Change which pixels are ``kept``: without steep ones that maps look through, with others that fill gaps on walls.
+def filter_steep_pixels(stack: ViewStack, found: SteepPixels, kept: Masks, gsd: float) -> None:
+    """Update the ``kept`` pixels: drop steep ones that other maps see through, add others that fill gaps on walls.
 
     ``stack`` has the height maps. A map has a point that lies within ``gsd`` [m] of its heights there, and looks
     through one that lies farther above them.
@@ -133,14 +132,14 @@ def settle(stack: ViewStack, found: Steep, kept: Masks, gsd: float) -> None:
     having, through = old.votes(stack, found.sure, gsd)
     old[through > having].mark(kept, False)
     new = _Pixels.of(stack, (fit & ~keep for fit, keep in zip(found.fit, kept, strict=True)))
-    new = new[_beyond(stack, kept, new.xyz, _GAP_GSD * gsd)]
+    new = new[_far_from(stack, kept, new.xyz, _GAP_GSD * gsd)]
     having, through = new.votes(stack, found.sure, gsd)
     new = new[(having >= _LEAST_FOR) & (through <= _MOST_AGAINST * having)]
-    new[spread_out(new.xyz.T, _GAP_GSD * gsd)].mark(kept, True)
+    new[thin_out(new.xyz.T, _GAP_GSD * gsd)].mark(kept, True)
 
 
-def spread_out(points: np.ndarray, distance: float) -> np.ndarray:
-    """Which points (N, 3) to take, (N,) bool, so that none lies within a distance of one taken before it."""
+def thin_out(points: np.ndarray, distance: float) -> np.ndarray:
+    """Greedy thinning of points (N, 3) to a least distance: (N,) bool."""
     left, taken = np.ones(len(points), dtype=bool), np.zeros(len(points), dtype=bool)
     pairs = cKDTree(points).query_pairs(distance, output_type="ndarray")
     while left.any():
@@ -157,29 +156,29 @@ def _points(stack: ViewStack, number: int, pixels: np.ndarray) -> np.ndarray:
     """Points (3, N) float32 of pixels of a map."""
     if not len(pixels):
         return np.zeros((3, 0), dtype=np.float32)
-    point = point_at(*kernels(stack.device).paths_of(stack, number, pixels))
+    point = point_at(*kernels(stack.device).rays_and_heights(stack, number, pixels))
     return np.stack([host(stack.device, each) for each in point])
 
 
-def _beyond(stack: ViewStack, kept: Sequence[np.ndarray], xyz: np.ndarray, distance: float) -> np.ndarray:
-    """Which points (3, N) are farther than a distance from all that are kept."""
+def _far_from(stack: ViewStack, kept: Sequence[np.ndarray], xyz: np.ndarray, distance: float) -> np.ndarray:
+    """Points (3, N) farther than a distance from all kept ones: (N,) bool."""
     if not xyz.size:
         return np.ones(xyz.shape[1], dtype=bool)
     # Few of the points that are kept are near any.
     corners = np.stack(np.meshgrid(*[(-distance, distance)] * 3)).reshape(3, 8, 1).astype(np.float32)
-    reached = np.zeros(_PLACES, dtype=bool)
+    reached = np.zeros(_TABLE_SIZE, dtype=bool)
     for corner in corners.transpose(1, 0, 2):
-        reached[_places(xyz + corner, distance)] = True
+        reached[_hash_cells(xyz + corner, distance)] = True
     near = []
     for number, keep in enumerate(kept):
         points = _points(stack, number, np.flatnonzero(keep))
-        near.append(points[:, reached[_places(points, distance)]])
+        near.append(points[:, reached[_hash_cells(points, distance)]])
     tree = cKDTree(np.concatenate(near, axis=1).T, balanced_tree=False, compact_nodes=False)
     return np.isinf(tree.query(xyz.T, distance_upper_bound=distance)[0])
 
 
-def _places(points: np.ndarray, distance: float) -> np.ndarray:
-    """Place (N,) in a table of the cube of a grid in which each of the points (3, N) lies; far cubes may share one."""
+def _hash_cells(points: np.ndarray, distance: float) -> np.ndarray:
+    """Spatial hash (N,) of the grid cell of each of the points (3, N); distant cells may collide."""
     cell = np.floor(points / np.float32(_CUBE * distance)).astype(np.int32).view(np.uint32)
     x, y, z = (each * np.uint32(prime) for each, prime in zip(cell, _PRIMES, strict=True))
-    return (x ^ y ^ z) % np.uint32(_PLACES)
+    return (x ^ y ^ z) % np.uint32(_TABLE_SIZE)

@@ -1,4 +1,4 @@
-"""Height steps: where the heights around a pixel differ by more than a pass searches, all between them are tried.
+"""Search at height discontinuities: where heights around a pixel differ by more than a pass searches, all are tried.
 
 The window of a coarse pass that holds the edge of a wall and the ground beside it finds one height, that of the side
 with more texture, and the hypotheses of later passes do not reach the other side. Views from one side agree on that
@@ -42,30 +42,30 @@ def search_steps(reference: Reference, found: Found, parallax: float, search: St
     backend = images(stack.device)
     if min(height.shape) < search.tile_px + 2 * search.radius or backend.median(score) < search.least_score:
         return found
-    low, high = backend.around(height, search.around_px)
-    wanted = backend.rising(low, high, parallax, search.reach_px)
-    if not backend.is_any(wanted):
+    low, high = backend.local_min_max(height, search.around_px)
+    wanted = backend.exceeds_parallax(low, high, parallax, search.reach_px)
+    if not backend.any_true(wanted):
         return found
     nearby = Reference(stack, reference.view, reference.neighbours[: search.neighbours], search.radius)
     step, least = search.step_px / parallax, backend.full(stack.device, height.shape, MATCHED_NCC)
-    size, bounds = search.tile_px, backend.extent(wanted, low, high, search.tile_px)
+    size, bounds = search.tile_px, backend.tile_extents(wanted, low, high, search.tile_px)
     level = Tiles.of(wanted, bounds, step, size, search.radius)
     found = yield from _best_of_tiles(nearby, found, level, step, least)
     if search.walls:
-        width, ways = 2.0 * search.radius + 1.0, backend.ways(height, wanted, size)
-        slope = wall_slopes(stack.cameras[nearby.view], stack.water, ways, bounds, size, width)
+        width, gradients = 2.0 * search.radius + 1.0, backend.tile_gradients(height, wanted, size)
+        slope = wall_slopes(stack.cameras[nearby.view], stack.water, gradients, bounds, size, width)
         upright = Tiles.of(wanted, bounds, step, size, search.radius, slope)
-        found = yield from _best_of_tiles(nearby, found, upright, step, backend.larger(least, found[1]))
+        found = yield from _best_of_tiles(nearby, found, upright, step, backend.pixelwise_max(least, found[1]))
     return found
 
 
 def _best_of_tiles(reference: Reference, found: Found, tiles: Tiles, step: float, least: Any) -> Job[Found]:
     """What was found, replaced by what tiles find with hypotheses a step [m] apart where that scores over ``least``."""
     stack, backend = reference.stack, images(reference.stack.device)
-    better, worse = [backend.flat_copy(each) for each in found], backend.pixels_of(least)
+    better, worse = [backend.flat_copy(each) for each in found], backend.flat_view(least)
 
     def take(own: Any, pixels: Any, matched: list[Any]) -> None:
-        keep = own & (matched[1] > backend.at(worse, pixels))
+        keep = own & (matched[1] > backend.values_at(worse, pixels))
         for target, each in zip(better, matched, strict=True):
             backend.put(target, pixels, each, keep)
 
@@ -73,19 +73,19 @@ def _best_of_tiles(reference: Reference, found: Found, tiles: Tiles, step: float
         return backend.tile_starts(stack.device, tiles, part)
 
     yield from match_tiles(reference, tiles, starts, step, take)
-    height, score, curvature = (backend.shaped(each, found[0].shape) for each in better)
+    height, score, curvature = (backend.reshaped(each, found[0].shape) for each in better)
     return height, score, curvature
 
 
 def wall_slopes(
     camera: PinholeCamera,
     water: FlatWater | None,
-    ways: np.ndarray,
+    gradients: np.ndarray,
     extent: tuple[np.ndarray, np.ndarray],
     size: int,
     width_px: float,
 ) -> np.ndarray:
-    """By how much the height of a vertical wall rises from row to row and from column to column of an image.
+    """Gradient of the height of a vertical wall along the rows and columns of an image.
 
     The foot of the wall runs across the way in which the height map rises, and what stands over it lies along the image
     of the plumb line: both tell its plane.
@@ -94,7 +94,7 @@ def wall_slopes(
     ----------
     camera, water
     ways : (rows, columns, 2)
-        In which the heights of the tiles rise, of any length: `fields.sweep.images_host.ways`.
+        In which the heights of the tiles rise, of any length: `fields.sweep.images_host.gradients`.
     extent : (rows, columns) each [m]
         Lowest and highest height of the tiles.
     size : [px]
@@ -107,21 +107,21 @@ def wall_slopes(
     (rows, columns, 2) float [m/px]
         Of each tile of `fields.sweep.tiles`; NaN where no wall faces the view.
     """
-    length = np.linalg.norm(ways, axis=-1)
+    length = np.linalg.norm(gradients, axis=-1)
     facing = np.argwhere(np.isfinite(extent[0]) & (length > 0.0))
-    at, found = tuple(facing.T), np.full(ways.shape, np.nan)
+    at, found = tuple(facing.T), np.full(gradients.shape, np.nan)
     low, high = (each[at] for each in extent)
-    way = ways[at] / length[at][:, None]
+    uphill = gradients[at] / length[at][:, None]
     plumb = _plumb_line(camera, water, size * (facing[:, ::-1] + 0.5), 0.5 * (low + high))[:, ::-1]
     # Pixels by which a wall rises in the image for each metre of height, across its foot.
-    rise = (way * plumb).sum(axis=-1)
+    rise = (uphill * plumb).sum(axis=-1)
     seen = (rise * (high - low) > width_px) & (rise > _LEAST_COSINE * np.linalg.norm(plumb, axis=-1))
-    found[tuple(facing[seen].T)] = way[seen] / rise[seen][:, None]
+    found[tuple(facing[seen].T)] = uphill[seen] / rise[seen][:, None]
     return found
 
 
 def _plumb_line(camera: PinholeCamera, water: FlatWater | None, pixels: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """How far (N, 2) [px/m] a point seen at pixels (N, 2) moves for each metre that it is higher."""
+    """Image motion (N, 2) [px/m] of points seen at pixels (N, 2) per metre of height."""
     half = 0.5 * _STEP_M * np.array(water.up if water is not None else (0.0, 0.0, 1.0))
     point = camera.paths(pixels, water).at_height(height, water)
     return (camera.project(point + half, water) - camera.project(point - half, water)) / _STEP_M

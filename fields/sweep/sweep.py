@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from fields.image_store import Lazy
+from fields.image_store import LazyImages
 from fields.sweep.block import Block
-from fields.sweep.device_maps import brought_back, kept_beside
+from fields.sweep.device_maps import device_map_store, to_host_maps
 from fields.sweep.fusion import PEERS, confirm, fuse
 from fields.sweep.images import images
 from fields.sweep.kernels.backend import kernels
-from fields.sweep.kernels.queue import Job, in_turn
+from fields.sweep.kernels.queue import Job, run_jobs
 from fields.sweep.kernels.stack import ViewStack
-from fields.sweep.maps import DepthMap, InOrder, Keep, enlarged_map, trusted
+from fields.sweep.maps import DepthMap, Keep, OrderedMaps, trusted, upsample_map
 from fields.sweep.passes import PASSES, POINTS_SHARE, Pass
 from fields.sweep.tiles import PART_SIDE_PX
 from fields.sweep.view_pass import Area, match_pass, pixels_of, refine_part, view_passes
@@ -29,7 +29,7 @@ from fields.sweep.views import Footprint
 
 # A pass is finer than a map with so many times its pixels along a side: sizes of halved images are rounded.
 _FINER = 1.2
-# Of the maps: what is looked at has four pixels along each side.
+# Size of a part: four pixels a side.
 _SCALE = 0.25
 
 
@@ -44,7 +44,7 @@ def sweep(
     before: Mapping[int, DepthMap] | None = None,
     again: Collection[int] = (),
     keep: Keep = dict,
-) -> InOrder:
+) -> OrderedMaps:
     """Sweep the chosen views, coarse to fine.
 
     Parameters
@@ -72,12 +72,12 @@ def sweep(
         Views that overlap with no other are left out.
     """
     size = (block.cameras[0].width, block.cameras[0].height)
-    beside = kept_beside(block.device, keep)
-    maps, widths = beside(), dict[int, int]()
+    backend = device_map_store(block.device, keep)
+    maps, widths = backend(), dict[int, int]()
     for view, m in (before or {}).items():
         if view in chosen:
-            known = m if view in again else enlarged_map(m, size)
-            maps[view], widths[view] = images(block.device).arrived(block.device, known), m.height.shape[1]
+            known = m if view in again else upsample_map(m, size)
+            maps[view], widths[view] = images(block.device).upload(block.device, known), m.height.shape[1]
     work = [
         view_passes(
             block, [v for v in chosen if _takes_part(size, p, widths.get(v), v in again)], p, None if n else bound
@@ -95,22 +95,22 @@ def sweep(
     counts = [POINTS_SHARE if p.points_only else 1.0 for p in passes]
     total = sum(fused) + sum(c * each.samples for c, of_pass in zip(counts, work, strict=True) for each in of_pass)
     done = 0.0
-    # By how much the windows of each view are wider than its pass has them [px].
+    # Radius of the windows of each view less that of its pass [px].
     wider = dict.fromkeys(views, 0)
     wanted: dict[int, np.ndarray] = {}
     for number, p in enumerate(passes):
         if p.points_only and not wanted:
-            wanted = becoming_points(block, maps)
+            wanted = predict_selected_pixels(block, maps)
         taken: dict[int, Any] = {}
         parts = {each.view for each in work[number] if each.view in wanted and not wider[each.view]}
-        # Each made in its turn, as it holds a map.
+        # A generator: each job holds a map.
         jobs: Iterator[Job[tuple[DepthMap, Any]]] = (
             refine_part(block, p, each, maps[each.view], wanted[each.view])
             if each.view in parts
             else match_pass(block, p, each, bound, maps.get(each.view), area, wider[each.view])
             for each in work[number]
         )
-        found = in_turn(block.device, jobs, _at_once(block, p))
+        found = run_jobs(block.device, jobs, _at_once(block, p))
         for each, (m, of_view) in zip(work[number], found, strict=True):
             maps[each.view] = m
             if each.view in parts:
@@ -122,19 +122,19 @@ def sweep(
         if fused[number]:
             block.release(p.scale)
             compared = {view: peers[view] for view in taking_part[number] if view not in taken or len(taken[view])}
-            maps = fuse(block, maps, p.scale, compared, beside, goes_on=number + 1 < len(passes), only=taken)
+            maps = fuse(block, maps, p.scale, compared, backend, goes_on=number + 1 < len(passes), only=taken)
             done += fused[number]
             progress(done / total)
         if number + 1 == len(passes) or passes[number + 1].scale != p.scale:
             block.release(p.scale)
     confirm(block, maps, {view: peers[view] for view in set(maps) - taking_part[-1]})
-    swept = brought_back(block.device, maps, keep)
-    return InOrder(swept, [view for view in chosen if view in swept])
+    swept = to_host_maps(block.device, maps, keep)
+    return OrderedMaps(swept, [view for view in chosen if view in swept])
 
 
 def _at_once(block: Block, p: Pass) -> int:
-    """How many views take turns: two where the images that both need stay packed."""
-    return 2 if block.stack(p.scale).quads.values.most >= 2 * (p.neighbours + 1) else 1
+    """Number of views in the queue: two where the images that both need stay in the cache."""
+    return 2 if block.stack(p.scale).packed.values.most >= 2 * (p.neighbours + 1) else 1
 
 
 def _takes_part(size: tuple[int, int], p: Pass, width: int | None, again: bool) -> bool:
@@ -142,8 +142,8 @@ def _takes_part(size: tuple[int, int], p: Pass, width: int | None, again: bool) 
     return width is None or (again and p.scale * size[0] > _FINER * width)
 
 
-def becoming_points(block: Block, maps: Mapping[int, DepthMap]) -> dict[int, np.ndarray]:
-    """Which parts of each view are to become points, (height, width) bool at a quarter of the size.
+def predict_selected_pixels(block: Block, maps: Mapping[int, DepthMap]) -> dict[int, np.ndarray]:
+    """Parts of each view that will become points, (height, width) bool at a quarter of the size.
 
     They have trusted pixels, and no steeper view has trusted ones that agree with them. Empty where images are smaller
     than a tile of `fields.sweep.tiles.PART_SIDE_PX`: there are no parts of these.
@@ -152,21 +152,21 @@ def becoming_points(block: Block, maps: Mapping[int, DepthMap]) -> dict[int, np.
         return {}
     order = sorted(maps, key=lambda view: block.cameras[view].cam_from_local[2][2])
     cameras = [block.cameras[view].scaled(_SCALE) for view in order]
-    beside, shape = images(block.device), (cameras[0].height, cameras[0].width)
+    backend, shape = images(block.device), (cameras[0].height, cameras[0].width)
 
     def trusted_heights(m: DepthMap) -> Any:
         """Mean of the trusted heights in each part of a map [m]; NaN without any."""
-        return beside.means_of(m.height, trusted(m), shape)
+        return backend.masked_means(m.height, trusted(m), shape)
 
     known = {view: trusted_heights(maps[view]) for view in order}
-    extents = {view: beside.extremes(height) for view, height in known.items()}
+    extents = {view: backend.min_max(height) for view, height in known.items()}
     ground = {
         view: Footprint.of(camera, block.water, extent)
         for camera, (view, extent) in zip(cameras, extents.items(), strict=True)
         if extent is not None
     }
     heights = ViewStack.build(
-        block.device, cameras, Lazy(lambda number: known[order[number]], len(order), shape, 1), block.water
+        block.device, cameras, LazyImages(lambda number: known[order[number]], len(order), shape, 1), block.water
     )
     wanted = {}
     for number, view in enumerate(order):
@@ -174,9 +174,9 @@ def becoming_points(block: Block, maps: Mapping[int, DepthMap]) -> dict[int, np.
         steeper = [
             n for n in range(number) if view in ground and order[n] in ground and ground[view].meets(ground[order[n]])
         ]
-        middle = beside.median_above(known[view], -math.inf) if steeper else None
+        middle = backend.median_above(known[view], -math.inf) if steeper else None
         if middle is not None:
             tolerance = block.agreement_tolerance(view, block.neighbours(view, 8, among=order), middle)
-            against, _, _ = kernels(block.device).compare(heights, number, steeper, tolerance)
-        wanted[view] = beside.first_shown(block.device, known[view], against)
+            against, _, _ = kernels(block.device).compare_heights(heights, number, steeper, tolerance)
+        wanted[view] = backend.newly_visible(block.device, known[view], against)
     return wanted

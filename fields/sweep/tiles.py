@@ -1,4 +1,4 @@
-"""Tiles of an image in which pixels climb a ladder of their own: level, or along a wall."""
+"""Tiles of an image with height hypotheses of their own: level, or along a wall."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Rungs of a ladder are a multiple of this and one: other numbers would need other kernels.
-RUNGS_OF = 8
+# The number of hypotheses is a multiple of this and one: other numbers would need other kernels.
+COUNT_STEP = 8
 # Side of the tiles of a part, with their halo: whole vectors, so that strips and tiles have the same kernels.
 PART_SIDE_PX = 32
 
 
 @dataclass(frozen=True)
 class Tiles:
-    """Tiles of an image that hold the wanted pixels, by rising number of rungs; N of them.
+    """Tiles of an image that hold the wanted pixels, sorted by number of hypotheses; N of them.
 
     Attributes
     ----------
@@ -24,10 +24,11 @@ class Tiles:
     place : (N, 2) int
         Row and column among all tiles of the image.
     start : (N,) float [m]
-        First rung in the middle of the tile.
+        Lowest hypothesis in the middle of the tile.
     slope : (N, 2) float [m/px]
-        By which the rungs rise from row to row and from column to column.
-    rungs : (N,) int
+        By which the hypotheses rise from row to row and from column to column.
+    counts : (N,) int
+        Number of hypotheses.
     """
 
     wanted: np.ndarray
@@ -36,7 +37,7 @@ class Tiles:
     place: np.ndarray
     start: np.ndarray
     slope: np.ndarray
-    rungs: np.ndarray
+    counts: np.ndarray
 
     @staticmethod
     def of(
@@ -47,7 +48,7 @@ class Tiles:
         radius: int,
         slope: np.ndarray | None = None,
     ) -> Tiles:
-        """With ladders from below the lowest to above the highest height [m] of their wanted pixels.
+        """Tiles with hypotheses from below the lowest to above the highest height [m] of their wanted pixels.
 
         ``bounds`` (rows, columns) each are those that `extent` gives, ``slope`` (rows, columns, 2) [m/px] is that of
         each tile; those where it is NaN are left out.
@@ -57,14 +58,14 @@ class Tiles:
         place = np.argwhere(np.isfinite(least) & np.isfinite(slope).all(axis=-1))
         least, most, slope = (each[tuple(place.T)] for each in (least, most, slope))
         margin = step + 0.5 * size * np.abs(slope).sum(axis=-1)
-        rungs = np.ceil((most - least + 2.0 * margin) / step).astype(int) + 1
-        rungs = RUNGS_OF * -(-(rungs - 1) // RUNGS_OF) + 1
-        order = np.argsort(rungs, kind="stable")
-        return Tiles(wanted, size, radius, place[order], (least - margin)[order], slope[order], rungs[order])
+        counts = np.ceil((most - least + 2.0 * margin) / step).astype(int) + 1
+        counts = COUNT_STEP * -(-(counts - 1) // COUNT_STEP) + 1
+        order = np.argsort(counts, kind="stable")
+        return Tiles(wanted, size, radius, place[order], (least - margin)[order], slope[order], counts[order])
 
     @staticmethod
-    def over(part: np.ndarray, shape: tuple[int, int], size: int, radius: int, rungs: int) -> Tiles:
-        """Whole tiles of an image (height, width) that hold some of a part of it, with so many rungs each.
+    def over(part: np.ndarray, shape: tuple[int, int], size: int, radius: int, count: int) -> Tiles:
+        """Whole tiles of an image (height, width) that hold some of a part of it, with so many hypotheses each.
 
         The part, (rows, columns) bool, has a share of the size of the image.
         """
@@ -77,7 +78,7 @@ class Tiles:
         mask[tuple(place.T)] = True
         mask = mask.repeat(size, axis=0).repeat(size, axis=1)[: shape[0], : shape[1]]
         level = np.zeros((len(place), 2))
-        return Tiles(mask, size, radius, place, level[:, 0], level, np.full(len(place), rungs))
+        return Tiles(mask, size, radius, place, level[:, 0], level, np.full(len(place), count))
 
     @property
     def side(self) -> int:
@@ -85,19 +86,19 @@ class Tiles:
         return self.size + 2 * self.radius
 
     def batches(self, most: int, launch: int) -> Iterator[tuple[slice, int]]:
-        """Runs of tiles with the number of rungs that all of them climb, of at most so many pixels times rungs.
+        """Batches of tiles with a common number of hypotheses, of at most ``most`` pixels times hypotheses.
 
-        A run ends where the next tile would let those before climb more rungs than another launch is worth, in pixels
-        times rungs.
+        A batch ends where the next tile would cost those before it more than another launch: ``launch`` pixels times
+        hypotheses.
         """
         first, pixels = 0, self.side**2
-        while first < len(self.rungs):
-            rungs, count = self.rungs[first:], np.arange(1, len(self.rungs) - first + 1)
-            fits = pixels * count * rungs <= most
-            cheap = np.append(True, pixels * count[:-1] * np.diff(rungs) <= launch)
+        while first < len(self.counts):
+            counts, count = self.counts[first:], np.arange(1, len(self.counts) - first + 1)
+            fits = pixels * count * counts <= most
+            cheap = np.append(True, pixels * count[:-1] * np.diff(counts) <= launch)
             ends = np.flatnonzero(~(fits & cheap))
-            run = max(int(ends[0]) if len(ends) else len(rungs), 1)
-            yield slice(first, first + run), int(rungs[run - 1])
+            run = max(int(ends[0]) if len(ends) else len(counts), 1)
+            yield slice(first, first + run), int(counts[run - 1])
             first += run
 
     def pixels(self, part: slice) -> np.ndarray:
@@ -106,7 +107,7 @@ class Tiles:
         return rows[:, :, None] * self.wanted.shape[1] + columns[:, None, :]
 
     def starts(self, part: slice) -> np.ndarray:
-        """First rungs (n, side, side) float32 [m] of the pixels of tiles."""
+        """Lowest hypotheses (n, side, side) float32 [m] of the pixels of tiles."""
         rows, columns = (
             (line + 0.5 - self.size * (self.place[part, axis, None] + 0.5)) * self.slope[part, axis, None]
             for axis, line in enumerate(self._lines(part))
@@ -115,7 +116,7 @@ class Tiles:
         return (self.start[part, None, None] + rise).astype(np.float32)
 
     def own(self, part: slice, pixels: np.ndarray) -> np.ndarray:
-        """Which pixels (n, side, side) are wanted, in their own tile, and have a whole window in it."""
+        """Mask (n, side, side) of the pixels that are wanted, in their own tile, and have a whole window in it."""
         inner = np.zeros(self.side, dtype=bool)
         inner[self.radius : -self.radius] = True
         rows, columns = (

@@ -29,7 +29,7 @@ _RIM_PX = 6
 
 @dataclass(frozen=True)
 class ViewPass:
-    """What one pass does for one view.
+    """Work of one pass for one view.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class ViewPass:
 
 
 def view_passes(block: Block, chosen: list[int], p: Pass, bound: tuple[float, float] | None) -> list[ViewPass]:
-    """What a pass does for each of the chosen views; those that overlap with no other are left out.
+    """Work of a pass for each of the chosen views; those that overlap with no other are left out.
 
     The hypotheses span the bound (low, high) [m], or are as many as the pass has where that is None.
     """
@@ -98,10 +98,10 @@ def match_pass(
     if before is None:
         start = backend.full(block.device, shape, bound[0])
     else:
-        start = backend.lowered(backend.enlarged(before.height, shape), step * (of_view.count // 2))
+        start = backend.subtract(backend.upsample(before.height, shape), step * (of_view.count // 2))
 
     def columns(radius: int) -> np.ndarray | None:
-        return None if area is None else columns_over(stack.cameras[view], block.water, area, bound, radius)
+        return None if area is None else columns_seeing_area(stack.cameras[view], block.water, area, bound, radius)
 
     radius = p.radius + wider
     reference = Reference(stack, view, of_view.neighbours, radius, _least_known(block))
@@ -114,7 +114,7 @@ def match_pass(
     if p.search is not None and radius == p.radius:
         found = yield from search_steps(reference, found, p.step_px / step, p.search)
     height, score, _ = found
-    return backend.found_map(view, height, _of_shown(block, p, view, score)), radius - p.radius
+    return backend.new_map(view, height, _of_shown(block, p, view, score)), radius - p.radius
 
 
 def refine_part(
@@ -127,9 +127,9 @@ def refine_part(
     stack, view, backend = block.stack(p.scale), of_view.view, images(block.device)
     step = _step(block, p, view, of_view.neighbours, backend.median(before.height))
     tiles = Tiles.over(part, before.height.shape, PART_SIDE_PX - 2 * p.radius, p.radius, of_view.count)
-    tiles = replace(tiles, wanted=backend.placed(block.device, tiles.wanted))
+    tiles = replace(tiles, wanted=backend.to_device(block.device, tiles.wanted))
     height, score = backend.flat_copy(before.height), backend.flat_copy(before.score)
-    lowest = backend.pixels_of(backend.lowered(before.height, step * (of_view.count // 2)))
+    lowest = backend.flat_view(backend.subtract(before.height, step * (of_view.count // 2)))
 
     def take(own: Any, pixels: Any, matched: list[Any]) -> None:
         best, best_score, _ = matched
@@ -137,23 +137,23 @@ def refine_part(
         backend.put(score, pixels, best_score, own)
 
     reference = Reference(stack, view, of_view.neighbours, p.radius, _least_known(block))
-    yield from match_tiles(reference, tiles, lambda _, pixels: backend.at(lowest, pixels), step, take)
-    height, score = (backend.shaped(each, (stack.height, stack.width)) for each in (height, score))
-    return replace(before, height=height, score=_of_shown(block, p, view, score)), backend.places_of(tiles.wanted)
+    yield from match_tiles(reference, tiles, lambda _, pixels: backend.values_at(lowest, pixels), step, take)
+    height, score = (backend.reshaped(each, (stack.height, stack.width)) for each in (height, score))
+    return replace(before, height=height, score=_of_shown(block, p, view, score)), backend.indices_of(tiles.wanted)
 
 
 def _of_shown(block: Block, p: Pass, view: int, score: Any) -> Any:
-    """The scores, -1 at pixels left out of the photograph: these show nothing, however much around them is known."""
-    if p.scale < 1.0 or block.images.are_whole:
+    """Scores, -1 at masked pixels of the photograph, however much around them is known."""
+    if p.scale < 1.0 or block.images.are_unmasked:
         return score
-    return images(block.device).shown(block.device, block.images[view], score)
+    return images(block.device).mask_scores(block.device, block.images[view], score)
 
 
 def _least_known(block: Block) -> float:
-    return 1.0 if block.images.are_whole else LEAST_KNOWN
+    return 1.0 if block.images.are_unmasked else LEAST_KNOWN
 
 
-def columns_over(
+def columns_seeing_area(
     camera: PinholeCamera, water: FlatWater | None, area: Area, bound: tuple[float, float], radius: int
 ) -> np.ndarray:
     """First column, and the one after the last, in which each row may see the area, (height, 2) int; none: equal ones.

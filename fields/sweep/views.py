@@ -1,4 +1,4 @@
-"""Which views to match: a set that covers the bed, and for each the neighbours that see it best.
+"""View selection: a set of views that covers the bed, and the best neighbours of each.
 
 Views of one place are compared in a coarse ground grid on a level plane at the bed's height: cheap, and exact enough
 to choose by.
@@ -26,7 +26,7 @@ _PLACES, _MARGIN = 17, 0.02
 
 
 def ground_points(cameras: list[PinholeCamera], height: float) -> np.ndarray:
-    """Where each camera's axis meets the plane z = height, (views, 3) [m] local; NaN if it looks up."""
+    """Intersections of the optical axes with the plane z = height, (views, 3) [m] local; NaN for those that look up."""
     axes = np.array([c.cam_from_local[2] for c in cameras])
     centres = np.array([c.centre for c in cameras])
     fall = np.where(axes[:, 2] < -0.05, axes[:, 2], np.nan)
@@ -34,7 +34,7 @@ def ground_points(cameras: list[PinholeCamera], height: float) -> np.ndarray:
 
 
 def coverage(cameras: list[PinholeCamera], water: FlatWater | None, height: float) -> tuple[np.ndarray, np.ndarray]:
-    """Which cells of a ground grid at z = height each view sees: (views, cells) bool, and the cells (cells, 3).
+    """Visibility (views, cells) bool of the cells of a ground grid at z = height, and the cells (cells, 3).
 
     Raises
     ------
@@ -101,7 +101,7 @@ def _greedy(seen: np.ndarray, chosen: list[int], times: int) -> list[int]:
 def neighbours(
     cameras: list[PinholeCamera], seen: np.ndarray, cells: np.ndarray, view: int, among: list[int], count: int
 ) -> list[int]:
-    """The ``count`` views of ``among`` that match `view` best: overlap, a useful angle, and spread around it."""
+    """The ``count`` best neighbours of a view among others by overlap, intersection angle and spread of directions."""
     centres = np.array([c.centre for c in cameras])
     others = [o for o in among if o != view]
     mine = seen[view]
@@ -115,13 +115,13 @@ def neighbours(
     angle = np.degrees(np.arccos(np.clip(rays[others] @ rays[view], -1.0, 1.0)))
     score = overlap * np.exp(-0.5 * ((angle - BEST_ANGLE_DEG) / ANGLE_WIDTH_DEG) ** 2)
     score[overlap < 0.05] = 0.0
-    way = rays[others] - rays[view]
-    way /= np.linalg.norm(way, axis=1, keepdims=True) + 1e-12
+    direction = rays[others] - rays[view]
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True) + 1e-12
     chosen: list[int] = []
     for _ in range(count):
         spread = np.ones(len(others))
         for c in chosen:
-            spread *= 1.0 - 0.5 * np.clip(way @ way[c], 0.0, 1.0) ** 2
+            spread *= 1.0 - 0.5 * np.clip(direction @ direction[c], 0.0, 1.0) ** 2
         value = score * spread
         value[chosen] = 0.0
         if not len(value) or value.max() <= 0.0:
@@ -133,7 +133,7 @@ def neighbours(
 def parallax(
     cameras: list[PinholeCamera], water: FlatWater | None, view: int, others: list[int], height: float
 ) -> float:
-    """How far [px] a bed point seen mid-image by `view` moves in the others per metre of its height.
+    """Parallax [px/m] in other views per metre of height of a bed point in the middle of `view`.
 
     ``height`` [m] is over the water plane along its normal (over local z = 0 in a dry survey). The upper quartile over
     the others; the sweep's steps and tolerances follow from it. At least 1e-3.
@@ -154,20 +154,20 @@ def _pixels(cameras: list[PinholeCamera], points: np.ndarray, water: FlatWater |
     if not cameras or any(camera.motion is not None or camera.tide != 0.0 for camera in cameras):
         return [camera.project(points, water) for camera in cameras]
     centres = np.array([camera.centre for camera in cameras])[:, None]
-    ways = crossing_point(np.broadcast_to(points, (len(cameras), *points.shape)), centres, water) - centres
-    return [camera.pixels_of(way) for camera, way in zip(cameras, ways, strict=True)]
+    rays_of_cameras = crossing_point(np.broadcast_to(points, (len(cameras), *points.shape)), centres, water) - centres
+    return [camera.pixels_of(direction) for camera, direction in zip(cameras, rays_of_cameras, strict=True)]
 
 
 @dataclass(frozen=True)
 class Footprint:
-    """A rectangle; low and high corner (2,) [m], local, infinite where a view sees to the horizon."""
+    """Bounding rectangle of the ground that a view may show: corners (2,) [m], local, infinite to the horizon."""
 
     low: np.ndarray
     high: np.ndarray
 
     @staticmethod
     def of(camera: PinholeCamera, water: FlatWater | None, heights: tuple[float, float]) -> Footprint:
-        """Of what lies between two heights [m] over the water plane."""
+        """Footprint of the ground between two heights [m] over the water plane."""
         share = np.linspace(0.0, 1.0, _PLACES)
         sides = [[(x, y) for x in share for y in (0.0, 1.0)], [(x, y) for x in (0.0, 1.0) for y in share]]
         paths = camera.paths(np.concatenate(sides) * (camera.width, camera.height), water)
@@ -181,5 +181,5 @@ class Footprint:
         return Footprint(low - margin, high + margin)
 
     def meets(self, other: Footprint) -> bool:
-        """Whether the two have ground in common."""
+        """Whether two footprints overlap."""
         return bool((self.low <= other.high).all() and (other.low <= self.high).all())

@@ -99,7 +99,7 @@ def measure(
     -------
     TiePoints, in the pixels of the block's images
     """
-    block.look_at(0.5 * (bound[0] + bound[1]))
+    block.judge_overlap_at(0.5 * (bound[0] + bound[1]))
     chosen, shares = block.cover(*_TIMES_SEEN, area), [0.0]
     of_sweep = _share_of_sweep(block, chosen, bound)
 

@@ -13,7 +13,7 @@ from fields.sweep.passes import PASSES, passes_from
 from survey import machine
 from survey.folder.survey import Survey
 from survey.plan.plan import Plan
-from survey.plan.rates import FIRST_RUNGS, STEPS_PER_CORE_S, poses_s
+from survey.plan.rates import FIRST_HYPOTHESES, STEPS_PER_CORE_S, poses_s
 from survey.plan.workload import amounts_of
 
 # Imports, and hashes of program and photographs.
@@ -72,7 +72,8 @@ def samples(ground: Ground, scale: float, *, lowest: float, before: float | None
     else:
         passes = list(passes_from(lowest / scale))
     # The finer the first search, the more heights it tries.
-    steps = sum(p.scale**2 * (p.hypotheses or FIRST_RUNGS * p.scale / PASSES[0].scale) * p.neighbours for p in passes)
+    first = FIRST_HYPOTHESES / PASSES[0].scale
+    steps = sum(p.scale**2 * (p.hypotheses or first * p.scale) * p.neighbours for p in passes)
     return steps * ground.map_px * scale**2
 
 

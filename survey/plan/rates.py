@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from fields.sweep.passes import PASSES, POINTS_SHARE, Pass, before_solver
 
 # The first pass of the sweep tries as many heights as its bound holds.
-FIRST_RUNGS = 25
+FIRST_HYPOTHESES = 25
 # Pixels times heights times neighbours of the sweep that one core compares in a second, by Dr.Jit on LLVM, with the
 # search beside steps.
 STEPS_PER_CORE_S = 55e6
@@ -69,7 +69,7 @@ class Amounts:
     field_cells: float
     poses: str
     solves: bool
-    first_hypotheses: float = FIRST_RUNGS
+    first_hypotheses: float = FIRST_HYPOTHESES
 
 
 def run_s(amounts: Amounts, num_cores: int) -> float:

@@ -26,7 +26,7 @@ from survey.plan.choices import Choices
 from survey.plan.ground import dry_ground
 from survey.plan.image_size import image_scale
 from survey.plan.plan import Plan
-from survey.plan.rates import FIRST_RUNGS, SFM_PARTS, Amounts, parts_s, run_s, sfm_s
+from survey.plan.rates import FIRST_HYPOTHESES, SFM_PARTS, Amounts, parts_s, run_s, sfm_s
 from survey.plan.recipe import RECIPES
 from survey.progress import rough
 from survey.sfm.settings import FEATURES_PX, pairs_about
@@ -175,19 +175,19 @@ def _first_hypotheses(survey: Survey, plan: Plan) -> float:
     """
     is_told = survey.config.area.heights is not None or survey.points is not None
     if not is_told or len(survey.views) > _MOST_VIEWS:
-        return FIRST_RUNGS
+        return FIRST_HYPOTHESES
     low, high = limits(survey)
     try:
         overlap = Overlap([camera_of(view, plan) for view in survey.views], survey.water, 0.5 * (low + high))
     except ValueError:
-        return FIRST_RUNGS
+        return FIRST_HYPOTHESES
     counts = []
     for view in np.unique(np.linspace(0, len(survey.views) - 1, _SAMPLE).astype(int)).tolist():
         others = overlap.neighbours(view, PASSES[0].neighbours)
         if others:
             parallax = PASSES[0].scale * overlap.parallax(view, others, overlap.height)
             counts.append((high - low) * parallax / PASSES[0].step_px + 1.0)
-    return float(np.median(counts)) if counts else FIRST_RUNGS
+    return float(np.median(counts)) if counts else FIRST_HYPOTHESES
 
 
 def amounts_of(survey: Survey, plan: Plan) -> tuple[np.ndarray, list[int], float]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from fields.median import median
 from fields.solver.solver import SolvedMap
-from fields.sweep.bed import BedPoints, has_company, is_supported, points_of, unique_pixels, with_slopes
+from fields.sweep.bed import BedPoints, has_neighbours, is_supported, points_of, unique_pixels, with_slope_std
 from fields.sweep.block import AGREEMENT_PX
 from fields.sweep.fusion import PEERS
 from fields.sweep.maps import DepthMap, trusted
@@ -89,7 +89,7 @@ def bed_points(
             depth_map, moved = replace(depth_map, height=height), moved + taken
         final, std = (depth_map, None) if solved is None else solved[number].over(depth_map)
         points = points_of(camera, survey.water, final, keep, rgb, tolerance, std)
-        points = with_slopes(points, final.height, keep, plan.gsd_m, survey.water)
+        points = with_slope_std(points, final.height, keep, plan.gsd_m, survey.water)
         # Floor of std at 0.01 px of parallax: heights that agree exactly do so by chance.
         points = replace(points, std=np.maximum(points.std, np.float32(LEAST_STD_PX / parallax)))
         if area is not None:
@@ -98,8 +98,8 @@ def bed_points(
         sources.append(np.full(len(points), number, dtype=np.int32))
         tides.append(camera.tide)
         advance(1.0)
-    bed, accompanied = BedPoints.gathered(parts, lambda xyz: has_company(xyz, plan.gsd_m))
-    return bed, np.array(tides)[np.concatenate(sources)[accompanied]], moved
+    bed, has_company = BedPoints.concatenate_where(parts, lambda xyz: has_neighbours(xyz, plan.gsd_m))
+    return bed, np.array(tides)[np.concatenate(sources)[has_company]], moved
 
 
 def _black(camera: PinholeCamera) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 
 from fields.solver.solver import SolvedMap, solve_maps
 from fields.sweep.bed import unique_pixels
-from fields.sweep.maps import ByView, DepthMap, enlarged_map
+from fields.sweep.maps import ByView, DepthMap, upsample_map
 from survey.files.json_values import write_json
 from survey.progress import shares
 from survey.run.stage_sweep import EARLIER_SOLVER, EARLIER_SWEEP, MAPS, SCRATCH, look_at_bed, views_swept
@@ -91,6 +91,6 @@ def _enlarged(before: DepthMap, solved: SolvedMap, now: DepthMap, keep: np.ndarr
         (np.arange(size) * small) // size for size, small in zip(now.height.shape, before.height.shape, strict=True)
     )
     std = std[rows[:, None], columns]
-    height = enlarged_map(with_heights, now.height.shape[::-1]).height
+    height = upsample_map(with_heights, now.height.shape[::-1]).height
     pixels = np.flatnonzero(keep & np.isfinite(std))
     return SolvedMap(pixels, height.flat[pixels], std.flat[pixels])

@@ -12,7 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fields.sweep.fusion import without_contradicted
+from fields.sweep.fusion import remove_free_space_violations
 from fields.sweep.maps import ByView, DepthMap
 from fields.sweep.passes import PASSES, before_solver, passes_from
 from fields.sweep.photo_consistency import photo_consistency
@@ -28,7 +28,7 @@ from survey.run.stored_maps import Stored, kept_aside, save_maps
 
 if TYPE_CHECKING:
     from fields.sweep.block import Block
-    from fields.sweep.maps import InOrder, Keep
+    from fields.sweep.maps import Keep, OrderedMaps
     from fields.sweep.view_pass import Area
     from survey.run.aimed import Aimed
     from survey.run.job import Job
@@ -60,7 +60,7 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     block, images_s = job.block, time.monotonic() - start
     with job.progress.stage("Sweep", 1.0) as stage:
         low, high = job.bound
-        block.look_at(0.5 * (low + high))
+        block.judge_overlap_at(0.5 * (low + high))
         chosen = block.cover(*job.plan.recipe.times_seen, local_area(survey))
         ladder = (low, high) if job.plan.skips.heights else limits(survey)
         passes = PASSES if job.aimed is None else passes_from(job.aimed.first_search)
@@ -76,9 +76,9 @@ def sweep_views(job: Job, folder: Path, needs: Mapping[str, Path]) -> None:
     write_json(folder / BOUND, {"low_m": low, "high_m": high})
 
 
-def _finished(block: Block, maps: InOrder, keep: Keep) -> InOrder:
+def _finished(block: Block, maps: OrderedMaps, keep: Keep) -> OrderedMaps:
     """Maps of a sweep without heights that other views contradict."""
-    found = without_contradicted(block, maps, keep)
+    found = remove_free_space_violations(block, maps, keep)
     maps.clear()
     return found
 
@@ -195,4 +195,4 @@ def _take_pace(aimed: Aimed, found: dict) -> None:
 def look_at_bed(job: Job, folder: Path) -> None:
     """Let the block judge the overlap of views as at the end of the sweep, whether it ran now or in an earlier run."""
     bound = json.loads((folder / BOUND).read_text(encoding="utf-8"))
-    job.block.look_at(0.5 * (bound["low_m"] + bound["high_m"]))
+    job.block.judge_overlap_at(0.5 * (bound["low_m"] + bound["high_m"]))

@@ -1,4 +1,4 @@
-"""Flat arrays between numpy and the device that the sweep runs on: Dr.Jit, or torch where that is the device."""
+"""Flat arrays between numpy and the device of the kernels, in Dr.Jit or torch; memory and threads of the device."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fields.device import Device
-from fields.sweep.kernels.flat import flat_of
+from fields.sweep.kernels.flat import flatten
 
 # Kernels of Dr.Jit load whole vectors, and one is compiled for each choice of arrays that begin at such an address.
 ALIGNED_BYTES = 64
@@ -23,13 +23,13 @@ _SWITCH_INTERVAL_S = 3e-4
 
 
 def floats(device: Device, array: Any) -> Any:
-    """An array of any shape as one flat array of float32; one of the device stays as it is.
+    """Flat float32 array of the device; arrays that are on the device are not copied.
 
     Dr.Jit on the CPU reads a contiguous array of float32 where it lies, if that is aligned: it must not be written to
     afterwards.
     """
     if not isinstance(array, np.ndarray):
-        return flat_of(array)
+        return flatten(array)
     flat = np.ascontiguousarray(array, dtype=np.float32).ravel()
     if device.module is not None:
         return device.module.Float(_aligned(flat))
@@ -39,7 +39,7 @@ def floats(device: Device, array: Any) -> Any:
 
 
 def indices(device: Device, array) -> Any:
-    """Whole numbers from zero as one flat array, copied: 32 bits without sign in Dr.Jit, int64 in torch.
+    """Flat array of indices on the device, copied: uint32 in Dr.Jit, int64 in torch.
 
     Those that are on the device stay there.
     """
@@ -53,7 +53,7 @@ def indices(device: Device, array) -> Any:
 
 
 def _aligned(flat: np.ndarray) -> np.ndarray:
-    """A flat array, or a copy of it that begins where vectors do."""
+    """Flat array aligned to vectors, copied if need be."""
     if flat.ctypes.data % ALIGNED_BYTES == 0:
         return flat
     room = np.empty(flat.nbytes + ALIGNED_BYTES, dtype=np.uint8)
@@ -64,7 +64,7 @@ def _aligned(flat: np.ndarray) -> np.ndarray:
 
 
 def words(device: Device, array: np.ndarray) -> Any:
-    """An array of uint32 or uint64 as one flat array of the same bits; torch has them with a sign."""
+    """Flat array of the bits of uint32 or uint64 numbers; signed in torch."""
     flat = np.ascontiguousarray(array).ravel()
     wide = flat.dtype == np.uint64
     if device.module is not None:
@@ -75,7 +75,7 @@ def words(device: Device, array: np.ndarray) -> Any:
 
 
 def constant(device: Device, value: float) -> Any:
-    """A single number, which kernels of Dr.Jit take as an argument: another value needs no other kernel."""
+    """Scalar that kernels of Dr.Jit take as an argument, so that another value compiles no other kernel."""
     if device.module is not None:
         import drjit
 
@@ -86,8 +86,8 @@ def constant(device: Device, value: float) -> Any:
 
 
 @dataclass(frozen=True)
-class Room:
-    """An array of Dr.Jit that kernels are to fill, of which views are read.
+class Buffer:
+    """Array of Dr.Jit that kernels fill and of which views are read.
 
     Attributes
     ----------
@@ -105,16 +105,16 @@ class Room:
     memory: np.ndarray | None
 
     @staticmethod
-    def of(device: Device, size: int) -> Room:
-        """For so many numbers, not set yet."""
+    def of(device: Device, size: int) -> Buffer:
+        """Uninitialised buffer of a size."""
         import drjit
 
         array = drjit.empty(device.module.Float, size + _SPARE)
-        return Room(array, size, array.numpy() if device.name == "llvm" else None)
+        return Buffer(array, size, array.numpy() if device.name == "llvm" else None)
 
 
-def rung_and_pixel(device: Device, count: int, strip: int) -> tuple[Any, Any]:
-    """The numbers 0 to ``count`` divided by ``strip``, and what is left, in Dr.Jit.
+def hypothesis_and_pixel(device: Device, count: int, strip: int) -> tuple[Any, Any]:
+    """Quotient and remainder of the numbers 0 to ``count`` by ``strip``, in Dr.Jit.
 
     By a product: processors have no division of vectors of whole numbers.
     """
@@ -122,12 +122,12 @@ def rung_and_pixel(device: Device, count: int, strip: int) -> tuple[Any, Any]:
 
     module = device.module
     index = drjit.arange(module.UInt, count)
-    rung = module.UInt((module.Float64(index) + 0.5) * drjit.opaque(module.Float64, 1.0 / strip))
-    return rung, index - rung * drjit.opaque(module.UInt, strip)
+    number = module.UInt((module.Float64(index) + 0.5) * drjit.opaque(module.Float64, 1.0 / strip))
+    return number, index - number * drjit.opaque(module.UInt, strip)
 
 
 def host(device: Device, array) -> np.ndarray:
-    """An array of the device as numpy, flat."""
+    """Flat array of the device as numpy."""
     return array.numpy() if device.module is not None else array.reshape(-1).cpu().numpy()
 
 
@@ -137,8 +137,8 @@ def results(device: Device, launched: list[Any]) -> list[Any]:
 
 
 @contextmanager
-def beside_workers(device: Device, workers: int) -> Iterator[None]:
-    """Let threads of Python work beside the kernels that this thread starts.
+def sharing_cores(device: Device, workers: int) -> Iterator[None]:
+    """Leave processor cores to threads of Python that work in parallel to the kernels.
 
     Threads of Dr.Jit keep a core busy while they wait for the next kernel, so all but one of the workers get the core
     of one. Python hands over its lock every 5 ms unless it is released, longer than most calls of numpy take here.
@@ -167,8 +167,8 @@ def _fewer_threads(device: Device, fewer: int) -> Iterator[None]:
         drjit.set_thread_count(count)
 
 
-def forget(device: Device) -> None:
-    """Return unused memory of the device: it keeps what was used, by size, for arrays of the same size."""
+def free_unused(device: Device) -> None:
+    """Free the unused memory that the device keeps for arrays of the same size."""
     if device.module is not None:
         import drjit
 
@@ -180,8 +180,8 @@ def forget(device: Device) -> None:
 
 
 def release(device: Device) -> None:
-    """Return unused memory to the system: that of the device, and what the C library holds, where it is glibc."""
-    forget(device)
+    """Return unused memory of the device and of the C library (glibc) to the system."""
+    free_unused(device)
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
     if trim is not None:
         trim(0)

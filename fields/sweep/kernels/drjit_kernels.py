@@ -1,10 +1,10 @@
-"""Images warped along bent paths, in Dr.Jit: the bed in the neighbours at every height that is tried.
+"""Kernels in Dr.Jit: neighbour images warped along refracted rays, height maps compared.
 
-One call takes a strip of rows of a reference view, a height per pixel and a ladder of steps about it. Because the rungs
-are offsets to a *per-pixel* height, the window of each pixel follows the relief found so far.
+One call takes a strip of rows of a reference view and the height hypotheses of each pixel. As these are offsets to a
+*per-pixel* height, the window of each pixel follows the relief found so far.
 
-    K neighbours, J rungs, P pixels of the strip (with a halo of the window's radius)
-    W  neighbour intensity at (k, j, p): the bed point of pixel p at rung j, seen by neighbour k
+    K neighbours, J hypotheses, P pixels of the strip (with a halo of the window's radius)
+    W  neighbour intensity at (k, j, p): the bed point of pixel p at hypothesis j, seen by neighbour k
 
 One kernel projects points into several neighbours, whose cameras are its arguments: all points of the hypotheses, which
 are computed once, or, where the hypotheses lie on one side of the water, three of them, by which another kernel finds
@@ -21,72 +21,72 @@ import drjit as dr
 import numpy as np
 
 from fields.sweep.kernels import drjit_scoring as scoring
-from fields.sweep.kernels.arrays import Room, constant, floats, indices, rung_and_pixel
+from fields.sweep.kernels.arrays import Buffer, constant, floats, hypothesis_and_pixel, indices
 from fields.sweep.kernels.rays import (
-    course_through,
-    in_front,
-    legs_through,
-    place_at,
-    place_on,
+    fit_curve,
+    in_front_of_camera,
     point_at,
-    sections,
-    seen_at,
-    through_water,
+    point_on_curve,
+    project,
+    project_with_depth,
+    refracted_rays,
+    segments,
+    straddling_pixels,
 )
-from fields.sweep.kernels.stack import MASKED, Beyond, Hypotheses, ViewStack, camera_table
+from fields.sweep.kernels.stack import MASKED, CameraTerms, Hypotheses, ViewStack, camera_table
 
 # The rest of `fields.sweep.kernels.backend.Kernels`.
 NOISE_VARIANCE = scoring.NOISE_VARIANCE
 buffers, windows, ncc = scoring.buffers, scoring.windows, scoring.ncc
 best_half, best_height = scoring.best_half, scoring.best_height
-# Views that one kernel projects into: more take as long in several kernels, which compile faster and serve any number.
+# Views that one kernel projects into: several kernels take no longer, compile faster and serve any number.
 VIEWS_PER_KERNEL = 4
-# Samples (neighbours x rungs x pixels) of one launch: 32 MB in all.
+# Samples (neighbours x hypotheses x pixels) of one launch: 32 MB in all.
 SAMPLES_PER_LAUNCH = 8_000_000
-# Share of the pixels that is projected point by point from which all are.
+# Share of pixels that straddle the water from which on all points are projected.
 _MANY = 0.3
 
 
-def legs_of(stack: ViewStack, view: int, first_row: int, rows: int):
+def rays_of_rows(stack: ViewStack, view: int, first_row: int, rows: int):
     """Rays (`fields.sweep.kernels.rays`) of a strip of pixels of `view`: six floats of P = rows * width, or more."""
     UInt = stack.device.module.UInt
     first = dr.opaque(UInt, first_row * stack.width)
-    return _legs_through(stack, view, dr.arange(UInt, rows * stack.width) + first)
+    return _refracted_rays(stack, view, dr.arange(UInt, rows * stack.width) + first)
 
 
-def legs_at(stack: ViewStack, view: int, pixels: np.ndarray):
-    """Legs of chosen pixels (flat indices) of a view."""
-    return _legs_through(stack, view, indices(stack.device, pixels))
+def rays_of_pixels(stack: ViewStack, view: int, pixels: np.ndarray):
+    """Rays of chosen pixels (flat indices) of a view."""
+    return _refracted_rays(stack, view, indices(stack.device, pixels))
 
 
-def _legs_through(stack: ViewStack, view: int, index):
+def _refracted_rays(stack: ViewStack, view: int, index):
     Float, UInt = stack.device.module.Float, stack.device.module.UInt
     width = dr.opaque(UInt, stack.width)
     line = index // width
     u = Float(index - line * width) + 0.5
     v = Float(line) + 0.5
     cameras = [stack.cameras[view]]
-    beyond = Beyond.of(cameras)
-    camera = [constant(stack.device, c) for c in camera_table(cameras, beyond, stack.frame)[0]]
-    legs = legs_through(camera, u, v, stack.n_water or 1.0, beyond)
-    dr.eval(legs)
-    return legs
+    terms = CameraTerms.of(cameras)
+    camera = [constant(stack.device, c) for c in camera_table(cameras, terms, stack.frame)[0]]
+    rays = refracted_rays(camera, u, v, stack.n_water or 1.0, terms)
+    dr.eval(rays)
+    return rays
 
 
-def project_at(stack: ViewStack, legs, z, view: int):
-    """Pixel position in `view`, and whether inside it, of each path at its height of `z`."""
-    return seen_at(stack.numbers[view], point_at(legs, z), stack.n_water, stack.beyond)
+def project_rays(stack: ViewStack, rays, z, view: int):
+    """Pixel position in `view` of each ray at its height `z`, and whether inside the image."""
+    return project(stack.camera_rows[view], point_at(rays, z), stack.n_water, stack.terms)
 
 
 def _corner(stack: ViewStack, u, v, inside):
-    """Index within its image of the upper left of the four pixels about (u, v), and the way from there [px]."""
+    """Flat index of the upper left of the four pixels about (u, v), and the offset from it [px]."""
     Float, UInt = stack.device.module.Float, stack.device.module.UInt
     x, y = dr.select(inside, u - 0.5, 0.0), dr.select(inside, v - 0.5, 0.0)
     x0, y0 = UInt(x), UInt(y)
     return y0 * dr.opaque(UInt, stack.width) + x0, x - Float(x0), y - Float(y0)
 
 
-def _between(corners, fx, fy):
+def _bilinear(corners, fx, fy):
     """Bilinear interpolation between four corners, row by row."""
     a, b, c, d = corners
     top, bottom = dr.fma(fx, b - a, a), dr.fma(fx, d - c, c)
@@ -99,27 +99,27 @@ def sample(stack: ViewStack, view: int, u, v, inside):
     corner, fx, fy = _corner(stack, u, v, inside)
     width = dr.opaque(UInt, stack.width)
     corners = [dr.gather(Float, stack.pixels[view], corner + offset) for offset in (0, 1, width, width + 1)]
-    return dr.select(inside, _between(corners, fx, fy), dr.nan)
+    return dr.select(inside, _bilinear(corners, fx, fy), dr.nan)
 
 
-def look_up(stack: ViewStack, view: int, u, v, inside):
-    """As `sample`, of `ViewStack.quads`: one lookup instead of four."""
-    Float, UInt, quads = stack.device.module.Float, stack.device.module.UInt, stack.quads
+def sample_packed(stack: ViewStack, view: int, u, v, inside):
+    """As `sample`, of `ViewStack.packed`: one lookup instead of four."""
+    Float, UInt, packed = stack.device.module.Float, stack.device.module.UInt, stack.packed
     corner, fx, fy = _corner(stack, u, v, inside)
-    Word = type(quads.values[view])
-    word = dr.gather(Word, quads.values[view], corner)
-    parts = [UInt((word >> (place * quads.bits)) & Word(2**quads.bits - 1)) for place in range(4)]
-    value = _between([Float(part) for part in parts], fx, fy)
-    value = dr.fma(value, constant(stack.device, quads.step), constant(stack.device, quads.low))
+    Word = type(packed.values[view])
+    word = dr.gather(Word, packed.values[view], corner)
+    parts = [UInt((word >> (place * packed.bits)) & Word(2**packed.bits - 1)) for place in range(4)]
+    value = _bilinear([Float(part) for part in parts], fx, fy)
+    value = dr.fma(value, constant(stack.device, packed.step), constant(stack.device, packed.low))
     return dr.select(inside & (parts[0] != MASKED), value, dr.nan)
 
 
 @dataclass(frozen=True)
-class _Ladders:
-    """Legs of P paths, their first rungs [m], and the step [m] between rungs."""
+class _RayPoints:
+    """Points of P rays at height hypotheses: lowest ones ``begin`` [m], ``step`` [m]."""
 
     stack: ViewStack
-    legs: list
+    rays: list
     begin: Any
     step: float
 
@@ -128,94 +128,99 @@ class _Ladders:
         """P."""
         return dr.width(self.begin)
 
-    def points(self, rung, pixel) -> tuple:
-        """Of rungs, by floats, of paths by their numbers."""
-        z = dr.gather(self.stack.device.module.Float, self.begin, pixel) + rung * constant(self.stack.device, self.step)
-        points = point_at([dr.gather(type(row), row, pixel) for row in self.legs], z)
+    def points(self, number, pixel) -> tuple:
+        """Points at hypotheses (float) of rays, each by its number."""
+        z = dr.gather(self.stack.device.module.Float, self.begin, pixel) + number * constant(
+            self.stack.device, self.step
+        )
+        points = point_at([dr.gather(type(row), row, pixel) for row in self.rays], z)
         dr.eval(points)
         return points
 
 
-def warp(values: list[Room], stack: ViewStack, legs, hypotheses: Hypotheses, neighbours: list[int]) -> None:
+def warp(values: list[Buffer], stack: ViewStack, rays, hypotheses: Hypotheses, neighbours: list[int]) -> None:
     """Fill ``values`` (`buffers`, of which there may be more) with W of each neighbour; NaN outside its image."""
     start, step = hypotheses.start, hypotheses.step
-    ladders = _Ladders(stack, legs, floats(stack.device, start), step)
+    ray_points = _RayPoints(stack, rays, floats(stack.device, start), step)
     arrays = [room.array for room in values[: len(neighbours)]]
-    for part in sections(hypotheses.count):
-        wet_and_dry = through_water(stack, start, step, part)
-        if len(wet_and_dry) > _MANY * ladders.size:
-            _point_by_point(ladders, part, neighbours, arrays)
+    for part in segments(hypotheses.count):
+        straddling = straddling_pixels(stack, start, step, part)
+        if len(straddling) > _MANY * ray_points.size:
+            _warp_point_by_point(ray_points, part, neighbours, arrays)
             continue
-        _along_courses(ladders, part, neighbours, arrays)
-        if len(wet_and_dry):
-            _point_by_point(ladders, part, neighbours, arrays, wet_and_dry)
+        _warp_along_curves(ray_points, part, neighbours, arrays)
+        if len(straddling):
+            _warp_point_by_point(ray_points, part, neighbours, arrays, straddling)
 
 
-def _along_courses(ladders: _Ladders, part: range, neighbours: list[int], values: list) -> None:
-    stack, size = ladders.stack, ladders.size
+def _warp_along_curves(ray_points: _RayPoints, part: range, neighbours: list[int], values: list) -> None:
+    stack, size = ray_points.stack, ray_points.size
     UInt, Float = stack.device.module.UInt, stack.device.module.Float
-    per_rung = constant(stack.device, 1.0 / max(len(part) - 1, 1))
+    per_step = constant(stack.device, 1.0 / max(len(part) - 1, 1))
     count, length, first = (dr.opaque(UInt, each) for each in (len(part), size, part.start * size))
     begin = dr.zeros(UInt, size), dr.arange(UInt, size) + first
-    places = _ends_and_middles(ladders, part, neighbours)
+    places = _curve_supports(ray_points, part, neighbours)
     for group, of_group, targets in zip(*map(_groups, (neighbours, places, values)), strict=True):
-        courses = [course_through(three) for three in of_group]
+        curves = [fit_curve(three) for three in of_group]
 
-        def look(rung, at, group=group, targets=targets, courses=courses):
-            for view, course, target in zip(group, courses, targets, strict=True):
-                seen = place_on(course, Float(rung) * per_rung, stack.numbers[view])
-                dr.scatter(target, look_up(stack, view, *seen), at)
-            return rung + 1, at + length
+        def look(number, at, group=group, targets=targets, curves=curves):
+            for view, curve, target in zip(group, curves, targets, strict=True):
+                seen = point_on_curve(curve, Float(number) * per_step, stack.camera_rows[view])
+                dr.scatter(target, sample_packed(stack, view, *seen), at)
+            return number + 1, at + length
 
-        dr.while_loop(begin, lambda rung, at: rung < count, look, labels=("rung", "at"))
+        dr.while_loop(begin, lambda number, at: number < count, look, labels=("number", "at"))
         dr.eval(targets)
 
 
-def _ends_and_middles(ladders: _Ladders, part: range, neighbours: list[int]) -> list:
-    """Places (u, v) of the first, the middle and the last point of each ladder in each neighbour."""
-    stack, size = ladders.stack, ladders.size
+def _curve_supports(ray_points: _RayPoints, part: range, neighbours: list[int]) -> list:
+    """Pixel positions (u, v) of the first, middle and last hypothesis in each neighbour."""
+    stack, size = ray_points.stack, ray_points.size
     UInt, Float = stack.device.module.UInt, stack.device.module.Float
-    third, pixel = rung_and_pixel(stack.device, 3 * size, size)
+    third, pixel = hypothesis_and_pixel(stack.device, 3 * size, size)
     first, half = (constant(stack.device, each) for each in (part.start, 0.5 * (len(part) - 1)))
-    points = ladders.points(first + Float(third) * half, pixel)
+    points = ray_points.points(first + Float(third) * half, pixel)
     found = []
     for group in _groups(neighbours):
-        places = [in_front(place_at(stack.numbers[view], points, stack.n_water, stack.beyond)) for view in group]
+        places = [
+            in_front_of_camera(project_with_depth(stack.camera_rows[view], points, stack.n_water, stack.terms))
+            for view in group
+        ]
         dr.eval(places)
         found += places
-    # Not as views of their memory: to ask where that is waits for the kernels.
+    # Not as views of their memory: its address is known only after the kernels.
     runs = [dr.arange(UInt, size) + dr.opaque(UInt, k * size) for k in range(3)]
     return [[[dr.gather(Float, each, run) for each in place] for run in runs] for place in found]
 
 
-def _point_by_point(
-    ladders: _Ladders, part: range, neighbours: list[int], values: list, pixels: np.ndarray | None = None
+def _warp_point_by_point(
+    ray_points: _RayPoints, part: range, neighbours: list[int], values: list, pixels: np.ndarray | None = None
 ) -> None:
-    """Of all paths, or of some by number (n,)."""
-    stack, size = ladders.stack, ladders.size
+    """Warp with every point projected: all rays, or some by number (n,)."""
+    stack, size = ray_points.stack, ray_points.size
     UInt, Float = stack.device.module.UInt, stack.device.module.Float
     num = size if pixels is None else len(pixels)
-    rung, pixel = rung_and_pixel(stack.device, num * len(part), num)
+    number, pixel = hypothesis_and_pixel(stack.device, num * len(part), num)
     if pixels is not None:
         pixel = dr.gather(UInt, indices(stack.device, pixels), pixel)
-    rung += dr.opaque(UInt, part.start)
-    at = rung * dr.opaque(UInt, size) + pixel
+    number += dr.opaque(UInt, part.start)
+    at = number * dr.opaque(UInt, size) + pixel
     dr.eval(at)
-    points = ladders.points(Float(rung), pixel)
+    points = ray_points.points(Float(number), pixel)
     for group, targets in zip(_groups(neighbours), _groups(values), strict=True):
         for view, target in zip(group, targets, strict=True):
-            seen = seen_at(stack.numbers[view], points, stack.n_water, stack.beyond)
-            dr.scatter(target, look_up(stack, view, *seen), at)
+            seen = project(stack.camera_rows[view], points, stack.n_water, stack.terms)
+            dr.scatter(target, sample_packed(stack, view, *seen), at)
         dr.eval(targets)
 
 
 def _groups(views: list) -> list[list]:
-    """Views, or what belongs to them, in groups of `VIEWS_PER_KERNEL`; the last may have fewer."""
+    """Lists per view in groups of `VIEWS_PER_KERNEL`; the last may have fewer."""
     return [views[first : first + VIEWS_PER_KERNEL] for first in range(0, len(views), VIEWS_PER_KERNEL)]
 
 
-def compare(stack: ViewStack, view: int, peers: list[int], tolerance: float, pixels: np.ndarray | None = None):
-    """Height maps compared: each pixel of `view`, or some (flat indices), is carried into its peers at its own height.
+def compare_heights(stack: ViewStack, view: int, peers: list[int], tolerance: float, pixels: np.ndarray | None = None):
+    """Height differences to the peers: each pixel of `view`, or some (flat indices), projected at its own height.
 
     Returns
     -------
@@ -224,13 +229,13 @@ def compare(stack: ViewStack, view: int, peers: list[int], tolerance: float, pix
     """
     Float = stack.device.module.Float
     if pixels is None:
-        legs, own = legs_of(stack, view, 0, stack.height), stack.pixels[view]
+        rays, own_height = rays_of_rows(stack, view, 0, stack.height), stack.pixels[view]
     else:
-        legs, own = paths_of(stack, view, pixels)
-    count, total, square = (dr.opaque(Float, 0.0, dr.width(own)) for _ in range(3))
+        rays, own_height = rays_and_heights(stack, view, pixels)
+    count, total, square = (dr.opaque(Float, 0.0, dr.width(own_height)) for _ in range(3))
     for group in _groups(peers):
         for peer in group:
-            difference = sample(stack, peer, *project_at(stack, legs, own, peer)) - own
+            difference = sample(stack, peer, *project_rays(stack, rays, own_height, peer)) - own_height
             near = dr.abs(difference) < dr.opaque(Float, tolerance)
             difference = dr.select(near, difference, 0.0)
             count += dr.select(near, 1.0, 0.0)
@@ -240,18 +245,22 @@ def compare(stack: ViewStack, view: int, peers: list[int], tolerance: float, pix
     return count, total, square
 
 
-def looked_through(stack: ViewStack, view: int, peers: list[int], tolerance: float):
-    """How many peers (P) see, through the point of each pixel of height map `view`, something that lies lower.
+def count_seeing_through(stack: ViewStack, view: int, peers: list[int], tolerance: float):
+    """Number of peers (P) that see through the point of each pixel of height map `view` to something lower.
 
     All four of the peer's pixels about the point are lower by more than `tolerance` [m]; NaN sees nothing.
     """
     Float, UInt, size = stack.device.module.Float, stack.device.module.UInt, stack.width * stack.height
-    legs = legs_of(stack, view, 0, stack.height)
-    own = stack.pixels[view]
-    count, least, width = dr.opaque(Float, 0.0, size), own - dr.opaque(Float, tolerance), dr.opaque(UInt, stack.width)
+    rays = rays_of_rows(stack, view, 0, stack.height)
+    own_height = stack.pixels[view]
+    count, least, width = (
+        dr.opaque(Float, 0.0, size),
+        own_height - dr.opaque(Float, tolerance),
+        dr.opaque(UInt, stack.width),
+    )
     for group in _groups(peers):
         for peer in group:
-            u, v, lower = project_at(stack, legs, own, peer)
+            u, v, lower = project_rays(stack, rays, own_height, peer)
             corner, _, _ = _corner(stack, u, v, lower)
             for offset in (0, 1, width, width + 1):
                 lower &= dr.gather(Float, stack.pixels[peer], corner + offset, lower) < least
@@ -260,49 +269,51 @@ def looked_through(stack: ViewStack, view: int, peers: list[int], tolerance: flo
     return count
 
 
-def paths_of(stack: ViewStack, view: int, pixels: np.ndarray):
-    """Legs (as `legs_of`) of chosen pixels (flat indices) of a view, and their heights in a stack of height maps."""
-    legs = legs_at(stack, view, pixels)
-    own = dr.gather(stack.device.module.Float, stack.pixels[view], indices(stack.device, pixels))
-    dr.eval(own)
-    return legs, own
+def rays_and_heights(stack: ViewStack, view: int, pixels: np.ndarray):
+    """Rays of chosen pixels (flat indices) of a view, and their heights in a stack of height maps."""
+    rays = rays_of_pixels(stack, view, pixels)
+    own_height = dr.gather(stack.device.module.Float, stack.pixels[view], indices(stack.device, pixels))
+    dr.eval(own_height)
+    return rays, own_height
 
 
-def claim(stack: ViewStack, legs, own, later: int, tolerance: float, apart: float) -> tuple[np.ndarray, np.ndarray]:
-    """The pixels (P) bool of height map `later` that show the bed of paths at their own heights, and those beside them.
+def find_duplicates(
+    stack: ViewStack, rays, own_height, other: int, tolerance: float, close_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (P) bool of height map `other` that show the points of rays at their heights, and those close to them.
 
     The first are the four pixels about the projection of each path, where their height is within `tolerance` [m]; the
-    second those of them whose height is within `apart` [m] of the path's, or of that of the map between the four.
+    second those of them whose height is within `close_m` of the path's, or of that of the map between the four.
     """
     Float, UInt, Byte = stack.device.module.Float, stack.device.module.UInt, stack.device.module.UInt8
-    claimed, beside = (dr.zeros(Byte, stack.width * stack.height) for _ in range(2))
-    u, v, inside = project_at(stack, legs, own, later)
+    claimed, close = (dr.zeros(Byte, stack.width * stack.height) for _ in range(2))
+    u, v, inside = project_rays(stack, rays, own_height, other)
     corner, fx, fy = _corner(stack, u, v, inside)
-    width, most = dr.opaque(UInt, stack.width), dr.opaque(Float, apart)
+    width, most = dr.opaque(UInt, stack.width), dr.opaque(Float, close_m)
     offsets = (0, 1, width, width + 1)
-    heights = [dr.gather(Float, stack.pixels[later], corner + offset, inside) for offset in offsets]
-    between = _between(heights, fx, fy)
+    heights = [dr.gather(Float, stack.pixels[other], corner + offset, inside) for offset in offsets]
+    interpolated = _bilinear(heights, fx, fy)
     for offset, there in zip(offsets, heights, strict=True):
-        off = dr.abs(there - own)
+        off = dr.abs(there - own_height)
         same = inside & (off < dr.opaque(Float, tolerance))
         dr.scatter(claimed, Byte(1), corner + offset, same)
-        dr.scatter(beside, Byte(1), corner + offset, same & (dr.minimum(off, dr.abs(there - between)) < most))
-    dr.eval(claimed, beside)
-    return claimed.numpy().view(bool), beside.numpy().view(bool)
+        dr.scatter(close, Byte(1), corner + offset, same & (dr.minimum(off, dr.abs(there - interpolated)) < most))
+    dr.eval(claimed, close)
+    return claimed.numpy().view(bool), close.numpy().view(bool)
 
 
-def looks_at(
-    stack: ViewStack, points: tuple, view: int, apart: float, sure: np.ndarray
+def vote_on_points(
+    stack: ViewStack, points: tuple, view: int, close_m: float, sure: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Which points (P) height map `view` has among its four pixels about each, and which it looks through: bool each.
+    """Votes of height map `view` on points (P): bool where it contains them, bool where it sees through them.
 
-    It has those between the lowest and the highest of the four heights, or within `apart` [m] of them. It looks through
+    It has those between the lowest and the highest of the four heights, or within `close_m` of them. It looks through
     those above all four by more, if these are all ``sure`` (pixels) bool. Points are in the frame of the water plane.
     """
     Float, UInt, Byte = stack.device.module.Float, stack.device.module.UInt, stack.device.module.UInt8
-    u, v, inside = seen_at(stack.numbers[view], points, stack.n_water, stack.beyond)
+    u, v, inside = project(stack.camera_rows[view], points, stack.n_water, stack.terms)
     corner, _, _ = _corner(stack, u, v, inside)
-    width, reach, known = dr.opaque(UInt, stack.width), dr.opaque(Float, apart), Byte(sure.ravel().view(np.uint8))
+    width, reach, known = dr.opaque(UInt, stack.width), dr.opaque(Float, close_m), Byte(sure.ravel().view(np.uint8))
     four = [corner + offset for offset in (0, 1, width, width + 1)]
     heights = [dr.gather(Float, stack.pixels[view], each, inside) for each in four]
     low, high = (dr.minimum(heights[0], heights[1]), dr.maximum(heights[0], heights[1]))

@@ -1,6 +1,6 @@
-"""How well neighbours agree with a reference along a ladder of heights, and the best height, in Dr.Jit.
+"""NCC of neighbours with a reference at height hypotheses, and the best height, in Dr.Jit.
 
-    K neighbours, J rungs, P pixels of a strip of rows (with a halo of the window's radius)
+    K neighbours, J hypotheses, P pixels of a strip of rows (with a halo of the window's radius)
     NCC    of the warped intensities W (k, j, p) and the reference (p) over a square window
     score  mean of the best half of the neighbours' NCC, per (j, p): an occluded neighbour scores low and drops out
 
@@ -18,36 +18,36 @@ from typing import Any
 import drjit as dr
 
 from fields.device import Device
-from fields.sweep.kernels.arrays import Room, rung_and_pixel
+from fields.sweep.kernels.arrays import Buffer, hypothesis_and_pixel
 
 # A window flatter than this (grey levels squared, at 8 bits) holds noise, not texture; it lowers NCC there.
 NOISE_VARIANCE = 1.0
-# A ladder is climbed in kernels of this many rungs: one of hundreds, in one kernel, takes minutes to compile.
-RUNGS_PER_KERNEL = 8
+# Hypotheses of one kernel of `best_height`: hundreds in one kernel take minutes to compile.
+HYPOTHESES_PER_KERNEL = 8
 
 
-def buffers(device: Device, count: int, size: int) -> list[Room]:
-    """Memory for W of so many neighbours, of J * P each, and for the reference: to be asked for before `warp`."""
-    return [Room.of(device, size) for _ in range(count + 1)]
+def buffers(device: Device, count: int, size: int) -> list[Buffer]:
+    """Memory for W of so many neighbours, of J * P each, and for the reference; allocate it before `warp`."""
+    return [Buffer.of(device, size) for _ in range(count + 1)]
 
 
-def _shifted(device: Device, room: Room, first: int, count: int):
-    """A run of consecutive values of an array: on the CPU a view of its memory, which kernels read in whole vectors."""
+def _shifted(device: Device, room: Buffer, first: int, count: int):
+    """Slice of an array: on the CPU a view of its memory, which kernels read in whole vectors."""
     if room.memory is not None:
         return device.module.Float(room.memory[first : first + count])
     UInt = device.module.UInt
     return dr.gather(type(room.array), room.array, dr.arange(UInt, count) + dr.opaque(UInt, first))
 
 
-def windows(device: Device, reference, values: list[Room], width: int, radius: int) -> list[list]:
-    """The pixels of all windows of the reference, and of W of each neighbour, place by place.
+def windows(device: Device, reference, values: list[Buffer], width: int, radius: int) -> list[list]:
+    """Pixels of all windows of the reference and of W of each neighbour, one array per place in the window.
 
     ``values`` are the `buffers` that `warp` has filled; the last of them, that of the reference, is filled here.
     """
     Float, (*values, greys) = device.module.Float, values
     total = greys.size
     index = dr.arange(device.module.UInt, total)
-    grey = dr.gather(Float, reference, rung_and_pixel(device, total, dr.width(reference))[1])
+    grey = dr.gather(Float, reference, hypothesis_and_pixel(device, total, dr.width(reference))[1])
     dr.scatter(greys.array, grey, index)
     dr.eval(greys.array)
     side = 2 * radius + 1
@@ -136,15 +136,15 @@ def best_half(device: Device, scores: list):
 
 
 def best_height(device: Device, mean, start, step: float, count: int):
-    """Best height per pixel with a parabola through its neighbours on the ladder, its score and its sharpness.
+    """Best height per pixel by a parabola through the best score and its two neighbours, its score and curvature.
 
     ``mean`` (J * P - 2 M) has lost M values at either end; so have the results, of P - 2 M.
 
     Returns
     -------
     height : [m]
-    score : of the best rung
-    curvature : [1/m^2], minus the second derivative of the score; 0 where the best rung is at an end
+    score : of the best hypothesis
+    curvature : [1/m^2], minus the second derivative of the score; 0 where the best hypothesis is at an end
     """
     Float, UInt = device.module.Float, device.module.UInt
     lost = dr.width(start) * count - dr.width(mean)
@@ -163,7 +163,7 @@ def best_height(device: Device, mean, start, step: float, count: int):
         low = dr.select(better, before, low)
         high = dr.select(better, score, high)
         before = score
-        if j % RUNGS_PER_KERNEL == 0:
+        if j % HYPOTHESES_PER_KERNEL == 0:
             dr.eval(best, at, low, high, before)
     inner = (at > 0.5) & (at < dr.opaque(Float, count - 1.5))
     bend = 2.0 * best - low - high

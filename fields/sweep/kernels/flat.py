@@ -1,6 +1,6 @@
 """Flat arrays of a device, for what is written once for Dr.Jit and torch: the functions these name differently.
 
-Whole numbers have a sign. Numbers that differ from view to view are made by `given`: kernels of Dr.Jit take them as
+Whole numbers have a sign. Numbers that differ from view to view are made by `scalar`: kernels of Dr.Jit take them as
 arguments, and need not be made anew.
 """
 
@@ -25,16 +25,16 @@ def is_torch(array: Any) -> bool:
     return kernels.namespace(array).name == "torch"
 
 
-def flat_of(image: Any) -> Any:
-    """The pixels of an image (height, width), row by row; a flat array stays as it is."""
+def flatten(image: Any) -> Any:
+    """Pixels of an image (height, width), row by row; a flat array stays as it is."""
     if is_torch(image):
         return image.reshape(-1)
     drjit = _drjit()
     return image.array if drjit.is_tensor_v(image) else image
 
 
-def image_of(flat: Any, shape: tuple[int, ...]) -> Any:
-    """An image of flat pixels, computed."""
+def unflatten(flat: Any, shape: tuple[int, ...]) -> Any:
+    """Image of flat pixels, evaluated."""
     if is_torch(flat):
         return flat.reshape(shape)
     drjit = _drjit()
@@ -43,32 +43,32 @@ def image_of(flat: Any, shape: tuple[int, ...]) -> Any:
 
 
 def size_of(flat: Any) -> int:
-    """How many pixels there are."""
+    """Number of pixels."""
     return len(flat)
 
 
-def numbers(like: Any, count: int) -> Any:
-    """The whole numbers from 0 on, so many, where an array is."""
+def arange(like: Any, count: int) -> Any:
+    """Whole numbers 0 to ``count`` - 1, on the device of an array."""
     if is_torch(like):
         import torch
 
         return torch.arange(count, device=like.device)
     drjit = _drjit()
-    return drjit.arange(drjit.int32_array_t(type(flat_of(like))), count)
+    return drjit.arange(drjit.int32_array_t(type(flatten(like))), count)
 
 
-def given(like: Any, value: float) -> Any:
-    """A number for kernels on the device of an array: whole if it is an int."""
+def scalar(like: Any, value: float) -> Any:
+    """Scalar argument of kernels on the device of an array: whole if it is an int."""
     is_whole = isinstance(value, int | np.integer)
     if is_torch(like):
         return int(value) if is_whole else float(value)
     drjit = _drjit()
-    kind = type(flat_of(like))
+    kind = type(flatten(like))
     return drjit.opaque(drjit.int32_array_t(kind) if is_whole else drjit.float32_array_t(kind), value)
 
 
-def all_given(like: Any, values: np.ndarray) -> Any:
-    """Numbers (N,) of the host, whole ones or float32, where an array is."""
+def vector(like: Any, values: np.ndarray) -> Any:
+    """Numbers (N,) of the host, whole ones or float32, on the device of an array."""
     is_whole = np.issubdtype(values.dtype, np.integer)
     values = np.ascontiguousarray(values, dtype=np.int32 if is_whole else np.float32)
     if is_torch(like):
@@ -77,11 +77,11 @@ def all_given(like: Any, values: np.ndarray) -> Any:
         found = torch.from_numpy(values).to(like.device)
         return found.long() if is_whole else found
     drjit = _drjit()
-    kind = type(flat_of(like))
+    kind = type(flatten(like))
     return (drjit.int32_array_t(kind) if is_whole else drjit.float32_array_t(kind))(values)
 
 
-def real(array: Any) -> Any:
+def to_float(array: Any) -> Any:
     """Whole numbers, or a mask, as float32."""
     if is_torch(array):
         return array.float()
@@ -90,33 +90,33 @@ def real(array: Any) -> Any:
     return drjit.select(array, kind(1.0), kind(0.0)) if drjit.is_mask_v(array) else kind(array)
 
 
-def filled_with(like: Any, value: float, count: int) -> Any:
-    """So many times a number, in memory of its own."""
+def constant_array(like: Any, value: float, count: int) -> Any:
+    """Array of a constant, in memory of its own."""
     if is_torch(like):
         import torch
 
         return torch.full((count,), value, device=like.device)
     drjit = _drjit()
-    return drjit.opaque(drjit.float32_array_t(type(flat_of(like))), value, count)
+    return drjit.opaque(drjit.float32_array_t(type(flatten(like))), value, count)
 
 
-def copied(flat: Any) -> Any:
-    """The same values, to be written to."""
+def copy_of(flat: Any) -> Any:
+    """Copy that may be written to."""
     if is_torch(flat):
         return flat.clone()
     return type(flat)(flat)
 
 
-def taken(flat: Any, index: Any) -> Any:
-    """The values at whole numbers."""
+def gather(flat: Any, index: Any) -> Any:
+    """Values at indices."""
     if is_torch(flat):
         return flat[index]
     drjit = _drjit()
     return drjit.gather(type(flat), flat, drjit.uint32_array_t(type(index))(index))
 
 
-def scattered(target: Any, index: Any, values: Any, mask: Any | None = None) -> None:
-    """Set values at whole numbers, or at those of them that a mask has."""
+def scatter(target: Any, index: Any, values: Any, mask: Any | None = None) -> None:
+    """Set values at indices, where an optional mask is True."""
     if is_torch(target):
         if mask is None:
             target[index] = values
@@ -129,8 +129,8 @@ def scattered(target: Any, index: Any, values: Any, mask: Any | None = None) -> 
     drjit.eval(target)
 
 
-def where_true(mask: Any) -> Any:
-    """The whole numbers at which a mask (N,) holds."""
+def nonzero(mask: Any) -> Any:
+    """Indices of the True values of a mask (N,)."""
     if is_torch(mask):
         return mask.nonzero()[:, 0]
     drjit = _drjit()
@@ -138,27 +138,27 @@ def where_true(mask: Any) -> Any:
     return drjit.int32_array_t(type(found))(found)
 
 
-def computed(*arrays: Any) -> None:
-    """Let Dr.Jit compute what it has only noted down so far."""
+def evaluate(*arrays: Any) -> None:
+    """Evaluate the traced arrays of Dr.Jit."""
     if not is_torch(arrays[0]):
         _drjit().eval(*arrays)
 
 
-def on_host(array: Any) -> np.ndarray:
-    """A flat array, or an image, in the memory of the host."""
+def as_numpy(array: Any) -> np.ndarray:
+    """Flat array, or image, as numpy."""
     return array.cpu().numpy() if is_torch(array) else array.numpy()
 
 
-def counted(mask: Any) -> int:
-    """How often a mask (N,) holds: waits for it."""
+def count_true(mask: Any) -> int:
+    """Number of True values of a mask (N,); waits for it."""
     if is_torch(mask):
         return int(mask.sum())
     drjit = _drjit()
     return int(drjit.count(mask)[0])
 
 
-def ranked(flat: Any, rank: int) -> float:
-    """The value with so many smaller ones before it, from 0: waits for it. No value may be NaN."""
+def kth_smallest(flat: Any, rank: int) -> float:
+    """Value of a rank, from 0; waits for it. No value may be NaN."""
     if is_torch(flat):
         return float(flat.sort().values[rank])
     drjit = _drjit()
@@ -169,7 +169,7 @@ def ranked(flat: Any, rank: int) -> float:
     low, high = -(2**31), 2**31 - 1
     while low < high:
         middle = (low + high) // 2
-        if counted(keys <= drjit.opaque(type(keys), middle)) > rank:
+        if count_true(keys <= drjit.opaque(type(keys), middle)) > rank:
             high = middle
         else:
             low = middle + 1

@@ -1,8 +1,8 @@
-"""Kernels of one view while another is prepared: jobs that take turns, in one thread.
+"""Queue of kernel jobs: one view's kernels run while another view is prepared, in one thread.
 
-Dr.Jit starts kernels and goes on; what is read back waits for all that were started. So a job tells what it would
-start and is handed what that gave: between the two another job starts its own kernels and this thread works beside
-them. Several threads would share Python's lock, and wait for each other.
+Dr.Jit launches kernels asynchronously; reading a result waits for all that were launched. So a job yields what it would
+launch and receives the results: between the two another job launches its own kernels, and this thread prepares the next
+ones. Several threads would wait for each other at the GIL.
 """
 
 from __future__ import annotations
@@ -20,66 +20,66 @@ Found = TypeVar("Found")
 
 
 @dataclass(frozen=True)
-class Launched:
-    """Kernels that may still run.
+class Launch:
+    """Kernels that may still be running.
 
     Attributes
     ----------
     results : flat arrays of the device
-    held : what they read
-        The threads of Dr.Jit that let go of memory of numpy need Python's lock for it: not while other work has that.
+    inputs : arrays that they read
+        Threads of Dr.Jit that free memory of numpy need the GIL: it must not happen while this thread holds it.
     """
 
     results: list[Any]
-    held: Any = None
+    inputs: Any = None
 
 
-# Gives what is to be launched, each time is handed the results as flat arrays, and returns what it found.
-Job = Generator[Callable[[], Launched], list[Any], Found]
+# Yields what is to be launched, receives the results as flat arrays each time, and returns what it found.
+Job = Generator[Callable[[], Launch], list[Any], Found]
 
 
-def alone(device: Device, job: Job[Found]) -> Found:
-    """What a job finds."""
-    (found,) = in_turn(device, [job])
+def run_job(device: Device, job: Job[Found]) -> Found:
+    """Result of a single job."""
+    (found,) = run_jobs(device, [job])
     return found
 
 
-def in_turn(device: Device, jobs: Iterable[Job[Found]], most: int = 2) -> Iterator[Found]:
-    """What jobs find, in their order. At most so many are under way, of which one has kernels that run."""
-    numbered, turn = enumerate(jobs), _Turn({}, deque())
-    running: tuple[int, Job, Launched] | None = None
+def run_jobs(device: Device, jobs: Iterable[Job[Found]], most: int = 2) -> Iterator[Found]:
+    """Results of jobs in their order; at most ``most`` are under way, one of which has kernels running."""
+    numbered, turn = enumerate(jobs), _Queue({}, deque())
+    running: tuple[int, Job, Launch] | None = None
     for wanted in count():
         while wanted not in turn.found:
-            landed = None
+            finished = None
             if running is not None:
                 number, job, launched = running
-                # Waits; from here to the next launch no kernel runs, and what the last ones read is let go.
-                landed = number, job, results(device, launched.results)
+                # Waits; no kernel runs until the next launch, and the inputs of the last ones are freed.
+                finished = number, job, results(device, launched.results)
                 running = None
                 del launched
             if turn.ready:
                 number, job, launch = turn.ready.popleft()
                 running = number, job, launch()
-            if landed is not None:
-                turn.go_on(*landed)
+            if finished is not None:
+                turn.advance(*finished)
             if len(turn.ready) + (running is not None) < most:
                 following = next(numbered, None)
                 if following is not None:
-                    turn.go_on(*following, None)
+                    turn.advance(*following, None)
                 elif not turn.ready and running is None and wanted not in turn.found:
                     return
         yield turn.found.pop(wanted)
 
 
 @dataclass(frozen=True)
-class _Turn:
-    """What jobs have found, by number, and those that wait for their turn, with what they launch then."""
+class _Queue:
+    """Results by job number, and the jobs that wait, with their next launch."""
 
     found: dict[int, Any]
-    ready: deque[tuple[int, Job, Callable[[], Launched]]]
+    ready: deque[tuple[int, Job, Callable[[], Launch]]]
 
-    def go_on(self, number: int, job: Job, results: list[Any] | None) -> None:
-        """Hand a job its results, and take what it launches next or what it found."""
+    def advance(self, number: int, job: Job, results: list[Any] | None) -> None:
+        """Send a job its results and queue its next launch, or store what it returns."""
         try:
             self.ready.append((number, job, next(job) if results is None else job.send(results)))
         except StopIteration as end:

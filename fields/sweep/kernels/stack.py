@@ -1,4 +1,4 @@
-"""Images of one size with their cameras and the water, laid out on the device that compares them."""
+"""Stack of images of one size with their cameras and the water, on the device of the kernels."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from fields.device import Device, memory_bytes
-from fields.image_store import Lazy, Recent, most_kept
+from fields.image_store import LazyImages, LruCache, num_cached
 from fields.skips import SKIPS, Skips
 from fields.sweep.kernels.arrays import constant, floats, words
 from refract import FlatWater, PinholeCamera
@@ -21,17 +21,17 @@ from refract.distortion import ROW as LENS_ROW
 _PINHOLE_ROW, _MOTION_ROW, _TIDE_ROW = 18, 3, 1
 # The first level of a word of 16 bits a level where any of its four pixels is masked.
 MASKED = 2**16 - 1
-# Packed images that are kept on a processor, in bytes, or so many: a view's neighbours and those of the next.
+# Cache of packed images on a processor, in bytes, and at least so many: the neighbours of two views.
 KEPT_BYTES, FEWEST_KEPT = 200_000_000, 20
-# Share of the memory of a device that is apart: height maps take half of it.
+# Share of the memory of a device that packed images take: height maps take half.
 _OF_MEMORY = 0.25
 # Levels that span less are taken to span so much.
 LEAST_SPAN = 1e-3
 
 
 @dataclass(frozen=True)
-class Beyond:
-    """What some of a number of cameras have beyond a pinhole: kernels leave out the rest when they are traced.
+class CameraTerms:
+    """Terms beyond the pinhole model that any of some cameras has; kernels are traced without the others.
 
     Attributes
     ----------
@@ -48,12 +48,12 @@ class Beyond:
     tides: bool
 
     @staticmethod
-    def of(cameras: list[PinholeCamera], skips: Skips = SKIPS) -> Beyond:
-        """That of cameras, or all that there may be."""
+    def of(cameras: list[PinholeCamera], skips: Skips = SKIPS) -> CameraTerms:
+        """Terms of some cameras, or all that there may be."""
         if not skips.lens:
-            return Beyond(KINDS, True, True)
+            return CameraTerms(KINDS, True, True)
         moves, tides = any(c.motion is not None for c in cameras), any(c.tide != 0.0 for c in cameras)
-        return Beyond(kinds_of(c.distortion for c in cameras), moves, tides)
+        return CameraTerms(kinds_of(c.distortion for c in cameras), moves, tides)
 
     @property
     def row(self) -> int:
@@ -65,21 +65,21 @@ class Beyond:
         return _PINHOLE_ROW + (_MOTION_ROW if self.moves else 0)
 
     def motion(self, row):
-        """The part of a row that says how far the camera flies from one row of the image to the next [m/px]."""
+        """Motion of the camera from one row of the image to the next [m/px]."""
         return row[_PINHOLE_ROW : _PINHOLE_ROW + _MOTION_ROW]
 
     def tide(self, row):
-        """The number of a row that says how high the camera's own water is over the plane, along its normal [m]."""
+        """Height of the camera's own water level over the plane, along its normal [m]."""
         return row[self._tide_at]
 
     def lens(self, row):
-        """The part of a row that is that of `refract.distortion`."""
+        """Parameters of `refract.distortion`."""
         return row[len(row) - LENS_ROW :]
 
 
 @dataclass(frozen=True)
 class PlaneFrame:
-    """The frame of the water plane, in which z is the height over it; local itself in a dry survey.
+    """Frame of the water plane, in which z is the height over it; local itself in a dry survey.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ class PlaneFrame:
 
     @staticmethod
     def of(water: FlatWater | None) -> PlaneFrame:
-        """That of a plane of water."""
+        """Frame of a water plane."""
         if water is None:
             return PlaneFrame(np.zeros(3), np.eye(3))
         up = np.asarray(water.up, dtype=np.float64)
@@ -103,14 +103,14 @@ class PlaneFrame:
         return PlaneFrame(up * (up @ np.asarray(water.point)), np.stack([east, np.cross(up, east), up]))
 
 
-def index_of(water: FlatWater | None, skips: Skips) -> float | None:
-    """Index of the water; None where rays are straight, and nothing need be bent."""
+def refractive_index(water: FlatWater | None, skips: Skips) -> float | None:
+    """Refractive index of the water; None where rays are straight."""
     index = 1.0 if water is None else water.n_water
     return None if index == 1.0 and skips.air else index
 
 
-def camera_table(cameras: list[PinholeCamera], beyond: Beyond, frame: PlaneFrame) -> np.ndarray:
-    """Rotation (9), centre (3), fx, fy, cx, cy, width, height of each camera, and what it has beyond a pinhole.
+def camera_table(cameras: list[PinholeCamera], terms: CameraTerms, frame: PlaneFrame) -> np.ndarray:
+    """Parameters of each camera: rotation (9), centre (3), fx, fy, cx, cy, width, height, and `CameraTerms`.
 
     (cameras, 18 and more) float64, in a frame. The height of a centre is over the camera's own water, where the water
     moves: the frame is lower by the tide.
@@ -121,9 +121,9 @@ def camera_table(cameras: list[PinholeCamera], beyond: Beyond, frame: PlaneFrame
         tide = c.tide * frame.from_local[2, 2]
         centre[2] -= tide
         inner = (c.fx, c.fy, c.cx, c.cy, c.width, c.height)
-        motion = (np.zeros(3) if c.motion is None else frame.from_local @ c.motion) if beyond.moves else ()
-        own = (tide,) if beyond.tides else ()
-        lens = row_of(c.distortion) if beyond.lenses else ()
+        motion = (np.zeros(3) if c.motion is None else frame.from_local @ c.motion) if terms.moves else ()
+        own = (tide,) if terms.tides else ()
+        lens = row_of(c.distortion) if terms.lenses else ()
         rows.append(np.concatenate([rotation.ravel(), centre, inner, motion, own, lens]))
     return np.asarray(rows)
 
@@ -172,9 +172,9 @@ class ViewStack:
             If a size differs.
         """
         size = (cameras[0].height, cameras[0].width)
-        if not isinstance(images, Lazy):
+        if not isinstance(images, LazyImages):
             images = [np.asarray(image, dtype=np.float32) for image in images]
-        shapes = [images.shape] * len(images) if isinstance(images, Lazy) else [i.shape for i in images]
+        shapes = [images.shape] * len(images) if isinstance(images, LazyImages) else [i.shape for i in images]
         for camera, shape in zip(cameras, shapes, strict=True):
             if shape != size or (camera.height, camera.width) != size:
                 raise ValueError(
@@ -194,12 +194,12 @@ class ViewStack:
     @property
     def n_water(self) -> float | None:
         """Index of the water; None where rays are straight."""
-        return index_of(self.water, self.skips)
+        return refractive_index(self.water, self.skips)
 
     @cached_property
-    def beyond(self) -> Beyond:
-        """What its cameras have beyond pinholes."""
-        return Beyond.of(self.cameras, self.skips)
+    def terms(self) -> CameraTerms:
+        """Terms beyond the pinhole model of its cameras."""
+        return CameraTerms.of(self.cameras, self.skips)
 
     @cached_property
     def frame(self) -> PlaneFrame:
@@ -207,28 +207,28 @@ class ViewStack:
         return PlaneFrame.of(self.water)
 
     @cached_property
-    def numbers(self) -> list[list]:
+    def camera_rows(self) -> list[list]:
         """The row of `camera_table` of each camera, as constants of the device."""
-        table = camera_table(self.cameras, self.beyond, self.frame)
+        table = camera_table(self.cameras, self.terms, self.frame)
         return [[constant(self.device, c) for c in row] for row in table]
 
     @cached_property
-    def pixels(self) -> Recent[int, Any]:
+    def pixels(self) -> LruCache[int, Any]:
         """Images as flat arrays (height * width) of the device, float32: of height maps, which are compared."""
-        most = most_kept(4 * self.height * self.width, KEPT_BYTES, FEWEST_KEPT)
-        # Without the stack itself: in a circle with it they would stay until the next search for circles.
+        most = num_cached(4 * self.height * self.width, KEPT_BYTES, FEWEST_KEPT)
+        # Without the stack itself: a reference cycle would keep the arrays until the next garbage collection.
         device, images = self.device, self.images
-        return Recent(lambda view: floats(device, images[view]), most)
+        return LruCache(lambda view: floats(device, images[view]), most)
 
     @cached_property
-    def quads(self) -> Quads:
+    def packed(self) -> PackedImages:
         """All images, packed for sampling."""
-        return Quads.build(self.device, self.images)
+        return PackedImages.build(self.device, self.images)
 
 
 @dataclass(frozen=True)
-class Quads:
-    """Images of one size, packed.
+class PackedImages:
+    """Images of one size, packed for one lookup per bilinear sample.
 
     Attributes
     ----------
@@ -237,32 +237,32 @@ class Quads:
     low, step : of the levels, ``low + step * whole``
     """
 
-    values: Recent[int, Any]
+    values: LruCache[int, Any]
     bits: int
     low: float
     step: float
 
     @staticmethod
-    def build(device: Device, images: Sequence[np.ndarray]) -> Quads:
+    def build(device: Device, images: Sequence[np.ndarray]) -> PackedImages:
         """Pack images (height, width) float32 of one size, each when it is needed; NaN is masked."""
-        least, most, are_whole = np.inf, -np.inf, True
+        least, most, are_unmasked = np.inf, -np.inf, True
         for image in images:
             if not np.isnan(image).all():
                 least, most = min(least, float(np.nanmin(image))), max(most, float(np.nanmax(image)))
-            are_whole = are_whole and np.array_equal(np.rint(image), image)
+            are_unmasked = are_unmasked and np.array_equal(np.rint(image), image)
         least, most = (0.0, 0.0) if most < least else (least, most)
-        bits = 8 if most - least < 2**8 and are_whole else 16
+        bits = 8 if most - least < 2**8 and are_unmasked else 16
         step = 1.0 if bits == 8 else 2.0 ** np.ceil(np.log2(max(most - least, LEAST_SPAN) / (MASKED - 2)))
         low = step * np.floor(least / step)
         size = images[0].size * bits // 2
         budget = max(int(_OF_MEMORY * memory_bytes(device)), KEPT_BYTES)
-        kept = most_kept(size, budget, FEWEST_KEPT)
-        values: Recent[int, Any] = Recent(lambda view: words(device, _packed(images[view], low, step, bits)), kept)
-        return Quads(values, bits, float(low), float(step))
+        kept = num_cached(size, budget, FEWEST_KEPT)
+        values: LruCache[int, Any] = LruCache(lambda view: words(device, _packed(images[view], low, step, bits)), kept)
+        return PackedImages(values, bits, float(low), float(step))
 
 
 def _packed(image: np.ndarray, low: float, step: float, bits: int) -> np.ndarray:
-    """The words (height, width) of one image; the last row and column are neighbours of themselves."""
+    """Words (height, width) of one image; the last row and column repeat."""
     if bits == 8:
         return _words((image - np.float32(low)).astype(np.uint8), np.uint32)
     masked = np.isnan(image)
@@ -271,17 +271,17 @@ def _packed(image: np.ndarray, low: float, step: float, bits: int) -> np.ndarray
     levels /= step
     target = _words(np.rint(levels, out=levels).clip(min=0.0, out=levels).astype(np.uint16), np.uint64)
     if masked.any():
-        four = _four(masked.astype(np.uint8))
+        four = _shifted_images(masked.astype(np.uint8))
         target.view(np.uint16)[..., ::4][(four[0] | four[1] | four[2] | four[3]).view(bool)] = MASKED
     return target
 
 
 def _words(levels: np.ndarray, word: type) -> np.ndarray:
-    """Four levels a word."""
-    return cv2.merge(_four(levels)).view(word)[..., 0]
+    """Words of four levels each."""
+    return cv2.merge(_shifted_images(levels)).view(word)[..., 0]
 
 
-def _four(image: np.ndarray) -> list[np.ndarray]:
-    """An image, and what lies to the right of, below, and below to the right of each pixel."""
+def _shifted_images(image: np.ndarray) -> list[np.ndarray]:
+    """An image and its shifts to the right, below, and below right."""
     image = cv2.copyMakeBorder(image, 0, 1, 0, 1, cv2.BORDER_REPLICATE)
     return [image[:-1, :-1], image[:-1, 1:], image[1:, :-1], image[1:, 1:]]

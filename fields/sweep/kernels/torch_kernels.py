@@ -1,6 +1,6 @@
 """The kernels of the sweep in torch: the twin of `drjit_kernels` and `drjit_scoring` where Dr.Jit does not run.
 
-The same functions with the same signatures and shapes (K neighbours, J rungs, P pixels of a strip, flat). Torch
+The same functions with the same signatures and shapes (K neighbours, J hypotheses, P pixels of a strip, flat). Torch
 computes step by step, so samples are taken in portions that stay in the processor's cache.
 """
 
@@ -13,19 +13,19 @@ from torch import Tensor
 from fields.device import Device
 from fields.sweep.kernels.arrays import floats, indices
 from fields.sweep.kernels.rays import (
-    course_through,
-    in_front,
-    legs_through,
-    place_at,
-    place_on,
+    fit_curve,
+    in_front_of_camera,
     point_at,
-    sections,
-    seen_at,
-    through_water,
+    point_on_curve,
+    project,
+    project_with_depth,
+    refracted_rays,
+    segments,
+    straddling_pixels,
 )
-from fields.sweep.kernels.stack import MASKED, Beyond, Hypotheses, ViewStack, camera_table
+from fields.sweep.kernels.stack import MASKED, CameraTerms, Hypotheses, ViewStack, camera_table
 
-# Samples (neighbours x rungs x pixels) of one strip: 32 MB an array.
+# Samples (neighbours x hypotheses x pixels) of one strip: 32 MB an array.
 SAMPLES_PER_LAUNCH = 8_000_000
 # Samples that one operation takes on: 1 MB an array.
 PORTION = 250_000
@@ -33,39 +33,39 @@ PORTION = 250_000
 NOISE_VARIANCE = 1.0
 
 
-def legs_of(stack: ViewStack, view: int, first_row: int, rows: int) -> list[Tensor]:
+def rays_of_rows(stack: ViewStack, view: int, first_row: int, rows: int) -> list[Tensor]:
     """Rays (`fields.sweep.kernels.rays`) of a strip of pixels of `view`: six tensors of P = rows * width, or more."""
     first = first_row * stack.width
-    return _legs_through(stack, view, torch.arange(first, first + rows * stack.width, device=stack.device.place))
+    return _refracted_rays(stack, view, torch.arange(first, first + rows * stack.width, device=stack.device.place))
 
 
-def legs_at(stack: ViewStack, view: int, pixels: np.ndarray) -> list[Tensor]:
-    """Legs of chosen pixels (flat indices) of a view."""
-    return _legs_through(stack, view, indices(stack.device, pixels))
+def rays_of_pixels(stack: ViewStack, view: int, pixels: np.ndarray) -> list[Tensor]:
+    """Rays of chosen pixels (flat indices) of a view."""
+    return _refracted_rays(stack, view, indices(stack.device, pixels))
 
 
-def _legs_through(stack: ViewStack, view: int, index: Tensor) -> list[Tensor]:
+def _refracted_rays(stack: ViewStack, view: int, index: Tensor) -> list[Tensor]:
     line = index // stack.width
     u, v = (index - line * stack.width).float() + 0.5, line.float() + 0.5
     cameras = [stack.cameras[view]]
-    beyond = Beyond.of(cameras)
-    camera = camera_table(cameras, beyond, stack.frame)[0].tolist()
-    return legs_through(camera, u, v, stack.n_water or 1.0, beyond)
+    terms = CameraTerms.of(cameras)
+    camera = camera_table(cameras, terms, stack.frame)[0].tolist()
+    return refracted_rays(camera, u, v, stack.n_water or 1.0, terms)
 
 
-def project_at(stack: ViewStack, legs, z: Tensor, view: int):
+def project_rays(stack: ViewStack, rays, z: Tensor, view: int):
     """Pixel position in `view`, and whether inside it, of each path at its height of `z`."""
-    return seen_at(stack.numbers[view], point_at(legs, z), stack.n_water, stack.beyond)
+    return project(stack.camera_rows[view], point_at(rays, z), stack.n_water, stack.terms)
 
 
 def _corner(stack: ViewStack, u: Tensor, v: Tensor, inside: Tensor):
-    """Index within its image of the upper left of the four pixels about (u, v), and the way from there [px]."""
+    """Flat index of the upper left of the four pixels about (u, v), and the offset from it [px]."""
     x, y = torch.where(inside, u - 0.5, 0.0), torch.where(inside, v - 0.5, 0.0)
     x0, y0 = x.long(), y.long()
     return y0 * stack.width + x0, x - x0, y - y0
 
 
-def _between(corners: list[Tensor], fx: Tensor, fy: Tensor) -> Tensor:
+def _bilinear(corners: list[Tensor], fx: Tensor, fy: Tensor) -> Tensor:
     """Bilinear interpolation between four corners, row by row."""
     a, b, c, d = corners
     top, bottom = torch.addcmul(a, fx, b - a), torch.addcmul(c, fx, d - c)
@@ -76,58 +76,63 @@ def sample(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Tensor) ->
     """Bilinear lookup in image `view` at pixel position (u, v); NaN where not inside."""
     corner, fx, fy = _corner(stack, u, v, inside)
     corners = [stack.pixels[view][corner + offset] for offset in (0, 1, stack.width, stack.width + 1)]
-    return torch.where(inside, _between(corners, fx, fy), torch.nan)
+    return torch.where(inside, _bilinear(corners, fx, fy), torch.nan)
 
 
-def look_up(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Tensor) -> Tensor:
-    """As `sample`, of `ViewStack.quads`: one lookup instead of four."""
-    quads = stack.quads
+def sample_packed(stack: ViewStack, view: int, u: Tensor, v: Tensor, inside: Tensor) -> Tensor:
+    """As `sample`, of `ViewStack.packed`: one lookup instead of four."""
+    packed = stack.packed
     corner, fx, fy = _corner(stack, u, v, inside)
-    word = quads.values[view][corner]
-    parts = [(word >> (place * quads.bits)) & (2**quads.bits - 1) for place in range(4)]
-    value = _between([part.float() for part in parts], fx, fy) * quads.step + quads.low
+    word = packed.values[view][corner]
+    parts = [(word >> (place * packed.bits)) & (2**packed.bits - 1) for place in range(4)]
+    value = _bilinear([part.float() for part in parts], fx, fy) * packed.step + packed.low
     return torch.where(inside & (parts[0] != MASKED), value, torch.nan)
 
 
-def warp(values: list[Tensor], stack: ViewStack, legs, hypotheses: Hypotheses, neighbours: list[int]) -> None:
+def warp(values: list[Tensor], stack: ViewStack, rays, hypotheses: Hypotheses, neighbours: list[int]) -> None:
     """Fill ``values`` (`buffers`) with W of each neighbour; NaN outside its image."""
     start, step, count = hypotheses.start, hypotheses.step, hypotheses.count
     begin = floats(stack.device, start)
     arrays = [each.view(count, len(begin)) for each in values]
-    ladder = torch.arange(count, dtype=torch.float32, device=begin.device)[:, None]
-    for part in sections(count):
+    numbers = torch.arange(count, dtype=torch.float32, device=begin.device)[:, None]
+    for part in segments(count):
         span = step * max(len(part) - 1, 1)
-        three = [point_at(legs, begin + step * part.start + share * span) for share in (0.0, 0.5, 1.0)]
-        courses = [
-            course_through([in_front(place_at(stack.numbers[view], p, stack.n_water, stack.beyond)) for p in three])
+        three = [point_at(rays, begin + step * part.start + share * span) for share in (0.0, 0.5, 1.0)]
+        curves = [
+            fit_curve(
+                [
+                    in_front_of_camera(project_with_depth(stack.camera_rows[view], p, stack.n_water, stack.terms))
+                    for p in three
+                ]
+            )
             for view in neighbours
         ]
         per_call = max(1, PORTION // len(begin))
         for first in range(part.start, part.stop, per_call):
             rows = slice(first, min(first + per_call, part.stop))
-            at = (ladder[rows] - part.start) * (step / span)
-            for target, course, view in zip(arrays, courses, neighbours, strict=True):
-                target[rows] = look_up(stack, view, *place_on(course, at, stack.numbers[view]))
-        wet_and_dry = indices(stack.device, through_water(stack, start, step, part))
-        if len(wet_and_dry):
-            some = [leg[wet_and_dry] for leg in legs]
-            points = point_at(some, begin[wet_and_dry] + step * ladder[part.start : part.stop])
+            at = (numbers[rows] - part.start) * (step / span)
+            for target, curve, view in zip(arrays, curves, neighbours, strict=True):
+                target[rows] = sample_packed(stack, view, *point_on_curve(curve, at, stack.camera_rows[view]))
+        straddling = indices(stack.device, straddling_pixels(stack, start, step, part))
+        if len(straddling):
+            some = [leg[straddling] for leg in rays]
+            points = point_at(some, begin[straddling] + step * numbers[part.start : part.stop])
             for target, view in zip(arrays, neighbours, strict=True):
-                seen = seen_at(stack.numbers[view], points, stack.n_water, stack.beyond)
-                target[part.start : part.stop, wet_and_dry] = look_up(stack, view, *seen)
+                seen = project(stack.camera_rows[view], points, stack.n_water, stack.terms)
+                target[part.start : part.stop, straddling] = sample_packed(stack, view, *seen)
 
 
-def compare(
+def compare_heights(
     stack: ViewStack, view: int, peers: list[int], tolerance: float, pixels: np.ndarray | None = None
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Count, sum and sum of squares (P) of the differences below `tolerance`; see the twin."""
     if pixels is None:
-        legs, own = legs_of(stack, view, 0, stack.height), stack.pixels[view]
+        rays, own_height = rays_of_rows(stack, view, 0, stack.height), stack.pixels[view]
     else:
-        legs, own = paths_of(stack, view, pixels)
-    count, total, square = torch.zeros_like(own), torch.zeros_like(own), torch.zeros_like(own)
+        rays, own_height = rays_and_heights(stack, view, pixels)
+    count, total, square = torch.zeros_like(own_height), torch.zeros_like(own_height), torch.zeros_like(own_height)
     for peer in peers:
-        difference = sample(stack, peer, *project_at(stack, legs, own, peer)) - own
+        difference = sample(stack, peer, *project_rays(stack, rays, own_height, peer)) - own_height
         near = difference.abs() < tolerance
         difference = torch.where(near, difference, 0.0)
         count += near
@@ -136,12 +141,12 @@ def compare(
     return count, total, square
 
 
-def looked_through(stack: ViewStack, view: int, peers: list[int], tolerance: float) -> Tensor:
+def count_seeing_through(stack: ViewStack, view: int, peers: list[int], tolerance: float) -> Tensor:
     """How many peers (P) see, through the point of each pixel, something that lies lower; see the twin."""
-    legs, own = legs_of(stack, view, 0, stack.height), stack.pixels[view]
-    count, least = torch.zeros_like(own), own - tolerance
+    rays, own_height = rays_of_rows(stack, view, 0, stack.height), stack.pixels[view]
+    count, least = torch.zeros_like(own_height), own_height - tolerance
     for peer in peers:
-        u, v, lower = project_at(stack, legs, own, peer)
+        u, v, lower = project_rays(stack, rays, own_height, peer)
         corner = _corner(stack, u, v, lower)[0]
         for offset in (0, 1, stack.width, stack.width + 1):
             lower = lower & (stack.pixels[peer][corner + offset] < least)
@@ -149,48 +154,48 @@ def looked_through(stack: ViewStack, view: int, peers: list[int], tolerance: flo
     return count
 
 
-def paths_of(stack: ViewStack, view: int, pixels: np.ndarray) -> tuple[list[Tensor], Tensor]:
-    """Legs of chosen pixels (flat indices) of a view, and their heights in a stack of height maps."""
-    own = stack.pixels[view][indices(stack.device, pixels)]
-    return legs_at(stack, view, pixels), own
+def rays_and_heights(stack: ViewStack, view: int, pixels: np.ndarray) -> tuple[list[Tensor], Tensor]:
+    """Rays of chosen pixels (flat indices) of a view, and their heights in a stack of height maps."""
+    own_height = stack.pixels[view][indices(stack.device, pixels)]
+    return rays_of_pixels(stack, view, pixels), own_height
 
 
-def claim(
-    stack: ViewStack, legs, own: Tensor, later: int, tolerance: float, apart: float
+def find_duplicates(
+    stack: ViewStack, rays, own_height: Tensor, other: int, tolerance: float, close_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The pixels (P) bool of height map `later` that show the bed of paths at their own heights, and those beside them.
+    """Pixels (P) bool of height map `other` that show the points of rays at their heights, and those close to them.
 
     See the twin in Dr.Jit.
     """
-    u, v, inside = project_at(stack, legs, own, later)
+    u, v, inside = project_rays(stack, rays, own_height, other)
     corner, fx, fy = (each[inside] for each in _corner(stack, u, v, inside))
-    own, heights = own[inside], stack.pixels[later]
-    claimed, beside = (torch.zeros(len(heights), dtype=torch.bool, device=heights.device) for _ in range(2))
+    own_height, heights = own_height[inside], stack.pixels[other]
+    claimed, close = (torch.zeros(len(heights), dtype=torch.bool, device=heights.device) for _ in range(2))
     offsets = (0, 1, stack.width, stack.width + 1)
     corners = [heights[corner + offset] for offset in offsets]
-    between = _between(corners, fx, fy)
+    interpolated = _bilinear(corners, fx, fy)
     for offset, there in zip(offsets, corners, strict=True):
-        off = (there - own).abs()
+        off = (there - own_height).abs()
         same = off < tolerance
-        near = same & (torch.minimum(off, (there - between).abs()) < apart)
+        near = same & (torch.minimum(off, (there - interpolated).abs()) < close_m)
         claimed[corner[same] + offset] = True
-        beside[corner[near] + offset] = True
-    return claimed.cpu().numpy(), beside.cpu().numpy()
+        close[corner[near] + offset] = True
+    return claimed.cpu().numpy(), close.cpu().numpy()
 
 
-def looks_at(
-    stack: ViewStack, points: tuple, view: int, apart: float, sure: np.ndarray
+def vote_on_points(
+    stack: ViewStack, points: tuple, view: int, close_m: float, sure: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which points (P) height map `view` has, and which it looks through; see the twin."""
-    u, v, inside = seen_at(stack.numbers[view], points, stack.n_water, stack.beyond)
+    u, v, inside = project(stack.camera_rows[view], points, stack.n_water, stack.terms)
     corner, _, _ = _corner(stack, u, v, inside)
     known = torch.from_numpy(sure.ravel()).to(corner.device)
     four = [corner + offset for offset in (0, 1, stack.width, stack.width + 1)]
     heights = torch.stack([stack.pixels[view][each] for each in four])
     low, high = heights.amin(dim=0), heights.amax(dim=0)
-    below = high + apart < points[2]
+    below = high + close_m < points[2]
     is_sure = inside & torch.stack([known[each] for each in four]).all(dim=0)
-    shown, through = inside & ~below & (low - apart < points[2]), is_sure & below
+    shown, through = inside & ~below & (low - close_m < points[2]), is_sure & below
     return shown.cpu().numpy(), through.cpu().numpy()
 
 
@@ -282,10 +287,10 @@ def best_height(device: Device, mean: Tensor, start: Tensor, step: float, count:
     """Best height [m], its score and its sharpness [1/m^2]; see the twin."""
     lost = len(start) * count - len(mean)
     start = start[lost // 2 : len(start) - lost // 2]
-    # From rung to rung the same place is one strip farther.
-    ladder = mean.as_strided((count, len(start)), (len(start) + lost, 1))
-    at = ladder.argmax(dim=0, keepdim=True)  # the first of equals
-    best, low, high = (ladder.gather(0, i)[0] for i in (at, (at - 1).clamp(min=0), (at + 1).clamp(max=count - 1)))
+    # From hypothesis to hypothesis the same place is one strip farther.
+    scores = mean.as_strided((count, len(start)), (len(start) + lost, 1))
+    at = scores.argmax(dim=0, keepdim=True)  # the first of equals
+    best, low, high = (scores.gather(0, i)[0] for i in (at, (at - 1).clamp(min=0), (at + 1).clamp(max=count - 1)))
     inner = ((at > 0) & (at < count - 1))[0]
     bend = 2.0 * best - low - high
     offset = (0.5 * (high - low) / bend.clamp(min=1e-6)).clamp(-0.5, 0.5)

@@ -27,7 +27,7 @@ from bench_solver import BATHYNERF, FINE, accuracy, inner90, raster_of
 from scipy.ndimage import map_coordinates
 from stress_scenes import bare_sand
 
-from fields.solver.sight import lookup
+from fields.solver.visibility import lookup
 from geo import read_reference
 from refract import PinholeCamera, crossing_point
 from survey.folder.survey import Survey, load_survey

@@ -26,7 +26,7 @@ from unittest.mock import patch
 import numpy as np
 
 from fields.skips import SKIPS
-from fields.solver import solve
+from fields.solver import gauss_newton
 from fields.solver.appearance import Appearance
 from fields.sweep import views
 from fields.sweep.passes import PASSES
@@ -68,7 +68,7 @@ VARIANTS: dict[str, tuple[Callable[[], AbstractContextManager], dict[str, str]]]
     "poses adjusted without asking": (nullcontext, {"poses": "refine"}),
     "--plan full": (nullcontext, {"plan": "full"}),
     "tried: no check of the poses": (nullcontext, {"poses": "fixed"}),
-    "tried: no gain and offset of photographs": (partial(patch.object, solve, "appearance_of", same_light), {}),
+    "tried: no gain and offset of photographs": (partial(patch.object, gauss_newton, "appearance_of", same_light), {}),
     "tried: no last pass": (partial(patch.object, stage_sweep, "PASSES", PASSES[:-1]), {}),
     "tried: no views for one cell alone": (partial(patch.object, views, "_greedy", but_for_one_cell), {}),
 }

@@ -6,8 +6,8 @@ import numpy as np
 from scipy import ndimage
 
 from fields.solver.appearance import brightness_of
-from fields.solver.smoothness import bends_of, stiffness_of
-from fields.solver.solve import Solved, Start, gradients_of
+from fields.solver.gauss_newton import Start, TileSolution, gradients_of
+from fields.solver.smoothness import second_differences_of, stiffness_of
 from fields.solver.tile import Tile
 
 
@@ -16,21 +16,21 @@ def plain_tile(size: int) -> Tile:
     return Tile(0, 0, np.ones((size, size), dtype=bool), np.ones(size * size, dtype=bool))
 
 
-def level(information: float, roughness: float, size: int = 40) -> tuple[Tile, Solved]:
+def level(information: float, roughness: float, size: int = 40) -> tuple[Tile, TileSolution]:
     """A tile with the same information everywhere and level heights."""
     tile = plain_tile(size)
-    bends, zero = bends_of(tile), np.zeros(len(tile), dtype=np.float32)
-    stiffness = stiffness_of(bends.of_heights @ zero, roughness)
+    differences, zero = second_differences_of(tile), np.zeros(len(tile), dtype=np.float32)
+    stiffness = stiffness_of(differences.matrix @ zero, roughness)
     brightness = brightness_of(np.zeros((2, len(tile)), dtype=np.float32))
     slope, motion = np.zeros((2, len(tile))), np.zeros((2, 2, len(tile)))
     everywhere = zero + np.float32(information)
     start = Start(zero, zero)
-    return tile, Solved(zero, everywhere, stiffness, bends, brightness, slope, motion, 1.0, start, zero)
+    return tile, TileSolution(zero, everywhere, stiffness, differences, brightness, slope, motion, 1.0, start, zero)
 
 
 def residuals(
     noise: np.ndarray, depth: float = 2.0, shift_px: float = 0.0, relief: np.ndarray | None = None
-) -> tuple[Tile, Solved]:
+) -> tuple[Tile, TileSolution]:
     """A textured tile whose photographs have this noise (K, 96, 96) and are shifted in waves, each in its own way.
 
     Its heights are level, whatever relief (96, 96) [m] the photographs show.
@@ -45,12 +45,12 @@ def residuals(
     if relief is not None:
         grey = grey - np.einsum("kan,an->kn", motion, np.array(gradients)) * relief.ravel()
     brightness = brightness_of(grey.astype(np.float32))
-    slope = brightness.less_mean(np.einsum("kan,an->kn", motion, np.array(gradients)).astype(np.float32))
+    slope = brightness.minus_albedo(np.einsum("kan,an->kn", motion, np.array(gradients)).astype(np.float32))
     information = np.einsum("kn,kn,kn->n", brightness.weight, slope, slope)
-    zero, bends = np.zeros(len(tile), dtype=np.float32), bends_of(tile)
-    stiffness = stiffness_of(bends.of_heights @ zero, 0.01)
+    zero, differences = np.zeros(len(tile), dtype=np.float32), second_differences_of(tile)
+    stiffness = stiffness_of(differences.matrix @ zero, 0.01)
     height, start = zero - np.float32(depth), Start(zero, zero)
-    return tile, Solved(height, information, stiffness, bends, brightness, slope, motion, 1.0, start, zero)
+    return tile, TileSolution(height, information, stiffness, differences, brightness, slope, motion, 1.0, start, zero)
 
 
 def white(views: int, seed: int = 1) -> np.ndarray:

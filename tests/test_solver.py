@@ -14,13 +14,12 @@ from solved_tiles import plain_tile
 
 from fields.device import choose_device
 from fields.solver.appearance import appearance_of, brightness_of
-from fields.solver.projection import Projection
+from fields.solver.gauss_newton import Start, TileSolution
 from fields.solver.roughness import roughness_of
-from fields.solver.sight import Surface, lookup, sights_of, window_of
-from fields.solver.smoothness import bends_of, stiffness_of
-from fields.solver.solve import Solved, Start
+from fields.solver.smoothness import second_differences_of, stiffness_of
 from fields.solver.solver import SolvedMap, SolverFigures, solve_maps
 from fields.solver.tile import Tile, tiles_of
+from fields.solver.visibility import Projector, Surface, lookup, lookup_window, project_tiles
 from fields.sweep.block import Block
 from fields.sweep.maps import DepthMap
 from refract import FlatWater, PinholeCamera
@@ -136,15 +135,17 @@ def test_pixels_that_look_along_a_wall_keep_the_heights_of_the_sweep():
 def test_planes_have_no_bends_however_steep():
     tile = plain_tile(9)
     rows, columns = tile.places
-    bends = bends_of(tile)
-    np.testing.assert_allclose(bends.of_heights @ (3.0 * rows - 7.0 * columns + 2.0).astype(np.float32), 0.0, atol=1e-4)
-    assert np.abs(bends.of_heights @ (rows == 4).astype(np.float32)).max() == 2.0
+    differences = second_differences_of(tile)
+    np.testing.assert_allclose(
+        differences.matrix @ (3.0 * rows - 7.0 * columns + 2.0).astype(np.float32), 0.0, atol=1e-4
+    )
+    assert np.abs(differences.matrix @ (rows == 4).astype(np.float32)).max() == 2.0
 
 
 def test_a_step_pulls_less_than_a_bend_of_the_roughness():
-    bends = np.array([0.01, 1.0], dtype=np.float32)
-    pull = stiffness_of(bends, 0.01) * bends
-    assert pull[1] < 0.05 * pull[0]
+    differences = np.array([0.01, 1.0], dtype=np.float32)
+    gradient = stiffness_of(differences, 0.01) * differences
+    assert gradient[1] < 0.05 * gradient[0]
 
 
 def test_gain_and_offset_are_found_again():
@@ -167,25 +168,27 @@ def test_the_noise_of_each_photograph_is_measured_and_outliers_lose_their_weight
     found = brightness_of(values)
     np.testing.assert_allclose(found.noise[3:], noise[3:], rtol=0.15)
     assert found.weight[1, :500].mean() < 0.05 * found.weight[1, 500:].mean()
-    np.testing.assert_allclose(found.less_mean(np.ones_like(values)), 0.0, atol=1e-5)
+    np.testing.assert_allclose(found.minus_albedo(np.ones_like(values)), 0.0, atol=1e-5)
 
 
-def drawn(roughness: float, views: int = 12) -> tuple[Tile, Solved]:
+def drawn(roughness: float, views: int = 12) -> tuple[Tile, TileSolution]:
     """A tile whose photographs say, with noise, heights that bend as much as asked for, about level ones."""
     random, tile = np.random.default_rng(4), plain_tile(96)
-    bends = bends_of(tile)
+    differences = second_differences_of(tile)
     height = ndimage.gaussian_filter(random.standard_normal((96, 96)), 1.5).ravel()
-    height *= roughness / np.median(np.abs(bends.of_heights @ height))
+    height *= roughness / np.median(np.abs(differences.matrix @ height))
     slope = (50.0 * random.standard_normal((views, len(tile)))).astype(np.float32)
     brightness = brightness_of(random.standard_normal((views, len(tile))).astype(np.float32))
-    slope = brightness.less_mean(slope)
-    residual = brightness.less_mean(brightness.residual - slope * height.astype(np.float32))
+    slope = brightness.minus_albedo(slope)
+    residual = brightness.minus_albedo(brightness.residual - slope * height.astype(np.float32))
     brightness = replace(brightness, residual=residual)
     information = np.einsum("kn,kn,kn->n", brightness.weight, slope, slope)
     zero = np.zeros(len(tile), dtype=np.float32)
     motion = 10.0 * random.standard_normal((views, 2, 1)).astype(np.float32) * np.ones((1, 1, len(tile)), np.float32)
-    stiffness = stiffness_of(bends.of_heights @ zero, 0.01)
-    return tile, Solved(zero, information, stiffness, bends, brightness, slope, motion, 1.0, Start(zero, zero), zero)
+    stiffness = stiffness_of(differences.matrix @ zero, 0.01)
+    return tile, TileSolution(
+        zero, information, stiffness, differences, brightness, slope, motion, 1.0, Start(zero, zero), zero
+    )
 
 
 def test_a_rougher_bed_is_learned_to_be_rougher():
@@ -199,7 +202,7 @@ def test_tiles_hold_every_wanted_pixel_once():
     count = np.zeros(wanted.shape, dtype=int)
     for tile in tiles_of(wanted, np.ones_like(wanted), side=16):
         rows, columns = tile.places
-        count[rows[tile.asked] + tile.row, columns[tile.asked] + tile.column] += 1
+        count[rows[tile.requested] + tile.row, columns[tile.requested] + tile.column] += 1
     np.testing.assert_array_equal(count, wanted)
 
 
@@ -230,7 +233,7 @@ def test_a_position_outside_an_image_takes_no_value_from_those_beside_it(rng):
 def test_a_lookup_in_the_part_of_an_image_that_it_needs_gives_the_same_bits(rng):
     image = rng.normal(size=(300, 400)).astype(np.float32)
     x, y = (rng.uniform(100.0, 150.0, 999).astype(np.float32) for _ in range(2))
-    rows, columns = window_of(x, y)
+    rows, columns = lookup_window(x, y)
     assert image[rows, columns].size < 0.1 * image.size
     for way in (cv2.INTER_CUBIC, cv2.INTER_LINEAR):
         part = lookup(image[rows, columns], x - columns.start, y - rows.start, way)
@@ -244,11 +247,11 @@ def test_tiles_seen_together_are_seen_as_each_alone(device):
     maps = dict.fromkeys(cameras, Surface(heights, heights < -1.95))
     wanted = np.random.default_rng(4).random((SIZE, SIZE)) < 0.7
     tiles = list(tiles_of(wanted, np.ones_like(wanted), 30))
-    projection = Projection(device, cameras, WATER)
-    together = sights_of(tiles, 0, (1, 2), cameras, maps, projection, 0.01)
-    assert {tuple(sight.views) for sight in together} == {(0, 2), (0, 1, 2)}
-    for tile, sight in zip(tiles, together, strict=True):
-        (alone,) = sights_of([tile], 0, (1, 2), cameras, maps, projection, 0.01)
-        assert alone.views == sight.views
+    projector = Projector(device, cameras, WATER)
+    together = project_tiles(tiles, 0, (1, 2), cameras, maps, projector, 0.01)
+    assert {tuple(projected.views) for projected in together} == {(0, 2), (0, 1, 2)}
+    for tile, projected in zip(tiles, together, strict=True):
+        (alone,) = project_tiles([tile], 0, (1, 2), cameras, maps, projector, 0.01)
+        assert alone.views == projected.views
         for name in ("position", "rise", "motion", "seen"):
-            np.testing.assert_array_equal(getattr(alone, name), getattr(sight, name))
+            np.testing.assert_array_equal(getattr(alone, name), getattr(projected, name))

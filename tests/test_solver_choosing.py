@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from solved_tiles import level, residuals, white
 
-from fields.solver.appearance import brightness_of, gain_of
-from fields.solver.choosing import keeps_sweep, slopes_by_noise
+from fields.solver.appearance import brightness_of, log_likelihood_ratio
 from fields.solver.correlation import NoiseShares
-from fields.solver.solve import Start
-from fields.solver.uncertainty import expected_of
+from fields.solver.gauss_newton import Start
+from fields.solver.solver import rejects_update, sweep_slope_noise
+from fields.solver.uncertainty import expected_variances
 
 TOLERANCE = 0.05
 NOISE = NoiseShares(response=1.0, heights=1.0, changes=1.0, unfollowed=0.0)
@@ -25,8 +25,8 @@ def kept(slope: float = 0.0, gain: float = 0.0, by_noise: float = 1e-8, noise: N
     middle[18:22, 18:22] = 1.0
     of_middle = middle.ravel()
     start = Start(solved.height, slope * of_middle)
-    solved = replace(solved, start=start, gain=gain * of_middle)
-    found = keeps_sweep(tile, solved, np.full(len(tile), by_noise), noise, 1.0, TOLERANCE)
+    solved = replace(solved, start=start, improvement=gain * of_middle)
+    found = rejects_update(tile, solved, np.full(len(tile), by_noise), noise, 1.0, TOLERANCE)
     assert not found[middle.ravel() == 0.0].any() or gain < 0.0
     return found.reshape(40, 40)[19:21, 19:21]
 
@@ -54,28 +54,30 @@ def test_a_pixel_of_which_no_second_photograph_has_a_say_keeps_the_height_of_the
     weight = np.ones((3, len(tile)), dtype=np.float32)
     weight[1:, :5] = 0.0
     weight[2:, 5:9] = 0.0
-    solved = replace(solved, brightness=replace(solved.brightness, weight=weight), gain=np.zeros(len(tile), np.float32))
+    solved = replace(
+        solved, brightness=replace(solved.brightness, weight=weight), improvement=np.zeros(len(tile), np.float32)
+    )
     solved = replace(solved, start=Start(solved.height, np.zeros(len(tile), np.float32)))
-    found = keeps_sweep(tile, solved, np.full(len(tile), 1e-8), NOISE, 1.0, TOLERANCE)
+    found = rejects_update(tile, solved, np.full(len(tile), 1e-8), NOISE, 1.0, TOLERANCE)
     assert found[:5].all()
     assert not found[5:].any()
 
 
 def test_slopes_by_noise_are_those_of_heights_that_are_noise_alone(rng):
     tile, solved = level(1e4, 0.01, size=80)
-    std = float(np.sqrt(expected_of(tile, solved, 1.0).noise.mean()))
+    std = float(np.sqrt(expected_variances(tile, solved, 1.0).noise.mean()))
     noisy = (3.0 * std * rng.standard_normal(len(tile))).astype(np.float32)
     noisy[tile.number[30:33, 30:33].ravel()] = 5.0
     moved = replace(solved, start=Start(solved.height - noisy, noisy))
     # Of the plane through nine independent heights each component is known to the root of a sixth of their variance.
-    assert slopes_by_noise([(tile, moved)], 0.01, NOISE) == pytest.approx(3.0 / np.sqrt(6.0), rel=0.06)
+    assert sweep_slope_noise([(tile, moved)], 0.01, NOISE) == pytest.approx(3.0 / np.sqrt(6.0), rel=0.06)
 
 
 def test_gain_is_large_where_photographs_came_to_agree_and_leaves_out_what_only_one_time_shows():
     _, solved = residuals(white(5))
     now, apart = solved.brightness, white(5, seed=2).reshape(5, -1)
-    assert gain_of(now, now) == pytest.approx(0.0)
+    assert log_likelihood_ratio(now, now) == pytest.approx(0.0)
     worse = brightness_of((now.albedo + 3.0 * apart).astype(np.float32))
-    assert np.median(gain_of(worse, now)) > 5.0
+    assert np.median(log_likelihood_ratio(worse, now)) > 5.0
     unseen = replace(worse, weight=0.0 * worse.weight)
-    assert (gain_of(unseen, now) == 0.0).all()
+    assert (log_likelihood_ratio(unseen, now) == 0.0).all()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from plane_survey import TILTED, ring
 
-from fields.solver.projection import Projection
+from fields.solver.visibility import Projector
 from refract.distortion import Distortion
 
 
@@ -21,11 +21,11 @@ def test_points_of_pixels_are_seen_where_cameras_see_them(device, rng, water, be
         cameras = [replace(camera, distortion=lens) for camera in cameras]
     pixels = rng.uniform(1.0, np.array([95.0, 71.0]), (500, 2))
     heights = rng.uniform(-2.5, 0.4, 500).astype(np.float32)
-    projection = Projection(device, dict(enumerate(cameras)), water)
-    points = projection.points(0, pixels, heights)
+    projector = Projector(device, dict(enumerate(cameras)), water)
+    points = projector.points(0, pixels, heights)
     expected = cameras[0].paths(pixels, water).at_height(heights.astype(np.float64), water)
     for view, camera in enumerate(cameras):
-        at, inside = projection.seen(view, points)
+        at, inside = projector.seen(view, points)
         where = camera.project(expected, water)
         np.testing.assert_allclose(at.T, where, atol=2e-3)
         size = np.array([camera.width, camera.height])

@@ -9,18 +9,18 @@ import pytest
 from scipy import ndimage
 from solved_tiles import level, plain_tile, residuals, white
 
-from fields.solver.correlation import NoiseShares, noise_shares, phantoms_of, response_of
+from fields.solver.correlation import NoiseShares, median_response, noise_shares, null_solutions_of
+from fields.solver.gauss_newton import CG_RESIDUAL, TileSolution, conjugate_gradients, gradient_response, normal_matrix
 from fields.solver.shifts import Shifts, shifts_of
-from fields.solver.solve import CG_RESIDUAL, Solved, conjugate_gradients, normal_matrix, response_to
 from fields.solver.tile import Tile
 from fields.solver.uncertainty import (
-    Expected,
-    bends_below,
-    change_of,
-    expected_of,
-    relief_of,
-    smoothed,
-    worth_of_whole,
+    ExpectedVariances,
+    effective_sample_weight,
+    expected_variances,
+    smoothed_relief,
+    smoothing_change,
+    solve_normal_equations,
+    subpixel_relief,
 )
 
 INFORMATION, ROUGHNESS, RESPONSE = 1.0 / 0.02**2, 0.01, 0.8
@@ -30,31 +30,35 @@ STILL = Shifts(0.0, 0.0)
 @pytest.mark.parametrize("roughness", [0.003, 0.03])
 def test_noise_and_relief_of_the_prior_are_the_diagonal_of_the_inverse(roughness):
     tile, result = level(INFORMATION, roughness)
-    matrix = normal_matrix(result.information, result.bends, result.stiffness)
-    diagonal = result.information + result.bends.squared @ result.stiffness
+    matrix = normal_matrix(result.information, result.differences, result.stiffness)
+    diagonal = result.information + result.differences.squared @ result.stiffness
     unit = np.zeros(len(tile), dtype=np.float32)
     unit[20 * 40 + 20] = 1.0
     exact = conjugate_gradients(matrix, unit, diagonal)[20 * 40 + 20]
-    found = expected_of(tile, result, 1.0)
+    found = expected_variances(tile, result, 1.0)
     assert (found.noise + found.relief)[20 * 40 + 20] == pytest.approx(exact, rel=0.05)
 
 
-def heights(result: Solved, relief: np.ndarray, seed: int = 3) -> np.ndarray:
+def heights(result: TileSolution, relief: np.ndarray, seed: int = 3) -> np.ndarray:
     """What the solver makes of a bed (N,) [m] seen with independent noise, to which residuals answer in part."""
     noise = np.random.default_rng(seed).standard_normal(len(relief))
-    answer = RESPONSE * result.information
-    return smoothed(result, answer * relief + np.sqrt(result.information) * noise, RESPONSE, CG_RESIDUAL)
+    effective = RESPONSE * result.information
+    return solve_normal_equations(
+        result, effective * relief + np.sqrt(result.information) * noise, RESPONSE, CG_RESIDUAL
+    )
 
 
 def test_noise_moves_heights_and_their_changes_as_expected():
     tile, result = level(INFORMATION, ROUGHNESS, 120)
-    expected = expected_of(tile, result, RESPONSE)
+    expected = expected_variances(tile, result, RESPONSE)
     found = heights(result, np.zeros(len(tile)))
     assert np.mean(found**2) == pytest.approx(np.mean(expected.noise), rel=0.15)
-    assert np.mean(change_of(result, found, RESPONSE) ** 2) == pytest.approx(np.mean(expected.changed_noise), rel=0.15)
+    assert np.mean(smoothing_change(result, found, RESPONSE) ** 2) == pytest.approx(
+        np.mean(expected.changed_noise), rel=0.15
+    )
 
 
-def bed_of_the_prior(result: Solved, size: int) -> np.ndarray:
+def bed_of_the_prior(result: TileSolution, size: int) -> np.ndarray:
     """A bed (size * size,) [m] that bends as the prior says."""
     along = 2.0 - 2.0 * np.cos(2.0 * np.pi * np.fft.fftfreq(size))
     symbol = along[:, None] + along
@@ -63,10 +67,10 @@ def bed_of_the_prior(result: Solved, size: int) -> np.ndarray:
     return np.fft.ifft2(spectrum).real.ravel() / np.sqrt(result.stiffness[0])
 
 
-def relief(tile: Tile, result: Solved, bed: np.ndarray) -> tuple[np.ndarray, Expected]:
-    expected = expected_of(tile, result, RESPONSE)
-    change = change_of(result, heights(result, bed), RESPONSE)
-    return relief_of(tile, change, expected, 1.0, 1.0), expected
+def relief(tile: Tile, result: TileSolution, bed: np.ndarray) -> tuple[np.ndarray, ExpectedVariances]:
+    expected = expected_variances(tile, result, RESPONSE)
+    change = smoothing_change(result, heights(result, bed), RESPONSE)
+    return smoothed_relief(tile, change, expected, 1.0, 1.0), expected
 
 
 @pytest.mark.parametrize("times", [0.0, 1.0, 3.0])
@@ -74,7 +78,7 @@ def test_relief_that_is_smoothed_away_is_known_without_the_bed(times):
     size = 120
     tile, result = level(INFORMATION, ROUGHNESS, size)
     bed = times * bed_of_the_prior(result, size)
-    lost = smoothed(result, RESPONSE * result.information * bed, RESPONSE, CG_RESIDUAL) - bed
+    lost = solve_normal_equations(result, RESPONSE * result.information * bed, RESPONSE, CG_RESIDUAL) - bed
     found, expected = relief(tile, result, bed)
     inner = np.abs(np.array(tile.places) - size // 2).max(axis=0) < size // 2 - 8
     # A bed without relief cannot be told from one with little of it.
@@ -94,14 +98,14 @@ def test_relief_is_where_it_is():
 def test_a_tile_counts_for_its_places_as_much_as_they_are_alike(values, low, high):
     random, size, number = np.random.default_rng(7), 40_000, 10.0
     scale = np.ones(size) if np.isinf(values) else values / random.chisquare(values, size)
-    found = worth_of_whole(scale * random.chisquare(number, size) / number, np.ones(size, dtype=bool), number)
+    found = effective_sample_weight(scale * random.chisquare(number, size) / number, np.ones(size, dtype=bool), number)
     assert low < np.max(found) < high
 
 
 def test_a_tile_hardly_counts_about_an_edge():
     ratio = np.random.default_rng(7).chisquare(10.0, 40_000) / 10.0
     ratio[:100] = 30.0
-    found = worth_of_whole(ratio, np.ones(len(ratio), dtype=bool), 10.0)
+    found = effective_sample_weight(ratio, np.ones(len(ratio), dtype=bool), 10.0)
     np.testing.assert_allclose(found[:100], 2.0)
     assert np.median(found) > 100.0
 
@@ -109,7 +113,7 @@ def test_a_tile_hardly_counts_about_an_edge():
 def test_noise_of_its_own_in_each_pixel_counts_once_and_noise_that_neighbours_share_more():
     shared = ndimage.gaussian_filter(white(8), (0.0, 0.8, 0.8))
     alone, more = (
-        noise_shares(phantoms_of([residuals(noise)], ROUGHNESS, 1.0), 1.0, STILL, is_wet=True)
+        noise_shares(null_solutions_of([residuals(noise)], ROUGHNESS, 1.0), 1.0, STILL, is_wet=True)
         for noise in (white(8), shared / shared.std())
     )
     assert alone.heights == pytest.approx(1.0, abs=0.25)
@@ -121,43 +125,47 @@ def test_noise_of_its_own_in_each_pixel_counts_once_and_noise_that_neighbours_sh
 @pytest.mark.parametrize(("relief_m", "low", "high"), [(0.0, 0.0, 0.1), (0.03, 1.0, 1.0)])
 def test_residuals_tell_whether_heights_follow_the_bed_from_pixel_to_pixel(relief_m, low, high):
     relief = relief_m * white(1, seed=4)[0] / 3.0
-    found = noise_shares(phantoms_of([residuals(white(8), relief=relief)], ROUGHNESS, 1.0), 1.0, STILL, is_wet=True)
+    found = noise_shares(
+        null_solutions_of([residuals(white(8), relief=relief)], ROUGHNESS, 1.0), 1.0, STILL, is_wet=True
+    )
     assert low <= found.unfollowed <= high
 
 
 def test_heights_have_no_more_noise_than_the_residuals_along_them():
-    phantoms = phantoms_of([residuals(white(8))], ROUGHNESS, 1.0)
-    quieter = replace(phantoms, residual=0.5 * phantoms.left)
-    whole, half = (noise_shares(each, 1.0, STILL, is_wet=True).heights for each in (phantoms, quieter))
+    null_solutions = null_solutions_of([residuals(white(8))], ROUGHNESS, 1.0)
+    quieter = replace(null_solutions, residual=0.5 * null_solutions.left)
+    whole, half = (noise_shares(each, 1.0, STILL, is_wet=True).heights for each in (null_solutions, quieter))
     assert half == pytest.approx(0.5 * whole, rel=0.15)
 
 
 def test_bends_of_noise_are_none_of_the_bed():
     tile, result = level(INFORMATION, ROUGHNESS, 120)
-    expected = expected_of(tile, result, RESPONSE)
+    expected = expected_variances(tile, result, RESPONSE)
     noisy = replace(result, height=heights(result, np.zeros(len(tile))))
-    bends = bends_below(noisy, expected, 1.0, 1.0)
-    assert np.mean(bends) == pytest.approx(np.mean(expected.bends_noise), rel=0.15)
-    assert np.mean(bends_below(noisy, expected, 1.0, 0.0)) < 0.4 * np.mean(bends)
+    differences = subpixel_relief(noisy, expected, 1.0, 1.0)
+    assert np.mean(differences) == pytest.approx(np.mean(expected.differences_noise), rel=0.15)
+    assert np.mean(subpixel_relief(noisy, expected, 1.0, 0.0)) < 0.4 * np.mean(differences)
 
 
 def test_bends_beyond_noise_are_those_of_the_bed():
     tile, result = level(INFORMATION, ROUGHNESS, 120)
     bent = 20.0 * heights(result, np.zeros(len(tile)))
-    found = bends_below(replace(result, height=bent), expected_of(tile, result, RESPONSE), 1.0, 0.0)
-    all_of_it = bends_below(replace(result, height=bent), expected_of(tile, result, RESPONSE), 1.0, 1.0)
+    found = subpixel_relief(replace(result, height=bent), expected_variances(tile, result, RESPONSE), 1.0, 0.0)
+    all_of_it = subpixel_relief(replace(result, height=bent), expected_variances(tile, result, RESPONSE), 1.0, 1.0)
     assert np.mean(found) > 0.95 * np.mean(all_of_it)
 
 
 def test_shifts_are_no_noise():
-    phantoms = phantoms_of([residuals(white(8), shift_px=0.3)], ROUGHNESS, 1.0)
-    all_noise, rest = (noise_shares(phantoms, 1.0, Shifts(px, 0.0), is_wet=True).heights for px in (0.0, 0.3))
+    null_solutions = null_solutions_of([residuals(white(8), shift_px=0.3)], ROUGHNESS, 1.0)
+    all_noise, rest = (noise_shares(null_solutions, 1.0, Shifts(px, 0.0), is_wet=True).heights for px in (0.0, 0.3))
     assert rest < 0.7 * all_noise
 
 
 def test_two_photographs_tell_neither_noise_that_is_shared_nor_shifts():
     sample = [residuals(white(2), shift_px=0.3)]
-    assert noise_shares(phantoms_of(sample, ROUGHNESS, 0.9), 0.9, STILL, is_wet=True) == NoiseShares(0.9, 1.0, 1.0, 1.0)
+    assert noise_shares(null_solutions_of(sample, ROUGHNESS, 0.9), 0.9, STILL, is_wet=True) == NoiseShares(
+        0.9, 1.0, 1.0, 1.0
+    )
     assert shifts_of(sample, 1.0, is_wet=True).variance(np.array([2.0])) == 0.0
 
 
@@ -179,12 +187,12 @@ def test_the_response_is_that_to_small_steps():
     step = np.array([0.01, -0.01, 0.01, 1.0])
     information = np.array([1.0, 2.0, 3.0, 4.0])
     change = np.array([0.8, 0.8, 0.8, 0.0]) * information * step
-    assert response_to(information, np.ones(4), step, np.ones(4) + change) == pytest.approx(0.8)
-    assert np.isnan(response_to(information, np.ones(4), np.zeros(4), np.ones(4)))
+    assert gradient_response(information, np.ones(4), step, np.ones(4) + change) == pytest.approx(0.8)
+    assert np.isnan(gradient_response(information, np.ones(4), np.zeros(4), np.ones(4)))
 
 
 def test_the_response_of_a_survey_is_that_of_most_samples():
     _, result = level(INFORMATION, ROUGHNESS)
     samples = [(plain_tile(40), replace(result, response=value)) for value in (0.8, 0.9, 7.0, np.nan)]
-    assert response_of(samples) == pytest.approx(0.9)
-    assert response_of(samples[3:]) == 1.0
+    assert median_response(samples) == pytest.approx(0.9)
+    assert median_response(samples[3:]) == 1.0

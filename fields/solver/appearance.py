@@ -1,4 +1,4 @@
-"""How bright the bed is, and what each photograph makes of it: gain, offset, noise."""
+"""Albedo of the bed, and gain, offset and noise of each photograph."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ class Appearance:
     offset: np.ndarray
 
     def albedo(self, grey: np.ndarray) -> np.ndarray:
-        """What grey values (K, N) say of the albedo."""
+        """Albedo by each photograph (K, N) from its grey values."""
         return (grey - self.offset) / self.gain[:, None]
 
 
 @dataclass(frozen=True)
 class Brightness:
-    """The albedo by variable projection, and what it leaves of K photographs; N pixels.
+    """Albedo by variable projection, and the residuals of K photographs; N pixels.
 
     Attributes
     ----------
@@ -62,17 +62,17 @@ class Brightness:
 
     @property
     def outlying(self) -> np.ndarray:
-        """Which photographs show a pixel as no other does, (K, N) bool: most of their weight there is lost."""
+        """Outliers (K, N) bool: sightings with less than half of their weight left."""
         return (self.weight > 0.0) & (self.weight * self.noise[:, None] ** 2 < _LOST)
 
-    def less_mean(self, values: np.ndarray) -> np.ndarray:
-        """Values (K, N) less their weighted mean over the photographs: what the albedo cannot explain."""
+    def minus_albedo(self, values: np.ndarray) -> np.ndarray:
+        """Values (K, N) minus their weighted mean over the photographs: orthogonal to the albedo."""
         mean = np.einsum("kn,kn->n", self.weight, values) / np.maximum(self.weight.sum(axis=0), 1e-12)
         return np.where(self.weight > 0.0, values - mean, np.float32(0.0))
 
 
-def gain_of(before: Brightness, now: Brightness) -> np.ndarray:
-    """How much better the photographs agree on each pixel (N,) now: logarithm of the ratio of the likelihoods.
+def log_likelihood_ratio(before: Brightness, now: Brightness) -> np.ndarray:
+    """Log-likelihood ratio of the photographs at each pixel (N,), now against before, by Cauchy's distribution.
 
     By the law that the weights are those of, Cauchy's, and the noise now; of the photographs that show the pixel in
     both.
@@ -84,7 +84,7 @@ def gain_of(before: Brightness, now: Brightness) -> np.ndarray:
 
 
 def appearance_of(tile: Tile, grey: np.ndarray) -> Appearance:
-    """Gain and smooth offset of each photograph against the mean of all, from grey values (K, N), NaN where not seen.
+    """Photometric gain and smooth offset of each photograph against the mean, from grey values (K, N), NaN if not seen.
 
     First of all that is seen, then without what one photograph alone shows: glint makes it brighter, and is no gain.
     The tile's own photograph, the first, stays as it is.
@@ -92,18 +92,18 @@ def appearance_of(tile: Tile, grey: np.ndarray) -> Appearance:
     seen = np.isfinite(grey)
     values = np.where(seen, grey, np.float32(0.0))
     gain, blocks = np.ones(len(grey), dtype=np.float32), _Blocks(tile)
-    mean, alike = values.sum(axis=0) / np.maximum(seen.sum(axis=0, dtype=np.float32), 1.0), seen
+    mean, inliers = values.sum(axis=0) / np.maximum(seen.sum(axis=0, dtype=np.float32), 1.0), seen
     for last in (False, True):
-        gain = np.where(alike.sum(axis=1) >= LEAST_PIXELS, _gains(values, mean, alike), gain)
-        offset = blocks.smooth(values - gain[:, None] * mean, alike)
+        gain = np.where(inliers.sum(axis=1) >= LEAST_PIXELS, _gains(values, mean, inliers), gain)
+        offset = blocks.smooth(values - gain[:, None] * mean, inliers)
         if not last:
             found = brightness_of((grey - offset) / gain[:, None])
-            mean, alike = found.albedo, seen & ~found.outlying
+            mean, inliers = found.albedo, seen & ~found.outlying
     return Appearance(gain / gain[0], offset - gain[:, None] / gain[0] * offset[0])
 
 
 def _gains(values: np.ndarray, mean: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Slopes (K,) of values (K, N) over their mean (N,) where ``mask`` (K, N) holds; 1 where the mean has one value."""
+    """Regression slopes (K,) of values (K, N) on their mean (N,) within ``mask`` (K, N); 1 if the mean is constant."""
     share = mask.astype(np.float32)
     about = mean - (share @ mean / np.maximum(share.sum(axis=1), 1.0))[:, None]
     about *= share
@@ -113,7 +113,7 @@ def _gains(values: np.ndarray, mean: np.ndarray, mask: np.ndarray) -> np.ndarray
 
 
 class _Blocks:
-    """Means of values of a tile over blocks of pixels, smoothed, and carried back to the pixels."""
+    """Block means of values of a tile, smoothed and interpolated back to the pixels."""
 
     def __init__(self, tile: Tile):
         rows, columns = tile.places
@@ -135,7 +135,7 @@ class _Blocks:
         self._sums = sparse.csr_matrix((np.ones(len(rows), dtype=np.float32), block, number), shape=shape).T
 
     def smooth(self, values: np.ndarray, mask: np.ndarray) -> np.ndarray:
-        """Local means (K, N) of values (K, N) where ``mask`` (K, N) holds."""
+        """Local means (K, N) of values (K, N) within ``mask`` (K, N)."""
         num = len(values)
         # Pixel by pixel: sums of all photographs at once run in vectors.
         both = np.empty((values.shape[1], 2 * num), dtype=np.float32)
@@ -147,7 +147,7 @@ class _Blocks:
 
 
 def brightness_of(albedos: np.ndarray) -> Brightness:
-    """Albedo, residuals and robust weights from what each photograph says of it (K, N), NaN where not seen.
+    """Albedo, residuals and robust (Cauchy) weights from its estimates by each photograph (K, N), NaN if not seen.
 
     The noise of each photograph is measured by the median of its residuals.
     """
@@ -156,15 +156,15 @@ def brightness_of(albedos: np.ndarray) -> Brightness:
     values = np.where(seen, albedos, np.float32(0.0))
     count = seen.sum(axis=0, dtype=np.float32)
     # The mean takes a share of the residual.
-    rest = np.sqrt(np.maximum(1.0 - 1.0 / np.maximum(count, 2), 0.5)).astype(np.float32)
+    left = np.sqrt(np.maximum(1.0 - 1.0 / np.maximum(count, 2), 0.5)).astype(np.float32)
     albedo = values.sum(axis=0) / np.maximum(count, 1.0)
     some = [_some_of(mask) for mask in seen]
     weight, residual = np.empty_like(values), np.empty_like(values)
     # In place, as most of the time goes into memory that is asked for again and again.
     for _ in range(2):
         np.subtract(values, albedo, out=residual)
-        noise = np.array([_noise(r[index] / rest[index]) for r, index in zip(residual, some, strict=True)])
-        residual /= (OUTLIER * noise[:, None]) * rest
+        noise = np.array([_noise(r[index] / left[index]) for r, index in zip(residual, some, strict=True)])
+        residual /= (OUTLIER * noise[:, None]) * left
         residual *= residual
         residual += np.float32(1.0)
         residual *= noise[:, None] ** 2
@@ -176,7 +176,7 @@ def brightness_of(albedos: np.ndarray) -> Brightness:
 
 
 def _some_of(mask: np.ndarray) -> np.ndarray:
-    """Indices of what a mask (N,) has, or of a part of it that is large enough for a median."""
+    """Indices of a mask (N,), or of a subset large enough for a median."""
     index = np.flatnonzero(mask)
     return index[:: max(len(index) // _SAMPLE, 1)]
 

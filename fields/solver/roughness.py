@@ -1,43 +1,74 @@
-"""How rough the bed is, learned by cross-validation: half of the photographs predict the other half."""
+"""Roughness of the bed and the slope of its spectrum, learned from solved tiles.
+
+The roughness is found by cross-validation: half of the photographs predict the other half.
+
+The prior takes from the bed what is as fine as noise, or finer. How much that is follows from what smoothing the
+heights once more changes only if the power of the bed at small scale against that at large scale is known: the slope
+of the spectrum. Smoothing that change once more shows it: the rougher the bed at small scale, the more changes. Both
+are made with the normal matrix itself, whose information differs from pixel to pixel, so that a uniform one is wrong
+for both alike.
+"""
 
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fields.solver.correlation import null_solution_of
+from fields.solver.gauss_newton import (
+    CG_RESIDUAL,
+    CG_RESIDUAL_BEFORE,
+    FAINT,
+    TileSolution,
+    conjugate_gradients,
+    normal_matrix,
+)
 from fields.solver.smoothness import stiffness_of
-from fields.solver.solve import CG_RESIDUAL, CG_RESIDUAL_BEFORE, FAINT, Solved, conjugate_gradients, normal_matrix
 from fields.solver.tile import Tile
+from fields.solver.uncertainty import (
+    ONE_STD,
+    PRIOR_SPECTRAL_SLOPE,
+    effective_information,
+    smoothing_change,
+    solve_normal_equations,
+    spectral_means,
+)
 
 # The search starts at this share of the ground sampling distance and goes in steps of this factor, this far at most.
 START_GSD, FACTOR, MOST_STEPS = 0.5, np.sqrt(2.0), 6
-# Times that the stiffness follows the bends.
+# Iterations of the stiffness.
 _ROUNDS = 3
 # Errors within one such block are correlated.
 _BLOCK_PX = 16
 # Share of the blocks left out at either end: steps and edges would decide for all of the bed.
 TRIM = 0.1
+# Exponents that beds may have, and how far they differ from that of the prior.
+_SPECTRAL_SLOPES, _BEDS_DIFFER = np.linspace(0.5, 1.5, 21), 0.25
+# Null solutions have the noise of changes to this share of it, besides chance.
+_NOISE_KNOWN = 0.03
+# Fewer pixels tell nothing.
+_LEAST_PIXELS = 2000
 
 
 @dataclass(frozen=True)
 class Half:
-    """What half of the photographs say about the heights of a tile, about those that all of them gave.
+    """Quadratic cost of the heights of a tile by half of the photographs, about the solution by all.
 
-    The sum of their squared residuals, for changes d (N,) [m], is ``sum(information * d * d + 2 * pull * d)`` more.
+    The sum of their squared residuals, for changes d (N,) [m], is ``sum(information * d * d + 2 * gradient * d)`` more.
     """
 
     information: np.ndarray
-    pull: np.ndarray
+    gradient: np.ndarray
 
     def cost(self, change: np.ndarray) -> np.ndarray:
         """Increase (N,) of the squared residuals, in units of their variance."""
-        return self.information * change * change + 2.0 * self.pull * change
+        return self.information * change * change + 2.0 * self.gradient * change
 
 
-def halves_of(solved: Solved) -> tuple[Half, Half]:
-    """Every other photograph, and the rest; the albedo is that of each half alone."""
+def split_halves(solved: TileSolution) -> tuple[Half, Half]:
+    """Costs by every other photograph and by the rest, each with an albedo of its own."""
     found = []
     for first in (0, 1):
         weight = solved.brightness.weight[first::2]
@@ -47,26 +78,30 @@ def halves_of(solved: Solved) -> tuple[Half, Half]:
             for part in (solved.brightness.residual[first::2], solved.slope[first::2])
         )
         information = np.einsum("kn,kn,kn->n", weight, slope, slope)
-        pull = np.einsum("kn,kn,kn->n", weight, slope, residual)
-        found.append(Half(information, pull))
+        gradient = np.einsum("kn,kn,kn->n", weight, slope, residual)
+        found.append(Half(information, gradient))
     return found[0], found[1]
 
 
-def heights_of(solved: Solved, half: Half, roughness: float) -> np.ndarray:
-    """Heights (N,) [m] from half of the photographs, linear about those of all."""
+def heights_from_half(solved: TileSolution, half: Half, roughness: float) -> np.ndarray:
+    """Heights (N,) [m] from half of the photographs, linearised about those of all."""
     height = solved.height
     for number in range(_ROUNDS):
-        stiffness = stiffness_of(solved.bends.of_heights @ height, roughness)
-        right = -half.pull - half.information * (height - solved.height) - solved.bends.pull(stiffness, height)
-        diagonal = half.information + solved.bends.squared @ stiffness + FAINT
-        matrix = normal_matrix(half.information, solved.bends, stiffness)
+        stiffness = stiffness_of(solved.differences.matrix @ height, roughness)
+        right = (
+            -half.gradient
+            - half.information * (height - solved.height)
+            - solved.differences.gradient(stiffness, height)
+        )
+        diagonal = half.information + solved.differences.squared @ stiffness + FAINT
+        matrix = normal_matrix(half.information, solved.differences, stiffness)
         residual = CG_RESIDUAL if number + 1 == _ROUNDS else CG_RESIDUAL_BEFORE
         height = height + conjugate_gradients(matrix, right, diagonal, residual)
     return height
 
 
-def roughness_of(samples: list[tuple[Tile, Solved]], gsd: float, pool: Executor) -> float:
-    """The scale [m] of the bed's bends with which each half of the photographs predicts the other best.
+def roughness_of(samples: list[tuple[Tile, TileSolution]], gsd: float, pool: Executor) -> float:
+    """Roughness [m] with which each half of the photographs predicts the other best.
 
     Of those that are worse by less than one standard error the smoothest is taken, as is usual in cross-validation.
     Where that is the best itself, it is the least of a parabola through the best and its neighbours, so that the scale
@@ -80,21 +115,21 @@ def roughness_of(samples: list[tuple[Tile, Solved]], gsd: float, pool: Executor)
     pool : Executor
         Solves the samples side by side.
     """
-    split = [(tile, solved, halves_of(solved)) for tile, solved in samples]
+    split = [(tile, solved, split_halves(solved)) for tile, solved in samples]
     known: dict[int, np.ndarray] = {}
 
     def cost(step: int) -> np.ndarray:
         if step not in known:
             roughness = START_GSD * gsd * FACTOR**step
             known[step] = np.concatenate(
-                list(pool.map(lambda each: _costs(each[0], each[1], each[2], roughness), split))
+                list(pool.map(lambda each: _prediction_errors(each[0], each[1], each[2], roughness), split))
             )
         return known[step]
 
     best = 0
-    for way in (1, -1):
-        while abs(best + way) <= MOST_STEPS and _trimmed_mean(cost(best + way) - cost(best)) < 0.0:
-            best += way
+    for direction in (1, -1):
+        while abs(best + direction) <= MOST_STEPS and _trimmed_mean(cost(best + direction) - cost(best)) < 0.0:
+            best += direction
     found = best
     while best > -MOST_STEPS:
         difference = cost(best - 1) - cost(found)
@@ -103,17 +138,17 @@ def roughness_of(samples: list[tuple[Tile, Solved]], gsd: float, pool: Executor)
         best -= 1
     between = 0.0
     if best == found and abs(found) < MOST_STEPS:
-        between = _vertex(*(_trimmed_mean(cost(found + way) - cost(found)) for way in (-1, 1)))
+        between = _vertex(*(_trimmed_mean(cost(found + direction) - cost(found)) for direction in (-1, 1)))
     return float(START_GSD * gsd * FACTOR ** (best + between))
 
 
 def _vertex(below: float, above: float) -> float:
-    """Where, in steps from the best, a parabola is least that is zero there and so high a step below and above it."""
+    """Minimum, in steps, of the parabola through zero at the best and the values one step below and above it."""
     return 0.5 * (below - above) / (below + above) if below + above > 0.0 else 0.0
 
 
 def _trimmed_mean(values: np.ndarray) -> float:
-    """Mean of values without the largest and the smallest; scipy.stats has it, and takes half a second to import."""
+    """Trimmed mean; scipy.stats has it, and takes half a second to import."""
     out = int(TRIM * len(values))
     return float(np.sort(values)[out : len(values) - out].mean())
 
@@ -124,11 +159,57 @@ def _error(values: np.ndarray) -> float:
     return float(inner.std() / ((1.0 - 2.0 * TRIM) * np.sqrt(len(values))))
 
 
-def _costs(tile: Tile, solved: Solved, halves: tuple[Half, Half], roughness: float) -> np.ndarray:
-    """How badly each half predicts the other, summed over blocks of pixels."""
+def _prediction_errors(tile: Tile, solved: TileSolution, halves: tuple[Half, Half], roughness: float) -> np.ndarray:
+    """Prediction errors of each half by the other, summed over blocks of pixels."""
     total = sum(
-        other.cost(heights_of(solved, half, roughness) - solved.height) for half, other in (halves, halves[::-1])
+        other.cost(heights_from_half(solved, half, roughness) - solved.height) for half, other in (halves, halves[::-1])
     )
     rows, columns = (index // _BLOCK_PX for index in tile.places)
     block, number = np.unique(rows * 1000 + columns, return_inverse=True)
-    return np.bincount(number, np.where(tile.asked, total, 0.0), len(block))
+    return np.bincount(number, np.where(tile.requested, total, 0.0), len(block))
+
+
+def spectral_slope_of(samples: list[tuple[Tile, TileSolution]], roughness: float, response: float) -> float:
+    """Spectral slope of the bed: the exponent of its power over frequency in `fields.solver.uncertainty`.
+
+    Parameters
+    ----------
+    samples : solved tiles, with the stiffness of any roughness
+    roughness : [m]
+        With which the survey is solved.
+    response : float
+        Median gradient response, `fields.solver.correlation.median_response`.
+    """
+    parts = [_changes_of(tile, solved, roughness, response) for tile, solved in samples]
+    squares, log_ratio = (np.concatenate(each, axis=-1) for each in zip(*parts, strict=True))
+    if len(log_ratio) < _LEAST_PIXELS:
+        return PRIOR_SPECTRAL_SLOPE
+    # Steps and edges do not move the rest.
+    power, by_noise = np.quantile(squares, ONE_STD, axis=-1)
+    middle = float(np.median(log_ratio))
+    chance = np.sqrt(2.0 * spectral_means(middle, PRIOR_SPECTRAL_SLOPE).correlated_px / len(log_ratio))
+    known = np.hypot(chance * power, np.hypot(chance, _NOISE_KNOWN) * by_noise)
+    residual, costs = (power - by_noise) / known, []
+    for spectral_slope in _SPECTRAL_SLOPES:
+        means = spectral_means(middle, float(spectral_slope))
+        relief = np.array([means.changed_relief, means.twice_changed_relief]) / known
+        size = max(float(relief @ residual / (relief @ relief)), 0.0)
+        misfit = residual - size * relief
+        costs.append(misfit @ misfit + ((spectral_slope - PRIOR_SPECTRAL_SLOPE) / _BEDS_DIFFER) ** 2)
+    return float(_SPECTRAL_SLOPES[int(np.argmin(costs))])
+
+
+def _changes_of(tile: Tile, solved: TileSolution, roughness: float, response: float) -> tuple[np.ndarray, np.ndarray]:
+    """Squares (2, 2, N) [m^2] of the changes by smoothing once and twice more of heights and a null solution, and the
+    logarithm (N,) of the ratio of stiffness to effective information."""
+    solved = replace(solved, stiffness=stiffness_of(solved.differences.matrix @ solved.height, roughness))
+    brightness = solved.brightness
+    gradient = np.einsum("kn,kn,kn->n", brightness.weight, solved.slope, brightness.residual)
+    right = -gradient - solved.differences.gradient(solved.stiffness, solved.height)
+    height = solved.height + solve_normal_equations(solved, right, response, CG_RESIDUAL)
+    _, null_solution, known = null_solution_of(solved, response)
+    use, changes = known & tile.requested, []
+    for each in (height, null_solution):
+        once = smoothing_change(solved, each, response)
+        changes.append((once, smoothing_change(solved, once, response)))
+    return np.square(np.array(changes)[..., use]), effective_information(tile, solved, response)[1][use]

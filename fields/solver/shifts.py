@@ -1,7 +1,7 @@
-"""By how much photographs are shifted against each other: waves, and errors of the poses.
+"""Local shifts of photographs against each other, by waves and errors of the poses.
 
-A height that fits all photographs takes up a part of such a shift and is moved by it. What it leaves, a shift of the
-residuals of a photograph along the gradient of the albedo, alike over many pixels, tells how large the shifts are.
+A height fitted to all photographs absorbs a part of such a shift and is moved by it. What remains, a shift of the
+residuals of a photograph along the gradient of the albedo, common to many pixels, gives the variance of the shifts.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from fields.solver.solve import Solved, gradients_of
+from fields.solver.gauss_newton import TileSolution, gradients_of
 from fields.solver.tile import Tile
 
-# Shifts are alike in a bell of this standard deviation: shorter than waves, and wide enough that noise averages out.
-ALIKE_PX = 4.0
-# Larger ones are no shifts, and gradients that are so nearly along one line tell nothing across it.
+# Shifts are constant within a Gauss window of this standard deviation: shorter than waves, wide against noise.
+WINDOW_PX = 4.0
+# Larger ones are no shifts; and least determinant over squared trace of the structure tensor.
 _LARGEST_PX, _LEAST_ACROSS = 2.0, 1e-3
-# Of the bell about a pixel, the share that a photograph has to see; and how many photographs tell more than a height.
+# Share of the Gauss window that a photograph has to see; and photographs that determine more than a height.
 _SEEN, _LEAST_VIEWS = 0.5, 3
-# Fewer pixels of a tile tell nothing.
+# Fewest pixels of a tile.
 _LEAST_PIXELS = 200
 
 
@@ -40,7 +40,7 @@ class Shifts:
     by_depth_px_m: float
 
     def variance(self, depth: np.ndarray) -> np.ndarray:
-        """Variance (N,) [px^2] of the shifts of what lies at depths (N,) [m], 0 where it is dry."""
+        """Variance (N,) [px^2] of the shifts at depths (N,) [m], 0 on dry ground."""
         return self.anywhere_px**2 + (self.by_depth_px_m * depth) ** 2
 
 
@@ -49,8 +49,8 @@ def depth_of(height: np.ndarray, is_wet: bool) -> np.ndarray:
     return np.maximum(-height, 0.0) if is_wet else np.zeros_like(height)
 
 
-def shifts_of(samples: list[tuple[Tile, Solved]], noise_share: float, is_wet: bool) -> Shifts:
-    """The shifts of a survey, from solved tiles; none where fewer than three photographs see too many of them.
+def shifts_of(samples: list[tuple[Tile, TileSolution]], noise_share: float, is_wet: bool) -> Shifts:
+    """Shifts of a survey, from solved tiles; zero where too few pixels are seen by three photographs.
 
     ``noise_share`` is that of heights in `fields.solver.correlation.NoiseShares`: noise seems to be a shift too, and is
     taken off.
@@ -71,15 +71,15 @@ def shifts_of(samples: list[tuple[Tile, Solved]], noise_share: float, is_wet: bo
     return Shifts(float(np.sqrt(anywhere)), float(np.sqrt(by_depth)))
 
 
-def _in_tile(tile: Tile, solved: Solved, noise_share: float) -> tuple[np.ndarray, np.ndarray]:
-    """Variance [px^2] of the shifts along an axis, for those pixels (N,) bool that tell it."""
+def _in_tile(tile: Tile, solved: TileSolution, noise_share: float) -> tuple[np.ndarray, np.ndarray]:
+    """Variance [px^2] of the shifts along an axis, and the pixels (N,) bool that determine it."""
     brightness = solved.brightness
     across, down = gradients_of(tile, brightness.albedo)
-    area = 4.0 * np.pi * ALIKE_PX**2
+    area = 4.0 * np.pi * WINDOW_PX**2
     square, of_noise, count = np.zeros((3, len(tile)))
     for weight, residual in zip(brightness.weight, brightness.residual, strict=True):
         xx, xy, yy, x, y, seen = (
-            _about(tile, part)
+            _local_mean(tile, part)
             for part in (
                 weight * across * across, weight * across * down, weight * down * down,
                 weight * across * residual, weight * down * residual, (weight > 0.0).astype(np.float32),
@@ -94,12 +94,12 @@ def _in_tile(tile: Tile, solved: Solved, noise_share: float) -> tuple[np.ndarray
         of_noise += np.where(use, noise_share * both / size / area, 0.0)
         count += use
     use = count >= _LEAST_VIEWS
-    # Of two shifts for each photograph the albedo takes up two and the height one.
+    # Of two degrees of freedom per photograph the albedo absorbs two and the height one.
     return (square / np.maximum(2.0 * count - 3.0, 1.0) - of_noise / (2.0 * np.maximum(count, 1.0)))[use], use
 
 
-def _about(tile: Tile, values: np.ndarray) -> np.ndarray:
-    """Values (N,) averaged about each pixel; 0 where there are none."""
+def _local_mean(tile: Tile, values: np.ndarray) -> np.ndarray:
+    """Local mean of values (N,) by a Gauss filter; 0 where there are none."""
     image = np.zeros(tile.inside.shape, dtype=np.float32)
     image[tile.inside] = values
-    return ndimage.gaussian_filter(image, ALIKE_PX, truncate=2.5)[tile.inside]
+    return ndimage.gaussian_filter(image, WINDOW_PX, truncate=2.5)[tile.inside]

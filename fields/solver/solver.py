@@ -1,4 +1,4 @@
-"""The heights of a survey's points and their standard deviations, from all photographs at once."""
+"""Photometric least squares: heights of a survey's points and their standard deviations from all photographs."""
 
 from __future__ import annotations
 
@@ -7,26 +7,42 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import groupby, islice, takewhile
 
+import cv2
 import numpy as np
 
-from fields.solver.choosing import keeps_sweep, slopes_by_noise
-from fields.solver.correlation import NoiseShares, noise_shares, phantoms_of, response_of
-from fields.solver.fall import fall_of
-from fields.solver.roughness import START_GSD, roughness_of
+from fields.solver.correlation import NoiseShares, median_response, noise_shares, null_solutions_of
+from fields.solver.gauss_newton import TileSolution, shift_information
+from fields.solver.roughness import START_GSD, roughness_of, spectral_slope_of
 from fields.solver.shifts import Shifts, depth_of, shifts_of
-from fields.solver.sightings import Sightings
-from fields.solver.solve import Solved, parallax_of
-from fields.solver.tile import Tile, asked_in_squares
-from fields.solver.uncertainty import bends_below, change_of, expected_of, relief_of, rise_of
+from fields.solver.smoothness import stiffness_of
+from fields.solver.tile import Tile, requested_in_squares
+from fields.solver.uncertainty import (
+    expected_variances,
+    local_slope,
+    smoothed_relief,
+    smoothing_change,
+    subpixel_relief,
+)
 from fields.solver.views import WORKERS, Job, Views
+from fields.solver.visibility import Sightings
 from fields.sweep.block import Block
 from fields.sweep.height_std import small_sample_factor
 from fields.sweep.kernels.arrays import sharing_cores
 from fields.sweep.maps import DepthMap, OrderedMaps
+from fields.sweep.slopes import gradient_of
 
 # What a survey is like is learned from so many tiles of this side, spread over those that are nearly as full as the
 # fullest.
 SAMPLES, SAMPLE_PX, NEARLY = 6, 112, 0.7
+# Noise alone makes one pixel in a billion as steep as this many standard deviations, or some more: its tails are long.
+_SIGNIFICANT = 6.0
+# Of normally distributed values, so many lie within so many standard deviations.
+_MOST, _WITHIN = 0.95, 1.96
+# Heights of the sweep come from windows of this side. Noise makes the photographs agree on nine heights that follow it
+# better than on the true ones by more than this logarithm in one window of a thousand (chi-square, nine degrees).
+_WINDOW_PX, _REFUTED = 3, 0.5 * 27.9
+# Photographs that tell a height: its own shows no change of it.
+_FEWEST = 2
 
 
 @dataclass(frozen=True)
@@ -48,7 +64,7 @@ class SolvedMap:
 
     @staticmethod
     def empty() -> SolvedMap:
-        """That of a map of which nothing was solved."""
+        """Solution of no pixel."""
         nothing = np.empty(0, dtype=np.float32)
         return SolvedMap(np.empty(0, dtype=np.int64), nothing, nothing)
 
@@ -61,7 +77,7 @@ class SolvedMap:
 
 @dataclass(frozen=True)
 class SolverFigures:
-    """What the solver learned of a survey.
+    """Parameters that the solver estimates from samples of a survey.
 
     Attributes
     ----------
@@ -71,10 +87,10 @@ class SolverFigures:
         Between photographs: `fields.solver.shifts.shifts_of`.
     noise : NoiseShares
         What noise is worth: `fields.solver.correlation.noise_shares`.
-    fall : float
-        How steeply the bed's power falls with the frequency: `fields.solver.fall.fall_of`.
+    spectral_slope : float
+        Of the bed: `fields.solver.roughness.spectral_slope_of`.
     slopes : float
-        Of the noise of the sweep: `fields.solver.choosing.slopes_by_noise`.
+        Of the noise of the sweep: `fields.solver.solver.sweep_slope_noise`.
     sightings : Sightings or None
         Of all points in all photographs; None where nothing was solved.
     """
@@ -82,7 +98,7 @@ class SolverFigures:
     roughness_m: float
     shifts: Shifts
     noise: NoiseShares
-    fall: float
+    spectral_slope: float
     slopes: float
     sightings: Sightings | None = field(default=None, compare=False)
 
@@ -92,13 +108,13 @@ class SolverFigures:
             f"shifts of single photographs (poses, waves): {self.shifts.anywhere_px:.2f} px and "
             f"{self.shifts.by_depth_px_m:.2f} px more for each metre of depth; variance of heights by noise, over that "
             f"of noise without correlation: {self.noise.heights:.2f}; power of relief: frequency to "
-            f"{-2.0 * self.fall:.1f}"
+            f"{-2.0 * self.spectral_slope:.1f}"
         )
 
 
 @dataclass(frozen=True)
-class _Solved:
-    """Pixels of a map, their heights, and what their variance consists of.
+class _PartSolution:
+    """Solved pixels of a map, their heights, and the components of their variance.
 
     The variance by noise and by relief that is smoothed away or below the pixel [m^2], that of a shift of each
     photograph by one pixel, and the rise of the bed from pixel to pixel [m].
@@ -121,7 +137,7 @@ def solve_maps(
     goes_on: Callable[[], bool] = lambda: True,
     keep: Callable[[], MutableMapping[int, SolvedMap]] = dict,
 ) -> tuple[OrderedMaps, SolverFigures]:
-    """Solve the kept pixels of all maps, about the heights of the sweep; some keep these (`choosing.keeps_sweep`).
+    """Solve the kept pixels of all maps, about the heights of the sweep; some keep these (`rejects_update`).
 
     Parameters
     ----------
@@ -134,18 +150,20 @@ def solve_maps(
         Ground sampling distance.
     progress : called with the share done, 0 to 1
     goes_on : callable
-        Asked before each tile; tiles whose turn comes after it said no are left out.
+        Called before each tile; tiles after the first False are left out.
     keep : callable
-        Makes the place in which what is solved is kept; default in memory.
+        Factory of the store of the solutions; default in memory.
 
     Returns
     -------
-    InOrder of SolvedMap, in the order of `maps`
+    OrderedMaps of SolvedMap, in the order of `maps`
     figures : SolverFigures
         NaN where nothing is kept.
     """
     views = Views.of(block, maps)
-    filled = [asked_in_squares(wanted, SAMPLE_PX) if views.others[index] else [] for index, wanted in enumerate(kept)]
+    filled = [
+        requested_in_squares(wanted, SAMPLE_PX) if views.others[index] else [] for index, wanted in enumerate(kept)
+    ]
     total, done = sum(map(sum, filled)), 0
     solved = keep()
     for index in range(len(filled)):
@@ -157,11 +175,13 @@ def solve_maps(
         sample = _sample(views, kept, filled)
         first = [each for _, each in views.solved(sample, START_GSD * gsd, pool, lambda job, each: (job.tile, each))]
         is_wet = block.water is not None
-        figures = _learned(first, gsd, pool, is_wet)
+        figures = _estimate_figures(first, gsd, pool, is_wet)
         sightings = Sightings.none(len(block.images))
 
-        def part(job: Job, each: Solved) -> tuple[_Solved, Sightings]:
-            return _part(job, block.cameras[0].width, each, figures), Sightings.of(each, len(block.images))
+        def part(job: Job, each: TileSolution) -> tuple[_PartSolution, Sightings]:
+            return _solve_part(job, block.cameras[0].width, each, figures), Sightings.of(
+                each.views, each.brightness, len(block.images)
+            )
 
         jobs = (job for index, wanted in enumerate(kept) for job in views.jobs(index, wanted))
         begun = takewhile(lambda _job: goes_on(), jobs)
@@ -170,49 +190,55 @@ def solve_maps(
             for job, (piece, seen) in each:
                 parts.append(piece)
                 sightings += seen
-                done += int(np.count_nonzero(job.tile.asked))
+                done += int(np.count_nonzero(job.tile.requested))
                 progress(done / total)
-            solved[index] = _with_std(maps[index], _joined(parts), figures, is_wet)
+            solved[index] = _with_std(maps[index], _concatenate(parts), figures, is_wet)
     return found, replace(figures, sightings=sightings)
 
 
-def _learned(samples: list[tuple[Tile, Solved]], gsd: float, pool: Executor, is_wet: bool) -> SolverFigures:
-    """What solved samples tell of the survey."""
-    roughness, response = roughness_of(samples, gsd, pool), response_of(samples)
-    phantoms = phantoms_of(samples, roughness, response)
+def _estimate_figures(
+    samples: list[tuple[Tile, TileSolution]], gsd: float, pool: Executor, is_wet: bool
+) -> SolverFigures:
+    """Parameters of the survey, estimated from solved samples."""
+    roughness, response = roughness_of(samples, gsd, pool), median_response(samples)
+    null_solutions = null_solutions_of(samples, roughness, response)
     # Noise looks like shifts, and shifts like noise: first all is noise, then what shifts leave.
-    all_noise = noise_shares(phantoms, response, Shifts(0.0, 0.0), is_wet)
+    all_noise = noise_shares(null_solutions, response, Shifts(0.0, 0.0), is_wet)
     shifts = shifts_of(samples, all_noise.heights, is_wet)
-    noise = noise_shares(phantoms, response, shifts, is_wet)
+    noise = noise_shares(null_solutions, response, shifts, is_wet)
     return SolverFigures(
-        roughness, shifts, noise, fall_of(samples, roughness, response), slopes_by_noise(samples, roughness, noise)
+        roughness,
+        shifts,
+        noise,
+        spectral_slope_of(samples, roughness, response),
+        sweep_slope_noise(samples, roughness, noise),
     )
 
 
-def _part(job: Job, width: int, found: Solved, figures: SolverFigures) -> _Solved:
-    """The asked pixels of a tile, of a map of a width, but for those that keep the height of the sweep."""
+def _solve_part(job: Job, width: int, found: TileSolution, figures: SolverFigures) -> _PartSolution:
+    """Solution of the wanted pixels of a tile, in a map of a width, without those that keep the height of the sweep."""
     tile, noise = job.tile, figures.noise
     rows, columns = tile.places
     pixels = (rows + tile.row) * width + columns + tile.column
-    of_shift = 1.0 / parallax_of(found.brightness.weight, found.motion)
-    expected = expected_of(tile, found, noise.response, figures.fall)
-    change = change_of(found, found.height, noise.response)
-    relief = relief_of(tile, change, expected, noise.heights, noise.changes)
-    relief += bends_below(found, expected, noise.heights, noise.unfollowed)
+    of_shift = 1.0 / shift_information(found.brightness.weight, found.motion)
+    expected = expected_variances(tile, found, noise.response, figures.spectral_slope)
+    change = smoothing_change(found, found.height, noise.response)
+    relief = smoothed_relief(tile, change, expected, noise.heights, noise.changes)
+    relief += subpixel_relief(found, expected, noise.heights, noise.unfollowed)
     by_noise = noise.heights * expected.noise
-    values = (found.height, by_noise, relief, of_shift, rise_of(tile, found.height))
-    taken = tile.asked & ~keeps_sweep(tile, found, by_noise, noise, figures.slopes, job.tolerance)
-    return _Solved(pixels[taken], *(each[taken].astype(np.float32) for each in values))
+    values = (found.height, by_noise, relief, of_shift, local_slope(tile, found.height))
+    taken = tile.requested & ~rejects_update(tile, found, by_noise, noise, figures.slopes, job.tolerance)
+    return _PartSolution(pixels[taken], *(each[taken].astype(np.float32) for each in values))
 
 
-def _joined(parts: list[_Solved]) -> _Solved:
+def _concatenate(parts: list[_PartSolution]) -> _PartSolution:
     names = ("pixels", "height", "noise", "relief", "shift", "rise")
     pixels, *others = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
     order = np.argsort(pixels)
-    return _Solved(pixels[order], *(each[order] for each in others))
+    return _PartSolution(pixels[order], *(each[order] for each in others))
 
 
-def _with_std(m: DepthMap, found: _Solved, figures: SolverFigures, is_wet: bool) -> SolvedMap:
+def _with_std(m: DepthMap, found: _PartSolution, figures: SolverFigures, is_wet: bool) -> SolvedMap:
     photographs = m.agreeing.flat[found.pixels] + np.float32(1.0)
     # What shifts the photographs shifts the bed in the map that shows it, too.
     shift = figures.shifts.variance(depth_of(found.height, is_wet))
@@ -221,12 +247,51 @@ def _with_std(m: DepthMap, found: _Solved, figures: SolverFigures, is_wet: bool)
 
 
 def _sample(views: Views, kept: Sequence[np.ndarray], filled: list[list[int]]) -> list[Job]:
-    """Some of the fullest tiles, spread evenly over the maps; ``filled`` has what is asked for in all tiles of each."""
+    """Sample of the fullest tiles, spread evenly over the maps; ``filled`` counts the wanted pixels of their tiles."""
     of_map = np.repeat(np.arange(len(filled)), [len(each) for each in filled])
-    place, asked = (np.concatenate(each) for each in ([np.arange(len(each)) for each in filled], filled))
-    full = np.flatnonzero(asked >= NEARLY * asked.max())
+    place, requested = (np.concatenate(each) for each in ([np.arange(len(each)) for each in filled], filled))
+    full = np.flatnonzero(requested >= NEARLY * requested.max())
     chosen = full[np.unique(np.linspace(0, len(full) - 1, SAMPLES).astype(int))]
     return [
         next(islice(views.jobs(index, kept[index], SAMPLE_PX), int(place[i]), None))
         for i, index in zip(chosen, of_map[chosen].tolist(), strict=True)
     ]
+
+
+def rejects_update(
+    tile: Tile, solved: TileSolution, by_noise: np.ndarray, noise: NoiseShares, slopes: float, tolerance: float
+) -> np.ndarray:
+    """Pixels (N,) bool of a solved tile that keep the height of the sweep.
+
+    Steep ones, on walls and edges: there a pixel shows so long a piece of the bed that other photographs look
+    different, and the prior alone would move its height. Their slope is above the tolerance of agreement [m], and above
+    what noise makes of level ones: ``by_noise`` (N,) [m^2] is its variance in a solved height, ``slopes`` that of
+    `sweep_slope_noise`. And those about which the photographs agree better at the height of the sweep, by more than
+    noise explains, or of which too few photographs keep their weight (glint).
+    """
+    steep = solved.start.slope > np.maximum(tolerance, _SIGNIFICANT * slopes * np.sqrt(by_noise))
+    image = np.zeros(tile.inside.shape, dtype=np.float32)
+    image[tile.inside] = solved.improvement
+    side = (_WINDOW_PX, _WINDOW_PX)
+    window = cv2.boxFilter(image, -1, side, normalize=False, borderType=cv2.BORDER_CONSTANT)[tile.inside]
+    # Noise that neighbours share counts several times in a sum over pixels.
+    silent = np.count_nonzero(solved.brightness.weight > 0.0, axis=0) < _FEWEST
+    return steep | silent | (window < -_REFUTED * max(noise.heights, 1.0))
+
+
+def sweep_slope_noise(samples: list[tuple[Tile, TileSolution]], roughness: float, noise: NoiseShares) -> float:
+    """Standard deviation of the slopes by noise of the sweep, relative to that of a solved height by noise.
+
+    From the changes of the heights of samples by the solver, mostly noise of the sweep; walls and edges are few. A
+    factor of the survey (0.9 on data/quick, 3 in blur of 4 px).
+    """
+    found = []
+    for tile, each in samples:
+        moved = np.zeros(tile.inside.shape, dtype=np.float32)
+        moved[tile.inside] = each.height - each.start.height
+        whole = cv2.erode(tile.inside.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)[tile.inside] > 0
+        solved = replace(each, stiffness=stiffness_of(each.differences.matrix @ each.height, roughness))
+        by_noise = noise.heights * expected_variances(tile, solved, noise.response).noise
+        found += [np.abs(rise[tile.inside][whole]) / np.sqrt(by_noise[whole]) for rise in gradient_of(moved)]
+    together = np.concatenate(found)
+    return float(np.quantile(together, _MOST)) / _WITHIN if len(together) else 1.0

@@ -1,4 +1,4 @@
-"""Parts of height maps that are solved on their own, each within its surroundings."""
+"""Tiles of height maps: parts that are solved independently, each with a halo."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ class Tile:
     row: int
     column: int
     inside: np.ndarray
-    asked: np.ndarray
+    requested: np.ndarray
 
     def __len__(self) -> int:
-        return len(self.asked)
+        return len(self.requested)
 
     @cached_property
     def places(self) -> tuple[np.ndarray, np.ndarray]:
@@ -69,7 +69,7 @@ class Tile:
         """The part of an image in which the tile lies."""
         return image[self._window]
 
-    def window_of(self, images: GreyImages | Mapping[int, np.ndarray], view: int) -> np.ndarray:
+    def window_of_view(self, images: GreyImages | Mapping[int, np.ndarray], view: int) -> np.ndarray:
         """The part of the image of a view in which the tile lies."""
         return images.window(view, *self._window) if isinstance(images, GreyImages) else self.window(images[view])
 
@@ -80,7 +80,7 @@ class Tile:
 
 
 def tiles_of(wanted: np.ndarray, confirmed: np.ndarray, side: int | None = None) -> Iterator[Tile]:
-    """Tiles that hold every wanted pixel (height, width) bool once, with what is confirmed around them.
+    """Tiles that contain every wanted pixel (height, width) bool once, with confirmed pixels around them.
 
     They are squares of ``side`` pixels, without their surroundings; without it, parts that are close about what is
     wanted, so that a map of which little is takes few.
@@ -92,13 +92,13 @@ def tiles_of(wanted: np.ndarray, confirmed: np.ndarray, side: int | None = None)
             continue
         row, column = max(top - HALO_PX, 0), max(left - HALO_PX, 0)
         window = np.s_[row : bottom + HALO_PX, column : right + HALO_PX]
-        inside, asked = solved[window].copy(), np.zeros_like(solved[window])
-        asked[top - row : bottom - row, left - column : right - column] = wanted[core]
-        yield Tile(row, column, inside, asked[inside])
+        inside, requested = solved[window].copy(), np.zeros_like(solved[window])
+        requested[top - row : bottom - row, left - column : right - column] = wanted[core]
+        yield Tile(row, column, inside, requested[inside])
 
 
-def asked_in_squares(wanted: np.ndarray, side: int) -> list[int]:
-    """How many pixels are asked for in each of the tiles that `tiles_of` makes with a side."""
+def requested_in_squares(wanted: np.ndarray, side: int) -> list[int]:
+    """Number of wanted pixels in each of the tiles that `tiles_of` makes with a side."""
     counts = (
         int(np.count_nonzero(wanted[top:bottom, left:right]))
         for top, bottom, left, right in _squares(wanted.shape, side)
@@ -115,7 +115,7 @@ def _squares(shape: tuple[int, ...], side: int) -> Iterator[tuple[int, int, int,
 
 
 def _halves(wanted: np.ndarray) -> Iterator[tuple[int, int, int, int]]:
-    """Top, bottom, left and right of halves of halves of an image, each close about what is wanted in it."""
+    """Top, bottom, left and right of the parts of a recursive bisection, each cropped to its wanted pixels."""
     waiting = [(0, wanted.shape[0], 0, wanted.shape[1])]
     while waiting:
         top, bottom, left, right = waiting.pop()

@@ -1,21 +1,27 @@
-"""How sure a height is: what noise does to it, and what the prior takes from the bed there."""
+"""Standard deviation of solved heights: by noise, and by the relief that the prior smooths away.
+
+Means over the spectrum of a bed of equal pixels: with information H of a height, of which the residuals answer with
+``A = response * H``, and stiffness q, a wave of the bed is multiplied by ``A / (A + q S)``, with S the square of the
+symbol of the Laplacian: the power that the prior expects of the bed is ``1 / (q S)``. Beds of another roughness at
+small than at large scale have ``1 / S**slope``. All depends on the ratio of q to A alone.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
 
-from fields.solver.solve import FAINT, Solved, conjugate_gradients, normal_matrix
+from fields.solver.gauss_newton import FAINT, TileSolution, conjugate_gradients, normal_matrix
 from fields.solver.tile import Tile
-from fields.solver.waves import FALL_OF_PRIOR, means_at
 
 # Information and stiffness are alike over about the range in which heights are correlated [px].
 _ALIKE_PX = 1.5
-# How much relief the prior takes from the bed is alike in a bell of this standard deviation [px].
+# How much relief the prior takes from the bed is alike in a Gauss window of this standard deviation [px].
 _NEAR_PX = 4.0
-# Bells end at so many standard deviations.
+# Gauss windows end at so many standard deviations.
 _TRUNCATED = 3.0
 # About edges, what the tile as a whole says of its relief counts as much as so many independent values: where there is
 # more than chance explains by one (a little) to two (all) standard deviations.
@@ -26,11 +32,14 @@ _ONE_STD_BELOW = 0.1587
 ONE_STD = 0.6827
 # Changes are wanted to a few hundredths: conjugate gradients, relative to the start.
 _CHANGE_RESIDUAL = 0.01
+# Spectral slope of the bed, as an exponent of the power that the prior expects.
+PRIOR_SPECTRAL_SLOPE = 1.0
+_FREQUENCIES, _RATIOS = 256, np.logspace(-4.0, 9.0, 66)
 
 
 @dataclass(frozen=True)
-class Expected:
-    """Variances (N,) [m^2] that noise and relief should have, for independent noise and the relief of the prior.
+class ExpectedVariances:
+    """Expected variances (N,) [m^2] for independent noise and the relief of the prior.
 
     Attributes
     ----------
@@ -39,124 +48,199 @@ class Expected:
     relief : (N,)
         Of a height, by relief that the prior takes from the bed.
     changed_noise, changed_relief : (N,)
-        Of what smoothing a height once more changes.
+        Of the change by smoothing a height once more.
     bends_noise : (N,)
-        Of the bends about a height, by noise.
+        Of the second differences of a height, by noise.
     independent : (N,)
-        How many independent values of that the bell about a pixel has.
+        How many independent values of that the Gauss window about a pixel has.
     """
 
     noise: np.ndarray
     relief: np.ndarray
     changed_noise: np.ndarray
     changed_relief: np.ndarray
-    bends_noise: np.ndarray
+    differences_noise: np.ndarray
     independent: np.ndarray
 
 
-def expected_of(tile: Tile, solved: Solved, response: float, fall: float = FALL_OF_PRIOR) -> Expected:
-    """What is expected of the heights of a tile, as if the normal matrix were the same all around each pixel.
+def expected_variances(
+    tile: Tile, solved: TileSolution, response: float, spectral_slope: float = PRIOR_SPECTRAL_SLOPE
+) -> ExpectedVariances:
+    """Expected variances of the heights of a tile, for a normal matrix that is uniform around each pixel.
 
-    Then each wave of the heights is solved on its own, and the variance of a height is the mean over all waves
-    (`fields.solver.waves`). Smoothed once more, a wave changes by what the prior takes of it. ``fall`` is how steeply
-    the bed's power falls with the frequency (`fields.solver.fall.fall_of`).
+    Each wave of the heights is then solved on its own, and the variance of a height is the mean over all waves.
+    Smoothed once more, a wave changes by what the prior takes of it. ``spectral_slope`` is that of the bed
+    (`fields.solver.roughness.spectral_slope_of`).
     """
-    answer, log_ratio = answer_of(tile, solved, response)
-    means, of_noise = means_at(log_ratio, fall), 1.0 / (response * answer)
-    return Expected(
-        means.noise * of_noise, means.relief / answer, means.changed_noise * of_noise, means.changed_relief / answer,
-        means.bends_noise * of_noise, 4.0 * np.pi * _NEAR_PX**2 / means.alike,
-    )  # fmt: skip
+    effective, log_ratio = effective_information(tile, solved, response)
+    means, of_noise = spectral_means(log_ratio, spectral_slope), 1.0 / (response * effective)
+    return ExpectedVariances(
+        noise=means.noise * of_noise,
+        relief=means.relief / effective,
+        changed_noise=means.changed_noise * of_noise,
+        changed_relief=means.changed_relief / effective,
+        differences_noise=means.differences_noise * of_noise,
+        independent=4.0 * np.pi * _NEAR_PX**2 / means.correlated_px,
+    )
 
 
-def answer_of(tile: Tile, solved: Solved, response: float) -> tuple[np.ndarray, np.ndarray]:
-    """How much the residuals answer to a height about each pixel (N,) [1/m^2], and the logarithm (N,) of the ratio of
-    the stiffness to it."""
-    # Compliances add up, as those of springs in a row: one loose bend frees a height.
-    compliance = _near(tile, solved.bends.mean_about(1.0 / solved.stiffness), _ALIKE_PX)
-    answer = response * _near(tile, solved.information, _ALIKE_PX) + FAINT
-    return answer, np.log(1.0 / (np.maximum(compliance, 1e-12) * answer))
+def effective_information(tile: Tile, solved: TileSolution, response: float) -> tuple[np.ndarray, np.ndarray]:
+    """Effective information of a height around each pixel (N,) [1/m^2], and the logarithm (N,) of the ratio of the
+    stiffness to it."""
+    # Compliances add up, as those of springs in series: one loose second difference frees a height.
+    compliance = _local_mean(tile, solved.differences.mean_at_heights(1.0 / solved.stiffness), _ALIKE_PX)
+    effective = response * _local_mean(tile, solved.information, _ALIKE_PX) + FAINT
+    return effective, np.log(1.0 / (np.maximum(compliance, 1e-12) * effective))
 
 
-def smoothed(solved: Solved, right: np.ndarray, response: float, residual: float) -> np.ndarray:
-    """Heights (N,) of a right side (N,) of the normal equations, whose information is what the residuals answer to."""
-    answer = np.float32(response) * solved.information
-    matrix = normal_matrix(answer, solved.bends, solved.stiffness)
-    diagonal = answer + solved.bends.squared @ solved.stiffness + FAINT
+def solve_normal_equations(solved: TileSolution, right: np.ndarray, response: float, residual: float) -> np.ndarray:
+    """Heights (N,) for a right side (N,) of the normal equations with the effective information."""
+    effective = np.float32(response) * solved.information
+    matrix = normal_matrix(effective, solved.differences, solved.stiffness)
+    diagonal = effective + solved.differences.squared @ solved.stiffness + FAINT
     return conjugate_gradients(matrix, right.astype(np.float32), diagonal, residual)
 
 
-def change_of(solved: Solved, heights: np.ndarray, response: float) -> np.ndarray:
-    """How much heights (N,) [m] change where they are smoothed once more, (N,) [m]."""
-    return smoothed(solved, solved.bends.pull(solved.stiffness, heights), response, _CHANGE_RESIDUAL)
+def smoothing_change(solved: TileSolution, heights: np.ndarray, response: float) -> np.ndarray:
+    """Change (N,) [m] of heights (N,) [m] by smoothing them once more."""
+    return solve_normal_equations(
+        solved, solved.differences.gradient(solved.stiffness, heights), response, _CHANGE_RESIDUAL
+    )
 
 
-def relief_of(tile: Tile, change: np.ndarray, expected: Expected, noise: float, changed_noise: float) -> np.ndarray:
-    """Variance (N,) [m^2] of heights by relief that the prior takes from the bed.
+def smoothed_relief(
+    tile: Tile, change: np.ndarray, expected: ExpectedVariances, noise: float, changed_noise: float
+) -> np.ndarray:
+    """Variance (N,) [m^2] of heights by the relief that the prior smooths away.
 
-    What smoothing once more changes is relief where it is more than noise (``noise`` and ``changed_noise`` are the
+    The change by smoothing once more is relief where it is more than noise (``noise`` and ``changed_noise`` are the
     shares of `fields.solver.correlation.NoiseShares`). About a pixel that is known from a few independent values only:
     they count together with what the whole tile says.
     """
     square, by_noise = change * change, changed_noise * expected.changed_noise
     by_relief = noise * expected.changed_relief
     # The relief with which that share of the tile lies within one standard deviation.
-    whole = max(float(np.quantile(((square - by_noise) / by_relief)[tile.asked], ONE_STD)), 0.0)
+    whole = max(float(np.quantile(((square - by_noise) / by_relief)[tile.requested], ONE_STD)), 0.0)
     number, everywhere = expected.independent, by_noise + whole * by_relief
-    near = _near(tile, square, _NEAR_PX)
-    count = worth_of_whole(near / everywhere, tile.asked, float(np.median(number[tile.asked])))
+    near = _local_mean(tile, square, _NEAR_PX)
+    count = effective_sample_weight(near / everywhere, tile.requested, float(np.median(number[tile.requested])))
     here = (number * near + count * everywhere) / (number + count)
     return np.maximum(here - by_noise, 0.0) * expected.relief / expected.changed_relief
 
 
-def worth_of_whole(ratio: np.ndarray, asked: np.ndarray, number: float) -> np.ndarray:
-    """As how many independent values (N,) the mean over a tile counts for each place of it.
+def effective_sample_weight(ratio: np.ndarray, requested: np.ndarray, number: float) -> np.ndarray:
+    """Effective number of independent values (N,) of the mean over a tile, as a prior at each pixel.
 
-    ``ratio`` (N,) is that of the mean square about each pixel, of ``number`` independent values, to what the tile as a
-    whole lets expect. Over the ``asked`` it spreads by chance, and by as much more as places differ: the variance of
-    the latter, v, is that of 2 / v values (empirical Bayes, the conjugate prior of a variance), and no more than the
-    tile has. It is taken from below the median, where no edges are.
+    ``ratio`` (N,) is that of the mean square about each pixel, of ``number`` independent values, to the mean over the
+    tile. Over the ``requested`` pixels it spreads by chance, and beyond that as places differ: the variance v of the
+    latter is that of 2 / v values (empirical Bayes, the conjugate prior of a variance), and no more than the tile has.
+    It is taken from below the median, where no edges are.
     """
     # Cube roots of such mean squares are normal (Wilson and Hilferty 1931).
     root = np.cbrt(np.maximum(ratio, 1e-9))
-    low, middle = np.quantile(root[asked], (_ONE_STD_BELOW, 0.5))
+    low, middle = np.quantile(root[requested], (_ONE_STD_BELOW, 0.5))
     by_chance = np.sqrt(2.0 / (9.0 * number))
     spread = (middle - low) / middle
-    bells = max(np.count_nonzero(asked) / (4.0 * np.pi * _NEAR_PX**2), 1.0)
+    areas = max(np.count_nonzero(requested) / (4.0 * np.pi * _NEAR_PX**2), 1.0)
     # A root varies by a third of what its cube does.
-    count = 2.0 / max(9.0 * (spread**2 - by_chance**2), 2.0 / (number * bells))
+    count = 2.0 / max(9.0 * (spread**2 - by_chance**2), 2.0 / (number * areas))
     beyond = np.clip((root / middle - 1.0) / max(spread, by_chance) - 1.0, 0.0, 1.0)
     return count * (min(_WHOLE_AT_EDGES / count, 1.0)) ** beyond
 
 
-def bends_below(solved: Solved, expected: Expected, noise: float, unfollowed: float) -> np.ndarray:
-    """Variance (N,) [m^2] of the bed within a pixel by how it bends there.
+def subpixel_relief(solved: TileSolution, expected: ExpectedVariances, noise: float, unfollowed: float) -> np.ndarray:
+    """Variance (N,) [m^2] of the bed within a pixel, from its second differences.
 
-    Noise bends the solved heights, too. Its part is taken off as far as the photographs show no more relief of the
+    The share of noise in the second differences is subtracted as far as the photographs show no more relief of the
     pixels than what the prior should take from the bed (``noise`` and ``unfollowed`` of
     `fields.solver.correlation.NoiseShares`): a bed that has none has none below the pixel.
     """
-    bend = solved.bends.of_heights @ solved.height
-    by_noise = (1.0 - unfollowed) * noise * expected.bends_noise
-    return np.maximum(solved.bends.mean_about(bend * bend) - by_noise, 0.0)
+    differences = solved.differences.matrix @ solved.height
+    by_noise = (1.0 - unfollowed) * noise * expected.differences_noise
+    return np.maximum(solved.differences.mean_at_heights(differences * differences) - by_noise, 0.0)
 
 
-def rise_of(tile: Tile, height: np.ndarray) -> np.ndarray:
-    """Rise (N,) [m/px] of heights (N,) [m] over the pixels next to each."""
+def local_slope(tile: Tile, height: np.ndarray) -> np.ndarray:
+    """Slope (N,) [m/px] of heights (N,) [m] over the adjacent pixels."""
     beside = np.ones((3, 3), dtype=np.uint8)
     highest, lowest = (np.full(tile.inside.shape, bound, dtype=np.float32) for bound in (-np.inf, np.inf))
     highest[tile.inside] = lowest[tile.inside] = height
     return 0.5 * (cv2.dilate(highest, beside)[tile.inside] - cv2.erode(lowest, beside)[tile.inside])
 
 
-def _near(tile: Tile, values: np.ndarray, alike_px: float) -> np.ndarray:
+def _local_mean(tile: Tile, values: np.ndarray, alike_px: float) -> np.ndarray:
     """Mean of values (N,) around each pixel of the tile."""
-    total, weight = (_spread(tile, part, alike_px) for part in (values, np.ones(len(tile))))
+    total, weight = (_gaussian(tile, part, alike_px) for part in (values, np.ones(len(tile))))
     return total / np.maximum(weight, 1e-9)
 
 
-def _spread(tile: Tile, values: np.ndarray, alike_px: float) -> np.ndarray:
+def _gaussian(tile: Tile, values: np.ndarray, alike_px: float) -> np.ndarray:
     image = np.zeros(tile.inside.shape, dtype=np.float32)
     image[tile.inside] = values
     side = 2 * round(_TRUNCATED * alike_px) + 1
     return cv2.GaussianBlur(image, (side, side), alike_px, borderType=cv2.BORDER_REFLECT)[tile.inside]
+
+
+@dataclass(frozen=True)
+class SpectralMeans:
+    """Means over the spectrum at ratios (N,) of stiffness to effective information.
+
+    Attributes
+    ----------
+    noise, relief : (N,)
+        Of the noise of a height, and of the relief that the prior takes from it.
+    changed_noise, changed_relief : (N,)
+        Of both in the change by smoothing a height once more.
+    twice_changed_relief : (N,)
+        Of relief in what smoothing that change changes of it.
+    bends_noise : (N,)
+        Of noise in the second differences of a height.
+    alike : (N,) [px^2]
+        How many pixels share a value of what is changed.
+    """
+
+    noise: np.ndarray
+    relief: np.ndarray
+    changed_noise: np.ndarray
+    changed_relief: np.ndarray
+    twice_changed_relief: np.ndarray
+    differences_noise: np.ndarray
+    correlated_px: np.ndarray
+
+
+def spectral_means(log_ratio: np.ndarray | float, spectral_slope: float) -> SpectralMeans:
+    """Spectral means for logarithms (N,) of the ratio of stiffness to effective information, and a spectral slope."""
+    return SpectralMeans(*(np.exp(np.interp(log_ratio, np.log(_RATIOS), row)) for row in _shares(spectral_slope)))
+
+
+@cache
+def _symbols() -> tuple[np.ndarray, np.ndarray]:
+    """Symbols of the squared Laplacian, and of the second differences of a height."""
+    angle = 2.0 * np.pi * np.fft.fftfreq(_FREQUENCIES)
+    along = 2.0 - 2.0 * np.cos(angle)
+    # Of the ten second differences of a height three are along rows, three along columns and four across both.
+    second = 0.3 * (along[:, None] ** 2 + along**2) + 0.8 * along[:, None] * along
+    return (along[:, None] + along) ** 2, second
+
+
+def _power(spectral_slope: float) -> np.ndarray:
+    """Power spectrum of the bed; a constant is no relief."""
+    symbol, _ = _symbols()
+    return np.where(symbol > 0.0, np.maximum(symbol, 1e-30) ** -spectral_slope, 0.0)
+
+
+@cache
+def _shares(spectral_slope: float) -> np.ndarray:
+    """Logarithms of `SpectralMeans` (7, ratios)."""
+    symbol, second = _symbols()
+    power, rows = _power(spectral_slope), []
+    for ratio in _RATIOS:
+        transfer = 1.0 / (1.0 + ratio * symbol)
+        # What the prior expects of the bed at that ratio, at the spectral slope of the prior.
+        noise, relief = transfer**2, (1.0 - transfer) ** 2 * power / ratio
+        changed = (1.0 - transfer) ** 2 * noise
+        changed_relief, correlated_px = relief * transfer**2, (changed**2).mean() / changed.mean() ** 2
+        twice = changed_relief * (1.0 - transfer) ** 2
+        means = (part.mean() for part in (noise, relief, changed, changed_relief, twice, second * noise))
+        rows.append([*means, correlated_px])
+    return np.log(rows).T

@@ -1,4 +1,4 @@
-"""The photographs and height maps of a survey, as tiles are solved with them."""
+"""Photographs and height maps that tiles are solved with, and the queue of tiles."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ import numpy as np
 
 from fields.device import Device
 from fields.image_store import GreyImages, LruCache, num_cached
-from fields.solver.projection import Projection
-from fields.solver.sight import Sight, Surface, sights_of
-from fields.solver.solve import Solved, Start, solve
+from fields.solver.gauss_newton import Start, TileSolution, solve
 from fields.solver.tile import MOST_PX, Tile, tiles_of
+from fields.solver.visibility import Projector, Surface, TileProjection, project_tiles
 from fields.sweep.block import Block
 from fields.sweep.maps import ByView, DepthMap
 from refract import FlatWater, PinholeCamera
@@ -36,7 +35,7 @@ AHEAD_PX = 2 * MOST_PX
 
 @dataclass(frozen=True)
 class Job:
-    """A tile of a height map, and the photographs that it is compared with.
+    """Tile of a height map and the photographs that it is compared with.
 
     Attributes
     ----------
@@ -55,7 +54,7 @@ class Job:
 
 
 def surfaces_of(maps: Sequence[DepthMap], views: list[int]) -> ByView[Surface]:
-    """Those of maps by their views; the last few are kept, so that each is read from its map a few times only."""
+    """Surfaces of maps by view; the last few are cached, so that each is read from its map a few times only."""
     size = maps[0].height.size if len(maps) else 0
     most = num_cached(_SURFACE_BYTES * size, _KEPT_BYTES, MOST_VIEWS + 1)
     return ByView(LruCache(lambda number: Surface.of(maps[number]), most), views)
@@ -63,7 +62,7 @@ def surfaces_of(maps: Sequence[DepthMap], views: list[int]) -> ByView[Surface]:
 
 @dataclass(frozen=True)
 class Views:
-    """What tiles are solved with.
+    """Photographs, cameras, water and height maps that tiles are solved with.
 
     Attributes
     ----------
@@ -91,7 +90,7 @@ class Views:
 
     @staticmethod
     def of(block: Block, maps: Sequence[DepthMap]) -> Views:
-        """Of a block at the scale of its maps."""
+        """Views of a block at the scale of its maps."""
         views, others, tolerance = [], [], []
         for m in maps:
             seen_by = block.neighbours(m.view, MOST_VIEWS)
@@ -107,8 +106,8 @@ class Views:
         return surfaces_of(self.maps, self.views)
 
     @cached_property
-    def _projection(self) -> Projection:
-        return Projection(self.device, self.cameras, self.water)
+    def _projector(self) -> Projector:
+        return Projector(self.device, self.cameras, self.water)
 
     def jobs(self, index: int, wanted: np.ndarray, side: int | None = None) -> Iterator[Job]:
         """Tiles of a map that hold all wanted pixels (height, width) bool; none where no other view overlaps."""
@@ -117,22 +116,22 @@ class Views:
                 yield Job(index, tile, self.others[index], self.tolerance[index])
 
     def solved(
-        self, jobs: Iterable[Job], roughness: float, pool: Executor, use: Callable[[Job, Solved], Used]
+        self, jobs: Iterable[Job], roughness: float, pool: Executor, use: Callable[[Job, TileSolution], Used]
     ) -> Iterator[tuple[Job, Used]]:
-        """Solve tiles about the heights of their maps, several at a time; what ``use`` makes of each, in order.
+        """Solve tiles about the heights of their maps, several at a time; yields ``use`` of each, in order.
 
         The kernels that see tiles in other photographs run on this thread, a few tiles ahead.
         """
 
-        def one(job: Job, sight: Sight, start: Start) -> Used:
-            return use(job, solve(job.tile, sight, self.images, start, roughness, job.tolerance))
+        def one(job: Job, projected: TileProjection, start: Start) -> Used:
+            return use(job, solve(job.tile, projected, self.images, start, roughness, job.tolerance))
 
         waiting: deque[tuple[Job, Future[Used]]] = deque()
         pixels = 0
         for batch in _batches(jobs):
-            for job, sight in zip(batch, self._sights(batch), strict=True):
+            for job, projected in zip(batch, self._projected(batch), strict=True):
                 start = Start.of(job.tile, self._surfaces[self.views[job.index]].height)
-                waiting.append((job, pool.submit(one, job, sight, start)))
+                waiting.append((job, pool.submit(one, job, projected, start)))
                 pixels += len(job.tile)
             while pixels > AHEAD_PX:
                 first, found = waiting.popleft()
@@ -141,11 +140,11 @@ class Views:
         for job, found in waiting:
             yield job, found.result()
 
-    def _sights(self, batch: list[Job]) -> list[Sight]:
-        """Of tiles of one map."""
+    def _projected(self, batch: list[Job]) -> list[TileProjection]:
+        """Projections of the tiles of one map."""
         index = batch[0].index
         view, tolerance, tiles = self.views[index], batch[0].tolerance, [job.tile for job in batch]
-        return sights_of(tiles, view, batch[0].others, self.cameras, self._surfaces, self._projection, tolerance)
+        return project_tiles(tiles, view, batch[0].others, self.cameras, self._surfaces, self._projector, tolerance)
 
 
 def _batches(jobs: Iterable[Job]) -> Iterator[list[Job]]:

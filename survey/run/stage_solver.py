@@ -18,7 +18,7 @@ from survey.run.stored_maps import Stored, kept_aside, save_maps
 
 if TYPE_CHECKING:
     from fields.image_store import Masks
-    from fields.solver.sightings import Sightings
+    from fields.solver.visibility import Sightings
     from survey.run.job import Job
 
 SOLVED, SIGHTINGS = "solved.npz", "sightings.json"

@@ -1,19 +1,24 @@
-"""Where the photographs see the points of a tile, and how that changes with their heights."""
+"""Visibility and projection of the points of a tile in the photographs, and the derivatives by their heights."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import cv2
 import numpy as np
 
+from fields.device import Device
 from fields.image_store import GreyImages
-from fields.solver.projection import Projection
+from fields.solver.appearance import Brightness
 from fields.solver.tile import Tile
+from fields.sweep.kernels.arrays import constant, floats, host
+from fields.sweep.kernels.rays import point_at, project, refracted_rays
+from fields.sweep.kernels.stack import CameraTerms, PlaneFrame, camera_table
 from fields.sweep.maps import DepthMap
-from refract import PinholeCamera
+from refract import FlatWater, PinholeCamera
 
 # The step of the differences across the image [px]: positions in float32 are good to 3e-4 px.
 _STEP_PX = 1.0
@@ -22,24 +27,26 @@ _RIM_PX = 2.5
 _LINE = 2048
 # How far from the border a position has to be so that no pixel beyond it counts.
 _RIMS = {cv2.INTER_LINEAR: 0.5, cv2.INTER_CUBIC: 1.5}
+# Of the search for the crossing; docs/optics.md.
+_STEPS = 2
 
 
 @dataclass(frozen=True)
 class Surface:
-    """A height map as others see it: its heights (height, width) float32 [m], and which of them any view confirms."""
+    """Height map as an occluder: heights (height, width) float32 [m], and which of them any view confirms."""
 
     height: np.ndarray
     confirmed: np.ndarray
 
     @staticmethod
     def of(m: DepthMap) -> Surface:
-        """That of a map."""
+        """Surface of a height map."""
         return Surface(m.height, m.agreeing > 0)
 
 
 @dataclass(frozen=True)
-class Sight:
-    """A tile in K photographs, the one of the tile first; N pixels, float32.
+class TileProjection:
+    """Projection of a tile into K photographs, that of the tile first; N pixels, float32.
 
     Attributes
     ----------
@@ -62,7 +69,7 @@ class Sight:
 
     @cached_property
     def _places(self) -> list[np.ndarray]:
-        """Numbers of the pixels that each photograph shows: to take them is ten times as fast as by a mask."""
+        """Indices of the visible pixels of each photograph: ten times as fast as a mask."""
         return [np.flatnonzero(row) for row in self.seen]
 
     def sample(self, images: GreyImages | Mapping[int, np.ndarray], change: np.ndarray) -> np.ndarray:
@@ -73,7 +80,7 @@ class Sight:
         ):
             if len(index):
                 x, y = at.take(index, axis=1) + rise.take(index, axis=1) * change.take(index)
-                rows, columns = window_of(x, y)
+                rows, columns = lookup_window(x, y)
                 image = (
                     images.window(view, rows, columns)
                     if isinstance(images, GreyImages)
@@ -83,8 +90,8 @@ class Sight:
         return values
 
 
-def window_of(x: np.ndarray, y: np.ndarray) -> tuple[slice, slice]:
-    """Rows and columns of an image that lookups at positions (N,) [px] need: large photographs are read in parts.
+def lookup_window(x: np.ndarray, y: np.ndarray) -> tuple[slice, slice]:
+    """Window of an image (rows, columns) that lookups at positions (N,) [px] need: photographs are read in parts.
 
     It begins at whole pixels, so that a lookup gives the same number to the last bit.
     """
@@ -108,16 +115,16 @@ def lookup(image: np.ndarray, x: np.ndarray, y: np.ndarray, way: int) -> np.ndar
     return np.where(inside, values, np.float32(np.nan))
 
 
-def sights_of(
+def project_tiles(
     tiles: Sequence[Tile],
     view: int,
     others: Sequence[int],
     cameras: Mapping[int, PinholeCamera],
     maps: Mapping[int, Surface],
-    projection: Projection,
+    projector: Projector,
     tolerance: float,
-) -> list[Sight]:
-    """Tiles of `view`, each in its own photograph and in those of ``others`` that show at least a tenth of it.
+) -> list[TileProjection]:
+    """Projections of tiles of `view` into its photograph and into those of ``others`` that show a tenth of it or more.
 
     Small tiles are carried into the other photographs together: a kernel takes as long to start as for 10,000 pixels.
     A point is hidden where the height map of the other photograph, confirmed by a third, is higher by more than
@@ -131,12 +138,12 @@ def sights_of(
     # Each point, raised, and those of positions beside it at its height.
     beside = [pixels, pixels, *(pixels + step for step in _STEP_PX * np.eye(2))]
     heights = np.concatenate([start, start + np.float32(tolerance), start, start])
-    points = projection.points(view, np.concatenate(beside), heights)
+    points = projector.points(view, np.concatenate(beside), heights)
     own = np.ascontiguousarray(pixels.T, dtype=np.float32)
     unmoved, everywhere = np.zeros_like(own), np.ones(total, dtype=bool)
     found = [[(view, own[:, part], unmoved[:, part], unmoved[:, part], everywhere[part])] for part in parts]
     for other in others:
-        all_at, all_inside = projection.seen(other, points)
+        all_at, all_inside = projector.seen(other, points)
         at, raised, right, down = all_at.reshape(2, 4, total).swapaxes(0, 1)
         size = np.array([[cameras[other].width], [cameras[other].height]]) - np.float32(_RIM_PX)
         inside = all_inside[:total] & ((at > _RIM_PX) & (at < size)).all(axis=0)
@@ -146,9 +153,9 @@ def sights_of(
         inside &= np.repeat(shows, counts)
         if other in maps:
             index = np.flatnonzero(inside)
-            inside[index] = ~_hidden(maps[other], at.take(index, axis=1), start[index] + np.float32(tolerance))
+            inside[index] = ~_is_occluded(maps[other], at.take(index, axis=1), start[index] + np.float32(tolerance))
         change = (raised - at) / np.float32(tolerance)
-        shift = _through(right - at, down - at, change) * np.float32(_STEP_PX)
+        shift = _solve_2x2(right - at, down - at, change) * np.float32(_STEP_PX)
         inside &= np.isfinite(shift).all(axis=0)
         for number in np.flatnonzero(shows):
             part = parts[number]
@@ -156,23 +163,96 @@ def sights_of(
     return [_stacked(each) for each in found]
 
 
-def _stacked(photographs: list[tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]) -> Sight:
+def _stacked(photographs: list[tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]) -> TileProjection:
     views, *arrays = zip(*photographs, strict=True)
-    return Sight(list(views), *(np.stack(each) for each in arrays))
+    return TileProjection(list(views), *(np.stack(each) for each in arrays))
 
 
-def _through(right: np.ndarray, down: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """Steps (2, N) to the right and down that together make a change (2, N); NaN where the two are in line."""
+def _solve_2x2(right: np.ndarray, down: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Solutions (2, N) of 2x2 systems with columns ``right`` and ``down``; NaN where they are singular."""
     size = right[0] * down[1] - right[1] * down[0]
     size[size == 0.0] = np.nan
     return np.stack([down[1] * change[0] - down[0] * change[1], right[0] * change[1] - right[1] * change[0]]) / size
 
 
-def _hidden(surface: Surface, at: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Where a surface at positions (2, N) [px] is above heights (N,) [m] and confirmed."""
+def _is_occluded(surface: Surface, at: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """Occlusion mask: a surface at positions (2, N) [px] is above heights (N,) [m] and confirmed."""
     x, y = at
-    rows, columns = window_of(x, y)
+    rows, columns = lookup_window(x, y)
     x, y = x - columns.start, y - rows.start
     there = lookup(surface.height[rows, columns], x, y, cv2.INTER_LINEAR)
     confirmed = lookup(surface.confirmed[rows, columns].astype(np.float32), x, y, cv2.INTER_LINEAR)
     return (there > height) & (confirmed > 0.5)
+
+
+class Projector:
+    """Projection of points through the water into photographs, on the device of the sweep.
+
+    Dr.Jit is not meant for several threads: only one may use it, the one that made it.
+
+    Parameters
+    ----------
+    device : Device
+    cameras : by number
+    water : FlatWater or None
+    """
+
+    def __init__(self, device: Device, cameras: Mapping[int, PinholeCamera], water: FlatWater | None):
+        self.device, self._cameras = device, cameras
+        self._frame, self._n_water = PlaneFrame.of(water), None if water is None else water.n_water
+        self._beyond = CameraTerms.of(list(cameras.values()))
+        table = camera_table(list(cameras.values()), self._beyond, self._frame)
+        self._rows = {view: [constant(device, c) for c in row] for view, row in zip(cameras, table, strict=True)}
+
+    def points(self, view: int, pixels: np.ndarray, heights: np.ndarray) -> tuple[Any, ...]:
+        """Points of pixels (P, 2) [px] of a photograph at heights (P,) [m], for `seen`."""
+        beyond = CameraTerms.of([self._cameras[view]])
+        camera = [constant(self.device, c) for c in camera_table([self._cameras[view]], beyond, self._frame)[0]]
+        u, v, z = (floats(self.device, each) for each in (pixels[:, 0], pixels[:, 1], heights))
+        points = point_at(refracted_rays(camera, u, v, self._n_water or 1.0, beyond), z)
+        _compute(self.device, *points)
+        return points
+
+    def seen(self, view: int, points: tuple[Any, ...]) -> tuple[np.ndarray, np.ndarray]:
+        """Positions of points in a photograph, (2, P) float32 [px], and whether inside it, (P,) bool."""
+        u, v, inside = project(self._rows[view], points, self._n_water, self._beyond, _STEPS)
+        _compute(self.device, u, v, inside)
+        return np.stack([host(self.device, u), host(self.device, v)]), host(self.device, inside)
+
+
+def _compute(device: Device, *arrays) -> None:
+    """Evaluate the traced arrays of Dr.Jit."""
+    if device.module is not None:
+        import drjit
+
+        drjit.eval(*arrays)
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Number of pixels of the bed that each photograph shows, and of outliers among them.
+
+    Attributes
+    ----------
+    seen, outlying : (photographs,) int64
+        All, and those whose residual lost most of its weight: glint, a shadow, something that moved.
+    """
+
+    seen: np.ndarray
+    outlying: np.ndarray
+
+    @staticmethod
+    def none(photographs: int) -> Sightings:
+        """Zero counts."""
+        return Sightings(*np.zeros((2, photographs), dtype=np.int64))
+
+    @staticmethod
+    def of(views: Sequence[int], brightness: Brightness, photographs: int) -> Sightings:
+        """Counts of a tile solved in some views, of a survey of so many photographs."""
+        found, chosen = np.zeros((2, photographs), dtype=np.int64), list(views)
+        found[0, chosen] = np.count_nonzero(brightness.weight > 0.0, axis=1)
+        found[1, chosen] = np.count_nonzero(brightness.outlying, axis=1)
+        return Sightings(*found)
+
+    def __add__(self, other: Sightings) -> Sightings:
+        return Sightings(self.seen + other.seen, self.outlying + other.outlying)

@@ -1,4 +1,4 @@
-"""Gauss-Newton over the heights of one tile."""
+"""Gauss-Newton steps for the heights of one tile."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from scipy import ndimage
 
 from fields.image_store import GreyImages
-from fields.solver.appearance import Appearance, Brightness, appearance_of, brightness_of, gain_of
-from fields.solver.sight import Sight
-from fields.solver.smoothness import Bends, bends_of, stiffness_of
+from fields.solver.appearance import Appearance, Brightness, appearance_of, brightness_of, log_likelihood_ratio
+from fields.solver.smoothness import SecondDifferences, second_differences_of, stiffness_of
 from fields.solver.tile import Tile
+from fields.solver.visibility import TileProjection
 from fields.sweep.slopes import slope_of
 
 ITERATIONS = 3
@@ -31,20 +31,20 @@ _DERIVATIVE = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]], dtype=np.float32) / 12.0
 
 @dataclass(frozen=True)
 class Start:
-    """Heights of the sweep (N,) float32 [m] at the pixels of a tile, and their rise (N,) [m/px] in its map."""
+    """Heights of the sweep (N,) float32 [m] at the pixels of a tile, and their slope (N,) [m/px] in its map."""
 
     height: np.ndarray
     slope: np.ndarray
 
     @staticmethod
     def of(tile: Tile, heights: np.ndarray) -> Start:
-        """Of a map (height, width) [m]."""
+        """Start from a map (height, width) [m]."""
         window = np.ascontiguousarray(tile.window(heights), dtype=np.float32)
         return Start(window[tile.inside], slope_of(window)[tile.inside])
 
 
 @dataclass(frozen=True)
-class Solved:
+class TileSolution:
     """Heights of the N pixels of a tile, and the normal equations that they solve.
 
     Attributes
@@ -53,19 +53,19 @@ class Solved:
     information : (N,) [1/m^2]
         Of the images, for each height alone: the diagonal that the images add to the normal matrix.
     stiffness : (M,) [1/m^2]
-        Of the bends.
-    bends : Bends
+        Of the second differences.
+    differences : SecondDifferences
     brightness : Brightness
     slope : (K, N) [grey/m]
         Change of each residual with the height.
     motion : (K, 2, N) [px/m]
-        As `Sight` has it.
+        As `TileProjection` has it.
     response : float
-        How much of ``information`` the residuals answered to a change of the heights with: less than one where robust
-        weights drop what a change adds, more where the albedo is sharper than its gradients. NaN of no change.
+        Gradient response: change of the gradient by a step, relative to that expected from ``information``. Less than
+        one where robust weights drop it, more where the albedo is sharper than its gradients. NaN of no change.
     start : Start
-    gain : (N,)
-        How much better than at the start the photographs agree: logarithm of the ratio of likelihoods.
+    improvement : (N,)
+        Log-likelihood ratio of the photographs at the solved height and at the start.
     views : (K,) of int
         The photographs, by their number.
     """
@@ -73,24 +73,24 @@ class Solved:
     height: np.ndarray
     information: np.ndarray
     stiffness: np.ndarray
-    bends: Bends
+    differences: SecondDifferences
     brightness: Brightness
     slope: np.ndarray
     motion: np.ndarray
     response: float
     start: Start
-    gain: np.ndarray
+    improvement: np.ndarray
     views: tuple[int, ...] = ()
 
 
 def solve(
     tile: Tile,
-    sight: Sight,
+    projected: TileProjection,
     images: GreyImages | Mapping[int, np.ndarray],
     start: Start,
     roughness: float,
     tolerance: float,
-) -> Solved:
+) -> TileSolution:
     """Heights of a tile by least squares over all photographs that see it.
 
     Parameters
@@ -101,62 +101,64 @@ def solve(
         Grey levels; NaN where masked.
     start : Start
     roughness : [m]
-        Typical bend of the bed from pixel to pixel.
+        Scale of the second differences of the bed.
     tolerance : [m]
         The largest change in one step.
     """
-    bends, height = bends_of(tile), start.height
+    differences, height = second_differences_of(tile), start.height
     appearance: Appearance | None = None
     seen: list[Brightness] = []
     response, before = np.nan, None
     for iteration in range(ITERATIONS):
-        grey = sight.sample(images, height - start.height)
+        grey = projected.sample(images, height - start.height)
         if appearance is None or iteration < APPEARANCE_ITERATIONS:
             appearance = appearance_of(tile, grey)
         brightness = brightness_of(appearance.albedo(grey))
         seen.append(brightness)
-        slope = _slopes(tile, sight, tile.window_of(images, sight.views[0]), brightness)
+        slope = _slopes(tile, projected, tile.window_of_view(images, projected.views[0]), brightness)
         information = np.einsum("kn,kn,kn->n", brightness.weight, slope, slope)
-        pull = np.einsum("kn,kn,kn->n", brightness.weight, slope, brightness.residual)
+        gradient = np.einsum("kn,kn,kn->n", brightness.weight, slope, brightness.residual)
         if before is not None:
-            response = response_to(*before, pull)
-        stiffness = stiffness_of(bends.of_heights @ height, roughness)
+            response = gradient_response(*before, gradient)
+        stiffness = stiffness_of(differences.matrix @ height, roughness)
         step = conjugate_gradients(
-            normal_matrix(information, bends, stiffness),
-            -pull - bends.pull(stiffness, height),
-            information + bends.squared @ stiffness + FAINT,
+            normal_matrix(information, differences, stiffness),
+            -gradient - differences.gradient(stiffness, height),
+            information + differences.squared @ stiffness + FAINT,
             CG_RESIDUAL if iteration + 1 == ITERATIONS else CG_RESIDUAL_BEFORE,
         )
         step = np.clip(step, -tolerance, tolerance).astype(np.float32)
-        height, before = height + step, (information, pull, step)
-    gain = gain_of(seen[0], brightness)
-    return Solved(
-        height, information, stiffness, bends, brightness, slope, sight.motion, response, start, gain,
-        tuple(sight.views),
+        height, before = height + step, (information, gradient, step)
+    improvement = log_likelihood_ratio(seen[0], brightness)
+    return TileSolution(
+        height, information, stiffness, differences, brightness, slope, projected.motion, response, start, improvement,
+        tuple(projected.views),
     )  # fmt: skip
 
 
-def response_to(information: np.ndarray, pull: np.ndarray, step: np.ndarray, pull_then: np.ndarray) -> float:
-    """What a step (N,) [m] changed of the pull (N,), in units of what the information (N,) lets expect."""
+def gradient_response(
+    information: np.ndarray, gradient: np.ndarray, step: np.ndarray, gradient_after: np.ndarray
+) -> float:
+    """Change of the gradient (N,) by a step (N,) [m], relative to that expected from the information (N,)."""
     size = np.abs(step)
     known = (information > 0.0) & (size < _LARGE_STEP * np.median(size))
     expected = float((information * step * step)[known].sum())
-    return float((step * (pull_then - pull))[known].sum()) / expected if expected > 0.0 else np.nan
+    return float((step * (gradient_after - gradient))[known].sum()) / expected if expected > 0.0 else np.nan
 
 
-def _slopes(tile: Tile, sight: Sight, image: np.ndarray, brightness: Brightness) -> np.ndarray:
-    """How the residuals change with the height, (K, N) [grey/m]; ``image`` is the window of the tile's photograph.
+def _slopes(tile: Tile, projected: TileProjection, image: np.ndarray, brightness: Brightness) -> np.ndarray:
+    """Derivatives of the residuals by the height, (K, N) [grey/m]; ``image`` is the window of the tile's photograph.
 
     Gradients are those of the albedo, the mean of all photographs: those of single photographs are noisy, and their
     noise would count as texture.
     """
     across, down = _gradients(tile, image.astype(np.float32), brightness.albedo)
-    slope = sight.motion[:, 0] * across + sight.motion[:, 1] * down
-    return brightness.less_mean(np.where(np.isfinite(slope), slope, np.float32(0.0)))
+    slope = projected.motion[:, 0] * across + projected.motion[:, 1] * down
+    return brightness.minus_albedo(np.where(np.isfinite(slope), slope, np.float32(0.0)))
 
 
 def gradients_of(tile: Tile, albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gradients across and down (N,) each [grey/px] of an albedo (N,); beyond the tile it goes on as at its rim."""
+    """Gradients along columns and rows (N,) each [grey/px] of an albedo (N,), extended by its border values."""
     nearest = ndimage.distance_transform_edt(~tile.inside, return_distances=False, return_indices=True)
     image = np.zeros(tile.inside.shape, dtype=np.float32)
     image[tile.inside] = albedo
@@ -164,17 +166,17 @@ def gradients_of(tile: Tile, albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def _gradients(tile: Tile, image: np.ndarray, albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of an image of the window, in which the tile has an albedo (N,)."""
+    """Gradients of an image of the window, in which the tile has an albedo (N,)."""
     image[tile.inside] = albedo
     across, down = (tile_filter(image, kernel)[tile.inside] for kernel in (_DERIVATIVE, _DERIVATIVE.T))
     return across, down
 
 
-def parallax_of(weight: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """How firmly photographs hold a height by where they show it, (N,) [px^2/m^2].
+def shift_information(weight: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """Information of a height against random shifts of the photographs, (N,) [px^2/m^2].
 
     Random shifts of the photographs with a standard deviation of one pixel along each axis give the height one of one
-    over its root. ``weight`` (K, N) is 0 where not seen, ``motion`` (K, 2, N) [px/m] as `Sight` has it.
+    over its root. ``weight`` (K, N) is 0 where not seen, ``motion`` (K, 2, N) [px/m] as `TileProjection` has it.
     """
     seen = (weight > 0.0)[:, None]
     count = np.maximum(seen.sum(axis=0), 1)
@@ -184,39 +186,52 @@ def parallax_of(weight: np.ndarray, motion: np.ndarray) -> np.ndarray:
 
 
 def tile_filter(image: np.ndarray, kernel: np.ndarray) -> np.ndarray:
-    """An image correlated with a kernel; the rim repeats."""
+    """Correlation of an image with a kernel; replicated border."""
     return cv2.filter2D(image, -1, kernel, borderType=cv2.BORDER_REPLICATE)
 
 
-def normal_matrix(information: np.ndarray, bends: Bends, stiffness: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+def normal_matrix(
+    information: np.ndarray, differences: SecondDifferences, stiffness: np.ndarray
+) -> Callable[[np.ndarray], np.ndarray]:
     """The normal matrix as a function of heights (N,)."""
     diagonal = information + FAINT
-    return lambda heights: diagonal * heights + bends.pull(stiffness, heights)
+    return lambda heights: diagonal * heights + differences.gradient(stiffness, heights)
 
 
 def conjugate_gradients(
-    matrix: Callable[[np.ndarray], np.ndarray], right: np.ndarray, diagonal: np.ndarray, residual: float = CG_RESIDUAL
+    matrix: Callable[[np.ndarray], np.ndarray], right: np.ndarray, diagonal: np.ndarray, tolerance: float = CG_RESIDUAL
 ) -> np.ndarray:
-    """Solution (N,) of ``matrix(x) = right``, with ``diagonal`` (N,) as preconditioner."""
-    solution, rest = np.zeros_like(right), right.copy()
-    towards = rest / diagonal
-    way, size = towards.copy(), _product(rest, towards)
-    enough = residual**2 * size
+    """Solution x (N,) of A x = b by preconditioned conjugate gradients (Nocedal and Wright 2006, algorithm 5.3).
+
+    Parameters
+    ----------
+    matrix : x -> A x
+    right : (N,)
+        b.
+    diagonal : (N,)
+        Of A: the Jacobi preconditioner.
+    tolerance : float
+        Norm of the preconditioned residual, relative to the start, at which it ends.
+    """
+    x, residual = np.zeros_like(right), right.copy()
+    preconditioned = residual / diagonal
+    direction, square = preconditioned.copy(), _product(residual, preconditioned)
+    enough = tolerance**2 * square
     for _ in range(CG_STEPS):
-        if size <= enough:
+        if square <= enough:
             break
-        along = matrix(way)
-        length = size / _product(way, along)
-        solution += length * way
-        along *= length
-        rest -= along
-        np.divide(rest, diagonal, out=towards)
-        before, size = size, _product(rest, towards)
-        way *= size / before
-        way += towards
-    return solution
+        a_p = matrix(direction)
+        step = square / _product(direction, a_p)
+        x += step * direction
+        a_p *= step
+        residual -= a_p
+        np.divide(residual, diagonal, out=preconditioned)
+        before, square = square, _product(residual, preconditioned)
+        direction *= square / before
+        direction += preconditioned
+    return x
 
 
 def _product(one: np.ndarray, other: np.ndarray) -> float:
-    """Inner product, on this thread alone: a BLAS would share it out among threads that tiles are solved on."""
+    """Inner product on this thread: a BLAS would start threads inside those that solve tiles."""
     return float(np.einsum("n,n->", one, other))

@@ -1,4 +1,4 @@
-"""Three exact points of a ladder tell where a photograph shows the others."""
+"""Epipolar curves through three exact points of the height hypotheses."""
 
 from __future__ import annotations
 

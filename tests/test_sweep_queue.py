@@ -1,4 +1,4 @@
-"""Jobs that take turns at the kernels: what they find, in which order, and that it does not depend on their turns."""
+"""The queue of kernel jobs: results, their order, and independence of both from the schedule."""
 
 from __future__ import annotations
 

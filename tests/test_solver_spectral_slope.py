@@ -1,4 +1,4 @@
-"""How rough the bed is at small scale is learned from what the photographs resolve of it."""
+"""Spectral slope of the bed, estimated from what the photographs resolve of it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which pixels keep the height of the sweep."""
+"""Pixels that keep the height of the sweep."""
 
 from __future__ import annotations
 

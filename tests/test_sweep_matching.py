@@ -1,4 +1,4 @@
-"""One ladder of heights for one view: plane beds of known height, masks, edges and strips."""
+"""Matching of one view among height hypotheses: plane beds of known height, masks, edges and strips."""
 
 from __future__ import annotations
 

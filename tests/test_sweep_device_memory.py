@@ -132,7 +132,12 @@ def test_between_the_passes_the_host_is_told_numbers_and_tiles_alone(apart, monk
 
         return told_of
 
-    for module, name in ((flat, "on_host"), (images_device, "on_host"), (device_filters, "on_host"), (arrays, "host")):
+    for module, name in (
+        (flat, "as_numpy"),
+        (images_device, "as_numpy"),
+        (device_filters, "as_numpy"),
+        (arrays, "host"),
+    ):
         monkeypatch.setattr(module, name, listening(getattr(module, name)))
     in_the_end = images_device.download
 
@@ -142,7 +147,7 @@ def test_between_the_passes_the_host_is_told_numbers_and_tiles_alone(apart, monk
         del told[before:]
         return found
 
-    monkeypatch.setattr(images_device, "left", left)
+    monkeypatch.setattr(images_device, "download", left)
     maps = swept(apart)
     # Parts of four by four pixels become points; tiles have more.
     assert len(told) > 20

@@ -27,7 +27,7 @@ def test_images_come_back_as_they_were(rng, masked, fractions):
         assert found.dtype == np.float32
         np.testing.assert_array_equal(found, image)
     np.testing.assert_array_equal(greys[0], images[0])  # read again after more than are kept
-    assert greys.are_whole is not masked
+    assert greys.are_unmasked is not masked
 
 
 def test_whole_levels_take_a_byte_each(rng):

@@ -97,7 +97,7 @@ def test_where_all_or_nothing_is_known_heights_stay(apart, height, known):
     everywhere = np.full(SHAPE, known)
     for images, image in ((images_device, there(apart, height)), (images_host, height)):
         which = there(apart, everywhere) if images is images_device else everywhere
-        for found in (images.filled(image, which), images.on_planes(image, which, 0.1)):
+        for found in (images.fill_nearest(image, which), images.extrapolate_planes(image, which, 0.1)):
             np.testing.assert_array_equal(as_numpy(found) if images is images_device else found, height)
 
 
@@ -133,7 +133,8 @@ def test_tiles_have_the_same_pixels(apart, height, mask, rng):
     lost = 2 * (tiles.side + 1)
     for part in (slice(0, 3), slice(5, len(tiles.counts))):
         pixels, others = (
-            images.tile_pixels(apart, each, part) for images, each in ((images_host, tiles), (images_device, on_device))
+            images.tile_indices(apart, each, part)
+            for images, each in ((images_host, tiles), (images_device, on_device))
         )
         np.testing.assert_array_equal(as_numpy(others), pixels)
         np.testing.assert_array_equal(as_numpy(images_device.trim_halo(others, lost)), pixels[lost:-lost])
@@ -215,4 +216,4 @@ def test_packed_images_take_a_quarter_of_the_memory_of_a_device_at_most(apart, m
     monkeypatch.setattr(stack, "KEPT_BYTES", 0)
     for memory, kept in ((0, stack.FEWEST_KEPT), (4 * 30 * 4 * 45 * 70, 30), (10**9, 60)):
         monkeypatch.setattr(stack, "memory_bytes", lambda device, memory=memory: memory)
-        assert min(stack.Quads.build(apart, images).values.most, 60) == kept
+        assert min(stack.PackedImages.build(apart, images).values.most, 60) == kept

@@ -16,7 +16,7 @@ BLOCK_PX, BLOCKS = 8, 2.5
 _KERNEL = (21, 21)
 # A gain beyond these is no gain: the photograph shows something else.
 GAINS = (0.3, 3.0)
-# Fewer pixels do not tell a gain.
+# Fewest pixels for a gain.
 LEAST_PIXELS = 100
 # Quantisation alone has 0.29 grey levels.
 LEAST_NOISE = 0.3

@@ -21,7 +21,7 @@ from fields.solver.uncertainty import ONE_STD, expected_variances, smoothing_cha
 
 # Contrasts larger than this many times their standard deviation come from something else than noise.
 _LARGEST = 6.0
-# Fewer pixels tell nothing.
+# Fewest pixels.
 _LEAST_PIXELS = 2000
 # Of the information: a pixel whose contrast has less does not speak.
 _LEAST_SHARE = 0.05

@@ -48,7 +48,7 @@ TRIM = 0.1
 _SPECTRAL_SLOPES, _BEDS_DIFFER = np.linspace(0.5, 1.5, 21), 0.25
 # Null solutions have the noise of changes to this share of it, besides chance.
 _NOISE_KNOWN = 0.03
-# Fewer pixels tell nothing.
+# Fewest pixels.
 _LEAST_PIXELS = 2000
 
 

@@ -239,7 +239,7 @@ def with_slope_std(
 
     A height that is off leaves its point on its ray, but beside its place, by as many pixels (of ``gsd`` [m]) as the
     ray leans. Level ground has the same height there; a slope or an edge another one, but by no more than the whole
-    range of the heights about it. That heights differ by their own std tells of neither.
+    range of the heights about it. Differences of heights by their own std are neither.
     """
     n = 1.0 if water is None else water.n_water
     sine = np.sin(points.incidence) / np.where(points.wet, n, 1.0)

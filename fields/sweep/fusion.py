@@ -134,7 +134,7 @@ def agreement(
 def remove_free_space_violations(block: Block, maps: Sequence[DepthMap], keep: Keep = dict) -> OrderedMaps:
     """Maps without the confirmation of heights that as many views see through (free space) as confirm.
 
-    A view looks through a point where its own trusted heights, in all four pixels about the point, are lower by more
+    A view sees through a point where its own trusted heights, in all four pixels about the point, are lower by more
     than what counts as agreement. Beside an edge views from one side may err alike; those from the other side see what
     lies behind.
 

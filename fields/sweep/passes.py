@@ -22,8 +22,7 @@ class StepSearch:
         few of their pixels need
     reach_px : searched are pixels around which heights differ by a parallax of more [px at the scale of the pass]
     around_px : heights this far around a pixel bound its hypotheses [px at the scale of the pass]
-    least_score : views are searched of which half of the pixels scored so high in the pass: windows of this size can
-        tell heights in them
+    least_score : median score of a view in the pass from which it is searched: windows of this size resolve heights
     walls : whether vertical walls are tried, beside level ground
     neighbours : how many of the views of the pass heights are compared with, of those that match best
     """
@@ -56,8 +55,8 @@ class Pass:
     neighbours : number of views compared with
     fuse : after the pass, average each height with those of the views that agree
     search : after the pass, how heights beyond its hypotheses are searched; None: not at all
-    points_only : whether only what becomes a point takes part, as the heights before tell: other pixels confirm with
-        the heights that they have
+    points_only : whether only pixels predicted to become points take part: others confirm with the heights that they
+        have
     """
 
     scale: float

@@ -87,8 +87,8 @@ def wall_slopes(
 ) -> np.ndarray:
     """Gradient of the height of a vertical wall along the rows and columns of an image.
 
-    The foot of the wall runs across the way in which the height map rises, and what stands over it lies along the image
-    of the plumb line: both tell its plane.
+    The foot of the wall is normal to the gradient of the height map, and its face lies along the image of the plumb
+    line: both define its plane.
 
     Parameters
     ----------

@@ -68,12 +68,12 @@ def sweep(
 
     Returns
     -------
-    InOrder of DepthMap at the scale of the last pass, in the order of `chosen`
+    OrderedMaps of DepthMap at the scale of the last pass, in the order of `chosen`
         Views that overlap with no other are left out.
     """
     size = (block.cameras[0].width, block.cameras[0].height)
-    backend = device_map_store(block.device, keep)
-    maps, widths = backend(), dict[int, int]()
+    store = device_map_store(block.device, keep)
+    maps, widths = store(), dict[int, int]()
     for view, m in (before or {}).items():
         if view in chosen:
             known = m if view in again else upsample_map(m, size)
@@ -122,7 +122,7 @@ def sweep(
         if fused[number]:
             block.release(p.scale)
             compared = {view: peers[view] for view in taking_part[number] if view not in taken or len(taken[view])}
-            maps = fuse(block, maps, p.scale, compared, backend, goes_on=number + 1 < len(passes), only=taken)
+            maps = fuse(block, maps, p.scale, compared, store, goes_on=number + 1 < len(passes), only=taken)
             done += fused[number]
             progress(done / total)
         if number + 1 == len(passes) or passes[number + 1].scale != p.scale:

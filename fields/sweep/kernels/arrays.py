@@ -97,7 +97,7 @@ class Buffer:
     size : int
         How many numbers were asked for.
     memory : its memory on the host, on the CPU; None elsewhere
-        Where an array lies Dr.Jit tells only after all kernels are through, so this is asked before they are launched.
+        Dr.Jit returns the address of an array only after all kernels have finished: allocate before launching them.
     """
 
     array: Any

@@ -307,8 +307,9 @@ def vote_on_points(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Votes of height map `view` on points (P): bool where it contains them, bool where it sees through them.
 
-    It has those between the lowest and the highest of the four heights, or within `close_m` of them. It looks through
-    those above all four by more, if these are all ``sure`` (pixels) bool. Points are in the frame of the water plane.
+    A map contains points between the lowest and the highest of its four heights about them, or within `close_m` of
+    these. It sees through those above all four by more, if these are all ``sure`` (pixels) bool. Points are in the
+    frame of the water plane.
     """
     Float, UInt, Byte = stack.device.module.Float, stack.device.module.UInt, stack.device.module.UInt8
     u, v, inside = project(stack.camera_rows[view], points, stack.n_water, stack.terms)

@@ -7,7 +7,7 @@
 `ncc` and `best_half` are one kernel, which reads each window from W in vectors of neighbouring pixels, and writes the
 score alone: nothing else goes through memory.
 
-Callers get these functions from `fields.sweep.backends.scoring`; `fields.sweep.kernels.torch_kernels` is the twin.
+Callers get these functions from `fields.sweep.kernels.backend.kernels`; `torch_kernels` is the twin.
 """
 
 from __future__ import annotations

@@ -186,7 +186,7 @@ def find_duplicates(
 def vote_on_points(
     stack: ViewStack, points: tuple, view: int, close_m: float, sure: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Which points (P) height map `view` has, and which it looks through; see the twin."""
+    """Votes of height map `view` on points (P); see the twin."""
     u, v, inside = project(stack.camera_rows[view], points, stack.n_water, stack.terms)
     corner, _, _ = _corner(stack, u, v, inside)
     known = torch.from_numpy(sure.ravel()).to(corner.device)

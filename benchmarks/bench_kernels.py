@@ -41,11 +41,11 @@ from survey.progress import current
 from survey.run.job import Job
 
 FUNCTIONS = {
-    "paths of pixels": (drjit_kernels, ("legs_of",)),
+    "paths of pixels": (drjit_kernels, ("rays_of_rows",)),
     "warp": (drjit_kernels, ("warp",)),
     "scores": (drjit_kernels, ("windows", "ncc", "best_half")),
     "best hypothesis": (drjit_kernels, ("best_height",)),
-    "height maps compared": (drjit_kernels, ("compare",)),
+    "height maps compared": (drjit_kernels, ("compare_heights",)),
     "parallax": (Overlap, ("parallax",)),
 }
 # Kernels: the pass of the sweep that they are taken from.

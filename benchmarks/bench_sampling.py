@@ -100,7 +100,7 @@ def sampler(sigma: float, order: int) -> Iterator[None]:
 
     def warped(values, stack, *rest):
         # Height maps are compared as they are.
-        with patch.object(drjit_kernels, "look_up", _cubic):
+        with patch.object(drjit_kernels, "sample_packed", _cubic):
             warp(values, raw[id(stack)], *rest)
 
     class Images(ViewStack):

@@ -241,7 +241,7 @@ def test_packed_lookups_are_bilinear_lookups(device, rng, levels):
     stack = two_images(device, image)
     assert stack.packed.bits == (8 if levels == "of 8 bits" else 16)
     where = rng.uniform(0.5, 15.4, 3000), rng.uniform(0.5, 11.4, 3000), rng.uniform(size=3000) > 0.2
-    found, expected = (sampled(stack, *where, way) for way in ("look_up", "sample"))
+    found, expected = (sampled(stack, *where, way) for way in ("sample_packed", "sample"))
     np.testing.assert_array_equal(np.isnan(found), np.isnan(expected))
     # Whole steps and quarters are exact, but for rounding; others are rounded to a step.
     rounding = 0.5 * stack.packed.step if levels == "of any kind" else 4 * 256 * EPS32
@@ -255,7 +255,7 @@ def test_packed_lookups_are_bilinear_lookups(device, rng, levels):
 def test_images_of_one_level_and_images_all_masked_are_packed(device):
     for level in (30.0, 0.3, np.nan):
         stack = two_images(device, np.full((6, 8), level, np.float32))
-        found = sampled(stack, np.full(4, 3.7), np.full(4, 2.2), np.ones(4), "look_up")
+        found = sampled(stack, np.full(4, 3.7), np.full(4, 2.2), np.ones(4), "sample_packed")
         np.testing.assert_allclose(found, np.float32(level), rtol=EPS32, atol=0.5 * stack.packed.step)
 
 

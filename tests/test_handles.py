@@ -54,6 +54,10 @@ def test_a_run_has_cloud_report_and_verdict(survey, run):
 def test_a_terrain_model_is_that_of_the_cloud(run):
     dem = run.dem(0.1)
     known = np.isfinite(dem.height)
+    assert 0.3 < known.mean() < 1.0
+    low, high = run.cloud.points[:, 2].min(), run.cloud.points[:, 2].max()
+    assert (dem.height[known].min() > low - 0.1, dem.height[known].max() < high + 0.1) == (True, True)
+    assert (dem.num_points[~known] == 0).all()
     assert np.asarray(dem).shape == dem.height.shape == (len(dem.north), len(dem.east))
     assert dem.crs == run.cloud.crs or dem.crs.name == run.cloud.crs.name
     assert (np.diff(dem.east) > 0.0).all()
@@ -66,7 +70,8 @@ def test_a_terrain_model_is_that_of_the_cloud(run):
     medians = [np.median(run.cloud.points[(row == r) & (column == c), 2]) for r, c in many[::20]]
     assert np.median(np.abs(medians - dem.height[known & (dem.num_points > 8)][::20])) < 0.02
     assert np.isfinite(dem.std[known]).all()
-    assert not np.isfinite(dem.std[~known]).any()
+    for layer in (dem.std, dem.std_common, dem.depth):
+        assert not np.isfinite(layer[~known]).any()
 
 
 def test_a_profile_is_drawn_beside_the_true_bed(survey, run):

@@ -85,7 +85,7 @@ def dem_of(path: Path, options: ExportOptions) -> Dem:
         product.write(file, run, options)
         crs = run.place.crs if options.crs is None else run.way_to(options.crs).crs
         with rasterio.open(file) as raster:
-            layers = dict(zip(_BANDS, raster.read(), strict=True))
+            layers = dict(zip(_BANDS, raster.read(masked=True).filled(np.nan), strict=True))
             transform, (rows, columns) = raster.transform, raster.shape
     return Dem(
         height=layers["height"],

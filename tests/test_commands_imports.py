@@ -37,6 +37,13 @@ def test_help_version_and_errors_come_before_anything_slow_is_imported(tmp_path)
     assert checked.stdout.splitlines()[-1] == "['cv2', 'drjit', 'scipy']"
 
 
+def test_help_brings_no_library_of_numbers_or_files():
+    slow = "{'numpy', 'pyproj', 'rasterio', 'laspy', 'geo'}"
+    code = f"import sys, survey.commands.verbs; print(sorted({slow} & set(sys.modules)))"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ended.stdout == "[]\n"
+
+
 @pytest.mark.parametrize(
     "module", ["survey.commands.streams", "dataclasses", "typer", "rich", "survey.progress", "geo", "cv2"]
 )

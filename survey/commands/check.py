@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from survey import machine
 from survey.commands.console import Results, command
-from survey.commands.environment import asked_of_environment
 from survey.commands.memory import address_space_shortage, require_address_space
 from survey.commands.options import (
     AIM,
@@ -27,12 +25,11 @@ from survey.commands.options import (
     words_of,
 )
 from survey.errors import SurveyError
-from survey.files.json_values import write_json
-from survey.folder.config_process import ProcessConfig
 from survey.plan.choices import Choices
 from survey.words import Quality
 
 if TYPE_CHECKING:
+    from survey.folder.config_process import ProcessConfig
     from survey.plan.aim import Aim
     from survey.plan.check import Section
 
@@ -83,6 +80,10 @@ def run(
     (docs/check.md, examples/flight.toml).
     """
     with command(verbose, quiet, json or survey) as results:
+        from survey.commands.environment import asked_of_environment
+        from survey.files.json_values import write_json
+        from survey.folder.config_process import ProcessConfig
+
         asked = ProcessConfig(
             quality=quality,
             target_std_m=target_std,
@@ -119,6 +120,7 @@ def _chosen(asked: ProcessConfig) -> tuple[Aim | None, Choices]:
 
 def _sections(folder: Path, asked: ProcessConfig, wind: float, deep: bool) -> Iterator[Section]:
     """What a survey has and lacks, its light, what it promises, and what an aim would cost."""
+    from survey import machine
     from survey.adjust.foreseen_text import foreseen_section
     from survey.folder.found import process_config
     from survey.plan.check import Section, check_survey, require_processable
@@ -159,6 +161,7 @@ def _sections_of_plan(path: Path, asked: ProcessConfig, wind: float, deep: bool)
     aim, chosen = _chosen(asked)
     yield from check_plan(path, quality=chosen.quality, device=chosen.device, wind_m_s=wind)
     if aim is not None:
+        from survey import machine
         from survey.plan.check import Section
         from survey.run.beginning import rows_of
 

@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 
 from survey.commands.console import command
-from survey.commands.environment import asked_of_environment
 from survey.commands.memory import require_address_space
 from survey.commands.options import (
     AIM,
@@ -28,8 +27,6 @@ from survey.commands.options import (
     Visible,
     words_of,
 )
-from survey.folder.config_process import ProcessConfig
-from survey.machine import process_age_s
 from survey.names import RUN_FOLDER
 from survey.words import Quality
 
@@ -91,6 +88,9 @@ def run(
     folder = output or survey / RUN_FOLDER
     with command(verbose, quiet, folder, stopped=KEPT) as results:
         require_address_space()
+        from survey.commands.environment import asked_of_environment
+        from survey.folder.config_process import ProcessConfig
+        from survey.machine import process_age_s
         from survey.run.process import process
 
         asked = ProcessConfig(

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
-from xml.sax.saxutils import quoteattr
-
-from survey.progress import current
 
 if TYPE_CHECKING:
     from matplotlib.colors import Colormap
@@ -25,6 +22,7 @@ Style = Callable[[Path], str]
 def write_style(path: Path, style: Style) -> None:
     """Write the style of a raster beside it, unless there is one of somebody else."""
     from geo.files import write_whole
+    from survey.progress import current
 
     beside = path.with_suffix(".qml")
     if beside.exists() and _MARK not in beside.read_text(encoding="utf-8", errors="replace"):
@@ -92,6 +90,8 @@ def _ramp(path: Path, colours: Colormap) -> str:
 
 def _codes(codes: Mapping[int, tuple[str, str]]) -> str:
     """A colour and a name for each code of the first band."""
+    from xml.sax.saxutils import quoteattr
+
     entries = "".join(
         f'<paletteEntry value="{code}" color="{colour}" alpha="255" label={quoteattr(name)}/>'
         for code, (colour, name) in codes.items()

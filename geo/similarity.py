@@ -11,14 +11,18 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import stdtrit
 
 _MIN_POINTS = 3
 _DRAWS = 500
 # Median length of a vector of three unit normals: the root of the median of chi-square with 3 degrees of freedom.
 _MEDIAN_LENGTH = 1.538
-# Beyond this many std a position is wrong. Deformed blocks have longer tails than noise, so only gross
-# errors count, and none below the step between a fixed and a float RTK solution.
-_WRONG_STD, _WRONG_AT_LEAST_M = 6.0, 0.6
+# The parameters of a similarity.
+_PARAMETERS = 7
+# Beyond this many std a position is wrong, and where few tell the std, beyond what one in a million is. Deformed blocks
+# have longer tails than noise, so only gross errors count, and none below the step between a fixed and a float RTK
+# solution.
+_WRONG_STD, _WRONG_PROBABILITY, _WRONG_AT_LEAST_M = 6.0, 1e-6, 0.6
 
 
 @dataclass(frozen=True)
@@ -77,8 +81,7 @@ def robust_similarity(a, b) -> tuple[Similarity, np.ndarray]:
     Notes
     -----
     Least median of squares over seeded samples of three points (Rousseeuw 1984, "Least median of squares
-    regression"), which needs no threshold; then fits to the points within six times the spread estimated from the
-    median, until they stay the same. Points within 0.6 m always agree.
+    regression"), which needs no threshold; then fits to the points within `gross_error`, until they stay the same.
     """
     a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     if len(a) < _MIN_POINTS:
@@ -96,12 +99,33 @@ def robust_similarity(a, b) -> tuple[Similarity, np.ndarray]:
     # Two or three rounds are usual; the limit ends a swing between two sets.
     for _ in range(20):
         distances = _distances(best, a, b)
-        wrong = max(_WRONG_STD * float(np.median(distances)) / _MEDIAN_LENGTH, _WRONG_AT_LEAST_M)
+        wrong = gross_error(float(np.median(distances)), max(int(agree.sum()), len(a) // 2 + 1, _MIN_POINTS))
         before, agree = agree, distances <= wrong
         if (agree == before).all() or agree.sum() < _MIN_POINTS:
             break
         best = fit_similarity(a[agree], b[agree])
     return best, agree
+
+
+def gross_error(median: float, num: int) -> float:
+    """Distance [m] from which on a point contradicts a similarity that was fitted to ``num`` points which agree.
+
+    Parameters
+    ----------
+    median : [m]
+        Of the distances of all points.
+    num : int
+        Three at least.
+
+    Notes
+    -----
+    Six times the spread that the median tells. Few points that fit well may do so by chance: three leave two degrees of
+    freedom of nine, so that the limit is no less than that of Student's distribution with those that are left; never
+    below 0.6 m.
+    """
+    free = 3 * num - _PARAMETERS
+    spread = median / _MEDIAN_LENGTH * math.sqrt(3 * num / free)
+    return max(max(_WRONG_STD, -float(stdtrit(free, 0.5 * _WRONG_PROBABILITY))) * spread, _WRONG_AT_LEAST_M)
 
 
 def _distances(similarity: Similarity, a: np.ndarray, b: np.ndarray) -> np.ndarray:

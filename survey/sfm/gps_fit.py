@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from geo.similarity import gross_error
 from survey.errors import PosesError
 
 # Accuracy of a receiver with carrier-phase corrections: the smallest standard deviation that is assumed.
@@ -15,9 +16,6 @@ _LINE_STD, _LINE_SHARE = 3.0, 0.03
 # When the shape of all positions is asked for, one of so many may be wrong: farther from their middle than the median
 # by this factor. Of a strip the ends are twice as far.
 _ONE_WRONG_OF, _FAR = 5, 8.0
-# Residuals are wrong beyond so many of their spread, which the median of their lengths tells (1.54 standard deviations
-# of three normal deviates), and never below so much: as `geo.similarity.robust_similarity`.
-_WRONG_STD, _MEDIAN_LENGTH, _WRONG_AT_LEAST_M = 6.0, 1.5382, 0.6
 # Fewer residuals do not tell a wrong one.
 _FEWEST = 4
 
@@ -67,8 +65,12 @@ def contradicted(residuals) -> np.ndarray:
     if known.sum() < _FEWEST:
         return wrong
     away = np.linalg.norm(residuals[known] - np.median(residuals[known], axis=0), axis=1)
-    limit = max(_WRONG_STD * float(np.median(away)) / _MEDIAN_LENGTH, _WRONG_AT_LEAST_M)
-    wrong[known] = away > limit
+    # At first no more than half of them are trusted, as in `geo.similarity.robust_similarity`.
+    num = len(away) // 2 + 1
+    for _ in range(2):
+        is_wrong = away > gross_error(float(np.median(away)), num)
+        num = max(int((~is_wrong).sum()), num)
+    wrong[known] = is_wrong
     return wrong
 
 

@@ -105,6 +105,15 @@ def test_a_block_that_nothing_places_is_left_out_by_name_whichever_it_is(rng, lo
     assert f"left out: {sorted(set(apart.names) - set(known))[0]}" in note
 
 
+def test_a_block_that_neither_positions_nor_control_place_says_what_both_lack(rng):
+    apart = Apart(rng)
+    gps = apart.gps(rng, 0.0, ["00.jpg", "01.jpg"])
+    control = apart.controls[0]
+    two = replace(control, points=control.points[:2], slack=control.slack[:2])
+    with pytest.raises(PosesError, match=r"2 of 18 images .* GPS position.*nor can control place it: 2 of 2 control"):
+        place_by_gps(Free(apart.free.blocks[:1], ()), gps, apart.names, apart.sensors, print, spare=two)
+
+
 def test_where_nothing_places_any_block_the_largest_says_why(rng):
     apart = Apart(rng)
     with pytest.raises(PosesError, match=r"2 of 18 images .* have a GPS position, .*some are left out"):

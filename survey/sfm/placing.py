@@ -169,15 +169,15 @@ def _place(
 
 
 def _by_first(ways: Sequence[Way], block: pycolmap.Reconstruction) -> str:
-    """What the first way says that can place a block; the error of the first where none can."""
-    refusal: SurveyError | None = None
+    """What the first way says that can place a block; the error of the first, with those of others, if none can."""
+    refusals: list[SurveyError] = []
     for way in ways:
         try:
             return way(block)
         except (PosesError, ControlError) as error:
-            refusal = refusal or error
-    assert refusal is not None
-    raise refusal
+            refusals.append(error)
+    others = "".join(f"; nor can control place it: {error}" for error in refusals[1:])
+    raise type(refusals[0])(f"{refusals[0]}{others}") from refusals[0]
 
 
 def _share_lenses(blocks: Sequence[pycolmap.Reconstruction], sensors: Sequence[Sensor]) -> None:

@@ -1,4 +1,4 @@
-"""Names of folders that several parts of survey have to agree on."""
+"""Names of folders and files that several parts of survey have to agree on."""
 
 from __future__ import annotations
 
@@ -6,3 +6,5 @@ from __future__ import annotations
 RUN_FOLDER = "bathynerf"
 # In a run folder: what structure from motion keeps.
 SFM_FOLDER = "sfm"
+# Positions of photographs, as OpenDroneMap has them.
+GEO_TXT = "geo.txt"

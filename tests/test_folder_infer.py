@@ -90,8 +90,8 @@ def test_without_poses_and_positions_there_is_nothing_to_start_from(tmp_path):
     (folder / "cameras.csv").unlink()
     with pytest.raises(PosesError, match="has no poses file, and 0 of 4 images have a GPS position"):
         load_survey(folder)
-    (folder / "geo.txt").write_text("EPSG:4326\n")
-    with pytest.raises(PosesError, match=r"geo.txt is not read: write its positions into the EXIF"):
+    (folder / "flight.nvm").write_text("NVM_V3\n")
+    with pytest.raises(PosesError, match=r"flight.nvm is not read: export a COLMAP model instead"):
         load_survey(folder)
 
 

@@ -112,7 +112,7 @@ DISK_FILES = {
             "written",
         ),
         "survey/files": ("csv_table", "json_values", "lock", "outputs", "toml_table", "xml_tree"),
-        "survey/folder": ("found", "infer", "inputs", "level_geojson", "masks"),
+        "survey/folder": ("found", "geo_txt", "infer", "inputs", "level_geojson", "masks"),
         "survey/handles": ("dem", "run"),
         "survey/init": ("draft",),
         "survey/photos": ("complete", "images", "opening", "png"),

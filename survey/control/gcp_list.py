@@ -6,21 +6,14 @@ The centre of its first pixel is 0, 0. Lines without a name are of one point whe
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path, PurePosixPath
-
-from pyproj import CRS
-from pyproj.exceptions import CRSError
 
 from survey.control.content import Content, ControlFormat, GivenMark, GivenPoint, is_check_role
 from survey.errors import ControlError
 from survey.files.csv_table import shortened, text_lines
+from survey.files.odm_crs import is_odm_crs, odm_crs
 from survey.photos.exif import SUFFIXES
 
-_UTM = re.compile(r"WGS\s*84\s+UTM\s+(\d{1,2})\s*([NS])", re.IGNORECASE)
-# OpenSfM's word for longitude and latitude.
-_WGS84 = re.compile(r"WGS\s*84", re.IGNORECASE)
-_EPSG = re.compile(r"EPSG:\s*(\d{1,9}(?:\+\d{1,9})?)", re.IGNORECASE)
 _FORM = "x y z px py image name"
 _NUMBERS = ("x", "y", "z", "px", "py")
 # From its pixels, the first of which has its centre at 0, 0, to ours.
@@ -41,7 +34,7 @@ def read_gcp_list(path: Path) -> Content:
     if not lines:
         raise ControlError(f"{path} is empty, expected a line with its CRS, then lines {_FORM}; write it again")
     number, header = lines[0]
-    crs = _crs_of(header.strip(), f"{path}, line {number}")
+    crs = odm_crs(header.strip(), f"{path}, line {number}", "gcp_list.txt", ControlError)
     name_of: dict[tuple[float, ...], str] = {}
     points, marks = [], []
     for number, line in lines[1:]:
@@ -95,27 +88,6 @@ def _is_check(word: str) -> bool:
         return False
 
 
-def _crs_of(header: str, where: str) -> CRS:
-    if _WGS84.fullmatch(header):
-        return CRS.from_epsg(4326)
-    utm, epsg = _UTM.fullmatch(header), _EPSG.fullmatch(header)
-    said = f'{where}: "{shortened(header)}"'
-    form = 'e.g. "EPSG:25832", "WGS84 UTM 32N" or "+proj=utm +zone=32 +datum=WGS84"'
-    if utm is not None:
-        zone = int(utm[1])
-        if not 1 <= zone <= 60:
-            raise ControlError(f"{said} is no UTM zone, expected 1 to 60; correct it")
-        return CRS.from_epsg((32600 if utm[2].upper() == "N" else 32700) + zone)
-    if epsg is None and "+proj" not in header:
-        if len(header.split()) >= 6:
-            raise ControlError(f"{said} is a line of a point, expected the CRS before it, {form}; add it")
-        raise ControlError(f"{said} is no CRS that gcp_list.txt may begin with, expected {form}; correct it")
-    try:
-        return CRS.from_user_input(f"EPSG:{epsg[1]}" if epsg is not None else header.strip("'\""))
-    except CRSError as error:
-        raise ControlError(f"{said} is not a known CRS, expected {form}; correct it") from error
-
-
 def _number(text: str) -> float:
     try:
         return float(text)
@@ -130,7 +102,7 @@ def _is_gcp_list(path: Path) -> bool:
     except ControlError:
         return False
     is_of_points = len(first.split()) >= 6 and all(math.isfinite(_number(cell)) for cell in first.split()[:5])
-    return is_of_points or "+proj" in first or any(known.fullmatch(first) for known in (_UTM, _EPSG, _WGS84))
+    return is_of_points or is_odm_crs(first)
 
 
 FORMAT = ControlFormat(

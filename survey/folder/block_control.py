@@ -15,6 +15,7 @@ from survey.control.points import Control
 from survey.errors import FILE_NAME, ControlError, PosesError
 from survey.folder.config_control import per_direction
 from survey.folder.found import Found
+from survey.names import GEO_TXT
 from survey.photos.formats import find_unread
 from survey.sfm.control_fit import MIN_POINTS, require_spread
 from survey.sfm.gps import MIN_POSITIONS, is_whole, what_is_missing
@@ -59,8 +60,8 @@ def require_placing_control(found: Found) -> BlockControl:
     num = sum(head.lat_lon_height is not None for head in found.heads.values())
     num_whole = sum(is_whole(head.lat_lon_height) for head in found.heads.values())
     told = (
-        f"{found.folder} has no poses file, and {num} of {len(found.heads)} images have a GPS position in EXIF "
-        f"({num_whole} with a height){what_is_missing(found.heads)}, expected at least {MIN_POSITIONS}"
+        f"{found.folder} has no poses file, and {num} of {len(found.heads)} images have a GPS position in EXIF or "
+        f"{GEO_TXT} ({num_whole} with a height){what_is_missing(found.heads)}, expected at least {MIN_POSITIONS}"
     )
     if control is None:
         unread = "".join(f". {sentence}" for sentence in find_unread(found.folder))

@@ -16,6 +16,7 @@ from survey.folder import infer
 from survey.folder.config import SurveyConfig, read_config
 from survey.folder.config_process import ProcessConfig
 from survey.folder.control import FoundControl, find_control
+from survey.folder.geo_txt import find_geo_txt, with_positions
 from survey.folder.head_doubts import head_doubts
 from survey.folder.level_observation import LevelObservation
 from survey.folder.tides import Tide
@@ -24,7 +25,7 @@ from survey.folder.water_place import doubts_of_water_places
 from survey.photos.exif import Exif, read_exif
 from survey.photos.formats import find_poses, find_unread
 from survey.photos.images import list_images
-from survey.sfm.gps import datum_doubt
+from survey.sfm.gps import datum_doubts
 
 MIN_VIEWS = 2
 # Where a survey may have the grid of the geoid under its heights.
@@ -100,7 +101,11 @@ def find_survey(folder: Path) -> Found:
     config = read_config(toml) if toml.is_file() else infer.config_of_folder(folder)
     poses_path = _poses_path(folder, config, assumptions)
     images = list_images(folder / config.images.dir, deep=config.images.dir != ".")
+    warnings: list[str] = []
     heads = {name: read_exif(path) for name, path in images.items()}
+    table = find_geo_txt(folder, folder / config.images.dir)
+    if table is not None:
+        heads = with_positions(table, heads, assumptions, warnings)
     if not toml.is_file() or (config.crs is None and infer.says_no_place(config)):
         config = infer.config_of_images(folder, config, heads, poses_path, assumptions)
     if config.crs is None:
@@ -110,7 +115,7 @@ def find_survey(folder: Path) -> Found:
     config, levels, tide = with_level(folder, config, heads, crs, assumptions)
     if poses_path is not None and config.water is not None:
         config.water.require_level()
-    warnings = head_doubts(heads)
+    warnings += head_doubts(heads)
     if poses_path is None:
         at_exif = [head.lat_lon_height[1::-1] for head in heads.values() if head.lat_lon_height is not None]
         exif_places = np.array(at_exif).reshape(-1, 2)
@@ -119,8 +124,7 @@ def find_survey(folder: Path) -> Found:
     if not toml.is_file():
         warnings.append(infer.NO_WATER)
     if poses_path is None:
-        doubt = datum_doubt(heads, crs)
-        warnings += [*([] if doubt is None else [doubt]), *find_unread(folder)]
+        warnings += [*datum_doubts(heads, crs), *find_unread(folder)]
     if config.cameras.rotation_std_deg is not None and poses_path is None:
         warnings.append(
             "[cameras] rotation_std_deg is not used: it is that of poses from a file, and structure from motion finds "

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import utm_code
+from geo.crs import crs_code, utm_code
 from survey.errors import FILE_NAME, ConfigError
 from survey.folder.config import ImagesConfig, SurveyConfig
 from survey.folder.plausible import distances_to_exif
 from survey.folder.posed import middle_of_geocentric, points_in_crs
+from survey.names import GEO_TXT
 from survey.photos.exif import SUFFIXES, Exif, utm_code_of
 from survey.photos.formats import read_poses
 from survey.photos.names import ImageNames
@@ -60,6 +62,11 @@ def config_of_images(
     """
     file = None if poses_path is None else read_poses(poses_path)
     by_exif = utm_code_of(heads)
+    table = table_crs(heads)
+    if table is not None and file is None:
+        crs, name = (table, "") if "+" in table else (f"{table}+{_EGM96_HEIGHT}", ": above mean sea level")
+        assumptions.append(f'crs = "{crs}", that of {GEO_TXT}, with heights taken as they are there{name}')
+        return replace(config, crs=crs)
     code = by_exif
     if code is None and file is not None and file.frame is PoseFrame.GEOCENTRIC:
         lon, lat = middle_of_geocentric(file)
@@ -77,11 +84,18 @@ def config_of_images(
     crs = f"EPSG:{code}+{_EGM96_HEIGHT}"
     if by_exif is not None and file is not None and poses_path is not None:
         _require_same_place(CRS(crs), file, poses_path, heads)
+    in_exif = GEO_TXT if any(head.table_place is not None for head in heads.values()) else "EXIF"
     assumptions += [
         f'crs = "{crs}", the UTM zone of the {"GPS positions" if by_exif is not None else "poses"}, with heights '
-        f"taken as they are in {'EXIF' if poses_path is None else poses_path.name}: above mean sea level",
+        f"taken as they are in {in_exif if poses_path is None else poses_path.name}: above mean sea level",
     ]
     return replace(config, crs=crs)
+
+
+def table_crs(heads: Mapping[str, Exif]) -> str | None:
+    """Code of the CRS of the table that gives positions of photographs; None without a table, or of degrees."""
+    table = next((head.table_place.crs for head in heads.values() if head.table_place is not None), None)
+    return None if table is None or not table.is_projected else crs_code(table)
 
 
 def crs_advice(heads: dict[str, Exif]) -> str:

@@ -8,6 +8,7 @@ from survey.errors import FILE_NAME
 from survey.files.outputs import ReadFiles
 from survey.folder import infer
 from survey.folder.config import read_config
+from survey.folder.geo_txt import find_geo_txt
 from survey.folder.water_level import SOURCES
 from survey.photos.exif import SUFFIXES
 from survey.photos.formats import find_poses, pose_files
@@ -30,6 +31,8 @@ def survey_inputs(folder: Path) -> ReadFiles:
         named += [folder / name for source in SOURCES if (name := getattr(config.water, source))]
     named += [folder / name for name in config.control.files]
     poses = find_poses(folder) if config.cameras.poses is None else [folder / config.cameras.poses]
+    table = find_geo_txt(folder, folder / config.images.dir)
+    named += [] if table is None else [table]
     folders = [] if config.images.masks is None else [folder / config.images.masks]
     if config.images.dir == ".":
         named += [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES]

@@ -47,8 +47,8 @@ class PosePrior:
         Of the rotation that the view was loaded with, about the axes of local. None where that rotation was found by
         structure from motion, or its accuracy is not known.
     source : str
-        Of the standard deviation, "survey.toml", "XMP RTK", "XMP accuracy" or `BY_FILE`; without one, of the position:
-        "GPS EXIF", `BY_POSES`, or "none".
+        Of the standard deviation, "survey.toml", "geo.txt", "XMP RTK", "XMP accuracy" or `BY_FILE`; without one, of
+        the position: "GPS EXIF", "geo.txt", `BY_POSES`, or "none".
     common_up_std : float [m]
         Of an error that the heights of all positions have in common; 0 where they have none.
     """
@@ -111,6 +111,10 @@ def _std_by_exif(cameras: CamerasConfig, head: Exif) -> tuple[np.ndarray | None,
     """The standard deviation (3,) [m] of a GPS position, and where it comes from; None where nothing tells it."""
     if cameras.position_std_m is not None:
         return np.array(per_axis(cameras.position_std_m)), "survey.toml"
+    if head.table_place is not None:
+        # Given for these positions, as position_std_m is.
+        std_m = head.table_place.std_m
+        return None if std_m is None else np.array(std_m), head.table_place.source
     if head.rtk is not None and head.rtk.flag == _RTK_FIXED:
         return np.array(head.rtk.std_m), "XMP RTK"
     if head.std_m is not None and max(head.std_m) <= WELL_KNOWN_M:

@@ -151,6 +151,7 @@ def solve_views(found: Found, workspace: Path | None, report: Callable[[str], No
         focal_px=found.config.cameras.focal_px,
         control=None if control is None else control.with_views(views_of),
         spare_control=None if spare is None else spare.with_views(views_of),
+        heads={path: found.heads[name] for name, path in found.images.items()},
         report=report,
     )
     views = []

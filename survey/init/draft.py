@@ -10,6 +10,7 @@ from survey.files.json_values import write_json
 from survey.files.toml_schema import schema_of
 from survey.folder import infer
 from survey.folder.config import SurveyConfig, parse_config
+from survey.folder.geo_txt import find_geo_txt, with_positions
 from survey.init.entry import Answers, Table
 from survey.init.place import Photographs, require_in_place, write_crs, write_origin
 from survey.photos.exif import read_exif
@@ -83,6 +84,9 @@ def draft(folder: Path, answers: Answers) -> str:
     if (folder / "masks").is_dir():
         images.set("masks", "masks", "black is left out")
     heads = {name: read_exif(path) for name, path in found.items()}
+    table, said, doubts = find_geo_txt(folder, folder / inferred.images.dir), list[str](), list[str]()
+    if table is not None:
+        heads = with_positions(table, heads, said, doubts)
     poses = find_poses(folder)
     if poses:
         others = ", ".join(path.relative_to(folder).as_posix() for path in poses[1:])
@@ -90,6 +94,7 @@ def draft(folder: Path, answers: Answers) -> str:
         cameras.set("poses", poses[0].relative_to(folder).as_posix(), not_certain)
     else:
         cameras.say(f"No poses found: structure from motion computes them from the {len(found)} photographs.")
+    cameras.say(*(f"Found: {sentence}." for sentence in said), *(f"Not certain: {sentence}." for sentence in doubts))
     photographs = Photographs(heads, poses[0] if poses else None, read_poses(poses[0]) if poses else None)
     if photographs.file is not None and any(pose.lens is None for pose in photographs.file.poses):
         cameras.say(

@@ -15,9 +15,11 @@ from geo.frames import LocalFrame
 from geo.height_systems import height_systems_at
 from geo.transformation import require_at
 from survey.errors import ConfigError
+from survey.folder import infer
 from survey.folder.plausible import distances_to_exif
 from survey.folder.posed import middle_of_geocentric, points_in_crs
 from survey.init.entry import Answers, Table
+from survey.names import GEO_TXT
 from survey.photos.exif import Exif, utm_code_of
 from survey.photos.names import ImageNames
 from survey.photos.poses import PoseFile, PoseFrame
@@ -70,6 +72,11 @@ class Photographs:
         return None
 
     @property
+    def source(self) -> str:
+        """Where GPS positions are written."""
+        return GEO_TXT if any(head.table_place is not None for head in self.heads.values()) else "EXIF"
+
+    @property
     def says_ellipsoidal(self) -> bool:
         """Whether XMP says of most photographs that their heights count from the ellipsoid."""
         said = [head.height_datum for head in self.heads.values() if head.height_datum is not None]
@@ -117,8 +124,11 @@ def _horizontal(photographs: Photographs) -> tuple[str | None, str]:
         code = crs_code(file.crs)
         if code is not None and file.crs.is_projected:
             return code, f"that of the poses, {file.crs.name}"
+    table = infer.table_crs(photographs.heads)
+    if table is not None and file is None:
+        return table, f"that of {GEO_TXT}"
     zone = utm_code_of(dict(photographs.heads))
-    by = "the UTM zone of the GPS positions in EXIF"
+    by = f"the UTM zone of the GPS positions in {photographs.source}"
     if zone is None and photographs.lat_lon is not None:
         zone, by = utm_code(*photographs.lat_lon), "the UTM zone of the poses"
     if zone is None:
@@ -150,13 +160,13 @@ def _vertical(
     if photographs.says_ellipsoidal:
         return _of_ellipsoidal(photographs, horizontal, chosen, listed, cameras)
     if chosen is not None:
-        doubt = "Not certain: that the level and all other heights count from there, and those in EXIF too."
+        doubt = f"Not certain: that the level, all other heights and those in {photographs.source} count from there."
         return chosen.to_epsg(), f"the heights of {_area(chosen)} ({chosen.name})", (doubt,)
     more: tuple[str, ...] = (
         ("Not certain: levels of water may be in the heights of a country; then put its code here:",) if listed else ()
     )
     more += tuple(f"    {system}" for system in listed)
-    return _EGM96_HEIGHT, "heights above mean sea level (EGM96), as those in EXIF", more
+    return _EGM96_HEIGHT, f"heights above mean sea level (EGM96), as those in {photographs.source}", more
 
 
 def _of_ellipsoidal(

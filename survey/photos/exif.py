@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from PIL import ExifTags
+from pyproj import CRS
 
 from geo.crs import utm_code
 from survey.photos.exif_focal import FocalCandidate, focal_candidates, focal_px, resized_doubt
@@ -45,6 +46,28 @@ _SAME_PLACE_DEG = 1.5 * 0.1 / 3600.0
 
 
 @dataclass(frozen=True)
+class TablePlace:
+    """Where a table beside the photographs says that one was taken.
+
+    Attributes
+    ----------
+    source : str
+        Name of the table.
+    crs : pyproj.CRS
+        With or without heights.
+    place : (easting or longitude, northing or latitude, height)
+        In units of the crs; the height is NaN where there is none.
+    std_m : (east, north, up) [m] or None
+        None where the table does not say it.
+    """
+
+    source: str
+    crs: CRS
+    place: tuple[float, float, float]
+    std_m: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
 class Exif:
     """Head of an image file.
 
@@ -53,7 +76,8 @@ class Exif:
     size_px : (width, height)
         As stored, without the rotation in `orientation`.
     lat_lon_height : (latitude [deg], longitude [deg], height [m]) or None
-        GPS position, WGS 84; the height is NaN where the file has none. Its vertical datum is not known.
+        GPS position, WGS 84; the height is NaN where the file has none. Its vertical datum is not known. To some metres
+        where there is a `table_place`.
     focal_px : float or None
         Focal length [px] of the stored size, from the 35 mm equivalent or DJI's calibration (a design value).
     orientation : int
@@ -86,6 +110,8 @@ class Exif:
         What EXIF lacks for a GPS position, of which it has a part.
     focal_doubt : str
         Where a calibration in XMP belongs to another size of the photograph, or nothing tells to which.
+    table_place : TablePlace or None
+        Where a table gives the position, which then counts instead of that of the file itself.
     """
 
     size_px: tuple[int, int]
@@ -106,6 +132,7 @@ class Exif:
     exposure_s: float | None = None
     gps_fault: str = ""
     focal_doubt: str = ""
+    table_place: TablePlace | None = None
 
 
 def read_exif(path: Path) -> Exif:

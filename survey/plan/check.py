@@ -214,13 +214,20 @@ def _rows_without_poses(found: Found) -> list[tuple[str, str]]:
             "images",
             ", ".join(f"{n} of {w} x {h} px" for (w, h), n in num_of_size.items()) + f" in {found.config.images.dir}",
         ),
-        ("positions", f"{len(places)} of {len(found.heads)} images have one in EXIF{on_places}"),
+        ("positions", f"{len(places)} of {len(found.heads)} images have one in {_sources(found)}{on_places}"),
         ("poses", "none"),
         ("accuracy", accuracy_of_gps(found.config.cameras, found.heads)),
         *_shared_error(found),
         ("water", _water_below(found, heights)),
         *control_rows(found.control),
     ]
+
+
+def _sources(found: Found) -> str:
+    """What positions of photographs are written in."""
+    heads = [head for head in found.heads.values() if head.lat_lon_height is not None]
+    tables = [head.table_place.source if head.table_place is not None else "EXIF" for head in heads]
+    return " and ".join(sorted(set(tables))) or "EXIF"
 
 
 def _shared_error(found: Found) -> list[tuple[str, str]]:
@@ -235,7 +242,7 @@ def _shared_error(found: Found) -> list[tuple[str, str]]:
 
 
 def _water_below(found: Found, heights: np.ndarray) -> str:
-    """What is known of the water under cameras at heights (K,), in crs, of EXIF."""
+    """What is known of the water under cameras at heights (K,), in crs, of GPS positions."""
     water = found.config.water
     if water is None:
         return "none: a dry survey"
@@ -244,7 +251,7 @@ def _water_below(found: Found, heights: np.ndarray) -> str:
     if water.level_m is None:
         return "of unknown level: the adjustment finds it, where oblique photographs or a shore with dry ground tell it"
     level = water.level_m / height_unit_m(found.crs)
-    over = f"; by EXIF the cameras are {_range(heights - level)} m over it" if len(heights) else ""
+    over = f"; by {_sources(found)} the cameras are {_range(heights - level)} m over it" if len(heights) else ""
     return f"level {water.level_m:g} m{over}{water_stds(water, found.levels)}"
 
 

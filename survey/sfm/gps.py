@@ -1,4 +1,4 @@
-"""GPS positions of photographs, from EXIF into the local frame."""
+"""GPS positions of photographs, from EXIF or a table beside them into the local frame."""
 
 from __future__ import annotations
 
@@ -10,16 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 from pyproj import CRS
 
-from geo.crs import height_unit_m, is_geographic, parse_crs, vertical_crs
+from geo.crs import has_height, is_geographic, parse_crs, vertical_crs
 from geo.frames import LocalFrame
-from geo.transformation import WGS84, Transformation
+from geo.transformation import WGS84, Transformation, height_scale, lon_lat
 from survey.errors import FILE_NAME, ConfigError, PosesError
+from survey.names import GEO_TXT
 from survey.photos.exif import Exif, utm_code_of
 from survey.sfm.geoid import area_at, height_transformer
 
 # Mean sea level by EGM96: the heights of consumer receivers and drones.
 _EGM96_HEIGHT = 5773
 MIN_POSITIONS = 3
+_EXIF, _WGS84_3D = "EXIF", CRS("EPSG:4979")
 _GIVE_POSES = f"name a file of poses in [cameras] poses in {FILE_NAME}"
 
 
@@ -43,7 +45,7 @@ class GpsPositions:
 
 
 def gps_positions(heads: Mapping[str, Exif], crs: CRS | None, gps_height: str) -> GpsPositions:
-    """Positions from EXIF, in a local frame of their own.
+    """Positions of photographs, in a local frame of their own.
 
     Parameters
     ----------
@@ -67,7 +69,7 @@ def gps_positions(heads: Mapping[str, Exif], crs: CRS | None, gps_height: str) -
     num_with_height = sum(is_whole(head.lat_lon_height) for head in heads.values())
     if num_with_height < MIN_POSITIONS:
         raise PosesError(
-            f"{num} of {len(heads)} images have a GPS position in EXIF, {num_with_height} of them with a "
+            f"{num} of {len(heads)} images have a GPS position in EXIF or {GEO_TXT}, {num_with_height} of them with a "
             f"height{what_is_missing(heads)}, expected at least {MIN_POSITIONS} to place the survey on Earth; "
             f"{_GIVE_POSES}"
         )
@@ -111,24 +113,50 @@ def positions_in_crs(heads: Mapping[str, Exif], crs: CRS, gps_height: str, notes
     ConfigError
         As `gps_positions`.
     """
-    wgs84 = {name: head.lat_lon_height for name, head in heads.items() if is_whole(head.lat_lon_height)}
-    if not wgs84:
-        return {}
-    lat, lon, height = np.array(list(wgs84.values())).T
-    points = _crs_from_wgs84(crs, lon, lat, height, gps_height, notes)
-    if not np.isfinite(points).all():
-        name = list(wgs84)[int(np.argmin(np.isfinite(points).all(axis=1)))]
-        raise ConfigError(
-            f"the GPS position {wgs84[name]} of {name} is not on the map of {crs.name}; correct crs in {FILE_NAME}"
-        )
-    return dict(zip(wgs84, points, strict=True))
+    given = {name: _given(head) for name, head in heads.items() if is_whole(head.lat_lon_height)}
+    found: dict[str, np.ndarray] = {}
+    for source in dict.fromkeys(source for source, _ in given.values()):
+        of_source = {name: place for name, (own, place) in given.items() if own == source}
+        points = _in_crs(crs, source, np.array(list(of_source.values())), gps_height, notes)
+        if not np.isfinite(points).all():
+            name = list(of_source)[int(np.argmin(np.isfinite(points).all(axis=1)))]
+            raise ConfigError(
+                f"the GPS position {heads[name].lat_lon_height} of {name} is not on the map of {crs.name}; correct crs "
+                f"in {FILE_NAME}"
+            )
+        found |= dict(zip(of_source, points, strict=True))
+    return {name: found[name] for name in given}
 
 
-def datum_doubt(heads: Mapping[str, Exif], crs: CRS) -> str | None:
-    """A warning where GPS positions in crs are less well known than in WGS 84; None where they are not."""
-    known = [head.lat_lon_height for head in heads.values() if head.lat_lon_height is not None]
-    places = np.array(known, dtype=np.float64).reshape(-1, 3)[:, [1, 0]]
-    return Transformation.between(WGS84, crs, places).doubt("GPS positions") if len(places) else None
+def datum_doubts(heads: Mapping[str, Exif], crs: CRS) -> list[str]:
+    """Warnings where GPS positions in crs are less well known than as they are given."""
+    given = [_given(head) for head in heads.values() if head.lat_lon_height is not None]
+    doubts = []
+    for source in dict.fromkeys(source for source, _ in given):
+        places = np.array([place for own, place in given if own == source])
+        doubts.append(Transformation.between(source.crs, crs, places).doubt(f"GPS positions{source.said}"))
+    return [doubt for doubt in doubts if doubt is not None]
+
+
+@dataclass(frozen=True)
+class _Source:
+    """What GPS positions are written in, and their CRS."""
+
+    name: str
+    crs: CRS
+
+    @property
+    def said(self) -> str:
+        return "" if self.name == _EXIF else f" in {self.name}"
+
+
+def _given(head: Exif) -> tuple[_Source, tuple[float, float, float]]:
+    """Where the position of a photograph is written, and the position, easting or longitude first."""
+    if head.table_place is not None:
+        return _Source(head.table_place.source, head.table_place.crs), head.table_place.place
+    assert head.lat_lon_height is not None
+    lat, lon, height = head.lat_lon_height
+    return _Source(_EXIF, WGS84), (lon, lat, height)
 
 
 def is_whole(position: tuple[float, float, float] | None) -> bool:
@@ -136,25 +164,35 @@ def is_whole(position: tuple[float, float, float] | None) -> bool:
     return position is not None and math.isfinite(position[2])
 
 
-def _crs_from_wgs84(crs: CRS, lon, lat, height, gps_height: str, notes: list[str]) -> np.ndarray:
-    """WGS 84 longitudes, latitudes [deg] and heights [m] (N,) as points (N, 3) in crs."""
+def _in_crs(crs: CRS, source: _Source, places: np.ndarray, gps_height: str, notes: list[str]) -> np.ndarray:
+    """Places (N, 3) in the CRS of their source as points (N, 3) in crs."""
     # Two dimensions only: the height is not touched by any change of datum.
-    way = Transformation.between(WGS84, crs, np.column_stack([lon, lat]))
-    east, north = way(lon, lat)
-    if gps_height == "crs":
-        vertical = vertical_crs(crs)
-        above = f"above {vertical.name}" if vertical is not None else "above the ellipsoid"
-        notes.append(f'gps_height = "crs": the GPS heights in EXIF are taken as heights in crs, {above}')
-        return np.stack([east, north, height / height_unit_m(crs)], axis=-1)
-    if gps_height != "ellipsoidal":
+    way = Transformation.between(source.crs, crs, places)
+    east, north = way(places[:, 0], places[:, 1])
+    if gps_height not in ("crs", "ellipsoidal"):
         raise ConfigError(f'[cameras] gps_height is "{gps_height}", expected "crs" or "ellipsoidal"')
+    own, vertical = vertical_crs(source.crs), vertical_crs(crs)
+    said = f"the GPS heights in {source.name}"
+    if gps_height == "crs" and has_height(source.crs) and own is None and vertical is not None:
+        raise ConfigError(
+            f"{said} are above the ellipsoid ({source.crs.name}), and those of crs above {vertical.name}; write "
+            f'gps_height = "ellipsoidal" in [cameras] in {FILE_NAME}'
+        )
+    if gps_height == "crs" or own is not None:
+        scale = height_scale(source.crs, crs, said)
+        above = f"above {vertical.name}" if vertical is not None else "above the ellipsoid"
+        if not has_height(source.crs):
+            notes.append(f'gps_height = "crs": {said} are taken as heights in crs, {above}')
+        return np.stack([east, north, places[:, 2] * scale], axis=-1)
+    lon, lat = lon_lat(source.crs, places).T
     to_height = height_transformer(crs, area_at(lon, lat))
     steps = [step for step in to_height.description.split(" + ") if not step.startswith("axis order change")]
     notes.append(
-        'gps_height = "ellipsoidal": the GPS heights in EXIF are taken as heights above the WGS 84 ellipsoid '
+        f'gps_height = "ellipsoidal": {said} are taken as heights above the WGS 84 ellipsoid '
         f"({' + '.join(steps) or 'no change'})"
     )
-    return np.stack([east, north, to_height.transform(lon, lat, height)[2]], axis=-1)
+    metres = places[:, 2] * height_scale(source.crs, _WGS84_3D, said)
+    return np.stack([east, north, to_height.transform(lon, lat, metres)[2]], axis=-1)
 
 
 def _origin(crs: CRS, points: np.ndarray) -> tuple[float, float, float]:

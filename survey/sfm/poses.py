@@ -105,6 +105,7 @@ def solve_poses(
     focal_px: float | tuple[float, float] | None = None,
     control: BlockControl | None = None,
     spare_control: BlockControl | None = None,
+    heads: Mapping[Path, Exif] | None = None,
     report: Callable[[str], None] | None = None,
 ) -> SfmResult:
     """Poses, lenses and points of photographs with GPS positions, or with control points.
@@ -126,6 +127,8 @@ def solve_poses(
         Places blocks instead of GPS positions; its views have the names of `image_names`.
     spare_control : BlockControl, optional
         Places the blocks that GPS positions cannot.
+    heads : mapping of path to Exif, optional
+        Of the images, with positions that a table gives; default: what the images themselves have.
     report : callable, optional
         Called with a sentence on the progress.
 
@@ -142,20 +145,21 @@ def solve_poses(
     """
     say = report or (lambda _text: None)
     images = image_names(image_paths)
-    heads = {name: read_exif(path) for name, path in images.items()}
-    require_size(images, heads, size_px)
+    given = {path.absolute(): head for path, head in (heads or {}).items()}
+    known = {name: given[path] if path in given else read_exif(path) for name, path in images.items()}
+    require_size(images, known, size_px)
     focal_px = one_focal(focal_px)
     place: Callable[..., Placed]
     if control is None:
-        gps = gps_positions(heads, crs, gps_height)
+        gps = gps_positions(known, crs, gps_height)
         frame, place = gps.frame, partial(place_by_gps, gps=gps, spare=spare_control)
     else:
         frame, place = control.frame, partial(place_by_control, control=control)
-    positions = positions_in_crs(heads, frame.crs, gps_height, [])
+    positions = positions_in_crs(known, frame.crs, gps_height, [])
     local = {name: frame.local_from_crs(position) for name, position in positions.items()}
-    free = _solved(images, heads, local, focal_px, workspace, say)
+    free = _solved(images, known, local, focal_px, workspace, say)
     alias_of = aliases(images)
-    sensors = sensors_of(heads, alias_of, focal_px)
+    sensors = sensors_of(known, alias_of, focal_px)
     return _result(place(free, alias_of=alias_of, sensors=sensors, say=say), positions, alias_of)
 
 
@@ -221,7 +225,9 @@ def _solved(
     say: Callable[[str], None],
 ) -> Free:
     """The blocks of photographs in their own frames: those in the workspace, or solved now and stored there."""
-    key = stage_key("sfm", code_hash("survey.sfm.solve"), focal_px, list(images), list(images.values()))
+    # Positions in the images themselves are those of the files.
+    by_table = {name: position for name, position in local.items() if heads[name].table_place is not None}
+    key = stage_key("sfm", code_hash("survey.sfm.solve"), focal_px, list(images), list(images.values()), by_table)
     busy = f"another process (number {{pid}}) looks for poses in {workspace}; wait until it ends, or stop it"
     with disk_refusals(workspace), locked(_made(workspace), busy=busy):
         free = _stored(workspace, key)

@@ -11,7 +11,6 @@ from survey.photos.poses import FileTies, PoseFile
 
 # Files of poses of other programs that are not read, and what to do instead; warnings name them.
 _NOT_READ = {
-    "geo.txt": "write its positions into the EXIF of the photographs, e.g. by exiftool -csv",
     "*.nvm": "export a COLMAP model instead",
     "bundle.out": "export a COLMAP model instead",
     "*.psx": "export the cameras from Metashape (File > Export > Export Cameras)",

@@ -14,6 +14,7 @@ import numpy as np
 
 from survey.errors import PosesError
 from survey.files.csv_table import shortened, text_lines
+from survey.names import GEO_TXT
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk
 from survey.photos.formats.format import Format
 from survey.photos.poses import Pose, PoseFile, PoseFrame, SecondPose
@@ -50,8 +51,8 @@ def read_exterior_text(path: Path) -> PoseFile:
             poses[name] = _pose(name, values, unit, where)
     if heading.lstrip("# ").startswith(("epsg:", "+proj", "wgs84")):
         raise PosesError(
-            f"{path} begins with a CRS, as OpenDroneMap's geo.txt does: its angles are yaw, pitch and roll of the "
-            f"flight, and no poses; {_EXPECTED}"
+            f"{path} begins with a CRS, as OpenDroneMap's geo.txt does, whose angles are no poses: under the name "
+            f"{GEO_TXT} its positions are used without being named; {_EXPECTED}"
         )
     return PoseFile(tuple(poses.values()), PoseFrame.GRID, tool=tool)
 
@@ -138,7 +139,7 @@ FORMAT = Format(
     find=lambda folder: sorted(
         path
         for path in folder.iterdir()
-        if is_exterior_text(path) and _names_angles(path) and "calibrated_" not in path.name
+        if is_exterior_text(path) and _names_angles(path) and "calibrated_" not in path.name and path.name != GEO_TXT
     ),
     recognises=is_exterior_text,
     read=read_exterior_text,

@@ -1,0 +1,218 @@
+"""geo.txt of OpenDroneMap: positions of photographs that count instead of those in EXIF.
+
+Its first line is the CRS, then ``image x y [z] [omega phi kappa] [horizontal accuracy] [vertical accuracy]``, easting
+or longitude first. Angles are not used, as OpenDroneMap does not use them either.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+from pyproj import CRS, Geod
+
+from geo.crs import has_height, height_unit_m, horizontal_crs, horizontal_unit, is_geographic
+from geo.transformation import lon_lat, require_in_area
+from survey.display.words import named
+from survey.errors import PosesError
+from survey.files.csv_table import shortened, text_lines
+from survey.files.odm_crs import odm_crs
+from survey.folder.config_std import require_std
+from survey.names import GEO_TXT
+from survey.photos.exif import SUFFIXES, Exif, TablePlace
+from survey.photos.names import ImageNames
+
+_FORM = "image x y [z] [omega phi kappa] [horizontal accuracy] [vertical accuracy]"
+# How many numbers a line may have: x y, z, three angles, accuracies.
+_COUNTS = (2, 3, 6, 7, 8)
+_MOST_STD_M = 100.0
+# A position without corrections is within 10 m, and a datum a few hundred off.
+_SAME_PLACE_M = 100.0
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A photograph with its position, as one line has it."""
+
+    called: str
+    where: str
+    place: tuple[float, float, float]
+    std_m: tuple[float, float, float] | None
+    lacks_vertical: bool
+
+
+def find_geo_txt(folder: Path, images: Path) -> Path | None:
+    """The geo.txt of a survey folder, which lies there or beside the photographs; None where there is none.
+
+    Raises
+    ------
+    PosesError
+        If there are two.
+    """
+    places = dict.fromkeys((folder, images))
+    found = [path for place in places if place.is_dir() for path in sorted(place.iterdir()) if _is_geo_txt(path)]
+    if len(found) > 1:
+        raise PosesError(f"{found[0]} and {found[1]} both have positions of the photographs; remove one of them")
+    return found[0] if found else None
+
+
+def _is_geo_txt(path: Path) -> bool:
+    return path.name.casefold() == GEO_TXT and path.is_file()
+
+
+def with_positions(
+    path: Path, heads: Mapping[str, Exif], assumptions: list[str], warnings: list[str]
+) -> dict[str, Exif]:
+    """Heads of photographs with the positions of a geo.txt; those that it does not name keep the ones in EXIF.
+
+    Raises
+    ------
+    PosesError
+        If the file is damaged, names a photograph twice or none at all, or has a place that is not on the map.
+    PlaceMismatch
+        If the places lie far outside the area of its CRS.
+    """
+    crs, lines = _read(path)
+    names, line_of = ImageNames(heads), {}
+    strangers = []
+    for line in lines:
+        name = names.find(line.called, line.where)
+        if name is None:
+            strangers.append(line.called)
+        elif name in line_of:
+            raise PosesError(f"{line.where}: {name} has a second position; remove one of the two lines")
+        else:
+            line_of[name] = line
+    if not line_of:
+        raise PosesError(
+            f'{path} names none of the photographs: "{lines[0].called}" for "{next(iter(heads))}"; correct its names, '
+            "or remove the file where it is of another flight"
+        )
+    done = dict(heads) | _placed(heads, line_of, crs)
+    _say(path, crs, heads, line_of, assumptions, warnings)
+    warnings += named(strangers, "image", f"of {path.name} not among the photographs")
+    warnings += named([n for n in heads if n not in line_of], "image", f"not in {path.name}, which keep what EXIF has")
+    lacking = [name for name, line in line_of.items() if line.lacks_vertical]
+    warnings += named(lacking, "image", f"with a horizontal accuracy alone in {path.name}, which is not used")
+    return done
+
+
+def _placed(heads: Mapping[str, Exif], line_of: Mapping[str, _Line], crs: CRS) -> dict[str, Exif]:
+    """The heads of photographs at the places of their lines."""
+    places = np.array([line.place for line in line_of.values()])
+    where = lon_lat(crs, places)
+    on_map = np.isfinite(where).all(axis=1) & (np.abs(where) <= [180.0, 90.0]).all(axis=1)
+    for line, is_known in zip(line_of.values(), on_map, strict=True):
+        if not is_known:
+            raise PosesError(
+                f"{line.where}: {line.place[0]:.10g}, {line.place[1]:.10g} is not on the map of {crs.name}; correct "
+                "the coordinates, their order (easting or longitude first) or the CRS in the first line"
+            )
+    require_in_area(crs, places, f"the positions in {GEO_TXT}")
+    done = {}
+    for (name, line), (lon, lat) in zip(line_of.items(), where.tolist(), strict=True):
+        head = heads[name]
+        own, (x, y, height) = crs, line.place
+        if math.isnan(height) and head.lat_lon_height is not None:
+            # The height in EXIF counts from where all heights in EXIF do.
+            own = horizontal_crs(crs)
+            height = head.lat_lon_height[2] / _unit_m(own)
+        done[name] = replace(
+            head,
+            lat_lon_height=(lat, lon, height * _unit_m(own)),
+            table_place=TablePlace(GEO_TXT, own, (x, y, height), line.std_m),
+            rtk=None,
+            std_m=None,
+            height_datum=head.height_datum if math.isnan(line.place[2]) else None,
+            gps_fault="",
+        )
+    return done
+
+
+def _unit_m(crs: CRS) -> float:
+    """Unit [m] of the heights beside places in a CRS, which may have none of its own."""
+    if has_height(crs):
+        return height_unit_m(crs)
+    return 1.0 if is_geographic(crs) else horizontal_unit(crs)
+
+
+def _say(
+    path: Path,
+    crs: CRS,
+    heads: Mapping[str, Exif],
+    line_of: Mapping[str, _Line],
+    assumptions: list[str],
+    warnings: list[str],
+) -> None:
+    """Say what the file replaces, and how far that lay from it."""
+    in_exif = {name: heads[name].lat_lon_height for name in line_of}
+    replaced = {name: position for name, position in in_exif.items() if position is not None}
+    said = f"positions of {len(line_of)} of {len(heads)} images are those in {path.name} ({crs.name})"
+    if not replaced:
+        assumptions.append(f"{said}; EXIF has none of them")
+        return
+    lat, lon = np.array([position[:2] for position in replaced.values()]).T
+    own_lon, own_lat = lon_lat(crs, np.array([line_of[name].place for name in replaced])).T
+    away = float(np.median(Geod(ellps="WGS84").inv(lon, lat, own_lon, own_lat)[2]))
+    assumptions.append(f"{said}, instead of those in EXIF of {len(replaced)}, {away:.2g} m away (median)")
+    if away > _SAME_PLACE_M:
+        warnings.append(
+            f"the positions in {path.name} lie {away:.0f} m (median) from those in EXIF: check the CRS in its first "
+            "line, and that easting or longitude comes first"
+        )
+
+
+def _read(path: Path) -> tuple[CRS, list[_Line]]:
+    lines = [
+        (number, line.strip())
+        for number, line in text_lines(path, PosesError)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not lines:
+        raise PosesError(f"{path} is empty, expected a line with its CRS, then lines {_FORM}; write it again")
+    number, head = lines[0]
+    crs = odm_crs(head, f"{path}, line {number}", GEO_TXT, PosesError)
+    if len(lines) == 1:
+        raise PosesError(f"{path} has no line after its CRS, expected lines {_FORM}; complete it, or remove it")
+    return crs, [_line(line, f"{path}, line {number}") for number, line in lines[1:]]
+
+
+def _line(text: str, where: str) -> _Line:
+    cells = [cell.strip() for cell in text.split("\t") if cell.strip()] if text.count("\t") > 1 else text.split()
+    if len(cells) < 3 and "," in text:
+        raise PosesError(f"{where}: values are separated by commas, expected spaces or tabs: {_FORM}; replace them")
+    # A name may have spaces: it ends with the suffix of a photograph.
+    ends = [i for i, cell in enumerate(cells, 1) if PurePosixPath(cell).suffix.lower() in SUFFIXES]
+    end = ends[0] if ends else 1
+    values = [_number(cell) for cell in cells[end:]]
+    count = next((count for count in reversed(_COUNTS) if count <= len(values)), 0)
+    # What follows both accuracies has no meaning.
+    if not count or (len(values) > count < _COUNTS[-1]) or not all(math.isfinite(value) for value in values[:count]):
+        raise PosesError(f'{where}: "{shortened(text)}" was found, expected {_FORM}; correct or remove the line')
+    x, y, *rest = values[:count]
+    return _Line(
+        " ".join(cells[:end]),
+        where,
+        (x, y, rest[0] if rest else math.nan),
+        _std(values[6:8], where) if count == _COUNTS[-1] else None,
+        count == _COUNTS[-2],
+    )
+
+
+def _std(accuracies: list[float], where: str) -> tuple[float, float, float] | None:
+    """Standard deviations [m]; None where both accuracies are 0, as programs write it that do not know them."""
+    across, up = accuracies
+    if across == up == 0.0:
+        return None
+    require_std(f"{where}: the accuracy", (across, up), _MOST_STD_M, "metres", "leave both out if they are not known")
+    return across, across, up
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan

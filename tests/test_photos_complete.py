@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from survey.errors import ImageError
 from survey.photos import images
@@ -57,3 +58,29 @@ def test_bytes_that_a_camera_adds_behind_a_png_do_not_matter(tmp_path, pixels):
     with (tmp_path / "a.png").open("ab") as file:
         file.write(bytes(20))
     assert is_complete(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("name", ["a.png", "lzw.tif", "deflate.tif"])
+@pytest.mark.parametrize("share", [0.2, 0.6])
+def test_a_file_of_its_full_length_whose_end_became_zeros_is_refused(tmp_path, pixels, name, share):
+    path = tmp_path / name
+    pixels.save(path, **(FORMATS | {"deflate.tif": {"compression": "tiff_adobe_deflate"}})[name])
+    require_complete(path)
+    whole = path.read_bytes()
+    with Image.open(path) as image:
+        # Where the only strip begins, and its length; the last chunk of a PNG has 12 bytes.
+        tags = getattr(image, "tag_v2", {273: [0], 279: [len(whole) - 12]})
+    last = tags[273][0] + tags[279][0]
+    first = int(share * last)
+    path.write_bytes(whole[:first] + bytes(last - first) + whole[last:])
+    with pytest.raises(ImageError, match=r"damaged or cut off \((the checksum|zeros stand where)"):
+        require_complete(path)
+
+
+def test_damage_beside_the_pixels_of_a_png_does_not_matter(tmp_path, pixels):
+    text = PngInfo()
+    text.add_text("Comment", "a photograph")
+    pixels.save(tmp_path / "a.png", pnginfo=text)
+    path = tmp_path / "a.png"
+    path.write_bytes(path.read_bytes().replace(b"a photograph", b"a photo-raph"))
+    require_complete(path)

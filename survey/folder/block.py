@@ -20,6 +20,7 @@ from survey.folder.pose_priors import PosePrior, priors_of_gps
 from survey.folder.reprojection import Reprojection
 from survey.folder.unposed import solve_views
 from survey.photos.cameras import View
+from survey.photos.images import require_all_complete
 from survey.photos.tie_points import TiePoints
 
 
@@ -104,4 +105,5 @@ def _with_images(
     views = with_masks(found, sorted(views, key=lambda view: view.name), masks, assumptions, warnings)
     for view in views:
         require_image(view, found.heads[view.name])
+    require_all_complete([path for view in views for path in (view.path, view.mask_path) if path is not None])
     return views

@@ -12,7 +12,6 @@ from survey.folder.found import MIN_VIEWS, Found
 from survey.folder.lens import lenses_from_config
 from survey.photos.cameras import View
 from survey.photos.exif import Exif
-from survey.photos.images import require_complete
 from survey.photos.names import ImageNames
 from survey.photos.poses import Pose
 
@@ -81,7 +80,7 @@ def with_lenses(found: Found, poses: list[Pose], assumptions: list[str], warning
 
 
 def require_image(view: View, head: Exif) -> None:
-    """Raise ImageError where an image does not have the size of its camera, or is cut off."""
+    """Raise ImageError where an image does not have the size of its camera."""
     expected = (view.lens.width, view.lens.height)
     if head.size_px != expected:
         mend = "use the images that the poses were made from, or correct the size of the camera"
@@ -91,4 +90,3 @@ def require_image(view: View, head: Exif) -> None:
             f"{view.path} has {head.size_px[0]} x {head.size_px[1]} pixels, expected {expected[0]} x {expected[1]} "
             f"as its camera has; {mend}"
         )
-    require_complete(view.path)

@@ -23,7 +23,7 @@ from survey.folder.shutter import shutter_doubts
 from survey.folder.start_height import start_doubts
 from survey.names import RUN_FOLDER, SFM_FOLDER
 from survey.photos.cameras import View
-from survey.photos.images import require_complete
+from survey.photos.images import require_all_complete
 from survey.photos.opening import HEIC_SUFFIXES
 from survey.photos.tie_points import TiePoints
 from survey.sfm.gps import MIN_POSITIONS, gps_positions, is_whole, positions_in_crs
@@ -97,7 +97,7 @@ def _require_readable(images: Mapping[str, Path]) -> None:
                 f"{path} is HEIC, which structure from motion does not read; convert the images to JPEG with their "
                 "EXIF, or give poses made elsewhere in [cameras] poses"
             )
-        require_complete(path)
+    require_all_complete(images.values())
 
 
 def placing_control(found: Found) -> BlockControl | None:

@@ -1,20 +1,73 @@
-"""Completeness of image files by their structure, without decoding pixels."""
+"""Completeness of an image file, by its structure, by its checksums, and in JPEG by the count of its blocks."""
 
 from __future__ import annotations
 
+import zlib
 from pathlib import Path
 from typing import BinaryIO
 
 from PIL import Image
 
+from survey.photos.jpeg import jpeg_fault
 from survey.photos.opening import open_image
 
 # A complete JPEG ends with this marker, which the compressed pixels never contain; cameras add a few bytes behind it.
 _JPEG_END = b"\xff\xd9"
+_JPEG_BEGIN, _PNG_BEGIN = b"\xff\xd8", b"\x89PNG\r\n\x1a\n"
+_PNG_PIXELS = (b"IHDR", b"PLTE", b"IDAT")
 _PNG_END = b"IEND\xae\x42\x60\x82"
 _NEAR_END = 64
 # Where a TIFF has its pixels, and how many bytes of them: in strips, or in tiles.
+_TIFF_COMPRESSION = 259
+_ZEROS = bytes(64)
 _TIFF_PIXELS = ((273, 279), (324, 325))
+
+
+def fault_of(path: Path) -> str | None:
+    """What an image file has lost within, in words: sectors that became zeros, parts of another file; None for nothing.
+
+    Where a file is cut off, `is_complete` tells it too.
+
+    Raises
+    ------
+    ImageError
+        Where the file is no image.
+    """
+    if path.suffix.lower() in (".tif", ".tiff"):
+        with open_image(path) as image, path.open("rb") as file:
+            return _zeros_of_tiff(image, file)
+    with path.open("rb") as file:
+        begin = file.read(len(_PNG_BEGIN))
+        if begin == _PNG_BEGIN:
+            return _damage_of_png(file)
+        return jpeg_fault(begin + file.read()) if begin.startswith(_JPEG_BEGIN) else None
+
+
+def _damage_of_png(file: BinaryIO) -> str | None:
+    """By the checksums of the chunks that pixels come from."""
+    while len(head := file.read(8)) == 8 and head[4:] != b"IEND":
+        length = int.from_bytes(head[:4], "big")
+        if head[4:] not in _PNG_PIXELS:
+            file.seek(length + 4, 1)
+            continue
+        content = file.read(length)
+        if len(content) == length and zlib.crc32(content, zlib.crc32(head[4:])) != int.from_bytes(file.read(4), "big"):
+            return "the checksum of a part does not fit"
+    return None
+
+
+def _zeros_of_tiff(image: Image.Image, file: BinaryIO) -> str | None:
+    """By zeros at the end of compressed strips or tiles, which none of the compressions writes."""
+    tags = getattr(image, "tag_v2", {})
+    if tags.get(_TIFF_COMPRESSION, 1) == 1:
+        return None
+    for where, length in _TIFF_PIXELS:
+        for start, count in zip(tags.get(where, ()), tags.get(length, ()), strict=False):
+            if count > len(_ZEROS):
+                file.seek(start + count - len(_ZEROS))
+                if file.read(len(_ZEROS)) == _ZEROS:
+                    return "zeros stand where compressed pixels should"
+    return None
 
 
 def is_complete(path: Path) -> bool:

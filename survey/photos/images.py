@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from survey import machine
 from survey.errors import ImageError
 from survey.photos.cameras import View
-from survey.photos.complete import is_complete
+from survey.photos.complete import fault_of, is_complete
 from survey.photos.exif import SUFFIXES
 from survey.photos.names import MASK_ENDING
 from survey.photos.pixels import read_grey, read_opaque, read_rgb
@@ -20,6 +23,8 @@ _STEPS = 257.0
 LUMA = (0.299, 0.587, 0.114)
 # Folders that are not hidden, with thumbnails: of Synology, QNAP, macOS' archives and Windows.
 _NOT_OF_CAMERAS = ("@eadir", "@__thumb", "__macosx", "$recycle.bin")
+# Each has the bytes of its file in memory.
+_MOST_AT_ONCE = 8
 _LOSSY = (".jpg", ".jpeg")
 
 
@@ -58,9 +63,19 @@ def is_mask_of_another(path: Path, stems: set[Path]) -> bool:
 
 
 def require_complete(path: Path) -> None:
-    """Raise ImageError where an image is cut off; it is decoded only where its structure does not tell."""
+    """Raise ImageError where an image is cut off or damaged within; decoded only where its structure does not tell."""
+    fault = fault_of(path)
+    if fault is not None:
+        raise ImageError(f"{path} is damaged or cut off ({fault}); copy it again or remove it")
     if not is_complete(path):
         read_rgb(path)
+
+
+def require_all_complete(paths: Iterable[Path]) -> None:
+    """As `require_complete` for many images at once, on all cores; the first one that is not whole is named."""
+    with ThreadPoolExecutor(min(machine.num_cores(), _MOST_AT_ONCE)) as pool:
+        for _ in pool.map(require_complete, paths):
+            pass
 
 
 def load_image(view: View, *, scale: float = 1.0) -> np.ndarray:

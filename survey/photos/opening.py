@@ -61,7 +61,7 @@ def open_image(path: Path) -> Iterator[Image.Image]:
     # its tag of the orientation turns by a quarter.
     with path.open("rb") as file:
         with damage_named(f"{path} is not an image that can be read"):
-            image = _opened(file)
+            image = open_stream(file)
         with image:
             _require_fit(path, *image.size)
             yield image
@@ -86,12 +86,12 @@ def damage_named(said: str) -> Iterator[None]:
         raise ImageError(f"{said} ({why}); copy it again or remove it") from error
 
 
-def _opened(file: BinaryIO) -> Image.Image:
-    """Opened without Pillow's own limit, which is one number for the whole process."""
+def open_stream(file: BinaryIO, *formats: str) -> Image.Image:
+    """Opened without Pillow's own limit, which is one number for the whole process; of all formats, or of some."""
     with without_complaints():
         limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
         try:
-            return Image.open(file)
+            return Image.open(file, formats=formats or None)
         finally:
             Image.MAX_IMAGE_PIXELS = limit
 

@@ -1,0 +1,244 @@
+"""Whether the compressed pixels of a JPEG are all there, and nothing else between them.
+
+A decoder that runs out of data, or has some left, goes on without an error: what is missing becomes grey. Here the one
+scan of a sequential JPEG is decoded, at an eighth of its size, from a stream that tells how much of it was asked for:
+all blocks have to be there when the scan ends, and not before. Between restart markers, after which a decoder finds
+its its way again, each part is decoded by itself. Of progressive ones, whose scans are decoded together, the headers of
+the scans tell whether one is missing. What is replaced by other data of just as many blocks is not seen.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from survey.photos.opening import open_stream
+
+_SOI, _EOI, _SOS, _DHT, _DRI = 0xD8, 0xD9, 0xDA, 0xC4, 0xDD
+_SEQUENTIAL, _PROGRESSIVE = (0xC0, 0xC1), 0xC2
+_RESTARTS = range(0xD0, 0xD8)
+# Application data and comments, without that of Adobe, which says what the components are.
+_APART = {*range(0xE0, 0xF0), 0xFE} - {0xEE}
+# Bits that follow the last block fill up its byte; encoders in hardware fill up words of so many bytes.
+_FILL = 4
+# A decoder has so many bytes at hand when it decodes the last block.
+_AHEAD = bytes(8)
+# Parts between restart markers are decoded one by one if they are not more than so many.
+_MOST_PARTS = 1000
+_LONGEST_SIDE = 65_500
+# So many bytes of zeros are more than two blocks whose 64 coefficients have the shortest code each, and no photograph.
+_ZEROS = bytes(64)
+_BLOCK = 8
+
+
+@dataclass
+class _Layout:
+    """Where a JPEG has its parts.
+
+    Attributes
+    ----------
+    head : list of bytes
+        Segments before the first scan that its decoder needs, but for the frame.
+    marker, frame : int, bytes
+        Of the frame, and its content.
+    interval : int
+        Units of blocks between restart markers; 0 without them.
+    scans : list of (header, start, end)
+        The compressed bytes of each scan, without a marker.
+    first_symbol : dict
+        By class (0 direct, 1 alternating) and number of a Huffman table: the symbol whose code is all zeros.
+    """
+
+    head: list[bytes] = field(default_factory=list)
+    marker: int = 0
+    frame: bytes = b""
+    interval: int = 0
+    scans: list[tuple[bytes, int, int]] = field(default_factory=list)
+    first_symbol: dict[tuple[int, int], int] = field(default_factory=dict)
+
+
+def jpeg_fault(data: bytes) -> str | None:
+    """What the compressed pixels of a JPEG lack or have too much of, in words; None where they are whole.
+
+    Nothing is said of a JPEG whose structure is another one: of lossless and arithmetic ones.
+    """
+    pixels = np.frombuffer(data, dtype=np.uint8)
+    layout = _layout(data, pixels)
+    if layout is None or not layout.scans or layout.marker not in (*_SEQUENTIAL, _PROGRESSIVE):
+        return None
+    header, start, end = layout.scans[0]
+    if layout.marker == _PROGRESSIVE or header[0] < layout.frame[5]:
+        return _missing_scan(layout)
+    if data.find(_ZEROS, start, end) >= 0 and not _zeros_are_constant(layout):
+        return "zeros stand where compressed pixels should"
+    if not layout.interval:
+        return _scan_fault(layout, layout.frame, data[start:end])
+    return _restart_fault(layout, data[start:end], pixels[start:end])
+
+
+def _layout(data: bytes, pixels: np.ndarray) -> _Layout | None:
+    """The parts of a JPEG up to its end marker, or its end; None where it has another structure."""
+    found, at = _Layout(), 2
+    if data[:2] != bytes([0xFF, _SOI]):
+        return None
+    ends = _scan_ends(pixels)
+    while at + 4 <= len(data) and data[at] == 0xFF:
+        marker = data[at + 1]
+        if marker == 0xFF:
+            at += 1
+            continue
+        if marker == _EOI:
+            return found
+        length = int.from_bytes(data[at + 2 : at + 4], "big")
+        content, after = data[at + 4 : at + 2 + length], at + 2 + length
+        if marker == _SOS:
+            following = ends[np.searchsorted(ends, after) :]
+            end = int(following[0]) if len(following) else len(data)
+            if not content:
+                return None
+            found.scans.append((content, after, end))
+            after = end
+        elif not found.scans and marker not in (*_APART, *_SEQUENTIAL, _PROGRESSIVE, _DRI):
+            found.head.append(data[at:after])
+        if marker in (*_SEQUENTIAL, _PROGRESSIVE) and len(content) >= 6 + 3 * content[5]:
+            found.marker, found.frame = marker, content
+        elif marker == _DRI:
+            found.interval = int.from_bytes(content[:2], "big")
+        elif marker == _DHT:
+            _read_tables(content, found.first_symbol)
+        at = after
+    return found if found.scans else None
+
+
+def _scan_ends(pixels: np.ndarray) -> np.ndarray:
+    """Where a marker stands that ends a scan, with the fill bytes before it."""
+    first = np.flatnonzero(pixels[:-1] == 0xFF)
+    second = pixels[first + 1]
+    is_end = (second != 0) & (second != 0xFF) & ~np.isin(second, _RESTARTS)
+    ends = first[is_end]
+    while (fill := (ends > 0) & (pixels[ends - 1] == 0xFF)).any():
+        ends = ends - fill
+    return ends
+
+
+def _read_tables(content: bytes, first_symbol: dict[tuple[int, int], int]) -> None:
+    at = 0
+    while at + 18 <= len(content):
+        first_symbol[content[at] >> 4, content[at] & 15] = content[at + 17]
+        at += 17 + sum(content[at + 1 : at + 17])
+
+
+def _zeros_are_constant(layout: _Layout) -> bool:
+    """Whether zeros are blocks without any change, as black borders have them with tables made for the image."""
+    header = layout.scans[0][0]
+    tables = [header[2 + 2 * i] for i in range(header[0])]
+    symbols = layout.first_symbol
+    return all(symbols.get((0, table >> 4)) == 0 == symbols.get((1, table & 15)) for table in tables)
+
+
+def _missing_scan(layout: _Layout) -> str | None:
+    """Of several scans: whether each component has all of its coefficients, to their last bit."""
+    missing = {(part, i) for part in layout.frame[6 : 6 + 3 * layout.frame[5] : 3] for i in (0, 1)}
+    highest = dict.fromkeys(missing, 0)
+    for header, _, _ in layout.scans:
+        parts, (first, last, bits) = header[1 : 1 + 2 * header[0] : 2], header[1 + 2 * header[0] :][:3]
+        for part in parts:
+            if bits & 15 == 0 and first == 0:
+                missing.discard((part, 0))
+            if bits & 15 == 0 and last > 0:
+                highest[part, 1] = max(highest.get((part, 1), 0), last)
+    missing -= {(part, i) for (part, i), last in highest.items() if i == 1 and last == _BLOCK**2 - 1}
+    return "not all of its scans are there" if missing else None
+
+
+def _restart_fault(layout: _Layout, scan: bytes, pixels: np.ndarray) -> str | None:
+    """Whether a restart marker is missing or out of order, or a part between two of them is not whole."""
+    first = np.flatnonzero(pixels[:-1] == 0xFF)
+    marks = first[np.isin(pixels[first + 1], _RESTARTS)]
+    in_order = np.array_equal(pixels[marks + 1] - _RESTARTS.start, np.arange(len(marks)) % len(_RESTARTS))
+    height, width = (int.from_bytes(layout.frame[i : i + 2], "big") for i in (1, 3))
+    sampling = [layout.frame[7 + 3 * i] for i in range(layout.frame[5])]
+    # A scan of one component has a block in each unit.
+    across, down = (1, 1) if len(sampling) == 1 else (max(s >> 4 for s in sampling), max(s & 15 for s in sampling))
+    if height == 0 or not across or not down:
+        return None
+    units = -(-width // (_BLOCK * across)) * -(-height // (_BLOCK * down))
+    expected = -(-units // layout.interval) - 1
+    if not in_order or len(marks) != expected:
+        return f"{len(marks)} of {expected} restart markers are there{'' if in_order else ', out of order'}"
+    if len(marks) >= _MOST_PARTS or layout.interval * _BLOCK * across > _LONGEST_SIDE:
+        return None
+    starts, ends = [0, *(marks + 2).tolist()], [*marks.tolist(), len(scan)]
+    for i, (start, end) in enumerate(zip(starts, ends, strict=True)):
+        num = min(layout.interval, units - i * layout.interval)
+        size = (_BLOCK * down).to_bytes(2, "big") + (num * _BLOCK * across).to_bytes(2, "big")
+        fault = _scan_fault(layout, layout.frame[:1] + size + layout.frame[5:], scan[start:end])
+        if fault is not None:
+            return fault
+    return None
+
+
+def _scan_fault(layout: _Layout, frame: bytes, scan: bytes) -> str | None:
+    """Whether the blocks of a frame end before the bytes of their scan do, or its bytes before the blocks."""
+    # Fill bytes may be zeros, and so may be blocks without any change, but more of them.
+    whole = max(scan.rstrip(b"\0"), scan[: -len(_ZEROS)], key=len)
+    start = bytes([0xFF, _SOI]) + b"".join(layout.head)
+    start += _segment(layout.marker, frame) + _segment(_SOS, layout.scans[0][0])
+    rest = scan[max(len(whole) - _FILL, 0) :] + _AHEAD
+    stream = _Stream([start + whole[:-_FILL], rest, bytes([0xFF, _EOI])])
+    with open_stream(stream, "JPEG") as image:
+        image.draft("L", (1, 1))
+        try:
+            image.load()
+        except OSError as error:
+            return " ".join(str(error).split())[:100]
+    if stream.asked == 0:
+        return "there are more compressed bytes than its pixels need, as where parts of two files were joined"
+    return "the compressed pixels end early" if stream.asked > 1 else None
+
+
+def _segment(marker: int, content: bytes) -> bytes:
+    return bytes([0xFF, marker]) + (len(content) + 2).to_bytes(2, "big") + content
+
+
+class _Stream(io.BytesIO):
+    """A file of parts, each of which is read only when all before it are used up.
+
+    Attributes
+    ----------
+    asked : int
+        How many parts were asked for after the first.
+    """
+
+    def __init__(self, parts: Sequence[bytes]):
+        super().__init__()
+        self._parts, self._at, self.asked = list(parts), 0, 0
+
+    def seekable(self) -> bool:
+        return True
+
+    def readable(self) -> bool:
+        return True
+
+    def tell(self) -> int:
+        return self._at
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        """Only in the first part, where the head is."""
+        self._at = offset if whence == io.SEEK_SET else self._at + offset
+        return self._at
+
+    def read(self, size: int = -1) -> bytes:
+        """Bytes of one part."""
+        first = self._parts[0]
+        if self._at < len(first):
+            found = first[self._at :] if size < 0 else first[self._at : self._at + size]
+            self._at += len(found)
+            return found
+        if self.asked + 1 >= len(self._parts):
+            return b""
+        self.asked += 1
+        return self._parts[self.asked]

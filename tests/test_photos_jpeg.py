@@ -1,0 +1,128 @@
+"""JPEGs that decode without an error and are not whole: every way to lose a part is refused, every whole one passes."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from survey.errors import ImageError
+from survey.photos.images import require_complete
+from survey.photos.jpeg import jpeg_fault
+
+SIZE = (400, 304)
+FORMS = {
+    "420": {"quality": 75, "subsampling": 2},
+    "444": {"quality": 98, "subsampling": 0},
+    "rough": {"quality": 20, "subsampling": 2},
+    "optimised": {"quality": 75, "optimize": True},
+    "restarts": {"quality": 90, "restart_marker_blocks": 7},
+    "restart rows": {"quality": 90, "restart_marker_rows": 1, "optimize": True},
+}
+PROGRESSIVE = {"progressive": {"quality": 75, "progressive": True}}
+EOI = b"\xff\xd9"
+
+
+def ground(seed: int, *, rough: float = 30.0) -> np.ndarray:
+    """Smooth and rough places, as photographs have them."""
+    rng = np.random.default_rng(seed)
+    coarse = Image.fromarray(rng.integers(0, 255, (10, 13, 3), dtype=np.uint8)).resize(SIZE, Image.Resampling.BICUBIC)
+    noise = rng.normal(0.0, 1.0, (SIZE[1], SIZE[0], 1)) * np.linspace(0.0, rough, SIZE[0])[None, :, None]
+    return np.clip(np.asarray(coarse) + noise, 0, 255).astype(np.uint8)
+
+
+def in_black(pixels: np.ndarray) -> np.ndarray:
+    """With a black border, as undistorted photographs have it, and black below."""
+    pixels = pixels.copy()
+    pixels[:, :80] = pixels[:, -80:] = pixels[:40] = pixels[180:] = 0
+    return pixels
+
+
+CONTENTS = {
+    "ground": ground(1),
+    "grey": ground(1)[:, :, 0],
+    "black below": in_black(ground(1)),
+    "black": np.zeros((SIZE[1], SIZE[0], 3), np.uint8),
+    "white": np.full((SIZE[1], SIZE[0], 3), 255, np.uint8),
+    "gradient": np.repeat(np.linspace(0, 255, SIZE[0]).astype(np.uint8)[None], SIZE[1], axis=0),
+    "noise": np.random.default_rng(2).integers(0, 255, (SIZE[1], SIZE[0], 3), dtype=np.uint8),
+    "odd size": ground(3)[:131, :77],
+    "tiny": ground(3)[:5, :3],
+}
+
+
+def jpeg(pixels: np.ndarray, **form) -> bytes:
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, "JPEG", **form)
+    return stream.getvalue()
+
+
+def scan_of(data: bytes) -> int:
+    """Where the compressed pixels of the only scan begin."""
+    at = data.index(b"\xff\xda")
+    return at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+
+
+def filled(data: bytes, at: int, end: int) -> bytes:
+    return data[:at] + bytes(end - at) + data[end:]
+
+
+# Each gets the file, a photograph of another place in the same form, and a position within the compressed pixels.
+DAMAGES = {
+    "cut": lambda data, other, at: data[:at],
+    "cut, with an end mark": lambda data, other, at: data[:at] + EOI,
+    "zeros to the end": lambda data, other, at: filled(data, at, len(data)),
+    "zeros to the end mark": lambda data, other, at: filled(data, at, len(data) - 2),
+    "a lost sector": lambda data, other, at: filled(data, at, min(at + 512, len(data) - 2)),
+    "a sector of 0xff": lambda data, other, at: data[:at] + b"\xff" * 512 + data[at + 512 :],
+    "text": lambda data, other, at: data[:at] + (b"GET / HTTP/1.1 " * 200)[:2500] + data[at + 2500 :],
+    "the end of another": lambda data, other, at: data[:at] + other[len(other) * at // len(data) :],
+    "a part left out": lambda data, other, at: data[:at] + data[at + (len(data) - at) // 3 :],
+    "a part twice": lambda data, other, at: data[:at] + data[at - 400 :],
+}
+
+
+@pytest.mark.parametrize("form", FORMS | PROGRESSIVE)
+@pytest.mark.parametrize("content", CONTENTS)
+def test_every_whole_jpeg_passes(content, form):
+    data = jpeg(CONTENTS[content], **(FORMS | PROGRESSIVE)[form])
+    assert jpeg_fault(data) is None
+    # Previews of a camera before and behind it, and fill bytes before the end mark.
+    preview = jpeg(ground(4)[:64, :64])
+    application = b"\xff\xe1" + (len(preview) + 2).to_bytes(2, "big") + preview
+    assert jpeg_fault(data[:2] + application + data[2:] + preview + bytes(3000)) is None
+    assert jpeg_fault(data[:-2] + b"\xff\xff\xff" + EOI) is None
+    assert jpeg_fault(data[:-2] + bytes(8) + EOI) is None
+    assert jpeg_fault(data[:-2]) is None
+
+
+@pytest.mark.parametrize("share", [0.03, 0.4, 0.77])
+@pytest.mark.parametrize("damage", DAMAGES)
+@pytest.mark.parametrize("form", FORMS)
+def test_every_damaged_jpeg_is_refused(form, damage, share):
+    data, other = jpeg(ground(5), **FORMS[form]), jpeg(ground(6, rough=90.0), **FORMS[form])
+    at = int(scan_of(data) + 400 + share * (len(data) - scan_of(data) - 3000))
+    assert jpeg_fault(DAMAGES[damage](data, other, at)) is not None
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5])
+def test_a_progressive_jpeg_without_all_of_its_scans_is_refused(share):
+    data = jpeg(ground(5), **PROGRESSIVE["progressive"])
+    assert jpeg_fault(data[: int(share * len(data))] + EOI) == "not all of its scans are there"
+
+
+def test_the_photograph_is_named_with_the_reason(tmp_path):
+    data = jpeg(ground(5))
+    path = tmp_path / "a.jpg"
+    path.write_bytes(filled(data, len(data) // 2, len(data)))
+    with pytest.raises(ImageError, match=r"a\.jpg is damaged or cut off \(zeros stand where .*\); copy it again or"):
+        require_complete(path)
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"\xff\xd8", b"\xff\xd8\xff\xda", b"\xff\xd8\xff\xda\0\2", b"\xff\xd8" + b"\xff" * 9]
+)
+def test_what_is_no_jpeg_is_left_to_its_decoder(data):
+    assert jpeg_fault(data) is None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import replace
 
 import cv2
@@ -119,6 +120,43 @@ def test_what_is_transparent_is_left_out_together_with_what_a_mask_leaves_out(tm
     Image.fromarray(mask).save(tmp_path / "mask.png")
     both = load_mask(replace(view_of(tmp_path / "a.png"), mask_path=tmp_path / "mask.png"))
     np.testing.assert_array_equal(both, expected & (mask > 0))
+
+
+def write_tiff(path, bands: np.ndarray, extra: int | None) -> None:
+    """A TIFF of RGB and one band more, with or without the tag that says what that band is."""
+    height, width, num = bands.shape
+    data, bits = bands.astype(bands.dtype.newbyteorder("<")).tobytes(), 8 * bands.dtype.itemsize
+    tags = [(256, width), (257, height), (258, 0), (259, 1), (262, 2), (273, 0), (277, num), (278, height)]
+    tags += [(279, len(data)), (284, 1)] + ([] if extra is None else [(338, extra)])
+    # The bits of each channel stand behind the directory, and the pixels behind them.
+    after = 8 + 2 + 12 * len(tags) + 4
+    values = dict(tags) | {258: after, 273: after + 2 * num}
+    entries = [
+        struct.pack("<HHII", tag, 3 if tag == 258 else 4, num if tag == 258 else 1, values[tag]) for tag, _ in tags
+    ]
+    head = struct.pack("<2sHI", b"II", 42, 8) + struct.pack("<H", len(tags)) + b"".join(entries) + bytes(4)
+    path.write_bytes(head + struct.pack(f"<{num}H", *[bits] * num) + data)
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+@pytest.mark.parametrize("extra", [None, 0, 1, 2])
+@pytest.mark.parametrize("is_picture", [True, False])
+def test_a_fourth_band_is_transparency_only_where_it_is_said_and_is_no_picture(tmp_path, rng, kind, extra, is_picture):
+    """Near infrared is zero over water: as transparency it would leave all of it out."""
+    most = np.iinfo(kind).max
+    bands = rng.integers(most // 4, most // 2, (48, 64, 4)).astype(kind)
+    if not is_picture:
+        bands[:, :, 3] = most
+    bands[:10, :, 3] = 0
+    path = tmp_path / "a.tif"
+    write_tiff(path, bands, extra)
+    mask = load_mask(view_of(path))
+    if extra in (1, 2) and not is_picture:
+        np.testing.assert_array_equal(mask, np.broadcast_to((np.arange(48) >= 10)[:, None], (48, 64)))
+    else:
+        assert mask is None
+        if extra != 1:
+            np.testing.assert_array_equal(read_rgb(path), bands[:, :, :3])
 
 
 @pytest.mark.parametrize("mode", ["1", "L", "P", "RGB", "I;16"])

@@ -20,6 +20,11 @@ from survey.photos.opening import HEIC_SUFFIXES, damage_named, open_image
 
 _WIDTH, _HEIGHT, _BITS, _ORIENTATION, _PLANES = 256, 257, 258, 274, 284
 _SEPARATE_PLANES = 2
+# What a band beyond the colours is: 0 is unspecified, 1 and 2 are transparency that colours are multiplied with or not.
+_EXTRA_SAMPLES, _ALPHA = 338, ((1,), (2,))
+# Transparency is all or nothing but for edges, and a picture is not: a share of pixels.
+_MOST_BETWEEN = 0.5
+_ALPHA_MODES = ("RGBA", "LA", "PA")
 # From pixels that were turned for the eye back to those of the file, by the value of the tag.
 _STORED: dict[int, Callable[[np.ndarray], np.ndarray]] = {
     2: np.fliplr,
@@ -81,15 +86,28 @@ def read_grey(path: Path) -> np.ndarray:
 def read_opaque(path: Path) -> np.ndarray | None:
     """Where the transparency that an image may have lets it be seen, (height, width) bool; None where it has none.
 
+    A band beyond the colours that is a picture, as near infrared is, is no transparency, whatever the file calls it.
+
     Raises
     ------
     ImageError
         As `read_rgb`.
     """
     with open_image(path) as image:
-        if image.mode not in ("RGBA", "LA", "PA") and "transparency" not in image.info:
+        if not _has_alpha(image):
             return None
-    return _decoded(path, lambda image, _: _shallow(image.convert("RGBA").getchannel("A"), "L", image) > 0)
+    alpha = _decoded(path, lambda image, _: _shallow(image.convert("RGBA").getchannel("A"), "L", image))
+    # Some programs call every band beyond the colours transparency.
+    is_between = (alpha > 0) & (alpha < alpha.max())
+    return None if is_between.mean() > _MOST_BETWEEN else alpha > 0
+
+
+def _has_alpha(image: Image.Image) -> bool:
+    """Whether an image has transparency: a band more of a TIFF is that only where it says so."""
+    if image.format == "TIFF":
+        extra = getattr(image, "tag_v2", {}).get(_EXTRA_SAMPLES, ())
+        return extra[-1:] in _ALPHA and image.mode in _ALPHA_MODES
+    return image.mode in _ALPHA_MODES or "transparency" in image.info
 
 
 def _decoded(path: Path, decode: Callable[[Image.Image, int], np.ndarray]) -> np.ndarray:

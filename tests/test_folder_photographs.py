@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from PIL import Image, ImageFile
-from small_survey import SIZE, replaced, said, small_survey, unposed, write_image
+from small_survey import SIZE, camera_lines, replaced, said, small_survey, unposed, write_image, write_poses
 
 from survey.errors import ConfigError, ImageError
 from survey.folder.survey import load_survey
@@ -56,6 +56,63 @@ def test_masks_in_a_folder_have_one_of_several_names(tmp_path, name):
     survey = load_survey(folder)
     assert [view.mask_path is not None for view in survey.views] == [True, True, True, False]
     assert any("1 image without a mask, used whole" in text for text in survey.warnings)
+
+
+@pytest.mark.parametrize(
+    ("masks", "expected"),
+    [
+        (["a.png"], [None, "a.png"]),
+        (["a.jpg"], ["a.jpg", None]),
+        (["a.jpg.png"], ["a.jpg.png", None]),
+        (["a.png.png"], [None, "a.png.png"]),
+        (["a.jpg_mask.png", "a.png_mask.png"], ["a.jpg_mask.png", "a.png_mask.png"]),
+        (["a.jpg", "a.png"], ["a.jpg", "a.png"]),
+        (["a.tif"], "a.tif: a fits a.jpg and a.png, expected the name of one photograph"),
+        (["a_mask.png"], "a_mask.png: a fits a.jpg and a.png, expected the name of one photograph"),
+        (["a.jpg.png", "a.jpg.tif"], "are both masks of a.jpg; remove one of them"),
+    ],
+)
+@pytest.mark.parametrize("is_beside", [False, True])
+def test_photographs_that_differ_in_their_suffix_share_no_mask(tmp_path, masks, expected, is_beside):
+    if is_beside:
+        masks = [name for name in masks if "_mask" in name]
+        expected = expected if masks else [None, None]
+    pair = ("[cameras]", '[images]\nmasks = "masks"\n[cameras]')
+    folder = small_survey(tmp_path / "s", toml=replaced(*(() if is_beside else (pair,))))
+    lines = camera_lines()
+    for i, name in enumerate(("a.jpg", "a.png")):
+        Image.open(folder / "images" / f"{i:04d}.jpg").save(folder / "images" / name)
+        (folder / "images" / f"{i:04d}.jpg").unlink()
+        lines[i] = lines[i].replace(f"{i:04d}.jpg", name)
+    write_poses(folder, lines)
+    place = folder / ("images" if is_beside else "masks")
+    place.mkdir(exist_ok=True)
+    for name in [*masks, "0002_mask.png"]:
+        write_mask(place / name, black=20)
+    if isinstance(expected, str):
+        with pytest.raises(ImageError, match=expected):
+            load_survey(folder)
+        return
+    found = {view.name: view.mask_path and view.mask_path.name for view in load_survey(folder).views}
+    assert [found["a.jpg"], found["a.png"]] == expected
+
+
+def test_masks_of_flights_are_told_apart_by_their_folders(tmp_path):
+    folder = small_survey(tmp_path / "s", toml=replaced(("[cameras]", '[images]\nmasks = "masks"\n[cameras]')))
+    lines = camera_lines()
+    for i in range(4):
+        name = f"f{i % 2}/{i // 2}.jpg"
+        (folder / "images" / name).parent.mkdir(exist_ok=True)
+        (folder / "images" / f"{i:04d}.jpg").rename(folder / "images" / name)
+        lines[i] = lines[i].replace(f"{i:04d}.jpg", name)
+    write_poses(folder, lines)
+    (folder / "masks" / "f1").mkdir(parents=True)
+    write_mask(folder / "masks" / "f1" / "0.png", black=20)
+    masks = {view.name: view.mask_path for view in load_survey(folder).views}
+    assert [name for name, path in masks.items() if path is not None] == ["f1/0.jpg"]
+    write_mask(folder / "masks" / "1.png", black=20)
+    with pytest.raises(ImageError, match=r"1\.png: 1 fits f0/1\.jpg and f1/1\.jpg"):
+        load_survey(folder)
 
 
 def test_a_mask_of_another_size_is_refused_before_anything_is_computed(tmp_path):
@@ -127,6 +184,7 @@ def test_heic_without_poses_is_refused_with_what_to_do(tmp_path):
 
 @pytest.mark.parametrize("suffix", ["jpg", "png", "tif", "webp"])
 def test_check_decodes_no_photograph(tmp_path, monkeypatch, suffix):
+    """Of a JPEG nothing but an eighth of its size, for the count of its blocks."""
     folder = small_survey(tmp_path / "s")
     for path in sorted((folder / "images").iterdir()):
         with Image.open(path) as image:
@@ -135,6 +193,11 @@ def test_check_decodes_no_photograph(tmp_path, monkeypatch, suffix):
             path.unlink()
     cameras = folder / "cameras.csv"
     cameras.write_text(cameras.read_text().replace(".jpg", f".{suffix}"))
-    monkeypatch.setattr(ImageFile.ImageFile, "load", lambda _: pytest.fail("decoded"))
+    load = ImageFile.ImageFile.load
+
+    def load_small(image):
+        return load(image) if image.size == (SIZE[0] // 8, SIZE[1] // 8) else pytest.fail("decoded")
+
+    monkeypatch.setattr(ImageFile.ImageFile, "load", load_small)
     sections = check_survey(folder, chosen=Choices(device="cpu"))
     assert said(sections, "Found")["images"].startswith("4 with a pose, of 4")

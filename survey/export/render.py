@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -116,7 +117,11 @@ def targets_of(run: RunDir, frame: LocalFrame, cameras: Path, output: Path) -> l
     inputs = _inputs(run, cameras)
     require_folder("-o", output, inputs, may_hold_inputs=True)
     posed = _cameras(read_poses(cameras), cameras, frame, read_config(run.settings_path))
-    targets = [Target(name, camera, _stem(output, name, cameras)) for name, camera in posed.items()]
+    short = Counter(Path(name).with_suffix("") for name in posed)
+    targets = [
+        Target(name, camera, _stem(output, name, cameras, is_short=short[Path(name).with_suffix("")] == 1))
+        for name, camera in posed.items()
+    ]
     for picture in (path for target in targets for path in _pictures(target.stem) if path.exists()):
         require_file("-o", picture, inputs, kind="a picture that render wrote", is_of_kind=is_our_picture)
     return targets
@@ -222,9 +227,9 @@ def is_our_picture(head: bytes) -> bool:
     return _SOFTWARE.encode() in head
 
 
-def _stem(output: Path, name: str, path: Path) -> Path:
-    """Where the pictures of a camera go: below the folder, whatever the camera is called."""
-    stem = output / Path(name).with_suffix("")
+def _stem(output: Path, name: str, path: Path, *, is_short: bool) -> Path:
+    """Where the pictures of a camera go: below the folder, whatever the camera is called; without its suffix or not."""
+    stem = output / (Path(name).with_suffix("") if is_short else name)
     if not stem.resolve().is_relative_to(output.resolve()):
         raise OutputError(f"the camera {name} in {path} would be written outside of {output}; rename it")
     return stem

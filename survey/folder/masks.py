@@ -13,8 +13,8 @@ from survey.errors import ImageError
 from survey.folder.found import Found
 from survey.photos.cameras import View
 from survey.photos.exif import SUFFIXES
-from survey.photos.images import read_mask
-from survey.photos.names import MASK_ENDING
+from survey.photos.images import is_hidden, read_mask
+from survey.photos.names import MASK_ENDING, ImageNames
 from survey.photos.opening import open_image
 from survey.photos.pixels import stored_size
 
@@ -29,20 +29,23 @@ def with_masks(
 ) -> list[View]:
     """The views with their masks, by name: that of the image, IMG.png, IMG.jpg.png, or IMG_mask with any suffix.
 
+    Names are those of `survey.photos.names.ImageNames`: a mask is of one photograph alone.
+
     They are those of the folder in [images] masks; else, where there are any, of the folder that the program used that
     made the poses; else IMG_mask beside the images, where OpenDroneMap has them.
 
     Raises
     ------
     ImageError
-        If the folder does not exist, has no mask of any view, or a mask has another size than its photograph.
+        If the folder does not exist, has no mask of any view, or a mask has another size than its photograph; if a
+        mask fits two photographs, or two fit one.
     """
     given = None if found.config.images.masks is None else found.folder / found.config.images.masks
     if given is not None and not given.is_dir():
         raise ImageError(f"the mask folder {given} does not exist; correct [images] masks in survey.toml")
     masked, where = list(views), ""
     for folder in [given] if given is not None else [own, None] if own is not None else [None]:
-        masked = _masked(views, folder)
+        masked = _masked(found, views, folder)
         where = "beside the images" if folder is None else f"in {folder}"
         if any(view.mask_path is not None for view in masked):
             break
@@ -61,38 +64,43 @@ def with_masks(
     return masked
 
 
-def _masked(views: Sequence[View], folder: Path | None) -> list[View]:
+def _masked(found: Found, views: Sequence[View], folder: Path | None) -> list[View]:
     """The views with the masks in a folder, or beside the images; without one where there is none."""
-    files, masked = _Files(), []
-    for view in views:
-        like = view.path if folder is None else folder / view.name
-        names = _names_beside(like) if folder is None else _names_in_folder(like)
-        mask = files.first(like.parent, names)
-        masked.append(replace(view, mask_path=None if mask == view.path else mask))
-    return masked
+    root = found.folder / found.config.images.dir if folder is None else folder
+    names, masks = ImageNames(found.images), dict[str, tuple[int, Path]]()
+    for path in _files(found, root, is_beside=folder is None):
+        called = _called(path.relative_to(root), is_beside=folder is None)
+        rank, name = next(((i, n) for i, c in enumerate(called) if (n := names.find(c, str(path)))), (0, None))
+        if name is None:
+            continue
+        before = masks.get(name)
+        if before is not None and before[0] == rank:
+            raise ImageError(f"{before[1]} and {path} are both masks of {name}; remove one of them")
+        if before is None or rank < before[0]:
+            masks[name] = (rank, path)
+    return [replace(view, mask_path=masks[view.name][1] if view.name in masks else None) for view in views]
 
 
-class _Files:
-    """The names in folders, each listed once."""
-
-    def __init__(self):
-        self._names: dict[Path, dict[str, Path]] = {}
-
-    def first(self, folder: Path, names: Sequence[str]) -> Path | None:
-        """The first file of these names; case does not count."""
-        if folder not in self._names:
-            inside = sorted(folder.iterdir()) if folder.is_dir() else []
-            self._names[folder] = {path.name.casefold(): path for path in inside}
-        there = self._names[folder]
-        return next((there[name.casefold()] for name in names if name.casefold() in there), None)
-
-
-def _names_beside(image: Path) -> list[str]:
-    return [f"{image.stem}{MASK_ENDING}{suffix}" for suffix in SUFFIXES]
+def _files(found: Found, root: Path, *, is_beside: bool) -> list[Path]:
+    """The files that may be masks, without photographs of the survey."""
+    photographs = set(found.images.values())
+    folders = sorted({path.parent for path in photographs})
+    below = (path for folder in folders for path in folder.iterdir()) if is_beside else root.rglob("*")
+    return sorted(
+        path
+        for path in below
+        if path.suffix.lower() in SUFFIXES
+        and path not in photographs
+        and not is_hidden(path.relative_to(root))
+        and path.is_file()
+    )
 
 
-def _names_in_folder(like: Path) -> list[str]:
-    return [like.name, f"{like.name}.png", f"{like.stem}.png", *_names_beside(like)]
+def _called(mask: Path, *, is_beside: bool) -> list[str]:
+    """What photograph a mask may be of, by its path in its folder: the more of the name it has, the earlier."""
+    whole, stem = mask.as_posix(), mask.with_suffix("").as_posix()
+    ending = [stem[: -len(MASK_ENDING)]] if stem.lower().endswith(MASK_ENDING) else []
+    return ending if is_beside else [whole, stem, *ending]
 
 
 def _require_sizes(views: Sequence[View]) -> None:

@@ -43,23 +43,24 @@ def list_images(folder: Path, *, deep: bool = True) -> dict[str, Path]:
         raise ImageError(f"the image folder {folder} does not exist; make it, or correct [images] dir in survey.toml")
     below = folder.rglob("*") if deep else folder.iterdir()
     files = sorted(
-        p for p in below if p.suffix.lower() in SUFFIXES and not _is_hidden(p.relative_to(folder)) and p.is_file()
+        p for p in below if p.suffix.lower() in SUFFIXES and not is_hidden(p.relative_to(folder)) and p.is_file()
     )
-    stems = {path.with_suffix("") for path in files}
-    files = [path for path in files if not is_mask_of_another(path, stems)]
+    names = {path.with_suffix("") for path in files} | set(files)
+    files = [path for path in files if not is_mask_of_another(path, names)]
     if not files:
         raise ImageError(f"no images in {folder}; expected files ending in {', '.join(SUFFIXES)}")
     return {path.relative_to(folder).as_posix(): path for path in files}
 
 
-def _is_hidden(path: Path) -> bool:
+def is_hidden(path: Path) -> bool:
+    """Whether a path in a folder, relative to it, is hidden, or of a thumbnail."""
     return any(part[0] == "." or part.casefold() in _NOT_OF_CAMERAS for part in path.parts)
 
 
-def is_mask_of_another(path: Path, stems: set[Path]) -> bool:
-    """Whether a file is the mask of another one, of whose paths without suffixes there is a set."""
+def is_mask_of_another(path: Path, names: set[Path]) -> bool:
+    """Whether a file is the mask of another one, of whose paths with and without suffixes there is a set."""
     stem = path.stem
-    return stem.lower().endswith(MASK_ENDING) and path.with_name(stem[: -len(MASK_ENDING)]) in stems
+    return stem.lower().endswith(MASK_ENDING) and path.with_name(stem[: -len(MASK_ENDING)]) in names
 
 
 def require_complete(path: Path) -> None:

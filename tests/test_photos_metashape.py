@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -216,11 +217,10 @@ FAULTS = {
     "no sensor": ('<sensor id="1"', '<sensor id="7"', "its sensor is not in the file"),
     "spherical": ('"frame" class="adjusted"', '"spherical" class="adjusted"', "of the type spherical is not supported"),
     "focal length": ("<f>523.0", "<f>1e999", "f is 1e999, expected a finite number"),
-    "higher tangential": ("<f>523.0", "<p3>0.1</p3><f>523.0", "p3 and p4 are not supported"),
+    "higher tangential": ("<f>523.0", "<p3>0.1</p3><f>523.0", "p3 is 0.1, a part of the lens that is not read"),
     "size": (ADJUSTED, ADJUSTED + '<resolution width="-1" height="4"/>', "its width is -1"),
     "size digits": (ADJUSTED, ADJUSTED + f'<resolution width="{"9" * 10_000}"/>', "expected whole pixels"),
     "two labels": ('label="0001.jpg"', 'label="0000.jpg"', "a second camera has the same label"),
-    "no label": ('label="0001.jpg"', 'label=""', "a camera has no label"),
     "reference": ("<reference>PROJCS", "<reference>PROJ[", "is not a known CRS"),
     "long matrix": ('label="0000.jpg"><transform>', 'label="0000.jpg"><transform>1 ', "17 numbers were found"),
     "not updated": ("<translation ", "<translation>0 0 0</translation><x ", "km from the centre of the Earth"),
@@ -289,3 +289,18 @@ def test_a_chunk_over_another_vertical_datum_is_refused(tmp_path, block):
     text = cameras_xml(block, wkt=CRS("EPSG:25832+5773").to_wkt("WKT1_GDAL"))
     with pytest.raises(CRSMismatch, match=r"the heights of the poses are above EGM96 height, expected above"):
         loaded(tmp_path, block, text)
+
+
+def test_a_camera_without_a_label_is_left_out_and_named_unless_its_file_is(tmp_path, block):
+    text, label = cameras_xml(block), 'label="0001.jpg"'
+    assert label in text
+    (tmp_path / "cameras.xml").write_text(text.replace(label, 'label=" "', 1))
+    file = read_poses(tmp_path / "cameras.xml")
+    assert [pose.name for pose in file.poses] == [name for name in block.names if name != "0001.jpg"]
+    assert any(re.match(r"1 camera without a label in cameras.xml, left out: id \d+", text) for text in file.warnings)
+    with_photo = re.sub(r'label="0001.jpg"([^>]*)>', r'\1><photo path="/flight/0001.jpg"/>', text, count=1)
+    (tmp_path / "cameras.xml").write_text(with_photo)
+    assert "/flight/0001.jpg" in [pose.name for pose in read_poses(tmp_path / "cameras.xml").poses]
+    (tmp_path / "cameras.xml").write_text(re.sub(r'label="\d+.jpg"', "", text))
+    with pytest.raises(PosesError, match="no camera that is aligned has a label, expected the name of its image"):
+        read_poses(tmp_path / "cameras.xml")

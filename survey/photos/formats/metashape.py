@@ -46,9 +46,12 @@ def read_metashape(path: Path) -> PoseFile:
     transforms = _transforms(chunk, path)
     crs = _crs_of(chunk, path)
     poses: dict[str, Pose] = {}
-    disabled, unplaced, components = [], [], set()
+    disabled, unplaced, nameless, components = [], [], [], set()
     for camera in chunk.iter("camera"):
-        name, matrix = camera.get("label") or "", camera.find("transform")
+        name, matrix = _name(camera), camera.find("transform")
+        if not name:
+            nameless.append(f"id {shortened(camera.get('id', 'missing'))}")
+            continue
         if not _is_true(camera.get("enabled")):
             disabled.append(shortened(name))
             continue
@@ -57,8 +60,6 @@ def read_metashape(path: Path) -> PoseFile:
             unplaced.append(shortened(name))
             continue
         where = f'{path}, camera "{shortened(name)}"'
-        if not name:
-            raise PosesError(f"{path}: a camera has no label, expected the name of its image; {_EXPORT}")
         if name in poses:
             raise PosesError(
                 f"{where}: a second camera has the same label; rename the images, and export the cameras again"
@@ -69,6 +70,11 @@ def read_metashape(path: Path) -> PoseFile:
         given = _given(camera, sensors[sensor], where, crs)
         poses[name] = _pose(name, matrix, transforms[component], lenses[sensor], given, where)
         components.add(component)
+    if nameless and not poses:
+        raise PosesError(
+            f"{path}: no camera that is aligned has a label, expected the name of its image; name the cameras, then "
+            f"{_EXPORT}"
+        )
     if not poses:
         raise PosesError(
             f"{path} has no camera that is enabled, aligned and georeferenced; align the photos, set the reference of "
@@ -77,11 +83,19 @@ def read_metashape(path: Path) -> PoseFile:
     warnings = (
         *named(disabled, "camera", f"disabled in {path.name}, left out"),
         *named(unplaced, "camera", f"not aligned in {path.name}, left out"),
+        *named(nameless, "camera", f"without a label in {path.name}, left out"),
         *_doubts(chunk, path, num_components=len(components)),
     )
     is_earth = _is_on_earth(poses.values(), crs, path)
     frame = PoseFrame.GEOCENTRIC if is_earth else PoseFrame.LOCAL
     return PoseFile(tuple(poses.values()), frame, crs, "Metashape", warnings=warnings)
+
+
+def _name(camera: Element) -> str:
+    """The label of a camera, else the name of its file where that is there; empty where neither is."""
+    photo = camera.find("photo")
+    path = "" if photo is None else photo.get("path", "")
+    return (camera.get("label") or "").strip() or path.strip()
 
 
 def _doubts(chunk: Element, path: Path, *, num_components: int) -> Iterator[str]:

@@ -11,7 +11,10 @@ from xml.etree.ElementTree import Element
 
 from refract.lens import Lens, LensError
 from survey.files.csv_table import shortened
+from survey.photos.formats.lens_keys import require_understood
 
+# What is read of a calibration, and when it was made.
+_READ = ("resolution", "f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "date")
 _FISHEYE = ("fisheye", "equidistant_fisheye", "fisheye_equidistant")
 # What a fisheye lens here has no place for may move no pixel by more than this.
 _LOST_PX = 0.02
@@ -40,8 +43,8 @@ def read_lens(sensor: Element) -> Lens:
     cx, cy = 0.5 * width + _number(calibration, "cx"), 0.5 * height + _number(calibration, "cy")
     k1, k2, k3, k4 = (_number(calibration, key) for key in ("k1", "k2", "k3", "k4"))
     p1, p2 = _number(calibration, "p2"), _number(calibration, "p1")
-    if any(_number(calibration, key) for key in ("p3", "p4")):
-        raise LensError(f"p3 and p4 are not supported, expected zeros; {_MEND}")
+    parts = {tag.tag: tag.text or "" for tag in calibration}
+    require_understood(parts, _READ, mend=_MEND, are_all_of_lens=True)
     if kind in _FISHEYE:
         reach = math.hypot(width, height) / f if f > 0.0 else math.inf
         lost = 0.5 * abs(b2) * reach + 0.75 * f * max(abs(p1), abs(p2)) * reach**2

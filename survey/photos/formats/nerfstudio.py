@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from survey.files.csv_table import shortened
 from survey.files.json_values import finite_number, finite_numbers, read_foreign_json
 from survey.photos.cameras import nearest_rotation
 from survey.photos.formats.format import Format
+from survey.photos.formats.lens_keys import require_understood
 from survey.photos.poses import Pose, PoseFile, PoseFrame, SecondPose
 
 _NAME = "transforms.json"
@@ -25,10 +25,12 @@ _CAM_FROM_GRAPHICS = np.diag([1.0, -1.0, -1.0])
 _SUPPORTED = ("OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE")
 # What says how long the focal length is, along each side.
 _FOCALS = (("fl_x", "camera_angle_x", "x_fov"), ("fl_y", "camera_angle_y", "y_fov"))
-# Keys of instant-ngp and others that make it another lens, and terms of distortion beyond those that are read.
-_OTHER_LENSES = ("is_equirectangular", "is_latlong", "equirectangular", "latlong", "panorama", "fisheye624_params")
-_OTHER_TERMS = ("k5", "k6", "p3", "p4", "b1", "b2", "s1", "s2", "s3", "s4", "skew", "lens_skew", "distortion_params")
-_FTHETA = re.compile(r"ftheta_\w+")
+# What is read of a lens.
+_READ = (
+    "camera_model", "is_fisheye", "w", "h", "fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2",
+    "camera_angle_x", "camera_angle_y", "x_fov", "y_fov",
+)  # fmt: skip
+_MEND = "undistort the photographs, or export OPENCV or OPENCV_FISHEYE"
 
 
 def read_nerfstudio(path: Path) -> PoseFile:
@@ -104,24 +106,10 @@ def _with_root(data: dict, frame: dict) -> dict:
     return {**{key: value for key, value in data.items() if key not in own}, **frame}
 
 
-def _require_understood(values: dict) -> None:
-    """Raise LensError where a key changes the lens in a way that is not read."""
-    for key in _OTHER_LENSES:
-        if values.get(key):
-            raise LensError(f"{key} is {shortened(str(values[key]))}, a lens that is not supported; {_EXPORT}")
-    for key, value in values.items():
-        is_other = _FTHETA.fullmatch(key) or key in _OTHER_TERMS
-        if is_other and value not in (0, 0.0, None, False):
-            raise LensError(
-                f"{key} is {shortened(str(value))}, a term of the lens that is not read; undistort the photographs, or "
-                "export OPENCV or OPENCV_FISHEYE"
-            )
-
-
 def _lens(values: dict) -> Lens:
     """The lens of a frame, from its own numbers or those of all; k3 and k4 of OPENCV are powers of the radius."""
     model = str(values.get("camera_model", "OPENCV"))
-    _require_understood(values)
+    require_understood(values, _READ, mend=_MEND)
     if values.get("is_fisheye"):
         # instant-ngp's word: k1 to k4 are then of the angle.
         if "camera_model" in values and model != "OPENCV_FISHEYE":

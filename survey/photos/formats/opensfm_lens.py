@@ -5,9 +5,12 @@ from __future__ import annotations
 from refract.lens import Lens, LensError
 from survey.files.csv_table import shortened
 from survey.files.json_values import finite_number
+from survey.photos.formats.lens_keys import require_understood
 
 # The parameters of each projection besides focal lengths and principal point, in the order of our model.
 _BROWN = ("k1", "k2", "p1", "p2", "k3")
+_FISHEYE = ("k1", "k2", "k3", "k4")
+_COMMON = ("projection_type", "width", "height", "focal", "focal_x", "focal_y", "c_x", "c_y")
 _SUPPORTED = ("perspective", "simple_radial", "radial", "brown", "fisheye", "fisheye_opencv")
 
 
@@ -25,6 +28,10 @@ def read_lens(camera: dict) -> Lens:
             f"the projection {shortened(kind)} is not supported, expected one of {', '.join(_SUPPORTED)}; reconstruct "
             "with one of these, e.g. --camera-lens brown in OpenDroneMap"
         )
+    # What the camera began with changes nothing.
+    lens = {key: value for key, value in camera.items() if not key.endswith("_prior")}
+    known = (*_COMMON, *(_FISHEYE if kind.startswith("fisheye") else _BROWN))
+    require_understood(lens, known, mend="reconstruct with --camera-lens brown or fisheye", are_all_of_lens=True)
     width, height = (_number(camera, key) for key in ("width", "height"))
     if not (width.is_integer() and height.is_integer()):
         raise LensError(f"the image has {width:g} x {height:g} pixels, expected whole numbers; correct it")
@@ -32,7 +39,7 @@ def read_lens(camera: dict) -> Lens:
     fx, fy = (longer * _number(camera, key if key in camera else "focal") for key in ("focal_x", "focal_y"))
     cx, cy = (longer * _number(camera, key, 0.0) + 0.5 * side for key, side in (("c_x", width), ("c_y", height)))
     if kind.startswith("fisheye"):
-        coefficients = [_number(camera, key, 0.0) for key in ("k1", "k2", "k3", "k4")]
+        coefficients = [_number(camera, key, 0.0) for key in _FISHEYE]
         return Lens("OPENCV_FISHEYE", (fx, fy, cx, cy, *coefficients), int(width), int(height))
     k1, k2, p1, p2, k3 = (_number(camera, key, 0.0) for key in _BROWN)
     if k3 == 0.0:

@@ -16,6 +16,7 @@ from survey.files.crs_comment import crs_of_comment
 from survey.files.csv_table import Row, column_names, read_table
 from survey.photos.cameras import CAM_FROM_OPK_CAM, grid_from_opk, level_from_yaw_pitch_roll
 from survey.photos.formats.format import Format
+from survey.photos.formats.lens_keys import is_lens_key
 from survey.photos.poses import GivenPosition, Pose, PoseFile, PoseFrame, SecondPose
 
 COLUMNS = ("image", "easting", "northing", "height", "omega", "phi", "kappa")
@@ -70,15 +71,18 @@ def read_opk_csv(path: Path) -> PoseFile:
         if pose.name in poses:
             raise SecondPose(pose.name, row.where)
         poses[pose.name] = pose
+    of_lens = [name for name in column_names(path) if is_lens_key(name)]
+    doubt = f"columns of a lens in {path.name} ({', '.join(of_lens[:10])}) are not read: give it in [cameras]"
+    warnings = (doubt,) if of_lens else ()
     crs = crs_of_comment(path, PosesError) or (CRS("EPSG:4326") if names[1] == "longitude" else None)
     if "omega" in columns:
-        return PoseFile(tuple(poses.values()), PoseFrame.GRID, crs)
+        return PoseFile(tuple(poses.values()), PoseFrame.GRID, crs, warnings=warnings)
     is_of_gimbal = "gimbal_yaw" in columns
     if not is_of_gimbal:
         _require_photogrammetric(path, rows, names[5])
     down = "-90 looks" if is_of_gimbal else "0 looks"
     notes = (f"yaw in {path.name} counts from true north, not from the grid's, and a pitch of {down} straight down",)
-    return PoseFile(tuple(poses.values()), PoseFrame.LEVEL, crs, notes=notes)
+    return PoseFile(tuple(poses.values()), PoseFrame.LEVEL, crs, notes=notes, warnings=warnings)
 
 
 def _columns(names: list[str]) -> dict[str, str] | None:

@@ -26,6 +26,8 @@ from survey.photos.poses import Pose, PoseFile, PoseFrame, SecondPose
 _EXTERNAL, _CAMERAS = "_calibrated_external_camera_parameters.txt", "_calibrated_camera_parameters.txt"
 _OFFSET, _MAP = "_offset.xyz", "_wkt.prj"
 _PLACES = (".", "params", "1_initial/params")
+# In the head of a file of cameras whose lens is not that of a matrix, radial and tangential coefficients.
+_OTHER_LENSES = ("fisheye", "affine", "polynomial", "spherical")
 _LAST_OF_HEAD, _LINES_OF_IMAGE = "camera model", 10
 _AGREE = 1e-3
 _EXPORT = "export it again in Pix4D (1. Initial Processing > Calibration > Camera Internals and Externals)"
@@ -105,6 +107,9 @@ def _cameras(path: Path) -> dict[str, _Camera]:
         raise PosesError(
             f'{path} has no line "{_LAST_OF_HEAD} ...", expected the calibrated cameras of Pix4D; {_EXPORT}'
         )
+    for where, line in lines[: head + 1]:
+        if any(word in line.casefold() for word in _OTHER_LENSES):
+            raise PosesError(f'{where}: "{shortened(line)}" is of another lens, expected a perspective one; {_EXPORT}')
     lines = [(where, line) for where, line in lines[head + 1 :] if line]
     for first in range(0, len(lines), _LINES_OF_IMAGE):
         block = lines[first : first + _LINES_OF_IMAGE]

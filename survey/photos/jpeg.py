@@ -231,11 +231,11 @@ class _Stream(io.BytesIO):
         self._at = offset if whence == io.SEEK_SET else self._at + offset
         return self._at
 
-    def read(self, size: int = -1) -> bytes:
+    def read(self, size: int | None = -1) -> bytes:
         """Bytes of one part."""
         first = self._parts[0]
         if self._at < len(first):
-            found = first[self._at :] if size < 0 else first[self._at : self._at + size]
+            found = first[self._at :] if size is None or size < 0 else first[self._at : self._at + size]
             self._at += len(found)
             return found
         if self.asked + 1 >= len(self._parts):

@@ -18,7 +18,9 @@ def solved(monkeypatch, names):
     """Put a solver in the place of structure from motion, which has tests of its own; returns its calls."""
     calls = []
 
-    def solve_poses(image_paths, crs, workspace, *, gps_height, size_px, focal_px, control, heads, report):
+    def solve_poses(
+        image_paths, crs, workspace, *, gps_height, size_px, focal_px, control, spare_control, heads, report
+    ):
         calls.append((image_paths, workspace, gps_height, size_px, focal_px))
         frame = LocalFrame(crs, (E0, N0, LEVEL))
         lens = Lens("SIMPLE_RADIAL", (focal_px or 90.0, 32.0, 24.0, -0.01), 64, 48)

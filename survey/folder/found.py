@@ -22,7 +22,7 @@ from survey.folder.level_observation import LevelObservation
 from survey.folder.tides import Tide
 from survey.folder.water_level import with_level
 from survey.folder.water_place import doubts_of_water_places
-from survey.photos.exif import Exif, read_exif
+from survey.photos.exif import Exif, position_sources, read_exif
 from survey.photos.formats import find_poses, find_unread
 from survey.photos.images import list_images
 from survey.sfm.gps import datum_doubts
@@ -119,7 +119,7 @@ def find_survey(folder: Path) -> Found:
     if poses_path is None:
         at_exif = [head.lat_lon_height[1::-1] for head in heads.values() if head.lat_lon_height is not None]
         exif_places = np.array(at_exif).reshape(-1, 2)
-        require_at(crs, exif_places, "the GPS positions in EXIF", f"crs in {FILE_NAME}")
+        require_at(crs, exif_places, f"the GPS positions in {position_sources(heads)}", f"crs in {FILE_NAME}")
         warnings += doubts_of_water_places(crs, exif_places, config.water, levels)
     if not toml.is_file():
         warnings.append(infer.NO_WATER)

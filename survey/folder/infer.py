@@ -15,7 +15,7 @@ from survey.folder.config import ImagesConfig, SurveyConfig
 from survey.folder.plausible import distances_to_exif
 from survey.folder.posed import middle_of_geocentric, points_in_crs
 from survey.names import GEO_TXT
-from survey.photos.exif import SUFFIXES, Exif, utm_code_of
+from survey.photos.exif import SUFFIXES, Exif, position_sources, utm_code_of
 from survey.photos.formats import read_poses
 from survey.photos.names import ImageNames
 from survey.photos.poses import PoseFile, PoseFrame
@@ -84,10 +84,10 @@ def config_of_images(
     crs = f"EPSG:{code}+{_EGM96_HEIGHT}"
     if by_exif is not None and file is not None and poses_path is not None:
         _require_same_place(CRS(crs), file, poses_path, heads)
-    in_exif = GEO_TXT if any(head.table_place is not None for head in heads.values()) else "EXIF"
+    source = position_sources(heads) if poses_path is None else poses_path.name
     assumptions += [
         f'crs = "{crs}", the UTM zone of the {"GPS positions" if by_exif is not None else "poses"}, with heights '
-        f"taken as they are in {in_exif if poses_path is None else poses_path.name}: above mean sea level",
+        f"taken as they are in {source}: above mean sea level",
     ]
     return replace(config, crs=crs)
 

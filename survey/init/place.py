@@ -20,7 +20,7 @@ from survey.folder.plausible import distances_to_exif
 from survey.folder.posed import middle_of_geocentric, points_in_crs
 from survey.init.entry import Answers, Table
 from survey.names import GEO_TXT
-from survey.photos.exif import Exif, utm_code_of
+from survey.photos.exif import Exif, position_sources, utm_code_of
 from survey.photos.names import ImageNames
 from survey.photos.poses import PoseFile, PoseFrame
 from survey.photos.xmp import ELLIPSOIDAL
@@ -70,11 +70,6 @@ class Photographs:
             lon, lat = middle_of_geocentric(self.file)
             return lat, lon
         return None
-
-    @property
-    def source(self) -> str:
-        """Where GPS positions are written."""
-        return GEO_TXT if any(head.table_place is not None for head in self.heads.values()) else "EXIF"
 
     @property
     def says_ellipsoidal(self) -> bool:
@@ -128,7 +123,7 @@ def _horizontal(photographs: Photographs) -> tuple[str | None, str]:
     if table is not None and file is None:
         return table, f"that of {GEO_TXT}"
     zone = utm_code_of(dict(photographs.heads))
-    by = f"the UTM zone of the GPS positions in {photographs.source}"
+    by = f"the UTM zone of the GPS positions in {position_sources(photographs.heads)}"
     if zone is None and photographs.lat_lon is not None:
         zone, by = utm_code(*photographs.lat_lon), "the UTM zone of the poses"
     if zone is None:
@@ -160,13 +155,18 @@ def _vertical(
     if photographs.says_ellipsoidal:
         return _of_ellipsoidal(photographs, horizontal, chosen, listed, cameras)
     if chosen is not None:
-        doubt = f"Not certain: that the level, all other heights and those in {photographs.source} count from there."
+        source = position_sources(photographs.heads)
+        doubt = f"Not certain: that the level, all other heights and those in {source} count from there."
         return chosen.to_epsg(), f"the heights of {_area(chosen)} ({chosen.name})", (doubt,)
     more: tuple[str, ...] = (
         ("Not certain: levels of water may be in the heights of a country; then put its code here:",) if listed else ()
     )
     more += tuple(f"    {system}" for system in listed)
-    return _EGM96_HEIGHT, f"heights above mean sea level (EGM96), as those in {photographs.source}", more
+    return (
+        _EGM96_HEIGHT,
+        f"heights above mean sea level (EGM96), as those in {position_sources(photographs.heads)}",
+        more,
+    )
 
 
 def _of_ellipsoidal(

@@ -318,6 +318,13 @@ def _degrees(parts) -> float:
     return -size if any(value < 0.0 for value in values) else size
 
 
+def position_sources(heads: Mapping[str, Exif]) -> str:
+    """Where GPS positions of photographs are written, in words: EXIF, a table, or both."""
+    places = [head for head in heads.values() if head.lat_lon_height is not None]
+    sources = {"EXIF" if head.table_place is None else head.table_place.source for head in places}
+    return " and ".join(sorted(sources)) or "EXIF"
+
+
 def utm_code_of(heads: Mapping[str, Exif]) -> int | None:
     """EPSG code of the UTM zone (WGS 84) in which the GPS positions of photographs lie; None without positions."""
     places = [head.lat_lon_height[:2] for head in heads.values() if head.lat_lon_height is not None]

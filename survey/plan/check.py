@@ -18,6 +18,7 @@ from survey.folder.shutter import shutter_text
 from survey.folder.survey import Found, Survey, find_survey, load_survey
 from survey.folder.unposed import placing_control, require_solvable
 from survey.names import RUN_FOLDER
+from survey.photos.exif import position_sources
 from survey.plan.bounds import require_seen
 from survey.plan.check_inputs import control_rows, mark_rows, water_stds
 from survey.plan.choices import USUAL, Choices
@@ -214,20 +215,16 @@ def _rows_without_poses(found: Found) -> list[tuple[str, str]]:
             "images",
             ", ".join(f"{n} of {w} x {h} px" for (w, h), n in num_of_size.items()) + f" in {found.config.images.dir}",
         ),
-        ("positions", f"{len(places)} of {len(found.heads)} images have one in {_sources(found)}{on_places}"),
+        (
+            "positions",
+            f"{len(places)} of {len(found.heads)} images have one in {position_sources(found.heads)}{on_places}",
+        ),
         ("poses", "none"),
         ("accuracy", accuracy_of_gps(found.config.cameras, found.heads)),
         *_shared_error(found),
         ("water", _water_below(found, heights)),
         *control_rows(found.control),
     ]
-
-
-def _sources(found: Found) -> str:
-    """What positions of photographs are written in."""
-    heads = [head for head in found.heads.values() if head.lat_lon_height is not None]
-    tables = [head.table_place.source if head.table_place is not None else "EXIF" for head in heads]
-    return " and ".join(sorted(set(tables))) or "EXIF"
 
 
 def _shared_error(found: Found) -> list[tuple[str, str]]:
@@ -251,7 +248,11 @@ def _water_below(found: Found, heights: np.ndarray) -> str:
     if water.level_m is None:
         return "of unknown level: the adjustment finds it, where oblique photographs or a shore with dry ground tell it"
     level = water.level_m / height_unit_m(found.crs)
-    over = f"; by {_sources(found)} the cameras are {_range(heights - level)} m over it" if len(heights) else ""
+    over = (
+        f"; by {position_sources(found.heads)} the cameras are {_range(heights - level)} m over it"
+        if len(heights)
+        else ""
+    )
     return f"level {water.level_m:g} m{over}{water_stds(water, found.levels)}"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import fields, replace
 
 import numpy as np
@@ -37,11 +38,19 @@ def _adjusted(survey: Survey) -> Survey:
     return replace(survey, views=tuple(views))
 
 
+@pytest.mark.parametrize("is_spaced", [False, True])
 @pytest.mark.parametrize("name", GIVEN_BACK)
-def test_the_adjusted_cameras_can_be_given_back(tmp_path, name):
+def test_the_adjusted_cameras_can_be_given_back(tmp_path, name, is_spaced):
+    """Names with spaces too, which end a run no more: the model says that other programs cut them."""
     folder = small_survey(tmp_path / "small")
+    if is_spaced:
+        for path in sorted((folder / "images").iterdir()):
+            path.rename(path.with_name(f"DJI {path.stem} (2).jpg"))
+        cameras = folder / "cameras.csv"
+        cameras.write_text(re.sub(r"^(\d+)\.jpg", r"DJI \1 (2).jpg", cameras.read_text(), flags=re.MULTILINE))
     adjusted = _adjusted(load_survey(folder))
     write_cameras(tmp_path, adjusted)
+    assert ('"DJI 0000 (2).jpg" have spaces' in (tmp_path / "sparse" / "cameras.txt").read_text()) is is_spaced
     (tmp_path / "sparse").rename(folder / "sparse")
     (tmp_path / "cameras.csv").rename(folder / "adjusted.csv")
     before = TOML.index("[water]")

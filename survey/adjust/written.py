@@ -14,7 +14,7 @@ from survey.adjust.observed import pixels_taken
 from survey.folder.shutter import rows_between
 from survey.folder.survey import Survey, View
 from survey.photos.cameras import CAM_FROM_OPK_CAM
-from survey.photos.colmap_text import FILES, model_texts
+from survey.photos.colmap_text import FILES, model_texts, name_with_space
 from survey.photos.tie_points import TiePoints
 
 # Decimals of coordinates in metres and in degrees: to a tenth of a micrometre, so that nothing is lost.
@@ -73,7 +73,9 @@ def _given_back(survey: Survey) -> str:
     shutter = ""
     if any(view.camera.motion is not None for view in survey.views):
         shutter = f", rolling_shutter_s = {survey.config.cameras.rolling_shutter_s!r}"
-    return f'# In survey.toml: [cameras] poses = "sparse"{shutter} and [local] origin = [{origin}]\n'
+    spaced = name_with_space(survey.views)
+    cut = "" if spaced is None else f'# Names such as "{spaced}" have spaces, at which other programs cut them\n'
+    return f'# In survey.toml: [cameras] poses = "sparse"{shutter} and [local] origin = [{origin}]\n{cut}'
 
 
 def _opk(survey: Survey) -> str:

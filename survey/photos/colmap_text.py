@@ -8,12 +8,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from refract.lens import Lens
-from survey.errors import SurveyError
 from survey.photos.cameras import View
 from survey.photos.tie_points import TiePoints
 
 _GREY = "128 128 128"
 FILES = ("cameras.txt", "images.txt", "points3D.txt")
+
+
+def name_with_space(views: Sequence[View]) -> str | None:
+    """The first name of a photograph that has a space, at which other readers of the text cut it; None without one."""
+    return next((view.name for view in views if len(view.name.split()) != 1), None)
 
 
 def model_texts(views: Sequence[View], *, head: str, points: str, ties: TiePoints | None = None) -> dict[str, str]:
@@ -28,18 +32,7 @@ def model_texts(views: Sequence[View], *, head: str, points: str, ties: TiePoint
         points3D.txt, or only its comment lines where there are ties.
     ties : TiePoints, optional
         Points for points3D.txt, in the places that straight rays give them, with their tracks.
-
-    Raises
-    ------
-    SurveyError
-        If the name of a photograph has a space, at which readers of the text cut it.
     """
-    spaced = next((view.name for view in views if len(view.name.split()) != 1), None)
-    if spaced is not None:
-        raise SurveyError(
-            f'the photograph "{spaced}" has a space in its name, and the text of a COLMAP model separates values by '
-            "spaces; rename the photographs and process again, or export --nerfstudio, which takes any name"
-        )
     lenses = tuple(dict.fromkeys(view.lens for view in views))
     cameras = head + "".join(_lens_line(number, lens) for number, lens in enumerate(lenses, start=1))
     seen = [""] * len(views)

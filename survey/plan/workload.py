@@ -55,6 +55,8 @@ _DISK_OF_MAP, _DISK_OF_CELL, _DISK_AT_LEAST, _DISK_OF_SFM = 18, 140, 30e6, 4e6
 _MOST_VIEWS = 2000
 # Views that stand for all where heights of the first pass are counted.
 _SAMPLE = 5
+# Of real photographs with noise, glitter or little texture, whose windows have to be wider than those of drawn ones.
+_BADLY = "three to five times as long"
 # Without poses: cells of the bed per pixel; with the usual overlap a place is seen ten times or more.
 _OWN_GROUND = 0.1
 
@@ -117,7 +119,9 @@ class Workload:
             state = f"{self.num_cores} {cores} {busy_in_words(self.slowness)}"
         if self.sfm_seconds is not None:
             of_sfm = f"{rough(self.sfm_seconds)} of them for structure from motion"
-            return f"about {rough(self.seconds)} on {state}, {of_sfm}, longer where photographs match badly; {room}"
+            return (
+                f"about {rough(self.seconds)} on {state}, {of_sfm}, and {_BADLY} where photographs match badly; {room}"
+            )
         return f"{self.most}{rough(self.seconds)} on {state}, {room}; {maps}"
 
 

@@ -101,8 +101,10 @@ def modules_imported(code: str) -> set[str]:
     imported = set()
     for package, taken, modules in _IMPORT.findall(code):
         names = [name.split(" as ")[0].strip() for name in (taken or modules).strip("()").split(",")]
+        # Nothing follows the last comma of names in brackets.
+        names = [name for name in names if name]
         if package:
             # `from package import module` reaches the module, `from module import name` the module itself.
-            names = [f"{package}.{name}" if name and _find(f"{package}.{name}") else package for name in names]
+            names = [f"{package}.{name}" if _find(f"{package}.{name}") else package for name in names]
         imported |= {name for name in names if _find(name)}
     return imported

@@ -32,11 +32,11 @@ from geo import read_reference
 from survey.folder.survey import load_survey
 
 BATHYNERF = "from survey.commands.app import main; main()"
-# No bend costs anything, and no pixel keeps the height of the sweep.
+# Second differences cost nothing, and no update is rejected.
 PLAIN = f"""
 from unittest.mock import patch
 with patch("fields.solver.solver.roughness_of", lambda *_: 1e6), patch(
-    "fields.solver.solver.keeps_sweep", lambda tile, *_: tile.asked & False
+    "fields.solver.solver.rejects_update", lambda tile, *_: tile.requested & False
 ):
     {BATHYNERF}
 """

@@ -148,21 +148,21 @@ def test_a_new_result_replaces_the_one_before_whole(tmp_path):
     assert not (run.path / "report.html").exists()
 
 
-def test_until_a_result_is_whole_the_one_before_stands_and_readers_are_warned(tmp_path, capsys):
+def test_until_a_result_is_whole_the_one_before_stands_and_readers_are_warned(tmp_path, caplog):
     with RunDir(tmp_path / "run") as run:
         publish(run, "old")
     run.warn_if_unfinished()
-    assert capsys.readouterr().err == ""
+    assert caplog.text == ""
     with suppress(ZeroDivisionError), run:
         (run.open_result("standard") / "settings.toml").write_text("new")
         raise ZeroDivisionError
     assert contents(run) == {"old"}
     run.warn_if_unfinished()
-    assert "has not finished; this is the result of" in capsys.readouterr().err
+    assert "has not finished; this is the result of" in caplog.text
 
 
 @pytest.mark.parametrize("moved", [0, 1, 2, 3])
-def test_a_result_that_was_only_begun_to_be_moved_is_moved_by_the_next_process(tmp_path, monkeypatch, capsys, moved):
+def test_a_result_that_was_only_begun_to_be_moved_is_moved_by_the_next_process(tmp_path, monkeypatch, caplog, moved):
     with RunDir(tmp_path / "run") as run:
         publish(run, "old")
     rename, moves = Path.rename, []
@@ -184,7 +184,7 @@ def test_a_result_that_was_only_begun_to_be_moved_is_moved_by_the_next_process(t
         pass
     run.require_run()
     run.warn_if_unfinished()
-    assert capsys.readouterr().err == ""
+    assert caplog.text == ""
     assert contents(run) == {"new"}
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,11 +16,9 @@ from geo.crs import horizontal_crs
 from geo.errors import UnreadableFile
 from geo.files import existing_file
 from geo.optional import library_for
-from geo.polygons import in_map_of
-from geo.transformation import WGS84
+from geo.polygons import DEPTH, in_map_of, read_geojson
 
 _JSON, _BY_GDAL = (".geojson", ".json"), (".gpkg", ".shp", ".dxf")
-_DEPTH = 12
 # Well-known binary.
 _LINE, _MULTI_LINE = 2, 5
 # Attributes that name a line, in any case; a DXF has layers.
@@ -62,7 +59,11 @@ def read_lines(path: str | Path, crs: CRS) -> list[Line]:
     if suffix not in (*_JSON, *_BY_GDAL):
         known = ", ".join((_JSON[0], *_BY_GDAL))
         raise UnreadableFile(f'{path} has the suffix "{path.suffix}", expected lines as one of {known}.')
-    found, source = _of_geojson(path) if suffix in _JSON else _by_gdal(path)
+    found, source = (
+        read_geojson(path, "lines", lambda content: list(_walk(content, "", DEPTH)))
+        if suffix in _JSON
+        else _by_gdal(path)
+    )
     if not found:
         raise UnreadableFile(f"{path} has no line of two corners or more; draw the profile as a line.")
     target = horizontal_crs(crs)
@@ -82,21 +83,6 @@ def _corners(positions: Any) -> np.ndarray:
     if corners.ndim != 2 or len(corners) < 2 or not np.isfinite(corners).all():
         raise ValueError(f"a line is {str(positions)[:60]}, expected two positions or more")
     return corners
-
-
-def _of_geojson(path: Path) -> tuple[list[tuple[str, np.ndarray]], CRS]:
-    try:
-        content = json.loads(path.read_bytes())
-        found = list(_walk(content, "", _DEPTH))
-    except (ValueError, TypeError, KeyError, IndexError, OverflowError, RecursionError, AttributeError) as error:
-        raise UnreadableFile(f"{path} is not GeoJSON with lines ({str(error)[:80]}); export it again.") from error
-    named = content.get("crs")
-    if named is None:
-        return found, WGS84
-    try:
-        return found, horizontal_crs(CRS.from_user_input(str(named["properties"]["name"])))
-    except (CRSError, TypeError, KeyError) as error:
-        raise UnreadableFile(f"{path} names a CRS that is not known ({str(named)[:60]}); export it again.") from error
 
 
 def _walk(item: Any, name: str, depth: int) -> Iterator[tuple[str, np.ndarray]]:
@@ -135,7 +121,8 @@ def _by_gdal(path: Path) -> tuple[list[tuple[str, np.ndarray]], CRS | None]:
 
 def _of_wkb(wkb: bytes) -> Iterator[np.ndarray]:
     """The lines of well-known binary in plan; other geometries have none."""
-    order, (kind,) = _order(wkb, 0), struct.unpack_from(f"{_order(wkb, 0)}I", wkb, 1)
+    order = _order(wkb, 0)
+    (kind,) = struct.unpack_from(f"{order}I", wkb, 1)
     if kind == _LINE:
         yield _line(wkb, 0)[0]
     elif kind == _MULTI_LINE:

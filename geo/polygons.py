@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import rasterio
@@ -22,8 +23,11 @@ from geo.transformation import WGS84, transformed
 # Of each polygon its rings (N, 2), the outer one first.
 Polygons = list[list[np.ndarray]]
 
+Found = TypeVar("Found")
+
 _POLYGON, _MULTI = 3, 6
-_DEPTH = 12
+# Collections of GeoJSON in one another.
+DEPTH = 12
 
 
 def read_polygons(path: str | Path, crs: CRS) -> Polygons:
@@ -42,7 +46,7 @@ def read_polygons(path: str | Path, crs: CRS) -> Polygons:
     suffix = path.suffix.lower()
     if suffix not in (".geojson", ".json", ".gpkg"):
         raise UnreadableFile(f'{path} has the suffix "{path.suffix}", expected polygons as .geojson or .gpkg.')
-    polygons, source = _of_geopackage(path) if suffix == ".gpkg" else _of_geojson(path)
+    polygons, source = _of_geopackage(path) if suffix == ".gpkg" else read_geojson(path, "polygons", _gathered)
     if not polygons:
         raise UnreadableFile(f"{path} has no polygon, expected one at least; draw the area as a polygon.")
     target = horizontal_crs(crs)
@@ -61,27 +65,40 @@ def in_map_of(ring: np.ndarray, source: CRS, target: CRS, path: Path) -> np.ndar
     """Corners (N, 2) of a file in another horizontal CRS; raises GeoError where they cannot be taken there."""
     if not source.equals(target, ignore_axis_order=True):
         with_height = np.column_stack([ring, np.zeros(len(ring))])
-        remedy = "or give the polygon in the CRS of the cloud."
+        remedy = "or give it in the CRS of the cloud."
         ring = transformed(source, target, with_height, str(path), remedy)[:, :2]
     if not np.isfinite(ring).all():
         raise UnreadableFile(f"{path} has corners that are not on the map of {target.name}; correct them or its CRS.")
     return ring
 
 
-def _of_geojson(path: Path) -> tuple[Polygons, CRS]:
+def read_geojson(path: Path, shapes: str, gather: Callable[[Any], Found]) -> tuple[Found, CRS]:
+    """What ``gather`` takes from the content of a GeoJSON file, and the horizontal CRS of its coordinates.
+
+    ``shapes`` says in an error what was looked for; ``gather`` raises what a content of another form leads to.
+
+    Raises
+    ------
+    UnreadableFile
+        If it is none, or names a CRS that is not known.
+    """
     try:
         content = json.loads(path.read_bytes())
-        found: Polygons = []
-        _gather(content, found, _DEPTH)
+        found, named = gather(content), content.get("crs")
     except (ValueError, TypeError, KeyError, IndexError, OverflowError, RecursionError, AttributeError) as error:
-        raise UnreadableFile(f"{path} is not GeoJSON with polygons ({str(error)[:80]}); export it again.") from error
-    named = content.get("crs")
+        raise UnreadableFile(f"{path} is not GeoJSON with {shapes} ({str(error)[:80]}); export it again.") from error
     if named is None:
         return found, WGS84
     try:
         return found, horizontal_crs(CRS.from_user_input(str(named["properties"]["name"])))
     except (CRSError, TypeError, KeyError) as error:
         raise UnreadableFile(f"{path} names a CRS that is not known ({str(named)[:60]}); export it again.") from error
+
+
+def _gathered(content: Any) -> Polygons:
+    found: Polygons = []
+    _gather(content, found, DEPTH)
+    return found
 
 
 def _gather(item: Any, found: Polygons, depth: int) -> None:

@@ -15,8 +15,10 @@ from PIL import Image
 from fields.device import choose_device
 from fields.volume.models import MODELS, build_model, proposal_for
 from fields.volume.paths import Box
+from fields.volume.surface import Rule
 from geo import read_cloud
 from survey.commands.field import Model
+from survey.commands.field import Rule as OfferedRule
 from survey.errors import OutputError, SurveyError
 from survey.export.loaded import LoadedRun
 from survey.run.cloud import write_bed_ply
@@ -36,20 +38,19 @@ def run(folder):
     return run_over(painted_survey(folder / "s"), folder / "run")
 
 
-def test_the_command_offers_the_models_there_are():
+def test_the_command_offers_the_models_and_rules_there_are():
     assert {model.value for model in Model} == set(MODELS)
+    assert {rule.value for rule in OfferedRule} == {rule.value for rule in Rule}
 
 
 @pytest.mark.parametrize("name", list(MODELS))
 def test_every_model_is_built_for_a_box(name):
     box = Box(np.zeros(3), np.array([2.0, 1.0, 0.5]))
-    if name in ("nerf", "nerfacto"):
-        pytest.skip("published width: 30 MB of parameters")
     model = build_model(name, box, 16, choose_device("torch"), appearance=4)
     density, features = model.evaluate(torch.rand(5, 3))
     assert density.shape == (5,)
     assert model.radiance(features, torch.nn.functional.normalize(torch.ones(5, 3)), torch.zeros(5, 4)).shape == (5, 3)
-    assert (proposal_for(name, box, 16) is None) == (name != "hash")
+    assert (proposal_for(name, box, 16) is None) == (name not in ("hash", "nerfacto"))
 
 
 def test_a_field_is_trained_extracted_rendered_and_compared(folder, run):
@@ -89,6 +90,16 @@ def test_the_same_training_again_computes_no_step(folder, run):
     torch.testing.assert_close(before["renderer"], after["renderer"], rtol=0.0, atol=0.0)
     with pytest.raises(OutputError, match=r"a volume of other settings \(steps: 4 there, 50 asked for\); name another"):
         train_field(run, folder / "g", replace(SHORT, steps=50))
+
+
+@pytest.mark.parametrize("keep", [0, 100, -1])
+def test_a_damaged_state_is_named(folder, run, keep):
+    damaged = folder / f"damaged {keep}"
+    train_field(run, damaged, SHORT)
+    state = damaged / "state.pt"
+    state.write_bytes(state.read_bytes()[:keep])
+    with pytest.raises(SurveyError, match=r"state\.pt cannot be read .*; delete it, and training begins anew"):
+        train_field(run, damaged, SHORT)
 
 
 def test_a_folder_with_other_files_is_left_alone(folder, run):

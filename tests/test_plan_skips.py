@@ -24,13 +24,13 @@ BEDS = {
 
 @pytest.mark.parametrize("bed", BEDS.values(), ids=BEDS.keys())
 def test_heights_are_the_same_with_terms_that_the_scene_does_not_need(device, bed):
-    cameras, step, rungs = ring(6), 0.04, 9
+    cameras, step, count = ring(6), 0.04, 9
     images = [bed.photograph(camera) for camera in cameras]
-    start = (bed.true_height(cameras[0]) - step * (rungs // 2)).astype(np.float32)
+    start = (bed.true_height(cameras[0]) - step * (count // 2)).astype(np.float32)
     found = []
     for skips in (SKIPS, NOTHING):
         stack = ViewStack.build(device, cameras, images, bed.water, skips)
-        found.append(match(stack, [1, 2, 3, 4, 5, 6], start, step, rungs, 2))
+        found.append(match(stack, [1, 2, 3, 4, 5, 6], start, step, count, 2))
     near = np.abs(found[0][0] - found[1][0]) < 0.05 * step
     assert near.mean() > 0.98
     assert np.abs(found[0][1] - found[1][1])[near].max() < 0.01

@@ -80,7 +80,6 @@ DISK_FILES = {
             "grids",
             "las",
             "las_header",
-            "lines",
             "obj",
             "obj_writing",
             "ply",

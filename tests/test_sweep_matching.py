@@ -16,7 +16,7 @@ BEDS = {
     "shore": PlaneBed(FlatWater((0.0, 0.0, -2.0), n_water=1.34, slope_x=0.01, slope_y=0.02), -2.0, slope=0.3),
     "index one": PlaneBed(FlatWater((0.0, 0.0, 0.0), n_water=1.0), -2.0),
 }
-# Errors of a noise-free plane, in rungs of 0.04 m (0.6 px of parallax): half of the pixels, and 90 % of them; what is
+# Errors of a noise-free plane, in steps of 0.04 m (0.6 px of parallax): half of the pixels, and 90 % of them; what is
 # left is bilinear interpolation, most where few neighbours see the bed. Measured at worst 0.025 and 0.127.
 HALF, MOST = 0.04, 0.18
 # Mean error over the view [m]; measured at worst 0.6 mm, and 0.95 mm at a slope of 0.3.
@@ -30,7 +30,7 @@ def is_close(error) -> bool:
 
 
 def climb_plane(device, bed: PlaneBed, offset: float, *, spoil=None, cameras=None):
-    """True heights of view 0 and what `match_view` finds, on a ladder whose middle is off the truth by `offset` [m]."""
+    """True heights of view 0 and those of `match_view`, on hypotheses centred `offset` [m] off the truth."""
     cameras = cameras or ring(6)
     images = [bed.photograph(camera) for camera in cameras]
     if spoil is not None:
@@ -42,7 +42,7 @@ def climb_plane(device, bed: PlaneBed, offset: float, *, spoil=None, cameras=Non
 
 
 @pytest.mark.parametrize("bed", BEDS.values(), ids=BEDS.keys())
-def test_a_ladder_about_the_bed_finds_a_plane_to_a_fraction_of_a_rung(device, bed):
+def test_hypotheses_about_the_bed_find_a_plane_to_a_fraction_of_a_step(device, bed):
     truth, height, score, curvature = climb_plane(device, bed, 0.35 * STEP)
     found = curvature > 0.0
     assert found.mean() > 0.85
@@ -51,19 +51,19 @@ def test_a_ladder_about_the_bed_finds_a_plane_to_a_fraction_of_a_rung(device, be
 
 
 @pytest.mark.parametrize("offset", [-0.5, -0.25, 0.0, 0.25, 0.5])
-def test_the_error_does_not_lean_toward_the_rungs(device, offset):
-    """Parabolas through three rungs may pull heights toward a rung ("pixel locking"): wherever it lies, they do not."""
+def test_the_error_does_not_lean_toward_the_hypotheses(device, offset):
+    """Parabolas through three scores may pull heights to a hypothesis ("pixel locking"): wherever it lies, not here."""
     truth, height, _, curvature = climb_plane(device, BEDS["wet"], offset * STEP)
     assert abs((height - truth)[curvature > 0.0].mean()) < BIAS_M
 
 
-def test_one_ladder_for_a_whole_image_finds_relief_that_it_spans(device):
+def test_one_range_for_a_whole_image_finds_relief_that_it_spans(device):
     bed, cameras = BEDS["shore"], ring(6)
     truth = bed.true_height(cameras[0])
     start = np.full(truth.shape, truth.min() - 2.4 * STEP, np.float32)
-    rungs = int(np.ceil(np.ptp(truth) / STEP)) + 5
+    count = int(np.ceil(np.ptp(truth) / STEP)) + 5
     stack = bed.stack(device, cameras)
-    height, _, curvature = match(stack, [1, 2, 3, 4, 5, 6], start, STEP, rungs, RADIUS)
+    height, _, curvature = match(stack, [1, 2, 3, 4, 5, 6], start, STEP, count, RADIUS)
     assert truth.min() < 0.0 < truth.max()
     error = (height - truth)[curvature > 0.0]
     assert abs(np.median(error)) < BIAS_M

@@ -28,7 +28,7 @@ def test_the_range_contains_the_bed_and_not_much_more(device, bed):
     # The range is that of 99 % of the matched pixels, widened; the rim of an image is seen by few others.
     assert limits[0] <= low < np.quantile(truth, 0.01)
     assert np.quantile(truth, 0.99) < high <= limits[1]
-    # A quarter more on each side, a rung of 0.5 px (8 cm), and what false matches on the rim add: at worst it is 2.9 m.
+    # A quarter more on each side, a step of 0.5 px (8 cm), and what false matches on the rim add: at worst it is 2.9 m.
     assert high - low < 0.8 * (limits[1] - limits[0])
 
 

@@ -67,23 +67,23 @@ def test_straight_paths_are_courses_to_rounding():
 
 
 def test_bent_paths_are_courses_to_a_hundredth_of_a_pixel():
-    # Measured: 9e-6 px rms over 6 px; 1.2e-3 px rms and 0.022 px at most over as long a ladder as a course has.
+    # Measured: 9e-6 px rms over 6 px; 1.2e-3 px rms and 0.022 px at most over as many hypotheses as a section has.
     assert np.sqrt(np.mean(misses(WATER, 6.0) ** 2)) < 1e-4
     found = misses(WATER, MOST_HYPOTHESES)
     assert np.sqrt(np.mean(found**2)) < 2e-3
     assert found.max() < 0.05
 
 
-@pytest.mark.parametrize("rungs", [1, 3, MOST_HYPOTHESES, MOST_HYPOTHESES + 1, 360])
-def test_a_ladder_falls_into_sections_of_like_length(rungs):
-    parts = segments(rungs)
-    assert [rung for part in parts for rung in part] == list(range(rungs))
+@pytest.mark.parametrize("count", [1, 3, MOST_HYPOTHESES, MOST_HYPOTHESES + 1, 360])
+def test_hypotheses_fall_into_sections_of_like_length(count):
+    parts = segments(count)
+    assert [each for part in parts for each in part] == list(range(count))
     lengths = [len(part) for part in parts]
     assert max(lengths) <= MOST_HYPOTHESES
     assert max(lengths) - min(lengths) <= 1
 
 
-def test_ladders_through_the_water_are_told_from_others():
+def test_hypotheses_through_the_water_are_told_from_others():
     views = [camera(np.array([x, 0.0, 20.0]), 0.0, 0.0, 800.0) for x in (0.0, 5.0)]
     images = np.zeros((2, HEIGHT, WIDTH), dtype=np.float32)
     start, part = np.array([-2.0, -0.55, -0.45, 0.05]), range(2, 6)

@@ -89,7 +89,7 @@ def test_a_part_is_refined_as_the_whole_view_is_and_the_rest_stays(block):
     assert mask.reshape(found.height.shape)[larger(part)].all()
     np.testing.assert_array_equal(found.height.ravel()[~mask], before.height.ravel()[~mask])
     off = np.abs(found.height - whole.height).ravel()[mask]
-    # Where two rungs score alike, rounding may decide for the other.
+    # Where two hypotheses score alike, rounding may decide for the other.
     assert np.mean(off < SAME_M) > 0.99
     assert np.median(np.abs(found.height - BED.true_height(block.cameras[0])).ravel()[mask]) < 0.5 * OFF_M
 

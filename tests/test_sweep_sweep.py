@@ -179,7 +179,7 @@ def test_progress_is_the_share_of_the_samples_compared(device, monkeypatch):
     monkeypatch.setattr(matching, "match_view", counting)
     sweep(BEDS["dry"].block(device, ring(4)), [3, 0, 2], (-4.5, -0.5), shares.append, SMALL[:2])
     fusing = SIZE[0] * SIZE[1] * 3 * 2  # three views, each compared with the other two
-    assert count_true[0] > 2 * count_true[3]  # the ladder of a wide bound is the longest part of the work
+    assert count_true[0] > 2 * count_true[3]  # the hypotheses of a wide bound is the longest part of the work
     np.testing.assert_allclose(shares, np.cumsum([*count_true, fusing]) / (sum(count_true) + fusing))
     assert shares[-1] == 1.0
 
@@ -209,10 +209,10 @@ def test_torch_finds_what_dr_jit_finds_on_a_drawn_survey(drawn, greys):
         sure = trusted(m)
         assert sure.mean() > 0.6
         assert (trusted(twin) != sure).mean() < 1e-3
-        rung = PASSES[-1].step_px / block.parallax(m.view, block.neighbours(m.view, 12), -1.2)
-        # Rounding moves places by 1e-4 px; few stand where two rungs score alike. Measured: 99 % within 6.1e-4, and
-        # within 4.9e-4 to 6.0e-4 where grey levels and the ladder are rounded otherwise, at random: 2.5 times that.
-        difference = np.abs(twin.height - m.height)[sure] / rung
+        step = PASSES[-1].step_px / block.parallax(m.view, block.neighbours(m.view, 12), -1.2)
+        # Rounding moves places by 1e-4 px; few stand where two hypotheses score alike. Measured: 99 % within 6.1e-4,
+        # and 4.9e-4 to 6.0e-4 where grey levels and hypotheses are rounded otherwise, at random: 2.5 times that.
+        difference = np.abs(twin.height - m.height)[sure] / step
         assert np.quantile(difference, 0.99) < 1.5e-3
         for field in fields(DepthMap)[2:]:
             a, b = getattr(m, field.name)[sure], getattr(twin, field.name)[sure]

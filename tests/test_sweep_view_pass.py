@@ -33,12 +33,12 @@ def test_an_area_beside_the_image_needs_no_pixel():
 
 
 def test_wanted_columns_have_the_heights_of_a_whole_image_and_the_others_none(device):
-    cameras, step, rungs, radius = ring(6), 0.04, 9, 2
+    cameras, step, count, radius = ring(6), 0.04, 9, 2
     stack = BED.stack(device, cameras)
-    start = (BED.true_height(cameras[0]) - step * (rungs // 2)).astype(np.float32)
+    start = (BED.true_height(cameras[0]) - step * (count // 2)).astype(np.float32)
     columns = np.tile([0, 0], (stack.height, 1))
     columns[20:50] = 31, 64
-    part, whole = (match(stack, [1, 2, 3, 4, 5, 6], start, step, rungs, radius, each) for each in (columns, None))
+    part, whole = (match(stack, [1, 2, 3, 4, 5, 6], start, step, count, radius, each) for each in (columns, None))
     for found, expected in zip(part, whole, strict=True):
         np.testing.assert_allclose(found[20:50, 31:64], expected[20:50, 31:64], rtol=1e-4, atol=1e-4)
     assert (part[1][:18] == -1.0).all()

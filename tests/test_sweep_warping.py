@@ -259,14 +259,14 @@ def test_images_of_one_level_and_images_all_masked_are_packed(device):
         np.testing.assert_allclose(found, np.float32(level), rtol=EPS32, atol=0.5 * stack.packed.step)
 
 
-def warped(stack: ViewStack, start: np.ndarray, others: list[int], step: float, rungs: int) -> np.ndarray:
-    """W (neighbours, rungs, height, width) of view 0."""
+def warped(stack: ViewStack, start: np.ndarray, others: list[int], step: float, count: int) -> np.ndarray:
+    """W (neighbours, count, height, width) of view 0."""
     images, device = kernels(stack.device), stack.device
     rays = images.rays_of_rows(stack, 0, 0, stack.height)
-    values = images.buffers(device, len(others), start.size * rungs)
-    images.warp(values, stack, rays, Hypotheses(start, step, rungs), others)
-    found = [held_in(device, each, start.size * rungs) for each in values[: len(others)]]
-    return np.stack(found).reshape(len(others), rungs, stack.height, stack.width)
+    values = images.buffers(device, len(others), start.size * count)
+    images.warp(values, stack, rays, Hypotheses(start, step, count), others)
+    found = [held_in(device, each, start.size * count) for each in values[: len(others)]]
+    return np.stack(found).reshape(len(others), count, stack.height, stack.width)
 
 
 @pytest.mark.parametrize(

@@ -69,10 +69,10 @@ def test_windows_between_many_missing_pixels_stay_narrow(device, rng):
     assert radius == 2
 
 
-@pytest.mark.parametrize("rungs", [3, 40, 400])
-def test_lower_scores_and_longer_ladders_ask_for_wider_windows(rungs):
-    radii = [radius_for(score, (300, 400), 2, rungs) for score in (0.95, 0.7, 0.5, 0.3, 0.1)]
-    longer = [radius_for(score, (300, 400), 2, 10 * rungs) for score in (0.95, 0.7, 0.5, 0.3, 0.1)]
+@pytest.mark.parametrize("count", [3, 40, 400])
+def test_lower_scores_and_more_hypotheses_ask_for_wider_windows(count):
+    radii = [radius_for(score, (300, 400), 2, count) for score in (0.95, 0.7, 0.5, 0.3, 0.1)]
+    longer = [radius_for(score, (300, 400), 2, 10 * count) for score in (0.95, 0.7, 0.5, 0.3, 0.1)]
     assert radii == sorted(radii)
     assert (radii[0], radii[-1]) == (2, RADII[-1])
     assert all(a <= b for a, b in zip(radii, longer, strict=True))

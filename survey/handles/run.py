@@ -7,7 +7,7 @@ import html
 from collections.abc import Iterable, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -153,7 +153,7 @@ class Run:
         if axes is None:
             return figure_of([profile])
         draw(profile, axes)
-        return axes.get_figure(root=True)  # type: ignore[return-value]
+        return cast("Figure", axes.get_figure(root=True))
 
     def to_open3d(self) -> Any:
         """The cloud as ``open3d.geometry.PointCloud``, from its lowest corner on: Open3D draws in float32.

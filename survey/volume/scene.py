@@ -11,6 +11,7 @@ import torch
 from fields.volume.paths import Box
 from fields.volume.photographs import Photographs
 from fields.volume.sampling import Cells
+from fields.volume.surface import LEAST_VIEWS
 from refract import FlatWater, PinholeCamera
 from survey.errors import SurveyError
 from survey.export.loaded import LoadedRun
@@ -19,10 +20,8 @@ from survey.run.flight import Flight
 
 # A box reaches over and under the inner part of the heights by a share of their range and some cells.
 _INNER_PERCENT, _REACH, _REACH_CELLS = 0.1, 0.1, 3.0
-# Photographs are reduced to pixels of at least this part of a cell.
+# Photographs are reduced until a cell of the volume is so many pixels wide.
 _PIXELS_PER_CELL = 2.0
-# Photographs to learn from.
-LEAST_VIEWS = 2
 # A photograph counts if it shows the box with this share of its pixels.
 _LEAST_SHARE = 0.002
 

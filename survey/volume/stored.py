@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -71,7 +72,7 @@ class VolumeFolder:
             return None
         try:
             return torch.load(state, weights_only=True)
-        except (OSError, RuntimeError, ValueError, EOFError) as error:
+        except (OSError, RuntimeError, ValueError, KeyError, EOFError, pickle.UnpicklingError) as error:
             raise SurveyError(
                 f"{state} cannot be read ({str(error)[:80]}); delete it, and training begins anew"
             ) from error

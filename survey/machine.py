@@ -3,31 +3,28 @@
 from __future__ import annotations
 
 import os
-import resource
 import shutil
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import psutil
 
 _CGROUP = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
 # Work that one idle core with AVX-512 does in so long [s]; so many steps make a probe.
 _PROBE_SIZE, _PROBE_S, _STEPS, _PROBES = 1_000_000, 7e-4, 15, 15
 # What a process did longer ago than this says nothing of how busy the machine is now [s].
 _RECENT_S = 60.0
-_MEMINFO = Path("/proc/meminfo")
-_STAT, _UPTIME, _TURNS = Path("/proc/self/stat"), Path("/proc/uptime"), Path("/proc/self/schedstat")
-# Of the words of `_STAT` behind the name of the program: when the process started [ticks].
-_STARTED = 19
+# Of Linux, which psutil does not read.
+_TURNS = Path("/proc/self/schedstat")
 # Address space that libraries and kernels map and do not fill, on one core.
 _MAPPED_BYTES = 2.4e9
-_UNLIMITED = (resource.RLIM_INFINITY, -1)
 
 
 def memory_bytes() -> int:
     """Memory that this process may take at most: of the machine, or of the container that it runs in."""
-    total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    total = psutil.virtual_memory().total
     for path in _CGROUP:
         try:
             total = min(total, int(path.read_text(encoding="ascii")))
@@ -38,21 +35,23 @@ def memory_bytes() -> int:
 
 
 def free_memory_bytes() -> int:
-    """Memory available without swapping; all of it if the system does not report this."""
-    try:
-        for line in _MEMINFO.read_text(encoding="ascii").splitlines():
-            if line.startswith("MemAvailable:"):
-                return min(int(line.split()[1]) * 1024, memory_bytes())
-    except (OSError, ValueError):
-        pass
-    return memory_bytes()
+    """Memory available without swapping."""
+    return min(psutil.virtual_memory().available, memory_bytes())
+
+
+def limit_bytes(kind: str) -> float:
+    """Limit of this process on its address space ("AS", ulimit -v) or data ("DATA", ulimit -d).
+
+    Infinite without one, and on systems other than Linux and FreeBSD, which keep no such limits.
+    """
+    number = getattr(psutil, f"RLIMIT_{kind}", None)
+    limit = -1 if number is None else psutil.Process().rlimit(number)[0]
+    return float("inf") if limit in (-1, getattr(psutil, "RLIM_INFINITY", -1)) else float(limit)
 
 
 def allowed_memory_bytes() -> float:
-    """Memory that the limits of this process leave to its data (ulimit -d, ulimit -v); infinite without limits."""
-    data, space = (resource.getrlimit(kind)[0] for kind in (resource.RLIMIT_DATA, resource.RLIMIT_AS))
-    allowed = float("inf") if data in _UNLIMITED else float(data)
-    return allowed if space in _UNLIMITED else min(allowed, space - _MAPPED_BYTES)
+    """Memory that the limits of this process leave to its data; infinite without limits."""
+    return min(limit_bytes("DATA"), limit_bytes("AS") - _MAPPED_BYTES)
 
 
 def num_cores() -> int:
@@ -71,13 +70,8 @@ def free_disk_bytes(folder: Path) -> int:
 
 
 def process_age_s() -> float:
-    """Seconds since this process started; of its processor time, which is less, if the system does not report this."""
-    try:
-        words = _STAT.read_text(encoding="ascii").rpartition(")")[2].split()
-        since_boot = float(_UPTIME.read_text(encoding="ascii").split()[0])
-        return max(since_boot - int(words[_STARTED]) / os.sysconf("SC_CLK_TCK"), 0.0)
-    except (OSError, ValueError, IndexError):
-        return time.process_time()
+    """Seconds since this process started; systems count in whole seconds since 1970, so it may be one off."""
+    return max(time.time() - psutil.Process().create_time(), time.process_time())
 
 
 @dataclass(frozen=True)

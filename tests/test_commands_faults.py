@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +12,7 @@ from command_line import bathynerf, fake_module, raising, without_times
 from small_survey import small_survey
 
 from geo.errors import EmptyCloud, GeoError
+from survey import machine
 from survey import progress as progress_room
 from survey.errors import SurveyError
 
@@ -87,22 +87,21 @@ def test_our_own_fault_leaves_its_traceback_in_the_log_and_shows_it_when_asked(m
 
 @pytest.mark.parametrize("arguments", [("process", "s"), ("waterline", "s"), ("simulate", "s.toml", "-o", "s")])
 def test_a_limit_on_memory_below_what_any_survey_needs_is_refused(monkeypatch, arguments):
-    monkeypatch.setattr(resource, "getrlimit", lambda _: (1_536_000_000, resource.RLIM_INFINITY))
+    monkeypatch.setattr(machine, "limit_bytes", lambda _: 1_536_000_000.0)
     result = bathynerf(*arguments)
     assert result.exit_code == 2
     assert "limited to 1.5 GB (ulimit -v), expected at least 3 GB; raise the limit" in result.stderr
 
 
 def test_a_limit_on_data_that_kernels_would_crash_at_is_refused(monkeypatch):
-    endless = resource.RLIM_INFINITY
-    monkeypatch.setattr(resource, "getrlimit", lambda kind: (3e8 if kind == resource.RLIMIT_DATA else endless, endless))
+    monkeypatch.setattr(machine, "limit_bytes", {"DATA": 3e8, "AS": float("inf")}.get)
     result = bathynerf("process", "s")
     assert result.exit_code == 2
     assert "limited to 0.3 GB (ulimit -d), expected at least 0.4 GB; raise the limit" in result.stderr
 
 
 def test_check_warns_of_the_limit_that_process_refuses(monkeypatch, tmp_path):
-    monkeypatch.setattr(resource, "getrlimit", lambda _: (1_536_000_000, resource.RLIM_INFINITY))
+    monkeypatch.setattr(machine, "limit_bytes", lambda _: 1_536_000_000.0)
     result = bathynerf("check", small_survey(tmp_path / "s"))
     assert result.exit_code == 0
     sentence = bathynerf("process", "s").stderr.removeprefix("error: ")

@@ -84,3 +84,41 @@ def test_openblas_computes_on_one_thread_unless_somebody_asks_for_more(asked, ta
         given["OPENBLAS_NUM_THREADS"] = asked
     done = subprocess.run([sys.executable, "-c", "\n".join(lines)], env=given, capture_output=True, text=True)
     assert (done.returncode, done.stdout.split()[0], done.stdout.split()[-1]) == (0, "False", taken)
+
+
+# As on a system that is not Unix: no /proc, no fcntl, no resource, but for the libraries that know each system.
+_HIDDEN = """
+import sys
+import psutil
+for name in ("fcntl", "resource"):
+    sys.modules[name] = None
+def refuse(event, arguments):
+    if event == "open" and str(arguments[0]).startswith("/proc"):
+        frame = sys._getframe(1)
+        while frame is not None and "psutil" not in frame.f_code.co_filename:
+            frame = frame.f_back
+        if frame is None:
+            raise FileNotFoundError(f"hidden: {arguments[0]}")
+sys.addaudithook(refuse)
+"""
+
+
+def test_help_check_and_the_lock_of_a_run_need_nothing_of_unix(tmp_path):
+    def run(code: str, *arguments) -> str:
+        command = [sys.executable, "-c", _HIDDEN + code, *map(str, arguments)]
+        ended = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert ended.returncode == 0, ended.stderr
+        return ended.stdout
+
+    assert "compare" in run(MAIN, "--help")
+    assert "water" in run(MAIN, "check", small_survey(tmp_path / "s"))
+    held = (
+        "from pathlib import Path; from survey.files.lock import locked; from survey.errors import SurveyError\n"
+        "folder = Path(sys.argv[1])\n"
+        "with locked(folder, busy='{pid}'):\n"
+        "    try:\n"
+        "        with locked(folder, busy='busy {pid}'): pass\n"
+        "    except SurveyError as error: print(error)"
+    )
+    assert re.match(r"busy \d+", run(held, tmp_path))
+    assert [path.name for path in tmp_path.iterdir()] == ["s"]

@@ -37,16 +37,16 @@ def test_a_second_process_is_refused_and_told_who_writes(tmp_path):
         other.communicate("")
     with RunDir(tmp_path / "run") as run:
         assert run.path.is_dir()
-    assert not (run.path / ".lock").exists()
+    assert list(run.path.glob(".lock*")) == []
 
 
 def test_the_lock_of_a_killed_process_is_taken_over(tmp_path):
     with _other_process(tmp_path / "run") as other:
         other.send_signal(signal.SIGKILL)
         other.wait()
-        assert (tmp_path / "run" / ".lock").read_text() == str(other.pid)
+        assert (tmp_path / "run" / ".lock.pid").read_text() == str(other.pid)
     with RunDir(tmp_path / "run") as run:
-        assert (run.path / ".lock").read_text() == str(os.getpid())
+        assert (run.path / ".lock.pid").read_text() == str(os.getpid())
 
 
 def test_a_folder_with_other_things_in_it_is_refused_and_left_alone(tmp_path):

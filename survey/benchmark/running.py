@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 import platform
-import resource
 import shutil
 import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
+
+import psutil
 
 import survey
 from survey.benchmark.records import Cost
@@ -39,7 +41,7 @@ def run_bathynerf(arguments: list[str], home: Path, *, under: tuple[str, ...] = 
     """
     environment = {**os.environ, "HOME": str(home), "PYTHONPATH": os.pathsep.join([str(_ROOT), *sys.path])}
     log = home / "stderr.txt"
-    start, before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
+    start, before = time.monotonic(), os.times()
     with log.open("wb") as errors:
         process = subprocess.Popen(
             [*under, *_BATHYNERF, *arguments], env=environment, stdout=subprocess.DEVNULL, stderr=errors
@@ -53,18 +55,18 @@ def run_bathynerf(arguments: list[str], home: Path, *, under: tuple[str, ...] = 
             raise
         finally:
             peak.stop()
-    wall, after = time.monotonic() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
-    processor = (after.ru_utime - before.ru_utime) + (after.ru_stime - before.ru_stime)
+    wall, after = time.monotonic() - start, os.times()
+    processor = (after.children_user - before.children_user) + (after.children_system - before.children_system)
     words = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
     return code, Cost(wall, processor, peak.bytes), words[-1] if words else ""
 
 
 class _Peak:
-    """Watches the resident memory of a process and its children, in a thread; 0 where the system has no /proc."""
+    """Watches the resident memory of a process and its children, in a thread."""
 
     def __init__(self, pid: int):
         self.bytes = 0
-        self._pid, self._ended = pid, threading.Event()
+        self._process, self._ended = psutil.Process(pid), threading.Event()
         self._thread = threading.Thread(target=self._watch, daemon=True)
         self._thread.start()
 
@@ -74,21 +76,16 @@ class _Peak:
 
     def _watch(self) -> None:
         while not self._ended.wait(_LOOK_S):
-            self.bytes = max(self.bytes, _tree_bytes(self._pid))
+            self.bytes = max(self.bytes, _tree_bytes(self._process))
 
 
-def _tree_bytes(pid: int) -> int:
-    total, waiting = 0, [pid]
-    while waiting:
-        place = Path(f"/proc/{waiting.pop()}")
-        try:
-            pages = int((place / "statm").read_text(encoding="ascii").split()[1])
-            for task in (place / "task").iterdir():
-                waiting += [int(child) for child in (task / "children").read_text(encoding="ascii").split()]
-        except (OSError, ValueError, IndexError):
-            # It has just ended.
-            continue
-        total += pages * os.sysconf("SC_PAGE_SIZE")
+def _tree_bytes(process: psutil.Process) -> int:
+    total = 0
+    # Some may have just ended.
+    with suppress(psutil.Error):
+        for member in (process, *process.children(recursive=True)):
+            with suppress(psutil.Error):
+                total += member.memory_info().rss
     return total
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import resource
-
 from survey.errors import SurveyError
 
 # Address space of the smallest survey in draft quality on four cores: 3.0 GB suffice; with 2.8 GB Dr.Jit ends the
@@ -12,16 +10,18 @@ _LEAST_BYTES = 3.0e9
 # Data of the smallest survey; with 0.3 GB the same happens, with 0.2 GB already to an import.
 _LEAST_DATA_BYTES = 0.4e9
 _LIMITS = (
-    (resource.RLIMIT_AS, "address space", "ulimit -v", _LEAST_BYTES),
-    (resource.RLIMIT_DATA, "memory", "ulimit -d", _LEAST_DATA_BYTES),
+    ("AS", "address space", "ulimit -v", _LEAST_BYTES),
+    ("DATA", "memory", "ulimit -d", _LEAST_DATA_BYTES),
 )
 
 
 def address_space_shortage() -> str | None:
     """The message if this process is limited to less address space or data than the kernels need; else None."""
+    from survey import machine
+
     for kind, words, command, least in _LIMITS:
-        limit = resource.getrlimit(kind)[0]
-        if limit not in (resource.RLIM_INFINITY, -1) and limit < least:
+        limit = machine.limit_bytes(kind)
+        if limit < least:
             return (
                 f"the {words} of this process is limited to {limit / 1e9:.1f} GB ({command}), expected at least "
                 f"{least / 1e9:.1g} GB; raise the limit"

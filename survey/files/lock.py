@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
+
+from filelock import FileLock, Timeout
 
 from survey.errors import SurveyError
 
-NAME = ".lock"
+# The file that the system locks, and beside it the number of the process: where a lock keeps others from reading
+# (Windows), the file itself cannot tell.
+NAME, OWNER = ".lock", ".lock.pid"
 
 
 @contextmanager
@@ -29,35 +31,25 @@ def locked(folder: Path, *, busy: str) -> Iterator[None]:
     SurveyError
         If another process has the lock.
     """
-    path = folder / NAME
-    lock = _opened(path, busy)
+    path, owner = folder / NAME, folder / OWNER
+    lock = FileLock(path, blocking=False)
     try:
-        lock.truncate(0)
-        lock.write(str(os.getpid()).encode())
-        lock.flush()
+        lock.acquire()
+    except Timeout as error:
+        raise SurveyError(busy.format(pid=_number_in(owner))) from error
+    try:
+        owner.write_text(str(os.getpid()), encoding="ascii")
         yield
     finally:
-        path.unlink(missing_ok=True)
-        lock.close()
+        owner.unlink(missing_ok=True)
+        # Where an open file can be removed: one who waits for it finds that it has gone, and makes it anew.
+        with suppress(PermissionError):
+            path.unlink(missing_ok=True)
+        lock.release()
 
 
-def _opened(path: Path, busy: str) -> BinaryIO:
-    """The lock file, open and locked."""
-    while True:
-        lock = path.open("a+b")
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            # Its last owner may have removed the file after it was opened here, and another one may have made it anew.
-            if path.stat().st_ino == os.fstat(lock.fileno()).st_ino:
-                return lock
-        except FileNotFoundError:
-            pass
-        except BlockingIOError as error:
-            lock.seek(0)
-            pid = lock.read().decode(errors="replace").strip() or "unknown"
-            lock.close()
-            raise SurveyError(busy.format(pid=pid)) from error
-        except OSError:
-            lock.close()
-            raise
-        lock.close()
+def _number_in(owner: Path) -> str:
+    try:
+        return owner.read_text(encoding="ascii").strip() or "unknown"
+    except (OSError, ValueError):
+        return "unknown"

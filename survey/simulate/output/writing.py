@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -19,6 +18,7 @@ from PIL import Image
 
 from geo import write_whole
 from survey.errors import SurveyError
+from survey.machine import num_cores
 from survey.progress import Progress, Step
 from survey.simulate.output.sidecars import (
     GAUGE,
@@ -179,4 +179,4 @@ def _threads(scene: StagedScene | None = None) -> int:
     """Each view takes about 0.2 GB while it is evaluated; a custom renderer runs its own threads."""
     if scene is not None and scene.eye is not None:
         return 1
-    return min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, 8)
+    return min(num_cores(), 8)

@@ -3,11 +3,11 @@
 Source: the PLY format of the Stanford 3D scanning repository. Every element becomes a table of columns; ASCII
 is read as if it were binary with doubles throughout.
 
-No library reads it here, for two reasons. plyfile, the usual one, is under the GNU General Public License (3 or later),
-which would bind anyone who redistributes this package under the Apache License. And plyfile 1.1.5 reads lists row by
-row unless their length is declared: 500,000 vertices with 1,000,000 triangles take it 5.5 s (ASCII 21 s), this module
-0.3 s (ASCII 4 s), on one core. A binary cloud of 10 million points is read in about a second and written in about three
-by both.
+No library reads or writes it here. plyfile, the usual one, is under the GNU General Public License (3 or later), which
+would bind anyone who redistributes this package under the Apache License, and reads lists row by row. trimesh 5.2.0
+writes in single precision, and rounds those of ASCII files that say "float" so: at a northing of 5,311,475 m
+a mesh comes back 0.25 m off. It drops comments, and with them the CRS, and refuses binary files with polygons of
+several sizes. Of 250,000 vertices with 500,000 triangles in ASCII it takes 2.3 s of processor time, this module 1.3 s.
 """
 
 from __future__ import annotations

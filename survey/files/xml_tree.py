@@ -1,4 +1,7 @@
-"""XML of other programs as a tree, without what XML can be made to do: no document types, no entities of its own."""
+"""XML of other programs as a tree, without what XML can be made to do: no document types, no entities of its own.
+
+defusedxml does not bound the depth, and forbids no more than what stands here.
+"""
 
 from __future__ import annotations
 

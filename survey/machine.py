@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-_CGROUP = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
+from survey.control_groups import group_memories
+
 # Work that one idle core with AVX-512 does in so long [s]; so many steps make a probe.
 _PROBE_SIZE, _PROBE_S, _STEPS, _PROBES = 1_000_000, 7e-4, 15, 15
 # What a process did longer ago than this says nothing of how busy the machine is now [s].
@@ -23,20 +24,13 @@ _MAPPED_BYTES = 2.4e9
 
 
 def memory_bytes() -> int:
-    """Memory that this process may take at most: of the machine, or of the container that it runs in."""
-    total = psutil.virtual_memory().total
-    for path in _CGROUP:
-        try:
-            total = min(total, int(path.read_text(encoding="ascii")))
-        except (OSError, ValueError):
-            # No container, or one without a limit ("max").
-            continue
-    return total
+    """Memory that this process may take at most: of the machine, or of the job or container that it runs in."""
+    return min([psutil.virtual_memory().total, *(group.limit for group in group_memories())])
 
 
 def free_memory_bytes() -> int:
-    """Memory available without swapping."""
-    return min(psutil.virtual_memory().available, memory_bytes())
+    """Memory available without swapping, of the machine and of the job."""
+    return min([psutil.virtual_memory().available, *(group.free for group in group_memories())])
 
 
 def limit_bytes(kind: str) -> float:

@@ -11,18 +11,16 @@ import psutil
 import pytest
 
 from survey import machine
+from survey.control_groups import GroupMemory
 
 
-def test_free_memory_is_part_of_all_memory_and_a_limit_of_the_container_counts(tmp_path, monkeypatch):
-    monkeypatch.setattr(machine, "_CGROUP", ())
+def test_free_memory_is_part_of_all_memory_and_limits_of_the_job_count(monkeypatch):
+    monkeypatch.setattr(machine, "group_memories", list)
     assert 0 < machine.free_memory_bytes() <= machine.memory_bytes()
-    limit = tmp_path / "memory.max"
-    monkeypatch.setattr(machine, "_CGROUP", (tmp_path / "none", limit))
-    everything = machine.memory_bytes()
-    limit.write_text("max\n")
-    assert machine.memory_bytes() == everything
-    limit.write_text("100000\n")
-    assert machine.memory_bytes() == machine.free_memory_bytes() == 100000
+    job, machines = GroupMemory(100_000, 60_000), GroupMemory(70_000, 10_000)
+    monkeypatch.setattr(machine, "group_memories", lambda: [job, machines])
+    assert machine.memory_bytes() == 70_000
+    assert machine.free_memory_bytes() == 40_000
 
 
 def test_room_on_the_disk_is_that_of_the_nearest_folder_that_exists(tmp_path):

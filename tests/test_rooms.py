@@ -44,6 +44,7 @@ LAYERS = (
 SURVEY_SHARED = {
     "__init__.py",
     "code_hash.py",
+    "control_groups.py",
     "errors.py",
     "forecast.py",
     "lines.py",
@@ -90,7 +91,7 @@ DISK_FILES = {
             "read_back",
             "vectors",
         ),
-        "survey": ("code_hash", "machine", "progress", "stage_key"),
+        "survey": ("code_hash", "control_groups", "machine", "progress", "stage_key"),
         "survey/adjust": ("adjustment", "waterline", "written"),
         "survey/benchmark": ("benchmark", "cases", "corrected", "records", "running"),
         "survey/change": ("surveys",),

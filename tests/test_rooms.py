@@ -37,6 +37,7 @@ LAYERS = (
     {"survey/export", "survey/simulate/drawn"},
     {"survey/simulate/staging", "survey/benchmark", "survey/change", "survey/profile", "survey/volume"},
     {"survey/handles"},
+    {"survey/viewer"},
     {"survey/commands"},
     {"bathynerf"},
 )

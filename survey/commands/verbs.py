@@ -26,6 +26,7 @@ from survey.commands import (
     profile,
     render,
     simulate,
+    view,
     waterline,
 )  # fmt: skip
 from survey.commands.console import BEFORE_VERB
@@ -35,7 +36,7 @@ from survey.commands.pages import Page
 from survey.commands.streams import say_error
 
 # In the order of `bathynerf --help`.
-VERBS = (init, check, process, waterline, export, render, field, compare, change, profile, simulate, benchmark)
+VERBS = (init, check, process, waterline, view, export, render, field, compare, change, profile, simulate, benchmark)
 
 _EPILOG = """\b
 Exit codes:

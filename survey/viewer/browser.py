@@ -1,0 +1,54 @@
+"""The server that a browser talks to (viser), of this machine alone unless another address is asked for."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+from contextlib import redirect_stdout
+from typing import TYPE_CHECKING
+
+from survey.errors import SurveyError
+
+if TYPE_CHECKING:
+    import viser
+
+
+def open_server(host: str, port: int, title: str) -> viser.ViserServer:
+    """A server at an address of this machine; the next free port, where the one that is asked for is taken.
+
+    Raises
+    ------
+    SurveyError
+        If viser is not installed, or the address is not of this machine.
+    """
+    try:
+        import viser
+    except ModuleNotFoundError as error:
+        raise SurveyError("a run is shown by viser, which is not installed: pip install 'bathynerf[viewer]'") from error
+    try:
+        # viser takes a refusal for a port that is taken and tries the next one.
+        asyncio.run(_listen(host))
+    except OSError as error:
+        raise SurveyError(
+            f"--host {host} is no address of this machine ({error.strerror or error}); give localhost, 0.0.0.0 for all "
+            "of its addresses, or one of them"
+        ) from error
+    # viser says where it listens, which the command does itself.
+    with redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
+    server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+    # A page in the browser could ask for a public address of the run.
+    server.__dict__["request_share_url"] = lambda *_, **__: None
+    return server
+
+
+async def _listen(host: str) -> None:
+    server = await asyncio.start_server(lambda _reader, _writer: None, host, 0)
+    server.close()
+    await server.wait_closed()
+
+
+def address(server: viser.ViserServer, host: str) -> str:
+    """What is typed into a browser on this machine."""
+    name = "localhost" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+    return f"http://{name}:{server.get_port()}"

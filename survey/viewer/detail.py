@@ -1,0 +1,138 @@
+"""The cloud in one browser: nodes of the octree are sent as its camera sees them, the coarse ones first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from threading import Event, Thread
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from survey.photos.cameras import rotation_from_quaternion
+from survey.viewer.shown import Shown
+from survey.viewer.viewpoint import MOST_POINTS, Viewpoint, point_sizes, select_nodes
+
+if TYPE_CHECKING:
+    import viser
+
+# Sizes of points that differ by less are not sent again.
+_SAME_SIZE = 0.05
+NODE = "/cloud/{}"
+
+
+@dataclass(frozen=True)
+class Style:
+    """How the points are drawn.
+
+    Attributes
+    ----------
+    kind : str
+        A column of `Shown`, or ``colour``.
+    limits : (low, high) or None
+        Values of the first and the last colour.
+    size : [-]
+        Factor of the sizes that leave no gap.
+    is_shown : bool
+    """
+
+    kind: str = "colour"
+    limits: tuple[float, float] | None = None
+    size: float = 1.0
+    is_shown: bool = True
+
+    @property
+    def colouring(self) -> tuple:
+        """What decides the colours."""
+        return self.kind, self.limits
+
+
+def viewpoint_of(camera: viser.CameraHandle) -> Viewpoint:
+    """The viewpoint of a browser."""
+    rotation = rotation_from_quaternion(*(float(v) for v in camera.wxyz))
+    return Viewpoint(np.asarray(camera.position), rotation.T, camera.fov, camera.aspect, float(camera.image_height))
+
+
+def node_arrays(shown: Shown, node: int, style: Style) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Middle (3,) float64, points from there (K, 3) float16 and colours (K, 3) uint8 of a node.
+
+    Half precision is off by 2048th of the half side at most, a thirtieth of the spacing of a node's points.
+    """
+    rows = shown.tree.rows(node)
+    points = shown.tree.points[rows]
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    return middle, (points - middle).astype(np.float16), shown.colours(style.kind, rows, style.limits)
+
+
+class CloudInBrowser:
+    """A thread that keeps the cloud in one browser as fine as it shows, until `close`."""
+
+    def __init__(self, client: viser.ClientHandle, shown: Shown, style: Style):
+        self._client, self._shown, self._style = client, shown, style
+        self._nodes: dict[int, viser.PointCloudHandle] = {}
+        self._colouring: dict[int, tuple] = {}
+        self._wake, self._is_closed = Event(), False
+        self._wake.set()
+        Thread(target=self._work, daemon=True).start()
+
+    def look_again(self, style: Style | None = None) -> None:
+        """Draw what is needed now: the camera has moved, or the style is another one."""
+        self._style = self._style if style is None else style
+        self._wake.set()
+
+    def close(self) -> None:
+        """End the thread."""
+        self._is_closed = True
+        self._wake.set()
+
+    def _work(self) -> None:
+        while True:
+            self._wake.wait()
+            self._wake.clear()
+            if self._is_closed:
+                return
+            self._draw()
+
+    def _draw(self) -> None:
+        """Send what is missing; ends early where there is news, with at least one node more than before."""
+        style, tree, view = self._style, self._shown.tree, viewpoint_of(self._client.camera)
+        wanted = select_nodes(tree, view) if style.is_shown else np.empty(0, dtype=np.int64)
+        self._make_room(wanted)
+        for node in wanted.tolist():
+            if node not in self._nodes:
+                self._add(node, style)
+            elif self._colouring[node] != style.colouring:
+                self._nodes[node].colors = self._shown.colours(style.kind, tree.rows(node), style.limits)
+                self._colouring[node] = style.colouring
+            else:
+                continue
+            if self._wake.is_set():
+                break
+        drawn = np.array(sorted(self._nodes), dtype=np.int64)
+        sizes = style.size * point_sizes(tree, drawn, view, self._shown.gsd_m)
+        for node, handle in self._nodes.items():
+            if abs(handle.point_size - sizes[node]) > _SAME_SIZE * sizes[node]:
+                handle.point_size = float(sizes[node])
+
+    def _add(self, node: int, style: Style) -> None:
+        middle, points, colours = node_arrays(self._shown, node, style)
+        self._nodes[node] = self._client.scene.add_point_cloud(
+            NODE.format(node),
+            points,
+            colours,
+            position=middle,
+            point_size=style.size * self._shown.gsd_m,
+            point_shape="circle",
+            point_shading="flat",
+        )
+        self._colouring[node] = style.colouring
+
+    def _make_room(self, wanted: np.ndarray) -> None:
+        """Take nodes that are not wanted out of the browser, as far as it would draw too many points."""
+        counts, needed = self._shown.tree.counts, set(wanted.tolist())
+        total = int(counts[wanted].sum()) + sum(int(counts[node]) for node in self._nodes if node not in needed)
+        for node in [node for node in self._nodes if node not in needed]:
+            if self._style.is_shown and total <= MOST_POINTS and self._colouring[node] == self._style.colouring:
+                continue
+            self._nodes.pop(node).remove()
+            del self._colouring[node]
+            total -= int(counts[node])

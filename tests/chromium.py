@@ -1,0 +1,106 @@
+"""A headless Chromium for tests, driven by its DevTools protocol."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+PROGRAM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+_OPTIONS = (
+    "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--hide-scrollbars",
+    "--remote-debugging-port=0", "--remote-allow-origins=*", "--no-first-run", "--disable-dev-shm-usage",
+)  # fmt: skip
+_WAIT_S = 120.0
+
+
+class Page:
+    """One page of the browser."""
+
+    def __init__(self, socket):
+        self._socket, self._number = socket, 0
+        self.said: list[str] = []
+
+    def ask(self, method: str, **parameters):
+        """The answer to a command of the protocol; what the console says meanwhile is kept in `said`."""
+        self._number += 1
+        self._socket.send(json.dumps({"id": self._number, "method": method, "params": parameters}))
+        while True:
+            told = json.loads(self._socket.recv(timeout=_WAIT_S))
+            if told.get("id") == self._number:
+                if "error" in told:
+                    raise RuntimeError(f"{method}: {told['error']}")
+                return told["result"]
+            if told.get("method") in ("Runtime.exceptionThrown", "Network.loadingFailed"):
+                self.said.append(json.dumps(told["params"])[:2000])
+            if told.get("method") == "Network.requestWillBeSent":
+                self.said.append("request " + told["params"]["request"]["url"][:80])
+
+    def value(self, expression: str):
+        """What a JavaScript expression gives."""
+        return self.ask("Runtime.evaluate", expression=expression, returnByValue=True)["result"].get("value")
+
+    def until(self, expression: str, seconds: float = _WAIT_S) -> None:
+        """Wait until an expression is true."""
+        end = time.monotonic() + seconds
+        while not self.value(expression):
+            if time.monotonic() > end:
+                raise TimeoutError(f"{expression} has not become true in {seconds} s")
+            time.sleep(0.2)
+
+    def click(self, x: float, y: float) -> None:
+        """Press and release the left button at a place [px]."""
+        for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
+            self.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def screenshot(self, path: Path | None = None) -> bytes:
+        """The page as PNG."""
+        data = base64.b64decode(self.ask("Page.captureScreenshot", format="png")["data"])
+        if path is not None:
+            path.write_bytes(data)
+        return data
+
+
+@contextmanager
+def page_at(url: str, width: int = 1000, height: int = 700) -> Iterator[Page]:
+    """A page that shows an address."""
+    from websockets.sync.client import connect
+
+    with TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        command = [PROGRAM, *_OPTIONS, f"--window-size={width},{height}", f"--user-data-dir={profile}", "about:blank"]
+        log = Path(profile) / "log"
+        with log.open("wb") as stream:
+            browser = subprocess.Popen(command, stderr=stream, stdout=stream)
+        try:
+            with connect(_page_socket(log), max_size=None, ping_interval=None) as socket:
+                page = Page(socket)
+                for domain in ("Page", "Runtime", "Network"):
+                    page.ask(f"{domain}.enable")
+                page.ask("Page.navigate", url=url)
+                yield page
+        finally:
+            browser.terminate()
+            browser.wait(20)
+
+
+def _page_socket(log: Path) -> str:
+    """The address of the first page, by what the browser says where it listens."""
+    from urllib.request import urlopen
+
+    end = time.monotonic() + _WAIT_S
+    while time.monotonic() < end:
+        found = re.search(r"DevTools listening on ws://([^/]+)/", log.read_text(errors="replace"))
+        if found:
+            with urlopen(f"http://{found[1]}/json/list") as answer:
+                pages = [each for each in json.load(answer) if each["type"] == "page"]
+            if pages:
+                return pages[0]["webSocketDebuggerUrl"]
+        time.sleep(0.2)
+    raise TimeoutError(f"Chromium does not listen: {log.read_text(errors='replace')[-500:]}")

@@ -11,7 +11,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from bathynerf._rooms import find_beside
+from bathynerf._rooms import find_beside, require_rooms
 
 if TYPE_CHECKING:
     from geo.errors import GeoError
@@ -148,6 +148,7 @@ if not TYPE_CHECKING:
 
             value: Any = version("bathynerf")
         elif name in _HOME:
+            require_rooms()
             value = getattr(importlib.import_module(_HOME[name]), _OTHER_NAMES.get(name, name))
         else:
             raise AttributeError(f"module 'bathynerf' has no attribute {name!r}")

@@ -1,6 +1,25 @@
-"""``python -m bathynerf``: the command line, where the console command is not on the path."""
+"""The command line, as the command `bathynerf` and as ``python -m bathynerf``."""
 
-from survey.commands.app import main
+from __future__ import annotations
+
+import sys
+
+from bathynerf._rooms import ForeignPackage, require_rooms
+
+_BAD_INSTALLATION = 2
+
+
+def main() -> None:
+    """Run the verb named by the arguments, or say which other package is in the way."""
+    try:
+        require_rooms()
+    except ForeignPackage as error:
+        sys.stderr.write(f"error: {error}\n")
+        sys.exit(_BAD_INSTALLATION)
+    from survey.commands.app import main as run
+
+    run()
+
 
 if __name__ == "__main__":
     main()

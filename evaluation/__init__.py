@@ -16,6 +16,8 @@
 | quality of images | `images/` |
 """
 
+# Part of bathynerf.
+
 from evaluation.baselines import apparent_points, per_camera, times_index
 from evaluation.bootstrap import Blocks, mean_interval, spatial_blocks
 from evaluation.c2m import MeshDistances, distance_to_mesh

@@ -13,6 +13,8 @@ The formats have no folder of their own: they need `crs`, `errors` and `files`, 
 may import each other.
 """
 
+# Part of bathynerf.
+
 from geo.compatibility import crs_difference, require_same_crs, require_same_place, same_crs
 from geo.crs import parse_crs, wkt1
 from geo.errors import GeoError

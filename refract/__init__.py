@@ -1,5 +1,7 @@
 """Snell optics of a camera in air and a bed under water."""
 
+# Part of bathynerf.
+
 from refract._ranges import OutsideFit
 from refract.absorption import channel_absorption, leg_transmittance
 from refract.air import air_index

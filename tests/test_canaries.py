@@ -91,7 +91,7 @@ def test_help_and_the_page_of_commands_list_the_same_verbs():
 
 def test_the_console_command_is_the_command_line():
     (command,) = importlib.metadata.entry_points(group="console_scripts", name="bathynerf")
-    assert command.value == "survey.commands.app:main"
+    assert command.value == "bathynerf.__main__:main"
 
 
 def test_make_knows_the_targets_that_readme_names():

@@ -18,15 +18,13 @@ from survey.errors import ConfigError
 from survey.files.csv_table import read_table
 from survey.folder.level_observation import LevelObservation
 from survey.photos.cameras import View
+from survey.photos.intersection import intersect
 from survey.photos.names import ImageNames
 
 # Of a click [px]: the edge of water is rarely sharp.
 CLICK_STD_PX = 2.0
 # A place whose clicks miss it by this many standard deviations is not one place.
 _MOST_MISS = 5.0
-# Rays that meet at a smaller angle [rad] than this tell no height.
-_LEAST_ANGLE = 0.02
-_ROUNDS = 10
 
 
 class Click(NamedTuple):
@@ -101,42 +99,15 @@ def _clicks_by_place(path: Path, views: Sequence[View]) -> tuple[dict[str, list[
 
 def _level_of(clicks: Sequence[Click], frame: LocalFrame) -> LevelObservation | None:
     """Where the rays of clicks meet, by least squares of pixels; None where they do not, or tell no height."""
-    rays = np.array([view.camera.directions(pixel) for view, pixel, _ in clicks])
-    centres = np.array([view.camera.centre for view, _, _ in clicks])
-    cosines = np.clip(rays @ rays.T, -1.0, 1.0)
-    if not np.isfinite(rays).all() or np.arccos(cosines.min()) < _LEAST_ANGLE:
+    stds = np.array([std for _, _, std in clicks])
+    met = intersect([view.camera for view, _, _ in clicks], np.array([pixel for _, pixel, _ in clicks]), stds, None)
+    if met is None or not np.abs(met.residuals / stds[:, None]).max() < _MOST_MISS:
         return None
-    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
-    point = np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, centres))
-    std = np.repeat([std for _, _, std in clicks], 2)
-    for _ in range(_ROUNDS):
-        miss, slope = _misses(clicks, point)
-        if not np.isfinite(miss).all() or not np.isfinite(slope).all():
-            return None
-        step = np.linalg.lstsq(slope / std[:, None], -miss / std, rcond=None)[0]
-        point = point + step
-        if np.abs(step).max() < 1e-6:
-            break
-    miss, slope = _misses(clicks, point)
-    if not np.abs(miss / std).max() < _MOST_MISS:
-        return None
-    covariance = np.linalg.inv((slope / std[:, None]).T @ (slope / std[:, None]))
-    place = frame.crs_from_local(point)
+    place = frame.crs_from_local(met.place)
     return LevelObservation(
         float(place[2]) * height_unit_m(frame.crs),
-        float(np.sqrt(covariance[2, 2])),
+        float(np.sqrt(met.covariance[2, 2])),
         (float(place[0]), float(place[1])),
         None,
         "clicks",
     )
-
-
-def _misses(clicks: Sequence[Click], point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """By how much a point (3,), local, is seen beside its clicks (2 N,) [px], and the derivative (2 N, 3)."""
-    miss, slope = [], []
-    for view, pixel, _ in clicks:
-        step = 1e-6 * np.linalg.norm(view.camera.centre - point)
-        moved = view.camera.project(point + step * np.vstack([np.zeros(3), np.eye(3), -np.eye(3)]), None)
-        miss.append(moved[0] - pixel)
-        slope.append((moved[1:4] - moved[4:]).T / (2.0 * step))
-    return np.concatenate(miss), np.concatenate(slope)

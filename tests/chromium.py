@@ -44,8 +44,9 @@ class Page:
                 self.said.append("request " + told["params"]["request"]["url"][:80])
 
     def value(self, expression: str):
-        """What a JavaScript expression gives."""
-        return self.ask("Runtime.evaluate", expression=expression, returnByValue=True)["result"].get("value")
+        """What a JavaScript expression gives, awaited."""
+        said = self.ask("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        return said["result"].get("value")
 
     def until(self, expression: str, seconds: float = _WAIT_S) -> None:
         """Wait until an expression is true."""
@@ -59,6 +60,11 @@ class Page:
         """Press and release the left button at a place [px]."""
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
             self.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def press(self, key: str) -> None:
+        """Press and release a key."""
+        for kind in ("keyDown", "keyUp"):
+            self.ask("Input.dispatchKeyEvent", type=kind, key=key)
 
     def screenshot(self, path: Path | None = None) -> bytes:
         """The page as PNG."""

@@ -22,6 +22,7 @@ from survey.commands import (
     export,
     field,
     init,
+    mark,
     process,
     profile,
     render,
@@ -36,7 +37,9 @@ from survey.commands.pages import Page
 from survey.commands.streams import say_error
 
 # In the order of `bathynerf --help`.
-VERBS = (init, check, process, waterline, view, export, render, field, compare, change, profile, simulate, benchmark)
+VERBS = (
+    init, check, mark, process, waterline, view, export, render, field, compare, change, profile, simulate, benchmark
+)  # fmt: skip
 
 _EPILOG = """\b
 Exit codes:

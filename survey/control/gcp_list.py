@@ -6,6 +6,7 @@ The centre of its first pixel is 0, 0. Lines without a name are of one point whe
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
 from survey.control.content import Content, ControlFormat, GivenMark, GivenPoint, is_check_role
@@ -28,9 +29,7 @@ def read_gcp_list(path: Path) -> Content:
     ControlError
         If the line with the CRS is missing, or a line is not of the form above.
     """
-    lines = [
-        (n, line) for n, line in text_lines(path, ControlError) if line.strip() and not line.lstrip().startswith("#")
-    ]
+    lines = [(n, line) for n, line in text_lines(path, ControlError) if is_of_content(line)]
     if not lines:
         raise ControlError(f"{path} is empty, expected a line with its CRS, then lines {_FORM}; write it again")
     number, header = lines[0]
@@ -49,12 +48,38 @@ def read_gcp_list(path: Path) -> Content:
     return Content(tuple(points), tuple(marks))
 
 
+def is_of_content(line: str) -> bool:
+    """Whether a line is neither empty nor a comment."""
+    return bool(line.strip()) and not line.lstrip().startswith("#")
+
+
+def line_cells(line: str) -> list[str]:
+    """The values of a line; a name with a space is whole only between tabs."""
+    if line.strip().count("\t") >= 5:
+        return [cell.strip() for cell in line.split("\t") if cell.strip()]
+    return line.split()
+
+
+def mark_line(place: Sequence[str], pixel: tuple[float, float], image: str, words: Sequence[str]) -> str:
+    """A line of a mark, which `read_gcp_list` reads.
+
+    Parameters
+    ----------
+    place : x, y, z
+        As the file has them.
+    pixel : (x, y)
+        The centre of the first pixel is 0.5, 0.5, as everywhere here.
+    image : str
+    words : name and role, or as many of them as there are
+    """
+    at = [f"{value - _HALF_A_PIXEL:.3f}" for value in pixel]
+    cells = [*place, *at, image, *words]
+    return ("\t" if any(" " in cell for cell in cells) else " ").join(cells)
+
+
 def _parts(line: str, where: str) -> tuple[list[float], str, list[str]]:
     """The five numbers of a line, the name of the image, and the words after it."""
-    # A name with a space is whole only between tabs.
-    cells = (
-        [cell.strip() for cell in line.split("\t") if cell.strip()] if line.strip().count("\t") >= 5 else line.split()
-    )
+    cells = line_cells(line)
     if len(cells) < 6 and "," in line:
         raise ControlError(f"{where}: values are separated by commas, expected spaces or tabs: {_FORM}; replace them")
     if len(cells) < 6:

@@ -84,8 +84,14 @@ def process_config(folder: Path) -> ProcessConfig:
     return read_config(toml).process if toml.is_file() else ProcessConfig()
 
 
-def find_survey(folder: Path) -> Found:
+def find_survey(folder: Path, *, config: SurveyConfig | None = None) -> Found:
     """Read the settings and image headers of a survey folder; no pixel is decoded.
+
+    Parameters
+    ----------
+    folder : Path
+    config : SurveyConfig, optional
+        What counts in place of survey.toml.
 
     Raises
     ------
@@ -98,7 +104,8 @@ def find_survey(folder: Path) -> Found:
         raise SurveyError(f"the survey folder {folder} {what}; expected a folder with images and {FILE_NAME}")
     toml = folder / FILE_NAME
     assumptions: list[str] = []
-    config = read_config(toml) if toml.is_file() else infer.config_of_folder(folder)
+    if config is None:
+        config = read_config(toml) if toml.is_file() else infer.config_of_folder(folder)
     poses_path = _poses_path(folder, config, assumptions)
     images = list_images(folder / config.images.dir, deep=config.images.dir != ".")
     warnings: list[str] = []

@@ -1,0 +1,1 @@
+"""Marks of control points and clicks on the waterline, set in the photographs in a browser."""

@@ -1,0 +1,274 @@
+"""The points and marks of a survey as its files have them, and one mark after another put into these files.
+
+The files are the state: each is read again where it has changed, a mark is put into what is there, and the whole file
+is replaced, so that what another program writes meanwhile stays.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple, TypeVar
+
+from geo.files import write_whole
+from survey.control import gcp_list
+from survey.control.content import Content, GivenMark, GivenPoint
+from survey.control.horizontal import in_crs
+from survey.control.reading import read_control
+from survey.control.tables import read_checkpoints
+from survey.errors import SurveyError
+from survey.folder.config import SurveyConfig
+from survey.folder.found import Found
+from survey.marking.clicks_file import read_clicks, with_click
+from survey.marking.gcp_file import ControlMark, points_without_mark, with_marks
+from survey.photos.names import ImageNames
+
+GCP_LIST, CLICKS = "gcp_list.txt", "clicks.csv"
+# Kinds of points: of known coordinates, or spots where the water ends.
+GROUND, WATER = "ground", "water"
+# In files the first are told from the others by white space, comments and quotes.
+_NOT_IN_NAMES = set('\t\r\n,;"#')
+
+Pixel = tuple[float, float]
+_Read = TypeVar("_Read")
+
+
+class Key(NamedTuple):
+    """A point by its kind, `GROUND` or `WATER`, and name."""
+
+    kind: str
+    name: str
+
+
+class Edit(NamedTuple):
+    """A mark before it was set, moved or removed; its pixel is None where there was none."""
+
+    key: Key
+    image: str
+    before: Pixel | None
+
+
+@dataclass
+class _Cached:
+    stamp: object
+    content: object
+
+
+class Book:
+    """Points, their marks, and the files that these go to.
+
+    Attributes
+    ----------
+    control_path, clicks_path : Path
+        What is written.
+    """
+
+    def __init__(self, config: SurveyConfig, found: Found, points: Path | None = None):
+        self._config, self._found, self._points_path = config, found, points
+        self._sizes = {name: head.size_px for name, head in found.heads.items()}
+        self.control_path = found.folder / _control_name(found.folder, config)
+        water = config.water
+        self.clicks_path = found.folder / (CLICKS if water is None or water.clicks is None else water.clicks)
+        self._cache: dict[Path, _Cached] = {}
+        self._done: list[Edit] = []
+        contents = self._contents()
+        self._fixed = self._placed([point for content in contents for point in content.points])
+        # Marks of other files go into gcp_list.txt when it is written first.
+        self._foreign = self._named([mark for content in contents for mark in content.marks])
+        self._accurate = self._coordinate_files()
+        self._added: dict[str, GivenPoint] = {}
+        self._spots: dict[str, None] = {}
+
+    @property
+    def can_undo(self) -> bool:
+        """Whether there is an edit to take back."""
+        return bool(self._done)
+
+    def points(self) -> dict[Key, GivenPoint | None]:
+        """All points with their coordinates in the crs of the survey; spots of the waterline have none."""
+        _, ground = self._control()
+        # In the order of the files, those of gcp_list.txt alone after the others.
+        known = {**self._fixed, **{name: point for name, point in ground.items() if name not in self._fixed}}
+        points: dict[Key, GivenPoint | None] = {
+            Key(GROUND, name): point for name, point in {**self._added, **known}.items()
+        }
+        names = dict.fromkeys(row.name for row in self._clicks()) | self._spots
+        return points | {Key(WATER, name): None for name in names}
+
+    def marks(self) -> dict[Key, dict[str, Pixel]]:
+        """Marks by point and photograph."""
+        control, _ = self._control()
+        found: dict[Key, dict[str, Pixel]] = {}
+        for (name, image), pixel in control.items():
+            found.setdefault(Key(GROUND, name), {})[image] = pixel
+        for row in self._clicks():
+            if row.image is not None:
+                found.setdefault(Key(WATER, row.name), {})[row.image] = row.pixel
+        return found
+
+    def add(self, kind: str, name: str, place: tuple[float, float, float] | None) -> Key:
+        """A point that a mark can be set of: it is in no file before one is.
+
+        Raises
+        ------
+        SurveyError
+            If there is such a point, or its name cannot be in the files.
+        """
+        name = name.strip()
+        key = Key(kind, name)
+        if not name or _NOT_IN_NAMES & set(name):
+            raise SurveyError("the name of a point needs a letter, and no comma, semicolon, quote or #; give another")
+        if key in self.points():
+            raise SurveyError(f"there is a point {name} already; give another name")
+        if kind == WATER:
+            self._spots[name] = None
+        elif place is None:
+            raise SurveyError(f"the control point {name} has no coordinates, expected easting, northing and height")
+        else:
+            self._added[name] = GivenPoint(name, "entered by hand", place)
+        return key
+
+    def set(self, key: Key, image: str, pixel: Pixel | None) -> None:
+        """Set or move the mark of a point in a photograph, or remove it, and write the file.
+
+        Raises
+        ------
+        SurveyError
+            If there is no such point or photograph, or the pixel is outside of it.
+        UnwritableFile
+            If the system refuses.
+        """
+        if key not in self.points() or image not in self._sizes:
+            raise SurveyError(f"there is no point {key.name[:40]}, or no photograph {image[:60]}; load the page again")
+        width, height = self._sizes[image]
+        if pixel is not None and not (0.0 <= pixel[0] <= width and 0.0 <= pixel[1] <= height):
+            raise SurveyError(f"{pixel[0]:g}, {pixel[1]:g} is outside of {image}, which has {width} x {height} pixels")
+        before = self.marks().get(key, {}).get(image)
+        self._write(key, image, pixel)
+        self._done.append(Edit(key, image, before))
+
+    def undo(self) -> Edit:
+        """Take back the last edit; returns it.
+
+        Raises
+        ------
+        SurveyError
+            If there is none.
+        """
+        if not self._done:
+            raise SurveyError("there is nothing to take back")
+        edit = self._done[-1]
+        if edit.key.kind == WATER:
+            self._spots[edit.key.name] = None
+        self._write(edit.key, edit.image, edit.before)
+        self._done.pop()
+        return edit
+
+    def settings(self) -> list[str]:
+        """Lines that survey.toml lacks for `process` to use what was written."""
+        control, lines = self._config.control, []
+        if self.control_path.is_file():
+            wanted = [*self._accurate, self.control_path.relative_to(self._found.folder).as_posix()]
+            if list(control.gcp_files) != wanted or control.marks is not None:
+                named = ", ".join(f'"{name}"' for name in wanted)
+                without = ", without marks" if control.marks is not None else ""
+                lines.append(f"[control] gcps = {named if len(wanted) == 1 else f'[{named}]'}{without}")
+        water = self._config.water
+        if self.clicks_path.is_file() and (water is None or water.clicks is None):
+            instead = "" if water is None else ", in place of the level that is there"
+            lines.append(f'[water] clicks = "{self.clicks_path.name}"{instead}')
+        return lines
+
+    def _write(self, key: Key, image: str, pixel: Pixel | None) -> None:
+        path = self.clicks_path if key.kind == WATER else self.control_path
+        if key.kind == WATER:
+            text = with_click(path, key.name, image, pixel, self._sizes)
+        else:
+            points = self.points()
+            found = {} if path.is_file() else dict(self._foreign)
+            found = {(name, photo): at for (name, photo), at in found.items() if Key(GROUND, name) in points}
+            marks = [
+                ControlMark(name, point.place, point.is_check, photo, at)
+                for (name, photo), at in {**found, (key.name, image): pixel}.items()
+                if (point := points[Key(GROUND, name)]) is not None
+            ]
+            text = with_marks(path, marks, self._found.crs, self._sizes)
+        with write_whole(path) as stream:
+            stream.write(text.encode())
+
+    def _control(self) -> tuple[Mapping[tuple[str, str], Pixel], Mapping[str, GivenPoint]]:
+        """Marks by name and photograph, and points, of gcp_list.txt; of other files before there is one."""
+
+        def read(path: Path) -> tuple[Mapping[tuple[str, str], Pixel], Mapping[str, GivenPoint]]:
+            content = gcp_list.read_gcp_list(path)
+            return self._named(content.marks), self._placed([*content.points, *points_without_mark(path)])
+
+        if not self.control_path.is_file():
+            return self._foreign, {}
+        return self._fresh(self.control_path, read)
+
+    def _clicks(self):
+        return self._fresh(self.clicks_path, lambda path: read_clicks(path, self._sizes))
+
+    def _fresh(self, path: Path, read: Callable[[Path], _Read]) -> _Read:
+        """The content of a file, read again where it has changed."""
+        status = path.stat() if path.is_file() else None
+        stamp = None if status is None else (status.st_mtime_ns, status.st_size, status.st_ino)
+        if path not in self._cache or self._cache[path].stamp != stamp:
+            self._cache[path] = _Cached(stamp, read(path))
+        return self._cache[path].content  # type: ignore[return-value]
+
+    def _contents(self) -> list[Content]:
+        """What the other files of control and check points say, and the one of --points."""
+        folder, control = self._found.folder, self._config.control
+        paths = [folder / name for name in control.gcp_files if folder / name != self.control_path]
+        paths += [] if self._points_path is None else [self._points_path]
+        contents = [read_control(path) for path in paths if not _is_same(path, self.control_path)]
+        if control.marks is not None:
+            contents.append(Content(marks=read_control(folder / control.marks).marks))
+        if control.checkpoints is not None:
+            contents.append(Content(points=read_checkpoints(folder / control.checkpoints)))
+        return contents
+
+    def _coordinate_files(self) -> list[str]:
+        """The files of control that tell how accurate points are, or have points without marks."""
+        folder, found = self._found.folder, []
+        for name in self._config.control.gcp_files:
+            if folder / name != self.control_path and not read_control(folder / name).marks:
+                found.append(name)
+        path = self._points_path
+        if path is not None and not _is_same(path, self.control_path):
+            content = read_control(path)
+            name = Path(os.path.relpath(path, folder)).as_posix()
+            if not content.marks and any(point.std_m for point in content.points) and name not in found:
+                found.append(name)
+        return found
+
+    def _placed(self, points: list[GivenPoint]) -> dict[str, GivenPoint]:
+        found: dict[str, GivenPoint] = {}
+        for point in in_crs(points, self._found.crs, []):
+            found.setdefault(point.name, point)
+        return found
+
+    def _named(self, marks: list[GivenMark] | tuple[GivenMark, ...]) -> dict[tuple[str, str], Pixel]:
+        names, found = ImageNames(self._sizes), {}
+        for mark in marks:
+            image = names.find(mark.image, mark.where)
+            if image is not None:
+                found[mark.point, image] = mark.in_pixels(self._sizes[image]).pixel
+        return found
+
+
+def _control_name(folder: Path, config: SurveyConfig) -> str:
+    """The gcp_list.txt that [control] names, there or not yet; else the usual name."""
+    for name in config.control.gcp_files:
+        path = folder / name
+        if gcp_list.FORMAT.recognises(path) if path.is_file() else path.suffix.lower() == ".txt":
+            return name
+    return GCP_LIST
+
+
+def _is_same(path: Path, other: Path) -> bool:
+    return path.resolve() == other.resolve()

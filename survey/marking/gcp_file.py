@@ -1,0 +1,157 @@
+"""gcp_list.txt with one mark set, moved or removed; every other line stays as it is."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pyproj import CRS
+
+from geo.crs import crs_code, horizontal_crs, is_geographic
+from geo.errors import UnknownUnit
+from geo.transformation import height_scale, transformed
+from survey.control.content import Content, GivenPoint
+from survey.control.gcp_list import is_of_content, line_cells, mark_line, read_gcp_list
+from survey.errors import ControlError
+from survey.files.csv_table import text_lines
+from survey.files.odm_crs import odm_crs
+from survey.photos.names import ImageNames
+
+# Decimals of coordinates in metres and in degrees: to a tenth of a millimetre.
+_DECIMALS_M, _DECIMALS_DEG = 4, 9
+# Before the last line of a point whose mark was removed: no other line has its coordinates.
+_UNMARKED = "# without a mark: "
+
+
+@dataclass(frozen=True)
+class ControlMark:
+    """A mark with all that its line says.
+
+    Attributes
+    ----------
+    point : str
+    place : (easting, northing, height)
+        In the crs of the survey.
+    is_check : bool
+    image : str
+    pixel : (x, y) or None
+        The centre of the first pixel is 0.5, 0.5. None: the mark is to be removed.
+    """
+
+    point: str
+    place: tuple[float, float, float]
+    is_check: bool
+    image: str
+    pixel: tuple[float, float] | None
+
+
+def with_marks(path: Path, marks: Iterable[ControlMark], crs: CRS, images: Iterable[str]) -> str:
+    """The text of a gcp_list.txt with some marks set, moved or removed; of a new one, where there is no file.
+
+    Raises
+    ------
+    ControlError
+        If the file is damaged.
+    GeoError
+        If its CRS and that of the survey have no way between them.
+    """
+    if path.is_file():
+        lines = [line for _, line in text_lines(path, ControlError)]
+        content = read_gcp_list(path)
+    else:
+        lines, content = [header_of(crs)], Content()
+    head = next(i for i, line in enumerate(lines) if is_of_content(line))
+    theirs = odm_crs(lines[head].strip(), str(path), path.name, ControlError)
+    at = [i for i in range(head + 1, len(lines)) if is_of_content(lines[i])]
+    names = ImageNames(images)
+    called = [names.find(mark.image, mark.where) for mark in content.marks]
+    said = list(zip(at, (point.name for point in content.points), called, strict=True))
+    unmarked = {cells[6]: i for i, line in enumerate(lines) if len(cells := _cells_without_mark(line)) > 6}
+    kept: dict[int, str | None] = dict(enumerate(lines))
+    new = []
+    for mark in marks:
+        of_point = [line for line, point, _ in said if point == mark.point]
+        of_mark = [line for line, point, image in said if (point, image) == (mark.point, mark.image)]
+        if mark.pixel is not None:
+            if of_point:
+                cells = line_cells(lines[of_point[0]])
+            elif mark.point in unmarked:
+                cells = _cells_without_mark(lines[unmarked[mark.point]])
+                kept[unmarked[mark.point]] = None
+            else:
+                cells = [*_coordinates(mark.place, crs, theirs), *[""] * 3, *_words(mark)]
+            line = mark_line(cells[:3], mark.pixel, mark.image, cells[6:])
+            if of_mark:
+                kept |= dict.fromkeys(of_mark) | {of_mark[0]: line}
+            else:
+                new.append(line)
+        elif of_mark:
+            is_last = of_mark == of_point
+            kept |= dict.fromkeys(of_mark) | ({of_mark[0]: _UNMARKED + lines[of_mark[0]]} if is_last else {})
+    return "\n".join([*(line for line in kept.values() if line is not None), *new, ""])
+
+
+def points_without_mark(path: Path) -> list[GivenPoint]:
+    """Points of a gcp_list.txt whose last mark was removed.
+
+    Raises
+    ------
+    ControlError
+        If the file is damaged.
+    """
+    lines = list(text_lines(path, ControlError))
+    head = next((line for _, line in lines if is_of_content(line)), "")
+    theirs = odm_crs(head.strip(), str(path), path.name, ControlError)
+    found = []
+    for number, line in lines:
+        cells = _cells_without_mark(line)
+        with suppress(ValueError):
+            if len(cells) > 6:
+                place = (float(cells[0]), float(cells[1]), float(cells[2]))
+                found.append(
+                    GivenPoint(cells[6], f"{path}, line {number}", place, theirs, is_check="check" in cells[7:])
+                )
+    return found
+
+
+def _cells_without_mark(line: str) -> list[str]:
+    """Values of a line of a point whose mark was removed; none of another line."""
+    return line_cells(line.removeprefix(_UNMARKED)) if line.startswith(_UNMARKED) else []
+
+
+def _words(mark: ControlMark) -> list[str]:
+    return [mark.point, "check"] if mark.is_check else [mark.point]
+
+
+def header_of(crs: CRS) -> str:
+    """The first line of a gcp_list.txt in the CRS of a survey: its horizontal part, as OpenDroneMap reads it.
+
+    Where plan and heights have different units, only the whole CRS tells that of the heights.
+    """
+    plan = horizontal_crs(crs)
+    try:
+        height_scale(plan, crs, "heights")
+    except UnknownUnit:
+        plan = crs
+    code = crs_code(plan) or ""
+    if code.startswith("EPSG:"):
+        return code
+    with warnings.catch_warnings():
+        # That a PROJ string has no name of the datum, which is that of the survey.
+        warnings.simplefilter("ignore", UserWarning)
+        return plan.to_proj4()
+
+
+def _coordinates(place: tuple[float, float, float], crs: CRS, theirs: CRS) -> list[str]:
+    """Coordinates in the crs of a survey as texts in that of a file, the inverse of what its reader does."""
+    at = np.array([place])
+    if not horizontal_crs(theirs).equals(horizontal_crs(crs), ignore_axis_order=True):
+        at = transformed(crs, theirs, at, "points of the survey in the CRS of gcp_list.txt", "or give both the same")
+    at[:, 2] /= height_scale(theirs, crs, "the heights of gcp_list.txt")
+    decimals = _DECIMALS_DEG if is_geographic(theirs) else _DECIMALS_M
+    east, north, height = at[0].tolist()
+    return [f"{east:.{decimals}f}", f"{north:.{decimals}f}", f"{height:.{_DECIMALS_M}f}"]

@@ -1,0 +1,131 @@
+"""Poses of the photographs that are marked: of a finished run, else of the poses file of the survey, else none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from geo.errors import GeoError
+from geo.frames import LocalFrame
+from refract import FlatWater
+from survey.errors import FILE_NAME, SurveyError
+from survey.folder import infer
+from survey.folder.config import SurveyConfig, read_config
+from survey.folder.config_control import ControlConfig
+from survey.folder.file_poses import read_file_poses
+from survey.folder.found import Found, find_survey
+from survey.folder.place import water_plane
+from survey.folder.shutter import with_motion
+from survey.folder.tides import with_tides
+from survey.folder.velocities import velocities_of
+from survey.folder.water import FRESH_WATER
+from survey.names import RUN_FOLDER
+from survey.photos.cameras import View
+from survey.run.flight import FLIGHT, load_flight
+
+
+@dataclass(frozen=True)
+class Posed:
+    """Photographs with poses.
+
+    Attributes
+    ----------
+    source : str
+        Where the poses come from, for a sentence.
+    frame : LocalFrame
+    views : dict of name to View
+    water : FlatWater or None
+        Local; None for dry ground, or where the level is not known yet.
+    """
+
+    source: str
+    frame: LocalFrame
+    views: Mapping[str, View]
+    water: FlatWater | None
+
+
+def survey_to_mark(folder: Path) -> tuple[SurveyConfig, Found]:
+    """The settings of a survey, and what its folder holds but for control and clicks, which need not be there yet.
+
+    Raises
+    ------
+    SurveyError, GeoError
+        Where something else is missing, damaged or contradictory.
+    """
+    if not folder.is_dir():
+        what = "is a file" if folder.exists() else "does not exist"
+        raise SurveyError(f"the survey folder {folder} {what}; expected a folder with photographs")
+    toml = folder / FILE_NAME
+    config = read_config(toml) if toml.is_file() else infer.config_of_folder(folder)
+    bare = replace(config, control=ControlConfig())
+    if config.water is not None and config.water.clicks is not None and not (folder / config.water.clicks).is_file():
+        bare = replace(bare, water=None)
+    return config, find_survey(folder, config=bare)
+
+
+def poses_to_mark(found: Found, run: Path | None, notes: list[str]) -> Posed | None:
+    """The best poses that there are; None where there are none. What lacks is added to the notes.
+
+    Parameters
+    ----------
+    found : Found
+    run : Path or None
+        A run folder whose poses are wanted; None: the one in the survey folder, if it has come to its end.
+    notes : list of sentences
+
+    Raises
+    ------
+    SurveyError
+        Where the run that is named has no poses.
+    """
+    folder = found.folder / RUN_FOLDER if run is None else run
+    if run is not None or (folder / FLIGHT).is_file():
+        flight = load_flight(folder)
+        return Posed(f"the run {folder}", flight.frame, {view.name: view for view in flight.views}, flight.water)
+    if found.poses_path is None:
+        notes.append(
+            "no poses are known yet, so no places are predicted; after `bathynerf process --quality draft` they are"
+        )
+        return None
+    try:
+        return _of_file(found, found.poses_path)
+    except (SurveyError, GeoError) as error:
+        notes.append(f"no places are predicted, the poses cannot be used: {error}")
+        return None
+
+
+def _of_file(found: Found, path: Path) -> Posed:
+    """The photographs as the poses file of a survey places them, without the checks that `check` makes."""
+    warnings: list[str] = []
+    try:
+        file = read_file_poses(found, path, [], warnings)
+    except SurveyError:
+        if found.config.water is None or found.config.water.clicks is None:
+            raise
+        # Clicks that tell no level yet.
+        found = replace(found, config=replace(found.config, water=None))
+        file = read_file_poses(found, path, [], warnings)
+    found, frame, views = file.found, file.frame, file.views
+    places = {view.name: view.camera.centre for view in views}
+    velocities = velocities_of(places, found.heads, found.config.cameras.speed_m_s)
+    views = with_motion(views, velocities, found.config.cameras, warnings)
+    water = _water(found, frame, views)
+    views, _ = with_tides(views, found.tide, water)
+    return Posed(path.name, frame, {view.name: view for view in views}, water)
+
+
+def _water(found: Found, frame: LocalFrame, views: list[View]) -> FlatWater | None:
+    """The water plane, whose index is that of fresh water unless survey.toml gives it as a number.
+
+    The light in the photographs, which `process` measures for it, changes a prediction by a thousandth of the depth.
+    """
+    given = found.config.water
+    if given is None or given.level_m is None:
+        return None
+    if given.level_at is None:
+        middle = frame.crs_from_local(np.mean([view.camera.centre for view in views], axis=0))
+        given = replace(given, level_at=(float(middle[0]), float(middle[1])))
+    return water_plane(frame, replace(given, refractive_index=given.refractive_index or FRESH_WATER))

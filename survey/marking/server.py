@@ -1,0 +1,192 @@
+"""The page of `bathynerf mark` and its data, served to a browser on the same machine or at the end of a tunnel.
+
+Who does not know the token gets nothing: the page has it from the address that the command prints, and sends it with
+every request in a header, which pages of other origins cannot.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import secrets
+import sys
+import threading
+from functools import cache
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+from urllib.parse import parse_qs, quote, unquote, urlsplit
+
+from geo.errors import GeoError
+from survey.errors import SurveyError
+from survey.marking.book import Key
+from survey.marking.session import Session
+from survey.marking.tiles import TILE_PX, Tiles
+
+TOKEN_HEADER = "X-Bathynerf-Token"
+_LONGEST_REQUEST = 100_000
+_LOOPBACK = ("localhost", "127.0.0.1", "::1")
+_SAFE = {
+    "Cache-Control": "no-store",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
+    "connect-src 'self'; img-src 'self' blob: data:",
+}
+
+
+class MarkingServer(ThreadingHTTPServer):
+    """Serves a session.
+
+    Parameters
+    ----------
+    session : Session
+    host, port
+        Port 0: any that is free.
+
+    Attributes
+    ----------
+    url : str
+        With the token.
+    """
+
+    daemon_threads = True
+
+    def __init__(self, session: Session, host: str = "localhost", port: int = 0):
+        self.session, self.tiles = session, Tiles(session.images)
+        self.token = secrets.token_urlsafe(16)
+        self.lock = threading.Lock()
+        self.is_loopback = host in _LOOPBACK
+        super().__init__((host, port), _Handler)
+        self.url = f"http://{host}:{self.server_address[1]}/?token={quote(self.token)}"
+
+    def handle_error(self, request, client_address):
+        """As the library, but for browsers that no longer want what they asked for."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: MarkingServer
+    protocol_version = "HTTP/1.1"
+
+    def do_GET(self):
+        """Page, state, what a photograph shows of a point, and tiles."""
+        url = urlsplit(self.path)
+        asked = {name: values[0] for name, values in parse_qs(url.query).items()}
+        if url.path == "/":
+            self._answer_if(self._is_ours(asked.get("token", "")), lambda: ("text/html; charset=utf-8", page()))
+        elif url.path == "/state":
+            self._json(lambda session: session.state())
+        elif url.path == "/look":
+            self._json(lambda session: session.look(_key(asked), asked["image"]))
+        elif url.path.startswith("/tile/"):
+            self._answer_if(self._is_ours(self._token()), lambda: ("image/jpeg", self._tile(url.path)))
+        else:
+            self._send(HTTPStatus.NOT_FOUND, "text/plain", b"there is no such page")
+
+    def do_POST(self):
+        """Marks set, moved and removed, points added, the last edit taken back: answered with the new state."""
+        length = self.headers.get("Content-Length", "")
+        if not (length.isdigit() and int(length) <= _LONGEST_REQUEST):
+            self.close_connection = True
+            self._send(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "text/plain", b"too long")
+            return
+        body = self.rfile.read(int(length))
+        does = {"/mark": _mark, "/add": _add, "/undo": _undo}.get(urlsplit(self.path).path)
+        if does is None:
+            self._send(HTTPStatus.NOT_FOUND, "text/plain", b"there is no such page")
+        else:
+            self._json(lambda session: does(session, _object(body)))
+
+    def log_message(self, format, *args):
+        """Nothing: the console is that of the command."""
+
+    def _json(self, answer):
+        def made():
+            with self.server.lock:
+                return "application/json", json.dumps(answer(self.server.session), allow_nan=False).encode()
+
+        self._answer_if(self._is_ours(self._token()), made)
+
+    def _token(self) -> str:
+        return self.headers.get(TOKEN_HEADER, "")
+
+    def _answer_if(self, is_ours: bool, make) -> None:
+        if not is_ours:
+            self._send(HTTPStatus.FORBIDDEN, "text/plain", b"open the address that bathynerf mark printed")
+            return
+        try:
+            kind, content = make()
+        except (SurveyError, GeoError) as error:
+            self._send(HTTPStatus.UNPROCESSABLE_ENTITY, "text/plain; charset=utf-8", str(error).encode())
+        except OSError as error:
+            self._send(HTTPStatus.INTERNAL_SERVER_ERROR, "text/plain; charset=utf-8", str(error).encode())
+        except (KeyError, TypeError, ValueError) as error:
+            self._send(HTTPStatus.BAD_REQUEST, "text/plain; charset=utf-8", f"not understood: {error}".encode())
+        else:
+            self._send(HTTPStatus.OK, kind, content)
+
+    def _is_ours(self, token: str) -> bool:
+        """Whether a request knows the token, and comes from this page alone."""
+        host, origin = self.headers.get("Host", ""), self.headers.get("Origin")
+        name = urlsplit(f"//{host}").hostname
+        is_right = secrets.compare_digest(token.encode(), self.server.token.encode())
+        is_here = name in _LOOPBACK or not self.server.is_loopback
+        return is_right and is_here and (origin is None or origin == f"http://{host}")
+
+    def _tile(self, path: str) -> bytes:
+        level, column, row, image = path.removeprefix("/tile/").split("/", 3)
+        return self.server.tiles.jpeg(unquote(image), int(level), int(column), int(row))
+
+    def _send(self, status: HTTPStatus, kind: str, content: bytes) -> None:
+        self.send_response(status)
+        for name, value in {"Content-Type": kind, "Content-Length": str(len(content)), **_SAFE}.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(content)
+
+
+def _object(body: bytes) -> dict:
+    said = json.loads(body)
+    if not isinstance(said, dict):
+        raise ValueError("expected an object in JSON")
+    return said
+
+
+def _key(said: dict) -> Key:
+    return Key(str(said["kind"]), str(said["name"]))
+
+
+def _mark(session: Session, said: dict) -> dict:
+    pixel = None if said["pixel"] is None else _numbers(said["pixel"], 2)
+    session.book.set(_key(said), str(said["image"]), pixel)
+    return session.state()
+
+
+def _add(session: Session, said: dict) -> dict:
+    place = said.get("place")
+    session.book.add(*_key(said), None if place is None else _numbers(place, 3))
+    return session.state()
+
+
+def _undo(session: Session, said: dict) -> dict:
+    edit = session.book.undo()
+    return session.state() | {"undone": {"kind": edit.key.kind, "name": edit.key.name, "image": edit.image}}
+
+
+def _numbers(values, count: int) -> tuple:
+    numbers = tuple(float(value) for value in values)
+    if len(numbers) != count or not all(math.isfinite(number) for number in numbers):
+        raise ValueError(f"expected {count} finite numbers")
+    return numbers
+
+
+@cache
+def page() -> bytes:
+    """The page with its style and script in it."""
+    room = files("survey.marking")
+    parts = {name: room.joinpath(f"page.{name}").read_text(encoding="utf-8") for name in ("html", "css", "js")}
+    text = parts["html"].replace("/* page.css */", parts["css"]).replace("/* page.js */", parts["js"])
+    return text.replace("{tile_px}", str(TILE_PX)).encode()

@@ -1,0 +1,264 @@
+"""What the page of `bathynerf mark` shows, as plain values: points, marks, residuals, and where to look next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from geo.crs import EARTH_RADIUS_M, height_unit_m
+from geo.transformation import lon_lat
+from refract import FlatWater
+from survey.control.content import GivenPoint
+from survey.errors import SurveyError
+from survey.folder.config_control import DEFAULT_MARKS_STD_PX
+from survey.folder.level_clicks import CLICK_STD_PX
+from survey.marking.book import GROUND, WATER, Book, Key, Pixel
+from survey.marking.geometry import by_gain, crossing, epipolar_curve, seen_at
+from survey.marking.poses import Posed, poses_to_mark, survey_to_mark
+from survey.photos.cameras import View
+from survey.photos.intersection import Intersection, intersect
+
+# A mark that misses the place of its point by this many standard deviations is shown as doubtful.
+_MOST_MISS = 3.0
+# Of epipolar curves in one photograph: more hide it.
+_MOST_CURVES = 6
+# Photographs that are proposed.
+_MOST_NEXT = 30
+
+
+class Session:
+    """A survey whose photographs are marked.
+
+    Parameters
+    ----------
+    folder : Path
+        The survey.
+    run : Path, optional
+        Whose poses are used; default: those of the run in the survey folder, else of the poses file.
+    points : Path, optional
+        Control points beside those that survey.toml names.
+
+    Attributes
+    ----------
+    book : Book
+    images : dict of name to Path
+    notes : list of sentences
+
+    Raises
+    ------
+    SurveyError, GeoError
+        Where something is missing, damaged or contradictory.
+    """
+
+    def __init__(self, folder: Path, *, run: Path | None = None, points: Path | None = None):
+        config, self._found = survey_to_mark(folder)
+        self.name = config.name or folder.resolve().name
+        self.book = Book(config, self._found, points)
+        self.images = self._found.images
+        self.notes: list[str] = []
+        self._posed: Posed | None = poses_to_mark(self._found, run, self.notes)
+        given = config.control.marks_std_px
+        self._std_px = {GROUND: DEFAULT_MARKS_STD_PX if given is None else given, WATER: CLICK_STD_PX}
+        self._met: dict[tuple, Intersection | None] = {}
+
+    def state(self) -> dict:
+        """All points and marks, for the lists of the page."""
+        points, marks = self.book.points(), self.book.marks()
+        posed = {} if self._posed is None else self._posed.views
+        return {
+            "name": self.name,
+            "crs": self._found.crs.name,
+            "poses": None if self._posed is None else self._posed.source,
+            "notes": [*self.notes, *self._moved_note(points, marks)],
+            "settings": self.book.settings(),
+            "files": {GROUND: str(self.book.control_path), WATER: str(self.book.clicks_path)},
+            "can_undo": self.book.can_undo,
+            "photographs": [
+                {"name": name, "size": self._found.heads[name].size_px, "posed": name in posed} for name in self.images
+            ],
+            "points": [self._point(key, point, marks.get(key, {})) for key, point in sorted(points.items(), key=_rank)],
+        }
+
+    def look(self, key: Key, image: str) -> dict:
+        """What a photograph shows of a point: its mark, the predicted place, epipolar curves; photographs to go on in.
+
+        Raises
+        ------
+        SurveyError
+            If there is no such point or photograph.
+        """
+        points, marks = self.book.points(), self.book.marks()
+        if key not in points or image not in self.images:
+            raise SurveyError(f"there is no point {key.name[:40]}, or no photograph {image[:60]}; load the page again")
+        point, own = points[key], marks.get(key, {})
+        if self._posed is None:
+            return {"predicted": None, "curves": [], "others": [], "next": self._without_poses(point, own, image)}
+        water, place = self._water_of(key), self._place(key, points, marks)
+        view = self._posed.views.get(image)
+        predicted = None if place is None or view is None else seen_at(view, place, water)
+        others = [(name, own[name]) for name in own if name in self._posed.views and name != image]
+        return {
+            "predicted": predicted,
+            "curves": [] if view is None else self._curves(others[:_MOST_CURVES], view, water),
+            "others": [] if view is None else self._others(key, view, points, marks),
+            "next": self._next(place, water, own, image),
+        }
+
+    def _others(self, key: Key, view: View, points, marks) -> list[dict]:
+        """Places of other points that a photograph shows without a mark."""
+        found = []
+        for other in points:
+            place = None if other == key or view.name in marks.get(other, {}) else self._place(other, points, marks)
+            seen = None if place is None else seen_at(view, place, self._water_of(other))
+            if seen is not None:
+                found.append({"kind": other.kind, "name": other.name, "pixel": seen})
+        return found
+
+    def _curves(self, marks: Sequence[tuple[str, Pixel]], view: View, water: FlatWater | None) -> list[dict]:
+        found = []
+        for name, pixel in marks:
+            curve = epipolar_curve(self._views[name], pixel, view, water)
+            found.append({"image": name, "dry": curve.dry.tolist(), "wet": curve.wet.tolist()})
+        return found
+
+    def _next(self, place: np.ndarray | None, water: FlatWater | None, own: Mapping[str, Pixel], image: str):
+        if place is None:
+            return self._in_order(own, image)
+        marked = [self._views[name] for name in own if name in self._views]
+        return by_gain(self._views.values(), place, water, marked, self._std_px[GROUND])[:_MOST_NEXT]
+
+    def _in_order(self, own: Mapping[str, Pixel], image: str) -> list[str]:
+        """Photographs after one, in their order, and then from the first."""
+        names = list(self.images)
+        at = names.index(image) + 1
+        return [name for name in (*names[at:], *names[: at - 1]) if name not in own][:_MOST_NEXT]
+
+    def _without_poses(self, point: GivenPoint | None, own: Mapping[str, Pixel], image: str) -> list[str]:
+        """Photographs by the distance of their GPS positions from a point, or in their order."""
+        known = {name: head.lat_lon_height for name, head in self._found.heads.items() if head.lat_lon_height}
+        if point is None or not known:
+            return self._in_order(own, image)
+        lon, lat = lon_lat(self._found.crs, np.array([point.place]))[0, :2]
+        places = np.radians([(at[1] - lon, at[0] - lat) for at in known.values()])
+        away = EARTH_RADIUS_M * np.hypot(places[:, 0] * np.cos(np.radians(lat)), places[:, 1])
+        order = [name for _, name in sorted(zip(away.tolist(), known, strict=True)) if name not in own]
+        return [name for name in order if name != image][:_MOST_NEXT]
+
+    def _point(self, key: Key, point: GivenPoint | None, own: Mapping[str, Pixel]) -> dict:
+        """A point with its marks, and what these say: residuals [px], standard deviation and error of the place [m]."""
+        said: dict = {
+            "kind": key.kind,
+            "name": key.name,
+            "check": point is not None and point.is_check,
+            "place": None if point is None else point.place,
+            "marks": own,
+            "limit_px": _MOST_MISS * self._std_px[key.kind],
+            "residuals": {},
+            "off_px": {},
+            "std_m": None,
+            "off_m": None,
+            "level": None,
+            "depth_m": None,
+        }
+        if self._posed is None:
+            return said
+        water = self._water_of(key)
+        given = self._given(point)
+        met = self._meet(key, own)
+        if given is not None:
+            seen = {name: self._views[name].camera.project(given, water) for name in own if name in self._views}
+            said["off_px"] = {
+                name: (np.array(own[name]) - at).tolist() for name, at in seen.items() if np.isfinite(at).all()
+            }
+            said["depth_m"] = self._depth(given)
+        if met is None:
+            return said
+        names = [name for name in own if name in self._views]
+        said["residuals"] = dict(zip(names, met.residuals.tolist(), strict=True))
+        said["std_m"] = np.sqrt(np.diag(met.covariance)).tolist()
+        if given is not None:
+            said["off_m"] = (met.place - given).tolist()
+        if key.kind == WATER:
+            said["level"] = float(self._posed.frame.crs_from_local(met.place)[2]) * height_unit_m(self._found.crs)
+        elif given is None:
+            said["depth_m"] = self._depth(met.place)
+        return said
+
+    @property
+    def _views(self) -> Mapping[str, View]:
+        return {} if self._posed is None else self._posed.views
+
+    def _water_of(self, key: Key) -> FlatWater | None:
+        """The water that bends the rays to a point: none to one where the water ends."""
+        return None if self._posed is None or key.kind == WATER else self._posed.water
+
+    def _depth(self, place: np.ndarray) -> float | None:
+        """Of a place below the water [m]; None above it."""
+        if self._posed is None or self._posed.water is None:
+            return None
+        depth = float(self._posed.water.depth(place))
+        return depth if depth > 0.0 else None
+
+    def _given(self, point: GivenPoint | None) -> np.ndarray | None:
+        """A point by its coordinates (3,), local."""
+        if point is None or self._posed is None:
+            return None
+        local = self._posed.frame.local_from_crs(np.array(point.place))
+        return local if np.isfinite(local).all() else None
+
+    def _meet(self, key: Key, own: Mapping[str, Pixel]) -> Intersection | None:
+        """Where the marks of a point meet; None without two photographs that tell it."""
+        names = [name for name in own if name in self._views]
+        if len(names) < 2:
+            return None
+        asked = (key, *((name, own[name]) for name in names))
+        if asked not in self._met:
+            stds = np.full(len(names), self._std_px[key.kind])
+            cameras = [self._views[name].camera for name in names]
+            pixels = np.array([own[name] for name in names])
+            self._met[asked] = intersect(cameras, pixels, stds, self._water_of(key))
+        return self._met[asked]
+
+    def _place(self, key: Key, points: Mapping[Key, GivenPoint | None], marks: Mapping[Key, Mapping[str, Pixel]]):
+        """Where a point is looked for (3,), local: where its marks meet, else by its coordinates, else on the water.
+
+        Coordinates are moved by what the marked points have in common: positions by GPS put a block metres aside.
+        """
+        own = marks.get(key, {})
+        met = self._meet(key, own)
+        if met is not None:
+            return met.place
+        given = self._given(points[key])
+        if given is not None:
+            return given + self._common(points, marks)[0]
+        water = None if self._posed is None else self._posed.water
+        if key.kind == WATER and water is not None:
+            return next((crossing(self._views[name], own[name], water) for name in own if name in self._views), None)
+        return None
+
+    def _common(self, points: Mapping[Key, GivenPoint | None], marks: Mapping[Key, Mapping[str, Pixel]]):
+        """Medians of where marks put points less their coordinates (3,) [m], local, and the number of points."""
+        steps = []
+        for key, own in marks.items():
+            met, given = self._meet(key, own), self._given(points.get(key))
+            if met is not None and given is not None:
+                steps.append(met.place - given)
+        return (np.median(steps, axis=0) if steps else np.zeros(3)), len(steps)
+
+    def _moved_note(self, points, marks) -> list[str]:
+        common, num = self._common(points, marks)
+        if not num:
+            return []
+        east, north, up = common.tolist()
+        return [
+            f"by the poses the marked points lie {east:.2f} m east, {north:.2f} m north and {up:.2f} m up of their "
+            "coordinates (median), and the others are looked for with that"
+        ]
+
+
+def _rank(entry: tuple[Key, GivenPoint | None]) -> int:
+    """Control points first, then check points, then the waterline."""
+    key, point = entry
+    return 2 if key.kind == WATER else int(point is not None and point.is_check)

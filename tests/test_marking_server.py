@@ -1,0 +1,244 @@
+"""The page of marking and its data over HTTP: who gets them, what a click writes, and the same in a real browser."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import threading
+import urllib.error
+import urllib.request
+from urllib.parse import quote, urlencode
+
+import numpy as np
+import pytest
+from chromium import PROGRAM, page_at
+from control_files import odm
+from PIL import Image
+from small_survey import E0, LEVEL, N0, TOML, small_survey, unposed
+
+from survey.control.gcp_list import read_gcp_list
+from survey.errors import SurveyError
+from survey.folder.found import find_survey
+from survey.folder.survey import load_survey
+from survey.marking.server import TOKEN_HEADER, MarkingServer
+from survey.marking.session import Session
+from survey.marking.tiles import TILE_PX, Tiles, pyramid
+
+CONTROL = '[control]\ngcps = "gcp_list.txt"\n'
+# A point 0.9 m under water, as three photographs show it.
+PLACE = (E0 + 3.2, N0 - 1.3, LEVEL - 0.9)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return small_survey(tmp_path / "s", toml=TOML + CONTROL)
+
+
+@pytest.fixture
+def server(folder):
+    with MarkingServer(Session(folder)) as running:
+        threading.Thread(target=running.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
+        yield running
+        running.shutdown()
+
+
+def answer(server, path: str, body=None, **headers):
+    """Status and content of a request."""
+    url = f"http://127.0.0.1:{server.server_address[1]}{path}"
+    data = None if body is None else json.dumps(body).encode()
+    asked = urllib.request.Request(url, data, {TOKEN_HEADER: server.token, **headers})
+    try:
+        with urllib.request.urlopen(asked, timeout=20) as said:
+            return said.status, said.read()
+    except urllib.error.HTTPError as error:
+        return error.code, error.read()
+
+
+def state(server, path="/state", body=None) -> dict:
+    status, content = answer(server, path, body)
+    assert status == 200, content
+    return json.loads(content)
+
+
+def point(found: dict, name: str) -> dict:
+    (one,) = [each for each in found["points"] if each["name"] == name]
+    return one
+
+
+def test_only_who_knows_the_token_and_is_this_page_gets_an_answer(server):
+    token = server.token
+    assert answer(server, "/")[0] == 403
+    status, page = answer(server, f"/?token={token}", **{TOKEN_HEADER: ""})
+    assert status == 200
+    assert b"</html>" in page
+    assert answer(server, "/state")[0] == 200
+    assert answer(server, "/state", **{TOKEN_HEADER: "guessed"})[0] == 403
+    assert answer(server, f"/tile/0/0/0/{quote('0000.jpg')}", **{TOKEN_HEADER: ""})[0] == 403
+    # Another page, and a name that another page has turned to this machine.
+    assert answer(server, "/state", Origin="http://elsewhere.example")[0] == 403
+    assert answer(server, "/state", Host="elsewhere.example")[0] == 403
+    # The end of a tunnel has another port.
+    assert answer(server, "/state", Host="localhost:9000", Origin="http://localhost:9000")[0] == 200
+    assert answer(server, "/undo", {}, **{TOKEN_HEADER: "guessed"})[0] == 403
+
+
+def test_bad_requests_are_answered_in_words_and_write_nothing(server, folder):
+    cases = [
+        ("/nothing", None, 404),
+        ("/nothing", {}, 404),
+        ("/mark", [], 400),
+        ("/mark", {"kind": "ground", "name": "p1"}, 400),
+        ("/mark", {"kind": "ground", "name": "p1", "image": "0000.jpg", "pixel": [1.0, "NaN"]}, 400),
+        ("/mark", {"kind": "ground", "name": "p1", "image": "0000.jpg", "pixel": [1.0]}, 400),
+        ("/mark", {"kind": "ground", "name": "p1", "image": "0000.jpg", "pixel": [1.0, 2.0]}, 422),
+        ("/add", {"kind": "ground", "name": "p1", "place": None}, 422),
+        ("/undo", {}, 422),
+        ("/look?kind=ground&name=p1&image=0000.jpg", None, 422),
+        ("/look?kind=ground", None, 400),
+        ("/tile/0/0/0/..%2Fsurvey.toml", None, 422),
+        ("/tile/9/0/0/0000.jpg", None, 422),
+        ("/tile/x/0/0/0000.jpg", None, 400),
+    ]
+    assert [(path, answer(server, path, body)[0]) for path, body, _ in cases] == [
+        (path, code) for path, _, code in cases
+    ]
+    assert not (folder / "gcp_list.txt").exists()
+
+
+def test_clicks_become_marks_with_residuals_and_predictions(server, folder):
+    shown = seen(folder)
+    names = list(shown)
+    state(server, "/add", {"kind": "ground", "name": "deep", "place": PLACE})
+    key = {"kind": "ground", "name": "deep"}
+    query = urlencode({**key, "image": names[0]})
+    # By its coordinates, through the water.
+    assert state(server, f"/look?{query}")["predicted"] == pytest.approx(shown[names[0]], abs=1e-6)
+    for name in names[:2]:
+        found = state(server, "/mark", {**key, "image": name, "pixel": shown[name]})
+    said = point(found, "deep")
+    assert said["depth_m"] == pytest.approx(0.9, abs=1e-3)
+    # The file has a thousandth of a pixel; 20 m away that is 0.2 mm, and in height more by the base of the two.
+    assert max(map(abs, said["off_m"])) < 3e-3
+    assert max(math.hypot(*each) for each in said["residuals"].values()) < 2e-3
+    look = state(server, f"/look?{urlencode({**key, 'image': names[2]})}")
+    assert look["predicted"] == pytest.approx(shown[names[2]], abs=0.01)
+    assert [curve["image"] for curve in look["curves"]] == names[:2]
+    assert set(look["next"]) == set(names[2:])
+    # A mark beside its place is told as that.
+    x, y = shown[names[2]]
+    found = state(server, "/mark", {**key, "image": names[2], "pixel": [x + 6.0, y]})
+    assert max(math.hypot(*each) for each in point(found, "deep")["residuals"].values()) > 1.0
+    found = state(server, "/undo", {})
+    assert found["undone"] == {**key, "image": names[2]}
+    assert list(point(found, "deep")["marks"]) == names[:2]
+    # As `process` reads it.
+    control = find_survey(folder).control
+    assert {mark.view: mark.pixel for mark in control.gathered.marks} == pytest.approx(
+        {name: pytest.approx(shown[name], abs=6e-4) for name in names[:2]}
+    )
+
+
+def seen(folder) -> dict[str, tuple[float, float]]:
+    """The pixels at which the photographs show `PLACE`."""
+    (folder / "gcp_list.txt").write_text("EPSG:25832\n" + f"{E0} {N0} {LEVEL} 1 2 0000.jpg p\n")
+    survey = load_survey(folder)
+    (folder / "gcp_list.txt").unlink()
+    local = survey.frame.local_from_crs(np.array(PLACE))
+    pixels = {view.name: view.camera.project(local, survey.water) for view in survey.views}
+    return {name: tuple(pixel.tolist()) for name, pixel in pixels.items() if ((pixel > 0) & (pixel < (64, 48))).all()}
+
+
+def test_spots_of_the_waterline_tell_its_level(server, folder):
+    survey = Session(folder)
+    views = survey._posed.views
+    spot = survey._posed.frame.local_from_crs(np.array([E0 + 3.0, N0 - 2.0, LEVEL]))
+    state(server, "/add", {"kind": "water", "name": "w1"})
+    key = {"kind": "water", "name": "w1"}
+    names = ["0000.jpg", "0001.jpg", "0002.jpg"]
+    pixels = {name: views[name].camera.project(spot, None).tolist() for name in names}
+    state(server, "/mark", {**key, "image": names[0], "pixel": pixels[names[0]]})
+    # One click is followed to where its ray meets the water.
+    look = state(server, f"/look?{urlencode({**key, 'image': names[1]})}")
+    assert look["predicted"] == pytest.approx(pixels[names[1]], abs=0.01)
+    for name in names[1:]:
+        found = state(server, "/mark", {**key, "image": name, "pixel": pixels[name]})
+    assert point(found, "w1")["level"] == pytest.approx(LEVEL, abs=2e-3)
+    assert (folder / "clicks.csv").read_text().startswith("image,x,y,name\n0000.jpg,")
+    # As `process` reads it.
+    toml = (folder / "survey.toml").read_text().replace(f"level_m = {LEVEL}", 'clicks = "clicks.csv"')
+    (folder / "survey.toml").write_text(toml.replace(CONTROL, ""))
+    assert load_survey(folder).config.water.level_m == pytest.approx(LEVEL, abs=2e-3)
+
+
+def test_without_poses_photographs_are_proposed_by_their_positions(tmp_path):
+    folder = unposed(tmp_path / "s")
+    (folder / "gcp_list.txt").write_text(odm(images=("0000.jpg",)))
+    session = Session(folder)
+    found = session.state()
+    assert found["poses"] is None
+    assert "no poses are known yet" in " ".join(found["notes"])
+    keys = [key for key in session.book.points() if key.name == "p1"]
+    look = session.look(keys[0], "0003.jpg")
+    assert (look["predicted"], look["curves"]) == (None, [])
+    assert look["next"] == ["0001.jpg", "0002.jpg"]
+
+
+def test_poses_of_a_run_are_asked_for_by_name(folder, tmp_path):
+    with pytest.raises(SurveyError, match="made before runs kept their cameras"):
+        Session(folder, run=tmp_path / "none")
+
+
+def test_tiles_join_to_the_photograph_and_halves_keep_their_place(tmp_path):
+    pixels = np.zeros((TILE_PX + 31, 2 * TILE_PX + 5, 3), dtype=np.uint8)
+    pixels[:, :, 0] = np.linspace(0, 250, pixels.shape[1]).astype(np.uint8)
+    Image.fromarray(pixels).save(tmp_path / "a b.png")
+    tiles = Tiles({"a b.png": tmp_path / "a b.png"})
+    sizes = [
+        [Image.open(io.BytesIO(tiles.jpeg("a b.png", 0, column, row))).size for column in range(3)] for row in range(2)
+    ]
+    assert sizes == [[(512, 512), (512, 512), (5, 512)], [(512, 31), (512, 31), (5, 31)]]
+    levels = pyramid(pixels)
+    assert [level.shape[:2] for level in levels] == [(543, 1029), (272, 515), (136, 258)]
+    # Pixel x of a level is the mean of those that begin at twice of it.
+    assert abs(float(levels[1][0, 100, 0]) - pixels[:2, 200:202, 0].mean()) <= 1.0
+    tile = np.asarray(Image.open(io.BytesIO(tiles.jpeg("a b.png", 0, 1, 0))))
+    assert np.abs(tile[:, :, 0].astype(float) - pixels[:TILE_PX, TILE_PX : 2 * TILE_PX, 0]).max() <= 3.0
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(PROGRAM is None, reason="no Chromium is installed")
+def test_clicks_in_a_real_browser_land_in_the_files(server, folder):
+    rng = np.random.default_rng(3)
+    marked = {}
+    with page_at(server.url) as page:
+        page.until("document.body && document.body.dataset.ready === '1'")
+        page.value(f"change('/add', {json.dumps({'kind': 'ground', 'name': 'g', 'place': PLACE})})")
+        page.value("choose({kind: 'ground', name: 'g'})")
+        for name in ("0000.jpg", "0001.jpg", "0002.jpg"):
+            page.value(f"open('{name}')")
+            page.value("fit()")
+            pixel = rng.uniform([5.0, 5.0], [59.0, 43.0]).tolist()
+            count = len(marked) + 1
+            page.click(*page.value(f"pageOf({pixel})"))
+            page.until(f"Object.keys(pointOf(chosen).marks).length === {count}")
+            marked[name] = pixel
+        written = {mark.image: mark.pixel for mark in read_gcp_list(folder / "gcp_list.txt").marks}
+        assert written.keys() == marked.keys()
+        assert max(math.dist(written[name], marked[name]) for name in marked) < 0.1
+        page.press("Delete")
+        page.until("Object.keys(pointOf(chosen).marks).length === 2")
+        page.press("u")
+        page.until("Object.keys(pointOf(chosen).marks).length === 3")
+        assert {mark.image: mark.pixel for mark in read_gcp_list(folder / "gcp_list.txt").marks} == written
+        page.click(
+            *page.value("(() => { const b = $('add-water').getBoundingClientRect(); return [b.x + 5, b.y + 5]; })()")
+        )
+        page.until("chosen.name === 'w1'")
+        page.value("open('0001.jpg')")
+        page.value("fit()")
+        page.click(*page.value("pageOf([30.25, 20.75])"))
+        page.until("Object.keys(pointOf(chosen).marks).length === 1")
+    row = (folder / "clicks.csv").read_text().splitlines()[1].split(",")
+    assert row[0] == "0001.jpg"
+    assert math.dist([float(row[1]), float(row[2])], [30.25, 20.75]) < 0.1

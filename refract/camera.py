@@ -188,6 +188,12 @@ class PinholeCamera:
             pixels = self._project_from(self.centres(pixels), points, water, steps)
         return pixels
 
+    def sees(self, pixels) -> np.ndarray:
+        """Whether pixels (..., 2) [px], as `project` returns them, lie within the image; False where they are NaN."""
+        pixels = np.asarray(pixels)
+        with np.errstate(invalid="ignore"):
+            return ((pixels > 0.0) & (pixels < (self.width, self.height))).all(axis=-1)
+
     def _over_own(self, places: np.ndarray) -> np.ndarray:
         """Places (..., 3) where they would be if the water had stayed and all else sunk by the tide."""
         return places if self.tide == 0.0 else places - (0.0, 0.0, self.tide)

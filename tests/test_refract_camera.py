@@ -88,6 +88,13 @@ def test_points_behind_the_camera_are_nan_and_alone():
     np.testing.assert_array_equal(np.isnan(camera.project(points, None)).all(axis=-1), [True, True, False])
 
 
+def test_a_pixel_is_seen_within_the_image_and_not_where_it_is_unknown():
+    camera = nadir_camera()
+    pixels = [(0.5, 0.5), (511.9, 383.9), (512.1, 15.0), (20.0, 384.1), (-0.1, 15.0), (np.nan, 15.0)]
+    assert camera.sees(pixels).tolist() == [True, True, False, False, False, False]
+    assert camera.sees(pixels[0])
+
+
 def test_pixels_outside_the_image_are_returned_as_they_are():
     u, v = nadir_camera().project(np.array([53.0, -2.0, 0.0]), None)
     assert u == pytest.approx(250.0 + 900.0 * 50.0 / 30.0)

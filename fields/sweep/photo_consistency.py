@@ -52,7 +52,7 @@ def photo_consistency(block: Block, maps: Sequence[DepthMap]) -> list[Consistenc
     for view, (camera, band) in enumerate(zip(cameras, bands, strict=True)):
         others = source != view
         at = camera.project(xyz[others], block.water)
-        seen = ((at > 0.0) & (at < (camera.width, camera.height))).all(axis=1)
+        seen = camera.sees(at)
         here, there = _sampled(band, at[seen]), grey[others][seen]
         known = np.isfinite(here)
         contrast = float(np.nanstd(band)) if np.isfinite(band).any() else 0.0

@@ -56,8 +56,7 @@ def coverage(cameras: list[PinholeCamera], water: FlatWater | None, height: floa
     cells = np.stack([x.ravel(), y.ravel(), np.full(x.size, height)], axis=-1)
     seen = np.zeros((len(cameras), len(cells)), dtype=bool)
     for mine, camera in zip(seen, cameras, strict=True):
-        pixel = camera.project(cells, water)
-        mine[:] = (pixel > 0.0).all(axis=1) & (pixel[:, 0] < camera.width) & (pixel[:, 1] < camera.height)
+        mine[:] = camera.sees(camera.project(cells, water))
     return seen, cells
 
 

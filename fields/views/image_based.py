@@ -72,7 +72,7 @@ class Source:
     def observe(self, points: np.ndarray, water: FlatWater | None) -> Observation:
         """How the photograph sees points (N, 3) [m], local."""
         uv = self.camera.project(points, water).astype(np.float32)
-        inside = _is_inside(uv, self.camera)
+        inside = self.camera.sees(uv)
         uv[~inside] = -2.0
         height = _sampled(self.heights, uv * np.float32(self.scale), cv2.INTER_LINEAR)
         height[~inside] = np.nan
@@ -183,7 +183,7 @@ class ImageBasedField:
         angles = np.full((len(among), len(points)), np.inf)
         for row, number in enumerate(among):
             camera = self.cameras[number]
-            seen = _is_inside(camera.project(points, self.water), camera)
+            seen = camera.sees(camera.project(points, self.water))
             angles[row, seen] = _angle(own, _directions(points, camera.centre))[seen]
         order = np.argsort(angles, axis=0, kind="stable")[:_SOURCES]
         known = np.isfinite(np.take_along_axis(angles, order, axis=0))
@@ -240,7 +240,7 @@ class ImageBasedField:
         width, height = (max(round(size * scale), 1) for size in (camera.width, camera.height))
         top = np.full(width * height, -np.inf)
         for number, (uv, z) in enumerate(seen):
-            inside = _is_inside(uv, camera)
+            inside = camera.sees(uv)
             uv = uv[inside] * (width / camera.width, height / camera.height)
             cell, z = uv.astype(np.int64) @ [1, width], z[inside]
             np.maximum.at(top, cell, z)
@@ -346,13 +346,6 @@ def _directions(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
 def _angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Angles [rad] between unit vectors (N, 3), exact for small ones."""
     return 2.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(a - b, axis=-1), 0.0, 1.0))
-
-
-def _is_inside(uv: np.ndarray, camera: PinholeCamera) -> np.ndarray:
-    """Whether places (N, 2) [px] lie in the image of a camera; not where they are NaN."""
-    with np.errstate(invalid="ignore"):
-        inside = (uv > 0.0) & (uv < (camera.width, camera.height))
-    return np.logical_and(inside[:, 0], inside[:, 1])
 
 
 def _sampled(image: np.ndarray, uv: np.ndarray, interpolation: int) -> np.ndarray:

@@ -93,7 +93,7 @@ def seen_places(places: np.ndarray, survey: Survey) -> TiePoints:
     for number, each in enumerate(survey.views):
         camera = each.camera
         pixels[:, number] = at = camera.project(places, survey.water)
-        inside[:, number] = (at > 0.0).all(axis=1) & (at < (camera.width, camera.height)).all(axis=1)
+        inside[:, number] = camera.sees(at)
     enough = np.flatnonzero(inside.sum(axis=1) >= 2)
     chosen = [_some(np.flatnonzero(inside[place])) for place in enough]
     point = np.repeat(np.arange(len(enough)), [len(some) for some in chosen])

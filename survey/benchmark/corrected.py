@@ -81,9 +81,7 @@ def _depths(points: np.ndarray, apparent: np.ndarray, scene: _Scene, correction:
     for camera in scene.cameras:
         towards = camera.centre - points
         cos = (towards @ up) / np.linalg.norm(towards, axis=1)
-        pixels = camera.project(points, None)
-        with np.errstate(invalid="ignore"):
-            is_seen.append(((pixels >= 0.0) & (pixels <= [camera.width, camera.height])).all(axis=1))
+        is_seen.append(camera.sees(camera.project(points, None)))
         incidence.append(np.arccos(np.clip(cos, -1.0, 1.0)))
     return per_camera(apparent, np.stack(incidence, axis=1), np.stack(is_seen, axis=1), n)
 

@@ -79,7 +79,7 @@ def _is_seen_twice(survey: Survey, places: np.ndarray) -> bool:
             break
         camera = view.camera
         pixel = camera.project(places, survey.water)
-        count += ((pixel > 0.0) & (pixel < (camera.width, camera.height))).all(axis=1)
+        count += camera.sees(pixel)
         if (count >= 2).any():
             return True
     return False

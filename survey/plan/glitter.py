@@ -144,6 +144,4 @@ def _low_and_median(seen: np.ndarray) -> tuple[float, float]:
 
 
 def _in_frame(camera: PinholeCamera, direction: np.ndarray) -> bool:
-    with np.errstate(invalid="ignore"):
-        u, v = camera.project(camera.centre + direction, None)
-    return bool(0.0 < u < camera.width and 0.0 < v < camera.height)
+    return bool(camera.sees(camera.project(camera.centre + direction, None)))

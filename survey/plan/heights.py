@@ -145,7 +145,7 @@ def _deepest(survey: Survey, points: np.ndarray, apparent: np.ndarray) -> np.nda
     cosine = np.ones(len(points))
     for view in survey.views:
         pixel, camera = view.camera.project(points, None), view.camera
-        is_seen = ((pixel > 0.0) & (pixel < (camera.width, camera.height))).all(axis=1)
+        is_seen = camera.sees(pixel)
         ray = camera.centre - points
         own = ray @ up / np.linalg.norm(ray, axis=1)
         cosine = np.where(is_seen, np.minimum(cosine, own), cosine)

@@ -76,11 +76,9 @@ def _rays(survey: Survey, water: FlatWater, places: np.ndarray) -> tuple[np.ndar
     for view in survey.views:
         camera, down = view.camera, np.array([0.0, 0.0, -view.camera.tide])
         towards = crossing_point(places + down, camera.centre + down, water) - (camera.centre + down)
-        pixels = camera.project(places, water)
-        inside = (pixels >= 0.0) & (pixels <= [camera.width, camera.height])  # False for NaN
         centres.append(np.broadcast_to(camera.centre, places.shape))
         directions.append(towards / np.linalg.norm(towards, axis=1, keepdims=True))
-        is_seen.append(inside.all(axis=1))
+        is_seen.append(camera.sees(camera.project(places, water)))
     return np.stack(centres, axis=1), np.stack(directions, axis=1), np.stack(is_seen, axis=1)
 
 

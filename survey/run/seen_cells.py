@@ -91,7 +91,7 @@ def cells_seen(
     for camera in cameras:
         part = _around(camera, x, y, cells.height)
         pixel = camera.project(places[part].reshape(-1, 3), water)
-        sees = ((pixel > 0.0) & (pixel < (camera.width, camera.height))).all(axis=1)  # False for NaN
+        sees = camera.sees(pixel)
         num_views[part] += sees.reshape(num_views[part].shape)
     return cells
 

@@ -135,7 +135,7 @@ def _to_sweep_again(job: Job, views: list[int], needs: Mapping[str, Path]) -> li
     for view in views:
         camera = camera_of(job.survey.views[view], job.plan)
         pixel = camera.project(found["xyz"], job.survey.water)
-        seen = ((pixel > 0.0) & (pixel < (camera.width, camera.height))).all(axis=1)
+        seen = camera.sees(pixel)
         if seen.any() and found["above"][seen].mean() > _LEAST_SHARE:
             needed.append(view)
     return needed

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from refract import PinholeCamera
-from refract.surfaces import WaterSurface
 from survey.simulate.flight.patterns import Site
 
 # Points along each axis of the area at which views are counted.
@@ -79,15 +78,10 @@ def coverage(cameras: Sequence[PinholeCamera], site: Site) -> Coverage:
     points = np.stack([x, y, np.full_like(x, site.level - site.depth_m)], axis=-1)
     num_views = np.zeros(x.shape, dtype=np.int64)
     for camera in cameras:
-        num_views += _sees(camera, points, site.water)
+        num_views += camera.sees(camera.project(points, site.water))
     footprints = np.array([_footprint(camera, site) for camera in cameras])
     sensitivity = None if site.water is None else _level_sensitivity(cameras, site)
     return Coverage(footprints, east, north, num_views, sensitivity)
-
-
-def _sees(camera: PinholeCamera, points: np.ndarray, water: WaterSurface | None) -> np.ndarray:
-    pixels = camera.project(points, water)
-    return np.all((pixels > 0.0) & (pixels < (camera.width, camera.height)), axis=-1)
 
 
 def _footprint(camera: PinholeCamera, site: Site) -> np.ndarray:
@@ -113,7 +107,7 @@ def _level_sensitivity(cameras: Sequence[PinholeCamera], site: Site) -> float:
     half = 0.45 * np.array(site.size_m)
     x, y = (c.ravel() for c in np.meshgrid(*(np.linspace(-h, h, _TIES) for h in half)))
     points = np.stack([x, y, np.full(x.size, site.level - site.depth_m)], axis=-1)
-    seen = np.array([_sees(camera, points, site.water) for camera in cameras])
+    seen = np.array([camera.sees(camera.project(points, site.water)) for camera in cameras])
 
     def pixels(moved: np.ndarray) -> np.ndarray:
         return np.array([camera.project(moved, site.water) for camera in cameras])

@@ -140,24 +140,14 @@ def spoilt(survey: Survey, kind: str, error: float) -> Survey:
 def asked(name: str, survey: Survey) -> dict:
     """What the sample says of the truth, and of what is wrong."""
     sample, plan, windows = sample_of(survey)
-    heard: list = []
-    ask = pose_check.doubt_of
-
-    def listen(of: Survey, told: list):
-        heard.append(told)
-        return ask(of, told)
-
-    pose_check.doubt_of = listen
     rows = []
     for kind, error in (TRUE, *WRONG):
         # As often too high as too low.
         error *= 1 if len(name) + sum(map(ord, name)) & 1 else -1
-        heard.clear()
         found = pose_check.check_of_ties(spoilt(sample, kind, error) if error else sample, plan, WINDOW, windows)
-        told = [[each.number, each.difference, each.std, each.given_std] for part in heard for each in part]
-        doubt = None if found.doubt is None else found.doubt.name
-        rows.append({"kind": kind, "error": error, "misfit_px": found.misfit_px, "doubt": doubt, "told": told})
-    pose_check.doubt_of = ask
+        told = [[each.name, each.difference, each.std, each.given_std] for each in found.told]
+        doubt = None if found.contradiction is None else found.contradiction.name
+        rows.append({"kind": kind, "error": error, "misfit_px": found.misfit_px, "contradiction": doubt, "told": told})
     return {"name": name, "views": len(survey.views), "rows": rows}
 
 
@@ -188,9 +178,9 @@ def table(records: list[dict]) -> str:
     for kind, error in (TRUE, *WRONG):
         rows = [r for record in records for r in record["rows"] if r["kind"] == kind and abs(r["error"]) == error]
         rows = [row for row in rows if row["misfit_px"] is not None]
-        named = sum(row["doubt"] == own.get(kind) for row in rows if row["doubt"] is not None)
-        other = sum(row["doubt"] not in (None, own.get(kind)) for row in rows)
-        missed = sum(row["doubt"] is None and row["misfit_px"] > pose_check.MOST_MISFIT_PX for row in rows)
+        named = sum(row["contradiction"] == own.get(kind) for row in rows if row["contradiction"] is not None)
+        other = sum(row["contradiction"] not in (None, own.get(kind)) for row in rows)
+        missed = sum(row["contradiction"] is None and row["misfit_px"] > pose_check.MOST_MISFIT_PX for row in rows)
         counts = [interval(count, len(rows)) for count in (named, other, missed)]
         lines.append(f"| {kind} {error:g} | {' | '.join(counts)} |")
     return "\n".join(lines)

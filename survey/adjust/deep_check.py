@@ -35,7 +35,7 @@ def deep_check(folder: Path, *, device: str = "auto") -> list[Section]:
         with progress.stage("Poses", 1.0) as stage, suppress(SurveyError):
             checked = check_of_windows(survey, plan, *loaded(survey, plan), stage.advance)
         checked.require_water()
-        survey = replace(survey, doubt=checked.doubt)
+        survey = replace(survey, contradiction=checked.contradiction)
     with progress.stage("Adjustment", 1.0) as stage:
         found = adjust_survey(survey, device=device, advance=stage.advance)
     sections = [Section("photographs", (*_rows_of_check(checked), *_rows(found)))]
@@ -48,7 +48,7 @@ def _rows_of_check(checked: PoseCheck) -> tuple[tuple[str, str], ...]:
     if checked.misfit_px is None:
         return ()
     said = f"photographs miss each other by {checked.misfit_px:.2f} px under the given poses"
-    return (("poses", said if checked.doubt is None else f"{said}, and {checked.doubt}"),)
+    return (("poses", said if checked.contradiction is None else f"{said}, and {checked.contradiction}"),)
 
 
 def _rows(found: Adjustment) -> tuple[tuple[str, str], ...]:

@@ -16,7 +16,7 @@ from refract import FlatWater
 from survey.adjust.bundle import NotConvergedError, Problem, solve
 from survey.adjust.common_height import water_start
 from survey.adjust.contradiction import MOST
-from survey.adjust.given_check import LEVEL, told_of_given
+from survey.adjust.given_check import LEVEL, LEVEL_NAME, told_of_given
 from survey.adjust.misfit import misfit
 from survey.adjust.observed import Observed
 from survey.adjust.priors import Known
@@ -24,7 +24,7 @@ from survey.adjust.rounds import Adjusted, adjust
 from survey.adjust.shore_side import std_over_points
 from survey.adjust.state import State
 from survey.errors import SurveyError
-from survey.folder.doubt import Doubt
+from survey.folder.contradiction import Contradiction
 from survey.folder.pose_priors import BAROMETER_STD_M
 from survey.folder.survey import Survey
 from survey.plan.poses import MOST_MISFIT_PX
@@ -36,7 +36,7 @@ _COVERED, _SHARE = 0.95, 0.1
 _FEWEST = 10
 
 
-def level_over(survey: Survey, problem: Problem, state: State, gsd: float) -> Doubt | None:
+def level_over(survey: Survey, problem: Problem, state: State, gsd: float) -> Contradiction | None:
     """The level that photographs ask for, in place of one under which all is dry; None where they do not.
 
     Parameters
@@ -64,14 +64,14 @@ def level_over(survey: Survey, problem: Problem, state: State, gsd: float) -> Do
             return None
         for each in told_of_given(survey, problem, found.state, missed, gsd, fewest_wet=_FEWEST):
             depth = np.median(_water(found.state).depth(found.state.points)) + each.difference
-            if each.number == LEVEL and depth > MOST * each.std:
+            if each.name == LEVEL_NAME and depth > MOST * each.std:
                 given = survey.require_water()[1].known_level_m
                 raised_by = float(_water(found.state).point[2] - state.water.point[2]) + each.difference
-                return Doubt("level_m", given, each.given_std, given + raised_by, each.std)
+                return replace(each, given=given, difference=raised_by)
     return None
 
 
-def dry_bed_error(level: Doubt, way_out: str) -> SurveyError:
+def dry_bed_error(level: Contradiction, way_out: str) -> SurveyError:
     """What ends a run whose level leaves dry what photographs show under water, with a way out beside mending it."""
     return SurveyError(
         f"[water] level_m is {level.given:.3f} m, which leaves all of the bed dry, and the photographs show it under "
@@ -81,7 +81,9 @@ def dry_bed_error(level: Doubt, way_out: str) -> SurveyError:
     )
 
 
-def level_over_block(survey: Survey, known: Known, seen: Observed, done: Adjusted, marks_std_px: float) -> Doubt | None:
+def level_over_block(
+    survey: Survey, known: Known, seen: Observed, done: Adjusted, marks_std_px: float
+) -> Contradiction | None:
     """The level that an adjusted block asks for, in place of one under which all of it is dry; None where it does not.
 
     Parameters
@@ -112,7 +114,7 @@ def level_over_block(survey: Survey, known: Known, seen: Observed, done: Adjuste
         if over > MOST * std_over_points(wet.solution.system, covariance):
             given, level = survey.require_water()[1].known_level_m, float(np.sqrt(covariance[0, 0]))
             raised = float(water.point[2]) - float(known.mean.water_parameters()[0])
-            return Doubt("level_m", given, float(known.std[0]), given + raised, level)
+            return Contradiction(LEVEL_NAME, given, float(known.std[0]), raised, level)
     return None
 
 

@@ -10,24 +10,25 @@ are linear. The one that is contradicted the most is the one that is wrong: erro
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from survey.adjust.bundle import Problem, System, inverse, std_of_kinds, system_at
 from survey.adjust.clusters import inflation
-from survey.adjust.contradiction import MOST_OF_FOUR, Contradiction
+from survey.adjust.contradiction import MOST_OF_FOUR
 from survey.adjust.free_water import FEWEST_WET
 from survey.adjust.priors import Known, is_held, known_of, priors_for
 from survey.adjust.state import LENS_NAMES, WATER, Layout, State
 from survey.adjust.verdicts import MOST_STD_INDEX
 from survey.adjust.water_settings import WATER_PARAMETERS
-from survey.folder.doubt import Doubt
+from survey.folder.contradiction import Contradiction
 from survey.folder.survey import Survey
 
 # What is asked: of the water, and of each lens.
 LEVEL, _INDEX = 0, WATER - 1
+LEVEL_NAME, _INDEX_NAME = WATER_PARAMETERS[LEVEL], WATER_PARAMETERS[_INDEX]
 _OF_LENS = tuple(LENS_NAMES.index(name) for name in ("f", "k1"))
 # A focal length counts as wrong only beyond this share of it: small errors of poses look like one (docs/adjustment.md).
 _FOCAL_SHARE = 0.001
@@ -37,17 +38,10 @@ _ROUGH_INDEX = 0.01
 _OF_MISFIT, _LEAST_PX = 2.0, 0.01
 
 
-def doubt_of(survey: Survey, told: list[Contradiction]) -> Doubt | None:
+def most_contradicted(told: Sequence[Contradiction]) -> Contradiction | None:
     """The parameter that photographs contradict the most, if any; ``told`` as `told_of_given` has it."""
-    worst, most = None, MOST_OF_FOUR
-    for each in told:
-        sigmas = abs(each.difference) / np.hypot(each.std, each.given_std)
-        if sigmas > most:
-            worst, most = each, sigmas
-    if worst is None:
-        return None
-    name, given = _name_and_value(survey, worst.number)
-    return Doubt(name, given, worst.given_std, given + worst.difference, worst.std)
+    worst = max(told, key=lambda each: each.sigmas, default=None)
+    return worst if worst is not None and worst.sigmas > MOST_OF_FOUR else None
 
 
 def told_of_given(
@@ -85,9 +79,12 @@ def told_of_given(
     std_px = std_of_kinds(problem, problem.residuals(state), 0.0)
     system = system_at(problem, state, std_px)
     sizes = [(view.lens.width, view.lens.height) for view in survey.views]
-    told = [_told(problem, state, system, std_px, given, number, sizes) for number in asked]
-    told = [replace(each, given_std=max(each.given_std, least.get(each.number, 0.0))) for each in told]
-    return [each for each in told if each.number != _INDEX or each.std <= np.hypot(MOST_STD_INDEX, _ROUGH_INDEX)]
+    told = []
+    for number in asked:
+        name, value = _name_and_value(survey, known, number)
+        given_std = max(given[number], least.get(number, 0.0))
+        told.append(Contradiction(name, value, given_std, *_told(problem, state, system, std_px, given, number, sizes)))
+    return [each for each in told if each.name != _INDEX_NAME or each.std <= np.hypot(MOST_STD_INDEX, _ROUGH_INDEX)]
 
 
 def _asked(known: Known, state: State, fewest_wet: int) -> list[int]:
@@ -105,8 +102,8 @@ def _told(
     given: Mapping[int, float],
     number: int,
     sizes: list[tuple[int, int]],
-) -> Contradiction:
-    """What a step says of one parameter, all others being known as given."""
+) -> tuple[float, float]:
+    """Difference to what is given and standard deviation that a step finds for one parameter, all others as given."""
     std = problem.priors.std.copy()
     others = [each for each in given if each != number]
     std[others] = [given[each] for each in others]
@@ -121,7 +118,7 @@ def _told(
     shared = inflation(problem.ties, left, after, problem.kind, sizes)
     factor = float(np.max(shared * (after / std_px)[problem.kind] ** 2))
     variance = factor * float(covariance[number, number]) + (_ROUGH_INDEX**2 if number == _INDEX else 0.0)
-    return Contradiction(number, float(step[number]), float(np.sqrt(variance)), given[number])
+    return float(step[number]), float(np.sqrt(variance))
 
 
 def _pose_std(layout: Layout, state: State, misfit_px: float, gsd: float) -> np.ndarray:
@@ -131,11 +128,10 @@ def _pose_std(layout: Layout, state: State, misfit_px: float, gsd: float) -> np.
     return np.column_stack([np.full((len(turn), 3), error_px * gsd), *[turn] * 3]).ravel()
 
 
-def _name_and_value(survey: Survey, number: int) -> tuple[str, float]:
+def _name_and_value(survey: Survey, known: Known, number: int) -> tuple[str, float]:
     """Of a parameter, as the survey gives it."""
     if number < WATER:
         name = WATER_PARAMETERS[number]
         return name, float(getattr(survey.require_water()[1], name))
-    known = known_of(survey, 1.0)
     lens, parameter = divmod(number - known.layout.first_lens, len(LENS_NAMES))
     return f"camera{lens}.{LENS_NAMES[parameter]}", float(known.state.lenses[lens, parameter])

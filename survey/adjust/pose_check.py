@@ -16,14 +16,14 @@ import numpy as np
 
 from survey.adjust.bundle import NotConvergedError, Problem, solve
 from survey.adjust.flooding import dry_bed_error, level_over
-from survey.adjust.given_check import doubt_of, told_of_given
+from survey.adjust.given_check import most_contradicted, told_of_given
 from survey.adjust.misfit import misfit
 from survey.adjust.observed import KINDS, MATCH, WINDOW, observed, rows_taken
 from survey.adjust.prediction import relief_sides
 from survey.adjust.priors import FREE_WATER, HELD, known_of, priors_for
 from survey.adjust.state import State
 from survey.adjust.windows_of_survey import windows_of_block
-from survey.folder.doubt import Doubt
+from survey.folder.contradiction import Contradiction
 from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
 from survey.plan.plan import Plan
@@ -47,16 +47,21 @@ class PoseCheck:
     misfit_px : [px] or None
         By how much they miss each other, per coordinate: the root mean square over photographs of the mean residual of
         their windows, less what the scatter of the windows explains. None where too little matches to tell.
-    doubt : Doubt or None
-        What the photographs contradict of the water, where their misfit bears out the poses: that under the level which
-        fits best, since far from the true one photographs taken aslant miss each other, too.
-    flooded : Doubt or None
+    told : tuple of Contradiction
+        What they say of water and lens, contradicted or not, where their misfit bears out the poses: under
+        the level which fits best, since far from the true one photographs taken aslant miss each other, too.
+    flooded : Contradiction or None
         The level that they ask for, where the one that is given leaves all of the bed dry.
     """
 
     misfit_px: float | None
-    doubt: Doubt | None = None
-    flooded: Doubt | None = None
+    told: tuple[Contradiction, ...] = ()
+    flooded: Contradiction | None = None
+
+    @property
+    def contradiction(self) -> Contradiction | None:
+        """The parameter that they contradict the most, if any."""
+        return most_contradicted(self.told)
 
     def require_water(self) -> None:
         """Raise `SurveyError` where photographs show water over a bed that the given level leaves dry."""
@@ -118,8 +123,7 @@ def check_of_ties(survey: Survey, plan: Plan, kind: int, ties: TiePoints) -> Pos
     if of_poses is None or of_poses > MOST_MISFIT_PX:
         # Errors of poses look like those of the water; all is adjusted together then.
         return PoseCheck(found)
-    told = told_of_given(survey, problem, solution.state, of_poses, plan.gsd_m)
-    return PoseCheck(found, doubt_of(survey, told))
+    return PoseCheck(found, tuple(told_of_given(survey, problem, solution.state, of_poses, plan.gsd_m)))
 
 
 def _under_best_level(problem: Problem, state: State) -> float | None:

@@ -115,8 +115,8 @@ def known_of(survey: Survey, gsd: float, *, free_water: bool = False) -> Known:
     sheet = np.array([_data_sheet(survey, lens) for lens in lenses])
     none = np.zeros((0, 3))
     state = State(_under_cameras(survey, centres), np.zeros(RELIEF), start, centres, rotations, none, readouts)
-    exact = (free_water or survey.doubt is not None) and survey.ties is None
-    calibrated = exact and not (survey.doubt is not None and survey.doubt.is_of_lens)
+    exact = (free_water or survey.contradiction is not None) and survey.ties is None
+    calibrated = exact and not (survey.contradiction is not None and survey.contradiction.is_of_lens)
     common_up = 0.0 if free_water else _common_up_std(survey)
     positions, position_std, unknown = _positions(survey, centres, exact=exact, shares_height=common_up > 0.0)
     rotation_std, unknown_rotations = _rotations(survey, exact=exact)

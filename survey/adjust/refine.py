@@ -17,11 +17,11 @@ from survey.adjust.adjustment import UNKNOWN, Adjustment
 from survey.adjust.applied import at_state
 from survey.adjust.assembling import result
 from survey.adjust.common_height import height_doubts, placed_by_level, water_start, with_common, without_common
-from survey.adjust.contradiction import MOST_OF_FOUR, Contradiction, released, worst_contradiction
+from survey.adjust.contradiction import MOST_OF_FOUR, released, worst_contradiction
 from survey.adjust.far_poses import Search, windows_or_search
 from survey.adjust.flooding import dry_bed_error, level_over_block
 from survey.adjust.free_water import Lost, adjust_free, dry_or_within_bounds, water_std, within_bounds
-from survey.adjust.given_check import LEVEL
+from survey.adjust.given_check import LEVEL, LEVEL_NAME
 from survey.adjust.holding import adjusted_with
 from survey.adjust.observed import MATCH, WINDOW, Observed, observed
 from survey.adjust.parts import parts_warning
@@ -33,6 +33,7 @@ from survey.adjust.verdicts import MOST_STD_LEVEL_M
 from survey.adjust.water_settings import WATER_PARAMETERS
 from survey.adjust.windows_of_survey import measure_windows
 from survey.errors import SurveyError
+from survey.folder.contradiction import Contradiction
 from survey.folder.survey import Survey
 from survey.photos.tie_points import TiePoints
 from survey.plan.choices import Choices
@@ -126,8 +127,10 @@ def _adjusted(
         raise _level_error(survey, found.parameter("level_m").std)
     warnings = [*(_against(found, each) for each in against), *height_doubts(survey, done)]
     warnings += parts_warning(found, survey.water)
-    if survey.doubt is not None and survey.doubt.is_of_lens:
-        warnings.append(f"{survey.doubt}: the lens is found anew, under the poses that were given with it; correct it")
+    if survey.contradiction is not None and survey.contradiction.is_of_lens:
+        warnings.append(
+            f"{survey.contradiction}: the lens is found anew, under the poses that were given with it; correct it"
+        )
     return replace(found, warnings=(*found.warnings, *warnings))
 
 
@@ -218,7 +221,7 @@ class _Gathered:
         """Adjust with what the photographs contradict of the water set free, the worst first; and what that was."""
         against: list[Contradiction] = []
         while len(against) < WATER:
-            each = (_doubted(self._survey) if not against else None) or worst_contradiction(done)
+            each = (_of_sample(self._survey) if not against else None) or worst_contradiction(self._survey, done)
             if each is None:
                 break
             against.append(each)
@@ -237,24 +240,19 @@ class _Gathered:
         def hold(held: np.ndarray) -> Adjusted:
             return placed_by_level(adjusted_with(done, held, self.known.std, self._sizes, self._marks_std))[0]
 
-        used = {each.number for each in against} | (set() if common is None else {LEVEL})
+        used = {WATER_PARAMETERS.index(each.name) for each in against} | (set() if common is None else {LEVEL})
         found = result(self._survey, placed, total, contradicted=sorted(used), hold=hold)
         return found if common is None else with_common(found, common, placed.solution.state.water)
 
 
-def _doubted(survey: Survey) -> Contradiction | None:
+def _of_sample(survey: Survey) -> Contradiction | None:
     """What a sample contradicted under the given poses; once poses are free, the block may tell it less surely."""
-    doubt = survey.doubt
-    if doubt is None or doubt.is_of_lens:
-        return None
-    number = WATER_PARAMETERS.index(doubt.name)
-    return Contradiction(number, doubt.found - doubt.given, doubt.std, doubt.given_std)
+    return None if survey.contradiction is None or survey.contradiction.is_of_lens else survey.contradiction
 
 
 def _against(found: Adjustment, each: Contradiction) -> str:
     """A contradiction in words, with both numbers."""
-    row, unit = found.parameter(WATER_PARAMETERS[each.number]), " m" if each.number == 0 else ""
-    digits = 3 if each.number == 0 else 4
+    row, unit, digits = found.parameter(each.name), *((" m", 3) if each.name == LEVEL_NAME else ("", 4))
     return (
         f"{row.name} is given as {row.given:.{digits}f} +- {each.given_std:.2g}{unit}, and the photographs say "
         f"{row.value:.{digits}f} +- {row.std:.2g}{unit}: the two contradict each other by more than "

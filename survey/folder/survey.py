@@ -18,8 +18,8 @@ from survey.folder import place
 from survey.folder.block import Block, block_of_file, block_of_photographs
 from survey.folder.camera_faults import require_apart, require_focal_lengths
 from survey.folder.config import SurveyConfig, WaterConfig
+from survey.folder.contradiction import Contradiction
 from survey.folder.datum_mixups import exif_doubts, low_flight_doubts, place_of
-from survey.folder.doubt import Doubt
 from survey.folder.found import Found, find_survey
 from survey.folder.level_observation import LevelObservation
 from survey.folder.mark_residuals import mark_doubts
@@ -73,7 +73,7 @@ class Survey:
     pose_misfit_px : float or None
         By how much photographs miss each other under the given poses [px]; below 0 where too little matches to tell,
         None where nobody has looked.
-    doubt : Doubt or None
+    contradiction : Contradiction or None
         Where a sample of photographs contradicts what is given of water or lens, under poses that they bear out.
     is_level_known : bool
         Whether survey.toml tells the level of the water; else that of `water` is a guess.
@@ -112,7 +112,7 @@ class Survey:
     tool: str | None = None
     reprojection: Reprojection | None = None
     pose_misfit_px: float | None = None
-    doubt: Doubt | None = None
+    contradiction: Contradiction | None = None
     priors: Mapping[str, PosePrior] = field(default_factory=dict, compare=False, repr=False)
     control: Control | None = field(default=None, compare=False, repr=False)
     checkpoints: tuple[Checkpoint, ...] = field(default=(), compare=False, repr=False)

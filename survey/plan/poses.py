@@ -61,8 +61,8 @@ def pose_choice(survey: Survey, asked: str, *, free_water: bool) -> tuple[str, s
     if survey.pose_misfit_px < 0.0:
         return "fixed", f"{_UNSTATED}; too little matches to check them"
     said = f"photographs miss each other by {survey.pose_misfit_px:.2f} px under the given poses"
-    if survey.doubt is not None:
-        return "refine", f"{said}, and {survey.doubt}: water, poses and lens are adjusted"
+    if survey.contradiction is not None:
+        return "refine", f"{said}, and {survey.contradiction}: water, poses and lens are adjusted"
     if survey.pose_misfit_px > MOST_MISFIT_PX:
         return "refine", f"{said}, more than {MOST_MISFIT_PX:g}: poses, lens and water are adjusted"
     return "fixed", f"{said}, at most {MOST_MISFIT_PX:g}: there is nothing to win by adjusting them"

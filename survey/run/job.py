@@ -175,7 +175,7 @@ class Job:
             "rays": lambda: plan.recipe.rays_per_cell,
             "device": lambda: plan.device,
             "ties": lambda: survey.ties,
-            "priors": lambda: (dict(survey.priors), survey.config.cameras, survey.doubt),
+            "priors": lambda: (dict(survey.priors), survey.config.cameras, survey.contradiction),
             "control": lambda: survey.control,
             "freed": lambda: self.chosen.calibrate_water,
             "water_colour": lambda: colour_of(survey),

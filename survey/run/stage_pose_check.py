@@ -13,7 +13,7 @@ from survey.adjust import pose_check
 from survey.adjust.pose_check import PoseCheck
 from survey.errors import SurveyError
 from survey.files.json_values import write_json
-from survey.folder.doubt import Doubt
+from survey.folder.contradiction import Contradiction
 
 if TYPE_CHECKING:
     from survey.run.job import Job
@@ -38,9 +38,10 @@ def check_poses(job: Job, folder: Path, _needs: Mapping[str, Path]) -> None:
 def use_misfit(job: Job, folder: Path) -> None:
     """Let the plan decide by what was found; raise where the level leaves dry what photographs show under water."""
     values = json.loads((folder / MISFIT).read_text(encoding="utf-8"))
-    misfit, *doubts = (values[name] for name in ("misfit_px", "doubt", "flooded"))
-    found = PoseCheck(misfit, *(None if each is None else Doubt(**each) for each in doubts))
+    misfit, flooded = values["misfit_px"], values["flooded"]
+    told = tuple(Contradiction(**each) for each in values["told"])
+    found = PoseCheck(misfit, told, None if flooded is None else Contradiction(**flooded))
     found.require_water()
-    job.take(replace(job.survey, pose_misfit_px=-1.0 if misfit is None else misfit, doubt=found.doubt))
+    job.take(replace(job.survey, pose_misfit_px=-1.0 if misfit is None else misfit, contradiction=found.contradiction))
     choice, reason = job.plan.poses
     job.progress.note(f"plan: poses: {choice} ({reason})")

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Doubt:
-    """A parameter of water or lens that photographs contradict under poses that they bear out.
+class Contradiction:
+    """A parameter of water or lens: what is given of it, and what photographs say.
 
     Attributes
     ----------
@@ -15,15 +16,25 @@ class Doubt:
         "level_m", "refractive_index", or of a lens as "camera0.f".
     given, given_std : float
         As survey.toml and the poses file say, or the defaults.
-    found, std : float
-        By a sample of photographs.
+    difference, std : float
+        Of what photographs say less given; of what they say.
     """
 
     name: str
     given: float
     given_std: float
-    found: float
+    difference: float
     std: float
+
+    @property
+    def found(self) -> float:
+        """What photographs say."""
+        return self.given + self.difference
+
+    @property
+    def sigmas(self) -> float:
+        """The difference in its standard deviations."""
+        return abs(self.difference) / math.hypot(self.std, self.given_std)
 
     @property
     def is_of_lens(self) -> bool:

@@ -7,6 +7,7 @@
 #   make format   let ruff mend what it can
 #   make bench    the benchmarks of minutes, on what they draw themselves: tables and figures of the documentation
 #   make stress   one thing after another made worse on a small drawn survey: where it degrades, and whether it says so
+#   make docs     the documentation as a site, its notebooks run: build/site/docs/index.html
 #   make licences the licence of everything that it needs; fails at one that does not fit Apache-2.0
 #   make clean    remove the demo and what tools left; make distclean: the environment too
 # PYTHON=python3.12 chooses the interpreter; otherwise the first of 3.11 to 3.13 that is found.
@@ -30,7 +31,7 @@ ifneq ($(shell cat $(READY) 2>/dev/null),$(CURDIR))
 .PHONY: $(READY)
 endif
 
-.PHONY: help install demo test check types format bench stress licences clean distclean
+.PHONY: help install demo test check types format bench stress docs licences clean distclean
 
 help:
 	@sed -n '2,/^$$/s/^# \{0,1\}//p' Makefile
@@ -73,11 +74,17 @@ bench: $(READY)
 stress: $(READY)
 	@$(BIN)/python benchmarks/stress.py
 
+# The source folder is the root, so that pages of docs/ and of the root link to each other; a warning fails.
+docs: $(READY)
+	@$(BIN)/python -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	@$(BIN)/python -m sphinx -q -W --keep-going -b html -c docs/sphinx . build/site
+	@echo "$(CURDIR)/build/site/docs/index.html"
+
 licences: $(READY)
 	@$(BIN)/python scripts/licences.py
 
 clean:
-	rm -rf .demo build dist .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	rm -rf .demo build dist docs/_api .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +
 
 distclean: clean

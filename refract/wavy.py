@@ -30,8 +30,9 @@ _ARRIVED = 1e-7
 @final
 @dataclass(frozen=True)
 class WavyWater:
-    """Waves ``z = plane + sum_i a_i sin(k_i . (r - r0) + phi_i)`` in a right-handed frame with z up.
+    """A plane with a sum of sinusoidal waves, in a right-handed frame with z up.
 
+    The surface is ``z = plane + sum_i a_i sin(k_i . (r - r0) + phi_i)``.
     All numbers may be 0-d tensors or Dr.Jit scalars, and amplitudes, wave vectors and phases tensors of the shapes
     below: gradients then flow to them, and the rays must come from the same library.
 
